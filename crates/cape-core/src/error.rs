@@ -1,0 +1,63 @@
+use std::path::{Path, PathBuf};
+
+/// Result of this crate's operations.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// What can go wrong with meshes, bodies and their files.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The operating system refused to open, read or write a file.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// A file's contents are not what they must be.
+    #[error("{}: `{field}`: {message}", path.display())]
+    Field {
+        /// The file.
+        path: PathBuf,
+        /// The array, key or line at fault.
+        field: String,
+        /// What was found, and what was expected.
+        message: String,
+    },
+    /// A file as a whole is not of the expected format.
+    #[error("{}: {message}", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What was found, and what was expected.
+        message: String,
+    },
+    /// A mesh is unusable; the message names the offending element and the remedy.
+    #[error("mesh: {0}")]
+    Mesh(String),
+    /// An argument is out of its domain; the message names it, its value and what was expected.
+    #[error("{0}")]
+    Argument(String),
+}
+
+impl Error {
+    /// An [`Error::Io`] about `path`.
+    pub fn io(path: impl AsRef<Path>, source: std::io::Error) -> Self {
+        Self::Io { path: path.as_ref().to_owned(), source }
+    }
+
+    /// An [`Error::Field`] about `field` of `path`.
+    pub fn field(
+        path: impl AsRef<Path>,
+        field: impl Into<String>,
+        message: impl Into<String>,
+    ) -> Self {
+        Self::Field { path: path.as_ref().to_owned(), field: field.into(), message: message.into() }
+    }
+
+    /// An [`Error::Format`] about `path`.
+    pub fn format(path: impl AsRef<Path>, message: impl Into<String>) -> Self {
+        Self::Format { path: path.as_ref().to_owned(), message: message.into() }
+    }
+}

@@ -1,0 +1,12 @@
+//! Meshes and their files, the SMPL body, outfits, and a synthetic body and wardrobe.
+//!
+//! Everything geometric that knows nothing of graphs, networks or training. Units are metres and
+//! radians; the y axis points up and the body faces +z, as in SMPL.
+
+mod error;
+mod mesh;
+mod outfit;
+
+pub use error::{Error, Result};
+pub use mesh::Mesh;
+pub use outfit::Outfit;

@@ -1,0 +1,74 @@
+use std::{fmt, str::FromStr};
+
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+
+/// The clothing type `c` of CAPE (§3): upper garment, then lower garment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Outfit {
+    /// Short sleeves, long trousers.
+    ShortLong,
+    /// Short sleeves, short trousers.
+    ShortShort,
+    /// Long sleeves, short trousers.
+    LongShort,
+    /// Long sleeves, long trousers.
+    LongLong,
+}
+
+impl Outfit {
+    /// All outfits, in one-hot order.
+    pub const ALL: [Self; 4] = [Self::ShortLong, Self::ShortShort, Self::LongShort, Self::LongLong];
+
+    /// Position in the one-hot label.
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+
+    /// The label the network is conditioned on, `[4]`.
+    pub const fn one_hot(self) -> [f32; 4] {
+        let mut label = [0.0; 4];
+        label[self as usize] = 1.0;
+        label
+    }
+
+    /// The name used in directory and file names.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::ShortLong => "shortlong",
+            Self::ShortShort => "shortshort",
+            Self::LongShort => "longshort",
+            Self::LongLong => "longlong",
+        }
+    }
+
+    /// Whether the upper garment has long sleeves.
+    pub const fn long_sleeves(self) -> bool {
+        matches!(self, Self::LongShort | Self::LongLong)
+    }
+
+    /// Whether the lower garment has long legs.
+    pub const fn long_legs(self) -> bool {
+        matches!(self, Self::ShortLong | Self::LongLong)
+    }
+}
+
+impl fmt::Display for Outfit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Outfit {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self, Error> {
+        Self::ALL.into_iter().find(|outfit| outfit.name() == name).ok_or_else(|| {
+            Error::Argument(format!(
+                "unknown outfit `{name}`: expected one of shortlong, shortshort, longshort, longlong"
+            ))
+        })
+    }
+}

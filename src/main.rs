@@ -1,0 +1,5 @@
+//! The `cape` command.
+
+fn main() -> std::process::ExitCode {
+    cape_cli::main()
+}
