@@ -3,10 +3,15 @@
 //! Everything geometric that knows nothing of graphs, networks or training. Units are metres and
 //! radians; the y axis points up and the body faces +z, as in SMPL.
 
+mod atomic;
 mod error;
 mod mesh;
+pub mod npy;
 mod outfit;
+pub mod smpl;
 
+pub use atomic::{AtomicFile, write_atomically};
 pub use error::{Error, Result};
 pub use mesh::Mesh;
 pub use outfit::Outfit;
+pub use smpl::SmplModel;

@@ -1,0 +1,299 @@
+//! NumPy's array files: `.npy` (one array) and `.npz` (a ZIP archive of arrays).
+//!
+//! Numbers of any NumPy type, byte order and memory order are converted on reading; what a header
+//! claims is checked against the bytes that are there before anything is allocated.
+
+mod element;
+mod header;
+
+use std::{
+    fs::File,
+    io::{self, BufReader, Read, Write},
+    path::{Path, PathBuf},
+};
+
+use ndarray::{ArrayD, ArrayRef, Dimension, IxDyn, ShapeBuilder};
+use zip::{CompressionMethod, ZipArchive, ZipWriter, result::ZipError, write::FileOptions};
+
+pub use element::NpyElement;
+use element::{ReadError, read_elements};
+pub use header::{NpyHeader, NpyKind, NpyType};
+
+use crate::{AtomicFile, Error, Result, write_atomically};
+
+/// Deflate cannot expand a byte to more than this many.
+const MAX_DEFLATE_RATIO: u64 = 1032;
+
+/// The file, and the array in it where there are several, that an error is about.
+#[derive(Clone, Copy)]
+struct Source<'a> {
+    path: &'a Path,
+    name: Option<&'a str>,
+}
+
+impl Source<'_> {
+    fn error(self, message: impl Into<String>) -> Error {
+        match self.name {
+            Some(name) => Error::field(self.path, name, message),
+            None => Error::format(self.path, message),
+        }
+    }
+
+    /// Reads an array of at most `available` bytes, header included.
+    fn read<T: NpyElement>(self, mut reader: impl Read, available: u64) -> Result<ArrayD<T>> {
+        let header = NpyHeader::read(&mut reader).map_err(|message| self.error(message))?;
+        let elements = self.check_size(&header, available)?;
+        let values =
+            read_elements(&header, elements, &mut reader).map_err(|failed| match failed {
+                ReadError::Io(source) => self.error(format!("cannot be read: {source}")),
+                ReadError::Content(message) => self.error(message),
+            })?;
+        // The checksum of a ZIP entry is verified when its end is met.
+        reader.read(&mut [0]).map_err(|source| self.error(format!("cannot be read: {source}")))?;
+        let shape = IxDyn(&header.shape).set_f(header.fortran);
+        let array = ArrayD::from_shape_vec(shape, values)
+            .map_err(|source| self.error(source.to_string()))?;
+        Ok(if header.fortran { array.as_standard_layout().into_owned() } else { array })
+    }
+
+    /// Number of elements, once their bytes are known to be there.
+    fn check_size(self, header: &NpyHeader, available: u64) -> Result<usize> {
+        let claims = || format!("claims shape {:?} of `{}`", header.shape, header.dtype);
+        let (elements, bytes) = header
+            .elements_and_bytes()
+            .ok_or_else(|| self.error(format!("{}, more than memory can hold", claims())))?;
+        let present = available.saturating_sub(header.data_offset as u64);
+        if bytes as u64 > present {
+            return Err(
+                self.error(format!("{}: {bytes} bytes, but only {present} are there", claims()))
+            );
+        }
+        Ok(elements)
+    }
+}
+
+fn open(path: &Path) -> Result<(BufReader<File>, u64)> {
+    let file = File::open(path).map_err(|source| Error::io(path, source))?;
+    let metadata = file.metadata().map_err(|source| Error::io(path, source))?;
+    if metadata.is_dir() {
+        return Err(Error::format(path, "is a directory, expected a file"));
+    }
+    Ok((BufReader::with_capacity(1 << 16, file), metadata.len()))
+}
+
+/// Reads a `.npy` file, converting its numbers to `T`.
+pub fn read_npy<T: NpyElement>(path: impl AsRef<Path>) -> Result<ArrayD<T>> {
+    let path = path.as_ref();
+    let (reader, length) = open(path)?;
+    Source { path, name: None }.read(reader, length)
+}
+
+/// Reads a `.npy` file as `f64`.
+pub fn read_f64(path: impl AsRef<Path>) -> Result<ArrayD<f64>> {
+    read_npy(path)
+}
+
+/// Reads a `.npy` file as `f32`.
+pub fn read_f32(path: impl AsRef<Path>) -> Result<ArrayD<f32>> {
+    read_npy(path)
+}
+
+/// Reads a `.npy` file as `i64`; a value that is not a whole number in range is an error.
+pub fn read_i64(path: impl AsRef<Path>) -> Result<ArrayD<i64>> {
+    read_npy(path)
+}
+
+/// Reads the header of a `.npy` file and checks that the data it claims are there, so that the
+/// file can be mapped into memory.
+pub fn npy_header(path: impl AsRef<Path>) -> Result<NpyHeader> {
+    let path = path.as_ref();
+    let (mut reader, length) = open(path)?;
+    let source = Source { path, name: None };
+    let header = NpyHeader::read(&mut reader).map_err(|message| source.error(message))?;
+    source.check_size(&header, length)?;
+    Ok(header)
+}
+
+/// Writes a `.npy` file (little-endian, C order), atomically.
+pub fn write_npy<T: NpyElement, D: Dimension>(
+    path: impl AsRef<Path>,
+    array: &ArrayRef<T, D>,
+) -> Result<()> {
+    write_atomically(path, |file| write_array(file, array))
+}
+
+fn write_array<T: NpyElement, D: Dimension>(
+    writer: &mut impl Write,
+    array: &ArrayRef<T, D>,
+) -> io::Result<()> {
+    writer.write_all(&NpyHeader::bytes(T::DESCR, array.shape()))?;
+    let mut bytes = Vec::with_capacity(1 << 16);
+    for &value in array {
+        value.append_to(&mut bytes);
+        if bytes.len() >= (1 << 16) - 8 {
+            writer.write_all(&bytes)?;
+            bytes.clear();
+        }
+    }
+    writer.write_all(&bytes)
+}
+
+/// Checks the shape of array `field` of `path`; `None` stands for any length.
+pub fn expect_shape(
+    path: impl AsRef<Path>,
+    field: &str,
+    found: &[usize],
+    expected: &[Option<usize>],
+) -> Result<()> {
+    let agrees = found.len() == expected.len()
+        && found.iter().zip(expected).all(|(&f, e)| e.is_none_or(|e| e == f));
+    if agrees {
+        return Ok(());
+    }
+    let expected: Vec<String> =
+        expected.iter().map(|axis| axis.map_or("_".into(), |n| n.to_string())).collect();
+    Err(Error::field(path, field, format!("shape {found:?}, expected [{}]", expected.join(", "))))
+}
+
+/// An open `.npz` archive.
+#[derive(Debug)]
+pub struct Npz {
+    path: PathBuf,
+    length: u64,
+    archive: ZipArchive<BufReader<File>>,
+}
+
+impl Npz {
+    /// Opens an archive and reads its directory.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref().to_owned();
+        let (reader, length) = open(&path)?;
+        let archive = ZipArchive::new(reader).map_err(|source| {
+            Error::format(&path, format!("not a readable .npz (ZIP) archive: {source}"))
+        })?;
+        Ok(Self { path, length, archive })
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Names of the arrays, sorted.
+    pub fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> = self
+            .archive
+            .file_names()
+            .filter_map(|name| name.strip_suffix(".npy"))
+            .map(str::to_owned)
+            .collect();
+        names.sort_unstable();
+        names
+    }
+
+    /// Whether there is an array `name`.
+    pub fn contains(&self, name: &str) -> bool {
+        self.archive.file_names().any(|file| file.strip_suffix(".npy") == Some(name))
+    }
+
+    /// Reads array `name`, converting its numbers to `T`.
+    pub fn get<T: NpyElement>(&mut self, name: &str) -> Result<ArrayD<T>> {
+        let Self { path, length, archive } = self;
+        let source = Source { path, name: Some(name) };
+        let entry = archive.by_name(&format!("{name}.npy")).map_err(|failed| match failed {
+            ZipError::FileNotFound => source.error("missing array"),
+            other => source.error(other.to_string()),
+        })?;
+        let (size, compressed) = (entry.size(), entry.compressed_size());
+        let possible = if entry.compression() == CompressionMethod::Stored {
+            compressed
+        } else {
+            compressed.saturating_mul(MAX_DEFLATE_RATIO)
+        };
+        if compressed > *length || size > possible {
+            return Err(source.error(format!(
+                "the archive claims {size} bytes of data in {compressed}, which is impossible \
+                 in a file of {length}"
+            )));
+        }
+        source.read(entry, size)
+    }
+
+    /// Reads array `name` as `f64`.
+    pub fn f64(&mut self, name: &str) -> Result<ArrayD<f64>> {
+        self.get(name)
+    }
+
+    /// Reads array `name` as `f32`.
+    pub fn f32(&mut self, name: &str) -> Result<ArrayD<f32>> {
+        self.get(name)
+    }
+
+    /// Reads array `name` as `i64`; a value that is not a whole number in range is an error.
+    pub fn i64(&mut self, name: &str) -> Result<ArrayD<i64>> {
+        self.get(name)
+    }
+
+    /// Checks the shape of an array read from this archive; `None` stands for any length.
+    pub fn expect_shape(
+        &self,
+        name: &str,
+        found: &[usize],
+        expected: &[Option<usize>],
+    ) -> Result<()> {
+        expect_shape(&self.path, name, found, expected)
+    }
+}
+
+/// Writes a `.npz` archive, atomically: nothing appears before [`finish`](Self::finish).
+pub struct NpzWriter {
+    path: PathBuf,
+    options: FileOptions,
+    archive: ZipWriter<AtomicFile>,
+}
+
+impl NpzWriter {
+    /// Starts an uncompressed archive.
+    pub fn create(path: impl AsRef<Path>) -> Result<Self> {
+        let file = AtomicFile::create(&path)?;
+        Ok(Self {
+            path: path.as_ref().to_owned(),
+            // A fixed time stamp (ZIP's 1980-01-01): equal arrays make equal files.
+            options: FileOptions::default().compression_method(CompressionMethod::Stored),
+            archive: ZipWriter::new(file),
+        })
+    }
+
+    /// Compresses the arrays added from here on with deflate.
+    #[must_use]
+    pub fn deflate(mut self) -> Self {
+        self.options = self.options.compression_method(CompressionMethod::Deflated);
+        self
+    }
+
+    /// Adds an array (little-endian, C order).
+    pub fn add<T: NpyElement, D: Dimension>(
+        &mut self,
+        name: &str,
+        array: &ArrayRef<T, D>,
+    ) -> Result<()> {
+        let large = array.len().saturating_mul(size_of::<T>()) as u64 >= u64::from(u32::MAX) / 2;
+        let Self { path, options, archive } = self;
+        archive
+            .start_file(format!("{name}.npy"), options.large_file(large))
+            .map_err(|source| Error::field(&*path, name, source.to_string()))?;
+        write_array(archive, array).map_err(|source| Error::io(&*path, source))
+    }
+
+    /// Completes the archive and puts it in place.
+    pub fn finish(mut self) -> Result<()> {
+        let file = self
+            .archive
+            .finish()
+            .map_err(|source| Error::io(&self.path, io::Error::from(source)))?;
+        file.commit()
+    }
+}
+
+#[cfg(test)]
+mod tests;
