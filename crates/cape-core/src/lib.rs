@@ -4,6 +4,7 @@
 //! radians; the y axis points up and the body faces +z, as in SMPL.
 
 mod atomic;
+mod device;
 mod error;
 mod mesh;
 pub mod npy;
@@ -11,6 +12,7 @@ mod outfit;
 pub mod smpl;
 
 pub use atomic::{AtomicFile, write_atomically};
+pub use device::{DEVICES, parse_device};
 pub use error::{Error, Result};
 pub use mesh::Mesh;
 pub use outfit::Outfit;

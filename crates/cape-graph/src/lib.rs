@@ -5,10 +5,12 @@
 //! by it, with gradients, on every backend compiled in.
 
 mod backends;
+mod device;
 mod functions;
 mod ops;
 mod sparse;
 
+pub use device::DevicePyramid;
 pub use functions::{bias_leaky_relu, cheb_conv, cheb_features, group_norm_relu, sparse_matmul};
 pub use ops::GraphBackend;
 pub use sparse::{Csr, SparseMatrix, SparsePair};

@@ -1,0 +1,114 @@
+use burn::tensor::{Device, Tensor};
+
+use crate::{Error, Result};
+
+/// Names [`parse_device`] takes, as compiled in.
+pub const DEVICES: &[&str] = &[
+    #[cfg(feature = "flex")]
+    "flex",
+    #[cfg(feature = "ndarray")]
+    "ndarray",
+    #[cfg(feature = "wgpu")]
+    "wgpu",
+    #[cfg(feature = "cuda")]
+    "cuda",
+];
+
+/// The device of that name: `flex`, `ndarray`, `wgpu[:index]` or `cuda[:index]`; `wgpu:cpu` is a
+/// software adapter. The device is tried, so that what it returns works.
+///
+/// # Errors
+/// If the name is unknown, its backend is not compiled in, or the device cannot be used.
+pub fn parse_device(name: &str) -> Result<Device> {
+    let (backend, index) = match name.split_once(':') {
+        Some((backend, index)) => (backend, Some(index)),
+        None => (name, None),
+    };
+    let device = match (backend, index) {
+        #[cfg(feature = "flex")]
+        ("flex", None) => Device::flex(),
+        #[cfg(feature = "ndarray")]
+        ("ndarray", None) => Device::ndarray(),
+        #[cfg(feature = "wgpu")]
+        ("wgpu", index) => {
+            use burn::tensor::DeviceKind;
+            Device::vulkan(match index {
+                None => DeviceKind::DefaultDevice,
+                Some("cpu") => DeviceKind::Cpu,
+                Some(index) => DeviceKind::DiscreteGpu(number(name, index)?),
+            })
+        }
+        #[cfg(feature = "cuda")]
+        ("cuda", index) => Device::cuda(index.map_or(Ok(0), |index| number(name, index))?),
+        ("flex" | "ndarray", Some(_)) => {
+            return Err(Error::Argument(format!("device `{name}`: {backend} takes no index")));
+        }
+        #[allow(unreachable_patterns)] // reachable where that backend is left out
+        ("flex" | "ndarray" | "wgpu" | "cuda", _) => {
+            return Err(Error::Argument(format!(
+                "device `{name}` is not compiled in: rebuild with `--features {backend}`, or use \
+                 one of: {}",
+                DEVICES.join(", ")
+            )));
+        }
+        _ => {
+            return Err(Error::Argument(format!(
+                "unknown device `{name}`: expected flex, ndarray, wgpu[:index] or cuda[:index]"
+            )));
+        }
+    };
+    try_out(name, device)
+}
+
+#[cfg(any(feature = "wgpu", feature = "cuda"))]
+fn number(name: &str, index: &str) -> Result<usize> {
+    index
+        .parse()
+        .map_err(|_| Error::Argument(format!("device `{name}`: `{index}` is not a device index")))
+}
+
+/// Burn panics when a device cannot be initialised; this makes it an error.
+fn try_out(name: &str, device: Device) -> Result<Device> {
+    let probe = device.clone();
+    let works = quietly(move || {
+        let sum = Tensor::<1>::ones([2], &probe).sum().into_scalar::<f32>();
+        sum == 2.0
+    });
+    match works {
+        Ok(true) => Ok(device),
+        Ok(false) => Err(Error::Argument(format!("device `{name}` computes wrong results"))),
+        Err(reason) => Err(Error::Argument(format!("device `{name}` cannot be used: {reason}"))),
+    }
+}
+
+/// Runs `f` on a thread of its own and returns the message if it panics.
+fn quietly<T: Send + 'static>(f: impl FnOnce() -> T + Send + 'static) -> Result<T, String> {
+    std::thread::spawn(f).join().map_err(|panic| {
+        panic
+            .downcast_ref::<String>()
+            .cloned()
+            .or_else(|| panic.downcast_ref::<&str>().map(|&message| message.to_owned()))
+            .unwrap_or_else(|| "unknown reason".into())
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn compiled_devices_parse() {
+        for &name in DEVICES.iter().filter(|name| ["flex", "ndarray"].contains(name)) {
+            parse_device(name).unwrap();
+        }
+    }
+
+    #[test]
+    fn errors_say_what_to_do() {
+        let message = |name| parse_device(name).unwrap_err().to_string();
+        assert!(message("tpu").contains("unknown device `tpu`"));
+        assert!(message("flex:1").contains("takes no index"));
+        #[cfg(not(feature = "cuda"))]
+        assert!(message("cuda:0").contains("--features cuda"));
+    }
+}

@@ -1,0 +1,90 @@
+use burn::tensor::{Device, Tensor};
+use sprs::CsMat;
+
+use crate::{functions::sparse_matmul, sparse::SparseMatrix};
+
+/// A pyramid's matrices on a device: what graph networks need of a mesh.
+///
+/// Level 0 is the input mesh; transition `i` leads from level `i` to level `i + 1`.
+#[derive(Debug, Clone)]
+pub struct DevicePyramid {
+    vertices: Vec<usize>,
+    laplacians: Vec<SparseMatrix>,
+    down: Vec<Option<SparseMatrix>>,
+    up: Vec<Option<SparseMatrix>>,
+}
+
+impl DevicePyramid {
+    /// Uploads the rescaled Laplacians `L̃` of every level and the matrices of every transition;
+    /// a transition of `None` is the identity.
+    ///
+    /// # Panics
+    /// If the matrices' shapes do not chain.
+    pub fn new(
+        laplacians: &[CsMat<f64>],
+        down: &[Option<CsMat<f64>>],
+        up: &[Option<CsMat<f64>>],
+        device: &Device,
+    ) -> Self {
+        let vertices: Vec<usize> = laplacians.iter().map(CsMat::rows).collect();
+        assert!(
+            down.len() + 1 == vertices.len() && up.len() == down.len(),
+            "a pyramid of {} levels has one transition less",
+            vertices.len()
+        );
+        for (i, pair) in vertices.windows(2).enumerate() {
+            let identity = pair[0] == pair[1];
+            let fits = |matrix: &Option<CsMat<f64>>, shape: (usize, usize)| {
+                matrix.as_ref().map_or(identity, |matrix| matrix.shape() == shape)
+            };
+            assert!(
+                fits(&down[i], (pair[1], pair[0])) && fits(&up[i], (pair[0], pair[1])),
+                "transition {i} does not lead from {} to {} vertices and back",
+                pair[0],
+                pair[1]
+            );
+        }
+        let upload = |matrix: &Option<CsMat<f64>>| {
+            matrix.as_ref().map(|matrix| SparseMatrix::new(matrix, device))
+        };
+        Self {
+            vertices,
+            laplacians: laplacians.iter().map(|l| SparseMatrix::new(l, device)).collect(),
+            down: down.iter().map(upload).collect(),
+            up: up.iter().map(upload).collect(),
+        }
+    }
+
+    /// Number of transitions; there is one level more.
+    pub fn transitions(&self) -> usize {
+        self.down.len()
+    }
+
+    /// Number of vertices of each level.
+    pub fn vertices(&self) -> &[usize] {
+        &self.vertices
+    }
+
+    /// The rescaled Laplacian `L̃ = L − I` of a level.
+    pub fn laplacian(&self, level: usize) -> &SparseMatrix {
+        &self.laplacians[level]
+    }
+
+    /// Keeps the vertices of `x: [batch, vertices, channels]` that survive into level
+    /// `transition + 1`.
+    pub fn down(&self, x: Tensor<3>, transition: usize) -> Tensor<3> {
+        match &self.down[transition] {
+            Some(matrix) => sparse_matmul(x, matrix),
+            None => x,
+        }
+    }
+
+    /// Interpolates `x: [batch, vertices, channels]` of level `transition + 1` on level
+    /// `transition`.
+    pub fn up(&self, x: Tensor<3>, transition: usize) -> Tensor<3> {
+        match &self.up[transition] {
+            Some(matrix) => sparse_matmul(x, matrix),
+            None => x,
+        }
+    }
+}

@@ -1,0 +1,94 @@
+use burn::{
+    module::Module,
+    tensor::{Tensor, activation::leaky_relu},
+};
+
+use crate::{
+    CapeConfig, Init,
+    config::{LEAKY_SLOPE, OUTFITS, POSE_FEATURE},
+    layers::Linear,
+};
+
+/// The embedding net of one condition: one linear layer, or two with a leaky ReLU between.
+#[derive(Module, Debug)]
+pub struct ConditionNet {
+    /// The hidden layer of a two-layer net.
+    pub hidden: Option<Linear>,
+    /// The last layer.
+    pub output: Linear,
+}
+
+impl ConditionNet {
+    fn new(input: usize, output: usize, layers: usize, init: &mut Init) -> Self {
+        if layers < 2 {
+            return Self { hidden: None, output: Linear::new(input, output, init) };
+        }
+        let width = hidden_width(input, output);
+        let hidden = Linear::new(input, width, init);
+        Self { hidden: Some(hidden), output: Linear::new(width, output, init) }
+    }
+
+    fn forward(&self, x: Tensor<2>) -> Tensor<2> {
+        let x = match &self.hidden {
+            Some(hidden) => leaky_relu(hidden.forward(x), LEAKY_SLOPE),
+            None => x,
+        };
+        self.output.forward(x)
+    }
+}
+
+/// Width of the hidden layer between `input` and `output`.
+fn hidden_width(input: usize, output: usize) -> usize {
+    if output < input / 2 {
+        input / 2
+    } else if output < 2 * input {
+        input
+    } else {
+        output / 2
+    }
+}
+
+/// Embeddings of pose and outfit (CAPE §4.2), shared by the decoder and the discriminator.
+#[derive(Module, Debug)]
+pub struct ConditionNets {
+    /// Of the pose feature.
+    pub pose: Option<ConditionNet>,
+    /// Of the outfit label.
+    pub outfit: Option<ConditionNet>,
+}
+
+impl ConditionNets {
+    /// As the configuration says; a size of 0 leaves that net out.
+    pub fn new(config: &CapeConfig, init: &mut Init) -> Self {
+        let mut net = |input, output, layers| {
+            (output > 0).then(|| ConditionNet::new(input, output, layers, init))
+        };
+        Self {
+            pose: net(POSE_FEATURE, config.pose_embedding, config.pose_layers),
+            outfit: net(OUTFITS, config.outfit_embedding, config.outfit_layers),
+        }
+    }
+
+    /// `pose_feature: [batch, 126]`, `outfit: [batch, 4]` → `[batch, embedding]`, pose first;
+    /// `None` for an unconditional model.
+    pub fn forward(&self, pose_feature: Tensor<2>, outfit: Tensor<2>) -> Option<Tensor<2>> {
+        let pose = self.pose.as_ref().map(|net| net.forward(pose_feature));
+        let outfit = self.outfit.as_ref().map(|net| net.forward(outfit));
+        match (pose, outfit) {
+            (Some(pose), Some(outfit)) => Some(Tensor::cat(vec![pose, outfit], 1)),
+            (pose, outfit) => pose.or(outfit),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn hidden_widths_follow_the_rule() {
+        assert_eq!(super::hidden_width(126, 24), 63);
+        assert_eq!(super::hidden_width(126, 100), 126);
+        assert_eq!(super::hidden_width(4, 5), 4);
+        assert_eq!(super::hidden_width(4, 8), 4);
+        assert_eq!(super::hidden_width(4, 20), 10);
+    }
+}

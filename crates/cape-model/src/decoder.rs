@@ -1,0 +1,131 @@
+use burn::{
+    module::{Module, Param},
+    tensor::{Tensor, activation::leaky_relu},
+};
+use cape_graph::DevicePyramid;
+
+use crate::{
+    CapeConfig, DecoderBlock, DecoderConditions, Init,
+    config::LEAKY_SLOPE,
+    layers::{AffineBlock, ChebConv, ConvLayer, Linear, ResidualBlock, append},
+};
+
+/// One layer of the decoder after its up-sampling.
+#[derive(Module, Debug)]
+pub enum DecoderLayer {
+    /// CAPE's.
+    Residual(ResidualBlock),
+    /// CAPE-affine's.
+    Affine(AffineBlock),
+    /// CoMA's.
+    Plain(ConvLayer),
+}
+
+impl DecoderLayer {
+    fn forward(&self, x: Tensor<3>, graph: &DevicePyramid, level: usize) -> Tensor<3> {
+        let laplacian = graph.laplacian(level);
+        match self {
+            Self::Residual(block) => block.forward(x, laplacian),
+            Self::Affine(block) => block.forward(x, laplacian),
+            Self::Plain(layer) => layer.forward(x, laplacian),
+        }
+    }
+}
+
+/// From a latent code and conditions to displacements (CAPE §4.1 and appendix A).
+#[derive(Module, Debug)]
+pub struct Decoder {
+    /// From the code to features of the coarsest level.
+    pub input: Linear,
+    /// 1×1 convolution to the width of the first block.
+    pub expand: Option<ChebConv>,
+    /// One for each transition of the pyramid, coarsest first.
+    pub blocks: Vec<DecoderLayer>,
+    /// To three coordinates.
+    pub output: ChebConv,
+    /// One number per vertex and coordinate, `[vertices, 3]`.
+    pub output_bias: Param<Tensor<2>>,
+    code_conditioned: bool,
+    blocks_conditioned: bool,
+}
+
+impl Decoder {
+    /// For meshes of `vertices` whose coarsest level has `coarse`.
+    pub fn new(config: &CapeConfig, vertices: usize, coarse: usize, init: &mut Init) -> Self {
+        let code_conditioned = config.decoder_conditions != DecoderConditions::None;
+        let extra = config.block_conditions();
+        let mut width = config.filters.last().copied().unwrap_or_default();
+        let stem = if config.reduce > 0 { config.reduce } else { width };
+        let code = config.latent + if code_conditioned { config.condition_size() } else { 0 };
+        let input = Linear::new(code, coarse * stem, init);
+        let expand = (config.reduce > 0).then(|| ChebConv::new(stem, width, 1, init));
+
+        let mut blocks = Vec::new();
+        for &filters in config.filters.iter().rev() {
+            let (channels, order) = (width + extra, config.order);
+            width = if config.decoder == DecoderBlock::Affine { filters / 2 } else { filters };
+            blocks.push(match config.decoder {
+                DecoderBlock::Residual => {
+                    DecoderLayer::Residual(ResidualBlock::new(channels, width, order, init))
+                }
+                DecoderBlock::Affine => {
+                    DecoderLayer::Affine(AffineBlock::new(channels, width, order, init))
+                }
+                DecoderBlock::Plain => {
+                    DecoderLayer::Plain(ConvLayer::new(channels, width, order, init))
+                }
+            });
+        }
+        Self {
+            input,
+            expand,
+            blocks,
+            output: ChebConv::new(width + extra, 3, config.order, init),
+            output_bias: init.constant(0.1, [vertices, 3]),
+            code_conditioned,
+            blocks_conditioned: extra > 0,
+        }
+    }
+
+    /// `z: [batch, latent]`, `condition: [batch, embedding]` → normalised displacements
+    /// `[batch, vertices, 3]`.
+    pub fn forward(
+        &self,
+        z: Tensor<2>,
+        condition: Option<&Tensor<2>>,
+        graph: &DevicePyramid,
+    ) -> Tensor<3> {
+        self.forward_with(z, condition, graph, &mut |_, _| {})
+    }
+
+    /// As [`forward`](Self::forward), showing every block's output to `tap`.
+    pub fn forward_with(
+        &self,
+        z: Tensor<2>,
+        condition: Option<&Tensor<2>>,
+        graph: &DevicePyramid,
+        tap: &mut dyn FnMut(usize, &Tensor<3>),
+    ) -> Tensor<3> {
+        let code = match condition.filter(|_| self.code_conditioned) {
+            Some(condition) => Tensor::cat(vec![z, condition.clone()], 1),
+            None => z,
+        };
+        let condition = condition.filter(|_| self.blocks_conditioned);
+        let levels = self.blocks.len();
+        let coarse = graph.vertices()[levels];
+
+        let x = leaky_relu(self.input.forward(code), LEAKY_SLOPE);
+        let [batch, flat] = x.dims();
+        let mut x = x.reshape([batch, coarse, flat / coarse]);
+        if let Some(expand) = &self.expand {
+            x = expand.forward(x, graph.laplacian(levels));
+        }
+        for (i, block) in self.blocks.iter().enumerate() {
+            let level = levels - 1 - i;
+            x = block.forward(graph.up(append(x, condition), level), graph, level);
+            tap(i, &x);
+        }
+        let x = self.output.forward(append(x, condition), graph.laplacian(0));
+        x + self.output_bias.val().unsqueeze()
+    }
+}

@@ -1,0 +1,56 @@
+use burn::{module::Module, tensor::Tensor};
+use cape_graph::DevicePyramid;
+
+use crate::{
+    DiscriminatorConfig, Init,
+    layers::{ChebConv, ConvLayer, append},
+};
+
+/// The patchwise discriminator (CAPE §4.1): one real-or-fake logit for each patch of the mesh.
+#[derive(Module, Debug)]
+pub struct Discriminator {
+    /// One for each transition of its pyramid.
+    pub layers: Vec<ConvLayer>,
+    /// To one logit.
+    pub output: ChebConv,
+}
+
+impl Discriminator {
+    /// For conditions of `condition` numbers.
+    pub fn new(config: &DiscriminatorConfig, condition: usize, init: &mut Init) -> Self {
+        let mut input = 3 + condition;
+        let mut layers = Vec::new();
+        for &filters in &config.filters {
+            layers.push(ConvLayer::new(input, filters, config.order, init));
+            input = filters;
+        }
+        Self { layers, output: ChebConv::new(input, 1, config.output_order, init) }
+    }
+
+    /// Normalised displacements `[batch, vertices, 3]`, `condition: [batch, embedding]` → logits
+    /// `[batch, patches, 1]`.
+    pub fn forward(
+        &self,
+        x: Tensor<3>,
+        condition: Option<&Tensor<2>>,
+        graph: &DevicePyramid,
+    ) -> Tensor<3> {
+        self.forward_with(x, condition, graph, &mut |_, _| {})
+    }
+
+    /// As [`forward`](Self::forward), showing every layer's output after pooling to `tap`.
+    pub fn forward_with(
+        &self,
+        x: Tensor<3>,
+        condition: Option<&Tensor<2>>,
+        graph: &DevicePyramid,
+        tap: &mut dyn FnMut(usize, &Tensor<3>),
+    ) -> Tensor<3> {
+        let mut x = append(x, condition);
+        for (level, layer) in self.layers.iter().enumerate() {
+            x = graph.down(layer.forward(x, graph.laplacian(level)), level);
+            tap(level, &x);
+        }
+        self.output.forward(x, graph.laplacian(self.layers.len()))
+    }
+}

@@ -1,0 +1,114 @@
+use burn::{module::Module, tensor::Tensor};
+use cape_graph::DevicePyramid;
+
+use crate::{
+    CapeConfig, Init,
+    layers::{ChebConv, ConvLayer, EncoderResidual, Linear, append},
+};
+
+/// One layer of the encoder before its pooling.
+#[derive(Module, Debug)]
+pub enum EncoderBlock {
+    /// Convolution, bias, leaky ReLU.
+    Conv(ConvLayer),
+    /// The optional residual block.
+    Residual(EncoderResidual),
+}
+
+impl EncoderBlock {
+    fn forward(&self, x: Tensor<3>, graph: &DevicePyramid, level: usize) -> Tensor<3> {
+        match self {
+            Self::Conv(layer) => layer.forward(x, graph.laplacian(level)),
+            Self::Residual(block) => block.forward(x, graph.laplacian(level)),
+        }
+    }
+}
+
+/// Mean and log-variance of `q(z|x)`, each `[batch, latent]`.
+#[derive(Debug, Clone)]
+pub struct Posterior {
+    /// `μ`.
+    pub mean: Tensor<2>,
+    /// `log σ²`.
+    pub log_variance: Tensor<2>,
+}
+
+impl Posterior {
+    /// `z = μ + exp(½ log σ²) ε`, `ε: [batch, latent]` standard normal.
+    pub fn sample(&self, epsilon: Tensor<2>) -> Tensor<2> {
+        self.mean.clone() + (self.log_variance.clone() * 0.5).exp() * epsilon
+    }
+}
+
+/// From displacements to the posterior of the latent code (CAPE §4.1).
+#[derive(Module, Debug)]
+pub struct Encoder {
+    /// One for each transition of the pyramid.
+    pub blocks: Vec<EncoderBlock>,
+    /// 1×1 convolution before the heads.
+    pub reduce: Option<ChebConv>,
+    /// Head of the mean.
+    pub mean: Linear,
+    /// Head of the log-variance.
+    pub log_variance: Linear,
+    conditioned: bool,
+}
+
+impl Encoder {
+    /// For meshes whose coarsest level has `coarse` vertices.
+    pub fn new(config: &CapeConfig, coarse: usize, init: &mut Init) -> Self {
+        let extra = if config.encoder_conditions { config.condition_size() } else { 0 };
+        let mut input = 3 + extra;
+        let mut blocks = Vec::new();
+        for &filters in &config.filters {
+            blocks.push(if config.encoder_residual {
+                EncoderBlock::Residual(EncoderResidual::new(input, filters, config.order, init))
+            } else {
+                EncoderBlock::Conv(ConvLayer::new(input, filters, config.order, init))
+            });
+            input = filters;
+        }
+        let reduce = (config.reduce > 0).then(|| ChebConv::new(input, config.reduce, 1, init));
+        let flat = coarse * if config.reduce > 0 { config.reduce } else { input };
+        Self {
+            blocks,
+            reduce,
+            mean: Linear::new(flat, config.latent, init),
+            log_variance: Linear::new(flat, config.latent, init),
+            conditioned: config.encoder_conditions,
+        }
+    }
+
+    /// `x: [batch, vertices, 3]` normalised displacements, `condition: [batch, embedding]`.
+    pub fn forward(
+        &self,
+        x: Tensor<3>,
+        condition: Option<&Tensor<2>>,
+        graph: &DevicePyramid,
+    ) -> Posterior {
+        self.forward_with(x, condition, graph, &mut |_, _| {})
+    }
+
+    /// As [`forward`](Self::forward), showing every layer's output after pooling to `tap`.
+    pub fn forward_with(
+        &self,
+        x: Tensor<3>,
+        condition: Option<&Tensor<2>>,
+        graph: &DevicePyramid,
+        tap: &mut dyn FnMut(usize, &Tensor<3>),
+    ) -> Posterior {
+        let mut x = append(x, condition.filter(|_| self.conditioned));
+        for (level, block) in self.blocks.iter().enumerate() {
+            x = graph.down(block.forward(x, graph, level), level);
+            tap(level, &x);
+        }
+        if let Some(reduce) = &self.reduce {
+            x = reduce.forward(x, graph.laplacian(self.blocks.len()));
+        }
+        let flat: Tensor<2> = x.flatten(1, 2);
+        Posterior {
+            mean: self.mean.forward(flat.clone()),
+            log_variance: self.log_variance.forward(flat),
+        }
+    }
+}

@@ -1,0 +1,57 @@
+use burn::{
+    module::Param,
+    tensor::{Device, Tensor, TensorData},
+};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+/// Draws initial weights on the host, so that a seed gives the same model on every backend.
+#[derive(Debug)]
+pub struct Init {
+    rng: ChaCha8Rng,
+    device: Device,
+}
+
+impl Init {
+    /// A source of weights for `device`.
+    pub fn new(seed: u64, device: &Device) -> Self {
+        Self { rng: ChaCha8Rng::seed_from_u64(seed), device: device.clone() }
+    }
+
+    fn param<const D: usize>(&self, values: Vec<f32>, shape: [usize; D]) -> Param<Tensor<D>> {
+        Param::from_data(TensorData::new(values, shape), &self.device)
+    }
+
+    /// Normal with standard deviation 0.1, cut at two deviations.
+    pub(crate) fn truncated_normal(&mut self, shape: [usize; 2]) -> Param<Tensor<2>> {
+        let values = (0..shape[0] * shape[1]).map(|_| 0.1 * self.within_two()).collect();
+        self.param(values, shape)
+    }
+
+    fn within_two(&mut self) -> f32 {
+        loop {
+            let value: f32 = self.rng.sample(StandardNormal);
+            if value.abs() <= 2.0 {
+                return value;
+            }
+        }
+    }
+
+    /// Glorot's uniform distribution for a `[input, output]` matrix.
+    pub(crate) fn glorot(&mut self, shape: [usize; 2]) -> Param<Tensor<2>> {
+        let bound = (6.0 / (shape[0] + shape[1]) as f32).sqrt();
+        let values =
+            (0..shape[0] * shape[1]).map(|_| self.rng.random_range(-bound..bound)).collect();
+        self.param(values, shape)
+    }
+
+    /// The same number everywhere.
+    pub(crate) fn constant<const D: usize>(
+        &self,
+        value: f32,
+        shape: [usize; D],
+    ) -> Param<Tensor<D>> {
+        self.param(vec![value; shape.iter().product()], shape)
+    }
+}

@@ -1,0 +1,44 @@
+use burn::{
+    module::{Module, Param},
+    tensor::Tensor,
+};
+use cape_graph::{SparseMatrix, bias_leaky_relu};
+
+use super::{ChebConv, ConvLayer};
+use crate::{Init, config::LEAKY_SLOPE};
+
+/// The encoder's optional residual block: two convolutions, the input added before the last bias
+/// and leaky ReLU.
+#[derive(Module, Debug)]
+pub struct EncoderResidual {
+    /// First convolution with bias and leaky ReLU.
+    pub layer: ConvLayer,
+    /// Second convolution.
+    pub conv: ChebConv,
+    /// Where the widths of input and output differ.
+    pub skip: Option<ChebConv>,
+    /// Bias after the sum, `[output]`.
+    pub bias: Param<Tensor<1>>,
+}
+
+impl EncoderResidual {
+    /// From `input` to `output` channels.
+    pub fn new(input: usize, output: usize, order: usize, init: &mut Init) -> Self {
+        Self {
+            layer: ConvLayer::new(input, output, order, init),
+            conv: ChebConv::new(output, output, order, init),
+            skip: (input != output).then(|| ChebConv::new(input, output, 1, init)),
+            bias: init.constant(0.1, [output]),
+        }
+    }
+
+    /// `[batch, vertices, input]` → `[batch, vertices, output]`.
+    pub fn forward(&self, x: Tensor<3>, laplacian: &SparseMatrix) -> Tensor<3> {
+        let y = self.conv.forward(self.layer.forward(x.clone(), laplacian), laplacian);
+        let x = match &self.skip {
+            Some(skip) => skip.forward(x, laplacian),
+            None => x,
+        };
+        bias_leaky_relu(y + x, self.bias.val(), LEAKY_SLOPE)
+    }
+}

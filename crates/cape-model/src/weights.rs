@@ -1,0 +1,203 @@
+//! Named weights: out of a module, into a module, and to safetensors files.
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    io::Write,
+    path::Path,
+};
+
+use burn::{
+    module::{Module, ModuleMapper, ModuleVisitor, Param},
+    tensor::{Device, Tensor, TensorData},
+};
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+
+use crate::{Error, Result};
+
+/// A tensor on the host.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Array {
+    /// Extents, row-major.
+    pub shape: Vec<usize>,
+    /// Values.
+    pub values: Vec<f32>,
+}
+
+/// Parameters by their path in the module, such as `generator.encoder.mean.weight`.
+pub type Weights = BTreeMap<String, Array>;
+
+/// Path of the parameter being visited; the names of enum variants are not part of it.
+#[derive(Debug, Default)]
+pub struct Trail(Vec<Option<String>>);
+
+impl Trail {
+    /// For a visitor's or mapper's `enter_module`.
+    pub fn enter(&mut self, name: &str, container: &str) {
+        self.0.push((!container.starts_with("Enum:")).then(|| name.to_owned()));
+    }
+
+    /// For a visitor's or mapper's `exit_module`.
+    pub fn exit(&mut self) {
+        self.0.pop();
+    }
+
+    /// Where the parameter being visited is.
+    pub fn path(&self) -> String {
+        self.0.iter().flatten().map(String::as_str).collect::<Vec<_>>().join(".")
+    }
+}
+
+/// Calls `f` with the path and the value of every float parameter.
+pub fn for_each_parameter<M: Module>(module: &M, f: impl FnMut(&str, ParameterRef)) {
+    struct Visitor<F> {
+        trail: Trail,
+        f: F,
+    }
+    impl<F: FnMut(&str, ParameterRef)> ModuleVisitor for Visitor<F> {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            let tensor = param.val();
+            let shape = tensor.dims().to_vec();
+            let read = || values(tensor.clone());
+            (self.f)(
+                &self.trail.path(),
+                ParameterRef { shape: &shape, device: tensor.device(), read: &read },
+            );
+        }
+        fn enter_module(&mut self, name: &str, container: &str) {
+            self.trail.enter(name, container);
+        }
+        fn exit_module(&mut self, _: &str, _: &str) {
+            self.trail.exit();
+        }
+    }
+    module.visit(&mut Visitor { trail: Trail::default(), f });
+}
+
+/// A parameter seen by [`for_each_parameter`].
+pub struct ParameterRef<'a> {
+    /// Its extents.
+    pub shape: &'a [usize],
+    device: Device,
+    read: &'a dyn Fn() -> Vec<f32>,
+}
+
+impl ParameterRef<'_> {
+    /// The device it is on.
+    pub fn device(&self) -> Device {
+        self.device.clone()
+    }
+
+    /// Copies the values to the host.
+    pub fn read(&self) -> Vec<f32> {
+        (self.read)()
+    }
+}
+
+fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    let data = tensor.detach().into_data().convert::<f32>();
+    data.try_into_vec().unwrap_or_else(|_| unreachable!("converted to f32"))
+}
+
+/// Copies every parameter of a module to the host.
+pub fn collect<M: Module>(module: &M) -> Weights {
+    let mut weights = Weights::new();
+    for_each_parameter(module, |path, parameter| {
+        let array = Array { shape: parameter.shape.to_vec(), values: parameter.read() };
+        weights.insert(path.to_owned(), array);
+    });
+    weights
+}
+
+/// Puts `weights` into a module of the same structure.
+///
+/// # Errors
+/// If a parameter is missing, left over, or of another shape; nothing is changed then.
+pub fn apply<M: Module>(module: M, weights: &Weights) -> Result<M> {
+    let mut expected = HashMap::new();
+    for_each_parameter(&module, |path, parameter| {
+        expected.insert(path.to_owned(), parameter.shape.to_vec());
+    });
+    let error = |name: &str, message: String| Err(Error::Weight { name: name.into(), message });
+    for (name, shape) in &expected {
+        match weights.get(name) {
+            None => return error(name, format!("missing; expected shape {shape:?}")),
+            Some(found) if &found.shape != shape => {
+                return error(name, format!("has shape {:?}, expected {shape:?}", found.shape));
+            }
+            Some(_) => {}
+        }
+    }
+    if let Some(name) = weights.keys().find(|name| !expected.contains_key(*name)) {
+        return error(name, "is not a parameter of this configuration".into());
+    }
+
+    struct Mapper<'a> {
+        trail: Trail,
+        weights: &'a Weights,
+    }
+    impl ModuleMapper for Mapper<'_> {
+        fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+            let array = &self.weights[&self.trail.path()];
+            let data = TensorData::new(array.values.clone(), array.shape.clone());
+            param.map(|old| {
+                let trained = old.is_require_grad();
+                let new = Tensor::from_data(data, &old.device());
+                if trained { new.require_grad() } else { new }
+            })
+        }
+        fn enter_module(&mut self, name: &str, container: &str) {
+            self.trail.enter(name, container);
+        }
+        fn exit_module(&mut self, _: &str, _: &str) {
+            self.trail.exit();
+        }
+    }
+    Ok(module.map(&mut Mapper { trail: Trail::default(), weights }))
+}
+
+/// Writes weights as safetensors, to a temporary file first.
+pub fn save(weights: &Weights, path: &Path) -> Result<()> {
+    let bytes: Vec<(&String, Vec<usize>, Vec<u8>)> = weights
+        .iter()
+        .map(|(name, array)| {
+            let bytes = array.values.iter().flat_map(|value| value.to_le_bytes()).collect();
+            (name, array.shape.clone(), bytes)
+        })
+        .collect();
+    let file = |error: safetensors::SafeTensorError| Error::File {
+        path: path.to_owned(),
+        message: error.to_string(),
+    };
+    let views = bytes
+        .iter()
+        .map(|(name, shape, bytes)| {
+            Ok((name.as_str(), TensorView::new(Dtype::F32, shape.clone(), bytes).map_err(file)?))
+        })
+        .collect::<Result<Vec<_>>>()?;
+    let content = safetensors::serialize(views, None).map_err(file)?;
+    Ok(cape_core::write_atomically(path, |file| file.write_all(&content))?)
+}
+
+/// Reads weights from safetensors of f32.
+pub fn load(path: &Path) -> Result<Weights> {
+    let file = |message: String| Error::File { path: path.to_owned(), message };
+    let content =
+        std::fs::read(path).map_err(|source| Error::Io { path: path.to_owned(), source })?;
+    let tensors = SafeTensors::deserialize(&content)
+        .map_err(|error| file(format!("not a complete safetensors file: {error}")))?;
+    tensors
+        .tensors()
+        .into_iter()
+        .map(|(name, view)| {
+            if view.dtype() != Dtype::F32 {
+                return Err(file(format!("`{name}` is {:?}, expected F32", view.dtype())));
+            }
+            let values = view
+                .data()
+                .chunks_exact(4)
+                .map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
+                .collect();
+            Ok((name, Array { shape: view.shape().to_vec(), values }))
+        })
+        .collect()
+}

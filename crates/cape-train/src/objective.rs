@@ -1,0 +1,231 @@
+//! One evaluation of CAPE's objective (§4.3) and its gradients.
+
+use burn::tensor::{Gradients, Tensor};
+use cape_model::{
+    Cape, Discriminator, Generator, Graphs, LossConfig, Posterior,
+    losses::{cross_entropy, edge, kl, reconstruction},
+};
+use serde::{Deserialize, Serialize};
+
+/// Frames on a device.
+#[derive(Debug, Clone)]
+pub struct Frames {
+    /// Normalised displacements, `[batch, vertices, 3]`.
+    pub displacement: Tensor<3>,
+    /// Pose features, `[batch, 126]`.
+    pub pose_feature: Tensor<2>,
+    /// Outfit labels, `[batch, 4]`.
+    pub outfit: Tensor<2>,
+}
+
+/// Each term of the objective, unweighted, and both totals.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct Losses {
+    /// Reconstruction error.
+    pub reconstruction: f64,
+    /// Kullback–Leibler divergence.
+    pub kl: f64,
+    /// Edge error.
+    pub edge: f64,
+    /// Weighted ½‖W‖² of the regularised kernels.
+    pub regularisation: f64,
+    /// The generator's adversarial cross-entropy.
+    pub gan_generator: f64,
+    /// The discriminator's cross-entropies, real plus fake.
+    pub gan_discriminator: f64,
+    /// What the generator and the condition nets minimise.
+    pub total_generator: f64,
+    /// What the discriminator minimises.
+    pub total_discriminator: f64,
+}
+
+impl Losses {
+    const COUNT: usize = 8;
+
+    fn from_values(values: [f64; Self::COUNT]) -> Self {
+        let [
+            reconstruction,
+            kl,
+            edge,
+            regularisation,
+            gan_generator,
+            gan_discriminator,
+            total_generator,
+            total_discriminator,
+        ] = values;
+        Self {
+            reconstruction,
+            kl,
+            edge,
+            regularisation,
+            gan_generator,
+            gan_discriminator,
+            total_generator,
+            total_discriminator,
+        }
+    }
+
+    /// The terms with their names, as they are logged.
+    pub fn named(&self) -> [(&'static str, f64); Self::COUNT] {
+        [
+            ("reconstruction", self.reconstruction),
+            ("kl", self.kl),
+            ("edge", self.edge),
+            ("regularisation", self.regularisation),
+            ("gan_generator", self.gan_generator),
+            ("gan_discriminator", self.gan_discriminator),
+            ("total_generator", self.total_generator),
+            ("total_discriminator", self.total_discriminator),
+        ]
+    }
+
+    /// The first term that is not finite.
+    pub fn non_finite(&self) -> Option<&'static str> {
+        self.named().into_iter().find(|(_, value)| !value.is_finite()).map(|(name, _)| name)
+    }
+}
+
+/// Losses at the current weights, and the gradients each optimiser needs.
+pub struct Evaluation {
+    /// The terms.
+    pub losses: Losses,
+    /// Of the generator's total; use those of the generator's parameters only.
+    pub generator: Gradients,
+    /// Of the discriminator's total.
+    pub discriminator: Option<Gradients>,
+}
+
+/// A step's batches and noise.
+#[derive(Debug, Clone)]
+pub struct StepInput {
+    /// The generator's frames.
+    pub frames: Frames,
+    /// Standard normal noise of the posterior's sample, `[batch, latent]`; none for the mean.
+    pub epsilon: Option<Tensor<2>>,
+    /// The discriminator's real frames; none without a discriminator.
+    pub real: Option<Frames>,
+}
+
+/// What the generator makes of a batch.
+pub struct Reconstructed {
+    /// `q(z|x)`.
+    pub posterior: Posterior,
+    /// Embedded conditions, `[batch, embedding]`.
+    pub condition: Option<Tensor<2>>,
+    /// Normalised displacements, `[batch, vertices, 3]`.
+    pub displacement: Tensor<3>,
+}
+
+/// Encodes and decodes a batch; without `epsilon` the code is the posterior's mean.
+pub fn reconstruct(
+    generator: &Generator,
+    graphs: &Graphs,
+    frames: &Frames,
+    epsilon: Option<Tensor<2>>,
+) -> Reconstructed {
+    let condition =
+        generator.condition.forward(frames.pose_feature.clone(), frames.outfit.clone());
+    let posterior = generator.encoder.forward(
+        frames.displacement.clone(),
+        condition.as_ref(),
+        &graphs.generator,
+    );
+    let z = match epsilon {
+        Some(epsilon) => posterior.sample(epsilon),
+        None => posterior.mean.clone(),
+    };
+    let displacement = generator.decoder.forward(z, condition.as_ref(), &graphs.generator);
+    Reconstructed { posterior, condition, displacement }
+}
+
+/// Evaluates every loss at the current weights and takes both gradients there: the fake samples
+/// are the same for generator and discriminator, and detached for the latter.
+pub fn evaluate(model: &Cape, graphs: &Graphs, config: &LossConfig, input: &StepInput) -> Evaluation {
+    let frames = &input.frames;
+    let fake = reconstruct(&model.generator, graphs, frames, input.epsilon.clone());
+    let zero = || Tensor::<1>::zeros([1], &frames.displacement.device());
+
+    let reconstruction_loss =
+        reconstruction(config.kind, fake.displacement.clone(), frames.displacement.clone(), None);
+    let edge_loss = edge(fake.displacement.clone(), frames.displacement.clone(), &graphs.edges);
+    let kl_loss = if input.epsilon.is_some() { kl(&fake.posterior) } else { zero() };
+    let regularisation = model.generator.regularisation() * config.regularisation;
+    let mut total = reconstruction_loss.clone() * config.reconstruction
+        + edge_loss.clone() * config.edge
+        + kl_loss.clone() * config.kl
+        + regularisation.clone();
+
+    let adversary = model.discriminator.as_ref().zip(graphs.discriminator.as_ref());
+    let mut gan_generator = zero();
+    if let Some((discriminator, graph)) = adversary {
+        let frozen = burn::module::Module::no_grad(discriminator.clone());
+        let logits =
+            frozen.forward(fake.displacement.clone(), fake.condition.as_ref(), graph);
+        gan_generator = cross_entropy(logits, 1.0 - config.label_smoothing);
+        total = total + gan_generator.clone() * config.gan;
+    }
+    let generator_gradients = total.backward();
+
+    let mut gan_discriminator = zero();
+    let mut total_discriminator = zero();
+    let mut discriminator_gradients = None;
+    if let (Some((discriminator, _)), Some(real)) = (adversary, &input.real) {
+        gan_discriminator = discriminator_loss(
+            discriminator,
+            &model.generator,
+            graphs,
+            config.label_smoothing,
+            real,
+            &fake,
+        );
+        total_discriminator = gan_discriminator.clone() * config.gan;
+        discriminator_gradients = Some(total_discriminator.backward());
+    }
+
+    let terms = vec![
+        reconstruction_loss,
+        kl_loss,
+        edge_loss,
+        regularisation,
+        gan_generator,
+        gan_discriminator,
+        total,
+        total_discriminator,
+    ];
+    let values: Vec<f32> = Tensor::cat(terms, 0)
+        .detach()
+        .into_data()
+        .try_into_vec()
+        .unwrap_or_else(|_| unreachable!("losses are f32"));
+    let mut named = [0.0; Losses::COUNT];
+    for (named, value) in named.iter_mut().zip(values) {
+        *named = f64::from(value);
+    }
+    Evaluation {
+        losses: Losses::from_values(named),
+        generator: generator_gradients,
+        discriminator: discriminator_gradients,
+    }
+}
+
+fn discriminator_loss(
+    discriminator: &Discriminator,
+    generator: &Generator,
+    graphs: &Graphs,
+    smoothing: f64,
+    real: &Frames,
+    fake: &Reconstructed,
+) -> Tensor<1> {
+    let Some(graph) = &graphs.discriminator else {
+        unreachable!("checked by the caller");
+    };
+    let condition = generator
+        .condition
+        .forward(real.pose_feature.clone(), real.outfit.clone())
+        .map(Tensor::detach);
+    let on_real = discriminator.forward(real.displacement.clone(), condition.as_ref(), graph);
+    let fake_condition = fake.condition.clone().map(Tensor::detach);
+    let on_fake =
+        discriminator.forward(fake.displacement.clone().detach(), fake_condition.as_ref(), graph);
+    cross_entropy(on_real, 1.0 - smoothing) + cross_entropy(on_fake, smoothing)
+}
