@@ -1,16 +1,35 @@
 //! Mesh pyramids by quadric simplification, and sparse graph kernels as a Burn backend extension.
 //!
-//! A [`SparseMatrix`] is a fixed matrix (a Laplacian, a pooling or an up-sampling) uploaded to a
-//! device once; [`sparse_matmul`] and [`cheb_conv`] multiply tensors `[batch, vertices, channels]`
-//! by it, with gradients, on every backend compiled in.
+//! A [`MeshPyramid`] holds a mesh at falling resolutions, with the graph of each and the selections
+//! and interpolations between them. A [`SparseMatrix`] is a fixed matrix (a Laplacian, a pooling or
+//! an up-sampling) uploaded to a device once; [`sparse_matmul`] and [`cheb_conv`] multiply tensors
+//! `[batch, vertices, channels]` by it, with gradients, on every backend compiled in.
 
 mod backends;
 mod device;
+mod error;
+mod export;
 mod functions;
+mod laplacian;
 mod ops;
+mod parts;
+mod pyramid;
+mod quadric;
 mod sparse;
+mod store;
+mod topology;
+mod upsample;
+mod vector;
 
 pub use device::DevicePyramid;
+pub use error::{Error, Result};
 pub use functions::{bias_leaky_relu, cheb_conv, cheb_features, group_norm_relu, sparse_matmul};
+pub use laplacian::{normalized_laplacian, rescaled_laplacian};
 pub use ops::GraphBackend;
+pub use parts::{PyramidParts, sparse_from_triplets};
+pub use pyramid::{Level, MeshPyramid, Transition};
+pub use quadric::{Simplified, simplify};
 pub use sparse::{Csr, SparseMatrix, SparsePair};
+pub use store::{read_sparse, write_sparse};
+pub use topology::{EdgeCounts, Surface};
+pub use upsample::{Weighting, upsample};

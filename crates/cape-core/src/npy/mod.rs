@@ -285,6 +285,19 @@ impl NpzWriter {
         write_array(archive, array).map_err(|source| Error::io(&*path, source))
     }
 
+    /// Adds a text as NumPy's bytes scalar (`np.bytes_`).
+    pub fn add_text(&mut self, name: &str, text: &str) -> Result<()> {
+        let Self { path, options, archive } = self;
+        archive
+            .start_file(format!("{name}.npy"), *options)
+            .map_err(|source| Error::field(&*path, name, source.to_string()))?;
+        let header = NpyHeader::bytes(&format!("|S{}", text.len()), &[]);
+        archive
+            .write_all(&header)
+            .and_then(|()| archive.write_all(text.as_bytes()))
+            .map_err(|source| Error::io(&*path, source))
+    }
+
     /// Completes the archive and puts it in place.
     pub fn finish(mut self) -> Result<()> {
         let file = self

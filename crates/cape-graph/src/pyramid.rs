@@ -1,0 +1,145 @@
+//! A mesh at falling resolutions and the maps between them.
+
+use sprs::CsMat;
+
+use crate::laplacian::{normalized_laplacian, rescaled_laplacian};
+use crate::quadric::{Simplified, simplify};
+use crate::topology::{EdgeCounts, Surface};
+use crate::upsample::{Weighting, upsample};
+use crate::{Error, Result};
+
+/// A mesh at falling resolutions: level 0 is the mesh itself, and transition `i` leads from level
+/// `i` to level `i + 1` and back.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeshPyramid {
+    pub(crate) levels: Vec<Level>,
+    pub(crate) transitions: Vec<Transition>,
+    pub(crate) weighting: Weighting,
+}
+
+/// One mesh of a pyramid with its graph.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Level {
+    pub(crate) surface: Surface,
+    pub(crate) adjacency: CsMat<f64>,
+}
+
+/// The maps between a finer level and the next coarser one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Transition {
+    pub(crate) down: Vec<u32>,
+    pub(crate) up: CsMat<f64>,
+}
+
+impl MeshPyramid {
+    /// Simplify `mesh` once per factor, each time to `ceil(n / factor)` vertices; a factor of 1
+    /// repeats the level.
+    pub fn build(mesh: impl Into<Surface>, factors: &[f64], weighting: Weighting) -> Result<Self> {
+        let refused = |&(_, &value): &(usize, &f64)| !(value.is_finite() && value >= 1.0);
+        if let Some((index, &value)) = factors.iter().enumerate().find(refused) {
+            return Err(Error::Factor { index, value });
+        }
+        let finest = mesh.into();
+        finest.validate()?;
+        let mut pyramid =
+            Self { levels: vec![Level::new(finest)], transitions: Vec::new(), weighting };
+        for factor in factors {
+            let fine = pyramid.coarsest();
+            let target = (fine.vertex_count() as f64 * (1.0 / factor)).ceil() as usize;
+            let (coarse, transition) = if target == fine.vertex_count() {
+                (fine.clone(), Transition::identity(target))
+            } else {
+                let Simplified { kept, surface } = simplify(&fine.surface, target)?;
+                let up = upsample(&fine.surface.vertices, &surface, &kept, weighting)?;
+                (Level::new(surface), Transition { down: kept, up })
+            };
+            pyramid.levels.push(coarse);
+            pyramid.transitions.push(transition);
+        }
+        Ok(pyramid)
+    }
+
+    /// The levels, finest first; at least one.
+    pub fn levels(&self) -> &[Level] {
+        &self.levels
+    }
+
+    /// The maps between neighbouring levels, one fewer than there are levels.
+    pub fn transitions(&self) -> &[Transition] {
+        &self.transitions
+    }
+
+    /// How the up-sampling weights were computed.
+    pub fn weighting(&self) -> Weighting {
+        self.weighting
+    }
+
+    fn coarsest(&self) -> &Level {
+        &self.levels[self.levels.len() - 1]
+    }
+}
+
+impl Level {
+    fn new(surface: Surface) -> Self {
+        Self { adjacency: surface.adjacency(), surface }
+    }
+
+    /// The mesh. A pyramid put together without faces has none here.
+    pub fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    /// How many vertices there are.
+    pub fn vertex_count(&self) -> usize {
+        self.surface.vertices.len()
+    }
+
+    /// How many edges there are, and how many are on a boundary or not manifold.
+    pub fn edge_counts(&self) -> EdgeCounts {
+        self.surface.edge_counts()
+    }
+
+    /// Symmetric 0/1 adjacency without self-loops, CSR, `[vertices, vertices]`.
+    pub fn adjacency(&self) -> &CsMat<f64> {
+        &self.adjacency
+    }
+
+    /// Normalised Laplacian `L`, CSR, `[vertices, vertices]`; see [`normalized_laplacian`].
+    pub fn laplacian(&self) -> CsMat<f64> {
+        normalized_laplacian(&self.adjacency)
+    }
+
+    /// Rescaled Laplacian `L̃ = L − I`, CSR, `[vertices, vertices]`; see [`rescaled_laplacian`].
+    pub fn rescaled_laplacian(&self) -> CsMat<f64> {
+        rescaled_laplacian(&self.adjacency)
+    }
+}
+
+impl Transition {
+    pub(crate) fn identity(vertices: usize) -> Self {
+        Self { down: (0..vertices as u32).collect(), up: CsMat::eye(vertices) }
+    }
+
+    /// `D` as a list: which fine vertex each coarse vertex is.
+    pub fn down(&self) -> &[u32] {
+        &self.down
+    }
+
+    /// `D` as a matrix `[coarse, fine]`, CSR, a single 1 in every row.
+    pub fn down_matrix(&self) -> CsMat<f64> {
+        let (fine, coarse) = self.up.shape();
+        let columns = self.down.iter().map(|&vertex| vertex as usize).collect();
+        CsMat::new((coarse, fine), (0..=coarse).collect(), columns, vec![1.0; coarse])
+    }
+
+    /// `U`, `[fine, coarse]`, CSR, one to three weights in every row.
+    pub fn up(&self) -> &CsMat<f64> {
+        &self.up
+    }
+
+    /// Whether both levels are the same and both maps do nothing, as a factor of 1 makes them.
+    pub fn is_identity(&self) -> bool {
+        let (fine, coarse) = self.up.shape();
+        fine == coarse && *self == Self::identity(fine)
+    }
+}

@@ -1,0 +1,179 @@
+//! Pyramids on disk: one `.npz`, and a cache keyed by content.
+
+use std::path::{Path, PathBuf};
+
+use cape_core::npy::{Npz, NpzWriter};
+use ndarray::{Array1, Array2, ArrayD, arr0, arr1};
+use sha2::{Digest, Sha256};
+use sprs::CsMat;
+
+use crate::parts::{PyramidParts, sparse_from_triplets};
+use crate::pyramid::MeshPyramid;
+use crate::topology::Surface;
+use crate::upsample::Weighting;
+use crate::{Error, Result};
+
+/// Changes when the file's layout, or what a pyramid of given inputs is, changes.
+const VERSION: i64 = 1;
+
+impl MeshPyramid {
+    /// Save as one `.npz`, atomically. Per level `i` it holds `v{i}` `[n, 3]`, `f{i}` `[m, 3]`
+    /// (none if unknown) and `A{i}`, per transition `D{i}` and `U{i}`, the matrices as triplets
+    /// (see [`read_sparse`]); beside them `weighting` (ASCII) and `version`.
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
+        let mut file = NpzWriter::create(path)?;
+        file.add("version", &arr0(VERSION))?;
+        file.add("weighting", &arr1(self.weighting.name().as_bytes()))?;
+        for (i, level) in self.levels.iter().enumerate() {
+            let Surface { vertices, faces } = &level.surface;
+            file.add(&format!("v{i}"), &Array2::from(vertices.clone()))?;
+            let faces: Vec<[i64; 3]> = faces.iter().map(|face| face.map(i64::from)).collect();
+            file.add(&format!("f{i}"), &Array2::from(faces))?;
+            write_sparse(&mut file, &format!("A{i}"), &level.adjacency)?;
+        }
+        for (i, transition) in self.transitions.iter().enumerate() {
+            write_sparse(&mut file, &format!("D{i}"), &transition.down_matrix())?;
+            write_sparse(&mut file, &format!("U{i}"), &transition.up)?;
+        }
+        Ok(file.finish()?)
+    }
+
+    /// Load what [`MeshPyramid::save`] saved; its parts are checked as by
+    /// [`MeshPyramid::from_parts`].
+    pub fn load(path: impl AsRef<Path>) -> Result<Self> {
+        let file = &mut Npz::open(path)?;
+        let field = |file: &Npz, name: &str, message: String| {
+            Error::File(cape_core::Error::field(file.path(), name, message))
+        };
+        let version = file.i64("version")?;
+        if version.iter().ne([&VERSION]) {
+            let message = format!("{version}, expected {VERSION}: build the pyramid again");
+            return Err(field(file, "version", message));
+        }
+        let weighting = file.get::<u8>("weighting")?;
+        let weighting =
+            String::from_utf8_lossy(&weighting.into_iter().collect::<Vec<_>>()).into_owned();
+        let Some(weighting) = Weighting::from_name(&weighting) else {
+            let message = format!("`{weighting}`, expected `barycentric` or `release`");
+            return Err(field(file, "weighting", message));
+        };
+        let mut parts = PyramidParts { weighting, ..PyramidParts::default() };
+        parts.surface.vertices = rows_of_three(file, "v0", Npz::f64)?;
+        parts.surface.faces = faces(file, "f0")?;
+        parts.adjacency.push(read_sparse(file, "A0")?);
+        let mut i = 0;
+        while file.contains(&format!("D{i}_shape")) {
+            parts.down.push(read_sparse(file, &format!("D{i}"))?);
+            parts.up.push(read_sparse(file, &format!("U{i}"))?);
+            i += 1;
+            parts.adjacency.push(read_sparse(file, &format!("A{i}"))?);
+            parts.faces.push(faces(file, &format!("f{i}"))?);
+        }
+        Self::from_parts(parts)
+    }
+
+    /// The pyramid from its file in `cache` if there is a sound one, or else built and saved there.
+    /// The file's name is a hash of everything that the result depends on. The directory is made if
+    /// it is missing.
+    pub fn build_cached(
+        mesh: impl Into<Surface>,
+        factors: &[f64],
+        weighting: Weighting,
+        cache: impl AsRef<Path>,
+    ) -> Result<Self> {
+        let surface = mesh.into();
+        let path = cached_path(&surface, factors, weighting, cache.as_ref());
+        let usable = |pyramid: &Self| {
+            pyramid.weighting == weighting
+                && pyramid.transitions.len() == factors.len()
+                && pyramid.levels[0].surface == surface
+        };
+        if let Some(pyramid) = Self::load(&path).ok().filter(usable) {
+            return Ok(pyramid);
+        }
+        let pyramid = Self::build(surface, factors, weighting)?;
+        make_directory(cache.as_ref())?;
+        pyramid.save(&path)?;
+        Ok(pyramid)
+    }
+}
+
+/// Where [`MeshPyramid::build_cached`] keeps a pyramid.
+fn cached_path(surface: &Surface, factors: &[f64], weighting: Weighting, cache: &Path) -> PathBuf {
+    let mut hash = Sha256::new();
+    hash.update(b"cape pyramid");
+    hash.update(VERSION.to_le_bytes());
+    hash.update(weighting.name());
+    for length in [surface.vertices.len(), surface.faces.len(), factors.len()] {
+        hash.update((length as u64).to_le_bytes());
+    }
+    surface.vertices.as_flattened().iter().for_each(|x| hash.update(x.to_le_bytes()));
+    surface.faces.as_flattened().iter().for_each(|x| hash.update(x.to_le_bytes()));
+    factors.iter().for_each(|x| hash.update(x.to_le_bytes()));
+    cache.join(format!("pyramid-{:x}.npz", hash.finalize()))
+}
+
+pub(crate) fn make_directory(path: &Path) -> Result<()> {
+    std::fs::create_dir_all(path)
+        .map_err(|source| Error::Directory { path: path.to_owned(), source })
+}
+
+/// Read the sparse matrix that an archive holds as triplets: `<name>_shape` `[2]`, `<name>_row`,
+/// `<name>_col` and `<name>_val` `[entries]`.
+pub fn read_sparse(file: &mut Npz, name: &str) -> Result<CsMat<f64>> {
+    let shape_name = format!("{name}_shape");
+    let shape = file.i64(&shape_name)?;
+    file.expect_shape(&shape_name, shape.shape(), &[Some(2)])?;
+    let axis = |axis: usize| {
+        usize::try_from(shape[[axis]]).map_err(|_| {
+            Error::File(cape_core::Error::field(
+                file.path(),
+                &shape_name,
+                format!("{shape}, expected two sizes"),
+            ))
+        })
+    };
+    let shape = (axis(0)?, axis(1)?);
+    let flat = |array: ArrayD<i64>| array.into_iter().collect::<Vec<_>>();
+    let rows = flat(file.i64(&format!("{name}_row"))?);
+    let columns = flat(file.i64(&format!("{name}_col"))?);
+    let values: Vec<f64> = file.f64(&format!("{name}_val"))?.into_iter().collect();
+    sparse_from_triplets(name, shape, &rows, &columns, &values)
+}
+
+/// Write a sparse matrix as [`read_sparse`] reads it.
+pub fn write_sparse(file: &mut NpzWriter, name: &str, matrix: &CsMat<f64>) -> Result<()> {
+    let rows: Array1<i64> = matrix.iter().map(|(_, (row, _))| row as i64).collect();
+    let columns: Array1<i64> = matrix.iter().map(|(_, (_, column))| column as i64).collect();
+    let values: Array1<f64> = matrix.iter().map(|(&value, _)| value).collect();
+    file.add(&format!("{name}_shape"), &arr1(&[matrix.rows() as i64, matrix.cols() as i64]))?;
+    file.add(&format!("{name}_row"), &rows)?;
+    file.add(&format!("{name}_col"), &columns)?;
+    file.add(&format!("{name}_val"), &values)?;
+    Ok(())
+}
+
+fn rows_of_three<T: Copy>(
+    file: &mut Npz,
+    name: &str,
+    read: impl Fn(&mut Npz, &str) -> cape_core::Result<ArrayD<T>>,
+) -> Result<Vec<[T; 3]>> {
+    let array = read(file, name)?;
+    file.expect_shape(name, array.shape(), &[None, Some(3)])?;
+    let values: Vec<T> = array.into_iter().collect();
+    Ok(values.as_chunks().0.to_vec())
+}
+
+fn faces(file: &mut Npz, name: &str) -> Result<Vec<[u32; 3]>> {
+    let corners = rows_of_three(file, name, Npz::i64)?;
+    let index = |vertex: i64| {
+        u32::try_from(vertex).map_err(|_| {
+            Error::File(cape_core::Error::field(
+                file.path(),
+                name,
+                format!("vertex {vertex} cannot exist"),
+            ))
+        })
+    };
+    corners.into_iter().map(|[a, b, c]| Ok([index(a)?, index(b)?, index(c)?])).collect()
+}

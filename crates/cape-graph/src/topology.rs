@@ -1,0 +1,146 @@
+//! Surfaces in double precision, their checks, edges and adjacency.
+
+use std::collections::HashMap;
+
+use cape_core::Mesh;
+use sprs::{CsMat, TriMat};
+
+use crate::vector::{cross, dot, sub};
+use crate::{Error, Result};
+
+/// Twice a triangle's area over its longest edge squared, below which it has no area.
+const FLATNESS: f64 = 1e-12;
+
+/// A triangle mesh in double precision, which simplification and projection need.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Surface {
+    /// Vertex positions in metres, `[vertices, 3]`.
+    pub vertices: Vec<[f64; 3]>,
+    /// Vertex indices of each triangle, `[faces, 3]`.
+    pub faces: Vec<[u32; 3]>,
+}
+
+impl From<&Mesh> for Surface {
+    fn from(mesh: &Mesh) -> Self {
+        Self {
+            vertices: mesh.vertices.iter().map(|v| v.map(f64::from)).collect(),
+            faces: mesh.faces.clone(),
+        }
+    }
+}
+
+impl From<&Surface> for Mesh {
+    fn from(surface: &Surface) -> Self {
+        Self {
+            vertices: surface.vertices.iter().map(|v| v.map(|x| x as f32)).collect(),
+            faces: surface.faces.clone(),
+        }
+    }
+}
+
+impl From<&Surface> for Surface {
+    fn from(surface: &Surface) -> Self {
+        surface.clone()
+    }
+}
+
+impl Surface {
+    /// Whether a pyramid can be built on this mesh: at least four vertices, all finite and all
+    /// used by a face, and faces that name existing, distinct vertices and have an area.
+    /// Boundaries and non-manifold edges are fine, see [`Surface::edge_counts`].
+    pub fn validate(&self) -> Result<()> {
+        if self.faces.is_empty() {
+            return Err(Error::NoFaces { vertices: self.vertices.len() });
+        }
+        self.validate_topology()?;
+        for (face, &corners) in self.faces.iter().enumerate() {
+            let [a, b, c] = corners.map(|v| self.vertices[v as usize]);
+            let (ab, bc, ca) = (sub(b, a), sub(c, b), sub(a, c));
+            let normal = cross(ab, ca);
+            let longest = dot(ab, ab).max(dot(bc, bc)).max(dot(ca, ca));
+            if dot(normal, normal).sqrt() <= FLATNESS * longest {
+                return Err(Error::DegenerateFace { face, corners });
+            }
+        }
+        Ok(())
+    }
+
+    /// [`Surface::validate`] without the areas, which levels made by simplification may lack.
+    pub(crate) fn validate_topology(&self) -> Result<()> {
+        let vertices = self.vertices.len();
+        if vertices < 4 {
+            return Err(Error::TooFewVertices { vertices });
+        }
+        let broken = |position: &[f64; 3]| !position.iter().all(|x| x.is_finite());
+        if let Some(vertex) = self.vertices.iter().position(broken) {
+            return Err(Error::NonFinite { vertex, position: self.vertices[vertex] });
+        }
+        let mut used = vec![false; vertices];
+        for (face, &corners) in self.faces.iter().enumerate() {
+            for vertex in corners {
+                *used.get_mut(vertex as usize).ok_or(Error::FaceOutOfRange {
+                    face,
+                    vertex,
+                    vertices,
+                })? = true;
+            }
+            let [a, b, c] = corners;
+            if a == b || b == c || c == a {
+                return Err(Error::DegenerateFace { face, corners });
+            }
+        }
+        if let Some(vertex) = used.iter().position(|&used| !used) {
+            let count = used.iter().filter(|&&used| !used).count();
+            return Err(Error::IsolatedVertex { vertex, count });
+        }
+        Ok(())
+    }
+
+    /// How many edges there are, and how many of them do not have exactly two faces.
+    pub fn edge_counts(&self) -> EdgeCounts {
+        let mut faces_at: HashMap<[u32; 2], u32> = HashMap::new();
+        for edge in face_edges(&self.faces) {
+            *faces_at.entry(edge).or_default() += 1;
+        }
+        EdgeCounts {
+            edges: faces_at.len(),
+            boundary: faces_at.values().filter(|&&n| n == 1).count(),
+            non_manifold: faces_at.values().filter(|&&n| n > 2).count(),
+        }
+    }
+
+    /// The undirected edges `[a, b]`, a < b, sorted.
+    pub fn edges(&self) -> Vec<[u32; 2]> {
+        let mut edges: Vec<_> = face_edges(&self.faces).collect();
+        edges.sort_unstable();
+        edges.dedup();
+        edges
+    }
+
+    /// Symmetric 0/1 adjacency without self-loops, CSR, `[vertices, vertices]`.
+    pub fn adjacency(&self) -> CsMat<f64> {
+        let n = self.vertices.len();
+        let mut triplets = TriMat::new((n, n));
+        for [a, b] in self.edges() {
+            triplets.add_triplet(a as usize, b as usize, 1.0);
+            triplets.add_triplet(b as usize, a as usize, 1.0);
+        }
+        triplets.to_csr()
+    }
+}
+
+/// What the edges of a mesh are like. A closed manifold has neither boundary nor non-manifold
+/// edges; simplification may create the latter.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct EdgeCounts {
+    /// All edges.
+    pub edges: usize,
+    /// Edges with one face.
+    pub boundary: usize,
+    /// Edges with three faces or more.
+    pub non_manifold: usize,
+}
+
+fn face_edges(faces: &[[u32; 3]]) -> impl Iterator<Item = [u32; 2]> {
+    faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]].map(|[a, b]| [a.min(b), a.max(b)]))
+}
