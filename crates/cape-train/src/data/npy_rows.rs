@@ -1,0 +1,237 @@
+//! Rows of large `.npy` files, written one after another and read one at a time.
+
+use std::{
+    fs::File,
+    io::{self, BufWriter, Seek, SeekFrom, Write},
+    path::{Path, PathBuf},
+};
+
+use cape_core::npy::{NpyHeader, NpyType, expect_shape, npy_header};
+
+use crate::{Error, Result};
+
+/// Writes a float64 array whose number of rows is known only at the end.
+#[derive(Debug)]
+pub(super) struct RowWriter {
+    path: PathBuf,
+    file: BufWriter<File>,
+    shape: Vec<usize>,
+    header_bytes: usize,
+    row: Vec<u8>,
+}
+
+impl RowWriter {
+    /// Creates a file for rows of the given shape.
+    pub(super) fn create(path: PathBuf, row_shape: &[usize]) -> Result<Self> {
+        let shape = [&[0], row_shape].concat();
+        let header = NpyHeader::bytes("<f8", &shape);
+        let write = || {
+            let mut file = BufWriter::with_capacity(1 << 18, File::create(&path)?);
+            file.write_all(&header)?;
+            Ok(file)
+        };
+        let file = write().map_err(|e| Error::io(&path, e))?;
+        Ok(Self { path, file, shape, header_bytes: header.len(), row: Vec::new() })
+    }
+
+    /// Appends one row.
+    pub(super) fn push(&mut self, row: impl IntoIterator<Item = f64>) -> Result<()> {
+        self.row.clear();
+        self.row.extend(row.into_iter().flat_map(f64::to_le_bytes));
+        let expected: usize = self.shape[1..].iter().product::<usize>() * 8;
+        if self.row.len() != expected {
+            let message = format!("a row of {} bytes, expected {expected}", self.row.len());
+            return Err(Error::format(&self.path, message));
+        }
+        self.shape[0] += 1;
+        self.file.write_all(&self.row).map_err(|e| Error::io(&self.path, e))
+    }
+
+    /// Number of rows so far.
+    pub(super) fn rows(&self) -> usize {
+        self.shape[0]
+    }
+
+    /// Completes the header and brings the file to disk.
+    pub(super) fn finish(mut self) -> Result<()> {
+        let header = NpyHeader::bytes("<f8", &self.shape);
+        if header.len() != self.header_bytes {
+            return Err(Error::format(&self.path, "its shape does not fit the header"));
+        }
+        let mut finish = || {
+            self.file.seek(SeekFrom::Start(0))?;
+            self.file.write_all(&header)?;
+            self.file.flush()?;
+            self.file.get_ref().sync_all()
+        };
+        finish().map_err(|e| Error::io(&self.path, e))
+    }
+}
+
+/// Reads rows of a float64 or float32 array by position, from any number of threads, never holding
+/// more than a row.
+#[derive(Debug)]
+pub(super) struct RowReader {
+    path: PathBuf,
+    file: PositionedFile,
+    offset: u64,
+    element: usize,
+    shape: Vec<usize>,
+}
+
+impl RowReader {
+    /// Opens an array whose rows have the given shape (`None`: any length).
+    pub(super) fn open(path: PathBuf, row_shape: &[Option<usize>]) -> Result<Self> {
+        let header = npy_header(&path)?;
+        let element = match header.dtype {
+            NpyType::F64 => 8,
+            NpyType::F32 => 4,
+            other => {
+                let message = format!("holds `{other}`, expected float64 or float32 (`<f8`, `<f4`)");
+                return Err(Error::format(path, message));
+            }
+        };
+        expect_shape(&path, "array", &header.shape, &[&[None], row_shape].concat())?;
+        if header.fortran {
+            let message = "is in Fortran order, expected C order (numpy.ascontiguousarray)";
+            return Err(Error::format(path, message));
+        }
+        let file = File::open(&path).map_err(|e| Error::io(&path, e))?;
+        Ok(Self {
+            path,
+            file: PositionedFile::new(file),
+            offset: header.data_offset as u64,
+            element,
+            shape: header.shape,
+        })
+    }
+
+    /// The file.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Lengths of all axes, rows first.
+    pub(super) fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    /// Number of rows.
+    pub(super) fn rows(&self) -> usize {
+        self.shape[0]
+    }
+
+    /// Reads row `index`; a number that is not finite is an error.
+    pub(super) fn row(&self, index: usize) -> Result<Vec<f64>> {
+        if index >= self.rows() {
+            let message = format!("has {} frames, frame {index} was asked for", self.rows());
+            return Err(Error::format(&self.path, message));
+        }
+        let numbers: usize = self.shape[1..].iter().product();
+        let mut bytes = vec![0; numbers * self.element];
+        let position = self.offset + index as u64 * bytes.len() as u64;
+        self.file
+            .read_exact_at(&mut bytes, position)
+            .map_err(|e| Error::io(&self.path, e))?;
+        let row: Vec<f64> = if self.element == 8 {
+            bytes.as_chunks().0.iter().map(|&raw| f64::from_le_bytes(raw)).collect()
+        } else {
+            bytes.as_chunks().0.iter().map(|&raw| f32::from_le_bytes(raw).into()).collect()
+        };
+        match row.iter().position(|x| !x.is_finite()) {
+            None => Ok(row),
+            Some(at) => {
+                let message = format!("number {at} of the frame is not finite ({})", row[at]);
+                Err(Error::field(&self.path, format!("frame {index}"), message))
+            }
+        }
+    }
+}
+
+/// A file read at given positions through a shared reference.
+#[derive(Debug)]
+struct PositionedFile {
+    #[cfg(unix)]
+    file: File,
+    #[cfg(not(unix))]
+    file: std::sync::Mutex<File>,
+}
+
+impl PositionedFile {
+    #[cfg(unix)]
+    fn new(file: File) -> Self {
+        Self { file }
+    }
+
+    #[cfg(unix)]
+    fn read_exact_at(&self, bytes: &mut [u8], position: u64) -> io::Result<()> {
+        std::os::unix::fs::FileExt::read_exact_at(&self.file, bytes, position)
+    }
+
+    #[cfg(not(unix))]
+    fn new(file: File) -> Self {
+        Self { file: std::sync::Mutex::new(file) }
+    }
+
+    #[cfg(not(unix))]
+    fn read_exact_at(&self, bytes: &mut [u8], position: u64) -> io::Result<()> {
+        use std::io::Read;
+        let mut file = self.file.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        file.seek(SeekFrom::Start(position))?;
+        file.read_exact(bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use cape_core::npy::{read_f64, write_npy};
+    use ndarray::{Array2, array};
+
+    use super::*;
+
+    #[test]
+    fn rows_written_are_a_numpy_array() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.npy");
+        let mut writer = RowWriter::create(path.clone(), &[2, 2]).unwrap();
+        for k in 0..1234 {
+            writer.push([k as f64, 1.0, 2.0, 3.5]).unwrap();
+        }
+        assert!(writer.push([1.0]).is_err());
+        assert_eq!(writer.rows(), 1234);
+        writer.finish().unwrap();
+        let array = read_f64(&path).unwrap();
+        assert_eq!(array.shape(), &[1234, 2, 2]);
+        assert_eq!((array[[1233, 0, 0]], array[[1233, 1, 1]]), (1233.0, 3.5));
+        let reader = RowReader::open(path, &[None, Some(2)]).unwrap();
+        assert_eq!(reader.row(77).unwrap(), [77.0, 1.0, 2.0, 3.5]);
+        assert!(reader.row(1234).unwrap_err().to_string().contains("1234 frames"));
+    }
+
+    #[test]
+    fn types_orders_and_bad_numbers() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.npy");
+        let open = || RowReader::open(path.clone(), &[Some(2)]);
+        write_npy(&path, &array![[1.5f32, 2.0], [f32::NAN, 3.0]]).unwrap();
+        assert_eq!(open().unwrap().row(0).unwrap(), [1.5, 2.0]);
+        let message = open().unwrap().row(1).unwrap_err().to_string();
+        assert!(message.contains("a.npy") && message.contains("`frame 1`"), "{message}");
+        write_npy(&path, &array![[1i64, 2]]).unwrap();
+        assert!(open().unwrap_err().to_string().contains("`<i8`, expected float64"));
+        write_npy(&path, &Array2::<f64>::zeros((4, 3))).unwrap();
+        assert!(open().unwrap_err().to_string().contains("[4, 3], expected [_, 2]"));
+        write_npy(&path, &Array2::<f64>::zeros((4, 2))).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        let fortran = String::from_utf8_lossy(&bytes[..128]).into_owned();
+        let at = fortran.find("False").unwrap() - 1;
+        let mut changed = bytes.clone();
+        changed[at..at + 6].copy_from_slice(b" True ");
+        std::fs::write(&path, changed).unwrap();
+        assert!(open().unwrap_err().to_string().contains("Fortran"));
+        std::fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
+        assert!(open().unwrap_err().to_string().contains("a.npy"));
+        std::fs::remove_file(&path).unwrap();
+        assert!(open().unwrap_err().to_string().contains("a.npy"));
+    }
+}

@@ -1,0 +1,371 @@
+//! From the raw layout to the packed one.
+//!
+//! ```text
+//! train/train_disp.npy       [n, V, 3]  displacements (v_cano − minimal), metres, float64
+//! train/train_pose.npy       [n, 72]    axis-angle
+//! train/train_rot.npy        [n, 216]   24 rotation matrices, row-major
+//! train/train_clo_label.npy  [n, 4]     outfit, one-hot
+//! train/train_frames.csv     which frame each row is
+//! test/test_…                the same
+//! stats.txt                  how many frames of what
+//! broken_frames.txt          frames left out because they cannot be read, and why
+//! stats.npz, split.toml      normalisation; the split that was packed
+//! body.npz, clothing_verts_idx.npy   copied, if the raw data bring them
+//! ```
+//!
+//! Rows are ordered by subject, sequence, outfit and frame name. The `.csv`, `.npz` and `.toml`
+//! files are additions to the release's layout.
+
+use std::{
+    collections::BTreeMap,
+    fmt::Write as _,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use cape_core::Outfit;
+use ndarray::Array2;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::{
+    Part, Split,
+    part_writer::PartWriter,
+    raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
+    rotation::pose_rotations,
+    statistics::STATISTICS_FILE,
+};
+use crate::{Error, Progress, Result};
+
+/// How to pack.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct PackOptions {
+    /// Whether anything missing or unreadable is an error instead of being listed.
+    pub strict: bool,
+}
+
+/// What was packed, and what was not.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct PackReport {
+    /// Vertices of a frame.
+    pub vertices: usize,
+    /// Training frames, validation included.
+    pub train_frames: usize,
+    /// Of these, the last ones that validate.
+    pub validation_frames: usize,
+    /// Test frames.
+    pub test_frames: usize,
+    /// Frames that could not be read, in packing order.
+    pub broken: Vec<BrokenFrame>,
+    /// Subjects and sequences of the split that the raw data do not have.
+    pub missing: Vec<Missing>,
+}
+
+/// A frame left out because it cannot be read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct BrokenFrame {
+    /// Relative to `sequences/`.
+    pub path: PathBuf,
+    /// What is wrong with it.
+    pub reason: String,
+}
+
+/// Something the split names and the raw data do not have.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Missing {
+    /// The subject.
+    pub subject: String,
+    /// The sequence; `None` if the whole subject is missing.
+    pub sequence: Option<String>,
+    /// What is missing.
+    pub reason: String,
+}
+
+/// Packs the frames that `split` selects of the raw tree `raw` into the directory `out`, which
+/// appears only when it is complete.
+///
+/// Frames are read in parallel, a few at a time; nothing larger than a few frames (and the at most
+/// 100 latest training frames, which may turn out to be validation) is held in memory. Unreadable
+/// frames, missing subjects and missing sequences are listed in the report; they are an error if
+/// nothing is left, or with [`PackOptions::strict`].
+pub fn pack(
+    raw: &Path,
+    out: &Path,
+    split: &Split,
+    options: PackOptions,
+    progress: &mut Progress,
+) -> Result<PackReport> {
+    split.validate()?;
+    let mut report = PackReport::default();
+    let minimal = read_minimals(raw, split, &mut report)?;
+    let plans = [Part::Train, Part::Test]
+        .map(|part| plan(raw, split, part, &minimal, &mut report.missing).map(|plan| (part, plan)));
+    if let (true, Some(missing)) = (options.strict, report.missing.first()) {
+        return Err(Error::Data(format!("{}: {}", missing.subject, missing.reason)));
+    }
+    let plans = plans.into_iter().collect::<Result<Vec<_>>>()?;
+    let total = plans.iter().map(|(_, frames)| frames.len()).sum();
+
+    let staging = Staging::create(out)?;
+    let mut text = String::new();
+    let mut done = 0;
+    for (part, frames) in &plans {
+        let mut writer = None;
+        for chunk in frames.chunks(4 * rayon::current_num_threads()) {
+            let read: Vec<_> = chunk.par_iter().map(|frame| read(frame, &minimal)).collect();
+            for (frame, read) in chunk.iter().zip(read) {
+                match read {
+                    Ok(read) => {
+                        if writer.is_none() {
+                            writer = Some(PartWriter::create(&staging.path, *part, report.vertices)?);
+                        }
+                        if let Some(writer) = &mut writer {
+                            writer.push(frame, &read)?;
+                        }
+                    }
+                    Err(error) if options.strict => return Err(error),
+                    Err(error) => report.broken.push(broken(raw, frame, &error)),
+                }
+            }
+            done += chunk.len();
+            progress(done, total);
+        }
+        let Some(writer) = writer else { continue };
+        describe(&mut text, *part, &writer.captures);
+        match part {
+            Part::Train => {
+                report.train_frames = writer.rows();
+                let statistics = writer.finish()?;
+                report.validation_frames = statistics.validation();
+                statistics.save(staging.path.join(STATISTICS_FILE))?;
+            }
+            Part::Test => {
+                report.test_frames = writer.rows();
+                writer.finish()?;
+            }
+        }
+    }
+    if report.train_frames + report.test_frames == 0 {
+        return Err(nothing_left(raw, &report));
+    }
+    write_notes(raw, &staging.path, split, &report, &text)?;
+    staging.commit(out)?;
+    Ok(report)
+}
+
+/// One frame to be packed.
+#[derive(Debug)]
+pub(super) struct PlannedFrame<'a> {
+    pub(super) path: PathBuf,
+    pub(super) subject: &'a str,
+    pub(super) sequence: &'a str,
+    pub(super) outfit: Outfit,
+}
+
+/// One row of every packed array.
+pub(super) struct PackedFrame {
+    pub(super) displacement: Array2<f64>,
+    pub(super) pose: [f64; 72],
+    pub(super) rotations: [f64; 216],
+}
+
+type Minimals = BTreeMap<String, Array2<f64>>;
+
+fn read_minimals(raw: &Path, split: &Split, report: &mut PackReport) -> Result<Minimals> {
+    let mut shapes = Minimals::new();
+    for subject in &split.subjects {
+        let reason = if raw.join("sequences").join(subject).is_dir() {
+            match raw::read_minimal(raw, subject) {
+                Ok(shape) if report.vertices == 0 || report.vertices == shape.nrows() => {
+                    report.vertices = shape.nrows();
+                    shapes.insert(subject.clone(), shape);
+                    continue;
+                }
+                Ok(shape) => {
+                    let message = format!(
+                        "{} vertices, but other subjects have {}",
+                        shape.nrows(),
+                        report.vertices
+                    );
+                    return Err(Error::format(raw::minimal_path(raw, subject), message));
+                }
+                Err(error) => format!("no minimal shape: {error}"),
+            }
+        } else {
+            format!("no directory sequences/{subject}")
+        };
+        report.missing.push(Missing { subject: subject.clone(), sequence: None, reason });
+    }
+    Ok(shapes)
+}
+
+fn plan<'a>(
+    raw: &Path,
+    split: &'a Split,
+    part: Part,
+    minimal: &Minimals,
+    missing: &mut Vec<Missing>,
+) -> Result<Vec<PlannedFrame<'a>>> {
+    let list = match part {
+        Part::Train => &split.train,
+        Part::Test => &split.test,
+    };
+    let mut frames = Vec::new();
+    for subject in split.subjects.iter().filter(|&subject| minimal.contains_key(subject)) {
+        for sequence in &list.sequences {
+            let wanted: Vec<_> = split
+                .outfits
+                .iter()
+                .filter(|&&outfit| !list.excludes(subject, outfit, sequence))
+                .collect();
+            let mut found = wanted.is_empty();
+            let mut miss = |reason| {
+                let (subject, sequence) = (subject.clone(), Some(sequence.clone()));
+                missing.push(Missing { subject, sequence, reason });
+            };
+            for &outfit in wanted {
+                let directory = raw::capture_dir(raw, subject, outfit, sequence);
+                let Some(paths) = raw::frame_paths(&directory)? else { continue };
+                found = true;
+                let count = paths.len();
+                let kept = count.saturating_sub(2 * split.cut);
+                if kept == 0 {
+                    miss(format!(
+                        "{outfit}_{sequence} has {count} frames, nothing is left after cutting {} \
+                         at either end",
+                        split.cut
+                    ));
+                }
+                let paths = paths.into_iter().skip(split.cut).take(kept).step_by(split.sample_rate);
+                frames.extend(paths.map(|path| PlannedFrame { path, subject, sequence, outfit }));
+            }
+            if !found {
+                miss(format!("no sequence {sequence} in any outfit"));
+            }
+        }
+    }
+    Ok(frames)
+}
+
+fn read(frame: &PlannedFrame, minimal: &Minimals) -> Result<PackedFrame> {
+    let name = frame.path.file_stem().and_then(|name| name.to_str());
+    if name.is_none_or(|name| name.contains(char::is_control)) {
+        return Err(Error::format(&frame.path, "its name is not plain text"));
+    }
+    let Some(minimal) = minimal.get(frame.subject) else {
+        return Err(Error::Data(format!("subject {} has no minimal shape", frame.subject)));
+    };
+    let read = raw::read_canonical(&frame.path, minimal.nrows())?;
+    let rotations = pose_rotations(&read.pose);
+    Ok(PackedFrame { displacement: read.v_cano - minimal, pose: read.pose, rotations })
+}
+
+fn broken(raw: &Path, frame: &PlannedFrame, error: &Error) -> BrokenFrame {
+    let path = frame.path.strip_prefix(raw.join("sequences")).unwrap_or(&frame.path);
+    // The path is listed beside the reason.
+    let reason = error.to_string();
+    let reason = reason.strip_prefix(&*frame.path.to_string_lossy()).unwrap_or(&reason);
+    let reason = reason.trim_start_matches(": ").replace(['\n', '\t'], " ");
+    BrokenFrame { path: path.to_owned(), reason }
+}
+
+fn nothing_left(raw: &Path, report: &PackReport) -> Error {
+    let why = match (report.broken.first(), report.missing.first()) {
+        (Some(frame), _) => format!(
+            "all {} frames are unreadable; the first, {}: {}",
+            report.broken.len(),
+            frame.path.display(),
+            frame.reason
+        ),
+        (None, Some(missing)) => format!("subject {}: {}", missing.subject, missing.reason),
+        (None, None) => "the split excludes everything".to_owned(),
+    };
+    Error::Data(format!("{}: no frame can be packed: {why}", raw.display()))
+}
+
+fn describe(text: &mut String, part: Part, captures: &[(String, usize)]) {
+    let frames: usize = captures.iter().map(|(_, frames)| frames).sum();
+    // Writing to a string cannot fail.
+    let _ = writeln!(text, "\n{part}: {frames} frames of {} captures", captures.len());
+    for (name, frames) in captures {
+        let _ = writeln!(text, "{name} {frames}");
+    }
+}
+
+fn write_notes(
+    raw: &Path,
+    out: &Path,
+    split: &Split,
+    report: &PackReport,
+    captures: &str,
+) -> Result<()> {
+    let put = |name: &str, text: String| {
+        let path = out.join(name);
+        fs::write(&path, text).map_err(|e| Error::io(path, e))
+    };
+    let PackReport { vertices, train_frames, validation_frames, test_frames, .. } = report;
+    put(
+        "stats.txt",
+        format!(
+            "train {train_frames}\nvalidation {validation_frames} (the last of train)\n\
+             test {test_frames}\nbroken {}\nvertices {vertices}\n{captures}",
+            report.broken.len()
+        ),
+    )?;
+    let line = |frame: &BrokenFrame| format!("{}\t{}\n", frame.path.display(), frame.reason);
+    put("broken_frames.txt", report.broken.iter().map(line).collect())?;
+    put(SPLIT_FILE, split.to_toml()?)?;
+    for name in [BODY_FILE, CLOTHING_FILE] {
+        let from = raw.join(name);
+        if from.is_file() {
+            fs::copy(&from, out.join(name)).map_err(|e| Error::io(from, e))?;
+        }
+    }
+    Ok(())
+}
+
+/// The directory being filled, hidden beside its final place and removed unless committed. What a
+/// killed run left behind is removed by the next one.
+struct Staging {
+    path: PathBuf,
+}
+
+impl Staging {
+    fn create(out: &Path) -> Result<Self> {
+        let fail = |e| Error::io(out, e);
+        if out.exists() && (!out.is_dir() || fs::read_dir(out).map_err(fail)?.next().is_some()) {
+            return Err(Error::Data(format!(
+                "{} exists already: remove it, or choose another place for the packed set",
+                out.display()
+            )));
+        }
+        let Some(name) = out.file_name() else {
+            return Err(Error::argument(format!("{} is not a directory's name", out.display())));
+        };
+        let path = out.with_file_name(format!(".{}.cape-partial", name.to_string_lossy()));
+        if path.exists() {
+            fs::remove_dir_all(&path).map_err(|e| Error::io(&path, e))?;
+        }
+        fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
+        Ok(Self { path })
+    }
+
+    fn commit(self, out: &Path) -> Result<()> {
+        if out.is_dir() {
+            fs::remove_dir(out).map_err(|e| Error::io(out, e))?;
+        }
+        fs::rename(&self.path, out).map_err(|e| Error::io(out, e))
+    }
+}
+
+impl Drop for Staging {
+    fn drop(&mut self) {
+        // After a commit there is nothing left here, and a failure to clean up has no better place
+        // to go.
+        let _ = fs::remove_dir_all(&self.path);
+    }
+}
+
+#[cfg(test)]
+#[path = "pack_tests.rs"]
+mod tests;

@@ -1,0 +1,42 @@
+use std::path::Path;
+
+/// Result of this crate's operations.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// What can go wrong with data sets, training runs and their files.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file, mesh, body or argument is not what it must be.
+    #[error(transparent)]
+    Core(#[from] cape_core::Error),
+    /// A data set as a whole cannot be used; the message says why and what would help.
+    #[error("{0}")]
+    Data(String),
+}
+
+impl Error {
+    /// The operating system refused to open, read or write `path`.
+    pub fn io(path: impl AsRef<Path>, source: std::io::Error) -> Self {
+        cape_core::Error::io(path, source).into()
+    }
+
+    /// The array, key or line `field` of `path` is not what it must be.
+    pub fn field(
+        path: impl AsRef<Path>,
+        field: impl Into<String>,
+        message: impl Into<String>,
+    ) -> Self {
+        cape_core::Error::field(path, field, message).into()
+    }
+
+    /// `path` as a whole is not of the expected format.
+    pub fn format(path: impl AsRef<Path>, message: impl Into<String>) -> Self {
+        cape_core::Error::format(path, message).into()
+    }
+
+    /// An argument is out of its domain.
+    pub fn argument(message: impl Into<String>) -> Self {
+        cape_core::Error::Argument(message.into()).into()
+    }
+}
