@@ -1,1 +1,25 @@
-//! cape-render.
+//! A small software renderer for meshes, and plots, to PNG.
+//!
+//! No window, no GPU: [`render`] draws [`cape_core::Mesh`]es into an [`Image`] with a depth buffer,
+//! smooth shading, a three-light studio, soft shadows and supersampling, on all cores and with the
+//! same picture whatever their number. [`contact_sheet`] puts pictures side by side, [`Plot`] draws
+//! curves.
+
+mod camera;
+mod error;
+mod image;
+mod plot;
+mod raster;
+mod render;
+mod shade;
+mod sheet;
+mod text;
+
+pub use camera::{Bounds, Camera, Projection, View};
+pub use error::{Error, Result};
+pub use image::{Image, MAX_SIDE};
+pub use plot::{Plot, Series};
+pub use render::{Background, Object, Style, portrait, render};
+pub use shade::Material;
+pub use sheet::{Tile, contact_sheet};
+pub use text::TextSize;

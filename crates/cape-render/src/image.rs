@@ -1,0 +1,179 @@
+use std::{
+    fs::File,
+    io::{BufReader, Write},
+    path::Path,
+};
+
+use cape_core::write_atomically;
+
+use crate::{Error, Result};
+
+/// The most pixels a side of an image may have.
+pub const MAX_SIDE: u32 = 16_384;
+
+/// An 8-bit sRGB picture with straight alpha, row 0 at the top.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Image {
+    width: u32,
+    height: u32,
+    pixels: Vec<[u8; 4]>,
+}
+
+impl Image {
+    /// A picture of one colour; sides from 1 to [`MAX_SIDE`].
+    pub fn new(width: u32, height: u32, colour: [u8; 4]) -> Result<Self> {
+        if width == 0 || height == 0 || width > MAX_SIDE || height > MAX_SIDE {
+            return Err(Error::Argument(format!(
+                "image of {width}×{height} pixels: each side must be from 1 to {MAX_SIDE}"
+            )));
+        }
+        Ok(Self { width, height, pixels: vec![colour; width as usize * height as usize] })
+    }
+
+    /// Pixels in a row.
+    pub const fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Number of rows.
+    pub const fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// All pixels, row by row, `[height · width]`.
+    pub fn pixels(&self) -> &[[u8; 4]] {
+        &self.pixels
+    }
+
+    /// All pixels, row by row, `[height · width]`.
+    pub fn pixels_mut(&mut self) -> &mut [[u8; 4]] {
+        &mut self.pixels
+    }
+
+    /// The pixel at column `x` of row `y`, if there is one.
+    pub fn get(&self, x: u32, y: u32) -> Option<[u8; 4]> {
+        (x < self.width && y < self.height)
+            .then(|| self.pixels[y as usize * self.width as usize + x as usize])
+    }
+
+    /// Lays `colour` over the pixel at (`x`, `y`) with the given opacity; outside is ignored.
+    pub fn blend(&mut self, x: i64, y: i64, colour: [u8; 3], opacity: f32) {
+        let (Ok(x), Ok(y)) = (u32::try_from(x), u32::try_from(y)) else { return };
+        if x >= self.width || y >= self.height {
+            return;
+        }
+        let pixel = &mut self.pixels[y as usize * self.width as usize + x as usize];
+        *pixel = over(*pixel, colour, opacity.clamp(0.0, 1.0));
+    }
+
+    /// Lays `other` over this picture with its top left corner at (`x`, `y`).
+    pub fn draw(&mut self, other: &Self, x: i64, y: i64) {
+        for (row, line) in other.pixels.chunks_exact(other.width as usize).enumerate() {
+            for (column, &[r, g, b, a]) in line.iter().enumerate() {
+                let opacity = f32::from(a) / 255.0;
+                self.blend(x + column as i64, y + row as i64, [r, g, b], opacity);
+            }
+        }
+    }
+
+    /// Writes a PNG, atomically: a reader sees the old file or the whole new one.
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
+        Ok(write_atomically(path, |file| self.encode(file))?)
+    }
+
+    /// Writes a PNG to `sink`.
+    pub fn encode(&self, mut sink: impl Write) -> std::io::Result<()> {
+        let mut encoder = png::Encoder::new(&mut sink, self.width, self.height);
+        encoder.set_color(png::ColorType::Rgba);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(self.pixels.as_flattened())?;
+        writer.finish()?;
+        sink.flush()
+    }
+
+    /// Reads an 8-bit PNG, with or without alpha.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let format = |message: String| cape_core::Error::format(path, message);
+        let file = File::open(path).map_err(|source| cape_core::Error::io(path, source))?;
+        let mut decoder = png::Decoder::new(BufReader::new(file));
+        decoder.set_transformations(png::Transformations::normalize_to_color8());
+        let mut reader = decoder.read_info().map_err(|error| format(error.to_string()))?;
+        let (width, height) = (reader.info().width, reader.info().height);
+        let mut image = Self::new(width, height, [0; 4])?;
+        let size = reader
+            .output_buffer_size()
+            .ok_or_else(|| format("picture too large for memory".into()))?;
+        let mut bytes = vec![0; size];
+        let frame = reader.next_frame(&mut bytes).map_err(|error| format(error.to_string()))?;
+        let to_rgba: fn(&[u8]) -> [u8; 4] = match frame.color_type {
+            png::ColorType::Rgba => |p| [p[0], p[1], p[2], p[3]],
+            png::ColorType::Rgb => |p| [p[0], p[1], p[2], 255],
+            png::ColorType::GrayscaleAlpha => |p| [p[0], p[0], p[0], p[1]],
+            png::ColorType::Grayscale => |p| [p[0], p[0], p[0], 255],
+            png::ColorType::Indexed => return Err(format("palette was not expanded".into()).into()),
+        };
+        let samples = frame.color_type.samples();
+        for (pixel, source) in image.pixels.iter_mut().zip(bytes.chunks_exact(samples)) {
+            *pixel = to_rgba(source);
+        }
+        Ok(image)
+    }
+}
+
+fn over([r, g, b, a]: [u8; 4], top: [u8; 3], opacity: f32) -> [u8; 4] {
+    let below = f32::from(a) / 255.0 * (1.0 - opacity);
+    let alpha = opacity + below;
+    if alpha <= 0.0 {
+        return [0; 4];
+    }
+    let mix = |low: u8, high: u8| {
+        ((f32::from(low) * below + f32::from(high) * opacity) / alpha).round() as u8
+    };
+    [mix(r, top[0]), mix(g, top[1]), mix(b, top[2]), (alpha * 255.0).round() as u8]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn png_round_trip_keeps_every_pixel() {
+        let mut image = Image::new(7, 5, [0; 4]).unwrap();
+        for (i, pixel) in image.pixels_mut().iter_mut().enumerate() {
+            *pixel = [i as u8 * 7, 255 - i as u8, i as u8 ^ 0x5a, if i % 3 == 0 { 0 } else { 200 }];
+        }
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("picture.png");
+        image.save(&path).unwrap();
+        assert_eq!(Image::load(&path).unwrap(), image);
+        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_truncated_png_is_an_error_naming_the_file() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("cut.png");
+        let mut bytes = Vec::new();
+        Image::new(64, 64, [9, 8, 7, 255]).unwrap().encode(&mut bytes).unwrap();
+        std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+        assert!(Image::load(&path).unwrap_err().to_string().contains("cut.png"));
+    }
+
+    #[test]
+    fn sides_are_checked() {
+        assert!(Image::new(0, 4, [0; 4]).is_err());
+        assert!(Image::new(4, MAX_SIDE + 1, [0; 4]).is_err());
+    }
+
+    #[test]
+    fn blending_is_linear_in_opacity_and_keeps_opaque_pixels_opaque() {
+        let mut image = Image::new(1, 1, [100, 0, 0, 255]).unwrap();
+        image.blend(0, 0, [200, 0, 0], 0.5);
+        image.blend(-1, 0, [255; 3], 1.0);
+        assert_eq!(image.get(0, 0), Some([150, 0, 0, 255]));
+        assert_eq!(image.get(1, 0), None);
+    }
+}

@@ -1,0 +1,306 @@
+use cape_core::Mesh;
+use glam::{Vec3, Vec4};
+use rayon::prelude::*;
+
+use crate::{
+    Bounds, Camera, Error, Image, Material, Projection, Result, View,
+    raster::{EMPTY, Point, Visibility, barycentric, rasterise},
+    shade::{ContactShadow, Lights, Surface, sky_visibility, to_linear, to_srgb, vertex_normals},
+};
+
+/// A mesh in a scene.
+#[derive(Debug, Clone, Copy)]
+pub struct Object<'a> {
+    /// The surface.
+    pub mesh: &'a Mesh,
+    /// sRGB colours from 0 to 1, one a vertex, `[vertices, 3]`.
+    pub colours: Option<&'a [[f32; 3]]>,
+    /// How it answers light.
+    pub material: Material,
+}
+
+impl<'a> Object<'a> {
+    /// `mesh` in the default material.
+    pub fn new(mesh: &'a Mesh) -> Self {
+        Self { mesh, colours: None, material: Material::default() }
+    }
+
+    /// The same with a colour for each vertex.
+    #[must_use]
+    pub fn coloured(self, colours: &'a [[f32; 3]]) -> Self {
+        Self { colours: Some(colours), ..self }
+    }
+}
+
+/// What is behind the scene.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Background {
+    /// sRGB colours at the top and at the bottom of the picture.
+    Gradient([f32; 3], [f32; 3]),
+    /// Nothing: alpha is the coverage.
+    Transparent,
+}
+
+/// How a scene is drawn.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Style {
+    /// Pixels in a row.
+    pub width: u32,
+    /// Number of rows.
+    pub height: u32,
+    /// Samples along each side of a pixel, 1 to 8.
+    pub samples: u32,
+    /// What is behind the scene.
+    pub background: Background,
+    /// Whether a floor at the scene's lowest point takes its contact shadow.
+    pub floor: bool,
+    /// Whether the key light throws shadows and crevices get less of the sky's.
+    pub shadows: bool,
+}
+
+impl Default for Style {
+    fn default() -> Self {
+        Self {
+            width: 512,
+            height: 512,
+            samples: 3,
+            background: Background::Gradient([0.93, 0.94, 0.955], [0.78, 0.79, 0.81]),
+            floor: true,
+            shadows: true,
+        }
+    }
+}
+
+/// All objects in one vertex and one face array.
+struct Scene {
+    vertices: Vec<Vec3>,
+    normals: Vec<Vec3>,
+    colours: Vec<Vec3>,
+    sky: Vec<f32>,
+    faces: Vec<[u32; 3]>,
+    /// First face of each object and its highlight's strength.
+    gloss: Vec<(u32, f32)>,
+    bounds: Bounds,
+}
+
+impl Scene {
+    fn new(objects: &[Object<'_>], shadows: bool) -> Result<Self> {
+        let bounds =
+            Bounds::of_meshes(objects.iter().map(|object| object.mesh)).ok_or_else(|| {
+                Error::Argument("nothing to draw: the meshes have no vertices".into())
+            })?;
+        let mut scene = Self {
+            vertices: Vec::new(),
+            normals: Vec::new(),
+            colours: Vec::new(),
+            sky: Vec::new(),
+            faces: Vec::new(),
+            gloss: Vec::new(),
+            bounds,
+        };
+        for (index, object) in objects.iter().enumerate() {
+            scene.add(index, object)?;
+        }
+        scene.sky = if shadows {
+            sky_visibility(&scene.vertices, &scene.normals, &scene.faces, &bounds)
+        } else {
+            vec![1.0; scene.vertices.len()]
+        };
+        Ok(scene)
+    }
+
+    fn add(&mut self, index: usize, object: &Object<'_>) -> Result<()> {
+        let Object { mesh, colours, material } = object;
+        let count = mesh.vertices.len();
+        if let Some(v) = mesh.vertices.iter().position(|v| !v.iter().all(|x| x.is_finite())) {
+            return Err(Error::Argument(format!("object {index}: vertex {v} is not finite")));
+        }
+        if let Some(f) = mesh.faces.iter().position(|f| f.iter().any(|&i| i as usize >= count)) {
+            return Err(Error::Argument(format!(
+                "object {index}: face {f} names a vertex beyond the mesh's {count}"
+            )));
+        }
+        match colours {
+            Some(colours) if colours.len() != count => {
+                return Err(Error::Argument(format!(
+                    "object {index}: {} colours for {count} vertices",
+                    colours.len()
+                )));
+            }
+            Some(colours) => self.colours.extend(colours.iter().map(|&c| to_linear(c))),
+            None => self.colours.extend(std::iter::repeat_n(to_linear(material.colour), count)),
+        }
+        let offset = self.vertices.len() as u32;
+        self.gloss.push((self.faces.len() as u32, material.gloss));
+        self.vertices.extend(mesh.vertices.iter().map(|&v| Vec3::from(v)));
+        self.faces.extend(mesh.faces.iter().map(|face| face.map(|i| i + offset)));
+        self.normals.extend(vertex_normals(mesh));
+        Ok(())
+    }
+
+    fn gloss_of(&self, face: u32) -> f32 {
+        let object = self.gloss.partition_point(|&(first, _)| first <= face);
+        self.gloss[object - 1].1
+    }
+
+    fn surface(&self, camera: &Camera, face: u32, weights: [f32; 3]) -> Surface {
+        let corners = self.faces[face as usize].map(|i| i as usize);
+        let blend = |of: &[Vec3]| {
+            of[corners[0]] * weights[0] + of[corners[1]] * weights[1] + of[corners[2]] * weights[2]
+        };
+        let position = blend(&self.vertices);
+        let eye = camera.towards(position);
+        let normal = blend(&self.normals).normalize_or(eye);
+        let [a, b, c] = corners.map(|i| self.vertices[i]);
+        let flipped = (b - a).cross(c - a).dot(eye) < 0.0;
+        Surface {
+            position,
+            normal: if flipped { -normal } else { normal },
+            eye,
+            albedo: blend(&self.colours),
+            sky: (0..3).map(|i| self.sky[corners[i]] * weights[i]).sum(),
+            gloss: self.gloss_of(face),
+        }
+    }
+}
+
+/// Draws `objects` as `camera` sees them.
+///
+/// Triangles that reach behind the camera are left out. The same call gives the same picture
+/// whatever the number of threads.
+pub fn render(objects: &[Object<'_>], camera: &Camera, style: &Style) -> Result<Image> {
+    if !(1..=8).contains(&style.samples) {
+        return Err(Error::Argument(format!(
+            "{} samples along a pixel's side: expected 1 to 8",
+            style.samples
+        )));
+    }
+    let mut image = Image::new(style.width, style.height, [0; 4])?;
+    let scene = Scene::new(objects, style.shadows)?;
+    let lights = Lights::new(camera, &scene.vertices, &scene.faces, &scene.bounds, style.shadows);
+    let floor =
+        style.floor.then(|| ContactShadow::new(&scene.vertices, &scene.faces, &scene.bounds));
+
+    let samples = style.samples as usize;
+    let (width, height) = (style.width as usize * samples, style.height as usize * samples);
+    let points: Vec<Point> = scene
+        .vertices
+        .iter()
+        .map(|&v| Point::project((camera.clip * v.extend(1.0)).to_array(), width, height))
+        .collect();
+    let seen = rasterise(&points, &scene.faces, width, height);
+    let backdrop = Backdrop::new(camera, style, floor);
+    image.pixels_mut().par_chunks_mut(style.width as usize).enumerate().for_each(|(row, line)| {
+        for (column, pixel) in line.iter_mut().enumerate() {
+            let (light, covered) =
+                gather(&scene, camera, &lights, &points, &seen, width, samples, column, row);
+            *pixel = backdrop.compose(light, covered, column, row);
+        }
+    });
+    Ok(image)
+}
+
+/// Draws one object from a standard view, framed.
+pub fn portrait(object: Object<'_>, view: View, style: &Style) -> Result<Image> {
+    let bounds = Bounds::of_meshes([object.mesh])
+        .ok_or_else(|| Error::Argument("nothing to draw: the mesh has no vertices".into()))?;
+    let aspect = style.width as f32 / style.height.max(1) as f32;
+    let camera = Camera::framing(&bounds, view, Projection::default(), aspect);
+    render(&[object], &camera, style)
+}
+
+/// Sum of the radiance of a pixel's covered samples, and their part of all.
+#[expect(clippy::too_many_arguments, reason = "the loop body of `render`")]
+fn gather(
+    scene: &Scene,
+    camera: &Camera,
+    lights: &Lights,
+    points: &[Point],
+    seen: &Visibility,
+    width: usize,
+    samples: usize,
+    column: usize,
+    row: usize,
+) -> (Vec3, f32) {
+    let (mut light, mut count) = (Vec3::ZERO, 0);
+    for y in row * samples..(row + 1) * samples {
+        for x in column * samples..(column + 1) * samples {
+            let face = seen.face[y * width + x];
+            if face == EMPTY {
+                continue;
+            }
+            let corners = scene.faces[face as usize].map(|i| &points[i as usize]);
+            let surface = scene.surface(camera, face, barycentric(corners, x, y));
+            light += tone(lights.shade(&surface));
+            count += 1;
+        }
+    }
+    let scale = 1.0 / (samples * samples) as f32;
+    (light * scale, count as f32 * scale)
+}
+
+/// Rolls highlights off smoothly towards 1 instead of clipping them.
+fn tone(light: Vec3) -> Vec3 {
+    const KNEE: f32 = 0.7;
+    let roll = |l: f32| {
+        if l <= KNEE {
+            l
+        } else {
+            let over = (l - KNEE) / (1.0 - KNEE);
+            KNEE + (1.0 - KNEE) * over / (1.0 + over)
+        }
+    };
+    Vec3::new(roll(light.x), roll(light.y), roll(light.z))
+}
+
+/// What is behind and below the scene.
+struct Backdrop {
+    ends: Option<[Vec3; 2]>,
+    floor: Option<ContactShadow>,
+    inverse: glam::Mat4,
+    size: [f32; 2],
+}
+
+impl Backdrop {
+    fn new(camera: &Camera, style: &Style, floor: Option<ContactShadow>) -> Self {
+        let ends = match style.background {
+            Background::Gradient(top, bottom) => Some([to_linear(top), to_linear(bottom)]),
+            Background::Transparent => None,
+        };
+        Self {
+            ends,
+            floor,
+            inverse: camera.clip.inverse(),
+            size: [style.width as f32, style.height as f32],
+        }
+    }
+
+    fn compose(&self, light: Vec3, covered: f32, column: usize, row: usize) -> [u8; 4] {
+        let (x, y) = ((column as f32 + 0.5) / self.size[0], (row as f32 + 0.5) / self.size[1]);
+        let shadow = if covered < 1.0 { self.shadow(x, y) } else { 0.0 };
+        if let Some([top, bottom]) = self.ends {
+            let away = Vec4::new(x - 0.5, y - 0.45, 0.0, 0.0).length_squared();
+            let behind = top.lerp(bottom, y * y * (3.0 - 2.0 * y)) * (1.0 - 0.25 * away);
+            let [r, g, b] = to_srgb(light + behind * ((1.0 - covered) * (1.0 - shadow)));
+            return [r, g, b, 255];
+        }
+        // Straight alpha: the shadow is black over whatever comes below.
+        let alpha = covered + (1.0 - covered) * shadow;
+        if alpha <= 0.0 {
+            return [0; 4];
+        }
+        let [r, g, b] = to_srgb(light / alpha);
+        [r, g, b, (alpha * 255.0).round() as u8]
+    }
+
+    fn shadow(&self, x: f32, y: f32) -> f32 {
+        let Some(floor) = &self.floor else { return 0.0 };
+        let (origin, direction) = Camera::ray(&self.inverse, 2.0 * x - 1.0, 1.0 - 2.0 * y);
+        let distance = (floor.y - origin.y) / direction.y;
+        if direction.y >= -1e-4 || distance < 0.0 {
+            return 0.0;
+        }
+        let hit = origin + direction * distance;
+        floor.at(hit.x, hit.z)
+    }
+}

@@ -1,0 +1,354 @@
+//! Light: a key with a shadow map, a fill, a rim, and an occluded hemisphere.
+
+use cape_core::Mesh;
+use glam::{Mat4, Vec3};
+use rayon::prelude::*;
+
+use crate::{
+    Bounds,
+    camera::Camera,
+    raster::{Point, rasterise},
+};
+
+/// Directions from which a vertex may see the sky.
+const SKY_DIRECTIONS: usize = 24;
+/// Side of the depth map of each of them.
+const SKY_MAP: usize = 192;
+/// Side of the key light's depth map.
+const KEY_MAP: usize = 768;
+
+/// How a surface answers light.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Material {
+    /// sRGB colour, 0 to 1, where vertices have none of their own.
+    pub colour: [f32; 3],
+    /// Strength of the highlight, 0 (cloth) to 1 (polished).
+    pub gloss: f32,
+}
+
+impl Default for Material {
+    fn default() -> Self {
+        Self { colour: [0.78, 0.78, 0.80], gloss: 0.12 }
+    }
+}
+
+/// Area-weighted unit normals, `[vertices]`; zero where all faces around a vertex are degenerate.
+pub(crate) fn vertex_normals(mesh: &Mesh) -> Vec<Vec3> {
+    let mut normals = vec![Vec3::ZERO; mesh.vertices.len()];
+    for &face in &mesh.faces {
+        let [a, b, c] = face.map(|i| Vec3::from(mesh.vertices[i as usize]));
+        let normal = (b - a).cross(c - a);
+        for i in face {
+            normals[i as usize] += normal;
+        }
+    }
+    normals.into_iter().map(Vec3::normalize_or_zero).collect()
+}
+
+pub(crate) fn to_linear(srgb: [f32; 3]) -> Vec3 {
+    let decode = |s: f32| if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) };
+    Vec3::from(srgb.map(|s| decode(s.clamp(0.0, 1.0))))
+}
+
+pub(crate) fn to_srgb(linear: Vec3) -> [u8; 3] {
+    let encode = |l: f32| {
+        let l = l.clamp(0.0, 1.0);
+        let s = if l <= 0.0031308 { 12.92 * l } else { 1.055 * l.powf(1.0 / 2.4) - 0.055 };
+        (s * 255.0).round() as u8
+    };
+    linear.to_array().map(encode)
+}
+
+/// An orthographic depth map of the scene.
+struct DepthMap {
+    matrix: Mat4,
+    side: usize,
+    depth: Vec<f32>,
+    /// Metres a sample is wide.
+    texel: f32,
+    /// Metres from depth 0 to depth 1.
+    range: f32,
+}
+
+impl DepthMap {
+    fn new(
+        vertices: &[Vec3],
+        faces: &[[u32; 3]],
+        bounds: &Bounds,
+        from: Vec3,
+        side: usize,
+    ) -> Self {
+        let radius = bounds.radius() * 1.02;
+        let eye = bounds.centre() + from * radius;
+        let range = 2.0 * radius;
+        let projection = Mat4::orthographic_rh(-radius, radius, -radius, radius, 0.0, range);
+        let matrix = Camera::new(eye, bounds.centre(), projection, true).clip;
+        let points: Vec<_> = vertices
+            .iter()
+            .map(|&v| Point::project((matrix * v.extend(1.0)).to_array(), side, side))
+            .collect();
+        let depth = rasterise(&points, faces, side, side).depth;
+        Self { matrix, side, depth, texel: range / side as f32, range }
+    }
+
+    /// How much of the light arrives at `point`, 0 to 1, over `taps`×`taps` samples.
+    fn lit(&self, point: Vec3, bias: f32, taps: i64) -> f32 {
+        let clip = self.matrix.project_point3(point);
+        let x = (clip.x * 0.5 + 0.5) * self.side as f32 - 0.5;
+        let y = (0.5 - clip.y * 0.5) * self.side as f32 - 0.5;
+        let (left, top) = (x.floor() as i64, y.floor() as i64);
+        let limit = clip.z - bias / self.range;
+        let lit = |column: i64, row: i64| {
+            let inside = 0..self.side as i64;
+            let free = !inside.contains(&column)
+                || !inside.contains(&row)
+                || self.depth[row as usize * self.side + column as usize] >= limit;
+            f32::from(free)
+        };
+        // A box of `taps` bilinear samples: the border samples get the fractional weights.
+        let (fx, fy) = (x - x.floor(), y - y.floor());
+        let start = -(taps - 1) / 2;
+        let weight = |i: i64, f: f32| match i {
+            0 => 1.0 - f,
+            i if i == taps => f,
+            _ => 1.0,
+        };
+        let mut sum = 0.0;
+        for j in 0..=taps {
+            for i in 0..=taps {
+                let w = weight(i, fx) * weight(j, fy);
+                if w > 0.0 {
+                    sum += w * lit(left + start + i, top + start + j);
+                }
+            }
+        }
+        sum / (taps * taps) as f32
+    }
+}
+
+/// The lights of a studio that turns with the camera, and what the scene hides from them.
+pub(crate) struct Lights {
+    key: Vec3,
+    fill: Vec3,
+    rim: Vec3,
+    shadow: Option<DepthMap>,
+}
+
+/// What shading knows of one point of a surface.
+pub(crate) struct Surface {
+    pub(crate) position: Vec3,
+    /// Unit, towards the camera's side.
+    pub(crate) normal: Vec3,
+    /// Unit, towards the camera.
+    pub(crate) eye: Vec3,
+    /// Linear colour.
+    pub(crate) albedo: Vec3,
+    /// Part of the sky that is seen, 0 to 1.
+    pub(crate) sky: f32,
+    pub(crate) gloss: f32,
+}
+
+impl Lights {
+    pub(crate) fn new(
+        camera: &Camera,
+        vertices: &[Vec3],
+        faces: &[[u32; 3]],
+        bounds: &Bounds,
+        shadows: bool,
+    ) -> Self {
+        let inverse = camera.view.inverse();
+        let world = |x, y, z| inverse.transform_vector3(Vec3::new(x, y, z)).normalize();
+        let key = world(-0.62, 0.75, 0.72);
+        let shadow = shadows.then(|| DepthMap::new(vertices, faces, bounds, key, KEY_MAP));
+        Self { key, fill: world(0.9, 0.12, 0.55), rim: world(0.55, 0.55, -0.85), shadow }
+    }
+
+    /// Linear radiance of `surface` towards the camera.
+    pub(crate) fn shade(&self, surface: &Surface) -> Vec3 {
+        const KEY: Vec3 = Vec3::new(1.55, 1.46, 1.35);
+        const FILL: Vec3 = Vec3::new(0.20, 0.25, 0.33);
+        const RIM: Vec3 = Vec3::new(0.85, 0.90, 1.0);
+        const SKY: Vec3 = Vec3::new(0.34, 0.375, 0.44);
+        const GROUND: Vec3 = Vec3::new(0.16, 0.14, 0.13);
+        let Surface { position, normal, eye, albedo, sky, gloss } = *surface;
+        let facing = normal.dot(self.key);
+        let key = match &self.shadow {
+            Some(map) if facing > 0.0 => {
+                let slope = (1.0 - facing * facing).max(0.0).sqrt();
+                let lifted = position + normal * (2.0 * map.texel * slope);
+                facing * map.lit(lifted, 1.5 * map.texel, 5)
+            }
+            _ => facing.max(0.0),
+        };
+        let ambient = SKY.lerp(GROUND, 0.5 - 0.5 * normal.y) * sky;
+        let mut light = ambient + KEY * key + FILL * (normal.dot(self.fill).max(0.0) * sky);
+        let grazing = 1.0 - normal.dot(eye).clamp(0.0, 1.0);
+        let rim = normal.dot(self.rim).max(0.0) * grazing * grazing;
+        light += RIM * (rim * sky * 1.6);
+        let half = (self.key + eye).normalize_or_zero();
+        let highlight = normal.dot(half).max(0.0).powi(28) * key.min(1.0);
+        let sheen = grazing.powi(4) * sky;
+        albedo * light + KEY * (gloss * (0.35 * highlight + 0.10 * sheen))
+    }
+}
+
+/// Part of the sky each vertex sees, weighted by the cosine, from depth maps around the scene.
+pub(crate) fn sky_visibility(
+    vertices: &[Vec3],
+    normals: &[Vec3],
+    faces: &[[u32; 3]],
+    bounds: &Bounds,
+) -> Vec<f32> {
+    let maps: Vec<(Vec3, f32, DepthMap)> = (0..SKY_DIRECTIONS)
+        .into_par_iter()
+        .map(|i| {
+            // Fibonacci spiral; the floor returns some light, so directions from below count less.
+            let y = 1.0 - (2 * i + 1) as f32 / SKY_DIRECTIONS as f32;
+            let angle = i as f32 * 2.399_963_2;
+            let direction =
+                Vec3::new(angle.cos(), 0.0, angle.sin()) * (1.0 - y * y).sqrt() + Vec3::Y * y;
+            let weight = if y > -0.1 { 1.0 } else { 0.55 };
+            (direction, weight, DepthMap::new(vertices, faces, bounds, direction, SKY_MAP))
+        })
+        .collect();
+    vertices
+        .par_iter()
+        .zip(normals)
+        .map(|(&vertex, &normal)| {
+            let (mut seen, mut all) = (0.0, 0.0);
+            for (direction, weight, map) in &maps {
+                let cosine = normal.dot(*direction);
+                if cosine > 0.05 {
+                    let lifted = vertex + normal * (1.2 * map.texel);
+                    all += weight * cosine;
+                    seen += weight * cosine * map.lit(lifted, 0.8 * map.texel, 1);
+                }
+            }
+            if all > 0.0 { seen / all } else { 1.0 }
+        })
+        .collect()
+}
+
+/// Darkening of the floor where the scene is close above it.
+pub(crate) struct ContactShadow {
+    /// Height of the floor.
+    pub(crate) y: f32,
+    origin: [f32; 2],
+    texel: f32,
+    side: usize,
+    dark: Vec<f32>,
+}
+
+impl ContactShadow {
+    pub(crate) fn new(vertices: &[Vec3], faces: &[[u32; 3]], bounds: &Bounds) -> Self {
+        const SIDE: usize = 192;
+        /// Heights above the floor, as parts of the scene's size, at which the shadow fades.
+        const FADE: [f32; 2] = [0.02, 0.16];
+        let radius = bounds.radius() * 1.6;
+        let centre = bounds.centre();
+        let texel = 2.0 * radius / SIDE as f32;
+        let origin = [centre.x - radius, centre.z - radius];
+        let points: Vec<_> = vertices
+            .iter()
+            .map(|v| Point {
+                x: ((v.x - origin[0]) / texel * 256.0).round() as i64,
+                y: ((v.z - origin[1]) / texel * 256.0).round() as i64,
+                z: v.y - bounds.min.y,
+                inverse_w: 1.0,
+                valid: true,
+            })
+            .collect();
+        let height = rasterise(&points, faces, SIDE, SIDE).depth;
+        let layer = |fade: f32, blur: f32| {
+            let mut dark: Vec<f32> =
+                height.iter().map(|h| (-h / (fade * bounds.radius())).exp()).collect();
+            let reach = (blur * bounds.radius() / texel).round().max(1.0) as usize;
+            for _ in 0..3 {
+                dark = box_blur(&dark, SIDE, reach);
+                dark = box_blur(&dark, SIDE, reach);
+            }
+            dark
+        };
+        let (near, far) = (layer(FADE[0], 0.012), layer(FADE[1], 0.06));
+        let dark = near.iter().zip(&far).map(|(n, f)| 1.0 - (1.0 - 0.6 * n) * (1.0 - 0.5 * f));
+        Self { y: bounds.min.y, origin, texel, side: SIDE, dark: dark.collect() }
+    }
+
+    /// Darkness, 0 to 1, of the floor at (`x`, `z`).
+    pub(crate) fn at(&self, x: f32, z: f32) -> f32 {
+        let u = (x - self.origin[0]) / self.texel - 0.5;
+        let v = (z - self.origin[1]) / self.texel - 0.5;
+        let limit = (self.side - 1) as f32;
+        if !(u >= 0.0 && v >= 0.0 && u < limit && v < limit) {
+            return 0.0;
+        }
+        let (i, j) = (u as usize, v as usize);
+        let (fu, fv) = (u - i as f32, v - j as f32);
+        let row = |j: usize| {
+            let start = j * self.side + i;
+            self.dark[start] * (1.0 - fu) + self.dark[start + 1] * fu
+        };
+        row(j) * (1.0 - fv) + row(j + 1) * fv
+    }
+}
+
+/// Box filter along rows, transposing; outside counts as zero.
+fn box_blur(values: &[f32], side: usize, reach: usize) -> Vec<f32> {
+    let mut out = vec![0.0; values.len()];
+    let scale = 1.0 / (2 * reach + 1) as f32;
+    for (row, line) in values.chunks_exact(side).enumerate() {
+        let mut sum: f32 = line.iter().take(reach).sum();
+        for column in 0..side {
+            sum += line.get(column + reach).copied().unwrap_or(0.0);
+            if column > reach {
+                sum -= line[column - reach - 1];
+            }
+            out[column * side + row] = sum * scale;
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn srgb_encoding_inverts_decoding() {
+        for value in 0..=255_u8 {
+            let linear = to_linear([f32::from(value) / 255.0; 3]);
+            assert_eq!(to_srgb(linear), [value; 3]);
+        }
+    }
+
+    #[test]
+    fn blurring_twice_keeps_orientation_and_mass() {
+        let mut values = vec![0.0; 81];
+        values[3 * 9 + 5] = 9.0;
+        let blurred = box_blur(&box_blur(&values, 9, 1), 9, 1);
+        assert!((blurred.iter().sum::<f32>() - 9.0).abs() < 1e-4);
+        for row in 0..9 {
+            for column in 0..9 {
+                let inside = (2..5).contains(&row) && (4..7).contains(&column);
+                let expected = if inside { 1.0 } else { 0.0 };
+                assert!((blurred[row * 9 + column] - expected).abs() < 1e-4);
+            }
+        }
+    }
+
+    #[test]
+    fn a_floor_under_a_roof_is_in_shadow_and_the_roof_is_lit() {
+        let quad = |y: f32, half: f32| {
+            [[-half, y, -half], [-half, y, half], [half, y, half], [half, y, -half]].map(Vec3::from)
+        };
+        let vertices: Vec<Vec3> = quad(0.0, 1.0).into_iter().chain(quad(0.3, 0.5)).collect();
+        let faces = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]];
+        let bounds = Bounds { min: Vec3::new(-1.0, 0.0, -1.0), max: Vec3::new(1.0, 0.3, 1.0) };
+        let map = DepthMap::new(&vertices, &faces, &bounds, Vec3::Y, 256);
+        assert_eq!(map.lit(Vec3::new(0.0, 0.0, 0.0), 0.01, 3), 0.0);
+        assert_eq!(map.lit(Vec3::new(0.0, 0.3, 0.0), 0.01, 3), 1.0);
+        assert_eq!(map.lit(Vec3::new(0.8, 0.0, 0.8), 0.01, 3), 1.0);
+        let edge = map.lit(Vec3::new(0.5, 0.0, 0.0), 0.01, 3);
+        assert!(edge > 0.05 && edge < 0.95, "{edge}");
+    }
+}
