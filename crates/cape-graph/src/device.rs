@@ -1,7 +1,11 @@
 use burn::tensor::{Device, Tensor};
 use sprs::CsMat;
 
-use crate::{functions::sparse_matmul, sparse::SparseMatrix};
+use crate::{
+    functions::sparse_matmul,
+    pyramid::{Level, MeshPyramid, Transition},
+    sparse::SparseMatrix,
+};
 
 /// A pyramid's matrices on a device: what graph networks need of a mesh.
 ///
@@ -15,6 +19,17 @@ pub struct DevicePyramid {
 }
 
 impl DevicePyramid {
+    /// Uploads a pyramid.
+    pub fn upload(pyramid: &MeshPyramid, device: &Device) -> Self {
+        let laplacians: Vec<_> = pyramid.levels().iter().map(Level::rescaled_laplacian).collect();
+        let matrices = |matrix: fn(&Transition) -> CsMat<f64>| -> Vec<Option<CsMat<f64>>> {
+            let transitions = pyramid.transitions().iter();
+            transitions.map(|t| (!t.is_identity()).then(|| matrix(t))).collect()
+        };
+        let (down, up) = (matrices(Transition::down_matrix), matrices(|t| t.up().clone()));
+        Self::new(&laplacians, &down, &up, device)
+    }
+
     /// Uploads the rescaled Laplacians `L̃` of every level and the matrices of every transition;
     /// a transition of `None` is the identity.
     ///

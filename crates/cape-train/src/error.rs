@@ -10,6 +10,12 @@ pub enum Error {
     /// A file, mesh, body or argument is not what it must be.
     #[error(transparent)]
     Core(#[from] cape_core::Error),
+    /// A mesh pyramid is not what it must be.
+    #[error(transparent)]
+    Graph(#[from] cape_graph::Error),
+    /// A configuration or a set of weights is not what it must be.
+    #[error(transparent)]
+    Model(#[from] cape_model::Error),
     /// A data set as a whole cannot be used; the message says why and what would help.
     #[error("{0}")]
     Data(String),

@@ -7,6 +7,8 @@
 pub mod data;
 mod error;
 pub mod metrics;
+pub mod objective;
+pub mod optim;
 mod progress;
 pub mod tensorboard;
 
