@@ -207,7 +207,7 @@ mod tests {
         let var = errors.iter().map(|&e| (e as f64 - mean).powi(2)).sum::<f64>() / n as f64;
         let mut sorted: Vec<f64> = errors.iter().map(|&e| e as f64).collect();
         sorted.sort_by(f64::total_cmp);
-        let median = (sorted[(n - 1) / 2] + sorted[n / 2]) / 2.0;
+        let median = f64::midpoint(sorted[(n - 1) / 2], sorted[n / 2]);
         Summary { mean, std: var.sqrt(), median, count: n as u64 }
     }
 

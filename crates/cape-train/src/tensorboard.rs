@@ -198,7 +198,7 @@ mod tests {
         let mut events = Vec::new();
         let masked = |bytes: &[u8]| {
             let crc = crc_by_definition(bytes);
-            (crc >> 15 | crc << 17).wrapping_add(0xa282_ead8).to_le_bytes()
+            crc.rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
         };
         while !rest.is_empty() {
             let length = take(&mut rest, 8);

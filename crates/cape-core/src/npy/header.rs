@@ -134,7 +134,7 @@ impl NpyHeader {
 
     /// The bytes of a version 1 header for a C-order array, padded so that data starts at a
     /// multiple of 64.
-    pub(crate) fn bytes(descr: &str, shape: &[usize]) -> Vec<u8> {
+    pub fn bytes(descr: &str, shape: &[usize]) -> Vec<u8> {
         let axes: Vec<String> = shape.iter().map(usize::to_string).collect();
         let axes = axes.join(", ") + if shape.len() == 1 { "," } else { "" };
         let mut text =

@@ -103,26 +103,23 @@ impl Loader {
         let mut generator = Shuffle::new(seed, Stream::Generator, frames, generator);
         let mut discriminator = Shuffle::new(seed, Stream::Discriminator, frames, discriminator);
         let read = move |shuffle: &mut Shuffle| {
-            let mut frames = shuffle.draw(options.batch);
-            frames.iter_mut().for_each(|frame| *frame += rows.start);
+            let drawn = shuffle.draw(options.batch);
+            let frames: Vec<usize> = drawn.into_iter().map(|frame| rows.start + frame).collect();
             set.batch(&frames, Some(&statistics))
         };
         let steps = Prefetch::new(options.prefetch, move || {
-            let step = || -> Result<StepData> {
-                let generator_batch = read(&mut generator)?;
-                let discriminator_batch =
-                    options.discriminator.then(|| read(&mut discriminator)).transpose()?;
+            let real = options.discriminator.then(|| read(&mut discriminator)).transpose();
+            Some(read(&mut generator).and_then(|fitted| {
                 Ok(StepData {
-                    generator: generator_batch,
-                    discriminator: discriminator_batch,
+                    generator: fitted,
+                    discriminator: real?,
                     state: LoaderState {
                         seed,
                         generator: generator.position(),
                         discriminator: discriminator.position(),
                     },
                 })
-            };
-            Some(once(step))
+            }))
         })?;
         Ok(Self { steps })
     }
@@ -132,10 +129,6 @@ impl Loader {
         let stopped = || Err(Error::Data("reading training data has stopped".to_owned()));
         self.steps.next().unwrap_or_else(stopped)
     }
-}
-
-fn once<T>(f: impl FnOnce() -> T) -> T {
-    f()
 }
 
 /// Reads `rows` of a set in order, each once, in batches of at most `batch`, ahead in the

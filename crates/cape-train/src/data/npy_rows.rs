@@ -87,7 +87,8 @@ impl RowReader {
             NpyType::F64 => 8,
             NpyType::F32 => 4,
             other => {
-                let message = format!("holds `{other}`, expected float64 or float32 (`<f8`, `<f4`)");
+                let message =
+                    format!("holds `{other}`, expected float64 or float32 (`<f8`, `<f4`)");
                 return Err(Error::format(path, message));
             }
         };
@@ -130,9 +131,7 @@ impl RowReader {
         let numbers: usize = self.shape[1..].iter().product();
         let mut bytes = vec![0; numbers * self.element];
         let position = self.offset + index as u64 * bytes.len() as u64;
-        self.file
-            .read_exact_at(&mut bytes, position)
-            .map_err(|e| Error::io(&self.path, e))?;
+        self.file.read_exact_at(&mut bytes, position).map_err(|e| Error::io(&self.path, e))?;
         let row: Vec<f64> = if self.element == 8 {
             bytes.as_chunks().0.iter().map(|&raw| f64::from_le_bytes(raw)).collect()
         } else {
@@ -223,10 +222,9 @@ mod tests {
         assert!(open().unwrap_err().to_string().contains("[4, 3], expected [_, 2]"));
         write_npy(&path, &Array2::<f64>::zeros((4, 2))).unwrap();
         let bytes = std::fs::read(&path).unwrap();
-        let fortran = String::from_utf8_lossy(&bytes[..128]).into_owned();
-        let at = fortran.find("False").unwrap() - 1;
+        let at = bytes.windows(6).position(|w| w == b" False").unwrap();
         let mut changed = bytes.clone();
-        changed[at..at + 6].copy_from_slice(b" True ");
+        changed[at..at + 6].copy_from_slice(b"  True");
         std::fs::write(&path, changed).unwrap();
         assert!(open().unwrap_err().to_string().contains("Fortran"));
         std::fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();

@@ -117,7 +117,8 @@ pub fn pack(
                 match read {
                     Ok(read) => {
                         if writer.is_none() {
-                            writer = Some(PartWriter::create(&staging.path, *part, report.vertices)?);
+                            writer =
+                                Some(PartWriter::create(&staging.path, *part, report.vertices)?);
                         }
                         if let Some(writer) = &mut writer {
                             writer.push(frame, &read)?;
@@ -277,7 +278,15 @@ fn nothing_left(raw: &Path, report: &PackReport) -> Error {
             frame.path.display(),
             frame.reason
         ),
-        (None, Some(missing)) => format!("subject {}: {}", missing.subject, missing.reason),
+        (None, Some(missing)) => format!(
+            "subject {}: {}{}",
+            missing.subject,
+            missing.reason,
+            match report.missing.len() {
+                1 => String::new(),
+                n => format!("; and {} more are missing", n - 1),
+            }
+        ),
         (None, None) => "the split excludes everything".to_owned(),
     };
     Error::Data(format!("{}: no frame can be packed: {why}", raw.display()))

@@ -235,16 +235,13 @@ fn read_origins(path: &Path, frames: usize) -> Result<Option<Vec<Origin>>> {
         return Err(Error::format(path, format!("its first line is not `{FRAMES_HEADER}`")));
     }
     let origin = |(number, line): (usize, &str)| {
-        let mut fields = line.splitn(4, ',').map(str::to_owned);
-        match (fields.next(), fields.next(), fields.next(), fields.next()) {
-            (Some(subject), Some(_), Some(sequence), Some(frame)) => {
-                Ok(Origin { subject, sequence, frame })
-            }
-            _ => {
-                let message = format!("expected `{FRAMES_HEADER}`");
-                Err(Error::field(path, format!("line {}", number + 2), message))
-            }
-        }
+        let fields: Vec<&str> = line.splitn(4, ',').collect();
+        let &[subject, _outfit, sequence, frame] = fields.as_slice() else {
+            let message = format!("expected `{FRAMES_HEADER}`");
+            return Err(Error::field(path, format!("line {}", number + 2), message));
+        };
+        let [subject, sequence, frame] = [subject, sequence, frame].map(str::to_owned);
+        Ok(Origin { subject, sequence, frame })
     };
     let origins = lines.enumerate().map(origin).collect::<Result<Vec<_>>>()?;
     if origins.len() != frames {

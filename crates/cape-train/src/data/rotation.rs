@@ -61,7 +61,7 @@ mod tests {
 
     #[test]
     fn rotations_are_orthonormal_and_keep_their_axis() {
-        for vector in [[0.3, -1.2, 0.7], [2.0, 2.0, -1.5], [1e-5, 2e-5, -3e-5], [0.0, 3.1415, 0.0]] {
+        for vector in [[0.3, -1.2, 0.7], [2.0, 2.0, -1.5], [1e-5, 2e-5, -3e-5], [0.0, 3.1, 0.0]] {
             let r = rotation_matrix(vector);
             for i in 0..3 {
                 for j in 0..3 {

@@ -202,11 +202,33 @@ impl Split {
         if self.sample_rate == 0 {
             return Err(("sample_rate", "is 0: expected 1 (every frame) or more".to_owned()));
         }
+        for (field, list) in [("train.exclude", &self.train), ("test.exclude", &self.test)] {
+            if let Some(name) = list.exclude.iter().find(|name| !self.selects(list, name)) {
+                return Err((
+                    field,
+                    format!(
+                        "`{name}` is neither a sequence of the list nor                          `subject/outfit_sequence` of one"
+                    ),
+                ));
+            }
+        }
         let train: HashSet<_> = self.train.sequences.iter().collect();
         match self.test.sequences.iter().find(|&name| train.contains(name)) {
             Some(name) => Err(("test.sequences", format!("`{name}` is also in train.sequences"))),
             None => Ok(()),
         }
+    }
+
+    /// Whether `name` is a sequence of `list` or one capture of it.
+    fn selects(&self, list: &SequenceList, name: &str) -> bool {
+        let (subject, capture) = name.split_once('/').unwrap_or(("", name));
+        let Some((outfit, sequence)) = capture.split_once('_').filter(|_| name.contains('/'))
+        else {
+            return list.sequences.iter().any(|sequence| sequence == name);
+        };
+        self.subjects.iter().any(|known| known == subject)
+            && self.outfits.iter().any(|known| known.name() == outfit)
+            && list.sequences.iter().any(|known| known == sequence)
     }
 }
 
@@ -295,11 +317,14 @@ mod tests {
             (swap("['shortlong']", "['coat']"), "coat"),
             (swap("['shortlong']", "['longlong', 'longlong']"), "`outfits`"),
             (swap("['walk']", "[]"), "`train.sequences`"),
+            (minimal("") + "exclude = ['wakl']", "`train.exclude`: `wakl`"),
+            (minimal("") + "exclude = ['a/longlong_walk']", "`train.exclude`"),
             (minimal("") + "[test]\nsequences = ['walk']", "`test.sequences`: `walk` is also"),
         ] {
             let message = load(&text).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");
         }
+        load(&(minimal("") + "exclude = ['walk', 'a/shortlong_walk']")).unwrap();
         assert!(Split::from_file("/nonexistent/split.toml").is_err());
         assert!(Split::preset("child").unwrap_err().to_string().contains("child"));
     }

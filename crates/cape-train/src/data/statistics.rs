@@ -99,13 +99,9 @@ impl Statistics {
         let (mean, std) = (read("mean")?, read("std")?);
         let validation = if file.contains("validation") {
             let count = file.i64("validation")?;
-            match count.first().map(|&n| usize::try_from(n)) {
-                Some(Ok(count)) => count,
-                _ => {
-                    let message = "expected one number, 0 or more";
-                    return Err(Error::field(path, "validation", message));
-                }
-            }
+            let count = count.first().and_then(|&n| usize::try_from(n).ok());
+            count
+                .ok_or_else(|| Error::field(path, "validation", "expected one number, 0 or more"))?
         } else {
             100
         };
@@ -165,16 +161,9 @@ mod tests {
 
     #[test]
     fn validation_is_the_papers_or_a_tenth() {
-        for (frames, count) in [
-            (0, 0),
-            (1, 0),
-            (2, 1),
-            (14, 1),
-            (15, 2),
-            (994, 99),
-            (1000, 100),
-            (31_036, 100),
-        ] {
+        for (frames, count) in
+            [(0, 0), (1, 0), (2, 1), (14, 1), (15, 2), (994, 99), (1000, 100), (31_036, 100)]
+        {
             assert_eq!(validation_count(frames), count, "{frames}");
         }
     }
