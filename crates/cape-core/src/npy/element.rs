@@ -4,7 +4,9 @@ use std::io::{self, Read};
 
 use super::header::{NpyHeader, NpyKind, NpyType};
 
-/// A number that arrays are read into and written from: `f32`, `f64`, `i64` or `u8`. Sealed.
+/// A number that arrays are read into and written from: `f32`, `f64`, `i64`, `u32` or `u8`.
+///
+/// Sealed.
 pub trait NpyElement: Copy + private::Sealed + 'static {
     /// NumPy's description of the type as this crate writes it.
     #[doc(hidden)]
@@ -22,6 +24,7 @@ mod private {
     impl Sealed for f32 {}
     impl Sealed for f64 {}
     impl Sealed for i64 {}
+    impl Sealed for u32 {}
     impl Sealed for u8 {}
 }
 
@@ -61,6 +64,7 @@ macro_rules! integer {
 float!(f32, "<f4");
 float!(f64, "<f8");
 integer!(i64, "<i8");
+integer!(u32, "<u4");
 integer!(u8, "|u1");
 
 /// The value of an IEEE half-precision number.

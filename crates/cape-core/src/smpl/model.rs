@@ -1,6 +1,6 @@
 use ndarray::{Array2, Array3};
 
-use crate::Mesh;
+use crate::{Error, Mesh, Result};
 
 /// The arrays of an SMPL-like body: what `M(β, θ) = W(T̄ + B_S(β) + B_P(θ), J(β), θ, 𝒲)` (CAPE
 /// eq. 1–2) is made of.
@@ -24,6 +24,14 @@ pub struct SmplModel {
     pub faces: Vec<[u32; 3]>,
 }
 
+/// What is wrong with one array of a body.
+pub(super) struct Fault {
+    /// The array, by its name in body files.
+    pub(super) field: &'static str,
+    /// What was found, and what was expected.
+    pub(super) message: String,
+}
+
 impl SmplModel {
     /// Number of vertices `V`.
     pub fn vertices(&self) -> usize {
@@ -40,6 +48,11 @@ impl SmplModel {
         self.shapedirs.dim().2
     }
 
+    /// Length of the pose blend shapes' input, `9·(J − 1)`.
+    pub fn pose_blends(&self) -> usize {
+        9 * self.joints().saturating_sub(1)
+    }
+
     /// The template as a mesh.
     pub fn mesh(&self) -> Mesh {
         self.mesh_with(&self.v_template)
@@ -50,5 +63,67 @@ impl SmplModel {
         let vertices =
             vertices.rows().into_iter().map(|v| [v[0] as f32, v[1] as f32, v[2] as f32]).collect();
         Mesh { vertices, faces: self.faces.clone() }
+    }
+
+    /// Checks that the arrays fit together: shapes, the order of joints, faces in range, finite
+    /// numbers. A body read by [`load`](Self::load) has passed.
+    pub fn validate(&self) -> Result<()> {
+        self.check().map_err(|Fault { field, message }| {
+            Error::Argument(format!("body: `{field}`: {message}"))
+        })
+    }
+
+    pub(super) fn check(&self) -> Result<(), Fault> {
+        let (v, j) = (self.vertices(), self.joints());
+        let shape = |field, found: &[usize], expected: &[usize]| {
+            if found == expected {
+                return Ok(());
+            }
+            Err(Fault { field, message: format!("shape {found:?}, expected {expected:?}") })
+        };
+        let require = |holds: bool, field, message: String| {
+            if holds { Ok(()) } else { Err(Fault { field, message }) }
+        };
+        require(v > 0, "v_template", "no vertices".into())?;
+        shape("v_template", self.v_template.shape(), &[v, 3])?;
+        shape("weights", self.weights.shape(), &[v, j])?;
+        require(j > 1, "weights", format!("{j} joints, expected at least 2"))?;
+        shape("shapedirs", self.shapedirs.shape(), &[v, 3, self.betas()])?;
+        require(self.betas() > 0, "shapedirs", "no shape directions, expected at least 1".into())?;
+        shape("posedirs", self.posedirs.shape(), &[v, 3, self.pose_blends()])?;
+        shape("J_regressor", self.joint_regressor.shape(), &[j, v])?;
+        shape("kintree_table", &[self.parents.len()], &[j])?;
+        for (joint, &parent) in self.parents.iter().enumerate() {
+            let expected = if joint == 0 { "none (2^32 - 1)" } else { "an earlier joint" };
+            require(
+                parent.map_or(joint == 0, |parent| parent < joint),
+                "kintree_table",
+                match parent {
+                    Some(parent) => {
+                        format!("joint {joint} has parent {parent}, expected {expected}")
+                    }
+                    None => format!("joint {joint} has no parent, expected {expected}"),
+                },
+            )?;
+        }
+        for (index, face) in self.faces.iter().enumerate() {
+            require(
+                face.iter().all(|&corner| (corner as usize) < v),
+                "f",
+                format!("face {index} is {face:?}, but there are {v} vertices"),
+            )?;
+        }
+        finite("v_template", self.v_template.iter())?;
+        finite("weights", self.weights.iter())?;
+        finite("shapedirs", self.shapedirs.iter())?;
+        finite("posedirs", self.posedirs.iter())?;
+        finite("J_regressor", self.joint_regressor.iter())
+    }
+}
+
+fn finite<'a>(field: &'static str, mut values: impl Iterator<Item = &'a f64>) -> Result<(), Fault> {
+    match values.position(|value| !value.is_finite()) {
+        None => Ok(()),
+        Some(at) => Err(Fault { field, message: format!("number {at} is not finite") }),
     }
 }
