@@ -98,12 +98,13 @@ pub fn pack(
     split.validate()?;
     let mut report = PackReport::default();
     let minimal = read_minimals(raw, split, &mut report)?;
-    let plans = [Part::Train, Part::Test]
-        .map(|part| plan(raw, split, part, &minimal, &mut report.missing).map(|plan| (part, plan)));
+    let mut plans = Vec::new();
+    for part in [Part::Train, Part::Test] {
+        plans.push((part, plan(raw, split, part, &minimal, &mut report.missing)?));
+    }
     if let (true, Some(missing)) = (options.strict, report.missing.first()) {
         return Err(Error::Data(format!("{}: {}", missing.subject, missing.reason)));
     }
-    let plans = plans.into_iter().collect::<Result<Vec<_>>>()?;
     let total = plans.iter().map(|(_, frames)| frames.len()).sum();
 
     let staging = Staging::create(out)?;

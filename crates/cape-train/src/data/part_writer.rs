@@ -76,25 +76,21 @@ impl PartWriter {
             Some((last, frames)) if *last == capture => *frames += 1,
             _ => self.captures.push((capture, 1)),
         }
-        let mut row = if self.latest.len() == LATEST {
-            self.latest.pop_front().unwrap_or_default()
-        } else {
-            Vec::new()
-        };
-        if !row.is_empty() {
-            self.statistics.push(row.iter().copied());
-            row.clear();
+        self.latest.push_back(packed.displacement.iter().copied().collect());
+        if self.latest.len() > LATEST
+            && let Some(settled) = self.latest.pop_front()
+        {
+            self.statistics.push(settled);
         }
-        row.extend(&packed.displacement);
-        self.latest.push_back(row);
         Ok(())
     }
 
     /// Completes the files and returns the statistics of the frames that do not validate.
     pub(super) fn finish(mut self) -> Result<Statistics> {
         let validation = validation_count(self.rows());
-        for row in self.latest.iter().take(self.latest.len().saturating_sub(validation)) {
-            self.statistics.push(row.iter().copied());
+        let settled = self.latest.len().saturating_sub(validation);
+        for row in self.latest.drain(..settled) {
+            self.statistics.push(row);
         }
         self.displacement.finish()?;
         self.pose.finish()?;

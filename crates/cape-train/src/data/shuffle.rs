@@ -110,6 +110,14 @@ mod tests {
         }
     }
 
+    /// Saved positions are worth nothing if another version draws another order.
+    #[test]
+    fn the_order_is_pinned() {
+        let draw = |stream| shuffle(1, stream, 8).draw(8);
+        assert_eq!(draw(Stream::Generator), [3, 4, 5, 2, 7, 1, 6, 0]);
+        assert_eq!(draw(Stream::Discriminator), [6, 5, 2, 3, 0, 4, 7, 1]);
+    }
+
     #[test]
     fn one_frame_fills_a_batch() {
         let mut shuffle = shuffle(0, Stream::Generator, 1);
