@@ -56,3 +56,35 @@ fn write_obj(path: &Path, surface: &Surface) -> Result<()> {
     })?;
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use cape_core::npy::Npz;
+
+    use super::*;
+    use crate::upsample::Weighting;
+
+    #[test]
+    fn matrices_are_written_as_scipy_names_them() {
+        let surface = Surface {
+            vertices: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.1]],
+            faces: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]],
+        };
+        let directory = tempfile::tempdir().unwrap();
+        let pyramid = MeshPyramid::build(surface, &[1.0], Weighting::Barycentric).unwrap();
+        pyramid.export_scipy(directory.path()).unwrap();
+        let mut names: Vec<_> = std::fs::read_dir(directory.path())
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        let expected = ["A_0.npz", "A_1.npz", "D_0.npz", "U_0.npz", "level_0.obj", "level_1.obj"];
+        assert_eq!(names, expected);
+
+        let mut file = Npz::open(directory.path().join("A_1.npz")).unwrap();
+        assert_eq!(file.names(), ["data", "format", "indices", "indptr", "shape"]);
+        assert!(file.i64("indptr").unwrap().iter().eq(&[0, 3, 6, 9, 12]));
+        let text = std::fs::read_to_string(directory.path().join("level_1.obj")).unwrap();
+        assert!(text.contains("v 0 0 0.1\n") && text.ends_with("f 1 4 3\n"), "{text}");
+    }
+}

@@ -110,7 +110,9 @@ fn level(index: usize, surface: Surface, adjacency: &CsMat<f64>) -> Result<Level
         return Err(Error::part(name, format!("vertex {vertex} is its own neighbour")));
     }
     let mut pattern = TriMat::new(adjacency.shape());
-    entries.iter().for_each(|&(i, j)| pattern.add_triplet(i, j, 1.0));
+    for &(i, j) in &entries {
+        pattern.add_triplet(i, j, 1.0);
+    }
     let pattern: CsMat<f64> = pattern.to_csr();
     if let Some(&(i, j)) = entries.iter().find(|&&(i, j)| pattern.get(j, i).is_none()) {
         return Err(Error::part(name, format!("({i}, {j}) is an edge, but ({j}, {i}) is not")));
@@ -119,7 +121,9 @@ fn level(index: usize, surface: Surface, adjacency: &CsMat<f64>) -> Result<Level
         return Err(Error::part(name, format!("vertex {vertex} has no neighbour")));
     }
     if !surface.faces.is_empty() {
-        surface.validate_topology()?;
+        surface
+            .validate_topology()
+            .map_err(|error| Error::part(format!("faces {index}"), error.to_string()))?;
         if surface.adjacency() != pattern {
             return Err(Error::part(name, "its edges are not those of the level's faces"));
         }
@@ -157,7 +161,9 @@ fn transition(
     let name = format!("U{index}");
     expect_shape(&name, up, (fine, coarse))?;
     let mut weights = TriMat::new((fine, coarse));
-    nonzeros(up).for_each(|((i, j), weight)| weights.add_triplet(i, j, weight));
+    for ((i, j), weight) in nonzeros(up) {
+        weights.add_triplet(i, j, weight);
+    }
     let up: CsMat<f64> = weights.to_csr();
     for (row, weights) in up.outer_iterator().enumerate() {
         let (count, sum) = (weights.nnz(), weights.data().iter().sum::<f64>());

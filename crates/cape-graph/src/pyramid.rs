@@ -143,3 +143,6 @@ impl Transition {
         fine == coarse && *self == Self::identity(fine)
     }
 }
+
+#[cfg(test)]
+mod tests;

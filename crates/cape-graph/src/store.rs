@@ -107,9 +107,12 @@ fn cached_path(surface: &Surface, factors: &[f64], weighting: Weighting, cache: 
     for length in [surface.vertices.len(), surface.faces.len(), factors.len()] {
         hash.update((length as u64).to_le_bytes());
     }
-    surface.vertices.as_flattened().iter().for_each(|x| hash.update(x.to_le_bytes()));
-    surface.faces.as_flattened().iter().for_each(|x| hash.update(x.to_le_bytes()));
-    factors.iter().for_each(|x| hash.update(x.to_le_bytes()));
+    for x in surface.vertices.as_flattened().iter().chain(factors) {
+        hash.update(x.to_le_bytes());
+    }
+    for vertex in surface.faces.as_flattened() {
+        hash.update(vertex.to_le_bytes());
+    }
     cache.join(format!("pyramid-{:x}.npz", hash.finalize()))
 }
 
@@ -176,4 +179,100 @@ fn faces(file: &mut Npz, name: &str) -> Result<Vec<[u32; 3]>> {
         })
     };
     corners.into_iter().map(|[a, b, c]| Ok([index(a)?, index(b)?, index(c)?])).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn octahedron() -> Surface {
+        let mut surface = Surface {
+            vertices: vec![
+                [1.0, 0.0, 0.0],
+                [0.0, 1.0, 0.0],
+                [-1.0, 0.1, 0.0],
+                [0.0, -1.0, 0.0],
+                [0.0, 0.0, 0.5],
+                [0.0, 0.0, -1.0],
+            ],
+            faces: Vec::new(),
+        };
+        for (a, b) in [(0, 1), (1, 2), (2, 3), (3, 0)] {
+            surface.faces.extend([[a, b, 4], [b, a, 5]]);
+        }
+        surface
+    }
+
+    #[test]
+    fn what_was_saved_is_loaded() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("pyramid.npz");
+        for weighting in [Weighting::Barycentric, Weighting::Release] {
+            let pyramid = MeshPyramid::build(octahedron(), &[1.0, 1.3], weighting).unwrap();
+            pyramid.save(&path).unwrap();
+            assert_eq!(MeshPyramid::load(&path).unwrap(), pyramid);
+        }
+    }
+
+    #[test]
+    fn a_damaged_cache_is_built_again() {
+        let directory = tempfile::tempdir().unwrap();
+        let cache = directory.path().join("made/as/needed");
+        let build = |factor| {
+            MeshPyramid::build_cached(octahedron(), &[factor], Weighting::Release, &cache).unwrap()
+        };
+        let pyramid = build(1.2);
+        let path = cached_path(&octahedron(), &[1.2], Weighting::Release, &cache);
+        let bytes = std::fs::read(&path).unwrap();
+        for damage in [0, 10, bytes.len() / 2, bytes.len() - 1] {
+            std::fs::write(&path, &bytes[..damage]).unwrap();
+            MeshPyramid::load(&path).unwrap_err();
+            assert_eq!(build(1.2), pyramid);
+            assert_eq!(std::fs::read(&path).unwrap(), bytes);
+        }
+        // A sound file of something else under this name.
+        let other = build(1.3);
+        other.save(&path).unwrap();
+        MeshPyramid::build(octahedron(), &[], Weighting::Release).unwrap().save(&path).unwrap();
+        assert_eq!(build(1.2), pyramid);
+        assert_eq!(std::fs::read_dir(&cache).unwrap().count(), 2);
+    }
+
+    #[test]
+    fn the_cache_tells_inputs_apart() {
+        let path = |surface: &Surface, factors: &[f64], weighting| {
+            cached_path(surface, factors, weighting, Path::new("cache"))
+        };
+        let mut moved = octahedron();
+        moved.vertices[3][1] -= 1e-12;
+        let mut turned = octahedron();
+        turned.faces[0].rotate_left(1);
+        let paths = std::collections::BTreeSet::from([
+            path(&octahedron(), &[2.0], Weighting::Barycentric),
+            path(&octahedron(), &[2.0], Weighting::Release),
+            path(&octahedron(), &[2.0, 1.0], Weighting::Barycentric),
+            path(&moved, &[2.0], Weighting::Barycentric),
+            path(&turned, &[2.0], Weighting::Barycentric),
+        ]);
+        assert_eq!(paths.len(), 5);
+    }
+
+    #[test]
+    fn impossible_triplets_are_named() {
+        let refusal = |shape, row: &[i64], value: &[f64]| {
+            sparse_from_triplets("A0", shape, row, &vec![0; row.len()], value)
+                .unwrap_err()
+                .to_string()
+        };
+        for message in [
+            refusal((2, 1), &[0, 2], &[1.0, 1.0]),
+            refusal((2, 1), &[0, -1], &[1.0, 1.0]),
+            refusal((2, 1), &[0, 0], &[1.0, 1.0]),
+            refusal((2, 1), &[0, 1], &[1.0, f64::NAN]),
+            refusal((2, 1), &[0, 1], &[1.0]),
+            refusal((usize::MAX, 1), &[0, 1], &[1.0, 1.0]),
+        ] {
+            assert!(message.contains("`A0`"), "{message}");
+        }
+    }
 }

@@ -85,7 +85,9 @@ fn weights(
     let corners = coarse.faces[face as usize].map(|v| v as usize);
     let mut row: Vec<_> = corners.into_iter().zip(barycentric).filter(|&(_, w)| w > 0.0).collect();
     let sum: f64 = row.iter().map(|&(_, w)| w).sum();
-    row.iter_mut().for_each(|(_, w)| *w /= sum);
+    for (_, weight) in &mut row {
+        *weight /= sum;
+    }
 
     // Inside a triangle both weightings agree: the solution of `[v0 v1 v2] w = point` is unique
     // unless the triangle's plane holds the origin, and barycentric weights are one.
@@ -104,10 +106,9 @@ fn least_squares(a: V3, b: V3, p: V3) -> Option<[f64; 2]> {
     let along = dot(a, b) / dot(a, a);
     let across = sub(b, a.map(|x| along * x));
     let length2 = dot(across, across);
-    if !(length2 > 1e-24 * dot(b, b)) {
-        return None;
-    }
-    let w1 = dot(across, p) / length2;
-    let w0 = dot(a, sub(p, b.map(|x| w1 * x))) / dot(a, a);
-    Some([w0, w1])
+    let independent = length2 > 1e-24 * dot(b, b);
+    independent.then(|| {
+        let w1 = dot(across, p) / length2;
+        [dot(a, sub(p, b.map(|x| w1 * x))) / dot(a, a), w1]
+    })
 }
