@@ -28,8 +28,7 @@ pub fn check(path: &Path, _: &Device, report: &mut dyn FnMut(String)) {
         assert!(transition.down_matrix() == selection, "{path:?}: D{i} keeps other vertices");
         assert_eq!(face_set(coarse), face_set(&expected), "{path:?}: faces of level {}", i + 1);
         let up = read_sparse(file, &format!("U{i}")).unwrap();
-        let (ours, theirs) =
-            (interpolate(transition.up(), coarse), interpolate(&up, &expected));
+        let (ours, theirs) = (interpolate(transition.up(), coarse), interpolate(&up, &expected));
         for (a, b) in ours.iter().zip(&theirs) {
             let squared: f64 = a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum();
             deviation = deviation.max(squared.sqrt());
