@@ -12,7 +12,7 @@ const TOLERANCE: f64 = 1e-6;
 
 /// Builds the pyramid of the file's finest mesh and compares every level with the file's: the same
 /// vertices kept, the same faces up to rotation, and `U` giving the same points.
-pub fn check(path: &Path, _: &Device, report: &mut dyn FnMut(String)) {
+pub(crate) fn check(path: &Path, _: &Device, report: &mut dyn FnMut(String)) {
     let file = &mut Npz::open(path).unwrap();
     let factors: Vec<f64> = file.f64("factors").unwrap().into_iter().collect();
     let finest = read_surface(file, 0);
