@@ -14,6 +14,16 @@ pub const DEVICES: &[&str] = &[
     "cuda",
 ];
 
+/// Every CPU device that is compiled in, for what must hold on all of them.
+pub fn devices() -> Vec<Device> {
+    vec![
+        #[cfg(feature = "flex")]
+        Device::flex(),
+        #[cfg(feature = "ndarray")]
+        Device::ndarray(),
+    ]
+}
+
 /// The device of that name: `flex`, `ndarray`, `wgpu[:index]` or `cuda[:index]`; `wgpu:cpu` is a
 /// software adapter. The device is tried, so that what it returns works.
 ///

@@ -13,8 +13,10 @@ mod outfit;
 pub mod smpl;
 
 pub use atomic::{AtomicFile, write_atomically};
-pub use device::{DEVICES, parse_device};
+pub use device::{DEVICES, devices, parse_device};
 pub use error::{Error, Result};
 pub use mesh::Mesh;
 pub use outfit::Outfit;
-pub use smpl::SmplModel;
+pub use smpl::{
+    ClothedSmpl, ClothingMask, JointSource, Pose, Smpl, SmplInput, SmplModel, SmplOutput,
+};

@@ -1,13 +1,24 @@
-//! SMPL: a body mesh as a function of shape and pose.
+//! SMPL: a body mesh as a function of shape and pose, bare and clothed.
 //!
-//! [`SmplModel`] holds the arrays of a body file and evaluates it in `f64` on the host.
+//! [`SmplModel`] holds the arrays of a body file and evaluates it in `f64` on the host; [`Smpl`] is
+//! the same body on a device, differentiable; [`ClothedSmpl`] adds CAPE's clothing term.
 
+mod body;
+mod clothed;
 mod file;
 mod host;
+mod mask;
 mod model;
+mod rodrigues;
 
+pub use body::{Pose, Smpl, SmplInput, SmplOutput};
+pub use clothed::{ClothedSmpl, JointSource};
 pub use host::Posed;
+pub use mask::ClothingMask;
 pub use model::SmplModel;
+pub use rodrigues::rodrigues;
 
 #[cfg(test)]
 pub(crate) mod test_model;
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,90 @@
+use burn::tensor::{Tensor, TensorData};
+
+use super::{
+    ClothingMask,
+    body::{Smpl, SmplInput, SmplOutput},
+};
+use crate::{Error, Result};
+
+/// Where a dressed body's joints come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum JointSource {
+    /// `J(β)` of the body under the clothes (CAPE eq. 4).
+    #[default]
+    Body,
+    /// Regressed from the clothed template, as the authors' release does by writing
+    /// `minimal shape + displacement` into the template: joints move with the clothes by a few
+    /// millimetres.
+    ClothedTemplate,
+}
+
+/// A body with an additive clothing term: `T_clo = T(β, θ) + S_clo(z, θ, c)`, then posed
+/// (CAPE eq. 3–4).
+#[derive(Debug, Clone)]
+pub struct ClothedSmpl {
+    smpl: Smpl,
+    joints: JointSource,
+    /// 1 on clothing vertices and 0 elsewhere, `[1, V, 1]`.
+    mask: Option<Tensor<3>>,
+}
+
+impl ClothedSmpl {
+    /// Dresses `smpl`: joints from the body, displacements applied everywhere.
+    pub fn new(smpl: Smpl) -> Self {
+        Self { smpl, joints: JointSource::Body, mask: None }
+    }
+
+    /// Chooses where joints come from.
+    #[must_use]
+    pub fn with_joints(mut self, joints: JointSource) -> Self {
+        self.joints = joints;
+        self
+    }
+
+    /// Applies displacements on clothing vertices only.
+    pub fn with_mask(mut self, mask: &ClothingMask) -> Result<Self> {
+        let (covered, v) = (mask.covered(), self.smpl.vertices());
+        if covered.len() != v {
+            let found = covered.len();
+            return Err(Error::Argument(format!("mask of {found} vertices, expected {v}")));
+        }
+        let values: Vec<f32> = covered.iter().map(|&covered| f32::from(covered)).collect();
+        let values = TensorData::new(values, [1, v, 1]);
+        self.mask = Some(Tensor::from_data(values, &self.smpl.device()));
+        Ok(self)
+    }
+
+    /// The body under the clothes.
+    pub fn body(&self) -> &Smpl {
+        &self.smpl
+    }
+
+    /// The posed, dressed body; bare where the input has no displacement.
+    pub fn forward(&self, mut input: SmplInput) -> Result<SmplOutput> {
+        let v = self.smpl.vertices();
+        if let Some(displacement) = &input.displacement {
+            let [n, ..] = input.betas.dims();
+            let found = displacement.dims();
+            if found != [n, v, 3] {
+                let message = format!("displacement: shape {found:?}, expected {:?}", [n, v, 3]);
+                return Err(Error::Argument(message));
+            }
+        }
+        if let Some(mask) = &self.mask {
+            input.displacement = input.displacement.map(|clothes| clothes * mask.clone());
+        }
+        match (self.joints, input) {
+            (
+                JointSource::ClothedTemplate,
+                SmplInput { betas, pose, transl, displacement: Some(displacement) },
+            ) => {
+                let clothed = self.smpl.shaped(betas)? + displacement;
+                let joints = self.smpl.regress_joints(clothed.clone())?;
+                let rotations = self.smpl.rotations(pose)?;
+                let offsets = self.smpl.pose_offsets(rotations.clone())?;
+                self.smpl.skin(clothed + offsets, joints, rotations, transl)
+            }
+            (_, input) => self.smpl.forward(input),
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! Rodrigues' formula on tensors.
+
+use burn::tensor::{Device, Tensor};
+
+/// Squared angle below which the series are used. They are exact to rounding there, and so are
+/// their derivatives, where the closed forms divide two vanishing numbers.
+const SERIES_BELOW: f64 = 0.25;
+
+/// Rotation matrices of axis-angles: `[m, 3]` → `[m, 3, 3]`, smooth at angle 0.
+///
+/// `R = (1 − b θ²) I + a [v]ₓ + b v vᵀ` with `a = sin θ / θ`, `b = (1 − cos θ) / θ²`.
+pub fn rodrigues(axis_angle: Tensor<2>) -> Tensor<3> {
+    let [m, _] = axis_angle.dims();
+    let device = axis_angle.device();
+    let squared = axis_angle.clone().square().sum_dim(1);
+    let small = squared.clone().lower_scalar(SERIES_BELOW);
+
+    // Where the series holds, the closed forms see a harmless angle: 0 · ∞ never meets a gradient.
+    let safe = squared.clone().mask_fill(small.clone(), 1.0);
+    let angle = safe.clone().sqrt();
+    let half_sine = (angle.clone() * 0.5).sin();
+    let a = angle.clone().sin() / angle;
+    let b = half_sine.square() * 2.0 / safe;
+    // Σ (−θ²)ᵏ / (2k + 1)! and Σ (−θ²)ᵏ / (2k + 2)!
+    let a_series = polynomial(
+        &squared,
+        [1.0, -1.0 / 6.0, 1.0 / 120.0, -1.0 / 5040.0, 1.0 / 362_880.0, -1.0 / 39_916_800.0],
+    );
+    let b_series = polynomial(
+        &squared,
+        [0.5, -1.0 / 24.0, 1.0 / 720.0, -1.0 / 40_320.0, 1.0 / 3_628_800.0, -1.0 / 479_001_600.0],
+    );
+    let a = a.mask_where(small.clone(), a_series);
+    let b = b.mask_where(small, b_series);
+
+    // v · generators = the rows of [v]ₓ.
+    let generators = Tensor::<2>::from_floats(
+        [
+            [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
+            [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
+            [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        ],
+        &device,
+    );
+    let cross = axis_angle.clone().matmul(generators);
+    let outer = axis_angle.clone().reshape([m, 3, 1]) * axis_angle.reshape([m, 1, 3]);
+    let diagonal = -(b.clone() * squared) + 1.0;
+    let rotation = diagonal * identity(&device) + a * cross + b * outer.reshape([m, 9]);
+    rotation.reshape([m, 3, 3])
+}
+
+/// The 3 × 3 identity, row-major, `[1, 9]`.
+pub(super) fn identity(device: &Device) -> Tensor<2> {
+    Tensor::from_floats([[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]], device)
+}
+
+/// Horner's scheme, constant term first.
+fn polynomial(x: &Tensor<2>, coefficients: [f64; 6]) -> Tensor<2> {
+    let [rest @ .., last] = coefficients;
+    let highest = x.clone() * 0.0 + last;
+    rest.into_iter().rev().fold(highest, |sum, coefficient| sum * x.clone() + coefficient)
+}
