@@ -8,6 +8,10 @@ use ndarray::{ArrayD, Axis, Ix2};
 
 /// Allowed distance in space, metres, and of gradients, relative to the largest.
 const METRES: f64 = 1e-5;
+/// Allowed when unposing in `f32`. A random body's blends are nearly singular at some vertices,
+/// where rounding the posed vertices to `f32` moves the unposed ones by 1e-5 m already; the host's
+/// unposing, in `f64`, is held to [`METRES`].
+const UNPOSED_METRES: f64 = 1e-4;
 const RELATIVE: f64 = 1e-4;
 
 /// Checks a `…_model.npz` with the `…_io.npz` beside it: on the host, on the device, gradients, and
@@ -52,7 +56,7 @@ pub fn check(model_path: &Path, device: &Device, report: &mut dyn FnMut(String))
     let clothes = canonical - smpl.shaped(betas.clone()).unwrap();
     let unposed = io.distance("displacement", clothes);
     assert!(metres <= METRES, "positions off by {metres:e} m");
-    assert!(unposed <= METRES, "unposing off by {unposed:e} m");
+    assert!(unposed <= UNPOSED_METRES, "unposing off by {unposed:e} m");
 
     let grads = (dressed.vertices * io.tensor("projection")).sum().backward();
     let relative = [
@@ -86,6 +90,10 @@ fn host(model: &SmplModel, io: &mut Io) -> f64 {
         let (betas, pose) = (numbers(&betas), numbers(&pose));
         let bare = model.pose(&betas, &pose, transl, None).unwrap();
         let dressed = model.pose(&betas, &pose, transl, Some(&worn)).unwrap();
+        let canonical = model.unpose(&dressed.vertices, &betas, &pose, transl).unwrap();
+        let clothes = canonical - model.shaped(&betas).unwrap();
+        most =
+            most.max(largest(clothes.iter().copied(), &worn.iter().copied().collect::<Vec<_>>()));
         for (found, expected) in
             [bare.vertices, dressed.vertices, bare.joints].iter().zip(&expected)
         {
