@@ -56,7 +56,7 @@ impl Fixture {
         let text = std::fs::read_to_string(path.with_extension("json")).unwrap();
         let settings: Settings = serde_json::from_str(&text).unwrap();
         let mut npz = Npz::open(path).unwrap();
-        let names: Vec<String> = npz.names().map(str::to_owned).collect();
+        let names = npz.names();
         let variables: Vec<(String, Array)> = names
             .iter()
             .filter_map(|name| Some((name.strip_prefix("var/")?.to_owned(), array(&mut npz, name))))
@@ -115,10 +115,9 @@ impl Settings {
             factors: self.factors_d.clone(),
             order: self.order_d,
             output_order: {
-                let last = shape(&format!(
-                    "discriminator/shared/conv{}/weights:0",
-                    self.factors_d.len()
-                ))[1];
+                let last =
+                    shape(&format!("discriminator/shared/conv{}/weights:0", self.factors_d.len()))
+                        [1];
                 shape("discriminator/prediction_map/weights:0")[0] / last
             },
         };
@@ -186,13 +185,15 @@ fn pyramid(npz: &mut Npz, prefix: &str, transitions: usize, device: &Device) -> 
         let name = format!("{prefix}/Ltilde{i}");
         if npz.contains(&format!("{name}_shape")) {
             let expected = sparse(npz, &name);
-            let difference = &expected.to_csr::<usize>() - laplacian;
+            let difference = &expected - laplacian;
             assert!(difference.data().iter().all(|d: &f64| d.abs() < 1e-6), "{name}");
         }
     }
     let mut transition = |kind: &str| -> Vec<Option<CsMat<f64>>> {
         (0..transitions)
-            .map(|i| Some(sparse(npz, &format!("{prefix}/{kind}{i}"))).filter(|m| m.rows() != m.cols()))
+            .map(|i| {
+                Some(sparse(npz, &format!("{prefix}/{kind}{i}"))).filter(|m| m.rows() != m.cols())
+            })
             .collect()
     };
     let (down, up) = (transition("D"), transition("U"));

@@ -4,9 +4,7 @@ use std::{collections::BTreeMap, path::Path};
 
 use burn::tensor::{Device, Tensor};
 use cape::{
-    model::{
-        Cape, release, weights,
-    },
+    model::{Cape, release, weights},
     train::objective::{Frames, StepInput, evaluate},
 };
 
@@ -126,10 +124,17 @@ fn outputs(fixture: &mut Fixture, model: &Cape, report: &mut dyn FnMut(String)) 
             note(&name, deviation(found, &expected));
             checked += 1;
         } else {
-            report(format!("{name}: not compared, {} values against {}", expected.len(), found.len()));
+            report(format!(
+                "{name}: not compared, {} values against {}",
+                expected.len(),
+                found.len()
+            ));
         }
     }
-    report(format!("{checked} outputs, largest deviation {:.1e} of the norm ({})", worst.0, worst.1));
+    report(format!(
+        "{checked} outputs, largest deviation {:.1e} of the norm ({})",
+        worst.0, worst.1
+    ));
 }
 
 /// Which of our blocks a tap such as `tap/cnp_d:conv2+` is of.
@@ -202,9 +207,7 @@ fn gradients(fixture: &mut Fixture, model: &Cape, report: &mut dyn FnMut(String)
                 continue;
             }
             let expected = fixture.values(&key);
-            let found = ours
-                .get(local)
-                .unwrap_or_else(|| panic!("{path} has no gradient"));
+            let found = ours.get(local).unwrap_or_else(|| panic!("{path} has no gradient"));
             let one = deviation(&found.values, &expected);
             assert!(one < ONE_GRADIENT, "{key}: deviation {one:.2e} of its norm");
             let pairs = found.values.iter().zip(&expected);
@@ -224,4 +227,3 @@ fn gradients(fixture: &mut Fixture, model: &Cape, report: &mut dyn FnMut(String)
         ));
     }
 }
-

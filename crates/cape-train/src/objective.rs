@@ -123,8 +123,7 @@ pub fn reconstruct(
     frames: &Frames,
     epsilon: Option<Tensor<2>>,
 ) -> Reconstructed {
-    let condition =
-        generator.condition.forward(frames.pose_feature.clone(), frames.outfit.clone());
+    let condition = generator.condition.forward(frames.pose_feature.clone(), frames.outfit.clone());
     let posterior = generator.encoder.forward(
         frames.displacement.clone(),
         condition.as_ref(),
@@ -140,7 +139,12 @@ pub fn reconstruct(
 
 /// Evaluates every loss at the current weights and takes both gradients there: the fake samples
 /// are the same for generator and discriminator, and detached for the latter.
-pub fn evaluate(model: &Cape, graphs: &Graphs, config: &LossConfig, input: &StepInput) -> Evaluation {
+pub fn evaluate(
+    model: &Cape,
+    graphs: &Graphs,
+    config: &LossConfig,
+    input: &StepInput,
+) -> Evaluation {
     let frames = &input.frames;
     let fake = reconstruct(&model.generator, graphs, frames, input.epsilon.clone());
     let zero = || Tensor::<1>::zeros([1], &frames.displacement.device());
@@ -159,8 +163,7 @@ pub fn evaluate(model: &Cape, graphs: &Graphs, config: &LossConfig, input: &Step
     let mut gan_generator = zero();
     if let Some((discriminator, graph)) = adversary {
         let frozen = burn::module::Module::no_grad(discriminator.clone());
-        let logits =
-            frozen.forward(fake.displacement.clone(), fake.condition.as_ref(), graph);
+        let logits = frozen.forward(fake.displacement.clone(), fake.condition.as_ref(), graph);
         gan_generator = cross_entropy(logits, 1.0 - config.label_smoothing);
         total = total + gan_generator.clone() * config.gan;
     }

@@ -144,8 +144,7 @@ pub fn collect_gradients<M: Module>(module: &M, gradients: &Gradients) -> Weight
             self.trail.exit();
         }
     }
-    let mut collector =
-        Collector { trail: Trail::default(), gradients, found: Weights::new() };
+    let mut collector = Collector { trail: Trail::default(), gradients, found: Weights::new() };
     module.visit(&mut collector);
     collector.found
 }
