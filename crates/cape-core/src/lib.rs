@@ -9,13 +9,15 @@ mod error;
 pub mod joints;
 mod mesh;
 pub mod npy;
+pub mod obj;
 mod outfit;
+pub mod ply;
 pub mod smpl;
 
 pub use atomic::{AtomicFile, write_atomically};
 pub use device::{DEVICES, devices, parse_device};
 pub use error::{Error, Result};
-pub use mesh::Mesh;
+pub use mesh::{Mesh, MeshReport};
 pub use outfit::Outfit;
 pub use smpl::{
     ClothedSmpl, ClothingMask, JointSource, Pose, Smpl, SmplInput, SmplModel, SmplOutput,

@@ -1,0 +1,174 @@
+mod report;
+
+use std::{fs, path::Path};
+
+use glam::Vec3;
+
+use crate::{Error, Result, obj, ply};
+
+pub use report::MeshReport;
+
+/// A triangle mesh.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Mesh {
+    /// Vertex positions in metres, `[vertices, 3]`.
+    pub vertices: Vec<[f32; 3]>,
+    /// Vertex indices of each triangle, counter-clockwise seen from outside, `[faces, 3]`.
+    pub faces: Vec<[u32; 3]>,
+}
+
+impl Mesh {
+    /// Reads an `.obj` or `.ply` file, by its extension.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self> {
+        match MeshFormat::of(path.as_ref())? {
+            MeshFormat::Obj => Ok(obj::read(path)?.mesh),
+            MeshFormat::Ply => ply::read(path),
+        }
+    }
+
+    /// Writes an `.obj` or binary `.ply` file, by its extension.
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
+        match MeshFormat::of(path.as_ref())? {
+            MeshFormat::Obj => obj::write(path, self, None),
+            MeshFormat::Ply => ply::write(path, self, None),
+        }
+    }
+
+    /// Positions of a face's corners; `None` if it refers to a vertex that is not there.
+    pub fn corners(&self, face: [u32; 3]) -> Option<[Vec3; 3]> {
+        let corner = |index: u32| self.vertices.get(index as usize).map(|&v| Vec3::from(v));
+        Some([corner(face[0])?, corner(face[1])?, corner(face[2])?])
+    }
+
+    /// Unit normal of each face, `[faces, 3]`; zero where it has none (no area, or out of range).
+    pub fn face_normals(&self) -> Vec<[f32; 3]> {
+        let normal = |&face| self.scaled_normal(face).normalize_or_zero().into();
+        self.faces.iter().map(normal).collect()
+    }
+
+    /// Unit normal of each vertex, the mean of its faces' weighted by their areas,
+    /// `[vertices, 3]`; zero where there is none.
+    pub fn vertex_normals(&self) -> Vec<[f32; 3]> {
+        let mut sums = vec![Vec3::ZERO; self.vertices.len()];
+        for &face in &self.faces {
+            let normal = self.scaled_normal(face);
+            for corner in face {
+                if let Some(sum) = sums.get_mut(corner as usize) {
+                    *sum += normal;
+                }
+            }
+        }
+        sums.into_iter().map(|sum| sum.normalize_or_zero().into()).collect()
+    }
+
+    /// Normal of a face, twice its area long.
+    fn scaled_normal(&self, face: [u32; 3]) -> Vec3 {
+        self.corners(face).map_or(Vec3::ZERO, |[a, b, c]| (b - a).cross(c - a))
+    }
+
+    /// Every undirected edge once, the smaller index first, ascending, `[edges, 2]`.
+    pub fn edges(&self) -> Vec<[u32; 2]> {
+        let mut edges: Vec<[u32; 2]> =
+            self.faces.iter().flat_map(|&face| face_edges(face)).collect();
+        edges.sort_unstable();
+        edges.dedup();
+        edges
+    }
+
+    /// Smallest and largest coordinates, metres; `None` without vertices.
+    pub fn bounding_box(&self) -> Option<[[f32; 3]; 2]> {
+        let mut vertices = self.vertices.iter().map(|&v| Vec3::from(v));
+        let first = vertices.next()?;
+        let (low, high) = vertices.fold((first, first), |(l, h), v| (l.min(v), h.max(v)));
+        Some([low.into(), high.into()])
+    }
+
+    /// Vertices − edges + faces: 2 for a closed surface in one piece without handles.
+    pub fn euler_characteristic(&self) -> i64 {
+        let count = |n: usize| n as i64;
+        count(self.vertices.len()) - count(self.edges().len()) + count(self.faces.len())
+    }
+
+    /// Everything unusual about the mesh.
+    pub fn validate(&self) -> MeshReport {
+        MeshReport::of(self)
+    }
+}
+
+/// The three undirected edges of a face, the smaller index first.
+fn face_edges([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
+    [[a, b], [b, c], [c, a]].map(|[p, q]| [p.min(q), p.max(q)])
+}
+
+enum MeshFormat {
+    Obj,
+    Ply,
+}
+
+impl MeshFormat {
+    fn of(path: &Path) -> Result<Self> {
+        let extension = path.extension().and_then(|extension| extension.to_str());
+        match extension.map(str::to_ascii_lowercase).as_deref() {
+            Some("obj") => Ok(Self::Obj),
+            Some("ply") => Ok(Self::Ply),
+            _ => Err(Error::format(path, "unknown mesh format: expected .obj or .ply")),
+        }
+    }
+}
+
+/// Reads a mesh file whole.
+pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    fs::read(path).map_err(|source| Error::io(path, source))
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// A unit cube of 12 triangles, outward.
+    pub(crate) fn cube() -> Mesh {
+        let vertices = (0..8u8).map(|i| [i & 1, i >> 1 & 1, i >> 2].map(f32::from)).collect();
+        let quads: [[u32; 4]; 6] =
+            [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let faces = quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+        Mesh { vertices, faces }
+    }
+
+    #[test]
+    fn a_cube_measures_up() {
+        let cube = cube();
+        assert_eq!(cube.edges().len(), 18);
+        assert_eq!(cube.euler_characteristic(), 2);
+        assert_eq!(cube.bounding_box(), Some([[0.0; 3], [1.0; 3]]));
+        assert_eq!(cube.face_normals()[0], [0.0, 0.0, -1.0]);
+        assert_eq!(cube.face_normals()[10], [1.0, 0.0, 0.0]);
+        // Outward: every normal points away from the centre.
+        for (vertex, normal) in cube.vertices.iter().zip(cube.vertex_normals()) {
+            let outward = Vec3::from(*vertex) - Vec3::splat(0.5);
+            assert!(Vec3::from(normal).dot(outward) > 0.5);
+            assert!((Vec3::from(normal).length() - 1.0).abs() < 1e-6);
+        }
+        assert!(cube.validate().is_closed_manifold());
+    }
+
+    #[test]
+    fn normals_are_weighted_by_area() {
+        // Two faces at a right angle, one four times as large.
+        let mesh = Mesh {
+            vertices: vec![[0., 0., 0.], [0., 1., 0.], [1., 0., 0.], [0., 0., 4.]],
+            faces: vec![[0, 2, 1], [0, 1, 3]],
+        };
+        let normal = Vec3::from(mesh.vertex_normals()[0]);
+        let expected = Vec3::new(4.0, 0.0, 1.0).normalize();
+        assert!(normal.abs_diff_eq(expected, 1e-6), "{normal}");
+    }
+
+    #[test]
+    fn strange_meshes_do_not_panic() {
+        let mesh = Mesh { vertices: vec![[0.0; 3]], faces: vec![[0, 7, 1], [0, 0, 0]] };
+        assert_eq!(mesh.vertex_normals(), [[0.0; 3]]);
+        assert_eq!(mesh.face_normals(), [[0.0; 3]; 2]);
+        assert_eq!(Mesh::default().bounding_box(), None);
+        assert!(Mesh::load("a.stl").unwrap_err().to_string().contains("expected .obj or .ply"));
+    }
+}

@@ -1,0 +1,459 @@
+//! Stanford PLY files: binary and text are read, binary little-endian is written.
+
+use std::{io::Write, path::Path};
+
+use crate::{Error, Mesh, Result, mesh::read_bytes, write_atomically};
+
+/// Reads a PLY file. Polygons are cut into fans of triangles; everything but vertex positions and
+/// face corners is ignored.
+pub fn read(path: impl AsRef<Path>) -> Result<Mesh> {
+    let path = path.as_ref();
+    parse(&read_bytes(path)?).map_err(|message| Error::format(path, message))
+}
+
+/// Writes a binary little-endian PLY file, atomically, with colours (red, green, blue) of the
+/// vertices where given, `[vertices, 3]`.
+pub fn write(path: impl AsRef<Path>, mesh: &Mesh, colours: Option<&[[u8; 3]]>) -> Result<()> {
+    if let Some(colours) = colours
+        && colours.len() != mesh.vertices.len()
+    {
+        let (found, expected) = (colours.len(), mesh.vertices.len());
+        return Err(Error::Mesh(format!("{found} colours, expected {expected}")));
+    }
+    write_atomically(path, |file| {
+        write!(
+            file,
+            "ply\nformat binary_little_endian 1.0\nelement vertex {}\n",
+            mesh.vertices.len()
+        )?;
+        file.write_all(b"property float x\nproperty float y\nproperty float z\n")?;
+        if colours.is_some() {
+            file.write_all(b"property uchar red\nproperty uchar green\nproperty uchar blue\n")?;
+        }
+        writeln!(file, "element face {}", mesh.faces.len())?;
+        file.write_all(b"property list uchar uint vertex_indices\nend_header\n")?;
+        for (index, vertex) in mesh.vertices.iter().enumerate() {
+            for coordinate in vertex {
+                file.write_all(&coordinate.to_le_bytes())?;
+            }
+            if let Some(colour) = colours.and_then(|colours| colours.get(index)) {
+                file.write_all(colour)?;
+            }
+        }
+        for face in &mesh.faces {
+            file.write_all(&[3])?;
+            for corner in face {
+                file.write_all(&corner.to_le_bytes())?;
+            }
+        }
+        Ok(())
+    })
+}
+
+#[derive(Clone, Copy)]
+enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+impl Scalar {
+    fn parse(name: &str) -> Result<Self, String> {
+        Ok(match name {
+            "char" | "int8" => Self::I8,
+            "uchar" | "uint8" => Self::U8,
+            "short" | "int16" => Self::I16,
+            "ushort" | "uint16" => Self::U16,
+            "int" | "int32" => Self::I32,
+            "uint" | "uint32" => Self::U32,
+            "float" | "float32" => Self::F32,
+            "double" | "float64" => Self::F64,
+            _ => return Err(format!("unknown property type `{name}`")),
+        })
+    }
+
+    fn size(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+
+    /// The number in `raw`, least significant byte first.
+    fn decode(self, raw: [u8; 8]) -> f64 {
+        let [a, b, c, d, ..] = raw;
+        match self {
+            Self::I8 => i8::from_le_bytes([a]).into(),
+            Self::U8 => a.into(),
+            Self::I16 => i16::from_le_bytes([a, b]).into(),
+            Self::U16 => u16::from_le_bytes([a, b]).into(),
+            Self::I32 => i32::from_le_bytes([a, b, c, d]).into(),
+            Self::U32 => u32::from_le_bytes([a, b, c, d]).into(),
+            Self::F32 => f32::from_le_bytes([a, b, c, d]).into(),
+            Self::F64 => f64::from_le_bytes(raw),
+        }
+    }
+}
+
+struct Property<'a> {
+    name: &'a str,
+    /// Type of the length, for a list.
+    length: Option<Scalar>,
+    scalar: Scalar,
+}
+
+struct Element<'a> {
+    name: &'a str,
+    count: usize,
+    properties: Vec<Property<'a>>,
+}
+
+#[derive(Clone, Copy)]
+enum Encoding {
+    Text,
+    LittleEndian,
+    BigEndian,
+}
+
+fn parse(bytes: &[u8]) -> Result<Mesh, String> {
+    let (encoding, elements, rest) = header(bytes)?;
+    let mut body = Body { encoding, rest };
+    let mut mesh = Mesh::default();
+    let (mut vertices_seen, mut faces_seen) = (false, false);
+    for element in &elements {
+        body.check_count(element)?;
+        match element.name {
+            "vertex" => {
+                vertices_seen = true;
+                mesh.vertices = vertices(&mut body, element)?;
+            }
+            "face" => {
+                faces_seen = true;
+                mesh.faces = faces(&mut body, element)?;
+            }
+            _ if element.properties.is_empty() => {}
+            _ => {
+                for _ in 0..element.count {
+                    body.item(element, |_, _| {})?;
+                }
+            }
+        }
+    }
+    if !vertices_seen {
+        return Err("no element `vertex`".into());
+    }
+    let outside = |face: &&[u32; 3]| face.iter().any(|&c| c as usize >= mesh.vertices.len());
+    if faces_seen && let Some(face) = mesh.faces.iter().find(outside) {
+        return Err(format!("face {face:?}, but there are {} vertices", mesh.vertices.len()));
+    }
+    Ok(mesh)
+}
+
+fn header(bytes: &[u8]) -> Result<(Encoding, Vec<Element<'_>>, &[u8]), String> {
+    let mut rest = bytes;
+    let mut next_line = || {
+        let end = rest.iter().position(|&byte| byte == b'\n').ok_or("the header has no end")?;
+        let (line, after) = rest.split_at(end);
+        rest = &after[1..];
+        std::str::from_utf8(line)
+            .map(|line| (line.trim(), rest))
+            .map_err(|_| "the header is not text")
+    };
+    if next_line()?.0 != "ply" {
+        return Err("not a PLY file (it does not start with `ply`)".into());
+    }
+    let mut encoding = None;
+    let mut elements: Vec<Element> = Vec::new();
+    loop {
+        let (line, after) = next_line()?;
+        let words: Vec<&str> = line.split_whitespace().collect();
+        match words.as_slice() {
+            ["end_header"] => {
+                let encoding = encoding.ok_or("the header has no `format`")?;
+                return Ok((encoding, elements, after));
+            }
+            ["format", name, _] => {
+                encoding = Some(match *name {
+                    "ascii" => Encoding::Text,
+                    "binary_little_endian" => Encoding::LittleEndian,
+                    "binary_big_endian" => Encoding::BigEndian,
+                    _ => return Err(format!("unknown format `{name}`")),
+                });
+            }
+            ["element", name, count] => {
+                let count = count.parse().map_err(|_| format!("`{line}`: not a count"))?;
+                elements.push(Element { name, count, properties: Vec::new() });
+            }
+            ["property", definition @ ..] => {
+                let property = match definition {
+                    ["list", length, scalar, name] => Property {
+                        name,
+                        length: Some(Scalar::parse(length)?),
+                        scalar: Scalar::parse(scalar)?,
+                    },
+                    [scalar, name] => {
+                        Property { name, length: None, scalar: Scalar::parse(scalar)? }
+                    }
+                    _ => return Err(format!("`{line}`: not a property")),
+                };
+                let element = elements.last_mut().ok_or("a property before any element")?;
+                element.properties.push(property);
+            }
+            [] | ["comment" | "obj_info", ..] => {}
+            _ => return Err(format!("`{line}`: not understood")),
+        }
+    }
+}
+
+fn vertices(body: &mut Body, element: &Element) -> Result<Vec<[f32; 3]>, String> {
+    let position = |axis: &str| {
+        let found = element.properties.iter().position(|p| p.name == axis && p.length.is_none());
+        found.ok_or_else(|| format!("vertices have no `{axis}`"))
+    };
+    let axes = [position("x")?, position("y")?, position("z")?];
+    let mut vertices = Vec::with_capacity(element.count);
+    for index in 0..element.count {
+        let mut vertex = [0.0f32; 3];
+        body.item(element, |property, values| {
+            for (slot, axis) in vertex.iter_mut().zip(axes) {
+                if axis == property
+                    && let [value] = values
+                {
+                    *slot = *value as f32;
+                }
+            }
+        })?;
+        if !vertex.iter().all(|coordinate| coordinate.is_finite()) {
+            return Err(format!("vertex {index} is not finite: {vertex:?}"));
+        }
+        vertices.push(vertex);
+    }
+    Ok(vertices)
+}
+
+fn faces(body: &mut Body, element: &Element) -> Result<Vec<[u32; 3]>, String> {
+    let is_corners = |p: &Property| ["vertex_indices", "vertex_index"].contains(&p.name);
+    let corners = element.properties.iter().position(|p| is_corners(p) && p.length.is_some());
+    let corners = corners.ok_or("faces have no list `vertex_indices`")?;
+    let mut faces = Vec::with_capacity(element.count);
+    for index in 0..element.count {
+        let mut fault = None;
+        body.item(element, |property, values| {
+            if property != corners {
+                return;
+            }
+            let corner = |&value: &f64| {
+                let whole = value.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&value);
+                whole.then_some(value as u32)
+            };
+            let values: Option<Vec<u32>> = values.iter().map(corner).collect();
+            match values.as_deref() {
+                Some([first, rest @ ..]) if rest.len() >= 2 => {
+                    faces.extend(rest.windows(2).map(|pair| [*first, pair[0], pair[1]]));
+                }
+                Some(few) => fault = Some(format!("face {index} has {} corners", few.len())),
+                None => fault = Some(format!("face {index} has a corner that is not an index")),
+            }
+        })?;
+        if let Some(fault) = fault {
+            return Err(fault);
+        }
+    }
+    Ok(faces)
+}
+
+/// The bytes after the header that are still to be read.
+struct Body<'a> {
+    encoding: Encoding,
+    rest: &'a [u8],
+}
+
+impl Body<'_> {
+    /// Refuses counts that the bytes left cannot hold, before memory is taken for them.
+    fn check_count(&self, element: &Element) -> Result<(), String> {
+        let least = |property: &Property| match self.encoding {
+            Encoding::Text => 2,
+            _ => property.length.unwrap_or(property.scalar).size(),
+        };
+        let each: usize = element.properties.iter().map(least).sum();
+        // The last number of a text need not be followed by a space.
+        if element.count.saturating_mul(each) > self.rest.len() + 1 {
+            return Err(format!(
+                "claims {} of element `{}`, but only {} bytes follow",
+                element.count,
+                element.name,
+                self.rest.len()
+            ));
+        }
+        Ok(())
+    }
+
+    /// Reads one item of `element`, handing over each property's position and values.
+    fn item(
+        &mut self,
+        element: &Element,
+        mut take: impl FnMut(usize, &[f64]),
+    ) -> Result<(), String> {
+        for (position, property) in element.properties.iter().enumerate() {
+            match property.length {
+                None => take(position, &[self.number(property.scalar)?]),
+                Some(length) => {
+                    let length = self.number(length)?;
+                    if !(0.0..=self.rest.len() as f64).contains(&length) {
+                        return Err(format!("a list of {length} numbers in `{}`", element.name));
+                    }
+                    let values: Vec<f64> = (0..length as usize)
+                        .map(|_| self.number(property.scalar))
+                        .collect::<Result<_, _>>()?;
+                    take(position, &values);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn number(&mut self, scalar: Scalar) -> Result<f64, String> {
+        let big_endian = match self.encoding {
+            Encoding::Text => return self.word(),
+            Encoding::LittleEndian => false,
+            Encoding::BigEndian => true,
+        };
+        let (bytes, rest) =
+            self.rest.split_at_checked(scalar.size()).ok_or("the data end early")?;
+        self.rest = rest;
+        let mut raw = [0; 8];
+        raw[..bytes.len()].copy_from_slice(bytes);
+        if big_endian {
+            raw[..bytes.len()].reverse();
+        }
+        Ok(scalar.decode(raw))
+    }
+
+    fn word(&mut self) -> Result<f64, String> {
+        let start = self.rest.iter().position(|byte| !byte.is_ascii_whitespace());
+        let text = &self.rest[start.ok_or("the data end early")?..];
+        let end = text.iter().position(u8::is_ascii_whitespace).unwrap_or(text.len());
+        let (word, rest) = text.split_at(end);
+        self.rest = rest;
+        let word = String::from_utf8_lossy(word);
+        word.parse().map_err(|_| format!("`{word}` is not a number"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::mesh::tests::cube;
+
+    fn file(mesh: &Mesh, colours: Option<&[[u8; 3]]>) -> Vec<u8> {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.ply");
+        write(&path, mesh, colours).unwrap();
+        assert_eq!(read(&path).unwrap(), *mesh);
+        std::fs::read(&path).unwrap()
+    }
+
+    #[test]
+    fn files_round_trip_with_colours() {
+        let bytes = file(&cube(), Some(&[[1, 2, 3]; 8]));
+        assert_eq!(bytes.len(), file(&cube(), None).len() + 8 * 3 + 60);
+        assert!(write("a.ply", &cube(), Some(&[])).is_err());
+    }
+
+    #[test]
+    fn text_and_big_endian_are_read() {
+        let header = |format: &str| {
+            format!(
+                "ply\r\nformat {format} 1.0\ncomment made by hand\nelement other 1\n\
+                 property list uchar short a\nelement vertex 4\nproperty double x\n\
+                 property float y\nproperty uchar quality\nproperty float z\nelement face 1\n\
+                 property uchar flag\nproperty list uchar int vertex_index\nend_header\n"
+            )
+        };
+        let expected = Mesh {
+            vertices: vec![[0., 0., 0.5], [1., 0., 0.5], [1., 1., 0.5], [0., 1., 0.5]],
+            faces: vec![[0, 1, 2], [0, 2, 3]],
+        };
+        let text = header("ascii") + "2 7 -8\n0 0 9 .5\n1 0 9 .5 1 1 9 .5\n0 1 9 5e-1\n1 4 0 1 2 3";
+        assert_eq!(parse(text.as_bytes()).unwrap(), expected);
+        let mut binary = header("binary_big_endian").into_bytes();
+        binary.extend([1, 0, 7]);
+        for [x, y, z] in &expected.vertices {
+            binary.extend(f64::from(*x).to_be_bytes());
+            binary.extend(y.to_be_bytes());
+            binary.push(9);
+            binary.extend(z.to_be_bytes());
+        }
+        binary.extend([1, 4]);
+        binary.extend([0i32, 1, 2, 3].iter().flat_map(|i| i.to_be_bytes()));
+        assert_eq!(parse(&binary).unwrap(), expected);
+    }
+
+    #[test]
+    fn faults_say_what_is_wrong() {
+        let vertex = "property float x\nproperty float y\nproperty float z\n";
+        let face = "property list uchar int vertex_indices\n";
+        let cases = [
+            ("plyx\n".to_owned(), "not a PLY file"),
+            ("ply\nformat ascii 1.0\n".to_owned(), "no end"),
+            ("ply\nelement vertex 0\nend_header\n".to_owned(), "no `format`"),
+            ("ply\nformat ascii 1.0\nend_header\n".to_owned(), "no element `vertex`"),
+            (
+                format!(
+                    "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\n{vertex}end_header\n"
+                ),
+                "claims 4000000000",
+            ),
+            (
+                format!("ply\nformat ascii 1.0\nelement vertex 1\n{vertex}end_header\n0 0 inf"),
+                "vertex 0 is not finite",
+            ),
+            (
+                format!(
+                    "ply\nformat ascii 1.0\nelement vertex 1\n{vertex}element face 1\n{face}end_header\n0 0 0\n3 0 0 1\n"
+                ),
+                "there are 1 vertices",
+            ),
+            (
+                format!(
+                    "ply\nformat ascii 1.0\nelement vertex 1\n{vertex}element face 1\n{face}end_header\n0 0 0\n2 0 0\n"
+                ),
+                "face 0 has 2 corners",
+            ),
+        ];
+        for (text, expected) in cases {
+            let message = parse(text.as_bytes()).unwrap_err();
+            assert!(message.contains(expected), "{message}");
+        }
+        let mut bytes = file(&cube(), None);
+        bytes.pop();
+        assert!(parse(&bytes).unwrap_err().contains("end early"));
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_make_the_reader_panic(
+            bytes: Vec<u8>,
+            at: prop::sample::Index,
+            value: u8,
+            keep: prop::sample::Index,
+        ) {
+            let _ = parse(&bytes);
+            let mut changed = file(&cube(), None);
+            let position = at.index(changed.len());
+            changed[position] = value;
+            let _ = parse(&changed);
+            changed.truncate(keep.index(changed.len()));
+            let _ = parse(&changed);
+        }
+    }
+}
