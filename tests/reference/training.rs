@@ -6,7 +6,10 @@ use burn::tensor::Device;
 use cape::{
     core::npy::Npz,
     model::{release, weights, weights::Array},
-    train::{objective::evaluate, optim::Momentum},
+    train::{
+        objective::evaluate,
+        optim::{Momentum, global_norm},
+    },
 };
 use serde::Deserialize;
 
@@ -55,13 +58,13 @@ pub fn check(path: &Path, device: &Device, report: &mut dyn FnMut(String)) {
         let input = step_input(&mut fixture, &prefix, &step.eps);
         let evaluation = evaluate(&model, &fixture.graphs, &fixture.loss, &input);
         let losses = evaluation.losses;
-        let (generator, norm_g) =
-            generator_optimiser.step(model.generator, &evaluation.generator, step.lr_g);
-        let (discriminator, norm_d) = discriminator_optimiser.step(
-            model.discriminator.unwrap(),
-            evaluation.discriminator.as_ref().unwrap(),
-            step.lr_d,
-        );
+        let (gradients_g, gradients_d) = (evaluation.generator, evaluation.discriminator.unwrap());
+        let discriminator = model.discriminator.unwrap();
+        let norm_g = global_norm(&model.generator, &gradients_g);
+        let norm_d = global_norm(&discriminator, &gradients_d);
+        let generator = generator_optimiser.step(model.generator, &gradients_g, norm_g, step.lr_g);
+        let discriminator =
+            discriminator_optimiser.step(discriminator, &gradients_d, norm_d, step.lr_d);
         model = cape::model::Cape { generator, discriminator: Some(discriminator) };
 
         for (name, found) in [

@@ -4,13 +4,22 @@
 //! batches on host arrays; [`metrics`] measures reconstructions in millimetres; [`tensorboard`]
 //! writes what training reports.
 
+pub mod checkpoint;
+pub mod config;
 pub mod data;
 mod error;
+pub mod evaluate;
 pub mod metrics;
 pub mod objective;
 pub mod optim;
 mod progress;
+mod run;
 pub mod tensorboard;
+mod trainer;
 
+pub use config::{RunConfig, TrainConfig, WarmUp};
 pub use error::{Error, Result};
+pub use evaluate::{EvalOptions, EvalReport, PosteriorUse, evaluate};
 pub use progress::{Progress, silent};
+pub use run::{DataIdentity, Run, RunPaths, build_graphs, to_device, write_json};
+pub use trainer::{Event, Outcome, Trainer};

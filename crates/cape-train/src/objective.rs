@@ -137,6 +137,23 @@ pub fn reconstruct(
     Reconstructed { posterior, condition, displacement }
 }
 
+/// The terms that need no gradient and no discriminator: for validation.
+pub fn reconstruction_terms(
+    config: &LossConfig,
+    graphs: &Graphs,
+    result: &Reconstructed,
+    frames: &Frames,
+) -> Losses {
+    let (predicted, target) = (&result.displacement, &frames.displacement);
+    let value = |loss: Tensor<1>| f64::from(loss.into_scalar::<f32>());
+    Losses {
+        reconstruction: value(reconstruction(config.kind, predicted.clone(), target.clone(), None)),
+        edge: value(edge(predicted.clone(), target.clone(), &graphs.edges)),
+        kl: value(kl(&result.posterior)),
+        ..Losses::default()
+    }
+}
+
 /// Evaluates every loss at the current weights and takes both gradients there: the fake samples
 /// are the same for generator and discriminator, and detached for the latter.
 pub fn evaluate(

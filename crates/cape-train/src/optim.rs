@@ -14,7 +14,7 @@ use crate::{Error, Result};
 /// Momentum's state: one velocity a parameter.
 #[derive(Debug, Clone)]
 pub struct Momentum {
-    momentum: f64,
+    coefficient: f64,
     clip: f64,
     velocity: BTreeMap<String, Velocity>,
 }
@@ -28,22 +28,20 @@ struct Velocity {
 impl Momentum {
     /// At rest; gradients longer than `clip` as a whole are shortened to it.
     pub fn new(momentum: f64, clip: f64) -> Self {
-        Self { momentum, clip, velocity: BTreeMap::new() }
+        Self { coefficient: momentum, clip, velocity: BTreeMap::new() }
     }
 
-    /// Moves every parameter of `module` that has a gradient. Returns the module and the
-    /// gradient's norm before clipping.
-    pub fn step<M: Module>(&mut self, module: M, gradients: &Gradients, rate: f64) -> (M, f64) {
-        let norm = global_norm(&module, gradients);
+    /// Moves every parameter of `module` that has a gradient; `norm` is the [`global_norm`] of the
+    /// gradients.
+    pub fn step<M: Module>(&mut self, module: M, gradients: &Gradients, norm: f64, rate: f64) -> M {
         let scale = if norm > self.clip { self.clip / norm } else { 1.0 };
-        let module = module.map(&mut Stepper {
+        module.map(&mut Stepper {
             trail: Trail::default(),
             optimiser: self,
             gradients,
             rate,
             scale,
-        });
-        (module, norm)
+        })
     }
 
     /// The velocities, for a checkpoint.
@@ -164,7 +162,7 @@ impl ModuleMapper for Stepper<'_> {
         let gradient = gradient.reshape([-1]) * self.scale;
         let path = self.trail.path();
         let flat = match self.optimiser.velocity.remove(&path) {
-            Some(velocity) => velocity.flat * self.optimiser.momentum + gradient,
+            Some(velocity) => velocity.flat * self.optimiser.coefficient + gradient,
             None => gradient,
         };
         let velocity = Velocity { shape: shape.to_vec(), flat: flat.clone() };

@@ -283,7 +283,7 @@ impl Statistics {
         frames.saturating_sub(self.validation())..frames
     }
 
-    pub(super) fn expect_vertices(&self, vertices: usize) -> Result<()> {
+    pub(crate) fn expect_vertices(&self, vertices: usize) -> Result<()> {
         if self.vertices() == vertices {
             return Ok(());
         }

@@ -1,0 +1,392 @@
+//! A run's directory, and a trained model opened from it.
+
+use std::{
+    fs,
+    io::Write,
+    path::{Path, PathBuf},
+};
+
+use burn::{
+    module::Module,
+    tensor::{Device, Tensor, TensorData},
+};
+use cape_core::{Outfit, SmplModel, smpl::ClothingMask};
+use cape_graph::{DevicePyramid, MeshPyramid, SparseMatrix, Surface};
+use cape_model::{Cape, Generator, Graphs, weights};
+use ndarray::{Array2, Array3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+use sprs::TriMat;
+
+use crate::{
+    Error, Result, RunConfig, checkpoint,
+    data::{
+        Batch, POSE_FEATURE, PackedSet, Part, Statistics,
+        raw::{BODY_FILE, CLOTHING_FILE},
+    },
+    objective::Frames,
+};
+
+const CONFIG: &str = "config.toml";
+const DATA: &str = "data.json";
+const STATISTICS: &str = "stats.npz";
+
+/// Examples decoded at a time.
+const DECODE_BATCH: usize = 16;
+
+/// Paths inside a run's directory.
+#[derive(Debug, Clone)]
+pub struct RunPaths {
+    root: PathBuf,
+}
+
+impl RunPaths {
+    /// Of the run in `root`.
+    pub fn new(root: &Path) -> Self {
+        Self { root: root.to_owned() }
+    }
+
+    /// The directory itself.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The configuration.
+    pub fn config(&self) -> PathBuf {
+        self.root.join(CONFIG)
+    }
+
+    /// What the run is trained on.
+    pub fn data(&self) -> PathBuf {
+        self.root.join(DATA)
+    }
+
+    /// Mean and deviation of the training displacements.
+    pub fn statistics(&self) -> PathBuf {
+        self.root.join(STATISTICS)
+    }
+
+    /// The body.
+    pub fn body(&self) -> PathBuf {
+        self.root.join(BODY_FILE)
+    }
+
+    /// The clothing vertices.
+    pub fn clothing(&self) -> PathBuf {
+        self.root.join(CLOTHING_FILE)
+    }
+
+    /// The checkpoints.
+    pub fn checkpoints(&self) -> PathBuf {
+        self.root.join("checkpoints")
+    }
+
+    /// One JSON object a line: losses and validation errors.
+    pub fn metrics(&self) -> PathBuf {
+        self.root.join("metrics.jsonl")
+    }
+
+    /// TensorBoard's event files.
+    pub fn events(&self) -> PathBuf {
+        self.root.join("tensorboard")
+    }
+
+    /// The last evaluation.
+    pub fn evaluation(&self) -> PathBuf {
+        self.root.join("eval.json")
+    }
+}
+
+/// The training data a run belongs to.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DataIdentity {
+    /// Where they were when the run was created: a hint, not relied upon.
+    pub path: PathBuf,
+    /// Training frames.
+    pub frames: usize,
+    /// Vertices of a frame.
+    pub vertices: usize,
+}
+
+/// Creates a run's directory: configuration, statistics, body and clothing vertices, so that
+/// nothing outside is needed later to sample from it.
+pub(crate) fn create(
+    root: &Path,
+    data: &Path,
+    body: Option<&Path>,
+    clothing: Option<&Path>,
+    config: &RunConfig,
+) -> Result<RunPaths> {
+    config.validate()?;
+    if fs::read_dir(root).is_ok_and(|mut entries| entries.next().is_some()) {
+        return Err(Error::argument(format!(
+            "{}: is not empty: choose another directory, or resume the run in it",
+            root.display()
+        )));
+    }
+    let set = PackedSet::open(data, Part::Train)?;
+    let statistics = Statistics::of_packed(data, &mut crate::silent)?;
+    let body_path = body.map_or_else(|| data.join(BODY_FILE), Path::to_owned);
+    if !body_path.exists() {
+        return Err(Error::argument(format!(
+            "{}: not found: the packed set has no body of its own, so give one in SMPL's .npz layout",
+            body_path.display()
+        )));
+    }
+    let model = SmplModel::load(&body_path)?;
+    if model.vertices() != set.vertices() {
+        return Err(Error::field(
+            &body_path,
+            "v_template",
+            format!("{} vertices, but the data have {}", model.vertices(), set.vertices()),
+        ));
+    }
+    let clothing_path = clothing.map_or_else(|| data.join(CLOTHING_FILE), Path::to_owned);
+    let mask = if clothing.is_some() || clothing_path.exists() {
+        ClothingMask::load(&clothing_path, model.vertices())?
+    } else {
+        ClothingMask::from_weights(&model)?
+    };
+
+    let paths = RunPaths::new(root);
+    fs::create_dir_all(root).map_err(|source| Error::io(root, source))?;
+    statistics.save(paths.statistics())?;
+    model.save(paths.body())?;
+    mask.save(paths.clothing())?;
+    let identity =
+        DataIdentity { path: data.to_owned(), frames: set.frames(), vertices: set.vertices() };
+    write_json(&paths.data(), &identity)?;
+    config.save(&paths.config())?;
+    Ok(paths)
+}
+
+/// Writes a value as indented JSON.
+pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
+    let text =
+        serde_json::to_vec_pretty(value).map_err(|error| Error::format(path, error.to_string()))?;
+    Ok(cape_core::write_atomically(path, |file| file.write_all(&text))?)
+}
+
+pub(crate) fn read_identity(path: &Path) -> Result<DataIdentity> {
+    let text = fs::read(path).map_err(|source| Error::io(path, source))?;
+    serde_json::from_slice(&text).map_err(|error| Error::format(path, error.to_string()))
+}
+
+/// Builds what the networks of `config` need of a body's mesh.
+pub fn build_graphs(config: &RunConfig, body: &SmplModel, device: &Device) -> Result<Graphs> {
+    let surface = surface(body);
+    let pyramid = |factors: &[u32]| -> Result<DevicePyramid> {
+        let factors: Vec<f64> = factors.iter().map(|&factor| f64::from(factor)).collect();
+        let pyramid = MeshPyramid::build(surface.clone(), &factors, config.weighting)?;
+        Ok(DevicePyramid::upload(&pyramid, device))
+    };
+    let discriminator = config.model.discriminator.as_ref();
+    let edges = surface.edges();
+    let mut difference = TriMat::new((edges.len(), surface.vertices.len()));
+    for (row, [a, b]) in edges.into_iter().enumerate() {
+        difference.add_triplet(row, a as usize, 1.0);
+        difference.add_triplet(row, b as usize, -1.0);
+    }
+    Ok(Graphs {
+        generator: pyramid(&config.model.factors)?,
+        discriminator: discriminator.map(|config| pyramid(&config.factors)).transpose()?,
+        edges: SparseMatrix::new(&difference.to_csr(), device),
+    })
+}
+
+fn surface(body: &SmplModel) -> Surface {
+    let vertices = body.v_template.rows().into_iter().map(|v| [v[0], v[1], v[2]]).collect();
+    Surface { vertices, faces: body.faces.clone() }
+}
+
+/// Moves a batch to a device.
+pub fn to_device(batch: Batch, device: &Device) -> Frames {
+    let Batch { displacement, pose_feature, outfit, .. } = batch;
+    let [count, vertices, _] = [displacement.dim().0, displacement.dim().1, 3];
+    let tensor2 = |array: Array2<f32>| {
+        let shape = [array.nrows(), array.ncols()];
+        Tensor::<2>::from_data(
+            TensorData::new(array.into_iter().collect::<Vec<_>>(), shape),
+            device,
+        )
+    };
+    let (values, _) = displacement.into_raw_vec_and_offset();
+    Frames {
+        displacement: Tensor::from_data(TensorData::new(values, [count, vertices, 3]), device),
+        pose_feature: tensor2(pose_feature),
+        outfit: tensor2(outfit),
+    }
+}
+
+/// Standard normal numbers, `[rows, columns]`, fixed by seed and stream.
+pub(crate) fn normal(seed: u64, stream: u64, rows: usize, columns: usize) -> Array2<f32> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(stream);
+    Array2::from_shape_simple_fn((rows, columns), || rng.sample(StandardNormal))
+}
+
+pub(crate) fn tensor2(array: Array2<f32>, device: &Device) -> Tensor<2> {
+    let shape = [array.nrows(), array.ncols()];
+    Tensor::from_data(TensorData::new(array.into_iter().collect::<Vec<_>>(), shape), device)
+}
+
+/// A run opened for evaluation and sampling.
+#[derive(Debug)]
+pub struct Run {
+    paths: RunPaths,
+    config: RunConfig,
+    body: SmplModel,
+    clothing: Vec<usize>,
+    statistics: Statistics,
+    checkpoint: PathBuf,
+    progress: checkpoint::Progress,
+    generator: Generator,
+    graphs: Graphs,
+    device: Device,
+}
+
+impl Run {
+    /// Opens the best checkpoint of a run, or the newest where none was validated.
+    pub fn open(root: &Path, device: &Device) -> Result<Self> {
+        let paths = RunPaths::new(root);
+        let config = RunConfig::load(&paths.config())?;
+        let checkpoint = checkpoint::best(&paths.checkpoints())?;
+        let progress = checkpoint::load_progress(&checkpoint)?;
+        let weights = checkpoint::load_weights(&checkpoint)?;
+        let body = SmplModel::load(paths.body())?;
+        let device = device.clone().inner();
+        let graphs = build_graphs(&config, &body, &device)?;
+        let model = Cape::new(&config.model, &graphs, 0, &device)?;
+        let model = weights::apply(model, &weights).map_err(|error| {
+            Error::format(&checkpoint, format!("does not suit {CONFIG}: {error}"))
+        })?;
+        let statistics = Statistics::load(paths.statistics())?;
+        statistics.expect_vertices(body.vertices())?;
+        let mask = ClothingMask::load(paths.clothing(), body.vertices())?;
+        Ok(Self {
+            clothing: mask.indices().collect(),
+            generator: model.generator.valid(),
+            paths,
+            config,
+            body,
+            statistics,
+            checkpoint,
+            progress,
+            graphs,
+            device,
+        })
+    }
+
+    /// Where things are.
+    pub fn paths(&self) -> &RunPaths {
+        &self.paths
+    }
+
+    /// The run's configuration.
+    pub fn config(&self) -> &RunConfig {
+        &self.config
+    }
+
+    /// The body it was trained on.
+    pub fn body(&self) -> &SmplModel {
+        &self.body
+    }
+
+    /// Indices of the clothing vertices.
+    pub fn clothing(&self) -> &[usize] {
+        &self.clothing
+    }
+
+    /// Normalisation of displacements.
+    pub fn statistics(&self) -> &Statistics {
+        &self.statistics
+    }
+
+    /// The checkpoint that was opened.
+    pub fn checkpoint(&self) -> &Path {
+        &self.checkpoint
+    }
+
+    /// Where the run was at that checkpoint.
+    pub fn progress(&self) -> &checkpoint::Progress {
+        &self.progress
+    }
+
+    /// The networks.
+    pub fn generator(&self) -> &Generator {
+        &self.generator
+    }
+
+    /// The graphs they run on.
+    pub fn graphs(&self) -> &Graphs {
+        &self.graphs
+    }
+
+    /// The device they are on.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// Codes from the standard normal prior, `[n, latent]`.
+    pub fn sample_codes(&self, n: usize, seed: u64) -> Array2<f32> {
+        normal(seed, 0, n, self.config.model.latent)
+    }
+
+    /// Decodes codes `[n, latent]` under poses `[n, 72]` (axis-angle, radians) and outfits to
+    /// displacements in metres, `[n, vertices, 3]`, at all vertices.
+    pub fn decode(
+        &self,
+        z: &Array2<f32>,
+        poses: &[[f32; 72]],
+        outfits: &[Outfit],
+    ) -> Result<Array3<f32>> {
+        let (n, latent) = z.dim();
+        if latent != self.config.model.latent || poses.len() != n || outfits.len() != n {
+            return Err(Error::argument(format!(
+                "decode: codes [{n}, {latent}], {} poses and {} outfits; expected n codes of {}, n poses, n outfits",
+                poses.len(),
+                outfits.len(),
+                self.config.model.latent
+            )));
+        }
+        let vertices = self.body.vertices();
+        let mut metres = Vec::with_capacity(n * vertices * 3);
+        for start in (0..n).step_by(DECODE_BATCH) {
+            let rows = start..(start + DECODE_BATCH).min(n);
+            let code = z.slice(ndarray::s![rows.clone(), ..]).to_owned();
+            let mut features = Array2::zeros((rows.len(), POSE_FEATURE));
+            for (mut row, pose) in features.rows_mut().into_iter().zip(&poses[rows.clone()]) {
+                row.assign(&ndarray::arr1(&pose_feature(pose)?));
+            }
+            let labels = Array2::from_shape_fn((rows.len(), 4), |(row, outfit)| {
+                outfits[rows.start + row].one_hot()[outfit]
+            });
+            let device = &self.device;
+            let decoded = self.generator.decode(
+                tensor2(code, device),
+                tensor2(features, device),
+                tensor2(labels, device),
+                &self.graphs,
+            );
+            metres.extend(host(decoded));
+        }
+        self.statistics.denormalise(&mut metres);
+        Array3::from_shape_vec((n, vertices, 3), metres)
+            .map_err(|error| Error::argument(error.to_string()))
+    }
+}
+
+/// The values of a tensor on the host, row-major.
+pub(crate) fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    let data = tensor.into_data().convert::<f32>();
+    data.try_into_vec().unwrap_or_else(|_| unreachable!("converted to f32"))
+}
+
+/// The network's pose feature of an axis-angle pose.
+fn pose_feature(pose: &[f32; 72]) -> Result<[f32; POSE_FEATURE]> {
+    let pose: Vec<f64> = pose.iter().map(|&angle| f64::from(angle)).collect();
+    let rotations = cape_core::joints::pose_rotations(&pose)?;
+    Ok(cape_core::joints::pose_feature(&rotations)?.map(|value| value as f32))
+}

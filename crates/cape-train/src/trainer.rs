@@ -1,0 +1,503 @@
+//! Training (CAPE §4.3 and appendix A), resumable at any step.
+
+use std::{
+    fs::{self, OpenOptions},
+    io::Write,
+    ops::ControlFlow,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Instant,
+};
+
+use burn::{module::Module, tensor::Device};
+use cape_core::{SmplModel, smpl::ClothingMask};
+use cape_model::{Cape, Graphs, weights};
+use serde::Serialize;
+use serde_json::json;
+
+use crate::{
+    Error, Result, RunConfig,
+    checkpoint::{self, Checkpoint, Progress},
+    data::{
+        Batch, Loader, LoaderOptions, LoaderState, PackedSet, Part, Statistics, StepData,
+        sequential, steps_per_epoch,
+    },
+    metrics::{ErrorStats, vertex_errors_mm},
+    objective::{Losses, StepInput, evaluate, reconstruct, reconstruction_terms},
+    optim::{Momentum, global_norm},
+    run::{self, RunPaths, build_graphs, host, normal, tensor2, to_device},
+    tensorboard::EventWriter,
+};
+
+/// What training reports as it goes.
+#[derive(Debug, Clone)]
+pub enum Event {
+    /// A step was done.
+    Step {
+        /// Epoch, from 1.
+        epoch: usize,
+        /// Step within the epoch, from 1.
+        step: usize,
+        /// Steps in an epoch.
+        steps: usize,
+        /// Steps since the run began.
+        total_step: u64,
+        /// Losses before the step's update.
+        losses: Losses,
+        /// The generator's learning rate.
+        rate: f64,
+        /// Seconds the step took.
+        seconds: f64,
+    },
+    /// The validation frames were reconstructed.
+    Validation {
+        /// Epoch, from 1.
+        epoch: usize,
+        /// Reconstruction, edge and KL terms; the others are zero.
+        losses: Losses,
+        /// Mean error at clothing vertices, millimetres.
+        millimetres: f64,
+    },
+    /// A checkpoint was written.
+    Checkpoint {
+        /// Its directory.
+        path: PathBuf,
+    },
+}
+
+/// How training ended.
+#[derive(Debug, Clone, Serialize)]
+pub struct Outcome {
+    /// Whether every epoch was done; otherwise the run can be resumed.
+    pub finished: bool,
+    /// Whole epochs done.
+    pub epochs: usize,
+    /// Steps done.
+    pub steps: u64,
+    /// The lowest validation error, millimetres.
+    pub best_validation: Option<f64>,
+    /// Seconds spent training, all sessions together.
+    pub seconds: f64,
+}
+
+/// A run being trained.
+pub struct Trainer {
+    paths: RunPaths,
+    config: RunConfig,
+    set: Arc<PackedSet>,
+    statistics: Arc<Statistics>,
+    clothing: Vec<usize>,
+    graphs: Graphs,
+    model: Cape,
+    generator_optimiser: Momentum,
+    discriminator_optimiser: Momentum,
+    progress: Progress,
+    device: Device,
+}
+
+impl Trainer {
+    /// Starts a run in the empty or new directory `root`.
+    ///
+    /// `body` is an SMPL `.npz` for packed sets without one of their own; `clothing` the indices of
+    /// clothing vertices, derived from the body's blend weights where neither is given.
+    pub fn create(
+        root: &Path,
+        data: &Path,
+        body: Option<&Path>,
+        clothing: Option<&Path>,
+        config: RunConfig,
+        device: &Device,
+    ) -> Result<Self> {
+        let paths = run::create(root, data, body, clothing, &config)?;
+        let progress = Progress {
+            step: 0,
+            loader: LoaderState::new(config.train.seed),
+            seconds: 0.0,
+            validation: None,
+            best: None,
+        };
+        Self::assemble(paths, data, config, progress, device)
+    }
+
+    /// Goes on with the run in `root` from its newest checkpoint; `data` is where its packed set is
+    /// now, if it was moved.
+    pub fn resume(root: &Path, data: Option<&Path>, device: &Device) -> Result<Self> {
+        let paths = RunPaths::new(root);
+        let config = RunConfig::load(&paths.config())?;
+        let identity = run::read_identity(&paths.data())?;
+        let data = data.unwrap_or(&identity.path);
+        let newest = checkpoint::list(&paths.checkpoints())?.pop();
+        let Some((_, newest)) = newest else {
+            return Err(Error::Data(format!(
+                "{}: no checkpoint to resume from: remove the directory and train afresh",
+                root.display()
+            )));
+        };
+        let saved = Checkpoint::load(&newest)?;
+        let mut trainer = Self::assemble(paths, data, config, saved.progress, device)?;
+        if trainer.set.frames() != identity.frames || trainer.set.vertices() != identity.vertices {
+            return Err(Error::Data(format!(
+                "{}: {} training frames of {} vertices, but the run was trained on {} of {}",
+                data.display(),
+                trainer.set.frames(),
+                trainer.set.vertices(),
+                identity.frames,
+                identity.vertices
+            )));
+        }
+        trainer.model = weights::apply(trainer.model, &saved.model)
+            .map_err(|error| Error::format(&newest, format!("does not suit the run: {error}")))?;
+        trainer.generator_optimiser.restore(&trainer.model.generator, &saved.generator_momentum)?;
+        if let Some(discriminator) = &trainer.model.discriminator {
+            trainer
+                .discriminator_optimiser
+                .restore(discriminator, &saved.discriminator_momentum)?;
+        }
+        trainer.forget_metrics_after(trainer.progress.step)?;
+        Ok(trainer)
+    }
+
+    fn assemble(
+        paths: RunPaths,
+        data: &Path,
+        config: RunConfig,
+        progress: Progress,
+        device: &Device,
+    ) -> Result<Self> {
+        let mut set = PackedSet::open(data, Part::Train)?;
+        if config.train.preload {
+            set.preload(&mut crate::silent)?;
+        }
+        let statistics = Statistics::load(paths.statistics())?;
+        let body = SmplModel::load(paths.body())?;
+        let mask = ClothingMask::load(paths.clothing(), body.vertices())?;
+        let device = device.clone().autodiff();
+        let graphs = build_graphs(&config, &body, &device)?;
+        let model = Cape::new(&config.model, &graphs, config.train.seed, &device)?;
+        let optimiser = || Momentum::new(config.train.momentum, config.train.clip);
+        Ok(Self {
+            generator_optimiser: optimiser(),
+            discriminator_optimiser: optimiser(),
+            set: Arc::new(set),
+            statistics: Arc::new(statistics),
+            clothing: mask.indices().collect(),
+            paths,
+            config,
+            graphs,
+            model,
+            progress,
+            device,
+        })
+    }
+
+    /// The run's configuration.
+    pub fn config(&self) -> &RunConfig {
+        &self.config
+    }
+
+    /// Steps in an epoch.
+    pub fn steps_per_epoch(&self) -> usize {
+        steps_per_epoch(self.training_rows().len(), self.config.train.batch)
+    }
+
+    /// Steps done so far.
+    pub fn step(&self) -> u64 {
+        self.progress.step
+    }
+
+    /// The model as it is.
+    pub fn model(&self) -> &Cape {
+        &self.model
+    }
+
+    fn training_rows(&self) -> std::ops::Range<usize> {
+        self.statistics.training_rows(self.set.frames())
+    }
+
+    /// Trains until every epoch is done or `report` breaks; in both cases the state is saved.
+    ///
+    /// # Errors
+    /// Besides those of reading and writing: a loss or gradient that is not finite. The update is
+    /// not made, the error names the step and its frames, and the last checkpoint is kept.
+    pub fn run(&mut self, report: &mut dyn FnMut(&Event) -> ControlFlow<()>) -> Result<Outcome> {
+        let steps = self.steps_per_epoch();
+        let last = (self.config.train.epochs * steps) as u64;
+        let options = LoaderOptions {
+            batch: self.config.train.batch,
+            discriminator: self.model.discriminator.is_some(),
+            ..LoaderOptions::default()
+        };
+        let mut log = Log::open(&self.paths)?;
+        if self.progress.step < last {
+            let mut loader = Loader::new(
+                self.set.clone(),
+                self.statistics.clone(),
+                self.training_rows(),
+                options,
+                self.progress.loader,
+            )?;
+            while self.progress.step < last {
+                let stop = self.one_step(&mut loader, &mut log, steps, report)?;
+                let step = self.progress.step;
+                let epoch_ends = step % steps as u64 == 0;
+                if epoch_ends {
+                    self.validate((step / steps as u64) as usize, &mut log, report)?;
+                }
+                let often = self.config.train.checkpoint_steps as u64;
+                if stop || epoch_ends || (often > 0 && step % often == 0) {
+                    let path = self.save()?;
+                    log.flush()?;
+                    // A reader of the report may break again; training is about to stop anyway.
+                    let _ = report(&Event::Checkpoint { path });
+                }
+                if stop {
+                    break;
+                }
+            }
+        }
+        Ok(Outcome {
+            finished: self.progress.step >= last,
+            epochs: (self.progress.step / steps as u64) as usize,
+            steps: self.progress.step,
+            best_validation: self.progress.best.map(|(error, _)| error),
+            seconds: self.progress.seconds,
+        })
+    }
+
+    /// One update of generator and discriminator; whether the report asked to stop.
+    fn one_step(
+        &mut self,
+        loader: &mut Loader,
+        log: &mut Log,
+        steps: usize,
+        report: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+    ) -> Result<bool> {
+        let start = Instant::now();
+        let step = self.progress.step;
+        let train = &self.config.train;
+        let rate = train.rate(step, steps);
+        let StepData { generator, discriminator, state } = loader.step()?;
+        let frames = generator.frames.clone();
+        let epsilon = self.config.model.variational.then(|| {
+            let latent = self.config.model.latent;
+            // Shuffles use the seed's first streams; noise has one a step, far from them.
+            normal(train.seed, (1 << 32) + step, frames.len(), latent)
+        });
+        let input = StepInput {
+            frames: to_device(generator, &self.device),
+            epsilon: epsilon.map(|epsilon| tensor2(epsilon, &self.device)),
+            real: discriminator.map(|batch| to_device(batch, &self.device)),
+        };
+        let evaluation = evaluate(&self.model, &self.graphs, &self.config.loss, &input);
+        let losses = evaluation.losses;
+        let generator_norm = global_norm(&self.model.generator, &evaluation.generator);
+        let discriminator_norm = self
+            .model
+            .discriminator
+            .as_ref()
+            .zip(evaluation.discriminator.as_ref())
+            .map(|(discriminator, gradients)| global_norm(discriminator, gradients));
+        self.check_finite(&losses, generator_norm, discriminator_norm, &frames)?;
+
+        let model = self.model.clone();
+        let generator = self.generator_optimiser.step(
+            model.generator,
+            &evaluation.generator,
+            generator_norm,
+            rate,
+        );
+        let discriminator = match (model.discriminator, &evaluation.discriminator) {
+            (Some(discriminator), Some(gradients)) => Some(self.discriminator_optimiser.step(
+                discriminator,
+                gradients,
+                discriminator_norm.unwrap_or_default(),
+                rate * train.discriminator_rate_scale,
+            )),
+            (discriminator, _) => discriminator,
+        };
+        self.model = Cape { generator, discriminator };
+        self.progress.step += 1;
+        self.progress.loader = state;
+
+        let seconds = start.elapsed().as_secs_f64();
+        self.progress.seconds += seconds;
+        let (epoch, step) =
+            ((step / steps as u64) as usize + 1, (step % steps as u64) as usize + 1);
+        if self.progress.step % train.log_steps as u64 == 0 {
+            log.step(self.progress.step, epoch, &losses, rate, generator_norm, seconds)?;
+        }
+        let total_step = self.progress.step;
+        let event = Event::Step { epoch, step, steps, total_step, losses, rate, seconds };
+        Ok(report(&event).is_break())
+    }
+
+    fn check_finite(
+        &self,
+        losses: &Losses,
+        generator_norm: f64,
+        discriminator_norm: Option<f64>,
+        frames: &[usize],
+    ) -> Result<()> {
+        let norms = generator_norm.is_finite() && discriminator_norm.is_none_or(f64::is_finite);
+        let Some(what) = losses.non_finite().or((!norms).then_some("the gradient")) else {
+            return Ok(());
+        };
+        let kept = checkpoint::list(&self.paths.checkpoints())?.pop();
+        let kept = kept.map_or_else(
+            || "there is no checkpoint yet".to_owned(),
+            |(_, path)| format!("the last checkpoint is {}", path.display()),
+        );
+        Err(Error::Data(format!(
+            "{what} is not a finite number at step {} (training frames {frames:?}); {kept}; a lower \
+             train.peak_rate may help",
+            self.progress.step + 1,
+        )))
+    }
+
+    /// Reconstructs the validation frames from the posterior's mean.
+    fn validate(
+        &mut self,
+        epoch: usize,
+        log: &mut Log,
+        report: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+    ) -> Result<()> {
+        let rows = self.statistics.validation_rows(self.set.frames());
+        if rows.is_empty() {
+            return Ok(());
+        }
+        let count = rows.len() as f64;
+        let generator = self.model.generator.valid();
+        let device = self.device.clone().inner();
+        let batches = sequential(
+            self.set.clone(),
+            Some(self.statistics.clone()),
+            rows,
+            self.config.train.batch,
+        )?;
+        let mut errors = ErrorStats::new();
+        let mut losses = Losses::default();
+        for batch in batches {
+            let batch: Batch = batch?;
+            let weight = batch.frames.len() as f64 / count;
+            let frames = to_device(batch, &device);
+            let result = reconstruct(&generator, &self.graphs, &frames, None);
+            let terms = reconstruction_terms(&self.config.loss, &self.graphs, &result, &frames);
+            losses.reconstruction += weight * terms.reconstruction;
+            losses.edge += weight * terms.edge;
+            losses.kl += weight * terms.kl;
+            let mut predicted = host(result.displacement);
+            let mut truth = host(frames.displacement);
+            self.statistics.denormalise(&mut predicted);
+            self.statistics.denormalise(&mut truth);
+            let size = self.set.vertices() * 3;
+            for (predicted, truth) in predicted.chunks(size).zip(truth.chunks(size)) {
+                errors.push(&vertex_errors_mm(predicted, truth, &self.clothing)?);
+            }
+        }
+        let millimetres = errors.summary().mean;
+        self.progress.validation = Some(millimetres);
+        if self.progress.best.is_none_or(|(best, _)| millimetres < best) {
+            self.progress.best = Some((millimetres, self.progress.step));
+        }
+        log.validation(self.progress.step, epoch, &losses, millimetres)?;
+        // Stopping between epochs is the next step's business.
+        let _ = report(&Event::Validation { epoch, losses, millimetres });
+        Ok(())
+    }
+
+    fn save(&self) -> Result<PathBuf> {
+        let checkpoint = Checkpoint {
+            progress: self.progress.clone(),
+            model: weights::collect(&self.model),
+            generator_momentum: self.generator_optimiser.state(),
+            discriminator_momentum: self.discriminator_optimiser.state(),
+        };
+        let directory = self.paths.checkpoints();
+        let path = checkpoint.save(&directory)?;
+        let best = self.progress.best.map(|(_, step)| step);
+        checkpoint::prune(&directory, self.config.train.keep, best)?;
+        Ok(path)
+    }
+
+    /// Drops the lines that an interrupted session logged after its last checkpoint.
+    fn forget_metrics_after(&self, step: u64) -> Result<()> {
+        let path = self.paths.metrics();
+        let Ok(text) = fs::read_to_string(&path) else { return Ok(()) };
+        let kept = text.lines().filter(|line| {
+            serde_json::from_str::<serde_json::Value>(line)
+                .ok()
+                .and_then(|line| line["step"].as_u64())
+                .is_some_and(|logged| logged <= step)
+        });
+        let kept: String = kept.flat_map(|line| [line, "\n"]).collect();
+        Ok(cape_core::write_atomically(&path, |file| file.write_all(kept.as_bytes()))?)
+    }
+}
+
+/// `metrics.jsonl` and TensorBoard events.
+struct Log {
+    path: PathBuf,
+    metrics: fs::File,
+    events: EventWriter,
+}
+
+impl Log {
+    fn open(paths: &RunPaths) -> Result<Self> {
+        let path = paths.metrics();
+        let metrics = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(&path)
+            .map_err(|source| Error::io(&path, source))?;
+        let directory = paths.events();
+        fs::create_dir_all(&directory).map_err(|source| Error::io(&directory, source))?;
+        Ok(Self { path, metrics, events: EventWriter::create(directory)? })
+    }
+
+    fn line(&mut self, value: &serde_json::Value) -> Result<()> {
+        self.metrics
+            .write_all(format!("{value}\n").as_bytes())
+            .map_err(|source| Error::io(&self.path, source))
+    }
+
+    fn step(
+        &mut self,
+        step: u64,
+        epoch: usize,
+        losses: &Losses,
+        rate: f64,
+        norm: f64,
+        seconds: f64,
+    ) -> Result<()> {
+        for (name, value) in losses.named() {
+            self.events.scalar(&format!("train/{name}"), step, value as f32)?;
+        }
+        self.events.scalar("train/rate", step, rate as f32)?;
+        self.events.scalar("train/gradient_norm", step, norm as f32)?;
+        self.line(&json!({
+            "kind": "train", "step": step, "epoch": epoch, "losses": losses, "rate": rate,
+            "gradient_norm": norm, "seconds": seconds,
+        }))
+    }
+
+    fn validation(
+        &mut self,
+        step: u64,
+        epoch: usize,
+        losses: &Losses,
+        millimetres: f64,
+    ) -> Result<()> {
+        self.events.scalar("validation/millimetres", step, millimetres as f32)?;
+        self.events.scalar("validation/reconstruction", step, losses.reconstruction as f32)?;
+        self.events.scalar("validation/edge", step, losses.edge as f32)?;
+        self.events.scalar("validation/kl", step, losses.kl as f32)?;
+        self.line(&json!({
+            "kind": "validation", "step": step, "epoch": epoch, "millimetres": millimetres,
+            "reconstruction": losses.reconstruction, "edge": losses.edge, "kl": losses.kl,
+        }))
+    }
+
+    fn flush(&mut self) -> Result<()> {
+        self.events.flush()
+    }
+}
