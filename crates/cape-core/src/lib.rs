@@ -13,6 +13,7 @@ pub mod obj;
 mod outfit;
 pub mod ply;
 pub mod smpl;
+pub mod synth;
 
 pub use atomic::{AtomicFile, write_atomically};
 pub use device::{DEVICES, devices, parse_device};
