@@ -3,10 +3,10 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use super::{
-    figure::JOINTS,
     rig::{Weights, is_ancestor},
     surface::Skin,
 };
+use crate::joints::JOINTS;
 
 /// Entries of a rotation matrix.
 const ENTRIES: usize = 9;
@@ -30,6 +30,7 @@ pub(super) fn pose_directions(
     let mut directions = vec![vec![DVec3::ZERO; (JOINTS - 1) * ENTRIES]; skin.vertices.len()];
     for joint in 1..JOINTS {
         let table = Table::new(&samples(joint));
+        let strength = strength(joint);
         for (v, direction) in directions.iter_mut().enumerate() {
             let share: f64 = (joint..JOINTS)
                 .filter(|&j| j == joint || is_ancestor(joint, j))
@@ -40,7 +41,7 @@ pub(super) fn pose_directions(
             }
             let offset = skin.vertices[v] - joints[joint];
             for (entry, matrix) in table.at(share).iter().enumerate() {
-                let d = *matrix * offset;
+                let d = *matrix * offset * strength;
                 if d.length() > NEGLIGIBLE {
                     direction[(joint - 1) * ENTRIES + entry] = d;
                 }
@@ -48,6 +49,15 @@ pub(super) fn pose_directions(
         }
     }
     directions
+}
+
+/// How much of the correction to apply: at the wide joints of shoulder and hip, where muscles give
+/// way to each other, keeping the whole length would make them bulge.
+fn strength(joint: usize) -> f64 {
+    match joint {
+        1 | 2 | 16 | 17 => 0.6,
+        _ => 1.0,
+    }
 }
 
 /// Rotations in the range of a joint, as an even lattice of rotation vectors.

@@ -17,7 +17,10 @@ mod tests;
 
 use ndarray::{Array2, Array3};
 
-use crate::SmplModel;
+use crate::{
+    SmplModel,
+    joints::{JOINTS, PARENTS},
+};
 
 /// Vertices of the synthetic body, as many as SMPL's.
 pub const VERTICES: usize = 6890;
@@ -39,13 +42,13 @@ pub fn synthetic_body() -> SmplModel {
     let poses = blend::pose_directions(&skin, &weights, &joints);
 
     let count = skin.vertices.len();
-    let mut joint_regressor = Array2::zeros((figure::JOINTS, count));
+    let mut joint_regressor = Array2::zeros((JOINTS, count));
     for (joint, row) in regressor.iter().enumerate() {
         for &(v, w) in row {
             joint_regressor[[joint, v]] = w;
         }
     }
-    let columns = (figure::JOINTS - 1) * 9;
+    let columns = (JOINTS - 1) * 9;
     SmplModel {
         v_template: Array2::from_shape_fn((count, 3), |(v, c)| skin.vertices[v][c]),
         shapedirs: Array3::from_shape_fn((count, 3, shape::DIRECTIONS), |(v, c, d)| {
@@ -53,8 +56,8 @@ pub fn synthetic_body() -> SmplModel {
         }),
         posedirs: Array3::from_shape_fn((count, 3, columns), |(v, c, d)| poses[v][d][c]),
         joint_regressor,
-        weights: Array2::from_shape_fn((count, figure::JOINTS), |(v, j)| weights[v][j]),
-        parents: (0..figure::JOINTS).map(|j| (j > 0).then(|| figure::PARENTS[j])).collect(),
+        weights: Array2::from_shape_fn((count, JOINTS), |(v, j)| weights[v][j]),
+        parents: PARENTS.to_vec(),
         faces: skin.faces,
     }
 }

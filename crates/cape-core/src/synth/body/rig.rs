@@ -3,9 +3,10 @@
 use glam::{DMat4, DVec3, DVec4};
 
 use super::{
-    figure::{JOINTS, MIRRORED, PARENTS, ramp},
+    figure::{MIRRORED, parent, ramp},
     surface::{Skin, neighbours},
 };
+use crate::joints::JOINTS;
 
 /// Blend weights of one vertex, `[24]`.
 pub(super) type Weights = [f64; JOINTS];
@@ -63,10 +64,10 @@ fn row(p: DVec3) -> Weights {
     let mut row = [0.0; JOINTS];
     row[0] = 1.0;
     for joint in 1..JOINTS {
-        let parent = PARENTS[joint];
-        carried[joint] = carried[parent] * share(joint, p);
+        let above = parent(joint);
+        carried[joint] = carried[above] * share(joint, p);
         row[joint] += carried[joint];
-        row[parent] -= carried[joint];
+        row[above] -= carried[joint];
     }
     row.map(|w| w.max(0.0))
 }
@@ -75,7 +76,7 @@ fn row(p: DVec3) -> Weights {
 pub(super) fn is_ancestor(ancestor: usize, joint: usize) -> bool {
     let mut at = joint;
     while at != 0 {
-        at = PARENTS[at];
+        at = parent(at);
         if at == ancestor {
             return true;
         }
@@ -91,10 +92,12 @@ fn share(joint: usize, p: DVec3) -> f64 {
     let DVec3 { x, y, z } = p;
     let neck = || ramp(y + 0.38 * z, 0.225, 0.300);
     match joint {
-        // Thigh: below a plane from the crotch up to the hip bone, on its own side.
+        // Thigh: below a plane from the crotch up to the hip bone, on its own side (which
+        // the two thighs share only at the crotch).
         1 => {
             let groin = -0.375 + 0.75 * x.abs().min(0.17) - 0.02 * ramp(-z, -0.02, 0.08);
-            ramp(groin - y, -0.070, 0.070) * ramp(x, -0.030, 0.030)
+            let shared = 0.002 + 0.028 * (1.0 - ramp(-y, 0.360, 0.420));
+            ramp(groin - y, -0.070, 0.070) * ramp(x, -shared, shared)
         }
         3 => ramp(y, -0.205, -0.055),
         6 => ramp(y, -0.055, 0.055),

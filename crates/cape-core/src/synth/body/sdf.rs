@@ -222,7 +222,7 @@ impl Part {
             return so_far;
         }
         let mut d = self.form.distance(p);
-        if self.paired {
+        if self.paired && p.x < 2.0 * self.blend {
             let other = self.form.distance(DVec3::new(-p.x, p.y, p.z));
             d = smooth_min(d, other, self.blend);
         }

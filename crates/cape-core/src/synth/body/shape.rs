@@ -3,10 +3,11 @@
 use glam::DVec3;
 
 use super::{
-    figure::{JOINTS, MIRRORED, PARENTS},
+    figure::{MIRRORED, parent},
     rig::Weights,
     surface::{Skin, normals},
 };
+use crate::joints::JOINTS;
 
 /// Number of shape directions.
 pub(super) const DIRECTIONS: usize = 10;
@@ -194,8 +195,8 @@ fn displacement(
     // The end of a chain moves by what the parts between it and the pelvis grow.
     let mut moved = [DVec3::ZERO; JOINTS];
     for joint in 1..JOINTS {
-        let parent = PARENTS[joint];
-        moved[joint] = moved[parent] + growth[parent] * (joints[joint] - joints[parent]);
+        let above = parent(joint);
+        moved[joint] = moved[above] + growth[above] * (joints[joint] - joints[above]);
     }
     (0..skin.vertices.len())
         .map(|v| {

@@ -48,7 +48,8 @@ fn half(sculpture: &Sculpture) -> (Vec<DVec3>, Vec<[u32; 3]>) {
         surface.relax(0.6, &|p| sculpture.project(p, 1));
         scale *= (surface.mirrored_count() as f64 / VERTICES as f64).sqrt();
     }
-    surface.settle(VERTICES);
+    let settled = surface.settle(VERTICES);
+    debug_assert!(settled, "the figure is the same on every call, and its count is tested");
     for _ in 0..8 {
         surface.regularise();
         surface.relax(0.6, &|p| sculpture.project(p, 1));
