@@ -2,15 +2,15 @@
 
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, FloatDType, Tensor, TensorData};
 use cape::core::{ClothedSmpl, JointSource, Pose, Smpl, SmplInput, SmplModel, npy::Npz};
 use ndarray::{ArrayD, Axis, Ix2};
 
 /// Allowed distance in space, metres, and of gradients, relative to the largest.
 const METRES: f64 = 1e-5;
 /// Allowed when unposing in `f32`. A random body's blends are nearly singular at some vertices,
-/// where rounding the posed vertices to `f32` moves the unposed ones by 1e-5 m already; the host's
-/// unposing, in `f64`, is held to [`METRES`].
+/// where rounding the posed vertices to `f32` moves the unposed ones by 1e-5 m already. In `f64`,
+/// unposing is held to [`METRES`].
 const UNPOSED_METRES: f64 = 1e-4;
 const RELATIVE: f64 = 1e-4;
 
@@ -31,7 +31,8 @@ pub fn check(model_path: &Path, device: &Device, report: &mut dyn FnMut(String))
         transl: transl.clone(),
         displacement: clothes,
     };
-    let smpl = Smpl::new(&model, &io.device).unwrap();
+    let io_device = io.device.clone();
+    let smpl = Smpl::new(&model, &io_device).unwrap();
     let clothed = ClothedSmpl::new(smpl.clone());
 
     let mut metres = host(&model, &mut io);
@@ -45,18 +46,19 @@ pub fn check(model_path: &Path, device: &Device, report: &mut dyn FnMut(String))
     let dressed = clothed.forward(input(Some(displacement.clone()))).unwrap();
     metres = metres.max(io.distance("clothed_vertices", dressed.vertices.clone()));
 
-    let canonical = smpl
-        .unpose(
-            dressed.vertices.clone(),
-            betas.clone(),
-            Pose::AxisAngle(pose.clone()),
-            transl.clone(),
-        )
-        .unwrap();
-    let clothes = canonical - smpl.shaped(betas.clone()).unwrap();
-    let unposed = io.distance("displacement", clothes);
+    let mut unpose = |smpl: &Smpl| {
+        let posed = smpl.forward(input(Some(displacement.clone()))).unwrap().vertices;
+        let pose = Pose::AxisAngle(pose.clone());
+        let canonical = smpl.unpose(posed, betas.clone(), pose, transl.clone()).unwrap();
+        io.distance("displacement", canonical - smpl.shaped(betas.clone()).unwrap())
+    };
+    let unposed = unpose(&smpl);
+    if io_device.supports_dtype(FloatDType::F64) {
+        let double = Smpl::with_precision(&model, &io_device, FloatDType::F64).unwrap();
+        metres = metres.max(unpose(&double));
+    }
     assert!(metres <= METRES, "positions off by {metres:e} m");
-    assert!(unposed <= UNPOSED_METRES, "unposing off by {unposed:e} m");
+    assert!(unposed <= UNPOSED_METRES, "unposing in f32 off by {unposed:e} m");
 
     let grads = (dressed.vertices * io.tensor("projection")).sum().backward();
     let relative = [
@@ -69,7 +71,7 @@ pub fn check(model_path: &Path, device: &Device, report: &mut dyn FnMut(String))
     .fold(0.0, f64::max);
     assert!(relative <= RELATIVE, "gradients off by {relative:e} of the largest");
     report(format!(
-        "positions within {metres:.1e} m, unposing within {unposed:.1e} m, gradients within \
+        "positions within {metres:.1e} m, unposing in f32 within {unposed:.1e} m, gradients within \
          {relative:.1e}"
     ));
 }
@@ -123,9 +125,9 @@ impl Io {
     fn distance<const D: usize>(&mut self, name: &str, found: Tensor<D>) -> f64 {
         let expected = self.array(name);
         assert_eq!(found.dims().as_slice(), expected.shape(), "{name}");
-        let found = found.inner().try_into_vec_as::<f32>().unwrap();
+        let found = found.inner().try_into_vec_as::<f64>().unwrap();
         let expected: Vec<f64> = expected.into_iter().collect();
-        largest(found.into_iter().map(f64::from), &expected)
+        largest(found.into_iter(), &expected)
     }
 
     /// The same, relative to the largest number of the array.

@@ -20,8 +20,15 @@ pub fn devices() -> Vec<Device> {
         #[cfg(feature = "flex")]
         Device::flex(),
         #[cfg(feature = "ndarray")]
-        Device::ndarray(),
+        ndarray(),
     ]
+}
+
+/// Burn's older CPU backend, kept while it ships.
+#[cfg(feature = "ndarray")]
+#[expect(deprecated)]
+fn ndarray() -> Device {
+    Device::ndarray()
 }
 
 /// The device of that name: `flex`, `ndarray`, `wgpu[:index]` or `cuda[:index]`; `wgpu:cpu` is a
@@ -38,7 +45,7 @@ pub fn parse_device(name: &str) -> Result<Device> {
         #[cfg(feature = "flex")]
         ("flex", None) => Device::flex(),
         #[cfg(feature = "ndarray")]
-        ("ndarray", None) => Device::ndarray(),
+        ("ndarray", None) => ndarray(),
         #[cfg(feature = "wgpu")]
         ("wgpu", index) => {
             use burn::tensor::DeviceKind;

@@ -3,7 +3,7 @@
 //! Inside, vertices are kept as planes `[n, 3, V]`: blend shapes and skinning are then one matrix
 //! product each, and everything per vertex runs over contiguous memory.
 
-use burn::tensor::{Device, Int, Tensor, TensorData};
+use burn::tensor::{DType, Device, FloatDType, Int, Tensor, TensorData};
 use ndarray::{Array2, Axis};
 
 use super::{
@@ -54,7 +54,8 @@ struct Depth {
 
 /// An SMPL body on a device (CAPE eq. 1–2), differentiable in all its inputs.
 ///
-/// Inputs must live on the same device, with or without autodiff as the body's.
+/// Inputs must live on the same device, with or without autodiff as the body's; they are converted
+/// to its precision, which the outputs have.
 #[derive(Debug, Clone)]
 pub struct Smpl {
     vertices: usize,
@@ -80,9 +81,24 @@ pub struct Smpl {
 }
 
 impl Smpl {
-    /// Uploads a body; refuses one whose arrays do not fit together.
+    /// Uploads a body in `f32`; refuses one whose arrays do not fit together.
     pub fn new(model: &SmplModel, device: &Device) -> Result<Self> {
+        Self::with_precision(model, device, FloatDType::F32)
+    }
+
+    /// Uploads a body that computes in `precision`. With `F64`, where the device has it, unposing
+    /// is exact even where blended transforms are nearly singular.
+    pub fn with_precision(
+        model: &SmplModel,
+        device: &Device,
+        precision: FloatDType,
+    ) -> Result<Self> {
         model.validate()?;
+        let dtype = DType::from(precision);
+        if !device.supports_dtype(dtype) {
+            return Err(Error::Argument(format!("the device cannot compute in {dtype:?}")));
+        }
+        let device = &(device, dtype);
         let (v, j, b) = (model.vertices(), model.joints(), model.betas());
         // [V, 3, K] → [K, 3, V] → [K, 3·V]
         let planes = |array: &ndarray::Array3<f64>| {
@@ -94,7 +110,7 @@ impl Smpl {
             joint_directions.extend(model.joint_regressor.dot(&direction));
         }
         let template_joints: Array2<f64> = model.joint_regressor.dot(&model.v_template);
-        let (depths, order) = depths(&model.parents, device);
+        let (depths, order) = depths(&model.parents, device.0);
         let parents: Vec<usize> = model.parents.iter().map(|parent| parent.unwrap_or(0)).collect();
         Ok(Self {
             vertices: v,
@@ -107,7 +123,7 @@ impl Smpl {
             regressor: upload(model.joint_regressor.t().iter(), [v, j], device),
             weights: upload(model.weights.t().iter(), [j, v], device),
             depths,
-            parents: indices(&parents, device),
+            parents: indices(&parents, device.0),
             order,
         })
     }
@@ -127,6 +143,11 @@ impl Smpl {
         self.shape_directions.dims()[0]
     }
 
+    /// `tensor` in the body's precision.
+    pub(super) fn convert<const D: usize>(&self, tensor: Tensor<D>) -> Tensor<D> {
+        tensor.cast(self.template.dtype())
+    }
+
     /// The device the body lives on.
     pub fn device(&self) -> Device {
         self.template.device()
@@ -142,7 +163,10 @@ impl Smpl {
         let [n, b] = self.check_betas(&betas)?;
         let moved = match b {
             0 => self.template_joints.clone().repeat_dim(0, n),
-            _ => betas.matmul(head(&self.joint_directions, b)) + self.template_joints.clone(),
+            _ => {
+                self.convert(betas).matmul(head(&self.joint_directions, b))
+                    + self.template_joints.clone()
+            }
         };
         Ok(moved.reshape([n, self.joints, 3]))
     }
@@ -150,18 +174,23 @@ impl Smpl {
     /// Joints of any rest vertices: `[n, V, 3]` → `[n, J, 3]`.
     pub fn regress_joints(&self, rest: Tensor<3>) -> Result<Tensor<3>> {
         let n = self.check_vertices("rest vertices", &rest)?;
-        let rows = rest.swap_dims(1, 2).reshape([n * 3, self.vertices]);
+        let rows = self.convert(rest).swap_dims(1, 2).reshape([n * 3, self.vertices]);
         Ok(rows.matmul(self.regressor.clone()).reshape([n, 3, self.joints]).swap_dims(1, 2))
     }
 
     /// Rotation matrices `[n, J, 3, 3]` of a pose.
     pub fn rotations(&self, pose: Pose) -> Result<Tensor<4>> {
         let rotations = match pose {
-            Pose::Rotations(rotations) => rotations,
+            Pose::Rotations(rotations) => self.convert(rotations),
             Pose::AxisAngle(angles) => {
                 let [n, numbers] = angles.dims();
                 check("pose", &[n, numbers], &[n, 3 * self.joints])?;
-                rodrigues(angles.reshape([n * self.joints, 3])).reshape([n, self.joints, 3, 3])
+                rodrigues(self.convert(angles).reshape([n * self.joints, 3])).reshape([
+                    n,
+                    self.joints,
+                    3,
+                    3,
+                ])
             }
         };
         let [n, ..] = rotations.dims();
@@ -193,7 +222,13 @@ impl Smpl {
         transl: Tensor<2>,
     ) -> Result<SmplOutput> {
         self.check_skinning(&rest, &rest_joints, &rotations, &transl)?;
-        Ok(self.skin_planes(rest.swap_dims(1, 2), rest_joints, rotations, transl))
+        let [n, v, _] = rest.dims();
+        let rest = self.convert(rest).swap_dims(1, 2);
+        let (joints, turn, shift) = self.blended(rest_joints, rotations);
+        let transl = self.convert(transl).reshape([n, 3, 1]);
+        let turned = (turn * rest.reshape([n, 1, 3, v])).sum_dim(2).reshape([n, 3, v]);
+        let vertices = (turned + shift + transl.clone()).swap_dims(1, 2);
+        Ok(SmplOutput { vertices, joints: joints + transl.swap_dims(1, 2) })
     }
 
     /// Undoes [`skin`](Self::skin): posed vertices `[n, V, 3]` → rest vertices, pose blend shapes
@@ -207,7 +242,8 @@ impl Smpl {
     ) -> Result<Tensor<3>> {
         let n = self.check_skinning(&posed, &rest_joints, &rotations, &transl)?;
         let (_, turn, shift) = self.blended(rest_joints, rotations);
-        let moved = posed.swap_dims(1, 2) - shift - transl.reshape([n, 3, 1]);
+        let transl = self.convert(transl).reshape([n, 3, 1]);
+        let moved = self.convert(posed).swap_dims(1, 2) - transl - shift;
         // Rows r of the blended matrix; its inverse has the columns (r1×r2, r2×r0, r0×r1) / det.
         let row = |i| turn.clone().narrow(1, i, 1).reshape([n, 3, self.vertices]);
         let (r0, r1, r2) = (row(0), row(1), row(2));
@@ -231,7 +267,7 @@ impl Smpl {
         if let Some(displacement) = displacement {
             let n = self.check_vertices("displacement", &displacement)?;
             same_batch("displacement", n, rest.dims()[0])?;
-            rest = rest + displacement.swap_dims(1, 2);
+            rest = rest + self.convert(displacement).swap_dims(1, 2);
         }
         self.skin(rest.swap_dims(1, 2), rest_joints, rotations, transl)
     }
@@ -256,7 +292,9 @@ impl Smpl {
         let [n, b] = self.check_betas(&betas)?;
         let shape = match b {
             0 => self.template.clone().repeat_dim(0, n),
-            _ => betas.matmul(head(&self.shape_directions, b)) + self.template.clone(),
+            _ => {
+                self.convert(betas).matmul(head(&self.shape_directions, b)) + self.template.clone()
+            }
         };
         Ok(shape.reshape([n, 3, self.vertices]))
     }
@@ -264,24 +302,10 @@ impl Smpl {
     fn pose_planes(&self, rotations: Tensor<4>) -> Tensor<3> {
         let [n, j, ..] = rotations.dims();
         let turned = rotations.narrow(1, 1, j - 1);
-        let feature = turned.reshape([n * (j - 1), 9]) - identity(&self.device());
+        let feature =
+            turned.reshape([n * (j - 1), 9]) - identity(&self.device(), self.template.dtype());
         let offsets = feature.reshape([n, 9 * (j - 1)]).matmul(self.pose_directions.clone());
         offsets.reshape([n, 3, self.vertices])
-    }
-
-    fn skin_planes(
-        &self,
-        rest: Tensor<3>,
-        rest_joints: Tensor<3>,
-        rotations: Tensor<4>,
-        transl: Tensor<2>,
-    ) -> SmplOutput {
-        let [n, _, v] = rest.dims();
-        let (joints, turn, shift) = self.blended(rest_joints, rotations);
-        let transl = transl.reshape([n, 3, 1]);
-        let turned = (turn * rest.reshape([n, 1, 3, v])).sum_dim(2).reshape([n, 3, v]);
-        let vertices = (turned + shift + transl.clone()).swap_dims(1, 2);
-        SmplOutput { vertices, joints: joints + transl.swap_dims(1, 2) }
     }
 
     /// Posed joints `[n, J, 3]`, and every vertex's blended transform: a matrix `[n, 3, 3, V]` and
@@ -292,8 +316,8 @@ impl Smpl {
         rotations: Tensor<4>,
     ) -> (Tensor<3>, Tensor<4>, Tensor<3>) {
         let [n, j, _] = rest_joints.dims();
-        let rest = rest_joints.reshape([n, j, 3, 1]);
-        let global = self.global_transforms(rest.clone(), rotations);
+        let rest = self.convert(rest_joints).reshape([n, j, 3, 1]);
+        let global = self.global_transforms(rest.clone(), self.convert(rotations));
         let turn = global.clone().narrow(3, 0, 3);
         let at = global.narrow(3, 3, 1);
         // Acting on rest positions rather than joint-local ones.
@@ -358,12 +382,12 @@ impl Smpl {
 
     fn check_regular(&self, determinant: &Tensor<3>) -> Result<()> {
         let read = |source| Error::Argument(format!("the device failed: {source}"));
-        let determinants: Vec<f32> =
+        let determinants: Vec<f64> =
             determinant.clone().detach().try_into_vec_as().map_err(|e| read(format!("{e:?}")))?;
-        let lost = |&d: &f32| d.is_nan() || f64::from(d).abs() < SINGULAR;
+        let lost = |d: &f64| d.is_nan() || d.abs() < SINGULAR;
         match determinants.iter().position(lost) {
             None => Ok(()),
-            Some(at) => Err(singular(at % self.vertices, determinants[at].into())),
+            Some(at) => Err(singular(at % self.vertices, determinants[at])),
         }
     }
 }
@@ -371,10 +395,10 @@ impl Smpl {
 fn upload<'a, const D: usize>(
     values: impl Iterator<Item = &'a f64>,
     shape: [usize; D],
-    device: &Device,
+    (device, dtype): &(&Device, DType),
 ) -> Tensor<D> {
-    let values: Vec<f32> = values.map(|&value| value as f32).collect();
-    Tensor::from_data(TensorData::new(values, shape), device)
+    let values: Vec<f64> = values.copied().collect();
+    Tensor::from_data(TensorData::new(values, shape), (*device, *dtype))
 }
 
 fn indices(values: &[usize], device: &Device) -> Tensor<1, Int> {

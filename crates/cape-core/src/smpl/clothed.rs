@@ -50,7 +50,7 @@ impl ClothedSmpl {
         }
         let values: Vec<f32> = covered.iter().map(|&covered| f32::from(covered)).collect();
         let values = TensorData::new(values, [1, v, 1]);
-        self.mask = Some(Tensor::from_data(values, &self.smpl.device()));
+        self.mask = Some(self.smpl.convert(Tensor::from_data(values, &self.smpl.device())));
         Ok(self)
     }
 
@@ -71,14 +71,15 @@ impl ClothedSmpl {
             }
         }
         if let Some(mask) = &self.mask {
-            input.displacement = input.displacement.map(|clothes| clothes * mask.clone());
+            input.displacement =
+                input.displacement.map(|clothes| self.smpl.convert(clothes) * mask.clone());
         }
         match (self.joints, input) {
             (
                 JointSource::ClothedTemplate,
                 SmplInput { betas, pose, transl, displacement: Some(displacement) },
             ) => {
-                let clothed = self.smpl.shaped(betas)? + displacement;
+                let clothed = self.smpl.shaped(betas)? + self.smpl.convert(displacement);
                 let joints = self.smpl.regress_joints(clothed.clone())?;
                 let rotations = self.smpl.rotations(pose)?;
                 let offsets = self.smpl.pose_offsets(rotations.clone())?;

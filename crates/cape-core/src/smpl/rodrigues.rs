@@ -1,6 +1,6 @@
 //! Rodrigues' formula on tensors.
 
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{DType, Device, Tensor};
 
 /// Squared angle below which the series are used. They are exact to rounding there, and so are
 /// their derivatives, where the closed forms divide two vanishing numbers.
@@ -11,7 +11,7 @@ const SERIES_BELOW: f64 = 0.25;
 /// `R = (1 − b θ²) I + a [v]ₓ + b v vᵀ` with `a = sin θ / θ`, `b = (1 − cos θ) / θ²`.
 pub fn rodrigues(axis_angle: Tensor<2>) -> Tensor<3> {
     let [m, _] = axis_angle.dims();
-    let device = axis_angle.device();
+    let (device, dtype) = (axis_angle.device(), axis_angle.dtype());
     let squared = axis_angle.clone().square().sum_dim(1);
     let small = squared.clone().lower_scalar(SERIES_BELOW);
 
@@ -41,17 +41,18 @@ pub fn rodrigues(axis_angle: Tensor<2>) -> Tensor<3> {
             [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         ],
         &device,
-    );
+    )
+    .cast(dtype);
     let cross = axis_angle.clone().matmul(generators);
     let outer = axis_angle.clone().reshape([m, 3, 1]) * axis_angle.reshape([m, 1, 3]);
     let diagonal = -(b.clone() * squared) + 1.0;
-    let rotation = diagonal * identity(&device) + a * cross + b * outer.reshape([m, 9]);
+    let rotation = diagonal * identity(&device, dtype) + a * cross + b * outer.reshape([m, 9]);
     rotation.reshape([m, 3, 3])
 }
 
 /// The 3 × 3 identity, row-major, `[1, 9]`.
-pub(super) fn identity(device: &Device) -> Tensor<2> {
-    Tensor::from_floats([[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]], device)
+pub(super) fn identity(device: &Device, dtype: DType) -> Tensor<2> {
+    Tensor::<2>::from_floats([[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]], device).cast(dtype)
 }
 
 /// Horner's scheme, constant term first.

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, FloatDType, Tensor, TensorData};
 use ndarray::{Array, Array1, Array2, Array3, ArrayRef, Dimension, s};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -364,5 +364,27 @@ fn rodrigues_is_right_at_every_angle() {
             let found = numbers(input.grad(&grads).unwrap());
             assert_close(&format!("gradient at {angle}"), &found, &expected, 2e-5);
         }
+    }
+}
+
+#[test]
+fn double_precision_unposes_exactly() {
+    let (model, inputs) = (random_model(), inputs());
+    for device in devices() {
+        let smpl = Smpl::with_precision(&model, &device, FloatDType::F64).unwrap();
+        let SmplInput { betas, pose, transl, displacement } = inputs.input(&device);
+        let clothes = displacement.clone().unwrap().cast(FloatDType::F64);
+        let posed = smpl
+            .forward(SmplInput {
+                betas: betas.clone(),
+                pose: pose.clone(),
+                transl: transl.clone(),
+                displacement,
+            })
+            .unwrap();
+        let canonical = smpl.unpose(posed.vertices, betas.clone(), pose, transl).unwrap();
+        let lost = canonical - smpl.shaped(betas).unwrap() - clothes;
+        let lost = lost.abs().max().into_scalar::<f64>();
+        assert!(lost < 1e-12, "{lost:e}");
     }
 }
