@@ -132,16 +132,34 @@ fn statistics(x: &[f32], shape: NormShape) -> (Vec<f32>, Vec<f32>) {
             .flat_map(|sums| std::iter::repeat_n(f(sums.iter().sum::<f64>() / count) as f32, width))
             .collect()
     };
-    let sums = channel_sums(x, channels, |x, _| x);
+    let sums = channel_sums(
+        x,
+        channels,
+        #[inline(always)]
+        |sums: &mut [f32], row: &[f32]| {
+            for (sum, x) in sums.iter_mut().zip(row) {
+                *sum += x;
+            }
+        },
+    );
     let mean = per_group(&sums, &|mean| mean);
-    let centre = &mean[..];
-    let squares = channel_sums(x, channels, |x, c| (x - centre[c]) * (x - centre[c]));
+    let squares = channel_sums(
+        x,
+        channels,
+        #[inline(always)]
+        |sums: &mut [f32], row: &[f32]| {
+            for ((sum, x), mean) in sums.iter_mut().zip(row).zip(&mean) {
+                *sum += (x - mean) * (x - mean);
+            }
+        },
+    );
     let inverse_deviation =
         per_group(&squares, &|variance| 1.0 / (variance + f64::from(epsilon)).sqrt());
     (mean, inverse_deviation)
 }
 
-fn channel_sums(x: &[f32], channels: usize, f: impl Fn(f32, usize) -> f32) -> Vec<f64> {
+/// Sums over vertices of what `add` adds for each vertex's channels.
+fn channel_sums(x: &[f32], channels: usize, add: impl Fn(&mut [f32], &[f32])) -> Vec<f64> {
     let mut sums = vec![0.0f64; channels];
     let mut block_sums = vec![0.0f32; channels];
     for block in x.chunks(BLOCK * channels) {
@@ -149,11 +167,8 @@ fn channel_sums(x: &[f32], channels: usize, f: impl Fn(f32, usize) -> f32) -> Ve
         simd(
             #[inline(always)]
             || {
-                let block_sums = &mut block_sums[..channels];
                 for row in block.chunks_exact(channels) {
-                    for c in 0..channels {
-                        block_sums[c] += f(row[c], c);
-                    }
+                    add(&mut block_sums, row);
                 }
             },
         );

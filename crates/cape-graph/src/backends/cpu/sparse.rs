@@ -28,20 +28,15 @@ pub(super) fn multiply_rows(a: &Csr, first: usize, x: &[f32], channels: usize, y
         || {
             for (i, y) in y.chunks_exact_mut(channels).enumerate() {
                 let (columns, values) = a.row(first + i);
-                let Some((&c0, rest)) = columns.split_first() else {
-                    y.fill(0.0);
-                    continue;
-                };
-                let x0 = &x[c0 as usize * channels..][..channels];
-                for (y, &x) in y.iter_mut().zip(x0) {
-                    *y = values[0] * x;
-                }
-                for (&c, &value) in rest.iter().zip(&values[1..]) {
-                    let x = &x[c as usize * channels..][..channels];
-                    for (y, &x) in y.iter_mut().zip(x) {
-                        *y += value * x;
-                    }
-                }
+                tiles(
+                    columns,
+                    values,
+                    x,
+                    channels,
+                    y,
+                    #[inline(always)]
+                    |y, sum| *y = sum,
+                );
             }
         },
     );
@@ -54,16 +49,64 @@ pub(super) fn accumulate(a: &Csr, alpha: f32, x: &[f32], channels: usize, y: &mu
         || {
             for (row, y) in y.chunks_exact_mut(channels).enumerate() {
                 let (columns, values) = a.row(row);
-                for (&c, &value) in columns.iter().zip(values) {
-                    let value = alpha * value;
-                    let x = &x[c as usize * channels..][..channels];
-                    for (y, &x) in y.iter_mut().zip(x) {
-                        *y += value * x;
-                    }
-                }
+                tiles(
+                    columns,
+                    values,
+                    x,
+                    channels,
+                    y,
+                    #[inline(always)]
+                    |y, sum| *y += alpha * sum,
+                );
             }
         },
     );
+}
+
+/// One row's weighted sum, in pieces of channels that stay in registers.
+#[inline(always)]
+fn tiles(
+    columns: &[u32],
+    values: &[f32],
+    x: &[f32],
+    channels: usize,
+    y: &mut [f32],
+    store: impl Fn(&mut f32, f32) + Copy,
+) {
+    let mut done = 0;
+    while channels - done >= 64 {
+        tile::<64>(columns, values, &x[done..], channels, &mut y[done..], store);
+        done += 64;
+    }
+    while channels - done >= 16 {
+        tile::<16>(columns, values, &x[done..], channels, &mut y[done..], store);
+        done += 16;
+    }
+    while done < channels {
+        tile::<1>(columns, values, &x[done..], channels, &mut y[done..], store);
+        done += 1;
+    }
+}
+
+#[inline(always)]
+fn tile<const N: usize>(
+    columns: &[u32],
+    values: &[f32],
+    x: &[f32],
+    channels: usize,
+    y: &mut [f32],
+    store: impl Fn(&mut f32, f32),
+) {
+    let mut sum = [0.0f32; N];
+    for (&column, &value) in columns.iter().zip(values) {
+        let x = &x[column as usize * channels..][..N];
+        for (sum, &x) in sum.iter_mut().zip(x) {
+            *sum += value * x;
+        }
+    }
+    for (y, sum) in y[..N].iter_mut().zip(sum) {
+        store(y, sum);
+    }
 }
 
 /// `y = 2 A x − previous` for one example: the Chebyshev recurrence.
