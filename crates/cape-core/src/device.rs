@@ -1,3 +1,6 @@
+// Burn deprecates its ndarray backend in favour of flex.
+#![cfg_attr(feature = "ndarray", allow(deprecated))]
+
 use burn::tensor::{Device, Tensor};
 
 use crate::{Error, Result};
@@ -49,7 +52,7 @@ pub fn parse_device(name: &str) -> Result<Device> {
         #[cfg(feature = "wgpu")]
         ("wgpu", index) => {
             use burn::tensor::DeviceKind;
-            Device::vulkan(match index {
+            Device::wgpu(match index {
                 None => DeviceKind::DefaultDevice,
                 Some("cpu") => DeviceKind::Cpu,
                 Some(index) => DeviceKind::DiscreteGpu(number(name, index)?),

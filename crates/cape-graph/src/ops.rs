@@ -1,5 +1,8 @@
 //! The operations a backend must supply, and how they are composed where it has no kernel.
 
+// Burn deprecates its ndarray backend in favour of flex.
+#![cfg_attr(feature = "ndarray", allow(deprecated))]
+
 use std::sync::Arc;
 
 use burn::backend::{
@@ -104,7 +107,7 @@ pub(crate) mod composed {
     use super::{
         Arc, Backend, FloatTensor, GraphBackend, IntTensor, Shape, SparsePair, TensorMetadata,
     };
-    use burn::tensor::DType;
+    use burn::{backend::get_or_init_device_settings, tensor::DType};
 
     fn dims<B: Backend>(x: &FloatTensor<B>) -> [usize; 3] {
         let shape = x.shape();
@@ -250,7 +253,7 @@ pub(crate) mod composed {
 
     /// `x` where `sign` is positive, `slope · x` elsewhere.
     fn gate<B: Backend>(x: FloatTensor<B>, sign: FloatTensor<B>, slope: f64) -> FloatTensor<B> {
-        let bool_dtype = burn::tensor::BoolDType::Native;
+        let bool_dtype = get_or_init_device_settings::<B>(&sign.device()).bool_dtype;
         let off = B::float_lower_equal_elem(sign, 0.0.into(), bool_dtype);
         let scaled = B::float_mul_scalar(x.clone(), slope.into());
         B::float_mask_where(x, off, scaled)

@@ -10,16 +10,17 @@ const THREADS: u32 = 256;
 /// Below every runtime's limit on workgroups along one axis.
 const MAX_GROUPS: u32 = 32768;
 
-/// One thread an output element, neighbouring threads on neighbouring channels.
+/// One thread an output element, neighbouring threads on neighbouring channels. The offsets into
+/// `index` and `value` are arguments at run time, so that one compiled kernel serves every matrix.
 #[cube(launch)]
 fn sparse_matmul_kernel(
     x: &Tensor<f32>,
     index: &Tensor<i32>,
     value: &Tensor<f32>,
     out: &mut Tensor<f32>,
-    #[comptime] start: usize,
-    #[comptime] column: usize,
-    #[comptime] first_value: usize,
+    start: usize,
+    column: usize,
+    first_value: usize,
 ) {
     if ABSOLUTE_POS < out.len() {
         let channels = out.shape(2);

@@ -1,0 +1,62 @@
+//! Results do not depend on the number of threads.
+
+use cape_graph::{
+    SparseMatrix, bias_leaky_relu, cheb_conv, cheb_features, group_norm_relu, sparse_matmul,
+};
+
+use crate::support::{Op, Outcome, cpu_devices, random, run, sparse};
+
+#[test]
+fn results_are_the_same_bytes_for_any_number_of_threads() {
+    for (name, device) in cpu_devices() {
+        for (batch, vertices, input, output) in [
+            (1, 701, 33, 64),
+            (2, 1301, 64, 64),
+            (3, 65, 3, 16),
+            (11, 301, 16, 7),
+            (1, 53, 544, 64),
+        ] {
+            let order = 3;
+            let a = SparseMatrix::new(&sparse(41, vertices, vertices, 6, true), &device);
+            let inputs = [
+                random(42, batch * vertices * input),
+                random(43, input * order * output),
+                random(44, input),
+                random(45, input),
+            ];
+            let shape = [batch, vertices, input];
+            let operations: [(&str, &[usize], Op); 5] = [
+                ("sparse_matmul", &[0], &|x| sparse_matmul(x[0].clone().reshape(shape), &a)),
+                ("cheb_features", &[0], &|x| cheb_features(x[0].clone().reshape(shape), &a, order)),
+                ("cheb_conv", &[0, 1], &|x| {
+                    let weight = x[1].clone().reshape([input * order, output]);
+                    cheb_conv(x[0].clone().reshape(shape), weight, &a, order)
+                }),
+                ("bias_leaky_relu", &[0, 2], &|x| {
+                    bias_leaky_relu(x[0].clone().reshape(shape), x[1].clone(), 0.2)
+                }),
+                ("group_norm_relu", &[0, 2, 3], &|x| {
+                    let (gamma, beta) = (x[1].clone(), x[2].clone());
+                    group_norm_relu(x[0].clone().reshape(shape), gamma, beta, 1, 1e-3)
+                }),
+            ];
+            for (operation, used, op) in operations {
+                let inputs: Vec<_> = used.iter().map(|&i| inputs[i].clone()).collect();
+                let outcomes: Vec<Outcome> = [1, 2, 3]
+                    .map(|threads| {
+                        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+                        let tracked = vec![true; inputs.len()];
+                        pool.unwrap().install(|| run(&device, &inputs, &tracked, op))
+                    })
+                    .into();
+                for (i, other) in outcomes.iter().enumerate().skip(1) {
+                    assert!(
+                        &outcomes[0] == other,
+                        "{name}: {operation} of {shape:?} differs between 1 and {} threads",
+                        i + 1
+                    );
+                }
+            }
+        }
+    }
+}
