@@ -16,7 +16,7 @@ const RELATIVE: f64 = 1e-4;
 
 /// Checks a `…_model.npz` with the `…_io.npz` beside it: on the host, on the device, gradients, and
 /// that unposing undoes posing.
-pub fn check(model_path: &Path, device: &Device, report: &mut dyn FnMut(String)) {
+pub(crate) fn check(model_path: &Path, device: &Device, report: &mut dyn FnMut(String)) {
     let model = SmplModel::load(model_path).unwrap();
     let io_path = model_path.to_string_lossy().replace("_model.npz", "_io.npz");
     let mut io = Io { npz: Npz::open(io_path).unwrap(), device: device.clone().autodiff() };
