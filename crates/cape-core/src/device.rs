@@ -1,6 +1,3 @@
-// Burn deprecates its ndarray backend in favour of flex.
-#![cfg_attr(feature = "ndarray", allow(deprecated))]
-
 use burn::tensor::{Device, Tensor};
 
 use crate::{Error, Result};
