@@ -27,7 +27,7 @@ struct Kind {
 
 const KINDS: &[Kind] = &[
     Kind { prefix: "pyramid_", suffix: ".npz", check: pyramid::check, per_device: false },
-        Kind { prefix: "smplx_", suffix: "_model.npz", check: smplx::check, per_device: true },
+    Kind { prefix: "smplx_", suffix: "_model.npz", check: smplx::check, per_device: true },
     Kind { prefix: "network_", suffix: ".npz", check: network::check, per_device: true },
     Kind { prefix: "training_", suffix: ".json", check: training::check, per_device: true },
 ];

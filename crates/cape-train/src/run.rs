@@ -10,7 +10,7 @@ use burn::{
     module::Module,
     tensor::{Device, Tensor, TensorData},
 };
-use cape_core::{Outfit, SmplModel, smpl::ClothingMask};
+use cape_core::{Outfit, SmplModel, joints::POSE_FEATURE, smpl::ClothingMask};
 use cape_graph::{DevicePyramid, MeshPyramid, SparseMatrix, Surface};
 use cape_model::{Cape, Generator, Graphs, weights};
 use ndarray::{Array2, Array3};
@@ -23,7 +23,7 @@ use sprs::TriMat;
 use crate::{
     Error, Result, RunConfig, checkpoint,
     data::{
-        Batch, POSE_FEATURE, PackedSet, Part, Statistics,
+        Batch, PackedSet, Part, Statistics,
         raw::{BODY_FILE, CLOTHING_FILE},
     },
     objective::Frames,

@@ -12,15 +12,13 @@ pub mod pack;
 mod packed;
 mod part_writer;
 pub mod raw;
-mod rotation;
 mod shuffle;
 mod split;
 mod statistics;
 
 pub use loader::{Loader, LoaderOptions, LoaderState, StepData, sequential, steps_per_epoch};
 pub use pack::{PackOptions, PackReport, pack};
-pub use packed::{Batch, Origin, POSE_FEATURE, PackedSet, Part};
-pub use rotation::{CLOTHING_JOINTS, pose_rotations, rotation_matrix};
+pub use packed::{Batch, Origin, PackedSet, Part};
 pub use shuffle::{Position, Shuffle, Stream};
 pub use split::{SequenceList, Split};
 pub use statistics::{MIN_STD, STATISTICS_FILE, Statistics, validation_count};

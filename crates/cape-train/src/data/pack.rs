@@ -23,7 +23,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cape_core::Outfit;
+use cape_core::{Outfit, joints::pose_rotations};
 use ndarray::Array2;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -32,7 +32,6 @@ use super::{
     Part, Split,
     part_writer::PartWriter,
     raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
-    rotation::pose_rotations,
     statistics::STATISTICS_FILE,
 };
 use crate::{Error, Progress, Result};
@@ -168,7 +167,7 @@ pub(super) struct PlannedFrame<'a> {
 pub(super) struct PackedFrame {
     pub(super) displacement: Array2<f64>,
     pub(super) pose: [f64; 72],
-    pub(super) rotations: [f64; 216],
+    pub(super) rotations: Vec<f64>,
 }
 
 type Minimals = BTreeMap<String, Array2<f64>>;
@@ -258,7 +257,8 @@ fn read(frame: &PlannedFrame, minimal: &Minimals) -> Result<PackedFrame> {
         return Err(Error::Data(format!("subject {} has no minimal shape", frame.subject)));
     };
     let read = raw::read_canonical(&frame.path, minimal.nrows())?;
-    let rotations = pose_rotations(&read.pose);
+    let rotations = pose_rotations(&read.pose)?;
+    let rotations = rotations.as_flattened().as_flattened().to_vec();
     Ok(PackedFrame { displacement: read.v_cano - minimal, pose: read.pose, rotations })
 }
 

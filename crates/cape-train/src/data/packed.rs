@@ -4,19 +4,18 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cape_core::Outfit;
+use cape_core::{
+    Outfit,
+    joints::{CLOTHING_JOINTS, POSE_FEATURE},
+};
 use ndarray::{Array2, Array3};
 use serde::{Deserialize, Serialize};
 
 use super::{
     npy_rows::RowReader,
-    rotation::CLOTHING_JOINTS,
     statistics::{Accumulator, STATISTICS_FILE, Statistics, validation_count},
 };
 use crate::{Error, Progress, Result};
-
-/// Length of the pose feature: a 3 × 3 rotation matrix for each of 14 joints.
-pub const POSE_FEATURE: usize = 9 * CLOTHING_JOINTS.len();
 
 pub(super) const FRAMES_HEADER: &str = "subject,outfit,sequence,frame";
 

@@ -66,7 +66,7 @@ impl PartWriter {
         let PlannedFrame { path, subject, sequence, outfit } = frame;
         self.displacement.push(packed.displacement.iter().copied())?;
         self.pose.push(packed.pose)?;
-        self.rotations.push(packed.rotations)?;
+        self.rotations.push(packed.rotations.iter().copied())?;
         self.label.push(outfit.one_hot().map(f64::from))?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
         writeln!(self.frames, "{subject},{outfit},{sequence},{name}")
