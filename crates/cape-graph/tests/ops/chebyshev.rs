@@ -47,7 +47,7 @@ fn composed_conv(x: Tensor<3>, weight: Tensor<2>, dense: &Tensor<3>, order: usiz
 
 /// A square matrix, not symmetric so that a missing transposition shows.
 fn square(vertices: usize, device: &Device) -> (sprs::CsMat<f64>, SparseMatrix, Tensor<3>) {
-    let matrix = sparse(11, vertices, vertices, 5, vertices % 2 == 0);
+    let matrix = sparse(11, vertices, vertices, 5, vertices.is_multiple_of(2));
     let a = SparseMatrix::new(&matrix, device);
     let full = dense(&matrix, &device.clone().autodiff());
     (matrix, a, full)

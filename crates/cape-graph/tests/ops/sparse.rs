@@ -84,6 +84,9 @@ fn agrees_with_finite_differences() {
     }
 }
 
+/// A name, how many numbers it takes, and how it arranges them.
+type View<'a> = (&'a str, usize, &'a (dyn Fn(Tensor<1>) -> Tensor<3> + Sync));
+
 #[test]
 fn takes_strided_inputs() {
     let (batch, vertices, channels) = (3, 13, 5);
@@ -91,7 +94,7 @@ fn takes_strided_inputs() {
     for (name, device) in devices() {
         let (a, full) =
             (SparseMatrix::new(&matrix, &device), dense(&matrix, &device.clone().autodiff()));
-        let views: [(&str, usize, &(dyn Fn(Tensor<1>) -> Tensor<3> + Sync)); 3] = [
+        let views: [View; 3] = [
             ("swapped", batch * vertices * channels, &|x| {
                 x.reshape([batch, channels, vertices]).swap_dims(1, 2)
             }),
