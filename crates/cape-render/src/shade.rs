@@ -28,7 +28,7 @@ pub struct Material {
 
 impl Default for Material {
     fn default() -> Self {
-        Self { colour: [0.78, 0.78, 0.80], gloss: 0.12 }
+        Self { colour: [0.74, 0.74, 0.76], gloss: 0.12 }
     }
 }
 
@@ -165,10 +165,10 @@ impl Lights {
 
     /// Linear radiance of `surface` towards the camera.
     pub(crate) fn shade(&self, surface: &Surface) -> Vec3 {
-        const KEY: Vec3 = Vec3::new(1.55, 1.46, 1.35);
+        const KEY: Vec3 = Vec3::new(1.32, 1.25, 1.16);
         const FILL: Vec3 = Vec3::new(0.20, 0.25, 0.33);
         const RIM: Vec3 = Vec3::new(0.85, 0.90, 1.0);
-        const SKY: Vec3 = Vec3::new(0.34, 0.375, 0.44);
+        const SKY: Vec3 = Vec3::new(0.30, 0.33, 0.385);
         const GROUND: Vec3 = Vec3::new(0.16, 0.14, 0.13);
         let Surface { position, normal, eye, albedo, sky, gloss } = *surface;
         let facing = normal.dot(self.key);

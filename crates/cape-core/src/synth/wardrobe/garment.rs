@@ -1,0 +1,199 @@
+//! The state of one set of clothes: what differs between two takes of the same outfit.
+
+use std::f64::consts::TAU;
+
+use glam::DVec3;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use crate::Outfit;
+
+/// Number of waves in a crumple pattern.
+pub(super) const WAVES: usize = 14;
+
+/// How one person wears one outfit in one sequence.
+///
+/// Drawn once a sequence and constant over its frames; independent of the pose. Lengths are metres,
+/// positions along limbs fractions of the limb.
+#[derive(Debug, Clone)]
+pub struct Garment {
+    /// What is worn.
+    pub outfit: Outfit,
+    pub(super) seed: u64,
+    pub(super) shirt: Shirt,
+    pub(super) trousers: Trousers,
+    pub(super) crumple: Vec<Wave>,
+    /// Phase and speed of the sway.
+    pub(super) sway: [f64; 2],
+}
+
+/// The upper garment. Pairs are left and right.
+#[derive(Debug, Clone)]
+pub(super) struct Shirt {
+    /// Ease of the body at the hem.
+    pub(super) ease: f64,
+    /// How far it hangs straight instead of following the body, 0 to 1.
+    pub(super) drape: f64,
+    /// Ease of the sleeves.
+    pub(super) sleeve_ease: f64,
+    /// Where the sleeves end.
+    pub(super) sleeve_end: [f64; 2],
+    /// Lowering of the collar.
+    pub(super) collar: f64,
+    /// Height of the hem above the hips.
+    pub(super) hem: f64,
+    /// Rise of the hem per metre to the left and to the front.
+    pub(super) hem_slope: [f64; 2],
+    /// Waviness of the hem, and its phase.
+    pub(super) hem_wave: [f64; 2],
+    /// Whether it is worn inside the trousers.
+    pub(super) tucked: bool,
+    /// How far the cloth is turned around the body, tangentially at the hem.
+    pub(super) twist: f64,
+    /// Turn of each sleeve around the arm, tangentially.
+    pub(super) sleeve_twist: [f64; 2],
+    /// Shift of each sleeve along the arm.
+    pub(super) sleeve_slide: [f64; 2],
+    /// Shift of the body upwards.
+    pub(super) ride: f64,
+    /// Shift of the hem to the left and to the front.
+    pub(super) lean: [f64; 2],
+    /// Vertical folds around the hem: number, phase, slant.
+    pub(super) folds: [f64; 3],
+    /// Second, coarser set of vertical folds.
+    pub(super) gathers: [f64; 3],
+    /// Phases of the sleeves' folds.
+    pub(super) sleeve_phase: [f64; 2],
+}
+
+/// The lower garment. Pairs are left and right.
+#[derive(Debug, Clone)]
+pub(super) struct Trousers {
+    /// Ease of the legs.
+    pub(super) ease: f64,
+    /// How far the legs hang straight instead of following the body, 0 to 1.
+    pub(super) drape: f64,
+    /// Growth of the ease towards the cuff.
+    pub(super) flare: f64,
+    /// Where the legs end.
+    pub(super) leg_end: [f64; 2],
+    /// Raising of the waistband.
+    pub(super) waist: f64,
+    /// Sagging of the seat.
+    pub(super) seat: f64,
+    /// Turn of each leg of the cloth around the leg, tangentially at the cuff.
+    pub(super) twist: [f64; 2],
+    /// Shift of each leg of the cloth along the leg.
+    pub(super) slide: [f64; 2],
+    /// Size and phases of the folds that stack above the cuffs.
+    pub(super) stack: f64,
+    pub(super) stack_phase: [f64; 2],
+    /// Phases of the lengthwise folds.
+    pub(super) fold_phase: [f64; 2],
+}
+
+/// One wave of the random pattern of dents.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Wave {
+    /// Radians per metre.
+    pub(super) vector: DVec3,
+    pub(super) phase: f64,
+    pub(super) amplitude: f64,
+    /// Direction in which the cloth shifts along the surface with the dent.
+    pub(super) drag: DVec3,
+    /// How far its phase follows the bending of the waist.
+    pub(super) follow: f64,
+}
+
+impl Garment {
+    pub(super) fn random(outfit: Outfit, seed: u64) -> Self {
+        let rng = &mut ChaCha8Rng::seed_from_u64(seed);
+        let shirt = Shirt::random(outfit.long_sleeves(), rng);
+        let trousers = Trousers::random(outfit.long_legs(), rng);
+        let crumple = (0..WAVES).map(|_| Wave::random(rng)).collect();
+        let sway = [rng.random_range(0.0..TAU), rng.random_range(0.5..1.1)];
+        Self { outfit, seed, shirt, trousers, crumple, sway }
+    }
+}
+
+impl Shirt {
+    fn random(long: bool, rng: &mut ChaCha8Rng) -> Self {
+        let end = if long { 0.885 } else { 0.37 } + if long { 0.022 } else { 0.035 } * normal(rng);
+        let uneven = if long { 0.012 } else { 0.01 } * normal(rng);
+        let limit = if long { (0.8, 0.925) } else { (0.28, 0.46) };
+        Self {
+            ease: log_normal(0.009, 0.45, rng),
+            drape: (0.38 + 0.3 * normal(rng)).clamp(0.0, 1.0),
+            sleeve_ease: log_normal(if long { 0.006 } else { 0.009 }, 0.45, rng),
+            sleeve_end: [end + uneven, end - uneven].map(|e: f64| e.clamp(limit.0, limit.1)),
+            collar: 0.008 * normal(rng),
+            hem: -0.015 + 0.022 * normal(rng),
+            hem_slope: [0.07 * normal(rng), 0.1 * normal(rng)],
+            hem_wave: [0.006 * normal(rng), angle(rng)],
+            tucked: rng.random_bool(0.2),
+            twist: 0.014 * normal(rng),
+            sleeve_twist: pair(0.008, rng),
+            sleeve_slide: pair(0.011, rng),
+            ride: 0.009 * normal(rng),
+            lean: pair(0.011, rng),
+            folds: [f64::from(rng.random_range(6_u8..=8)), angle(rng), 0.9 * normal(rng)],
+            gathers: [f64::from(rng.random_range(2_u8..=4)), angle(rng), 0.7 * normal(rng)],
+            sleeve_phase: [angle(rng), angle(rng)],
+        }
+    }
+}
+
+impl Trousers {
+    fn random(long: bool, rng: &mut ChaCha8Rng) -> Self {
+        let end = if long { 0.885 } else { 0.46 } + if long { 0.018 } else { 0.035 } * normal(rng);
+        let uneven = 0.008 * normal(rng);
+        let limit = if long { (0.82, 0.915) } else { (0.36, 0.56) };
+        Self {
+            ease: log_normal(if long { 0.006 } else { 0.008 }, 0.45, rng),
+            drape: (0.33 + 0.3 * normal(rng)).clamp(0.0, 1.0),
+            flare: if long { 0.7 } else { 1.1 } + 0.35 * normal(rng),
+            leg_end: [end + uneven, end - uneven].map(|e: f64| e.clamp(limit.0, limit.1)),
+            waist: 0.012 * normal(rng),
+            seat: 0.006 + 0.006 * normal(rng).abs(),
+            twist: pair(0.012, rng),
+            slide: pair(0.013, rng),
+            stack: if long { log_normal(0.004, 0.4, rng) } else { 0.0 },
+            stack_phase: [angle(rng), angle(rng)],
+            fold_phase: [angle(rng), angle(rng)],
+        }
+    }
+}
+
+impl Wave {
+    fn random(rng: &mut ChaCha8Rng) -> Self {
+        let length = rng.random_range(0.10..0.34);
+        let direction = DVec3::from_array(std::array::from_fn(|_| normal(rng)));
+        let drag = DVec3::from_array(std::array::from_fn(|_| normal(rng)));
+        Self {
+            vector: direction.normalize_or(DVec3::Y) * (TAU / length),
+            phase: angle(rng),
+            amplitude: 0.0012 * (length / 0.2_f64).sqrt() * normal(rng),
+            drag: drag * 0.001,
+            follow: 1.5 * normal(rng),
+        }
+    }
+}
+
+/// Standard normal, cut at ±2.2.
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    rng.sample::<f64, _>(StandardNormal).clamp(-2.2, 2.2)
+}
+
+fn log_normal(median: f64, spread: f64, rng: &mut ChaCha8Rng) -> f64 {
+    median * (spread * normal(rng)).exp()
+}
+
+fn pair(spread: f64, rng: &mut ChaCha8Rng) -> [f64; 2] {
+    let (common, own) = (normal(rng), [normal(rng), normal(rng)]);
+    own.map(|own| spread * (0.5 * common + 0.866 * own))
+}
+
+fn angle(rng: &mut ChaCha8Rng) -> f64 {
+    rng.random_range(0.0..TAU)
+}
