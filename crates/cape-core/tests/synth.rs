@@ -5,7 +5,7 @@ use std::{collections::HashSet, sync::OnceLock};
 use cape_core::{
     Outfit, SmplModel,
     npy::{Npz, read_f64, read_i64},
-    synth::{Motion, Synth, SynthSpec, Take, Wardrobe, synthetic_body},
+    synth::{Motion, MotionStyle, Synth, SynthSpec, Take, Wardrobe, synthetic_body},
 };
 use ndarray::{Array1, Array2, Axis, s};
 use rayon::prelude::*;
@@ -115,7 +115,6 @@ fn statistics_are_near_the_real_ones_and_no_linear_model_of_18_explains_them() {
         SynthSpec { subjects: 4, frames_per_sequence: 4, frame_rate: 2.1, ..SynthSpec::default() };
     let synth = Synth::new(body(), spec).unwrap();
     let clothing = synth.wardrobe().clothing_vertices();
-    println!("{} clothing vertices", clothing.len());
     assert!((3100..=4200).contains(&clothing.len()), "{}", clothing.len());
 
     let mut train = displacements(&synth, &clothing, false);
@@ -160,7 +159,7 @@ fn head_hands_and_feet_are_bare() {
     }
     for outfit in Outfit::ALL {
         let fitting = wardrobe.fit(wardrobe.garment(0, outfit, 3));
-        let pose = Motion::PoseModel.pose(&Default::default(), 2.0);
+        let pose = Motion::PoseModel.pose(&MotionStyle::default(), 2.0);
         let displacement = wardrobe.displacement(&fitting, &pose, 2.0, None).unwrap();
         let coverage = fitting.coverage();
         for (vertex, moved) in displacement.rows().into_iter().enumerate() {
@@ -225,7 +224,7 @@ fn garments_last_a_sequence_and_are_not_a_function_of_the_pose() {
     let wardrobe = Wardrobe::new(body(), 4).unwrap();
     let wear = |sequence: usize, motion: Motion, noise: Option<u64>| {
         let fitting = wardrobe.fit(wardrobe.garment(0, Outfit::LongLong, sequence));
-        let pose = motion.pose(&Default::default(), 1.0);
+        let pose = motion.pose(&MotionStyle::default(), 1.0);
         wardrobe.displacement(&fitting, &pose, 0.0, noise).unwrap()
     };
     let first = wear(0, Motion::Simple, None);
@@ -255,11 +254,10 @@ fn files_follow_the_release_whatever_the_number_of_threads() {
         let mut seen = Vec::new();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let mut progress = |done, total| seen.push((done, total));
-        let mut frames = Vec::new();
-        pool.install(|| {
-            synth.spec().takes().iter().for_each(|&take| frames.push(synth.frames(take).unwrap()))
+        let frames: Vec<_> = pool.install(|| {
+            synth.write(directory.path(), &mut progress).unwrap();
+            synth.spec().takes().iter().map(|&take| synth.frames(take).unwrap()).collect()
         });
-        synth.write(directory.path(), &mut progress).unwrap();
         assert_eq!(seen, [(0, 6), (3, 6), (6, 6)]);
         (directory, frames)
     };
