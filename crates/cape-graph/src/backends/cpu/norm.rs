@@ -32,16 +32,17 @@ pub(in crate::backends) fn group_norm_relu(
     let n = shape.vertices * shape.channels;
     y.par_chunks_mut(n).zip(x.par_chunks(n)).for_each(|(y, x)| {
         let (mean, inverse_deviation) = statistics(x, shape);
-        let scale: Vec<f32> = inverse_deviation.iter().zip(gamma).map(|(r, g)| r * g).collect();
-        let shift: Vec<f32> =
-            beta.iter().zip(&mean).zip(&scale).map(|((b, m), s)| b - m * s).collect();
+        let channels = shape.channels;
         simd(
             #[inline(always)]
             || {
-                for (y, x) in y.chunks_exact_mut(shape.channels).zip(x.chunks_exact(shape.channels))
-                {
-                    for (((y, &x), &scale), &shift) in y.iter_mut().zip(x).zip(&scale).zip(&shift) {
-                        *y = (x * scale + shift).max(0.0);
+                let (mean, inverse_deviation) = (&mean[..channels], &inverse_deviation[..channels]);
+                let (gamma, beta) = (&gamma[..channels], &beta[..channels]);
+                for (y, x) in y.chunks_exact_mut(channels).zip(x.chunks_exact(channels)) {
+                    for c in 0..channels {
+                        // As in the gradient, to the last bit: both must agree on what is active.
+                        let unit = (x[c] - mean[c]) * inverse_deviation[c];
+                        y[c] = (unit * gamma[c] + beta[c]).max(0.0);
                     }
                 }
             },
