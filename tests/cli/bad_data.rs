@@ -162,12 +162,17 @@ fn one_frame_is_enough_to_train_on() {
 fn labels_that_are_not_one_hot() {
     let data = Packed::new();
     let path = data.at("packed/train/train_clo_label.npy");
-    for bad in [[1.0, 1.0, 0.0, 0.0], [0.0; 4], [0.5, 0.5, 0.0, 0.0], [f64::NAN, 0.0, 0.0, 1.0]] {
+    for (bad, said) in [
+        ([1.0, 1.0, 0.0, 0.0], "one-hot"),
+        ([0.0; 4], "one-hot"),
+        ([0.5, 0.5, 0.0, 0.0], "one-hot"),
+        ([f64::NAN, 0.0, 0.0, 1.0], "not finite"),
+    ] {
         let mut labels = read_f64(&path).unwrap();
         let good = labels.clone();
         labels.slice_mut(s![2, ..]).assign(&ndarray::arr1(&bad));
         write_npy(&path, &labels).unwrap();
-        train(&data).failed_saying(&["train_clo_label.npy", "row 2", "one-hot"]);
+        train(&data).failed_saying(&["train_clo_label.npy", " 2`", said]);
         write_npy(&path, &good).unwrap();
     }
 }

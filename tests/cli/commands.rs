@@ -175,7 +175,7 @@ fn bad_requests_for_samples() {
         ("--pose handstand", "unknown pose `handstand`"),
         ("--pose @/bad.npy", "expected [_, 72]"),
         ("--pose @/gone.npy", "gone.npy"),
-        ("--betas 1,2,3", "3"),
+        ("--betas 1,2,3", "--betas: 3, but the body has 2"),
         ("--betas nan", "not a finite number"),
     ] {
         data.run(&format!("sample @/run --out @/bad-samples {rest}")).failed_saying(&[said]);

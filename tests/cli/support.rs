@@ -18,22 +18,22 @@ use cape::{
 use ndarray::{Array1, Array2, Array3};
 use tempfile::TempDir;
 
-pub const SIDES: usize = 8;
-pub const RINGS: usize = 12;
-pub const VERTICES: usize = RINGS * SIDES + 2;
+pub(crate) const SIDES: usize = 8;
+pub(crate) const RINGS: usize = 12;
+pub(crate) const VERTICES: usize = RINGS * SIDES + 2;
 
 /// The command with its arguments, ready to run.
-pub fn cape<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
+pub(crate) fn cape<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_cape"));
     command.args(arguments);
     command
 }
 
 /// What a run of the command came to.
-pub struct Ran {
-    pub code: Option<i32>,
-    pub out: String,
-    pub err: String,
+pub(crate) struct Ran {
+    pub(crate) code: Option<i32>,
+    pub(crate) out: String,
+    pub(crate) err: String,
 }
 
 impl From<Output> for Ran {
@@ -46,32 +46,32 @@ impl From<Output> for Ran {
     }
 }
 
-pub fn run<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Ran {
+pub(crate) fn run<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Ran {
     cape(arguments).output().unwrap().into()
 }
 
 /// Runs a command line of words without spaces.
-pub fn run_line(line: &str) -> Ran {
+pub(crate) fn run_line(line: &str) -> Ran {
     run(line.split_whitespace())
 }
 
 impl Ran {
     /// Asserts success and returns standard output.
     #[track_caller]
-    pub fn succeeded(self) -> String {
+    pub(crate) fn succeeded(self) -> String {
         assert_eq!(self.code, Some(0), "{}", self.err);
         self.out
     }
 
     /// Asserts success and returns standard output as JSON.
     #[track_caller]
-    pub fn json(self) -> serde_json::Value {
+    pub(crate) fn json(self) -> serde_json::Value {
         serde_json::from_str(&self.succeeded()).unwrap()
     }
 
     /// Asserts an error with exit code 1, nothing on standard output, and all of `parts` said.
     #[track_caller]
-    pub fn failed_saying(self, parts: &[&str]) {
+    pub(crate) fn failed_saying(self, parts: &[&str]) {
         let Self { code, out, err } = self;
         assert_eq!(code, Some(1), "{err}");
         assert_eq!(out, "");
@@ -85,7 +85,7 @@ impl Ran {
 }
 
 /// A body of 24 joints in a stack, closed, small.
-pub fn small_body() -> SmplModel {
+pub(crate) fn small_body() -> SmplModel {
     let height = |ring: usize| 1.6 * ring as f64 / (RINGS - 1) as f64;
     let mut vertices = Vec::new();
     for ring in 0..RINGS {
@@ -135,7 +135,7 @@ pub fn small_body() -> SmplModel {
     }
 }
 
-pub fn pose_of(frame: usize) -> [f64; 72] {
+pub(crate) fn pose_of(frame: usize) -> [f64; 72] {
     std::array::from_fn(|i| 0.3 * (i as f64 + 0.7 * frame as f64).sin())
 }
 
@@ -150,7 +150,7 @@ fn frame(body: &SmplModel, outfit: Outfit, sequence: usize, number: usize) -> Ra
     RawFrame { v_posed: v_cano.clone(), v_cano, pose, transl: [0.0; 3] }
 }
 
-pub fn split() -> Split {
+pub(crate) fn split() -> Split {
     let sequences = |names: &[&str]| SequenceList {
         sequences: names.iter().map(ToString::to_string).collect(),
         exclude: Vec::new(),
@@ -166,7 +166,7 @@ pub fn split() -> Split {
 }
 
 /// Raw captures of `frames` frames a sequence.
-pub fn write_raw(root: &Path, frames: usize) {
+pub(crate) fn write_raw(root: &Path, frames: usize) {
     let body = small_body();
     fs::create_dir_all(root).unwrap();
     body.save(root.join("body.npz")).unwrap();
@@ -185,15 +185,15 @@ pub fn write_raw(root: &Path, frames: usize) {
 }
 
 /// A directory with a packed set in `packed`, for a test to spoil.
-pub struct Packed(TempDir);
+pub(crate) struct Packed(TempDir);
 
 impl Packed {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self::of(8)
     }
 
     /// From sequences of `frames` frames, four of which are cut off.
-    pub fn of(frames: usize) -> Self {
+    pub(crate) fn of(frames: usize) -> Self {
         let root = tempfile::tempdir().unwrap();
         let raw = root.path().join("raw");
         write_raw(&raw, frames);
@@ -203,29 +203,29 @@ impl Packed {
         Self(root)
     }
 
-    pub fn root(&self) -> &Path {
+    pub(crate) fn root(&self) -> &Path {
         self.0.path()
     }
 
     /// A path inside the directory.
-    pub fn at(&self, name: &str) -> PathBuf {
+    pub(crate) fn at(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }
 
     /// Runs a command line in which `@` stands for the directory.
-    pub fn run(&self, line: &str) -> Ran {
+    pub(crate) fn run(&self, line: &str) -> Ran {
         let root = self.0.path().to_str().unwrap();
         run(line.split_whitespace().map(|word| word.replace('@', root)))
     }
 
     /// A short training into `run`.
-    pub fn train(&self) -> Ran {
+    pub(crate) fn train(&self) -> Ran {
         self.run("train --data @/packed --out @/run --preset tiny --epochs 2 --batch 4")
     }
 }
 
 /// A packed set and a run trained on it, shared by tests that only read them.
-pub fn trained() -> &'static Packed {
+pub(crate) fn trained() -> &'static Packed {
     static TRAINED: OnceLock<Packed> = OnceLock::new();
     TRAINED.get_or_init(|| {
         let packed = Packed::new();
@@ -235,13 +235,13 @@ pub fn trained() -> &'static Packed {
 }
 
 /// Cuts a file to half its length.
-pub fn truncate(path: &Path) {
+pub(crate) fn truncate(path: &Path) {
     let bytes = fs::read(path).unwrap();
     fs::write(path, &bytes[..bytes.len() / 2]).unwrap();
 }
 
 /// Every file under `root` with its contents, by relative path.
-pub fn contents(root: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+pub(crate) fn contents(root: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let mut files = Vec::new();
     let mut open = vec![root.to_owned()];
     while let Some(directory) = open.pop() {

@@ -19,7 +19,7 @@ pub(crate) struct Cli {
 #[command(next_help_heading = "Global options")]
 pub(crate) struct Global {
     /// Where tensors live: flex, ndarray, wgpu[:index] or cuda[:index], as far as compiled in.
-    #[arg(long, global = true, default_value = "flex", value_name = "NAME")]
+    #[arg(long, global = true, default_value = default_device(), value_name = "NAME")]
     pub(crate) device: String,
     /// What all randomness follows from; each command has its own default.
     #[arg(long, global = true, value_name = "S")]
@@ -61,6 +61,11 @@ impl Command {
         }
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// The device that is used if none is named: the first that is compiled in.
+pub(crate) fn default_device() -> &'static str {
+    cape_core::DEVICES.first().copied().unwrap_or("flex")
 }
 
 /// Parses a count.

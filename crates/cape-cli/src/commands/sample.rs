@@ -115,6 +115,11 @@ impl Sample {
         }
         files::require_empty(&self.out)?;
         let run = Run::open(&self.run, &device)?;
+        let most = run.body().betas();
+        if self.betas.len() > most {
+            let given = self.betas.len();
+            return Err(Error::message(format!("--betas: {given}, but the body has {most}")));
+        }
         let seed = global.seed.unwrap_or(1);
         let codes = run.sample_codes(self.n, seed);
         let (mut requests, mut lines) = (Vec::new(), Vec::new());

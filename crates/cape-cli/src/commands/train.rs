@@ -7,7 +7,7 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, at_least_one},
+    arguments::{Global, at_least_one, default_device},
     commands::pyramid::WeightingName,
     console::{Console, seconds},
     error::{Context, Error, Result},
@@ -175,7 +175,7 @@ impl Train {
             path("--data", data);
         }
         words.push("--resume".to_owned());
-        if global.device != "flex" {
+        if global.device != default_device() {
             words.extend(["--device".to_owned(), quoted(&global.device)]);
         }
         if let Some(threads) = global.threads {
