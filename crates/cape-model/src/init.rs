@@ -30,8 +30,7 @@ impl Init {
 
     /// Normal, cut at two deviations.
     pub(crate) fn truncated_normal(&mut self, shape: [usize; 2]) -> Param<Tensor<2>> {
-        let values =
-            (0..shape[0] * shape[1]).map(|_| self.deviation * self.within_two()).collect();
+        let values = (0..shape[0] * shape[1]).map(|_| self.deviation * self.within_two()).collect();
         self.param(values, shape)
     }
 

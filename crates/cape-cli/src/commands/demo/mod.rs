@@ -12,7 +12,7 @@ use cape_core::{Outfit, obj, parse_device, synth};
 use cape_model::CapeConfig;
 use cape_train::{
     EvalOptions, EvalReport, Event, Outcome, PosteriorUse, Run, RunConfig, TrainConfig, Trainer,
-    data::{PackOptions, pack},
+    data::{PackOptions, Split, pack},
     evaluate, write_json,
 };
 use clap::Args;
@@ -145,14 +145,15 @@ impl Setting<'_> {
     fn data(&mut self) -> Result {
         let raw = self.path("raw");
         let spec = synth::SynthSpec {
-            subjects: 2,
-            frames_per_sequence: 10,
+            subjects: 8,
+            frames_per_sequence: 2,
             seed: self.seed,
-            frame_rate: 4.0,
+            frame_rate: 1.5,
             ..synth::SynthSpec::default()
         };
-        let split = split_of(&spec);
-        self.stage("synth", "two subjects in four outfits, fifteen movements", |this| {
+        // Many takes of few frames, all of which are kept: clothes differ more between takes.
+        let split = Split { cut: 0, ..split_of(&spec) };
+        self.stage("synth", "eight subjects in four outfits, fifteen movements", |this| {
             let body = synth::synthetic_body();
             let synth = synth::Synth::new(&body, spec)?;
             let write = |progress: &mut dyn FnMut(usize, usize)| synth.write(&raw, progress);
