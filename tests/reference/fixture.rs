@@ -141,6 +141,7 @@ impl Settings {
             decoder: self.decoder,
             decoder_conditions,
             variational: true,
+            deviation: 0.1,
             discriminator: Some(discriminator),
         }
     }

@@ -67,6 +67,10 @@ pub struct CapeConfig {
     pub decoder_conditions: DecoderConditions,
     /// Whether the latent code is sampled in training (a VAE) or is the mean (an auto-encoder).
     pub variational: bool,
+    /// Standard deviation of the convolutions' initial weights. CAPE's 0.1 suits its widths: the
+    /// signal fades through the encoder of a narrower model, which needs more.
+    #[serde(default = "default_deviation")]
+    pub deviation: f64,
     /// The patchwise discriminator, if any.
     pub discriminator: Option<DiscriminatorConfig>,
 }
@@ -83,6 +87,10 @@ pub struct DiscriminatorConfig {
     pub order: usize,
     /// Chebyshev terms of the last, one-channel convolution.
     pub output_order: usize,
+}
+
+const fn default_deviation() -> f64 {
+    0.1
 }
 
 impl Default for DiscriminatorConfig {
@@ -120,6 +128,7 @@ impl CapeConfig {
             decoder: DecoderBlock::Residual,
             decoder_conditions: DecoderConditions::Everywhere,
             variational: true,
+            deviation: default_deviation(),
             discriminator: Some(DiscriminatorConfig::default()),
         }
     }
@@ -141,6 +150,7 @@ impl CapeConfig {
         Self {
             filters: vec![32, 32, 32, 32, 64, 64, 128, 128],
             reduce: 32,
+            deviation: 0.2,
             discriminator: Some(DiscriminatorConfig {
                 filters: vec![16, 16, 32, 32],
                 ..DiscriminatorConfig::default()
@@ -193,6 +203,9 @@ impl CapeConfig {
         check_layers("filters", &self.filters, "factors", &self.factors)?;
         if self.order == 0 {
             return error("order", "must be at least 1".into());
+        }
+        if !(self.deviation.is_finite() && self.deviation > 0.0) {
+            return error("deviation", format!("must be positive, not {}", self.deviation));
         }
         if self.latent == 0 {
             return error("latent", "must be at least 1".into());

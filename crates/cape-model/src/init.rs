@@ -10,22 +10,27 @@ use rand_distr::StandardNormal;
 #[derive(Debug)]
 pub struct Init {
     rng: ChaCha8Rng,
+    deviation: f32,
     device: Device,
 }
 
 impl Init {
-    /// A source of weights for `device`.
-    pub fn new(seed: u64, device: &Device) -> Self {
-        Self { rng: ChaCha8Rng::seed_from_u64(seed), device: device.clone() }
+    /// A source of weights for `device`, with the given standard deviation of convolutions.
+    pub fn new(seed: u64, deviation: f64, device: &Device) -> Self {
+        Self {
+            rng: ChaCha8Rng::seed_from_u64(seed),
+            deviation: deviation as f32,
+            device: device.clone(),
+        }
     }
 
     fn param<const D: usize>(&self, values: Vec<f32>, shape: [usize; D]) -> Param<Tensor<D>> {
         Param::from_data(TensorData::new(values, shape), &self.device)
     }
 
-    /// Normal with standard deviation 0.1, cut at two deviations.
+    /// Normal, cut at two deviations.
     pub(crate) fn truncated_normal(&mut self, shape: [usize; 2]) -> Param<Tensor<2>> {
-        let values = (0..shape[0] * shape[1]).map(|_| 0.1 * self.within_two()).collect();
+        let values = (0..shape[0] * shape[1]).map(|_| self.deviation * self.within_two()).collect();
         self.param(values, shape)
     }
 

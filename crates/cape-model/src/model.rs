@@ -49,7 +49,7 @@ impl Cape {
         config.validate()?;
         let layers = config.filters.len();
         check_transitions("the generator", &graphs.generator, layers)?;
-        let mut init = Init::new(seed, device);
+        let mut init = Init::new(seed, config.deviation, device);
         let vertices = graphs.generator.vertices();
         let (fine, coarse) = (vertices[0], vertices[layers]);
         let generator = Generator {

@@ -1,0 +1,98 @@
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::{commands, console::Console, error::Result};
+
+/// Clothed 3D people: CAPE's conditional Mesh-VAE-GAN on SMPL bodies.
+#[derive(Debug, Parser)]
+#[command(name = "cape", version, arg_required_else_help = true, propagate_version = true)]
+pub(crate) struct Cli {
+    #[command(flatten)]
+    pub(crate) global: Global,
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+/// Options that every command takes.
+#[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Global options")]
+pub(crate) struct Global {
+    /// Where tensors live: flex, ndarray, wgpu[:index] or cuda[:index], as far as compiled in.
+    #[arg(long, global = true, default_value = default_device(), value_name = "NAME")]
+    pub(crate) device: String,
+    /// What all randomness follows from; each command has its own default.
+    #[arg(long, global = true, value_name = "S")]
+    pub(crate) seed: Option<u64>,
+    /// Print the result on standard output as JSON.
+    #[arg(long, global = true)]
+    pub(crate) json: bool,
+    /// Show no progress and no notes.
+    #[arg(long, short, global = true)]
+    pub(crate) quiet: bool,
+    /// Threads to compute with; by default one for each core.
+    #[arg(long, global = true, value_name = "N", value_parser = at_least_one)]
+    pub(crate) threads: Option<usize>,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    Synth(commands::synth::Synth),
+    Pack(commands::pack::Pack),
+    Pyramid(commands::pyramid::Pyramid),
+    Train(commands::train::Train),
+    Eval(commands::eval::Eval),
+    Sample(commands::sample::Sample),
+    Info(commands::info::Info),
+    Demo(commands::demo::Demo),
+}
+
+impl Command {
+    pub(crate) fn run(self, global: &Global, console: &Console) -> Result<ExitCode> {
+        match self {
+            Self::Synth(command) => command.run(global, console)?,
+            Self::Pack(command) => command.run(console)?,
+            Self::Pyramid(command) => command.run(console)?,
+            Self::Train(command) => return command.run(global, console),
+            Self::Eval(command) => command.run(global, console)?,
+            Self::Sample(command) => command.run(global, console)?,
+            Self::Info(command) => command.run(console)?,
+            Self::Demo(command) => command.run(global, console)?,
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// The device that is used if none is named: the first that is compiled in.
+pub(crate) fn default_device() -> &'static str {
+    cape_core::DEVICES.first().copied().unwrap_or("flex")
+}
+
+/// Parses a count.
+pub(crate) fn at_least_one(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(0) => Err("must be at least 1".into()),
+        Ok(count) => Ok(count),
+        Err(_) => Err("expected a whole number".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_arguments_are_consistent_and_every_command_has_an_example() {
+        let mut cli = Cli::command();
+        cli.build();
+        cli.clone().debug_assert();
+        for command in cli.get_subcommands().filter(|command| command.get_name() != "help") {
+            let help = command.clone().render_long_help().to_string();
+            let example = format!("cape {}", command.get_name());
+            let after = help.split("Example").nth(1).unwrap_or_default();
+            assert!(after.contains(&example), "{help}");
+        }
+    }
+}

@@ -1,0 +1,247 @@
+mod outcome;
+mod pictures;
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
+
+use burn::tensor::Device;
+use cape_core::{Outfit, obj, parse_device, synth};
+use cape_model::CapeConfig;
+use cape_train::{
+    EvalOptions, EvalReport, Event, Outcome, PosteriorUse, Run, RunConfig, TrainConfig, Trainer,
+    data::{PackOptions, Split, pack},
+    evaluate, write_json,
+};
+use clap::Args;
+
+use crate::{
+    arguments::Global,
+    commands::synth::split_of,
+    console::Console,
+    dressed::{Dressed, Request, bare, dress},
+    error::{Context, Error, Result},
+    files, pose, training,
+};
+use outcome::{Report, Stage};
+use pictures::Losses;
+
+/// Part of the time after which training stops; the rest is for evaluation and pictures.
+const TRAINING_SHARE: f64 = 0.8;
+/// Marks a directory as a demo's, which the next demo may replace.
+const MARKER: &str = ".cape-demo";
+const FILES: [&str; 4] = [MARKER, "demo.json", "loss.png", "contact_sheet.png"];
+const DIRECTORIES: [&str; 3] = ["raw", "packed", "run"];
+/// The bare body's file, beside one for each outfit.
+const BARE: &str = "bare";
+
+/// Create data, train, evaluate and sample, all in a few minutes.
+///
+/// Synthetic captures of full size are packed, a narrow model with all eight levels is trained on
+/// them and evaluated on movements it has not seen, and bodies are dressed in clothes it makes up:
+/// meshes, loss.png and contact_sheet.png.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  cape demo --out demo --minutes 5")]
+pub(crate) struct Demo {
+    /// Directory to write; an earlier demo there is replaced.
+    #[arg(long, default_value = "demo", value_name = "DIR")]
+    out: PathBuf,
+    /// Most minutes to take, more or less: training stops in time.
+    #[arg(long, default_value_t = 5.0, value_name = "M", value_parser = positive)]
+    minutes: f64,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(minutes) if minutes > 0.0 && minutes.is_finite() => Ok(minutes),
+        _ => Err("expected a positive number".into()),
+    }
+}
+
+/// What the demo works with.
+struct Setting<'a> {
+    out: PathBuf,
+    seed: u64,
+    device: Device,
+    console: &'a Console,
+    stages: Vec<Stage>,
+}
+
+impl Demo {
+    pub(crate) fn run(self, global: &Global, console: &Console) -> Result {
+        let start = Instant::now();
+        let device = parse_device(&global.device)?;
+        prepare(&self.out)?;
+        let mut setting = Setting {
+            out: self.out,
+            seed: global.seed.unwrap_or(1),
+            device,
+            console,
+            stages: Vec::new(),
+        };
+        let deadline = start + Duration::from_secs_f64(60.0 * self.minutes * TRAINING_SHARE);
+        setting.data()?;
+        let (outcome, losses) = setting.train(deadline)?;
+        let run = Run::open(&setting.path("run"), &setting.device)?;
+        let evaluation = setting.evaluate(&run)?;
+        setting.pictures(&run, &losses)?;
+        let report = Report {
+            finished: outcome.finished,
+            seconds: start.elapsed().as_secs_f64(),
+            stages: setting.stages,
+            training: outcome,
+            evaluation,
+            out: setting.out,
+        };
+        write_json(&report.out.join("demo.json"), &report)?;
+        console.result(&report, || report.text())
+    }
+}
+
+/// Makes room: an earlier demo's files go, anything else stays and is an error.
+fn prepare(out: &Path) -> Result {
+    if out.join(MARKER).exists() {
+        let meshes = Outfit::ALL.map(Outfit::name).into_iter().chain([BARE]);
+        let meshes = meshes.map(|name| format!("{name}.obj"));
+        for name in FILES.iter().map(ToString::to_string).chain(meshes) {
+            let path = out.join(name);
+            if path.exists() {
+                fs::remove_file(&path).map_err(|error| Error::io(&path, error))?;
+            }
+        }
+        for path in DIRECTORIES.map(|name| out.join(name)) {
+            if path.exists() {
+                fs::remove_dir_all(&path).map_err(|error| Error::io(&path, error))?;
+            }
+        }
+    }
+    files::require_empty(out)?;
+    files::create_dir(out)?;
+    files::write_text(&out.join(MARKER), "Written by `cape demo`, which may replace it.\n")
+}
+
+impl Setting<'_> {
+    fn path(&self, name: &str) -> PathBuf {
+        self.out.join(name)
+    }
+
+    /// Says what comes, does it, and notes how long it took.
+    fn stage<T>(
+        &mut self,
+        name: &'static str,
+        what: &str,
+        work: impl FnOnce(&Self) -> Result<T>,
+    ) -> Result<T> {
+        self.console.note(&format!("{name}: {what}"));
+        let start = Instant::now();
+        let result = work(self).doing(|| format!("demo: {name}"))?;
+        self.stages.push(Stage { name, seconds: start.elapsed().as_secs_f64() });
+        Ok(result)
+    }
+
+    /// Synthetic captures, packed.
+    fn data(&mut self) -> Result {
+        let raw = self.path("raw");
+        let spec = synth::SynthSpec {
+            subjects: 8,
+            frames_per_sequence: 2,
+            seed: self.seed,
+            frame_rate: 1.5,
+            ..synth::SynthSpec::default()
+        };
+        // Many takes of few frames, all of which are kept: clothes differ more between takes.
+        let split = Split { cut: 0, ..split_of(&spec) };
+        self.stage("synth", "eight subjects in four outfits, fifteen movements", |this| {
+            let body = synth::synthetic_body();
+            let synth = synth::Synth::new(&body, spec)?;
+            let write = |progress: &mut dyn FnMut(usize, usize)| synth.write(&raw, progress);
+            Ok(this.console.while_showing("synth", "frames", write)?)
+        })?;
+        self.stage("pack", "displacements, poses, labels and statistics", |this| {
+            let packed = this.path("packed");
+            this.console.while_showing("pack", "frames", |progress| {
+                pack(&raw, &packed, &split, PackOptions { strict: true }, progress)
+            })?;
+            fs::remove_dir_all(&raw).map_err(|error| Error::io(&raw, error))
+        })
+    }
+
+    fn train(&mut self, deadline: Instant) -> Result<(Outcome, Losses)> {
+        let config = RunConfig {
+            model: CapeConfig::narrow(),
+            train: TrainConfig {
+                epochs: 12,
+                seed: self.seed,
+                warmup_epochs: 1.0,
+                decay: 0.85,
+                keep: 1,
+                preload: true,
+                ..TrainConfig::default()
+            },
+            ..RunConfig::default()
+        };
+        self.stage("train", "a narrow model with all eight levels", |this| {
+            let (run, packed) = (this.path("run"), this.path("packed"));
+            let mut trainer = Trainer::create(&run, &packed, None, None, config, &this.device)?;
+            let mut losses = Losses::default();
+            let outcome = training::run(&mut trainer, this.console, |event| {
+                losses.see(event);
+                matches!(event, Event::Step { .. }) && Instant::now() >= deadline
+            })?;
+            if !outcome.finished {
+                this.console.note("the time for training is up; going on with what was learnt");
+            }
+            Ok((outcome, losses))
+        })
+    }
+
+    fn evaluate(&mut self, run: &Run) -> Result<EvalReport> {
+        let seed = self.seed;
+        self.stage("evaluate", "movements that were held out", |this| {
+            let options = EvalOptions { posterior: PosteriorUse::Mean, seed, batch: 16 };
+            let report = this.console.while_showing("evaluate", "frames", |progress| {
+                evaluate(run, &this.path("packed"), options, progress)
+            })?;
+            write_json(&run.paths().evaluation(), &report)?;
+            Ok(report)
+        })
+    }
+
+    /// Meshes of the bare body and of the four outfits, and the pictures.
+    fn pictures(&mut self, run: &Run, losses: &Losses) -> Result {
+        let codes = run.sample_codes(Outfit::ALL.len(), self.seed);
+        self.stage("sample", "four outfits from the prior, meshes and pictures", |this| {
+            let mut rows = Vec::new();
+            for (row, &(name, view)) in pictures::POSES.iter().enumerate() {
+                let pose = pose::preset(name)
+                    .ok_or_else(|| Error::message(format!("there is no pose `{name}`")))?;
+                let mut bodies = vec![bare(run.body(), &[], &pose, run.device())?];
+                let requests: Vec<Request> = Outfit::ALL
+                    .into_iter()
+                    .map(|outfit| Request { outfit, pose, code: outfit.index() })
+                    .collect();
+                dress(run, &codes, &[], &requests, |_, dressed| {
+                    bodies.push(dressed);
+                    Ok(())
+                })?;
+                if row == 0 {
+                    this.meshes(&bodies)?;
+                }
+                rows.push((view, bodies));
+            }
+            pictures::contact_sheet(&rows)?.save(this.path("contact_sheet.png"))?;
+            losses.plot()?.save(this.path("loss.png"))?;
+            Ok(())
+        })
+    }
+
+    fn meshes(&self, bodies: &[Dressed]) -> Result {
+        let names = [BARE].into_iter().chain(Outfit::ALL.map(Outfit::name));
+        for (name, body) in names.zip(bodies) {
+            obj::write(self.path(&format!("{name}.obj")), &body.mesh, None)?;
+        }
+        Ok(())
+    }
+}

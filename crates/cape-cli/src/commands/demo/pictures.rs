@@ -1,0 +1,69 @@
+use cape_core::Outfit;
+use cape_render::{Image, Plot, Series, Tile, View, contact_sheet as lay_out};
+use cape_train::Event;
+
+use crate::{dressed::Dressed, error::Result};
+
+/// Poses of the contact sheet, one a row, and from where each is seen.
+pub(super) const POSES: [(&str, View); 2] = [("a-pose", View::Front), ("walk", View::ThreeQuarter)];
+
+const TILE: [u32; 2] = [300, 440];
+
+/// Each row's bodies side by side: bare, then the outfits.
+pub(super) fn contact_sheet(rows: &[(View, Vec<Dressed>)]) -> Result<Image> {
+    let mut tiles = Vec::new();
+    let labels = ["body"].into_iter().chain(Outfit::ALL.map(Outfit::name));
+    let labels: Vec<&str> = labels.collect();
+    for (row, (view, bodies)) in rows.iter().enumerate() {
+        let last = row + 1 == rows.len();
+        for (body, label) in bodies.iter().zip(&labels) {
+            let label = if last { (*label).to_owned() } else { String::new() };
+            tiles.push(Tile { image: body.picture(*view, TILE[0], TILE[1])?, label });
+        }
+    }
+    Ok(lay_out(&tiles, labels.len(), None)?)
+}
+
+/// What training reported, for a plot.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Losses {
+    train: Vec<(f64, f64)>,
+    edge: Vec<(f64, f64)>,
+    validation: Vec<(f64, f64)>,
+    step: f64,
+}
+
+impl Losses {
+    pub(super) fn see(&mut self, event: &Event) {
+        match event {
+            Event::Step { total_step, losses, .. } => {
+                self.step = *total_step as f64;
+                self.train.push((self.step, losses.reconstruction));
+                self.edge.push((self.step, losses.edge));
+            }
+            Event::Validation { losses, .. } => {
+                self.validation.push((self.step, losses.reconstruction));
+            }
+            Event::Checkpoint { .. } => {}
+        }
+    }
+
+    pub(super) fn plot(&self) -> Result<Image> {
+        let series = |name: &str, points: &[(f64, f64)]| Series {
+            name: name.to_owned(),
+            points: points.to_vec(),
+        };
+        let plot = Plot {
+            title: "Training".into(),
+            x_label: "step".into(),
+            y_label: "normalised displacements".into(),
+            log_y: true,
+            series: vec![
+                series("reconstruction", &self.train),
+                series("edge", &self.edge),
+                series("validation", &self.validation),
+            ],
+        };
+        Ok(plot.draw(900, 540)?)
+    }
+}

@@ -1,0 +1,133 @@
+use std::{
+    collections::BTreeSet,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use cape_core::npy::npy_header;
+use cape_train::{
+    config::RunConfig,
+    data::{
+        PackedSet, Part, STATISTICS_FILE,
+        raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
+    },
+};
+
+use super::{Facts, file::run_config};
+use crate::error::{Error, Result};
+
+pub(super) fn describe(path: &Path) -> Result<Facts> {
+    let there = |name: &str| path.join(name).exists();
+    if there("config.toml") {
+        run(path)
+    } else if there("sequences") {
+        raw_tree(path)
+    } else if there("train/train_disp.npy") || there("test/test_disp.npy") {
+        packed(path)
+    } else if there("A_0.npz") {
+        pyramid(path)
+    } else {
+        Err(Error::message(format!(
+            "{}: not a directory that cape knows: expected raw data (sequences/), a packed set \
+             (train/train_disp.npy), a training run (config.toml) or a pyramid (A_0.npz)",
+            path.display()
+        )))
+    }
+}
+
+fn run(path: &Path) -> Result<Facts> {
+    let config = RunConfig::load(&path.join("config.toml"))?;
+    let checkpoints: Vec<String> =
+        entries(&path.join("checkpoints")).unwrap_or_default().iter().map(|p| name(p)).collect();
+    let facts = Facts::new("training run").with("checkpoints", checkpoints);
+    let steps = fs::read_to_string(path.join("metrics.jsonl")).unwrap_or_default();
+    let evaluated = path.join("eval.json").exists();
+    Ok(run_config(facts, &config)
+        .with("lines of metrics", steps.lines().count())
+        .with("evaluated", evaluated))
+}
+
+fn raw_tree(path: &Path) -> Result<Facts> {
+    let (mut captures, mut frames) = (0, 0);
+    let mut sequences = BTreeSet::new();
+    let subjects: Vec<PathBuf> = directories(&path.join("sequences"))?;
+    for subject in &subjects {
+        for capture in directories(subject)? {
+            captures += 1;
+            frames += raw::frame_paths(&capture)?.map_or(0, |paths| paths.len());
+            let capture = name(&capture);
+            let sequence = capture.split_once('_').map_or(capture.as_str(), |(_, name)| name);
+            sequences.insert(sequence.to_owned());
+        }
+    }
+    let names: Vec<String> = subjects.iter().map(|path| name(path)).collect();
+    let vertices = names.first().and_then(|subject| raw::read_minimal(path, subject).ok());
+    Ok(Facts::new("raw captures")
+        .with("subjects", names)
+        .with("sequences", sequences.len())
+        .with("captures", captures)
+        .with("frames", frames)
+        .maybe("vertices", vertices.map(|shape| shape.nrows()))
+        .with("brings", brought(path, &[BODY_FILE, CLOTHING_FILE, SPLIT_FILE])))
+}
+
+fn packed(path: &Path) -> Result<Facts> {
+    let mut facts = Facts::new("packed set");
+    for part in [Part::Train, Part::Test] {
+        let displacement = path.join(part.name()).join(format!("{part}_disp.npy"));
+        if !displacement.exists() {
+            continue;
+        }
+        let set = PackedSet::open(path, part)?;
+        let header = npy_header(&displacement)?;
+        let outfits: BTreeSet<&str> = set.outfits().iter().map(|outfit| outfit.name()).collect();
+        facts = facts
+            .with(format!("{part} frames"), set.frames())
+            .with(format!("{part} outfits"), outfits.into_iter().collect::<Vec<_>>())
+            .with(format!("{part} vertices"), set.vertices())
+            .with(format!("{part} type"), header.dtype.to_string());
+        if let Some(origins) = set.origins() {
+            let subjects: BTreeSet<&str> = origins.iter().map(|o| o.subject.as_str()).collect();
+            let sequences: BTreeSet<&str> = origins.iter().map(|o| o.sequence.as_str()).collect();
+            facts = facts
+                .with(format!("{part} subjects"), subjects.len())
+                .with(format!("{part} sequences"), sequences.into_iter().collect::<Vec<_>>());
+        }
+    }
+    Ok(facts
+        .with("brings", brought(path, &[BODY_FILE, CLOTHING_FILE, SPLIT_FILE, STATISTICS_FILE])))
+}
+
+fn pyramid(path: &Path) -> Result<Facts> {
+    let levels = (0..).take_while(|i| path.join(format!("A_{i}.npz")).exists()).count();
+    let mut vertices = Vec::new();
+    for level in 0..levels {
+        let file = path.join(format!("A_{level}.npz"));
+        let shape = cape_core::npy::Npz::open(&file)?.i64("shape")?;
+        vertices.push(shape.first().copied().unwrap_or_default());
+    }
+    Ok(Facts::new("pyramid for SciPy").with("levels", levels).with("vertices", vertices))
+}
+
+/// Which of the files `names` are in `path`.
+fn brought(path: &Path, names: &[&str]) -> Vec<String> {
+    names.iter().filter(|name| path.join(name).exists()).map(ToString::to_string).collect()
+}
+
+fn directories(path: &Path) -> Result<Vec<PathBuf>> {
+    Ok(entries(path)?.into_iter().filter(|path| path.is_dir()).collect())
+}
+
+fn entries(path: &Path) -> Result<Vec<PathBuf>> {
+    let fail = |error| Error::io(path, error);
+    let mut paths = Vec::new();
+    for entry in fs::read_dir(path).map_err(fail)? {
+        paths.push(entry.map_err(fail)?.path());
+    }
+    paths.sort_unstable();
+    Ok(paths)
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}

@@ -1,0 +1,160 @@
+use std::path::Path;
+
+use cape_core::{
+    Mesh, SmplModel,
+    npy::{Npz, npy_header},
+};
+use cape_graph::{MeshPyramid, Surface};
+use cape_model::weights;
+use cape_train::{
+    config::RunConfig,
+    data::{Split, Statistics, raw},
+};
+use ndarray::Array2;
+
+use super::Facts;
+use crate::{
+    error::{Error, Result},
+    mesh_file::has_extension,
+};
+
+pub(super) fn describe(path: &Path) -> Result<Facts> {
+    let known = ["npz", "npy", "obj", "ply", "safetensors", "toml"];
+    match known.into_iter().find(|extension| has_extension(path, extension)) {
+        Some("npz") => archive(path),
+        Some("npy") => array(path),
+        Some("obj" | "ply") => mesh(path),
+        Some("safetensors") => parameters(path),
+        Some("toml") => settings(path),
+        _ => Err(Error::message(format!(
+            "{}: not a kind of file that cape knows: expected .{}",
+            path.display(),
+            known.join(", .")
+        ))),
+    }
+}
+
+fn archive(path: &Path) -> Result<Facts> {
+    let archive = Npz::open(path)?;
+    let has = |names: &[&str]| names.iter().all(|name| archive.contains(name));
+    if has(&["v_template", "shapedirs"]) {
+        return body(path);
+    }
+    if has(&["version", "weighting", "v0"]) {
+        let pyramid = MeshPyramid::load(path)?;
+        let vertices: Vec<usize> = pyramid.levels().iter().map(|l| l.vertex_count()).collect();
+        return Ok(Facts::new("mesh pyramid")
+            .with("levels", vertices.len())
+            .with("vertices", vertices)
+            .with("weighting", pyramid.weighting().name()));
+    }
+    if has(&["mean", "std"]) {
+        let statistics = Statistics::load(path)?;
+        return Ok(Facts::new("normalisation statistics")
+            .with("vertices", statistics.vertices())
+            .with("validation frames", statistics.validation())
+            .with("mean of |mean|, mm", rounded(mean_of(statistics.mean().mapv(f64::abs))))
+            .with("mean of std, mm", rounded(mean_of(statistics.std().clone()))));
+    }
+    if has(&["v_cano", "v_posed", "pose", "transl"]) {
+        let frame = raw::read_frame(path, None)?;
+        return Ok(Facts::new("captured frame")
+            .with("vertices", frame.v_cano.nrows())
+            .with("transl", frame.transl.to_vec()));
+    }
+    let mut archive = archive;
+    let mut facts = Facts::new("NumPy archive");
+    for name in archive.names() {
+        let shape = archive.f64(&name).map(|array| format!("{:?}", array.shape()));
+        facts = facts.with(name, shape.unwrap_or_else(|_| "not numbers".into()));
+    }
+    Ok(facts)
+}
+
+fn mean_of(metres: Array2<f64>) -> f64 {
+    1000.0 * metres.mean().unwrap_or(f64::NAN)
+}
+
+fn rounded(value: f64) -> f64 {
+    (1000.0 * value).round() / 1000.0
+}
+
+fn body(path: &Path) -> Result<Facts> {
+    let body = SmplModel::load(path)?;
+    Ok(Facts::new("body in SMPL's layout")
+        .with("vertices", body.vertices())
+        .with("faces", body.faces.len())
+        .with("joints", body.joints())
+        .with("shape directions", body.betas())
+        .maybe("height, m", height(&body.mesh())))
+}
+
+fn height(mesh: &Mesh) -> Option<f64> {
+    let [low, high] = mesh.bounding_box()?;
+    Some(rounded(f64::from(high[1] - low[1])))
+}
+
+fn array(path: &Path) -> Result<Facts> {
+    let header = npy_header(path)?;
+    Ok(Facts::new("NumPy array")
+        .with("shape", format!("{:?}", header.shape))
+        .with("type", header.dtype.to_string()))
+}
+
+fn mesh(path: &Path) -> Result<Facts> {
+    let mesh = Mesh::load(path)?;
+    let edges = Surface::from(&mesh).edge_counts();
+    let report = mesh.validate();
+    Ok(Facts::new("mesh")
+        .with("vertices", mesh.vertices.len())
+        .with("faces", mesh.faces.len())
+        .with("edges", edges.edges)
+        .with("boundary edges", edges.boundary)
+        .with("non-manifold edges", edges.non_manifold)
+        .with("degenerate faces", report.degenerate.len())
+        .with("isolated vertices", report.isolated.len())
+        .with("coordinates not finite", report.non_finite.len())
+        .maybe("height, m", height(&mesh)))
+}
+
+fn parameters(path: &Path) -> Result<Facts> {
+    let weights = weights::load(path)?;
+    let count: usize = weights.values().map(|array| array.values.len()).sum();
+    let broken = weights.values().filter(|array| array.values.iter().any(|x| !x.is_finite()));
+    Ok(Facts::new("weights")
+        .with("tensors", weights.len())
+        .with("numbers", count)
+        .with("tensors that are not finite", broken.count()))
+}
+
+fn settings(path: &Path) -> Result<Facts> {
+    match RunConfig::load(path) {
+        Ok(config) => Ok(run_config(Facts::new("settings of a training run"), &config)),
+        Err(run) => match Split::from_file(path) {
+            Ok(split) => Ok(Facts::new("split into training and test")
+                .with("subjects", split.subjects)
+                .with("outfits", split.outfits.iter().map(|o| o.name()).collect::<Vec<_>>())
+                .with("training sequences", split.train.sequences.len())
+                .with("test sequences", split.test.sequences.len())),
+            // Which of the two it was meant to be shows in its sections.
+            Err(split) => {
+                let text = std::fs::read_to_string(path).unwrap_or_default();
+                Err(if text.contains("subjects") { split.into() } else { run.into() })
+            }
+        },
+    }
+}
+
+pub(super) fn run_config(facts: Facts, config: &RunConfig) -> Facts {
+    let RunConfig { model, train, weighting, .. } = config;
+    facts
+        .with("filters", model.filters.clone())
+        .with("factors", model.factors.clone())
+        .with("latent", model.latent)
+        .with("decoder", format!("{:?}", model.decoder).to_lowercase())
+        .with("discriminator", model.discriminator.is_some())
+        .with("weighting", weighting.name())
+        .with("epochs", train.epochs)
+        .with("batch", train.batch)
+        .with("seed", train.seed)
+}

@@ -1,0 +1,35 @@
+mod directory;
+mod facts;
+mod file;
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::{
+    console::Console,
+    error::{Error, Result},
+};
+use facts::Facts;
+
+/// Say what a file or directory is, with the essentials.
+///
+/// Knows raw data, packed sets, training runs, exported pyramids, bodies, pyramids, statistics,
+/// frames, arrays, meshes, weights and settings.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  cape info packed\n  cape info body.npz --json")]
+pub(crate) struct Info {
+    /// What to look at.
+    #[arg(value_name = "PATH")]
+    path: PathBuf,
+}
+
+impl Info {
+    pub(crate) fn run(self, console: &Console) -> Result {
+        let path = &self.path;
+        let metadata = std::fs::metadata(path).map_err(|error| Error::io(path, error))?;
+        let facts: Facts =
+            if metadata.is_dir() { directory::describe(path)? } else { file::describe(path)? };
+        console.result(&facts, || facts.text())
+    }
+}

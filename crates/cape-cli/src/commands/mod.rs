@@ -1,0 +1,10 @@
+//! One module for each command.
+
+pub(crate) mod demo;
+pub(crate) mod eval;
+pub(crate) mod info;
+pub(crate) mod pack;
+pub(crate) mod pyramid;
+pub(crate) mod sample;
+pub(crate) mod synth;
+pub(crate) mod train;

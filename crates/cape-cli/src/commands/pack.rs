@@ -1,0 +1,102 @@
+use std::path::PathBuf;
+
+use cape_train::data::{self, PackOptions, PackReport, Split, raw::SPLIT_FILE};
+use clap::Args;
+use serde::Serialize;
+
+use crate::{
+    console::Console,
+    error::{Error, Result},
+    table::Table,
+};
+
+/// Pack raw captures into the arrays that training reads.
+///
+/// Displacements, poses and outfit labels of all frames, as the CAPE release packs them, with their
+/// statistics. Frames that cannot be read are left out and listed.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  cape pack raw --out packed\n  cape pack cape_release --preset \
+                        male --out packed"
+)]
+pub(crate) struct Pack {
+    /// Raw data, with sequences/ and minimal_body_shape/.
+    #[arg(value_name = "RAW")]
+    raw: PathBuf,
+    /// Directory to write; it must be empty or missing.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// The paper's subjects and sequences.
+    #[arg(long, value_parser = ["male", "female"], conflicts_with = "split")]
+    preset: Option<String>,
+    /// Which frames train and which test; by default RAW/split.toml.
+    #[arg(long, value_name = "FILE")]
+    split: Option<PathBuf>,
+    /// Stop at the first frame that is missing or cannot be read.
+    #[arg(long)]
+    strict: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    out: PathBuf,
+    #[serde(flatten)]
+    packed: PackReport,
+}
+
+impl Pack {
+    pub(crate) fn run(self, console: &Console) -> Result {
+        let split = self.split()?;
+        let options = PackOptions { strict: self.strict };
+        let packed = console.while_showing("pack", "frames", |progress| {
+            data::pack(&self.raw, &self.out, &split, options, progress)
+        })?;
+        for frame in &packed.broken {
+            console.note(&format!("left out {}: {}", frame.path.display(), frame.reason));
+        }
+        if !packed.missing.is_empty() {
+            let count = packed.missing.len();
+            console.note(&format!("{count} subjects or sequences of the split are not there"));
+        }
+        let report = Report { out: self.out, packed };
+        console.result(&report, || report.text())
+    }
+
+    fn split(&self) -> Result<Split> {
+        if let Some(preset) = &self.preset {
+            return Ok(Split::preset(preset)?);
+        }
+        if let Some(path) = &self.split {
+            return Ok(Split::from_file(path)?);
+        }
+        let path = self.raw.join(SPLIT_FILE);
+        if self.raw.is_dir() && !path.exists() {
+            return Err(Error::message(format!(
+                "{}: no {SPLIT_FILE} there: choose the frames with --preset male, --preset female \
+                 or --split FILE",
+                self.raw.display()
+            )));
+        }
+        Ok(Split::from_file(path)?)
+    }
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let PackReport { vertices, train_frames, validation_frames, test_frames, broken, missing } =
+            &self.packed;
+        let mut table = Table::default();
+        for (name, count) in [
+            ("training frames", train_frames - validation_frames),
+            ("validation frames", *validation_frames),
+            ("test frames", *test_frames),
+            ("vertices", *vertices),
+            ("left out", broken.len()),
+            ("missing sequences", missing.len()),
+        ] {
+            table.row([name.to_owned(), count.to_string()]);
+        }
+        let out = self.out.display();
+        format!("{}\n\n{out}\nnext: cape train --data {out} --out run", table.text())
+    }
+}

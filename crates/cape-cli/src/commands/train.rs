@@ -1,0 +1,275 @@
+use std::{path::PathBuf, process::ExitCode};
+
+use cape_core::parse_device;
+use cape_model::CapeConfig;
+use cape_train::{Outcome, RunConfig, RunPaths, Trainer};
+use clap::Args;
+use serde::Serialize;
+
+use crate::{
+    arguments::{Global, at_least_one, default_device},
+    commands::pyramid::WeightingName,
+    console::{Console, seconds},
+    error::{Context, Error, Result},
+    interrupt::Interrupt,
+    table::Table,
+    training,
+};
+
+/// Exit code of a training that was interrupted and can be resumed: 128 + SIGINT.
+const INTERRUPTED: u8 = 130;
+
+/// Train a model on a packed set.
+///
+/// The run's directory gets everything needed to resume, evaluate and sample: settings, statistics,
+/// body, checkpoints, metrics.jsonl and TensorBoard events. Ctrl-C finishes the step and saves; a
+/// second Ctrl-C stops at once.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  cape train --data packed --out run --preset narrow --epochs 20\n  \
+                        cape train --out run --resume"
+)]
+pub(crate) struct Train {
+    /// Packed set; a resumed run remembers its own.
+    #[arg(long, value_name = "DIR", required_unless_present = "resume")]
+    data: Option<PathBuf>,
+    /// The run's directory: empty or missing, or the one to resume.
+    #[arg(long, value_name = "RUN")]
+    out: PathBuf,
+    /// Go on from the newest checkpoint in --out.
+    #[arg(long)]
+    resume: bool,
+    /// Settings as a TOML file; options below override it.
+    #[arg(long, value_name = "FILE", conflicts_with = "preset")]
+    config: Option<PathBuf>,
+    /// Architecture: the paper's, its larger variant for detail, a quarter of its width, or a
+    /// tiny one.
+    #[arg(long, value_parser = ["paper", "detail", "narrow", "tiny"])]
+    preset: Option<String>,
+    /// Body in SMPL's .npz layout, for packed sets without body.npz.
+    #[arg(long, value_name = "SMPL.npz", conflicts_with = "resume")]
+    body: Option<PathBuf>,
+    /// Clothing vertices, for packed sets without clothing_verts_idx.npy; else derived from the
+    /// body's blend weights.
+    #[arg(long, value_name = "FILE.npy", conflicts_with = "resume")]
+    clothing: Option<PathBuf>,
+    #[command(flatten)]
+    settings: Settings,
+}
+
+/// Settings that override the configuration.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Settings")]
+struct Settings {
+    /// Passes over the training frames.
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    epochs: Option<usize>,
+    /// Frames in a batch.
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    batch: Option<usize>,
+    /// Learning rate after the warm-up.
+    #[arg(long, value_name = "RATE")]
+    peak_rate: Option<f64>,
+    /// Epochs of warm-up.
+    #[arg(long, value_name = "N")]
+    warmup_epochs: Option<f64>,
+    /// Steps between checkpoints inside an epoch; 0 saves at the ends of epochs only.
+    #[arg(long, value_name = "N")]
+    checkpoint_steps: Option<usize>,
+    /// Newest checkpoints kept, besides the best.
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    keep: Option<usize>,
+    /// Read the whole training set into memory.
+    #[arg(long)]
+    preload: bool,
+    /// How up-sampling is weighted.
+    #[arg(long, value_enum)]
+    weighting: Option<WeightingName>,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    out: PathBuf,
+    #[serde(flatten)]
+    outcome: Outcome,
+}
+
+impl Train {
+    pub(crate) fn run(self, global: &Global, console: &Console) -> Result<ExitCode> {
+        let device = parse_device(&global.device)?;
+        let mut trainer = if self.resume {
+            self.check_settings(global)?;
+            Trainer::resume(&self.out, self.data.as_deref(), &device)
+                .doing(|| format!("resuming {}", self.out.display()))?
+        } else {
+            let data = self.data.as_deref().unwrap_or(&self.out);
+            let config = self.configured(RunConfig::default(), global)?;
+            let (body, clothing) = (self.body.as_deref(), self.clothing.as_deref());
+            Trainer::create(&self.out, data, body, clothing, config, &device)?
+        };
+        let interrupt = Interrupt::listen(console)?;
+        let outcome = training::run(&mut trainer, console, |_| interrupt.was_asked())?;
+        let report = Report { out: self.out.clone(), outcome };
+        console.result(&report, || report.text())?;
+        if report.outcome.finished {
+            return Ok(ExitCode::SUCCESS);
+        }
+        console.note(&format!("interrupted and saved; go on with:\n  {}", self.go_on(global)));
+        Ok(ExitCode::from(INTERRUPTED))
+    }
+
+    /// `base` with the configuration file, the preset and the options laid over it.
+    fn configured(&self, base: RunConfig, global: &Global) -> Result<RunConfig> {
+        let mut config = match &self.config {
+            Some(path) => RunConfig::load(path)?,
+            None => base,
+        };
+        if let Some(preset) = &self.preset {
+            config.model = CapeConfig::preset(preset)?;
+        }
+        let Settings {
+            epochs,
+            batch,
+            peak_rate,
+            warmup_epochs,
+            checkpoint_steps,
+            keep,
+            preload,
+            weighting,
+        } = &self.settings;
+        let train = &mut config.train;
+        set(&mut train.epochs, *epochs);
+        set(&mut train.batch, *batch);
+        set(&mut train.peak_rate, *peak_rate);
+        set(&mut train.warmup_epochs, *warmup_epochs);
+        set(&mut train.checkpoint_steps, *checkpoint_steps);
+        set(&mut train.keep, *keep);
+        set(&mut train.seed, global.seed);
+        train.preload |= preload;
+        set(&mut config.weighting, weighting.map(Into::into));
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// A resumed run keeps its settings: others that are given must be the same.
+    fn check_settings(&self, global: &Global) -> Result {
+        let path = RunPaths::new(&self.out).config();
+        let found = RunConfig::load(&path)?;
+        let asked = self.configured(found.clone(), global)?;
+        let Some(difference) = first_difference(&found, &asked)? else { return Ok(()) };
+        Err(Error::message(format!(
+            "{} belongs to a run with another configuration: {difference}; resume without that \
+             setting, or train into another directory",
+            path.display()
+        )))
+    }
+
+    /// The command that resumes this training.
+    fn go_on(&self, global: &Global) -> String {
+        let mut words = vec!["cape".to_owned(), "train".to_owned()];
+        let mut path = |option: &str, path: &PathBuf| {
+            words.extend([option.to_owned(), quoted(&path.to_string_lossy())]);
+        };
+        path("--out", &self.out);
+        if let Some(data) = &self.data {
+            path("--data", data);
+        }
+        words.push("--resume".to_owned());
+        if global.device != default_device() {
+            words.extend(["--device".to_owned(), quoted(&global.device)]);
+        }
+        if let Some(threads) = global.threads {
+            words.extend(["--threads".to_owned(), threads.to_string()]);
+        }
+        words.join(" ")
+    }
+}
+
+fn set<T>(slot: &mut T, value: Option<T>) {
+    if let Some(value) = value {
+        *slot = value;
+    }
+}
+
+/// `text` as one word of a shell's command line.
+fn quoted(text: &str) -> String {
+    let plain = |c: char| c.is_alphanumeric() || "-_./:=+,@%".contains(c);
+    if !text.is_empty() && text.chars().all(plain) {
+        return text.to_owned();
+    }
+    format!("'{}'", text.replace('\'', r"'\''"))
+}
+
+/// The first setting in which two configurations differ, with both values.
+fn first_difference(found: &RunConfig, asked: &RunConfig) -> Result<Option<String>> {
+    let table = |config| {
+        toml::Value::try_from(config).map_err(|error| Error::message(format!("settings: {error}")))
+    };
+    Ok(difference("", &table(found)?, &table(asked)?))
+}
+
+fn difference(name: &str, found: &toml::Value, asked: &toml::Value) -> Option<String> {
+    match (found, asked) {
+        (toml::Value::Table(left), toml::Value::Table(right)) => {
+            let keys: std::collections::BTreeSet<_> = left.keys().chain(right.keys()).collect();
+            keys.into_iter().find_map(|key| {
+                let path = if name.is_empty() { key.clone() } else { format!("{name}.{key}") };
+                match (left.get(key), right.get(key)) {
+                    (Some(left), Some(right)) => difference(&path, left, right),
+                    (Some(_), None) => Some(format!("`{path}` is set there, but not asked for")),
+                    (None, _) => Some(format!("`{path}` is not set there, but asked for")),
+                }
+            })
+        }
+        _ => {
+            (found != asked).then(|| format!("`{name}` is {found} there, but {asked} is asked for"))
+        }
+    }
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let Outcome { epochs, steps, best_validation, seconds: spent, .. } = &self.outcome;
+        let mut table = Table::default();
+        table.row(["epochs".to_owned(), epochs.to_string()]);
+        table.row(["steps".to_owned(), steps.to_string()]);
+        let best = best_validation.map_or("–".to_owned(), |mm| format!("{mm:.2} mm"));
+        table.row(["best validation".to_owned(), best]);
+        let per_step = spent / (*steps).max(1) as f64;
+        table.row(["time".to_owned(), format!("{} ({per_step:.2} s/step)", seconds(*spent))]);
+        let out = self.out.display();
+        let next = if self.outcome.finished {
+            format!(
+                "\nnext: cape eval {out} --data PACKED; cape sample {out} --outfit all --out samples"
+            )
+        } else {
+            String::new()
+        };
+        format!("{}\n\n{out}{next}", table.text())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn differences_are_named_with_both_values() {
+        let found = RunConfig::default();
+        assert_eq!(first_difference(&found, &found).unwrap(), None);
+        let mut asked = found.clone();
+        asked.train.batch = 4;
+        let said = first_difference(&found, &asked).unwrap().unwrap();
+        assert_eq!(said, "`train.batch` is 16 there, but 4 is asked for");
+        asked.model.discriminator = None;
+        let said = first_difference(&found, &asked).unwrap().unwrap();
+        assert_eq!(said, "`model.discriminator` is set there, but not asked for");
+    }
+
+    #[test]
+    fn words_are_quoted_for_a_shell() {
+        assert_eq!(quoted("runs/a-1"), "runs/a-1");
+        assert_eq!(quoted("my run"), "'my run'");
+        assert_eq!(quoted("it's"), r"'it'\''s'");
+    }
+}

@@ -1,0 +1,171 @@
+//! Sampled clothes on posed bodies, and their pictures.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use cape_core::{ClothedSmpl, ClothingMask, Mesh, Outfit, Smpl, SmplInput, SmplModel};
+use cape_render::{Image, Object, Style, View, portrait};
+use cape_train::Run;
+use ndarray::{Array2, Array3, ArrayView2, Axis, s};
+
+use crate::{
+    error::{Error, Result},
+    pose::Pose,
+};
+
+/// Bodies posed at a time.
+const BATCH: usize = 16;
+/// Displacements from here, metres, look like cloth, and from [`CLOTH`] on wholly so.
+const SKIN: f32 = 0.0018;
+const CLOTH: f32 = 0.0042;
+/// Joints that move legs, for telling trousers from shirt.
+const LEGS: [usize; 8] = [1, 2, 4, 5, 7, 8, 10, 11];
+
+const SKIN_COLOUR: [f32; 3] = [0.83, 0.69, 0.60];
+const TROUSERS: [f32; 3] = [0.27, 0.31, 0.40];
+
+/// A body in clothes.
+#[derive(Debug, Clone)]
+pub(crate) struct Dressed {
+    /// The surface, posed, metres.
+    pub(crate) mesh: Mesh,
+    /// sRGB from 0 to 1, `[vertices, 3]`.
+    pub(crate) colours: Vec<[f32; 3]>,
+}
+
+/// What to dress.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Request {
+    pub(crate) outfit: Outfit,
+    pub(crate) pose: Pose,
+    /// Row of the codes.
+    pub(crate) code: usize,
+}
+
+/// Decodes `codes` `[n, latent]` for each request and poses the clothed bodies; joints follow the
+/// body, displacements apply at clothing vertices. `each` gets every result in turn.
+pub(crate) fn dress(
+    run: &Run,
+    codes: &Array2<f32>,
+    betas: &[f32],
+    requests: &[Request],
+    mut each: impl FnMut(usize, Dressed) -> Result,
+) -> Result {
+    let body = run.body();
+    let mask = ClothingMask::from_indices(body.vertices(), run.clothing())?;
+    let smpl = Smpl::new(body, run.device())?;
+    let clothed = ClothedSmpl::new(smpl).with_mask(&mask)?;
+    for (chunk_index, chunk) in requests.chunks(BATCH).enumerate() {
+        let rows: Vec<usize> = chunk.iter().map(|request| request.code).collect();
+        let z = codes.select(Axis(0), &rows);
+        let poses: Vec<Pose> = chunk.iter().map(|request| request.pose).collect();
+        let outfits: Vec<Outfit> = chunk.iter().map(|request| request.outfit).collect();
+        let displacement = run.decode(&z, &poses, &outfits)?;
+        let vertices = posed(&clothed, betas, &poses, Some(&displacement), run.device())?;
+        for (index, request) in chunk.iter().enumerate() {
+            let worn = displacement.slice(s![index, .., ..]);
+            each(
+                chunk_index * BATCH + index,
+                Dressed {
+                    mesh: mesh(body, vertices.slice(s![index, .., ..])),
+                    colours: colours(body, &mask, worn, request.outfit),
+                },
+            )?;
+        }
+    }
+    Ok(())
+}
+
+/// The body without clothes.
+pub(crate) fn bare(
+    body: &SmplModel,
+    betas: &[f32],
+    pose: &Pose,
+    device: &Device,
+) -> Result<Dressed> {
+    let clothed = ClothedSmpl::new(Smpl::new(body, device)?);
+    let vertices = posed(&clothed, betas, &[*pose], None, device)?;
+    Ok(Dressed {
+        mesh: mesh(body, vertices.slice(s![0, .., ..])),
+        colours: vec![SKIN_COLOUR; body.vertices()],
+    })
+}
+
+fn posed(
+    clothed: &ClothedSmpl,
+    betas: &[f32],
+    poses: &[Pose],
+    displacement: Option<&Array3<f32>>,
+    device: &Device,
+) -> Result<Array3<f32>> {
+    let (n, v) = (poses.len(), clothed.body().vertices());
+    let rows = |values: Vec<f32>, width: usize| {
+        Tensor::<2>::from_data(TensorData::new(values, [n, width]), device)
+    };
+    let worn = displacement.map(|array| {
+        let values: Vec<f32> = array.iter().copied().collect();
+        Tensor::<3>::from_data(TensorData::new(values, [n, v, 3]), device)
+    });
+    let output = clothed.forward(SmplInput {
+        betas: rows(betas.repeat(n), betas.len()),
+        pose: cape_core::Pose::AxisAngle(rows(poses.as_flattened().to_vec(), 72)),
+        transl: rows(vec![0.0; 3 * n], 3),
+        displacement: worn,
+    })?;
+    let values = output.vertices.into_data().convert::<f32>().try_into_vec::<f32>();
+    let values = values.map_err(|_| Error::message("the device returned no vertices"))?;
+    if values.iter().any(|x| !x.is_finite()) {
+        return Err(Error::message("the model decodes vertices that are not finite"));
+    }
+    Array3::from_shape_vec((n, v, 3), values).map_err(|error| Error::message(error.to_string()))
+}
+
+fn mesh(body: &SmplModel, vertices: ArrayView2<f32>) -> Mesh {
+    let vertices = vertices.rows().into_iter().map(|v| [v[0], v[1], v[2]]).collect();
+    Mesh { vertices, faces: body.faces.clone() }
+}
+
+/// Colours that show where there is cloth: where the surface leaves the skin.
+fn colours(
+    body: &SmplModel,
+    mask: &ClothingMask,
+    displacement: ArrayView2<f32>,
+    outfit: Outfit,
+) -> Vec<[f32; 3]> {
+    let shirt = shirt_colour(outfit);
+    let vertex = |(index, d): (usize, ndarray::ArrayView1<f32>)| {
+        if !mask.covered()[index] {
+            return SKIN_COLOUR;
+        }
+        let length = d.iter().map(|x| x * x).sum::<f32>().sqrt();
+        let cloth = ((length - SKIN) / (CLOTH - SKIN)).clamp(0.0, 1.0);
+        let weights = body.weights.row(index);
+        let leg: f64 = LEGS.iter().filter_map(|&joint| weights.get(joint)).sum();
+        mix(SKIN_COLOUR, if leg > 0.5 { TROUSERS } else { shirt }, cloth)
+    };
+    displacement.rows().into_iter().enumerate().map(vertex).collect()
+}
+
+const fn shirt_colour(outfit: Outfit) -> [f32; 3] {
+    match outfit {
+        Outfit::ShortLong => [0.36, 0.56, 0.67],
+        Outfit::ShortShort => [0.72, 0.42, 0.34],
+        Outfit::LongShort => [0.44, 0.58, 0.43],
+        Outfit::LongLong => [0.66, 0.57, 0.36],
+    }
+}
+
+fn mix(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
+    [0, 1, 2].map(|i| a[i] + (b[i] - a[i]) * t)
+}
+
+impl Dressed {
+    /// A picture from the given side.
+    pub(crate) fn picture(&self, view: View, width: u32, height: u32) -> Result<Image> {
+        let style = Style { width, height, ..Style::default() };
+        Ok(portrait(Object::new(&self.mesh).coloured(&self.colours), view, &style)?)
+    }
+
+    /// Colours as 8-bit numbers.
+    pub(crate) fn colours_8_bit(&self) -> Vec<[u8; 3]> {
+        self.colours.iter().map(|c| c.map(|x| (255.0 * x.clamp(0.0, 1.0)).round() as u8)).collect()
+    }
+}

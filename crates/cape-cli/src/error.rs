@@ -1,0 +1,78 @@
+use std::path::Path;
+
+/// Result of the command line's operations.
+pub(crate) type Result<T = (), E = Error> = std::result::Result<T, E>;
+
+/// What ends a command early.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum Error {
+    #[error(transparent)]
+    Core(#[from] cape_core::Error),
+    #[error(transparent)]
+    Graph(#[from] cape_graph::Error),
+    #[error(transparent)]
+    Model(#[from] cape_model::Error),
+    #[error(transparent)]
+    Train(#[from] cape_train::Error),
+    #[error(transparent)]
+    Render(#[from] cape_render::Error),
+    /// The command's own objection; says what was expected.
+    #[error("{0}")]
+    Message(String),
+    /// What was being done when something else failed.
+    #[error("{doing}")]
+    Context { doing: String, source: Box<Error> },
+    /// Nobody reads standard output any more, as behind `| head`.
+    #[error("standard output was closed")]
+    OutputClosed,
+}
+
+impl Error {
+    pub(crate) fn message(message: impl Into<String>) -> Self {
+        Self::Message(message.into())
+    }
+
+    pub(crate) fn io(path: impl AsRef<Path>, source: std::io::Error) -> Self {
+        cape_core::Error::io(path, source).into()
+    }
+}
+
+/// Says what was being done when an error came up.
+pub(crate) trait Context<T> {
+    fn doing(self, doing: impl FnOnce() -> String) -> Result<T>;
+}
+
+impl<T, E: Into<Error>> Context<T> for Result<T, E> {
+    fn doing(self, doing: impl FnOnce() -> String) -> Result<T> {
+        self.map_err(|error| Error::Context { doing: doing(), source: Box::new(error.into()) })
+    }
+}
+
+/// The error and its causes, one a line. A cause that its consequence already quotes is left out.
+pub(crate) fn report(error: &dyn std::error::Error) -> String {
+    let mut text = format!("error: {error}");
+    let mut said = error.to_string();
+    let mut next = error.source();
+    while let Some(cause) = next {
+        let cause_text = cause.to_string();
+        if !said.contains(&cause_text) {
+            text += &format!("\n  caused by: {cause_text}");
+        }
+        said = cause_text;
+        next = cause.source();
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn causes_are_listed_once() {
+        let inner = Error::io("a.npy", std::io::Error::other("disk on fire"));
+        assert_eq!(report(&inner), "error: a.npy: disk on fire");
+        let outer = Err::<(), _>(inner).doing(|| "packing".into()).unwrap_err();
+        assert_eq!(report(&outer), "error: packing\n  caused by: a.npy: disk on fire");
+    }
+}

@@ -1,0 +1,36 @@
+use std::{
+    process,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
+
+use crate::{
+    console::Console,
+    error::{Error, Result},
+};
+
+/// Whether the user asked to stop: with Ctrl-C, or by a termination signal.
+#[derive(Debug, Clone)]
+pub(crate) struct Interrupt(Arc<AtomicBool>);
+
+impl Interrupt {
+    /// Takes over interrupts: the first is remembered, the second ends the process.
+    pub(crate) fn listen(console: &Console) -> Result<Self> {
+        let asked = Arc::new(AtomicBool::new(false));
+        let (seen, console) = (asked.clone(), *console);
+        ctrlc::set_handler(move || {
+            if seen.swap(true, Ordering::SeqCst) {
+                process::exit(130);
+            }
+            console.note("\nfinishing the step and saving; interrupt again to stop at once");
+        })
+        .map_err(|error| Error::message(format!("cannot listen for Ctrl-C: {error}")))?;
+        Ok(Self(asked))
+    }
+
+    pub(crate) fn was_asked(&self) -> bool {
+        self.0.load(Ordering::SeqCst)
+    }
+}

@@ -1,0 +1,21 @@
+use std::path::Path;
+
+use cape_core::{Mesh, SmplModel};
+use cape_graph::Surface;
+
+use crate::error::Result;
+
+/// Whether the file's extension is `expected`, in any case.
+pub(crate) fn has_extension(path: &Path, expected: &str) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(expected))
+}
+
+/// Reads a mesh: an OBJ or PLY file, or the template of a body in SMPL's `.npz` layout.
+pub(crate) fn read_surface(path: &Path) -> Result<Surface> {
+    if !has_extension(path, "npz") {
+        return Ok(Surface::from(&Mesh::load(path)?));
+    }
+    let body = SmplModel::load(path)?;
+    let vertices = body.v_template.rows().into_iter().map(|v| [v[0], v[1], v[2]]).collect();
+    Ok(Surface { vertices, faces: body.faces })
+}

@@ -1,0 +1,73 @@
+//! Trains a small model on synthetic captures, evaluates it and decodes a sample.
+//!
+//! ```sh
+//! cargo run --release --example train_synthetic
+//! ```
+
+use std::ops::ControlFlow;
+
+use burn::tensor::Device;
+use cape::{
+    core::{
+        Outfit,
+        synth::{Motion, Synth, SynthSpec, synthetic_body},
+    },
+    model::CapeConfig,
+    train::{
+        EvalOptions, Event, Run, RunConfig, TrainConfig, Trainer,
+        data::{PackOptions, SequenceList, Split, pack},
+        evaluate, silent,
+    },
+};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let directory = tempfile::tempdir()?;
+    let [raw, packed, run] = ["raw", "packed", "run"].map(|name| directory.path().join(name));
+
+    // Captures in the release's raw layout: one subject, two movements that train, one that tests.
+    let body = synthetic_body();
+    let spec = SynthSpec {
+        subjects: 1,
+        frames_per_sequence: 8,
+        motions: vec![Motion::WalkMarch, Motion::Squats, Motion::Soccer],
+        ..SynthSpec::default()
+    };
+    let names = |motions: Vec<Motion>| SequenceList {
+        sequences: motions.iter().map(|motion| motion.name().to_owned()).collect(),
+        exclude: Vec::new(),
+    };
+    let split = Split {
+        subjects: spec.subject_names(),
+        outfits: spec.outfits.clone(),
+        cut: 2,
+        sample_rate: 1,
+        train: names(spec.train_motions()),
+        test: names(spec.test_motions()),
+    };
+    Synth::new(&body, spec)?.write(&raw, &mut silent)?;
+    let report = pack(&raw, &packed, &split, PackOptions::default(), &mut silent)?;
+    println!("{} training and {} test frames", report.train_frames, report.test_frames);
+
+    let config = RunConfig {
+        model: CapeConfig::tiny(),
+        train: TrainConfig { epochs: 3, batch: 4, warmup_epochs: 1.0, ..TrainConfig::default() },
+        ..RunConfig::default()
+    };
+    let device = Device::default();
+    let mut trainer = Trainer::create(&run, &packed, None, None, config, &device)?;
+    trainer.run(&mut |event| {
+        if let Event::Validation { epoch, millimetres, .. } = event {
+            println!("epoch {epoch}: {millimetres:.2} mm");
+        }
+        ControlFlow::Continue(())
+    })?;
+
+    let run = Run::open(&run, &device)?;
+    let report = evaluate(&run, &packed, EvalOptions::default(), &mut silent)?;
+    let [model, mean] = [report.model.overall.mean, report.mean_shape.overall.mean];
+    println!("held out: {model:.2} mm; the mean shape has {mean:.2} mm");
+
+    let displacements = run.decode(&run.sample_codes(1, 7), &[[0.0; 72]], &[Outfit::LongLong])?;
+    println!("a sample of long sleeves and trousers: {:?}", displacements.shape());
+    Ok(())
+}

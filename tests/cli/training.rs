@@ -1,0 +1,110 @@
+//! Training: repeatable, and resumable wherever it was stopped.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    thread::sleep,
+    time::{Duration, Instant},
+};
+
+use cape::train::RunConfig;
+use serde_json::Value;
+
+use crate::support::{Packed, Ran, cape, contents};
+
+const LONG: &str = "--preset tiny --epochs 12 --batch 4 --checkpoint-steps 3 --keep 2";
+
+/// Losses by step, without what depends on the clock.
+fn losses(run: &Path) -> Vec<Value> {
+    let text = fs::read_to_string(run.join("metrics.jsonl")).unwrap();
+    let parse = |line: &str| {
+        let mut line: Value = serde_json::from_str(line).unwrap();
+        line.as_object_mut().unwrap().remove("seconds");
+        line
+    };
+    text.lines().map(parse).collect()
+}
+
+/// Weights and momenta of all checkpoints.
+fn states(run: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut files = contents(&run.join("checkpoints"));
+    files.retain(|(path, _)| path.extension().is_some_and(|e| e == "safetensors"));
+    assert!(!files.is_empty());
+    files
+}
+
+#[test]
+fn the_same_command_makes_the_same_weights() {
+    let data = Packed::new();
+    let train = |out: &str, threads: usize| {
+        let line = format!(
+            "train --data @/packed --out @/{out} --preset tiny --epochs 2 --batch 4 --seed 3 \
+             --threads {threads}"
+        );
+        data.run(&line).succeeded();
+    };
+    train("one", 1);
+    train("two", 3);
+    assert_eq!(states(&data.at("one")), states(&data.at("two")));
+    assert_eq!(losses(&data.at("one")), losses(&data.at("two")));
+    let config = |out: &str| fs::read(data.at(out).join("config.toml")).unwrap();
+    assert_eq!(config("one"), config("two"));
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_training_resumes_as_if_nothing_had_been() {
+    let data = Packed::new();
+    data.run(&format!("train --data @/packed --out @/whole {LONG}")).succeeded();
+
+    let line = format!("train --data @/packed --out @/cut {LONG}");
+    let words = line.split_whitespace().map(|w| w.replace('@', data.root().to_str().unwrap()));
+    let child = cape(words).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let start = Instant::now();
+    while !data.at("cut/checkpoints/step-00000003").exists() {
+        assert!(start.elapsed() < Duration::from_secs(60), "no checkpoint after a minute");
+        sleep(Duration::from_millis(2));
+    }
+    let pid = child.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    let Ran { code, out, err } = child.wait_with_output().unwrap().into();
+    assert_eq!(code, Some(130), "{err}");
+    assert!(err.contains("finishing the step and saving"), "{err}");
+    assert!(!out.contains("next:"), "{out}");
+
+    // The last line is the command that goes on.
+    let command = err.lines().last().unwrap().trim().strip_prefix("cape ").unwrap();
+    assert!(command.contains("--resume"), "{err}");
+    let ran: Ran = cape(command.split_whitespace()).output().unwrap().into();
+    let out = ran.succeeded();
+    assert!(out.contains("next: cape eval"), "{out}");
+    assert_eq!(states(&data.at("cut")), states(&data.at("whole")));
+    assert_eq!(losses(&data.at("cut")), losses(&data.at("whole")));
+}
+
+#[test]
+fn a_finished_training_has_nothing_left_to_do() {
+    let data = Packed::new();
+    data.train().succeeded();
+    let before = states(&data.at("run"));
+    let report = data.run("train --out @/run --resume --json").json();
+    assert_eq!(report["finished"], true);
+    assert_eq!(states(&data.at("run")), before);
+}
+
+#[test]
+fn settings_come_from_a_file_and_options_override_it() {
+    let data = Packed::new();
+    fs::write(data.at("my.toml"), "[train]\nepochs = 1\nbatch = 32\npeak_rate = 0.001\n").unwrap();
+    let line = "train --data @/packed --out @/run --config @/my.toml --batch 16 --json";
+    assert_eq!(data.run(line).json()["steps"], 2);
+    let config = RunConfig::load(&data.at("run/config.toml")).unwrap();
+    assert_eq!((config.train.epochs, config.train.batch), (1, 16));
+    assert_eq!((config.train.peak_rate, config.train.momentum), (0.001, 0.9));
+    fs::write(data.at("my.toml"), "[train]\nepoch = 1\n").unwrap();
+    data.run("train --data @/packed --out @/other --config @/my.toml")
+        .failed_saying(&["my.toml", "epoch"]);
+    data.run("train --data @/packed --out @/other --preset tiny --peak-rate -1")
+        .failed_saying(&["train.peak_rate"]);
+}

@@ -1,0 +1,38 @@
+//! `cape demo`, shortened by its time limit: the whole way from nothing to pictures.
+
+use std::{path::Path, process::Command};
+
+use cape::{core::Mesh, render::Image};
+use serde_json::Value;
+
+fn demo(out: &Path) -> Value {
+    let output = Command::new(env!("CARGO_BIN_EXE_cape"))
+        .args(["demo", "--minutes", "1", "--json", "--out"])
+        .arg(out)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+#[test]
+fn the_demo_goes_all_the_way() {
+    let root = tempfile::tempdir().unwrap();
+    let out = root.path().join("demo");
+    let report = demo(&out);
+    let mean = |whose: &str| report["evaluation"][whose]["overall"]["mean"].as_f64().unwrap();
+    assert!(mean("model") < mean("mean_shape"), "{report}");
+    assert!(report["training"]["steps"].as_u64() > Some(0), "{report}");
+
+    let bare = Mesh::load(out.join("bare.obj")).unwrap();
+    for outfit in ["shortlong", "shortshort", "longshort", "longlong"] {
+        let dressed = Mesh::load(out.join(format!("{outfit}.obj"))).unwrap();
+        assert_eq!(dressed.faces, bare.faces);
+        assert_ne!(dressed.vertices, bare.vertices);
+    }
+    assert_eq!(bare.vertices.len(), 6890);
+    let sheet = Image::load(out.join("contact_sheet.png")).unwrap();
+    assert!(sheet.width() > sheet.height());
+    Image::load(out.join("loss.png")).unwrap();
+    assert!(out.join("run/eval.json").exists() && out.join("demo.json").exists());
+}
