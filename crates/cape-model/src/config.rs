@@ -226,10 +226,10 @@ impl CapeConfig {
                 "a model without embeddings cannot be conditioned: set it to \"none\"".into(),
             );
         }
-        if self.decoder != DecoderBlock::Plain {
-            if let Some(odd) = self.filters.iter().find(|f| *f % 2 != 0) {
-                return error("filters", format!("must be even for this decoder, found {odd}"));
-            }
+        if self.decoder != DecoderBlock::Plain
+            && let Some(odd) = self.filters.iter().find(|f| *f % 2 != 0)
+        {
+            return error("filters", format!("must be even for this decoder, found {odd}"));
         }
         if self.decoder == DecoderBlock::Residual {
             for channels in self.normalised_channels() {

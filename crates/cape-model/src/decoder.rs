@@ -12,6 +12,7 @@ use crate::{
 
 /// One layer of the decoder after its up-sampling.
 #[derive(Module, Debug)]
+#[allow(clippy::large_enum_variant)] // a model holds a handful of them
 pub enum DecoderLayer {
     /// CAPE's.
     Residual(ResidualBlock),

@@ -8,6 +8,7 @@ use crate::{
 
 /// One layer of the encoder before its pooling.
 #[derive(Module, Debug)]
+#[allow(clippy::large_enum_variant)] // a model holds a handful of them
 pub enum EncoderBlock {
     /// Convolution, bias, leaky ReLU.
     Conv(ConvLayer),

@@ -131,28 +131,29 @@ pub fn apply<M: Module>(module: M, weights: &Weights) -> Result<M> {
         return error(name, "is not a parameter of this configuration".into());
     }
 
-    struct Mapper<'a> {
-        trail: Trail,
-        weights: &'a Weights,
-    }
-    impl ModuleMapper for Mapper<'_> {
-        fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-            let array = &self.weights[&self.trail.path()];
-            let data = TensorData::new(array.values.clone(), array.shape.clone());
-            param.map(|old| {
-                let trained = old.is_require_grad();
-                let new = Tensor::from_data(data, &old.device());
-                if trained { new.require_grad() } else { new }
-            })
-        }
-        fn enter_module(&mut self, name: &str, container: &str) {
-            self.trail.enter(name, container);
-        }
-        fn exit_module(&mut self, _: &str, _: &str) {
-            self.trail.exit();
-        }
-    }
     Ok(module.map(&mut Mapper { trail: Trail::default(), weights }))
+}
+
+struct Mapper<'a> {
+    trail: Trail,
+    weights: &'a Weights,
+}
+impl ModuleMapper for Mapper<'_> {
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        let array = &self.weights[&self.trail.path()];
+        let data = TensorData::new(array.values.clone(), array.shape.clone());
+        param.map(|old| {
+            let trained = old.is_require_grad();
+            let new = Tensor::from_data(data, &old.device());
+            if trained { new.require_grad() } else { new }
+        })
+    }
+    fn enter_module(&mut self, name: &str, container: &str) {
+        self.trail.enter(name, container);
+    }
+    fn exit_module(&mut self, _: &str, _: &str) {
+        self.trail.exit();
+    }
 }
 
 /// Writes weights as safetensors, to a temporary file first.

@@ -239,12 +239,12 @@ impl Trainer {
             while self.progress.step < last {
                 let stop = self.one_step(&mut loader, &mut log, steps, report)?;
                 let step = self.progress.step;
-                let epoch_ends = step % steps as u64 == 0;
+                let epoch_ends = step.is_multiple_of(steps as u64);
                 if epoch_ends {
                     self.validate((step / steps as u64) as usize, &mut log, report)?;
                 }
                 let often = self.config.train.checkpoint_steps as u64;
-                if stop || epoch_ends || (often > 0 && step % often == 0) {
+                if stop || epoch_ends || (often > 0 && step.is_multiple_of(often)) {
                     let path = self.save()?;
                     log.flush()?;
                     // A reader of the report may break again; training is about to stop anyway.
@@ -323,7 +323,7 @@ impl Trainer {
         self.progress.seconds += seconds;
         let (epoch, step) =
             ((step / steps as u64) as usize + 1, (step % steps as u64) as usize + 1);
-        if self.progress.step % train.log_steps as u64 == 0 {
+        if self.progress.step.is_multiple_of(train.log_steps as u64) {
             log.step(self.progress.step, epoch, &losses, rate, generator_norm, seconds)?;
         }
         let total_step = self.progress.step;
