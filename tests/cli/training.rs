@@ -105,6 +105,6 @@ fn settings_come_from_a_file_and_options_override_it() {
     fs::write(data.at("my.toml"), "[train]\nepoch = 1\n").unwrap();
     data.run("train --data @/packed --out @/other --config @/my.toml")
         .failed_saying(&["my.toml", "epoch"]);
-    data.run("train --data @/packed --out @/other --preset tiny --peak-rate -1")
+    data.run("train --data @/packed --out @/other --preset tiny --peak-rate=-1")
         .failed_saying(&["train.peak_rate"]);
 }
