@@ -43,6 +43,13 @@ fn values<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
     tensor.clone().detach().into_data().try_into_vec().unwrap()
 }
 
+fn tap<'a>(
+    taps: &'a mut BTreeMap<&'static str, Vec<Vec<f32>>>,
+    of: &'static str,
+) -> impl FnMut(usize, &Tensor<3>) + 'a {
+    move |_, x| taps.entry(of).or_default().push(values(x))
+}
+
 fn outputs(fixture: &mut Fixture, model: &Cape, report: &mut dyn FnMut(String)) {
     let graphs = fixture.graphs.clone();
     let g = frames(fixture, "in", "g");
@@ -51,13 +58,6 @@ fn outputs(fixture: &mut Fixture, model: &Cape, report: &mut dyn FnMut(String)) 
     let discriminator_graph = graphs.discriminator.as_ref().unwrap();
     let mut found: Vec<(String, Vec<f32>)> = Vec::new();
     let mut taps: BTreeMap<&str, Vec<Vec<f32>>> = BTreeMap::new();
-    fn tap<'a>(
-        taps: &'a mut BTreeMap<&'static str, Vec<Vec<f32>>>,
-        of: &'static str,
-    ) -> impl FnMut(usize, &Tensor<3>) + 'a {
-        move |_, x| taps.entry(of).or_default().push(values(x))
-    }
-
     let condition_g = generator.condition.forward(g.pose_feature.clone(), g.outfit.clone());
     let condition_d = generator.condition.forward(d.pose_feature.clone(), d.outfit.clone());
     let split = fixture.config.pose_embedding;

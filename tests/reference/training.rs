@@ -33,7 +33,8 @@ struct Run {
 
 #[derive(Deserialize)]
 struct Step {
-    step: usize,
+    #[serde(rename = "step")]
+    number: usize,
     batch: usize,
     eps: String,
     lr_g: f64,
@@ -84,10 +85,10 @@ pub fn check(path: &Path, device: &Device, report: &mut dyn FnMut(String)) {
             assert!(
                 deviation < TOLERANCE,
                 "step {}: {name} is {found}, expected {expected}",
-                step.step
+                step.number
             );
             if deviation > worst.0 {
-                worst = (deviation, format!("{name} at step {}", step.step));
+                worst = (deviation, format!("{name} at step {}", step.number));
             }
         }
     }

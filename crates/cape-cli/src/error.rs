@@ -56,7 +56,8 @@ pub(crate) fn report(error: &dyn std::error::Error) -> String {
     while let Some(cause) = next {
         let cause_text = cause.to_string();
         if !said.contains(&cause_text) {
-            text += &format!("\n  caused by: {cause_text}");
+            text.push_str("\n  caused by: ");
+            text.push_str(&cause_text);
         }
         said = cause_text;
         next = cause.source();

@@ -68,10 +68,10 @@ fn from_archive(path: &Path) -> Result<(&'static str, ArrayD<f64>)> {
 }
 
 fn numbers(path: &Path, field: &str, array: &ArrayD<f64>) -> Result<Vec<(String, Pose)>> {
-    if array.ndim() != 1 {
-        expect_shape(path, field, array.shape(), &[None, Some(72)])?;
-    } else {
+    if array.ndim() == 1 {
         expect_shape(path, field, array.shape(), &[Some(72)])?;
+    } else {
+        expect_shape(path, field, array.shape(), &[None, Some(72)])?;
     }
     if let Some(at) = array.iter().position(|angle| !angle.is_finite()) {
         let message = format!("number {at} is not finite");

@@ -99,7 +99,7 @@ fn packed(path: &Path) -> Result<Facts> {
 }
 
 fn pyramid(path: &Path) -> Result<Facts> {
-    let levels = (0..).take_while(|i| path.join(format!("A_{i}.npz")).exists()).count();
+    let levels = (0..64).take_while(|i| path.join(format!("A_{i}.npz")).exists()).count();
     let mut vertices = Vec::new();
     for level in 0..levels {
         let file = path.join(format!("A_{level}.npz"));

@@ -4,7 +4,7 @@ use cape_core::{
     Mesh, SmplModel,
     npy::{Npz, npy_header},
 };
-use cape_graph::{MeshPyramid, Surface};
+use cape_graph::{Level, MeshPyramid, Surface};
 use cape_model::weights;
 use cape_train::{
     config::RunConfig,
@@ -42,7 +42,7 @@ fn archive(path: &Path) -> Result<Facts> {
     }
     if has(&["version", "weighting", "v0"]) {
         let pyramid = MeshPyramid::load(path)?;
-        let vertices: Vec<usize> = pyramid.levels().iter().map(|l| l.vertex_count()).collect();
+        let vertices: Vec<usize> = pyramid.levels().iter().map(Level::vertex_count).collect();
         return Ok(Facts::new("mesh pyramid")
             .with("levels", vertices.len())
             .with("vertices", vertices)
