@@ -108,3 +108,19 @@ fn settings_come_from_a_file_and_options_override_it() {
     data.run("train --data @/packed --out @/other --preset tiny --peak-rate=-1")
         .failed_saying(&["train.peak_rate"]);
 }
+
+#[test]
+fn a_training_that_blows_up_stops_before_the_damage_is_saved() {
+    let data = Packed::new();
+    let line = "train --data @/packed --out @/run --preset tiny --epochs 9 --batch 4 \
+                --warmup-epochs 0 --checkpoint-steps 1 --peak-rate 1e12";
+    let ran = data.run(line);
+    ran.failed_saying(&["is not a finite number at step", "training frames [", "last checkpoint"]);
+    for (path, content) in states(&data.at("run")) {
+        let tensors = safetensors::SafeTensors::deserialize(&content).unwrap();
+        for (name, view) in tensors.tensors() {
+            let finite = |bytes: &[u8]| f32::from_le_bytes(bytes.try_into().unwrap()).is_finite();
+            assert!(view.data().chunks(4).all(finite), "{}: {name}", path.display());
+        }
+    }
+}
