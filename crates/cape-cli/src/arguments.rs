@@ -48,7 +48,7 @@ pub(crate) enum Command {
 }
 
 impl Command {
-    pub(crate) fn run(self, global: &Global, console: &Console) -> Result<ExitCode> {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result<ExitCode> {
         match self {
             Self::Synth(command) => command.run(global, console)?,
             Self::Pack(command) => command.run(console)?,

@@ -20,7 +20,7 @@ impl Console {
     }
 
     /// Prints a command's result: as JSON if asked for, else as text for people.
-    pub(crate) fn result<T: Serialize>(&self, value: &T, text: impl FnOnce() -> String) -> Result {
+    pub(crate) fn result<T: Serialize>(self, value: &T, text: impl FnOnce() -> String) -> Result {
         let text = if self.json {
             serde_json::to_string_pretty(value)
                 .map_err(|error| Error::message(format!("result: {error}")))?
@@ -35,19 +35,19 @@ impl Console {
     }
 
     /// Says something that is not the result.
-    pub(crate) fn note(&self, text: &str) {
+    pub(crate) fn note(self, text: &str) {
         if !self.quiet {
             eprintln!("{text}");
         }
     }
 
     /// Whether bars are shown.
-    pub(crate) fn shows_bars(&self) -> bool {
+    pub(crate) fn shows_bars(self) -> bool {
         !self.quiet && std::io::stderr().is_terminal()
     }
 
     /// A bar counting `unit`s under the heading `what`.
-    pub(crate) fn bar(&self, what: &str, unit: &str) -> ProgressBar {
+    pub(crate) fn bar(self, what: &str, unit: &str) -> ProgressBar {
         let target = if self.shows_bars() {
             ProgressDrawTarget::stderr()
         } else {
@@ -67,7 +67,7 @@ impl Console {
 
     /// Runs `work` with a bar that its progress callback moves.
     pub(crate) fn while_showing<T>(
-        &self,
+        self,
         what: &str,
         unit: &str,
         work: impl FnOnce(&mut dyn FnMut(usize, usize)) -> T,

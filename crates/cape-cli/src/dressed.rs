@@ -14,8 +14,10 @@ use crate::{
 /// Bodies posed at a time.
 const BATCH: usize = 16;
 /// Displacements from here, metres, look like cloth, and from [`CLOTH`] on wholly so.
-const SKIN: f32 = 0.0018;
-const CLOTH: f32 = 0.0042;
+const SKIN: f32 = 0.0025;
+const CLOTH: f32 = 0.0038;
+/// How often these distances are averaged over neighbours.
+const SMOOTHINGS: usize = 5;
 /// Joints that move legs, for telling trousers from shirt.
 const LEGS: [usize; 8] = [1, 2, 4, 5, 7, 8, 10, 11];
 
@@ -130,18 +132,40 @@ fn colours(
     displacement: ArrayView2<f32>,
     outfit: Outfit,
 ) -> Vec<[f32; 3]> {
-    let shirt = shirt_colour(outfit);
-    let vertex = |(index, d): (usize, ndarray::ArrayView1<f32>)| {
-        if !mask.covered()[index] {
+    let distance = displacement.rows().into_iter().map(|d| d.dot(&d).sqrt()).collect();
+    let leg = |weights: ndarray::ArrayView1<f64>| {
+        LEGS.iter().filter_map(|&joint| weights.get(joint)).sum::<f64>() as f32
+    };
+    let legs = body.weights.rows().into_iter().map(leg).collect();
+    let (distance, legs) = (smoothed(body, distance), smoothed(body, legs));
+    let vertex = |(&covered, (&distance, &leg)): (&bool, (&f32, &f32))| {
+        if !covered {
             return SKIN_COLOUR;
         }
-        let length = d.iter().map(|x| x * x).sum::<f32>().sqrt();
-        let cloth = ((length - SKIN) / (CLOTH - SKIN)).clamp(0.0, 1.0);
-        let weights = body.weights.row(index);
-        let leg: f64 = LEGS.iter().filter_map(|&joint| weights.get(joint)).sum();
-        mix(SKIN_COLOUR, if leg > 0.5 { TROUSERS } else { shirt }, cloth)
+        let garment = mix(shirt_colour(outfit), TROUSERS, ramp(leg, 0.42, 0.58));
+        mix(SKIN_COLOUR, garment, ramp(distance, SKIN, CLOTH))
     };
-    displacement.rows().into_iter().enumerate().map(vertex).collect()
+    mask.covered().iter().zip(distance.iter().zip(&legs)).map(vertex).collect()
+}
+
+/// Averages over neighbours a few times, so that a fold that touches the skin is no hole.
+fn smoothed(body: &SmplModel, mut values: Vec<f32>) -> Vec<f32> {
+    for _ in 0..SMOOTHINGS {
+        let mut sums: Vec<(f32, f32)> = values.iter().map(|&value| (value, 1.0)).collect();
+        for face in &body.faces {
+            for (a, b) in [(0, 1), (1, 2), (2, 0)] {
+                let (a, b) = (face[a] as usize, face[b] as usize);
+                sums[a] = (sums[a].0 + values[b], sums[a].1 + 1.0);
+            }
+        }
+        values = sums.into_iter().map(|(sum, count)| sum / count).collect();
+    }
+    values
+}
+
+/// From 0 at `low` to 1 at `high`.
+fn ramp(value: f32, low: f32, high: f32) -> f32 {
+    ((value - low) / (high - low)).clamp(0.0, 1.0)
 }
 
 const fn shirt_colour(outfit: Outfit) -> [f32; 3] {

@@ -17,9 +17,9 @@ pub(crate) struct Interrupt(Arc<AtomicBool>);
 
 impl Interrupt {
     /// Takes over interrupts: the first is remembered, the second ends the process.
-    pub(crate) fn listen(console: &Console) -> Result<Self> {
+    pub(crate) fn listen(console: Console) -> Result<Self> {
         let asked = Arc::new(AtomicBool::new(false));
-        let (seen, console) = (asked.clone(), *console);
+        let seen = asked.clone();
         ctrlc::set_handler(move || {
             if seen.swap(true, Ordering::SeqCst) {
                 process::exit(130);

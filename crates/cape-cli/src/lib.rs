@@ -27,7 +27,7 @@ use error::Error;
 pub fn main() -> ExitCode {
     let Cli { global, command } = Cli::parse();
     let console = Console::new(global.json, global.quiet);
-    match use_threads(global.threads).and_then(|()| command.run(&global, &console)) {
+    match use_threads(global.threads).and_then(|()| command.run(&global, console)) {
         Ok(code) => code,
         Err(Error::OutputClosed) => ExitCode::SUCCESS,
         Err(error) => {

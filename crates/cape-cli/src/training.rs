@@ -13,7 +13,7 @@ use crate::{
 /// Trains until the end, or until `stop` says so after a step.
 pub(crate) fn run(
     trainer: &mut Trainer,
-    console: &Console,
+    console: Console,
     mut stop: impl FnMut(&Event) -> bool,
 ) -> Result<Outcome> {
     let epochs = trainer.config().train.epochs;
@@ -26,8 +26,8 @@ pub(crate) fn run(
     Ok(outcome?)
 }
 
-struct Watch<'a> {
-    console: &'a Console,
+struct Watch {
+    console: Console,
     epochs: usize,
     bar: ProgressBar,
     /// Of the current epoch: steps seen, their losses and seconds added up.
@@ -37,8 +37,8 @@ struct Watch<'a> {
     spent: f64,
 }
 
-impl<'a> Watch<'a> {
-    fn new(console: &'a Console, epochs: usize) -> Self {
+impl Watch {
+    fn new(console: Console, epochs: usize) -> Self {
         let bar = console.bar("train", "steps");
         Self { console, epochs, bar, seen: 0, reconstruction: 0.0, edge: 0.0, spent: 0.0 }
     }

@@ -52,7 +52,7 @@ impl From<PosteriorName> for PosteriorUse {
 }
 
 impl Eval {
-    pub(crate) fn run(self, global: &Global, console: &Console) -> Result {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         let run = Run::open(&self.run, &device)?;
         let options = EvalOptions {

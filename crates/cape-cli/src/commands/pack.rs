@@ -45,7 +45,7 @@ struct Report {
 }
 
 impl Pack {
-    pub(crate) fn run(self, console: &Console) -> Result {
+    pub(crate) fn run(self, console: Console) -> Result {
         let split = self.split()?;
         let options = PackOptions { strict: self.strict };
         let packed = console.while_showing("pack", "frames", |progress| {

@@ -65,7 +65,7 @@ pub(crate) struct LevelReport {
 }
 
 impl Pyramid {
-    pub(crate) fn run(self, console: &Console) -> Result {
+    pub(crate) fn run(self, console: Console) -> Result {
         let surface: Surface = read_surface(&self.mesh)?;
         let start = Instant::now();
         let pyramid = MeshPyramid::build(surface, &self.factors, self.weighting.into())?;

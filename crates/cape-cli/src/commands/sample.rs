@@ -107,7 +107,7 @@ impl OutfitName {
 }
 
 impl Sample {
-    pub(crate) fn run(self, global: &Global, console: &Console) -> Result {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         let poses = poses(&self.pose)?;
         if let Some(beta) = self.betas.iter().find(|beta| !beta.is_finite()) {

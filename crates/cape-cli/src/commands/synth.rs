@@ -52,7 +52,7 @@ struct Report {
 }
 
 impl Synth {
-    pub(crate) fn run(self, global: &Global, console: &Console) -> Result {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
         let start = std::time::Instant::now();
         let body = match &self.body {
             Some(path) => SmplModel::load(path)?,

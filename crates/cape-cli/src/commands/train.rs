@@ -95,7 +95,7 @@ struct Report {
 }
 
 impl Train {
-    pub(crate) fn run(self, global: &Global, console: &Console) -> Result<ExitCode> {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result<ExitCode> {
         let device = parse_device(&global.device)?;
         let mut trainer = if self.resume {
             self.check_settings(global)?;

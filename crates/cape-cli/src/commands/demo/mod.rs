@@ -61,16 +61,16 @@ fn positive(text: &str) -> Result<f64, String> {
 }
 
 /// What the demo works with.
-struct Setting<'a> {
+struct Setting {
     out: PathBuf,
     seed: u64,
     device: Device,
-    console: &'a Console,
+    console: Console,
     stages: Vec<Stage>,
 }
 
 impl Demo {
-    pub(crate) fn run(self, global: &Global, console: &Console) -> Result {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
         let start = Instant::now();
         let device = parse_device(&global.device)?;
         prepare(&self.out)?;
@@ -122,7 +122,7 @@ fn prepare(out: &Path) -> Result {
     files::write_text(&out.join(MARKER), "Written by `cape demo`, which may replace it.\n")
 }
 
-impl Setting<'_> {
+impl Setting {
     fn path(&self, name: &str) -> PathBuf {
         self.out.join(name)
     }

@@ -99,14 +99,16 @@ fn packed(path: &Path) -> Result<Facts> {
 }
 
 fn pyramid(path: &Path) -> Result<Facts> {
-    let levels = (0..64).take_while(|i| path.join(format!("A_{i}.npz")).exists()).count();
     let mut vertices = Vec::new();
-    for level in 0..levels {
-        let file = path.join(format!("A_{level}.npz"));
+    loop {
+        let file = path.join(format!("A_{}.npz", vertices.len()));
+        if !file.exists() {
+            break;
+        }
         let shape = cape_core::npy::Npz::open(&file)?.i64("shape")?;
         vertices.push(shape.first().copied().unwrap_or_default());
     }
-    Ok(Facts::new("pyramid for SciPy").with("levels", levels).with("vertices", vertices))
+    Ok(Facts::new("pyramid for SciPy").with("levels", vertices.len()).with("vertices", vertices))
 }
 
 /// Which of the files `names` are in `path`.

@@ -25,7 +25,7 @@ pub(crate) struct Info {
 }
 
 impl Info {
-    pub(crate) fn run(self, console: &Console) -> Result {
+    pub(crate) fn run(self, console: Console) -> Result {
         let path = &self.path;
         let metadata = std::fs::metadata(path).map_err(|error| Error::io(path, error))?;
         let facts: Facts =
