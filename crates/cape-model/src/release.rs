@@ -191,32 +191,40 @@ impl Mapping<'_> {
         input: usize,
         output: usize,
     ) -> Result<()> {
-        self.take_shaped(ours, "bias", scope, "layer.bias", |shape| shape.last() == Some(&output))?;
-        self.take_shaped(ours, "bias", scope, "bias", |shape| shape.last() == Some(&output))?;
+        let wide = |shape: &[usize]| shape.last() == Some(&output);
+        self.take_shaped(ours, "layer.bias", &self.inside(scope, "bias"), wide)?;
+        self.take_shaped(ours, "bias", &self.inside(scope, "bias"), wide)?;
         if input != output {
-            self.take_shaped(ours, "weights", scope, "skip.weight", |s| s == [input, output])?;
+            // The second convolution may have the same shape; the linear map is made after it.
+            let mut weights = self.inside(scope, "weights");
+            weights.reverse();
+            weights.sort_by_key(|&index| !is_skip(&self.shapes[index].0[scope.len()..]));
+            self.take_shaped(ours, "skip.weight", &weights, |shape| shape == [input, output])?;
         }
-        self.take_shaped(ours, "weights", scope, "layer.conv.weight", |shape| {
-            shape == [input * order, output]
-        })?;
-        self.take_shaped(ours, "weights", scope, "conv.weight", |s| s == [output * order, output])
+        let weights = self.inside(scope, "weights");
+        self.take_shaped(ours, "layer.conv.weight", &weights, |s| s == [input * order, output])?;
+        self.take_shaped(ours, "conv.weight", &weights, |s| s == [output * order, output])
     }
 
-    /// The first free variable of `scope` whose last name starts with `kind` and whose shape fits.
+    /// The variables of `scope` whose last name starts with `kind`.
+    fn inside(&self, scope: &str, kind: &str) -> Vec<usize> {
+        let is_kind = |name: &str| {
+            let inside = bare(name).strip_prefix(scope).and_then(|rest| rest.strip_prefix('/'));
+            inside.is_some_and(|rest| rest.rsplit('/').next().is_some_and(|l| l.starts_with(kind)))
+        };
+        (0..self.shapes.len()).filter(|&index| is_kind(&self.shapes[index].0)).collect()
+    }
+
+    /// The first of `indices` that is free and whose shape fits.
     fn take_shaped(
         &mut self,
         ours: &str,
-        kind: &str,
-        scope: &str,
         part: &str,
+        indices: &[usize],
         fits: impl Fn(&[usize]) -> bool,
     ) -> Result<()> {
-        let found = self.shapes.iter().enumerate().position(|(index, (name, shape))| {
-            let inside = bare(name).strip_prefix(scope).and_then(|rest| rest.strip_prefix('/'));
-            let last = inside.and_then(|rest| rest.rsplit('/').next());
-            !self.taken[index] && last.is_some_and(|last| last.starts_with(kind)) && fits(shape)
-        });
-        let index = found.ok_or_else(|| missing(&format!("{scope}/…/{kind}")))?;
+        let found = indices.iter().find(|&&i| !self.taken[i] && fits(&self.shapes[i].1));
+        let index = *found.ok_or_else(|| missing(&format!("{ours}.{part}")))?;
         self.claim(&format!("{ours}.{part}"), index);
         Ok(())
     }
@@ -251,6 +259,88 @@ impl Mapping<'_> {
     }
 }
 
+/// Whether a variable's name says that it belongs to a block's skip path.
+fn is_skip(name: &str) -> bool {
+    ["input", "skip", "short", "linear", "1x1"].iter().any(|hint| name.contains(hint))
+}
+
 fn missing(name: &str) -> Error {
     Error::Weight { name: name.to_owned(), message: "missing".into() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::DecoderConditions;
+
+    fn variables(names: &[(&str, &[usize])]) -> Vec<(String, Vec<usize>)> {
+        names.iter().map(|(name, shape)| ((*name).to_owned(), shape.to_vec())).collect()
+    }
+
+    /// One residual encoder block from 3 to 4 channels and a plain decoder, without conditions.
+    fn config() -> CapeConfig {
+        CapeConfig {
+            filters: vec![4],
+            factors: vec![1],
+            order: 2,
+            latent: 2,
+            reduce: 0,
+            pose_embedding: 0,
+            outfit_embedding: 0,
+            encoder_residual: true,
+            decoder: DecoderBlock::Plain,
+            decoder_conditions: DecoderConditions::None,
+            discriminator: None,
+            ..CapeConfig::paper()
+        }
+    }
+
+    const FIXED: [(&str, &[usize]); 10] = [
+        ("generator/decoder/fc1/dense/kernel:0", &[2, 40]),
+        ("generator/decoder/fc1/dense/bias:0", &[40]),
+        ("generator/decoder/upconv1/weights:0", &[8, 4]),
+        ("generator/decoder/upconv1/bias:0", &[1, 1, 4]),
+        ("generator/decoder/outputs/weights:0", &[8, 3]),
+        ("generator/decoder/outputs/bias:0", &[1, 10, 3]),
+        ("generator/encoder/fc_mean/dense/kernel:0", &[40, 2]),
+        ("generator/encoder/fc_mean/dense/bias:0", &[2]),
+        ("generator/encoder/fc_var/dense/kernel:0", &[40, 2]),
+        ("generator/encoder/fc_var/dense/bias:0", &[2]),
+    ];
+
+    #[test]
+    fn residual_encoder_blocks_are_told_apart_by_shape() {
+        let mut names = variables(&FIXED);
+        names.extend(variables(&[
+            ("generator/encoder/block1/a/weights:0", &[6, 4]),
+            ("generator/encoder/block1/a/bias:0", &[1, 1, 4]),
+            ("generator/encoder/block1/b/weights:0", &[8, 4]),
+            ("generator/encoder/block1/c/weights:0", &[3, 4]),
+            ("generator/encoder/block1/d/bias:0", &[1, 1, 4]),
+        ]));
+        let map = name_map(&config(), &names).unwrap();
+        let of = |part: &str| map[&format!("generator.encoder.blocks.0.{part}")].as_str();
+        assert_eq!(of("layer.conv.weight"), "generator/encoder/block1/a/weights:0");
+        assert_eq!(of("conv.weight"), "generator/encoder/block1/b/weights:0");
+        assert_eq!(of("skip.weight"), "generator/encoder/block1/c/weights:0");
+        assert_eq!(of("bias"), "generator/encoder/block1/d/bias:0");
+        assert_eq!(map["generator.decoder.blocks.0.bias"], "generator/decoder/upconv1/bias:0");
+    }
+
+    #[test]
+    fn missing_and_extra_variables_are_named() {
+        let config = CapeConfig { encoder_residual: false, ..config() };
+        let layer = [
+            ("generator/encoder/encoder_conv1/weights:0", &[6usize, 4] as &[usize]),
+            ("generator/encoder/encoder_conv1/bias:0", &[1, 1, 4]),
+        ];
+        let mut names = variables(&FIXED);
+        let error = name_map(&config, &names).unwrap_err().to_string();
+        assert!(error.contains("generator/encoder/"), "{error}");
+        names.extend(variables(&layer));
+        name_map(&config, &names).unwrap();
+        names.push(("generator/extra:0".into(), vec![1]));
+        let error = name_map(&config, &names).unwrap_err().to_string();
+        assert!(error.contains("generator/extra:0"), "{error}");
+    }
 }

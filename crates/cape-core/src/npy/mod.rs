@@ -161,6 +161,7 @@ pub struct Npz {
     path: PathBuf,
     length: u64,
     archive: ZipArchive<BufReader<File>>,
+    names: Vec<String>,
 }
 
 impl Npz {
@@ -168,10 +169,15 @@ impl Npz {
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_owned();
         let (reader, length) = open(&path)?;
-        let archive = ZipArchive::new(reader).map_err(|source| {
-            Error::format(&path, format!("not a readable .npz (ZIP) archive: {source}"))
-        })?;
-        Ok(Self { path, length, archive })
+        let unreadable =
+            |source| Error::format(&path, format!("not a readable .npz (ZIP) archive: {source}"));
+        let mut archive = ZipArchive::new(reader).map_err(unreadable)?;
+        let mut names = Vec::new();
+        for index in 0..archive.len() {
+            let entry = archive.by_index_raw(index).map_err(unreadable)?;
+            names.extend(entry.name().strip_suffix(".npy").map(str::to_owned));
+        }
+        Ok(Self { path, length, archive, names })
     }
 
     /// The file.
@@ -179,26 +185,19 @@ impl Npz {
         &self.path
     }
 
-    /// Names of the arrays, sorted.
+    /// Names of the arrays, in the file's order.
     pub fn names(&self) -> Vec<String> {
-        let mut names: Vec<String> = self
-            .archive
-            .file_names()
-            .filter_map(|name| name.strip_suffix(".npy"))
-            .map(str::to_owned)
-            .collect();
-        names.sort_unstable();
-        names
+        self.names.clone()
     }
 
     /// Whether there is an array `name`.
     pub fn contains(&self, name: &str) -> bool {
-        self.archive.file_names().any(|file| file.strip_suffix(".npy") == Some(name))
+        self.names.iter().any(|found| found == name)
     }
 
     /// Reads array `name`, converting its numbers to `T`.
     pub fn get<T: NpyElement>(&mut self, name: &str) -> Result<ArrayD<T>> {
-        let Self { path, length, archive } = self;
+        let Self { path, length, archive, .. } = self;
         let source = Source { path, name: Some(name) };
         let entry = archive.by_name(&format!("{name}.npy")).map_err(|failed| match failed {
             ZipError::FileNotFound => source.error("missing array"),
