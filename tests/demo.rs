@@ -7,7 +7,7 @@ use serde_json::Value;
 
 fn demo(out: &Path) -> Value {
     let output = Command::new(env!("CARGO_BIN_EXE_cape"))
-        .args(["demo", "--minutes", "1", "--json", "--out"])
+        .args(["demo", "--minutes", "1.5", "--json", "--out"])
         .arg(out)
         .output()
         .unwrap();

@@ -7,7 +7,7 @@ use crate::{dressed::Dressed, error::Result};
 /// Poses of the contact sheet, one a row, and from where each is seen.
 pub(super) const POSES: [(&str, View); 2] = [("a-pose", View::Front), ("walk", View::ThreeQuarter)];
 
-const TILE: [u32; 2] = [300, 440];
+const TILE: [u32; 2] = [240, 352];
 
 /// Each row's bodies side by side: bare, then the outfits.
 pub(super) fn contact_sheet(rows: &[(View, Vec<Dressed>)]) -> Result<Image> {
