@@ -5,6 +5,7 @@
 //! writes what training reports.
 
 pub mod checkpoint;
+mod codes;
 pub mod config;
 pub mod data;
 mod error;
@@ -17,6 +18,7 @@ mod run;
 pub mod tensorboard;
 mod trainer;
 
+pub use codes::CodeDensity;
 pub use config::{RunConfig, TrainConfig, WarmUp};
 pub use error::{Error, Result};
 pub use evaluate::{EvalOptions, EvalReport, PosteriorUse, evaluate};

@@ -11,7 +11,8 @@ use burn::tensor::Device;
 use cape_core::{Outfit, obj, parse_device, synth};
 use cape_model::{CapeConfig, LossConfig};
 use cape_train::{
-    EvalOptions, EvalReport, Event, Outcome, PosteriorUse, Run, RunConfig, TrainConfig, Trainer,
+    CodeDensity, EvalOptions, EvalReport, Event, Outcome, PosteriorUse, Run, RunConfig,
+    TrainConfig, Trainer,
     data::{PackOptions, Split, pack},
     evaluate, write_json,
 };
@@ -28,6 +29,10 @@ use crate::{
 use outcome::{Report, Stage};
 use pictures::Losses;
 
+/// Training frames that show where each outfit's codes are.
+const CODE_FRAMES: usize = 256;
+/// Of the samples: a little closer to the typical outfit than the training frames.
+const TEMPERATURE: f32 = 0.7;
 /// Part of the time after which training stops; the rest is for evaluation and pictures.
 const TRAINING_SHARE: f64 = 0.8;
 /// Marks a directory as a demo's, which the next demo may replace.
@@ -215,8 +220,10 @@ impl Setting {
 
     /// Meshes of the bare body and of the four outfits, and the pictures.
     fn pictures(&mut self, run: &Run, losses: &Losses) -> Result {
-        let codes = run.sample_codes(Outfit::ALL.len(), self.seed);
-        self.stage("sample", "four outfits from the prior, meshes and pictures", |this| {
+        self.stage("sample", "four outfits, meshes and pictures", |this| {
+            // After so few steps the codes do not fill the prior yet.
+            let density = CodeDensity::fit(run, &this.path("packed"), CODE_FRAMES)?;
+            let codes = density.sample_each(TEMPERATURE, this.seed)?;
             let mut rows = Vec::new();
             for (row, &(name, view)) in pictures::POSES.iter().enumerate() {
                 let pose = pose::preset(name)
