@@ -108,7 +108,7 @@ mod tests {
 
     #[test]
     fn samples_have_the_fitted_moments() {
-        let normal = Normal { mean: [2.0, -1.0].into(), deviation: [0.5, 3.0].into() };
+        let normal = Normal { mean: vec![2.0, -1.0].into(), deviation: vec![0.5, 3.0].into() };
         let outfits = [(Outfit::LongLong, normal)].into();
         let density = CodeDensity { latent: 2, outfits };
         let codes = density.sample(Outfit::LongLong, 20_000, 1.0, 7);

@@ -145,6 +145,13 @@ impl Trainer {
                 identity.vertices
             )));
         }
+        if Statistics::of_packed(data, &mut crate::silent)? != *trainer.statistics {
+            return Err(Error::Data(format!(
+                "{}: its displacements have another mean and deviation than those the run was \
+                 trained on: it is another data set",
+                data.display()
+            )));
+        }
         trainer.model = weights::apply(trainer.model, &saved.model)
             .map_err(|error| Error::format(&newest, format!("does not suit the run: {error}")))?;
         trainer.generator_optimiser.restore(&trainer.model.generator, &saved.generator_momentum)?;
