@@ -5,11 +5,11 @@
 //! `T_clo = T(β, θ) + S_clo(z, θ, c)`: the body with shape β and pose θ, dressed in the outfit c by
 //! the latent code z. The crates, in the order data flow through them:
 //!
-//! - [`core`]: meshes, NumPy files, SMPL and the clothing term, outfits, the synthetic data;
-//! - [`graph`]: mesh pyramids and graph operations on tensors;
-//! - [`model`]: the networks and losses;
-//! - [`train`]: data sets, training, evaluation, and opening a trained [`Run`](train::Run);
-//! - [`render`]: pictures.
+//! - [`core`] — meshes, NumPy files, SMPL and the clothing term, outfits, the synthetic data;
+//! - [`graph`] — mesh pyramids and graph operations on tensors;
+//! - [`model`] — the networks and losses;
+//! - [`train`] — data sets, training, evaluation, and opening a trained [`Run`](train::Run);
+//! - [`render`] — pictures.
 //!
 //! [`prelude`] has what most programs need.
 
