@@ -3,7 +3,7 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use super::{
-    gemm::{View, add_a_transposed_product, product, product_b_transposed},
+    gemm::{View, product},
     simd,
     sparse::{accumulate, multiply_rows, recur},
 };
@@ -30,12 +30,7 @@ const GROUPS: usize = 8;
 impl Conv<'_> {
     /// Rows `c · K + k` of the weight matrix for one `k`.
     fn term<'w>(&self, weight: &'w [f32], k: usize) -> View<'w> {
-        View {
-            data: &weight[k * self.output..],
-            rows: self.input,
-            cols: self.output,
-            stride: self.order * self.output,
-        }
+        View::strided(&weight[k * self.output..], self.input, self.output, self.order * self.output)
     }
 
     fn example(&self) -> usize {
@@ -120,7 +115,7 @@ pub(in crate::backends) fn cheb_conv_backward(
                         let out = &mut sum[k * conv.output..];
                         let term = View::new(term, conv.vertices, conv.input);
                         let stride = conv.order * conv.output;
-                        add_a_transposed_product(term, view, out, stride, threaded);
+                        product(term.transposed(), view, out, stride, true, threaded);
                     }
                     if want_x {
                         let out = &mut grad_x[i * n..][..n];
@@ -155,10 +150,10 @@ fn input_gradient(
 ) {
     let n = conv.example();
     let a: &Csr = conv.laplacian.backward();
-    product_b_transposed(grad, conv.term(weight, 0), out, threaded);
+    product(grad, conv.term(weight, 0).transposed(), out, conv.input, false, threaded);
     for k in 1..conv.order {
         let term = &mut scratch[(k - 1) * n..][..n];
-        product_b_transposed(grad, conv.term(weight, k), term, threaded);
+        product(grad, conv.term(weight, k).transposed(), term, conv.input, false, threaded);
     }
     for k in (2..conv.order).rev() {
         let (lower, upper) = scratch.split_at_mut((k - 1) * n);
