@@ -18,6 +18,8 @@ const SKIN: f32 = 0.0025;
 const CLOTH: f32 = 0.0038;
 /// How often these distances are averaged over neighbours.
 const SMOOTHINGS: usize = 5;
+/// Pelvis, spine and collars: under cloth in every outfit.
+const TRUNK: [usize; 6] = [0, 3, 6, 9, 13, 14];
 /// Joints that move legs, for telling trousers from shirt.
 const LEGS: [usize; 8] = [1, 2, 4, 5, 7, 8, 10, 11];
 
@@ -125,7 +127,7 @@ fn mesh(body: &SmplModel, vertices: ArrayView2<f32>) -> Mesh {
     Mesh { vertices, faces: body.faces.clone() }
 }
 
-/// Colours that show where there is cloth: where the surface leaves the skin.
+/// Colours that show where there is cloth: on the trunk, and where the surface leaves the skin.
 fn colours(
     body: &SmplModel,
     mask: &ClothingMask,
@@ -133,19 +135,22 @@ fn colours(
     outfit: Outfit,
 ) -> Vec<[f32; 3]> {
     let distance = displacement.rows().into_iter().map(|d| d.dot(&d).sqrt()).collect();
-    let leg = |weights: ndarray::ArrayView1<f64>| {
-        LEGS.iter().filter_map(|&joint| weights.get(joint)).sum::<f64>() as f32
+    let share = |joints: &[usize]| {
+        let of = |weights: ndarray::ArrayView1<f64>| {
+            joints.iter().filter_map(|&joint| weights.get(joint)).sum::<f64>() as f32
+        };
+        smoothed(body, body.weights.rows().into_iter().map(of).collect())
     };
-    let legs = body.weights.rows().into_iter().map(leg).collect();
-    let (distance, legs) = (smoothed(body, distance), smoothed(body, legs));
-    let vertex = |(&covered, (&distance, &leg)): (&bool, (&f32, &f32))| {
+    let (distance, legs, trunk) = (smoothed(body, distance), share(&LEGS), share(&TRUNK));
+    let vertex = |(&covered, ((&distance, &leg), &trunk)): (&bool, ((&f32, &f32), &f32))| {
         if !covered {
             return SKIN_COLOUR;
         }
         let garment = mix(shirt_colour(outfit), TROUSERS, ramp(leg, 0.42, 0.58));
-        mix(SKIN_COLOUR, garment, ramp(distance, SKIN, CLOTH))
+        let cloth = ramp(distance, SKIN, CLOTH).max(ramp(trunk, 0.5, 0.8));
+        mix(SKIN_COLOUR, garment, cloth)
     };
-    mask.covered().iter().zip(distance.iter().zip(&legs)).map(vertex).collect()
+    mask.covered().iter().zip(distance.iter().zip(&legs).zip(&trunk)).map(vertex).collect()
 }
 
 /// Averages over neighbours a few times, so that a fold that touches the skin is no hole.
