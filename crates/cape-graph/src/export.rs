@@ -82,7 +82,7 @@ mod tests {
         assert_eq!(names, expected);
 
         let mut file = Npz::open(directory.path().join("A_1.npz")).unwrap();
-        assert_eq!(file.names(), ["data", "format", "indices", "indptr", "shape"]);
+        assert_eq!(file.names(), ["indices", "indptr", "format", "shape", "data"]);
         assert!(file.i64("indptr").unwrap().iter().eq(&[0, 3, 6, 9, 12]));
         let text = std::fs::read_to_string(directory.path().join("level_1.obj")).unwrap();
         assert!(text.contains("v 0 0 0.1\n") && text.ends_with("f 1 4 3\n"), "{text}");

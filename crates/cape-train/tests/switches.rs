@@ -1,0 +1,173 @@
+//! Every switch of the architecture and the objective: the gradient along a random direction agrees
+//! with finite differences, and every parameter takes part.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use cape_core::SmplModel;
+use cape_model::{
+    Cape, CapeConfig, DecoderBlock, DecoderConditions, Graphs, LossConfig, Reconstruction,
+    weights::{self, Weights},
+};
+use cape_train::{
+    RunConfig, build_graphs,
+    objective::{Frames, StepInput, evaluate},
+    optim::collect_gradients,
+};
+use ndarray::{Array2, Array3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// A torus of 12 × 8 vertices as a body.
+fn body() -> SmplModel {
+    let (rings, sides) = (12u32, 8u32);
+    let count = (rings * sides) as usize;
+    let angle = |i: u32, n: u32| f64::from(i) / f64::from(n) * std::f64::consts::TAU;
+    let mut vertices = Array2::zeros((count, 3));
+    let mut faces = Vec::new();
+    for ring in 0..rings {
+        for side in 0..sides {
+            let (u, v) = (angle(ring, rings), angle(side, sides));
+            let radius = 0.5 + 0.2 * v.cos() + 0.01 * (3.0 * u + v).sin();
+            let at = |r: u32, s: u32| (r % rings) * sides + s % sides;
+            let mut vertex = vertices.row_mut(at(ring, side) as usize);
+            vertex.assign(&ndarray::arr1(&[radius * u.cos(), 0.2 * v.sin(), radius * u.sin()]));
+            let (a, b) = (at(ring, side), at(ring, side + 1));
+            let (c, d) = (at(ring + 1, side), at(ring + 1, side + 1));
+            faces.extend([[a, b, c], [b, d, c]]);
+        }
+    }
+    SmplModel {
+        v_template: vertices,
+        shapedirs: Array3::zeros((count, 3, 1)),
+        posedirs: Array3::zeros((count, 3, 0)),
+        joint_regressor: Array2::from_elem((1, count), 1.0 / count as f64),
+        weights: Array2::ones((count, 1)),
+        parents: vec![None],
+        faces,
+    }
+}
+
+struct Case {
+    graphs: Graphs,
+    model: Cape,
+    loss: LossConfig,
+    input: StepInput,
+}
+
+impl Case {
+    fn new(config: CapeConfig, loss: LossConfig) -> Self {
+        let device = Device::flex().autodiff();
+        let run = RunConfig { model: config, ..RunConfig::default() };
+        run.validate().unwrap();
+        let body = body();
+        let graphs = build_graphs(&run, &body, &device).unwrap();
+        let model = Cape::new(&run.model, &graphs, 3, &device).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let vertices = body.vertices();
+        let mut random = |shape: Vec<usize>| {
+            let count = shape.iter().product::<usize>();
+            let values: Vec<f32> = (0..count).map(|_| rng.random_range(-1.5..1.5)).collect();
+            TensorData::new(values, shape)
+        };
+        let mut frames = || Frames {
+            displacement: Tensor::from_data(random(vec![2, vertices, 3]), &device),
+            pose_feature: Tensor::from_data(random(vec![2, 126]), &device),
+            outfit: Tensor::from_data(random(vec![2, 4]), &device),
+        };
+        let (fitted, real) = (frames(), frames());
+        let epsilon = Tensor::from_data(random(vec![2, run.model.latent]), &device);
+        let input = StepInput {
+            frames: fitted,
+            epsilon: run.model.variational.then_some(epsilon),
+            real: Some(real),
+        };
+        Self { graphs, model, loss, input }
+    }
+
+    fn total(&self, model: &Cape) -> f64 {
+        evaluate(model, &self.graphs, &self.loss, &self.input).losses.total_generator
+    }
+
+    fn check(&self, name: &str) {
+        let evaluation = evaluate(&self.model, &self.graphs, &self.loss, &self.input);
+        let gradients = collect_gradients(&self.model.generator, &evaluation.generator);
+        let values = weights::collect(&self.model.generator);
+        let variational = self.input.epsilon.is_some();
+        let used = |path: &&String| variational || !path.contains("log_variance");
+        for path in values.keys().filter(used) {
+            assert!(gradients.contains_key(path), "{name}: {path} takes no part");
+        }
+        let norm = |weights: &Weights| -> f64 {
+            let all = weights.values().flat_map(|array| &array.values);
+            all.map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt()
+        };
+        // Along the gradient itself the slope is its norm: nothing that is wrong cancels. Kinks and
+        // curvature spoil long steps and rounding short ones, so one length must do.
+        let slope = norm(&gradients);
+        let along = |length: f64| {
+            let total = self.total(&self.moved(&values, &gradients, length / slope))
+                - self.total(&self.moved(&values, &gradients, -length / slope));
+            total / (2.0 * length)
+        };
+        let found = [1e-3, 2e-4, 5e-5, 1e-5].map(along);
+        let close = found.iter().any(|found| (found / slope - 1.0).abs() < 0.02);
+        assert!(close, "{name}: slopes {found:?}, gradient {slope}");
+    }
+
+    /// The model with its generator moved by `step` gradients.
+    fn moved(&self, values: &Weights, gradients: &Weights, step: f64) -> Cape {
+        let mut moved = values.clone();
+        for (path, array) in &mut moved {
+            let Some(gradient) = gradients.get(path) else { continue };
+            for (value, gradient) in array.values.iter_mut().zip(&gradient.values) {
+                *value += (step * f64::from(*gradient)) as f32;
+            }
+        }
+        let generator = weights::apply(self.model.generator.clone(), &moved).unwrap();
+        Cape { generator, discriminator: self.model.discriminator.clone() }
+    }
+}
+
+#[test]
+fn gradients_follow_every_switch() {
+    let tiny = CapeConfig::tiny;
+    let plain = || CapeConfig {
+        decoder: DecoderBlock::Plain,
+        decoder_conditions: DecoderConditions::None,
+        pose_embedding: 0,
+        outfit_embedding: 0,
+        ..tiny()
+    };
+    let cases: Vec<(&str, CapeConfig)> = vec![
+        ("residual", tiny()),
+        ("affine", CapeConfig { decoder: DecoderBlock::Affine, ..tiny() }),
+        ("plain, unconditional", plain()),
+        ("plain auto-encoder", CapeConfig { variational: false, discriminator: None, ..plain() }),
+        (
+            "plain, conditioned code",
+            CapeConfig {
+                decoder: DecoderBlock::Plain,
+                decoder_conditions: DecoderConditions::Latent,
+                ..tiny()
+            },
+        ),
+        ("residual encoder", CapeConfig { encoder_residual: true, ..tiny() }),
+        ("conditioned encoder", CapeConfig { encoder_conditions: true, ..tiny() }),
+        ("no 1×1 convolutions", CapeConfig { reduce: 0, ..tiny() }),
+        ("deeper condition nets", CapeConfig { outfit_layers: 2, ..tiny() }),
+        ("shallow condition nets", CapeConfig { pose_layers: 1, ..tiny() }),
+        ("first order", CapeConfig { order: 1, ..tiny() }),
+        ("fourth order", CapeConfig { order: 4, ..tiny() }),
+        ("no discriminator", CapeConfig { discriminator: None, ..tiny() }),
+    ];
+    for (name, config) in cases {
+        Case::new(config, LossConfig::default()).check(name);
+    }
+}
+
+#[test]
+fn gradients_follow_every_reconstruction_loss() {
+    for kind in [Reconstruction::L1, Reconstruction::L2, Reconstruction::Huber] {
+        let loss = LossConfig { kind, edge: 0.0, gan: 0.0, ..LossConfig::default() };
+        Case::new(CapeConfig::tiny(), loss).check(&format!("{kind:?}"));
+    }
+}
