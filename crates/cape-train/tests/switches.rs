@@ -1,7 +1,7 @@
 //! Every switch of the architecture and the objective: the gradient along a random direction agrees
 //! with finite differences, and every parameter takes part.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Tensor, TensorData};
 use cape_core::SmplModel;
 use cape_model::{
     Cape, CapeConfig, DecoderBlock, DecoderConditions, Graphs, LossConfig, Reconstruction,
@@ -55,7 +55,7 @@ struct Case {
 
 impl Case {
     fn new(config: CapeConfig, loss: LossConfig) -> Self {
-        let device = Device::flex().autodiff();
+        let device = cape_core::parse_device(cape_core::DEVICES[0]).unwrap().autodiff();
         let run = RunConfig { model: config, ..RunConfig::default() };
         run.validate().unwrap();
         let body = body();
