@@ -32,7 +32,7 @@ use pictures::Losses;
 /// Training frames that show where each outfit's codes are.
 const CODE_FRAMES: usize = 256;
 /// Of the samples: a little closer to the typical outfit than the training frames.
-const TEMPERATURE: f32 = 0.7;
+const TEMPERATURE: f32 = 0.5;
 /// Part of the time after which training stops; the rest is for evaluation and pictures.
 const TRAINING_SHARE: f64 = 0.8;
 /// Marks a directory as a demo's, which the next demo may replace.
@@ -179,12 +179,12 @@ impl Setting {
             // In so few steps the code must be worth using early, and many small steps get further.
             loss: LossConfig { kl: 1e-5, gan: 0.02, ..LossConfig::default() },
             train: TrainConfig {
-                epochs: 5,
+                epochs: 8,
                 batch: 2,
                 seed: self.seed,
                 peak_rate: 0.03,
                 warmup_epochs: 0.3,
-                decay: 0.6,
+                decay: 0.7,
                 keep: 1,
                 preload: true,
                 ..TrainConfig::default()
