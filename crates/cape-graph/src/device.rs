@@ -4,8 +4,12 @@ use sprs::CsMat;
 use crate::{
     functions::sparse_matmul,
     pyramid::{Level, MeshPyramid, Transition},
+    operator::ConvGraph,
     sparse::SparseMatrix,
 };
+
+/// How far a row of an up-sampling may sum from 1, f32's rounding.
+const ROUNDING: f64 = 1e-6;
 
 /// A pyramid's matrices on a device: what graph networks need of a mesh.
 ///
@@ -13,9 +17,11 @@ use crate::{
 #[derive(Debug, Clone)]
 pub struct DevicePyramid {
     vertices: Vec<usize>,
-    laplacians: Vec<SparseMatrix>,
+    graphs: Vec<ConvGraph>,
+    pooled: Vec<Option<ConvGraph>>,
     down: Vec<Option<SparseMatrix>>,
     up: Vec<Option<SparseMatrix>>,
+    preserving: Vec<bool>,
 }
 
 impl DevicePyramid {
@@ -64,7 +70,13 @@ impl DevicePyramid {
         };
         Self {
             vertices,
-            laplacians: laplacians.iter().map(|l| SparseMatrix::new(l, device)).collect(),
+            graphs: laplacians.iter().map(|l| ConvGraph::new(l, None, device)).collect(),
+            pooled: laplacians
+                .iter()
+                .zip(down)
+                .map(|(l, down)| Some(ConvGraph::new(l, Some(down.as_ref()?), device)))
+                .collect(),
+            preserving: up.iter().map(|up| up.as_ref().is_none_or(preserves_constants)).collect(),
             down: down.iter().map(upload).collect(),
             up: up.iter().map(upload).collect(),
         }
@@ -80,9 +92,26 @@ impl DevicePyramid {
         &self.vertices
     }
 
-    /// The rescaled Laplacian `L̃ = L − I` of a level.
-    pub fn laplacian(&self, level: usize) -> &SparseMatrix {
-        &self.laplacians[level]
+    /// The graph of a level.
+    pub fn graph(&self, level: usize) -> &ConvGraph {
+        &self.graphs[level]
+    }
+
+    /// The graph of a level for a convolution that transition `level` follows: its output is that
+    /// of level `level + 1`.
+    pub fn pooled(&self, level: usize) -> &ConvGraph {
+        self.pooled[level].as_ref().unwrap_or(&self.graphs[level])
+    }
+
+    /// Whether [`up`](Self::up) changes nothing, because both levels are the same.
+    pub fn is_identity(&self, transition: usize) -> bool {
+        self.up[transition].is_none()
+    }
+
+    /// Whether what is the same at every vertex stays so when it is up-sampled. It does with
+    /// barycentric weights; those of the release do not always sum to 1.
+    pub fn up_preserves_constants(&self, transition: usize) -> bool {
+        self.preserving[transition]
     }
 
     /// Keeps the vertices of `x: [batch, vertices, channels]` that survive into level
@@ -102,4 +131,8 @@ impl DevicePyramid {
             None => x,
         }
     }
+}
+
+fn preserves_constants(up: &CsMat<f64>) -> bool {
+    up.outer_iterator().all(|row| (row.data().iter().sum::<f64>() - 1.0).abs() <= ROUNDING)
 }

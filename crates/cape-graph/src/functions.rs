@@ -5,7 +5,11 @@ use burn::{
     tensor::{DType, Tensor},
 };
 
-use crate::{ops::GraphBackend, sparse::SparseMatrix};
+use crate::{
+    operator::ConvGraph,
+    ops::{ConvSpec, GraphBackend, NormConvSpec},
+    sparse::SparseMatrix,
+};
 
 /// `y[b] = A x[b]`.
 ///
@@ -54,42 +58,167 @@ pub fn cheb_features(x: Tensor<3>, laplacian: &SparseMatrix, order: usize) -> Te
     Tensor::stack::<4>(terms, 3).reshape([batch, vertices, channels * order])
 }
 
-/// Chebyshev graph convolution `y = Σ_k T_k(L̃) x W_k`, without bias.
+/// What a convolution ends with.
+#[derive(Debug, Clone, Default)]
+pub struct ConvEnd {
+    /// Rows for each example, `[batch, r, out]` with `r` up to the order: `Σ_k T_k(L̃)1 · row_k` is
+    /// added. One row is a bias; as many as the order are what the convolution makes of channels
+    /// that are the same at every vertex.
+    pub rows: Option<Tensor<3>>,
+    /// Slope of a leaky ReLU, positive.
+    pub slope: Option<f64>,
+}
+
+/// Chebyshev graph convolution `y = f(Σ_k D T_k(L̃) x W_k + Σ_k D T_k(L̃)1 · row_k)` with all that
+/// commutes with the graph's selection `D`, if it has one: nothing is computed at the vertices that
+/// it drops.
 ///
 /// # Shapes
 /// - `x`: `[batch, vertices, channels]`
 /// - `weight`: `[channels · order, out]`, row `channel · order + k`
-/// - output: `[batch, vertices, out]`
+/// - output: `[batch, kept, out]`
 ///
 /// # Panics
-/// If `order` is 0, tensors are not f32, or shapes disagree.
+/// If `order` is 0, the slope is not positive, tensors are not f32, or shapes disagree.
 pub fn cheb_conv(
     x: Tensor<3>,
     weight: Tensor<2>,
-    laplacian: &SparseMatrix,
+    graph: &ConvGraph,
     order: usize,
+    end: ConvEnd,
 ) -> Tensor<3> {
     check_f32("cheb_conv", &x);
     check_f32("cheb_conv", &weight);
-    let [_, vertices, channels] = x.dims();
-    let [rows, out] = weight.dims();
-    assert!(
-        order > 0 && rows == channels * order,
-        "cheb_conv: weight is [{rows}, {out}] but x has {channels} channels and the order is {order}"
-    );
-    assert!(
-        vertices == laplacian.rows() && vertices == laplacian.cols(),
-        "cheb_conv: x has {vertices} vertices but the Laplacian is [{}, {}]",
-        laplacian.rows(),
-        laplacian.cols()
-    );
+    check_conv("cheb_conv", &x, x.dims()[2], &weight, graph, order);
+    let [batch, vertices, channels] = x.dims();
+    let [_, out] = weight.dims();
+    let ConvEnd { rows, slope } = end;
+    if let Some(rows) = &rows {
+        check_f32("cheb_conv", rows);
+        let [examples, count, width] = rows.dims();
+        assert!(
+            examples == batch && width == out && (1..=order).contains(&count),
+            "cheb_conv: rows are [{examples}, {count}, {width}], expected [{batch}, 1 to {order}, \
+             {out}]"
+        );
+    }
+    assert!(slope.is_none_or(|slope| slope > 0.0), "cheb_conv: slope must be positive");
+    if order == 2 && 2 * out < channels && graph.kept() == vertices && slope.is_none() {
+        return product_first(x, weight, graph, rows);
+    }
+    let spec = ConvSpec { order, rows: rows.as_ref().map_or(0, |rows| rows.dims()[1]), slope };
+    let rows = rows.unwrap_or_else(|| Tensor::zeros([1, 1, 1], &x.device()));
     Tensor::from_dispatch(Dispatch::cheb_conv(
         x.into_dispatch(),
         weight.into_dispatch(),
-        laplacian.index.clone().into_dispatch(),
-        laplacian.value.clone().into_dispatch(),
-        laplacian.pair.clone(),
+        rows.into_dispatch(),
+        graph.index.clone().into_dispatch(),
+        graph.value.clone().into_dispatch(),
+        graph.operator.clone(),
+        spec,
+    ))
+}
+
+/// A convolution of order 2 to few channels, `x W_0 + L̃ (x W_1)`: the graph is applied to the
+/// products, which are narrower than `x`.
+fn product_first(
+    x: Tensor<3>,
+    weight: Tensor<2>,
+    graph: &ConvGraph,
+    rows: Option<Tensor<3>>,
+) -> Tensor<3> {
+    let [batch, vertices, channels] = x.dims();
+    let [_, out] = weight.dims();
+    // Both products of a channel are adjacent: rows `channel · 2 + k` become columns `k · out + j`.
+    let weight = weight.reshape([channels, 2 * out]);
+    let rows = rows.map(|rows| {
+        let [_, count, _] = rows.dims();
+        let missing = Tensor::zeros([batch, 2 - count, out], &rows.device());
+        let rows = if count < 2 { Tensor::cat(vec![rows, missing], 1) } else { rows };
+        rows.reshape([batch, 1, 2 * out])
+    });
+    let products = cheb_conv(x, weight, graph, 1, ConvEnd { rows, slope: None });
+    let part = |k: usize| {
+        products.clone().slice([0..batch, 0..vertices, k * out..(k + 1) * out])
+    };
+    part(0) + sparse_matmul(part(1), &graph.laplacian())
+}
+
+/// Group normalisation with its parameters.
+#[derive(Debug, Clone)]
+pub struct GroupNorm {
+    /// Scale, `[channels]`.
+    pub gamma: Tensor<1>,
+    /// Shift, `[channels]`.
+    pub beta: Tensor<1>,
+    /// Groups of consecutive channels.
+    pub groups: usize,
+    /// Added to the variance.
+    pub epsilon: f64,
+}
+
+/// `base + cheb_conv(group_norm_relu([x, constant]))`: normalisation, ReLU and convolution without
+/// the normalised features in memory. `constant` are channels that are the same at every vertex of
+/// an example; they follow the features' and take part in the normalisation.
+///
+/// # Shapes
+/// - `x`: `[batch, vertices, channels]`
+/// - `constant`: `[batch, c]`; only with an order of 1
+/// - `weight`: `[(channels + c) · order, out]`
+/// - `base`, output: `[batch, kept, out]`
+///
+/// # Panics
+/// If `order` is 0, or above 1 with constant channels, the groups do not divide the channels,
+/// tensors are not f32, or shapes disagree.
+pub fn norm_conv(
+    x: Tensor<3>,
+    constant: Option<Tensor<2>>,
+    norm: GroupNorm,
+    weight: Tensor<2>,
+    graph: &ConvGraph,
+    order: usize,
+    base: Option<Tensor<3>>,
+) -> Tensor<3> {
+    let GroupNorm { gamma, beta, groups, epsilon } = norm;
+    check_f32("norm_conv", &x);
+    check_f32("norm_conv", &weight);
+    let [batch, _, features] = x.dims();
+    let mut channels = features;
+    if let Some(constant) = &constant {
+        check_f32("norm_conv", constant);
+        let [examples, count] = constant.dims();
+        assert_eq!(examples, batch, "norm_conv: examples of the constant channels");
+        assert_eq!(order, 1, "norm_conv: the order with constant channels");
+        channels += count;
+    }
+    check_conv("norm_conv", &x, channels, &weight, graph, order);
+    check_norm("norm_conv", channels, &gamma, &beta, groups);
+    let [_, out] = weight.dims();
+    if let Some(base) = &base {
+        check_f32("norm_conv", base);
+        assert_eq!(base.dims(), [batch, graph.kept(), out], "norm_conv: shape of the base");
+    }
+    let spec = NormConvSpec {
         order,
+        groups,
+        epsilon,
+        constant: channels - features,
+        add: base.is_some(),
+    };
+    let device = x.device();
+    let constant = constant.unwrap_or_else(|| Tensor::zeros([1, 1], &device));
+    let base = base.unwrap_or_else(|| Tensor::zeros([1, 1, 1], &device));
+    Tensor::from_dispatch(Dispatch::norm_conv(
+        x.into_dispatch(),
+        constant.into_dispatch(),
+        gamma.into_dispatch(),
+        beta.into_dispatch(),
+        weight.into_dispatch(),
+        base.into_dispatch(),
+        graph.index.clone().into_dispatch(),
+        graph.value.clone().into_dispatch(),
+        graph.operator.clone(),
+        spec,
     ))
 }
 
@@ -127,15 +256,7 @@ pub fn group_norm_relu(
     epsilon: f64,
 ) -> Tensor<3> {
     check_f32("group_norm_relu", &x);
-    check_f32("group_norm_relu", &gamma);
-    check_f32("group_norm_relu", &beta);
-    let [_, _, channels] = x.dims();
-    assert!(
-        groups > 0 && channels % groups == 0,
-        "group_norm_relu: {groups} groups do not divide {channels} channels"
-    );
-    assert_eq!(gamma.dims(), [channels], "group_norm_relu: gamma for {channels} channels");
-    assert_eq!(beta.dims(), [channels], "group_norm_relu: beta for {channels} channels");
+    check_norm("group_norm_relu", x.dims()[2], &gamma, &beta, groups);
     Tensor::from_dispatch(Dispatch::group_norm_relu(
         x.into_dispatch(),
         gamma.into_dispatch(),
@@ -147,4 +268,43 @@ pub fn group_norm_relu(
 
 fn check_f32<const D: usize>(operation: &str, tensor: &Tensor<D>) {
     assert_eq!(tensor.dtype(), DType::F32, "{operation}: tensors must be f32");
+}
+
+fn check_conv(
+    operation: &str,
+    x: &Tensor<3>,
+    channels: usize,
+    weight: &Tensor<2>,
+    graph: &ConvGraph,
+    order: usize,
+) {
+    let [_, vertices, _] = x.dims();
+    let [rows, out] = weight.dims();
+    assert!(
+        order > 0 && rows == channels * order,
+        "{operation}: weight is [{rows}, {out}] but x has {channels} channels and the order is \
+         {order}"
+    );
+    assert!(
+        vertices == graph.vertices(),
+        "{operation}: x has {vertices} vertices but the Laplacian is [{0}, {0}]",
+        graph.vertices()
+    );
+}
+
+fn check_norm(
+    operation: &str,
+    channels: usize,
+    gamma: &Tensor<1>,
+    beta: &Tensor<1>,
+    groups: usize,
+) {
+    check_f32(operation, gamma);
+    check_f32(operation, beta);
+    assert!(
+        groups > 0 && channels.is_multiple_of(groups),
+        "{operation}: {groups} groups do not divide {channels} channels"
+    );
+    assert_eq!(gamma.dims(), [channels], "{operation}: gamma for {channels} channels");
+    assert_eq!(beta.dims(), [channels], "{operation}: beta for {channels} channels");
 }

@@ -6,11 +6,15 @@
 //! `[batch, vertices, channels]` by it, with gradients, on every backend compiled in.
 
 mod backends;
+#[cfg(any(feature = "flex", feature = "ndarray"))]
+mod buffer;
+mod composed;
 mod device;
 mod error;
 mod export;
 mod functions;
 mod laplacian;
+mod operator;
 mod ops;
 mod parts;
 mod pyramid;
@@ -23,9 +27,13 @@ mod vector;
 
 pub use device::DevicePyramid;
 pub use error::{Error, Result};
-pub use functions::{bias_leaky_relu, cheb_conv, cheb_features, group_norm_relu, sparse_matmul};
+pub use functions::{
+    ConvEnd, GroupNorm, bias_leaky_relu, cheb_conv, cheb_features, group_norm_relu, norm_conv,
+    sparse_matmul,
+};
 pub use laplacian::{normalized_laplacian, rescaled_laplacian};
-pub use ops::GraphBackend;
+pub use operator::{ConvGraph, Operator};
+pub use ops::{ConvSpec, GraphBackend, NormConvSpec};
 pub use parts::{PyramidParts, sparse_from_triplets};
 pub use pyramid::{Level, MeshPyramid, Transition};
 pub use quadric::{Simplified, simplify};

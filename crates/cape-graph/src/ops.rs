@@ -6,12 +6,41 @@
 use std::sync::Arc;
 
 use burn::backend::{
-    Backend, TensorMetadata, backend_extension,
+    Backend, backend_extension,
     tensor::{FloatTensor, IntTensor},
 };
-use burn::tensor::Shape;
 
-use crate::sparse::SparsePair;
+use crate::{
+    composed::{self, Graph, NormInputs},
+    operator::Operator,
+    sparse::SparsePair,
+};
+
+/// What a convolution does besides the products.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ConvSpec {
+    /// Chebyshev terms `K`.
+    pub order: usize,
+    /// Rows added for each example.
+    pub rows: usize,
+    /// Slope of the leaky ReLU at its end, if any.
+    pub slope: Option<f64>,
+}
+
+/// A convolution after group normalisation and ReLU.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NormConvSpec {
+    /// Chebyshev terms `K`.
+    pub order: usize,
+    /// Groups of channels that are normalised together.
+    pub groups: usize,
+    /// Added to the variance.
+    pub epsilon: f64,
+    /// Channels that are the same at every vertex; only with an order of 1.
+    pub constant: usize,
+    /// Whether something is added.
+    pub add: bool,
+}
 
 /// Graph operations on primitives of a backend. Use the functions of this crate instead: they
 /// check shapes and take tensors.
@@ -31,32 +60,87 @@ pub trait GraphBackend: Backend {
         transpose: bool,
     ) -> FloatTensor<Self>;
 
-    /// `y = Σ_k T_k(L̃) x W_k`, `weight: [channels · order, out]` with rows `channel · order + k`.
+    /// `y = f(Σ_k D T_k(L̃) x W_k + Σ_r D T_r(L̃)1 · rows[r])`, `weight: [channels · order, out]`
+    /// with rows `channel · order + k`, `rows: [batch, r, out]`; unused where the specification has
+    /// none. `D` is the selection of the operator, `f` the leaky ReLU of the specification.
+    #[allow(clippy::too_many_arguments)] // tensors cannot be grouped across the dispatch
     fn cheb_conv(
         x: FloatTensor<Self>,
         weight: FloatTensor<Self>,
+        rows: FloatTensor<Self>,
         index: IntTensor<Self>,
         value: FloatTensor<Self>,
-        matrix: Arc<SparsePair>,
-        order: usize,
+        operator: Arc<Operator>,
+        spec: ConvSpec,
     ) -> FloatTensor<Self> {
-        composed::cheb_conv::<Self>(x, weight, index, value, matrix, order)
+        let graph = Graph { index, value, operator };
+        composed::cheb_conv::<Self>(x, weight, rows, &graph, spec)
     }
 
-    /// Gradients of [`cheb_conv`](Self::cheb_conv) with respect to `x` and `weight`; the first is
-    /// unspecified unless `want_x`.
-    #[allow(clippy::too_many_arguments)] // tensors cannot be grouped across the dispatch
+    /// Gradients of [`cheb_conv`](Self::cheb_conv) with respect to `x`, `weight` and `rows`, from
+    /// its output `y` if it has an activation. The first is unspecified unless `want_x`, the last
+    /// where there are no rows.
+    #[allow(clippy::too_many_arguments)]
     fn cheb_conv_backward(
         x: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        y: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        index: IntTensor<Self>,
+        value: FloatTensor<Self>,
+        operator: Arc<Operator>,
+        spec: ConvSpec,
+        want_x: bool,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>) {
+        let graph = Graph { index, value, operator };
+        composed::cheb_conv_backward::<Self>(x, weight, y, grad, &graph, spec, want_x)
+    }
+
+    /// `y = base + cheb_conv(relu(group_norm([x, constant])))`; `constant: [batch, c]` are channels
+    /// that are the same at every vertex, `gamma` and `beta` of all channels, and so the weights'
+    /// rows. `base` and `constant` are unused where the specification has none.
+    #[allow(clippy::too_many_arguments)]
+    fn norm_conv(
+        x: FloatTensor<Self>,
+        constant: FloatTensor<Self>,
+        gamma: FloatTensor<Self>,
+        beta: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        base: FloatTensor<Self>,
+        index: IntTensor<Self>,
+        value: FloatTensor<Self>,
+        operator: Arc<Operator>,
+        spec: NormConvSpec,
+    ) -> FloatTensor<Self> {
+        let graph = Graph { index, value, operator };
+        let inputs = NormInputs { x, constant, gamma, beta, weight };
+        composed::norm_conv::<Self>(inputs, base, &graph, spec)
+    }
+
+    /// Gradients of [`norm_conv`](Self::norm_conv) with respect to `x`, `constant`, `gamma`, `beta`
+    /// and `weight`; the second is unspecified where there are no constant channels.
+    #[allow(clippy::too_many_arguments, clippy::type_complexity)]
+    fn norm_conv_backward(
+        x: FloatTensor<Self>,
+        constant: FloatTensor<Self>,
+        gamma: FloatTensor<Self>,
+        beta: FloatTensor<Self>,
         weight: FloatTensor<Self>,
         grad: FloatTensor<Self>,
         index: IntTensor<Self>,
         value: FloatTensor<Self>,
-        matrix: Arc<SparsePair>,
-        order: usize,
-        want_x: bool,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        composed::cheb_conv_backward::<Self>(x, weight, grad, index, value, matrix, order, want_x)
+        operator: Arc<Operator>,
+        spec: NormConvSpec,
+    ) -> (
+        FloatTensor<Self>,
+        FloatTensor<Self>,
+        FloatTensor<Self>,
+        FloatTensor<Self>,
+        FloatTensor<Self>,
+    ) {
+        let graph = Graph { index, value, operator };
+        let inputs = NormInputs { x, constant, gamma, beta, weight };
+        composed::norm_conv_backward::<Self>(inputs, grad, &graph, spec)
     }
 
     /// `leaky_relu(x + bias)`, `x: [batch, vertices, channels]`, `bias: [channels]`, `slope > 0`.
@@ -100,239 +184,5 @@ pub trait GraphBackend: Backend {
         epsilon: f64,
     ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>) {
         composed::group_norm_relu_backward::<Self>(x, gamma, beta, grad, groups, epsilon)
-    }
-}
-
-/// The operations in terms of Burn's own, for backends without a fused kernel.
-pub(crate) mod composed {
-    use super::{
-        Arc, Backend, FloatTensor, GraphBackend, IntTensor, Shape, SparsePair, TensorMetadata,
-    };
-    use burn::{backend::get_or_init_device_settings, tensor::DType};
-
-    fn dims<B: Backend>(x: &FloatTensor<B>) -> [usize; 3] {
-        let shape = x.shape();
-        [shape[0], shape[1], shape[2]]
-    }
-
-    /// `[T_0(L̃)x, …, T_{K−1}(L̃)x]`.
-    fn basis<B: GraphBackend>(
-        x: FloatTensor<B>,
-        index: &IntTensor<B>,
-        value: &FloatTensor<B>,
-        matrix: &Arc<SparsePair>,
-        order: usize,
-    ) -> Vec<FloatTensor<B>> {
-        let multiply = |x: FloatTensor<B>| {
-            B::sparse_matmul(x, index.clone(), value.clone(), matrix.clone(), false)
-        };
-        let mut terms = vec![x];
-        for k in 1..order {
-            let last = multiply(terms[k - 1].clone());
-            let next = if k == 1 {
-                last
-            } else {
-                let twice = B::float_mul_scalar(last, 2.0.into());
-                B::float_sub(twice, terms[k - 2].clone())
-            };
-            terms.push(next);
-        }
-        terms
-    }
-
-    /// The weights of each term, `[channels, out]`.
-    fn term_weights<B: Backend>(weight: FloatTensor<B>, order: usize) -> Vec<FloatTensor<B>> {
-        let (rows, out) = (weight.shape()[0], weight.shape()[1]);
-        let channels = rows / order;
-        let weight = B::float_reshape(weight, Shape::from(vec![channels, order, out]));
-        (0..order)
-            .map(|k| {
-                let term = B::float_slice(
-                    weight.clone(),
-                    &[(0..channels).into(), (k..k + 1).into(), (0..out).into()],
-                );
-                B::float_reshape(term, Shape::from(vec![channels, out]))
-            })
-            .collect()
-    }
-
-    fn flat<B: Backend>(x: FloatTensor<B>) -> FloatTensor<B> {
-        let [batch, vertices, channels] = dims::<B>(&x);
-        B::float_reshape(x, Shape::from(vec![batch * vertices, channels]))
-    }
-
-    pub(crate) fn cheb_conv<B: GraphBackend>(
-        x: FloatTensor<B>,
-        weight: FloatTensor<B>,
-        index: IntTensor<B>,
-        value: FloatTensor<B>,
-        matrix: Arc<SparsePair>,
-        order: usize,
-    ) -> FloatTensor<B> {
-        let [batch, vertices, _] = dims::<B>(&x);
-        let out = weight.shape()[1];
-        let mut sum: Option<FloatTensor<B>> = None;
-        let terms = basis::<B>(x, &index, &value, &matrix, order);
-        for (term, weight) in terms.into_iter().zip(term_weights::<B>(weight, order)) {
-            let product = B::float_matmul(flat::<B>(term), weight);
-            sum = Some(match sum {
-                Some(sum) => B::float_add(sum, product),
-                None => product,
-            });
-        }
-        let sum = sum.unwrap_or_else(|| unreachable!("order is at least 1"));
-        B::float_reshape(sum, Shape::from(vec![batch, vertices, out]))
-    }
-
-    #[allow(clippy::too_many_arguments)]
-    pub(crate) fn cheb_conv_backward<B: GraphBackend>(
-        x: FloatTensor<B>,
-        weight: FloatTensor<B>,
-        grad: FloatTensor<B>,
-        index: IntTensor<B>,
-        value: FloatTensor<B>,
-        matrix: Arc<SparsePair>,
-        order: usize,
-        want_x: bool,
-    ) -> (FloatTensor<B>, FloatTensor<B>) {
-        let shape = x.shape();
-        let channels = shape[2];
-        let out = weight.shape()[1];
-        let grad = flat::<B>(grad);
-
-        let grad_weights: Vec<FloatTensor<B>> =
-            basis::<B>(x.clone(), &index, &value, &matrix, order)
-                .into_iter()
-                .map(|term| {
-                    let term = B::float_transpose(flat::<B>(term));
-                    let product = B::float_matmul(term, grad.clone());
-                    B::float_reshape(product, Shape::from(vec![channels, 1, out]))
-                })
-                .collect();
-        let grad_weight = B::float_reshape(
-            B::float_cat(grad_weights, 1),
-            Shape::from(vec![channels * order, out]),
-        );
-        if !want_x {
-            return (x, grad_weight);
-        }
-
-        let multiply = |x: FloatTensor<B>| {
-            B::sparse_matmul(x, index.clone(), value.clone(), matrix.clone(), true)
-        };
-        let mut terms: Vec<FloatTensor<B>> = term_weights::<B>(weight, order)
-            .into_iter()
-            .map(|weight| {
-                let product = B::float_matmul(grad.clone(), B::float_transpose(weight));
-                B::float_reshape(product, shape.clone())
-            })
-            .collect();
-        for k in (2..order).rev() {
-            let twice = B::float_mul_scalar(multiply(terms[k].clone()), 2.0.into());
-            terms[k - 1] = B::float_add(terms[k - 1].clone(), twice);
-            terms[k - 2] = B::float_sub(terms[k - 2].clone(), terms[k].clone());
-        }
-        let grad_x = if order > 1 {
-            B::float_add(terms[0].clone(), multiply(terms[1].clone()))
-        } else {
-            terms.swap_remove(0)
-        };
-        (grad_x, grad_weight)
-    }
-
-    fn row<B: Backend>(x: FloatTensor<B>) -> FloatTensor<B> {
-        let channels = x.shape()[0];
-        B::float_reshape(x, Shape::from(vec![1, 1, channels]))
-    }
-
-    /// Sum over all but the channels.
-    fn channel_sum<B: Backend>(x: FloatTensor<B>) -> FloatTensor<B> {
-        let channels = x.shape()[2];
-        let sum = B::float_sum_dim(B::float_sum_dim(x, 1), 0);
-        B::float_reshape(sum, Shape::from(vec![channels]))
-    }
-
-    /// `x` where `sign` is positive, `slope · x` elsewhere.
-    fn gate<B: Backend>(x: FloatTensor<B>, sign: FloatTensor<B>, slope: f64) -> FloatTensor<B> {
-        let bool_dtype = get_or_init_device_settings::<B>(&sign.device()).bool_dtype;
-        let off = B::float_lower_equal_elem(sign, 0.0.into(), bool_dtype);
-        let scaled = B::float_mul_scalar(x.clone(), slope.into());
-        B::float_mask_where(x, off, scaled)
-    }
-
-    pub(crate) fn bias_leaky_relu<B: Backend>(
-        x: FloatTensor<B>,
-        bias: FloatTensor<B>,
-        slope: f64,
-    ) -> FloatTensor<B> {
-        let sum = B::float_add(x, row::<B>(bias));
-        gate::<B>(sum.clone(), sum, slope)
-    }
-
-    pub(crate) fn bias_leaky_relu_backward<B: Backend>(
-        y: FloatTensor<B>,
-        grad: FloatTensor<B>,
-        slope: f64,
-    ) -> (FloatTensor<B>, FloatTensor<B>) {
-        let grad = gate::<B>(grad, y, slope);
-        (grad.clone(), channel_sum::<B>(grad))
-    }
-
-    /// Mean over (vertices × channels in group), spread back: `[batch, 1, channels]`.
-    fn group_mean<B: Backend>(x: FloatTensor<B>, groups: usize) -> FloatTensor<B> {
-        let [batch, _, channels] = dims::<B>(&x);
-        let width = channels / groups;
-        let mean = B::float_mean_dim(x, 1);
-        let mean = B::float_reshape(mean, Shape::from(vec![batch, groups, width]));
-        let mean =
-            B::float_expand(B::float_mean_dim(mean, 2), Shape::from(vec![batch, groups, width]));
-        B::float_reshape(mean, Shape::from(vec![batch, 1, channels]))
-    }
-
-    /// The normalised input and the inverse standard deviations `[batch, 1, channels]`.
-    fn normalise<B: Backend>(
-        x: FloatTensor<B>,
-        groups: usize,
-        epsilon: f64,
-    ) -> (FloatTensor<B>, FloatTensor<B>) {
-        debug_assert_eq!(x.dtype(), DType::F32);
-        let centred = B::float_sub(x.clone(), group_mean::<B>(x, groups));
-        let variance = group_mean::<B>(B::float_mul(centred.clone(), centred.clone()), groups);
-        let deviation = B::float_sqrt(B::float_add_scalar(variance, epsilon.into()));
-        let inverse = B::float_recip(deviation);
-        (B::float_mul(centred, inverse.clone()), inverse)
-    }
-
-    pub(crate) fn group_norm_relu<B: Backend>(
-        x: FloatTensor<B>,
-        gamma: FloatTensor<B>,
-        beta: FloatTensor<B>,
-        groups: usize,
-        epsilon: f64,
-    ) -> FloatTensor<B> {
-        let (unit, _) = normalise::<B>(x, groups, epsilon);
-        let affine = B::float_add(B::float_mul(unit, row::<B>(gamma)), row::<B>(beta));
-        B::float_clamp_min(affine, 0.0.into())
-    }
-
-    pub(crate) fn group_norm_relu_backward<B: Backend>(
-        x: FloatTensor<B>,
-        gamma: FloatTensor<B>,
-        beta: FloatTensor<B>,
-        grad: FloatTensor<B>,
-        groups: usize,
-        epsilon: f64,
-    ) -> (FloatTensor<B>, FloatTensor<B>, FloatTensor<B>) {
-        let (unit, inverse) = normalise::<B>(x, groups, epsilon);
-        let gamma = row::<B>(gamma);
-        let affine = B::float_add(B::float_mul(unit.clone(), gamma.clone()), row::<B>(beta));
-        let grad = gate::<B>(grad, affine, 0.0);
-        let grad_gamma = channel_sum::<B>(B::float_mul(grad.clone(), unit.clone()));
-        let grad_beta = channel_sum::<B>(grad.clone());
-        let upstream = B::float_mul(grad, gamma);
-        let first = group_mean::<B>(upstream.clone(), groups);
-        let second = group_mean::<B>(B::float_mul(upstream.clone(), unit.clone()), groups);
-        let grad_x = B::float_sub(B::float_sub(upstream, first), B::float_mul(unit, second));
-        (B::float_mul(grad_x, inverse), grad_gamma, grad_beta)
     }
 }

@@ -2,8 +2,10 @@
 
 use std::sync::Arc;
 
-use burn::tensor::{DType, Device, Int, Tensor, TensorData};
+use burn::tensor::{Device, Int, Tensor};
 use sprs::CsMat;
+
+use crate::operator::Arrays;
 
 /// A matrix in compressed sparse rows, f32.
 #[derive(Debug, Clone, PartialEq)]
@@ -58,14 +60,24 @@ fn row_ends(matrix: &CsMat<f64>) -> impl Iterator<Item = u32> {
 pub struct SparsePair {
     forward: Csr,
     backward: Csr,
+    first_index: usize,
+    first_value: usize,
 }
 
 impl SparsePair {
-    /// From any sparse matrix.
-    pub fn new(matrix: &CsMat<f64>) -> Self {
+    /// From any sparse matrix, whose structure will start at those places of a device's arrays.
+    pub(crate) fn new(matrix: &CsMat<f64>, first_index: usize, first_value: usize) -> Self {
         let csr = matrix.to_csr();
         let transposed = matrix.transpose_view().to_csr();
-        Self { forward: Csr::new(&csr), backward: Csr::new(&transposed) }
+        Self { forward: Csr::new(&csr), backward: Csr::new(&transposed), first_index, first_value }
+    }
+
+    /// Appends row starts and columns, and values, of the matrix and then of its transpose.
+    pub(crate) fn append(&self, index: &mut Vec<i32>, value: &mut Vec<f32>) {
+        for csr in [&self.forward, &self.backward] {
+            index.extend(csr.start.iter().chain(&csr.column).map(|&index| index as i32));
+            value.extend(&csr.value);
+        }
     }
 
     /// The matrix, `[rows, columns]`.
@@ -87,13 +99,11 @@ impl SparsePair {
     #[cfg(any(feature = "wgpu", feature = "cuda"))]
     pub(crate) fn offsets(&self, transpose: bool) -> Offsets {
         let entries = self.forward.value.len();
-        let start = if transpose { self.forward.start.len() + entries } else { 0 };
+        let skipped = if transpose { entries } else { 0 };
+        let start =
+            self.first_index + if transpose { self.forward.start.len() + entries } else { 0 };
         let csr = self.oriented(transpose);
-        Offsets {
-            start,
-            column: start + csr.start.len(),
-            value: if transpose { entries } else { 0 },
-        }
+        Offsets { start, column: start + csr.start.len(), value: self.first_value + skipped }
     }
 }
 
@@ -112,30 +122,19 @@ pub(crate) struct Offsets {
 #[derive(Debug, Clone)]
 pub struct SparseMatrix {
     pub(crate) pair: Arc<SparsePair>,
-    /// Row starts and columns of the matrix, then of its transpose.
+    /// Row starts and columns of the matrix, then of its transpose, from its first index on.
     pub(crate) index: Tensor<1, Int>,
-    /// Values of the matrix, then of its transpose.
+    /// Values of the matrix, then of its transpose, from its first value on.
     pub(crate) value: Tensor<1>,
 }
 
 impl SparseMatrix {
     /// Uploads `matrix` to `device`, once.
     pub fn new(matrix: &CsMat<f64>, device: &Device) -> Self {
-        let pair = SparsePair::new(matrix);
-        let both = [&pair.forward, &pair.backward];
-        let index: Vec<i32> = both
-            .iter()
-            .flat_map(|csr| csr.start.iter().chain(&csr.column))
-            .map(|&index| index as i32)
-            .collect();
-        let value: Vec<f32> = both.iter().flat_map(|csr| csr.value.iter().copied()).collect();
-        let device = device.clone().inner();
-        let (index_len, value_len) = (index.len(), value.len());
-        Self {
-            pair: Arc::new(pair),
-            index: Tensor::from_data(TensorData::new(index, [index_len]), (&device, DType::I32)),
-            value: Tensor::from_data(TensorData::new(value, [value_len]), (&device, DType::F32)),
-        }
+        let mut arrays = Arrays::default();
+        let pair = arrays.push(matrix);
+        let (index, value) = arrays.upload(device);
+        Self { pair, index, value }
     }
 
     /// Number of rows.

@@ -7,7 +7,9 @@ use cape_graph::DevicePyramid;
 use crate::{
     CapeConfig, DecoderBlock, DecoderConditions, Init,
     config::LEAKY_SLOPE,
-    layers::{AffineBlock, ChebConv, ConvLayer, Linear, ResidualBlock, append},
+    layers::{
+        AffineBlock, ChebConv, ConvLayer, Linear, Product, ResidualBlock, append_unless_preserved,
+    },
 };
 
 /// One layer of the decoder after its up-sampling.
@@ -23,12 +25,21 @@ pub enum DecoderLayer {
 }
 
 impl DecoderLayer {
-    fn forward(&self, x: Tensor<3>, graph: &DevicePyramid, level: usize) -> Tensor<3> {
-        let laplacian = graph.laplacian(level);
+    fn forward(
+        &self,
+        x: Tensor<3>,
+        origin: Option<Product>,
+        condition: Option<&Tensor<2>>,
+        graph: &DevicePyramid,
+        level: usize,
+    ) -> Tensor<3> {
         match self {
-            Self::Residual(block) => block.forward(x, laplacian),
-            Self::Affine(block) => block.forward(x, laplacian),
-            Self::Plain(layer) => layer.forward(x, laplacian),
+            Self::Residual(block) => block.forward(x, origin, condition, graph, level),
+            Self::Affine(block) => block.forward(x, condition, graph, level),
+            Self::Plain(layer) => {
+                let (x, condition) = append_unless_preserved(x, condition, graph, level);
+                layer.forward(graph.up(x, level), condition, graph.graph(level))
+            }
         }
     }
 }
@@ -118,15 +129,16 @@ impl Decoder {
         let x = leaky_relu(self.input.forward(code), LEAKY_SLOPE);
         let [batch, flat] = x.dims();
         let mut x = x.reshape([batch, coarse, flat / coarse]);
+        let mut origin = None;
         if let Some(expand) = &self.expand {
-            x = expand.forward(x, graph.laplacian(levels));
+            origin = Some(Product { features: x.clone(), weight: expand.weight.val() });
+            x = expand.forward(x, None, graph.graph(levels));
         }
         for (i, block) in self.blocks.iter().enumerate() {
-            let level = levels - 1 - i;
-            x = block.forward(graph.up(append(x, condition), level), graph, level);
+            x = block.forward(x, origin.take(), condition, graph, levels - 1 - i);
             tap(i, &x);
         }
-        let x = self.output.forward(append(x, condition), graph.laplacian(0));
+        let x = self.output.forward(x, condition, graph.graph(0));
         x + self.output_bias.val().unsqueeze()
     }
 }

@@ -3,7 +3,7 @@ use cape_graph::DevicePyramid;
 
 use crate::{
     DiscriminatorConfig, Init,
-    layers::{ChebConv, ConvLayer, append},
+    layers::{ChebConv, ConvLayer},
 };
 
 /// The patchwise discriminator (CAPE §4.1): one real-or-fake logit for each patch of the mesh.
@@ -46,11 +46,11 @@ impl Discriminator {
         graph: &DevicePyramid,
         tap: &mut dyn FnMut(usize, &Tensor<3>),
     ) -> Tensor<3> {
-        let mut x = append(x, condition);
+        let (mut x, mut condition) = (x, condition);
         for (level, layer) in self.layers.iter().enumerate() {
-            x = graph.down(layer.forward(x, graph.laplacian(level)), level);
+            x = layer.forward(x, condition.take(), graph.pooled(level));
             tap(level, &x);
         }
-        self.output.forward(x, graph.laplacian(self.layers.len()))
+        self.output.forward(x, None, graph.graph(self.layers.len()))
     }
 }

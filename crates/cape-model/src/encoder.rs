@@ -6,7 +6,7 @@ use crate::{
     layers::{ChebConv, ConvLayer, EncoderResidual, Linear, append},
 };
 
-/// One layer of the encoder before its pooling.
+/// One layer of the encoder.
 #[derive(Module, Debug)]
 #[allow(clippy::large_enum_variant)] // a model holds a handful of them
 pub enum EncoderBlock {
@@ -17,10 +17,19 @@ pub enum EncoderBlock {
 }
 
 impl EncoderBlock {
-    fn forward(&self, x: Tensor<3>, graph: &DevicePyramid, level: usize) -> Tensor<3> {
+    /// Convolution and pooling.
+    fn forward(
+        &self,
+        x: Tensor<3>,
+        condition: Option<&Tensor<2>>,
+        graph: &DevicePyramid,
+        level: usize,
+    ) -> Tensor<3> {
         match self {
-            Self::Conv(layer) => layer.forward(x, graph.laplacian(level)),
-            Self::Residual(block) => block.forward(x, graph.laplacian(level)),
+            Self::Conv(layer) => layer.forward(x, condition, graph.pooled(level)),
+            Self::Residual(block) => {
+                graph.down(block.forward(append(x, condition), graph.graph(level)), level)
+            }
         }
     }
 }
@@ -98,13 +107,13 @@ impl Encoder {
         graph: &DevicePyramid,
         tap: &mut dyn FnMut(usize, &Tensor<3>),
     ) -> Posterior {
-        let mut x = append(x, condition.filter(|_| self.conditioned));
+        let (mut x, mut condition) = (x, condition.filter(|_| self.conditioned));
         for (level, block) in self.blocks.iter().enumerate() {
-            x = graph.down(block.forward(x, graph, level), level);
+            x = block.forward(x, condition.take(), graph, level);
             tap(level, &x);
         }
         if let Some(reduce) = &self.reduce {
-            x = reduce.forward(x, graph.laplacian(self.blocks.len()));
+            x = reduce.forward(x, None, graph.graph(self.blocks.len()));
         }
         let flat: Tensor<2> = x.flatten(1, 2);
         Posterior {

@@ -10,7 +10,27 @@ use burn::backend::{
     tensor::{FloatTensor, IntTensor},
 };
 
-use crate::{ops::GraphBackend, sparse::SparsePair};
+use crate::{
+    operator::Operator,
+    ops::{ConvSpec, GraphBackend, NormConvSpec},
+    sparse::SparsePair,
+};
+
+/// Inputs that gradients are computed from.
+type Kept<B, const N: usize> = [FloatTensor<B>; N];
+/// A graph: structure, values, and both on the host.
+type Constants<B> = (IntTensor<B>, FloatTensor<B>, Arc<Operator>);
+
+/// Hands each gradient to its parent, if that is tracked.
+macro_rules! register {
+    ($parents:expr, $gradients:expr, $grads:expr) => {
+        for (parent, gradient) in $parents.into_iter().zip($gradients) {
+            if let Some(parent) = parent {
+                $grads.register::<B>(parent.id, gradient);
+            }
+        }
+    };
+}
 
 // The `*_backward` operations keep their composed form here, which is itself differentiable.
 impl<B: Backend + GraphBackend, C: CheckpointStrategy> GraphBackend for Autodiff<B, C> {
@@ -56,56 +76,107 @@ impl<B: Backend + GraphBackend, C: CheckpointStrategy> GraphBackend for Autodiff
     fn cheb_conv(
         x: FloatTensor<Self>,
         weight: FloatTensor<Self>,
+        rows: FloatTensor<Self>,
         index: IntTensor<Self>,
         value: FloatTensor<Self>,
-        matrix: Arc<SparsePair>,
-        order: usize,
+        operator: Arc<Operator>,
+        spec: ConvSpec,
     ) -> FloatTensor<Self> {
         #[derive(Debug)]
         struct ChebConv;
-        impl<B: GraphBackend> Backward<B, 2> for ChebConv {
-            type State = (
-                FloatTensor<B>,
-                FloatTensor<B>,
-                IntTensor<B>,
-                FloatTensor<B>,
-                Arc<SparsePair>,
-                usize,
-            );
+        impl<B: GraphBackend> Backward<B, 3> for ChebConv {
+            type State = (Kept<B, 3>, Constants<B>, ConvSpec);
             fn backward(
                 self,
-                ops: Ops<Self::State, 2>,
+                ops: Ops<Self::State, 3>,
                 grads: &mut Gradients,
                 _: &mut Checkpointer,
             ) {
-                let (x, weight, index, value, matrix, order) = ops.state;
-                let [x_node, weight_node] = ops.parents;
+                let ([x, weight, y], (index, value, operator), spec) = ops.state;
                 let grad = grads.consume::<B>(&ops.node);
-                let want_x = x_node.is_some();
-                let (grad_x, grad_weight) =
-                    B::cheb_conv_backward(x, weight, grad, index, value, matrix, order, want_x);
-                if let Some(node) = x_node {
-                    grads.register::<B>(node.id, grad_x);
-                }
-                if let Some(node) = weight_node {
-                    grads.register::<B>(node.id, grad_weight);
-                }
+                let want_x = ops.parents[0].is_some();
+                let (x, weight, rows) = B::cheb_conv_backward(
+                    x, weight, y, grad, index, value, operator, spec, want_x,
+                );
+                register!(ops.parents, [x, weight, rows], grads);
             }
         }
 
-        let nodes = [x.node(), weight.node()];
-        let (x, weight, value) =
-            (x.into_primitive(), weight.into_primitive(), value.into_primitive());
+        let nodes = [x.node(), weight.node(), rows.node()];
+        let (x, weight) = (x.into_primitive(), weight.into_primitive());
+        let (rows, value) = (rows.into_primitive(), value.into_primitive());
         let out = B::cheb_conv(
             x.clone(),
             weight.clone(),
+            rows,
             index.clone(),
             value.clone(),
-            matrix.clone(),
-            order,
+            operator.clone(),
+            spec,
         );
         match ChebConv.prepare::<C>(nodes).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish((x, weight, index, value, matrix, order), out),
+            OpsKind::Tracked(prep) => {
+                // The gradient needs the output only to know where the activation bends.
+                let y = if spec.slope.is_some() { out.clone() } else { weight.clone() };
+                prep.finish(([x, weight, y], (index, value, operator), spec), out)
+            }
+            OpsKind::UnTracked(prep) => prep.finish(out),
+        }
+    }
+
+    fn norm_conv(
+        x: FloatTensor<Self>,
+        constant: FloatTensor<Self>,
+        gamma: FloatTensor<Self>,
+        beta: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        base: FloatTensor<Self>,
+        index: IntTensor<Self>,
+        value: FloatTensor<Self>,
+        operator: Arc<Operator>,
+        spec: NormConvSpec,
+    ) -> FloatTensor<Self> {
+        #[derive(Debug)]
+        struct NormConv;
+        impl<B: GraphBackend> Backward<B, 6> for NormConv {
+            type State = (Kept<B, 5>, Constants<B>, NormConvSpec);
+            fn backward(
+                self,
+                ops: Ops<Self::State, 6>,
+                grads: &mut Gradients,
+                _: &mut Checkpointer,
+            ) {
+                let ([x, constant, gamma, beta, weight], (index, value, operator), spec) =
+                    ops.state;
+                let grad = grads.consume::<B>(&ops.node);
+                let base = grad.clone();
+                let (x, constant, gamma, beta, weight) = B::norm_conv_backward(
+                    x, constant, gamma, beta, weight, grad, index, value, operator, spec,
+                );
+                let gradients = [x, constant, gamma, beta, weight, base];
+                register!(ops.parents, gradients, grads);
+            }
+        }
+
+        let inputs = [&x, &constant, &gamma, &beta, &weight, &base];
+        let nodes = inputs.map(|input| input.node());
+        let inputs = [x, constant, gamma, beta, weight].map(|input| input.into_primitive());
+        let [x, constant, gamma, beta, weight] = inputs.clone();
+        let (base, value) = (base.into_primitive(), value.into_primitive());
+        let out = B::norm_conv(
+            x,
+            constant,
+            gamma,
+            beta,
+            weight,
+            base,
+            index.clone(),
+            value.clone(),
+            operator.clone(),
+            spec,
+        );
+        match NormConv.prepare::<C>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish((inputs, (index, value, operator), spec), out),
             OpsKind::UnTracked(prep) => prep.finish(out),
         }
     }
@@ -126,15 +197,9 @@ impl<B: Backend + GraphBackend, C: CheckpointStrategy> GraphBackend for Autodiff
                 _: &mut Checkpointer,
             ) {
                 let (y, slope) = ops.state;
-                let [x_node, bias_node] = ops.parents;
                 let grad = grads.consume::<B>(&ops.node);
-                let (grad_x, grad_bias) = B::bias_leaky_relu_backward(y, grad, slope);
-                if let Some(node) = x_node {
-                    grads.register::<B>(node.id, grad_x);
-                }
-                if let Some(node) = bias_node {
-                    grads.register::<B>(node.id, grad_bias);
-                }
+                let (x, bias) = B::bias_leaky_relu_backward(y, grad, slope);
+                register!(ops.parents, [x, bias], grads);
             }
         }
 
@@ -167,12 +232,7 @@ impl<B: Backend + GraphBackend, C: CheckpointStrategy> GraphBackend for Autodiff
                 let grad = grads.consume::<B>(&ops.node);
                 let (grad_x, grad_gamma, grad_beta) =
                     B::group_norm_relu_backward(x, gamma, beta, grad, groups, epsilon);
-                let gradients = [grad_x, grad_gamma, grad_beta];
-                for (node, grad) in ops.parents.into_iter().zip(gradients) {
-                    if let Some(node) = node {
-                        grads.register::<B>(node.id, grad);
-                    }
-                }
+                register!(ops.parents, [grad_x, grad_gamma, grad_beta], grads);
             }
         }
 

@@ -1,5 +1,5 @@
 use burn::tensor::{Device, Tensor};
-use cape_graph::{SparseMatrix, cheb_conv, cheb_features};
+use cape_graph::{ConvEnd, ConvGraph, cheb_conv, cheb_features};
 
 use crate::{
     host,
@@ -45,10 +45,14 @@ fn composed_conv(x: Tensor<3>, weight: Tensor<2>, dense: &Tensor<3>, order: usiz
     flat.matmul(weight).reshape([batch, vertices, out])
 }
 
+fn plain(x: Tensor<3>, weight: Tensor<2>, graph: &ConvGraph, order: usize) -> Tensor<3> {
+    cheb_conv(x, weight, graph, order, ConvEnd::default())
+}
+
 /// A square matrix, not symmetric so that a missing transposition shows.
-fn square(vertices: usize, device: &Device) -> (sprs::CsMat<f64>, SparseMatrix, Tensor<3>) {
+fn square(vertices: usize, device: &Device) -> (sprs::CsMat<f64>, ConvGraph, Tensor<3>) {
     let matrix = sparse(11, vertices, vertices, 5, vertices.is_multiple_of(2));
-    let a = SparseMatrix::new(&matrix, device);
+    let a = ConvGraph::new(&matrix, None, device);
     let full = dense(&matrix, &device.clone().autodiff());
     (matrix, a, full)
 }
@@ -65,7 +69,7 @@ fn convolution_agrees_with_dense_products() {
             let inputs = [random(12, batch * vertices * input), random(13, input * order * output)];
             let (shape, weights) = ([batch, vertices, input], [input * order, output]);
             let fused = run(&device, &inputs, &[true, true], &|x| {
-                cheb_conv(x[0].clone().reshape(shape), x[1].clone().reshape(weights), &a, order)
+                plain(x[0].clone().reshape(shape), x[1].clone().reshape(weights), &a, order)
             });
             let composed = run(&device, &inputs, &[true, true], &|x| {
                 let (x, weight) = (x[0].clone().reshape(shape), x[1].clone().reshape(weights));
@@ -86,7 +90,7 @@ fn convolution_agrees_with_finite_differences() {
                     [random(14, batch * vertices * input), random(15, input * order * output)];
                 let outcome = run(&device, &inputs, &[true, true], &|x| {
                     let weight = x[1].clone().reshape([input * order, output]);
-                    cheb_conv(x[0].clone().reshape([batch, vertices, input]), weight, &a, order)
+                    plain(x[0].clone().reshape([batch, vertices, input]), weight, &a, order)
                 });
                 let label = format!("{name}: order {order}, batch {batch}");
                 assert_host(&label, &outcome, &inputs, &|x| {
@@ -108,7 +112,7 @@ fn features_agree_with_dense_products_and_finite_differences() {
             let shape = [batch, vertices, channels];
             let label = format!("{name}: order {order}");
             let sparse = run(&device, &inputs, &[true], &|x| {
-                cheb_features(x[0].clone().reshape(shape), &a, order)
+                cheb_features(x[0].clone().reshape(shape), &a.laplacian(), order)
             });
             let composed = run(&device, &inputs, &[true], &|x| {
                 composed_features(x[0].clone().reshape(shape), &full, order)
@@ -138,7 +142,7 @@ fn convolution_takes_strided_inputs() {
         let fused = run(&device, &inputs, &[true, true], &|x| {
             let (x, weight) = shaped(x);
             // The incoming gradient is strided too.
-            cheb_conv(x, weight, &a, order).swap_dims(1, 2)
+            plain(x, weight, &a, order).swap_dims(1, 2)
         });
         let composed = run(&device, &inputs, &[true, true], &|x| {
             let (x, weight) = shaped(x);
@@ -156,7 +160,7 @@ fn convolution_gives_only_the_gradients_asked_for() {
             let inputs = [random(19, batch * 7 * 3), random(20, 3 * order * 2)];
             assert_partial_tracking(&name, &device, &inputs, &|x| {
                 let weight = x[1].clone().reshape([3 * order, 2]);
-                cheb_conv(x[0].clone().reshape([batch, 7, 3]), weight, &a, order)
+                plain(x[0].clone().reshape([batch, 7, 3]), weight, &a, order)
             });
         }
     }
@@ -167,7 +171,7 @@ fn convolution_gives_only_the_gradients_asked_for() {
 fn convolution_refuses_other_weights() {
     let (_, device) = devices().swap_remove(0);
     let (_, a, _) = square(4, &device);
-    cheb_conv(Tensor::zeros([1, 4, 3], &device), Tensor::zeros([7, 2], &device), &a, 2);
+    plain(Tensor::zeros([1, 4, 3], &device), Tensor::zeros([7, 2], &device), &a, 2);
 }
 
 #[test]
@@ -175,5 +179,5 @@ fn convolution_refuses_other_weights() {
 fn convolution_refuses_other_vertices() {
     let (_, device) = devices().swap_remove(0);
     let (_, a, _) = square(4, &device);
-    cheb_conv(Tensor::zeros([1, 5, 3], &device), Tensor::zeros([6, 2], &device), &a, 2);
+    plain(Tensor::zeros([1, 5, 3], &device), Tensor::zeros([6, 2], &device), &a, 2);
 }

@@ -3,6 +3,7 @@
 
 mod activations;
 mod chebyshev;
+mod fused;
 mod host;
 mod sparse;
 mod support;

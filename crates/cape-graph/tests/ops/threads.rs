@@ -1,10 +1,14 @@
 //! Results do not depend on the number of threads.
 
 use cape_graph::{
-    SparseMatrix, bias_leaky_relu, cheb_conv, cheb_features, group_norm_relu, sparse_matmul,
+    ConvEnd, ConvGraph, GroupNorm, bias_leaky_relu, cheb_conv, cheb_features, group_norm_relu,
+    norm_conv, sparse_matmul,
 };
 
-use crate::support::{Op, Outcome, cpu_devices, random, run, sparse};
+use crate::{
+    fused::selection,
+    support::{Op, Outcome, cpu_devices, random, run, sparse},
+};
 
 #[test]
 fn results_are_the_same_bytes_for_any_number_of_threads() {
@@ -17,7 +21,10 @@ fn results_are_the_same_bytes_for_any_number_of_threads() {
             (1, 53, 544, 64),
         ] {
             let order = 3;
-            let a = SparseMatrix::new(&sparse(41, vertices, vertices, 6, true), &device);
+            let matrix = sparse(41, vertices, vertices, 6, true);
+            let graph = ConvGraph::new(&matrix, None, &device);
+            let pooled = ConvGraph::new(&matrix, Some(&selection(vertices)), &device);
+            let a = graph.laplacian();
             let inputs = [
                 random(42, batch * vertices * input),
                 random(43, input * order * output),
@@ -25,12 +32,24 @@ fn results_are_the_same_bytes_for_any_number_of_threads() {
                 random(45, input),
             ];
             let shape = [batch, vertices, input];
-            let operations: [(&str, &[usize], Op); 5] = [
+            let operations: [(&str, &[usize], Op); 7] = [
                 ("sparse_matmul", &[0], &|x| sparse_matmul(x[0].clone().reshape(shape), &a)),
                 ("cheb_features", &[0], &|x| cheb_features(x[0].clone().reshape(shape), &a, order)),
                 ("cheb_conv", &[0, 1], &|x| {
                     let weight = x[1].clone().reshape([input * order, output]);
-                    cheb_conv(x[0].clone().reshape(shape), weight, &a, order)
+                    cheb_conv(x[0].clone().reshape(shape), weight, &graph, order, ConvEnd::default())
+                }),
+                ("cheb_conv, pooled", &[0, 1, 3], &|x| {
+                    let weight = x[1].clone().reshape([input * order, output]);
+                    let rows = x[2].clone().slice([0..1]).expand([batch, order, output]);
+                    let end = ConvEnd { rows: Some(rows), slope: Some(0.2) };
+                    cheb_conv(x[0].clone().reshape(shape), weight, &pooled, order, end)
+                }),
+                ("norm_conv", &[0, 1, 2, 3], &|x| {
+                    let weight = x[1].clone().reshape([input * order, output]);
+                    let (gamma, beta) = (x[2].clone(), x[3].clone());
+                    let norm = GroupNorm { gamma, beta, groups: 1, epsilon: 1e-3 };
+                    norm_conv(x[0].clone().reshape(shape), None, norm, weight, &pooled, order, None)
                 }),
                 ("bias_leaky_relu", &[0, 2], &|x| {
                     bias_leaky_relu(x[0].clone().reshape(shape), x[1].clone(), 0.2)

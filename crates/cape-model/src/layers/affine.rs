@@ -2,9 +2,9 @@ use burn::{
     module::Module,
     tensor::{Tensor, activation::relu},
 };
-use cape_graph::SparseMatrix;
+use cape_graph::DevicePyramid;
 
-use super::ChebConv;
+use super::{ChebConv, append_unless_preserved};
 use crate::Init;
 
 /// The block of "CAPE-affine": `relu(cheb(x)) + linear(x)`.
@@ -25,8 +25,19 @@ impl AffineBlock {
         }
     }
 
-    /// `[batch, vertices, input]` → `[batch, vertices, output]`.
-    pub fn forward(&self, x: Tensor<3>, laplacian: &SparseMatrix) -> Tensor<3> {
-        relu(self.conv.forward(x.clone(), laplacian)) + self.linear.forward(x, laplacian)
+    /// `x: [batch, coarse, channels]` of level `level + 1`, `condition: [batch, embedding]` at every
+    /// vertex → `[batch, vertices, output]` on `level`.
+    pub fn forward(
+        &self,
+        x: Tensor<3>,
+        condition: Option<&Tensor<2>>,
+        pyramid: &DevicePyramid,
+        level: usize,
+    ) -> Tensor<3> {
+        let (x, condition) = append_unless_preserved(x, condition, pyramid, level);
+        let linear = self.linear.forward(x.clone(), condition, pyramid.graph(level + 1));
+        let linear = pyramid.up(linear, level);
+        let x = pyramid.up(x, level);
+        relu(self.conv.forward(x, condition, pyramid.graph(level))) + linear
     }
 }

@@ -2,7 +2,7 @@ use burn::{
     module::{Module, Param},
     tensor::Tensor,
 };
-use cape_graph::{SparseMatrix, bias_leaky_relu};
+use cape_graph::{ConvGraph, bias_leaky_relu};
 
 use super::{ChebConv, ConvLayer};
 use crate::{Init, config::LEAKY_SLOPE};
@@ -33,10 +33,11 @@ impl EncoderResidual {
     }
 
     /// `[batch, vertices, input]` → `[batch, vertices, output]`.
-    pub fn forward(&self, x: Tensor<3>, laplacian: &SparseMatrix) -> Tensor<3> {
-        let y = self.conv.forward(self.layer.forward(x.clone(), laplacian), laplacian);
+    pub fn forward(&self, x: Tensor<3>, graph: &ConvGraph) -> Tensor<3> {
+        let y = self.layer.forward(x.clone(), None, graph);
+        let y = self.conv.forward(y, None, graph);
         let x = match &self.skip {
-            Some(skip) => skip.forward(x, laplacian),
+            Some(skip) => skip.forward(x, None, graph),
             None => x,
         };
         bias_leaky_relu(y + x, self.bias.val(), LEAKY_SLOPE)

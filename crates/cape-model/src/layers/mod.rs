@@ -10,9 +10,10 @@ pub use affine::AffineBlock;
 pub use conv::{ChebConv, ConvLayer};
 pub use encoder_residual::EncoderResidual;
 pub use linear::Linear;
-pub use residual::{GroupNormRelu, ResidualBlock};
+pub use residual::{GroupNormRelu, Product, ResidualBlock};
 
 use burn::tensor::Tensor;
+use cape_graph::DevicePyramid;
 
 /// Appends `condition: [batch, c]` at every vertex of `x: [batch, vertices, channels]`.
 pub(crate) fn append(x: Tensor<3>, condition: Option<&Tensor<2>>) -> Tensor<3> {
@@ -21,4 +22,15 @@ pub(crate) fn append(x: Tensor<3>, condition: Option<&Tensor<2>>) -> Tensor<3> {
     let [_, size] = condition.dims();
     let tiled = condition.clone().reshape([batch, 1, size]).expand([batch, vertices, size]);
     Tensor::cat(vec![x, tiled], 2)
+}
+
+/// Conditions that up-sampling would change are appended before it; others can be added after it,
+/// as one vector for each example.
+pub(crate) fn append_unless_preserved<'c>(
+    x: Tensor<3>,
+    condition: Option<&'c Tensor<2>>,
+    pyramid: &DevicePyramid,
+    level: usize,
+) -> (Tensor<3>, Option<&'c Tensor<2>>) {
+    if pyramid.up_preserves_constants(level) { (x, condition) } else { (append(x, condition), None) }
 }

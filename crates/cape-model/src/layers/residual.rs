@@ -2,9 +2,9 @@ use burn::{
     module::{Module, Param},
     tensor::Tensor,
 };
-use cape_graph::{SparseMatrix, group_norm_relu};
+use cape_graph::{ConvEnd, ConvGraph, DevicePyramid, GroupNorm, cheb_conv, norm_conv};
 
-use super::ChebConv;
+use super::{ChebConv, append, append_unless_preserved};
 use crate::{Init, config::MAX_GROUPS};
 
 const EPSILON: f64 = 1e-5;
@@ -29,10 +29,28 @@ impl GroupNormRelu {
         }
     }
 
-    /// `[batch, vertices, channels]`, unchanged in shape.
-    pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
-        group_norm_relu(x, self.gamma.val(), self.beta.val(), self.groups, EPSILON)
+    /// `base + conv(relu(norm([x, constant])))`; `constant: [batch, c]` at every vertex.
+    fn then(
+        &self,
+        conv: &ChebConv,
+        x: Tensor<3>,
+        constant: Option<Tensor<2>>,
+        graph: &ConvGraph,
+        base: Option<Tensor<3>>,
+    ) -> Tensor<3> {
+        let (gamma, beta) = (self.gamma.val(), self.beta.val());
+        let norm = GroupNorm { gamma, beta, groups: self.groups, epsilon: EPSILON };
+        norm_conv(x, constant, norm, conv.weight.val(), graph, conv.order, base)
     }
+}
+
+/// Features that are known to be a product, `features · weight`, of fewer channels.
+#[derive(Debug, Clone)]
+pub struct Product {
+    /// `[batch, vertices, inner]`.
+    pub features: Tensor<3>,
+    /// `[inner, channels]`.
+    pub weight: Tensor<2>,
 }
 
 /// The decoder's residual block (CAPE appendix A, after GraphCMR): a bottleneck of linear, graph
@@ -70,15 +88,43 @@ impl ResidualBlock {
         }
     }
 
-    /// `[batch, vertices, input]` → `[batch, vertices, output]`.
-    pub fn forward(&self, x: Tensor<3>, laplacian: &SparseMatrix) -> Tensor<3> {
-        let y = self.linear_1.forward(self.norm_1.forward(x.clone()), laplacian);
-        let y = self.conv.forward(self.norm_2.forward(y), laplacian);
-        let y = self.linear_2.forward(self.norm_3.forward(y), laplacian);
-        let x = match &self.skip {
-            Some(skip) => skip.forward(x, laplacian),
-            None => x,
+    /// `x: [batch, coarse, channels]` of level `level + 1`, `condition: [batch, embedding]` at every
+    /// vertex → `[batch, vertices, output]` on `level`. `origin` is what `x` is the product of, if
+    /// that is known.
+    pub fn forward(
+        &self,
+        x: Tensor<3>,
+        origin: Option<Product>,
+        condition: Option<&Tensor<2>>,
+        pyramid: &DevicePyramid,
+        level: usize,
+    ) -> Tensor<3> {
+        let (x, condition) = append_unless_preserved(x, condition, pyramid, level);
+        // What acts on every vertex alone comes before the up-sampling, where vertices are fewer.
+        let base = pyramid.up(self.skip(&x, origin, condition, pyramid.graph(level + 1)), level);
+        let (x, graph) = (pyramid.up(x, level), pyramid.graph(level));
+        let y = self.norm_1.then(&self.linear_1, x, condition.cloned(), graph, None);
+        let y = self.norm_2.then(&self.conv, y, None, graph, None);
+        self.norm_3.then(&self.linear_2, y, None, graph, Some(base))
+    }
+
+    /// What is added to the block's result, before up-sampling.
+    fn skip(
+        &self,
+        x: &Tensor<3>,
+        origin: Option<Product>,
+        condition: Option<&Tensor<2>>,
+        graph: &ConvGraph,
+    ) -> Tensor<3> {
+        let Some(skip) = &self.skip else { return append(x.clone(), condition) };
+        let [_, _, channels] = x.dims();
+        let (weight, rows) = skip.split(channels, condition);
+        let (x, weight) = match origin {
+            Some(Product { features, weight: first }) if first.dims()[1] == channels => {
+                (features, first.matmul(weight))
+            }
+            _ => (x.clone(), weight),
         };
-        y + x
+        cheb_conv(x, weight, graph, 1, ConvEnd { rows, slope: None })
     }
 }

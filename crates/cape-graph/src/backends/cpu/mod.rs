@@ -1,18 +1,27 @@
 //! Kernels on slices, shared by the CPU backends.
 //!
 //! Arrays are row-major `[batch, vertices, channels]`. Work is split by example, so that an
-//! example's layer stays in cache; partial sums are taken over fixed pieces in a fixed order, so
-//! that results do not depend on the number of threads.
+//! example's layer stays in cache, and where examples are few within them; partial sums are taken
+//! over fixed pieces in a fixed order, so that results do not depend on the number of threads.
 
 mod activation;
-mod chebyshev;
-mod gemm;
+mod conv;
+mod conv_backward;
+mod group_norm;
+mod kernel;
 mod norm;
+mod norm_conv;
+mod panels;
+mod scratch;
 mod sparse;
+mod split;
 
 pub(super) use activation::{bias_leaky_relu, bias_leaky_relu_backward};
-pub(super) use chebyshev::{Conv, cheb_conv, cheb_conv_backward};
-pub(super) use norm::{NormShape, group_norm_relu, group_norm_relu_backward};
+pub(super) use conv::{Conv, cheb_conv};
+pub(super) use conv_backward::cheb_conv_backward;
+pub(super) use group_norm::{group_norm_relu, group_norm_relu_backward};
+pub(super) use norm::Norm;
+pub(super) use norm_conv::{Inputs, NormConv, norm_conv, norm_conv_backward};
 pub(super) use sparse::sparse_matmul;
 
 /// Runs a kernel compiled for the best instruction set this processor has.

@@ -1,230 +1,246 @@
-use rayon::prelude::*;
+//! Group normalisation with ReLU, one example at a time.
 
-use super::simd;
+use super::{
+    simd,
+    split::{Split, vertex_sums},
+};
 
 /// The extents of a group normalisation.
 #[derive(Clone, Copy)]
-pub(in crate::backends) struct NormShape {
+pub(in crate::backends) struct Norm {
     /// Vertices per example.
     pub vertices: usize,
-    /// Channels.
+    /// Channels of the features.
     pub channels: usize,
+    /// Channels after them that are the same at every vertex.
+    pub constant: usize,
     /// Groups of consecutive channels, normalised over (channels in group × vertices).
     pub groups: usize,
     /// Added to the variance.
     pub epsilon: f32,
 }
 
-/// Vertices summed in f32 before the sum is carried on in f64.
-const BLOCK: usize = 64;
-
-/// `y = relu(group_norm(x) · gamma + beta)`; `x: [batch, vertices, channels]`.
-pub(in crate::backends) fn group_norm_relu(
-    x: &[f32],
-    gamma: &[f32],
-    beta: &[f32],
-    shape: NormShape,
-) -> Vec<f32> {
-    let mut y = vec![0.0; x.len()];
-    if y.is_empty() {
-        return y;
-    }
-    let n = shape.vertices * shape.channels;
-    y.par_chunks_mut(n).zip(x.par_chunks(n)).for_each(|(y, x)| {
-        let (mean, inverse_deviation) = statistics(x, shape);
-        let channels = shape.channels;
-        simd(
-            #[inline(always)]
-            || {
-                let (mean, inverse_deviation) = (&mean[..channels], &inverse_deviation[..channels]);
-                let (gamma, beta) = (&gamma[..channels], &beta[..channels]);
-                for (y, x) in y.chunks_exact_mut(channels).zip(x.chunks_exact(channels)) {
-                    for c in 0..channels {
-                        // As in the gradient, to the last bit: both must agree on what is active.
-                        let unit = (x[c] - mean[c]) * inverse_deviation[c];
-                        y[c] = (unit * gamma[c] + beta[c]).max(0.0);
-                    }
-                }
-            },
-        );
-    });
-    y
+/// What normalises an example: one number for every channel, the constant ones last.
+pub(super) struct Statistics {
+    mean: Vec<f32>,
+    inverse_deviation: Vec<f32>,
 }
 
-/// Gradients of [`group_norm_relu`] with respect to `x`, `gamma` and `beta`.
-pub(in crate::backends) fn group_norm_relu_backward(
-    x: &[f32],
-    gamma: &[f32],
-    beta: &[f32],
-    grad: &[f32],
-    shape: NormShape,
-) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
-    let NormShape { vertices, channels, groups, .. } = shape;
-    let n = vertices * channels;
-    let mut grad_x = vec![0.0; x.len()];
-    let partial: Vec<(Vec<f64>, Vec<f64>)> = grad_x
-        .par_chunks_mut(n.max(1))
-        .zip(x.par_chunks(n.max(1)))
-        .zip(grad.par_chunks(n.max(1)))
-        .map(|((grad_x, x), grad)| {
-            let (mean, inverse_deviation) = statistics(x, shape);
-            let normalised = Normalised { mean: &mean, inverse_deviation: &inverse_deviation };
-            let (gamma_sum, beta_sum) =
-                parameter_gradients(x, grad, gamma, beta, normalised, channels);
-
-            let width = channels / groups;
-            let count = (vertices * width) as f64;
-            let mut first = vec![0.0f32; channels];
-            let mut second = vec![0.0f32; channels];
-            for group in 0..groups {
-                let span = group * width..(group + 1) * width;
-                let weighted = |sums: &[f64]| -> f32 {
-                    let total: f64 =
-                        span.clone().map(|c| f64::from(gamma[c]) * sums[c]).sum::<f64>();
-                    (total / count) as f32
-                };
-                first[span.clone()].fill(weighted(&beta_sum));
-                second[span.clone()].fill(weighted(&gamma_sum));
-            }
-            simd(
-                #[inline(always)]
-                || {
-                    let (mean, inverse_deviation) =
-                        (&mean[..channels], &inverse_deviation[..channels]);
-                    let (gamma, beta) = (&gamma[..channels], &beta[..channels]);
-                    let (first, second) = (&first[..channels], &second[..channels]);
-                    for ((out, x), grad) in grad_x
-                        .chunks_exact_mut(channels)
-                        .zip(x.chunks_exact(channels))
-                        .zip(grad.chunks_exact(channels))
-                    {
-                        for c in 0..channels {
-                            let unit = (x[c] - mean[c]) * inverse_deviation[c];
-                            let active = unit * gamma[c] + beta[c] > 0.0;
-                            let upstream = if active { grad[c] * gamma[c] } else { 0.0 };
-                            out[c] =
-                                inverse_deviation[c] * (upstream - first[c] - unit * second[c]);
-                        }
-                    }
-                },
-            );
-            (gamma_sum, beta_sum)
-        })
-        .collect();
-    let mut grad_gamma = vec![0.0f64; channels];
-    let mut grad_beta = vec![0.0f64; channels];
-    for (gamma, beta) in &partial {
-        for c in 0..channels {
-            grad_gamma[c] += gamma[c];
-            grad_beta[c] += beta[c];
-        }
-    }
-    let narrow = |sums: Vec<f64>| sums.into_iter().map(|sum| sum as f32).collect();
-    (grad_x, narrow(grad_gamma), narrow(grad_beta))
-}
-
-/// Per-channel mean and inverse standard deviation of the channel's group, for one example.
-fn statistics(x: &[f32], shape: NormShape) -> (Vec<f32>, Vec<f32>) {
-    let NormShape { vertices, channels, groups, epsilon } = shape;
-    let width = channels / groups;
-    let count = (vertices * width) as f64;
-    let per_group = |sums: &[f64], f: &dyn Fn(f64) -> f64| -> Vec<f32> {
-        sums.chunks_exact(width)
-            .flat_map(|sums| std::iter::repeat_n(f(sums.iter().sum::<f64>() / count) as f32, width))
-            .collect()
-    };
-    let sums = channel_sums(
-        x,
-        channels,
-        #[inline(always)]
-        |sums: &mut [f32], row: &[f32]| {
-            for (sum, x) in sums.iter_mut().zip(row) {
-                *sum += x;
-            }
-        },
-    );
-    let mean = per_group(&sums, &|mean| mean);
-    let squares = channel_sums(
-        x,
-        channels,
-        #[inline(always)]
-        |sums: &mut [f32], row: &[f32]| {
-            for ((sum, x), mean) in sums.iter_mut().zip(row).zip(&mean) {
-                *sum += (x - mean) * (x - mean);
-            }
-        },
-    );
-    let inverse_deviation =
-        per_group(&squares, &|variance| 1.0 / (variance + f64::from(epsilon)).sqrt());
-    (mean, inverse_deviation)
-}
-
-/// Sums over vertices of what `add` adds for each vertex's channels.
-fn channel_sums(x: &[f32], channels: usize, add: impl Fn(&mut [f32], &[f32])) -> Vec<f64> {
-    let mut sums = vec![0.0f64; channels];
-    let mut block_sums = vec![0.0f32; channels];
-    for block in x.chunks(BLOCK * channels) {
-        block_sums.fill(0.0);
-        simd(
-            #[inline(always)]
-            || {
-                for row in block.chunks_exact(channels) {
-                    add(&mut block_sums, row);
-                }
-            },
-        );
-        for (sum, &part) in sums.iter_mut().zip(&block_sums) {
-            *sum += f64::from(part);
-        }
-    }
-    sums
-}
-
+/// Scale and shift after normalisation.
 #[derive(Clone, Copy)]
-struct Normalised<'a> {
-    mean: &'a [f32],
-    inverse_deviation: &'a [f32],
+pub(super) struct Affine<'a> {
+    pub gamma: &'a [f32],
+    pub beta: &'a [f32],
 }
 
-/// One example's gradients of gamma and beta.
-fn parameter_gradients(
-    x: &[f32],
-    grad: &[f32],
-    gamma: &[f32],
-    beta: &[f32],
-    normalised: Normalised,
-    channels: usize,
-) -> (Vec<f64>, Vec<f64>) {
-    let Normalised { mean, inverse_deviation } = normalised;
-    let mut gamma_sum = vec![0.0f64; channels];
-    let mut beta_sum = vec![0.0f64; channels];
-    let mut gamma_block = vec![0.0f32; channels];
-    let mut beta_block = vec![0.0f32; channels];
-    for (x, grad) in x.chunks(BLOCK * channels).zip(grad.chunks(BLOCK * channels)) {
-        gamma_block.fill(0.0);
-        beta_block.fill(0.0);
+/// Sums over vertices that the gradients are made of: `Σ g` and `Σ g · unit` for every channel,
+/// `g` the gradient behind the ReLU.
+pub(super) struct Sums {
+    pub beta: Vec<f64>,
+    pub gamma: Vec<f64>,
+}
+
+impl Sums {
+    /// The gradients of scale and shift: sums over examples, in order.
+    pub(super) fn total(examples: &[Self], channels: usize) -> (Vec<f32>, Vec<f32>) {
+        let total = |of: fn(&Self) -> &Vec<f64>| {
+            let sum = |c: usize| examples.iter().map(|sums| of(sums)[c]).sum::<f64>() as f32;
+            (0..channels).map(sum).collect()
+        };
+        (total(|sums| &sums.gamma), total(|sums| &sums.beta))
+    }
+}
+
+impl Norm {
+    pub(super) fn all_channels(&self) -> usize {
+        self.channels + self.constant
+    }
+
+    fn width(&self) -> usize {
+        self.all_channels() / self.groups
+    }
+
+    /// Spreads a number for each group, computed from those of its channels.
+    fn per_group(&self, of: impl Fn(std::ops::Range<usize>) -> f64) -> Vec<f32> {
+        let width = self.width();
+        (0..self.groups)
+            .flat_map(|group| {
+                std::iter::repeat_n(of(group * width..(group + 1) * width) as f32, width)
+            })
+            .collect()
+    }
+
+    /// Statistics of one example, in one pass: sums of distances from the first vertex, which is
+    /// near enough to the mean that nothing cancels.
+    pub(super) fn statistics(&self, x: &[f32], constant: &[f32], split: Split) -> Statistics {
+        let channels = self.channels;
+        let pivot = &x[..channels];
+        let mut sums = vertex_sums(
+            x,
+            channels,
+            2 * channels,
+            split,
+            #[inline(always)]
+            |sums: &mut [f32], _, row: &[f32]| {
+                let (first, second) = sums.split_at_mut(channels);
+                for c in 0..channels {
+                    let distance = row[c] - pivot[c];
+                    first[c] += distance;
+                    second[c] += distance * distance;
+                }
+            },
+        );
+        let mut second = sums.split_off(channels);
+        sums.resize(self.all_channels(), 0.0);
+        second.resize(self.all_channels(), 0.0);
+        let pivot: Vec<f64> = pivot.iter().chain(constant).map(|&x| f64::from(x)).collect();
+
+        let vertices = self.vertices as f64;
+        let count = vertices * self.width() as f64;
+        let mean_of = |span: std::ops::Range<usize>| {
+            span.map(|c| sums[c] + vertices * pivot[c]).sum::<f64>() / count
+        };
+        let mean = self.per_group(mean_of);
+        let inverse_deviation = self.per_group(|span| {
+            let mean = mean_of(span.clone());
+            let squares = span.map(|c| {
+                let offset = pivot[c] - mean;
+                second[c] + 2.0 * offset * sums[c] + vertices * offset * offset
+            });
+            let variance = (squares.sum::<f64>() / count).max(0.0);
+            1.0 / (variance + f64::from(self.epsilon)).sqrt()
+        });
+        Statistics { mean, inverse_deviation }
+    }
+
+    /// `relu(unit · gamma + beta)` of some vertices' features.
+    pub(super) fn apply(&self, x: &[f32], by: &Statistics, affine: Affine, out: &mut [f32]) {
+        let channels = self.channels;
         simd(
             #[inline(always)]
             || {
-                let (mean, inverse_deviation) = (&mean[..channels], &inverse_deviation[..channels]);
-                let (gamma, beta) = (&gamma[..channels], &beta[..channels]);
-                let gamma_block = &mut gamma_block[..channels];
-                let beta_block = &mut beta_block[..channels];
-                for (x, grad) in x.chunks_exact(channels).zip(grad.chunks_exact(channels)) {
+                let (mean, inverse) = (&by.mean[..channels], &by.inverse_deviation[..channels]);
+                let (gamma, beta) = (&affine.gamma[..channels], &affine.beta[..channels]);
+                for (out, x) in out.chunks_exact_mut(channels).zip(x.chunks_exact(channels)) {
                     for c in 0..channels {
-                        let unit = (x[c] - mean[c]) * inverse_deviation[c];
-                        let active = unit * gamma[c] + beta[c] > 0.0;
-                        let upstream = if active { grad[c] } else { 0.0 };
-                        gamma_block[c] += upstream * unit;
-                        beta_block[c] += upstream;
+                        let unit = (x[c] - mean[c]) * inverse[c];
+                        out[c] = (unit * gamma[c] + beta[c]).max(0.0);
                     }
                 }
             },
         );
-        for c in 0..channels {
-            gamma_sum[c] += f64::from(gamma_block[c]);
-            beta_sum[c] += f64::from(beta_block[c]);
-        }
     }
-    (gamma_sum, beta_sum)
+
+    /// `relu(unit · gamma + beta)` of the constant channels, and their units.
+    pub(super) fn apply_constant(
+        &self,
+        constant: &[f32],
+        by: &Statistics,
+        affine: Affine,
+    ) -> (Vec<f32>, Vec<f32>) {
+        let unit = |(i, x): (usize, &f32)| {
+            let c = self.channels + i;
+            (x - by.mean[c]) * by.inverse_deviation[c]
+        };
+        let units: Vec<f32> = constant.iter().enumerate().map(unit).collect();
+        let active = units.iter().enumerate().map(|(i, unit)| {
+            let c = self.channels + i;
+            (unit * affine.gamma[c] + affine.beta[c]).max(0.0)
+        });
+        (active.collect(), units)
+    }
+
+    /// [`Sums`] of the features' channels, from the output of [`apply`](Self::apply) and its
+    /// gradient.
+    pub(super) fn sums(
+        &self,
+        x: &[f32],
+        active: &[f32],
+        grad: &[f32],
+        by: &Statistics,
+        split: Split,
+    ) -> Sums {
+        let channels = self.channels;
+        let mut beta = vertex_sums(
+            x,
+            channels,
+            2 * channels,
+            split,
+            #[inline(always)]
+            |sums: &mut [f32], v, x: &[f32]| {
+                let at = v * channels..(v + 1) * channels;
+                let (active, grad) = (&active[at.clone()], &grad[at]);
+                let (mean, inverse) = (&by.mean[..channels], &by.inverse_deviation[..channels]);
+                let (beta, gamma) = sums.split_at_mut(channels);
+                for c in 0..channels {
+                    let unit = (x[c] - mean[c]) * inverse[c];
+                    let grad = if active[c] > 0.0 { grad[c] } else { 0.0 };
+                    beta[c] += grad;
+                    gamma[c] += grad * unit;
+                }
+            },
+        );
+        let gamma = beta.split_off(channels);
+        Sums { beta, gamma }
+    }
+
+    /// Means over each group of `gamma · Σ g` and `gamma · Σ g · unit`, spread over its channels.
+    pub(super) fn means(&self, sums: &Sums, affine: Affine) -> (Vec<f32>, Vec<f32>) {
+        let count = (self.vertices * self.width()) as f64;
+        let mean = |sums: &[f64]| {
+            self.per_group(|span| {
+                span.map(|c| f64::from(affine.gamma[c]) * sums[c]).sum::<f64>() / count
+            })
+        };
+        (mean(&sums.beta), mean(&sums.gamma))
+    }
+
+    /// Turns the gradient of the output of [`apply`](Self::apply) into that of its input, for some
+    /// vertices.
+    pub(super) fn input_gradient(
+        &self,
+        x: &[f32],
+        active: &[f32],
+        by: &Statistics,
+        affine: Affine,
+        (first, second): (&[f32], &[f32]),
+        grad: &mut [f32],
+    ) {
+        let channels = self.channels;
+        simd(
+            #[inline(always)]
+            || {
+                let (mean, inverse) = (&by.mean[..channels], &by.inverse_deviation[..channels]);
+                let gamma = &affine.gamma[..channels];
+                let (first, second) = (&first[..channels], &second[..channels]);
+                let rows = x.chunks_exact(channels).zip(active.chunks_exact(channels));
+                for (grad, (x, active)) in grad.chunks_exact_mut(channels).zip(rows) {
+                    for c in 0..channels {
+                        let unit = (x[c] - mean[c]) * inverse[c];
+                        let upstream = if active[c] > 0.0 { grad[c] * gamma[c] } else { 0.0 };
+                        grad[c] = inverse[c] * (upstream - first[c] - unit * second[c]);
+                    }
+                }
+            },
+        );
+    }
+
+    /// Gradient of the constant channels, summed over vertices; `sums` includes theirs.
+    pub(super) fn constant_gradient(
+        &self,
+        units: &[f32],
+        by: &Statistics,
+        affine: Affine,
+        sums: &Sums,
+        (first, second): (&[f32], &[f32]),
+    ) -> Vec<f32> {
+        let vertices = self.vertices as f64;
+        let gradient = |(i, &unit): (usize, &f32)| {
+            let c = self.channels + i;
+            let upstream = f64::from(affine.gamma[c]) * sums.beta[c];
+            let mean = f64::from(first[c]) + f64::from(unit) * f64::from(second[c]);
+            (f64::from(by.inverse_deviation[c]) * (upstream - vertices * mean)) as f32
+        };
+        units.iter().enumerate().map(gradient).collect()
+    }
 }

@@ -1,15 +1,15 @@
 use rayon::prelude::*;
 
 use super::simd;
-use crate::sparse::Csr;
+use crate::{buffer::Buffer, sparse::Csr};
 
 const ROWS: usize = 256;
 
 /// `y[b] = A x[b]`; `x: [batch, columns, channels]`, `y: [batch, rows, channels]`.
-pub(in crate::backends) fn sparse_matmul(x: &[f32], a: &Csr, channels: usize) -> Vec<f32> {
+pub(in crate::backends) fn sparse_matmul(x: &[f32], a: &Csr, channels: usize) -> Buffer {
     let (rows, cols) = (a.rows(), a.cols());
     let batch = x.len() / (cols * channels).max(1);
-    let mut y = vec![0.0; batch * rows * channels];
+    let mut y = Buffer::take(batch * rows * channels);
     if y.is_empty() {
         return y;
     }
@@ -42,13 +42,20 @@ pub(super) fn multiply_rows(a: &Csr, first: usize, x: &[f32], channels: usize, y
     );
 }
 
-/// `y += α A x` for one example.
-pub(super) fn accumulate(a: &Csr, alpha: f32, x: &[f32], channels: usize, y: &mut [f32]) {
+/// `y += α A x` for rows `first..` of `A x`, as many as `y` holds.
+pub(super) fn accumulate(
+    a: &Csr,
+    first: usize,
+    alpha: f32,
+    x: &[f32],
+    channels: usize,
+    y: &mut [f32],
+) {
     simd(
         #[inline(always)]
         || {
-            for (row, y) in y.chunks_exact_mut(channels).enumerate() {
-                let (columns, values) = a.row(row);
+            for (i, y) in y.chunks_exact_mut(channels).enumerate() {
+                let (columns, values) = a.row(first + i);
                 tiles(
                     columns,
                     values,
@@ -107,12 +114,4 @@ fn tile<const N: usize>(
     for (y, sum) in y[..N].iter_mut().zip(sum) {
         store(y, sum);
     }
-}
-
-/// `y = 2 A x − previous` for one example: the Chebyshev recurrence.
-pub(super) fn recur(a: &Csr, x: &[f32], previous: &[f32], channels: usize, y: &mut [f32]) {
-    for (y, &p) in y.iter_mut().zip(previous) {
-        *y = -p;
-    }
-    accumulate(a, 2.0, x, channels, y);
 }

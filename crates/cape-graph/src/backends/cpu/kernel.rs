@@ -1,0 +1,336 @@
+#![allow(unsafe_code)] // Register tiles read and write through pointers; every extent is asserted first.
+
+//! Matrix products in register tiles: a block of rows times packed panels, and the sum of outer
+//! products of two blocks. One generic source, compiled for each instruction set and chosen at run
+//! time.
+
+use pulp::{Simd, WithSimd};
+
+use super::panels::Panels;
+
+/// Depth of a product that is summed in registers before it goes to memory: a panel of it stays in
+/// the first-level cache.
+const DEPTH: usize = 512;
+/// Vectors of a panel or tile along its columns.
+const VECTORS: usize = 2;
+/// Rows of a left block of [`outer`] packed side by side; a multiple of every tile's rows.
+const STRIP: usize = 48;
+/// Rows of both blocks that [`outer`] packs at once.
+pub(super) const OUTER_ROWS: usize = 128;
+
+/// Floats in a row of a panel on this machine: columns of a register tile.
+pub(super) fn panel_width() -> usize {
+    struct Width;
+    impl WithSimd for Width {
+        type Output = usize;
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, _: S) -> usize {
+            width::<S>()
+        }
+    }
+    pulp::Arch::new().dispatch(Width)
+}
+
+#[inline(always)]
+const fn width<S: Simd>() -> usize {
+    // Wide enough for the sums of a tile to hide the latency of their instructions.
+    if S::F32_LANES < 8 { 4 * S::F32_LANES } else { VECTORS * S::F32_LANES }
+}
+
+/// Rows of a row-major matrix, in place or selected.
+#[derive(Clone, Copy)]
+pub(super) struct Rows<'a> {
+    data: &'a [f32],
+    stride: usize,
+    index: Option<&'a [u32]>,
+}
+
+impl<'a> Rows<'a> {
+    /// Rows of `stride` numbers, all of them.
+    pub(super) fn new(data: &'a [f32], stride: usize) -> Self {
+        Self { data, stride, index: None }
+    }
+
+    /// The rows at `index`, or all.
+    pub(super) fn selected(data: &'a [f32], stride: usize, index: Option<&'a [u32]>) -> Self {
+        Self { data, stride, index }
+    }
+
+    /// Row `i`.
+    #[inline(always)]
+    pub(super) fn row(&self, i: usize) -> &'a [f32] {
+        let row = self.index.map_or(i, |index| index[i] as usize);
+        &self.data[row * self.stride..][..self.stride]
+    }
+
+    /// From row `first` on.
+    pub(super) fn from(self, first: usize) -> Self {
+        match self.index {
+            Some(index) => Self { index: Some(&index[first..]), ..self },
+            None => Self { data: &self.data[first * self.stride..], ..self },
+        }
+    }
+}
+
+/// `out = a b`, or `out += a b` to `add`: `a: [rows, depth]`, `out: [rows, columns]`, row-major.
+pub(super) fn product(a: Rows, b: &Panels, add: bool, out: &mut [f32]) {
+    assert!(
+        a.stride == b.depth() && b.columns() > 0 && out.len().is_multiple_of(b.columns()),
+        "rows of {} and panels of [{}, {}]",
+        a.stride,
+        b.depth(),
+        b.columns()
+    );
+    pulp::Arch::new().dispatch(Product { a, b, add, out });
+}
+
+struct Product<'a> {
+    a: Rows<'a>,
+    b: &'a Panels,
+    add: bool,
+    out: &'a mut [f32],
+}
+
+impl WithSimd for Product<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        match S::F32_LANES {
+            16 => self.run::<S, 8, VECTORS>(simd),
+            8 => self.run::<S, 6, VECTORS>(simd),
+            _ => self.run::<S, 4, 4>(simd),
+        }
+    }
+}
+
+impl Product<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const ROWS: usize, const VECTORS: usize>(self, simd: S) {
+        let Self { a, b, add, out } = self;
+        let (depth, columns) = (b.depth(), b.columns());
+        let rows = out.len() / columns;
+        let mut tails = [[0.0f32; 64]; ROWS];
+        for k in (0..depth.max(1)).step_by(DEPTH) {
+            let deep = DEPTH.min(depth - k);
+            let add = add || k > 0;
+            for (panel, start) in (0..columns).step_by(width::<S>()).enumerate() {
+                let wide = width::<S>().min(columns - start);
+                let panel = &b.panel(panel)[k * width::<S>()..][..deep * width::<S>()];
+                for first in (0..rows).step_by(ROWS) {
+                    let tall = ROWS.min(rows - first);
+                    // Rows past the last repeat it; their sums are dropped.
+                    let left: [*const f32; ROWS] = std::array::from_fn(|i| {
+                        a.row(first + i.min(tall - 1))[k..][..deep].as_ptr()
+                    });
+                    let out = &mut out[first * columns + start..];
+                    assert!(out.len() >= (tall - 1) * columns + wide);
+                    // SAFETY: every left pointer has `deep` numbers and the panel `deep` rows, by
+                    // the slices they are taken from; `tall` rows of `wide` numbers of the output
+                    // are in its slice by the assertion, and tails are wider than a tile.
+                    unsafe {
+                        let sums =
+                            tile::<S, ROWS, VECTORS>(simd, deep, left, 1, panel.as_ptr());
+                        if wide == width::<S>() {
+                            write(simd, &sums, tall, out.as_mut_ptr(), columns, add);
+                        } else {
+                            write(simd, &sums, ROWS, tails[0].as_mut_ptr(), 64, false);
+                            for (i, tail) in tails.iter().enumerate().take(tall) {
+                                for (out, tail) in out[i * columns..][..wide].iter_mut().zip(tail) {
+                                    *out = if add { *out + tail } else { *tail };
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Two blocks of as many rows, packed for [`outer`].
+pub(super) struct Packed<'a> {
+    /// `[left / STRIP][rows][STRIP]`.
+    left: &'a mut [f32],
+    left_columns: usize,
+    /// `[right / width][rows][width]`.
+    right: &'a mut [f32],
+    right_columns: usize,
+}
+
+impl<'a> Packed<'a> {
+    /// Floats of scratch for blocks of that many columns.
+    pub(super) fn scratch(left: usize, right: usize) -> usize {
+        (left.next_multiple_of(STRIP) + right.next_multiple_of(panel_width())) * OUTER_ROWS
+    }
+
+    /// Room in `scratch`, for up to [`OUTER_ROWS`] rows.
+    pub(super) fn new(scratch: &'a mut [f32], left_columns: usize, right_columns: usize) -> Self {
+        let (left, right) =
+            scratch.split_at_mut(left_columns.next_multiple_of(STRIP) * OUTER_ROWS);
+        Self { left, left_columns, right, right_columns }
+    }
+
+    /// Packs `rows` rows on the left.
+    pub(super) fn pack_left(&mut self, rows: usize, source: Rows) {
+        pack(self.left, STRIP, self.left_columns, rows, source);
+    }
+
+    /// Packs `rows` rows on the right.
+    pub(super) fn pack_right(&mut self, rows: usize, source: Rows) {
+        pack(self.right, panel_width(), self.right_columns, rows, source);
+    }
+
+    /// `out[i · stride + j] += Σ_r left[r, i] right[r, j]` over the `rows` that were packed, `out`
+    /// from the first row of the left columns.
+    pub(super) fn outer(&self, rows: usize, stride: usize, out: &mut [f32]) {
+        assert!(
+            (1..=OUTER_ROWS).contains(&rows)
+                && self.right_columns <= stride
+                && (self.left_columns - 1) * stride + self.right_columns <= out.len(),
+            "{rows} rows, {} times {} numbers, {stride} apart",
+            self.left_columns,
+            self.right_columns,
+        );
+        pulp::Arch::new().dispatch(Outer { packed: self, rows, stride, out });
+    }
+}
+
+fn pack(packed: &mut [f32], width: usize, columns: usize, rows: usize, source: Rows) {
+    assert!(rows <= OUTER_ROWS && source.stride == columns);
+    for r in 0..rows {
+        let row = source.row(r);
+        let mut chunks = row.chunks_exact(width);
+        let mut at = r * width;
+        for chunk in &mut chunks {
+            packed[at..][..width].copy_from_slice(chunk);
+            at += rows * width;
+        }
+        let rest = chunks.remainder();
+        if !rest.is_empty() {
+            packed[at..][..rest.len()].copy_from_slice(rest);
+            packed[at + rest.len()..][..width - rest.len()].fill(0.0);
+        }
+    }
+}
+
+struct Outer<'a> {
+    packed: &'a Packed<'a>,
+    rows: usize,
+    stride: usize,
+    out: &'a mut [f32],
+}
+
+impl WithSimd for Outer<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        match S::F32_LANES {
+            16 => self.run::<S, 8, VECTORS>(simd),
+            8 => self.run::<S, 6, VECTORS>(simd),
+            _ => self.run::<S, 4, 4>(simd),
+        }
+    }
+}
+
+impl Outer<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const ROWS: usize, const VECTORS: usize>(self, simd: S) {
+        let Self { packed, rows, stride, out } = self;
+        let (left_columns, right_columns) = (packed.left_columns, packed.right_columns);
+        let mut tails = [[0.0f32; 64]; ROWS];
+        for (panel, start) in (0..right_columns).step_by(width::<S>()).enumerate() {
+            let wide = width::<S>().min(right_columns - start);
+            let size = rows * width::<S>();
+            let right = &packed.right[panel * size..][..size];
+            for first in (0..left_columns).step_by(ROWS) {
+                let tall = ROWS.min(left_columns - first);
+                let strip = &packed.left[first / STRIP * rows * STRIP..][..rows * STRIP];
+                let left = &strip[first % STRIP..];
+                assert!(left.len() >= (rows - 1) * STRIP + ROWS);
+                let out = &mut out[first * stride + start..];
+                assert!(out.len() >= (tall - 1) * stride + wide);
+                // SAFETY: `rows` left numbers, `STRIP` apart, from each of `ROWS` starts, and
+                // `rows` rows of the right panel are in their slices, by the assertion and the
+                // slice; likewise the output. Tails are wider than a tile.
+                unsafe {
+                    let starts: [*const f32; ROWS] =
+                        std::array::from_fn(|i| left.as_ptr().add(i));
+                    let sums =
+                        tile::<S, ROWS, VECTORS>(simd, rows, starts, STRIP, right.as_ptr());
+                    if wide == width::<S>() {
+                        write(simd, &sums, tall, out.as_mut_ptr(), stride, true);
+                    } else {
+                        write(simd, &sums, ROWS, tails[0].as_mut_ptr(), 64, false);
+                        for (i, tail) in tails.iter().enumerate().take(tall) {
+                            for (out, tail) in out[i * stride..][..wide].iter_mut().zip(tail) {
+                                *out += tail;
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// `Σ_k left[i][k · step] · right[k]` in registers, `right` in rows of `VECTORS` vectors.
+///
+/// # Safety
+/// `depth` numbers must be readable from each left pointer, `step` apart, and `depth` rows from
+/// `right`.
+#[inline(always)]
+unsafe fn tile<S: Simd, const ROWS: usize, const VECTORS: usize>(
+    simd: S,
+    depth: usize,
+    left: [*const f32; ROWS],
+    step: usize,
+    right: *const f32,
+) -> [[S::f32s; VECTORS]; ROWS] {
+    let mut sums = [[simd.splat_f32s(0.0); VECTORS]; ROWS];
+    let mut right = right.cast::<S::f32s>();
+    let mut at = 0;
+    for _ in 0..depth {
+        // SAFETY: in bounds by this function's contract.
+        unsafe {
+            let row: [S::f32s; VECTORS] = std::array::from_fn(|j| right.add(j).read_unaligned());
+            for i in 0..ROWS {
+                let number = simd.splat_f32s(*left[i].add(at));
+                for j in 0..VECTORS {
+                    sums[i][j] = simd.mul_add_f32s(number, row[j], sums[i][j]);
+                }
+            }
+            right = right.add(VECTORS);
+        }
+        at += step;
+    }
+    sums
+}
+
+/// Writes, or to `add` adds, the first `tall` rows of a tile to rows `stride` apart.
+///
+/// # Safety
+/// `tall` rows of `VECTORS` vectors, `stride` apart, must be writable from `out`.
+#[inline(always)]
+unsafe fn write<S: Simd, const ROWS: usize, const VECTORS: usize>(
+    simd: S,
+    sums: &[[S::f32s; VECTORS]; ROWS],
+    tall: usize,
+    out: *mut f32,
+    stride: usize,
+    add: bool,
+) {
+    for (i, sums) in sums.iter().enumerate() {
+        if i < tall {
+            for (j, &sum) in sums.iter().enumerate() {
+                // SAFETY: in bounds by this function's contract.
+                unsafe {
+                    let out = out.add(i * stride).cast::<S::f32s>().add(j);
+                    let sum = if add { simd.add_f32s(sum, out.read_unaligned()) } else { sum };
+                    out.write_unaligned(sum);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,377 @@
+//! The operations in terms of Burn's own, for backends without a fused kernel.
+
+use std::sync::Arc;
+
+use burn::{
+    backend::{
+        Backend, TensorMetadata, get_or_init_device_settings,
+        tensor::{FloatTensor, IntTensor},
+    },
+    tensor::{DType, Shape, TensorData},
+};
+
+use crate::{
+    ops::{ConvSpec, GraphBackend, NormConvSpec},
+    operator::Operator,
+    sparse::SparsePair,
+};
+
+/// The graph of a convolution: its structure on the device and on the host.
+pub(crate) struct Graph<B: Backend> {
+    pub index: IntTensor<B>,
+    pub value: FloatTensor<B>,
+    pub operator: Arc<Operator>,
+}
+
+impl<B: GraphBackend> Graph<B> {
+    fn multiply(&self, x: FloatTensor<B>, by: &Arc<SparsePair>, transpose: bool) -> FloatTensor<B> {
+        B::sparse_matmul(x, self.index.clone(), self.value.clone(), by.clone(), transpose)
+    }
+
+    /// The kept vertices of `x`.
+    fn select(&self, x: FloatTensor<B>) -> FloatTensor<B> {
+        match self.operator.pool() {
+            Some(pool) => self.multiply(x, &pool.selection, false),
+            None => x,
+        }
+    }
+
+    /// The gradient of [`select`](Self::select).
+    fn spread(&self, grad: FloatTensor<B>) -> FloatTensor<B> {
+        match self.operator.pool() {
+            Some(pool) => self.multiply(grad, &pool.selection, true),
+            None => grad,
+        }
+    }
+
+    /// `[T_0(L̃)x, …, T_{K−1}(L̃)x]` at the kept vertices.
+    fn basis(&self, x: FloatTensor<B>, order: usize) -> Vec<FloatTensor<B>> {
+        let laplacian = self.operator.laplacian();
+        let mut kept = vec![self.select(x.clone())];
+        let mut whole = vec![x];
+        for k in 1..order {
+            let previous = &whole[k - 1];
+            let kept_laplacian = self.operator.kept_laplacian();
+            let last = self.multiply(previous.clone(), kept_laplacian, false);
+            kept.push(recur::<B>(last, kept.get(k.wrapping_sub(2))));
+            if k + 1 < order {
+                let next = match self.operator.pool() {
+                    Some(_) => {
+                        let next = self.multiply(previous.clone(), laplacian, false);
+                        recur::<B>(next, whole.get(k.wrapping_sub(2)))
+                    }
+                    None => kept[k].clone(),
+                };
+                whole.push(next);
+            }
+        }
+        kept
+    }
+
+    /// `T_0(L̃)1 … T_{count−1}(L̃)1` at the kept vertices, `[1, kept, count]`.
+    fn sums(&self, count: usize) -> FloatTensor<B> {
+        let sums = self.operator.sums(count).to_vec();
+        let data = TensorData::new(sums, [1, self.operator.kept(), count]);
+        B::float_from_data(data, &self.value.device())
+    }
+}
+
+/// `2 next − before`, or `next` itself without a term before.
+fn recur<B: Backend>(next: FloatTensor<B>, before: Option<&FloatTensor<B>>) -> FloatTensor<B> {
+    match before {
+        Some(before) => B::float_sub(B::float_mul_scalar(next, 2.0.into()), before.clone()),
+        None => next,
+    }
+}
+
+fn shape<const D: usize>(dims: [usize; D]) -> Shape {
+    Shape::from(dims.to_vec())
+}
+
+fn dims<B: Backend>(x: &FloatTensor<B>) -> [usize; 3] {
+    let shape = x.shape();
+    [shape[0], shape[1], shape[2]]
+}
+
+/// The weights of each term, `[channels, out]`.
+fn term_weights<B: Backend>(weight: FloatTensor<B>, order: usize) -> Vec<FloatTensor<B>> {
+    let (rows, out) = (weight.shape()[0], weight.shape()[1]);
+    let channels = rows / order;
+    let weight = B::float_reshape(weight, shape([channels, order, out]));
+    (0..order)
+        .map(|k| {
+            let term = B::float_slice(
+                weight.clone(),
+                &[(0..channels).into(), (k..k + 1).into(), (0..out).into()],
+            );
+            B::float_reshape(term, Shape::from(vec![channels, out]))
+        })
+        .collect()
+}
+
+fn flat<B: Backend>(x: FloatTensor<B>) -> FloatTensor<B> {
+    let [batch, vertices, channels] = dims::<B>(&x);
+    B::float_reshape(x, Shape::from(vec![batch * vertices, channels]))
+}
+
+pub(crate) fn cheb_conv<B: GraphBackend>(
+    x: FloatTensor<B>,
+    weight: FloatTensor<B>,
+    rows: FloatTensor<B>,
+    graph: &Graph<B>,
+    spec: ConvSpec,
+) -> FloatTensor<B> {
+    let [batch, _, _] = dims::<B>(&x);
+    let (kept, out) = (graph.operator.kept(), weight.shape()[1]);
+    let terms = graph.basis(x, spec.order);
+    let products = terms.into_iter().zip(term_weights::<B>(weight, spec.order));
+    let sum = products
+        .map(|(term, weight)| B::float_matmul(flat::<B>(term), weight))
+        .reduce(B::float_add)
+        .unwrap_or_else(|| unreachable!("order is at least 1"));
+    let mut y = B::float_reshape(sum, shape([batch, kept, out]));
+    if spec.rows == 1 {
+        y = B::float_add(y, rows);
+    } else if spec.rows > 1 {
+        let sums = B::float_expand(graph.sums(spec.rows), shape([batch, kept, spec.rows]));
+        y = B::float_add(y, B::float_matmul(sums, rows));
+    }
+    match spec.slope {
+        Some(slope) => gate::<B>(y.clone(), y, slope),
+        None => y,
+    }
+}
+
+pub(crate) fn cheb_conv_backward<B: GraphBackend>(
+    x: FloatTensor<B>,
+    weight: FloatTensor<B>,
+    y: FloatTensor<B>,
+    grad: FloatTensor<B>,
+    graph: &Graph<B>,
+    spec: ConvSpec,
+    want_x: bool,
+) -> (FloatTensor<B>, FloatTensor<B>, FloatTensor<B>) {
+    let [batch, _, channels] = dims::<B>(&x);
+    let (kept, out, order) = (graph.operator.kept(), weight.shape()[1], spec.order);
+    let grad = match spec.slope {
+        Some(slope) => gate::<B>(grad, y, slope),
+        None => grad,
+    };
+    let grad_rows = match spec.rows {
+        0 => grad.clone(),
+        1 => B::float_sum_dim(grad.clone(), 1),
+        rows => {
+            let sums = B::float_expand(graph.sums(rows), shape([batch, kept, rows]));
+            B::float_matmul(B::float_swap_dims(sums, 1, 2), grad.clone())
+        }
+    };
+
+    let flat_grad = flat::<B>(grad);
+    let grad_weights: Vec<FloatTensor<B>> = graph
+        .basis(x.clone(), order)
+        .into_iter()
+        .map(|term| {
+            let term = B::float_transpose(flat::<B>(term));
+            let product = B::float_matmul(term, flat_grad.clone());
+            B::float_reshape(product, shape([channels, 1, out]))
+        })
+        .collect();
+    let grad_weight =
+        B::float_reshape(B::float_cat(grad_weights, 1), shape([channels * order, out]));
+    if !want_x {
+        return (x, grad_weight, grad_rows);
+    }
+
+    let mut kept_terms: Vec<FloatTensor<B>> = term_weights::<B>(weight, order)
+        .into_iter()
+        .map(|weight| {
+            let product = B::float_matmul(flat_grad.clone(), B::float_transpose(weight));
+            B::float_reshape(product, shape([batch, kept, channels]))
+        })
+        .collect();
+    let last = kept_terms.split_off(order.max(2) - 1).pop();
+    let laplacian = graph.operator.laplacian();
+    if order > 2 && let Some(last) = &last {
+        let before = kept_terms[order - 3].clone();
+        kept_terms[order - 3] = B::float_sub(before, last.clone());
+    }
+    let mut terms: Vec<FloatTensor<B>> =
+        kept_terms.into_iter().map(|term| graph.spread(term)).collect();
+    if let Some(last) = last {
+        let top = graph.multiply(last, graph.operator.kept_laplacian(), true);
+        let top = if order > 2 { B::float_mul_scalar(top, 2.0.into()) } else { top };
+        terms[order - 2] = B::float_add(terms[order - 2].clone(), top);
+    }
+    for k in (2..order.max(2) - 1).rev() {
+        let twice = graph.multiply(terms[k].clone(), laplacian, true);
+        let twice = B::float_mul_scalar(twice, 2.0.into());
+        terms[k - 1] = B::float_add(terms[k - 1].clone(), twice);
+        terms[k - 2] = B::float_sub(terms[k - 2].clone(), terms[k].clone());
+    }
+    let first = terms[0].clone();
+    let grad_x = match terms.get(1) {
+        Some(second) => B::float_add(first, graph.multiply(second.clone(), laplacian, true)),
+        None => first,
+    };
+    (grad_x, grad_weight, grad_rows)
+}
+
+/// What is normalised and multiplied.
+pub(crate) struct NormInputs<B: Backend> {
+    pub x: FloatTensor<B>,
+    pub constant: FloatTensor<B>,
+    pub gamma: FloatTensor<B>,
+    pub beta: FloatTensor<B>,
+    pub weight: FloatTensor<B>,
+}
+
+impl<B: Backend> NormInputs<B> {
+    /// Features and constant channels at every vertex.
+    fn channels(&self, constant: usize) -> FloatTensor<B> {
+        if constant == 0 {
+            return self.x.clone();
+        }
+        let [batch, vertices, _] = dims::<B>(&self.x);
+        let tiled = B::float_reshape(self.constant.clone(), shape([batch, 1, constant]));
+        let tiled = B::float_expand(tiled, shape([batch, vertices, constant]));
+        B::float_cat(vec![self.x.clone(), tiled], 2)
+    }
+}
+
+pub(crate) fn norm_conv<B: GraphBackend>(
+    inputs: NormInputs<B>,
+    base: FloatTensor<B>,
+    graph: &Graph<B>,
+    spec: NormConvSpec,
+) -> FloatTensor<B> {
+    let NormConvSpec { order, groups, epsilon, constant, add } = spec;
+    let x = inputs.channels(constant);
+    let active = B::group_norm_relu(x.clone(), inputs.gamma, inputs.beta, groups, epsilon);
+    let y = cheb_conv::<B>(active, inputs.weight, x, graph, ConvSpec { order, rows: 0, slope: None });
+    if add { B::float_add(base, y) } else { y }
+}
+
+#[allow(clippy::type_complexity)]
+pub(crate) fn norm_conv_backward<B: GraphBackend>(
+    inputs: NormInputs<B>,
+    grad: FloatTensor<B>,
+    graph: &Graph<B>,
+    spec: NormConvSpec,
+) -> (FloatTensor<B>, FloatTensor<B>, FloatTensor<B>, FloatTensor<B>, FloatTensor<B>) {
+    let NormConvSpec { order, groups, epsilon, constant, .. } = spec;
+    let [batch, vertices, channels] = dims::<B>(&inputs.x);
+    let x = inputs.channels(constant);
+    let NormInputs { gamma, beta, weight, .. } = inputs;
+    let active = B::group_norm_relu(x.clone(), gamma.clone(), beta.clone(), groups, epsilon);
+    let spec = ConvSpec { order, rows: 0, slope: None };
+    let (grad, grad_weight, _) =
+        cheb_conv_backward::<B>(active, weight, x.clone(), grad, graph, spec, true);
+    let (grad, grad_gamma, grad_beta) =
+        B::group_norm_relu_backward(x, gamma, beta, grad, groups, epsilon);
+    if constant == 0 {
+        return (grad.clone(), grad, grad_gamma, grad_beta, grad_weight);
+    }
+    let part = |from: usize, to: usize| {
+        let all = [(0..batch).into(), (0..vertices).into(), (from..to).into()];
+        B::float_slice(grad.clone(), &all)
+    };
+    let grad_constant = B::float_sum_dim(part(channels, channels + constant), 1);
+    let grad_constant = B::float_reshape(grad_constant, shape([batch, constant]));
+    (part(0, channels), grad_constant, grad_gamma, grad_beta, grad_weight)
+}
+
+fn row<B: Backend>(x: FloatTensor<B>) -> FloatTensor<B> {
+    let channels = x.shape()[0];
+    B::float_reshape(x, Shape::from(vec![1, 1, channels]))
+}
+
+/// Sum over all but the channels.
+fn channel_sum<B: Backend>(x: FloatTensor<B>) -> FloatTensor<B> {
+    let channels = x.shape()[2];
+    let sum = B::float_sum_dim(B::float_sum_dim(x, 1), 0);
+    B::float_reshape(sum, Shape::from(vec![channels]))
+}
+
+/// `x` where `sign` is positive, `slope · x` elsewhere.
+fn gate<B: Backend>(x: FloatTensor<B>, sign: FloatTensor<B>, slope: f64) -> FloatTensor<B> {
+    let bool_dtype = get_or_init_device_settings::<B>(&sign.device()).bool_dtype;
+    let off = B::float_lower_equal_elem(sign, 0.0.into(), bool_dtype);
+    let scaled = B::float_mul_scalar(x.clone(), slope.into());
+    B::float_mask_where(x, off, scaled)
+}
+
+pub(crate) fn bias_leaky_relu<B: Backend>(
+    x: FloatTensor<B>,
+    bias: FloatTensor<B>,
+    slope: f64,
+) -> FloatTensor<B> {
+    let sum = B::float_add(x, row::<B>(bias));
+    gate::<B>(sum.clone(), sum, slope)
+}
+
+pub(crate) fn bias_leaky_relu_backward<B: Backend>(
+    y: FloatTensor<B>,
+    grad: FloatTensor<B>,
+    slope: f64,
+) -> (FloatTensor<B>, FloatTensor<B>) {
+    let grad = gate::<B>(grad, y, slope);
+    (grad.clone(), channel_sum::<B>(grad))
+}
+
+/// Mean over (vertices × channels in group), spread back: `[batch, 1, channels]`.
+fn group_mean<B: Backend>(x: FloatTensor<B>, groups: usize) -> FloatTensor<B> {
+    let [batch, _, channels] = dims::<B>(&x);
+    let width = channels / groups;
+    let mean = B::float_mean_dim(x, 1);
+    let mean = B::float_reshape(mean, Shape::from(vec![batch, groups, width]));
+    let mean =
+        B::float_expand(B::float_mean_dim(mean, 2), Shape::from(vec![batch, groups, width]));
+    B::float_reshape(mean, Shape::from(vec![batch, 1, channels]))
+}
+
+/// The normalised input and the inverse standard deviations `[batch, 1, channels]`.
+fn normalise<B: Backend>(
+    x: FloatTensor<B>,
+    groups: usize,
+    epsilon: f64,
+) -> (FloatTensor<B>, FloatTensor<B>) {
+    debug_assert_eq!(x.dtype(), DType::F32);
+    let centred = B::float_sub(x.clone(), group_mean::<B>(x, groups));
+    let variance = group_mean::<B>(B::float_mul(centred.clone(), centred.clone()), groups);
+    let deviation = B::float_sqrt(B::float_add_scalar(variance, epsilon.into()));
+    let inverse = B::float_recip(deviation);
+    (B::float_mul(centred, inverse.clone()), inverse)
+}
+
+pub(crate) fn group_norm_relu<B: Backend>(
+    x: FloatTensor<B>,
+    gamma: FloatTensor<B>,
+    beta: FloatTensor<B>,
+    groups: usize,
+    epsilon: f64,
+) -> FloatTensor<B> {
+    let (unit, _) = normalise::<B>(x, groups, epsilon);
+    let affine = B::float_add(B::float_mul(unit, row::<B>(gamma)), row::<B>(beta));
+    B::float_clamp_min(affine, 0.0.into())
+}
+
+pub(crate) fn group_norm_relu_backward<B: Backend>(
+    x: FloatTensor<B>,
+    gamma: FloatTensor<B>,
+    beta: FloatTensor<B>,
+    grad: FloatTensor<B>,
+    groups: usize,
+    epsilon: f64,
+) -> (FloatTensor<B>, FloatTensor<B>, FloatTensor<B>) {
+    let (unit, inverse) = normalise::<B>(x, groups, epsilon);
+    let gamma = row::<B>(gamma);
+    let affine = B::float_add(B::float_mul(unit.clone(), gamma.clone()), row::<B>(beta));
+    let grad = gate::<B>(grad, affine, 0.0);
+    let grad_gamma = channel_sum::<B>(B::float_mul(grad.clone(), unit.clone()));
+    let grad_beta = channel_sum::<B>(grad.clone());
+    let upstream = B::float_mul(grad, gamma);
+    let first = group_mean::<B>(upstream.clone(), groups);
+    let second = group_mean::<B>(B::float_mul(upstream.clone(), unit.clone()), groups);
+    let grad_x = B::float_sub(B::float_sub(upstream, first), B::float_mul(unit, second));
+    (B::float_mul(grad_x, inverse), grad_gamma, grad_beta)
+}
