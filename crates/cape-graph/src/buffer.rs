@@ -98,9 +98,7 @@ impl Drop for Buffer {
 mod bytes {
     use std::mem::MaybeUninit;
 
-    use burn_std::{
-        AccessError, AccessPolicy, AllocationController, AllocationProperty, Bytes,
-    };
+    use burn_std::{AccessError, AccessPolicy, AllocationController, AllocationProperty, Bytes};
 
     use super::Buffer;
 

@@ -11,8 +11,8 @@ use burn::{
 };
 
 use crate::{
-    ops::{ConvSpec, GraphBackend, NormConvSpec},
     operator::Operator,
+    ops::{ConvSpec, GraphBackend, NormConvSpec},
     sparse::SparsePair,
 };
 
@@ -142,6 +142,7 @@ pub(crate) fn cheb_conv<B: GraphBackend>(
     }
 }
 
+#[allow(clippy::too_many_arguments)]
 pub(crate) fn cheb_conv_backward<B: GraphBackend>(
     x: FloatTensor<B>,
     weight: FloatTensor<B>,
@@ -150,6 +151,7 @@ pub(crate) fn cheb_conv_backward<B: GraphBackend>(
     graph: &Graph<B>,
     spec: ConvSpec,
     want_x: bool,
+    want_weight: bool,
 ) -> (FloatTensor<B>, FloatTensor<B>, FloatTensor<B>) {
     let [batch, _, channels] = dims::<B>(&x);
     let (kept, out, order) = (graph.operator.kept(), weight.shape()[1], spec.order);
@@ -167,17 +169,15 @@ pub(crate) fn cheb_conv_backward<B: GraphBackend>(
     };
 
     let flat_grad = flat::<B>(grad);
-    let grad_weights: Vec<FloatTensor<B>> = graph
-        .basis(x.clone(), order)
-        .into_iter()
-        .map(|term| {
-            let term = B::float_transpose(flat::<B>(term));
-            let product = B::float_matmul(term, flat_grad.clone());
+    let grad_weight = if want_weight {
+        let terms = graph.basis(x.clone(), order).into_iter().map(|term| {
+            let product = B::float_matmul(B::float_transpose(flat::<B>(term)), flat_grad.clone());
             B::float_reshape(product, shape([channels, 1, out]))
-        })
-        .collect();
-    let grad_weight =
-        B::float_reshape(B::float_cat(grad_weights, 1), shape([channels * order, out]));
+        });
+        B::float_reshape(B::float_cat(terms.collect(), 1), shape([channels * order, out]))
+    } else {
+        weight.clone()
+    };
     if !want_x {
         return (x, grad_weight, grad_rows);
     }
@@ -191,7 +191,9 @@ pub(crate) fn cheb_conv_backward<B: GraphBackend>(
         .collect();
     let last = kept_terms.split_off(order.max(2) - 1).pop();
     let laplacian = graph.operator.laplacian();
-    if order > 2 && let Some(last) = &last {
+    if order > 2
+        && let Some(last) = &last
+    {
         let before = kept_terms[order - 3].clone();
         kept_terms[order - 3] = B::float_sub(before, last.clone());
     }
@@ -247,7 +249,8 @@ pub(crate) fn norm_conv<B: GraphBackend>(
     let NormConvSpec { order, groups, epsilon, constant, add } = spec;
     let x = inputs.channels(constant);
     let active = B::group_norm_relu(x.clone(), inputs.gamma, inputs.beta, groups, epsilon);
-    let y = cheb_conv::<B>(active, inputs.weight, x, graph, ConvSpec { order, rows: 0, slope: None });
+    let y =
+        cheb_conv::<B>(active, inputs.weight, x, graph, ConvSpec { order, rows: 0, slope: None });
     if add { B::float_add(base, y) } else { y }
 }
 
@@ -265,7 +268,7 @@ pub(crate) fn norm_conv_backward<B: GraphBackend>(
     let active = B::group_norm_relu(x.clone(), gamma.clone(), beta.clone(), groups, epsilon);
     let spec = ConvSpec { order, rows: 0, slope: None };
     let (grad, grad_weight, _) =
-        cheb_conv_backward::<B>(active, weight, x.clone(), grad, graph, spec, true);
+        cheb_conv_backward::<B>(active, weight, x.clone(), grad, graph, spec, true, true);
     let (grad, grad_gamma, grad_beta) =
         B::group_norm_relu_backward(x, gamma, beta, grad, groups, epsilon);
     if constant == 0 {
@@ -324,8 +327,7 @@ fn group_mean<B: Backend>(x: FloatTensor<B>, groups: usize) -> FloatTensor<B> {
     let width = channels / groups;
     let mean = B::float_mean_dim(x, 1);
     let mean = B::float_reshape(mean, Shape::from(vec![batch, groups, width]));
-    let mean =
-        B::float_expand(B::float_mean_dim(mean, 2), Shape::from(vec![batch, groups, width]));
+    let mean = B::float_expand(B::float_mean_dim(mean, 2), Shape::from(vec![batch, groups, width]));
     B::float_reshape(mean, Shape::from(vec![batch, 1, channels]))
 }
 

@@ -3,8 +3,8 @@ use sprs::CsMat;
 
 use crate::{
     functions::sparse_matmul,
-    pyramid::{Level, MeshPyramid, Transition},
     operator::ConvGraph,
+    pyramid::{Level, MeshPyramid, Transition},
     sparse::SparseMatrix,
 };
 

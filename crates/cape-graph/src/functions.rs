@@ -138,9 +138,7 @@ fn product_first(
         rows.reshape([batch, 1, 2 * out])
     });
     let products = cheb_conv(x, weight, graph, 1, ConvEnd { rows, slope: None });
-    let part = |k: usize| {
-        products.clone().slice([0..batch, 0..vertices, k * out..(k + 1) * out])
-    };
+    let part = |k: usize| products.clone().slice([0..batch, 0..vertices, k * out..(k + 1) * out]);
     part(0) + sparse_matmul(part(1), &graph.laplacian())
 }
 
@@ -198,13 +196,8 @@ pub fn norm_conv(
         check_f32("norm_conv", base);
         assert_eq!(base.dims(), [batch, graph.kept(), out], "norm_conv: shape of the base");
     }
-    let spec = NormConvSpec {
-        order,
-        groups,
-        epsilon,
-        constant: channels - features,
-        add: base.is_some(),
-    };
+    let spec =
+        NormConvSpec { order, groups, epsilon, constant: channels - features, add: base.is_some() };
     let device = x.device();
     let constant = constant.unwrap_or_else(|| Tensor::zeros([1, 1], &device));
     let base = base.unwrap_or_else(|| Tensor::zeros([1, 1, 1], &device));

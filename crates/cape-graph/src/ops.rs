@@ -78,8 +78,8 @@ pub trait GraphBackend: Backend {
     }
 
     /// Gradients of [`cheb_conv`](Self::cheb_conv) with respect to `x`, `weight` and `rows`, from
-    /// its output `y` if it has an activation. The first is unspecified unless `want_x`, the last
-    /// where there are no rows.
+    /// its output `y` if it has an activation. The first is unspecified unless `want_x`, the
+    /// second unless `want_weight`, the last where there are no rows.
     #[allow(clippy::too_many_arguments)]
     fn cheb_conv_backward(
         x: FloatTensor<Self>,
@@ -91,9 +91,10 @@ pub trait GraphBackend: Backend {
         operator: Arc<Operator>,
         spec: ConvSpec,
         want_x: bool,
+        want_weight: bool,
     ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>) {
         let graph = Graph { index, value, operator };
-        composed::cheb_conv_backward::<Self>(x, weight, y, grad, &graph, spec, want_x)
+        composed::cheb_conv_backward::<Self>(x, weight, y, grad, &graph, spec, want_x, want_weight)
     }
 
     /// `y = base + cheb_conv(relu(group_norm([x, constant])))`; `constant: [batch, c]` are channels

@@ -33,6 +33,7 @@ macro_rules! register {
 }
 
 // The `*_backward` operations keep their composed form here, which is itself differentiable.
+#[allow(clippy::redundant_closure_for_method_calls)] // the type is not public
 impl<B: Backend + GraphBackend, C: CheckpointStrategy> GraphBackend for Autodiff<B, C> {
     fn sparse_matmul(
         x: FloatTensor<Self>,
@@ -94,9 +95,18 @@ impl<B: Backend + GraphBackend, C: CheckpointStrategy> GraphBackend for Autodiff
             ) {
                 let ([x, weight, y], (index, value, operator), spec) = ops.state;
                 let grad = grads.consume::<B>(&ops.node);
-                let want_x = ops.parents[0].is_some();
+                let [want_x, want_weight, _] = ops.parents.each_ref().map(Option::is_some);
                 let (x, weight, rows) = B::cheb_conv_backward(
-                    x, weight, y, grad, index, value, operator, spec, want_x,
+                    x,
+                    weight,
+                    y,
+                    grad,
+                    index,
+                    value,
+                    operator,
+                    spec,
+                    want_x,
+                    want_weight,
                 );
                 register!(ops.parents, [x, weight, rows], grads);
             }

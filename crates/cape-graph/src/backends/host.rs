@@ -109,21 +109,23 @@ macro_rules! host_backend {
                 operator: Arc<Operator>,
                 spec: ConvSpec,
                 want_x: bool,
+                want_weight: bool,
             ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>) {
                 let conv = host::conv(&x, &weight, &operator, spec);
                 let (dims, weight_dims) = (HostTensor::dims(&x), HostTensor::dims(&weight));
                 let rows = [dims[0], spec.rows, conv.output];
                 let gradients = cpu::cheb_conv_backward(
                     &x.clone().values(),
-                    &weight.values(),
+                    &weight.clone().values(),
                     &y.values(),
                     &grad.values(),
                     conv,
                     want_x,
+                    want_weight,
                 );
                 (
                     gradients.x.map_or(x, |grad| host::tensor(grad, &dims)),
-                    host::tensor(gradients.weight, &weight_dims),
+                    if want_weight { host::tensor(gradients.weight, &weight_dims) } else { weight },
                     host::tensor(gradients.rows, &rows),
                 )
             }
@@ -240,11 +242,7 @@ macro_rules! host_backend {
                 let (x, gamma) = (x.values(), gamma.values());
                 let (grad_x, grad_gamma, grad_beta) =
                     cpu::group_norm_relu_backward(&x, &gamma, &beta.values(), &grad.values(), norm);
-                (
-                    host::tensor(grad_x, &dims),
-                    host::vector(&grad_gamma),
-                    host::vector(&grad_beta),
-                )
+                (host::tensor(grad_x, &dims), host::vector(&grad_gamma), host::vector(&grad_beta))
             }
         }
     };

@@ -37,11 +37,17 @@ fn results_are_the_same_bytes_for_any_number_of_threads() {
                 ("cheb_features", &[0], &|x| cheb_features(x[0].clone().reshape(shape), &a, order)),
                 ("cheb_conv", &[0, 1], &|x| {
                     let weight = x[1].clone().reshape([input * order, output]);
-                    cheb_conv(x[0].clone().reshape(shape), weight, &graph, order, ConvEnd::default())
+                    cheb_conv(
+                        x[0].clone().reshape(shape),
+                        weight,
+                        &graph,
+                        order,
+                        ConvEnd::default(),
+                    )
                 }),
                 ("cheb_conv, pooled", &[0, 1, 3], &|x| {
                     let weight = x[1].clone().reshape([input * order, output]);
-                    let rows = x[2].clone().slice([0..1]).expand([batch, order, output]);
+                    let rows = x[2].clone().slice(0..1).expand([batch, order, output]);
                     let end = ConvEnd { rows: Some(rows), slope: Some(0.2) };
                     cheb_conv(x[0].clone().reshape(shape), weight, &pooled, order, end)
                 }),

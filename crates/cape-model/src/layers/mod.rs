@@ -32,5 +32,9 @@ pub(crate) fn append_unless_preserved<'c>(
     pyramid: &DevicePyramid,
     level: usize,
 ) -> (Tensor<3>, Option<&'c Tensor<2>>) {
-    if pyramid.up_preserves_constants(level) { (x, condition) } else { (append(x, condition), None) }
+    if pyramid.up_preserves_constants(level) {
+        (x, condition)
+    } else {
+        (append(x, condition), None)
+    }
 }

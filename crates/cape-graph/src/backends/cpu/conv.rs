@@ -4,7 +4,7 @@
 use rayon::prelude::*;
 
 use super::{
-    kernel::{Rows, product},
+    kernel::{End, Rows, product},
     panels::{Panels, View},
     scratch::with_scratch,
     simd,
@@ -14,7 +14,7 @@ use super::{
 use crate::{buffer::Buffer, operator::Operator};
 
 /// Rows that are taken through a whole convolution together: they stay in the second-level cache.
-const BLOCK: usize = 96;
+pub(super) const BLOCK: usize = 96;
 
 /// The extents of a convolution.
 #[derive(Clone, Copy)]
@@ -64,6 +64,16 @@ impl Conv<'_> {
             columns: self.output,
             row_stride: self.order * self.output,
             column_stride: 1,
+        }
+    }
+
+    /// How a product ends, and whether rows that differ in weight from vertex to vertex remain to
+    /// be added before the activation.
+    pub(super) fn end<'r>(&self, rows: &'r [f32]) -> (End<'r>, bool) {
+        match self.rows {
+            0 => (End { row: None, slope: self.slope }, false),
+            1 => (End { row: Some(rows), slope: self.slope }, false),
+            _ => (End::default(), true),
         }
     }
 
@@ -121,7 +131,12 @@ impl Conv<'_> {
 
 /// `y = f(Σ_k D T_k(L̃) x W_k + Σ_r D T_r(L̃)1 · row_r)`, `f` the leaky ReLU, if any;
 /// `x: [batch, vertices, input]`, `weight: [input · K, output]`, `rows: [batch, rows, output]`.
-pub(in crate::backends) fn cheb_conv(x: &[f32], weight: &[f32], rows: &[f32], conv: Conv) -> Buffer {
+pub(in crate::backends) fn cheb_conv(
+    x: &[f32],
+    weight: &[f32],
+    rows: &[f32],
+    conv: Conv,
+) -> Buffer {
     let batch = x.len() / conv.inputs().max(1);
     let mut y = Buffer::take(batch * conv.outputs());
     if y.is_empty() {
@@ -155,38 +170,33 @@ pub(super) fn forward(
         let whole = &*whole;
         split.chunks(y, BLOCK * conv.output, |block, y| {
             let first = block * BLOCK;
-            let plain = if conv.order == 1 { 1 } else { conv.order - 1 };
-            for (k, panels) in panels[..plain].iter().enumerate() {
-                product(conv.kept_term(k, x, whole).from(first), panels, add || k > 0, y);
+            let (end, separately) = conv.end(rows);
+            for (k, panels) in panels.iter().enumerate() {
+                let add = add || k > 0;
+                let end = if k + 1 == conv.order { end } else { End::default() };
+                if k == 0 || k + 1 < conv.order {
+                    product(conv.kept_term(k, x, whole).from(first), panels, add, end, y);
+                } else {
+                    with_scratch(y.len() / conv.output * conv.input, |term| {
+                        conv.last_term(first, x, whole, term);
+                        product(Rows::new(term, conv.input), panels, add, end, y);
+                    });
+                }
             }
-            if conv.order > 1 {
-                with_scratch(y.len() / conv.output * conv.input, |term| {
-                    conv.last_term(first, x, whole, term);
-                    product(Rows::new(term, conv.input), &panels[plain], true, y);
-                });
+            if separately {
+                finish(y, rows, &sums[first * conv.rows..], conv);
             }
-            finish(y, rows, &sums[first * conv.rows.max(1)..], conv);
         });
     });
 }
 
 /// Adds rows and applies the activation.
-pub(super) fn finish(y: &mut [f32], rows: &[f32], sums: &[f32], conv: Conv) {
-    if conv.rows == 0 && conv.slope.is_none() {
-        return;
-    }
+fn finish(y: &mut [f32], rows: &[f32], sums: &[f32], conv: Conv) {
     let slope = conv.slope.unwrap_or(1.0);
     simd(
         #[inline(always)]
         || {
             for (v, y) in y.chunks_exact_mut(conv.output).enumerate() {
-                if conv.rows == 1 {
-                    for (y, row) in y.iter_mut().zip(rows) {
-                        let sum = *y + row;
-                        *y = if sum > 0.0 { sum } else { slope * sum };
-                    }
-                    continue;
-                }
                 let factors = &sums[v * conv.rows..][..conv.rows];
                 for (row, factor) in rows.chunks_exact(conv.output).zip(factors) {
                     for (y, row) in y.iter_mut().zip(row) {

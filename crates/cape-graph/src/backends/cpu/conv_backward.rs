@@ -3,24 +3,21 @@
 use rayon::prelude::*;
 
 use super::{
-    conv::Conv,
-    kernel::{OUTER_ROWS, Packed, Rows, product},
+    conv::{BLOCK, Conv},
+    kernel::{End, OUTER_ROWS, Packed, Rows, product},
     panels::Panels,
     scratch::with_scratch,
     simd,
     sparse::accumulate,
-    split::{Split, add_all, vertex_sums},
+    split::{LANES, Split, add_all, vertex_sums},
 };
 use crate::{buffer::Buffer, operator::DROPPED, sparse::Csr};
-
-/// Rows whose input gradient is computed together.
-const BLOCK: usize = 96;
 
 /// Gradients of [`cheb_conv`](super::cheb_conv).
 pub(in crate::backends) struct ConvGradients {
     /// Of `x`, if wanted.
     pub x: Option<Buffer>,
-    /// Of the weights.
+    /// Of the weights; empty if not wanted.
     pub weight: Buffer,
     /// Of the rows, of each example separately: `[batch, rows, output]`.
     pub rows: Buffer,
@@ -34,12 +31,14 @@ pub(in crate::backends) fn cheb_conv_backward(
     grad: &[f32],
     conv: Conv,
     want_x: bool,
+    want_weight: bool,
 ) -> ConvGradients {
     let batch = x.len() / conv.inputs().max(1);
     let split = Split::new(batch);
     let mut rows = Buffer::zeros(batch * conv.rows * conv.output);
     let mut grad_x = want_x.then(|| Buffer::take(x.len()));
-    let mut grad_weight = Buffer::zeros(weight.len());
+    let weights = if want_weight { weight.len() } else { 0 };
+    let mut grad_weight = Buffer::zeros(weights);
     if batch == 0 || conv.outputs() == 0 {
         return ConvGradients { x: grad_x, weight: grad_weight, rows };
     }
@@ -59,7 +58,7 @@ pub(in crate::backends) fn cheb_conv_backward(
         .zip(row_gradients.par_chunks_mut(split.group()))
         .enumerate()
         .map(|(group, (inputs, rows))| {
-            let mut sum = Buffer::zeros(weight.len());
+            let mut sum = Buffer::zeros(weights);
             for (i, (grad_x, rows)) in inputs.iter_mut().zip(rows).enumerate() {
                 let example = group * split.group() + i;
                 let at = |size: usize| example * size..(example + 1) * size;
@@ -91,7 +90,8 @@ pub(super) struct Example<'a> {
     pub grad: &'a [f32],
 }
 
-/// Gradients of one example: that of `x` is written, the others are added to.
+/// Gradients of one example: that of `x` is written, the others are added to; nothing is computed
+/// for weights of length 0.
 pub(super) fn backward(
     example: Example,
     panels: &[Panels],
@@ -115,7 +115,9 @@ pub(super) fn backward(
             None => grad,
         };
         row_gradient(grad, conv, split, grad_rows);
-        weight_gradient(x, grad, conv, split, grad_weight);
+        if !grad_weight.is_empty() {
+            weight_gradient(x, grad, conv, split, grad_weight);
+        }
         if let Some(grad_x) = grad_x {
             input_gradient(grad, panels, conv, split, grad_x);
         }
@@ -140,22 +142,23 @@ fn row_gradient(grad: &[f32], conv: Conv, split: Split, out: &mut [f32]) {
     }
     let (rows, output) = (conv.rows, conv.output);
     let sums = conv.operator.sums(rows);
-    let totals = vertex_sums(
-        grad,
-        output,
-        rows * output,
-        split,
-        #[inline(always)]
-        |totals: &mut [f32], v: usize, grad: &[f32]| {
-            for (totals, factor) in totals.chunks_exact_mut(output).zip(&sums[v * rows..]) {
-                for (total, grad) in totals.iter_mut().zip(grad) {
+    for (r, out) in out.chunks_exact_mut(output).enumerate() {
+        let [totals] = vertex_sums(
+            grad.len() / output,
+            output,
+            split,
+            #[inline(always)]
+            |[total]: &mut [[f32; LANES]; 1], v, c, width| {
+                let grad = &grad[v * output + c..][..width];
+                let factor = sums[v * rows + r];
+                for (total, grad) in total[..width].iter_mut().zip(grad) {
                     *total += factor * grad;
                 }
-            }
-        },
-    );
-    for (out, total) in out.iter_mut().zip(totals) {
-        *out += total as f32;
+            },
+        );
+        for (out, total) in out.iter_mut().zip(totals) {
+            *out += total as f32;
+        }
     }
 }
 
@@ -213,7 +216,13 @@ fn input_gradient(grad: &[f32], panels: &[Panels], conv: Conv, split: Split, out
     let block = BLOCK * input;
     let times = |k: usize, out: &mut [f32]| {
         split.chunks(out, block, |i, out| {
-            product(Rows::new(grad, conv.output).from(i * BLOCK), &panels[k], false, out);
+            product(
+                Rows::new(grad, conv.output).from(i * BLOCK),
+                &panels[k],
+                false,
+                End::default(),
+                out,
+            );
         });
     };
     let Some(pool) = conv.operator.pool() else {

@@ -72,8 +72,18 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// `out = a b`, or `out += a b` to `add`: `a: [rows, depth]`, `out: [rows, columns]`, row-major.
-pub(super) fn product(a: Rows, b: &Panels, add: bool, out: &mut [f32]) {
+/// What is done to a product when it is complete.
+#[derive(Clone, Copy, Default)]
+pub(super) struct End<'a> {
+    /// Added to every row.
+    pub row: Option<&'a [f32]>,
+    /// Slope of a leaky ReLU.
+    pub slope: Option<f32>,
+}
+
+/// `out = end(a b)`, or `out = end(out + a b)` to `add`: `a: [rows, depth]`,
+/// `out: [rows, columns]`, row-major.
+pub(super) fn product(a: Rows, b: &Panels, add: bool, end: End, out: &mut [f32]) {
     assert!(
         a.stride == b.depth() && b.columns() > 0 && out.len().is_multiple_of(b.columns()),
         "rows of {} and panels of [{}, {}]",
@@ -81,13 +91,15 @@ pub(super) fn product(a: Rows, b: &Panels, add: bool, out: &mut [f32]) {
         b.depth(),
         b.columns()
     );
-    pulp::Arch::new().dispatch(Product { a, b, add, out });
+    assert!(end.row.is_none_or(|row| row.len() == b.columns()));
+    pulp::Arch::new().dispatch(Product { a, b, add, end, out });
 }
 
 struct Product<'a> {
     a: Rows<'a>,
     b: &'a Panels,
     add: bool,
+    end: End<'a>,
     out: &'a mut [f32],
 }
 
@@ -107,13 +119,14 @@ impl WithSimd for Product<'_> {
 impl Product<'_> {
     #[inline(always)]
     fn run<S: Simd, const ROWS: usize, const VECTORS: usize>(self, simd: S) {
-        let Self { a, b, add, out } = self;
+        let Self { a, b, add, end, out } = self;
         let (depth, columns) = (b.depth(), b.columns());
         let rows = out.len() / columns;
         let mut tails = [[0.0f32; 64]; ROWS];
         for k in (0..depth.max(1)).step_by(DEPTH) {
             let deep = DEPTH.min(depth - k);
             let add = add || k > 0;
+            let end = if k + deep == depth { end } else { End::default() };
             for (panel, start) in (0..columns).step_by(width::<S>()).enumerate() {
                 let wide = width::<S>().min(columns - start);
                 let panel = &b.panel(panel)[k * width::<S>()..][..deep * width::<S>()];
@@ -129,15 +142,21 @@ impl Product<'_> {
                     // the slices they are taken from; `tall` rows of `wide` numbers of the output
                     // are in its slice by the assertion, and tails are wider than a tile.
                     unsafe {
-                        let sums =
-                            tile::<S, ROWS, VECTORS>(simd, deep, left, 1, panel.as_ptr());
+                        let sums = tile::<S, ROWS, VECTORS>(simd, deep, left, 1, panel.as_ptr());
                         if wide == width::<S>() {
-                            write(simd, &sums, tall, out.as_mut_ptr(), columns, add);
+                            let row = end.row.map(|row| row[start..][..wide].as_ptr());
+                            let out = out.as_mut_ptr();
+                            write(simd, &sums, tall, out, columns, add, row, end.slope);
                         } else {
-                            write(simd, &sums, ROWS, tails[0].as_mut_ptr(), 64, false);
+                            let tail = tails[0].as_mut_ptr();
+                            write(simd, &sums, ROWS, tail, 64, false, None, None);
                             for (i, tail) in tails.iter().enumerate().take(tall) {
-                                for (out, tail) in out[i * columns..][..wide].iter_mut().zip(tail) {
-                                    *out = if add { *out + tail } else { *tail };
+                                let out = &mut out[i * columns..][..wide];
+                                for (j, (out, tail)) in out.iter_mut().zip(tail).enumerate() {
+                                    let sum = if add { *out + tail } else { *tail };
+                                    let sum = end.row.map_or(sum, |row| sum + row[start + j]);
+                                    let slope = end.slope.unwrap_or(1.0);
+                                    *out = if sum > 0.0 { sum } else { slope * sum };
                                 }
                             }
                         }
@@ -166,19 +185,23 @@ impl<'a> Packed<'a> {
 
     /// Room in `scratch`, for up to [`OUTER_ROWS`] rows.
     pub(super) fn new(scratch: &'a mut [f32], left_columns: usize, right_columns: usize) -> Self {
-        let (left, right) =
-            scratch.split_at_mut(left_columns.next_multiple_of(STRIP) * OUTER_ROWS);
+        let (left, right) = scratch.split_at_mut(left_columns.next_multiple_of(STRIP) * OUTER_ROWS);
         Self { left, left_columns, right, right_columns }
     }
 
     /// Packs `rows` rows on the left.
     pub(super) fn pack_left(&mut self, rows: usize, source: Rows) {
-        pack(self.left, STRIP, self.left_columns, rows, source);
+        pack::<STRIP>(self.left, self.left_columns, rows, source);
     }
 
     /// Packs `rows` rows on the right.
     pub(super) fn pack_right(&mut self, rows: usize, source: Rows) {
-        pack(self.right, panel_width(), self.right_columns, rows, source);
+        let (right, columns) = (&mut *self.right, self.right_columns);
+        match panel_width() {
+            32 => pack::<32>(right, columns, rows, source),
+            16 => pack::<16>(right, columns, rows, source),
+            _ => pack::<4>(right, columns, rows, source),
+        }
     }
 
     /// `out[i · stride + j] += Σ_r left[r, i] right[r, j]` over the `rows` that were packed, `out`
@@ -196,20 +219,18 @@ impl<'a> Packed<'a> {
     }
 }
 
-fn pack(packed: &mut [f32], width: usize, columns: usize, rows: usize, source: Rows) {
+fn pack<const WIDTH: usize>(packed: &mut [f32], columns: usize, rows: usize, source: Rows) {
     assert!(rows <= OUTER_ROWS && source.stride == columns);
     for r in 0..rows {
-        let row = source.row(r);
-        let mut chunks = row.chunks_exact(width);
-        let mut at = r * width;
-        for chunk in &mut chunks {
-            packed[at..][..width].copy_from_slice(chunk);
-            at += rows * width;
+        let (chunks, rest) = source.row(r).as_chunks::<WIDTH>();
+        let strips = packed.chunks_exact_mut(rows * WIDTH);
+        for (chunk, strip) in chunks.iter().zip(strips) {
+            strip[r * WIDTH..][..WIDTH].copy_from_slice(chunk);
         }
-        let rest = chunks.remainder();
         if !rest.is_empty() {
-            packed[at..][..rest.len()].copy_from_slice(rest);
-            packed[at + rest.len()..][..width - rest.len()].fill(0.0);
+            let strip = &mut packed[chunks.len() * rows * WIDTH + r * WIDTH..][..WIDTH];
+            strip[..rest.len()].copy_from_slice(rest);
+            strip[rest.len()..].fill(0.0);
         }
     }
 }
@@ -255,14 +276,15 @@ impl Outer<'_> {
                 // `rows` rows of the right panel are in their slices, by the assertion and the
                 // slice; likewise the output. Tails are wider than a tile.
                 unsafe {
-                    let starts: [*const f32; ROWS] =
-                        std::array::from_fn(|i| left.as_ptr().add(i));
-                    let sums =
-                        tile::<S, ROWS, VECTORS>(simd, rows, starts, STRIP, right.as_ptr());
+                    for i in 0..tall {
+                        prefetch(out.as_ptr().add(i * stride));
+                    }
+                    let starts: [*const f32; ROWS] = std::array::from_fn(|i| left.as_ptr().add(i));
+                    let sums = tile::<S, ROWS, VECTORS>(simd, rows, starts, STRIP, right.as_ptr());
                     if wide == width::<S>() {
-                        write(simd, &sums, tall, out.as_mut_ptr(), stride, true);
+                        write(simd, &sums, tall, out.as_mut_ptr(), stride, true, None, None);
                     } else {
-                        write(simd, &sums, ROWS, tails[0].as_mut_ptr(), 64, false);
+                        write(simd, &sums, ROWS, tails[0].as_mut_ptr(), 64, false, None, None);
                         for (i, tail) in tails.iter().enumerate().take(tall) {
                             for (out, tail) in out[i * stride..][..wide].iter_mut().zip(tail) {
                                 *out += tail;
@@ -308,11 +330,14 @@ unsafe fn tile<S: Simd, const ROWS: usize, const VECTORS: usize>(
     sums
 }
 
-/// Writes, or to `add` adds, the first `tall` rows of a tile to rows `stride` apart.
+/// Writes, or to `add` adds, the first `tall` rows of a tile to rows `stride` apart, with a row and
+/// a leaky ReLU at the end.
 ///
 /// # Safety
-/// `tall` rows of `VECTORS` vectors, `stride` apart, must be writable from `out`.
+/// `tall` rows of `VECTORS` vectors, `stride` apart, must be writable from `out`, and `VECTORS`
+/// vectors readable from `row`.
 #[inline(always)]
+#[allow(clippy::too_many_arguments)]
 unsafe fn write<S: Simd, const ROWS: usize, const VECTORS: usize>(
     simd: S,
     sums: &[[S::f32s; VECTORS]; ROWS],
@@ -320,17 +345,44 @@ unsafe fn write<S: Simd, const ROWS: usize, const VECTORS: usize>(
     out: *mut f32,
     stride: usize,
     add: bool,
+    row: Option<*const f32>,
+    slope: Option<f32>,
 ) {
+    let zero = simd.splat_f32s(0.0);
     for (i, sums) in sums.iter().enumerate() {
         if i < tall {
             for (j, &sum) in sums.iter().enumerate() {
                 // SAFETY: in bounds by this function's contract.
                 unsafe {
                     let out = out.add(i * stride).cast::<S::f32s>().add(j);
-                    let sum = if add { simd.add_f32s(sum, out.read_unaligned()) } else { sum };
+                    let mut sum = sum;
+                    if add {
+                        sum = simd.add_f32s(sum, out.read_unaligned());
+                    }
+                    if let Some(row) = row {
+                        let row = row.cast::<S::f32s>().add(j).read_unaligned();
+                        sum = simd.add_f32s(sum, row);
+                    }
+                    if let Some(slope) = slope {
+                        let scaled = simd.mul_f32s(sum, simd.splat_f32s(slope));
+                        let positive = simd.greater_than_f32s(sum, zero);
+                        sum = simd.select_f32s(positive, sum, scaled);
+                    }
                     out.write_unaligned(sum);
                 }
             }
         }
     }
+}
+
+/// Asks for a cache line that will be needed soon.
+#[inline(always)]
+fn prefetch(at: *const f32) {
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: a prefetch of any address has no effect but on the cache.
+    unsafe {
+        std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T0 }>(at.cast());
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = at;
 }

@@ -2,7 +2,7 @@
 
 use super::{
     simd,
-    split::{Split, vertex_sums},
+    split::{LANES, Split, vertex_sums},
 };
 
 /// The extents of a group normalisation.
@@ -75,22 +75,21 @@ impl Norm {
     pub(super) fn statistics(&self, x: &[f32], constant: &[f32], split: Split) -> Statistics {
         let channels = self.channels;
         let pivot = &x[..channels];
-        let mut sums = vertex_sums(
-            x,
+        let [mut sums, mut second] = vertex_sums(
+            self.vertices,
             channels,
-            2 * channels,
             split,
             #[inline(always)]
-            |sums: &mut [f32], _, row: &[f32]| {
-                let (first, second) = sums.split_at_mut(channels);
-                for c in 0..channels {
-                    let distance = row[c] - pivot[c];
-                    first[c] += distance;
-                    second[c] += distance * distance;
+            |[first, second]: &mut [[f32; LANES]; 2], v, c, width| {
+                let x = &x[v * channels + c..][..width];
+                let pivot = &pivot[c..][..width];
+                for i in 0..width {
+                    let distance = x[i] - pivot[i];
+                    first[i] += distance;
+                    second[i] += distance * distance;
                 }
             },
         );
-        let mut second = sums.split_off(channels);
         sums.resize(self.all_channels(), 0.0);
         second.resize(self.all_channels(), 0.0);
         let pivot: Vec<f64> = pivot.iter().chain(constant).map(|&x| f64::from(x)).collect();
@@ -124,7 +123,9 @@ impl Norm {
                 for (out, x) in out.chunks_exact_mut(channels).zip(x.chunks_exact(channels)) {
                     for c in 0..channels {
                         let unit = (x[c] - mean[c]) * inverse[c];
-                        out[c] = (unit * gamma[c] + beta[c]).max(0.0);
+                        let affine = unit * gamma[c] + beta[c];
+                        // Not `max`, which would hide what is not a number.
+                        out[c] = if affine < 0.0 { 0.0 } else { affine };
                     }
                 }
             },
@@ -161,26 +162,25 @@ impl Norm {
         split: Split,
     ) -> Sums {
         let channels = self.channels;
-        let mut beta = vertex_sums(
-            x,
+        let [beta, gamma] = vertex_sums(
+            self.vertices,
             channels,
-            2 * channels,
             split,
             #[inline(always)]
-            |sums: &mut [f32], v, x: &[f32]| {
-                let at = v * channels..(v + 1) * channels;
-                let (active, grad) = (&active[at.clone()], &grad[at]);
-                let (mean, inverse) = (&by.mean[..channels], &by.inverse_deviation[..channels]);
-                let (beta, gamma) = sums.split_at_mut(channels);
-                for c in 0..channels {
-                    let unit = (x[c] - mean[c]) * inverse[c];
-                    let grad = if active[c] > 0.0 { grad[c] } else { 0.0 };
-                    beta[c] += grad;
-                    gamma[c] += grad * unit;
+            |[beta, gamma]: &mut [[f32; LANES]; 2], v, c, width| {
+                let at = v * channels + c;
+                let (x, active, grad) =
+                    (&x[at..][..width], &active[at..][..width], &grad[at..][..width]);
+                let mean = &by.mean[c..][..width];
+                let inverse = &by.inverse_deviation[c..][..width];
+                for i in 0..width {
+                    let unit = (x[i] - mean[i]) * inverse[i];
+                    let grad = if active[i] > 0.0 { grad[i] } else { 0.0 };
+                    beta[i] += grad;
+                    gamma[i] += grad * unit;
                 }
             },
         );
-        let gamma = beta.split_off(channels);
         Sums { beta, gamma }
     }
 

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::{
-    conv::{self, Conv},
+    conv::{self, BLOCK, Conv},
     conv_backward::{self, Example, transposed_panels},
     kernel::{Rows, product},
     norm::{Affine, Norm, Statistics, Sums},
@@ -12,9 +12,6 @@ use super::{
     split::{Split, add_all},
 };
 use crate::buffer::Buffer;
-
-/// Rows that are normalised and multiplied together.
-const BLOCK: usize = 96;
 
 /// `cheb_conv(relu(group_norm([x, constant])))`: the constant channels, of which only a 1×1
 /// convolution may have any, are the same at every vertex.
@@ -126,20 +123,13 @@ fn blockwise(
         let size = y.len() / conv.output * conv.input;
         with_scratch(size, |scratch| {
             apply(&x[block * BLOCK * conv.input..][..size], scratch);
-            product(Rows::new(scratch, conv.input), panels, add, y);
+            let (end, _) = conv.end(row);
+            product(Rows::new(scratch, conv.input), panels, add, end, y);
         });
-        conv::finish(y, row, &[], conv);
     });
 }
 
-fn apply(
-    norm: Norm,
-    x: &[f32],
-    by: &Statistics,
-    affine: Affine,
-    split: Split,
-    out: &mut [f32],
-) {
+fn apply(norm: Norm, x: &[f32], by: &Statistics, affine: Affine, split: Split, out: &mut [f32]) {
     let block = BLOCK * norm.channels;
     split.chunks(out, block, |i, out| {
         norm.apply(&x[i * block..][..out.len()], by, affine, out);

@@ -44,7 +44,10 @@ impl Split {
 }
 
 /// Adds each of `terms` to `sum`, in order.
-pub(super) fn add_all<'a>(sum: &mut [f32], terms: impl Iterator<Item = &'a [f32]> + Clone + Sync + Send) {
+pub(super) fn add_all<'a>(
+    sum: &mut [f32],
+    terms: impl Iterator<Item = &'a [f32]> + Clone + Sync + Send,
+) {
     sum.par_chunks_mut(1 << 14).enumerate().for_each(|(i, sum)| {
         for term in terms.clone() {
             for (sum, term) in sum.iter_mut().zip(&term[i << 14..]) {
@@ -59,45 +62,54 @@ const BLOCK: usize = 64;
 /// Vertices whose sums are taken together.
 const SEGMENT: usize = 16 * BLOCK;
 
-/// Sums over vertices of what `add` adds to the first argument for each vertex and its row of
-/// `channels`.
-pub(super) fn vertex_sums(
-    x: &[f32],
+/// Channels summed together, in registers.
+pub(super) const LANES: usize = 16;
+
+/// Sums over vertices for every channel. `add` gets the sums of up to [`LANES`] channels, the
+/// vertex, the first channel and their number.
+pub(super) fn vertex_sums<const N: usize>(
+    vertices: usize,
     channels: usize,
-    sums: usize,
     split: Split,
-    add: impl Fn(&mut [f32], usize, &[f32]) + Sync,
-) -> Vec<f64> {
-    let segment = |(i, x): (usize, &[f32])| {
-        let mut total = vec![0.0f64; sums];
-        let mut part = vec![0.0f32; sums];
-        for (j, block) in x.chunks(BLOCK * channels).enumerate() {
-            part.fill(0.0);
-            let first = i * SEGMENT + j * BLOCK;
+    add: impl Fn(&mut [[f32; LANES]; N], usize, usize, usize) + Sync,
+) -> [Vec<f64>; N] {
+    let segment = |i: usize| {
+        let mut totals: [Vec<f64>; N] = std::array::from_fn(|_| vec![0.0; channels]);
+        let end = vertices.min((i + 1) * SEGMENT);
+        for first in (i * SEGMENT..end).step_by(BLOCK) {
+            let last = end.min(first + BLOCK);
             simd(
                 #[inline(always)]
                 || {
-                    for (v, row) in block.chunks_exact(channels).enumerate() {
-                        add(&mut part, first + v, row);
+                    for c in (0..channels).step_by(LANES) {
+                        let mut sums = [[0.0f32; LANES]; N];
+                        if channels - c >= LANES {
+                            for v in first..last {
+                                add(&mut sums, v, c, LANES);
+                            }
+                        } else {
+                            for v in first..last {
+                                add(&mut sums, v, c, channels - c);
+                            }
+                        }
+                        for (totals, sums) in totals.iter_mut().zip(&sums) {
+                            for (total, &sum) in totals[c..].iter_mut().zip(sums) {
+                                *total += f64::from(sum);
+                            }
+                        }
                     }
                 },
             );
-            for (total, &part) in total.iter_mut().zip(&part) {
-                *total += f64::from(part);
-            }
         }
-        total
+        totals
     };
-    let segments: Vec<Vec<f64>> = if split.parts() > 1 {
-        x.par_chunks(SEGMENT * channels).enumerate().map(segment).collect()
+    let segments = vertices.div_ceil(SEGMENT);
+    let segments: Vec<[Vec<f64>; N]> = if split.parts() > 1 {
+        (0..segments).into_par_iter().map(segment).collect()
     } else {
-        x.chunks(SEGMENT * channels).enumerate().map(segment).collect()
+        (0..segments).map(segment).collect()
     };
-    let mut total = vec![0.0; sums];
-    for segment in &segments {
-        for (total, segment) in total.iter_mut().zip(segment) {
-            *total += segment;
-        }
-    }
-    total
+    std::array::from_fn(|n| {
+        (0..channels).map(|c| segments.iter().map(|totals| totals[n][c]).sum()).collect()
+    })
 }
