@@ -13,7 +13,8 @@ use crate::support::{Packed, VERTICES, contents, pose_of, run, run_line, trained
 
 #[test]
 fn every_command_explains_itself() {
-    for command in ["synth", "pack", "pyramid", "train", "eval", "sample", "info", "demo"] {
+    for command in ["synth", "pack", "pyramid", "train", "eval", "sample", "info", "bench", "demo"]
+    {
         let help = run([command, "--help"]).succeeded();
         assert!(help.contains("Example") && help.contains(&format!("cape {command} ")), "{help}");
         assert!(help.contains("--device") && help.contains("--json"), "{help}");
@@ -37,6 +38,9 @@ fn arguments_that_cannot_be_understood_exit_with_2() {
         "pyramid mesh.obj --out levels --factors 2,two",
         "demo --minutes -1",
         "info . --threads 0",
+        "bench --threads 0",
+        "bench --batch 0",
+        "bench --preset huge",
     ] {
         let ran = run_line(line);
         assert_eq!(ran.code, Some(2), "{line}: {}", ran.err);

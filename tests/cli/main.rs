@@ -2,6 +2,7 @@
 
 mod bad_data;
 mod bad_places;
+mod bench;
 mod commands;
 mod support;
 mod training;

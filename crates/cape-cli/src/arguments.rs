@@ -44,6 +44,7 @@ pub(crate) enum Command {
     Eval(commands::eval::Eval),
     Sample(commands::sample::Sample),
     Info(commands::info::Info),
+    Bench(commands::bench::Bench),
     Demo(commands::demo::Demo),
 }
 
@@ -57,6 +58,7 @@ impl Command {
             Self::Eval(command) => command.run(global, console)?,
             Self::Sample(command) => command.run(global, console)?,
             Self::Info(command) => command.run(console)?,
+            Self::Bench(command) => command.run(global, console)?,
             Self::Demo(command) => command.run(global, console)?,
         }
         Ok(ExitCode::SUCCESS)

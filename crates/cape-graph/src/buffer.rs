@@ -58,7 +58,7 @@ impl Buffer {
         let size = len + LINE;
         let idle = || IDLE.lock().unwrap_or_else(PoisonError::into_inner).take(size);
         let memory = if size < SMALLEST { None } else { idle() };
-        let memory = memory.unwrap_or_else(|| vec![0.0; size]);
+        let memory = memory.unwrap_or_else(|| allocate(size));
         let start = memory.as_ptr().align_offset(LINE * size_of::<f32>()).min(LINE);
         Self { memory, start, len }
     }
@@ -68,6 +68,33 @@ impl Buffer {
         let mut buffer = Self::take(len);
         buffer.fill(0.0);
         buffer
+    }
+}
+
+fn allocate(size: usize) -> Vec<f32> {
+    let memory = vec![0.0; size];
+    #[cfg(target_os = "linux")]
+    if size_of_val::<[f32]>(&memory) >= LARGE {
+        prefer_large_pages(&memory);
+    }
+    memory
+}
+
+/// Bytes from which pages of 2 MB are asked for.
+#[cfg(target_os = "linux")]
+const LARGE: usize = 4 << 20;
+
+/// Asks for pages of 2 MB: rows of a layer are pages apart, and the processor remembers the
+/// addresses of a few dozen pages only. It is advice; without it nothing but speed changes.
+#[cfg(target_os = "linux")]
+fn prefer_large_pages(memory: &[f32]) {
+    const PAGE: usize = 4096;
+    let skipped = memory.as_ptr().cast::<u8>().align_offset(PAGE);
+    let len = size_of_val(memory).saturating_sub(skipped) / PAGE * PAGE;
+    // SAFETY: whole pages inside a live allocation; the advice does not change their contents.
+    unsafe {
+        let start = memory.as_ptr().cast::<u8>().add(skipped).cast_mut();
+        libc::madvise(start.cast(), len, libc::MADV_HUGEPAGE);
     }
 }
 

@@ -12,7 +12,7 @@ use burn::{
 
 use crate::{
     operator::Operator,
-    ops::{ConvSpec, GraphBackend, NormConvSpec},
+    ops::{ConvSpec, EndSpec, GraphBackend, NormConvSpec},
     sparse::SparsePair,
 };
 
@@ -26,6 +26,32 @@ pub(crate) struct Graph<B: Backend> {
 impl<B: GraphBackend> Graph<B> {
     fn multiply(&self, x: FloatTensor<B>, by: &Arc<SparsePair>, transpose: bool) -> FloatTensor<B> {
         B::sparse_matmul(x, self.index.clone(), self.value.clone(), by.clone(), transpose)
+    }
+
+    /// `alpha · A x + beta · base` (or `Aᵀ x`).
+    fn accumulate(
+        &self,
+        x: FloatTensor<B>,
+        base: FloatTensor<B>,
+        by: &Arc<SparsePair>,
+        transpose: bool,
+        [alpha, beta]: [f64; 2],
+    ) -> FloatTensor<B> {
+        let (index, value) = (self.index.clone(), self.value.clone());
+        B::sparse_accumulate(x, base, index, value, by.clone(), transpose, alpha, beta)
+    }
+
+    /// `2 A x − before`, or `A x` without a term before.
+    fn recur(
+        &self,
+        x: FloatTensor<B>,
+        by: &Arc<SparsePair>,
+        before: Option<&FloatTensor<B>>,
+    ) -> FloatTensor<B> {
+        match before {
+            Some(before) => self.accumulate(x, before.clone(), by, false, [2.0, -1.0]),
+            None => self.multiply(x, by, false),
+        }
     }
 
     /// The kept vertices of `x`.
@@ -50,19 +76,16 @@ impl<B: GraphBackend> Graph<B> {
         let mut kept = vec![self.select(x.clone())];
         let mut whole = vec![x];
         for k in 1..order {
-            let previous = &whole[k - 1];
-            let kept_laplacian = self.operator.kept_laplacian();
-            let last = self.multiply(previous.clone(), kept_laplacian, false);
-            kept.push(recur::<B>(last, kept.get(k.wrapping_sub(2))));
+            let previous = whole[k - 1].clone();
+            let before = k.checked_sub(2);
+            let kept_before = before.map(|before| &kept[before]);
+            let next = self.recur(previous.clone(), self.operator.kept_laplacian(), kept_before);
+            kept.push(next.clone());
             if k + 1 < order {
-                let next = match self.operator.pool() {
-                    Some(_) => {
-                        let next = self.multiply(previous.clone(), laplacian, false);
-                        recur::<B>(next, whole.get(k.wrapping_sub(2)))
-                    }
-                    None => kept[k].clone(),
-                };
-                whole.push(next);
+                whole.push(match self.operator.pool() {
+                    Some(_) => self.recur(previous, laplacian, before.map(|before| &whole[before])),
+                    None => next,
+                });
             }
         }
         kept
@@ -76,11 +99,21 @@ impl<B: GraphBackend> Graph<B> {
     }
 }
 
-/// `2 next − before`, or `next` itself without a term before.
-fn recur<B: Backend>(next: FloatTensor<B>, before: Option<&FloatTensor<B>>) -> FloatTensor<B> {
-    match before {
-        Some(before) => B::float_sub(B::float_mul_scalar(next, 2.0.into()), before.clone()),
-        None => next,
+/// `alpha · product + beta · base`.
+pub(crate) fn accumulate<B: Backend>(
+    product: FloatTensor<B>,
+    base: FloatTensor<B>,
+    alpha: f64,
+    beta: f64,
+) -> FloatTensor<B> {
+    let scaled = |x: FloatTensor<B>, by: f64| {
+        if by == 1.0 { x } else { B::float_mul_scalar(x, by.into()) }
+    };
+    let product = scaled(product, alpha);
+    if beta == -1.0 {
+        B::float_sub(product, base)
+    } else {
+        B::float_add(product, scaled(base, beta))
     }
 }
 
@@ -121,25 +154,48 @@ pub(crate) fn cheb_conv<B: GraphBackend>(
     graph: &Graph<B>,
     spec: ConvSpec,
 ) -> FloatTensor<B> {
-    let [batch, _, _] = dims::<B>(&x);
-    let (kept, out) = (graph.operator.kept(), weight.shape()[1]);
-    let terms = graph.basis(x, spec.order);
-    let products = terms.into_iter().zip(term_weights::<B>(weight, spec.order));
+    let rows = match spec.rows {
+        0 => None,
+        1 => Some(rows),
+        count => {
+            let [batch, kept] = [dims::<B>(&x)[0], graph.operator.kept()];
+            let sums = B::float_expand(graph.sums(count), shape([batch, kept, count]));
+            Some(B::float_matmul(sums, rows))
+        }
+    };
+    convolve::<B>(x, weight, rows, graph, spec.order, spec.slope)
+}
+
+/// `f(Σ_k D T_k(L̃) x W_k + rows)`; `rows` as in [`GraphBackend::conv_end`].
+fn convolve<B: GraphBackend>(
+    x: FloatTensor<B>,
+    weight: FloatTensor<B>,
+    rows: Option<FloatTensor<B>>,
+    graph: &Graph<B>,
+    order: usize,
+    slope: Option<f64>,
+) -> FloatTensor<B> {
+    let dims = [dims::<B>(&x)[0], graph.operator.kept(), weight.shape()[1]];
+    let terms = graph.basis(x, order);
+    let mut products: Vec<FloatTensor<B>> = terms
+        .into_iter()
+        .zip(term_weights::<B>(weight, order))
+        .map(|(term, weight)| {
+            B::float_reshape(B::float_matmul(flat::<B>(term), weight), shape(dims))
+        })
+        .collect();
+    // The last sum is made with what follows it.
+    let last = products.split_off(order.max(2) - 1).pop();
     let sum = products
-        .map(|(term, weight)| B::float_matmul(flat::<B>(term), weight))
+        .into_iter()
         .reduce(B::float_add)
         .unwrap_or_else(|| unreachable!("order is at least 1"));
-    let mut y = B::float_reshape(sum, shape([batch, kept, out]));
-    if spec.rows == 1 {
-        y = B::float_add(y, rows);
-    } else if spec.rows > 1 {
-        let sums = B::float_expand(graph.sums(spec.rows), shape([batch, kept, spec.rows]));
-        y = B::float_add(y, B::float_matmul(sums, rows));
+    if last.is_none() && rows.is_none() && slope.is_none() {
+        return sum;
     }
-    match spec.slope {
-        Some(slope) => gate::<B>(y.clone(), y, slope),
-        None => y,
-    }
+    let spec = EndSpec { term: last.is_some(), rows: rows.is_some(), slope };
+    let unused = sum.clone();
+    B::conv_end(sum, last.unwrap_or_else(|| unused.clone()), rows.unwrap_or(unused), spec)
 }
 
 #[allow(clippy::too_many_arguments)]
@@ -155,13 +211,16 @@ pub(crate) fn cheb_conv_backward<B: GraphBackend>(
 ) -> (FloatTensor<B>, FloatTensor<B>, FloatTensor<B>) {
     let [batch, _, channels] = dims::<B>(&x);
     let (kept, out, order) = (graph.operator.kept(), weight.shape()[1], spec.order);
-    let grad = match spec.slope {
-        Some(slope) => gate::<B>(grad, y, slope),
-        None => grad,
+    let (grad, sums) = match spec.slope {
+        Some(slope) => {
+            let (grad, sums) = B::conv_end_backward(y, grad, slope);
+            (grad, Some(sums))
+        }
+        None => (grad, None),
     };
     let grad_rows = match spec.rows {
         0 => grad.clone(),
-        1 => B::float_sum_dim(grad.clone(), 1),
+        1 => sums.unwrap_or_else(|| B::float_sum_dim(grad.clone(), 1)),
         rows => {
             let sums = B::float_expand(graph.sums(rows), shape([batch, kept, rows]));
             B::float_matmul(B::float_swap_dims(sums, 1, 2), grad.clone())
@@ -200,19 +259,19 @@ pub(crate) fn cheb_conv_backward<B: GraphBackend>(
     let mut terms: Vec<FloatTensor<B>> =
         kept_terms.into_iter().map(|term| graph.spread(term)).collect();
     if let Some(last) = last {
-        let top = graph.multiply(last, graph.operator.kept_laplacian(), true);
-        let top = if order > 2 { B::float_mul_scalar(top, 2.0.into()) } else { top };
-        terms[order - 2] = B::float_add(terms[order - 2].clone(), top);
+        let factors = [if order > 2 { 2.0 } else { 1.0 }, 1.0];
+        let base = terms[order - 2].clone();
+        let kept_laplacian = graph.operator.kept_laplacian();
+        terms[order - 2] = graph.accumulate(last, base, kept_laplacian, true, factors);
     }
     for k in (2..order.max(2) - 1).rev() {
-        let twice = graph.multiply(terms[k].clone(), laplacian, true);
-        let twice = B::float_mul_scalar(twice, 2.0.into());
-        terms[k - 1] = B::float_add(terms[k - 1].clone(), twice);
+        let (term, base) = (terms[k].clone(), terms[k - 1].clone());
+        terms[k - 1] = graph.accumulate(term, base, laplacian, true, [2.0, 1.0]);
         terms[k - 2] = B::float_sub(terms[k - 2].clone(), terms[k].clone());
     }
     let first = terms[0].clone();
     let grad_x = match terms.get(1) {
-        Some(second) => B::float_add(first, graph.multiply(second.clone(), laplacian, true)),
+        Some(second) => graph.accumulate(second.clone(), first, laplacian, true, [1.0, 1.0]),
         None => first,
     };
     (grad_x, grad_weight, grad_rows)
@@ -248,10 +307,8 @@ pub(crate) fn norm_conv<B: GraphBackend>(
 ) -> FloatTensor<B> {
     let NormConvSpec { order, groups, epsilon, constant, add } = spec;
     let x = inputs.channels(constant);
-    let active = B::group_norm_relu(x.clone(), inputs.gamma, inputs.beta, groups, epsilon);
-    let y =
-        cheb_conv::<B>(active, inputs.weight, x, graph, ConvSpec { order, rows: 0, slope: None });
-    if add { B::float_add(base, y) } else { y }
+    let active = B::group_norm_relu(x, inputs.gamma, inputs.beta, groups, epsilon);
+    convolve::<B>(active, inputs.weight, add.then_some(base), graph, order, None)
 }
 
 #[allow(clippy::type_complexity)]
@@ -301,6 +358,29 @@ fn gate<B: Backend>(x: FloatTensor<B>, sign: FloatTensor<B>, slope: f64) -> Floa
     let off = B::float_lower_equal_elem(sign, 0.0.into(), bool_dtype);
     let scaled = B::float_mul_scalar(x.clone(), slope.into());
     B::float_mask_where(x, off, scaled)
+}
+
+pub(crate) fn conv_end<B: Backend>(
+    sum: FloatTensor<B>,
+    term: FloatTensor<B>,
+    rows: FloatTensor<B>,
+    spec: EndSpec,
+) -> FloatTensor<B> {
+    let y = if spec.term { B::float_add(sum, term) } else { sum };
+    let y = if spec.rows { B::float_add(y, rows) } else { y };
+    match spec.slope {
+        Some(slope) => gate::<B>(y.clone(), y, slope),
+        None => y,
+    }
+}
+
+pub(crate) fn conv_end_backward<B: Backend>(
+    y: FloatTensor<B>,
+    grad: FloatTensor<B>,
+    slope: f64,
+) -> (FloatTensor<B>, FloatTensor<B>) {
+    let grad = gate::<B>(grad, y, slope);
+    (grad.clone(), B::float_sum_dim(grad, 1))
 }
 
 pub(crate) fn bias_leaky_relu<B: Backend>(

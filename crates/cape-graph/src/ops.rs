@@ -27,6 +27,17 @@ pub struct ConvSpec {
     pub slope: Option<f64>,
 }
 
+/// What a convolution does after the products.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EndSpec {
+    /// Whether a last term is added.
+    pub term: bool,
+    /// Whether rows are added.
+    pub rows: bool,
+    /// Slope of the leaky ReLU, if any.
+    pub slope: Option<f64>,
+}
+
 /// A convolution after group normalisation and ReLU.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NormConvSpec {
@@ -59,6 +70,46 @@ pub trait GraphBackend: Backend {
         matrix: Arc<SparsePair>,
         transpose: bool,
     ) -> FloatTensor<Self>;
+
+    /// `alpha · A x[b] + beta · base[b]` (or `Aᵀ x[b]`), `x: [batch, vertices, channels]`, `base` as
+    /// the product: a step of the Chebyshev recurrence, or a term of its gradient.
+    #[allow(clippy::too_many_arguments)]
+    fn sparse_accumulate(
+        x: FloatTensor<Self>,
+        base: FloatTensor<Self>,
+        index: IntTensor<Self>,
+        value: FloatTensor<Self>,
+        matrix: Arc<SparsePair>,
+        transpose: bool,
+        alpha: f64,
+        beta: f64,
+    ) -> FloatTensor<Self> {
+        let product = Self::sparse_matmul(x, index, value, matrix, transpose);
+        composed::accumulate::<Self>(product, base, alpha, beta)
+    }
+
+    /// `f(sum + term + rows)`, the end of a convolution: `sum`, `term` and the output are
+    /// `[batch, vertices, channels]`, `rows` as well but for a 1 where it is the same for all
+    /// examples or vertices; `f` is the leaky ReLU of the specification. `term` and `rows` are
+    /// unused where that has none.
+    fn conv_end(
+        sum: FloatTensor<Self>,
+        term: FloatTensor<Self>,
+        rows: FloatTensor<Self>,
+        spec: EndSpec,
+    ) -> FloatTensor<Self> {
+        composed::conv_end::<Self>(sum, term, rows, spec)
+    }
+
+    /// The gradient before a leaky ReLU from its output `y`, `[batch, vertices, channels]`, and that
+    /// gradient's sums over the vertices, `[batch, 1, channels]`.
+    fn conv_end_backward(
+        y: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        slope: f64,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        composed::conv_end_backward::<Self>(y, grad, slope)
+    }
 
     /// `y = f(Σ_k D T_k(L̃) x W_k + Σ_r D T_r(L̃)1 · rows[r])`, `weight: [channels · order, out]`
     /// with rows `channel · order + k`, `rows: [batch, r, out]`; unused where the specification has

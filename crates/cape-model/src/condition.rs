@@ -38,7 +38,7 @@ impl ConditionNet {
 }
 
 /// Width of the hidden layer between `input` and `output`.
-fn hidden_width(input: usize, output: usize) -> usize {
+pub(crate) fn hidden_width(input: usize, output: usize) -> usize {
     if output < input / 2 {
         input / 2
     } else if output < 2 * input {

@@ -6,6 +6,7 @@
 
 mod condition;
 mod config;
+mod cost;
 mod decoder;
 mod discriminator;
 mod encoder;
@@ -22,6 +23,7 @@ pub use config::{
     CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, LEAKY_SLOPE, OUTFITS,
     POSE_FEATURE,
 };
+pub use cost::update_flops;
 pub use decoder::{Decoder, DecoderLayer};
 pub use discriminator::Discriminator;
 pub use encoder::{Encoder, EncoderBlock, Posterior};

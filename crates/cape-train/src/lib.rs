@@ -2,8 +2,9 @@
 //!
 //! [`data`] turns registrations in the release's raw layout into packed sets and packed sets into
 //! batches on host arrays; [`metrics`] measures reconstructions in millimetres; [`tensorboard`]
-//! writes what training reports.
+//! writes what training reports; [`bench`](mod@bench) times it all.
 
+pub mod bench;
 pub mod checkpoint;
 mod codes;
 pub mod config;

@@ -3,15 +3,18 @@
 //! Inside, vertices are kept as planes `[n, 3, V]`: blend shapes and skinning are then one matrix
 //! product each, and everything per vertex runs over contiguous memory.
 
+use std::sync::Arc;
+
 use burn::tensor::{DType, Device, FloatDType, Int, Tensor, TensorData};
 use ndarray::{Array2, Axis};
 
 use super::{
     SmplModel,
+    cpu::CpuBody,
     host::{SINGULAR, singular},
     rodrigues::{identity, rodrigues},
 };
-use crate::{Error, Result};
+use crate::{Error, Result, devices};
 
 /// How each joint is turned, relative to its parent.
 #[derive(Debug, Clone)]
@@ -55,7 +58,8 @@ struct Depth {
 /// An SMPL body on a device (CAPE eq. 1–2), differentiable in all its inputs.
 ///
 /// Inputs must live on the same device, with or without autodiff as the body's; they are converted
-/// to its precision, which the outputs have.
+/// to its precision, which the outputs have. On the CPU in `f32` and without autodiff,
+/// [`forward`](Self::forward) is one pass over the body instead of a series of tensor operations.
 #[derive(Debug, Clone)]
 pub struct Smpl {
     vertices: usize,
@@ -78,6 +82,8 @@ pub struct Smpl {
     /// Each joint's parent (the root its own), and each joint's place in the order of depths.
     parents: Tensor<1, Int>,
     order: Tensor<1, Int>,
+    /// For inference on the CPU.
+    pub(super) cpu: Option<Arc<CpuBody>>,
 }
 
 impl Smpl {
@@ -98,6 +104,7 @@ impl Smpl {
         if !device.supports_dtype(dtype) {
             return Err(Error::Argument(format!("the device cannot compute in {dtype:?}")));
         }
+        let plain = dtype == DType::F32 && !device.is_autodiff() && devices().contains(device);
         let device = &(device, dtype);
         let (v, j, b) = (model.vertices(), model.joints(), model.betas());
         // [V, 3, K] → [K, 3, V] → [K, 3·V]
@@ -125,6 +132,7 @@ impl Smpl {
             depths,
             parents: indices(&parents, device.0),
             order,
+            cpu: plain.then(|| Arc::new(CpuBody::new(model))),
         })
     }
 
@@ -255,23 +263,6 @@ impl Smpl {
         Ok((rest / determinant).swap_dims(1, 2))
     }
 
-    /// The posed body, clothed where a displacement is given: `T_clo = T(β, θ) + S_clo`, with
-    /// joints of the body (CAPE eq. 2–4).
-    pub fn forward(&self, input: SmplInput) -> Result<SmplOutput> {
-        let SmplInput { betas, pose, transl, displacement } = input;
-        let rest_joints = self.rest_joints(betas.clone())?;
-        let rotations = self.rotations(pose)?;
-        let mut rest = self.shaped_planes(betas)?;
-        same_batch("pose", rotations.dims()[0], rest.dims()[0])?;
-        rest = rest + self.pose_planes(rotations.clone());
-        if let Some(displacement) = displacement {
-            let n = self.check_vertices("displacement", &displacement)?;
-            same_batch("displacement", n, rest.dims()[0])?;
-            rest = rest + self.convert(displacement).swap_dims(1, 2);
-        }
-        self.skin(rest.swap_dims(1, 2), rest_joints, rotations, transl)
-    }
-
     /// Undoes [`forward`](Self::forward): posed, possibly clothed vertices `[n, V, 3]` back to the
     /// canonical space of the rest shape, `T̄ + B_S(β) + S_clo` (pose blend shapes removed), so that
     /// `unpose(…) − shaped(β)` is the clothing displacement.
@@ -288,7 +279,7 @@ impl Smpl {
         Ok(rest - self.pose_planes(rotations).swap_dims(1, 2))
     }
 
-    fn shaped_planes(&self, betas: Tensor<2>) -> Result<Tensor<3>> {
+    pub(super) fn shaped_planes(&self, betas: Tensor<2>) -> Result<Tensor<3>> {
         let [n, b] = self.check_betas(&betas)?;
         let shape = match b {
             0 => self.template.clone().repeat_dim(0, n),
@@ -299,7 +290,7 @@ impl Smpl {
         Ok(shape.reshape([n, 3, self.vertices]))
     }
 
-    fn pose_planes(&self, rotations: Tensor<4>) -> Tensor<3> {
+    pub(super) fn pose_planes(&self, rotations: Tensor<4>) -> Tensor<3> {
         let [n, j, ..] = rotations.dims();
         let turned = rotations.narrow(1, 1, j - 1);
         let feature =
@@ -352,7 +343,7 @@ impl Smpl {
         Tensor::cat(global, 1).select(1, self.order.clone())
     }
 
-    fn check_betas(&self, betas: &Tensor<2>) -> Result<[usize; 2]> {
+    pub(super) fn check_betas(&self, betas: &Tensor<2>) -> Result<[usize; 2]> {
         let [n, b] = betas.dims();
         if b <= self.betas() {
             return Ok([n, b]);
@@ -360,7 +351,7 @@ impl Smpl {
         Err(Error::Argument(format!("{b} betas, but the body has {}", self.betas())))
     }
 
-    fn check_vertices(&self, name: &str, vertices: &Tensor<3>) -> Result<usize> {
+    pub(super) fn check_vertices(&self, name: &str, vertices: &Tensor<3>) -> Result<usize> {
         let [n, ..] = vertices.dims();
         check(name, &vertices.dims(), &[n, self.vertices, 3])?;
         Ok(n)
@@ -381,15 +372,18 @@ impl Smpl {
     }
 
     fn check_regular(&self, determinant: &Tensor<3>) -> Result<()> {
-        let read = |source| Error::Argument(format!("the device failed: {source}"));
         let determinants: Vec<f64> =
-            determinant.clone().detach().try_into_vec_as().map_err(|e| read(format!("{e:?}")))?;
+            determinant.clone().detach().try_into_vec_as().map_err(|source| failed(&source))?;
         let lost = |d: &f64| d.is_nan() || d.abs() < SINGULAR;
         match determinants.iter().position(lost) {
             None => Ok(()),
             Some(at) => Err(singular(at % self.vertices, determinants[at])),
         }
     }
+}
+
+pub(super) fn failed(source: &impl std::fmt::Debug) -> Error {
+    Error::Argument(format!("the device failed: {source:?}"))
 }
 
 fn upload<'a, const D: usize>(
@@ -443,14 +437,14 @@ fn cross(a: &Tensor<3>, b: &Tensor<3>) -> Tensor<3> {
     Tensor::cat(vec![component(1, 2), component(2, 0), component(0, 1)], 1)
 }
 
-fn check(name: &str, found: &[usize], expected: &[usize]) -> Result<()> {
+pub(super) fn check(name: &str, found: &[usize], expected: &[usize]) -> Result<()> {
     if found == expected {
         return Ok(());
     }
     Err(Error::Argument(format!("{name}: shape {found:?}, expected {expected:?}")))
 }
 
-fn same_batch(name: &str, found: usize, expected: usize) -> Result<()> {
+pub(super) fn same_batch(name: &str, found: usize, expected: usize) -> Result<()> {
     if found == expected {
         return Ok(());
     }

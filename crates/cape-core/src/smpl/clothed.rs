@@ -74,18 +74,14 @@ impl ClothedSmpl {
             input.displacement =
                 input.displacement.map(|clothes| self.smpl.convert(clothes) * mask.clone());
         }
-        match (self.joints, input) {
-            (
-                JointSource::ClothedTemplate,
-                SmplInput { betas, pose, transl, displacement: Some(displacement) },
-            ) => {
-                let clothed = self.smpl.shaped(betas)? + self.smpl.convert(displacement);
-                let joints = self.smpl.regress_joints(clothed.clone())?;
-                let rotations = self.smpl.rotations(pose)?;
-                let offsets = self.smpl.pose_offsets(rotations.clone())?;
-                self.smpl.skin(clothed + offsets, joints, rotations, transl)
+        let joints = match (self.joints, &input.displacement) {
+            (JointSource::ClothedTemplate, Some(displacement)) => {
+                // Regression is linear: the body's joints, moved by the clothes.
+                let moved = self.smpl.regress_joints(displacement.clone())?;
+                Some(self.smpl.rest_joints(input.betas.clone())? + moved)
             }
-            (_, input) => self.smpl.forward(input),
-        }
+            _ => None,
+        };
+        self.smpl.forward_about(input, joints)
     }
 }

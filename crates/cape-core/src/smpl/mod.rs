@@ -5,7 +5,9 @@
 
 mod body;
 mod clothed;
+mod cpu;
 mod file;
+mod forward;
 mod host;
 mod mask;
 mod model;
@@ -18,6 +20,8 @@ pub use mask::ClothingMask;
 pub use model::SmplModel;
 pub use rodrigues::rodrigues;
 
+#[cfg(test)]
+mod forward_tests;
 #[cfg(test)]
 pub(crate) mod test_model;
 #[cfg(test)]

@@ -18,6 +18,9 @@ const STRIP: usize = 48;
 /// Rows of both blocks that [`outer`] packs at once.
 pub(super) const OUTER_ROWS: usize = 128;
 
+/// Rows of one [`product`] at most.
+const MOST_ROWS: usize = 128;
+
 /// Floats in a row of a panel on this machine: columns of a register tile.
 pub(super) fn panel_width() -> usize {
     struct Width;
@@ -82,7 +85,7 @@ pub(super) struct End<'a> {
 }
 
 /// `out = end(a b)`, or `out = end(out + a b)` to `add`: `a: [rows, depth]`,
-/// `out: [rows, columns]`, row-major.
+/// `out: [rows, columns]`, row-major, of at most [`MOST_ROWS`].
 pub(super) fn product(a: Rows, b: &Panels, add: bool, end: End, out: &mut [f32]) {
     assert!(
         a.stride == b.depth() && b.columns() > 0 && out.len().is_multiple_of(b.columns()),
@@ -91,6 +94,7 @@ pub(super) fn product(a: Rows, b: &Panels, add: bool, end: End, out: &mut [f32])
         b.depth(),
         b.columns()
     );
+    assert!(out.len() <= MOST_ROWS * b.columns(), "at most {MOST_ROWS} rows at a time");
     assert!(end.row.is_none_or(|row| row.len() == b.columns()));
     pulp::Arch::new().dispatch(Product { a, b, add, end, out });
 }
@@ -122,6 +126,10 @@ impl Product<'_> {
         let Self { a, b, add, end, out } = self;
         let (depth, columns) = (b.depth(), b.columns());
         let rows = out.len() / columns;
+        let mut starts = [std::ptr::null::<f32>(); MOST_ROWS];
+        for (i, start) in starts.iter_mut().enumerate().take(rows) {
+            *start = a.row(i).as_ptr();
+        }
         let mut tails = [[0.0f32; 64]; ROWS];
         for k in (0..depth.max(1)).step_by(DEPTH) {
             let deep = DEPTH.min(depth - k);
@@ -132,16 +140,18 @@ impl Product<'_> {
                 let panel = &b.panel(panel)[k * width::<S>()..][..deep * width::<S>()];
                 for first in (0..rows).step_by(ROWS) {
                     let tall = ROWS.min(rows - first);
-                    // Rows past the last repeat it; their sums are dropped.
-                    let left: [*const f32; ROWS] = std::array::from_fn(|i| {
-                        a.row(first + i.min(tall - 1))[k..][..deep].as_ptr()
-                    });
                     let out = &mut out[first * columns + start..];
                     assert!(out.len() >= (tall - 1) * columns + wide);
-                    // SAFETY: every left pointer has `deep` numbers and the panel `deep` rows, by
-                    // the slices they are taken from; `tall` rows of `wide` numbers of the output
-                    // are in its slice by the assertion, and tails are wider than a tile.
+                    // SAFETY: every row starts a slice of `depth` numbers, `deep` of them from `k`
+                    // on, and the panel has `deep` rows by its slice; `tall` rows of `wide` numbers
+                    // of the output are in its slice by the assertion, and tails are wider than a
+                    // tile.
                     unsafe {
+                        // Rows past the last repeat it; their sums are dropped.
+                        let left: [*const f32; ROWS] = std::array::from_fn(
+                            #[inline(always)]
+                            |i| starts[first + i.min(tall - 1)].add(k),
+                        );
                         let sums = tile::<S, ROWS, VECTORS>(simd, deep, left, 1, panel.as_ptr());
                         if wide == width::<S>() {
                             let row = end.row.map(|row| row[start..][..wide].as_ptr());

@@ -63,7 +63,7 @@ const BLOCK: usize = 64;
 const SEGMENT: usize = 16 * BLOCK;
 
 /// Channels summed together, in registers.
-pub(super) const LANES: usize = 16;
+pub(super) const LANES: usize = 32;
 
 /// Sums over vertices for every channel. `add` gets the sums of up to [`LANES`] channels, the
 /// vertex, the first channel and their number.

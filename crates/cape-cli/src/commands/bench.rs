@@ -1,0 +1,106 @@
+use cape_core::parse_device;
+use cape_model::CapeConfig;
+use cape_train::bench::{BenchReport, bench};
+use clap::Args;
+use serde::Serialize;
+
+use crate::{
+    arguments::{Global, at_least_one},
+    console::Console,
+    error::Result,
+    table::Table,
+};
+
+/// Examples of a batch that no machine is likely to hold.
+const TOO_MANY: usize = 4096;
+
+/// Measure how fast this machine trains and decodes.
+///
+/// Times updates of generator and discriminator, decoding and encoding on the synthetic body's 6890
+/// vertices with random data, in less than two minutes. Arithmetic is counted as the least
+/// multiplications and additions that the update can do with, the same in every version, and
+/// compared with what this processor's threads reach in their registers.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  cape bench --threads 4 --json")]
+pub(crate) struct Bench {
+    /// Examples of a batch in an update.
+    #[arg(long, default_value_t = 16, value_name = "N", value_parser = batch_size)]
+    batch: usize,
+    /// Architecture: the paper's, its larger variant for detail (arithmetic not counted), a quarter
+    /// of its width, or a tiny one.
+    #[arg(long, default_value = "paper", value_parser = ["paper", "detail", "narrow", "tiny"])]
+    preset: String,
+}
+
+fn batch_size(text: &str) -> Result<usize, String> {
+    match at_least_one(text)? {
+        TOO_MANY.. => Err(format!("must be less than {TOO_MANY}")),
+        count => Ok(count),
+    }
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    version: &'static str,
+    preset: String,
+    device: String,
+    #[serde(flatten)]
+    found: BenchReport,
+}
+
+impl Bench {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+        let device = parse_device(&global.device)?;
+        let config = CapeConfig::preset(&self.preset)?;
+        let seed = global.seed.unwrap_or(1);
+        let found = console.while_showing("bench", "runs", |progress| {
+            bench(&config, self.batch, seed, &device, progress)
+        })?;
+        let report = Report {
+            version: env!("CARGO_PKG_VERSION"),
+            preset: self.preset,
+            device: global.device.clone(),
+            found,
+        };
+        console.result(&report, || report.text())
+    }
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let Self { version, preset, device, found } = self;
+        let or_dash = |text: Option<String>| text.unwrap_or_else(|| "–".to_owned());
+        let mut table = Table::default();
+        let mut row = |name: &str, value: String| table.row([name.to_owned(), value]);
+        row(
+            &format!("update, batch {}", found.batch),
+            format!("{:.3} s", found.seconds_per_update),
+        );
+        row("examples a second", format!("{:.2}", found.examples_per_second));
+        row("arithmetic", or_dash(found.gflops.map(|rate| format!("{rate:.1} GFLOP/s"))));
+        row(
+            "processor's peak",
+            or_dash(found.peak_gflops.map(|peak| format!("{peak:.1} GFLOP/s"))),
+        );
+        row(
+            "part of the peak",
+            or_dash(found.peak_fraction.map(|part| format!("{:.1} %", 100.0 * part))),
+        );
+        row("decode, batch 1", format!("{:.1} ms", found.decode_ms_batch1));
+        row("decode, batch 16", format!("{:.1} ms", found.decode_ms_batch16));
+        row("encode, batch 16", format!("{:.1} ms", found.encode_ms_batch16));
+        row("peak memory", or_dash(found.peak_rss_mb.map(|mb| format!("{mb:.0} MB"))));
+        let threads = match found.threads {
+            1 => "1 thread".to_owned(),
+            threads => format!("{threads} threads"),
+        };
+        let work = found
+            .gflop_per_update
+            .map_or_else(String::new, |gflop| format!(" of {gflop:.1} GFLOP each"));
+        format!(
+            "{}\n\ncape {version}, {preset} model on {device}, {threads}; median of {} updates{work}",
+            table.text(),
+            found.updates
+        )
+    }
+}

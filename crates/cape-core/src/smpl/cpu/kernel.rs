@@ -1,0 +1,268 @@
+//! Blend shapes and skinning of a range of vertices. One generic source, compiled for each
+//! instruction set and chosen at run time.
+
+use pulp::{Simd, WithSimd};
+
+use super::tiles::{Line, TILE, Tiles};
+
+/// Bodies whose coefficients and transforms stay in the second-level cache; a multiple of every
+/// number of [`sides`].
+const GROUP: usize = 48;
+
+/// Numbers of bodies that can be summed side by side, in registers.
+fn sides() -> &'static [usize] {
+    struct Sides;
+    impl WithSimd for Sides {
+        type Output = &'static [usize];
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, _: S) -> Self::Output {
+            match S::F32_LANES {
+                16 => &[12, 8],
+                8 | 4 => &[6, 4],
+                _ => &[1],
+            }
+        }
+    }
+    pulp::Arch::new().dispatch(Sides)
+}
+
+/// Coordinates of a tile's vertices.
+type Points = [Line; 3];
+
+/// The rows of a joint's transform of rest positions, the shift last.
+pub(super) type Transform = [[f32; 4]; 3];
+
+/// Coefficients of all directions that anybody of the batch uses.
+pub(super) struct Coefficients {
+    /// Numbers of these directions, ascending, `[used]`.
+    used: Vec<usize>,
+    /// `[⌈n / side⌉, used, side]`, filled up with zeros.
+    packed: Vec<f32>,
+    /// Bodies computed side by side.
+    side: usize,
+}
+
+impl Coefficients {
+    /// From `rows`, `[n, K]`.
+    pub(super) fn pack(rows: &[f32], directions: usize) -> Self {
+        let n = rows.len() / directions;
+        let fewest = sides().iter().copied().min_by_key(|side| n.next_multiple_of(*side));
+        let side = if n == 1 { 1 } else { fewest.unwrap_or(1) };
+        let mut moves = vec![false; directions];
+        for row in rows.chunks_exact(directions) {
+            for (moves, &coefficient) in moves.iter_mut().zip(row) {
+                *moves |= coefficient != 0.0;
+            }
+        }
+        let used: Vec<usize> = (0..directions).filter(|&k| moves[k]).collect();
+        let mut packed = vec![0.0; n.div_ceil(side) * used.len() * side];
+        let blocks = packed.chunks_exact_mut((used.len() * side).max(1));
+        for (block, rows) in blocks.zip(rows.chunks(side * directions)) {
+            for (at, row) in rows.chunks_exact(directions).enumerate() {
+                for (slot, &k) in block[at..].iter_mut().step_by(side).zip(&used) {
+                    *slot = row[k];
+                }
+            }
+        }
+        Self { used, packed, side }
+    }
+}
+
+/// A range of vertices of every body in a batch of `n`.
+pub(super) struct Piece<'a> {
+    pub tiles: &'a Tiles,
+    /// First tile of the range.
+    pub first: usize,
+    pub coefficients: &'a Coefficients,
+    /// `[n, J]`.
+    pub transforms: &'a [Transform],
+    /// Added to posed positions, `[n, 3]`.
+    pub transl: &'a [f32],
+    /// Added to rest positions, `[n, V, 3]`.
+    pub displacement: Option<&'a [f32]>,
+    /// The range of each body, `[n]` of `[vertices of the range, 3]`.
+    pub out: Vec<&'a mut [f32]>,
+}
+
+impl Piece<'_> {
+    /// Fills `out`.
+    pub(super) fn run(self) {
+        pulp::Arch::new().dispatch(self);
+    }
+}
+
+impl WithSimd for Piece<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        match (S::F32_LANES, self.coefficients.side) {
+            (16, 12) => self.tiles::<S, 12, 1>(simd),
+            (16, 8) => self.tiles::<S, 8, 1>(simd),
+            (16, _) => self.tiles::<S, 1, 1>(simd),
+            (8, 6) => self.tiles::<S, 6, 2>(simd),
+            (8, 4) => self.tiles::<S, 4, 2>(simd),
+            (8, _) => self.tiles::<S, 1, 2>(simd),
+            (4, 6) => self.tiles::<S, 6, 4>(simd),
+            (4, 4) => self.tiles::<S, 4, 4>(simd),
+            (4, _) => self.tiles::<S, 1, 4>(simd),
+            _ => self.tiles::<S, 1, TILE>(simd),
+        }
+    }
+}
+
+impl Piece<'_> {
+    /// With `SIDE` bodies side by side and `WIDE` vectors for the vertices of a tile.
+    #[inline(always)]
+    fn tiles<S: Simd, const SIDE: usize, const WIDE: usize>(mut self, simd: S) {
+        let used = &self.coefficients.used[..];
+        assert!(SIDE == self.coefficients.side && WIDE * S::F32_LANES == TILE);
+        assert!(GROUP.is_multiple_of(SIDE));
+        let n = self.out.len();
+        let joints = self.transforms.len() / n.max(1);
+        let vertices = self.out.first().map_or(0, |out| out.len() / 3);
+        let mut rest = [Points::default(); GROUP];
+        for first in (0..n).step_by(GROUP) {
+            let bodies = first..n.min(first + GROUP);
+            for tile in 0..vertices.div_ceil(TILE) {
+                let directions =
+                    [0, 1, 2].map(|axis| self.tiles.directions(self.first + tile, axis));
+                let blocks = first / SIDE..bodies.end.div_ceil(SIDE);
+                let coefficients = |block: usize| {
+                    let packed = &self.coefficients.packed[block * used.len() * SIDE..];
+                    packed[..used.len() * SIDE].as_chunks::<SIDE>().0
+                };
+                if SIDE == 1 {
+                    for (block, rest) in blocks.zip(&mut rest) {
+                        let coefficients = coefficients(block).as_flattened();
+                        blend_one::<S, WIDE>(simd, &directions, used, coefficients, rest);
+                    }
+                } else {
+                    // One axis of a tile stays in the first-level cache.
+                    for (axis, directions) in directions.into_iter().enumerate() {
+                        let rest = rest.as_chunks_mut::<SIDE>().0.iter_mut();
+                        for (block, rest) in blocks.clone().zip(rest) {
+                            let coefficients = coefficients(block);
+                            let rest = rest.each_mut().map(|rest| &mut rest[axis]);
+                            blend::<S, SIDE, WIDE>(simd, directions, used, coefficients, rest);
+                        }
+                    }
+                }
+                let inside = tile * TILE * 3..((tile + 1) * TILE).min(vertices) * 3;
+                let (bones, weights) = self.tiles.bones(self.first + tile);
+                for (body, rest) in bodies.clone().zip(&mut rest) {
+                    if let Some(displacement) = self.displacement {
+                        let from = (body * self.tiles.vertices() + self.first * TILE) * 3;
+                        let (points, _) = displacement[from..][inside.clone()].as_chunks::<3>();
+                        for (axis, rest) in rest.iter_mut().enumerate() {
+                            for (rest, point) in rest.0.iter_mut().zip(points) {
+                                *rest += point[axis];
+                            }
+                        }
+                    }
+                    let transforms = &self.transforms[body * joints..][..joints];
+                    skin::<S, WIDE>(simd, transforms, bones, weights, rest);
+                    let transl = [0, 1, 2].map(|axis| self.transl[body * 3 + axis]);
+                    let (out, _) = self.out[body][inside.clone()].as_chunks_mut::<3>();
+                    let [Line(x), Line(y), Line(z)] = rest;
+                    for (out, ((x, y), z)) in out.iter_mut().zip(x.iter().zip(y).zip(z)) {
+                        *out = [*x + transl[0], *y + transl[1], *z + transl[2]];
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// A line as vectors.
+#[inline(always)]
+fn vectors<S: Simd, const WIDE: usize>(line: &Line) -> &[S::f32s; WIDE] {
+    &S::as_simd_f32s(&line.0).0.as_chunks().0[0]
+}
+
+#[inline(always)]
+fn store<S: Simd, const WIDE: usize>(values: [S::f32s; WIDE], line: &mut Line) {
+    S::as_mut_simd_f32s(&mut line.0).0.copy_from_slice(&values);
+}
+
+/// One coordinate of `SIDE` bodies' rest positions: sums of `directions` `[K]` by `coefficients`
+/// `[used]`.
+#[inline(always)]
+fn blend<S: Simd, const SIDE: usize, const WIDE: usize>(
+    simd: S,
+    directions: &[Line],
+    used: &[usize],
+    coefficients: &[[f32; SIDE]],
+    rest: [&mut Line; SIDE],
+) {
+    let mut sums = [[simd.splat_f32s(0.0); WIDE]; SIDE];
+    for (&k, coefficients) in used.iter().zip(coefficients) {
+        let direction = vectors::<S, WIDE>(&directions[k]);
+        for (sums, &coefficient) in sums.iter_mut().zip(coefficients) {
+            let coefficient = simd.splat_f32s(coefficient);
+            for (sum, &direction) in sums.iter_mut().zip(direction) {
+                *sum = simd.mul_add_e_f32s(coefficient, direction, *sum);
+            }
+        }
+    }
+    for (rest, sums) in rest.into_iter().zip(sums) {
+        store::<S, WIDE>(sums, rest);
+    }
+}
+
+/// [`blend`] of one body: all axes at once, in one pass over `directions`.
+#[inline(always)]
+fn blend_one<S: Simd, const WIDE: usize>(
+    simd: S,
+    directions: &[&[Line]; 3],
+    used: &[usize],
+    coefficients: &[f32],
+    rest: &mut Points,
+) {
+    let mut sums = [[simd.splat_f32s(0.0); WIDE]; 3];
+    for (&k, &coefficient) in used.iter().zip(coefficients) {
+        let coefficient = simd.splat_f32s(coefficient);
+        for (sums, direction) in sums.iter_mut().zip(directions) {
+            for (sum, &direction) in sums.iter_mut().zip(vectors::<S, WIDE>(&direction[k])) {
+                *sum = simd.mul_add_e_f32s(coefficient, direction, *sum);
+            }
+        }
+    }
+    for (rest, sums) in rest.iter_mut().zip(sums) {
+        store::<S, WIDE>(sums, rest);
+    }
+}
+
+/// Moves a tile of one body by `transforms` `[J]`: the tile's `bones` move its vertices by
+/// `weights`.
+#[inline(always)]
+fn skin<S: Simd, const WIDE: usize>(
+    simd: S,
+    transforms: &[Transform],
+    bones: &[u32],
+    weights: &[Line],
+    points: &mut Points,
+) {
+    let rest: [[S::f32s; WIDE]; 3] = [0, 1, 2].map(|axis| *vectors::<S, WIDE>(&points[axis]));
+    for (axis, moved) in points.iter_mut().enumerate() {
+        let mut blended = [[simd.splat_f32s(0.0); WIDE]; 4];
+        for (&bone, weights) in bones.iter().zip(weights) {
+            let row = &transforms[bone as usize][axis];
+            let weights = vectors::<S, WIDE>(weights);
+            for (blended, &number) in blended.iter_mut().zip(row) {
+                let number = simd.splat_f32s(number);
+                for (blended, &weight) in blended.iter_mut().zip(weights) {
+                    *blended = simd.mul_add_e_f32s(number, weight, *blended);
+                }
+            }
+        }
+        let [x, y, z, shift] = blended;
+        let mut sum = shift;
+        for (blended, rest) in [x, y, z].iter().zip(&rest) {
+            for ((sum, &blended), &rest) in sum.iter_mut().zip(blended).zip(rest) {
+                *sum = simd.mul_add_e_f32s(blended, rest, *sum);
+            }
+        }
+        store::<S, WIDE>(sum, moved);
+    }
+}

@@ -1,0 +1,85 @@
+//! A body's arrays in the order in which the kernel reads them.
+
+use crate::SmplModel;
+
+/// Vertices of a tile: a cache line of numbers.
+pub(super) const TILE: usize = 16;
+
+/// A number for every vertex of a tile.
+#[derive(Debug, Clone, Copy, Default)]
+#[repr(align(64))]
+pub(super) struct Line(pub [f32; TILE]);
+
+/// A body cut into tiles of vertices, in `f32`. The last tile is filled up with vertices that
+/// nothing moves.
+#[derive(Debug)]
+pub(super) struct Tiles {
+    vertices: usize,
+    /// Template, `B` shape directions, `9·(J − 1)` pose directions: `K` of them.
+    directions: usize,
+    /// `[tiles, 3, K]`.
+    rest: Vec<Line>,
+    /// Joints that move each tile, from `starts[tile]` on, and by how much each of its vertices.
+    bones: Vec<u32>,
+    weights: Vec<Line>,
+    /// `[tiles + 1]`.
+    starts: Vec<usize>,
+}
+
+impl Tiles {
+    /// Of a valid body.
+    pub(super) fn new(model: &SmplModel) -> Self {
+        let v = model.vertices();
+        let (shapes, poses) = (model.betas(), model.pose_blends());
+        let directions = 1 + shapes + poses;
+        let tiles = v.div_ceil(TILE);
+        let mut rest = vec![Line::default(); tiles * 3 * directions];
+        let (mut bones, mut weights, mut starts) = (Vec::new(), Vec::new(), vec![0]);
+        for (tile, rest) in rest.chunks_exact_mut(3 * directions).enumerate() {
+            let inside = tile * TILE..v.min((tile + 1) * TILE);
+            for (axis, rest) in rest.chunks_exact_mut(directions).enumerate() {
+                for (at, vertex) in inside.clone().enumerate() {
+                    let shapes = (0..shapes).map(|k| model.shapedirs[[vertex, axis, k]]);
+                    let poses = (0..poses).map(|k| model.posedirs[[vertex, axis, k]]);
+                    let template = std::iter::once(model.v_template[[vertex, axis]]);
+                    for (rest, value) in rest.iter_mut().zip(template.chain(shapes).chain(poses)) {
+                        rest.0[at] = value as f32;
+                    }
+                }
+            }
+            for joint in 0..model.joints() {
+                let mut moved = Line::default();
+                for (moved, vertex) in moved.0.iter_mut().zip(inside.clone()) {
+                    *moved = model.weights[[vertex, joint]] as f32;
+                }
+                if moved.0.iter().any(|&weight| weight != 0.0) {
+                    bones.push(joint as u32);
+                    weights.push(moved);
+                }
+            }
+            starts.push(bones.len());
+        }
+        Self { vertices: v, directions, rest, bones, weights, starts }
+    }
+
+    /// Vertices `V` of the body.
+    pub(super) fn vertices(&self) -> usize {
+        self.vertices
+    }
+
+    /// Directions `K`.
+    pub(super) fn count(&self) -> usize {
+        self.directions
+    }
+
+    /// Directions of one coordinate of a tile's vertices, `[K]`.
+    pub(super) fn directions(&self, tile: usize, axis: usize) -> &[Line] {
+        &self.rest[(tile * 3 + axis) * self.directions..][..self.directions]
+    }
+
+    /// Joints that move a tile, and by how much, `[bones]`.
+    pub(super) fn bones(&self, tile: usize) -> (&[u32], &[Line]) {
+        let bones = self.starts[tile]..self.starts[tile + 1];
+        (&self.bones[bones.clone()], &self.weights[bones])
+    }
+}
