@@ -24,7 +24,8 @@ pub struct Operator {
 pub(crate) struct Pool {
     /// The vertices kept, in rising order or not.
     pub vertices: Vec<u32>,
-    /// For every vertex its place among those kept, or [`DROPPED`].
+    /// For every vertex its place among those kept, or [`DROPPED`]; for the CPU's kernels.
+    #[cfg_attr(not(any(feature = "flex", feature = "ndarray")), allow(dead_code))]
     pub place: Vec<u32>,
     /// `D`.
     pub selection: Arc<SparsePair>,

@@ -23,7 +23,7 @@ const TOO_MANY: usize = 4096;
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape bench --threads 4 --json")]
 pub(crate) struct Bench {
-    /// Examples of a batch in an update.
+    /// Frames of a batch in an update.
     #[arg(long, default_value_t = 16, value_name = "N", value_parser = batch_size)]
     batch: usize,
     /// Architecture: the paper's, its larger variant for detail (arithmetic not counted), a quarter
