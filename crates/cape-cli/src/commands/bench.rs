@@ -11,7 +11,7 @@ use crate::{
     table::Table,
 };
 
-/// Examples of a batch that no machine is likely to hold.
+/// Frames of a batch that no machine is likely to hold.
 const TOO_MANY: usize = 4096;
 
 /// Measure how fast this machine trains and decodes.
