@@ -174,9 +174,8 @@ pub(crate) fn read_identity(path: &Path) -> Result<DataIdentity> {
     serde_json::from_slice(&text).map_err(|error| Error::format(path, error.to_string()))
 }
 
-/// Builds what the networks of `config` need of a body's mesh.
-pub fn build_graphs(config: &RunConfig, body: &SmplModel, device: &Device) -> Result<Graphs> {
-    let surface = surface(body);
+/// Builds what the networks of `config` need of a mesh.
+pub fn build_graphs(config: &RunConfig, surface: &Surface, device: &Device) -> Result<Graphs> {
     let pyramid = |factors: &[u32]| -> Result<DevicePyramid> {
         let factors: Vec<f64> = factors.iter().map(|&factor| f64::from(factor)).collect();
         let pyramid = MeshPyramid::build(surface.clone(), &factors, config.weighting)?;
@@ -196,7 +195,8 @@ pub fn build_graphs(config: &RunConfig, body: &SmplModel, device: &Device) -> Re
     })
 }
 
-fn surface(body: &SmplModel) -> Surface {
+/// The surface of a body's template.
+pub fn surface(body: &SmplModel) -> Surface {
     let vertices = body.v_template.rows().into_iter().map(|v| [v[0], v[1], v[2]]).collect();
     Surface { vertices, faces: body.faces.clone() }
 }
@@ -257,7 +257,7 @@ impl Run {
         let weights = checkpoint::load_weights(&checkpoint)?;
         let body = SmplModel::load(paths.body())?;
         let device = device.clone().inner();
-        let graphs = build_graphs(&config, &body, &device)?;
+        let graphs = build_graphs(&config, &surface(&body), &device)?;
         let model = Cape::new(&config.model, &graphs, 0, &device)?;
         let model = weights::apply(model, &weights).map_err(|error| {
             Error::format(&checkpoint, format!("does not suit {CONFIG}: {error}"))

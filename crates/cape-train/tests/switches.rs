@@ -2,7 +2,7 @@
 //! with finite differences, and every parameter takes part.
 
 use burn::tensor::{Tensor, TensorData};
-use cape_core::SmplModel;
+use cape_graph::Surface;
 use cape_model::{
     Cape, CapeConfig, DecoderBlock, DecoderConditions, Graphs, LossConfig, Reconstruction,
     weights::{self, Weights},
@@ -12,38 +12,26 @@ use cape_train::{
     objective::{Frames, StepInput, evaluate},
     optim::collect_gradients,
 };
-use ndarray::{Array2, Array3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// A torus of 12 × 8 vertices as a body.
-fn body() -> SmplModel {
+/// A torus of 12 × 8 vertices.
+fn torus() -> Surface {
     let (rings, sides) = (12u32, 8u32);
-    let count = (rings * sides) as usize;
     let angle = |i: u32, n: u32| f64::from(i) / f64::from(n) * std::f64::consts::TAU;
-    let mut vertices = Array2::zeros((count, 3));
-    let mut faces = Vec::new();
+    let mut torus = Surface { vertices: Vec::new(), faces: Vec::new() };
     for ring in 0..rings {
         for side in 0..sides {
             let (u, v) = (angle(ring, rings), angle(side, sides));
             let radius = 0.5 + 0.2 * v.cos() + 0.01 * (3.0 * u + v).sin();
+            torus.vertices.push([radius * u.cos(), 0.2 * v.sin(), radius * u.sin()]);
             let at = |r: u32, s: u32| (r % rings) * sides + s % sides;
-            let mut vertex = vertices.row_mut(at(ring, side) as usize);
-            vertex.assign(&ndarray::arr1(&[radius * u.cos(), 0.2 * v.sin(), radius * u.sin()]));
             let (a, b) = (at(ring, side), at(ring, side + 1));
             let (c, d) = (at(ring + 1, side), at(ring + 1, side + 1));
-            faces.extend([[a, b, c], [b, d, c]]);
+            torus.faces.extend([[a, b, c], [b, d, c]]);
         }
     }
-    SmplModel {
-        v_template: vertices,
-        shapedirs: Array3::zeros((count, 3, 1)),
-        posedirs: Array3::zeros((count, 3, 0)),
-        joint_regressor: Array2::from_elem((1, count), 1.0 / count as f64),
-        weights: Array2::ones((count, 1)),
-        parents: vec![None],
-        faces,
-    }
+    torus
 }
 
 struct Case {
@@ -58,11 +46,11 @@ impl Case {
         let device = cape_core::parse_device(cape_core::DEVICES[0]).unwrap().autodiff();
         let run = RunConfig { model: config, ..RunConfig::default() };
         run.validate().unwrap();
-        let body = body();
-        let graphs = build_graphs(&run, &body, &device).unwrap();
+        let torus = torus();
+        let graphs = build_graphs(&run, &torus, &device).unwrap();
         let model = Cape::new(&run.model, &graphs, 3, &device).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(5);
-        let vertices = body.vertices();
+        let vertices = torus.vertices.len();
         let mut random = |shape: Vec<usize>| {
             let count = shape.iter().product::<usize>();
             let values: Vec<f32> = (0..count).map(|_| rng.random_range(-1.5..1.5)).collect();

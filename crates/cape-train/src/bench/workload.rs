@@ -4,20 +4,21 @@ use burn::{
     module::Module,
     tensor::{Device, Tensor},
 };
-use cape_core::{joints::POSE_FEATURE, synth};
+use cape_core::{joints::POSE_FEATURE, synth::synthetic_body};
+use cape_graph::Surface;
 use cape_model::{Cape, CapeConfig, Generator, Graphs, LossConfig};
 
 use crate::{
     Error, Result, RunConfig, TrainConfig, build_graphs,
     objective::{Frames, StepInput, evaluate},
     optim::{Momentum, global_norm},
-    run::{normal, tensor2},
+    run::{normal, surface, tensor2},
 };
 
 /// Small steps, on which random data do not diverge.
 const RATE: f64 = 1e-4;
 
-/// A model with fresh weights on the synthetic body's mesh, and the batches of one update.
+/// A model with fresh weights on a mesh, and the batches of one update.
 pub struct Workload {
     model: Cape,
     graphs: Graphs,
@@ -30,22 +31,34 @@ pub struct Workload {
 }
 
 impl Workload {
-    /// With batches of `batch` examples; `seed` fixes weights and data.
+    /// On the synthetic body, in batches of `batch` examples; `seed` fixes weights and data.
     pub fn new(config: &CapeConfig, batch: usize, seed: u64, device: &Device) -> Result<Self> {
+        Self::on_surface(config, &surface(&synthetic_body()), batch, seed, device)
+    }
+
+    /// On any surface.
+    pub fn on_surface(
+        config: &CapeConfig,
+        surface: &Surface,
+        batch: usize,
+        seed: u64,
+        device: &Device,
+    ) -> Result<Self> {
         if batch == 0 {
             return Err(Error::argument("batch: must be at least 1"));
         }
         let device = device.clone().autodiff();
         let run = RunConfig { model: config.clone(), ..RunConfig::default() };
         run.validate()?;
-        let graphs = build_graphs(&run, &synth::synthetic_body(), &device)?;
+        let graphs = build_graphs(&run, surface, &device)?;
         let model = Cape::new(config, &graphs, seed, &device)?;
         let TrainConfig { momentum, clip, .. } = run.train;
         let epsilon = tensor2(normal(seed, 0, batch, config.latent), &device);
+        let vertices = surface.vertices.len();
         let input = StepInput {
-            frames: frames(batch, seed, 1, &device),
+            frames: frames(batch, vertices, seed, 1, &device),
             epsilon: config.variational.then_some(epsilon),
-            real: model.discriminator.is_some().then(|| frames(batch, seed, 3, &device)),
+            real: model.discriminator.is_some().then(|| frames(batch, vertices, seed, 3, &device)),
         };
         Ok(Self {
             optimisers: [(); 2].map(|()| Momentum::new(momentum, clip)),
@@ -88,7 +101,7 @@ impl Workload {
         Inference {
             generator: self.model.generator.valid(),
             graphs: self.graphs.clone(),
-            frames: frames(batch, self.seed, 5, &device),
+            frames: frames(batch, self.graphs.generator.vertices()[0], self.seed, 5, &device),
             code: tensor2(normal(self.seed, 7, batch, self.latent), &device),
             device,
         }
@@ -123,8 +136,7 @@ impl Inference {
 }
 
 /// Random frames, from two streams of the seed.
-fn frames(batch: usize, seed: u64, stream: u64, device: &Device) -> Frames {
-    let vertices = synth::BODY_VERTICES;
+fn frames(batch: usize, vertices: usize, seed: u64, stream: u64, device: &Device) -> Frames {
     let displacement = tensor2(normal(seed, stream, batch, vertices * 3), device);
     Frames {
         displacement: displacement.reshape([batch, vertices, 3]),

@@ -330,7 +330,7 @@ unsafe fn tile<S: Simd, const ROWS: usize, const VECTORS: usize>(
             for i in 0..ROWS {
                 let number = simd.splat_f32s(*left[i].add(at));
                 for j in 0..VECTORS {
-                    sums[i][j] = simd.mul_add_f32s(number, row[j], sums[i][j]);
+                    sums[i][j] = simd.mul_add_e_f32s(number, row[j], sums[i][j]);
                 }
             }
             right = right.add(VECTORS);
