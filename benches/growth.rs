@@ -10,7 +10,7 @@ use cape::{
     core::synth::synthetic_body,
     graph::{MeshPyramid, Surface, Weighting},
     model::CapeConfig,
-    train::{bench::Workload, surface},
+    train::bench::Workload,
 };
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 
@@ -35,30 +35,29 @@ fn subdivide(surface: &Surface) -> Surface {
 }
 
 /// The body with fewer and with more vertices.
-fn surfaces() -> Vec<Surface> {
-    let body = surface(&synthetic_body());
-    let pyramid = MeshPyramid::build(&body, &[2.0, 2.0, 2.0, 2.0], Weighting::default()).unwrap();
+fn surfaces(body: &Surface) -> Vec<Surface> {
+    let pyramid = MeshPyramid::build(body, &[2.0, 2.0, 2.0, 2.0], Weighting::default()).unwrap();
     let mut surfaces: Vec<Surface> =
         pyramid.levels().iter().rev().map(|level| level.surface().clone()).collect();
-    surfaces.push(subdivide(&body));
+    surfaces.push(subdivide(body));
     surfaces
 }
 
 fn benches(criterion: &mut Criterion) {
     let config = CapeConfig::paper();
-    let body = surface(&synthetic_body());
+    let body = Surface::from(&synthetic_body());
     let mut group = criterion.benchmark_group("growth");
     group.sample_size(10).warm_up_time(Duration::from_secs(1));
     let mut run = |name: String, surface: &Surface, batch: usize| {
         let mut workload =
-            Workload::on_surface(&config, surface, batch, SEED, &Device::flex()).unwrap();
+            Workload::on_mesh(&config, surface, batch, SEED, &Device::flex()).unwrap();
         group.throughput(Throughput::Elements((batch * surface.vertices.len()) as u64));
         group.bench_function(name, |bencher| bencher.iter(|| workload.update().unwrap()));
     };
     for batch in [1, 2, 4, 8, 16, 32] {
         run(format!("batch {batch}"), &body, batch);
     }
-    for surface in surfaces() {
+    for surface in surfaces(&body) {
         run(format!("{} vertices", surface.vertices.len()), &surface, BATCH);
     }
     group.finish();

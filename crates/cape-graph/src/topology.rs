@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use cape_core::Mesh;
+use cape_core::{Mesh, SmplModel};
 use sprs::{CsMat, TriMat};
 
 use crate::vector::{cross, dot, sub};
@@ -26,6 +26,14 @@ impl From<&Mesh> for Surface {
             vertices: mesh.vertices.iter().map(|v| v.map(f64::from)).collect(),
             faces: mesh.faces.clone(),
         }
+    }
+}
+
+/// The body's template.
+impl From<&SmplModel> for Surface {
+    fn from(body: &SmplModel) -> Self {
+        let vertices = body.v_template.rows().into_iter().map(|v| [v[0], v[1], v[2]]).collect();
+        Self { vertices, faces: body.faces.clone() }
     }
 }
 

@@ -24,5 +24,5 @@ pub use config::{RunConfig, TrainConfig, WarmUp};
 pub use error::{Error, Result};
 pub use evaluate::{EvalOptions, EvalReport, PosteriorUse, evaluate};
 pub use progress::{Progress, silent};
-pub use run::{DataIdentity, Run, RunPaths, build_graphs, surface, to_device, write_json};
+pub use run::{DataIdentity, Run, RunPaths, build_graphs, to_device, write_json};
 pub use trainer::{Event, Outcome, Trainer};

@@ -175,7 +175,12 @@ pub(crate) fn read_identity(path: &Path) -> Result<DataIdentity> {
 }
 
 /// Builds what the networks of `config` need of a mesh.
-pub fn build_graphs(config: &RunConfig, surface: &Surface, device: &Device) -> Result<Graphs> {
+pub fn build_graphs(
+    config: &RunConfig,
+    mesh: impl Into<Surface>,
+    device: &Device,
+) -> Result<Graphs> {
+    let surface = mesh.into();
     let pyramid = |factors: &[u32]| -> Result<DevicePyramid> {
         let factors: Vec<f64> = factors.iter().map(|&factor| f64::from(factor)).collect();
         let pyramid = MeshPyramid::build(surface.clone(), &factors, config.weighting)?;
@@ -193,12 +198,6 @@ pub fn build_graphs(config: &RunConfig, surface: &Surface, device: &Device) -> R
         discriminator: discriminator.map(|config| pyramid(&config.factors)).transpose()?,
         edges: SparseMatrix::new(&difference.to_csr(), device),
     })
-}
-
-/// The surface of a body's template.
-pub fn surface(body: &SmplModel) -> Surface {
-    let vertices = body.v_template.rows().into_iter().map(|v| [v[0], v[1], v[2]]).collect();
-    Surface { vertices, faces: body.faces.clone() }
 }
 
 /// Moves a batch to a device.
@@ -257,7 +256,7 @@ impl Run {
         let weights = checkpoint::load_weights(&checkpoint)?;
         let body = SmplModel::load(paths.body())?;
         let device = device.clone().inner();
-        let graphs = build_graphs(&config, &surface(&body), &device)?;
+        let graphs = build_graphs(&config, &body, &device)?;
         let model = Cape::new(&config.model, &graphs, 0, &device)?;
         let model = weights::apply(model, &weights).map_err(|error| {
             Error::format(&checkpoint, format!("does not suit {CONFIG}: {error}"))

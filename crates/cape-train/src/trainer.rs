@@ -25,7 +25,7 @@ use crate::{
     metrics::{ErrorStats, vertex_errors_mm},
     objective::{Losses, StepInput, evaluate, reconstruct, reconstruction_terms},
     optim::{Momentum, global_norm},
-    run::{self, RunPaths, build_graphs, host, normal, surface, tensor2, to_device},
+    run::{self, RunPaths, build_graphs, host, normal, tensor2, to_device},
     tensorboard::EventWriter,
 };
 
@@ -179,7 +179,7 @@ impl Trainer {
         let body = SmplModel::load(paths.body())?;
         let mask = ClothingMask::load(paths.clothing(), body.vertices())?;
         let device = device.clone().autodiff();
-        let graphs = build_graphs(&config, &surface(&body), &device)?;
+        let graphs = build_graphs(&config, &body, &device)?;
         let model = Cape::new(&config.model, &graphs, config.train.seed, &device)?;
         let optimiser = || Momentum::new(config.train.momentum, config.train.clip);
         Ok(Self {

@@ -3,18 +3,10 @@
 #![cfg(target_os = "linux")]
 
 use cape_model::CapeConfig;
-use cape_train::bench::Workload;
+use cape_train::bench::{Workload, rss_mb};
 
 const BATCH: usize = 4;
 const SEED: u64 = 1;
-
-/// Resident memory, 10⁶ bytes.
-fn resident() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
-    let kibibytes: f64 = line.trim().strip_suffix("kB").unwrap().trim().parse().unwrap();
-    kibibytes * 1024.0 / 1e6
-}
 
 #[test]
 fn memory_is_constant_over_200_steps() {
@@ -24,7 +16,7 @@ fn memory_is_constant_over_200_steps() {
         for _ in 0..updates {
             workload.update().unwrap();
         }
-        resident()
+        rss_mb().unwrap()
     };
     let early = after(20);
     let late = after(180);

@@ -15,6 +15,7 @@ use serde::Serialize;
 use crate::{Progress, Result};
 use timing::Effort;
 
+pub use memory::{peak_rss_mb, rss_mb};
 pub use workload::{Inference, Workload};
 
 /// Updates, which may take seconds each.
@@ -101,7 +102,7 @@ pub fn bench(
         decode_ms_batch1,
         decode_ms_batch16,
         encode_ms_batch16,
-        peak_rss_mb: memory::peak_rss_mb(),
+        peak_rss_mb: peak_rss_mb(),
         batch,
         threads: rayon::current_num_threads(),
         updates: update.runs,

@@ -12,7 +12,7 @@ use crate::{
     Error, Result, RunConfig, TrainConfig, build_graphs,
     objective::{Frames, StepInput, evaluate},
     optim::{Momentum, global_norm},
-    run::{normal, surface, tensor2},
+    run::{normal, tensor2},
 };
 
 /// Small steps, on which random data do not diverge.
@@ -33,13 +33,13 @@ pub struct Workload {
 impl Workload {
     /// On the synthetic body, in batches of `batch` examples; `seed` fixes weights and data.
     pub fn new(config: &CapeConfig, batch: usize, seed: u64, device: &Device) -> Result<Self> {
-        Self::on_surface(config, &surface(&synthetic_body()), batch, seed, device)
+        Self::on_mesh(config, &synthetic_body(), batch, seed, device)
     }
 
-    /// On any surface.
-    pub fn on_surface(
+    /// On any mesh.
+    pub fn on_mesh(
         config: &CapeConfig,
-        surface: &Surface,
+        mesh: impl Into<Surface>,
         batch: usize,
         seed: u64,
         device: &Device,
@@ -50,11 +50,11 @@ impl Workload {
         let device = device.clone().autodiff();
         let run = RunConfig { model: config.clone(), ..RunConfig::default() };
         run.validate()?;
-        let graphs = build_graphs(&run, surface, &device)?;
+        let graphs = build_graphs(&run, mesh, &device)?;
         let model = Cape::new(config, &graphs, seed, &device)?;
         let TrainConfig { momentum, clip, .. } = run.train;
         let epsilon = tensor2(normal(seed, 0, batch, config.latent), &device);
-        let vertices = surface.vertices.len();
+        let vertices = graphs.generator.vertices()[0];
         let input = StepInput {
             frames: frames(batch, vertices, seed, 1, &device),
             epsilon: config.variational.then_some(epsilon),

@@ -12,8 +12,8 @@ pub(super) struct Panels {
     width: usize,
 }
 
-/// Panels packed side by side, so that what is read of a row is contiguous.
-const TOGETHER: usize = 8;
+/// Panels for one thread: fewer are packed sooner than another thread is woken.
+const AT_LEAST: usize = 8;
 
 /// A matrix in a slice, with the distances between rows and between columns.
 #[derive(Clone, Copy)]
@@ -48,24 +48,29 @@ impl Panels {
         let View { data, rows, columns, row_stride, column_stride } = matrix;
         let width = panel_width();
         let mut packed = Buffer::take(columns.div_ceil(width) * width * rows);
-        let size = (width * rows).max(1);
-        packed.par_chunks_mut(TOGETHER * size).enumerate().for_each(|(group, packed)| {
-            let start = group * TOGETHER * width;
-            let wide = (TOGETHER * width).min(columns - start);
-            if !wide.is_multiple_of(width) {
-                packed[wide / width * size..].fill(0.0);
+        let panels = packed.par_chunks_mut((width * rows).max(1)).with_min_len(AT_LEAST);
+        panels.enumerate().for_each(|(panel, packed)| {
+            let start = panel * width;
+            let wide = width.min(columns - start);
+            if wide < width {
+                packed.fill(0.0);
             }
             if column_stride == 1 {
-                for row in 0..rows {
-                    let from = &data[row * row_stride + start..][..wide];
-                    for (piece, panel) in from.chunks(width).zip(packed.chunks_exact_mut(size)) {
-                        panel[row * width..][..piece.len()].copy_from_slice(piece);
-                    }
+                for (row, packed) in packed.chunks_exact_mut(width).enumerate() {
+                    let from = row * row_stride + start;
+                    packed[..wide].copy_from_slice(&data[from..from + wide]);
                 }
             } else {
-                for (panel, packed) in packed.chunks_exact_mut(size).enumerate() {
-                    let start = start + panel * width;
-                    pack_columns(matrix, start, width.min(columns - start), width, packed);
+                // Down a column, its numbers are close together: eight of them at a time fill
+                // the cache lines of the panel.
+                for (block, packed) in packed.chunks_mut(width * 8).enumerate() {
+                    for column in 0..wide {
+                        let from = (start + column) * column_stride + block * 8 * row_stride;
+                        let column = packed[column..].iter_mut().step_by(width);
+                        for (i, packed) in column.enumerate() {
+                            *packed = data[from + i * row_stride];
+                        }
+                    }
                 }
             }
         });
@@ -83,18 +88,5 @@ impl Panels {
     /// `[depth, width]`.
     pub(super) fn panel(&self, i: usize) -> &[f32] {
         &self.data[i * self.depth * self.width..][..self.depth * self.width]
-    }
-}
-
-/// Packs columns `start..start + wide` whose numbers are close together, unlike those of a row:
-/// eight rows at a time fill the cache lines of the panel.
-fn pack_columns(matrix: View, start: usize, wide: usize, width: usize, packed: &mut [f32]) {
-    for (block, packed) in packed.chunks_mut(width * 8).enumerate() {
-        for column in 0..wide {
-            let from = (start + column) * matrix.column_stride + block * 8 * matrix.row_stride;
-            for (i, packed) in packed[column..].iter_mut().step_by(width).enumerate() {
-                *packed = matrix.data[from + i * matrix.row_stride];
-            }
-        }
     }
 }

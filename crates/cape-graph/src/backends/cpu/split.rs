@@ -61,10 +61,8 @@ pub(super) fn add_all<'a>(
 const BLOCK: usize = 64;
 /// Vertices whose sums are taken together.
 const SEGMENT: usize = 16 * BLOCK;
-/// Vertices whose channels are added together, in registers: memory is read nearly in order.
-const ROWS: usize = 4;
 
-/// Channels summed together.
+/// Channels summed together, in registers.
 pub(super) const LANES: usize = 32;
 
 /// Sums over vertices for every channel. `add` gets the sums of up to [`LANES`] channels, the
@@ -77,35 +75,31 @@ pub(super) fn vertex_sums<const N: usize>(
 ) -> [Vec<f64>; N] {
     let segment = |i: usize| {
         let mut totals: [Vec<f64>; N] = std::array::from_fn(|_| vec![0.0; channels]);
-        let mut sums = vec![[[0.0f32; LANES]; N]; channels.div_ceil(LANES)];
         let end = vertices.min((i + 1) * SEGMENT);
         for first in (i * SEGMENT..end).step_by(BLOCK) {
             let last = end.min(first + BLOCK);
-            sums.fill([[0.0; LANES]; N]);
             simd(
                 #[inline(always)]
                 || {
-                    for v in (first..last).step_by(ROWS) {
-                        for (sums, c) in sums.iter_mut().zip((0..channels).step_by(LANES)) {
-                            let mut sum = *sums;
-                            if channels - c >= LANES && last - v >= ROWS {
-                                for v in v..v + ROWS {
-                                    add(&mut sum, v, c, LANES);
-                                }
-                            } else {
-                                for v in v..last.min(v + ROWS) {
-                                    add(&mut sum, v, c, LANES.min(channels - c));
-                                }
+                    for c in (0..channels).step_by(LANES) {
+                        let mut sums = [[0.0f32; LANES]; N];
+                        if channels - c >= LANES {
+                            for v in first..last {
+                                add(&mut sums, v, c, LANES);
                             }
-                            *sums = sum;
+                        } else {
+                            for v in first..last {
+                                add(&mut sums, v, c, channels - c);
+                            }
+                        }
+                        for (totals, sums) in totals.iter_mut().zip(&sums) {
+                            for (total, &sum) in totals[c..].iter_mut().zip(sums) {
+                                *total += f64::from(sum);
+                            }
                         }
                     }
                 },
             );
-            for (n, totals) in totals.iter_mut().enumerate() {
-                let sums = sums.iter().flat_map(|sums| &sums[n]);
-                totals.iter_mut().zip(sums).for_each(|(total, &sum)| *total += f64::from(sum));
-            }
         }
         totals
     };
