@@ -7,8 +7,11 @@
 
 mod fixture;
 mod network;
+mod objects;
+mod pickles;
 mod pyramid;
 mod smplx;
+mod tensorflow;
 mod training;
 
 use std::{
@@ -31,6 +34,9 @@ const KINDS: &[Kind] = &[
     Kind { prefix: "pyramid_", suffix: ".npz", check: pyramid::check, per_device: false },
     Kind { prefix: "smplx_", suffix: "_model.npz", check: smplx::check, per_device: true },
     Kind { prefix: "network_", suffix: ".npz", check: network::check, per_device: true },
+    Kind { prefix: "smpl_pickles", suffix: "", check: pickles::check, per_device: false },
+    Kind { prefix: "smpl", suffix: "smpl", check: objects::check, per_device: false },
+    Kind { prefix: "tf_checkpoint_", suffix: "", check: tensorflow::check, per_device: true },
     Kind { prefix: "training_", suffix: ".json", check: training::check, per_device: true },
 ];
 

@@ -50,7 +50,7 @@ fn tap<'a>(
     move |_, x| taps.entry(of).or_default().push(values(x))
 }
 
-fn outputs(fixture: &mut Fixture, model: &Cape, report: &mut dyn FnMut(String)) {
+pub fn outputs(fixture: &mut Fixture, model: &Cape, report: &mut dyn FnMut(String)) {
     let graphs = fixture.graphs.clone();
     let g = frames(fixture, "in", "g");
     let d = frames(fixture, "in", "d");

@@ -11,6 +11,7 @@ mod mesh;
 pub mod npy;
 pub mod obj;
 mod outfit;
+pub mod pickle;
 pub mod ply;
 pub mod smpl;
 pub mod synth;

@@ -16,6 +16,7 @@ pub mod layers;
 pub mod losses;
 mod model;
 pub mod release;
+pub mod tensorflow;
 pub mod weights;
 
 pub use condition::{ConditionNet, ConditionNets};

@@ -15,7 +15,9 @@ pub mod metrics;
 pub mod objective;
 pub mod optim;
 mod progress;
+pub mod release;
 mod run;
+mod staging;
 pub mod tensorboard;
 mod trainer;
 

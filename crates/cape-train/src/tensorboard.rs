@@ -12,6 +12,8 @@ use std::{
     time::{SystemTime, UNIX_EPOCH},
 };
 
+use cape_model::tensorflow::masked_crc32c;
+
 use crate::{Error, Result};
 
 /// Writes one event file. A resumed run creates another in the same directory, as TensorBoard
@@ -77,9 +79,9 @@ impl EventWriter {
         let length = (payload.len() as u64).to_le_bytes();
         let mut record = Vec::with_capacity(payload.len() + 16);
         record.extend(length);
-        record.extend(masked_crc(&length).to_le_bytes());
+        record.extend(masked_crc32c(&length).to_le_bytes());
         record.extend(payload);
-        record.extend(masked_crc(payload).to_le_bytes());
+        record.extend(masked_crc32c(payload).to_le_bytes());
         self.file.write_all(&record).map_err(|e| Error::io(&self.path, e))
     }
 }
@@ -116,10 +118,6 @@ fn put_bytes(out: &mut Vec<u8>, field: u64, bytes: &[u8]) {
     put_key(out, field, WIRE_BYTES);
     put_varint(out, bytes.len() as u64);
     out.extend(bytes);
-}
-
-fn masked_crc(bytes: &[u8]) -> u32 {
-    crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8)
 }
 
 #[cfg(test)]

@@ -86,8 +86,7 @@ pub(super) enum ReadError {
 }
 
 fn not_numbers(found: &NpyType) -> ReadError {
-    let objects = matches!(&found.kind, NpyKind::Other(text) if text.contains('O'));
-    let hint = if objects { " (pickled Python objects are not read)" } else { "" };
+    let hint = if found.is_object() { " (it holds pickled Python objects)" } else { "" };
     ReadError::Content(format!("holds `{found}`, expected numbers{hint}"))
 }
 

@@ -39,7 +39,7 @@ impl NpyType {
     /// Little-endian 32-bit floats, `<f4`.
     pub const F32: Self = Self { kind: NpyKind::Float, size: 4, big_endian: false };
 
-    fn parse(text: &str) -> Self {
+    pub(crate) fn parse(text: &str) -> Self {
         let other = || Self { kind: NpyKind::Other(text.to_owned()), size: 0, big_endian: false };
         let (order, rest) = match text.as_bytes().first() {
             Some(b'<' | b'|' | b'=' | b'>') => (text.as_bytes()[0], &text[1..]),
@@ -57,6 +57,13 @@ impl NpyType {
             Ok(size) => Self { kind, size, big_endian: order == b'>' && size > 1 },
             Err(_) => other(),
         }
+    }
+}
+
+impl NpyType {
+    /// Whether the elements are pickled Python objects.
+    pub fn is_object(&self) -> bool {
+        matches!(&self.kind, NpyKind::Other(text) if text.trim_start_matches(['|', '<', '=']).starts_with('O'))
     }
 }
 

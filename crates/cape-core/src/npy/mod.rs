@@ -13,13 +13,15 @@ use std::{
 };
 
 use ndarray::{ArrayD, ArrayRef, Dimension, IxDyn, ShapeBuilder};
-use zip::{CompressionMethod, ZipArchive, ZipWriter, result::ZipError, write::FileOptions};
+use zip::{
+    CompressionMethod, ZipArchive, ZipWriter, read::ZipFile, result::ZipError, write::FileOptions,
+};
 
 pub use element::NpyElement;
 use element::{ReadError, read_elements};
 pub use header::{NpyHeader, NpyKind, NpyType};
 
-use crate::{AtomicFile, Error, Result, write_atomically};
+use crate::{AtomicFile, Error, Result, pickle::Pickle, write_atomically};
 
 /// Deflate cannot expand a byte to more than this many.
 const MAX_DEFLATE_RATIO: u64 = 1032;
@@ -56,6 +58,20 @@ impl Source<'_> {
         Ok(if header.fortran { array.as_standard_layout().into_owned() } else { array })
     }
 
+    /// Reads the objects of an array file of at most `available` bytes.
+    fn objects(self, reader: &mut impl Read, available: u64) -> Result<Pickle> {
+        let header = NpyHeader::read(reader).map_err(|message| self.error(message))?;
+        if !header.dtype.is_object() {
+            return Err(self.error(format!("holds `{}`, expected objects", header.dtype)));
+        }
+        let mut pickle = Vec::new();
+        reader
+            .take(available)
+            .read_to_end(&mut pickle)
+            .map_err(|source| self.error(format!("cannot be read: {source}")))?;
+        Pickle::parse(self.path, pickle)
+    }
+
     /// Number of elements, once their bytes are known to be there.
     fn check_size(self, header: &NpyHeader, available: u64) -> Result<usize> {
         let claims = || format!("claims shape {:?} of `{}`", header.shape, header.dtype);
@@ -79,6 +95,38 @@ fn open(path: &Path) -> Result<(BufReader<File>, u64)> {
         return Err(Error::format(path, "is a directory, expected a file"));
     }
     Ok((BufReader::with_capacity(1 << 16, file), metadata.len()))
+}
+
+/// The array of `header` whose data are all of `bytes`. The error says what is wrong.
+pub(crate) fn read_array<T: NpyElement>(
+    header: &NpyHeader,
+    bytes: &[u8],
+) -> Result<ArrayD<T>, String> {
+    let NpyHeader { dtype, fortran, shape, .. } = header;
+    let (elements, size) = header
+        .elements_and_bytes()
+        .ok_or_else(|| format!("claims shape {shape:?}, more than memory can hold"))?;
+    // What is not numbers has no size, and is refused with its name below.
+    if size != bytes.len() && dtype.size > 0 {
+        return Err(format!(
+            "claims shape {shape:?} of `{dtype}`: {size} bytes, but {} are there",
+            bytes.len()
+        ));
+    }
+    let values = read_elements(header, elements, &mut &*bytes).map_err(|failed| match failed {
+        ReadError::Io(source) => source.to_string(),
+        ReadError::Content(message) => message,
+    })?;
+    let array = ArrayD::from_shape_vec(IxDyn(shape).set_f(*fortran), values)
+        .map_err(|source| source.to_string())?;
+    Ok(if *fortran { array.as_standard_layout().into_owned() } else { array })
+}
+
+/// Reads a `.npy` file of pickled Python objects.
+pub fn read_objects(path: impl AsRef<Path>) -> Result<Pickle> {
+    let path = path.as_ref();
+    let (mut reader, length) = open(path)?;
+    Source { path, name: None }.objects(&mut reader, length)
 }
 
 /// Reads a `.npy` file, converting its numbers to `T`.
@@ -197,6 +245,27 @@ impl Npz {
 
     /// Reads array `name`, converting its numbers to `T`.
     pub fn get<T: NpyElement>(&mut self, name: &str) -> Result<ArrayD<T>> {
+        self.with_entry(name, |source, entry, size| source.read(entry, size))
+    }
+
+    /// Whether array `name` holds pickled Python objects.
+    pub fn is_object(&mut self, name: &str) -> Result<bool> {
+        self.with_entry(name, |source, mut entry, _| {
+            let header = NpyHeader::read(&mut entry).map_err(|message| source.error(message))?;
+            Ok(header.dtype.is_object())
+        })
+    }
+
+    /// Reads array `name` of pickled Python objects.
+    pub fn objects(&mut self, name: &str) -> Result<Pickle> {
+        self.with_entry(name, |source, mut entry, size| source.objects(&mut entry, size))
+    }
+
+    fn with_entry<R>(
+        &mut self,
+        name: &str,
+        read: impl FnOnce(Source<'_>, ZipFile<'_>, u64) -> Result<R>,
+    ) -> Result<R> {
         let Self { path, length, archive, .. } = self;
         let source = Source { path, name: Some(name) };
         let entry = archive.by_name(&format!("{name}.npy")).map_err(|failed| match failed {
@@ -215,7 +284,7 @@ impl Npz {
                  in a file of {length}"
             )));
         }
-        source.read(entry, size)
+        read(source, entry, size)
     }
 
     /// Reads array `name` as `f64`.

@@ -34,7 +34,7 @@ use super::{
     raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
     statistics::STATISTICS_FILE,
 };
-use crate::{Error, Progress, Result};
+use crate::{Error, Progress, Result, staging::Staging};
 
 /// How to pack.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -332,48 +332,6 @@ fn write_notes(
         }
     }
     Ok(())
-}
-
-/// The directory being filled, hidden beside its final place and removed unless committed. What a
-/// killed run left behind is removed by the next one.
-struct Staging {
-    path: PathBuf,
-}
-
-impl Staging {
-    fn create(out: &Path) -> Result<Self> {
-        let fail = |e| Error::io(out, e);
-        if out.exists() && (!out.is_dir() || fs::read_dir(out).map_err(fail)?.next().is_some()) {
-            return Err(Error::Data(format!(
-                "{} exists already: remove it, or choose another place for the packed set",
-                out.display()
-            )));
-        }
-        let Some(name) = out.file_name() else {
-            return Err(Error::argument(format!("{} is not a directory's name", out.display())));
-        };
-        let path = out.with_file_name(format!(".{}.cape-partial", name.to_string_lossy()));
-        if path.exists() {
-            fs::remove_dir_all(&path).map_err(|e| Error::io(&path, e))?;
-        }
-        fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
-        Ok(Self { path })
-    }
-
-    fn commit(self, out: &Path) -> Result<()> {
-        if out.is_dir() {
-            fs::remove_dir(out).map_err(|e| Error::io(out, e))?;
-        }
-        fs::rename(&self.path, out).map_err(|e| Error::io(out, e))
-    }
-}
-
-impl Drop for Staging {
-    fn drop(&mut self) {
-        // After a commit there is nothing left here, and a failure to clean up has no better place
-        // to go.
-        let _ = fs::remove_dir_all(&self.path);
-    }
 }
 
 #[cfg(test)]

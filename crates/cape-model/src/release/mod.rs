@@ -19,7 +19,15 @@
 //! the variables inside by name, and two convolutions of one scope by their shapes, then their
 //! order. Shapes agree but for the biases' leading ones.
 
+mod checkpoint;
+mod infer;
+mod names;
+
 use std::collections::BTreeMap;
+
+pub use checkpoint::Released;
+pub use infer::{check_vertices, infer};
+pub use names::export;
 
 use crate::{
     CapeConfig, DecoderBlock, Error, Result,
@@ -229,23 +237,9 @@ impl Mapping<'_> {
         Ok(())
     }
 
-    /// The scope of block `number` below `parent`: the one whose name ends in that number and is
-    /// not one of the fixed layers.
     fn block_scope(&self, parent: &str, number: usize) -> Result<String> {
-        const FIXED: [&str; 5] = ["fc_mean", "fc_var", "fc1", "1x1-conv", "outputs"];
-        for (name, _) in self.shapes {
-            let Some(scope) = name
-                .strip_prefix(parent)
-                .and_then(|rest| rest.strip_prefix('/')?.split('/').next())
-            else {
-                continue;
-            };
-            let stem = scope.trim_end_matches(|c: char| c.is_ascii_digit());
-            if !FIXED.contains(&scope) && scope[stem.len()..].parse() == Ok(number) {
-                return Ok(format!("{parent}/{scope}"));
-            }
-        }
-        Err(missing(&format!("{parent}/…{number}")))
+        block_scope(self.shapes.iter().map(|(name, _)| name.as_str()), parent, number)
+            .ok_or_else(|| missing(&format!("{parent}/…{number}")))
     }
 
     fn finish(self) -> Result<NameMap> {
@@ -257,6 +251,22 @@ impl Mapping<'_> {
             }),
         }
     }
+}
+
+/// The scope of block `number` below `parent`: the one whose name ends in that number and is not
+/// one of the fixed layers.
+fn block_scope<'a>(
+    mut names: impl Iterator<Item = &'a str>,
+    parent: &str,
+    number: usize,
+) -> Option<String> {
+    const FIXED: [&str; 5] = ["fc_mean", "fc_var", "fc1", "1x1-conv", "outputs"];
+    names.find_map(|name| {
+        let scope = name.strip_prefix(parent)?.strip_prefix('/')?.split('/').next()?;
+        let stem = scope.trim_end_matches(|c: char| c.is_ascii_digit());
+        let found = !FIXED.contains(&scope) && scope[stem.len()..].parse() == Ok(number);
+        found.then(|| format!("{parent}/{scope}"))
+    })
 }
 
 /// Whether a variable's name says that it belongs to a block's skip path.

@@ -1,0 +1,233 @@
+//! NumPy's arrays, scalars and element types.
+
+use ndarray::{ArrayD, IxDyn};
+
+use super::{
+    class::Kind,
+    node::{Item, Node, Object},
+    value::Value,
+};
+use crate::{
+    Result,
+    npy::{NpyElement, NpyHeader, NpyType, read_array},
+};
+
+/// Views and object arrays inside one another.
+pub(super) const MAX_DEPTH: usize = 32;
+
+/// An array as it was stored.
+pub(super) enum Stored<'a> {
+    Numbers { dtype: NpyType, shape: Vec<usize>, fortran: bool, bytes: Value<'a> },
+    Objects { shape: Vec<usize>, fortran: bool, elements: Vec<Value<'a>> },
+}
+
+impl<'a> Value<'a> {
+    /// Numbers as an array: a NumPy array or scalar, a chumpy array or view (its value), a list of
+    /// numbers or of equally long lists, or one number.
+    pub fn array<T: NpyElement>(&self) -> Result<ArrayD<T>> {
+        self.array_within(MAX_DEPTH)
+    }
+
+    pub(super) fn array_within<T: NpyElement>(&self, depth: usize) -> Result<ArrayD<T>> {
+        let Some(depth) = depth.checked_sub(1) else {
+            return Err(self.error(format!("more than {MAX_DEPTH} arrays inside one another")));
+        };
+        if let Some((class, object)) = self.object() {
+            return match class.kind {
+                Kind::NdArray | Kind::FromBuffer => self.numpy(depth),
+                Kind::Scalar => self.scalar(object),
+                Kind::Chumpy => self.chumpy(depth),
+                _ => Err(self.error(format!("is {}, expected numbers", self.describe()))),
+            };
+        }
+        match self.item {
+            Item::Int(value) => self.number(T::from_int(value.into())),
+            Item::Bool(value) => self.number(T::from_int(value.into())),
+            Item::Float(value) => self.number(T::from_float(value)),
+            _ => match self.elements() {
+                Some(elements) => self.stack(&elements, depth),
+                None => Err(self.error(format!("is {}, expected numbers", self.describe()))),
+            },
+        }
+    }
+
+    fn number<T: NpyElement>(&self, value: Option<T>) -> Result<ArrayD<T>> {
+        let value = value
+            .ok_or_else(|| self.error(format!("does not fit {}", std::any::type_name::<T>())))?;
+        Ok(ArrayD::from_elem(IxDyn(&[]), value))
+    }
+
+    /// One array of several of one shape.
+    fn stack<T: NpyElement>(&self, elements: &[Self], depth: usize) -> Result<ArrayD<T>> {
+        let mut values = Vec::new();
+        let mut shape: Option<Vec<usize>> = None;
+        for element in elements {
+            let array = element.array_within::<T>(depth)?;
+            if shape.as_deref().is_some_and(|shape| shape != array.shape()) {
+                return Err(self.error("is a list of arrays of different shapes"));
+            }
+            self.charge(size_of_val(array.as_slice().unwrap_or_default()))?;
+            values.extend(array.iter().copied());
+            shape.get_or_insert_with(|| array.shape().to_vec());
+        }
+        let shape: Vec<usize> =
+            std::iter::once(elements.len()).chain(shape.unwrap_or_default()).collect();
+        ArrayD::from_shape_vec(IxDyn(&shape), values)
+            .map_err(|source| self.error(source.to_string()))
+    }
+
+    fn numpy<T: NpyElement>(&self, depth: usize) -> Result<ArrayD<T>> {
+        match self.stored()? {
+            Stored::Numbers { dtype, shape, fortran, bytes } => {
+                let bytes = bytes.bytes()?;
+                let header = NpyHeader { dtype, fortran, shape, data_offset: 0 };
+                let count = header.elements_and_bytes().map_or(usize::MAX, |(count, _)| count);
+                self.charge(count.saturating_mul(size_of::<T>()))?;
+                read_array(&header, &bytes).map_err(|message| self.error(message))
+            }
+            Stored::Objects { shape, fortran, elements } => match (&shape[..], &elements[..]) {
+                ([], [one]) => one.array_within(depth),
+                _ if fortran => Err(self.error("is an array of objects in Fortran order")),
+                _ => {
+                    let flat: ArrayD<T> = self.stack(&elements, depth)?;
+                    let shape = [&shape, &flat.shape()[1..]].concat();
+                    flat.into_shape_with_order(shape).map_err(|e| self.error(e.to_string()))
+                }
+            },
+        }
+    }
+
+    /// The elements of an array of objects, in its order, with its shape.
+    pub fn objects(&self) -> Result<(Vec<usize>, Vec<Self>)> {
+        match self.stored()? {
+            Stored::Objects { shape, elements, .. } => Ok((shape, elements)),
+            Stored::Numbers { dtype, .. } => {
+                Err(self.error(format!("holds `{dtype}`, expected objects")))
+            }
+        }
+    }
+
+    /// An object array of no dimensions stands for what it holds.
+    pub(super) fn unwrapped(&self) -> Result<Self> {
+        match self.object() {
+            Some((class, _)) if class.kind == Kind::NdArray => match self.stored()? {
+                Stored::Objects { shape, mut elements, .. } if shape.is_empty() => {
+                    elements.pop().ok_or_else(|| self.error("is an empty array"))
+                }
+                _ => Ok(self.clone()),
+            },
+            _ => Ok(self.clone()),
+        }
+    }
+
+    fn stored(&self) -> Result<Stored<'a>> {
+        match self.object() {
+            // __setstate__(version, shape, dtype, Fortran order, data); the version may be missing.
+            Some((class, object)) if class.kind == Kind::NdArray => {
+                let state = self.part(object.state, "state").elements();
+                let state = state.ok_or_else(|| self.error("is an array without a state"))?;
+                let ([_, shape, dtype, fortran, data] | [shape, dtype, fortran, data]) = &state[..]
+                else {
+                    return Err(self.error("is an array with an unknown state"));
+                };
+                self.assemble(shape, dtype, fortran.int()? != 0, data)
+            }
+            // _frombuffer(data, dtype, shape, order)
+            Some((class, object)) if class.kind == Kind::FromBuffer => {
+                let arguments = self.part(object.arguments, "arguments").elements();
+                match arguments.as_deref() {
+                    Some([data, dtype, shape, order]) => {
+                        self.assemble(shape, dtype, order.text()? == "F", data)
+                    }
+                    _ => Err(self.error("is an array with unknown arguments")),
+                }
+            }
+            _ => Err(self.error(format!("is {}, expected a NumPy array", self.describe()))),
+        }
+    }
+
+    fn assemble(
+        &self,
+        shape: &Self,
+        dtype: &Self,
+        fortran: bool,
+        data: &Self,
+    ) -> Result<Stored<'a>> {
+        let shape = self.shape(shape)?;
+        let dtype = self.dtype(dtype)?;
+        if !dtype.is_object() {
+            return Ok(Stored::Numbers {
+                dtype,
+                shape,
+                fortran,
+                bytes: self.part(data.item, "data"),
+            });
+        }
+        let elements = match data.node() {
+            Some(Node::List(items)) => {
+                self.charge(items.len() * size_of::<Value>())?;
+                items.iter().map(|&item| self.with(item)).collect::<Vec<_>>()
+            }
+            _ => return Err(self.error("is an array of objects without a list of them")),
+        };
+        let count = shape.iter().try_fold(1usize, |n, &axis| n.checked_mul(axis));
+        if count != Some(elements.len()) {
+            let message = format!("claims shape {shape:?}, but has {} objects", elements.len());
+            return Err(self.error(message));
+        }
+        Ok(Stored::Objects { shape, fortran, elements })
+    }
+
+    pub(super) fn shape(&self, shape: &Self) -> Result<Vec<usize>> {
+        let axes = match shape.elements() {
+            Some(axes) if axes.len() <= 64 => axes,
+            None if matches!(shape.item, Item::Int(_)) => vec![shape.clone()],
+            _ => return Err(self.error("has no usable shape")),
+        };
+        axes.iter()
+            .map(|axis| {
+                let length = axis.int()?;
+                usize::try_from(length)
+                    .map_err(|_| self.error(format!("has an axis of length {length}")))
+            })
+            .collect()
+    }
+
+    fn scalar<T: NpyElement>(&self, object: &Object) -> Result<ArrayD<T>> {
+        let arguments = self.part(object.arguments, "arguments").elements();
+        let Some([dtype, data]) = arguments.as_deref() else {
+            return Err(self.error("is a scalar with unknown arguments"));
+        };
+        let header = NpyHeader {
+            dtype: self.dtype(dtype)?,
+            fortran: false,
+            shape: Vec::new(),
+            data_offset: 0,
+        };
+        read_array(&header, &data.bytes()?).map_err(|message| self.error(message))
+    }
+
+    /// `dtype('f8', align, copy)` with the state `(version, '<', …)`.
+    fn dtype(&self, dtype: &Self) -> Result<NpyType> {
+        let fault = || self.error("has no usable element type");
+        let (class, object) = dtype.object().ok_or_else(fault)?;
+        if class.kind != Kind::DType {
+            return Err(fault());
+        }
+        let code = self.part(object.arguments, "dtype").elements().ok_or_else(fault)?;
+        let code = code.first().ok_or_else(fault)?.text()?;
+        let order = match self.part(object.state, "dtype").elements().as_deref() {
+            Some([_, order, subtype, names, fields, ..]) => {
+                if !(subtype.is_none() && names.is_none() && fields.is_none()) {
+                    return Err(self.error("is a record (structured) array; expected numbers"));
+                }
+                order.text()?
+            }
+            _ => "|".into(),
+        };
+        if code.len() > 16 || order.len() > 1 {
+            return Err(fault());
+        }
+        Ok(NpyType::parse(&format!("{order}{code}")))
+    }
+}

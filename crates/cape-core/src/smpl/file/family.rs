@@ -1,0 +1,37 @@
+//! Bodies that are not SMPL's, told apart from broken SMPL files.
+
+use std::path::Path;
+
+use super::source::Source;
+use crate::{Error, Result};
+
+const NEEDED: &str = "expected SMPL's own body of 24 joints \
+                      (`SMPL_MALE.pkl`, `basicmodel_m_lbs_10_207_0_v1.0.0.pkl` or the like)";
+
+fn refuse(path: &Path, family: &str) -> Error {
+    Error::format(path, format!("is a {family} body, {NEEDED}"))
+}
+
+/// Refuses other families by arrays that only they have.
+pub(super) fn refuse_others(source: &Source) -> Result<()> {
+    let has = |name| source.contains(name);
+    let family = if has("lmk_faces_idx") || has("expr_dirs") || has("lmk_bary_coords") {
+        "SMPL-X or FLAME"
+    } else if has("hands_componentsl") || has("hands_meanl") {
+        "SMPL-H or SMPL-X"
+    } else if has("hands_components") || has("hands_mean") {
+        "MANO (hand)"
+    } else {
+        return Ok(());
+    };
+    Err(refuse(source.path(), family))
+}
+
+/// Refuses other families by their number of joints.
+pub(super) fn refuse_joints(path: &Path, joints: usize) -> Result<()> {
+    match joints {
+        52 => Err(refuse(path, "SMPL-H")),
+        55 => Err(refuse(path, "SMPL-X")),
+        _ => Ok(()),
+    }
+}

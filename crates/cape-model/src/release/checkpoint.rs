@@ -1,0 +1,112 @@
+//! A model and its optimisers out of a TensorFlow checkpoint.
+
+use super::{bare, import, name_map, without_leading_ones};
+use crate::{
+    CapeConfig, Error, Result,
+    tensorflow::{Checkpoint, Variable},
+    weights::{Array, Weights},
+};
+
+/// Scopes of a model's variables.
+const ROOTS: [&str; 4] =
+    ["condition_pose/", "condition_clo_label/", "generator/", "discriminator/"];
+/// Endings of what optimisers and averages keep beside a variable.
+const MOMENTUM: &str = "/Momentum";
+const SLOTS: [&str; 4] = [MOMENTUM, "/ExponentialMovingAverage", "/Adam", "/Adam_1"];
+/// Number of training steps done.
+const STEP: &str = "global_step";
+
+/// What a checkpoint of the release holds.
+#[derive(Debug)]
+pub struct Released {
+    /// The model's variables by TensorFlow's names.
+    pub variables: Vec<(String, Array)>,
+    /// The optimisers' velocities, by the variables' names.
+    momentum: Vec<(String, Array)>,
+    /// Training steps done, if it says.
+    pub step: Option<u64>,
+    /// Variables that belong to neither: moving averages, counters.
+    pub ignored: Vec<String>,
+}
+
+impl Released {
+    /// Reads a checkpoint.
+    ///
+    /// # Errors
+    /// If it has no variables of a CAPE model, or a variable is damaged.
+    pub fn read(checkpoint: &Checkpoint) -> Result<Self> {
+        let mut read =
+            Self { variables: Vec::new(), momentum: Vec::new(), step: None, ignored: Vec::new() };
+        for variable in checkpoint.variables() {
+            let name = variable.name.as_str();
+            let ours = ROOTS.iter().any(|root| name.starts_with(root));
+            if ours && let Some(owner) = name.strip_suffix(MOMENTUM) {
+                read.momentum.push((owner.to_owned(), checkpoint.floats(variable)?));
+            } else if SLOTS.iter().any(|slot| name.ends_with(slot)) {
+                read.ignored.push(name.to_owned());
+            } else if ours {
+                read.variables.push((name.to_owned(), checkpoint.floats(variable)?));
+            } else if name == STEP || name.ends_with("/global_step") {
+                read.step = step(checkpoint, variable)?;
+            } else {
+                read.ignored.push(name.to_owned());
+            }
+        }
+        if read.variables.is_empty() {
+            let names = checkpoint.variables().iter().take(3).map(|v| v.name.as_str());
+            return Err(Error::File {
+                path: checkpoint.prefix().to_owned(),
+                message: format!(
+                    "has no variable of a CAPE model (generator/…); its first are {}",
+                    names.collect::<Vec<_>>().join(", ")
+                ),
+            });
+        }
+        Ok(read)
+    }
+
+    /// Names and shapes of the model's variables.
+    pub fn shapes(&self) -> Vec<(String, Vec<usize>)> {
+        self.variables.iter().map(|(name, array)| (name.clone(), array.shape.clone())).collect()
+    }
+
+    /// The weights of a model of that configuration.
+    ///
+    /// # Errors
+    /// If a variable is missing or left over; it is named.
+    pub fn weights(&self, config: &CapeConfig) -> Result<Weights> {
+        import(config, &self.variables)
+    }
+
+    /// The velocities of the parameters of `part` (`generator` or `discriminator`), by their paths
+    /// in it; empty if there are none.
+    ///
+    /// # Errors
+    /// As [`weights`](Self::weights), or if a velocity has another shape than its variable.
+    pub fn momentum(&self, config: &CapeConfig, part: &str) -> Result<Weights> {
+        let mut momentum = Weights::new();
+        for (ours, theirs) in name_map(config, &self.shapes())? {
+            let Some(path) = ours.strip_prefix(part).and_then(|rest| rest.strip_prefix('.')) else {
+                continue;
+            };
+            let owner = bare(&theirs);
+            let Some((_, array)) = self.momentum.iter().find(|(name, _)| name == owner) else {
+                continue;
+            };
+            let shape = self.variables.iter().find(|(name, _)| *name == theirs);
+            if shape.is_some_and(|(_, variable)| variable.shape != array.shape) {
+                return Err(Error::Weight {
+                    name: format!("{owner}{MOMENTUM}"),
+                    message: format!("shape {:?}, unlike its variable's", array.shape),
+                });
+            }
+            momentum.insert(path.to_owned(), without_leading_ones(array, &theirs));
+        }
+        Ok(momentum)
+    }
+}
+
+fn step(checkpoint: &Checkpoint, variable: &Variable) -> Result<Option<u64>> {
+    let step = checkpoint.integers(variable)?.first().copied();
+    Ok(step.and_then(|step| u64::try_from(step).ok()))
+}

@@ -1,0 +1,243 @@
+//! The configuration that a set of release variables belongs to, from their names and shapes.
+
+use super::{bare, missing};
+use crate::{CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, Error, Result};
+
+/// Derives the architecture from the names and shapes of a model's variables.
+///
+/// All numbers show in the shapes but the down-sampling factors, for which the release's defaults
+/// for that number of layers are taken (`1,2,1,2,1,2,1,1` of eight, twos in the discriminator);
+/// [`check_vertices`] tells whether they can be right.
+///
+/// # Errors
+/// If a variable is missing or a shape fits no architecture; it is named.
+pub fn infer(shapes: &[(String, Vec<usize>)]) -> Result<CapeConfig> {
+    let shapes = Shapes(shapes);
+    let encoder = "generator/encoder";
+    let blocks = shapes.blocks(encoder)?;
+    let filters: Vec<usize> = blocks.iter().map(|block| block.output).collect();
+    let order = order(&blocks)?;
+    let pose_embedding = shapes.embedding("condition_pose");
+    let outfit_embedding = shapes.embedding("condition_clo_label");
+    let conditions = pose_embedding + outfit_embedding;
+    let input = blocks[0].rows / order;
+    let latent = shapes.matrix(&format!("{encoder}/fc_mean/dense/kernel"))?[1];
+
+    let decoder_scope = "generator/decoder";
+    let first = shapes.scope(decoder_scope, 1).ok_or_else(|| missing("generator/decoder/…1"))?;
+    let decoder = if shapes.get(&format!("{first}/graph_linear_1/weights")).is_some() {
+        DecoderBlock::Residual
+    } else if shapes.get(&format!("{first}/affine/weights")).is_some() {
+        DecoderBlock::Affine
+    } else {
+        DecoderBlock::Plain
+    };
+    let code = shapes.matrix(&format!("{decoder_scope}/fc1/dense/kernel"))?[0];
+    let output = shapes.matrix(&format!("{decoder_scope}/outputs/weights"))?[0] / order;
+    let last = match decoder {
+        DecoderBlock::Affine => filters[0] / 2,
+        _ => filters[0],
+    };
+    let config = CapeConfig {
+        factors: default_factors(filters.len()),
+        order,
+        latent,
+        reduce: match shapes.get(&format!("{encoder}/1x1-conv/weights")) {
+            Some(_) => shapes.matrix(&format!("{encoder}/1x1-conv/weights"))?[1],
+            None => 0,
+        },
+        pose_layers: shapes.layers("condition_pose"),
+        pose_embedding,
+        outfit_layers: shapes.layers("condition_clo_label"),
+        outfit_embedding,
+        encoder_conditions: conditions > 0 && input == 3 + conditions,
+        encoder_residual: blocks[0].weights > 1,
+        decoder,
+        decoder_conditions: if output > last {
+            DecoderConditions::Everywhere
+        } else if code > latent {
+            DecoderConditions::Latent
+        } else {
+            DecoderConditions::None
+        },
+        discriminator: shapes.discriminator(3 + conditions)?,
+        filters,
+        ..CapeConfig::paper()
+    };
+    config.validate()?;
+    Ok(config)
+}
+
+/// Checks the factors of a configuration against variables and a mesh: whether down-sampling
+/// `vertices` by them leaves as many vertices as the fully connected layers were made for.
+///
+/// # Errors
+/// If it does not; the message has both numbers.
+pub fn check_vertices(
+    config: &CapeConfig,
+    shapes: &[(String, Vec<usize>)],
+    vertices: usize,
+) -> Result<()> {
+    let shapes = Shapes(shapes);
+    let name = "generator/decoder/outputs/bias";
+    let output = shapes.get(name).ok_or_else(|| missing(name))?;
+    if output.iter().product::<usize>() != vertices * 3 {
+        return Err(weight(
+            name,
+            format!("shape {output:?}, but the body has {vertices} vertices"),
+        ));
+    }
+    let name = "generator/encoder/fc_mean/dense/kernel";
+    let rows = shapes.matrix(name)?[0];
+    let channels = match config.reduce {
+        0 => config.filters.last().copied().unwrap_or(1),
+        reduce => reduce,
+    };
+    let left = config
+        .factors
+        .iter()
+        .fold(vertices, |vertices, &factor| vertices.div_ceil(factor as usize));
+    if left * channels == rows {
+        return Ok(());
+    }
+    Err(weight(
+        name,
+        format!(
+            "{rows} rows make {} vertices of {channels} channels, but the factors {:?} leave {left} \
+             of {vertices}: give the model's own down-sampling factors",
+            rows / channels,
+            config.factors
+        ),
+    ))
+}
+
+/// The release's down-sampling factors for a number of layers.
+fn default_factors(layers: usize) -> Vec<u32> {
+    match layers {
+        4 => vec![1, 2, 1, 1],
+        6 => vec![1, 2, 1, 2, 1, 1],
+        8 => vec![1, 2, 1, 2, 1, 2, 1, 1],
+        n => vec![1; n],
+    }
+}
+
+/// The convolutions of one encoder layer.
+struct Block {
+    /// Rows of its first matrix: input channels times Chebyshev terms.
+    rows: usize,
+    output: usize,
+    /// How many matrices there are.
+    weights: usize,
+}
+
+/// Chebyshev terms: every layer after the first has as many rows as `order` times the channels of
+/// the one before.
+fn order(blocks: &[Block]) -> Result<usize> {
+    let order = match blocks {
+        [_, second, ..] => second.rows / blocks[0].output.max(1),
+        // Three coordinates, or these and conditions, of which there are never three times fewer.
+        [only] => only.rows / 3,
+        [] => 0,
+    };
+    let fits = |pair: &[Block]| pair[1].rows == order * pair[0].output;
+    if order > 0 && blocks.windows(2).all(fits) && blocks[0].rows.is_multiple_of(order) {
+        return Ok(order);
+    }
+    Err(weight("generator/encoder", "its shapes fit no number of Chebyshev terms".into()))
+}
+
+fn weight(name: &str, message: String) -> Error {
+    Error::Weight { name: name.into(), message }
+}
+
+struct Shapes<'a>(&'a [(String, Vec<usize>)]);
+
+impl<'a> Shapes<'a> {
+    fn get(&self, name: &str) -> Option<&'a [usize]> {
+        let found = self.0.iter().find(|(found, _)| bare(found) == name);
+        found.map(|(_, shape)| shape.as_slice())
+    }
+
+    fn matrix(&self, name: &str) -> Result<[usize; 2]> {
+        let shape = self.get(name).ok_or_else(|| missing(name))?;
+        shape.try_into().map_err(|_| weight(name, format!("shape {shape:?}, expected two axes")))
+    }
+
+    /// Layers of a condition net.
+    fn layers(&self, scope: &str) -> usize {
+        if self.get(&format!("{scope}/fc2/dense/kernel")).is_some() { 2 } else { 1 }
+    }
+
+    /// Size of a condition net's output, 0 where there is none.
+    fn embedding(&self, scope: &str) -> usize {
+        let last = format!("{scope}/fc{}/dense/kernel", self.layers(scope));
+        self.get(&last).and_then(|shape| shape.last().copied()).unwrap_or(0)
+    }
+
+    fn scope(&self, parent: &str, number: usize) -> Option<String> {
+        super::block_scope(self.0.iter().map(|(name, _)| name.as_str()), parent, number)
+    }
+
+    /// The layers below `parent`, as many as there are.
+    fn blocks(&self, parent: &str) -> Result<Vec<Block>> {
+        let mut blocks = Vec::new();
+        while let Some(scope) = self.scope(parent, blocks.len() + 1) {
+            let inside: Vec<[usize; 2]> = self
+                .0
+                .iter()
+                .filter(|(name, shape)| {
+                    let rest = bare(name).strip_prefix(&scope);
+                    shape.len() == 2 && rest.is_some_and(|rest| rest.starts_with('/'))
+                })
+                .map(|(_, shape)| [shape[0], shape[1]])
+                .collect();
+            let name = format!("{scope}/weights");
+            let output = inside.first().ok_or_else(|| missing(&name))?[1];
+            // In a residual block the two convolutions and the linear map share the output; the
+            // first convolution is the one that takes the layer's input.
+            let input = blocks.last().map(|before: &Block| before.output);
+            let rows = match inside[..] {
+                [[rows, _]] => rows,
+                _ => inside
+                    .iter()
+                    .map(|shape| shape[0])
+                    .filter(|rows| match input {
+                        Some(input) => rows.is_multiple_of(input) && *rows != input,
+                        None => *rows != output,
+                    })
+                    .min()
+                    .ok_or_else(|| missing(&name))?,
+            };
+            blocks.push(Block { rows, output, weights: inside.len() });
+        }
+        if blocks.is_empty() {
+            return Err(missing(&format!("{parent}/…1")));
+        }
+        Ok(blocks)
+    }
+
+    fn discriminator(&self, input: usize) -> Result<Option<DiscriminatorConfig>> {
+        let name = |layer: usize| format!("discriminator/shared/conv{layer}/weights");
+        let mut filters = Vec::new();
+        let mut order = 0;
+        while self.get(&name(filters.len() + 1)).is_some() {
+            let [rows, output] = self.matrix(&name(filters.len() + 1))?;
+            let before = filters.last().copied().unwrap_or(input);
+            if rows == 0 || !rows.is_multiple_of(before) || (order > 0 && rows / before != order) {
+                let message = format!("{rows} rows for {before} channels");
+                return Err(weight(&name(filters.len() + 1), message));
+            }
+            order = rows / before;
+            filters.push(output);
+        }
+        let Some(&last) = filters.last() else { return Ok(None) };
+        let output = "discriminator/prediction_map/weights";
+        let output_order = self.matrix(output)?[0] / last.max(1);
+        Ok(Some(DiscriminatorConfig {
+            factors: vec![2; filters.len()],
+            filters,
+            order,
+            output_order,
+        }))
+    }
+}

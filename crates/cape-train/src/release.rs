@@ -1,0 +1,147 @@
+//! Runs made of the authors' TensorFlow checkpoints.
+
+use std::path::{Path, PathBuf};
+
+use burn::tensor::Device;
+use cape_core::{SmplModel, smpl::ClothingMask};
+use cape_graph::Weighting;
+use cape_model::{
+    Cape, LossConfig,
+    release::{Released, check_vertices, infer},
+    tensorflow::Checkpoint as TensorFlow,
+    weights,
+};
+use serde::Serialize;
+
+use crate::{
+    Error, Result, RunConfig, RunPaths,
+    checkpoint::{Checkpoint, Progress},
+    data::{LoaderState, Statistics},
+    run::build_graphs,
+    staging::Staging,
+};
+
+/// What a checkpoint does not hold itself.
+#[derive(Debug, Clone)]
+pub struct ImportOptions {
+    /// The body, whose template the mesh pyramid is made of.
+    pub body: PathBuf,
+    /// Mean and deviation of the training displacements (`trainset_stats.npz`).
+    pub statistics: PathBuf,
+    /// Indices of clothing vertices; else derived from the body's blend weights.
+    pub clothing: Option<PathBuf>,
+    /// The generator's down-sampling factors, where they are not the release's default.
+    pub factors: Option<Vec<u32>>,
+    /// The discriminator's.
+    pub discriminator_factors: Option<Vec<u32>>,
+    /// The objective, for training on.
+    pub loss: LossConfig,
+}
+
+/// What was imported.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ImportReport {
+    /// The checkpoint, without the suffixes of its files.
+    pub checkpoint: PathBuf,
+    /// Variables of the model.
+    pub variables: usize,
+    /// Numbers in them.
+    pub parameters: usize,
+    /// Velocities of the optimisers.
+    pub velocities: usize,
+    /// Training steps done, if the checkpoint says.
+    pub step: Option<u64>,
+    /// Variables that belong to neither model nor optimiser.
+    pub ignored: Vec<String>,
+}
+
+/// Makes a run of a checkpoint in the new or empty directory `out`, which appears only when it is
+/// complete. The pyramid gets the release's up-sampling weights, which the weights were trained
+/// with.
+///
+/// # Errors
+/// If the checkpoint is damaged; if a variable is missing, left over or of another shape than the
+/// body and the architecture ask for (it is named); if body, statistics and clothing vertices do
+/// not fit one another.
+pub fn import(
+    checkpoint: &Path,
+    options: &ImportOptions,
+    out: &Path,
+    device: &Device,
+) -> Result<ImportReport> {
+    let tensorflow = TensorFlow::open(checkpoint)?;
+    let about = |error: cape_model::Error| Error::format(tensorflow.prefix(), error.to_string());
+    let released = Released::read(&tensorflow)?;
+    let shapes = released.shapes();
+    let config = configuration(&shapes, options).map_err(about)?;
+    config.validate()?;
+
+    let body = SmplModel::load(&options.body)?;
+    check_vertices(&config.model, &shapes, body.vertices()).map_err(about)?;
+    let statistics = Statistics::load(&options.statistics)?;
+    statistics
+        .expect_vertices(body.vertices())
+        .map_err(|error| Error::format(&options.statistics, error.to_string()))?;
+    let mask = match &options.clothing {
+        Some(path) => ClothingMask::load(path, body.vertices())?,
+        None => ClothingMask::from_weights(&body)?,
+    };
+
+    let model = released.weights(&config.model).map_err(about)?;
+    let graphs = build_graphs(&config, &body, device)?;
+    let empty = Cape::new(&config.model, &graphs, 0, device)?;
+    // Shapes are checked, and every parameter must be there.
+    weights::apply(empty, &model).map_err(about)?;
+    let momentum = |part| released.momentum(&config.model, part).map_err(about);
+    let saved = Checkpoint {
+        progress: Progress {
+            step: released.step.unwrap_or(0),
+            loader: LoaderState::new(config.train.seed),
+            seconds: 0.0,
+            validation: None,
+            best: None,
+        },
+        generator_momentum: momentum("generator")?,
+        discriminator_momentum: momentum("discriminator")?,
+        model,
+    };
+
+    let staging = Staging::create(out)?;
+    let paths = RunPaths::new(&staging.path);
+    statistics.save(paths.statistics())?;
+    body.save(paths.body())?;
+    mask.save(paths.clothing())?;
+    config.save(&paths.config())?;
+    saved.save(&paths.checkpoints())?;
+    let report = ImportReport {
+        checkpoint: tensorflow.prefix().to_owned(),
+        variables: released.variables.len(),
+        parameters: saved.model.values().map(|array| array.values.len()).sum(),
+        velocities: saved.generator_momentum.len() + saved.discriminator_momentum.len(),
+        step: released.step,
+        ignored: released.ignored,
+    };
+    staging.commit(out)?;
+    Ok(report)
+}
+
+fn configuration(
+    shapes: &[(String, Vec<usize>)],
+    options: &ImportOptions,
+) -> cape_model::Result<RunConfig> {
+    let mut model = infer(shapes)?;
+    if let Some(factors) = &options.factors {
+        model.factors.clone_from(factors);
+    }
+    if let (Some(discriminator), Some(factors)) =
+        (&mut model.discriminator, &options.discriminator_factors)
+    {
+        discriminator.factors.clone_from(factors);
+    }
+    Ok(RunConfig {
+        model,
+        loss: options.loss.clone(),
+        weighting: Weighting::Release,
+        ..RunConfig::default()
+    })
+}
