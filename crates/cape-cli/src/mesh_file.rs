@@ -10,12 +10,10 @@ pub(crate) fn has_extension(path: &Path, expected: &str) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(expected))
 }
 
-/// Reads a mesh: an OBJ or PLY file, or the template of a body in SMPL's `.npz` layout.
+/// Reads a mesh: an OBJ or PLY file, or the template of a body file.
 pub(crate) fn read_surface(path: &Path) -> Result<Surface> {
-    if !has_extension(path, "npz") {
-        return Ok(Surface::from(&Mesh::load(path)?));
+    if has_extension(path, "npz") || has_extension(path, "pkl") {
+        return Ok(Surface::from(&SmplModel::load(path)?));
     }
-    let body = SmplModel::load(path)?;
-    let vertices = body.v_template.rows().into_iter().map(|v| [v[0], v[1], v[2]]).collect();
-    Ok(Surface { vertices, faces: body.faces })
+    Ok(Surface::from(&Mesh::load(path)?))
 }

@@ -7,14 +7,17 @@ use std::{
 
 use crate::{Error, Result};
 
-/// The directory being filled, hidden beside its final place and removed unless committed. What a
-/// killed run left behind is removed by the next one.
+/// The directory being filled, hidden beside its final place and removed unless committed.
 pub(crate) struct Staging {
     pub(crate) path: PathBuf,
+    /// Whether it stays when it is dropped, to be gone on with.
+    pub(crate) keep: bool,
 }
 
 impl Staging {
-    pub(crate) fn create(out: &Path) -> Result<Self> {
+    /// A place for `out`, which must be empty or missing, and what an interrupted attempt left
+    /// there.
+    pub(crate) fn prepare(out: &Path) -> Result<Self> {
         let fail = |e| Error::io(out, e);
         if out.exists() && (!out.is_dir() || fs::read_dir(out).map_err(fail)?.next().is_some()) {
             return Err(Error::Data(format!(
@@ -26,25 +29,39 @@ impl Staging {
             return Err(Error::argument(format!("{} is not a directory's name", out.display())));
         };
         let path = out.with_file_name(format!(".{}.cape-partial", name.to_string_lossy()));
-        if path.exists() {
-            fs::remove_dir_all(&path).map_err(|e| Error::io(&path, e))?;
-        }
         fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
-        Ok(Self { path })
+        Ok(Self { path, keep: false })
     }
 
-    pub(crate) fn commit(self, out: &Path) -> Result<()> {
+    /// An empty place for `out`.
+    pub(crate) fn create(out: &Path) -> Result<Self> {
+        let staging = Self::prepare(out)?;
+        staging.clear()?;
+        Ok(staging)
+    }
+
+    /// Removes what is there.
+    pub(crate) fn clear(&self) -> Result<()> {
+        fs::remove_dir_all(&self.path)
+            .and_then(|()| fs::create_dir(&self.path))
+            .map_err(|e| Error::io(&self.path, e))
+    }
+
+    pub(crate) fn commit(mut self, out: &Path) -> Result<()> {
         if out.is_dir() {
             fs::remove_dir(out).map_err(|e| Error::io(out, e))?;
         }
-        fs::rename(&self.path, out).map_err(|e| Error::io(out, e))
+        fs::rename(&self.path, out).map_err(|e| Error::io(out, e))?;
+        self.keep = true;
+        Ok(())
     }
 }
 
 impl Drop for Staging {
     fn drop(&mut self) {
-        // After a commit there is nothing left here, and a failure to clean up has no better place
-        // to go.
-        let _ = fs::remove_dir_all(&self.path);
+        if !self.keep {
+            // A failure to clean up has no better place to go.
+            let _ = fs::remove_dir_all(&self.path);
+        }
     }
 }

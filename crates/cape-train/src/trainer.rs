@@ -124,8 +124,17 @@ impl Trainer {
     pub fn resume(root: &Path, data: Option<&Path>, device: &Device) -> Result<Self> {
         let paths = RunPaths::new(root);
         let config = RunConfig::load(&paths.config())?;
-        let identity = run::read_identity(&paths.data())?;
-        let data = data.unwrap_or(&identity.path);
+        // An imported run does not know the data it was trained on.
+        let identity = match paths.data().exists() {
+            true => Some(run::read_identity(&paths.data())?),
+            false => None,
+        };
+        let Some(data) = data.or(identity.as_ref().map(|identity| identity.path.as_path())) else {
+            return Err(Error::argument(format!(
+                "{}: does not say what it was trained on: name the packed set",
+                root.display()
+            )));
+        };
         let newest = checkpoint::list(&paths.checkpoints())?.pop();
         let Some((_, newest)) = newest else {
             return Err(Error::Data(format!(
@@ -135,17 +144,21 @@ impl Trainer {
         };
         let saved = Checkpoint::load(&newest)?;
         let mut trainer = Self::assemble(paths, data, config, saved.progress, device)?;
-        if trainer.set.frames() != identity.frames || trainer.set.vertices() != identity.vertices {
+        let found = (trainer.set.frames(), trainer.set.vertices());
+        if let Some(identity) = &identity
+            && found != (identity.frames, identity.vertices)
+        {
             return Err(Error::Data(format!(
                 "{}: {} training frames of {} vertices, but the run was trained on {} of {}",
                 data.display(),
-                trainer.set.frames(),
-                trainer.set.vertices(),
+                found.0,
+                found.1,
                 identity.frames,
                 identity.vertices
             )));
         }
-        if Statistics::of_packed(data, &mut crate::silent)? != *trainer.statistics {
+        trainer.statistics.expect_vertices(found.1)?;
+        if !Statistics::of_packed(data, &mut crate::silent)?.is_close(&trainer.statistics) {
             return Err(Error::Data(format!(
                 "{}: its displacements have another mean and deviation than those the run was \
                  trained on: it is another data set",

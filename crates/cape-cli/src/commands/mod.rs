@@ -3,7 +3,10 @@
 pub(crate) mod bench;
 pub(crate) mod demo;
 pub(crate) mod eval;
+pub(crate) mod export;
+pub(crate) mod import;
 pub(crate) mod info;
+pub(crate) mod inspect;
 pub(crate) mod pack;
 pub(crate) mod pyramid;
 pub(crate) mod sample;

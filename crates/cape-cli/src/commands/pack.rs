@@ -10,10 +10,14 @@ use crate::{
     table::Table,
 };
 
+/// Missing subjects and sequences that are named.
+const SHOWN: usize = 20;
+
 /// Pack raw captures into the arrays that training reads.
 ///
 /// Displacements, poses and outfit labels of all frames, as the CAPE release packs them, with their
-/// statistics. Frames that cannot be read are left out and listed.
+/// statistics. Frames that cannot be read are left out and listed. An interrupted packing goes on
+/// where it was when it is started again.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape pack raw --out packed\n  cape pack cape_release --preset \
@@ -54,9 +58,15 @@ impl Pack {
         for frame in &packed.broken {
             console.note(&format!("left out {}: {}", frame.path.display(), frame.reason));
         }
-        if !packed.missing.is_empty() {
-            let count = packed.missing.len();
-            console.note(&format!("{count} subjects or sequences of the split are not there"));
+        for missing in packed.missing.iter().take(SHOWN) {
+            console.note(&format!("missing {}: {}", missing.subject, missing.reason));
+        }
+        if packed.missing.len() > SHOWN {
+            let more = packed.missing.len() - SHOWN;
+            console.note(&format!("and {more} more are missing: --json lists them"));
+        }
+        if packed.resumed > 0 {
+            console.note(&format!("{} frames were packed before", packed.resumed));
         }
         let report = Report { out: self.out, packed };
         console.result(&report, || report.text())
@@ -83,8 +93,15 @@ impl Pack {
 
 impl Report {
     fn text(&self) -> String {
-        let PackReport { vertices, train_frames, validation_frames, test_frames, broken, missing } =
-            &self.packed;
+        let PackReport {
+            vertices,
+            train_frames,
+            validation_frames,
+            test_frames,
+            broken,
+            missing,
+            ..
+        } = &self.packed;
         let mut table = Table::default();
         for (name, count) in [
             ("training frames", train_frames - validation_frames),

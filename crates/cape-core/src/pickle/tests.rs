@@ -61,7 +61,7 @@ fn what_is_refused_is_named() {
         ("eval", "`builtins.eval`"),
         ("fromfile", "fromfile`"),
         ("truncated", "ends early"),
-        ("weights", "`weights`: shape [4, 3], expected [5, _]"),
+        ("weights", "`weights`: shape [4, 3], expected [5, 3]"),
         ("missing", "`posedirs`: missing"),
         ("computed", "chumpy.ch_ops.add"),
         ("smplh", "SMPL-H"),

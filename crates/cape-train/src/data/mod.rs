@@ -6,6 +6,8 @@
 //! [`PackedSet`] reads batches from a packed set, [`Statistics`] normalises them, and [`Loader`]
 //! draws and prefetches them for training.
 
+pub mod inspect;
+mod journal;
 mod loader;
 mod npy_rows;
 pub mod pack;

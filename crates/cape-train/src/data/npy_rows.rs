@@ -2,7 +2,7 @@
 
 use std::{
     fs::File,
-    io::{self, BufWriter, Seek, SeekFrom, Write},
+    io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
 };
 
@@ -32,6 +32,56 @@ impl RowWriter {
         };
         let file = write().map_err(|e| Error::io(&path, e))?;
         Ok(Self { path, file, shape, header_bytes: header.len(), row: Vec::new() })
+    }
+
+    /// Goes on with a file that [`create`](Self::create) started, after its first `rows` rows;
+    /// what follows them is dropped.
+    pub(super) fn resume(path: PathBuf, row_shape: &[usize], rows: usize) -> Result<Self> {
+        let shape = [&[rows], row_shape].concat();
+        let header_bytes = NpyHeader::bytes("<f8", &shape).len();
+        let row_bytes = 8 * row_shape.iter().product::<usize>() as u64;
+        let length = header_bytes as u64 + rows as u64 * row_bytes;
+        let open = || {
+            let mut file = File::options().read(true).write(true).open(&path)?;
+            if file.metadata()?.len() < length {
+                let message = "shorter than its journal says: remove the directory to pack afresh";
+                return Err(io::Error::new(io::ErrorKind::UnexpectedEof, message));
+            }
+            file.set_len(length)?;
+            file.seek(SeekFrom::End(0))?;
+            Ok(BufWriter::with_capacity(1 << 18, file))
+        };
+        let file = open().map_err(|e| Error::io(&path, e))?;
+        Ok(Self { path, file, shape, header_bytes, row: Vec::new() })
+    }
+
+    /// Reads back the rows written so far, in order.
+    pub(super) fn for_each_row(&mut self, mut f: impl FnMut(&[f64])) -> Result<()> {
+        let numbers: usize = self.shape[1..].iter().product();
+        let (start, rows) = (self.header_bytes as u64, self.shape[0]);
+        let mut read = || {
+            self.file.flush()?;
+            let file = self.file.get_mut();
+            file.seek(SeekFrom::Start(start))?;
+            let mut reader = BufReader::with_capacity(1 << 18, &mut *file);
+            let mut bytes = vec![0; 8 * numbers];
+            let mut row = vec![0.0; numbers];
+            for _ in 0..rows {
+                reader.read_exact(&mut bytes)?;
+                for (x, raw) in row.iter_mut().zip(bytes.as_chunks().0) {
+                    *x = f64::from_le_bytes(*raw);
+                }
+                f(&row);
+            }
+            self.file.get_mut().seek(SeekFrom::End(0))?;
+            Ok(())
+        };
+        read().map_err(|e| Error::io(&self.path, e))
+    }
+
+    /// Hands what was appended to the system.
+    pub(super) fn flush(&mut self) -> Result<()> {
+        self.file.flush().map_err(|e| Error::io(&self.path, e))
     }
 
     /// Appends one row.
@@ -174,7 +224,6 @@ impl PositionedFile {
 
     #[cfg(not(unix))]
     fn read_exact_at(&self, bytes: &mut [u8], position: u64) -> io::Result<()> {
-        use std::io::Read;
         let mut file = self.file.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         file.seek(SeekFrom::Start(position))?;
         file.read_exact(bytes)

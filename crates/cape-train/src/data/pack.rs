@@ -30,6 +30,7 @@ use serde::Serialize;
 
 use super::{
     Part, Split,
+    journal::{Fate, Journal, plan_hash},
     part_writer::PartWriter,
     raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
     statistics::STATISTICS_FILE,
@@ -58,6 +59,8 @@ pub struct PackReport {
     pub broken: Vec<BrokenFrame>,
     /// Subjects and sequences of the split that the raw data do not have.
     pub missing: Vec<Missing>,
+    /// Frames that an interrupted packing of the same data had dealt with before.
+    pub resumed: usize,
 }
 
 /// A frame left out because it cannot be read.
@@ -83,6 +86,8 @@ pub struct Missing {
 /// Packs the frames that `split` selects of the raw tree `raw` into the directory `out`, which
 /// appears only when it is complete.
 ///
+/// A packing that was interrupted goes on where it was, if it is of the same data.
+///
 /// Frames are read in parallel, a few at a time; nothing larger than a few frames (and the at most
 /// 100 latest training frames, which may turn out to be validation) is held in memory. Unreadable
 /// frames, missing subjects and missing sequences are listed in the report; they are an error if
@@ -104,14 +109,29 @@ pub fn pack(
     if let (true, Some(missing)) = (options.strict, report.missing.first()) {
         return Err(Error::Data(format!("{}: {}", missing.subject, missing.reason)));
     }
-    let total = plans.iter().map(|(_, frames)| frames.len()).sum();
+    let frames = || plans.iter().flat_map(|(_, frames)| frames);
+    let total = frames().count();
+    let plan = plan_hash(raw, split, minimal.values(), frames())?;
 
-    let staging = Staging::create(out)?;
+    let mut staging = Staging::prepare(out)?;
+    let mut done = Journal::read(&staging.path, &plan);
+    done.truncate(total);
+    if done.is_empty() {
+        staging.clear()?;
+    }
+    report.resumed = done.len();
+    let mut journal = Journal::start(&staging.path, &plan, &done)?;
+    // From here on an error leaves what was packed for the next attempt.
+    staging.keep = true;
     let mut text = String::new();
-    let mut done = 0;
+    let mut before = 0;
     for (part, frames) in &plans {
-        let mut writer = None;
-        for chunk in frames.chunks(4 * rayon::current_num_threads()) {
+        let fates = &done[before.min(done.len())..(before + frames.len()).min(done.len())];
+        let mut writer = resume(&staging.path, *part, raw, frames, fates, &mut report)?;
+        let left = &frames[fates.len()..];
+        let mut count = before + fates.len();
+        for chunk in left.chunks(4 * rayon::current_num_threads()) {
+            progress(count, total);
             let read: Vec<_> = chunk.par_iter().map(|frame| read(frame, &minimal)).collect();
             for (frame, read) in chunk.iter().zip(read) {
                 match read {
@@ -123,14 +143,27 @@ pub fn pack(
                         if let Some(writer) = &mut writer {
                             writer.push(frame, &read)?;
                         }
+                        journal.note(&Fate::Packed);
                     }
-                    Err(error) if options.strict => return Err(error),
-                    Err(error) => report.broken.push(broken(raw, frame, &error)),
+                    Err(error) if options.strict => {
+                        staging.keep = false;
+                        return Err(error);
+                    }
+                    Err(error) => {
+                        let broken = broken(raw, frame, &error);
+                        journal.note(&Fate::Broken(broken.reason.clone()));
+                        report.broken.push(broken);
+                    }
                 }
             }
-            done += chunk.len();
-            progress(done, total);
+            if let Some(writer) = &mut writer {
+                writer.flush()?;
+            }
+            journal.commit()?;
+            count += chunk.len();
+            progress(count, total);
         }
+        before += frames.len();
         let Some(writer) = writer else { continue };
         describe(&mut text, *part, &writer.captures);
         match part {
@@ -147,11 +180,42 @@ pub fn pack(
         }
     }
     if report.train_frames + report.test_frames == 0 {
+        staging.keep = false;
         return Err(nothing_left(raw, &report));
     }
     write_notes(raw, &staging.path, split, &report, &text)?;
+    journal.finish()?;
     staging.commit(out)?;
     Ok(report)
+}
+
+/// The writer of a part whose first frames are packed already, if any of them was.
+fn resume(
+    directory: &Path,
+    part: Part,
+    raw: &Path,
+    frames: &[PlannedFrame],
+    fates: &[Fate],
+    report: &mut PackReport,
+) -> Result<Option<PartWriter>> {
+    let mut packed = Vec::new();
+    for (frame, fate) in frames.iter().zip(fates) {
+        match fate {
+            Fate::Packed => packed.push(frame),
+            Fate::Broken(reason) => report.broken.push(BrokenFrame {
+                path: relative(raw, frame).to_owned(),
+                reason: reason.clone(),
+            }),
+        }
+    }
+    if packed.is_empty() {
+        return Ok(None);
+    }
+    PartWriter::resume(directory, part, report.vertices, &packed).map(Some)
+}
+
+fn relative<'a>(raw: &Path, frame: &'a PlannedFrame) -> &'a Path {
+    frame.path.strip_prefix(raw.join("sequences")).unwrap_or(&frame.path)
 }
 
 /// One frame to be packed.
@@ -263,7 +327,7 @@ fn read(frame: &PlannedFrame, minimal: &Minimals) -> Result<PackedFrame> {
 }
 
 fn broken(raw: &Path, frame: &PlannedFrame, error: &Error) -> BrokenFrame {
-    let path = frame.path.strip_prefix(raw.join("sequences")).unwrap_or(&frame.path);
+    let path = relative(raw, frame);
     // The path is listed beside the reason.
     let reason = error.to_string();
     let reason = reason.strip_prefix(&*frame.path.to_string_lossy()).unwrap_or(&reason);

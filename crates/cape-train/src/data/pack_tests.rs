@@ -243,6 +243,70 @@ fn an_existing_set_is_kept_and_a_killed_runs_rest_is_not() {
     assert!(pack_to(root.path(), &file.join("packed"), &split()).is_err());
 }
 
+/// Every file of a packed set, by its path.
+fn files(root: &Path) -> std::collections::BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = std::collections::BTreeMap::new();
+    let mut left = vec![root.to_owned()];
+    while let Some(directory) = left.pop() {
+        for entry in fs::read_dir(directory).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                left.push(path);
+            } else {
+                found.insert(path.strip_prefix(root).unwrap().to_owned(), fs::read(&path).unwrap());
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn an_interrupted_packing_goes_on_to_the_same_bytes() {
+    let root = tempfile::tempdir().unwrap();
+    write_minimal(root.path(), "a", &vertices(0)).unwrap();
+    for (sequence, count) in [("walk", 140), ("soccer", 30)] {
+        for k in 0..count {
+            write_frame(root.path(), "a", Outfit::ShortLong, sequence, k, &frame(k)).unwrap();
+        }
+    }
+    let broken = capture(root.path(), "a/shortlong_walk").join("shortlong_walk.000003.npz");
+    fs::write(broken, "x").unwrap();
+    let split = Split { subjects: vec!["a".into()], cut: 0, ..split() };
+    let whole = root.path().join("whole");
+    let expected = pack_to(root.path(), &whole, &split).unwrap();
+    let out = root.path().join("packed");
+    let rest = root.path().join(".packed.cape-partial");
+    // In the training part, at its end, in the test part.
+    for stop in [20, 140, 150] {
+        let interrupted = std::panic::catch_unwind(|| {
+            pack(root.path(), &out, &split, PackOptions::default(), &mut |done, _| {
+                assert!(done < stop, "interrupted");
+            })
+        });
+        assert!(interrupted.is_err() && rest.is_dir() && !out.exists());
+        // What was written after the last entry, and half an entry.
+        let journal = rest.join("journal.txt");
+        fs::write(&journal, fs::read_to_string(&journal).unwrap() + "pack").unwrap();
+        let path = rest.join("train/train_pose.npy");
+        fs::write(&path, [fs::read(&path).unwrap(), vec![7; 99]].concat()).unwrap();
+        let report = pack_to(root.path(), &out, &split).unwrap();
+        assert!((stop..170).contains(&report.resumed), "{}", report.resumed);
+        assert_eq!(PackReport { resumed: 0, ..report }, expected);
+        assert_eq!(files(&out), files(&whole));
+        assert!(!rest.exists());
+        fs::remove_dir_all(&out).unwrap();
+    }
+    // Other data are not gone on with.
+    let interrupted = std::panic::catch_unwind(|| {
+        pack(root.path(), &out, &split, PackOptions::default(), &mut |done, _| {
+            assert!(done < 20, "interrupted");
+        })
+    });
+    assert!(interrupted.is_err());
+    let other = Split { sample_rate: 2, ..split };
+    assert_eq!(pack_to(root.path(), &out, &other).unwrap().resumed, 0);
+}
+
 /// More than 100 training frames behind the latest, and the same bytes for any thread count.
 #[test]
 fn long_sequences_and_any_number_of_threads() {

@@ -20,7 +20,7 @@ use crate::{Error, Progress, Result};
 pub(super) const FRAMES_HEADER: &str = "subject,outfit,sequence,frame";
 
 /// A part of a packed set.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Part {
     /// Training frames; the last ones validate.
@@ -190,6 +190,15 @@ impl PackedSet {
                 .map_err(shape)?,
             outfit: Array2::from_shape_vec((count, 4), outfit).map_err(shape)?,
         })
+    }
+
+    /// One frame in double precision: displacements `[V, 3]` in metres, pose `[72]`, and the
+    /// rotation matrices of 24 joints, row-major, `[216]`.
+    pub fn frame(&self, frame: usize) -> Result<(Array2<f64>, Vec<f64>, Vec<f64>)> {
+        let displacement =
+            Array2::from_shape_vec((self.vertices(), 3), self.displacement.row(frame)?)
+                .map_err(|error| Error::argument(error.to_string()))?;
+        Ok((displacement, self.pose.row(frame)?, self.rotations.row(frame)?))
     }
 
     /// One frame's pose: axis-angle rotations of 24 joints, `[72]`.

@@ -37,21 +37,49 @@ impl PartWriter {
     pub(super) fn create(root: &Path, part: Part, vertices: usize) -> Result<Self> {
         let directory = root.join(part.name());
         fs::create_dir_all(&directory).map_err(|e| Error::io(&directory, e))?;
-        let create = |what, shape: &[usize]| RowWriter::create(part.path(root, what), shape);
         let names = part.frames_path(root);
-        let open = || {
-            let mut file = BufWriter::new(File::create(&names)?);
-            writeln!(file, "{FRAMES_HEADER}")?;
-            Ok(file)
-        };
-        let frames = open().map_err(|e| Error::io(&names, e))?;
+        fs::write(&names, format!("{FRAMES_HEADER}\n")).map_err(|e| Error::io(&names, e))?;
+        Self::assemble(root, part, vertices, RowWriter::create)
+    }
+
+    /// Goes on with files that hold `frames` already; statistics are gathered anew from them.
+    pub(super) fn resume(
+        root: &Path,
+        part: Part,
+        vertices: usize,
+        frames: &[&PlannedFrame],
+    ) -> Result<Self> {
+        let rows = frames.len();
+        let mut writer = Self::assemble(root, part, vertices, |path, shape| {
+            RowWriter::resume(path, shape, rows)
+        })?;
+        let lines: String = frames.iter().map(|frame| csv_line(frame)).collect();
+        let text = format!("{FRAMES_HEADER}\n{lines}");
+        fs::write(&writer.names, text).map_err(|e| Error::io(&writer.names, e))?;
+        for frame in frames {
+            writer.count(frame);
+        }
+        let Self { displacement, statistics, latest, .. } = &mut writer;
+        displacement.for_each_row(|row| settle(statistics, latest, row.to_vec()))?;
+        Ok(writer)
+    }
+
+    fn assemble(
+        root: &Path,
+        part: Part,
+        vertices: usize,
+        open: impl Fn(PathBuf, &[usize]) -> Result<RowWriter>,
+    ) -> Result<Self> {
+        let names = part.frames_path(root);
+        let frames = File::options().append(true).open(&names).map_err(|e| Error::io(&names, e))?;
+        let open = |what, shape: &[usize]| open(part.path(root, what), shape);
         Ok(Self {
-            displacement: create("disp", &[vertices, 3])?,
-            pose: create("pose", &[72])?,
-            rotations: create("rot", &[216])?,
-            label: create("clo_label", &[4])?,
+            displacement: open("disp", &[vertices, 3])?,
+            pose: open("pose", &[72])?,
+            rotations: open("rot", &[216])?,
+            label: open("clo_label", &[4])?,
             names,
-            frames,
+            frames: BufWriter::new(frames),
             captures: Vec::new(),
             statistics: Accumulator::new(3 * vertices),
             latest: VecDeque::new(),
@@ -63,26 +91,33 @@ impl PartWriter {
     }
 
     pub(super) fn push(&mut self, frame: &PlannedFrame, packed: &PackedFrame) -> Result<()> {
-        let PlannedFrame { path, subject, sequence, outfit } = frame;
         self.displacement.push(packed.displacement.iter().copied())?;
         self.pose.push(packed.pose)?;
         self.rotations.push(packed.rotations.iter().copied())?;
-        self.label.push(outfit.one_hot().map(f64::from))?;
-        let name = path.file_stem().unwrap_or_default().to_string_lossy();
-        writeln!(self.frames, "{subject},{outfit},{sequence},{name}")
-            .map_err(|e| Error::io(&self.names, e))?;
+        self.label.push(frame.outfit.one_hot().map(f64::from))?;
+        self.frames.write_all(csv_line(frame).as_bytes()).map_err(|e| Error::io(&self.names, e))?;
+        self.count(frame);
+        let row = packed.displacement.iter().copied().collect();
+        settle(&mut self.statistics, &mut self.latest, row);
+        Ok(())
+    }
+
+    fn count(&mut self, frame: &PlannedFrame) {
+        let PlannedFrame { subject, sequence, outfit, .. } = frame;
         let capture = format!("{subject}/{outfit}_{sequence}");
         match self.captures.last_mut() {
             Some((last, frames)) if *last == capture => *frames += 1,
             _ => self.captures.push((capture, 1)),
         }
-        self.latest.push_back(packed.displacement.iter().copied().collect());
-        if self.latest.len() > LATEST
-            && let Some(settled) = self.latest.pop_front()
-        {
-            self.statistics.push(settled);
+    }
+
+    /// Hands everything to the system, so that the packing can go on from here.
+    pub(super) fn flush(&mut self) -> Result<()> {
+        let Self { displacement, pose, rotations, label, .. } = self;
+        for rows in [displacement, pose, rotations, label] {
+            rows.flush()?;
         }
-        Ok(())
+        self.frames.flush().map_err(|e| Error::io(&self.names, e))
     }
 
     /// Completes the files and returns the statistics of the frames that do not validate.
@@ -98,5 +133,21 @@ impl PartWriter {
         self.label.finish()?;
         self.frames.flush().map_err(|e| Error::io(&self.names, e))?;
         self.statistics.finish(validation)
+    }
+}
+
+fn csv_line(frame: &PlannedFrame) -> String {
+    let PlannedFrame { path, subject, sequence, outfit } = frame;
+    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    format!("{subject},{outfit},{sequence},{name}\n")
+}
+
+/// Keeps the latest frames apart from the statistics.
+fn settle(statistics: &mut Accumulator, latest: &mut VecDeque<Vec<f64>>, row: Vec<f64>) {
+    latest.push_back(row);
+    if latest.len() > LATEST
+        && let Some(settled) = latest.pop_front()
+    {
+        statistics.push(settled);
     }
 }

@@ -13,6 +13,9 @@ pub const STATISTICS_FILE: &str = "stats.npz";
 /// on bare skin for example, normalised values stay small instead of being divided by zero.
 pub const MIN_STD: f64 = 1e-4;
 
+/// Metres by which statistics of the same data may differ.
+const ROUNDING: f64 = 1e-7;
+
 /// How many of a set's `frames` training frames, the last ones in packed order, are for validation:
 /// 100 as in the release; of fewer than 1000, a tenth (rounded), but at least 1; of a single frame,
 /// none.
@@ -56,6 +59,15 @@ impl Statistics {
     /// Population standard deviation, metres, at least [`MIN_STD`], `[V, 3]`.
     pub fn std(&self) -> &Array2<f64> {
         &self.std
+    }
+
+    /// Whether these are the statistics of the same data: equal but for rounding to 32 bits, in
+    /// which the release stores them.
+    pub fn is_close(&self, other: &Self) -> bool {
+        let close = |a: &Array2<f64>, b: &Array2<f64>| {
+            a.dim() == b.dim() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= ROUNDING)
+        };
+        close(&self.mean, &other.mean) && close(&self.std, &other.std)
     }
 
     /// Number of vertices.

@@ -42,14 +42,15 @@ impl SmplModel {
         family::refuse_others(&source)?;
         let v_template: Array2<f64> = array::<Ix2>(&mut source, "v_template", &[None, Some(3)])?;
         let v = v_template.nrows();
-        let weights: Array2<f64> = array::<Ix2>(&mut source, "weights", &[Some(v), None])?;
-        let j = weights.ncols();
+        let parents = parents(&mut source)?;
+        let j = parents.len();
         family::refuse_joints(path, j)?;
+        let weights: Array2<f64> = array::<Ix2>(&mut source, "weights", &[Some(v), Some(j)])?;
         let model = Self {
             shapedirs: array::<Ix3>(&mut source, "shapedirs", &[Some(v), Some(3), None])?,
             posedirs: pose_directions(&mut source, v, j)?,
             joint_regressor: joint_regressor(&mut source, j, v)?,
-            parents: parents(&mut source, j)?,
+            parents,
             faces: faces(&mut source)?,
             v_template,
             weights,
@@ -126,10 +127,11 @@ fn joint_regressor(source: &mut Source, j: usize, v: usize) -> Result<Array2<f64
         })
 }
 
-fn parents(source: &mut Source, j: usize) -> Result<Vec<Option<usize>>> {
+fn parents(source: &mut Source) -> Result<Vec<Option<usize>>> {
     let name = "kintree_table";
     let table: ArrayD<i64> = source.array(name)?;
-    expect_shape(source.path(), name, table.shape(), &[Some(2), Some(j)])?;
+    expect_shape(source.path(), name, table.shape(), &[Some(2), None])?;
+    let j = table.shape()[1];
     let fault = |message: String| Err(Error::field(source.path(), name, message));
     let mut parents = Vec::with_capacity(j);
     for joint in 0..j {

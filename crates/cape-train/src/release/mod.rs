@@ -1,17 +1,20 @@
 //! Runs made of the authors' TensorFlow checkpoints.
 
+mod settings;
+
 use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use cape_core::{SmplModel, smpl::ClothingMask};
 use cape_graph::Weighting;
 use cape_model::{
-    Cape, LossConfig,
+    Cape,
     release::{Released, check_vertices, infer},
     tensorflow::Checkpoint as TensorFlow,
     weights,
 };
 use serde::Serialize;
+use settings::Settings;
 
 use crate::{
     Error, Result, RunConfig, RunPaths,
@@ -34,8 +37,9 @@ pub struct ImportOptions {
     pub factors: Option<Vec<u32>>,
     /// The discriminator's.
     pub discriminator_factors: Option<Vec<u32>>,
-    /// The objective, for training on.
-    pub loss: LossConfig,
+    /// The release's configuration file: flat YAML. What the weights show is checked against them;
+    /// the rest is for training on.
+    pub settings: Option<PathBuf>,
 }
 
 /// What was imported.
@@ -53,6 +57,8 @@ pub struct ImportReport {
     pub step: Option<u64>,
     /// Variables that belong to neither model nor optimiser.
     pub ignored: Vec<String>,
+    /// Keys of the configuration file that mean nothing here.
+    pub unused: Vec<String>,
 }
 
 /// Makes a run of a checkpoint in the new or empty directory `out`, which appears only when it is
@@ -73,7 +79,13 @@ pub fn import(
     let about = |error: cape_model::Error| Error::format(tensorflow.prefix(), error.to_string());
     let released = Released::read(&tensorflow)?;
     let shapes = released.shapes();
-    let config = configuration(&shapes, options).map_err(about)?;
+    let mut config = configuration(&shapes, options).map_err(about)?;
+    let mut unused = Vec::new();
+    if let Some(path) = &options.settings {
+        let mut settings = Settings::load(path)?;
+        settings.apply(&mut config).map_err(|message| Error::format(path, message))?;
+        unused = settings.unused();
+    }
     config.validate()?;
 
     let body = SmplModel::load(&options.body)?;
@@ -120,6 +132,7 @@ pub fn import(
         velocities: saved.generator_momentum.len() + saved.discriminator_momentum.len(),
         step: released.step,
         ignored: released.ignored,
+        unused,
     };
     staging.commit(out)?;
     Ok(report)
@@ -138,10 +151,5 @@ fn configuration(
     {
         discriminator.factors.clone_from(factors);
     }
-    Ok(RunConfig {
-        model,
-        loss: options.loss.clone(),
-        weighting: Weighting::Release,
-        ..RunConfig::default()
-    })
+    Ok(RunConfig { model, weighting: Weighting::Release, ..RunConfig::default() })
 }
