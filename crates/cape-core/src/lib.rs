@@ -6,6 +6,7 @@
 mod atomic;
 mod device;
 mod error;
+pub mod gltf;
 pub mod joints;
 mod mesh;
 pub mod npy;

@@ -1,0 +1,387 @@
+//! glTF 2.0 binary files (`.glb`) of skinned, animated bodies, for Blender, three.js and the like.
+//!
+//! A [`Figure`] is a body in clothes with SMPL's skeleton and blend weights; [`Keyframe`]s turn its
+//! joints. What skinning alone cannot do, pose blend shapes and clothes that change with the pose,
+//! is stored beside it as one morph target a keyframe, so that every keyframe shows exactly the
+//! vertices that this library computes for it. Units are metres, seconds and radians; y points up.
+
+mod buffer;
+mod skin;
+#[cfg(test)]
+mod tests;
+
+use std::{io::Write, path::Path};
+
+use glam::{DMat3, DQuat, DVec3};
+use ndarray::Array2;
+use serde_json::{Value, json};
+
+use crate::{Error, Mesh, Result, SmplModel, joints, obj::Uv, write_atomically};
+use buffer::{Buffer, Target};
+
+const MAGIC: u32 = 0x4654_6c67;
+const JSON_CHUNK: u32 = 0x4e4f_534a;
+const BINARY_CHUNK: u32 = 0x004e_4942;
+
+/// A body in clothes, at rest.
+#[derive(Debug, Clone)]
+pub struct Figure<'a> {
+    /// Its name in the file.
+    pub name: &'a str,
+    /// Skeleton, blend weights and triangles.
+    pub body: &'a SmplModel,
+    /// Clothed rest vertices, `T̄ + B_S(β) + S_clo`, metres, `[V, 3]`.
+    pub rest: Array2<f64>,
+    /// Rest joints, metres, `[J, 3]`.
+    pub joints: Array2<f64>,
+    /// sRGB from 0 to 1, `[V, 3]`.
+    pub colours: Option<&'a [[f32; 3]]>,
+    /// Where the texture goes.
+    pub texture: Option<Texture<'a>>,
+    /// Further morph targets with their names, such as shape directions: offsets of rest vertices,
+    /// metres, `[V, 3]`, weight 0 at first.
+    pub targets: Vec<(String, Array2<f64>)>,
+}
+
+/// A picture and its coordinates on the body.
+#[derive(Debug, Clone, Copy)]
+pub struct Texture<'a> {
+    /// Coordinates of the corners of the body's faces.
+    pub uv: &'a Uv,
+    /// The contents of a PNG or JPEG file, if there is one.
+    pub image: Option<&'a [u8]>,
+}
+
+/// A moment of an animation.
+#[derive(Debug, Clone)]
+pub struct Keyframe {
+    /// When, seconds.
+    pub time: f32,
+    /// Axis-angle rotations of all joints, radians, `[3 J]`.
+    pub pose: Vec<f64>,
+    /// Where the body is, metres.
+    pub transl: [f64; 3],
+    /// What is added to the rest vertices before skinning, metres, `[V, 3]`: pose blend shapes and
+    /// what differs from the rest clothes.
+    pub offset: Array2<f64>,
+}
+
+/// Writes a figure, atomically: in its rest pose without keyframes, in the pose of a single one, or
+/// animated by several.
+///
+/// # Errors
+/// If shapes do not fit the body, if times do not rise, or if the file cannot be written.
+pub fn write(path: impl AsRef<Path>, figure: &Figure, keyframes: &[Keyframe]) -> Result<()> {
+    let path = path.as_ref();
+    let bytes = encode(figure, keyframes)?;
+    write_atomically(path, |file| file.write_all(&bytes))
+}
+
+/// The bytes of a `.glb` file; see [`write`].
+///
+/// # Errors
+/// As [`write`].
+pub fn encode(figure: &Figure, keyframes: &[Keyframe]) -> Result<Vec<u8>> {
+    check(figure, keyframes)?;
+    let joint_count = figure.body.joints();
+    let mut buffer = Buffer::default();
+    let corners = Corners::new(figure);
+
+    let mesh = mesh(figure, keyframes, &corners, &mut buffer);
+    let inverse_bind = inverse_bind(figure, &mut buffer);
+    let mut nodes: Vec<Value> =
+        (0..joint_count).map(|joint| joint_node(figure, joint, keyframes.first())).collect();
+    let mesh_node = nodes.len();
+    nodes.push(json!({ "name": figure.name, "mesh": 0, "skin": 0 }));
+    let mut document = json!({
+        "asset": { "version": "2.0", "generator": concat!("cape ", env!("CARGO_PKG_VERSION")) },
+        "scene": 0,
+        "scenes": [{ "name": figure.name, "nodes": [0, mesh_node] }],
+        "nodes": nodes,
+        "meshes": [mesh],
+        "skins": [{
+            "name": "SMPL",
+            "inverseBindMatrices": inverse_bind,
+            "joints": (0..joint_count).collect::<Vec<_>>(),
+            "skeleton": 0,
+        }],
+        "materials": [{
+            "name": "clothed body",
+            "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 0.9 },
+        }],
+    });
+    if keyframes.len() > 1 {
+        document["animations"] = json!([animation(figure, keyframes, mesh_node, &mut buffer)]);
+    }
+    if let Some(image) = figure.texture.and_then(|texture| texture.image) {
+        let view = buffer.raw(image);
+        document["images"] = json!([{ "bufferView": view, "mimeType": mime_type(image)? }]);
+        document["samplers"] = json!([{ "magFilter": 9729, "minFilter": 9987 }]);
+        document["textures"] = json!([{ "source": 0, "sampler": 0 }]);
+        document["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] =
+            json!({ "index": 0 });
+    }
+    let Buffer { bytes, views, accessors } = buffer;
+    document["buffers"] = json!([{ "byteLength": bytes.len() }]);
+    document["bufferViews"] = Value::Array(views);
+    document["accessors"] = Value::Array(accessors);
+    assemble(&document, bytes)
+}
+
+fn assemble(document: &Value, mut binary: Vec<u8>) -> Result<Vec<u8>> {
+    let mut text = document.to_string().into_bytes();
+    text.resize(text.len().next_multiple_of(4), b' ');
+    binary.resize(binary.len().next_multiple_of(4), 0);
+    let total = 12 + 8 + text.len() + 8 + binary.len();
+    let too_large = |_| Error::Argument(format!("glTF: {total} bytes, more than 4 GiB"));
+    let length = u32::try_from(total).map_err(too_large)?;
+    let mut file = Vec::with_capacity(total);
+    for word in [MAGIC, 2, length, text.len() as u32, JSON_CHUNK] {
+        file.extend(word.to_le_bytes());
+    }
+    file.extend(text);
+    for word in [binary.len() as u32, BINARY_CHUNK] {
+        file.extend(word.to_le_bytes());
+    }
+    file.extend(binary);
+    Ok(file)
+}
+
+fn check(figure: &Figure, keyframes: &[Keyframe]) -> Result<()> {
+    let (v, j) = (figure.body.vertices(), figure.body.joints());
+    let expect = |what: &str, found: &[usize], expected: &[usize]| {
+        if found == expected {
+            return Ok(());
+        }
+        Err(Error::Argument(format!("glTF: {what} of shape {found:?}, expected {expected:?}")))
+    };
+    if j > 256 {
+        return Err(Error::Argument(format!("glTF: {j} joints, expected at most 256")));
+    }
+    expect("rest vertices", figure.rest.shape(), &[v, 3])?;
+    expect("joints", figure.joints.shape(), &[j, 3])?;
+    if let Some(colours) = figure.colours {
+        expect("colours", &[colours.len(), 3], &[v, 3])?;
+    }
+    if let Some(texture) = &figure.texture {
+        let faces = figure.body.faces.len();
+        expect("texture coordinates", &[texture.uv.faces.len(), 3], &[faces, 3])?;
+        let points = texture.uv.coordinates.len();
+        if texture.uv.faces.iter().flatten().any(|&point| point as usize >= points) {
+            return Err(Error::Argument("glTF: a face has no texture point".into()));
+        }
+    }
+    for (name, target) in &figure.targets {
+        expect(name, target.shape(), &[v, 3])?;
+    }
+    for (index, frame) in keyframes.iter().enumerate() {
+        expect(&format!("pose of keyframe {index}"), &[frame.pose.len()], &[3 * j])?;
+        expect(&format!("offset of keyframe {index}"), frame.offset.shape(), &[v, 3])?;
+    }
+    if !keyframes.is_sorted_by(|a, b| a.time < b.time)
+        || keyframes.iter().any(|frame| !(frame.time.is_finite() && frame.time >= 0.0))
+    {
+        return Err(Error::Argument("glTF: times of keyframes do not rise from 0".into()));
+    }
+    Ok(())
+}
+
+fn mime_type(image: &[u8]) -> Result<&'static str> {
+    match image {
+        [0x89, b'P', b'N', b'G', ..] => Ok("image/png"),
+        [0xff, 0xd8, 0xff, ..] => Ok("image/jpeg"),
+        _ => Err(Error::Argument("glTF: a texture is a PNG or a JPEG file".into())),
+    }
+}
+
+/// Vertices as glTF has them: one for each pair of a vertex and a texture point.
+struct Corners {
+    /// The body's vertex of each.
+    vertex: Vec<u32>,
+    uv: Option<Vec<[f32; 2]>>,
+    indices: Vec<u32>,
+}
+
+impl Corners {
+    fn new(figure: &Figure) -> Self {
+        let faces = figure.body.faces.as_flattened();
+        let Some(Texture { uv, .. }) = &figure.texture else {
+            let vertex = (0..figure.body.vertices() as u32).collect();
+            return Self { vertex, uv: None, indices: faces.to_vec() };
+        };
+        let mut known = std::collections::HashMap::new();
+        let (mut vertex, mut points) = (Vec::new(), Vec::new());
+        let pairs = faces.iter().copied().zip(uv.faces.as_flattened().iter().copied());
+        let indices = pairs
+            .map(|pair| {
+                *known.entry(pair).or_insert_with(|| {
+                    let [u, v] = uv.coordinates[pair.1 as usize];
+                    vertex.push(pair.0);
+                    // The origin of glTF's textures is above, that of OBJ's below.
+                    points.push([u, 1.0 - v]);
+                    vertex.len() as u32 - 1
+                })
+            })
+            .collect();
+        Self { vertex, uv: Some(points), indices }
+    }
+
+    fn rows(&self, array: &Array2<f64>) -> Vec<[f32; 3]> {
+        let row = |&vertex: &u32| [0, 1, 2].map(|axis| array[[vertex as usize, axis]] as f32);
+        self.vertex.iter().map(row).collect()
+    }
+
+    fn of<T: Copy>(&self, values: &[T]) -> Vec<T> {
+        self.vertex.iter().map(|&vertex| values[vertex as usize]).collect()
+    }
+}
+
+fn mesh(figure: &Figure, keyframes: &[Keyframe], corners: &Corners, buffer: &mut Buffer) -> Value {
+    let rest: Vec<[f32; 3]> =
+        figure.rest.rows().into_iter().map(|v| [v[0] as f32, v[1] as f32, v[2] as f32]).collect();
+    let surface = Mesh { vertices: rest, faces: figure.body.faces.clone() };
+    // A vertex of no triangle has no normal; glTF wants one of length 1.
+    let normals: Vec<[f32; 3]> = surface
+        .vertex_normals()
+        .into_iter()
+        .map(|n| if n.iter().any(|&x| x != 0.0) { n } else { [0.0, 1.0, 0.0] })
+        .collect();
+    let mut attributes = json!({
+        "POSITION": buffer.vec3(&corners.of(&surface.vertices), Target::Vertices, true),
+        "NORMAL": buffer.vec3(&corners.of(&normals), Target::Vertices, false),
+    });
+    if let Some(points) = &corners.uv {
+        attributes["TEXCOORD_0"] = json!(buffer.vec2(points));
+    }
+    if let Some(colours) = figure.colours {
+        let linear: Vec<[f32; 3]> = colours.iter().map(|colour| colour.map(linear)).collect();
+        attributes["COLOR_0"] = json!(buffer.vec3(&corners.of(&linear), Target::Vertices, false));
+    }
+    for (set, influences) in skin::influences(figure.body).into_iter().enumerate() {
+        let joints: Vec<[u8; 4]> = influences.iter().map(|four| four.map(|(j, _)| j)).collect();
+        let weights: Vec<[f32; 4]> = influences.iter().map(|four| four.map(|(_, w)| w)).collect();
+        attributes[format!("JOINTS_{set}")] = json!(buffer.joints(&corners.of(&joints)));
+        attributes[format!("WEIGHTS_{set}")] = json!(buffer.vec4(&corners.of(&weights)));
+    }
+    let indices = buffer.indices(&corners.indices);
+    let mut primitive = json!({ "attributes": attributes, "indices": indices, "material": 0 });
+
+    let mut names: Vec<String> = figure.targets.iter().map(|(name, _)| name.clone()).collect();
+    let mut weights = vec![0.0; names.len()];
+    let offsets = figure.targets.iter().map(|(_, target)| target);
+    let mut targets: Vec<Value> = Vec::new();
+    for target in offsets.chain(keyframes.iter().map(|frame| &frame.offset)) {
+        let rows = corners.rows(target);
+        targets.push(json!({ "POSITION": buffer.vec3(&rows, Target::Vertices, true) }));
+    }
+    for index in 0..keyframes.len() {
+        names.push(format!("frame {index}"));
+        weights.push(if index == 0 { 1.0 } else { 0.0 });
+    }
+    let mut mesh = json!({ "name": figure.name });
+    if !targets.is_empty() {
+        primitive["targets"] = Value::Array(targets);
+        mesh["weights"] = json!(weights);
+        mesh["extras"] = json!({ "targetNames": names });
+    }
+    mesh["primitives"] = json!([primitive]);
+    mesh
+}
+
+/// sRGB to the linear colours of glTF.
+fn linear(x: f32) -> f32 {
+    let x = x.clamp(0.0, 1.0);
+    if x <= 0.04045 { x / 12.92 } else { ((x + 0.055) / 1.055).powf(2.4) }
+}
+
+/// Where a joint is relative to its parent.
+fn local(figure: &Figure, joint: usize) -> DVec3 {
+    let at = |joint: usize| DVec3::from_array([0, 1, 2].map(|axis| figure.joints[[joint, axis]]));
+    figure.body.parents[joint].map_or_else(|| at(joint), |parent| at(joint) - at(parent))
+}
+
+fn rotation(frame: &Keyframe, joint: usize) -> [f32; 4] {
+    let axis_angle = [0, 1, 2].map(|axis| frame.pose[3 * joint + axis]);
+    let [x, y, z] = joints::rotation_matrix(axis_angle);
+    // Rows of the matrix are columns of its transpose.
+    let matrix = DMat3::from_cols_array_2d(&[x, y, z]).transpose();
+    DQuat::from_mat3(&matrix).normalize().as_quat().to_array()
+}
+
+fn joint_node(figure: &Figure, joint: usize, frame: Option<&Keyframe>) -> Value {
+    let name = joints::JOINT_NAMES
+        .get(joint)
+        .map_or_else(|| format!("joint {joint}"), ToString::to_string);
+    let mut at = local(figure, joint);
+    if let (None, Some(frame)) = (figure.body.parents[joint], frame) {
+        at += DVec3::from_array(frame.transl);
+    }
+    let mut node = json!({ "name": name, "translation": at.as_vec3().to_array() });
+    if let Some(frame) = frame {
+        node["rotation"] = json!(rotation(frame, joint));
+    }
+    let children: Vec<usize> = (0..figure.body.joints())
+        .filter(|&child| figure.body.parents[child] == Some(joint))
+        .collect();
+    if !children.is_empty() {
+        node["children"] = json!(children);
+    }
+    node
+}
+
+fn inverse_bind(figure: &Figure, buffer: &mut Buffer) -> usize {
+    let matrices: Vec<[f32; 16]> = figure
+        .joints
+        .rows()
+        .into_iter()
+        .map(|joint| {
+            let at = [0, 1, 2].map(|axis| -joint[axis] as f32);
+            [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, at[0], at[1], at[2], 1.0]
+        })
+        .collect();
+    buffer.matrices(&matrices)
+}
+
+fn animation(
+    figure: &Figure,
+    keyframes: &[Keyframe],
+    mesh_node: usize,
+    buffer: &mut Buffer,
+) -> Value {
+    let times: Vec<f32> = keyframes.iter().map(|frame| frame.time - keyframes[0].time).collect();
+    let input = buffer.times(&times);
+    let (mut samplers, mut channels) = (Vec::new(), Vec::new());
+    let mut add = |node: usize, path: &str, output: usize| {
+        channels.push(json!({
+            "sampler": samplers.len(),
+            "target": { "node": node, "path": path },
+        }));
+        samplers.push(json!({ "input": input, "output": output, "interpolation": "LINEAR" }));
+    };
+    for joint in 0..figure.body.joints() {
+        let mut turns: Vec<[f32; 4]> =
+            keyframes.iter().map(|frame| rotation(frame, joint)).collect();
+        // Of the two quaternions of a rotation the one nearer to the one before, so that the way
+        // between them is the short one.
+        for index in 1..turns.len() {
+            let dot: f32 = turns[index].iter().zip(&turns[index - 1]).map(|(a, b)| a * b).sum();
+            if dot < 0.0 {
+                turns[index] = turns[index].map(|x| -x);
+            }
+        }
+        add(joint, "rotation", buffer.values(&turns, "VEC4"));
+    }
+    let root = local(figure, 0);
+    let places: Vec<[f32; 3]> = keyframes
+        .iter()
+        .map(|frame| (root + DVec3::from_array(frame.transl)).as_vec3().to_array())
+        .collect();
+    add(0, "translation", buffer.values(&places, "VEC3"));
+    let before = figure.targets.len();
+    let width = before + keyframes.len();
+    let weights: Vec<[f32; 1]> = (0..keyframes.len() * width)
+        .map(|at| [if at % width == before + at / width { 1.0 } else { 0.0 }])
+        .collect();
+    add(mesh_node, "weights", buffer.values(&weights, "SCALAR"));
+    json!({ "name": "motion", "samplers": samplers, "channels": channels })
+}
