@@ -13,8 +13,10 @@ use crate::support::{Packed, VERTICES, contents, pose_of, run, run_line, trained
 
 #[test]
 fn every_command_explains_itself() {
-    for command in ["synth", "pack", "pyramid", "train", "eval", "sample", "info", "bench", "demo"]
-    {
+    for command in [
+        "synth", "inspect", "unpose", "pack", "pyramid", "train", "eval", "sample", "import",
+        "export", "info", "bench", "demo",
+    ] {
         let help = run([command, "--help"]).succeeded();
         assert!(help.contains("Example") && help.contains(&format!("cape {command} ")), "{help}");
         assert!(help.contains("--device") && help.contains("--json"), "{help}");

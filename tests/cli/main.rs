@@ -4,5 +4,7 @@ mod bad_data;
 mod bad_places;
 mod bench;
 mod commands;
+mod files;
 mod support;
+mod tf_writer;
 mod training;

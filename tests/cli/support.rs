@@ -197,7 +197,7 @@ impl Packed {
         let root = tempfile::tempdir().unwrap();
         let raw = root.path().join("raw");
         write_raw(&raw, frames);
-        let options = PackOptions { strict: true };
+        let options = PackOptions { strict: true, ..PackOptions::default() };
         pack(&raw, &root.path().join("packed"), &split(), options, &mut cape::train::silent)
             .unwrap();
         Self(root)

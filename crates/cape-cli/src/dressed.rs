@@ -2,7 +2,7 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use cape_core::{ClothedSmpl, ClothingMask, Mesh, Outfit, Smpl, SmplInput, SmplModel};
-use cape_render::{Image, Object, Style, View, portrait};
+use cape_render::{Image, Object, Style, View, colour_of, portrait};
 use cape_train::Run;
 use ndarray::{Array2, Array3, ArrayView2, Axis, s};
 
@@ -33,6 +33,8 @@ pub(crate) struct Dressed {
     pub(crate) mesh: Mesh,
     /// sRGB from 0 to 1, `[vertices, 3]`.
     pub(crate) colours: Vec<[f32; 3]>,
+    /// Lengths of the displacements at clothing vertices, metres, `[vertices]`.
+    pub(crate) distances: Vec<f32>,
 }
 
 /// What to dress.
@@ -71,6 +73,7 @@ pub(crate) fn dress(
                 Dressed {
                     mesh: mesh(body, vertices.slice(s![index, .., ..])),
                     colours: colours(body, &mask, worn, request.outfit),
+                    distances: distances(&mask, worn),
                 },
             )?;
         }
@@ -90,6 +93,7 @@ pub(crate) fn bare(
     Ok(Dressed {
         mesh: mesh(body, vertices.slice(s![0, .., ..])),
         colours: vec![SKIN_COLOUR; body.vertices()],
+        distances: vec![0.0; body.vertices()],
     })
 }
 
@@ -125,6 +129,11 @@ fn posed(
 fn mesh(body: &SmplModel, vertices: ArrayView2<f32>) -> Mesh {
     let vertices = vertices.rows().into_iter().map(|v| [v[0], v[1], v[2]]).collect();
     Mesh { vertices, faces: body.faces.clone() }
+}
+
+fn distances(mask: &ClothingMask, displacement: ArrayView2<f32>) -> Vec<f32> {
+    let rows = displacement.rows().into_iter().zip(mask.covered());
+    rows.map(|(d, &covered)| if covered { d.dot(&d).sqrt() } else { 0.0 }).collect()
 }
 
 /// Colours that show where there is cloth: on the trunk, and where the surface leaves the skin.
@@ -195,6 +204,16 @@ impl Dressed {
 
     /// Colours as 8-bit numbers.
     pub(crate) fn colours_8_bit(&self) -> Vec<[u8; 3]> {
-        self.colours.iter().map(|c| c.map(|x| (255.0 * x.clamp(0.0, 1.0)).round() as u8)).collect()
+        self.colours.iter().copied().map(eight_bit).collect()
     }
+
+    /// Colours by the length of the displacement, up to `longest` metres.
+    pub(crate) fn colour_by_distance(&mut self, longest: f32) {
+        self.colours = self.distances.iter().map(|length| colour_of(length / longest)).collect();
+    }
+}
+
+/// sRGB from 0 to 1 as 8-bit numbers.
+pub(crate) fn eight_bit(colour: [f32; 3]) -> [u8; 3] {
+    colour.map(|x| (255.0 * x.clamp(0.0, 1.0)).round() as u8)
 }

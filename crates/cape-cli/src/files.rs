@@ -28,5 +28,9 @@ pub(crate) fn create_dir(path: &Path) -> Result {
 }
 
 pub(crate) fn write_text(path: &Path, text: &str) -> Result {
-    Ok(write_atomically(path, |file| file.write_all(text.as_bytes()))?)
+    write_bytes(path, text.as_bytes())
+}
+
+pub(crate) fn write_bytes(path: &Path, bytes: &[u8]) -> Result {
+    Ok(write_atomically(path, |file| file.write_all(bytes))?)
 }

@@ -33,6 +33,16 @@ pub fn read(path: impl AsRef<Path>) -> Result<Obj> {
 
 /// Writes an OBJ file, atomically.
 pub fn write(path: impl AsRef<Path>, mesh: &Mesh, uv: Option<&Uv>) -> Result<()> {
+    write_with(path, mesh, uv, None)
+}
+
+/// Writes an OBJ file that uses a material: the name of its `.mtl` file, and of the material in it.
+pub fn write_with(
+    path: impl AsRef<Path>,
+    mesh: &Mesh,
+    uv: Option<&Uv>,
+    material: Option<(&str, &str)>,
+) -> Result<()> {
     if let Some(uv) = uv
         && uv.faces.len() != mesh.faces.len()
     {
@@ -43,11 +53,17 @@ pub fn write(path: impl AsRef<Path>, mesh: &Mesh, uv: Option<&Uv>) -> Result<()>
         )));
     }
     write_atomically(path, |file| {
+        if let Some((library, _)) = material {
+            writeln!(file, "mtllib {library}")?;
+        }
         for [x, y, z] in &mesh.vertices {
             writeln!(file, "v {x} {y} {z}")?;
         }
         for [u, v] in uv.iter().flat_map(|uv| &uv.coordinates) {
             writeln!(file, "vt {u} {v}")?;
+        }
+        if let Some((_, name)) = material {
+            writeln!(file, "usemtl {name}")?;
         }
         for (index, face) in mesh.faces.iter().enumerate() {
             let [a, b, c] = face.map(|corner| u64::from(corner) + 1);

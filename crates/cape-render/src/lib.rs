@@ -6,6 +6,7 @@
 //! curves.
 
 mod camera;
+mod colour;
 mod error;
 mod image;
 mod plot;
@@ -16,6 +17,7 @@ mod sheet;
 mod text;
 
 pub use camera::{Bounds, Camera, Projection, View};
+pub use colour::colour_of;
 pub use error::{Error, Result};
 pub use image::{Image, MAX_SIDE};
 pub use plot::{Plot, Series};

@@ -50,6 +50,9 @@ pub struct EvalReport {
     pub frames: usize,
     /// Which code was decoded.
     pub posterior: PosteriorUse,
+    /// The model's mean error at every vertex, millimetres, `[V]`; zero where there is no clothing.
+    #[serde(skip)]
+    pub vertex_means: Vec<f32>,
 }
 
 /// Auto-encodes the test frames of the packed set in `data`.
@@ -72,6 +75,7 @@ pub fn evaluate(
     let statistics = Arc::new(run.statistics().clone());
     let mean: Vec<f32> = statistics.mean().iter().map(|&x| x as f32).collect();
     let (mut of_model, mut of_mean) = (GroupedErrors::new(), GroupedErrors::new());
+    let mut vertex_sums = vec![0.0f64; vertices];
     let mut done = 0;
     for batch in sequential(set.clone(), Some(statistics.clone()), 0..frames, options.batch)? {
         let batch = batch?;
@@ -94,6 +98,9 @@ pub fn evaluate(
             let sequence = set.origins().map(|origins| origins[row].sequence.as_str());
             let errors = vertex_errors_mm(predicted, truth, run.clothing())?;
             of_model.push(outfit, sequence, &errors);
+            for (&vertex, &error) in run.clothing().iter().zip(&errors) {
+                vertex_sums[vertex] += f64::from(error);
+            }
             of_mean.push(outfit, sequence, &vertex_errors_mm(&mean, truth, run.clothing())?);
         }
         done += rows.len();
@@ -104,5 +111,6 @@ pub fn evaluate(
         mean_shape: of_mean.summary(),
         frames,
         posterior: options.posterior,
+        vertex_means: vertex_sums.into_iter().map(|sum| (sum / frames as f64) as f32).collect(),
     })
 }

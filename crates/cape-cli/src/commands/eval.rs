@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 
-use cape_core::parse_device;
+use cape_core::{parse_device, ply};
+use cape_render::colour_of;
 use cape_train::{
     EvalOptions, EvalReport, PosteriorUse, Run, evaluate,
     metrics::{GroupedSummary, Summary},
@@ -11,6 +12,7 @@ use clap::{Args, ValueEnum};
 use crate::{
     arguments::{Global, at_least_one},
     console::Console,
+    dressed::eight_bit,
     error::Result,
     table::Table,
 };
@@ -34,6 +36,12 @@ pub(crate) struct Eval {
     /// Frames at a time.
     #[arg(long, default_value_t = 16, value_name = "N", value_parser = at_least_one)]
     batch: usize,
+    /// Also write the body, coloured by the mean error at every vertex.
+    #[arg(long, value_name = "FILE.ply")]
+    map: Option<PathBuf>,
+    /// Error that gets the brightest colour of the map, millimetres.
+    #[arg(long, default_value_t = 20.0, value_name = "MM", requires = "map")]
+    scale: f32,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -64,6 +72,14 @@ impl Eval {
             evaluate(&run, &self.data, options, progress)
         })?;
         write_json(&run.paths().evaluation(), &report)?;
+        if let Some(path) = &self.map {
+            let colours: Vec<[u8; 3]> = report
+                .vertex_means
+                .iter()
+                .map(|mm| eight_bit(colour_of(mm / self.scale)))
+                .collect();
+            ply::write(path, &run.body().mesh(), Some(&colours))?;
+        }
         console.result(&report, || text(&report))
     }
 }

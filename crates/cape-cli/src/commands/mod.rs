@@ -12,3 +12,4 @@ pub(crate) mod pyramid;
 pub(crate) mod sample;
 pub(crate) mod synth;
 pub(crate) mod train;
+pub(crate) mod unpose;

@@ -39,6 +39,9 @@ pub(crate) struct Pack {
     /// Stop at the first frame that is missing or cannot be read.
     #[arg(long)]
     strict: bool,
+    /// Read what links bring in from outside of RAW.
+    #[arg(long)]
+    follow_links: bool,
 }
 
 #[derive(Debug, Serialize)]
@@ -51,7 +54,7 @@ struct Report {
 impl Pack {
     pub(crate) fn run(self, console: Console) -> Result {
         let split = self.split()?;
-        let options = PackOptions { strict: self.strict };
+        let options = PackOptions { strict: self.strict, follow_links: self.follow_links };
         let packed = console.while_showing("pack", "frames", |progress| {
             data::pack(&self.raw, &self.out, &split, options, progress)
         })?;

@@ -26,6 +26,11 @@ use crate::{AtomicFile, Error, Result, pickle::Pickle, write_atomically};
 /// Deflate cannot expand a byte to more than this many.
 const MAX_DEFLATE_RATIO: u64 = 1032;
 
+/// An array of more bytes than this is refused if it is compressed to less than one in
+/// [`BOMB_RATIO`]: what would fill the memory from a small file.
+const BOMB_SIZE: u64 = 64 << 20;
+const BOMB_RATIO: u64 = 100;
+
 /// The file, and the array in it where there are several, that an error is about.
 #[derive(Clone, Copy)]
 struct Source<'a> {
@@ -282,6 +287,12 @@ impl Npz {
             return Err(source.error(format!(
                 "the archive claims {size} bytes of data in {compressed}, which is impossible \
                  in a file of {length}"
+            )));
+        }
+        if size > BOMB_SIZE && size / BOMB_RATIO > compressed {
+            return Err(source.error(format!(
+                "claims {size} bytes of data in {compressed}: no array of measurements compresses \
+                 like that"
             )));
         }
         read(source, entry, size)

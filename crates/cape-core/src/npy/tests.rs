@@ -172,6 +172,21 @@ fn an_archive_with_an_impossible_claim_is_refused() {
 }
 
 #[test]
+fn an_archive_that_would_fill_the_memory_is_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("bomb.npz");
+    let mut file = NpzWriter::create(&path).unwrap().deflate();
+    file.add("zeros", &ndarray::Array1::<u8>::zeros(80 << 20)).unwrap();
+    file.add("few", &ndarray::Array1::<u8>::zeros(1 << 20)).unwrap();
+    file.finish().unwrap();
+    assert!(std::fs::metadata(&path).unwrap().len() < 1 << 20);
+    let mut archive = Npz::open(&path).unwrap();
+    let message = archive.get::<u8>("zeros").unwrap_err().to_string();
+    assert!(message.contains("`zeros`: claims") && message.contains("bomb.npz"), "{message}");
+    assert_eq!(archive.get::<u8>("few").unwrap().len(), 1 << 20);
+}
+
+#[test]
 fn a_changed_byte_is_noticed_by_the_checksum() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.npz");

@@ -132,7 +132,7 @@ impl SmplModel {
         Ok(canonical - self.offsets(&rotations))
     }
 
-    fn expect_vertices(&self, name: &str, array: &Array2<f64>) -> Result<()> {
+    pub(super) fn expect_vertices(&self, name: &str, array: &Array2<f64>) -> Result<()> {
         let expected = [self.vertices(), 3];
         if array.shape() == expected {
             return Ok(());

@@ -7,6 +7,7 @@ mod body;
 mod clothed;
 mod cpu;
 mod file;
+mod fit;
 mod forward;
 mod host;
 mod mask;
@@ -15,6 +16,7 @@ mod rodrigues;
 
 pub use body::{Pose, Smpl, SmplInput, SmplOutput};
 pub use clothed::{ClothedSmpl, JointSource};
+pub use fit::ShapeFit;
 pub use host::Posed;
 pub use mask::ClothingMask;
 pub use model::SmplModel;

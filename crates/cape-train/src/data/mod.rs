@@ -17,6 +17,7 @@ pub mod raw;
 mod shuffle;
 mod split;
 mod statistics;
+pub mod unpose;
 
 pub use loader::{Loader, LoaderOptions, LoaderState, StepData, sequential, steps_per_epoch};
 pub use pack::{PackOptions, PackReport, pack};

@@ -42,6 +42,8 @@ use crate::{Error, Progress, Result, staging::Staging};
 pub struct PackOptions {
     /// Whether anything missing or unreadable is an error instead of being listed.
     pub strict: bool,
+    /// Whether links may bring in files from outside of the raw tree.
+    pub follow_links: bool,
 }
 
 /// What was packed, and what was not.
@@ -132,7 +134,9 @@ pub fn pack(
         let mut count = before + fates.len();
         for chunk in left.chunks(4 * rayon::current_num_threads()) {
             progress(count, total);
-            let read: Vec<_> = chunk.par_iter().map(|frame| read(frame, &minimal)).collect();
+            let inside = (!options.follow_links).then_some(raw);
+            let read: Vec<_> =
+                chunk.par_iter().map(|frame| read(frame, inside, &minimal)).collect();
             for (frame, read) in chunk.iter().zip(read) {
                 match read {
                     Ok(read) => {
@@ -312,7 +316,10 @@ fn plan<'a>(
     Ok(frames)
 }
 
-fn read(frame: &PlannedFrame, minimal: &Minimals) -> Result<PackedFrame> {
+fn read(frame: &PlannedFrame, inside: Option<&Path>, minimal: &Minimals) -> Result<PackedFrame> {
+    if let Some(root) = inside {
+        raw::require_inside(root, &frame.path)?;
+    }
     let name = frame.path.file_stem().and_then(|name| name.to_str());
     if name.is_none_or(|name| name.contains(char::is_control)) {
         return Err(Error::format(&frame.path, "its name is not plain text"));

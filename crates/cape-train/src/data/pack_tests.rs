@@ -88,11 +88,16 @@ fn packs_the_releases_layout() {
     fs::write(root.path().join(BODY_FILE), "body").unwrap();
     let out = root.path().join("packed");
     let calls = RefCell::new(Vec::new());
-    let report =
-        pack(root.path(), &out, &split(), PackOptions { strict: true }, &mut |done, all| {
+    let report = pack(
+        root.path(),
+        &out,
+        &split(),
+        PackOptions { strict: true, ..PackOptions::default() },
+        &mut |done, all| {
             calls.borrow_mut().push((done, all));
-        })
-        .unwrap();
+        },
+    )
+    .unwrap();
     assert_eq!(calls.borrow().last(), Some(&(36, 36)));
     assert_eq!((report.train_frames, report.test_frames), (24, 12));
     assert_eq!((report.vertices, report.validation_frames), (VERTICES, 2));
@@ -157,7 +162,13 @@ fn unreadable_frames_are_skipped_and_listed() {
     assert_eq!(header.shape, [23, VERTICES, 3]);
 
     let strict = root.path().join("strict");
-    let error = pack(root.path(), &strict, &split(), PackOptions { strict: true }, &mut silent);
+    let error = pack(
+        root.path(),
+        &strict,
+        &split(),
+        PackOptions { strict: true, ..PackOptions::default() },
+        &mut silent,
+    );
     assert!(error.unwrap_err().to_string().contains("shortlong_walk.000002.npz"));
     assert!(!strict.exists() && !root.path().join(".strict.cape-partial").exists());
 }
@@ -179,7 +190,7 @@ fn what_is_missing_is_listed_and_fails_only_if_nothing_is_left() {
         root.path(),
         &root.path().join("s"),
         &wanted,
-        PackOptions { strict: true },
+        PackOptions { strict: true, ..PackOptions::default() },
         &mut silent,
     );
     assert!(strict.unwrap_err().to_string().starts_with("b: no minimal shape"));
@@ -192,6 +203,25 @@ fn what_is_missing_is_listed_and_fails_only_if_nothing_is_left() {
     let message = pack_to(root.path(), &none, &wanted).unwrap_err().to_string();
     assert!(message.contains("has 5 frames, nothing is left after cutting 3"), "{message}");
     assert!(!none.exists() && !root.path().join(".none.cape-partial").exists());
+}
+
+#[cfg(unix)]
+#[test]
+fn links_out_of_the_data_are_refused_unless_they_are_allowed() {
+    let root = raw_tree();
+    let elsewhere = tempfile::tempdir().unwrap();
+    let walk = capture(root.path(), "a/shortlong_walk");
+    let moved = elsewhere.path().join("walk");
+    fs::rename(&walk, &moved).unwrap();
+    std::os::unix::fs::symlink(&moved, &walk).unwrap();
+    let out = root.path().join("packed");
+    let report = pack_to(root.path(), &out, &split()).unwrap();
+    assert_eq!(report.broken.len(), 3);
+    assert!(report.broken[0].reason.contains("outside of"), "{:?}", report.broken);
+    let out = root.path().join("followed");
+    let options = PackOptions { follow_links: true, ..PackOptions::default() };
+    let report = pack(root.path(), &out, &split(), options, &mut silent).unwrap();
+    assert_eq!((report.broken.len(), report.train_frames), (0, 24));
 }
 
 #[test]

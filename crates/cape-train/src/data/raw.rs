@@ -79,6 +79,18 @@ pub fn frame_paths(directory: &Path) -> Result<Option<Vec<PathBuf>>> {
     Ok(Some(paths))
 }
 
+/// Refuses a file that a link brings in from outside of `root`: an archive from elsewhere could
+/// name any file of the machine so.
+pub fn require_inside(root: &Path, path: &Path) -> Result<()> {
+    let whole = |path: &Path| fs::canonicalize(path).map_err(|source| Error::io(path, source));
+    let target = whole(path)?;
+    if target.starts_with(whole(root)?) {
+        return Ok(());
+    }
+    let message = format!("links to {}, outside of {}", target.display(), root.display());
+    Err(Error::format(path, message))
+}
+
 /// Reads a subject's minimal shape, metres, `[V, 3]`.
 pub fn read_minimal(root: &Path, subject: &str) -> Result<Array2<f64>> {
     let path = minimal_path(root, subject);
@@ -92,6 +104,19 @@ pub fn read_frame(path: &Path, vertex_count: Option<usize>) -> Result<RawFrame> 
     let v_posed = vertices(path, "v_posed", file.f64("v_posed")?, Some(v_cano.nrows()))?;
     let transl = numbers(path, "transl", &file.f64("transl")?)?;
     Ok(RawFrame { v_cano, v_posed, pose, transl })
+}
+
+/// Reads a posed frame of `vertex_count` vertices whose canonical vertices are not known yet, and
+/// are left empty; a missing translation is zero.
+pub fn read_posed(path: &Path, vertex_count: usize) -> Result<RawFrame> {
+    let mut file = Npz::open(path)?;
+    let v_posed = vertices(path, "v_posed", file.f64("v_posed")?, Some(vertex_count))?;
+    let pose = numbers(path, "pose", &file.f64("pose")?)?;
+    let transl = match file.contains("transl") {
+        true => numbers(path, "transl", &file.f64("transl")?)?,
+        false => [0.0; 3],
+    };
+    Ok(RawFrame { v_cano: Array2::zeros((0, 3)), v_posed, pose, transl })
 }
 
 /// Reads what displacements need of a frame of `vertices` vertices; the rest may be missing.
@@ -161,14 +186,19 @@ pub fn write_frame(
 ) -> Result<PathBuf> {
     let directory = capture_dir(root, subject, outfit, sequence);
     let path = directory.join(format!("{outfit}_{sequence}.{number:06}.npz"));
-    create_parent(&path)?;
-    let mut file = NpzWriter::create(&path)?;
+    write_frame_at(&path, frame)?;
+    Ok(path)
+}
+
+/// Writes a frame as that file.
+pub fn write_frame_at(path: &Path, frame: &RawFrame) -> Result<()> {
+    create_parent(path)?;
+    let mut file = NpzWriter::create(path)?;
     file.add("v_cano", &frame.v_cano)?;
     file.add("v_posed", &frame.v_posed)?;
     file.add("pose", &Array1::from_iter(frame.pose))?;
     file.add("transl", &Array1::from_iter(frame.transl))?;
-    file.finish()?;
-    Ok(path)
+    Ok(file.finish()?)
 }
 
 fn create_parent(path: &Path) -> Result<()> {

@@ -167,7 +167,13 @@ impl Setting {
         self.stage("pack", "displacements, poses, labels and statistics", |this| {
             let packed = this.path("packed");
             this.console.while_showing("pack", "frames", |progress| {
-                pack(&raw, &packed, &split, PackOptions { strict: true }, progress)
+                pack(
+                    &raw,
+                    &packed,
+                    &split,
+                    PackOptions { strict: true, ..PackOptions::default() },
+                    progress,
+                )
             })?;
             fs::remove_dir_all(&raw).map_err(|error| Error::io(&raw, error))
         })

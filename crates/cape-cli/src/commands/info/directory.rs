@@ -14,7 +14,10 @@ use cape_train::{
 };
 
 use super::{Facts, file::run_config};
-use crate::error::{Error, Result};
+use crate::{
+    error::{Error, Result},
+    mesh_file::has_extension,
+};
 
 pub(super) fn describe(path: &Path) -> Result<Facts> {
     let there = |name: &str| path.join(name).exists();
@@ -26,10 +29,13 @@ pub(super) fn describe(path: &Path) -> Result<Facts> {
         packed(path)
     } else if there("A_0.npz") {
         pyramid(path)
+    } else if entries(path)?.iter().any(|path| has_extension(path, "index")) {
+        super::file::tensorflow(path)
     } else {
         Err(Error::message(format!(
             "{}: not a directory that cape knows: expected raw data (sequences/), a packed set \
-             (train/train_disp.npy), a training run (config.toml) or a pyramid (A_0.npz)",
+             (train/train_disp.npy), a training run (config.toml), a pyramid (A_0.npz) or a TensorFlow \
+             checkpoint",
             path.display()
         )))
     }

@@ -2,10 +2,11 @@ use std::path::Path;
 
 use cape_core::{
     Mesh, SmplModel,
-    npy::{Npz, npy_header},
+    npy::{Npz, npy_header, read_objects},
+    pickle::Pickle,
 };
 use cape_graph::{Level, MeshPyramid, Surface};
-use cape_model::weights;
+use cape_model::{tensorflow::Checkpoint, weights};
 use cape_train::{
     config::RunConfig,
     data::{Split, Statistics, raw},
@@ -18,11 +19,16 @@ use crate::{
     mesh_file::has_extension,
 };
 
+/// Objects of an array that are listed.
+const MOST_OBJECTS: usize = 32;
+
 pub(super) fn describe(path: &Path) -> Result<Facts> {
-    let known = ["npz", "npy", "obj", "ply", "safetensors", "toml"];
+    let known = ["npz", "npy", "pkl", "obj", "ply", "safetensors", "toml", "index"];
     match known.into_iter().find(|extension| has_extension(path, extension)) {
         Some("npz") => archive(path),
         Some("npy") => array(path),
+        Some("pkl") => pickle(path),
+        Some("index") => tensorflow(path),
         Some("obj" | "ply") => mesh(path),
         Some("safetensors") => parameters(path),
         Some("toml") => settings(path),
@@ -96,9 +102,55 @@ fn height(mesh: &Mesh) -> Option<f64> {
 
 fn array(path: &Path) -> Result<Facts> {
     let header = npy_header(path)?;
+    if header.dtype.is_object() {
+        return objects(path);
+    }
     Ok(Facts::new("NumPy array")
         .with("shape", format!("{:?}", header.shape))
         .with("type", header.dtype.to_string()))
+}
+
+fn pickle(path: &Path) -> Result<Facts> {
+    let pickle = Pickle::open(path)?;
+    let root = pickle.root();
+    if root.get("v_template").is_some() {
+        return body(path);
+    }
+    let mut facts = Facts::new("pickle").maybe("class", root.class());
+    for key in root.keys() {
+        let value = root.get(&key);
+        let shape = value.and_then(|value| value.array::<f64>().ok());
+        let shape = shape.map_or("not numbers".into(), |array| format!("{:?}", array.shape()));
+        facts = facts.with(key, shape);
+    }
+    Ok(facts)
+}
+
+/// A TensorFlow checkpoint, by any of its names.
+pub(super) fn tensorflow(path: &Path) -> Result<Facts> {
+    let checkpoint = Checkpoint::open(path)?;
+    let mut facts = Facts::new("TensorFlow checkpoint")
+        .with("prefix", checkpoint.prefix().display().to_string())
+        .with("variables", checkpoint.variables().len());
+    for variable in checkpoint.variables() {
+        let said = format!("{:?} {:?}", variable.element, variable.shape).to_lowercase();
+        facts = facts.with(variable.name.clone(), said);
+    }
+    Ok(facts)
+}
+
+fn objects(path: &Path) -> Result<Facts> {
+    let pickle = read_objects(path)?;
+    let (shape, objects) = pickle.root().objects()?;
+    let mut facts = Facts::new("NumPy array of Python objects").with("shape", format!("{shape:?}"));
+    for (index, object) in objects.iter().enumerate().take(MOST_OBJECTS) {
+        let said = match object.sparse() {
+            Ok(matrix) => format!("sparse {:?}, {} entries", matrix.shape, matrix.values.len()),
+            Err(_) => object.class().unwrap_or("data").to_owned(),
+        };
+        facts = facts.with(index.to_string(), said);
+    }
+    Ok(facts)
 }
 
 fn mesh(path: &Path) -> Result<Facts> {

@@ -14,8 +14,8 @@ use facts::Facts;
 
 /// Say what a file or directory is, with the essentials.
 ///
-/// Knows raw data, packed sets, training runs, exported pyramids, bodies, pyramids, statistics,
-/// frames, arrays, meshes, weights and settings.
+/// Knows raw data, packed sets, training runs, exported pyramids, TensorFlow checkpoints, bodies,
+/// pyramids, statistics, frames, arrays, pickles, meshes, weights and settings.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  cape info packed\n  cape info body.npz --json")]
 pub(crate) struct Info {

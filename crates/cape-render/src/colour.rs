@@ -1,0 +1,49 @@
+//! Colours for numbers.
+
+/// Nine colours of the map "viridis" (CC0), evenly spaced, which stay apart for colour-blind eyes
+/// and in grey.
+const VIRIDIS: [[f32; 3]; 9] = [
+    [0.267, 0.005, 0.329],
+    [0.279, 0.175, 0.483],
+    [0.230, 0.322, 0.546],
+    [0.173, 0.449, 0.558],
+    [0.128, 0.567, 0.551],
+    [0.158, 0.684, 0.502],
+    [0.369, 0.789, 0.383],
+    [0.678, 0.864, 0.190],
+    [0.993, 0.906, 0.144],
+];
+
+/// The colour, sRGB from 0 to 1, of a number from 0 to 1: dark blue, green, yellow. Numbers outside
+/// get the colour of the end they are beyond, and what is not a number is grey.
+pub fn colour_of(value: f32) -> [f32; 3] {
+    if value.is_nan() {
+        return [0.5; 3];
+    }
+    let last = VIRIDIS.len() - 1;
+    let at = value.clamp(0.0, 1.0) * last as f32;
+    let low = (at as usize).min(last - 1);
+    let share = at - low as f32;
+    [0, 1, 2].map(|i| VIRIDIS[low][i] + (VIRIDIS[low + 1][i] - VIRIDIS[low][i]) * share)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ends_middle_and_beyond() {
+        assert_eq!(colour_of(-1.0), VIRIDIS[0]);
+        assert_eq!(colour_of(2.0), VIRIDIS[8]);
+        assert_eq!(colour_of(0.5), VIRIDIS[4]);
+        assert_eq!(colour_of(f32::NAN), [0.5; 3]);
+        // Brightness rises all the way.
+        let brightness = |value: f32| {
+            let [r, g, b] = colour_of(value);
+            0.2126 * r + 0.7152 * g + 0.0722 * b
+        };
+        assert!(
+            (0..100).all(|k| brightness(k as f32 / 100.0) < brightness((k + 1) as f32 / 100.0))
+        );
+    }
+}
