@@ -138,6 +138,17 @@ pub fn import(
     Ok(report)
 }
 
+/// Reads a configuration file of the release, and takes over what it says as far as it is known.
+///
+/// # Errors
+/// If it is not flat YAML, or a value is not what its key needs.
+pub fn check_settings(path: &Path) -> Result<RunConfig> {
+    let mut settings = Settings::load(path)?;
+    let mut config = RunConfig::default();
+    settings.apply(&mut config).map_err(|message| Error::format(path, message))?;
+    Ok(config)
+}
+
 fn configuration(
     shapes: &[(String, Vec<usize>)],
     options: &ImportOptions,
