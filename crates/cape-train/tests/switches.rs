@@ -4,7 +4,7 @@
 use burn::tensor::{Tensor, TensorData};
 use cape_graph::Surface;
 use cape_model::{
-    Cape, CapeConfig, DecoderBlock, DecoderConditions, Graphs, LossConfig, Reconstruction,
+    Cape, CapeConfig, DecoderBlock, DecoderConditions, Graphs, LossConfig, Reconstruction, release,
     weights::{self, Weights},
 };
 use cape_train::{
@@ -115,8 +115,8 @@ impl Case {
     }
 }
 
-#[test]
-fn gradients_follow_every_switch() {
+/// The small model with one switch set another way, by name.
+fn switches() -> Vec<(&'static str, CapeConfig)> {
     let tiny = CapeConfig::tiny;
     let plain = || CapeConfig {
         decoder: DecoderBlock::Plain,
@@ -125,7 +125,7 @@ fn gradients_follow_every_switch() {
         outfit_embedding: 0,
         ..tiny()
     };
-    let cases: Vec<(&str, CapeConfig)> = vec![
+    vec![
         ("residual", tiny()),
         ("affine", CapeConfig { decoder: DecoderBlock::Affine, ..tiny() }),
         ("plain, unconditional", plain()),
@@ -146,9 +146,33 @@ fn gradients_follow_every_switch() {
         ("first order", CapeConfig { order: 1, ..tiny() }),
         ("fourth order", CapeConfig { order: 4, ..tiny() }),
         ("no discriminator", CapeConfig { discriminator: None, ..tiny() }),
-    ];
-    for (name, config) in cases {
+    ]
+}
+
+#[test]
+fn gradients_follow_every_switch() {
+    for (name, config) in switches() {
         Case::new(config, LossConfig::default()).check(name);
+    }
+}
+
+/// Weights by the release's names say what they are weights of, and come back the same, in
+/// whatever order a file lists them.
+#[test]
+fn every_switch_goes_by_the_releases_names_and_back() {
+    for (name, config) in switches() {
+        let model = Case::new(config.clone(), LossConfig::default()).model;
+        let ours = weights::collect(&model);
+        let mut theirs = release::export(&config, &ours).unwrap();
+        theirs.sort_by(|(a, _), (b, _)| a.cmp(b));
+        let shapes: Vec<(String, Vec<usize>)> =
+            theirs.iter().map(|(name, array)| (name.clone(), array.shape.clone())).collect();
+        // Nothing shows whether codes were sampled in training, nor the layers of nets that are not
+        // there.
+        let pose_layers = if config.pose_embedding == 0 { 1 } else { config.pose_layers };
+        let expected = CapeConfig { variational: true, pose_layers, ..config.clone() };
+        assert_eq!(release::infer(&shapes).unwrap(), expected, "{name}");
+        assert_eq!(release::import(&config, &theirs).unwrap(), ours, "{name}");
     }
 }
 

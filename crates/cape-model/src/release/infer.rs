@@ -3,6 +3,9 @@
 use super::{bare, missing};
 use crate::{CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, Error, Result};
 
+/// Most Chebyshev terms looked for.
+const MOST_TERMS: usize = 16;
+
 /// Derives the architecture from the names and shapes of a model's variables.
 ///
 /// All numbers show in the shapes but the down-sampling factors, for which the release's defaults
@@ -16,11 +19,10 @@ pub fn infer(shapes: &[(String, Vec<usize>)]) -> Result<CapeConfig> {
     let encoder = "generator/encoder";
     let blocks = shapes.blocks(encoder)?;
     let filters: Vec<usize> = blocks.iter().map(|block| block.output).collect();
-    let order = order(&blocks)?;
     let pose_embedding = shapes.embedding("condition_pose");
     let outfit_embedding = shapes.embedding("condition_clo_label");
     let conditions = pose_embedding + outfit_embedding;
-    let input = blocks[0].rows / order;
+    let (order, input) = order(&blocks, conditions)?;
     let latent = shapes.matrix(&format!("{encoder}/fc_mean/dense/kernel"))?[1];
 
     let decoder_scope = "generator/decoder";
@@ -51,7 +53,7 @@ pub fn infer(shapes: &[(String, Vec<usize>)]) -> Result<CapeConfig> {
         outfit_layers: shapes.layers("condition_clo_label"),
         outfit_embedding,
         encoder_conditions: conditions > 0 && input == 3 + conditions,
-        encoder_residual: blocks[0].weights > 1,
+        encoder_residual: blocks[0].rows.len() > 1,
         decoder,
         decoder_conditions: if output > last {
             DecoderConditions::Everywhere
@@ -121,29 +123,45 @@ fn default_factors(layers: usize) -> Vec<u32> {
     }
 }
 
-/// The convolutions of one encoder layer.
+/// The matrices of one encoder layer.
 struct Block {
-    /// Rows of its first matrix: input channels times Chebyshev terms.
-    rows: usize,
+    /// Rows of each.
+    rows: Vec<usize>,
+    /// Columns of all of them.
     output: usize,
-    /// How many matrices there are.
-    weights: usize,
 }
 
-/// Chebyshev terms: every layer after the first has as many rows as `order` times the channels of
-/// the one before.
-fn order(blocks: &[Block]) -> Result<usize> {
-    let order = match blocks {
-        [_, second, ..] => second.rows / blocks[0].output.max(1),
-        // Three coordinates, or these and conditions, of which there are never three times fewer.
-        [only] => only.rows / 3,
-        [] => 0,
-    };
-    let fits = |pair: &[Block]| pair[1].rows == order * pair[0].output;
-    if order > 0 && blocks.windows(2).all(fits) && blocks[0].rows.is_multiple_of(order) {
-        return Ok(order);
+impl Block {
+    /// Channels that go in, if there are `order` Chebyshev terms: a plain layer has one matrix of
+    /// `order · input` rows; a residual one another of `order · output`, and where the widths
+    /// differ a linear map of `input` rows.
+    fn input(&self, order: usize) -> Option<usize> {
+        let mut rows = self.rows.clone();
+        if rows.len() > 1 {
+            let second = rows.iter().position(|&rows| rows == order * self.output)?;
+            rows.remove(second);
+        }
+        rows.sort_unstable();
+        match rows[..] {
+            [rows] if rows.is_multiple_of(order) => Some(rows / order),
+            [linear, rows] if rows == order * linear => Some(linear),
+            _ => None,
+        }
     }
-    Err(weight("generator/encoder", "its shapes fit no number of Chebyshev terms".into()))
+}
+
+/// Chebyshev terms, and the channels of the first layer's input: the number with which every layer
+/// takes what the one before gives, and the first takes coordinates, and perhaps conditions.
+fn order(blocks: &[Block], conditions: usize) -> Result<(usize, usize)> {
+    let fits = |order: usize| {
+        let mut inputs = blocks.iter().map(|block| block.input(order));
+        let first = inputs.next()?.filter(|&input| input == 3 || input == 3 + conditions)?;
+        let outputs = blocks.iter().map(|block| Some(block.output));
+        inputs.eq(outputs.take(blocks.len() - 1)).then_some((order, first))
+    };
+    (1..=MOST_TERMS).find_map(fits).ok_or_else(|| {
+        weight("generator/encoder", "its shapes fit no number of Chebyshev terms".into())
+    })
 }
 
 fn weight(name: &str, message: String) -> Error {
@@ -193,22 +211,10 @@ impl<'a> Shapes<'a> {
                 .collect();
             let name = format!("{scope}/weights");
             let output = inside.first().ok_or_else(|| missing(&name))?[1];
-            // In a residual block the two convolutions and the linear map share the output; the
-            // first convolution is the one that takes the layer's input.
-            let input = blocks.last().map(|before: &Block| before.output);
-            let rows = match inside[..] {
-                [[rows, _]] => rows,
-                _ => inside
-                    .iter()
-                    .map(|shape| shape[0])
-                    .filter(|rows| match input {
-                        Some(input) => rows.is_multiple_of(input) && *rows != input,
-                        None => *rows != output,
-                    })
-                    .min()
-                    .ok_or_else(|| missing(&name))?,
-            };
-            blocks.push(Block { rows, output, weights: inside.len() });
+            if inside.iter().any(|shape| shape[1] != output) {
+                return Err(weight(&name, "matrices of different widths in one layer".into()));
+            }
+            blocks.push(Block { rows: inside.iter().map(|shape| shape[0]).collect(), output });
         }
         if blocks.is_empty() {
             return Err(missing(&format!("{parent}/…1")));
