@@ -1,4 +1,5 @@
-//! One update of generator and discriminator, encoding and decoding, on 6890 vertices.
+//! One update of generator and discriminator, encoding, decoding and discriminating, on 6890
+//! vertices.
 
 #![allow(missing_docs)] // criterion's macro makes a public function
 
@@ -36,6 +37,9 @@ fn inference(criterion: &mut Criterion) {
     let model = workload.inference(BATCH);
     group.bench_function(format!("encode batch {BATCH}"), |bencher| {
         bencher.iter(|| model.encode().unwrap());
+    });
+    group.bench_function(format!("discriminate batch {BATCH}"), |bencher| {
+        bencher.iter(|| model.discriminate().unwrap());
     });
     group.finish();
 }

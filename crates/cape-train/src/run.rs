@@ -131,7 +131,7 @@ pub(crate) fn create(
     let body_path = body.map_or_else(|| data.join(BODY_FILE), Path::to_owned);
     if !body_path.exists() {
         return Err(Error::argument(format!(
-            "{}: not found: the packed set has no body of its own, so give one in SMPL's .npz layout",
+            "{}: not found: the packed set has no body of its own, so give SMPL's, .pkl or .npz",
             body_path.display()
         )));
     }

@@ -98,7 +98,7 @@ pub struct Trainer {
 impl Trainer {
     /// Starts a run in the empty or new directory `root`.
     ///
-    /// `body` is an SMPL `.npz` for packed sets without one of their own; `clothing` the indices of
+    /// `body` is SMPL's file for packed sets without one of their own; `clothing` the indices of
     /// clothing vertices, derived from the body's blend weights where neither is given.
     pub fn create(
         root: &Path,

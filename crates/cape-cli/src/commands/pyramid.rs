@@ -18,7 +18,7 @@ use crate::{
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape pyramid body.npz --factors 2,2,2,2 --out levels")]
 pub(crate) struct Pyramid {
-    /// Mesh (.obj or .ply), or a body in SMPL's .npz layout.
+    /// Mesh (.obj or .ply), or SMPL's body (.pkl, .npz).
     #[arg(value_name = "MESH")]
     mesh: PathBuf,
     /// How many times fewer vertices each level has than the one before; 1 repeats it.

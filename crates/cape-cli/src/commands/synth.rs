@@ -35,8 +35,8 @@ pub(crate) struct Synth {
     /// Frames of every sequence.
     #[arg(long, default_value_t = 60, value_name = "K", value_parser = at_least_one)]
     frames_per_sequence: usize,
-    /// Body to dress, in SMPL's .npz layout; by default a synthetic one.
-    #[arg(long, value_name = "SMPL.npz")]
+    /// Body to dress, SMPL's .pkl or .npz; by default a synthetic one.
+    #[arg(long, value_name = "SMPL")]
     body: Option<PathBuf>,
 }
 

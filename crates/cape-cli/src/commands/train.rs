@@ -46,8 +46,8 @@ pub(crate) struct Train {
     /// tiny one.
     #[arg(long, value_parser = ["paper", "detail", "narrow", "tiny"])]
     preset: Option<String>,
-    /// Body in SMPL's .npz layout, for packed sets without body.npz.
-    #[arg(long, value_name = "SMPL.npz", conflicts_with = "resume")]
+    /// SMPL's body, .pkl or .npz, for packed sets without body.npz.
+    #[arg(long, value_name = "SMPL", conflicts_with = "resume")]
     body: Option<PathBuf>,
     /// Clothing vertices, for packed sets without clothing_verts_idx.npy; else derived from the
     /// body's blend weights.

@@ -6,7 +6,7 @@ use burn::{
 };
 use cape_core::{joints::POSE_FEATURE, synth::synthetic_body};
 use cape_graph::Surface;
-use cape_model::{Cape, CapeConfig, Generator, Graphs, LossConfig};
+use cape_model::{Cape, CapeConfig, Discriminator, Generator, Graphs, LossConfig};
 
 use crate::{
     Error, Result, RunConfig, TrainConfig, build_graphs,
@@ -100,6 +100,7 @@ impl Workload {
         let device = self.device.clone().inner();
         Inference {
             generator: self.model.generator.valid(),
+            discriminator: self.model.discriminator.as_ref().map(Module::valid),
             graphs: self.graphs.clone(),
             frames: frames(batch, self.graphs.generator.vertices()[0], self.seed, 5, &device),
             code: tensor2(normal(self.seed, 7, batch, self.latent), &device),
@@ -111,6 +112,7 @@ impl Workload {
 /// A model in use: no gradients.
 pub struct Inference {
     generator: Generator,
+    discriminator: Option<Discriminator>,
     graphs: Graphs,
     frames: Frames,
     code: Tensor<2>,
@@ -131,6 +133,21 @@ impl Inference {
         let condition = self.generator.condition.forward(pose_feature, outfit);
         let graph = &self.graphs.generator;
         self.generator.encoder.forward(displacement, condition.as_ref(), graph);
+        synchronise(&self.device)
+    }
+}
+
+impl Inference {
+    /// From displacements and conditions to the discriminator's logits, to the end of the device's
+    /// work; nothing without a discriminator.
+    pub fn discriminate(&self) -> Result<()> {
+        let Frames { displacement, pose_feature, outfit } = self.frames.clone();
+        if let (Some(discriminator), Some(graph)) =
+            (&self.discriminator, &self.graphs.discriminator)
+        {
+            let condition = self.generator.condition.forward(pose_feature, outfit);
+            discriminator.forward(displacement, condition.as_ref(), graph);
+        }
         synchronise(&self.device)
     }
 }
