@@ -125,10 +125,8 @@ impl Trainer {
         let paths = RunPaths::new(root);
         let config = RunConfig::load(&paths.config())?;
         // An imported run does not know the data it was trained on.
-        let identity = match paths.data().exists() {
-            true => Some(run::read_identity(&paths.data())?),
-            false => None,
-        };
+        let identity =
+            if paths.data().exists() { Some(run::read_identity(&paths.data())?) } else { None };
         let Some(data) = data.or(identity.as_ref().map(|identity| identity.path.as_path())) else {
             return Err(Error::argument(format!(
                 "{}: does not say what it was trained on: name the packed set",

@@ -60,12 +60,16 @@ fn text(found: &Inspection) -> String {
 
 /// Frames by subject (or part, where subjects are not known) and outfit.
 fn counts(found: &Inspection) -> String {
-    let mut rows: BTreeMap<(String, String), (BTreeMap<Outfit, usize>, BTreeSet<&str>)> =
-        BTreeMap::new();
+    #[derive(Default)]
+    struct Row<'a> {
+        outfits: BTreeMap<Outfit, usize>,
+        sequences: BTreeSet<&'a str>,
+    }
+    let mut rows: BTreeMap<(String, String), Row> = BTreeMap::new();
     for capture in &found.captures {
         let part = capture.part.map_or_else(String::new, |part| part.to_string());
         let subject = capture.subject.clone().unwrap_or_else(|| "(not said)".into());
-        let (outfits, sequences) = rows.entry((part, subject)).or_default();
+        let Row { outfits, sequences } = rows.entry((part, subject)).or_default();
         if let Some(outfit) = capture.outfit {
             *outfits.entry(outfit).or_default() += capture.frames;
         }
@@ -75,7 +79,7 @@ fn counts(found: &Inspection) -> String {
     header.extend(Outfit::ALL.map(|outfit| outfit.to_string()));
     header.push("sequences".into());
     let mut table = Table::new(header);
-    for ((part, subject), (outfits, sequences)) in &rows {
+    for ((part, subject), Row { outfits, sequences }) in &rows {
         let mut row = vec![format!("{part} {subject}").trim().to_owned()];
         row.extend(Outfit::ALL.map(|outfit| {
             outfits.get(&outfit).map_or_else(|| "–".to_owned(), ToString::to_string)

@@ -28,10 +28,7 @@ pub(super) fn influences(body: &SmplModel) -> Vec<Vec<Four>> {
             kept.truncate(4 * MOST_SETS);
             let sum: f64 = kept.iter().map(|(_, weight)| weight).sum();
             let share = |(joint, weight): (u8, f64)| (joint, (weight / sum) as f32);
-            match kept.is_empty() {
-                true => vec![(0, 1.0)],
-                false => kept.into_iter().map(share).collect(),
-            }
+            if kept.is_empty() { vec![(0, 1.0)] } else { kept.into_iter().map(share).collect() }
         })
         .collect();
     let most = vertices.iter().map(Vec::len).max().unwrap_or(1);

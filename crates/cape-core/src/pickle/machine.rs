@@ -435,9 +435,8 @@ impl<'a> Machine<'a> {
     }
 
     fn name(&self, item: Item) -> Result<Vec<u8>> {
-        let bytes = match self.node(item) {
-            Some(Node::Text(bytes) | Node::Bytes(bytes)) => bytes,
-            _ => return Err("the name of a class is not a text".into()),
+        let Some(Node::Text(bytes) | Node::Bytes(bytes)) = self.node(item) else {
+            return Err("the name of a class is not a text".into());
         };
         let bytes = match bytes {
             Bytes::Source(range) => &self.source[range.clone()],

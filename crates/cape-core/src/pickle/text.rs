@@ -3,9 +3,8 @@
 /// Decodes a Python 2 string literal with its quotes, e.g. `'a\x00b'`.
 pub(super) fn string_literal(line: &[u8]) -> Result<Box<[u8]>, String> {
     let line = line.trim_ascii();
-    let quoted = match line {
-        [b'\'', inner @ .., b'\''] | [b'"', inner @ .., b'"'] => inner,
-        _ => return Err("a string without quotes".into()),
+    let ([b'\'', quoted @ .., b'\''] | [b'"', quoted @ .., b'"']) = line else {
+        return Err("a string without quotes".into());
     };
     let mut out = Vec::with_capacity(quoted.len());
     let mut rest = quoted;

@@ -225,15 +225,14 @@ impl Checkpoint {
             if lengths.len() <= shard {
                 lengths.resize(shard + 1, None);
             }
-            let length = match lengths[shard] {
-                Some(length) => length,
-                None => {
-                    let path = self.shard_path(shard);
-                    let found = fs::metadata(&path)
-                        .map_err(|source| Error::Io { path: path.clone(), source })?
-                        .len();
-                    *lengths[shard].insert(found)
-                }
+            let length = if let Some(length) = lengths[shard] {
+                length
+            } else {
+                let path = self.shard_path(shard);
+                let found = fs::metadata(&path)
+                    .map_err(|source| Error::Io { path: path.clone(), source })?
+                    .len();
+                *lengths[shard].insert(found)
             };
             if offset.checked_add(size).is_none_or(|end| end > length) {
                 let message = format!(

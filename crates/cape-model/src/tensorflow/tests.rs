@@ -100,9 +100,10 @@ fn every_changed_byte_is_noticed() {
     let read_all = || -> Result<()> {
         let checkpoint = Checkpoint::open(directory.path())?;
         for variable in checkpoint.variables() {
-            match variable.element.is_float() {
-                true => drop(checkpoint.floats(variable)?),
-                false => drop(checkpoint.integers(variable)?),
+            if variable.element.is_float() {
+                drop(checkpoint.floats(variable)?);
+            } else {
+                drop(checkpoint.integers(variable)?);
             }
         }
         Ok(())

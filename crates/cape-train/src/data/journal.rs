@@ -122,5 +122,5 @@ pub(super) fn plan_hash<'a>(
             hash.update(since.map_or(0, |since| since.as_nanos()).to_le_bytes());
         }
     }
-    Ok(hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+    Ok(format!("{:x}", hash.finalize()))
 }

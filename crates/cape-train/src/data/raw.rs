@@ -112,9 +112,10 @@ pub fn read_posed(path: &Path, vertex_count: usize) -> Result<RawFrame> {
     let mut file = Npz::open(path)?;
     let v_posed = vertices(path, "v_posed", file.f64("v_posed")?, Some(vertex_count))?;
     let pose = numbers(path, "pose", &file.f64("pose")?)?;
-    let transl = match file.contains("transl") {
-        true => numbers(path, "transl", &file.f64("transl")?)?,
-        false => [0.0; 3],
+    let transl = if file.contains("transl") {
+        numbers(path, "transl", &file.f64("transl")?)?
+    } else {
+        [0.0; 3]
     };
     Ok(RawFrame { v_cano: Array2::zeros((0, 3)), v_posed, pose, transl })
 }

@@ -307,12 +307,11 @@ impl Sample {
     }
 
     fn write(&self, path: &Path, dressed: &Dressed, skin: &Skin) -> Result {
-        match self.format {
-            Format::Ply => ply::write(path, &dressed.mesh, Some(&dressed.colours_8_bit()))?,
-            _ => {
-                let material = skin.image.is_some().then_some((MATERIALS, "body"));
-                obj::write_with(path, &dressed.mesh, skin.uv.as_ref(), material)?;
-            }
+        if self.format == Format::Ply {
+            ply::write(path, &dressed.mesh, Some(&dressed.colours_8_bit()))?;
+        } else {
+            let material = skin.image.is_some().then_some((MATERIALS, "body"));
+            obj::write_with(path, &dressed.mesh, skin.uv.as_ref(), material)?;
         }
         Ok(())
     }

@@ -37,19 +37,20 @@ pub(super) fn fill(template: &str, fields: &Fields) -> Result<String> {
             .split_once('}')
             .ok_or_else(|| Error::message(format!("--name {template}: `{{` without `}}`")))?;
         name.push_str(before);
-        match field {
-            "outfit" => name.push_str(fields.outfit.name()),
-            "sample" => name.push_str(&format!("{:03}", fields.sample + 1)),
-            "frame" => name.push_str(&format!("{:05}", fields.frame)),
-            "pose" => name.push_str(fields.pose),
-            "seed" => name.push_str(&fields.seed.to_string()),
+        let value = match field {
+            "outfit" => fields.outfit.to_string(),
+            "sample" => format!("{:03}", fields.sample + 1),
+            "frame" => format!("{:05}", fields.frame),
+            "pose" => fields.pose.to_owned(),
+            "seed" => fields.seed.to_string(),
             _ => {
                 return Err(Error::message(format!(
                     "--name {template}: unknown field `{{{field}}}`: expected {{outfit}}, \
                      {{sample}}, {{frame}}, {{pose}} or {{seed}}"
                 )));
             }
-        }
+        };
+        name += &value;
         rest = after;
     }
     name.push_str(rest);
