@@ -163,7 +163,7 @@ fn put(directory: &Path, name: &str, bytes: &[u8], data: &[u8]) -> PathBuf {
     let path = directory.join(name);
     fs::write(&path, bytes).unwrap();
     // An index is read with its data, and data with their index.
-    if name.ends_with(".index") {
+    if name == "a.index" {
         fs::write(directory.join("a.data-00000-of-00001"), data).unwrap();
     }
     path

@@ -77,10 +77,10 @@ pub fn write(path: impl AsRef<Path>, figure: &Figure, keyframes: &[Keyframe]) ->
     write_atomically(path, |file| file.write_all(&bytes))
 }
 
-/// The bytes of a `.glb` file; see [`write`].
+/// The bytes of a `.glb` file; see [`write()`].
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn encode(figure: &Figure, keyframes: &[Keyframe]) -> Result<Vec<u8>> {
     check(figure, keyframes)?;
     let joint_count = figure.body.joints();
