@@ -14,6 +14,7 @@ pub mod evaluate;
 pub mod metrics;
 pub mod objective;
 pub mod optim;
+pub mod pca;
 mod progress;
 pub mod release;
 mod run;

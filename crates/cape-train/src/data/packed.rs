@@ -201,6 +201,11 @@ impl PackedSet {
         Ok((displacement, self.pose.row(frame)?, self.rotations.row(frame)?))
     }
 
+    /// One frame's displacements, metres, `[3 V]`.
+    pub fn displacement_row(&self, frame: usize) -> Result<Vec<f64>> {
+        self.displacement.row(frame)
+    }
+
     /// One frame's pose: axis-angle rotations of 24 joints, `[72]`.
     pub fn pose(&self, frame: usize) -> Result<Vec<f32>> {
         Ok(self.pose.row(frame)?.into_iter().map(|x| x as f32).collect())
