@@ -42,6 +42,8 @@ pub(crate) enum Command {
     Pyramid(commands::pyramid::Pyramid),
     Train(commands::train::Train),
     Eval(commands::eval::Eval),
+    #[command(name = "table2")]
+    Table2(commands::table2::Table2),
     Sample(commands::sample::Sample),
     Import(commands::import::Import),
     Export(commands::export::Export),
@@ -60,6 +62,7 @@ impl Command {
             Self::Pyramid(command) => command.run(console)?,
             Self::Train(command) => return command.run(global, console),
             Self::Eval(command) => command.run(global, console)?,
+            Self::Table2(command) => return command.run(global, console),
             Self::Sample(command) => command.run(global, console)?,
             Self::Import(command) => command.run(global, console)?,
             Self::Export(command) => command.run(console)?,

@@ -55,6 +55,76 @@ pub struct EvalReport {
     pub vertex_means: Vec<f32>,
 }
 
+/// Errors of reconstructions, gathered frame by frame.
+#[derive(Debug, Clone)]
+pub struct Gathered {
+    clothing: Vec<usize>,
+    errors: GroupedErrors,
+    vertex_sums: Vec<f64>,
+    frames: Vec<FrameError>,
+}
+
+/// One test frame's mean error.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameError {
+    /// The capture it is of: subject, outfit and sequence as far as the data say.
+    pub capture: String,
+    /// Mean over the clothing vertices, millimetres.
+    pub mean: f64,
+}
+
+impl Gathered {
+    /// Nothing yet, of frames of `vertices` vertices compared at the clothing vertices.
+    pub fn new(vertices: usize, clothing: &[usize]) -> Self {
+        Self {
+            clothing: clothing.to_vec(),
+            errors: GroupedErrors::new(),
+            vertex_sums: vec![0.0; vertices],
+            frames: Vec::new(),
+        }
+    }
+
+    /// Adds frame `row` of `set`: displacements in metres, `[3 V]`.
+    pub fn push(
+        &mut self,
+        set: &PackedSet,
+        row: usize,
+        predicted: &[f32],
+        truth: &[f32],
+    ) -> Result<()> {
+        let errors = vertex_errors_mm(predicted, truth, &self.clothing)?;
+        let outfit = set.outfits()[row];
+        let origin = set.origins().map(|origins| &origins[row]);
+        self.errors.push(outfit, origin.map(|origin| origin.sequence.as_str()), &errors);
+        for (&vertex, &error) in self.clothing.iter().zip(&errors) {
+            self.vertex_sums[vertex] += f64::from(error);
+        }
+        let mean = errors.iter().map(|&x| f64::from(x)).sum::<f64>() / errors.len().max(1) as f64;
+        let capture = match origin {
+            Some(origin) => format!("{}/{outfit}_{}", origin.subject, origin.sequence),
+            None => outfit.to_string(),
+        };
+        self.frames.push(FrameError { capture, mean });
+        Ok(())
+    }
+
+    /// Statistics over all frames and vertices, by outfit and by sequence.
+    pub fn summary(&self) -> GroupedSummary {
+        self.errors.summary()
+    }
+
+    /// Mean error at every vertex, millimetres, `[V]`; zero where there is no clothing.
+    pub fn vertex_means(&self) -> Vec<f32> {
+        let count = self.frames.len().max(1) as f64;
+        self.vertex_sums.iter().map(|sum| (sum / count) as f32).collect()
+    }
+
+    /// Every frame's error, in order.
+    pub fn frames(&self) -> &[FrameError] {
+        &self.frames
+    }
+}
+
 /// Auto-encodes the test frames of the packed set in `data`.
 pub fn evaluate(
     run: &Run,
@@ -63,19 +133,41 @@ pub fn evaluate(
     progress: &mut Progress,
 ) -> Result<EvalReport> {
     let set = Arc::new(PackedSet::open(data, Part::Test)?);
+    let vertices = run.body().vertices();
+    let mean: Vec<f32> = run.statistics().mean().iter().map(|&x| x as f32).collect();
+    let mut of_model = Gathered::new(vertices, run.clothing());
+    let mut of_mean = of_model.clone();
+    reconstruct_test(run, &set, options, progress, &mut |row, predicted, truth| {
+        of_model.push(&set, row, predicted, truth)?;
+        of_mean.push(&set, row, &mean, truth)
+    })?;
+    Ok(EvalReport {
+        model: of_model.summary(),
+        mean_shape: of_mean.summary(),
+        frames: set.frames(),
+        posterior: options.posterior,
+        vertex_means: of_model.vertex_means(),
+    })
+}
+
+/// Calls `each` with every test frame's row, reconstruction and truth: displacements in metres,
+/// `[3 V]`.
+pub fn reconstruct_test(
+    run: &Run,
+    set: &Arc<PackedSet>,
+    options: EvalOptions,
+    progress: &mut Progress,
+    each: &mut dyn FnMut(usize, &[f32], &[f32]) -> Result<()>,
+) -> Result<()> {
     let frames = set.frames();
     let vertices = run.body().vertices();
     if set.vertices() != vertices {
         return Err(Error::Data(format!(
-            "{}: frames of {} vertices, but the run's body has {vertices}",
-            data.display(),
+            "test frames of {} vertices, but the run's body has {vertices}",
             set.vertices()
         )));
     }
     let statistics = Arc::new(run.statistics().clone());
-    let mean: Vec<f32> = statistics.mean().iter().map(|&x| x as f32).collect();
-    let (mut of_model, mut of_mean) = (GroupedErrors::new(), GroupedErrors::new());
-    let mut vertex_sums = vec![0.0f64; vertices];
     let mut done = 0;
     for batch in sequential(set.clone(), Some(statistics.clone()), 0..frames, options.batch)? {
         let batch = batch?;
@@ -91,26 +183,14 @@ pub fn evaluate(
         let mut truth = host(frames_on_device.displacement);
         statistics.denormalise(&mut predicted);
         statistics.denormalise(&mut truth);
-        for (i, &row) in rows.iter().enumerate() {
-            let span = i * vertices * 3..(i + 1) * vertices * 3;
-            let (predicted, truth) = (&predicted[span.clone()], &truth[span]);
-            let outfit = set.outfits()[row];
-            let sequence = set.origins().map(|origins| origins[row].sequence.as_str());
-            let errors = vertex_errors_mm(predicted, truth, run.clothing())?;
-            of_model.push(outfit, sequence, &errors);
-            for (&vertex, &error) in run.clothing().iter().zip(&errors) {
-                vertex_sums[vertex] += f64::from(error);
-            }
-            of_mean.push(outfit, sequence, &vertex_errors_mm(&mean, truth, run.clothing())?);
+        let size = vertices * 3;
+        for ((&row, predicted), truth) in
+            rows.iter().zip(predicted.chunks(size)).zip(truth.chunks(size))
+        {
+            each(row, predicted, truth)?;
         }
         done += rows.len();
         progress(done, frames);
     }
-    Ok(EvalReport {
-        model: of_model.summary(),
-        mean_shape: of_mean.summary(),
-        frames,
-        posterior: options.posterior,
-        vertex_means: vertex_sums.into_iter().map(|sum| (sum / frames as f64) as f32).collect(),
-    })
+    Ok(())
 }

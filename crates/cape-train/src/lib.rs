@@ -9,6 +9,7 @@ pub mod checkpoint;
 mod codes;
 pub mod config;
 pub mod data;
+pub mod detail;
 mod error;
 pub mod evaluate;
 pub mod metrics;
@@ -19,13 +20,16 @@ mod progress;
 pub mod release;
 mod run;
 mod staging;
+pub mod table2;
 pub mod tensorboard;
 mod trainer;
 
 pub use codes::CodeDensity;
 pub use config::{RunConfig, TrainConfig, WarmUp};
 pub use error::{Error, Result};
-pub use evaluate::{EvalOptions, EvalReport, PosteriorUse, evaluate};
+pub use evaluate::{
+    EvalOptions, EvalReport, FrameError, Gathered, PosteriorUse, evaluate, reconstruct_test,
+};
 pub use progress::{Progress, silent};
 pub use run::{DataIdentity, Run, RunPaths, build_graphs, to_device, write_json};
 pub use trainer::{Event, Outcome, Trainer};

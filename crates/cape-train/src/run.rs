@@ -128,6 +128,28 @@ pub(crate) fn create(
     }
     let set = PackedSet::open(data, Part::Train)?;
     let statistics = Statistics::of_packed(data, &mut crate::silent)?;
+    let (model, mask) = body_and_clothing(data, &set, body, clothing)?;
+
+    let paths = RunPaths::new(root);
+    fs::create_dir_all(root).map_err(|source| Error::io(root, source))?;
+    statistics.save(paths.statistics())?;
+    model.save(paths.body())?;
+    mask.save(paths.clothing())?;
+    let identity =
+        DataIdentity { path: data.to_owned(), frames: set.frames(), vertices: set.vertices() };
+    write_json(&paths.data(), &identity)?;
+    config.save(&paths.config())?;
+    Ok(paths)
+}
+
+/// The body and the clothing vertices of a packed set: those given, or else its own, or else, for
+/// the clothing vertices, what the body's blend weights tell.
+pub(crate) fn body_and_clothing(
+    data: &Path,
+    set: &PackedSet,
+    body: Option<&Path>,
+    clothing: Option<&Path>,
+) -> Result<(SmplModel, ClothingMask)> {
     let body_path = body.map_or_else(|| data.join(BODY_FILE), Path::to_owned);
     if !body_path.exists() {
         return Err(Error::argument(format!(
@@ -149,17 +171,7 @@ pub(crate) fn create(
     } else {
         ClothingMask::from_weights(&model)?
     };
-
-    let paths = RunPaths::new(root);
-    fs::create_dir_all(root).map_err(|source| Error::io(root, source))?;
-    statistics.save(paths.statistics())?;
-    model.save(paths.body())?;
-    mask.save(paths.clothing())?;
-    let identity =
-        DataIdentity { path: data.to_owned(), frames: set.frames(), vertices: set.vertices() };
-    write_json(&paths.data(), &identity)?;
-    config.save(&paths.config())?;
-    Ok(paths)
+    Ok((model, mask))
 }
 
 /// Writes a value as indented JSON.

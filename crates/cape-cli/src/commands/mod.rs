@@ -11,5 +11,6 @@ pub(crate) mod pack;
 pub(crate) mod pyramid;
 pub(crate) mod sample;
 pub(crate) mod synth;
+pub(crate) mod table2;
 pub(crate) mod train;
 pub(crate) mod unpose;

@@ -38,7 +38,7 @@ impl Part {
         }
     }
 
-    pub(super) fn path(self, root: &Path, what: &str) -> PathBuf {
+    pub(crate) fn path(self, root: &Path, what: &str) -> PathBuf {
         root.join(self.name()).join(format!("{self}_{what}.npy"))
     }
 

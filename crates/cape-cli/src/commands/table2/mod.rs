@@ -1,0 +1,239 @@
+mod figures;
+mod quick;
+mod report;
+
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+    time::Instant,
+};
+
+use burn::tensor::Device;
+use cape_core::parse_device;
+use cape_model::CapeConfig;
+use cape_train::{
+    RunConfig,
+    table2::{Grid, Job, Row, RowResult, Table},
+    write_json,
+};
+use clap::Args;
+use serde::Serialize;
+
+use crate::{
+    arguments::{Global, at_least_one},
+    console::{Console, seconds},
+    error::{Context, Result},
+    files,
+    interrupt::Interrupt,
+    table::Table as Text,
+    training,
+};
+
+/// Exit code of an interrupted grid: 128 + SIGINT.
+const INTERRUPTED: u8 = 130;
+
+/// Train and evaluate every row of the paper's table 2 under one protocol.
+///
+/// PCA, CoMA, CAPE and its ablations, each in a directory of its own under --out. Rows that are done
+/// are kept unless their settings or data changed; an interrupted grid goes on where it was. Writes
+/// table2.md, .csv, .json and .tex, error maps, and report.html with all of it.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  cape table2 --data packed/male --body SMPL_MALE.pkl --out table2 \
+                        --seeds 3\n  cape table2 --quick --out quick"
+)]
+pub(crate) struct Table2 {
+    /// Packed set with training and test frames.
+    #[arg(long, value_name = "DIR", required_unless_present = "quick")]
+    data: Option<PathBuf>,
+    /// Directory for rows, table, figures and report.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// A narrow model and a short recipe; without --data on synthetic captures made for it.
+    #[arg(long)]
+    quick: bool,
+    /// Rows: mean, pca, coma-4, coma-1, cape, cape-affine, no-discriminator, no-residual, no-edge;
+    /// all if none is named.
+    #[arg(long, value_name = "ROW,ROW,…", value_delimiter = ',')]
+    rows: Vec<Row>,
+    /// Seeds of every trained row.
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = at_least_one)]
+    seeds: usize,
+    /// Passes over the training frames.
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    epochs: Option<usize>,
+    /// Settings of CAPE as a TOML file; the other rows differ from it by a switch.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["preset", "quick"])]
+    config: Option<PathBuf>,
+    /// Architecture of CAPE.
+    #[arg(long, value_parser = ["paper", "detail", "narrow", "tiny"])]
+    preset: Option<String>,
+    /// SMPL's body, .pkl or .npz, for packed sets without body.npz.
+    #[arg(long, value_name = "SMPL")]
+    body: Option<PathBuf>,
+    /// Clothing vertices, for packed sets without clothing_verts_idx.npy.
+    #[arg(long, value_name = "FILE.npy")]
+    clothing: Option<PathBuf>,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    out: PathBuf,
+    seconds: f64,
+    #[serde(flatten)]
+    table: Table,
+}
+
+impl Table2 {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result<ExitCode> {
+        let start = Instant::now();
+        let device = parse_device(&global.device)?;
+        files::create_dir(&self.out)?;
+        let data = match &self.data {
+            Some(data) => data.clone(),
+            None => quick::data(&self.out, console)?,
+        };
+        let grid = Grid {
+            data,
+            out: self.out.clone(),
+            body: self.body.clone(),
+            clothing: self.clothing.clone(),
+            config: self.configured(global)?,
+        };
+        let rows = if self.rows.is_empty() { Row::ALL.to_vec() } else { self.rows.clone() };
+        let jobs = grid.jobs(&rows, self.seeds as u64)?;
+        let interrupt = Interrupt::listen(console)?;
+        let mut results = Vec::new();
+        let mut clock = Clock::new(&jobs);
+        for (index, job) in jobs.iter().enumerate() {
+            let title =
+                format!("[{}/{}] {}, seed {}", index + 1, jobs.len(), job.row.name(), job.seed);
+            if let Some(result) = job.result() {
+                console.note(&format!("{title}: done before"));
+                clock.pass(job);
+                results.push(result);
+                continue;
+            }
+            console.note(&format!("{title}{}", clock.left()));
+            match done(&grid, job, &device, console, &interrupt).doing(|| title)? {
+                Some(result) => results.push(result),
+                None => {
+                    console.note("interrupted and saved; the same command goes on");
+                    return Ok(ExitCode::from(INTERRUPTED));
+                }
+            }
+            clock.pass(job);
+        }
+        let table = Table::new(&results);
+        let report = Report { out: self.out, seconds: start.elapsed().as_secs_f64(), table };
+        write(&report, &grid, &results)?;
+        console.result(&report, || report.text())?;
+        Ok(ExitCode::SUCCESS)
+    }
+
+    fn configured(&self, global: &Global) -> Result<RunConfig> {
+        let mut config = match &self.config {
+            Some(path) => RunConfig::load(path)?,
+            None if self.quick => quick::config(),
+            None => RunConfig::default(),
+        };
+        if let Some(preset) = &self.preset {
+            config.model = CapeConfig::preset(preset)?;
+        }
+        if let Some(epochs) = self.epochs {
+            config.train.epochs = epochs;
+        }
+        if let Some(seed) = global.seed {
+            config.train.seed = seed;
+        }
+        config.validate()?;
+        Ok(config)
+    }
+}
+
+/// Trains and measures a job; nothing if it was interrupted.
+fn done(
+    grid: &Grid,
+    job: &Job,
+    device: &Device,
+    console: Console,
+    interrupt: &Interrupt,
+) -> Result<Option<RowResult>> {
+    let mut spent = 0.0;
+    if let Some(mut trainer) = job.trainer(grid, device)? {
+        let outcome = training::run(&mut trainer, console, |_| interrupt.was_asked())?;
+        if !outcome.finished {
+            return Ok(None);
+        }
+        spent = outcome.seconds;
+    }
+    let start = Instant::now();
+    let mut result = console.while_showing("measure", "frames", |progress| {
+        job.measure(grid, spent, device, progress)
+    })?;
+    if !job.row.is_trained() {
+        result.seconds = start.elapsed().as_secs_f64();
+    }
+    Ok(Some(result))
+}
+
+/// How long the rest will take, by what trained rows took so far.
+struct Clock {
+    start: Instant,
+    trained: usize,
+    left: usize,
+}
+
+impl Clock {
+    fn new(jobs: &[Job]) -> Self {
+        let left = jobs.iter().filter(|job| job.row.is_trained()).count();
+        Self { start: Instant::now(), trained: 0, left }
+    }
+
+    fn pass(&mut self, job: &Job) {
+        if job.row.is_trained() {
+            self.trained += 1;
+            self.left -= 1;
+        }
+    }
+
+    fn left(&self) -> String {
+        if self.trained == 0 {
+            return String::new();
+        }
+        let each = self.start.elapsed().as_secs_f64() / self.trained as f64;
+        format!(" · all done in about {}", seconds(each * self.left as f64))
+    }
+}
+
+fn write(report: &Report, grid: &Grid, results: &[RowResult]) -> Result {
+    let at = |name: &str| report.out.join(name);
+    files::write_text(&at("table2.md"), &report.table.markdown())?;
+    files::write_text(&at("table2.csv"), &report.table.csv())?;
+    files::write_text(&at("table2.tex"), &report.table.latex())?;
+    write_json(&at("table2.json"), report)?;
+    let maps = figures::maps(grid, results)?;
+    maps.save(at("error_maps.png"))?;
+    let html =
+        report::html(&report.table, grid, report.seconds, &[("Mean error on the body", &maps)])?;
+    files::write_text(&at("report.html"), &html)
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let (header, rows) = self.table.rows();
+        let mut text = Text::new(header);
+        for row in rows {
+            text.row(row);
+        }
+        let out = self.out.display();
+        let report = self.out.join("report.html");
+        format!(
+            "{}\n\n{}\n\n{out}: {}\n{}",
+            text.text(),
+            self.table.caption(),
+            seconds(self.seconds),
+            Path::new(&report).display()
+        )
+    }
+}

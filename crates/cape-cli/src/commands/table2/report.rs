@@ -1,0 +1,88 @@
+//! The report as one HTML file.
+
+use std::fmt::Write as _;
+
+use base64::{Engine, engine::general_purpose::STANDARD};
+use cape_render::Image;
+use cape_train::table2::{Grid, Table, hash_of};
+
+use crate::{
+    console::seconds,
+    error::{Error, Result},
+};
+
+const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:72rem;padding:0 \
+1rem;color:#222;background:#fff}table{border-collapse:collapse;margin:1rem 0;font-variant-numeric:\
+tabular-nums}th,td{padding:.3rem .7rem;border-bottom:1px solid #ddd;text-align:right}th:first-child,\
+td:first-child{text-align:left}div.wide{overflow-x:auto}img{max-width:100%}pre{background:#f5f5f6;\
+padding:1rem;overflow-x:auto}tr.cape{background:#f0f6ff}@media(prefers-color-scheme:dark){body{color:\
+#ddd;background:#17181a}th,td{border-color:#3a3b3e}pre{background:#222326}tr.cape{background:#1d2733}}";
+
+/// Tables, figures, configuration, versions and the data's hash, all in one text.
+pub(super) fn html(
+    table: &Table,
+    grid: &Grid,
+    spent: f64,
+    figures: &[(&str, &Image)],
+) -> Result<String> {
+    let mut body = String::new();
+    let (header, rows) = table.rows();
+    let first =
+        rows.iter().zip(&table.lines).map(|(cells, line)| (line.row.name(), cells.to_vec()));
+    body += &html_table(&header.map(str::to_owned), first);
+    let _ = writeln!(body, "<p>{}</p>", escaped(&table.caption()));
+    for (title, of) in [
+        ("By outfit", table.lines.iter().map(|line| &line.outfits).collect::<Vec<_>>()),
+        ("By sequence", table.lines.iter().map(|line| &line.sequences).collect()),
+    ] {
+        let Some(names) = of.first().filter(|names| !names.is_empty()) else { continue };
+        let mut header = vec!["error, mm".to_owned()];
+        header.extend(names.iter().map(|(name, _)| name.clone()));
+        let rows = table.lines.iter().zip(&of).map(|(line, errors)| {
+            let mut cells = vec![line.row.label().to_owned()];
+            cells.extend(errors.iter().map(|(_, error)| format!("{error:.2}")));
+            (line.row.name(), cells)
+        });
+        let _ = writeln!(body, "<h2>{title}</h2>{}", html_table(&header, rows));
+    }
+    for (title, image) in figures {
+        let mut png = Vec::new();
+        image.encode(&mut png).map_err(|error| Error::io("report.html", error))?;
+        let data = STANDARD.encode(&png);
+        let _ = writeln!(
+            body,
+            "<h2>{title}</h2><img alt=\"{title}\" src=\"data:image/png;base64,{data}\">"
+        );
+    }
+    let config = toml::to_string_pretty(&grid.config)
+        .map_err(|error| Error::message(format!("settings: {error}")))?;
+    let _ = writeln!(
+        body,
+        "<h2>How</h2><p>cape {} · data {} (SHA-256 {}) · {}</p><pre>{}</pre>",
+        env!("CARGO_PKG_VERSION"),
+        escaped(&grid.data.display().to_string()),
+        hash_of(&grid.data)?,
+        seconds(spent),
+        escaped(&config)
+    );
+    Ok(format!(
+        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" \
+         content=\"width=device-width\"><title>CAPE, table 2</title><style>{STYLE}</style></head>\
+         <body><h1>Reconstruction of held-out clothing</h1>\n{body}</body></html>\n"
+    ))
+}
+
+fn html_table<'a>(header: &[String], rows: impl Iterator<Item = (&'a str, Vec<String>)>) -> String {
+    let cells = |cells: &[String], tag: &str| -> String {
+        cells.iter().map(|cell| format!("<{tag}>{}</{tag}>", escaped(cell))).collect()
+    };
+    let mut text = format!("<div class=\"wide\"><table><tr>{}</tr>\n", cells(header, "th"));
+    for (class, row) in rows {
+        let _ = writeln!(text, "<tr class=\"{class}\">{}</tr>", cells(&row, "td"));
+    }
+    text + "</table></div>"
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}

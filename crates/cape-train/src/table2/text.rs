@@ -1,0 +1,146 @@
+//! The table as Markdown, CSV and LaTeX.
+
+use std::fmt::Write as _;
+
+use super::{Interval, Line, Table};
+
+/// The columns that people read.
+const HEADER: [&str; 9] = [
+    "method",
+    "error, mm (mean ± std)",
+    "median",
+    "95 % of the mean",
+    "posterior mean",
+    "against CAPE",
+    "edges, mm",
+    "normals, °",
+    "fine energy",
+];
+
+impl Line {
+    fn cells(&self) -> [String; 9] {
+        let interval = match self.interval {
+            Some(Interval { low, high }) => format!("{low:.2} to {high:.2}"),
+            None => "–".into(),
+        };
+        let against = match self.against_cape {
+            Some((difference, Some(p))) if p < 0.001 => format!("{difference:+.2} (p < 0.001)"),
+            Some((difference, Some(p))) => format!("{difference:+.2} (p = {p:.3})"),
+            Some((difference, None)) => format!("{difference:+.2}"),
+            None => "–".into(),
+        };
+        let seeds = match self.between_seeds {
+            Some(spread) => format!(" (seeds ± {spread:.2})"),
+            None => String::new(),
+        };
+        [
+            self.row.label().to_owned(),
+            format!("{:.2} ± {:.2}{seeds}", self.mean, self.std),
+            format!("{:.2}", self.median),
+            interval,
+            format!("{:.2}", self.posterior_mean),
+            against,
+            format!("{:.2}", self.detail.edge_mm),
+            format!("{:.2}", self.detail.normal_degrees),
+            format!("{:.2}", self.detail.high_energy),
+        ]
+    }
+}
+
+impl Table {
+    /// Header and cells, for people.
+    pub fn rows(&self) -> ([&'static str; 9], Vec<[String; 9]>) {
+        (HEADER, self.lines.iter().map(Line::cells).collect())
+    }
+
+    /// What the numbers are.
+    pub fn caption(&self) -> String {
+        format!(
+            "Euclidean errors at clothing vertices of {} test frames, millimetres, of sampled \
+             reconstructions; beside them those of the posterior's mean. Intervals by bootstrap and \
+             probabilities by sign changes over {} captures, since frames of a capture are not \
+             independent. Edges, normals and fine energy (of reconstructed to true displacements \
+             above the middle of the Laplacian's spectrum; 1 is best) for the posterior's mean.",
+            self.frames, self.captures
+        )
+    }
+
+    /// Markdown: the table, and errors by outfit and by sequence.
+    pub fn markdown(&self) -> String {
+        let (header, rows) = self.rows();
+        let mut text = String::new();
+        let mut line = |cells: &[String]| {
+            // Writing to a string cannot fail.
+            let _ = writeln!(text, "| {} |", cells.join(" | "));
+        };
+        line(&header.map(str::to_owned));
+        line(&vec!["---".to_owned(); header.len()]);
+        for row in &rows {
+            line(row);
+        }
+        let _ = writeln!(text, "\n{}", self.caption());
+        for (what, of) in [
+            ("outfit", (|line: &Line| &line.outfits) as fn(&Line) -> &Vec<(String, f64)>),
+            ("sequence", |line: &Line| &line.sequences),
+        ] {
+            let Some(first) = self.lines.first().filter(|line| !of(line).is_empty()) else {
+                continue;
+            };
+            let names: Vec<&str> = of(first).iter().map(|(name, _)| name.as_str()).collect();
+            let _ = writeln!(text, "\n| error by {what}, mm | {} |", names.join(" | "));
+            let _ = writeln!(text, "|---{}|", "|---".repeat(names.len()));
+            for line in &self.lines {
+                let cells: Vec<String> = of(line).iter().map(|(_, x)| format!("{x:.2}")).collect();
+                let _ = writeln!(text, "| {} | {} |", line.row.label(), cells.join(" | "));
+            }
+        }
+        text
+    }
+
+    /// Comma-separated values, one line a row, full precision.
+    pub fn csv(&self) -> String {
+        let mut text = "row,seeds,mean,std,median,low,high,posterior_mean,difference,p,edge_mm,\
+                        normal_degrees,high_energy,seconds\n"
+            .to_owned();
+        for line in &self.lines {
+            let number = |value: Option<f64>| value.map_or_else(String::new, |x| x.to_string());
+            let cells = [
+                line.row.name().to_owned(),
+                line.seeds.to_string(),
+                line.mean.to_string(),
+                line.std.to_string(),
+                line.median.to_string(),
+                number(line.interval.map(|interval| interval.low)),
+                number(line.interval.map(|interval| interval.high)),
+                line.posterior_mean.to_string(),
+                number(line.against_cape.map(|(difference, _)| difference)),
+                number(line.against_cape.and_then(|(_, p)| p)),
+                line.detail.edge_mm.to_string(),
+                line.detail.normal_degrees.to_string(),
+                line.detail.high_energy.to_string(),
+                line.seconds.to_string(),
+            ];
+            text += &cells.join(",");
+            text.push('\n');
+        }
+        text
+    }
+
+    /// A LaTeX table in the paper's form.
+    pub fn latex(&self) -> String {
+        let mut text =
+            "\\begin{tabular}{lcc}\n\\hline\nmethod & error (mm) & median \\\\\n\\hline\n"
+                .to_owned();
+        for line in &self.lines {
+            let _ = writeln!(
+                text,
+                "{} & ${:.2} \\pm {:.2}$ & {:.2} \\\\",
+                line.row.label(),
+                line.mean,
+                line.std,
+                line.median
+            );
+        }
+        text + "\\hline\n\\end{tabular}\n"
+    }
+}
