@@ -14,8 +14,8 @@ use crate::support::{Packed, VERTICES, contents, pose_of, run, run_line, trained
 #[test]
 fn every_command_explains_itself() {
     for command in [
-        "synth", "inspect", "unpose", "pack", "pyramid", "train", "eval", "sample", "import",
-        "export", "info", "bench", "demo",
+        "synth", "inspect", "unpose", "pack", "pyramid", "train", "eval", "table2", "sample",
+        "import", "export", "info", "bench", "demo",
     ] {
         let help = run([command, "--help"]).succeeded();
         assert!(help.contains("Example") && help.contains(&format!("cape {command} ")), "{help}");

@@ -124,3 +124,42 @@ fn a_training_that_blows_up_stops_before_the_damage_is_saved() {
         }
     }
 }
+
+#[test]
+fn every_row_of_the_table_is_trained_measured_and_kept() {
+    let data = Packed::new();
+    let line = "table2 --data @/packed --out @/table --preset tiny --epochs 1 --seeds 2 --rows \
+                mean,pca,coma-4,cape,no-edge --json";
+    let report = data.run(line).json();
+    let lines = report["lines"].as_array().unwrap();
+    let rows: Vec<&str> = lines.iter().map(|line| line["row"].as_str().unwrap()).collect();
+    assert_eq!(rows, ["mean", "pca", "coma-4", "cape", "no-edge"]);
+    let of = |row: usize, what: &str| lines[row][what].as_f64().unwrap();
+    assert_eq!((lines[1]["seeds"].as_u64(), lines[3]["seeds"].as_u64()), (Some(1), Some(2)));
+    assert!(of(1, "mean") < of(0, "mean"), "{report}");
+    assert!(lines[3]["against_cape"].is_null() && lines[4]["against_cape"].is_array());
+    assert_eq!((report["frames"].as_u64(), report["captures"].as_u64()), (Some(16), Some(4)));
+    // The mean shape is the evaluation's baseline.
+    data.run("train --data @/packed --out @/run --preset tiny --epochs 1 --batch 4").succeeded();
+    let evaluation = data.run("eval @/run --data @/packed --json").json();
+    let expected = evaluation["mean_shape"]["overall"]["mean"].as_f64().unwrap();
+    assert!((of(0, "mean") - expected).abs() < 1e-4, "{expected}");
+
+    for name in ["table2.md", "table2.csv", "table2.tex", "table2.json", "error_maps.png"] {
+        assert!(data.at("table").join(name).is_file(), "{name}");
+    }
+    let html = fs::read_to_string(data.at("table/report.html")).unwrap();
+    assert!(html.contains("w/o edge loss") && html.contains("data:image/png;base64,"));
+    let markdown = fs::read_to_string(data.at("table/table2.md")).unwrap();
+    assert!(markdown.contains("error by outfit") && markdown.contains("error by sequence"));
+
+    // What is done is kept; other settings are not mistaken for it.
+    let again = data.run(line);
+    assert_eq!(again.err.matches("done before").count(), 8, "{}", again.err);
+    let again = again.json();
+    assert_eq!(again["lines"], report["lines"]);
+    let other =
+        data.run(&line.replace("--epochs 1", "--epochs 2").replace("--seeds 2", "--seeds 1"));
+    assert_eq!(other.err.matches("done before").count(), 0, "{}", other.err);
+    data.run("table2 --data @/raw --out @/nothing").failed_saying(&["train_disp.npy"]);
+}

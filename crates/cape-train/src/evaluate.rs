@@ -150,6 +150,9 @@ pub fn evaluate(
     })
 }
 
+/// Takes a frame's row, its reconstruction and the truth.
+pub type EachFrame<'a> = dyn FnMut(usize, &[f32], &[f32]) -> Result<()> + 'a;
+
 /// Calls `each` with every test frame's row, reconstruction and truth: displacements in metres,
 /// `[3 V]`.
 pub fn reconstruct_test(
@@ -157,7 +160,7 @@ pub fn reconstruct_test(
     set: &Arc<PackedSet>,
     options: EvalOptions,
     progress: &mut Progress,
-    each: &mut dyn FnMut(usize, &[f32], &[f32]) -> Result<()>,
+    each: &mut EachFrame,
 ) -> Result<()> {
     let frames = set.frames();
     let vertices = run.body().vertices();

@@ -28,7 +28,8 @@ pub use codes::CodeDensity;
 pub use config::{RunConfig, TrainConfig, WarmUp};
 pub use error::{Error, Result};
 pub use evaluate::{
-    EvalOptions, EvalReport, FrameError, Gathered, PosteriorUse, evaluate, reconstruct_test,
+    EachFrame, EvalOptions, EvalReport, FrameError, Gathered, PosteriorUse, evaluate,
+    reconstruct_test,
 };
 pub use progress::{Progress, silent};
 pub use run::{DataIdentity, Run, RunPaths, build_graphs, to_device, write_json};

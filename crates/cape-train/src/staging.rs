@@ -1,7 +1,7 @@
 //! Directories that appear whole or not at all.
 
 use std::{
-    fs,
+    fs::{self, File, TryLockError},
     path::{Path, PathBuf},
 };
 
@@ -10,6 +10,8 @@ use crate::{Error, Result};
 /// The directory being filled, hidden beside its final place and removed unless committed.
 pub(crate) struct Staging {
     pub(crate) path: PathBuf,
+    /// Held as long as this process fills the directory.
+    lock: (PathBuf, File),
     /// Whether it stays when it is dropped, to be gone on with.
     pub(crate) keep: bool,
 }
@@ -30,7 +32,10 @@ impl Staging {
         };
         let path = out.with_file_name(format!(".{}.cape-partial", name.to_string_lossy()));
         fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
-        Ok(Self { path, keep: false })
+        let lock = lock(path.with_extension("cape-lock"), out)?;
+        // Whoever held the lock before may have moved the directory away.
+        fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
+        Ok(Self { path, lock, keep: false })
     }
 
     /// An empty place for `out`.
@@ -57,8 +62,27 @@ impl Staging {
     }
 }
 
+/// Makes sure that no other process writes `out`.
+fn lock(path: PathBuf, out: &Path) -> Result<(PathBuf, File)> {
+    let file = File::options()
+        .create(true)
+        .truncate(false)
+        .write(true)
+        .open(&path)
+        .map_err(|e| Error::io(&path, e))?;
+    match file.try_lock() {
+        Ok(()) => Ok((path, file)),
+        Err(TryLockError::WouldBlock) => Err(Error::Data(format!(
+            "{}: another process is writing it: wait, or choose another place",
+            out.display()
+        ))),
+        Err(TryLockError::Error(error)) => Err(Error::io(path, error)),
+    }
+}
+
 impl Drop for Staging {
     fn drop(&mut self) {
+        let _ = fs::remove_file(&self.lock.0);
         if !self.keep {
             // A failure to clean up has no better place to go.
             let _ = fs::remove_dir_all(&self.path);

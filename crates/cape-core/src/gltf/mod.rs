@@ -12,7 +12,7 @@ mod tests;
 
 use std::{io::Write, path::Path};
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DQuat, DVec3};
 use ndarray::Array2;
 use serde_json::{Value, json};
 
@@ -302,10 +302,7 @@ fn local(figure: &Figure, joint: usize) -> DVec3 {
 
 fn rotation(frame: &Keyframe, joint: usize) -> [f32; 4] {
     let axis_angle = [0, 1, 2].map(|axis| frame.pose[3 * joint + axis]);
-    let [x, y, z] = joints::rotation_matrix(axis_angle);
-    // Rows of the matrix are columns of its transpose.
-    let matrix = DMat3::from_cols_array_2d(&[x, y, z]).transpose();
-    DQuat::from_mat3(&matrix).normalize().as_quat().to_array()
+    DQuat::from_scaled_axis(DVec3::from_array(axis_angle)).as_quat().to_array()
 }
 
 fn joint_node(figure: &Figure, joint: usize, frame: Option<&Keyframe>) -> Value {

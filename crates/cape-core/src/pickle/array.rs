@@ -9,16 +9,29 @@ use super::{
 };
 use crate::{
     Result,
-    npy::{NpyElement, NpyHeader, NpyType, read_array},
+    npy::{NpyElement, NpyHeader, NpyKind, NpyType, read_array},
 };
 
 /// Views and object arrays inside one another.
 pub(super) const MAX_DEPTH: usize = 32;
+/// What looking at one value costs of what may be taken out of a file, bytes.
+const VISIT: usize = 32;
 
 /// An array as it was stored.
 pub(super) enum Stored<'a> {
-    Numbers { dtype: NpyType, shape: Vec<usize>, fortran: bool, bytes: Value<'a> },
-    Objects { shape: Vec<usize>, fortran: bool, elements: Vec<Value<'a>> },
+    Numbers {
+        dtype: NpyType,
+        shape: Vec<usize>,
+        fortran: bool,
+        /// The order that axes are put in, after all.
+        axes: Option<Vec<usize>>,
+        bytes: Value<'a>,
+    },
+    Objects {
+        shape: Vec<usize>,
+        fortran: bool,
+        elements: Vec<Value<'a>>,
+    },
 }
 
 impl<'a> Value<'a> {
@@ -32,6 +45,8 @@ impl<'a> Value<'a> {
         let Some(depth) = depth.checked_sub(1) else {
             return Err(self.error(format!("more than {MAX_DEPTH} arrays inside one another")));
         };
+        // Lists that hold one another several times are looked at as often.
+        self.charge(VISIT)?;
         if let Some((class, object)) = self.object() {
             return match class.kind {
                 Kind::NdArray | Kind::FromBuffer => self.numpy(depth),
@@ -44,8 +59,8 @@ impl<'a> Value<'a> {
             Item::Int(value) => self.number(T::from_int(value.into())),
             Item::Bool(value) => self.number(T::from_int(value.into())),
             Item::Float(value) => self.number(T::from_float(value)),
-            _ => match self.elements() {
-                Some(elements) => self.stack(&elements, depth),
+            _ => match self.items() {
+                Some(items) => self.stack(items.iter().map(|&item| self.with(item)), depth),
                 None => Err(self.error(format!("is {}, expected numbers", self.describe()))),
             },
         }
@@ -58,7 +73,12 @@ impl<'a> Value<'a> {
     }
 
     /// One array of several of one shape.
-    fn stack<T: NpyElement>(&self, elements: &[Self], depth: usize) -> Result<ArrayD<T>> {
+    fn stack<T: NpyElement>(
+        &self,
+        elements: impl ExactSizeIterator<Item = Self>,
+        depth: usize,
+    ) -> Result<ArrayD<T>> {
+        let count = elements.len();
         let mut values = Vec::new();
         let mut shape: Option<Vec<usize>> = None;
         for element in elements {
@@ -70,26 +90,29 @@ impl<'a> Value<'a> {
             values.extend(array.iter().copied());
             shape.get_or_insert_with(|| array.shape().to_vec());
         }
-        let shape: Vec<usize> =
-            std::iter::once(elements.len()).chain(shape.unwrap_or_default()).collect();
+        let shape: Vec<usize> = std::iter::once(count).chain(shape.unwrap_or_default()).collect();
         ArrayD::from_shape_vec(IxDyn(&shape), values)
             .map_err(|source| self.error(source.to_string()))
     }
 
     fn numpy<T: NpyElement>(&self, depth: usize) -> Result<ArrayD<T>> {
         match self.stored()? {
-            Stored::Numbers { dtype, shape, fortran, bytes } => {
+            Stored::Numbers { dtype, shape, fortran, axes, bytes } => {
                 let bytes = bytes.bytes()?;
                 let header = NpyHeader { dtype, fortran, shape, data_offset: 0 };
                 let count = header.elements_and_bytes().map_or(usize::MAX, |(count, _)| count);
                 self.charge(count.saturating_mul(size_of::<T>()))?;
-                read_array(&header, &bytes).map_err(|message| self.error(message))
+                let array = read_array(&header, &bytes).map_err(|message| self.error(message))?;
+                Ok(match axes {
+                    None => array,
+                    Some(axes) => array.permuted_axes(axes).as_standard_layout().into_owned(),
+                })
             }
             Stored::Objects { shape, fortran, elements } => match (&shape[..], &elements[..]) {
                 ([], [one]) => one.array_within(depth),
                 _ if fortran => Err(self.error("is an array of objects in Fortran order")),
                 _ => {
-                    let flat: ArrayD<T> = self.stack(&elements, depth)?;
+                    let flat: ArrayD<T> = self.stack(elements.into_iter(), depth)?;
                     let shape = [&shape, &flat.shape()[1..]].concat();
                     flat.into_shape_with_order(shape).map_err(|e| self.error(e.to_string()))
                 }
@@ -139,6 +162,16 @@ impl<'a> Value<'a> {
                     Some([data, dtype, shape, order]) => {
                         self.assemble(shape, dtype, order.text()? == "F", data)
                     }
+                    // Permuted: laid out in C order, with the axes in another.
+                    Some([data, dtype, shape, _, axes]) => {
+                        match self.assemble(shape, dtype, false, data)? {
+                            Stored::Numbers { dtype, shape, bytes, .. } if !axes.is_none() => {
+                                let axes = Some(self.permutation(axes, shape.len())?);
+                                Ok(Stored::Numbers { dtype, shape, fortran: false, axes, bytes })
+                            }
+                            stored => Ok(stored),
+                        }
+                    }
                     _ => Err(self.error("is an array with unknown arguments")),
                 }
             }
@@ -156,16 +189,12 @@ impl<'a> Value<'a> {
         let shape = self.shape(shape)?;
         let dtype = self.dtype(dtype)?;
         if !dtype.is_object() {
-            return Ok(Stored::Numbers {
-                dtype,
-                shape,
-                fortran,
-                bytes: self.part(data.item, "data"),
-            });
+            let bytes = self.part(data.item, "data");
+            return Ok(Stored::Numbers { dtype, shape, fortran, axes: None, bytes });
         }
         let elements = match data.node() {
             Some(Node::List(items)) => {
-                self.charge(items.len() * size_of::<Value>())?;
+                self.charge(2 * items.len() * size_of::<Value>())?;
                 items.iter().map(|&item| self.with(item)).collect::<Vec<_>>()
             }
             _ => return Err(self.error("is an array of objects without a list of them")),
@@ -176,6 +205,22 @@ impl<'a> Value<'a> {
             return Err(self.error(message));
         }
         Ok(Stored::Objects { shape, fortran, elements })
+    }
+
+    /// An order of `count` axes.
+    pub(super) fn permutation(&self, axes: &Self, count: usize) -> Result<Vec<usize>> {
+        let axes = self.shape(axes)?;
+        let mut sorted = axes.clone();
+        sorted.sort_unstable();
+        if sorted.iter().copied().eq(0..count) {
+            return Ok(axes);
+        }
+        Err(self.error(format!("puts {count} axes in the order {axes:?}")))
+    }
+
+    /// Whether this is an array of booleans.
+    pub(super) fn is_mask(&self) -> bool {
+        matches!(self.stored(), Ok(Stored::Numbers { dtype, .. }) if dtype.kind == NpyKind::Bool)
     }
 
     pub(super) fn shape(&self, shape: &Self) -> Result<Vec<usize>> {

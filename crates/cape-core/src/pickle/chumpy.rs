@@ -11,7 +11,7 @@ impl Value<'_> {
         match class.rsplit('.').next().unwrap_or_default() {
             "Ch" => self.require("x")?.array_within(depth),
             "Select" => self.selection(depth),
-            "reshape" => {
+            "reshape" | "Reshape" => {
                 let array = self.require("a")?.array_within(depth)?;
                 self.reshaped(array, "newshape", depth)
             }
@@ -20,12 +20,7 @@ impl Value<'_> {
                 match self.get("axes").filter(|axes| !axes.is_none()) {
                     None => Ok(array.reversed_axes().as_standard_layout().into_owned()),
                     Some(axes) => {
-                        let axes = axes.shape(&axes)?;
-                        let mut sorted = axes.clone();
-                        sorted.sort_unstable();
-                        if !sorted.iter().copied().eq(0..array.ndim()) {
-                            return Err(self.error(format!("transposes axes {axes:?}")));
-                        }
+                        let axes = self.permutation(&axes, array.ndim())?;
                         Ok(array.permuted_axes(axes).as_standard_layout().into_owned())
                     }
                 }
@@ -40,7 +35,11 @@ impl Value<'_> {
     /// `a.ravel()[idxs]` in the shape `preferred_shape`.
     fn selection<T: NpyElement>(&self, depth: usize) -> Result<ArrayD<T>> {
         let array: ArrayD<T> = self.require("a")?.array_within(depth)?;
-        let indices: ArrayD<i64> = self.require("idxs")?.array_within(depth)?;
+        let indices = self.require("idxs")?;
+        if indices.is_mask() {
+            return Err(indices.error("is a mask, expected indices"));
+        }
+        let indices: ArrayD<i64> = indices.array_within(depth)?;
         self.charge(indices.len() * size_of::<T>())?;
         let values: Vec<T> = array.iter().copied().collect();
         let selected = indices.iter().map(|&index| {
@@ -52,7 +51,7 @@ impl Value<'_> {
                 .ok_or_else(|| self.error(format!("selects element {index} of {}", values.len())))
         });
         let selected =
-            ArrayD::from_shape_vec(IxDyn(&[indices.len()]), selected.collect::<Result<_>>()?)
+            ArrayD::from_shape_vec(IxDyn(indices.shape()), selected.collect::<Result<_>>()?)
                 .map_err(|source| self.error(source.to_string()))?;
         self.reshaped(selected, "preferred_shape", depth)
     }

@@ -91,6 +91,7 @@ fn numpy(module: &str, name: &str) -> Option<Kind> {
             | "Generator"
             | "MT19937"
             | "PCG64"
+            | "__RandomState_ctor"
             | "__randomstate_ctor"
             | "__generator_ctor"
             | "__bit_generator_ctor" => Kind::Record,

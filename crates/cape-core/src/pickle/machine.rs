@@ -14,6 +14,8 @@ const NEWEST: u8 = 5;
 const MAX_STACK: usize = 1 << 20;
 /// Bytes of a class's name or of a number in the text protocol.
 const MAX_LINE: usize = 1 << 10;
+/// Memos beyond one for each object.
+const SPARE_MEMOS: usize = 1 << 10;
 
 type Result<T, E = String> = std::result::Result<T, E>;
 
@@ -197,6 +199,10 @@ impl<'a> Machine<'a> {
                     _ => self.memo_key(code)?,
                 };
                 let top = self.top()?;
+                // Only containers, texts and objects are memoised.
+                if self.memo.len() > self.nodes.len() + SPARE_MEMOS {
+                    return Err("more memos than objects".into());
+                }
                 self.memo.insert(key, top);
             }
             b'g' | b'h' | b'j' => {

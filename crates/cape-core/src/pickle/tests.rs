@@ -193,6 +193,19 @@ fn memory_stays_in_proportion() {
     let message = root.array::<f64>().unwrap_err().to_string();
     assert!(message.contains("out of proportion"), "{message}");
 
+    // Lists of lists of lists, each twice: two to the thirtieth visits to nothing.
+    let mut doubled = b"]q\x00".to_vec();
+    for level in 0..30u8 {
+        doubled.extend([b"](h".as_slice(), &[level], b"h", &[level], b"eq", &[level + 1]].concat());
+    }
+    doubled.push(b'.');
+    let message = parse(&doubled).unwrap().root().array::<f64>().unwrap_err().to_string();
+    assert!(message.contains("out of proportion"), "{message}");
+    let holds_itself = [b"]q\x00(".to_vec(), b"h\x00".repeat(200_000), b"e.".to_vec()].concat();
+    assert!(parse(&holds_itself).unwrap().root().array::<f64>().is_err());
+    let memos = [b"N".to_vec(), b"\x94".repeat(5000), b".".to_vec()].concat();
+    assert!(parse(&memos).is_err());
+
     // Objects that are never used cost less than the file allows.
     assert!(parse(&b"]".repeat(1 << 20)).is_err());
     let deep = [b"]".repeat(60_000), b"a".repeat(59_999), b".".to_vec()].concat();

@@ -72,9 +72,8 @@ impl<'a> Value<'a> {
     pub fn get(&self, key: &str) -> Option<Self> {
         let entries = self.entries()?;
         // What was set last holds.
-        let (_, item) = entries.iter().rev().find(|(found, _)| {
-            self.part(*found, key).raw().is_some_and(|bytes| bytes == key.as_bytes())
-        })?;
+        let (_, item) =
+            entries.iter().rev().find(|(found, _)| self.raw(*found) == Some(key.as_bytes()))?;
         Some(self.part(*item, key))
     }
 
@@ -111,13 +110,17 @@ impl<'a> Value<'a> {
         }
     }
 
+    pub(super) fn items(&self) -> Option<&'a [Item]> {
+        match self.node()? {
+            Node::List(items) => Some(items),
+            Node::Tuple(items) => Some(items),
+            _ => None,
+        }
+    }
+
     /// The elements of a list or tuple.
     pub fn elements(&self) -> Option<Vec<Self>> {
-        let items: &[Item] = match self.node()? {
-            Node::List(items) => items,
-            Node::Tuple(items) => items,
-            _ => return None,
-        };
+        let items = self.items()?;
         Some(items.iter().enumerate().map(|(at, &item)| self.part(item, &at.to_string())).collect())
     }
 
@@ -189,8 +192,9 @@ impl<'a> Value<'a> {
         bytes.map(Cow::Owned).ok_or_else(|| self.error("holds characters that are not Latin-1"))
     }
 
-    fn raw(&self) -> Option<&'a [u8]> {
-        match self.node()? {
+    fn raw(&self, item: Item) -> Option<&'a [u8]> {
+        let Item::Node(number) = item else { return None };
+        match self.pickle.nodes.get(number as usize)? {
             Node::Text(bytes) | Node::Bytes(bytes) => Some(self.slice(bytes)),
             _ => None,
         }

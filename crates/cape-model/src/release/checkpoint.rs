@@ -62,7 +62,18 @@ impl Released {
                 ),
             });
         }
+        let (owned, alone) = std::mem::take(&mut read.momentum)
+            .into_iter()
+            .partition(|(owner, _)| read.variables.iter().any(|(name, _)| name == owner));
+        read.momentum = owned;
+        let alone: Vec<(String, Array)> = alone;
+        read.ignored.extend(alone.into_iter().map(|(owner, _)| owner + MOMENTUM));
         Ok(read)
+    }
+
+    /// The release's name of one of our parameters.
+    pub fn official_name(&self, config: &CapeConfig, ours: &str) -> Option<String> {
+        name_map(config, &self.shapes()).ok()?.remove(ours)
     }
 
     /// Names and shapes of the model's variables.

@@ -1,7 +1,10 @@
 //! The configuration that a set of release variables belongs to, from their names and shapes.
 
 use super::{bare, missing};
-use crate::{CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, Error, Result};
+use crate::{
+    CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, Error, OUTFITS, POSE_FEATURE,
+    Result, condition::hidden_width,
+};
 
 /// Most Chebyshev terms looked for.
 const MOST_TERMS: usize = 16;
@@ -15,8 +18,13 @@ const MOST_TERMS: usize = 16;
 /// # Errors
 /// If a variable is missing or a shape fits no architecture; it is named.
 pub fn infer(shapes: &[(String, Vec<usize>)]) -> Result<CapeConfig> {
+    if let Some((name, shape)) = shapes.iter().find(|(_, shape)| shape.contains(&0)) {
+        return Err(weight(name, format!("shape {shape:?}: holds nothing")));
+    }
     let shapes = Shapes(shapes);
     let encoder = "generator/encoder";
+    shapes.check_condition("condition_pose", POSE_FEATURE)?;
+    shapes.check_condition("condition_clo_label", OUTFITS)?;
     let blocks = shapes.blocks(encoder)?;
     let filters: Vec<usize> = blocks.iter().map(|block| block.output).collect();
     let pose_embedding = shapes.embedding("condition_pose");
@@ -192,6 +200,27 @@ impl<'a> Shapes<'a> {
         self.get(&last).and_then(|shape| shape.last().copied()).unwrap_or(0)
     }
 
+    /// Checks that the layers of a condition net fit its input and one another.
+    fn check_condition(&self, scope: &str, input: usize) -> Result<()> {
+        let embedding = self.embedding(scope);
+        if embedding == 0 {
+            return Ok(());
+        }
+        let mut rows = input;
+        let layers = self.layers(scope);
+        for layer in 1..=layers {
+            let name = format!("{scope}/fc{layer}/dense/kernel");
+            let [found, columns] = self.matrix(&name)?;
+            let wide = if layer == layers { embedding } else { hidden_width(input, embedding) };
+            if [found, columns] != [rows, wide] {
+                let message = format!("shape [{found}, {columns}], expected [{rows}, {wide}]");
+                return Err(weight(&name, message));
+            }
+            rows = columns;
+        }
+        Ok(())
+    }
+
     fn scope(&self, parent: &str, number: usize) -> Option<String> {
         super::block_scope(self.0.iter().map(|(name, _)| name.as_str()), parent, number)
     }
@@ -238,7 +267,12 @@ impl<'a> Shapes<'a> {
         }
         let Some(&last) = filters.last() else { return Ok(None) };
         let output = "discriminator/prediction_map/weights";
-        let output_order = self.matrix(output)?[0] / last.max(1);
+        let [rows, one] = self.matrix(output)?;
+        if one != 1 || !rows.is_multiple_of(last) {
+            let message = format!("shape [{rows}, {one}], expected one column and {last} channels");
+            return Err(weight(output, message));
+        }
+        let output_order = rows / last;
         Ok(Some(DiscriminatorConfig {
             factors: vec![2; filters.len()],
             filters,

@@ -216,6 +216,7 @@ impl Checkpoint {
     /// Checks that every variable lies inside its file and has as many bytes as its shape says.
     fn check_places(&self) -> Result<()> {
         let mut lengths: Vec<Option<u64>> = Vec::new();
+        let mut claimed: Vec<u64> = Vec::new();
         for variable in &self.variables {
             let Place { shard, offset, size, .. } = variable.place;
             if shard >= self.shards {
@@ -224,6 +225,7 @@ impl Checkpoint {
             }
             if lengths.len() <= shard {
                 lengths.resize(shard + 1, None);
+                claimed.resize(shard + 1, 0);
             }
             let length = if let Some(length) = lengths[shard] {
                 length
@@ -241,6 +243,10 @@ impl Checkpoint {
                     self.shard_path(shard).display()
                 );
                 return Err(self.fault(variable, message));
+            }
+            claimed[shard] += size;
+            if claimed[shard] > length {
+                return Err(self.fault(variable, "shares its bytes with another variable".into()));
             }
             let elements =
                 variable.shape.iter().try_fold(1u64, |n, &axis| n.checked_mul(axis as u64));

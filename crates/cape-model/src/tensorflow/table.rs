@@ -35,6 +35,10 @@ pub(super) fn read(file: &[u8]) -> Result<Entries> {
     let mut allowance = file.len().saturating_mul(64).saturating_add(1 << 16);
     for (_, place) in block(file, index)?.entries(&mut allowance)? {
         let handle = Handle::read(&mut &place[..]).ok_or("malformed place of a block")?;
+        allowance = usize::try_from(handle.size)
+            .ok()
+            .and_then(|size| allowance.checked_sub(size))
+            .ok_or("its blocks are out of proportion to its size")?;
         entries.extend(block(file, handle)?.entries(&mut allowance)?);
     }
     if !entries.is_sorted_by(|(a, _), (b, _)| a < b) {

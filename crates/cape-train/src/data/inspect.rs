@@ -2,7 +2,6 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    fs,
     path::{Path, PathBuf},
 };
 
@@ -186,14 +185,14 @@ fn inspect_raw(
     let mut found = Inspection { kind: "raw", ..Inspection::default() };
     let mut minimal = BTreeMap::new();
     let mut samples: Vec<(String, PathBuf)> = Vec::new();
-    for directory in directories(&root.join("sequences"))? {
-        let subject = name(&directory);
+    for directory in raw::directories(&root.join("sequences"))? {
+        let subject = raw::name_of(&directory);
         match raw::read_minimal(root, &subject) {
             Ok(shape) => drop(minimal.insert(subject.clone(), shape)),
             Err(error) => found.warnings.push(format!("{subject}: no minimal shape: {error}")),
         }
-        for capture in directories(&directory)? {
-            let title = name(&capture);
+        for capture in raw::directories(&directory)? {
+            let title = raw::name_of(&capture);
             let known = title
                 .split_once('_')
                 .and_then(|(outfit, sequence)| Some((outfit.parse::<Outfit>().ok()?, sequence)));
@@ -231,17 +230,19 @@ fn inspect_raw(
     found.vertices = counts.first().copied().unwrap_or(0);
     heights(&minimal, &mut found);
 
-    let mask = mask(root, options, found.vertices)?;
+    let mask = match found.vertices {
+        0 => None,
+        vertices => mask(root, options, vertices)?,
+    };
     let mut tally = Tally::default();
     let mut unreadable = Vec::new();
     let mut posed_as_canonical = 0;
     let total = samples.len();
     for chunk in samples.chunks(4 * rayon::current_num_threads()) {
-        let read: Vec<Result<RawFrame>> =
-            chunk.par_iter().map(|(_, path)| raw::read_frame(path, None)).collect();
+        let read: Vec<Result<_>> = chunk.par_iter().map(|(_, path)| raw::read_any(path)).collect();
         for ((subject, path), frame) in chunk.iter().zip(read) {
-            let frame = match frame {
-                Ok(frame) => frame,
+            let (frame, whole) = match frame {
+                Ok(read) => read,
                 Err(error) => {
                     unreadable.push(error.to_string());
                     continue;
@@ -249,9 +250,11 @@ fn inspect_raw(
             };
             found.examined += 1;
             tally.pose(&frame.pose);
-            let distance = frame.transl.iter().map(|x| x * x).sum::<f64>().sqrt();
-            tally.translation = Some(tally.translation.map_or(distance, |d| d.max(distance)));
-            posed_as_canonical += usize::from(frame.v_cano == frame.v_posed);
+            if let Some(RawFrame { v_cano, v_posed, transl, .. }) = &whole {
+                let distance = transl.iter().map(|x| x * x).sum::<f64>().sqrt();
+                tally.translation = Some(tally.translation.map_or(distance, |d| d.max(distance)));
+                posed_as_canonical += usize::from(v_cano == v_posed);
+            }
             match minimal.get(subject) {
                 Some(shape) if shape.dim() == frame.v_cano.dim() => {
                     tally.displacement((&frame.v_cano - shape).view(), mask.as_ref());
@@ -461,23 +464,6 @@ fn conclude(found: &mut Inspection, tally: &Tally, masked: bool) {
 fn spread(count: usize, wanted: usize) -> impl Iterator<Item = usize> {
     let wanted = wanted.min(count);
     (0..wanted).map(move |k| (2 * k + 1) * count / (2 * wanted))
-}
-
-fn directories(path: &Path) -> Result<Vec<PathBuf>> {
-    let fail = |error| Error::io(path, error);
-    let mut found = Vec::new();
-    for entry in fs::read_dir(path).map_err(fail)? {
-        let path = entry.map_err(fail)?.path();
-        if path.is_dir() && !name(&path).starts_with('.') {
-            found.push(path);
-        }
-    }
-    found.sort_unstable();
-    Ok(found)
-}
-
-fn name(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 #[cfg(test)]

@@ -1,3 +1,5 @@
+use std::fs;
+
 use cape_core::npy::write_npy;
 use ndarray::Array1;
 
@@ -134,6 +136,8 @@ fn what_usually_goes_wrong_is_said() {
     says(&root, "b: no minimal shape");
     says(&root, "a/longlong_run: 0 frames");
     says(&root, "1 of 8 examined frames cannot be used");
+    fs::remove_file(raw::minimal_path(root.path(), "a")).unwrap();
+    says(&root, "a: no minimal shape");
     fs::remove_file(root.path().join(CLOTHING_FILE)).unwrap();
     says(&root, "clothing vertices are not known");
     let empty = tempfile::tempdir().unwrap();

@@ -9,7 +9,10 @@ use std::{
 
 use sha2::{Digest, Sha256};
 
-use super::{Split, pack::PlannedFrame};
+use super::{
+    Split,
+    pack::{PackOptions, PlannedFrame},
+};
 use crate::{Error, Result};
 
 const FILE: &str = "journal.txt";
@@ -94,10 +97,11 @@ impl Journal {
 }
 
 /// A hash of everything that the result depends on: the split, the subjects' minimal shapes, and
-/// name, size and time of every frame.
+/// name, size and time of every frame, and whether links are followed.
 pub(super) fn plan_hash<'a>(
     raw: &Path,
     split: &Split,
+    options: PackOptions,
     minimal: impl Iterator<Item = &'a ndarray::Array2<f64>>,
     frames: impl Iterator<Item = &'a PlannedFrame<'a>>,
 ) -> Result<String> {
@@ -107,6 +111,7 @@ pub(super) fn plan_hash<'a>(
         fs::canonicalize(raw).unwrap_or_else(|_| raw.to_owned()).to_string_lossy().as_bytes(),
     );
     hash.update(split.to_toml()?);
+    hash.update([options.strict.into(), options.follow_links.into()]);
     for shape in minimal {
         for value in shape {
             hash.update(value.to_le_bytes());

@@ -103,7 +103,7 @@ pub fn pack(
 ) -> Result<PackReport> {
     split.validate()?;
     let mut report = PackReport::default();
-    let minimal = read_minimals(raw, split, &mut report)?;
+    let minimal = read_minimals(raw, split, options, &mut report)?;
     let mut plans = Vec::new();
     for part in [Part::Train, Part::Test] {
         plans.push((part, plan(raw, split, part, &minimal, &mut report.missing)?));
@@ -113,11 +113,20 @@ pub fn pack(
     }
     let frames = || plans.iter().flat_map(|(_, frames)| frames);
     let total = frames().count();
-    let plan = plan_hash(raw, split, minimal.values(), frames())?;
+    let plan = plan_hash(raw, split, options, minimal.values(), frames())?;
 
     let mut staging = Staging::prepare(out)?;
     let mut done = Journal::read(&staging.path, &plan);
     done.truncate(total);
+    let inside = (!options.follow_links).then_some(raw);
+    // What could not be read then may be readable now.
+    let healed = frames()
+        .zip(&done)
+        .position(|(frame, fate)| *fate != Fate::Packed && read(frame, inside, &minimal).is_ok());
+    done.truncate(healed.unwrap_or(total));
+    if !is_whole(&staging.path, &plans, &done, report.vertices) {
+        done.clear();
+    }
     if done.is_empty() {
         staging.clear()?;
     }
@@ -134,7 +143,6 @@ pub fn pack(
         let mut count = before + fates.len();
         for chunk in left.chunks(4 * rayon::current_num_threads()) {
             progress(count, total);
-            let inside = (!options.follow_links).then_some(raw);
             let read: Vec<_> =
                 chunk.par_iter().map(|frame| read(frame, inside, &minimal)).collect();
             for (frame, read) in chunk.iter().zip(read) {
@@ -187,10 +195,27 @@ pub fn pack(
         staging.keep = false;
         return Err(nothing_left(raw, &report));
     }
-    write_notes(raw, &staging.path, split, &report, &text)?;
+    write_notes(raw, &staging.path, split, options, &report, &text)?;
     journal.finish()?;
     staging.commit(out)?;
     Ok(report)
+}
+
+/// Whether the files hold every frame that the journal says is packed: after a loss of power they
+/// may not.
+fn is_whole(
+    directory: &Path,
+    plans: &[(Part, Vec<PlannedFrame>)],
+    done: &[Fate],
+    vertices: usize,
+) -> bool {
+    let mut left = done;
+    plans.iter().all(|(part, frames)| {
+        let (own, rest) = left.split_at(frames.len().min(left.len()));
+        left = rest;
+        let rows = own.iter().filter(|fate| **fate == Fate::Packed).count();
+        rows == 0 || PartWriter::holds(directory, *part, vertices, rows)
+    })
 }
 
 /// The writer of a part whose first frames are packed already, if any of them was.
@@ -240,11 +265,23 @@ pub(super) struct PackedFrame {
 
 type Minimals = BTreeMap<String, Array2<f64>>;
 
-fn read_minimals(raw: &Path, split: &Split, report: &mut PackReport) -> Result<Minimals> {
+fn read_minimals(
+    raw: &Path,
+    split: &Split,
+    options: PackOptions,
+    report: &mut PackReport,
+) -> Result<Minimals> {
     let mut shapes = Minimals::new();
     for subject in &split.subjects {
         let reason = if raw.join("sequences").join(subject).is_dir() {
-            match raw::read_minimal(raw, subject) {
+            let read = || {
+                let path = raw::minimal_path(raw, subject);
+                if !options.follow_links && path.exists() {
+                    raw::require_inside(raw, &path)?;
+                }
+                raw::read_minimal(raw, subject)
+            };
+            match read() {
                 Ok(shape) if report.vertices == 0 || report.vertices == shape.nrows() => {
                     report.vertices = shape.nrows();
                     shapes.insert(subject.clone(), shape);
@@ -377,6 +414,7 @@ fn write_notes(
     raw: &Path,
     out: &Path,
     split: &Split,
+    options: PackOptions,
     report: &PackReport,
     captures: &str,
 ) -> Result<()> {
@@ -399,6 +437,9 @@ fn write_notes(
     for name in [BODY_FILE, CLOTHING_FILE] {
         let from = raw.join(name);
         if from.is_file() {
+            if !options.follow_links {
+                raw::require_inside(raw, &from)?;
+            }
             fs::copy(&from, out.join(name)).map_err(|e| Error::io(from, e))?;
         }
     }

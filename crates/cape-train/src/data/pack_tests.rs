@@ -326,6 +326,23 @@ fn an_interrupted_packing_goes_on_to_the_same_bytes() {
         assert!(!rest.exists());
         fs::remove_dir_all(&out).unwrap();
     }
+    // What is not there any more is not relied upon.
+    let interrupted = std::panic::catch_unwind(|| {
+        pack(root.path(), &out, &split, PackOptions::default(), &mut |done, _| {
+            assert!(done < 60, "interrupted");
+        })
+    });
+    assert!(interrupted.is_err());
+    let path = rest.join("train/train_rot.npy");
+    fs::write(&path, &fs::read(&path).unwrap()[..500]).unwrap();
+    let report = pack_to(root.path(), &out, &split).unwrap();
+    assert_eq!((report.resumed, files(&out) == files(&whole)), (0, true));
+    fs::remove_dir_all(&out).unwrap();
+    // Two at once would spoil each other's files.
+    let held = Staging::prepare(&out).unwrap();
+    let message = pack_to(root.path(), &out, &split).unwrap_err().to_string();
+    assert!(message.contains("another process"), "{message}");
+    drop(held);
     // Other data are not gone on with.
     let interrupted = std::panic::catch_unwind(|| {
         pack(root.path(), &out, &split, PackOptions::default(), &mut |done, _| {

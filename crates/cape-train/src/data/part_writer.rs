@@ -64,6 +64,17 @@ impl PartWriter {
         Ok(writer)
     }
 
+    /// Whether the files in `root` are long enough for `rows` rows.
+    pub(super) fn holds(root: &Path, part: Part, vertices: usize, rows: usize) -> bool {
+        [("disp", 3 * vertices), ("pose", 72), ("rot", 216), ("clo_label", 4)].into_iter().all(
+            |(what, numbers)| {
+                let found = fs::metadata(part.path(root, what));
+                // The header comes on top of that.
+                found.is_ok_and(|found| found.len() > (8 * rows * numbers) as u64)
+            },
+        )
+    }
+
     fn assemble(
         root: &Path,
         part: Part,
@@ -71,7 +82,11 @@ impl PartWriter {
         open: impl Fn(PathBuf, &[usize]) -> Result<RowWriter>,
     ) -> Result<Self> {
         let names = part.frames_path(root);
-        let frames = File::options().append(true).open(&names).map_err(|e| Error::io(&names, e))?;
+        let frames = File::options()
+            .create(true)
+            .append(true)
+            .open(&names)
+            .map_err(|e| Error::io(&names, e))?;
         let open = |what, shape: &[usize]| open(part.path(root, what), shape);
         Ok(Self {
             displacement: open("disp", &[vertices, 3])?,

@@ -60,6 +60,25 @@ pub fn minimal_path(root: &Path, subject: &str) -> PathBuf {
     root.join("minimal_body_shape").join(subject).join(format!("{subject}_minimal.npy"))
 }
 
+/// The directories in one, by name, without hidden ones.
+pub fn directories(path: &Path) -> Result<Vec<PathBuf>> {
+    let fail = |error| Error::io(path, error);
+    let mut found = Vec::new();
+    for entry in fs::read_dir(path).map_err(fail)? {
+        let path = entry.map_err(fail)?.path();
+        if path.is_dir() && !name_of(&path).starts_with('.') {
+            found.push(path);
+        }
+    }
+    found.sort_unstable();
+    Ok(found)
+}
+
+/// The last part of a path.
+pub fn name_of(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
 /// The frames of a capture, by name; `None` if there is no such capture.
 pub fn frame_paths(directory: &Path) -> Result<Option<Vec<PathBuf>>> {
     if !directory.is_dir() {
@@ -118,6 +137,12 @@ pub fn read_posed(path: &Path, vertex_count: usize) -> Result<RawFrame> {
         [0.0; 3]
     };
     Ok(RawFrame { v_cano: Array2::zeros((0, 3)), v_posed, pose, transl })
+}
+
+/// Reads what displacements need of a frame, and the rest where it is there.
+pub fn read_any(path: &Path) -> Result<(CanonicalFrame, Option<RawFrame>)> {
+    let frame = canonical(path, &mut Npz::open(path)?, None)?;
+    Ok((frame, read_frame(path, None).ok()))
 }
 
 /// Reads what displacements need of a frame of `vertices` vertices; the rest may be missing.

@@ -1,9 +1,6 @@
 //! Registrations in motion made into frames that [`pack`](super::pack()) takes.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use cape_core::{Outfit, SmplModel, npy::write_npy};
 use ndarray::Array2;
@@ -114,31 +111,19 @@ pub fn unpose(
 /// Subjects with the paths of their frames.
 fn plan(raw: &Path) -> Result<Vec<(String, Vec<PathBuf>)>> {
     let mut subjects = Vec::new();
-    for directory in directories(&raw.join("sequences"))? {
+    for directory in raw::directories(&raw.join("sequences"))? {
         let mut frames = Vec::new();
-        for capture in directories(&directory)? {
+        for capture in raw::directories(&directory)? {
             let named = capture.file_name().and_then(|name| name.to_str()?.split_once('_'));
             if named.is_some_and(|(outfit, _)| outfit.parse::<Outfit>().is_ok()) {
                 frames.extend(raw::frame_paths(&capture)?.unwrap_or_default());
             }
         }
-        let name = directory.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        subjects.push((name, frames));
-    }
-    Ok(subjects)
-}
-
-fn directories(path: &Path) -> Result<Vec<PathBuf>> {
-    let fail = |error| Error::io(path, error);
-    let mut found = Vec::new();
-    for entry in fs::read_dir(path).map_err(fail)? {
-        let path = entry.map_err(fail)?.path();
-        if path.is_dir() {
-            found.push(path);
+        if !frames.is_empty() {
+            subjects.push((raw::name_of(&directory), frames));
         }
     }
-    found.sort_unstable();
-    Ok(found)
+    Ok(subjects)
 }
 
 /// The frame with its canonical vertices, and the mean length of its displacements, metres.
@@ -155,6 +140,8 @@ fn unpose_frame(path: &Path, minimal: &Array2<f64>, body: &SmplModel) -> Result<
 #[cfg(test)]
 mod tests {
     use cape_core::synth::{Synth, SynthSpec, synthetic_body};
+
+    use std::fs;
 
     use super::*;
     use crate::silent;

@@ -48,14 +48,11 @@ impl Pca {
             residual: vector("residual", 1)?[0],
             components,
         };
-        let finite = |field, mut values: ndarray::iter::Iter<'_, f64, Ix1>| match values
-            .all(|x| x.is_finite())
-        {
-            true => Ok(()),
-            false => Err(Error::field(path, field, "has numbers that are not finite")),
-        };
-        finite("mean", read.mean.iter())?;
-        finite("explained_variance", read.variances.iter())?;
+        for (field, values) in [("mean", &read.mean), ("explained_variance", &read.variances)] {
+            if values.iter().any(|x| !x.is_finite()) {
+                return Err(Error::field(path, field, "has numbers that are not finite"));
+            }
+        }
         if read.components.iter().any(|x| !x.is_finite()) {
             return Err(Error::field(path, "components", "has numbers that are not finite"));
         }

@@ -79,13 +79,18 @@ pub fn import(
     let about = |error: cape_model::Error| Error::format(tensorflow.prefix(), error.to_string());
     let released = Released::read(&tensorflow)?;
     let shapes = released.shapes();
-    let mut config = configuration(&shapes, options).map_err(about)?;
+    let mut config = RunConfig {
+        model: infer(&shapes).map_err(about)?,
+        weighting: Weighting::Release,
+        ..RunConfig::default()
+    };
     let mut unused = Vec::new();
     if let Some(path) = &options.settings {
         let mut settings = Settings::load(path)?;
         settings.apply(&mut config).map_err(|message| Error::format(path, message))?;
         unused = settings.unused();
     }
+    take_factors(&mut config, options);
     config.validate()?;
 
     let body = SmplModel::load(&options.body)?;
@@ -103,7 +108,14 @@ pub fn import(
     let graphs = build_graphs(&config, &body, device)?;
     let empty = Cape::new(&config.model, &graphs, 0, device)?;
     // Shapes are checked, and every parameter must be there.
-    weights::apply(empty, &model).map_err(about)?;
+    weights::apply(empty, &model).map_err(|error| match error {
+        cape_model::Error::Weight { name, message } => {
+            let official = released.official_name(&config.model, &name);
+            let message = format!("{message} (`{name}` here)");
+            about(cape_model::Error::Weight { name: official.unwrap_or(name), message })
+        }
+        other => about(other),
+    })?;
     let momentum = |part| released.momentum(&config.model, part).map_err(about);
     let saved = Checkpoint {
         progress: Progress {
@@ -149,18 +161,14 @@ pub fn check_settings(path: &Path) -> Result<RunConfig> {
     Ok(config)
 }
 
-fn configuration(
-    shapes: &[(String, Vec<usize>)],
-    options: &ImportOptions,
-) -> cape_model::Result<RunConfig> {
-    let mut model = infer(shapes)?;
+/// What is asked for holds against what a file says.
+fn take_factors(config: &mut RunConfig, options: &ImportOptions) {
     if let Some(factors) = &options.factors {
-        model.factors.clone_from(factors);
+        config.model.factors.clone_from(factors);
     }
     if let (Some(discriminator), Some(factors)) =
-        (&mut model.discriminator, &options.discriminator_factors)
+        (&mut config.model.discriminator, &options.discriminator_factors)
     {
         discriminator.factors.clone_from(factors);
     }
-    Ok(RunConfig { model, weighting: Weighting::Release, ..RunConfig::default() })
 }

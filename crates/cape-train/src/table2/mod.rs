@@ -12,6 +12,7 @@ use std::{
     io::Read,
     path::{Path, PathBuf},
     sync::Arc,
+    time::Instant,
 };
 
 use burn::tensor::Device;
@@ -306,7 +307,8 @@ impl Job {
         Trainer::create(&root, &grid.data, body, clothing, config, device).map(Some)
     }
 
-    /// Measures the trained or fitted row on the test frames, and keeps the result.
+    /// Measures the row on the test frames and keeps the result; `seconds` is what its training
+    /// took. Rows that are not trained are fitted here.
     pub fn measure(
         &self,
         grid: &Grid,
@@ -314,6 +316,7 @@ impl Job {
         device: &Device,
         progress: &mut Progress,
     ) -> Result<RowResult> {
+        let start = Instant::now();
         let set = Arc::new(PackedSet::open(&grid.data, Part::Test)?);
         let (body, mask) = grid.body(&set)?;
         let clothing: Vec<usize> = mask.indices().collect();
@@ -365,7 +368,7 @@ impl Job {
             row: self.row,
             seed: self.seed,
             key: self.key.clone(),
-            seconds,
+            seconds: if self.row.is_trained() { seconds } else { start.elapsed().as_secs_f64() },
             sampled: sampled.summary(),
             mean: mean.summary(),
             detail: detail.detail(),

@@ -56,9 +56,9 @@ fn run(path: &Path) -> Result<Facts> {
 fn raw_tree(path: &Path) -> Result<Facts> {
     let (mut captures, mut frames) = (0, 0);
     let mut sequences = BTreeSet::new();
-    let subjects: Vec<PathBuf> = directories(&path.join("sequences"))?;
+    let subjects: Vec<PathBuf> = raw::directories(&path.join("sequences"))?;
     for subject in &subjects {
-        for capture in directories(subject)? {
+        for capture in raw::directories(subject)? {
             captures += 1;
             frames += raw::frame_paths(&capture)?.map_or(0, |paths| paths.len());
             let capture = name(&capture);
@@ -120,10 +120,6 @@ fn pyramid(path: &Path) -> Result<Facts> {
 /// Which of the files `names` are in `path`.
 fn brought(path: &Path, names: &[&str]) -> Vec<String> {
     names.iter().filter(|name| path.join(name).exists()).map(ToString::to_string).collect()
-}
-
-fn directories(path: &Path) -> Result<Vec<PathBuf>> {
-    Ok(entries(path)?.into_iter().filter(|path| path.is_dir()).collect())
 }
 
 fn entries(path: &Path) -> Result<Vec<PathBuf>> {

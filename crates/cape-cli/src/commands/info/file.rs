@@ -21,6 +21,8 @@ use crate::{
 
 /// Objects of an array that are listed.
 const MOST_OBJECTS: usize = 32;
+/// Entries of a pickled dictionary that are listed.
+const MOST_KEYS: usize = 200;
 
 pub(super) fn describe(path: &Path) -> Result<Facts> {
     let known = ["npz", "npy", "pkl", "obj", "ply", "safetensors", "toml", "index"];
@@ -117,7 +119,7 @@ fn pickle(path: &Path) -> Result<Facts> {
         return body(path);
     }
     let mut facts = Facts::new("pickle").maybe("class", root.class());
-    for key in root.keys() {
+    for key in root.keys().into_iter().take(MOST_KEYS) {
         let value = root.get(&key);
         let shape = value.and_then(|value| value.array::<f64>().ok());
         let shape = shape.map_or("not numbers".into(), |array| format!("{:?}", array.shape()));

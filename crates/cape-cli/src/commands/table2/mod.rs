@@ -115,12 +115,11 @@ impl Table2 {
                 continue;
             }
             console.note(&format!("{title}{}", clock.left()));
-            match done(&grid, job, &device, console, &interrupt).doing(|| title)? {
-                Some(result) => results.push(result),
-                None => {
-                    console.note("interrupted and saved; the same command goes on");
-                    return Ok(ExitCode::from(INTERRUPTED));
-                }
+            if let Some(result) = done(&grid, job, &device, console, &interrupt).doing(|| title)? {
+                results.push(result)
+            } else {
+                console.note("interrupted and saved; the same command goes on");
+                return Ok(ExitCode::from(INTERRUPTED));
             }
             clock.pass(job);
         }
@@ -167,13 +166,9 @@ fn done(
         }
         spent = outcome.seconds;
     }
-    let start = Instant::now();
-    let mut result = console.while_showing("measure", "frames", |progress| {
+    let result = console.while_showing("measure", "frames", |progress| {
         job.measure(grid, spent, device, progress)
     })?;
-    if !job.row.is_trained() {
-        result.seconds = start.elapsed().as_secs_f64();
-    }
     Ok(Some(result))
 }
 
