@@ -116,7 +116,7 @@ impl Table2 {
             }
             console.note(&format!("{title}{}", clock.left()));
             if let Some(result) = done(&grid, job, &device, console, &interrupt).doing(|| title)? {
-                results.push(result)
+                results.push(result);
             } else {
                 console.note("interrupted and saved; the same command goes on");
                 return Ok(ExitCode::from(INTERRUPTED));

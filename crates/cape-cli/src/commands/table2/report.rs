@@ -74,7 +74,8 @@ pub(super) fn html(
 
 fn html_table<'a>(header: &[String], rows: impl Iterator<Item = (&'a str, Vec<String>)>) -> String {
     let cells = |cells: &[String], tag: &str| -> String {
-        cells.iter().map(|cell| format!("<{tag}>{}</{tag}>", escaped(cell))).collect()
+        let cell = |cell: &String| format!("<{tag}>{}</{tag}>", escaped(cell));
+        cells.iter().map(cell).collect::<Vec<_>>().concat()
     };
     let mut text = format!("<div class=\"wide\"><table><tr>{}</tr>\n", cells(header, "th"));
     for (class, row) in rows {
