@@ -377,7 +377,8 @@ impl Job {
         };
         fs::create_dir_all(&self.directory).map_err(|source| Error::io(&self.directory, source))?;
         write_json(&self.directory.join(RESULT), &result)?;
-        Ok(result)
+        // As it will be read from now on, to the last digit.
+        Ok(self.result().unwrap_or(result))
     }
 
     /// The reconstruction of a row that is fitted, not trained.
