@@ -16,7 +16,7 @@ use serde::Serialize;
 
 use super::{
     PackedSet, Part,
-    raw::{self, BODY_FILE, CLOTHING_FILE, RawFrame},
+    raw::{self, BODY_FILE, CLOTHING_FILE},
 };
 use crate::{Error, Progress, Result};
 
@@ -241,7 +241,7 @@ fn inspect_raw(
     for chunk in samples.chunks(4 * rayon::current_num_threads()) {
         let read: Vec<Result<_>> = chunk.par_iter().map(|(_, path)| raw::read_any(path)).collect();
         for ((subject, path), frame) in chunk.iter().zip(read) {
-            let (frame, whole) = match frame {
+            let (frame, posed) = match frame {
                 Ok(read) => read,
                 Err(error) => {
                     unreadable.push(error.to_string());
@@ -250,10 +250,10 @@ fn inspect_raw(
             };
             found.examined += 1;
             tally.pose(&frame.pose);
-            if let Some(RawFrame { v_cano, v_posed, transl, .. }) = &whole {
+            if let Some((v_posed, transl)) = &posed {
                 let distance = transl.iter().map(|x| x * x).sum::<f64>().sqrt();
                 tally.translation = Some(tally.translation.map_or(distance, |d| d.max(distance)));
-                posed_as_canonical += usize::from(v_cano == v_posed);
+                posed_as_canonical += usize::from(frame.v_cano == *v_posed);
             }
             match minimal.get(subject) {
                 Some(shape) if shape.dim() == frame.v_cano.dim() => {

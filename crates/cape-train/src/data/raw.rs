@@ -120,8 +120,7 @@ pub fn read_minimal(root: &Path, subject: &str) -> Result<Array2<f64>> {
 pub fn read_frame(path: &Path, vertex_count: Option<usize>) -> Result<RawFrame> {
     let mut file = Npz::open(path)?;
     let CanonicalFrame { v_cano, pose } = canonical(path, &mut file, vertex_count)?;
-    let v_posed = vertices(path, "v_posed", file.f64("v_posed")?, Some(v_cano.nrows()))?;
-    let transl = numbers(path, "transl", &file.f64("transl")?)?;
+    let (v_posed, transl) = posed(path, &mut file, v_cano.nrows())?;
     Ok(RawFrame { v_cano, v_posed, pose, transl })
 }
 
@@ -140,9 +139,17 @@ pub fn read_posed(path: &Path, vertex_count: usize) -> Result<RawFrame> {
 }
 
 /// Reads what displacements need of a frame, and the rest where it is there.
-pub fn read_any(path: &Path) -> Result<(CanonicalFrame, Option<RawFrame>)> {
-    let frame = canonical(path, &mut Npz::open(path)?, None)?;
-    Ok((frame, read_frame(path, None).ok()))
+pub fn read_any(path: &Path) -> Result<(CanonicalFrame, Option<(Array2<f64>, [f64; 3])>)> {
+    let mut file = Npz::open(path)?;
+    let frame = canonical(path, &mut file, None)?;
+    let posed = posed(path, &mut file, frame.v_cano.nrows()).ok();
+    Ok((frame, posed))
+}
+
+/// Posed vertices and translation.
+fn posed(path: &Path, file: &mut Npz, count: usize) -> Result<(Array2<f64>, [f64; 3])> {
+    let v_posed = vertices(path, "v_posed", file.f64("v_posed")?, Some(count))?;
+    Ok((v_posed, numbers(path, "transl", &file.f64("transl")?)?))
 }
 
 /// Reads what displacements need of a frame of `vertices` vertices; the rest may be missing.

@@ -105,6 +105,41 @@ impl Demo {
     }
 }
 
+/// Synthetic people and their split.
+pub(crate) fn captures(seed: u64) -> (synth::SynthSpec, Split) {
+    let spec = synth::SynthSpec {
+        subjects: 8,
+        frames_per_sequence: 2,
+        seed,
+        frame_rate: 1.5,
+        ..synth::SynthSpec::default()
+    };
+    // Many takes of few frames, all of which are kept: clothes differ more between takes.
+    let split = Split { cut: 0, ..split_of(&spec) };
+    (spec, split)
+}
+
+/// Minutes of training on them.
+pub(crate) fn recipe(seed: u64) -> RunConfig {
+    RunConfig {
+        model: CapeConfig::narrow(),
+        // In so few steps the code must be worth using early, and many small steps get further.
+        loss: LossConfig { kl: 1e-5, gan: 0.02, ..LossConfig::default() },
+        train: TrainConfig {
+            epochs: 8,
+            batch: 2,
+            seed,
+            peak_rate: 0.03,
+            warmup_epochs: 0.3,
+            decay: 0.7,
+            keep: 1,
+            preload: true,
+            ..TrainConfig::default()
+        },
+        ..RunConfig::default()
+    }
+}
+
 /// Makes room: an earlier demo's files go, anything else stays and is an error.
 fn prepare(out: &Path) -> Result {
     if out.join(MARKER).exists() {
@@ -149,15 +184,7 @@ impl Setting {
     /// Synthetic captures, packed.
     fn data(&mut self) -> Result {
         let raw = self.path("raw");
-        let spec = synth::SynthSpec {
-            subjects: 8,
-            frames_per_sequence: 2,
-            seed: self.seed,
-            frame_rate: 1.5,
-            ..synth::SynthSpec::default()
-        };
-        // Many takes of few frames, all of which are kept: clothes differ more between takes.
-        let split = Split { cut: 0, ..split_of(&spec) };
+        let (spec, split) = captures(self.seed);
         self.stage("synth", "eight subjects in four outfits, fifteen movements", |this| {
             let body = synth::synthetic_body();
             let synth = synth::Synth::new(&body, spec)?;
@@ -180,23 +207,7 @@ impl Setting {
     }
 
     fn train(&mut self, deadline: Instant) -> Result<(Outcome, Losses)> {
-        let config = RunConfig {
-            model: CapeConfig::narrow(),
-            // In so few steps the code must be worth using early, and many small steps get further.
-            loss: LossConfig { kl: 1e-5, gan: 0.02, ..LossConfig::default() },
-            train: TrainConfig {
-                epochs: 8,
-                batch: 2,
-                seed: self.seed,
-                peak_rate: 0.03,
-                warmup_epochs: 0.3,
-                decay: 0.7,
-                keep: 1,
-                preload: true,
-                ..TrainConfig::default()
-            },
-            ..RunConfig::default()
-        };
+        let config = recipe(self.seed);
         self.stage("train", "a narrow model with all eight levels", |this| {
             let (run, packed) = (this.path("run"), this.path("packed"));
             let mut trainer = Trainer::create(&run, &packed, None, None, config, &this.device)?;

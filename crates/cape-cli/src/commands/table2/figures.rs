@@ -15,11 +15,14 @@ pub(super) fn maps(grid: &Grid, results: &[RowResult]) -> Result<Image> {
     let mut rows: Vec<(Row, Vec<f32>)> = Vec::new();
     for row in Row::ALL {
         let of: Vec<&RowResult> = results.iter().filter(|result| result.row == row).collect();
-        let Some(first) = of.first() else { continue };
+        if of.is_empty() {
+            continue;
+        }
         let mean = |vertex: usize| {
-            of.iter().map(|result| result.vertex_means[vertex]).sum::<f32>() / of.len() as f32
+            of.iter().filter_map(|result| result.vertex_means.get(vertex)).sum::<f32>()
+                / of.len() as f32
         };
-        rows.push((row, (0..first.vertex_means.len()).map(mean).collect()));
+        rows.push((row, (0..mesh.vertices.len()).map(mean).collect()));
     }
     let scale = scale_of(rows.iter().flat_map(|(_, errors)| errors));
     let style = Style { width: 260, height: 420, ..Style::default() };

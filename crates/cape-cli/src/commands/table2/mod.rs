@@ -13,7 +13,7 @@ use cape_core::parse_device;
 use cape_model::CapeConfig;
 use cape_train::{
     RunConfig,
-    table2::{Grid, Job, Row, RowResult, Table},
+    table2::{Grid, Job, Row, RowResult, Table, hash_of},
     write_json,
 };
 use clap::Args;
@@ -93,12 +93,14 @@ impl Table2 {
             Some(data) => data.clone(),
             None => quick::data(&self.out, console)?,
         };
+        let data_hash = hash_of(&data)?;
         let grid = Grid {
             data,
             out: self.out.clone(),
             body: self.body.clone(),
             clothing: self.clothing.clone(),
             config: self.configured(global)?,
+            data_hash,
         };
         let rows = if self.rows.is_empty() { Row::ALL.to_vec() } else { self.rows.clone() };
         let jobs = grid.jobs(&rows, self.seeds as u64)?;

@@ -5,37 +5,24 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cape_core::synth::{Synth, SynthSpec, synthetic_body};
-use cape_model::{CapeConfig, LossConfig};
+use cape_core::synth::{Synth, synthetic_body};
 use cape_train::{
-    RunConfig, TrainConfig,
-    data::{PackOptions, Split, pack},
+    RunConfig,
+    data::{PackOptions, pack},
 };
 
 use crate::{
-    commands::synth::split_of,
+    commands::demo,
     console::Console,
     error::{Error, Result},
 };
 
-/// The demo's recipe: in so few steps the code must be worth using early, and many small steps get
-/// further.
+/// The demo's recipe, shorter: there are several models to be trained.
 pub(super) fn config() -> RunConfig {
-    RunConfig {
-        model: CapeConfig::narrow(),
-        loss: LossConfig { kl: 1e-5, gan: 0.02, ..LossConfig::default() },
-        train: TrainConfig {
-            epochs: 5,
-            batch: 2,
-            peak_rate: 0.03,
-            warmup_epochs: 0.3,
-            decay: 0.6,
-            keep: 1,
-            preload: true,
-            ..TrainConfig::default()
-        },
-        ..RunConfig::default()
-    }
+    let mut config = demo::recipe(1);
+    config.train.epochs = 5;
+    config.train.decay = 0.6;
+    config
 }
 
 /// Synthetic captures, packed, in `out/data`; those of an earlier call are kept.
@@ -49,10 +36,7 @@ pub(super) fn data(out: &Path, console: Console) -> Result<PathBuf> {
         fs::remove_dir_all(&raw).map_err(|error| Error::io(&raw, error))?;
     }
     let body = synthetic_body();
-    let spec =
-        SynthSpec { subjects: 8, frames_per_sequence: 2, frame_rate: 1.5, ..SynthSpec::default() };
-    // Many takes of few frames, all of which are kept: clothes differ more between takes.
-    let split = Split { cut: 0, ..split_of(&spec) };
+    let (spec, split) = demo::captures(1);
     let synth = Synth::new(&body, spec)?;
     console.while_showing("synth", "frames", |progress| synth.write(&raw, progress))?;
     let options = PackOptions { strict: true, ..PackOptions::default() };

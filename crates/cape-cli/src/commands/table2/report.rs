@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use base64::{Engine, engine::general_purpose::STANDARD};
 use cape_render::Image;
-use cape_train::table2::{Grid, Table, hash_of};
+use cape_train::table2::{Grid, Table};
 
 use crate::{
     console::seconds,
@@ -61,7 +61,7 @@ pub(super) fn html(
         "<h2>How</h2><p>cape {} · data {} (SHA-256 {}) · {}</p><pre>{}</pre>",
         env!("CARGO_PKG_VERSION"),
         escaped(&grid.data.display().to_string()),
-        hash_of(&grid.data)?,
+        grid.data_hash,
         seconds(spent),
         escaped(&config)
     );
