@@ -99,8 +99,8 @@ fn seeds(directory: &Path) -> Vec<(&'static str, &'static str, Vec<Vec<u8>>)> {
     fs::rename(at("model-7.index"), at("1.index")).unwrap();
     fs::rename(at("model-7.data-00000-of-00001"), at("1.data-00000-of-00001")).unwrap();
 
-    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/cape-core/fixtures/pickles");
-    let files: Vec<PathBuf> = [directory, &fixtures]
+    let fixtures = Path::new("crates/cape-core/fixtures/pickles");
+    let files: Vec<PathBuf> = [directory, fixtures]
         .into_iter()
         .flat_map(|directory| fs::read_dir(directory).unwrap())
         .map(|entry| entry.unwrap().path())

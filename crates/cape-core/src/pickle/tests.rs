@@ -1,4 +1,4 @@
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use ndarray::{ArrayD, array};
 use proptest::prelude::*;
@@ -10,7 +10,7 @@ use crate::{
 };
 
 fn fixtures() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/pickles")
+    PathBuf::from("fixtures/pickles")
 }
 
 fn named(start: &str) -> Vec<PathBuf> {

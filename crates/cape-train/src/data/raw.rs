@@ -50,6 +50,9 @@ pub struct CanonicalFrame {
     pub pose: [f64; 72],
 }
 
+/// Posed vertices `[V, 3]` and the body's translation, metres.
+pub type PosedVertices = (Array2<f64>, [f64; 3]);
+
 /// Directory of one capture: a subject in an outfit performing a sequence.
 pub fn capture_dir(root: &Path, subject: &str, outfit: Outfit, sequence: &str) -> PathBuf {
     root.join("sequences").join(subject).join(format!("{outfit}_{sequence}"))
@@ -139,7 +142,7 @@ pub fn read_posed(path: &Path, vertex_count: usize) -> Result<RawFrame> {
 }
 
 /// Reads what displacements need of a frame, and the rest where it is there.
-pub fn read_any(path: &Path) -> Result<(CanonicalFrame, Option<(Array2<f64>, [f64; 3])>)> {
+pub fn read_any(path: &Path) -> Result<(CanonicalFrame, Option<PosedVertices>)> {
     let mut file = Npz::open(path)?;
     let frame = canonical(path, &mut file, None)?;
     let posed = posed(path, &mut file, frame.v_cano.nrows()).ok();
@@ -147,7 +150,7 @@ pub fn read_any(path: &Path) -> Result<(CanonicalFrame, Option<(Array2<f64>, [f6
 }
 
 /// Posed vertices and translation.
-fn posed(path: &Path, file: &mut Npz, count: usize) -> Result<(Array2<f64>, [f64; 3])> {
+fn posed(path: &Path, file: &mut Npz, count: usize) -> Result<PosedVertices> {
     let v_posed = vertices(path, "v_posed", file.f64("v_posed")?, Some(count))?;
     Ok((v_posed, numbers(path, "transl", &file.f64("transl")?)?))
 }
