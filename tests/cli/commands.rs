@@ -14,8 +14,8 @@ use crate::support::{Packed, VERTICES, contents, pose_of, run, run_line, trained
 #[test]
 fn every_command_explains_itself() {
     for command in [
-        "synth", "inspect", "unpose", "pack", "pyramid", "train", "eval", "table2", "sample",
-        "import", "export", "info", "bench", "demo",
+        "synth", "inspect", "unpose", "pack", "pyramid", "train", "eval", "table2", "compare",
+        "sample", "import", "export", "info", "bench", "demo",
     ] {
         let help = run([command, "--help"]).succeeded();
         assert!(help.contains("Example") && help.contains(&format!("cape {command} ")), "{help}");
@@ -35,6 +35,7 @@ fn arguments_that_cannot_be_understood_exit_with_2() {
         "pack raw --out packed --preset children",
         "train --data packed --out run --preset huge",
         "eval run --data packed --posterior median",
+        "compare --data packed",
         "sample run --out samples --outfit kilt",
         "sample run --out samples --n 0",
         "pyramid mesh.obj --out levels --factors 2,two",

@@ -8,7 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use cape::train::RunConfig;
+use cape::{core::npy::write_npy, render::Image, train::RunConfig};
 use serde_json::Value;
 
 use crate::support::{Packed, Ran, cape, contents};
@@ -137,7 +137,15 @@ fn every_row_of_the_table_is_trained_measured_and_kept() {
     let of = |row: usize, what: &str| lines[row][what].as_f64().unwrap();
     assert_eq!((lines[1]["seeds"].as_u64(), lines[3]["seeds"].as_u64()), (Some(1), Some(2)));
     assert!(of(1, "mean") < of(0, "mean"), "{report}");
-    assert!(lines[3]["against_cape"].is_null() && lines[4]["against_cape"].is_array());
+    assert!(lines[3]["against"].is_null() && lines[4]["against"].is_array());
+    assert_eq!(report["reference"], "cape");
+    let counted = |row: usize| {
+        let counts = lines[row]["histogram"]["counts"].as_array().unwrap().iter();
+        let counts = counts.map(|count| count.as_u64().unwrap()).sum::<u64>();
+        counts + lines[row]["histogram"]["beyond"].as_u64().unwrap()
+    };
+    let errors = 16 * 7 * 8;
+    assert_eq!((counted(0), counted(3)), (errors, 2 * errors));
     assert_eq!((report["frames"].as_u64(), report["captures"].as_u64()), (Some(16), Some(4)));
     // The mean shape is the evaluation's baseline.
     data.run("train --data @/packed --out @/run --preset tiny --epochs 1 --batch 4").succeeded();
@@ -145,11 +153,15 @@ fn every_row_of_the_table_is_trained_measured_and_kept() {
     let expected = evaluation["mean_shape"]["overall"]["mean"].as_f64().unwrap();
     assert!((of(0, "mean") - expected).abs() < 1e-4, "{expected}");
 
-    for name in ["table2.md", "table2.csv", "table2.tex", "table2.json", "error_maps.png"] {
+    for name in ["table2.md", "table2.csv", "table2.tex", "table2.json"] {
         assert!(data.at("table").join(name).is_file(), "{name}");
     }
+    for name in ["reconstructions.png", "error_maps.png", "histograms.png"] {
+        Image::load(data.at("table").join(name)).unwrap();
+    }
     let html = fs::read_to_string(data.at("table/report.html")).unwrap();
-    assert!(html.contains("w/o edge loss") && html.contains("data:image/png;base64,"));
+    assert!(html.contains("w/o edge loss"));
+    assert_eq!(html.matches("data:image/png;base64,").count(), 3);
     let markdown = fs::read_to_string(data.at("table/table2.md")).unwrap();
     assert!(markdown.contains("error by outfit") && markdown.contains("error by sequence"));
 
@@ -158,8 +170,55 @@ fn every_row_of_the_table_is_trained_measured_and_kept() {
     assert_eq!(again.err.matches("done before").count(), 8, "{}", again.err);
     let again = again.json();
     assert_eq!(again["lines"], report["lines"]);
+    // Without the frames that are shown, a row is measured again, not trained.
+    let result = fs::read(data.at("table/cape/seed-1/result.json")).unwrap();
+    fs::remove_file(data.at("table/cape/seed-1/frames.npz")).unwrap();
+    let again = data.run(line);
+    assert_eq!(again.err.matches("done before").count(), 7, "{}", again.err);
+    assert_eq!(again.json()["lines"], report["lines"]);
+    assert_eq!(fs::read(data.at("table/cape/seed-1/result.json")).unwrap(), result);
     let other =
         data.run(&line.replace("--epochs 1", "--epochs 2").replace("--seeds 2", "--seeds 1"));
     assert_eq!(other.err.matches("done before").count(), 0, "{}", other.err);
     data.run("table2 --data @/raw --out @/nothing").failed_saying(&["train_disp.npy"]);
+}
+
+#[test]
+fn runs_are_compared_with_the_first() {
+    let data = Packed::new();
+    let train = "train --data @/packed --preset tiny --epochs 1 --batch 4";
+    data.run(&format!("{train} --out @/one")).succeeded();
+    data.run(&format!("{train} --out @/other/one --seed 5")).succeeded();
+    let line = "compare @/one @/other/one";
+    let report = data.run(&format!("{line} --out @/table --json")).json();
+    let lines = report["lines"].as_array().unwrap();
+    assert_eq!((&lines[1]["row"], &report["frames"]), (&"other/one".into(), &16.into()));
+    assert!(lines[0]["against"].is_null(), "{report}");
+    let of = |row: usize| lines[row]["mean"].as_f64().unwrap();
+    let difference = lines[1]["against"][0].as_f64().unwrap();
+    assert!(difference != 0.0 && (difference - (of(1) - of(0))).abs() < 1e-6, "{report}");
+    // What `cape eval` says of the same samples.
+    let evaluation = data.run("eval @/one --data @/packed --json").json();
+    assert_eq!(lines[0]["mean"], evaluation["model"]["overall"]["mean"]);
+
+    for name in ["compare.md", "compare.csv", "compare.tex", "compare.json"] {
+        let text = fs::read_to_string(data.at("table").join(name)).unwrap();
+        assert!(text.contains("other/one"), "{name}: {text}");
+    }
+    Image::load(data.at("table/histograms.png")).unwrap();
+    let said = data.run(&format!("{line} @/one --data @/packed")).succeeded();
+    assert!(said.contains("against") && said.contains("one (2)"), "{said}");
+
+    // On the same frames only, and at the same vertices.
+    fs::rename(data.at("packed"), data.at("moved")).unwrap();
+    data.run(line).failed_saying(&["which is not there: name the packed set"]);
+    data.run(&format!("{line} --data @/moved --quiet")).succeeded();
+    data.run("train --data @/moved --out @/third --preset tiny --epochs 1 --batch 4").succeeded();
+    fs::create_dir(data.at("packed")).unwrap();
+    data.run("compare @/one @/third").failed_saying(&["third", "moved", "packed"]);
+    let clothing = data.at("third/clothing_verts_idx.npy");
+    write_npy(&clothing, &ndarray::arr1(&[1i64, 2])).unwrap();
+    data.run("compare @/one @/third --data @/moved")
+        .failed_saying(&["third", "2 clothing vertices"]);
+    data.run("compare @/one @/nowhere --data @/moved").failed_saying(&["nowhere"]);
 }

@@ -120,6 +120,7 @@ impl Settings {
                         [1];
                 shape("discriminator/prediction_map/weights:0")[0] / last
             },
+            spectral_norm: false,
         };
         let hidden = |scope: &str| {
             variables.iter().any(|(name, _)| name.starts_with(&format!("{scope}/fc2/")))
@@ -155,6 +156,7 @@ impl Settings {
             gan: self.lambda_gan,
             label_smoothing: self.label_smoothing,
             regularisation: self.regularization_effective,
+            ..LossConfig::default()
         }
     }
 }

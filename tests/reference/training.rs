@@ -10,8 +10,9 @@ use cape::{
     core::npy::Npz,
     model::{Cape, release, weights, weights::Array},
     train::{
+        Rule,
         objective::{Evaluation, StepInput, evaluate},
-        optim::{Momentum, global_norm},
+        optim::{Optimiser, global_norm},
     },
 };
 use serde::Deserialize;
@@ -58,8 +59,8 @@ pub fn check(path: &Path, device: &Device, report: &mut dyn FnMut(String)) {
     fixture.loss.regularisation = run.regularization_effective;
     let mut model = build(&fixture);
     let before = weights::collect(&model);
-    let mut generator_optimiser = Momentum::new(run.momentum, run.clip_norm);
-    let mut discriminator_optimiser = Momentum::new(run.momentum, run.clip_norm);
+    let mut generator_optimiser = Optimiser::new(Rule::Sgd, run.momentum, run.clip_norm);
+    let mut discriminator_optimiser = Optimiser::new(Rule::Sgd, run.momentum, run.clip_norm);
 
     let mut worst = (0.0, String::new());
     let mut bends = BTreeSet::new();

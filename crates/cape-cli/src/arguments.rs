@@ -44,6 +44,7 @@ pub(crate) enum Command {
     Eval(commands::eval::Eval),
     #[command(name = "table2")]
     Table2(commands::table2::Table2),
+    Compare(commands::compare::Compare),
     Sample(commands::sample::Sample),
     Import(commands::import::Import),
     Export(commands::export::Export),
@@ -63,6 +64,7 @@ impl Command {
             Self::Train(command) => return command.run(global, console),
             Self::Eval(command) => command.run(global, console)?,
             Self::Table2(command) => return command.run(global, console),
+            Self::Compare(command) => command.run(global, console)?,
             Self::Sample(command) => command.run(global, console)?,
             Self::Import(command) => command.run(global, console)?,
             Self::Export(command) => command.run(console)?,

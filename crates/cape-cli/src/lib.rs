@@ -4,6 +4,7 @@
 
 mod arguments;
 mod commands;
+mod comparison;
 mod console;
 mod dressed;
 mod error;

@@ -48,8 +48,18 @@ impl Watch {
             Event::Step { epoch, step, steps, losses, seconds, .. } => {
                 self.step(*epoch, *step, *steps, losses, *seconds);
             }
-            Event::Validation { epoch, millimetres, .. } => {
-                let line = self.line(*epoch, Some(*millimetres));
+            Event::Validation {
+                epoch,
+                millimetres,
+                active_units,
+                discriminator_accuracy,
+                ..
+            } => {
+                let mut line = self.line(*epoch, Some(*millimetres));
+                line += &format!("  {active_units} active");
+                if let Some(accuracy) = discriminator_accuracy {
+                    line += &format!("  D right {:.0} %", 100.0 * accuracy);
+                }
                 self.say(&line);
             }
             Event::Checkpoint { .. } => {}

@@ -87,6 +87,9 @@ pub struct DiscriminatorConfig {
     pub order: usize,
     /// Chebyshev terms of the last, one-channel convolution.
     pub output_order: usize,
+    /// Whether weight matrices are divided by their largest singular value (Miyato et al. 2018).
+    #[serde(default)]
+    pub spectral_norm: bool,
 }
 
 const fn default_deviation() -> f64 {
@@ -100,6 +103,7 @@ impl Default for DiscriminatorConfig {
             factors: vec![2, 2, 2, 2],
             order: 3,
             output_order: 2,
+            spectral_norm: false,
         }
     }
 }

@@ -21,10 +21,12 @@ impl Discriminator {
         let mut input = 3 + condition;
         let mut layers = Vec::new();
         for &filters in &config.filters {
-            layers.push(ConvLayer::new(input, filters, config.order, init));
+            let layer = ConvLayer::new(input, filters, config.order, init);
+            layers.push(layer.with_spectral_norm(config.spectral_norm));
             input = filters;
         }
-        Self { layers, output: ChebConv::new(input, 1, config.output_order, init) }
+        let output = ChebConv::new(input, 1, config.output_order, init);
+        Self { layers, output: output.with_spectral_norm(config.spectral_norm) }
     }
 
     /// Normalised displacements `[batch, vertices, 3]`, `condition: [batch, embedding]` → logits

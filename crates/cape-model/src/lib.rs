@@ -30,5 +30,5 @@ pub use discriminator::Discriminator;
 pub use encoder::{Encoder, EncoderBlock, Posterior};
 pub use error::{Error, Result};
 pub use init::Init;
-pub use losses::{LossConfig, Reconstruction};
+pub use losses::{Adversary, LossConfig, Reconstruction};
 pub use model::{Cape, Generator, Graphs};

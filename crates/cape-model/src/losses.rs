@@ -1,6 +1,6 @@
 //! The terms of CAPE's objective (§4.3).
 
-use burn::tensor::{Tensor, activation::log_sigmoid};
+use burn::tensor::{Tensor, activation::{log_sigmoid, relu}};
 use cape_graph::{SparseMatrix, sparse_matmul};
 use serde::{Deserialize, Serialize};
 
@@ -20,6 +20,17 @@ pub enum Reconstruction {
 
 const HUBER_DELTA: f64 = 0.1;
 
+/// What generator and discriminator play for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Adversary {
+    /// Binary cross-entropy on logits with smoothed labels, as in CAPE.
+    #[default]
+    Bce,
+    /// Hinge loss (Lim and Ye 2017).
+    Hinge,
+}
+
 /// Weights and switches of the objective.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -34,6 +45,8 @@ pub struct LossConfig {
     pub kl: f64,
     /// Weight of the adversarial terms, the generator's and the discriminator's.
     pub gan: f64,
+    /// Kind of the adversarial terms.
+    pub adversary: Adversary,
     /// How far adversarial labels are moved from 0 and 1 towards each other.
     pub label_smoothing: f64,
     /// Strength of ½‖W‖² on the fully connected kernels. The paper's 2e-3 is applied twice by its
@@ -49,6 +62,7 @@ impl Default for LossConfig {
             edge: 1.0,
             kl: 8e-4,
             gan: 0.1,
+            adversary: Adversary::Bce,
             label_smoothing: 0.1,
             regularisation: 4e-6,
         }
@@ -131,6 +145,29 @@ pub fn kl(posterior: &Posterior) -> Tensor<1> {
     inner.sum_dim(1).mean() * -0.5
 }
 
+/// What the generator minimises, of the logits of its own samples.
+pub fn generator_adversarial(config: &LossConfig, fake: Tensor<3>) -> Tensor<1> {
+    match config.adversary {
+        Adversary::Bce => cross_entropy(fake, 1.0 - config.label_smoothing),
+        Adversary::Hinge => -fake.mean(),
+    }
+}
+
+/// What the discriminator minimises, of the logits of real frames and of samples.
+pub fn discriminator_adversarial(
+    config: &LossConfig,
+    real: Tensor<3>,
+    fake: Tensor<3>,
+) -> Tensor<1> {
+    match config.adversary {
+        Adversary::Bce => {
+            cross_entropy(real, 1.0 - config.label_smoothing)
+                + cross_entropy(fake, config.label_smoothing)
+        }
+        Adversary::Hinge => relu(-real + 1.0).mean() + relu(fake + 1.0).mean(),
+    }
+}
+
 /// Mean binary cross-entropy of `logits` with the same `label` everywhere.
 pub fn cross_entropy(logits: Tensor<3>, label: f64) -> Tensor<1> {
     let real = log_sigmoid(logits.clone()) * label;
@@ -201,6 +238,15 @@ mod tests {
             let expected = 1.0 / (1.0 + (-f64::from(logit)).exp()) - 0.9;
             assert!((f64::from(found) - expected).abs() < 1e-6, "{logit}: {found}");
         }
+    }
+
+    #[test]
+    fn hinges_match_their_closed_forms() {
+        let config = LossConfig { adversary: Adversary::Hinge, ..LossConfig::default() };
+        let (real, fake) = ([0.5f32, 2.0], [-0.25f32, -3.0]);
+        let [real, fake] = [real, fake].map(|values| tensor(&values, [1, 2, 1]));
+        assert!((value(generator_adversarial(&config, fake.clone())) - 1.625).abs() < 1e-6);
+        assert!((value(discriminator_adversarial(&config, real, fake)) - 0.625).abs() < 1e-6);
     }
 
     #[test]

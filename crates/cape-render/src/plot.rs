@@ -10,6 +10,8 @@ const COLOURS: [[u8; 3]; 7] = [
     [150, 120, 20],
     [90, 90, 90],
 ];
+/// Pixels of a dash and of the gap after it, for series whose colour is in use already.
+const DASH: [f64; 2] = [7.0, 5.0];
 const INK: [u8; 3] = [50, 52, 56];
 const GRID: [u8; 3] = [222, 224, 228];
 
@@ -134,13 +136,13 @@ impl Plot {
         let y_axis = Axis::around(all().map(|p| p.1), self.log_y, 0.05, [bottom, top]);
 
         self.frame(&mut image, &x_axis, &y_axis);
-        for (series, colour) in self.series.iter().zip(COLOURS.iter().cycle()) {
+        for (series, look) in self.series.iter().zip(looks()) {
             let line: Vec<_> = series
                 .points
                 .iter()
                 .map(|&(x, y)| Some((x_axis.place(x)?, y_axis.place(y)?)))
                 .collect();
-            stroke(&mut image, &line, 2.0, *colour);
+            look.stroke(&mut image, line, 2.0);
         }
         self.legend(&mut image, right, top);
         Ok(image)
@@ -177,8 +179,7 @@ impl Plot {
 
     fn legend(&self, image: &mut Image, right: f64, top: f64) {
         let small = TextSize::Small;
-        let named =
-            || self.series.iter().zip(COLOURS.iter().cycle()).filter(|s| !s.0.name.is_empty());
+        let named = || self.series.iter().zip(looks()).filter(|s| !s.0.name.is_empty());
         let Some(widest) = named().map(|(series, _)| small.width(&series.name)).max() else {
             return;
         };
@@ -189,14 +190,66 @@ impl Plot {
                 image.blend(x + column, top as i64 + 4 + row, [255; 3], 0.85);
             }
         }
-        for (row, (series, colour)) in named().enumerate() {
+        for (row, (series, look)) in named().enumerate() {
             let y = top as i64 + 8 + 20 * row as i64;
             let middle = y as f64 + 8.5;
             let start = x as f64 + 6.0;
-            stroke(image, &[Some((start, middle)), Some((start + 22.0, middle))], 2.5, *colour);
+            look.stroke(image, vec![Some((start, middle)), Some((start + 22.0, middle))], 2.5);
             image.text(&series.name, x + 36, y, small, INK);
         }
     }
+}
+
+/// How the lines of a plot look, in turn: every colour, then every colour dashed.
+fn looks() -> impl Iterator<Item = Look> {
+    let of = |dashed| COLOURS.map(|colour| Look { colour, dashed });
+    [of(false), of(true)].into_iter().flatten().cycle()
+}
+
+/// How a line looks.
+#[derive(Debug, Clone, Copy)]
+struct Look {
+    colour: [u8; 3],
+    dashed: bool,
+}
+
+impl Look {
+    fn stroke(self, image: &mut Image, line: Vec<Option<(f64, f64)>>, width: f64) {
+        let line = if self.dashed { dashes(&line) } else { line };
+        stroke(image, &line, width, self.colour);
+    }
+}
+
+/// A line cut into dashes along its length.
+fn dashes(line: &[Option<(f64, f64)>]) -> Vec<Option<(f64, f64)>> {
+    let mut cut = Vec::new();
+    let (mut on, mut left) = (true, DASH[0]);
+    for pair in line.windows(2) {
+        let [Some(from), Some(to)] = *pair else {
+            cut.push(None);
+            continue;
+        };
+        let length = (to.0 - from.0).hypot(to.1 - from.1);
+        let at = |way: f64| {
+            let t = way / length;
+            Some((from.0 + t * (to.0 - from.0), from.1 + t * (to.1 - from.1)))
+        };
+        let mut way = 0.0;
+        while way < length {
+            let end = (way + left).min(length);
+            if on {
+                cut.extend([at(way), at(end)]);
+            }
+            left -= end - way;
+            way = end;
+            if left <= 1e-9 {
+                on = !on;
+                left = DASH[usize::from(!on)];
+                cut.push(None);
+            }
+        }
+    }
+    cut
 }
 
 /// Draws a line with round joints; `None` breaks it. Coverage is by distance to the line.
@@ -264,6 +317,28 @@ mod tests {
         stroke(&mut image, &[Some((-5.0, 4.5)), Some((30.0, 4.5))], 2.0, [0; 3]);
         let column: Vec<u8> = (0..9).map(|y| image.get(10, y).unwrap()[0]).collect();
         assert_eq!(column, [255, 255, 255, 128, 0, 128, 255, 255, 255]);
+    }
+
+    #[test]
+    fn dashes_go_on_around_corners_and_stop_at_breaks() {
+        let line = [Some((0.0, 0.0)), Some((4.0, 0.0)), Some((4.0, 10.0)), None, Some((9.0, 9.0))];
+        let cut = dashes(&line);
+        let expected = [
+            Some((0.0, 0.0)),
+            Some((4.0, 0.0)),
+            Some((4.0, 0.0)),
+            Some((4.0, 3.0)),
+            None,
+            None,
+            Some((4.0, 8.0)),
+            Some((4.0, 10.0)),
+            None,
+            None,
+        ];
+        assert_eq!(cut, expected);
+        let looks: Vec<Look> = looks().take(2 * COLOURS.len() + 1).collect();
+        assert!(!looks[COLOURS.len() - 1].dashed && looks[COLOURS.len()].dashed);
+        assert!(!looks[2 * COLOURS.len()].dashed);
     }
 
     #[test]

@@ -14,6 +14,8 @@ use crate::{Error, Result, data::LoaderState};
 const MODEL: &str = "model.safetensors";
 const GENERATOR_MOMENTUM: &str = "generator_momentum.safetensors";
 const DISCRIMINATOR_MOMENTUM: &str = "discriminator_momentum.safetensors";
+/// Averaged weights of the generator, where a run keeps them.
+const AVERAGE: &str = "generator_average.safetensors";
 const STATE: &str = "state.json";
 const PREFIX: &str = "step-";
 const PARTIAL: &str = ".partial-";
@@ -41,10 +43,12 @@ pub struct Checkpoint {
     pub progress: Progress,
     /// The model.
     pub model: Weights,
-    /// Velocities of the generator's optimiser.
+    /// Moments of the generator's optimiser.
     pub generator_momentum: Weights,
-    /// Velocities of the discriminator's.
+    /// Moments of the discriminator's.
     pub discriminator_momentum: Weights,
+    /// Averaged weights of the generator, if the run keeps them.
+    pub average: Option<Weights>,
 }
 
 impl Checkpoint {
@@ -80,6 +84,9 @@ impl Checkpoint {
         weights::save(&self.model, &directory.join(MODEL))?;
         weights::save(&self.generator_momentum, &directory.join(GENERATOR_MOMENTUM))?;
         weights::save(&self.discriminator_momentum, &directory.join(DISCRIMINATOR_MOMENTUM))?;
+        if let Some(average) = &self.average {
+            weights::save(average, &directory.join(AVERAGE))?;
+        }
         let path = directory.join(STATE);
         let state = serde_json::to_vec_pretty(&self.progress)
             .map_err(|error| Error::format(&path, error.to_string()))?;
@@ -93,8 +100,14 @@ impl Checkpoint {
             model: weights::load(&path.join(MODEL))?,
             generator_momentum: weights::load(&path.join(GENERATOR_MOMENTUM))?,
             discriminator_momentum: weights::load(&path.join(DISCRIMINATOR_MOMENTUM))?,
+            average: load_average(path)?,
         })
     }
+}
+
+fn load_average(path: &Path) -> Result<Option<Weights>> {
+    let path = path.join(AVERAGE);
+    Ok(if path.exists() { Some(weights::load(&path)?) } else { None })
 }
 
 /// Reads where a checkpoint directory's run was.
@@ -104,9 +117,12 @@ pub fn load_progress(path: &Path) -> Result<Progress> {
     serde_json::from_slice(&text).map_err(|error| Error::format(&path, error.to_string()))
 }
 
-/// Reads the weights of a checkpoint directory.
+/// Reads the weights of a checkpoint directory: the generator's averaged ones, where there are any.
 pub fn load_weights(path: &Path) -> Result<Weights> {
-    Ok(weights::load(&path.join(MODEL))?)
+    let mut weights = weights::load(&path.join(MODEL))?;
+    let average = load_average(path)?.unwrap_or_default();
+    weights.extend(average.into_iter().map(|(name, array)| (format!("generator.{name}"), array)));
+    Ok(weights)
 }
 
 /// The checkpoints of a run, oldest first.

@@ -19,6 +19,28 @@ pub enum WarmUp {
     Epoch,
 }
 
+/// How gradients become steps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Rule {
+    /// Gradient descent with momentum, as CAPE trains: `v ← μ v + g`, `w ← w − lr · v`.
+    #[default]
+    Sgd,
+    /// Adam (Kingma and Ba 2015) with β₁ = `momentum`, β₂ = 0.999 and ε = 1e-8.
+    Adam,
+}
+
+/// How the learning rate falls after the warm-up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Schedule {
+    /// By a factor every few epochs.
+    #[default]
+    Exponential,
+    /// To zero at the last epoch's end, along half a cosine.
+    Cosine,
+}
+
 /// Optimisation and bookkeeping of a run; the defaults are CAPE's.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -35,16 +57,26 @@ pub struct TrainConfig {
     pub warmup_epochs: f64,
     /// How the learning rate gets there.
     pub warmup: WarmUp,
-    /// Factor on the learning rate every [`decay_epochs`](Self::decay_epochs) after the warm-up.
+    /// How it falls from there.
+    pub schedule: Schedule,
+    /// Of the exponential schedule: factor on the learning rate every [`decay_epochs`](Self::decay_epochs) after the warm-up.
     pub decay: f64,
     /// Epochs between decays.
     pub decay_epochs: f64,
+    /// How gradients become steps, for both optimisers.
+    pub optimiser: Rule,
     /// Momentum of both optimisers.
     pub momentum: f64,
     /// Gradients longer than this as a whole are shortened to it.
     pub clip: f64,
     /// The discriminator's learning rate relative to the generator's.
     pub discriminator_rate_scale: f64,
+    /// Epochs over which the weight of the Kullback–Leibler term rises linearly from zero; 0 starts
+    /// with the whole weight.
+    pub kl_warmup_epochs: f64,
+    /// Factor of the running average of the weights that is validated, evaluated and sampled from,
+    /// such as 0.999; 0 uses the weights themselves.
+    pub ema: f64,
     /// Steps between checkpoints inside an epoch; 0 saves at the ends of epochs only.
     pub checkpoint_steps: usize,
     /// Newest checkpoints kept; the best one is kept besides.
@@ -64,11 +96,15 @@ impl Default for TrainConfig {
             peak_rate: 8e-3,
             warmup_epochs: 4.0,
             warmup: WarmUp::Step,
+            schedule: Schedule::Exponential,
             decay: 0.99,
             decay_epochs: 1.0,
+            optimiser: Rule::Sgd,
             momentum: 0.9,
             clip: 5.0,
             discriminator_rate_scale: 0.1,
+            kl_warmup_epochs: 0.0,
+            ema: 0.0,
             checkpoint_steps: 0,
             keep: 3,
             log_steps: 10,
@@ -90,8 +126,23 @@ impl TrainConfig {
             };
             return self.peak_rate * share.min(1.0);
         }
-        let decays = ((done - warmup_steps) / (steps * self.decay_epochs)).floor();
-        self.peak_rate * self.decay.powf(decays)
+        match self.schedule {
+            Schedule::Exponential => {
+                let decays = ((done - warmup_steps) / (steps * self.decay_epochs)).floor();
+                self.peak_rate * self.decay.powf(decays)
+            }
+            Schedule::Cosine => {
+                let left = self.epochs as f64 * steps - warmup_steps;
+                let share = ((done - warmup_steps) / left.max(1.0)).min(1.0);
+                self.peak_rate * 0.5 * (1.0 + (std::f64::consts::PI * share).cos())
+            }
+        }
+    }
+
+    /// The share of the Kullback–Leibler term's weight that counts at a step counted from 0.
+    pub fn kl_share(&self, step: u64, steps_per_epoch: usize) -> f64 {
+        let warmup_steps = (self.kl_warmup_epochs * steps_per_epoch as f64).round();
+        if warmup_steps > 0.0 { ((step as f64 + 1.0) / warmup_steps).min(1.0) } else { 1.0 }
     }
 }
 
@@ -152,14 +203,17 @@ impl RunConfig {
             ("decay_epochs", train.decay_epochs, true),
             ("clip", train.clip, true),
             ("discriminator_rate_scale", train.discriminator_rate_scale, false),
+            ("kl_warmup_epochs", train.kl_warmup_epochs, false),
         ] {
             if !(value.is_finite() && value >= 0.0 && (value > 0.0 || !positive)) {
                 let least = if positive { "positive" } else { "at least 0" };
                 return error(field, format!("must be {least}, not {value}"));
             }
         }
-        if !(0.0..1.0).contains(&train.momentum) {
-            return error("momentum", format!("must be in 0..1, not {}", train.momentum));
+        for (field, value) in [("momentum", train.momentum), ("ema", train.ema)] {
+            if !(0.0..1.0).contains(&value) {
+                return error(field, format!("must be from 0 to below 1, not {value}"));
+            }
         }
         Ok(())
     }
@@ -181,6 +235,17 @@ mod tests {
         assert_eq!([0, 9, 10, 39].map(|s| paper.rate(s, 10)), [2e-3, 2e-3, 4e-3, 8e-3]);
         let none = TrainConfig { warmup_epochs: 0.0, ..TrainConfig::default() };
         assert_eq!(none.rate(0, 10), 8e-3);
+        let cosine = TrainConfig { schedule: Schedule::Cosine, epochs: 4, ..config };
+        assert!((cosine.rate(20, 10) - 8e-3).abs() < 1e-12);
+        assert!((cosine.rate(30, 10) - 4e-3).abs() < 1e-12);
+        assert!(cosine.rate(39, 10) > 0.0 && cosine.rate(40, 10) < 1e-12);
+    }
+
+    #[test]
+    fn the_kl_term_rises_over_its_warm_up() {
+        assert_eq!(TrainConfig::default().kl_share(0, 10), 1.0);
+        let slow = TrainConfig { kl_warmup_epochs: 2.0, ..TrainConfig::default() };
+        assert_eq!([0, 9, 19, 500].map(|step| slow.kl_share(step, 10)), [0.05, 0.5, 1.0, 1.0]);
     }
 
     #[test]

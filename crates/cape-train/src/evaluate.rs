@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::{
     Error, Progress, Result, Run,
     data::{PackedSet, Part, sequential},
-    metrics::{GroupedErrors, GroupedSummary, vertex_errors_mm},
+    metrics::{GroupedErrors, GroupedSummary, Histogram, vertex_errors_mm},
     objective::reconstruct,
     run::{host, normal, tensor2, to_device},
 };
@@ -100,17 +100,18 @@ impl Gathered {
             self.vertex_sums[vertex] += f64::from(error);
         }
         let mean = errors.iter().map(|&x| f64::from(x)).sum::<f64>() / errors.len().max(1) as f64;
-        let capture = match origin {
-            Some(origin) => format!("{}/{outfit}_{}", origin.subject, origin.sequence),
-            None => outfit.to_string(),
-        };
-        self.frames.push(FrameError { capture, mean });
+        self.frames.push(FrameError { capture: set.capture(row), mean });
         Ok(())
     }
 
     /// Statistics over all frames and vertices, by outfit and by sequence.
     pub fn summary(&self) -> GroupedSummary {
         self.errors.summary()
+    }
+
+    /// Counts of all errors in `bins` bins of the given width, millimetres.
+    pub fn histogram(&self, bin_mm: f64, bins: usize) -> Histogram {
+        self.errors.overall().histogram(bin_mm, bins)
     }
 
     /// Mean error at every vertex, millimetres, `[V]`; zero where there is no clothing.

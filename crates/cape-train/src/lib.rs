@@ -4,14 +4,18 @@
 //! batches on host arrays; [`metrics`] measures reconstructions in millimetres; [`tensorboard`]
 //! writes what training reports; [`bench`](mod@bench) times it all.
 
+mod average;
 pub mod bench;
 pub mod checkpoint;
 mod codes;
+pub mod comparison;
 pub mod config;
 pub mod data;
 pub mod detail;
 mod error;
 pub mod evaluate;
+pub mod learner;
+mod log;
 pub mod metrics;
 pub mod objective;
 pub mod optim;
@@ -23,9 +27,10 @@ mod staging;
 pub mod table2;
 pub mod tensorboard;
 mod trainer;
+mod validate;
 
 pub use codes::CodeDensity;
-pub use config::{RunConfig, TrainConfig, WarmUp};
+pub use config::{Rule, RunConfig, Schedule, TrainConfig, WarmUp};
 pub use error::{Error, Result};
 pub use evaluate::{
     EachFrame, EvalOptions, EvalReport, FrameError, Gathered, PosteriorUse, evaluate,
@@ -34,3 +39,4 @@ pub use evaluate::{
 pub use progress::{Progress, silent};
 pub use run::{DataIdentity, Run, RunPaths, build_graphs, to_device, write_json};
 pub use trainer::{Event, Outcome, Trainer};
+pub use validate::{Illustrate, Picture, Preview};

@@ -3,7 +3,7 @@
 use burn::tensor::{Gradients, Tensor};
 use cape_model::{
     Cape, Discriminator, Generator, Graphs, LossConfig, Posterior,
-    losses::{cross_entropy, edge, kl, reconstruction},
+    losses::{discriminator_adversarial, edge, generator_adversarial, kl, reconstruction},
 };
 use serde::{Deserialize, Serialize};
 
@@ -18,7 +18,7 @@ pub struct Frames {
     pub outfit: Tensor<2>,
 }
 
-/// Each term of the objective, unweighted, and both totals.
+/// Each term of the objective, unweighted, both totals, and how often the discriminator is right.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Losses {
     /// Reconstruction error.
@@ -37,10 +37,14 @@ pub struct Losses {
     pub total_generator: f64,
     /// What the discriminator minimises.
     pub total_discriminator: f64,
+    /// The share of patches, real and fake alike, that the discriminator judges rightly; 0 without
+    /// one.
+    #[serde(default)]
+    pub discriminator_accuracy: f64,
 }
 
 impl Losses {
-    const COUNT: usize = 8;
+    const COUNT: usize = 9;
 
     fn from_values(values: [f64; Self::COUNT]) -> Self {
         let [
@@ -52,6 +56,7 @@ impl Losses {
             gan_discriminator,
             total_generator,
             total_discriminator,
+            discriminator_accuracy,
         ] = values;
         Self {
             reconstruction,
@@ -62,6 +67,7 @@ impl Losses {
             gan_discriminator,
             total_generator,
             total_discriminator,
+            discriminator_accuracy,
         }
     }
 
@@ -76,6 +82,7 @@ impl Losses {
             ("gan_discriminator", self.gan_discriminator),
             ("total_generator", self.total_generator),
             ("total_discriminator", self.total_discriminator),
+            ("discriminator_accuracy", self.discriminator_accuracy),
         ]
     }
 
@@ -181,23 +188,21 @@ pub fn evaluate(
     if let Some((discriminator, graph)) = adversary {
         let frozen = burn::module::Module::no_grad(discriminator.clone());
         let logits = frozen.forward(fake.displacement.clone(), fake.condition.as_ref(), graph);
-        gan_generator = cross_entropy(logits, 1.0 - config.label_smoothing);
+        gan_generator = generator_adversarial(config, logits);
         total = total + gan_generator.clone() * config.gan;
     }
     let generator_gradients = total.backward();
 
     let mut gan_discriminator = zero();
     let mut total_discriminator = zero();
+    let mut accuracy = zero();
     let mut discriminator_gradients = None;
     if let (Some((discriminator, _)), Some(real)) = (adversary, &input.real) {
-        gan_discriminator = discriminator_loss(
-            discriminator,
-            &model.generator,
-            graphs,
-            config.label_smoothing,
-            real,
-            &fake,
-        );
+        let [on_real, on_fake] = judged(discriminator, &model.generator, graphs, real, &fake);
+        let right = on_real.clone().detach().greater_elem(0).float().mean()
+            + on_fake.clone().detach().lower_elem(0).float().mean();
+        accuracy = right * 0.5;
+        gan_discriminator = discriminator_adversarial(config, on_real, on_fake);
         total_discriminator = gan_discriminator.clone() * config.gan;
         discriminator_gradients = Some(total_discriminator.backward());
     }
@@ -211,6 +216,7 @@ pub fn evaluate(
         gan_discriminator,
         total,
         total_discriminator,
+        accuracy,
     ];
     let values: Vec<f32> = Tensor::cat(terms, 0)
         .detach()
@@ -228,14 +234,14 @@ pub fn evaluate(
     }
 }
 
-fn discriminator_loss(
+/// The discriminator's logits on real frames and on detached samples.
+fn judged(
     discriminator: &Discriminator,
     generator: &Generator,
     graphs: &Graphs,
-    smoothing: f64,
     real: &Frames,
     fake: &Reconstructed,
-) -> Tensor<1> {
+) -> [Tensor<3>; 2] {
     let Some(graph) = &graphs.discriminator else {
         unreachable!("checked by the caller");
     };
@@ -247,5 +253,5 @@ fn discriminator_loss(
     let fake_condition = fake.condition.clone().map(Tensor::detach);
     let on_fake =
         discriminator.forward(fake.displacement.clone().detach(), fake_condition.as_ref(), graph);
-    cross_entropy(on_real, 1.0 - smoothing) + cross_entropy(on_fake, smoothing)
+    [on_real, on_fake]
 }

@@ -1,5 +1,4 @@
-//! Gradient descent with momentum and clipping by the global norm (facts of the paper's training:
-//! `v ← μ v + g`, `w ← w − lr · v`).
+//! Gradient descent with momentum, or Adam, and clipping by the global norm.
 
 use std::collections::BTreeMap;
 
@@ -9,32 +8,42 @@ use burn::{
 };
 use cape_model::weights::{Array, Trail, Weights};
 
-use crate::{Error, Result};
+use crate::{Error, Result, Rule, run::host};
 
-/// Momentum's state: one velocity a parameter.
+/// Added to the names of second moments in [`Optimiser::state`].
+const SECOND: &str = ".second_moment";
+/// Adam's β₂ and ε.
+const SECOND_DECAY: f64 = 0.999;
+const EPSILON: f64 = 1e-8;
+
+/// A rule and its state: one or two moments a parameter.
 #[derive(Debug, Clone)]
-pub struct Momentum {
-    coefficient: f64,
+pub struct Optimiser {
+    rule: Rule,
+    momentum: f64,
     clip: f64,
-    velocity: BTreeMap<String, Velocity>,
+    steps: u64,
+    moments: BTreeMap<String, Moments>,
 }
 
 #[derive(Debug, Clone)]
-struct Velocity {
+struct Moments {
     shape: Vec<usize>,
-    flat: Tensor<1>,
+    first: Tensor<1>,
+    second: Option<Tensor<1>>,
 }
 
-impl Momentum {
+impl Optimiser {
     /// At rest; gradients longer than `clip` as a whole are shortened to it.
-    pub fn new(momentum: f64, clip: f64) -> Self {
-        Self { coefficient: momentum, clip, velocity: BTreeMap::new() }
+    pub fn new(rule: Rule, momentum: f64, clip: f64) -> Self {
+        Self { rule, momentum, clip, steps: 0, moments: BTreeMap::new() }
     }
 
     /// Moves every parameter of `module` that has a gradient; `norm` is the [`global_norm`] of the
     /// gradients.
     pub fn step<M: Module>(&mut self, module: M, gradients: &Gradients, norm: f64, rate: f64) -> M {
         let scale = if norm > self.clip { self.clip / norm } else { 1.0 };
+        self.steps += 1;
         module.map(&mut Stepper {
             trail: Trail::default(),
             optimiser: self,
@@ -44,27 +53,55 @@ impl Momentum {
         })
     }
 
-    /// The velocities, for a checkpoint.
-    pub fn state(&self) -> Weights {
-        self.velocity
-            .iter()
-            .map(|(name, velocity)| {
-                let values = velocity
-                    .flat
-                    .clone()
-                    .into_data()
-                    .try_into_vec()
-                    .unwrap_or_else(|_| unreachable!("velocities are f32"));
-                (name.clone(), Array { shape: velocity.shape.clone(), values })
-            })
-            .collect()
+    /// The new moments of a parameter, and the direction it moves against.
+    fn advance(
+        &self,
+        before: Option<Moments>,
+        gradient: Tensor<1>,
+        shape: Vec<usize>,
+    ) -> (Moments, Tensor<1>) {
+        let (first, second) = before.map_or((None, None), |m| (Some(m.first), m.second));
+        if self.rule == Rule::Sgd {
+            let first = match first {
+                Some(first) => first * self.momentum + gradient,
+                None => gradient,
+            };
+            return (Moments { shape, first: first.clone(), second: None }, first);
+        }
+        let decayed = |moment: Option<Tensor<1>>, decay: f64, new: Tensor<1>| match moment {
+            Some(moment) => moment * decay + new * (1.0 - decay),
+            None => new * (1.0 - decay),
+        };
+        let first = decayed(first, self.momentum, gradient.clone());
+        let second = decayed(second, SECOND_DECAY, gradient.clone() * gradient);
+        let unbiased = |decay: f64| 1.0 - decay.powf(self.steps as f64);
+        let deviation = (second.clone() / unbiased(SECOND_DECAY)).sqrt() + EPSILON;
+        let direction = first.clone() / unbiased(self.momentum) / deviation;
+        (Moments { shape, first, second: Some(second) }, direction)
     }
 
-    /// Puts the velocities of a checkpoint back, for the parameters of `module`.
+    /// The moments, for a checkpoint.
+    pub fn state(&self) -> Weights {
+        let array = |shape: &[usize], flat: &Tensor<1>| Array {
+            shape: shape.to_vec(),
+            values: host(flat.clone()),
+        };
+        let mut state = Weights::new();
+        for (name, Moments { shape, first, second }) in &self.moments {
+            state.insert(name.clone(), array(shape, first));
+            if let Some(second) = second {
+                state.insert(format!("{name}{SECOND}"), array(shape, second));
+            }
+        }
+        state
+    }
+
+    /// Puts the moments of a checkpoint made after `steps` steps back, for the parameters of
+    /// `module`.
     ///
     /// # Errors
-    /// If a velocity is not of a parameter of `module`, or of another shape.
-    pub fn restore<M: Module>(&mut self, module: &M, state: &Weights) -> Result<()> {
+    /// If a moment is not of a parameter of `module`, or of another shape.
+    pub fn restore<M: Module>(&mut self, module: &M, state: &Weights, steps: u64) -> Result<()> {
         let mut shapes = BTreeMap::new();
         let mut device = None;
         cape_model::weights::for_each_parameter(module, |path, parameter| {
@@ -72,11 +109,16 @@ impl Momentum {
             device = Some(parameter.device());
         });
         let Some(device) = device else { return Ok(()) };
-        self.velocity.clear();
+        let device = device.inner();
+        let tensor = |array: &Array| {
+            let data = TensorData::new(array.values.clone(), [array.values.len()]);
+            Tensor::<1>::from_data(data, &device)
+        };
         for (name, array) in state {
+            let name = name.strip_suffix(SECOND).unwrap_or(name);
             if shapes.get(name) != Some(&array.shape) {
                 return Err(Error::Model(cape_model::Error::Weight {
-                    name: name.clone(),
+                    name: name.to_owned(),
                     message: format!(
                         "optimiser state of shape {:?}, the model has {:?}",
                         array.shape,
@@ -84,9 +126,16 @@ impl Momentum {
                     ),
                 }));
             }
-            let data = TensorData::new(array.values.clone(), [array.values.len()]);
-            let flat = Tensor::from_data(data, &device.clone().inner());
-            self.velocity.insert(name.clone(), Velocity { shape: array.shape.clone(), flat });
+        }
+        self.steps = steps;
+        self.moments.clear();
+        for (name, array) in state.iter().filter(|(name, _)| !name.ends_with(SECOND)) {
+            let moments = Moments {
+                shape: array.shape.clone(),
+                first: tensor(array),
+                second: state.get(&format!("{name}{SECOND}")).map(tensor),
+            };
+            self.moments.insert(name.clone(), moments);
         }
         Ok(())
     }
@@ -128,10 +177,7 @@ pub fn collect_gradients<M: Module>(module: &M, gradients: &Gradients) -> Weight
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
             if let Some(gradient) = param.val().grad(self.gradients) {
                 let shape = gradient.dims().to_vec();
-                let values = gradient
-                    .into_data()
-                    .try_into_vec()
-                    .unwrap_or_else(|_| unreachable!("gradients are f32"));
+                let values = host(gradient);
                 self.found.insert(self.trail.path(), Array { shape, values });
             }
         }
@@ -149,7 +195,7 @@ pub fn collect_gradients<M: Module>(module: &M, gradients: &Gradients) -> Weight
 
 struct Stepper<'a> {
     trail: Trail,
-    optimiser: &'a mut Momentum,
+    optimiser: &'a mut Optimiser,
     gradients: &'a Gradients,
     rate: f64,
     scale: f64,
@@ -161,14 +207,11 @@ impl ModuleMapper for Stepper<'_> {
         let shape = gradient.dims();
         let gradient = gradient.reshape([-1]) * self.scale;
         let path = self.trail.path();
-        let flat = match self.optimiser.velocity.remove(&path) {
-            Some(velocity) => velocity.flat * self.optimiser.coefficient + gradient,
-            None => gradient,
-        };
-        let velocity = Velocity { shape: shape.to_vec(), flat: flat.clone() };
-        self.optimiser.velocity.insert(path, velocity);
+        let before = self.optimiser.moments.remove(&path);
+        let (moments, direction) = self.optimiser.advance(before, gradient, shape.to_vec());
+        self.optimiser.moments.insert(path, moments);
         param.map(|old| {
-            let moved = old.inner() - flat.reshape(shape) * self.rate;
+            let moved = old.inner() - direction.reshape(shape) * self.rate;
             Tensor::from_inner(moved).require_grad()
         })
     }
@@ -179,5 +222,78 @@ impl ModuleMapper for Stepper<'_> {
 
     fn exit_module(&mut self, _: &str, _: &str) {
         self.trail.exit();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::module::ParamId;
+
+    use super::*;
+
+    #[derive(Module, Debug)]
+    struct Point {
+        at: Param<Tensor<1>>,
+    }
+
+    /// Steps on `½ Σ kᵢ xᵢ²` from `start`.
+    fn descend(optimiser: &mut Optimiser, mut point: Point, steps: usize) -> Point {
+        let device = point.at.val().device();
+        let stiffness = Tensor::<1>::from_data([1.0f32, 10.0], &device);
+        for _ in 0..steps {
+            let x = point.at.val();
+            let gradients = (x.clone() * x * stiffness.clone() * 0.5).sum().backward();
+            let norm = global_norm(&point, &gradients);
+            point = optimiser.step(point, &gradients, norm, 0.05);
+        }
+        point
+    }
+
+    fn start() -> Point {
+        let device = cape_core::parse_device(cape_core::DEVICES[0]).unwrap().autodiff();
+        let at = Tensor::<1>::from_data([3.0f32, -2.0], &device).require_grad();
+        Point { at: Param::initialized(ParamId::new(), at) }
+    }
+
+    fn values(point: &Point) -> Vec<f32> {
+        point.at.val().detach().into_data().try_into_vec().unwrap()
+    }
+
+    /// Both rules written out for each coordinate in f64.
+    fn by_hand(rule: Rule, steps: i32) -> [f64; 2] {
+        let (mut x, mut m, mut v) = ([3.0f64, -2.0], [0.0; 2], [0.0; 2]);
+        for step in 1..=steps {
+            for (i, stiffness) in [1.0, 10.0].into_iter().enumerate() {
+                let g = stiffness * x[i];
+                x[i] -= match rule {
+                    Rule::Sgd => {
+                        m[i] = 0.9 * m[i] + g;
+                        0.05 * m[i]
+                    }
+                    Rule::Adam => {
+                        m[i] = 0.9 * m[i] + 0.1 * g;
+                        v[i] = 0.999 * v[i] + 0.001 * g * g;
+                        let unbiased = (v[i] / (1.0 - 0.999f64.powi(step))).sqrt();
+                        0.05 * m[i] / (1.0 - 0.9f64.powi(step)) / (unbiased + 1e-8)
+                    }
+                };
+            }
+        }
+        x
+    }
+
+    #[test]
+    fn both_rules_follow_their_definitions_also_after_a_restart() {
+        for rule in [Rule::Sgd, Rule::Adam] {
+            let mut optimiser = Optimiser::new(rule, 0.9, 1e9);
+            let halfway = descend(&mut optimiser, start(), 5);
+            let mut resumed = Optimiser::new(rule, 0.9, 1e9);
+            resumed.restore(&halfway, &optimiser.state(), 5).unwrap();
+            let whole = descend(&mut optimiser, halfway.clone(), 5);
+            assert_eq!(values(&whole), values(&descend(&mut resumed, halfway, 5)));
+            for (found, expected) in values(&whole).into_iter().zip(by_hand(rule, 10)) {
+                assert!((f64::from(found) - expected).abs() < 1e-5, "{rule:?}: {found} {expected}");
+            }
+        }
     }
 }

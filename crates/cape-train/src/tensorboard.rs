@@ -1,9 +1,12 @@
-//! Scalar curves for TensorBoard: event files written without TensorFlow.
+//! Curves, histograms and pictures for TensorBoard: event files written without TensorFlow.
 //!
 //! An event file is a sequence of records (length, masked CRC-32C of the length, payload, masked
-//! CRC-32C of the payload), each payload a protobuf `Event`. Only what scalars need is encoded:
+//! CRC-32C of the payload), each payload a protobuf `Event`. Only what is needed is encoded:
 //! `wall_time = 1` (double), `step = 2` (varint), `file_version = 3` (string),
-//! `summary = 5 { value = 1 { tag = 1 (string), simple_value = 2 (float) } }`.
+//! `summary = 5 { value = 1 { tag = 1 (string), … } }` with one of `simple_value = 2` (float),
+//! `image = 4 { height = 1, width = 2, colorspace = 3 (varints), encoded_image_string = 4 }` and
+//! `histo = 5 { min = 1, max = 2, num = 3, sum = 4, sum_squares = 5 (doubles), bucket_limit = 6,
+//! bucket = 7 (packed doubles) }`.
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -57,10 +60,58 @@ impl EventWriter {
 
     /// Adds one point to the curve called `tag`.
     pub fn scalar(&mut self, tag: &str, step: u64, value: f32) -> Result<()> {
+        self.value(tag, step, |entry| {
+            put_key(entry, 2, WIRE_FIXED32);
+            entry.extend(value.to_le_bytes());
+        })
+    }
+
+    /// Adds a picture, the content of a PNG file of `width × height` pixels.
+    pub fn image(&mut self, tag: &str, step: u64, size: [u32; 2], png: &[u8]) -> Result<()> {
+        const RGBA: u64 = 4;
+        let [width, height] = size.map(u64::from);
+        let mut image = Vec::new();
+        for (field, number) in [(1, height), (2, width), (3, RGBA)] {
+            put_key(&mut image, field, WIRE_VARINT);
+            put_varint(&mut image, number);
+        }
+        put_bytes(&mut image, 4, png);
+        self.value(tag, step, |entry| put_bytes(entry, 4, &image))
+    }
+
+    /// Adds the distribution of `values`, in equal bins from the least to the largest. Nothing is
+    /// added if there is none, or one is not finite.
+    pub fn histogram(&mut self, tag: &str, step: u64, values: &[f32]) -> Result<()> {
+        let Some((limits, counts)) = bins(values) else { return Ok(()) };
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for value in values.iter().map(|&value| f64::from(value)) {
+            sum += value;
+            squares += value * value;
+        }
+        let least = values.iter().copied().fold(f32::INFINITY, f32::min);
+        let most = values.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let mut histogram = Vec::new();
+        for (field, number) in [
+            (1, f64::from(least)),
+            (2, f64::from(most)),
+            (3, values.len() as f64),
+            (4, sum),
+            (5, squares),
+        ] {
+            put_key(&mut histogram, field, WIRE_FIXED64);
+            histogram.extend(number.to_le_bytes());
+        }
+        for (field, list) in [(6, limits), (7, counts)] {
+            let packed: Vec<u8> = list.iter().flat_map(|number| number.to_le_bytes()).collect();
+            put_bytes(&mut histogram, field, &packed);
+        }
+        self.value(tag, step, |entry| put_bytes(entry, 5, &histogram))
+    }
+
+    fn value(&mut self, tag: &str, step: u64, put: impl FnOnce(&mut Vec<u8>)) -> Result<()> {
         let mut entry = Vec::new();
         put_bytes(&mut entry, 1, tag.as_bytes());
-        put_key(&mut entry, 2, WIRE_FIXED32);
-        entry.extend(value.to_le_bytes());
+        put(&mut entry);
         let mut summary = Vec::new();
         put_bytes(&mut summary, 1, &entry);
         let mut event = event_at(wall_time());
@@ -84,6 +135,24 @@ impl EventWriter {
         record.extend(masked_crc32c(payload).to_le_bytes());
         self.file.write_all(&record).map_err(|e| Error::io(&self.path, e))
     }
+}
+
+const BINS: usize = 64;
+
+/// Upper limits and counts of equal bins; none of no values, or of one that is not finite.
+fn bins(values: &[f32]) -> Option<(Vec<f64>, Vec<f64>)> {
+    if values.is_empty() || !values.iter().all(|value| value.is_finite()) {
+        return None;
+    }
+    let least = f64::from(values.iter().copied().fold(f32::INFINITY, f32::min));
+    let most = f64::from(values.iter().copied().fold(f32::NEG_INFINITY, f32::max));
+    let width = ((most - least) / BINS as f64).max(f64::from(f32::MIN_POSITIVE));
+    let mut counts = vec![0.0; BINS];
+    for &value in values {
+        let bin = (f64::from(value) - least) / width;
+        counts[(bin as usize).min(BINS - 1)] += 1.0;
+    }
+    Some(((1..=BINS).map(|bin| least + width * bin as f64).collect(), counts))
 }
 
 const WIRE_VARINT: u64 = 0;
@@ -130,6 +199,9 @@ mod tests {
         step: u64,
         tag: String,
         value: f32,
+        /// Of a picture or histogram.
+        numbers: Vec<f64>,
+        bytes: Vec<u8>,
     }
 
     /// Bit by bit, independent of the crate used for writing.
@@ -167,7 +239,12 @@ mod tests {
             let key = varint(&mut message);
             let body = match key & 7 {
                 0 => {
-                    event.step = varint(&mut message);
+                    let number = varint(&mut message);
+                    if inside == "event" {
+                        event.step = number;
+                    } else {
+                        event.numbers.push(number as f64);
+                    }
                     continue;
                 }
                 1 => take(&mut message, 8),
@@ -184,6 +261,13 @@ mod tests {
                 ("event", 5) => parse(body, event, "summary"),
                 ("summary", 1) => parse(body, event, "value"),
                 ("value", 1) => event.tag = String::from_utf8(body.to_vec()).unwrap(),
+                ("value", 4) => parse(body, event, "image"),
+                ("image", 4) => event.bytes = body.to_vec(),
+                ("value", 5) => parse(body, event, "histogram"),
+                ("histogram", 6 | 7) => event.bytes.extend(body),
+                ("histogram", 1..=5) => {
+                    event.numbers.push(f64::from_le_bytes(body.try_into().unwrap()));
+                }
                 ("value", 2) => event.value = f32::from_le_bytes(body.try_into().unwrap()),
                 other => panic!("{other:?}"),
             }
@@ -224,6 +308,32 @@ mod tests {
         let version = Event { version: "brain.Event:2".into(), ..Event::default() };
         let expected = [version, scalar("loss/recon", 3, 0.25), scalar("lr", 70_000, 8e-3)];
         assert_eq!(read(writer.path()), expected);
+    }
+
+    #[test]
+    fn pictures_and_histograms_are_read_back() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut writer = EventWriter::create(dir.path()).unwrap();
+        writer.image("view", 7, [3, 2], b"png").unwrap();
+        writer.histogram("weights", 7, &[1.0, -1.0, 3.0, 3.0]).unwrap();
+        writer.histogram("same", 8, &[2.0; 5]).unwrap();
+        writer.histogram("none", 8, &[]).unwrap();
+        writer.histogram("broken", 8, &[f32::NAN]).unwrap();
+        writer.flush().unwrap();
+        let events = read(writer.path());
+        let [_, image, weights, same] = events.as_slice() else { panic!("{events:?}") };
+        assert_eq!((image.tag.as_str(), image.step), ("view", 7));
+        assert_eq!((image.numbers.as_slice(), &image.bytes[..]), (&[2.0, 3.0, 4.0][..], &b"png"[..]));
+        assert_eq!(weights.numbers, [-1.0, 3.0, 4.0, 6.0, 20.0]);
+        let doubles = |bytes: &[u8]| -> Vec<f64> {
+            bytes.chunks(8).map(|x| f64::from_le_bytes(x.try_into().unwrap())).collect()
+        };
+        let numbers = doubles(&weights.bytes);
+        let (limits, counts) = numbers.split_at(BINS);
+        assert_eq!(counts.iter().sum::<f64>(), 4.0);
+        assert_eq!((counts[0], counts[BINS / 2], counts[BINS - 1]), (1.0, 1.0, 2.0));
+        assert!((limits[BINS - 1] - 3.0).abs() < 1e-12 && limits[0] > -1.0);
+        assert_eq!(doubles(&same.bytes)[BINS..].iter().sum::<f64>(), 5.0);
     }
 
     #[test]

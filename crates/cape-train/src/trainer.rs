@@ -1,7 +1,7 @@
 //! Training (CAPE §4.3 and appendix A), resumable at any step.
 
 use std::{
-    fs::{self, OpenOptions},
+    fs,
     io::Write,
     ops::ControlFlow,
     path::{Path, PathBuf},
@@ -9,24 +9,22 @@ use std::{
     time::Instant,
 };
 
-use burn::{module::Module, tensor::Device};
+use burn::tensor::Device;
 use cape_core::{SmplModel, smpl::ClothingMask};
-use cape_model::{Cape, Graphs, weights};
+use cape_model::Cape;
 use serde::Serialize;
-use serde_json::json;
 
 use crate::{
     Error, Result, RunConfig,
     checkpoint::{self, Checkpoint, Progress},
     data::{
-        Batch, Loader, LoaderOptions, LoaderState, PackedSet, Part, Statistics, StepData,
-        sequential, steps_per_epoch,
+        Loader, LoaderOptions, LoaderState, PackedSet, Part, Statistics, StepData, steps_per_epoch,
     },
-    metrics::{ErrorStats, vertex_errors_mm},
-    objective::{Losses, StepInput, evaluate, reconstruct, reconstruction_terms},
-    optim::{Momentum, global_norm},
-    run::{self, RunPaths, build_graphs, host, normal, tensor2, to_device},
-    tensorboard::EventWriter,
+    learner::{Learner, Pace},
+    log::Log,
+    objective::{Losses, StepInput},
+    run::{self, RunPaths, build_graphs, normal, tensor2, to_device},
+    validate::{Illustrate, Validator},
 };
 
 /// What training reports as it goes.
@@ -57,6 +55,10 @@ pub enum Event {
         losses: Losses,
         /// Mean error at clothing vertices, millimetres.
         millimetres: f64,
+        /// Numbers of the code that carry something: whose posterior mean varies over the frames.
+        active_units: usize,
+        /// The share of patches that the discriminator judged rightly over the epoch's steps.
+        discriminator_accuracy: Option<f64>,
     },
     /// A checkpoint was written.
     Checkpoint {
@@ -87,10 +89,10 @@ pub struct Trainer {
     set: Arc<PackedSet>,
     statistics: Arc<Statistics>,
     clothing: Vec<usize>,
-    graphs: Graphs,
-    model: Cape,
-    generator_optimiser: Momentum,
-    discriminator_optimiser: Momentum,
+    learner: Learner,
+    illustrate: Option<Illustrate>,
+    /// Over the epoch's steps so far: accuracies of the discriminator, and how many.
+    judged: (f64, usize),
     progress: Progress,
     device: Device,
 }
@@ -141,7 +143,7 @@ impl Trainer {
             )));
         };
         let saved = Checkpoint::load(&newest)?;
-        let mut trainer = Self::assemble(paths, data, config, saved.progress, device)?;
+        let mut trainer = Self::assemble(paths, data, config, saved.progress.clone(), device)?;
         let found = (trainer.set.frames(), trainer.set.vertices());
         if let Some(identity) = &identity
             && found != (identity.frames, identity.vertices)
@@ -163,14 +165,10 @@ impl Trainer {
                 data.display()
             )));
         }
-        trainer.model = weights::apply(trainer.model, &saved.model)
+        trainer
+            .learner
+            .restore(&saved)
             .map_err(|error| Error::format(&newest, format!("does not suit the run: {error}")))?;
-        trainer.generator_optimiser.restore(&trainer.model.generator, &saved.generator_momentum)?;
-        if let Some(discriminator) = &trainer.model.discriminator {
-            trainer
-                .discriminator_optimiser
-                .restore(discriminator, &saved.discriminator_momentum)?;
-        }
         trainer.forget_metrics_after(trainer.progress.step)?;
         Ok(trainer)
     }
@@ -191,18 +189,16 @@ impl Trainer {
         let mask = ClothingMask::load(paths.clothing(), body.vertices())?;
         let device = device.clone().autodiff();
         let graphs = build_graphs(&config, &body, &device)?;
-        let model = Cape::new(&config.model, &graphs, config.train.seed, &device)?;
-        let optimiser = || Momentum::new(config.train.momentum, config.train.clip);
+        let learner = Learner::new(&config, graphs, &device)?;
         Ok(Self {
-            generator_optimiser: optimiser(),
-            discriminator_optimiser: optimiser(),
             set: Arc::new(set),
             statistics: Arc::new(statistics),
             clothing: mask.indices().collect(),
+            learner,
+            illustrate: None,
+            judged: (0.0, 0),
             paths,
             config,
-            graphs,
-            model,
             progress,
             device,
         })
@@ -225,7 +221,17 @@ impl Trainer {
 
     /// The model as it is.
     pub fn model(&self) -> &Cape {
-        &self.model
+        self.learner.model()
+    }
+
+    /// Has a few validation frames drawn after every epoch, for TensorBoard.
+    pub fn illustrate_with(&mut self, illustrate: Illustrate) {
+        self.illustrate = Some(illustrate);
+    }
+
+    /// Where things are.
+    pub fn paths(&self) -> &RunPaths {
+        &self.paths
     }
 
     fn training_rows(&self) -> std::ops::Range<usize> {
@@ -242,7 +248,7 @@ impl Trainer {
         let last = (self.config.train.epochs * steps) as u64;
         let options = LoaderOptions {
             batch: self.config.train.batch,
-            discriminator: self.model.discriminator.is_some(),
+            discriminator: self.config.model.discriminator.is_some(),
             ..LoaderOptions::default()
         };
         let mut log = Log::open(&self.paths)?;
@@ -306,34 +312,15 @@ impl Trainer {
             epsilon: epsilon.map(|epsilon| tensor2(epsilon, &self.device)),
             real: discriminator.map(|batch| to_device(batch, &self.device)),
         };
-        let evaluation = evaluate(&self.model, &self.graphs, &self.config.loss, &input);
-        let losses = evaluation.losses;
-        let generator_norm = global_norm(&self.model.generator, &evaluation.generator);
-        let discriminator_norm = self
-            .model
-            .discriminator
-            .as_ref()
-            .zip(evaluation.discriminator.as_ref())
-            .map(|(discriminator, gradients)| global_norm(discriminator, gradients));
-        self.check_finite(&losses, generator_norm, discriminator_norm, &frames)?;
-
-        let model = self.model.clone();
-        let generator = self.generator_optimiser.step(
-            model.generator,
-            &evaluation.generator,
-            generator_norm,
-            rate,
-        );
-        let discriminator = match (model.discriminator, &evaluation.discriminator) {
-            (Some(discriminator), Some(gradients)) => Some(self.discriminator_optimiser.step(
-                discriminator,
-                gradients,
-                discriminator_norm.unwrap_or_default(),
-                rate * train.discriminator_rate_scale,
-            )),
-            (discriminator, _) => discriminator,
+        let logged = (step + 1).is_multiple_of(train.log_steps as u64);
+        let pace = Pace { rate, kl_share: train.kl_share(step, steps), detailed: logged };
+        let update = match self.learner.update(&input, pace) {
+            Ok(update) => update,
+            Err(what) => return Err(self.not_finite(what, &frames)?),
         };
-        self.model = Cape { generator, discriminator };
+        let losses = update.losses;
+        self.judged.0 += losses.discriminator_accuracy;
+        self.judged.1 += 1;
         self.progress.step += 1;
         self.progress.loader = state;
 
@@ -341,95 +328,76 @@ impl Trainer {
         self.progress.seconds += seconds;
         let (epoch, step) =
             ((step / steps as u64) as usize + 1, (step % steps as u64) as usize + 1);
-        if self.progress.step.is_multiple_of(train.log_steps as u64) {
-            log.step(self.progress.step, epoch, &losses, rate, generator_norm, seconds)?;
+        if logged {
+            log.step(self.progress.step, epoch, &update, rate, seconds)?;
         }
         let total_step = self.progress.step;
         let event = Event::Step { epoch, step, steps, total_step, losses, rate, seconds };
         Ok(report(&event).is_break())
     }
 
-    fn check_finite(
-        &self,
-        losses: &Losses,
-        generator_norm: f64,
-        discriminator_norm: Option<f64>,
-        frames: &[usize],
-    ) -> Result<()> {
-        let norms = generator_norm.is_finite() && discriminator_norm.is_none_or(f64::is_finite);
-        let Some(what) = losses.non_finite().or((!norms).then_some("the gradient")) else {
-            return Ok(());
-        };
+    /// The error of a step that came to something that is not finite.
+    fn not_finite(&self, what: &str, frames: &[usize]) -> Result<Error> {
         let kept = checkpoint::list(&self.paths.checkpoints())?.pop();
         let kept = kept.map_or_else(
             || "there is no checkpoint yet".to_owned(),
             |(_, path)| format!("the last checkpoint is {}", path.display()),
         );
-        Err(Error::Data(format!(
+        Ok(Error::Data(format!(
             "{what} is not a finite number at step {} (training frames {frames:?}); {kept}; a lower \
              train.peak_rate may help",
             self.progress.step + 1,
         )))
     }
 
-    /// Reconstructs the validation frames from the posterior's mean.
+    /// Reconstructs the validation frames from the posterior's mean, and logs the epoch.
     fn validate(
         &mut self,
         epoch: usize,
         log: &mut Log,
         report: &mut dyn FnMut(&Event) -> ControlFlow<()>,
     ) -> Result<()> {
-        let rows = self.statistics.validation_rows(self.set.frames());
-        if rows.is_empty() {
-            return Ok(());
-        }
-        let count = rows.len() as f64;
-        let generator = self.model.generator.valid();
-        let device = self.device.clone().inner();
-        let batches = sequential(
-            self.set.clone(),
-            Some(self.statistics.clone()),
-            rows,
-            self.config.train.batch,
-        )?;
-        let mut errors = ErrorStats::new();
-        let mut losses = Losses::default();
-        for batch in batches {
-            let batch: Batch = batch?;
-            let weight = batch.frames.len() as f64 / count;
-            let frames = to_device(batch, &device);
-            let result = reconstruct(&generator, &self.graphs, &frames, None);
-            let terms = reconstruction_terms(&self.config.loss, &self.graphs, &result, &frames);
-            losses.reconstruction += weight * terms.reconstruction;
-            losses.edge += weight * terms.edge;
-            losses.kl += weight * terms.kl;
-            let mut predicted = host(result.displacement);
-            let mut truth = host(frames.displacement);
-            self.statistics.denormalise(&mut predicted);
-            self.statistics.denormalise(&mut truth);
-            let size = self.set.vertices() * 3;
-            for (predicted, truth) in predicted.chunks(size).zip(truth.chunks(size)) {
-                errors.push(&vertex_errors_mm(predicted, truth, &self.clothing)?);
+        let (sum, count) = std::mem::take(&mut self.judged);
+        let judged = self.config.model.discriminator.is_some() && count > 0;
+        let discriminator_accuracy = judged.then(|| sum / count as f64);
+        let step = self.progress.step;
+        log.weights(step, self.learner.model())?;
+        let generator = self.learner.valid_generator();
+        let validator = Validator {
+            generator: &generator,
+            graphs: self.learner.graphs(),
+            loss: &self.config.loss,
+            set: &self.set,
+            statistics: &self.statistics,
+            clothing: &self.clothing,
+            batch: self.config.train.batch,
+            device: self.device.clone().inner(),
+        };
+        let Some(found) = validator.run()? else { return Ok(()) };
+        if let Some(illustrate) = &mut self.illustrate {
+            for picture in illustrate(&found.previews) {
+                log.picture(step, &picture)?;
             }
         }
-        let millimetres = errors.summary().mean;
+        let millimetres = found.errors.mean;
         self.progress.validation = Some(millimetres);
         if self.progress.best.is_none_or(|(best, _)| millimetres < best) {
-            self.progress.best = Some((millimetres, self.progress.step));
+            self.progress.best = Some((millimetres, step));
         }
-        log.validation(self.progress.step, epoch, &losses, millimetres)?;
+        log.validation(step, epoch, &found, discriminator_accuracy)?;
         // Stopping between epochs is the next step's business.
-        let _ = report(&Event::Validation { epoch, losses, millimetres });
+        let _ = report(&Event::Validation {
+            epoch,
+            losses: found.losses,
+            millimetres,
+            active_units: found.active_units,
+            discriminator_accuracy,
+        });
         Ok(())
     }
 
     fn save(&self) -> Result<PathBuf> {
-        let checkpoint = Checkpoint {
-            progress: self.progress.clone(),
-            model: weights::collect(&self.model),
-            generator_momentum: self.generator_optimiser.state(),
-            discriminator_momentum: self.discriminator_optimiser.state(),
-        };
+        let checkpoint = self.learner.checkpoint(self.progress.clone());
         let directory = self.paths.checkpoints();
         let path = checkpoint.save(&directory)?;
         let best = self.progress.best.map(|(_, step)| step);
@@ -449,73 +417,5 @@ impl Trainer {
         });
         let kept: String = kept.flat_map(|line| [line, "\n"]).collect();
         Ok(cape_core::write_atomically(&path, |file| file.write_all(kept.as_bytes()))?)
-    }
-}
-
-/// `metrics.jsonl` and TensorBoard events.
-struct Log {
-    path: PathBuf,
-    metrics: fs::File,
-    events: EventWriter,
-}
-
-impl Log {
-    fn open(paths: &RunPaths) -> Result<Self> {
-        let path = paths.metrics();
-        let metrics = OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(&path)
-            .map_err(|source| Error::io(&path, source))?;
-        let directory = paths.events();
-        fs::create_dir_all(&directory).map_err(|source| Error::io(&directory, source))?;
-        Ok(Self { path, metrics, events: EventWriter::create(directory)? })
-    }
-
-    fn line(&mut self, value: &serde_json::Value) -> Result<()> {
-        self.metrics
-            .write_all(format!("{value}\n").as_bytes())
-            .map_err(|source| Error::io(&self.path, source))
-    }
-
-    fn step(
-        &mut self,
-        step: u64,
-        epoch: usize,
-        losses: &Losses,
-        rate: f64,
-        norm: f64,
-        seconds: f64,
-    ) -> Result<()> {
-        for (name, value) in losses.named() {
-            self.events.scalar(&format!("train/{name}"), step, value as f32)?;
-        }
-        self.events.scalar("train/rate", step, rate as f32)?;
-        self.events.scalar("train/gradient_norm", step, norm as f32)?;
-        self.line(&json!({
-            "kind": "train", "step": step, "epoch": epoch, "losses": losses, "rate": rate,
-            "gradient_norm": norm, "seconds": seconds,
-        }))
-    }
-
-    fn validation(
-        &mut self,
-        step: u64,
-        epoch: usize,
-        losses: &Losses,
-        millimetres: f64,
-    ) -> Result<()> {
-        self.events.scalar("validation/millimetres", step, millimetres as f32)?;
-        self.events.scalar("validation/reconstruction", step, losses.reconstruction as f32)?;
-        self.events.scalar("validation/edge", step, losses.edge as f32)?;
-        self.events.scalar("validation/kl", step, losses.kl as f32)?;
-        self.line(&json!({
-            "kind": "validation", "step": step, "epoch": epoch, "millimetres": millimetres,
-            "reconstruction": losses.reconstruction, "edge": losses.edge, "kl": losses.kl,
-        }))
-    }
-
-    fn flush(&mut self) -> Result<()> {
-        self.events.flush()
     }
 }

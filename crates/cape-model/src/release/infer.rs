@@ -278,6 +278,7 @@ impl<'a> Shapes<'a> {
             filters,
             order,
             output_order,
+            spectral_norm: false,
         }))
     }
 }

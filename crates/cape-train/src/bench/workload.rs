@@ -6,12 +6,12 @@ use burn::{
 };
 use cape_core::{joints::POSE_FEATURE, synth::synthetic_body};
 use cape_graph::Surface;
-use cape_model::{Cape, CapeConfig, Discriminator, Generator, Graphs, LossConfig};
+use cape_model::{CapeConfig, Discriminator, Generator, Graphs};
 
 use crate::{
-    Error, Result, RunConfig, TrainConfig, build_graphs,
-    objective::{Frames, StepInput, evaluate},
-    optim::{Momentum, global_norm},
+    Error, Result, RunConfig, build_graphs,
+    learner::{Learner, Pace},
+    objective::{Frames, StepInput},
     run::{normal, tensor2},
 };
 
@@ -20,11 +20,8 @@ const RATE: f64 = 1e-4;
 
 /// A model with fresh weights on a mesh, and the batches of one update.
 pub struct Workload {
-    model: Cape,
-    graphs: Graphs,
-    optimisers: [Momentum; 2],
+    learner: Learner,
     input: StepInput,
-    loss: LossConfig,
     latent: usize,
     seed: u64,
     device: Device,
@@ -48,61 +45,44 @@ impl Workload {
             return Err(Error::argument("batch: must be at least 1"));
         }
         let device = device.clone().autodiff();
-        let run = RunConfig { model: config.clone(), ..RunConfig::default() };
+        let mut run = RunConfig { model: config.clone(), ..RunConfig::default() };
+        run.train.seed = seed;
         run.validate()?;
         let graphs = build_graphs(&run, mesh, &device)?;
-        let model = Cape::new(config, &graphs, seed, &device)?;
-        let TrainConfig { momentum, clip, .. } = run.train;
+        let learner = Learner::new(&run, graphs, &device)?;
         let epsilon = tensor2(normal(seed, 0, batch, config.latent), &device);
-        let vertices = graphs.generator.vertices()[0];
+        let vertices = learner.graphs().generator.vertices()[0];
         let input = StepInput {
             frames: frames(batch, vertices, seed, 1, &device),
             epsilon: config.variational.then_some(epsilon),
-            real: model.discriminator.is_some().then(|| frames(batch, vertices, seed, 3, &device)),
+            real: config.discriminator.is_some().then(|| frames(batch, vertices, seed, 3, &device)),
         };
-        Ok(Self {
-            optimisers: [(); 2].map(|()| Momentum::new(momentum, clip)),
-            loss: run.loss,
-            latent: config.latent,
-            model,
-            graphs,
-            input,
-            seed,
-            device,
-        })
+        Ok(Self { learner, latent: config.latent, input, seed, device })
     }
 
     /// What the model needs of the mesh.
     pub fn graphs(&self) -> &Graphs {
-        &self.graphs
+        self.learner.graphs()
     }
 
     /// Updates generator and discriminator once, to the end of the device's work.
     pub fn update(&mut self) -> Result<()> {
-        let evaluation = evaluate(&self.model, &self.graphs, &self.loss, &self.input);
-        let Cape { generator, discriminator } = self.model.clone();
-        let [of_generator, of_discriminator] = &mut self.optimisers;
-        let norm = global_norm(&generator, &evaluation.generator);
-        let generator = of_generator.step(generator, &evaluation.generator, norm, RATE);
-        let discriminator = match (discriminator, &evaluation.discriminator) {
-            (Some(discriminator), Some(gradients)) => {
-                let norm = global_norm(&discriminator, gradients);
-                Some(of_discriminator.step(discriminator, gradients, norm, 0.1 * RATE))
-            }
-            (discriminator, _) => discriminator,
-        };
-        self.model = Cape { generator, discriminator };
+        let pace = Pace { rate: RATE, kl_share: 1.0, detailed: false };
+        self.learner
+            .update(&self.input, pace)
+            .map_err(|what| Error::Data(format!("{what} is not a finite number")))?;
         synchronise(&self.device)
     }
 
     /// The model in use, on `batch` examples at a time.
     pub fn inference(&self, batch: usize) -> Inference {
         let device = self.device.clone().inner();
+        let (model, graphs) = (self.learner.model(), self.learner.graphs());
         Inference {
-            generator: self.model.generator.valid(),
-            discriminator: self.model.discriminator.as_ref().map(Module::valid),
-            graphs: self.graphs.clone(),
-            frames: frames(batch, self.graphs.generator.vertices()[0], self.seed, 5, &device),
+            generator: model.generator.valid(),
+            discriminator: model.discriminator.as_ref().map(Module::valid),
+            graphs: graphs.clone(),
+            frames: frames(batch, graphs.generator.vertices()[0], self.seed, 5, &device),
             code: tensor2(normal(self.seed, 7, batch, self.latent), &device),
             device,
         }

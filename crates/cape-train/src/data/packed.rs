@@ -138,6 +138,18 @@ impl PackedSet {
         self.origins.as_deref()
     }
 
+    /// The capture a frame is of: subject, outfit and sequence as far as the set says.
+    pub fn capture(&self, frame: usize) -> String {
+        let outfit = self.outfits[frame];
+        match self.origins() {
+            Some(origins) => {
+                let Origin { subject, sequence, .. } = &origins[frame];
+                format!("{subject}/{outfit}_{sequence}")
+            }
+            None => outfit.to_string(),
+        }
+    }
+
     /// Reads every frame into memory, as float32.
     pub fn preload(&mut self, progress: &mut Progress) -> Result<()> {
         let frames = self.frames();

@@ -127,6 +127,7 @@ pub fn import(
         },
         generator_momentum: momentum("generator")?,
         discriminator_momentum: momentum("discriminator")?,
+        average: None,
         model,
     };
 

@@ -1,44 +1,165 @@
-//! Errors drawn on the body.
+//! Pictures of bodies: errors on them, and reconstructions beside the truth.
 
-use cape_core::SmplModel;
-use cape_render::{Image, Object, Style, TextSize, Tile, View, colour_of, contact_sheet, portrait};
-use cape_train::table2::{Grid, Row, RowResult};
+use cape_core::{Mesh, SmplModel, smpl::ClothingMask};
+use cape_render::{
+    Bounds, Camera, Image, Material, Object, Projection, Style, TextSize, Tile, View, colour_of,
+    contact_sheet, render,
+};
+use cape_train::{
+    comparison::{Measured, Method},
+    data::PackedSet,
+    table2::Frames,
+};
+use ndarray::{Array2, Axis};
 
-use crate::error::Result;
+use crate::{
+    error::{Error, Result},
+    pose,
+};
 
+const PAPER: [u8; 4] = [250, 250, 251, 255];
 const INK: [u8; 3] = [40, 42, 46];
+/// Where there is no clothing.
+const BARE: [f32; 3] = [0.75; 3];
+const CLAY: Material = Material { colour: [0.72, 0.71, 0.70], gloss: 0.05 };
+const SIDES: [View; 2] = [View::Front, View::Back];
+/// Rows of pixels of a body with its errors, and of a reconstruction.
+const MAP_HEIGHT: u32 = 420;
+const CLAY_HEIGHT: u32 = 320;
+/// Columns of pixels of the bar of colours.
+const BAR_WIDTH: u32 = 150;
 
 /// Front and back of the body for every method, in one scale, with its bar.
-pub(super) fn maps(grid: &Grid, results: &[RowResult]) -> Result<Image> {
-    let body = SmplModel::load(grid.body_path())?;
-    let mesh = body.mesh();
-    let mut rows: Vec<(Row, Vec<f32>)> = Vec::new();
-    for row in Row::ALL {
-        let of: Vec<&RowResult> = results.iter().filter(|result| result.row == row).collect();
-        if of.is_empty() {
-            continue;
-        }
-        let mean = |vertex: usize| {
-            of.iter().filter_map(|result| result.vertex_means.get(vertex)).sum::<f32>()
-                / of.len() as f32
-        };
-        rows.push((row, (0..mesh.vertices.len()).map(mean).collect()));
-    }
-    let scale = scale_of(rows.iter().flat_map(|(_, errors)| errors));
-    let style = Style { width: 260, height: 420, ..Style::default() };
+pub(super) fn maps(body: &SmplModel, methods: &[Method]) -> Result<Image> {
+    let mesh = a_posed(body)?;
+    let bounds = bounds_of([&mesh])?;
+    let style = style(MAP_HEIGHT, &[bounds]);
+    let maps: Vec<Vec<f32>> =
+        methods.iter().map(|method| vertex_means(&method.results, mesh.vertices.len())).collect();
+    let scale = scale_of(maps.iter().flatten());
     let mut tiles = Vec::new();
-    for (row, errors) in &rows {
-        let colours: Vec<[f32; 3]> = errors
-            .iter()
-            .map(|&error| if error > 0.0 { colour_of(error / scale) } else { [0.75; 3] })
-            .collect();
-        for (view, side) in [(View::Front, "front"), (View::Back, "back")] {
-            let image = portrait(Object::new(&mesh).coloured(&colours), view, &style)?;
-            tiles.push(Tile { image, label: format!("{}, {side}", row.label()) });
+    for (method, errors) in methods.iter().zip(&maps) {
+        let colour = |&error: &f32| if error > 0.0 { colour_of(error / scale) } else { BARE };
+        let colours: Vec<[f32; 3]> = errors.iter().map(colour).collect();
+        let object = Object::new(&mesh).coloured(&colours);
+        let mut image = Image::new(2 * style.width, style.height, PAPER)?;
+        for (side, left) in SIDES.into_iter().zip([0, style.width]) {
+            image.draw(&picture(object, &bounds, side, &style)?, i64::from(left), 0);
+        }
+        tiles.push(Tile { image, label: method.label.clone() });
+    }
+    let columns = (tiles.len() as f64).sqrt().ceil() as usize;
+    let sheet = contact_sheet(&tiles, columns, Some("mean error, front and back"))?;
+    let mut image = Image::new(sheet.width() + BAR_WIDTH, sheet.height(), PAPER)?;
+    image.draw(&sheet, 0, 0);
+    draw_bar(&mut image, sheet.width(), scale);
+    Ok(image)
+}
+
+/// A method's reconstructions of the frames shown.
+pub(super) struct Shown {
+    pub(super) label: String,
+    pub(super) frames: Frames,
+}
+
+/// The frames shown, a line for the front and one for the back of each: the truth, then every
+/// method.
+pub(super) fn reconstructions(
+    set: &PackedSet,
+    body: &SmplModel,
+    mask: &ClothingMask,
+    rows: &[usize],
+    methods: &[Shown],
+) -> Result<Image> {
+    let mut lines: Vec<(usize, Bounds, Vec<Mesh>)> = Vec::new();
+    for (index, &row) in rows.iter().enumerate() {
+        let (truth, mut pose, _) = set.frame(row)?;
+        // Which way a body faces in the room is not the clothing's matter.
+        pose[..3].fill(0.0);
+        let mut meshes = vec![dressed(body, mask, &pose, truth)?];
+        for method in methods {
+            let worn = method.frames.displacement.index_axis(Axis(0), index).mapv(f64::from);
+            meshes.push(dressed(body, mask, &pose, worn)?);
+        }
+        lines.push((row, bounds_of(&meshes)?, meshes));
+    }
+    let bounds: Vec<Bounds> = lines.iter().map(|(_, bounds, _)| *bounds).collect();
+    let style = style(CLAY_HEIGHT, &bounds);
+    let mut tiles = Vec::new();
+    for (row, bounds, meshes) in &lines {
+        for side in SIDES {
+            let front = side == View::Front;
+            let truth = if front { "ground truth".to_owned() } else { name_of(set, *row) };
+            let others =
+                methods.iter().map(|m| if front { m.label.clone() } else { String::new() });
+            for (mesh, label) in meshes.iter().zip(std::iter::once(truth).chain(others)) {
+                let object = Object { material: CLAY, ..Object::new(mesh) };
+                tiles.push(Tile { image: picture(object, bounds, side, &style)?, label });
+            }
         }
     }
-    tiles.push(Tile { image: bar(scale, style.width, style.height)?, label: String::new() });
-    Ok(contact_sheet(&tiles, 6, Some("mean error, mm"))?)
+    Ok(contact_sheet(&tiles, methods.len() + 1, None)?)
+}
+
+fn name_of(set: &PackedSet, row: usize) -> String {
+    match set.origins() {
+        Some(origins) => origins[row].frame.clone(),
+        None => format!("{}, frame {row}", set.outfits()[row]),
+    }
+}
+
+fn picture(object: Object, bounds: &Bounds, view: View, style: &Style) -> Result<Image> {
+    let aspect = style.width as f32 / style.height as f32;
+    let camera = Camera::framing(bounds, view, Projection::default(), aspect);
+    Ok(render(&[object], &camera, style)?)
+}
+
+/// Pictures of this height, wide enough for each of `bounds` to fill them.
+fn style(height: u32, bounds: &[Bounds]) -> Style {
+    let aspect = |bounds: &Bounds| {
+        let size = bounds.max - bounds.min;
+        size.x / size.y.max(1e-3)
+    };
+    let widest = bounds.iter().map(aspect).fold(0.0, f32::max).clamp(0.3, 1.5);
+    Style { width: (height as f32 * widest).round() as u32, height, ..Style::default() }
+}
+
+fn bounds_of<'a>(meshes: impl IntoIterator<Item = &'a Mesh>) -> Result<Bounds> {
+    Bounds::of_meshes(meshes).ok_or_else(|| Error::message("the body has no vertices"))
+}
+
+fn a_posed(body: &SmplModel) -> Result<Mesh> {
+    let pose = pose::preset("a-pose").unwrap_or([0.0; 72]).map(f64::from);
+    posed(body, &pose, None)
+}
+
+fn dressed(
+    body: &SmplModel,
+    mask: &ClothingMask,
+    pose: &[f64],
+    mut displacement: Array2<f64>,
+) -> Result<Mesh> {
+    for (mut row, covered) in displacement.rows_mut().into_iter().zip(mask.covered()) {
+        if !covered {
+            row.fill(0.0);
+        }
+    }
+    posed(body, pose, Some(&displacement))
+}
+
+fn posed(body: &SmplModel, pose: &[f64], displacement: Option<&Array2<f64>>) -> Result<Mesh> {
+    let vertices = body.pose(&[], pose, [0.0; 3], displacement)?.vertices;
+    let vertices = vertices.rows().into_iter().map(|v| [0, 1, 2].map(|i| v[i] as f32)).collect();
+    Ok(Mesh { vertices, faces: body.faces.clone() })
+}
+
+/// Mean error at every vertex, over seeds.
+fn vertex_means(results: &[&Measured], vertices: usize) -> Vec<f32> {
+    let mean = |vertex: usize| {
+        let errors = results.iter().filter_map(|result| result.vertex_means.get(vertex));
+        errors.sum::<f32>() / results.len() as f32
+    };
+    (0..vertices).map(mean).collect()
 }
 
 /// A round number of millimetres that nearly all errors are below.
@@ -50,10 +171,10 @@ fn scale_of<'a>(errors: impl Iterator<Item = &'a f32>) -> f32 {
     rounded.into_iter().find(|&round| round >= high).unwrap_or(high)
 }
 
-/// Colours from 0 to `scale` millimetres.
-fn bar(scale: f32, width: u32, height: u32) -> Result<Image> {
-    let mut image = Image::new(width, height, [250, 250, 251, 255])?;
-    let (top, bottom, left, right) = (30i64, i64::from(height) - 30, 60i64, 100i64);
+/// Colours from 0 to `scale` millimetres, at the right of a sheet that ends at `left`.
+fn draw_bar(image: &mut Image, left: u32, scale: f32) {
+    let (left, right) = (i64::from(left) + 12, i64::from(left) + 48);
+    let (top, bottom) = (48, i64::from(image.height().min(MAP_HEIGHT)) + 12);
     for y in top..bottom {
         let share = (bottom - 1 - y) as f32 / (bottom - 1 - top) as f32;
         let colour = colour_of(share).map(|x| (255.0 * x) as u8);
@@ -66,5 +187,4 @@ fn bar(scale: f32, width: u32, height: u32) -> Result<Image> {
         let y = bottom - 1 - (bottom - 1 - top) * quarter / 4 - 8;
         image.text(&format!("{value:.1} mm"), right + 8, y, TextSize::Small, INK);
     }
-    Ok(image)
 }

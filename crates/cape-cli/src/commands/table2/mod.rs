@@ -2,18 +2,16 @@ mod figures;
 mod quick;
 mod report;
 
-use std::{
-    path::{Path, PathBuf},
-    process::ExitCode,
-    time::Instant,
-};
+use std::{path::PathBuf, process::ExitCode, time::Instant};
 
 use burn::tensor::Device;
 use cape_core::parse_device;
 use cape_model::CapeConfig;
 use cape_train::{
     RunConfig,
-    table2::{Grid, Job, Row, RowResult, Table, hash_of},
+    comparison::Table,
+    data::{PackedSet, Part},
+    table2::{Grid, Job, Row, RowResult, hash_of, methods, shown_frames},
     write_json,
 };
 use clap::Args;
@@ -21,13 +19,15 @@ use serde::Serialize;
 
 use crate::{
     arguments::{Global, at_least_one},
+    comparison,
     console::{Console, seconds},
     error::{Context, Result},
     files,
     interrupt::Interrupt,
-    table::Table as Text,
     training,
 };
+use figures::Shown;
+use report::Figure;
 
 /// Exit code of an interrupted grid: 128 + SIGINT.
 const INTERRUPTED: u8 = 130;
@@ -36,7 +36,8 @@ const INTERRUPTED: u8 = 130;
 ///
 /// PCA, CoMA, CAPE and its ablations, each in a directory of its own under --out. Rows that are done
 /// are kept unless their settings or data changed; an interrupted grid goes on where it was. Writes
-/// table2.md, .csv, .json and .tex, error maps, and report.html with all of it.
+/// table2.md, .csv, .json and .tex, reconstructions, error maps, histograms, and report.html with all
+/// of it.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape table2 --data packed/male --body SMPL_MALE.pkl --out table2 \
@@ -93,7 +94,7 @@ impl Table2 {
             Some(data) => data.clone(),
             None => quick::data(&self.out, console)?,
         };
-        let data_hash = hash_of(&data)?;
+        let (data_hash, shown) = (hash_of(&data)?, shown_frames(&data)?);
         let grid = Grid {
             data,
             out: self.out.clone(),
@@ -101,6 +102,7 @@ impl Table2 {
             clothing: self.clothing.clone(),
             config: self.configured(global)?,
             data_hash,
+            shown,
         };
         let rows = if self.rows.is_empty() { Row::ALL.to_vec() } else { self.rows.clone() };
         let jobs = grid.jobs(&rows, self.seeds as u64)?;
@@ -125,9 +127,10 @@ impl Table2 {
             }
             clock.pass(job);
         }
-        let table = Table::new(&results);
+        let (methods, cape) = methods(&results);
+        let table = Table::new(&methods, cape);
         let report = Report { out: self.out, seconds: start.elapsed().as_secs_f64(), table };
-        write(&report, &grid, &results)?;
+        write(&report, &grid, &jobs, &results)?;
         console.result(&report, || report.text())?;
         Ok(ExitCode::SUCCESS)
     }
@@ -203,34 +206,65 @@ impl Clock {
     }
 }
 
-fn write(report: &Report, grid: &Grid, results: &[RowResult]) -> Result {
+fn write(report: &Report, grid: &Grid, jobs: &[Job], results: &[RowResult]) -> Result {
     let at = |name: &str| report.out.join(name);
-    files::write_text(&at("table2.md"), &report.table.markdown())?;
-    files::write_text(&at("table2.csv"), &report.table.csv())?;
-    files::write_text(&at("table2.tex"), &report.table.latex())?;
+    comparison::write(&report.out, "table2", &report.table)?;
     write_json(&at("table2.json"), report)?;
-    let maps = figures::maps(grid, results)?;
+
+    let set = PackedSet::open(&grid.data, Part::Test)?;
+    let (body, mask) = grid.body(&set)?;
+    let shown = first_seeds(jobs)?;
+    let reconstructions = figures::reconstructions(&set, &body, &mask, &grid.shown, &shown)?;
+    reconstructions.save(at("reconstructions.png"))?;
+    let maps = figures::maps(&body, &methods(results).0)?;
     maps.save(at("error_maps.png"))?;
-    let html =
-        report::html(&report.table, grid, report.seconds, &[("Mean error on the body", &maps)])?;
+    let histograms = comparison::histograms(&report.table)?;
+    histograms.save(at("histograms.png"))?;
+    let figures = [
+        Figure {
+            title: "Reconstructions",
+            caption: "Test frames and their reconstructions from the posterior's mean, first seed, \
+                      front and back: the mean body in the frame's pose.",
+            image: &reconstructions,
+            wide: true,
+        },
+        Figure {
+            title: "Mean error on the body",
+            caption: "Mean over test frames and seeds of the error of sampled reconstructions at \
+                      every clothing vertex, on the body in an A-pose.",
+            image: &maps,
+            wide: false,
+        },
+        Figure {
+            title: "Distribution of errors",
+            caption: "Errors of sampled reconstructions at all clothing vertices of all test \
+                      frames, up to the 99th percentile of the widest distribution.",
+            image: &histograms,
+            wide: false,
+        },
+    ];
+    let html = report::html(&report.table, grid, report.seconds, &figures)?;
     files::write_text(&at("report.html"), &html)
+}
+
+/// What the first seed of every row made of the frames shown.
+fn first_seeds(jobs: &[Job]) -> Result<Vec<Shown>> {
+    let first = |row| jobs.iter().find(|job| job.row == row);
+    Row::ALL
+        .into_iter()
+        .filter_map(first)
+        .map(|job| Ok(Shown { label: job.row.label().to_owned(), frames: job.frames()? }))
+        .collect()
 }
 
 impl Report {
     fn text(&self) -> String {
-        let (header, rows) = self.table.rows();
-        let mut text = Text::new(header);
-        for row in rows {
-            text.row(row);
-        }
-        let out = self.out.display();
-        let report = self.out.join("report.html");
         format!(
-            "{}\n\n{}\n\n{out}: {}\n{}",
-            text.text(),
-            self.table.caption(),
+            "{}\n\n{}: {}\n{}",
+            comparison::text(&self.table),
+            self.out.display(),
             seconds(self.seconds),
-            Path::new(&report).display()
+            self.out.join("report.html").display()
         )
     }
 }

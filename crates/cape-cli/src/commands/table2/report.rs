@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use base64::{Engine, engine::general_purpose::STANDARD};
 use cape_render::Image;
-use cape_train::table2::{Grid, Table};
+use cape_train::{comparison::Table, table2::Grid};
 
 use crate::{
     console::seconds,
@@ -14,22 +14,26 @@ use crate::{
 const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:72rem;padding:0 \
 1rem;color:#222;background:#fff}table{border-collapse:collapse;margin:1rem 0;font-variant-numeric:\
 tabular-nums}th,td{padding:.3rem .7rem;border-bottom:1px solid #ddd;text-align:right}th:first-child,\
-td:first-child{text-align:left}div.wide{overflow-x:auto}img{max-width:100%}pre{background:#f5f5f6;\
-padding:1rem;overflow-x:auto}tr.cape{background:#f0f6ff}@media(prefers-color-scheme:dark){body{color:\
-#ddd;background:#17181a}th,td{border-color:#3a3b3e}pre{background:#222326}tr.cape{background:#1d2733}}";
+td:first-child{text-align:left}div.wide{overflow-x:auto}img{max-width:100%}div.wide img{max-width:none}figure{margin:1rem 0}figcaption{color:#777}pre{background:#f5f5f6;\
+padding:1rem;overflow-x:auto}tr.reference{background:#f0f6ff}@media(prefers-color-scheme:dark){body{color:\
+#ddd;background:#17181a}th,td{border-color:#3a3b3e}pre{background:#222326}tr.reference{background:#1d2733}}";
+
+/// A picture of the report.
+pub(super) struct Figure<'a> {
+    pub(super) title: &'a str,
+    pub(super) caption: &'a str,
+    pub(super) image: &'a Image,
+    /// Whether it is shown as large as it is, to be scrolled.
+    pub(super) wide: bool,
+}
 
 /// Tables, figures, configuration, versions and the data's hash, all in one text.
-pub(super) fn html(
-    table: &Table,
-    grid: &Grid,
-    spent: f64,
-    figures: &[(&str, &Image)],
-) -> Result<String> {
+pub(super) fn html(table: &Table, grid: &Grid, spent: f64, figures: &[Figure]) -> Result<String> {
     let mut body = String::new();
     let (header, rows) = table.rows();
-    let first =
-        rows.iter().zip(&table.lines).map(|(cells, line)| (line.row.name(), cells.to_vec()));
-    body += &html_table(&header.map(str::to_owned), first);
+    let class = |line| if table.is_reference(line) { "reference" } else { "" };
+    let first = rows.iter().zip(&table.lines).map(|(cells, line)| (class(line), cells.to_vec()));
+    body += &html_table(&header, first);
     let _ = writeln!(body, "<p>{}</p>", escaped(&table.caption()));
     for (title, of) in [
         ("By outfit", table.lines.iter().map(|line| &line.outfits).collect::<Vec<_>>()),
@@ -39,19 +43,22 @@ pub(super) fn html(
         let mut header = vec!["error, mm".to_owned()];
         header.extend(names.iter().map(|(name, _)| name.clone()));
         let rows = table.lines.iter().zip(&of).map(|(line, errors)| {
-            let mut cells = vec![line.row.label().to_owned()];
+            let mut cells = vec![line.label.clone()];
             cells.extend(errors.iter().map(|(_, error)| format!("{error:.2}")));
-            (line.row.name(), cells)
+            (class(line), cells)
         });
         let _ = writeln!(body, "<h2>{title}</h2>{}", html_table(&header, rows));
     }
-    for (title, image) in figures {
+    for Figure { title, caption, image, wide } in figures {
         let mut png = Vec::new();
         image.encode(&mut png).map_err(|error| Error::io("report.html", error))?;
         let data = STANDARD.encode(&png);
+        let class = if *wide { " class=\"wide\"" } else { "" };
         let _ = writeln!(
             body,
-            "<h2>{title}</h2><img alt=\"{title}\" src=\"data:image/png;base64,{data}\">"
+            "<h2>{title}</h2><figure><div{class}><img alt=\"{title}\" \
+             src=\"data:image/png;base64,{data}\"></div><figcaption>{}</figcaption></figure>",
+            escaped(caption)
         );
     }
     let config = toml::to_string_pretty(&grid.config)
@@ -79,7 +86,8 @@ fn html_table<'a>(header: &[String], rows: impl Iterator<Item = (&'a str, Vec<St
     };
     let mut text = format!("<div class=\"wide\"><table><tr>{}</tr>\n", cells(header, "th"));
     for (class, row) in rows {
-        let _ = writeln!(text, "<tr class=\"{class}\">{}</tr>", cells(&row, "td"));
+        let class = if class.is_empty() { String::new() } else { format!(" class=\"{class}\"") };
+        let _ = writeln!(text, "<tr{class}>{}</tr>", cells(&row, "td"));
     }
     text + "</table></div>"
 }

@@ -1,6 +1,6 @@
 //! The state of one set of clothes: what differs between two takes of the same outfit.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
 use rand::{Rng, SeedableRng};
@@ -14,8 +14,9 @@ pub(super) const WAVES: usize = 14;
 
 /// How one person wears one outfit in one sequence.
 ///
-/// Drawn once a sequence and constant over its frames; independent of the pose. Lengths are metres,
-/// positions along limbs fractions of the limb.
+/// The clothes themselves, their cut and where they like to fold, are a person's own; how they were
+/// put on differs from sequence to sequence. Constant over a sequence's frames and independent of
+/// the pose. Lengths are metres, positions along limbs fractions of the limb.
 #[derive(Debug, Clone)]
 pub struct Garment {
     /// What is worn.
@@ -115,6 +116,34 @@ impl Garment {
         let sway = [rng.random_range(0.0..TAU), rng.random_range(0.5..1.1)];
         Self { outfit, seed, shirt, trousers, crumple, sway }
     }
+
+    /// These clothes, put on as `other` clothes are: what slips, turns and leans is taken from
+    /// those, and folds move a little.
+    pub(super) fn put_on_as(self, other: Self) -> Self {
+        let waves = self.crumple.into_iter().zip(&other.crumple);
+        Self {
+            outfit: self.outfit,
+            seed: other.seed,
+            shirt: self.shirt.put_on_as(&other.shirt),
+            trousers: self.trousers.put_on_as(&other.trousers),
+            crumple: waves
+                .map(|(wave, other)| Wave {
+                    phase: nudged(wave.phase, other.phase, 2.0 * NUDGE),
+                    amplitude: 0.8 * wave.amplitude + 0.6 * other.amplitude,
+                    ..wave
+                })
+                .collect(),
+            sway: other.sway,
+        }
+    }
+}
+
+/// How far folds move between sequences, as a share of half a turn.
+const NUDGE: f64 = 0.12;
+
+/// `phase` moved by up to `share` of half a turn, as the angle `other` says.
+fn nudged(phase: f64, other: f64, share: f64) -> f64 {
+    phase + share * (other - PI)
 }
 
 impl Shirt {
@@ -142,6 +171,26 @@ impl Shirt {
             sleeve_phase: [angle(rng), angle(rng)],
         }
     }
+
+    fn put_on_as(self, other: &Self) -> Self {
+        let moved = |[count, phase, slant]: [f64; 3], other: [f64; 3]| {
+            [count, nudged(phase, other[1], NUDGE), slant + 0.3 * other[2]]
+        };
+        Self {
+            hem_slope: [0, 1].map(|i| 0.7 * self.hem_slope[i] + 0.7 * other.hem_slope[i]),
+            hem_wave: [self.hem_wave[0], nudged(self.hem_wave[1], other.hem_wave[1], NUDGE)],
+            twist: other.twist,
+            sleeve_twist: other.sleeve_twist,
+            sleeve_slide: other.sleeve_slide,
+            ride: other.ride,
+            lean: other.lean,
+            folds: moved(self.folds, other.folds),
+            gathers: moved(self.gathers, other.gathers),
+            sleeve_phase: [0, 1]
+                .map(|i| nudged(self.sleeve_phase[i], other.sleeve_phase[i], NUDGE)),
+            ..self
+        }
+    }
 }
 
 impl Trousers {
@@ -161,6 +210,18 @@ impl Trousers {
             stack: if long { log_normal(0.004, 0.4, rng) } else { 0.0 },
             stack_phase: [angle(rng), angle(rng)],
             fold_phase: [angle(rng), angle(rng)],
+        }
+    }
+
+    fn put_on_as(self, other: &Self) -> Self {
+        let moved = |own: [f64; 2], other: [f64; 2]| [0, 1].map(|i| nudged(own[i], other[i], NUDGE));
+        Self {
+            waist: 0.7 * self.waist + 0.7 * other.waist,
+            twist: other.twist,
+            slide: other.slide,
+            stack_phase: moved(self.stack_phase, other.stack_phase),
+            fold_phase: moved(self.fold_phase, other.fold_phase),
+            ..self
         }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Garments are described in a tailor's coordinates (`regions`): a shirt ends at a fraction of
 //! the arm and at a height above the hips, so that the same garment fits any body in SMPL's layout.
-//! A [`Garment`] is drawn once a sequence; the pose then throws folds at elbows, shoulders, waist,
+//! A [`Garment`] is one person's, put on anew for every sequence; the pose then throws folds at elbows, shoulders, waist,
 //! hips and knees, shifts the cloth along the body and lets it sag.
 
 mod bend;
@@ -81,7 +81,8 @@ impl<'a> Wardrobe<'a> {
     /// The state of `outfit` on `subject` in the sequence numbered `sequence`.
     pub fn garment(&self, subject: usize, outfit: Outfit, sequence: usize) -> Garment {
         let path = [2, subject as u64, outfit.index() as u64, sequence as u64];
-        Garment::random(outfit, mix_seed(self.seed, &path))
+        let random = |path| Garment::random(outfit, mix_seed(self.seed, path));
+        random(&path[..3]).put_on_as(random(&path))
     }
 
     /// Lays `garment` out on the body.

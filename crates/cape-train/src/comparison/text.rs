@@ -4,26 +4,13 @@ use std::fmt::Write as _;
 
 use super::{Interval, Line, Table};
 
-/// The columns that people read.
-const HEADER: [&str; 9] = [
-    "method",
-    "error, mm (mean ± std)",
-    "median",
-    "95 % of the mean",
-    "posterior mean",
-    "against CAPE",
-    "edges, mm",
-    "normals, °",
-    "fine energy",
-];
-
 impl Line {
     fn cells(&self) -> [String; 9] {
         let interval = match self.interval {
             Some(Interval { low, high }) => format!("{low:.2} to {high:.2}"),
             None => "–".into(),
         };
-        let against = match self.against_cape {
+        let against = match self.against {
             Some((difference, Some(p))) if p < 0.001 => format!("{difference:+.2} (p < 0.001)"),
             Some((difference, Some(p))) => format!("{difference:+.2} (p = {p:.3})"),
             Some((difference, None)) => format!("{difference:+.2}"),
@@ -34,7 +21,7 @@ impl Line {
             None => String::new(),
         };
         [
-            self.row.label().to_owned(),
+            self.label.clone(),
             format!("{:.2} ± {:.2}{seeds}", self.mean, self.std),
             format!("{:.2}", self.median),
             interval,
@@ -49,8 +36,29 @@ impl Line {
 
 impl Table {
     /// Header and cells, for people.
-    pub fn rows(&self) -> ([&'static str; 9], Vec<[String; 9]>) {
-        (HEADER, self.lines.iter().map(Line::cells).collect())
+    pub fn rows(&self) -> ([String; 9], Vec<[String; 9]>) {
+        let reference = self.lines.iter().find(|line| self.is_reference(line));
+        let against = match reference {
+            Some(line) => &format!("against {}", line.label),
+            None => "difference",
+        };
+        let header = [
+            "method",
+            "error, mm (mean ± std)",
+            "median",
+            "95 % of the mean",
+            "posterior mean",
+            against,
+            "edges, mm",
+            "normals, °",
+            "fine energy",
+        ];
+        (header.map(str::to_owned), self.lines.iter().map(Line::cells).collect())
+    }
+
+    /// Whether the others are compared with this line.
+    pub fn is_reference(&self, line: &Line) -> bool {
+        self.reference.as_ref() == Some(&line.name)
     }
 
     /// What the numbers are.
@@ -71,9 +79,10 @@ impl Table {
         let mut text = String::new();
         let mut line = |cells: &[String]| {
             // Writing to a string cannot fail.
+            let cells: Vec<String> = cells.iter().map(|cell| markdown(cell)).collect();
             let _ = writeln!(text, "| {} |", cells.join(" | "));
         };
-        line(&header.map(str::to_owned));
+        line(&header);
         line(&vec!["---".to_owned(); header.len()]);
         for row in &rows {
             line(row);
@@ -86,12 +95,12 @@ impl Table {
             let Some(first) = self.lines.first().filter(|line| !of(line).is_empty()) else {
                 continue;
             };
-            let names: Vec<&str> = of(first).iter().map(|(name, _)| name.as_str()).collect();
+            let names: Vec<String> = of(first).iter().map(|(name, _)| markdown(name)).collect();
             let _ = writeln!(text, "\n| error by {what}, mm | {} |", names.join(" | "));
             let _ = writeln!(text, "|---{}|", "|---".repeat(names.len()));
             for line in &self.lines {
                 let cells: Vec<String> = of(line).iter().map(|(_, x)| format!("{x:.2}")).collect();
-                let _ = writeln!(text, "| {} | {} |", line.row.label(), cells.join(" | "));
+                let _ = writeln!(text, "| {} | {} |", markdown(&line.label), cells.join(" | "));
             }
         }
         text
@@ -105,7 +114,7 @@ impl Table {
         for line in &self.lines {
             let number = |value: Option<f64>| value.map_or_else(String::new, |x| x.to_string());
             let cells = [
-                line.row.name().to_owned(),
+                csv(&line.name),
                 line.seeds.to_string(),
                 line.mean.to_string(),
                 line.std.to_string(),
@@ -113,8 +122,8 @@ impl Table {
                 number(line.interval.map(|interval| interval.low)),
                 number(line.interval.map(|interval| interval.high)),
                 line.posterior_mean.to_string(),
-                number(line.against_cape.map(|(difference, _)| difference)),
-                number(line.against_cape.and_then(|(_, p)| p)),
+                number(line.against.map(|(difference, _)| difference)),
+                number(line.against.and_then(|(_, p)| p)),
                 line.detail.edge_mm.to_string(),
                 line.detail.normal_degrees.to_string(),
                 line.detail.high_energy.to_string(),
@@ -135,12 +144,51 @@ impl Table {
             let _ = writeln!(
                 text,
                 "{} & ${:.2} \\pm {:.2}$ & {:.2} \\\\",
-                line.row.label(),
+                latex(&line.label),
                 line.mean,
                 line.std,
                 line.median
             );
         }
         text + "\\hline\n\\end{tabular}\n"
+    }
+}
+
+/// A cell of a Markdown table.
+fn markdown(text: &str) -> String {
+    text.replace('|', "\\|")
+}
+
+/// A field of a line of comma-separated values.
+fn csv(text: &str) -> String {
+    if text.contains([',', '"', '\n', '\r']) {
+        return format!("\"{}\"", text.replace('"', "\"\""));
+    }
+    text.to_owned()
+}
+
+/// Text that LaTeX prints as it is.
+fn latex(text: &str) -> String {
+    let escaped = |c| match c {
+        '\\' => r"\textbackslash{}".to_owned(),
+        '~' => r"\textasciitilde{}".to_owned(),
+        '^' => r"\textasciicircum{}".to_owned(),
+        '&' | '%' | '$' | '#' | '_' | '{' | '}' => format!("\\{c}"),
+        c => c.to_string(),
+    };
+    text.chars().map(escaped).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_any_kind_keep_the_table_whole() {
+        assert_eq!(markdown("a|b"), r"a\|b");
+        assert_eq!(csv("a_b"), "a_b");
+        assert_eq!(csv("a, \"b\""), "\"a, \"\"b\"\"\"");
+        assert_eq!(latex(r"50%_of\{x}"), r"50\%\_of\textbackslash{}\{x\}");
+        assert_eq!(latex("w/o residual block"), "w/o residual block");
     }
 }

@@ -1,10 +1,14 @@
 //! Reconstruction errors in millimetres (Table 2 of the paper): streaming mean, standard deviation
 //! and median of per-vertex Euclidean errors.
 
+mod histogram;
+
 use std::collections::BTreeMap;
 
 use cape_core::Outfit;
 use serde::{Deserialize, Serialize};
+
+pub use histogram::Histogram;
 
 use crate::{Error, Result};
 
@@ -106,6 +110,23 @@ impl ErrorStats {
         }
     }
 
+    /// Counts in `bins` bins of the given width; errors that are no lengths are left out.
+    pub fn histogram(&self, bin_mm: f64, bins: usize) -> Histogram {
+        let mut histogram = Histogram { bin_mm, ..Histogram::default() };
+        for (fine, &count) in self.histogram.iter().enumerate().filter(|(_, count)| **count > 0) {
+            let bin = (middle(fine) / bin_mm) as usize;
+            if bin >= bins {
+                histogram.beyond += count;
+                continue;
+            }
+            if bin >= histogram.counts.len() {
+                histogram.counts.resize(bin + 1, 0);
+            }
+            histogram.counts[bin] += count;
+        }
+        histogram
+    }
+
     /// The error of the given rank, counted from 0.
     fn ranked(&self, rank: u64) -> f64 {
         let mut seen = 0;
@@ -154,6 +175,11 @@ impl GroupedErrors {
                 stats.push(errors);
             }
         }
+    }
+
+    /// All errors.
+    pub fn overall(&self) -> &ErrorStats {
+        &self.overall
     }
 
     /// The statistics so far.

@@ -1,3 +1,5 @@
+mod settings;
+
 use std::{path::PathBuf, process::ExitCode};
 
 use cape_core::parse_device;
@@ -7,14 +9,14 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, at_least_one, default_device},
-    commands::pyramid::WeightingName,
+    arguments::{Global, default_device},
     console::{Console, seconds},
     error::{Context, Error, Result},
     interrupt::Interrupt,
     table::Table,
     training,
 };
+use settings::{Settings, set};
 
 /// Exit code of a training that was interrupted and can be resumed: 128 + SIGINT.
 const INTERRUPTED: u8 = 130;
@@ -57,36 +59,6 @@ pub(crate) struct Train {
     settings: Settings,
 }
 
-/// Settings that override the configuration.
-#[derive(Debug, Args)]
-#[command(next_help_heading = "Settings")]
-struct Settings {
-    /// Passes over the training frames.
-    #[arg(long, value_name = "N", value_parser = at_least_one)]
-    epochs: Option<usize>,
-    /// Frames in a batch.
-    #[arg(long, value_name = "N", value_parser = at_least_one)]
-    batch: Option<usize>,
-    /// Learning rate after the warm-up.
-    #[arg(long, value_name = "RATE")]
-    peak_rate: Option<f64>,
-    /// Epochs of warm-up.
-    #[arg(long, value_name = "N")]
-    warmup_epochs: Option<f64>,
-    /// Steps between checkpoints inside an epoch; 0 saves at the ends of epochs only.
-    #[arg(long, value_name = "N")]
-    checkpoint_steps: Option<usize>,
-    /// Newest checkpoints kept, besides the best.
-    #[arg(long, value_name = "N", value_parser = at_least_one)]
-    keep: Option<usize>,
-    /// Read the whole training set into memory.
-    #[arg(long)]
-    preload: bool,
-    /// How up-sampling is weighted.
-    #[arg(long, value_enum)]
-    weighting: Option<WeightingName>,
-}
-
 #[derive(Debug, Serialize)]
 struct Report {
     out: PathBuf,
@@ -127,26 +99,8 @@ impl Train {
         if let Some(preset) = &self.preset {
             config.model = CapeConfig::preset(preset)?;
         }
-        let Settings {
-            epochs,
-            batch,
-            peak_rate,
-            warmup_epochs,
-            checkpoint_steps,
-            keep,
-            preload,
-            weighting,
-        } = &self.settings;
-        let train = &mut config.train;
-        set(&mut train.epochs, *epochs);
-        set(&mut train.batch, *batch);
-        set(&mut train.peak_rate, *peak_rate);
-        set(&mut train.warmup_epochs, *warmup_epochs);
-        set(&mut train.checkpoint_steps, *checkpoint_steps);
-        set(&mut train.keep, *keep);
-        set(&mut train.seed, global.seed);
-        train.preload |= preload;
-        set(&mut config.weighting, weighting.map(Into::into));
+        set(&mut config.train.seed, global.seed);
+        self.settings.lay_over(&mut config);
         config.validate()?;
         Ok(config)
     }
@@ -182,12 +136,6 @@ impl Train {
             words.extend(["--threads".to_owned(), threads.to_string()]);
         }
         words.join(" ")
-    }
-}
-
-fn set<T>(slot: &mut T, value: Option<T>) {
-    if let Some(value) = value {
-        *slot = value;
     }
 }
 

@@ -1,0 +1,113 @@
+mod names;
+
+use std::{path::PathBuf, sync::Arc, time::Instant};
+
+use cape_core::parse_device;
+use cape_train::{
+    Run,
+    comparison::{
+        Measured, Method, Table, common_data, expect_alike, measure_run, training_seconds,
+    },
+    data::{PackedSet, Part},
+    write_json,
+};
+use clap::Args;
+use serde::Serialize;
+
+use crate::{
+    arguments::Global,
+    comparison,
+    console::{Console, seconds},
+    error::{Context, Result},
+    files,
+};
+
+/// Compare trained runs on the same test frames.
+///
+/// The table of `cape table2` for any runs: errors with intervals by bootstrap over captures, measures
+/// of wrinkles, and of every run the difference from the first with a paired test. --out also gets
+/// compare.md, .csv, .json and .tex, and histograms.png.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  cape compare run1 run2\n  cape compare runs/* --data packed --out \
+                        comparison"
+)]
+pub(crate) struct Compare {
+    /// Training runs; the others are compared with the first.
+    #[arg(value_name = "RUN", required = true)]
+    runs: Vec<PathBuf>,
+    /// Packed set with test frames; by default the one that all runs were trained on.
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Directory for tables and histograms.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    data: PathBuf,
+    runs: Vec<PathBuf>,
+    seconds: f64,
+    #[serde(flatten)]
+    table: Table,
+}
+
+impl Compare {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+        let start = Instant::now();
+        let device = parse_device(&global.device)?;
+        let data = match self.data {
+            Some(data) => data,
+            None => common_data(&self.runs)?,
+        };
+        let set = Arc::new(PackedSet::open(&data, Part::Test)?);
+        expect_alike(&self.runs, &set)?;
+        let names = names::of(&self.runs);
+        let mut results: Vec<(Measured, f64)> = Vec::new();
+        for (root, name) in self.runs.iter().zip(&names) {
+            let run = Run::open(root, &device)?;
+            let measured = console
+                .while_showing(name, "frames", |progress| {
+                    let seed = global.seed.unwrap_or(1);
+                    measure_run(&run, &set, seed, progress, &mut |_, _, _| Ok(()))
+                })
+                .doing(|| format!("measuring {}", root.display()))?;
+            results.push((measured, training_seconds(run.paths())?));
+        }
+        let methods: Vec<Method> = names
+            .iter()
+            .zip(&results)
+            .map(|(name, (measured, seconds))| Method {
+                name: name.clone(),
+                label: name.clone(),
+                results: vec![measured],
+                seconds: *seconds,
+            })
+            .collect();
+        let report = Report {
+            data,
+            runs: self.runs,
+            seconds: start.elapsed().as_secs_f64(),
+            table: Table::new(&methods, Some(0)),
+        };
+        if let Some(out) = &self.out {
+            files::create_dir(out)?;
+            comparison::write(out, "compare", &report.table)?;
+            write_json(&out.join("compare.json"), &report)?;
+            comparison::histograms(&report.table)?.save(out.join("histograms.png"))?;
+        }
+        console.result(&report, || report.text())
+    }
+}
+
+impl Report {
+    fn text(&self) -> String {
+        format!(
+            "{}\n\n{}: {}",
+            comparison::text(&self.table),
+            self.data.display(),
+            seconds(self.seconds)
+        )
+    }
+}
