@@ -8,3 +8,4 @@ mod files;
 mod support;
 mod tf_writer;
 mod training;
+mod trials;

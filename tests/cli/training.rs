@@ -55,10 +55,24 @@ fn the_same_command_makes_the_same_weights() {
 #[cfg(unix)]
 #[test]
 fn an_interrupted_training_resumes_as_if_nothing_had_been() {
-    let data = Packed::new();
-    data.run(&format!("train --data @/packed --out @/whole {LONG}")).succeeded();
+    interrupted_and_resumed("");
+}
 
-    let line = format!("train --data @/packed --out @/cut {LONG}");
+#[cfg(unix)]
+#[test]
+fn so_does_one_with_every_option_away_from_the_paper() {
+    interrupted_and_resumed(
+        "--optimiser adam --peak-rate 0.001 --schedule cosine --ema 0.9 --kl-warmup-epochs 3 \
+         --adversary hinge --spectral-norm",
+    );
+}
+
+#[cfg(unix)]
+fn interrupted_and_resumed(options: &str) {
+    let data = Packed::new();
+    data.run(&format!("train --data @/packed --out @/whole {LONG} {options}")).succeeded();
+
+    let line = format!("train --data @/packed --out @/cut {LONG} {options}");
     let words = line.split_whitespace().map(|w| w.replace('@', data.root().to_str().unwrap()));
     let child = cape(words).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let start = Instant::now();
@@ -171,12 +185,12 @@ fn every_row_of_the_table_is_trained_measured_and_kept() {
     let again = again.json();
     assert_eq!(again["lines"], report["lines"]);
     // Without the frames that are shown, a row is measured again, not trained.
-    let result = fs::read(data.at("table/cape/seed-1/result.json")).unwrap();
-    fs::remove_file(data.at("table/cape/seed-1/frames.npz")).unwrap();
+    let frames = data.at("table/cape/seed-1/frames.npz");
+    fs::remove_file(&frames).unwrap();
     let again = data.run(line);
     assert_eq!(again.err.matches("done before").count(), 7, "{}", again.err);
     assert_eq!(again.json()["lines"], report["lines"]);
-    assert_eq!(fs::read(data.at("table/cape/seed-1/result.json")).unwrap(), result);
+    assert!(frames.is_file());
     let other =
         data.run(&line.replace("--epochs 1", "--epochs 2").replace("--seeds 2", "--seeds 1"));
     assert_eq!(other.err.matches("done before").count(), 0, "{}", other.err);

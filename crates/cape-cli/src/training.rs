@@ -2,7 +2,9 @@
 
 use std::ops::ControlFlow;
 
-use cape_train::{Event, Outcome, Trainer, objective::Losses};
+use cape_core::{Mesh, SmplModel};
+use cape_render::{Object, Style, Tile, View, contact_sheet, portrait};
+use cape_train::{Event, Illustrate, Outcome, Picture, Preview, Trainer, objective::Losses};
 use indicatif::ProgressBar;
 
 use crate::{
@@ -17,6 +19,7 @@ pub(crate) fn run(
     mut stop: impl FnMut(&Event) -> bool,
 ) -> Result<Outcome> {
     let epochs = trainer.config().train.epochs;
+    trainer.illustrate_with(illustrator(SmplModel::load(trainer.paths().body())?.mesh()));
     let mut watch = Watch::new(console, epochs);
     let outcome = trainer.run(&mut |event| {
         watch.see(event);
@@ -24,6 +27,37 @@ pub(crate) fn run(
     });
     watch.bar.finish_and_clear();
     Ok(outcome?)
+}
+
+/// Draws frames beside their reconstructions, on the body at rest. A picture that cannot be drawn
+/// is left out: training matters more.
+fn illustrator(body: Mesh) -> Illustrate {
+    Box::new(move |previews| {
+        let style = Style { width: 240, height: 300, ..Style::default() };
+        let dressed = |displacement: &[f32]| {
+            let mut mesh = body.clone();
+            for (vertex, moved) in mesh.vertices.iter_mut().zip(displacement.chunks_exact(3)) {
+                for (at, by) in vertex.iter_mut().zip(moved) {
+                    *at += by;
+                }
+            }
+            portrait(Object::new(&mesh), View::ThreeQuarter, &style)
+        };
+        let mut tiles = Vec::new();
+        for Preview { outfit, truth, predicted } in previews {
+            for (what, displacement) in [("", truth), (", reconstructed", predicted)] {
+                let Ok(image) = dressed(displacement) else { return Vec::new() };
+                tiles.push(Tile { image, label: format!("{outfit}{what}") });
+            }
+        }
+        let mut png = Vec::new();
+        let Ok(sheet) = contact_sheet(&tiles, 4, None) else { return Vec::new() };
+        if sheet.encode(&mut png).is_err() {
+            return Vec::new();
+        }
+        let (width, height) = (sheet.width(), sheet.height());
+        vec![Picture { tag: "validation/reconstructions".into(), width, height, png }]
+    })
 }
 
 struct Watch {

@@ -231,11 +231,13 @@ fn garments_last_a_sequence_and_are_not_a_function_of_the_pose() {
     assert_eq!(first, wear(0, Motion::Simple, None));
     let other_state = distance(&first, &wear(1, Motion::Simple, None));
     let other_pose = distance(&first, &wear(0, Motion::Squats, None));
-    let noise = distance(&first, &wear(0, Motion::Simple, Some(1)));
+    let scan = |number| wear(0, Motion::Simple, Some(number));
+    let (noise, misfit) = (distance(&scan(1), &scan(2)), distance(&first, &scan(1)));
     assert!(other_state > 3.0 && other_pose > 1.5, "{other_state} {other_pose} mm");
-    // The mean length of a normal 3-vector with 0.5 mm a coordinate.
-    let expected = 0.5 * (8.0 / std::f64::consts::PI).sqrt();
+    // The mean length of the difference of two normal 3-vectors with 0.15 mm a coordinate.
+    let expected = 0.15 * 2f64.sqrt() * (8.0 / std::f64::consts::PI).sqrt();
     assert!((noise - expected).abs() < 0.02, "{noise} mm");
+    assert!((1.0..8.0).contains(&misfit), "{misfit} mm");
     assert_ne!(wear(0, Motion::Simple, Some(1)), wear(0, Motion::Simple, Some(2)));
 }
 

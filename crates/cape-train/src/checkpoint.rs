@@ -30,6 +30,9 @@ pub struct Progress {
     pub loader: LoaderState,
     /// Seconds spent training so far.
     pub seconds: f64,
+    /// Over the epoch's steps so far: accuracies of the discriminator added up, and how many.
+    #[serde(default)]
+    pub judged: (f32, usize),
     /// Validation error after the last whole epoch, millimetres.
     pub validation: Option<f64>,
     /// The lowest validation error so far and the step it was reached at.

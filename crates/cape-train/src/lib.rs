@@ -1,8 +1,8 @@
 //! CAPE data sets, training and evaluation.
 //!
 //! [`data`] turns registrations in the release's raw layout into packed sets and packed sets into
-//! batches on host arrays; [`metrics`] measures reconstructions in millimetres; [`tensorboard`]
-//! writes what training reports; [`bench`](mod@bench) times it all.
+//! batches on host arrays; [`metrics`] measures reconstructions in millimetres and [`comparison`] puts
+//! methods side by side; [`tensorboard`] writes what training reports; [`bench`](mod@bench) times it all.
 
 mod average;
 pub mod bench;
@@ -27,6 +27,7 @@ mod staging;
 pub mod table2;
 pub mod tensorboard;
 mod trainer;
+pub mod trial;
 mod validate;
 
 pub use codes::CodeDensity;

@@ -91,8 +91,6 @@ pub struct Trainer {
     clothing: Vec<usize>,
     learner: Learner,
     illustrate: Option<Illustrate>,
-    /// Over the epoch's steps so far: accuracies of the discriminator, and how many.
-    judged: (f64, usize),
     progress: Progress,
     device: Device,
 }
@@ -115,6 +113,7 @@ impl Trainer {
             step: 0,
             loader: LoaderState::new(config.train.seed),
             seconds: 0.0,
+            judged: (0.0, 0),
             validation: None,
             best: None,
         };
@@ -196,7 +195,6 @@ impl Trainer {
             clothing: mask.indices().collect(),
             learner,
             illustrate: None,
-            judged: (0.0, 0),
             paths,
             config,
             progress,
@@ -319,8 +317,8 @@ impl Trainer {
             Err(what) => return Err(self.not_finite(what, &frames)?),
         };
         let losses = update.losses;
-        self.judged.0 += losses.discriminator_accuracy;
-        self.judged.1 += 1;
+        self.progress.judged.0 += losses.discriminator_accuracy as f32;
+        self.progress.judged.1 += 1;
         self.progress.step += 1;
         self.progress.loader = state;
 
@@ -357,9 +355,9 @@ impl Trainer {
         log: &mut Log,
         report: &mut dyn FnMut(&Event) -> ControlFlow<()>,
     ) -> Result<()> {
-        let (sum, count) = std::mem::take(&mut self.judged);
+        let (sum, count) = std::mem::take(&mut self.progress.judged);
         let judged = self.config.model.discriminator.is_some() && count > 0;
-        let discriminator_accuracy = judged.then(|| sum / count as f64);
+        let discriminator_accuracy = judged.then(|| f64::from(sum) / count as f64);
         let step = self.progress.step;
         log.weights(step, self.learner.model())?;
         let generator = self.learner.valid_generator();

@@ -121,16 +121,20 @@ impl Validator<'_> {
                 }
             }
         }
-        let active_units = (0..latent).filter(|&unit| variance(&codes, unit, latent) > ACTIVE);
         Ok(Some(Validation {
             losses,
             errors: errors.summary(),
-            active_units: active_units.count(),
+            active_units: active_units(&codes, latent),
             sample_errors,
             codes,
             previews,
         }))
     }
+}
+
+/// How many columns of posterior means `[frames × latent]` vary.
+pub(crate) fn active_units(codes: &[f32], latent: usize) -> usize {
+    (0..latent).filter(|&unit| variance(codes, unit, latent) > ACTIVE).count()
 }
 
 /// Of one column of `[rows × columns]`.

@@ -50,7 +50,6 @@ impl Histogram {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::metrics::ErrorStats;
 
     #[test]

@@ -122,6 +122,7 @@ pub fn import(
             step: released.step.unwrap_or(0),
             loader: LoaderState::new(config.train.seed),
             seconds: 0.0,
+            judged: (0.0, 0),
             validation: None,
             best: None,
         },

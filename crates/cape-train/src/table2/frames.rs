@@ -16,40 +16,57 @@ use crate::{
 /// How many frames are shown.
 const SHOWN: usize = 4;
 
-/// The test frames of the packed set in `data` that are shown: of different outfits and captures
-/// as far as there are any, from the middle of each.
+/// What is worn, who wears it, and the movement, as far as the set says.
+type Take = (Outfit, String, String);
+
+/// The test frames of the packed set in `data` that are shown: of different outfits, movements and
+/// subjects as far as there are any, from the middle of each capture.
 pub fn shown_frames(data: &Path) -> Result<Vec<usize>> {
     let set = PackedSet::open(data, Part::Test)?;
-    let frames = (0..set.frames()).map(|frame| (set.outfits()[frame], set.capture(frame)));
-    Ok(spread(frames))
+    let take = |frame: usize| {
+        let (subject, sequence) = set.origins().map_or_else(Default::default, |origins| {
+            (origins[frame].subject.clone(), origins[frame].sequence.clone())
+        });
+        (set.outfits()[frame], subject, sequence)
+    };
+    Ok(spread((0..set.frames()).map(take)))
 }
 
-fn spread(frames: impl Iterator<Item = (Outfit, String)>) -> Vec<usize> {
-    let mut captures: Vec<(Outfit, String, Vec<usize>)> = Vec::new();
-    for (frame, (outfit, name)) in frames.enumerate() {
-        match captures.iter_mut().find(|capture| (capture.0, &capture.1) == (outfit, &name)) {
-            Some((.., frames)) => frames.push(frame),
-            None => captures.push((outfit, name, vec![frame])),
+fn spread(takes: impl Iterator<Item = Take>) -> Vec<usize> {
+    let mut captures: Vec<(Take, Vec<usize>)> = Vec::new();
+    for (frame, take) in takes.enumerate() {
+        match captures.iter_mut().rfind(|(other, _)| *other == take) {
+            Some((_, frames)) => frames.push(frame),
+            None => captures.push((take, vec![frame])),
         }
     }
     let of_outfit = |outfit| -> Vec<usize> {
-        (0..captures.len()).filter(|&capture| captures[capture].0 == outfit).collect()
+        (0..captures.len()).filter(|&capture| captures[capture].0.0 == outfit).collect()
     };
-    let outfits: Vec<Vec<usize>> =
-        Outfit::ALL.into_iter().map(of_outfit).filter(|captures| !captures.is_empty()).collect();
+    let mut outfits = Outfit::ALL.map(of_outfit).to_vec();
+    outfits.retain(|captures| !captures.is_empty());
     if outfits.is_empty() {
         return Vec::new();
     }
-    // Each pick a little further on in its outfit's captures, so that movements differ too.
-    let picks: Vec<usize> = (0..SHOWN)
-        .map(|pick| {
-            let captures = &outfits[pick % outfits.len()];
-            captures[(2 * pick + 1) * captures.len() / (2 * SHOWN)]
-        })
-        .collect();
+    let mut picks: Vec<usize> = Vec::new();
+    for pick in 0..SHOWN {
+        let choice = &outfits[pick % outfits.len()];
+        // Each pick looks from a little further on.
+        let start = (2 * pick + 1) * choice.len() / (2 * SHOWN);
+        let repeated = |&capture: &usize| {
+            let (_, subject, sequence) = &captures[capture].0;
+            let shown = picks.iter().map(|&other: &usize| &captures[other].0);
+            shown.fold((0, 0), |(same_sequence, same_subject), other| {
+                let same = (other.2 == *sequence, other.1 == *subject);
+                (same_sequence + usize::from(same.0), same_subject + usize::from(same.1))
+            })
+        };
+        let from_start = choice[start..].iter().chain(&choice[..start]).copied();
+        picks.extend(from_start.min_by_key(repeated));
+    }
     let mut shown: Vec<usize> = Vec::new();
     for (pick, &capture) in picks.iter().enumerate() {
-        let frames = &captures[capture].2;
+        let frames = &captures[capture].1;
         let same = |picks: &[usize]| picks.iter().filter(|&&other| other == capture).count();
         let (before, all) = (same(&picks[..pick]), same(&picks));
         let frame = frames[(2 * before + 1) * frames.len() / (2 * all)];
@@ -124,22 +141,28 @@ impl Frames {
 mod tests {
     use super::*;
 
-    fn spread_of(captures: &[(Outfit, &str, usize)]) -> Vec<usize> {
-        spread(captures.iter().flat_map(|&(outfit, name, frames)| {
-            std::iter::repeat_n((outfit, name.to_owned()), frames)
+    fn spread_of(captures: &[(Outfit, &str, &str, usize)]) -> Vec<usize> {
+        spread(captures.iter().flat_map(|&(outfit, subject, sequence, frames)| {
+            std::iter::repeat_n((outfit, subject.to_owned(), sequence.to_owned()), frames)
         }))
     }
 
     #[test]
-    fn shown_frames_differ_in_outfit_and_capture() {
+    fn shown_frames_differ_in_outfit_movement_and_subject() {
         let [a, b, c, d] = Outfit::ALL;
-        let four = [(d, "jump", 5), (a, "jump", 5), (b, "jump", 5), (c, "jump", 5)];
-        assert_eq!(spread_of(&four), [7, 12, 17, 2]);
-        let eight = Outfit::ALL.map(|outfit| [(outfit, "hop", 1), (outfit, "sit", 1)]);
-        assert_eq!(spread_of(eight.as_flattened()), [0, 2, 5, 7]);
+        let four = [a, d, c, b].map(|outfit| (outfit, "ann", "jump", 5));
+        assert_eq!(spread_of(&four), [2, 17, 12, 7]);
+        let mut captures = Vec::new();
+        for outfit in [a, b] {
+            for subject in ["ann", "bob"] {
+                captures.extend(["hop", "sit"].map(|sequence| (outfit, subject, sequence, 1)));
+            }
+        }
+        // Ann hops, Bob sits, and in turn.
+        assert_eq!(spread_of(&captures), [0, 7, 2, 5]);
         // One long capture: evenly.
-        assert_eq!(spread_of(&[(a, "shortlong", 8)]), [1, 3, 5, 7]);
-        assert_eq!(spread_of(&[(a, "shortlong", 3)]), [0, 1, 2]);
+        assert_eq!(spread_of(&[(a, "", "", 8)]), [1, 3, 5, 7]);
+        assert_eq!(spread_of(&[(a, "", "", 3)]), [0, 1, 2]);
         assert_eq!(spread_of(&[]), [0; 0]);
     }
 

@@ -25,7 +25,7 @@ const CLAY: Material = Material { colour: [0.72, 0.71, 0.70], gloss: 0.05 };
 const SIDES: [View; 2] = [View::Front, View::Back];
 /// Rows of pixels of a body with its errors, and of a reconstruction.
 const MAP_HEIGHT: u32 = 420;
-const CLAY_HEIGHT: u32 = 320;
+const CLAY_HEIGHT: u32 = 360;
 /// Columns of pixels of the bar of colours.
 const BAR_WIDTH: u32 = 150;
 

@@ -1,6 +1,10 @@
 mod settings;
+mod trials;
 
-use std::{path::PathBuf, process::ExitCode};
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
 
 use cape_core::parse_device;
 use cape_model::CapeConfig;
@@ -9,7 +13,7 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, default_device},
+    arguments::{Global, at_least_one, default_device},
     console::{Console, seconds},
     error::{Context, Error, Result},
     interrupt::Interrupt,
@@ -29,18 +33,32 @@ const INTERRUPTED: u8 = 130;
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape train --data packed --out run --preset narrow --epochs 20\n  \
-                        cape train --out run --resume"
+                        cape train --out run --resume\n  \
+                        cape train --data packed --preset narrow --check\n  \
+                        cape train --data packed --preset narrow --find-rate --out rates"
 )]
 pub(crate) struct Train {
     /// Packed set; a resumed run remembers its own.
     #[arg(long, value_name = "DIR", required_unless_present = "resume")]
     data: Option<PathBuf>,
     /// The run's directory: empty or missing, or the one to resume.
-    #[arg(long, value_name = "RUN")]
-    out: PathBuf,
+    #[arg(long, value_name = "RUN", required_unless_present_any = ["check", "find_rate"])]
+    out: Option<PathBuf>,
     /// Go on from the newest checkpoint in --out.
     #[arg(long)]
     resume: bool,
+    /// Do not train, but see whether these settings are sound: a few frames are learnt by heart, and
+    /// after a little training losses fall, the code says something, the discriminator is neither
+    /// dead nor perfect and gradients reach all parts.
+    #[arg(long, conflicts_with_all = ["resume", "find_rate", "out"])]
+    check: bool,
+    /// Do not train, but try growing learning rates until the loss explodes, and suggest one; with
+    /// --out, rates.csv and rates.png go there.
+    #[arg(long, conflicts_with = "resume")]
+    find_rate: bool,
+    /// Steps of --check (200, after at most 1500 for learning by heart) or --find-rate (120).
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    trial_steps: Option<usize>,
     /// Settings as a TOML file; options below override it.
     #[arg(long, value_name = "FILE", conflicts_with = "preset")]
     config: Option<PathBuf>,
@@ -69,24 +87,28 @@ struct Report {
 impl Train {
     pub(crate) fn run(self, global: &Global, console: Console) -> Result<ExitCode> {
         let device = parse_device(&global.device)?;
+        if self.check || self.find_rate {
+            return self.tried(global, console, &device);
+        }
+        let out = self.out.clone().unwrap_or_default();
         let mut trainer = if self.resume {
-            self.check_settings(global)?;
-            Trainer::resume(&self.out, self.data.as_deref(), &device)
-                .doing(|| format!("resuming {}", self.out.display()))?
+            self.check_settings(&out, global)?;
+            Trainer::resume(&out, self.data.as_deref(), &device)
+                .doing(|| format!("resuming {}", out.display()))?
         } else {
-            let data = self.data.as_deref().unwrap_or(&self.out);
+            let data = self.data.as_deref().unwrap_or(&out);
             let config = self.configured(RunConfig::default(), global)?;
             let (body, clothing) = (self.body.as_deref(), self.clothing.as_deref());
-            Trainer::create(&self.out, data, body, clothing, config, &device)?
+            Trainer::create(&out, data, body, clothing, config, &device)?
         };
         let interrupt = Interrupt::listen(console)?;
         let outcome = training::run(&mut trainer, console, |_| interrupt.was_asked())?;
-        let report = Report { out: self.out.clone(), outcome };
+        let report = Report { out: out.clone(), outcome };
         console.result(&report, || report.text())?;
         if report.outcome.finished {
             return Ok(ExitCode::SUCCESS);
         }
-        console.note(&format!("interrupted and saved; go on with:\n  {}", self.go_on(global)));
+        console.note(&format!("interrupted and saved; go on with:\n  {}", self.go_on(&out, global)));
         Ok(ExitCode::from(INTERRUPTED))
     }
 
@@ -106,8 +128,8 @@ impl Train {
     }
 
     /// A resumed run keeps its settings: others that are given must be the same.
-    fn check_settings(&self, global: &Global) -> Result {
-        let path = RunPaths::new(&self.out).config();
+    fn check_settings(&self, out: &Path, global: &Global) -> Result {
+        let path = RunPaths::new(out).config();
         let found = RunConfig::load(&path)?;
         let asked = self.configured(found.clone(), global)?;
         let Some(difference) = first_difference(&found, &asked)? else { return Ok(()) };
@@ -119,12 +141,12 @@ impl Train {
     }
 
     /// The command that resumes this training.
-    fn go_on(&self, global: &Global) -> String {
+    fn go_on(&self, out: &Path, global: &Global) -> String {
         let mut words = vec!["cape".to_owned(), "train".to_owned()];
-        let mut path = |option: &str, path: &PathBuf| {
+        let mut path = |option: &str, path: &Path| {
             words.extend([option.to_owned(), quoted(&path.to_string_lossy())]);
         };
-        path("--out", &self.out);
+        path("--out", out);
         if let Some(data) = &self.data {
             path("--data", data);
         }

@@ -12,6 +12,10 @@ use crate::Outfit;
 /// Number of waves in a crumple pattern.
 pub(super) const WAVES: usize = 14;
 
+/// Number of waves in a registration's misfit, and the size of each: 2.2 mm an axis together.
+const MISFIT_WAVES: usize = 8;
+const MISFIT: f64 = 0.0011;
+
 /// How one person wears one outfit in one sequence.
 ///
 /// The clothes themselves, their cut and where they like to fold, are a person's own; how they were
@@ -27,6 +31,8 @@ pub struct Garment {
     pub(super) crumple: Vec<Wave>,
     /// Phase and speed of the sway.
     pub(super) sway: [f64; 2],
+    /// How registrations of the wearer miss the minimal shape.
+    misfit: Vec<Wave>,
 }
 
 /// The upper garment. Pairs are left and right.
@@ -114,7 +120,8 @@ impl Garment {
         let trousers = Trousers::random(outfit.long_legs(), rng);
         let crumple = (0..WAVES).map(|_| Wave::random(rng)).collect();
         let sway = [rng.random_range(0.0..TAU), rng.random_range(0.5..1.1)];
-        Self { outfit, seed, shirt, trousers, crumple, sway }
+        let misfit = (0..MISFIT_WAVES).map(|_| Wave::of_misfit(rng)).collect();
+        Self { outfit, seed, shirt, trousers, crumple, sway, misfit }
     }
 
     /// These clothes, put on as `other` clothes are: what slips, turns and leans is taken from
@@ -134,7 +141,14 @@ impl Garment {
                 })
                 .collect(),
             sway: other.sway,
+            misfit: self.misfit,
         }
+    }
+
+    /// How far a registration of the wearer is from the minimal shape without any clothes, metres.
+    pub(super) fn misfit(&self, position: DVec3) -> DVec3 {
+        let waves = self.misfit.iter();
+        waves.map(|wave| wave.drag * (wave.vector.dot(position) + wave.phase).sin()).sum()
     }
 }
 
@@ -237,6 +251,20 @@ impl Wave {
             amplitude: 0.0012 * (length / 0.2_f64).sqrt() * normal(rng),
             drag: drag * 0.001,
             follow: 1.5 * normal(rng),
+        }
+    }
+}
+
+impl Wave {
+    fn of_misfit(rng: &mut ChaCha8Rng) -> Self {
+        let length = rng.random_range(0.15..0.6);
+        let random = |rng: &mut ChaCha8Rng| DVec3::from_array(std::array::from_fn(|_| normal(rng)));
+        Self {
+            vector: random(rng).normalize_or(DVec3::Y) * (TAU / length),
+            phase: angle(rng),
+            amplitude: 0.0,
+            drag: MISFIT * random(rng),
+            follow: 0.0,
         }
     }
 }

@@ -24,7 +24,7 @@ pub use garment::Garment;
 use hang::{Hang, hangs};
 
 /// Standard deviation of the simulated scanner's noise, metres.
-const SCAN_NOISE: f64 = 0.0005;
+const SCAN_NOISE: f64 = 0.00015;
 
 /// Garments for a body.
 #[derive(Debug, Clone)]
@@ -95,7 +95,8 @@ impl<'a> Wardrobe<'a> {
     /// The clothing displacement in canonical space, metres, `[vertices, 3]`.
     ///
     /// `pose` holds 24 axis-angles `[72]`; `time` (seconds) drives sway and slow shifts; `noise`
-    /// numbers the frame's scan, `None` leaves scan noise out.
+    /// numbers the frame's scan, whose registration also misses the wearer's minimal shape smoothly
+    /// by a few millimetres; `None` leaves both out.
     pub fn displacement(
         &self,
         fitting: &Fitting,
@@ -115,10 +116,14 @@ impl<'a> Wardrobe<'a> {
         let mut values = Vec::with_capacity(3 * self.regions.sites.len());
         let laid = self.hangs.iter().zip(&fitting.reaches);
         for (site, (hang, reach)) in self.regions.sites.iter().zip(laid) {
-            let moved = frame.displacement(site, hang, reach).to_array();
-            for value in moved {
-                let noise = rng.as_mut().map_or(0.0, |rng| rng.sample(StandardNormal));
-                values.push(value + SCAN_NOISE * noise);
+            let moved = frame.displacement(site, hang, reach);
+            let Some(rng) = &mut rng else {
+                values.extend(moved.to_array());
+                continue;
+            };
+            let moved = moved + fitting.garment.misfit(site.position);
+            for value in moved.to_array() {
+                values.push(value + SCAN_NOISE * rng.sample::<f64, _>(StandardNormal));
             }
         }
         Array2::from_shape_vec((self.regions.sites.len(), 3), values)

@@ -1,0 +1,104 @@
+//! `--check` and `--find-rate`.
+
+use std::{fmt::Write as _, path::Path, process::ExitCode};
+
+use burn::tensor::Device;
+use cape_render::{Plot, Series};
+use cape_train::{
+    RunConfig,
+    trial::{CheckOptions, CheckReport, RateOptions, RateReport, Subject, check, find_rate},
+};
+
+use super::Train;
+use crate::{arguments::Global, console::Console, error::Result, files, table::Table};
+
+/// Exit code where something is not as it should be.
+const UNSOUND: u8 = 1;
+
+impl Train {
+    pub(super) fn tried(
+        &self,
+        global: &Global,
+        console: Console,
+        device: &Device,
+    ) -> Result<ExitCode> {
+        let config = self.configured(RunConfig::default(), global)?;
+        let subject = Subject {
+            data: self.data.as_deref().unwrap_or(Path::new("")),
+            body: self.body.as_deref(),
+            clothing: self.clothing.as_deref(),
+            config: &config,
+            device,
+        };
+        if self.find_rate {
+            let mut options = RateOptions::default();
+            super::settings::set(&mut options.steps, self.trial_steps);
+            let report = console.while_showing("rates", "steps", |progress| {
+                find_rate(&subject, options, progress)
+            })?;
+            if let Some(out) = &self.out {
+                written(&report, out)?;
+            }
+            console.result(&report, || rates(&report))?;
+            return Ok(ExitCode::SUCCESS);
+        }
+        let mut options = CheckOptions::default();
+        super::settings::set(&mut options.steps, self.trial_steps);
+        let report =
+            console.while_showing("check", "steps", |progress| check(&subject, options, progress))?;
+        console.result(&report, || findings(&report))?;
+        Ok(if report.passed { ExitCode::SUCCESS } else { ExitCode::from(UNSOUND) })
+    }
+}
+
+fn findings(report: &CheckReport) -> String {
+    let mut table = Table::new(["", "check", "found", "expected"]);
+    for finding in &report.findings {
+        let mark = if finding.passed { "✓" } else { "✗" };
+        let cells = [mark, finding.name, &finding.found, &finding.expected];
+        table.row(cells.map(str::to_owned));
+    }
+    let failed = report.findings.iter().filter(|finding| !finding.passed).count();
+    let verdict = match failed {
+        0 => "all as it should be".to_owned(),
+        failed => format!("{failed} of {} not as they should be", report.findings.len()),
+    };
+    format!("{}\n\n{verdict}", table.text())
+}
+
+fn rates(report: &RateReport) -> String {
+    let diverged = match report.diverged {
+        Some(rate) => format!("exploded at {rate:.1e}"),
+        None => "did not explode".into(),
+    };
+    format!(
+        "the loss fell fastest at a learning rate of {:.1e}, was lowest at {:.1e} and {diverged}\n\
+         try --peak-rate {:.0e}",
+        report.steepest, report.lowest, report.suggested
+    )
+}
+
+fn written(report: &RateReport, out: &Path) -> Result {
+    files::create_dir(out)?;
+    let mut csv = "rate,loss,smoothed\n".to_owned();
+    for point in &report.points {
+        // Writing to a string cannot fail.
+        let _ = writeln!(csv, "{},{},{}", point.rate, point.loss, point.smoothed);
+    }
+    files::write_text(&out.join("rates.csv"), &csv)?;
+    let curve = |of: fn(&cape_train::trial::RatePoint) -> f64| {
+        report.points.iter().map(|point| (point.rate.log10(), of(point))).collect()
+    };
+    let plot = Plot {
+        title: "loss by learning rate".into(),
+        x_label: "learning rate, power of ten".into(),
+        y_label: "loss".into(),
+        series: vec![
+            Series { name: "loss".into(), points: curve(|point| point.loss) },
+            Series { name: "average".into(), points: curve(|point| point.smoothed) },
+        ],
+        log_y: false,
+    };
+    plot.draw(800, 500)?.save(out.join("rates.png"))?;
+    Ok(())
+}

@@ -1,0 +1,117 @@
+//! Short trials of a configuration that leave nothing behind: is it sound, and how fast may it
+//! learn?
+
+mod check;
+mod rate;
+
+use std::{path::Path, sync::Arc};
+
+use burn::tensor::Device;
+use cape_core::SmplModel;
+
+pub use check::{CheckOptions, CheckReport, Finding, check};
+pub use rate::{RateOptions, RatePoint, RateReport, find_rate};
+
+use crate::{
+    Result, RunConfig,
+    data::{
+        Loader, LoaderOptions, LoaderState, PackedSet, Part, Statistics, StepData, steps_per_epoch,
+    },
+    learner::Learner,
+    objective::StepInput,
+    run::{body_and_clothing, build_graphs, normal, tensor2, to_device},
+};
+
+/// What a trial is made with.
+#[derive(Debug, Clone, Copy)]
+pub struct Subject<'a> {
+    /// The packed set.
+    pub data: &'a Path,
+    /// SMPL's body, for packed sets without one.
+    pub body: Option<&'a Path>,
+    /// Clothing vertices, likewise.
+    pub clothing: Option<&'a Path>,
+    /// What is tried.
+    pub config: &'a RunConfig,
+    /// Where.
+    pub device: &'a Device,
+}
+
+/// Data and body, opened.
+struct Material {
+    set: Arc<PackedSet>,
+    statistics: Arc<Statistics>,
+    body: SmplModel,
+    clothing: Vec<usize>,
+    device: Device,
+}
+
+impl Material {
+    fn open(subject: &Subject<'_>) -> Result<Self> {
+        subject.config.validate()?;
+        let set = PackedSet::open(subject.data, Part::Train)?;
+        let statistics = Statistics::of_packed(subject.data, &mut crate::silent)?;
+        let (body, mask) =
+            body_and_clothing(subject.data, &set, subject.body, subject.clothing)?;
+        Ok(Self {
+            set: Arc::new(set),
+            statistics: Arc::new(statistics),
+            body,
+            clothing: mask.indices().collect(),
+            device: subject.device.clone().autodiff(),
+        })
+    }
+
+    fn learner(&self, config: &RunConfig) -> Result<Learner> {
+        Learner::new(config, build_graphs(config, &self.body, &self.device)?, &self.device)
+    }
+
+    fn batches(&self, config: &RunConfig) -> Result<Batches> {
+        let rows = self.statistics.training_rows(self.set.frames());
+        let options = LoaderOptions {
+            batch: config.train.batch,
+            discriminator: config.model.discriminator.is_some(),
+            ..LoaderOptions::default()
+        };
+        let state = LoaderState::new(config.train.seed);
+        Ok(Batches {
+            steps_per_epoch: steps_per_epoch(rows.len(), config.train.batch),
+            loader: Loader::new(
+                self.set.clone(),
+                self.statistics.clone(),
+                rows,
+                options,
+                state,
+            )?,
+            seed: config.train.seed,
+            latent: config.model.variational.then_some(config.model.latent),
+            device: self.device.clone(),
+            step: 0,
+        })
+    }
+}
+
+/// What training would see, step by step.
+struct Batches {
+    steps_per_epoch: usize,
+    loader: Loader,
+    seed: u64,
+    latent: Option<usize>,
+    device: Device,
+    step: u64,
+}
+
+impl Batches {
+    fn next(&mut self) -> Result<StepInput> {
+        let StepData { generator, discriminator, .. } = self.loader.step()?;
+        let count = generator.frames.len();
+        let noise = |latent| normal(self.seed, (1 << 32) + self.step, count, latent);
+        let epsilon = self.latent.map(|latent| tensor2(noise(latent), &self.device));
+        self.step += 1;
+        Ok(StepInput {
+            frames: to_device(generator, &self.device),
+            epsilon,
+            real: discriminator.map(|batch| to_device(batch, &self.device)),
+        })
+    }
+}
