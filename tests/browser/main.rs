@@ -14,8 +14,10 @@ use browser::{Browser, Rect, Scheme, Shot, View};
 use cape::render::Image;
 use support::Packed;
 
-const METHODS: [(&str, &str); 3] = [("mean", "mean shape"), ("pca", "PCA"), ("cape", "CAPE")];
-const WIDE: View = View { width: 1280, height: 2400, scheme: Scheme::Light };
+/// The methods' labels and classes of their rows.
+const METHODS: [(&str, &str); 3] = [("mean shape", ""), ("PCA", ""), ("CAPE", "reference")];
+/// Tall enough for the whole report.
+const WIDE: View = View { width: 1280, height: 7000, scheme: Scheme::Light };
 
 /// A table of three methods, made once by the command itself.
 fn report() -> PathBuf {
@@ -52,8 +54,8 @@ fn check(shot: &Shot, view: View) {
     let cells = first.header.len();
     assert!(cells > 3, "{:?}", first.header);
     assert_eq!(first.rows.len(), METHODS.len());
-    for (row, (class, label)) in first.rows.iter().zip(METHODS) {
-        assert_eq!((row.class.as_str(), row.cells[0].as_str()), (class, label));
+    for (row, (label, class)) in first.rows.iter().zip(METHODS) {
+        assert_eq!((row.cells[0].as_str(), row.class.as_str()), (label, class));
         assert_eq!(row.cells.len(), cells);
         assert!(row.cells.iter().all(|cell| !cell.trim().is_empty()), "{:?}", row.cells);
         assert!(colours(&shot.image, row.rect) > 8, "{label}: nothing is written");
@@ -67,7 +69,7 @@ fn check(shot: &Shot, view: View) {
         assert!(!image.alt.is_empty(), "an image without a description");
         let (rect, proportion) = (image.rect, image.width as f64 / image.height as f64);
         assert!((rect.width / rect.height / proportion - 1.0).abs() < 0.05, "{image:?}");
-        assert!(colours(&shot.image, rect) > 200, "nothing is to be seen: {image:?}");
+        assert!(colours(&shot.image, rect) > 50, "nothing is to be seen: {image:?}");
     }
 }
 

@@ -45,6 +45,7 @@ pub(crate) enum Command {
     #[command(name = "table2")]
     Table2(commands::table2::Table2),
     Compare(commands::compare::Compare),
+    FitPrior(commands::fit_prior::FitPrior),
     Sample(commands::sample::Sample),
     Import(commands::import::Import),
     Export(commands::export::Export),
@@ -65,6 +66,7 @@ impl Command {
             Self::Eval(command) => command.run(global, console)?,
             Self::Table2(command) => return command.run(global, console),
             Self::Compare(command) => command.run(global, console)?,
+            Self::FitPrior(command) => command.run(global, console)?,
             Self::Sample(command) => command.run(global, console)?,
             Self::Import(command) => command.run(global, console)?,
             Self::Export(command) => command.run(console)?,

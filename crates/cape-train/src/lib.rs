@@ -2,12 +2,12 @@
 //!
 //! [`data`] turns registrations in the release's raw layout into packed sets and packed sets into
 //! batches on host arrays; [`metrics`] measures reconstructions in millimetres and [`comparison`] puts
-//! methods side by side; [`tensorboard`] writes what training reports; [`bench`](mod@bench) times it all.
+//! methods side by side; [`tensorboard`] writes what training reports; [`bench`](mod@bench) times it
+//! all.
 
 mod average;
 pub mod bench;
 pub mod checkpoint;
-mod codes;
 pub mod comparison;
 pub mod config;
 pub mod data;
@@ -20,6 +20,7 @@ pub mod metrics;
 pub mod objective;
 pub mod optim;
 pub mod pca;
+pub mod prior;
 mod progress;
 pub mod release;
 mod run;
@@ -30,7 +31,6 @@ mod trainer;
 pub mod trial;
 mod validate;
 
-pub use codes::CodeDensity;
 pub use config::{Rule, RunConfig, Schedule, TrainConfig, WarmUp};
 pub use error::{Error, Result};
 pub use evaluate::{

@@ -93,6 +93,11 @@ impl RunPaths {
         self.root.join("tensorboard")
     }
 
+    /// A density of codes that was fitted after training, by its kind.
+    pub fn prior(&self, kind: &str) -> PathBuf {
+        self.root.join(format!("prior-{kind}.npz"))
+    }
+
     /// The last evaluation.
     pub fn evaluation(&self) -> PathBuf {
         self.root.join("eval.json")
@@ -293,6 +298,29 @@ impl Run {
     /// Where things are.
     pub fn paths(&self) -> &RunPaths {
         &self.paths
+    }
+
+    /// The packed set it was trained on, where that was.
+    ///
+    /// # Errors
+    /// If the run does not know, as an imported one, or the set is no longer there.
+    pub fn data(&self) -> Result<PathBuf> {
+        let path = self.paths.data();
+        if !path.exists() {
+            return Err(Error::argument(format!(
+                "{}: does not say what it was trained on: name the packed set",
+                self.paths.root().display()
+            )));
+        }
+        let data = read_identity(&path)?.path;
+        if !data.exists() {
+            return Err(Error::argument(format!(
+                "{}: not there any more: name the packed set that {} was trained on",
+                data.display(),
+                self.paths.root().display()
+            )));
+        }
+        Ok(data)
     }
 
     /// The run's configuration.

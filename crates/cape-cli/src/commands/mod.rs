@@ -5,6 +5,7 @@ pub(crate) mod compare;
 pub(crate) mod demo;
 pub(crate) mod eval;
 pub(crate) mod export;
+pub(crate) mod fit_prior;
 pub(crate) mod import;
 pub(crate) mod info;
 pub(crate) mod inspect;

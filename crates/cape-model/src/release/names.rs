@@ -13,6 +13,13 @@ use crate::{
 /// # Errors
 /// If a weight is not a parameter of the configuration; it is named.
 pub fn export(config: &CapeConfig, weights: &Weights) -> Result<Vec<(String, Array)>> {
+    if config.discriminator.as_ref().is_some_and(|discriminator| discriminator.spectral_norm) {
+        return Err(Error::Config {
+            field: "model.discriminator.spectral_norm".into(),
+            message: "the authors' networks have none: such weights mean something else there"
+                .into(),
+        });
+    }
     let named = weights.iter().map(|(ours, array)| {
         let theirs = official(config, ours).ok_or_else(|| Error::Weight {
             name: ours.clone(),

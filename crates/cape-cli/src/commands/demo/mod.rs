@@ -11,10 +11,12 @@ use burn::tensor::Device;
 use cape_core::{Outfit, obj, parse_device, synth};
 use cape_model::{CapeConfig, LossConfig};
 use cape_train::{
-    CodeDensity, EvalOptions, EvalReport, Event, Outcome, PosteriorUse, Run, RunConfig,
+    EvalOptions, EvalReport, Event, Outcome, PosteriorUse, Run, RunConfig,
     TrainConfig, Trainer,
     data::{PackOptions, Split, pack},
-    evaluate, write_json,
+    evaluate,
+    prior::{Codes, DensityKind, MixtureOptions, Prior},
+    silent, write_json,
 };
 use clap::Args;
 
@@ -32,7 +34,7 @@ use pictures::Losses;
 /// Training frames that show where each outfit's codes are.
 const CODE_FRAMES: usize = 256;
 /// Of the samples: a little closer to the typical outfit than the training frames.
-const TEMPERATURE: f32 = 0.5;
+const TEMPERATURE: f64 = 0.5;
 /// Part of the time after which training stops; the rest is for evaluation and pictures.
 const TRAINING_SHARE: f64 = 0.8;
 /// Marks a directory as a demo's, which the next demo may replace.
@@ -106,10 +108,10 @@ impl Demo {
 }
 
 /// Synthetic people and their split.
-pub(crate) fn captures(seed: u64) -> (synth::SynthSpec, Split) {
+pub(crate) fn captures(subjects: usize, frames: usize, seed: u64) -> (synth::SynthSpec, Split) {
     let spec = synth::SynthSpec {
-        subjects: 8,
-        frames_per_sequence: 2,
+        subjects,
+        frames_per_sequence: frames,
         seed,
         frame_rate: 1.5,
         ..synth::SynthSpec::default()
@@ -184,7 +186,7 @@ impl Setting {
     /// Synthetic captures, packed.
     fn data(&mut self) -> Result {
         let raw = self.path("raw");
-        let (spec, split) = captures(self.seed);
+        let (spec, split) = captures(8, 2, self.seed);
         self.stage("synth", "eight subjects in four outfits, fifteen movements", |this| {
             let body = synth::synthetic_body();
             let synth = synth::Synth::new(&body, spec)?;
@@ -239,8 +241,10 @@ impl Setting {
     fn pictures(&mut self, run: &Run, losses: &Losses) -> Result {
         self.stage("sample", "four outfits, meshes and pictures", |this| {
             // After so few steps the codes do not fill the prior yet.
-            let density = CodeDensity::fit(run, &this.path("packed"), CODE_FRAMES)?;
-            let codes = density.sample_each(TEMPERATURE, this.seed)?;
+            let seen = Codes::of_training(run, &this.path("packed"), CODE_FRAMES, &mut silent)?;
+            let options = MixtureOptions::default();
+            let prior = Prior::fit(&seen, DensityKind::Mixture(1), true, &options)?;
+            let codes = prior.sample_each(TEMPERATURE, this.seed)?;
             let mut rows = Vec::new();
             for (row, &(name, view)) in pictures::POSES.iter().enumerate() {
                 let pose = pose::preset(name)

@@ -10,8 +10,9 @@ use cape_core::{
     parse_device, ply,
 };
 use cape_render::{Tile, View, contact_sheet};
-use cape_train::Run;
+use cape_train::{Run, prior::Prior};
 use clap::{Args, ValueEnum};
+use ndarray::Array2;
 use serde::Serialize;
 
 use animated::Animated;
@@ -19,6 +20,7 @@ use names::Fields;
 
 use crate::{
     arguments::{Global, at_least_one},
+    commands::fit_prior::Kind,
     console::Console,
     dressed::{Dressed, Request, dress},
     error::{Error, Result},
@@ -38,7 +40,7 @@ const COLUMNS: usize = 6;
 ///
 /// Draws codes from the prior, decodes them under a pose and an outfit, and writes posed meshes,
 /// samples.jsonl with what each was made from, and contact_sheet.png. The same code is used for all
-/// outfits and all poses of a file.
+/// poses of a file and, from the standard normal prior, for all outfits.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  cape sample run --outfit all --pose a-pose --out samples\n  \
                         cape sample run --outfit longlong --pose dance.npy --n 3 --betas 1,-0.5 \
@@ -63,6 +65,13 @@ pub(crate) struct Sample {
     /// Codes to draw.
     #[arg(long, short, default_value_t = 1, value_name = "K", value_parser = at_least_one)]
     n: usize,
+    /// What codes are drawn from: the standard normal prior, or the mixture or kernel density that
+    /// `cape fit-prior` fitted.
+    #[arg(long, value_enum, default_value_t = PriorName::Normal)]
+    prior: PriorName,
+    /// Factor on how far codes are from what is typical: below 1 plainer, above 1 wilder.
+    #[arg(long, default_value_t = 1.0, value_name = "T")]
+    temperature: f64,
     /// Kind of mesh file: .ply comes with colours; .glb with colours, skeleton and skin, and with
     /// the poses of a file as one animation.
     #[arg(long, value_enum, default_value_t = Format::Obj)]
@@ -101,6 +110,13 @@ enum OutfitName {
     ShortShort,
     LongShort,
     LongLong,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum PriorName {
+    Normal,
+    Gmm,
+    Kde,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -179,20 +195,21 @@ impl Sample {
         }
         let skin = self.skin(&run)?;
         let seed = global.seed.unwrap_or(1);
-        let codes = run.sample_codes(self.n, seed);
+        let (codes, each) = self.codes(&run, seed, console)?;
         // All poses of an animation are in one file, which is listed and drawn in its first.
         let shown = match self.format {
             Format::Glb => &poses[..1],
             _ => &poses[..],
         };
         let (mut requests, mut lines) = (Vec::new(), Vec::new());
-        for code in 0..self.n {
+        for sample in 0..self.n {
             for (frame, (pose_name, pose)) in shown.iter().enumerate() {
-                for outfit in self.outfit.outfits() {
+                for (place, outfit) in self.outfit.outfits().into_iter().enumerate() {
+                    let code = sample + place * each;
                     requests.push(Request { outfit, pose: *pose, code });
                     let frames = shown.len();
                     let pose = pose_name;
-                    let fields = Fields { outfit, sample: code, frame, frames, pose, seed };
+                    let fields = Fields { outfit, sample, frame, frames, pose, seed };
                     lines.push(Line {
                         file: self.file_name(&fields)?,
                         outfit,
@@ -201,7 +218,7 @@ impl Sample {
                         axis_angles: requests[requests.len() - 1].pose.to_vec(),
                         betas: self.betas.clone(),
                         seed,
-                        sample: code,
+                        sample,
                         code: codes.row(code).to_vec(),
                     });
                 }
@@ -226,7 +243,7 @@ impl Sample {
                     let animated = Animated {
                         run: &run,
                         name: line.file.trim_end_matches(".glb"),
-                        code: codes.select(ndarray::Axis(0), &[line.sample]),
+                        code: codes.select(ndarray::Axis(0), &[requests[index].code]),
                         betas: &self.betas,
                         outfit: line.outfit,
                         poses: poses.iter().map(|(_, pose)| *pose).collect(),
@@ -257,6 +274,51 @@ impl Sample {
         let picture = self.picture(&tiles)?;
         let report = Report { files, picture, out: self.out };
         console.result(&report, || report.text(&lines))
+    }
+
+    /// Codes, and how many rows on those of the next outfit are: none if all outfits share them.
+    fn codes(&self, run: &Run, seed: u64, console: Console) -> Result<(Array2<f32>, usize)> {
+        let temperature = self.temperature;
+        if !(temperature.is_finite() && temperature >= 0.0) {
+            return Err(Error::message(format!("--temperature {temperature}: expected 0 or more")));
+        }
+        let kind = match self.prior {
+            PriorName::Normal => {
+                return Ok((run.sample_codes(self.n, seed) * temperature as f32, 0));
+            }
+            PriorName::Gmm => Kind::Gmm,
+            PriorName::Kde => Kind::Kde,
+        };
+        let path = run.paths().prior(kind.name());
+        if !path.exists() {
+            let (name, run) = (kind.name(), self.run.display());
+            return Err(Error::message(format!(
+                "{}: not there yet: make it by `cape fit-prior {run} --kind {name}`",
+                path.display()
+            )));
+        }
+        let prior = Prior::load(&path)?;
+        let latent = run.config().model.latent;
+        if prior.latent() != latent {
+            return Err(Error::message(format!(
+                "{}: codes of {} numbers, the model's have {latent}",
+                path.display(),
+                prior.latent()
+            )));
+        }
+        if prior.step().is_some_and(|step| step != run.progress().step) {
+            console.note(&format!(
+                "{} was fitted to another checkpoint: fit it again for this one",
+                path.display()
+            ));
+        }
+        let outfits = self.outfit.outfits();
+        let codes: Vec<_> =
+            outfits.iter().map(|&o| prior.sample(o, self.n, temperature, seed)).collect();
+        let views: Vec<_> = codes.iter().map(|codes| codes.view()).collect();
+        let codes = ndarray::concatenate(ndarray::Axis(0), &views)
+            .map_err(|error| Error::message(error.to_string()))?;
+        Ok((codes, self.n))
     }
 
     fn file_name(&self, fields: &Fields) -> Result<String> {

@@ -14,7 +14,7 @@ use crate::{
 const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:72rem;padding:0 \
 1rem;color:#222;background:#fff}table{border-collapse:collapse;margin:1rem 0;font-variant-numeric:\
 tabular-nums}th,td{padding:.3rem .7rem;border-bottom:1px solid #ddd;text-align:right}th:first-child,\
-td:first-child{text-align:left}div.wide{overflow-x:auto}img{max-width:100%}div.wide img{max-width:none}figure{margin:1rem 0}figcaption{color:#777}pre{background:#f5f5f6;\
+td:first-child{text-align:left}div.wide{overflow-x:auto}img{max-width:100%}div.wide img{max-width:160%}figure{margin:1rem 0}figcaption{color:#777}pre{background:#f5f5f6;\
 padding:1rem;overflow-x:auto}tr.reference{background:#f0f6ff}@media(prefers-color-scheme:dark){body{color:\
 #ddd;background:#17181a}th,td{border-color:#3a3b3e}pre{background:#222326}tr.reference{background:#1d2733}}";
 
