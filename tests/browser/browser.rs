@@ -178,9 +178,8 @@ impl Browser {
             // To files: a browser whose output nobody reads would wait.
             .stdout(File::create(&out).unwrap())
             .stderr(File::create(&log).unwrap());
-        let mut child = command
-            .spawn()
-            .unwrap_or_else(|error| panic!("{}: {error}", self.0.display()));
+        let mut child =
+            command.spawn().unwrap_or_else(|error| panic!("{}: {error}", self.0.display()));
         let start = Instant::now();
         let read = |path| String::from_utf8_lossy(&fs::read(path).unwrap()).into_owned();
         let status = loop {

@@ -5,6 +5,7 @@ mod bad_places;
 mod bench;
 mod commands;
 mod files;
+mod priors;
 mod support;
 mod tf_writer;
 mod training;

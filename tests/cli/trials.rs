@@ -46,3 +46,23 @@ fn a_learning_rate_is_suggested_below_the_one_that_explodes() {
     assert_eq!(csv.lines().count(), 1 + report["points"].as_array().unwrap().len());
     Image::load(data.at("rates/rates.png")).unwrap();
 }
+
+#[test]
+fn tensorboard_gets_curves_histograms_and_pictures() {
+    let data = Packed::new();
+    data.run("train --data @/packed --out @/run --preset tiny --epochs 2 --batch 4").succeeded();
+    let files = crate::support::contents(&data.at("run/tensorboard"));
+    let [(_, events)] = files.as_slice() else { panic!("{} files", files.len()) };
+    let holds = |text: &str| events.windows(text.len()).any(|part| part == text.as_bytes());
+    for tag in [
+        "train/gradient_norm_pose",
+        "train/discriminator_accuracy",
+        "validation/active_units",
+        "validation/error_mm",
+        "validation/reconstructions",
+        "weights/generator.encoder.mean.weight",
+        "PNG",
+    ] {
+        assert!(holds(tag), "`{tag}` is not there");
+    }
+}

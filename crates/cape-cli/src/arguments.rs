@@ -1,5 +1,6 @@
 use std::process::ExitCode;
 
+use cape_core::Outfit;
 use clap::{Args, Parser, Subcommand};
 
 use crate::{commands, console::Console, error::Result};
@@ -47,6 +48,9 @@ pub(crate) enum Command {
     Compare(commands::compare::Compare),
     FitPrior(commands::fit_prior::FitPrior),
     Sample(commands::sample::Sample),
+    EvalSamples(commands::eval_samples::EvalSamples),
+    Animate(commands::animate::Animate),
+    PoseEffect(commands::pose_effect::PoseEffect),
     Import(commands::import::Import),
     Export(commands::export::Export),
     Inspect(commands::inspect::Inspect),
@@ -68,6 +72,9 @@ impl Command {
             Self::Compare(command) => command.run(global, console)?,
             Self::FitPrior(command) => command.run(global, console)?,
             Self::Sample(command) => command.run(global, console)?,
+            Self::EvalSamples(command) => command.run(global, console)?,
+            Self::Animate(command) => command.run(global, console)?,
+            Self::PoseEffect(command) => command.run(global, console)?,
             Self::Import(command) => command.run(global, console)?,
             Self::Export(command) => command.run(console)?,
             Self::Inspect(command) => command.run(console)?,
@@ -92,6 +99,11 @@ pub(crate) fn at_least_one(text: &str) -> Result<usize, String> {
         Ok(count) => Ok(count),
         Err(_) => Err("expected a whole number".into()),
     }
+}
+
+/// Parses the name of an outfit.
+pub(crate) fn outfit(text: &str) -> Result<Outfit, String> {
+    text.parse().map_err(|error: cape_core::Error| error.to_string())
 }
 
 #[cfg(test)]

@@ -55,30 +55,56 @@ pub(crate) fn dress(
     requests: &[Request],
     mut each: impl FnMut(usize, Dressed) -> Result,
 ) -> Result {
-    let body = run.body();
-    let mask = ClothingMask::from_indices(body.vertices(), run.clothing())?;
-    let smpl = Smpl::new(body, run.device())?;
-    let clothed = ClothedSmpl::new(smpl).with_mask(&mask)?;
+    let wearer = Wearer::new(run)?;
     for (chunk_index, chunk) in requests.chunks(BATCH).enumerate() {
         let rows: Vec<usize> = chunk.iter().map(|request| request.code).collect();
         let z = codes.select(Axis(0), &rows);
         let poses: Vec<Pose> = chunk.iter().map(|request| request.pose).collect();
         let outfits: Vec<Outfit> = chunk.iter().map(|request| request.outfit).collect();
         let displacement = run.decode(&z, &poses, &outfits)?;
-        let vertices = posed(&clothed, betas, &poses, Some(&displacement), run.device())?;
-        for (index, request) in chunk.iter().enumerate() {
-            let worn = displacement.slice(s![index, .., ..]);
-            each(
-                chunk_index * BATCH + index,
-                Dressed {
-                    mesh: mesh(body, vertices.slice(s![index, .., ..])),
-                    colours: colours(body, &mask, worn, request.outfit),
-                    distances: distances(&mask, worn),
-                },
-            )?;
+        let bodies = wearer.wear(betas, &outfits, &poses, &displacement)?;
+        for (index, body) in bodies.into_iter().enumerate() {
+            each(chunk_index * BATCH + index, body)?;
         }
     }
     Ok(())
+}
+
+/// A run's body, ready to be dressed.
+pub(crate) struct Wearer<'a> {
+    run: &'a Run,
+    mask: ClothingMask,
+    clothed: ClothedSmpl,
+}
+
+impl<'a> Wearer<'a> {
+    pub(crate) fn new(run: &'a Run) -> Result<Self> {
+        let mask = ClothingMask::from_indices(run.body().vertices(), run.clothing())?;
+        let smpl = Smpl::new(run.body(), run.device())?;
+        Ok(Self { run, clothed: ClothedSmpl::new(smpl).with_mask(&mask)?, mask })
+    }
+
+    /// Bodies in given clothes: displacements `[n, vertices, 3]` in metres, of which those at
+    /// clothing vertices apply; an outfit and a pose for each.
+    pub(crate) fn wear(
+        &self,
+        betas: &[f32],
+        outfits: &[Outfit],
+        poses: &[Pose],
+        displacement: &Array3<f32>,
+    ) -> Result<Vec<Dressed>> {
+        let (body, mask) = (self.run.body(), &self.mask);
+        let vertices = posed(&self.clothed, betas, poses, Some(displacement), self.run.device())?;
+        let bodies = vertices.axis_iter(Axis(0)).zip(displacement.axis_iter(Axis(0)));
+        Ok(bodies
+            .zip(outfits)
+            .map(|((vertices, worn), &outfit)| Dressed {
+                mesh: mesh(body, vertices),
+                colours: colours(body, mask, worn, outfit),
+                distances: distances(mask, worn),
+            })
+            .collect())
+    }
 }
 
 /// The body without clothes.

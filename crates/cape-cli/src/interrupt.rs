@@ -8,6 +8,7 @@ use std::{
 
 use crate::{
     console::Console,
+    dashboard,
     error::{Error, Result},
 };
 
@@ -22,7 +23,11 @@ impl Interrupt {
         let seen = asked.clone();
         ctrlc::set_handler(move || {
             if seen.swap(true, Ordering::SeqCst) {
+                dashboard::restore();
                 process::exit(130);
+            }
+            if dashboard::ask_to_stop() {
+                return;
             }
             console.note("\nfinishing the step and saving; interrupt again to stop at once");
         })

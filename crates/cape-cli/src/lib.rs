@@ -6,12 +6,14 @@ mod arguments;
 mod commands;
 mod comparison;
 mod console;
+mod dashboard;
 mod dressed;
 mod error;
 mod files;
 mod interrupt;
 mod mesh_file;
 mod pose;
+mod priors;
 mod table;
 mod training;
 

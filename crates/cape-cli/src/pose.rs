@@ -33,14 +33,28 @@ pub(crate) fn poses(text: &str) -> Result<Vec<(String, Pose)>> {
         from_archive(path)?
     } else if has_extension(path, "npy") {
         ("poses", read_f64(path)?)
+    } else if has_extension(path, "csv") {
+        ("rows", from_csv(path)?)
     } else {
         let names: Vec<&str> = Motion::ALL.iter().map(|motion| motion.name()).collect();
         return Err(Error::message(format!(
-            "unknown pose `{text}`: expected t-pose, a-pose, walk, {}, or a file (.npy or .npz)",
+            "unknown pose `{text}`: expected t-pose, a-pose, walk, {}, or a file (.npy, .npz or .csv)",
             names.join(", ")
         )));
     };
     numbers(path, field, &array)
+}
+
+/// `seconds` of a movement by name, or all poses of a file.
+pub(crate) fn movement(text: &str, seconds: f64, frames_per_second: f64) -> Result<Vec<Pose>> {
+    let name = if text == "walk" { Motion::WalkMarch.name() } else { text };
+    if let Some(motion) = Motion::ALL.into_iter().find(|motion| motion.name() == name) {
+        let frames = (seconds * frames_per_second).round().max(1.0) as usize;
+        let style = MotionStyle::default();
+        let at = |frame: usize| motion.pose(&style, frame as f64 / frames_per_second);
+        return Ok((0..frames).map(|frame| at(frame).map(|angle| angle as f32)).collect());
+    }
+    Ok(poses(text)?.into_iter().map(|(_, pose)| pose).collect())
 }
 
 /// The pose of that name.
@@ -67,11 +81,44 @@ fn from_archive(path: &Path) -> Result<(&'static str, ArrayD<f64>)> {
     Ok((field, archive.f64(field)?))
 }
 
+/// Rows of numbers; a first row of names is left out.
+fn from_csv(path: &Path) -> Result<ArrayD<f64>> {
+    let text = std::fs::read_to_string(path).map_err(|error| Error::io(path, error))?;
+    let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    let (mut rows, mut width, mut values) = (0, 0, Vec::new());
+    for (index, line) in lines {
+        let cells: Result<Vec<f64>, _> = line.split(',').map(|cell| cell.trim().parse()).collect();
+        let row = match cells {
+            Ok(row) => row,
+            Err(_) if rows == 0 => continue,
+            Err(_) => {
+                let message = format!("line {}: expected numbers between commas", index + 1);
+                return Err(cape_core::Error::format(path, message).into());
+            }
+        };
+        if rows > 0 && row.len() != width {
+            let message = format!("line {}: {} numbers, expected {width}", index + 1, row.len());
+            return Err(cape_core::Error::format(path, message).into());
+        }
+        (rows, width) = (rows + 1, row.len());
+        values.extend(row);
+    }
+    ArrayD::from_shape_vec(vec![rows, width], values)
+        .map_err(|error| Error::message(format!("{}: {error}", path.display())))
+}
+
+/// Numbers of a pose in files for SMPL, SMPL+H (as AMASS has them) and SMPL-X. The first 22 joints
+/// are the same in all of them; of hands, which clothes do not follow, none is taken from the latter.
+const WIDTHS: [usize; 3] = [72, 156, 165];
+const BODY: usize = 66;
+
 fn numbers(path: &Path, field: &str, array: &ArrayD<f64>) -> Result<Vec<(String, Pose)>> {
+    let width = array.shape().last().copied().filter(|width| WIDTHS.contains(width));
+    let width = width.unwrap_or(WIDTHS[0]);
     if array.ndim() == 1 {
-        expect_shape(path, field, array.shape(), &[Some(72)])?;
+        expect_shape(path, field, array.shape(), &[Some(width)])?;
     } else {
-        expect_shape(path, field, array.shape(), &[None, Some(72)])?;
+        expect_shape(path, field, array.shape(), &[None, Some(width)])?;
     }
     if let Some(at) = array.iter().position(|angle| !angle.is_finite()) {
         let message = format!("number {at} is not finite");
@@ -82,7 +129,15 @@ fn numbers(path: &Path, field: &str, array: &ArrayD<f64>) -> Result<Vec<(String,
     }
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let angles: Vec<f32> = array.iter().map(|&angle| angle as f32).collect();
-    let (poses, _) = angles.as_chunks::<72>();
+    let poses: Vec<Pose> = angles
+        .chunks(width)
+        .map(|row| {
+            let taken = if width == 72 { 72 } else { BODY };
+            let mut pose = [0.0; 72];
+            pose[..taken].copy_from_slice(&row[..taken]);
+            pose
+        })
+        .collect();
     let name = |index| if poses.len() == 1 { stem.clone() } else { format!("{stem} {index}") };
     Ok(poses.iter().enumerate().map(|(index, &pose)| (name(index), pose)).collect())
 }
@@ -118,6 +173,21 @@ mod tests {
         }
         write_npy(&path, &Array1::from_elem(72, f64::NAN)).unwrap();
         assert!(load(&path).unwrap_err().to_string().contains("not finite"));
+        let mut amass = Array2::from_elem((2, 156), 0.5);
+        amass[[1, 66]] = 9.0;
+        write_npy(&path, &amass).unwrap();
+        let pose = load(&path).unwrap()[1].1;
+        assert_eq!((pose[65], pose[66]), (0.5, 0.0));
+
+        let path = directory.path().join("table.csv");
+        let row = vec!["0.5"; 72].join(",");
+        std::fs::write(&path, format!("{}\n{row}\n\n{row}\n", vec!["a"; 72].join(","))).unwrap();
+        assert_eq!(load(&path).unwrap().len(), 2);
+        std::fs::write(&path, format!("{row}\n{row},1\n")).unwrap();
+        assert!(load(&path).unwrap_err().to_string().contains("line 2"));
+        std::fs::write(&path, format!("{row}\n0.5,x\n")).unwrap();
+        assert!(load(&path).unwrap_err().to_string().contains("line 2"));
+
         let path = directory.path().join("frame.npz");
         let mut archive = NpzWriter::create(&path).unwrap();
         archive.add("pose", &Array1::from_elem(72, 0.5)).unwrap();

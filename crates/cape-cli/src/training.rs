@@ -9,6 +9,7 @@ use indicatif::ProgressBar;
 
 use crate::{
     console::{Console, seconds},
+    dashboard::Dashboard,
     error::Result,
 };
 
@@ -16,14 +17,21 @@ use crate::{
 pub(crate) fn run(
     trainer: &mut Trainer,
     console: Console,
+    mut dashboard: Option<Dashboard>,
     mut stop: impl FnMut(&Event) -> bool,
 ) -> Result<Outcome> {
     let epochs = trainer.config().train.epochs;
     trainer.illustrate_with(illustrator(SmplModel::load(trainer.paths().body())?.mesh()));
     let mut watch = Watch::new(console, epochs);
     let outcome = trainer.run(&mut |event| {
-        watch.see(event);
-        if stop(event) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        let mut over = stop(event);
+        if let Some(dashboard) = &mut dashboard {
+            dashboard.see(event);
+            over |= dashboard.asked_to_stop();
+        } else {
+            watch.see(event);
+        }
+        if over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     watch.bar.finish_and_clear();
     Ok(outcome?)
@@ -83,11 +91,7 @@ impl Watch {
                 self.step(*epoch, *step, *steps, losses, *seconds);
             }
             Event::Validation {
-                epoch,
-                millimetres,
-                active_units,
-                discriminator_accuracy,
-                ..
+                epoch, millimetres, active_units, discriminator_accuracy, ..
             } => {
                 let mut line = self.line(*epoch, Some(*millimetres));
                 line += &format!("  {active_units} active");

@@ -1,6 +1,9 @@
 //! The terms of CAPE's objective (§4.3).
 
-use burn::tensor::{Tensor, activation::{log_sigmoid, relu}};
+use burn::tensor::{
+    Tensor,
+    activation::{log_sigmoid, relu},
+};
 use cape_graph::{SparseMatrix, sparse_matmul};
 use serde::{Deserialize, Serialize};
 

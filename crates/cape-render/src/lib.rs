@@ -5,6 +5,7 @@
 //! same picture whatever their number. [`contact_sheet`] puts pictures side by side, [`Plot`] draws
 //! curves.
 
+mod animation;
 mod camera;
 mod colour;
 mod error;
@@ -16,6 +17,7 @@ mod shade;
 mod sheet;
 mod text;
 
+pub use animation::save_animation;
 pub use camera::{Bounds, Camera, Projection, View};
 pub use colour::colour_of;
 pub use error::{Error, Result};

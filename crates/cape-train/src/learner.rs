@@ -96,8 +96,7 @@ impl Learner {
         let opponent = discriminator.as_ref().zip(evaluation.discriminator.as_ref());
         let discriminator_norm =
             opponent.map(|(discriminator, gradients)| global_norm(discriminator, gradients));
-        let norms =
-            generator_norm.is_finite() && discriminator_norm.is_none_or(f64::is_finite);
+        let norms = generator_norm.is_finite() && discriminator_norm.is_none_or(f64::is_finite);
         if let Some(what) = evaluation.losses.non_finite().or((!norms).then_some("the gradient")) {
             return Err(what);
         }
@@ -148,11 +147,7 @@ impl Learner {
         self.steps = saved.progress.step;
         self.generator.restore(&self.model.generator, &saved.generator_momentum, self.steps)?;
         if let Some(discriminator) = &self.model.discriminator {
-            self.discriminator.restore(
-                discriminator,
-                &saved.discriminator_momentum,
-                self.steps,
-            )?;
+            self.discriminator.restore(discriminator, &saved.discriminator_momentum, self.steps)?;
         }
         // An imported checkpoint has no average: it begins with the next step.
         if let (Some(average), Some(state)) = (&mut self.average, &saved.average) {

@@ -22,6 +22,7 @@ pub mod optim;
 pub mod pca;
 pub mod prior;
 mod progress;
+pub mod quality;
 pub mod release;
 mod run;
 mod staging;

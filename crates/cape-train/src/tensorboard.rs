@@ -323,7 +323,10 @@ mod tests {
         let events = read(writer.path());
         let [_, image, weights, same] = events.as_slice() else { panic!("{events:?}") };
         assert_eq!((image.tag.as_str(), image.step), ("view", 7));
-        assert_eq!((image.numbers.as_slice(), &image.bytes[..]), (&[2.0, 3.0, 4.0][..], &b"png"[..]));
+        assert_eq!(
+            (image.numbers.as_slice(), &image.bytes[..]),
+            (&[2.0, 3.0, 4.0][..], &b"png"[..])
+        );
         assert_eq!(weights.numbers, [-1.0, 3.0, 4.0, 6.0, 20.0]);
         let doubles = |bytes: &[u8]| -> Vec<f64> {
             bytes.chunks(8).map(|x| f64::from_le_bytes(x.try_into().unwrap())).collect()

@@ -48,13 +48,13 @@ pub(crate) struct FitPrior {
 
 /// Kinds of densities, as files are named.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Kind {
+enum Kind {
     Gmm,
     Kde,
 }
 
 impl Kind {
-    pub(crate) const fn name(self) -> &'static str {
+    const fn name(self) -> &'static str {
         match self {
             Self::Gmm => "gmm",
             Self::Kde => "kde",

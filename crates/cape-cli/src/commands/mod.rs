@@ -1,15 +1,18 @@
 //! One module for each command.
 
+pub(crate) mod animate;
 pub(crate) mod bench;
 pub(crate) mod compare;
 pub(crate) mod demo;
 pub(crate) mod eval;
+pub(crate) mod eval_samples;
 pub(crate) mod export;
 pub(crate) mod fit_prior;
 pub(crate) mod import;
 pub(crate) mod info;
 pub(crate) mod inspect;
 pub(crate) mod pack;
+pub(crate) mod pose_effect;
 pub(crate) mod pyramid;
 pub(crate) mod sample;
 pub(crate) mod synth;

@@ -30,10 +30,9 @@ impl Codes {
     /// If a code has another size.
     pub fn new(latent: usize, rows: Vec<(Outfit, Vec<f64>)>) -> Result<Self> {
         match rows.iter().find(|(_, code)| code.len() != latent) {
-            Some((_, code)) => Err(Error::argument(format!(
-                "a code of {} numbers, expected {latent}",
-                code.len()
-            ))),
+            Some((_, code)) => {
+                Err(Error::argument(format!("a code of {} numbers, expected {latent}", code.len())))
+            }
             None => Ok(Self { latent, rows, step: None }),
         }
     }

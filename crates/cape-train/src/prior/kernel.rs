@@ -94,7 +94,8 @@ fn leave_one_out(squares: &Array2<f64>, d: usize, bandwidth: f64) -> f64 {
         .into_iter()
         .enumerate()
         .map(|(own, row)| {
-            let others = || row.iter().enumerate().filter(|(j, _)| *j != own).map(|(_, s)| s * scale);
+            let others =
+                || row.iter().enumerate().filter(|(j, _)| *j != own).map(|(_, s)| s * scale);
             let most = others().fold(f64::NEG_INFINITY, f64::max);
             most + others().map(|x| (x - most).exp()).sum::<f64>().ln()
         })

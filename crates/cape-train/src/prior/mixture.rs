@@ -195,11 +195,8 @@ impl Mixture {
     pub fn bic(&self, points: ArrayView2<'_, f64>) -> f64 {
         let (count, d) = (self.components() as f64, self.dimensions() as f64);
         let parameters = count - 1.0 + count * d + count * d * (d + 1.0) / 2.0;
-        let likelihood: f64 = points
-            .rows()
-            .into_iter()
-            .map(|row| self.log_density(&row.to_vec()))
-            .sum();
+        let likelihood: f64 =
+            points.rows().into_iter().map(|row| self.log_density(&row.to_vec())).sum();
         parameters * (points.nrows() as f64).ln() - 2.0 * likelihood
     }
 
@@ -263,7 +260,8 @@ impl<'a> Fit<'a> {
         let spread: f64 = points.iter().map(|point| (point - &centre).norm_squared()).sum();
         let variance = spread / (points.len() * d) as f64;
         // Equal points have no spread: anything small will do.
-        let floor = if variance > 0.0 { options.regularisation.max(1e-12) * variance } else { 1e-6 };
+        let floor =
+            if variance > 0.0 { options.regularisation.max(1e-12) * variance } else { 1e-6 };
         let centres = spread_out(points, components, rng);
         let mut shares = vec![vec![0.0; components]; points.len()];
         for (share, point) in shares.iter_mut().zip(points) {
@@ -342,11 +340,7 @@ fn identity(d: usize, variance: f64) -> Cholesky<f64, Dyn> {
 }
 
 /// k-means++: each next centre is drawn by its squared distance to those there are.
-fn spread_out(
-    points: &[DVector<f64>],
-    count: usize,
-    rng: &mut ChaCha8Rng,
-) -> Vec<DVector<f64>> {
+fn spread_out(points: &[DVector<f64>], count: usize, rng: &mut ChaCha8Rng) -> Vec<DVector<f64>> {
     let mut centres = vec![points[rng.random_range(0..points.len())].clone()];
     let mut distances = vec![f64::INFINITY; points.len()];
     while centres.len() < count {
@@ -407,8 +401,8 @@ mod tests {
                 let c = covariances.index_axis(Axis(0), k);
                 let determinant = c[[0, 0]] * c[[1, 1]] - c[[0, 1]] * c[[1, 0]];
                 let (x, y) = (point[0] - mixture.means[k][0], point[1] - mixture.means[k][1]);
-                let square = (c[[1, 1]] * x * x - 2.0 * c[[0, 1]] * x * y + c[[0, 0]] * y * y)
-                    / determinant;
+                let square =
+                    (c[[1, 1]] * x * x - 2.0 * c[[0, 1]] * x * y + c[[0, 0]] * y * y) / determinant;
                 sum += mixture.weights[k] * (-0.5 * square).exp()
                     / (2.0 * std::f64::consts::PI * determinant.sqrt());
             }

@@ -248,9 +248,8 @@ mod tests {
         let options = MixtureOptions::default();
         for kind in [DensityKind::Mixture(1), DensityKind::MixtureUpTo(3), DensityKind::Kernel] {
             let prior = Prior::fit(&codes(), kind, true, &options).unwrap();
-            let mean = |outfit, temperature| {
-                prior.sample(outfit, 2000, temperature, 4).mean().unwrap()
-            };
+            let mean =
+                |outfit, temperature| prior.sample(outfit, 2000, temperature, 4).mean().unwrap();
             assert!((mean(Outfit::LongLong, 1.0) - 3.0).abs() < 0.1, "{kind:?}");
             assert!((mean(Outfit::ShortShort, 1.0) + 3.0).abs() < 0.1, "{kind:?}");
             assert!(mean(Outfit::LongShort, 1.0).abs() < 0.1, "not seen: the standard normal");
@@ -267,11 +266,12 @@ mod tests {
     fn files_come_back_and_broken_ones_are_named() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("prior.npz");
-        for (kind, by_outfit) in
-            [(DensityKind::Mixture(2), true), (DensityKind::Kernel, true), (DensityKind::Kernel, false)]
-        {
-            let prior =
-                Prior::fit(&codes(), kind, by_outfit, &MixtureOptions::default()).unwrap();
+        for (kind, by_outfit) in [
+            (DensityKind::Mixture(2), true),
+            (DensityKind::Kernel, true),
+            (DensityKind::Kernel, false),
+        ] {
+            let prior = Prior::fit(&codes(), kind, by_outfit, &MixtureOptions::default()).unwrap();
             prior.save(&path).unwrap();
             let loaded = Prior::load(&path).unwrap();
             let [a, b] = [&prior, &loaded].map(|p| p.sample(Outfit::LongLong, 50, 1.0, 2));

@@ -123,8 +123,7 @@ fn overfit(
     let chosen: Vec<usize> = (0..count).map(|i| rows.start + i * rows.len() / count).collect();
     let batch = material.set.batch(&chosen, Some(&material.statistics))?;
     let fixed = to_device(batch.clone(), &material.device.clone().inner());
-    let input =
-        StepInput { frames: to_device(batch, &material.device), epsilon: None, real: None };
+    let input = StepInput { frames: to_device(batch, &material.device), epsilon: None, real: None };
     let mut learner = material.learner(&config)?;
     let (mut best, mut steps) = (f64::INFINITY, 0);
     while steps < options.overfit_steps && best > options.target_mm {
@@ -243,9 +242,8 @@ fn of_updates(config: &RunConfig, updates: &[Update]) -> Vec<Finding> {
         found: format!("norms from {least:.2} to {most:.2}, {clipped} of {} clipped", norms.len()),
         expected: "none of them zero".into(),
     });
-    for (net, name) in ["gradients reach the pose net", "gradients reach the outfit net"]
-        .into_iter()
-        .enumerate()
+    for (net, name) in
+        ["gradients reach the pose net", "gradients reach the outfit net"].into_iter().enumerate()
     {
         let norms: Vec<f64> = updates.iter().filter_map(|u| u.condition_norms[net]).collect();
         if !norms.is_empty() {

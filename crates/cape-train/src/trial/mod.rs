@@ -51,8 +51,7 @@ impl Material {
         subject.config.validate()?;
         let set = PackedSet::open(subject.data, Part::Train)?;
         let statistics = Statistics::of_packed(subject.data, &mut crate::silent)?;
-        let (body, mask) =
-            body_and_clothing(subject.data, &set, subject.body, subject.clothing)?;
+        let (body, mask) = body_and_clothing(subject.data, &set, subject.body, subject.clothing)?;
         Ok(Self {
             set: Arc::new(set),
             statistics: Arc::new(statistics),
@@ -76,13 +75,7 @@ impl Material {
         let state = LoaderState::new(config.train.seed);
         Ok(Batches {
             steps_per_epoch: steps_per_epoch(rows.len(), config.train.batch),
-            loader: Loader::new(
-                self.set.clone(),
-                self.statistics.clone(),
-                rows,
-                options,
-                state,
-            )?,
+            loader: Loader::new(self.set.clone(), self.statistics.clone(), rows, options, state)?,
             seed: config.train.seed,
             latent: config.model.variational.then_some(config.model.latent),
             device: self.device.clone(),

@@ -115,7 +115,8 @@ impl Curve {
         };
         // The average lags behind its steps; the first ones are of few.
         let settled = points.get(MEMORY as usize..).unwrap_or_default();
-        let falls = settled.windows(4).map(|four| (four[0].smoothed - four[3].smoothed, four[2].rate));
+        let falls =
+            settled.windows(4).map(|four| (four[0].smoothed - four[3].smoothed, four[2].rate));
         let steepest = falls.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(lowest, |(_, rate)| rate);
         Ok(RateReport { points, lowest, steepest, diverged, suggested: lowest / 3.0 })
     }

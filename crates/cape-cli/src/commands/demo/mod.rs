@@ -11,8 +11,7 @@ use burn::tensor::Device;
 use cape_core::{Outfit, obj, parse_device, synth};
 use cape_model::{CapeConfig, LossConfig};
 use cape_train::{
-    EvalOptions, EvalReport, Event, Outcome, PosteriorUse, Run, RunConfig,
-    TrainConfig, Trainer,
+    EvalOptions, EvalReport, Event, Outcome, PosteriorUse, Run, RunConfig, TrainConfig, Trainer,
     data::{PackOptions, Split, pack},
     evaluate,
     prior::{Codes, DensityKind, MixtureOptions, Prior},
@@ -214,7 +213,7 @@ impl Setting {
             let (run, packed) = (this.path("run"), this.path("packed"));
             let mut trainer = Trainer::create(&run, &packed, None, None, config, &this.device)?;
             let mut losses = Losses::default();
-            let outcome = training::run(&mut trainer, this.console, |event| {
+            let outcome = training::run(&mut trainer, this.console, None, |event| {
                 losses.see(event);
                 matches!(event, Event::Step { .. }) && Instant::now() >= deadline
             })?;

@@ -20,24 +20,24 @@ const MOST_FRAMES: usize = 2000;
 const BATCH: usize = 64;
 
 /// One sample in one outfit, moving through poses.
-pub(super) struct Animated<'a> {
-    pub(super) run: &'a Run,
-    pub(super) name: &'a str,
+pub(crate) struct Animated<'a> {
+    pub(crate) run: &'a Run,
+    pub(crate) name: &'a str,
     /// Latent code, `[1, latent]`.
-    pub(super) code: Array2<f32>,
-    pub(super) betas: &'a [f32],
-    pub(super) outfit: Outfit,
-    pub(super) poses: Vec<Pose>,
-    pub(super) frames_per_second: f32,
+    pub(crate) code: Array2<f32>,
+    pub(crate) betas: &'a [f32],
+    pub(crate) outfit: Outfit,
+    pub(crate) poses: Vec<Pose>,
+    pub(crate) frames_per_second: f32,
     /// Shape directions added as morph targets.
-    pub(super) shape_targets: usize,
-    pub(super) colours: Option<&'a [[f32; 3]]>,
-    pub(super) texture: Option<Texture<'a>>,
+    pub(crate) shape_targets: usize,
+    pub(crate) colours: Option<&'a [[f32; 3]]>,
+    pub(crate) texture: Option<Texture<'a>>,
 }
 
 impl Animated<'_> {
     /// Decodes every pose and writes a `.glb` file.
-    pub(super) fn write(self, path: &Path) -> Result {
+    pub(crate) fn write(self, path: &Path) -> Result {
         if self.poses.len() > MOST_FRAMES {
             return Err(Error::message(format!(
                 "{} poses, but a glTF file takes at most {MOST_FRAMES}: give fewer, or write .obj \

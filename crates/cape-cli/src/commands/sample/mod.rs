@@ -10,22 +10,21 @@ use cape_core::{
     parse_device, ply,
 };
 use cape_render::{Tile, View, contact_sheet};
-use cape_train::{Run, prior::Prior};
+use cape_train::Run;
 use clap::{Args, ValueEnum};
-use ndarray::Array2;
 use serde::Serialize;
 
-use animated::Animated;
+pub(crate) use animated::Animated;
 use names::Fields;
 
 use crate::{
     arguments::{Global, at_least_one},
-    commands::fit_prior::Kind,
     console::Console,
     dressed::{Dressed, Request, dress},
     error::{Error, Result},
     files,
     pose::poses,
+    priors::{PriorName, checked_temperature, codes},
     table::Table,
 };
 
@@ -113,13 +112,6 @@ enum OutfitName {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum PriorName {
-    Normal,
-    Gmm,
-    Kde,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Format {
     Obj,
     Ply,
@@ -195,7 +187,9 @@ impl Sample {
         }
         let skin = self.skin(&run)?;
         let seed = global.seed.unwrap_or(1);
-        let (codes, each) = self.codes(&run, seed, console)?;
+        let temperature = checked_temperature(self.temperature)?;
+        let outfits = self.outfit.outfits();
+        let codes = codes(&run, self.prior, &outfits, self.n, temperature, seed, console)?;
         // All poses of an animation are in one file, which is listed and drawn in its first.
         let shown = match self.format {
             Format::Glb => &poses[..1],
@@ -204,8 +198,8 @@ impl Sample {
         let (mut requests, mut lines) = (Vec::new(), Vec::new());
         for sample in 0..self.n {
             for (frame, (pose_name, pose)) in shown.iter().enumerate() {
-                for (place, outfit) in self.outfit.outfits().into_iter().enumerate() {
-                    let code = sample + place * each;
+                for (place, &outfit) in outfits.iter().enumerate() {
+                    let code = sample + place * self.n;
                     requests.push(Request { outfit, pose: *pose, code });
                     let frames = shown.len();
                     let pose = pose_name;
@@ -274,51 +268,6 @@ impl Sample {
         let picture = self.picture(&tiles)?;
         let report = Report { files, picture, out: self.out };
         console.result(&report, || report.text(&lines))
-    }
-
-    /// Codes, and how many rows on those of the next outfit are: none if all outfits share them.
-    fn codes(&self, run: &Run, seed: u64, console: Console) -> Result<(Array2<f32>, usize)> {
-        let temperature = self.temperature;
-        if !(temperature.is_finite() && temperature >= 0.0) {
-            return Err(Error::message(format!("--temperature {temperature}: expected 0 or more")));
-        }
-        let kind = match self.prior {
-            PriorName::Normal => {
-                return Ok((run.sample_codes(self.n, seed) * temperature as f32, 0));
-            }
-            PriorName::Gmm => Kind::Gmm,
-            PriorName::Kde => Kind::Kde,
-        };
-        let path = run.paths().prior(kind.name());
-        if !path.exists() {
-            let (name, run) = (kind.name(), self.run.display());
-            return Err(Error::message(format!(
-                "{}: not there yet: make it by `cape fit-prior {run} --kind {name}`",
-                path.display()
-            )));
-        }
-        let prior = Prior::load(&path)?;
-        let latent = run.config().model.latent;
-        if prior.latent() != latent {
-            return Err(Error::message(format!(
-                "{}: codes of {} numbers, the model's have {latent}",
-                path.display(),
-                prior.latent()
-            )));
-        }
-        if prior.step().is_some_and(|step| step != run.progress().step) {
-            console.note(&format!(
-                "{} was fitted to another checkpoint: fit it again for this one",
-                path.display()
-            ));
-        }
-        let outfits = self.outfit.outfits();
-        let codes: Vec<_> =
-            outfits.iter().map(|&o| prior.sample(o, self.n, temperature, seed)).collect();
-        let views: Vec<_> = codes.iter().map(|codes| codes.view()).collect();
-        let codes = ndarray::concatenate(ndarray::Axis(0), &views)
-            .map_err(|error| Error::message(error.to_string()))?;
-        Ok((codes, self.n))
     }
 
     fn file_name(&self, fields: &Fields) -> Result<String> {

@@ -165,7 +165,7 @@ fn done(
 ) -> Result<Option<RowResult>> {
     let mut spent = 0.0;
     if let Some(mut trainer) = job.trainer(grid, device)? {
-        let outcome = training::run(&mut trainer, console, |_| interrupt.was_asked())?;
+        let outcome = training::run(&mut trainer, console, None, |_| interrupt.was_asked())?;
         if !outcome.finished {
             return Ok(None);
         }

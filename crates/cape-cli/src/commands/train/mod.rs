@@ -15,6 +15,7 @@ use serde::Serialize;
 use crate::{
     arguments::{Global, at_least_one, default_device},
     console::{Console, seconds},
+    dashboard::Dashboard,
     error::{Context, Error, Result},
     interrupt::Interrupt,
     table::Table,
@@ -73,6 +74,9 @@ pub(crate) struct Train {
     /// body's blend weights.
     #[arg(long, value_name = "FILE.npy", conflicts_with = "resume")]
     clothing: Option<PathBuf>,
+    /// Show progress, losses and curves on the whole terminal.
+    #[arg(long)]
+    tui: bool,
     #[command(flatten)]
     settings: Settings,
 }
@@ -90,6 +94,9 @@ impl Train {
         if self.check || self.find_rate {
             return self.tried(global, console, &device);
         }
+        if self.tui {
+            Dashboard::check()?;
+        }
         let out = self.out.clone().unwrap_or_default();
         let mut trainer = if self.resume {
             self.check_settings(&out, global)?;
@@ -102,13 +109,17 @@ impl Train {
             Trainer::create(&out, data, body, clothing, config, &device)?
         };
         let interrupt = Interrupt::listen(console)?;
-        let outcome = training::run(&mut trainer, console, |_| interrupt.was_asked())?;
+        let title = out.to_string_lossy();
+        let epochs = trainer.config().train.epochs;
+        let dashboard = self.tui.then(|| Dashboard::start(&title, epochs)).transpose()?;
+        let outcome = training::run(&mut trainer, console, dashboard, |_| interrupt.was_asked())?;
         let report = Report { out: out.clone(), outcome };
         console.result(&report, || report.text())?;
         if report.outcome.finished {
             return Ok(ExitCode::SUCCESS);
         }
-        console.note(&format!("interrupted and saved; go on with:\n  {}", self.go_on(&out, global)));
+        console
+            .note(&format!("interrupted and saved; go on with:\n  {}", self.go_on(&out, global)));
         Ok(ExitCode::from(INTERRUPTED))
     }
 

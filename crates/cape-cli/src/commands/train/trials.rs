@@ -44,8 +44,8 @@ impl Train {
         }
         let mut options = CheckOptions::default();
         super::settings::set(&mut options.steps, self.trial_steps);
-        let report =
-            console.while_showing("check", "steps", |progress| check(&subject, options, progress))?;
+        let report = console
+            .while_showing("check", "steps", |progress| check(&subject, options, progress))?;
         console.result(&report, || findings(&report))?;
         Ok(if report.passed { ExitCode::SUCCESS } else { ExitCode::from(UNSOUND) })
     }

@@ -12,9 +12,9 @@ use crate::Outfit;
 /// Number of waves in a crumple pattern.
 pub(super) const WAVES: usize = 14;
 
-/// Number of waves in a registration's misfit, and the size of each: 2.2 mm an axis together.
+/// Number of waves in a registration's misfit, and the size of each: 0.6 mm an axis together.
 const MISFIT_WAVES: usize = 8;
-const MISFIT: f64 = 0.0011;
+const MISFIT: f64 = 0.0003;
 
 /// How one person wears one outfit in one sequence.
 ///
@@ -228,7 +228,8 @@ impl Trousers {
     }
 
     fn put_on_as(self, other: &Self) -> Self {
-        let moved = |own: [f64; 2], other: [f64; 2]| [0, 1].map(|i| nudged(own[i], other[i], NUDGE));
+        let moved =
+            |own: [f64; 2], other: [f64; 2]| [0, 1].map(|i| nudged(own[i], other[i], NUDGE));
         Self {
             waist: 0.7 * self.waist + 0.7 * other.waist,
             twist: other.twist,

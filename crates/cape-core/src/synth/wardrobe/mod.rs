@@ -96,7 +96,7 @@ impl<'a> Wardrobe<'a> {
     ///
     /// `pose` holds 24 axis-angles `[72]`; `time` (seconds) drives sway and slow shifts; `noise`
     /// numbers the frame's scan, whose registration also misses the wearer's minimal shape smoothly
-    /// by a few millimetres; `None` leaves both out.
+    /// by a millimetre; `None` leaves both out.
     pub fn displacement(
         &self,
         fitting: &Fitting,

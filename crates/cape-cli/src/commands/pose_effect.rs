@@ -1,0 +1,200 @@
+use std::path::PathBuf;
+
+use cape_core::{Outfit, joints::JOINT_NAMES, parse_device, ply};
+use cape_render::{Object, Style, Tile, View, colour_of, contact_sheet, portrait};
+use cape_train::{Run, write_json};
+use clap::Args;
+use ndarray::{Array3, Axis, concatenate};
+use serde::Serialize;
+
+use crate::{
+    arguments::{Global, outfit},
+    console::Console,
+    dressed::{Wearer, eight_bit},
+    error::{Error, Result},
+    files,
+    pose::{Pose, poses},
+    priors::{PriorName, checked_temperature, codes},
+    table::Table,
+};
+
+/// Body parts that are listed.
+const PARTS: usize = 8;
+
+/// Show how clothes follow the pose (the paper's figure 6).
+///
+/// One code is decoded under two poses. What changes in canonical space is what a fixed offset on a
+/// rigged and skinned body would miss: its size by body part, a mesh coloured by it, and pictures of
+/// both side by side.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  cape pose-effect run --pose-a a-pose --pose-b squats --out effect"
+)]
+pub(crate) struct PoseEffect {
+    /// A training run.
+    #[arg(value_name = "RUN")]
+    run: PathBuf,
+    /// Directory to write; it must be empty or missing.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// A pose, as for `cape sample`; of a file, its first.
+    #[arg(long, default_value = "a-pose", value_name = "POSE")]
+    pose_a: String,
+    /// The other.
+    #[arg(long, default_value = "squats", value_name = "POSE")]
+    pose_b: String,
+    /// What is worn.
+    #[arg(long, default_value = "longlong", value_name = "OUTFIT", value_parser = outfit)]
+    outfit: Outfit,
+    /// What the code is drawn from: the standard normal prior, or what `cape fit-prior` fitted.
+    #[arg(long, value_enum, default_value_t = PriorName::Normal)]
+    prior: PriorName,
+    /// Factor on how far the code is from what is typical.
+    #[arg(long, default_value_t = 1.0, value_name = "T")]
+    temperature: f64,
+    /// Change that gets the brightest colour, millimetres.
+    #[arg(long, default_value_t = 20.0, value_name = "MM")]
+    scale: f32,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    out: PathBuf,
+    /// Change of the canonical displacement at clothing vertices, millimetres.
+    mean_mm: f64,
+    largest_mm: f64,
+    /// Between the posed surfaces with and without it.
+    posed_mean_mm: f64,
+    /// Mean change at the vertices that each joint moves most, largest first.
+    parts: Vec<(String, f64)>,
+}
+
+impl PoseEffect {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+        let device = parse_device(&global.device)?;
+        let [a, b] = [first(&self.pose_a)?, first(&self.pose_b)?];
+        if !(self.scale.is_finite() && self.scale > 0.0) {
+            return Err(Error::message(format!("--scale {}: expected more than 0", self.scale)));
+        }
+        let temperature = checked_temperature(self.temperature)?;
+        files::require_empty(&self.out)?;
+        let run = Run::open(&self.run, &device)?;
+        let outfit = self.outfit;
+        let seed = global.seed.unwrap_or(1);
+        let code = codes(&run, self.prior, &[outfit], 1, temperature, seed, console)?;
+        let both = concatenate(Axis(0), &[code.view(), code.view()])
+            .map_err(|error| Error::message(error.to_string()))?;
+        let worn = run.decode(&both, &[a, b], &[outfit; 2])?;
+        let fixed = worn.select(Axis(0), &[0, 0]);
+
+        let wearer = Wearer::new(&run)?;
+        let following = wearer.wear(&[], &[outfit; 2], &[a, b], &worn)?;
+        let rigid = wearer.wear(&[], &[outfit; 2], &[a, b], &fixed)?;
+        let [in_a, in_b] = &following[..] else {
+            return Err(Error::message("the model dressed no body"));
+        };
+
+        let changes = changes(&worn);
+        let clothing = run.clothing();
+        let count = clothing.len().max(1) as f64;
+        let over = |values: &[f64]| clothing.iter().map(|&v| values[v]).sum::<f64>() / count;
+        let posed: Vec<f64> = in_b
+            .mesh
+            .vertices
+            .iter()
+            .zip(&rigid[1].mesh.vertices)
+            .map(|(with, without)| millimetres(with, without))
+            .collect();
+
+        let mut canonical = run.body().mesh();
+        for (vertex, worn) in canonical.vertices.iter_mut().zip(worn.index_axis(Axis(0), 1).rows())
+        {
+            for (at, by) in vertex.iter_mut().zip(worn) {
+                *at += by;
+            }
+        }
+        let mut colours = vec![[0.75; 3]; changes.len()];
+        for &vertex in clothing {
+            colours[vertex] = colour_of(changes[vertex] as f32 / self.scale);
+        }
+        files::create_dir(&self.out)?;
+        let eight: Vec<[u8; 3]> = colours.iter().copied().map(eight_bit).collect();
+        ply::write(self.out.join("change.ply"), &canonical, Some(&eight))?;
+        let style = Style { width: 300, height: 460, ..Style::default() };
+        let change = portrait(Object::new(&canonical).coloured(&colours), View::Front, &style)?;
+        let picture = |dressed: &crate::dressed::Dressed| dressed.picture(View::Front, 300, 460);
+        let tiles = [
+            (picture(in_a)?, self.pose_a.clone()),
+            (picture(&rigid[1])?, format!("{}, offsets of {}", self.pose_b, self.pose_a)),
+            (picture(in_b)?, self.pose_b.clone()),
+            (change, format!("change, 0 to {} mm", self.scale)),
+        ];
+        let tiles: Vec<Tile> =
+            tiles.into_iter().map(|(image, label)| Tile { image, label }).collect();
+        contact_sheet(&tiles, 4, None)?.save(self.out.join("pose_effect.png"))?;
+
+        let report = Report {
+            mean_mm: over(&changes),
+            largest_mm: clothing.iter().map(|&v| changes[v]).fold(0.0, f64::max),
+            posed_mean_mm: over(&posed),
+            parts: parts(&run, &changes),
+            out: self.out,
+        };
+        write_json(&report.out.join("pose_effect.json"), &report)?;
+        console.result(&report, || report.text())
+    }
+}
+
+fn first(text: &str) -> Result<Pose> {
+    let found = poses(text)?;
+    found.first().map(|(_, pose)| *pose).ok_or_else(|| Error::message(format!("{text}: no pose")))
+}
+
+fn millimetres(a: &[f32; 3], b: &[f32; 3]) -> f64 {
+    let squares = a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2));
+    1000.0 * squares.sum::<f64>().sqrt()
+}
+
+/// Length of the difference of two displacements at every vertex, millimetres.
+fn changes(worn: &Array3<f32>) -> Vec<f64> {
+    let rows = worn.index_axis(Axis(0), 0);
+    let others = worn.index_axis(Axis(0), 1);
+    let pairs = rows.rows().into_iter().zip(others.rows());
+    pairs.map(|(a, b)| millimetres(&[a[0], a[1], a[2]], &[b[0], b[1], b[2]])).collect()
+}
+
+/// Mean change of clothing vertices by the joint that moves them most.
+fn parts(run: &Run, changes: &[f64]) -> Vec<(String, f64)> {
+    let mut sums = vec![(0.0, 0usize); JOINT_NAMES.len()];
+    for &vertex in run.clothing() {
+        let weights = run.body().weights.row(vertex);
+        let most = weights.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1));
+        if let Some(sum) = most.and_then(|(joint, _)| sums.get_mut(joint)) {
+            *sum = (sum.0 + changes[vertex], sum.1 + 1);
+        }
+    }
+    let named = JOINT_NAMES.iter().zip(sums).filter(|(_, (_, count))| *count > 0);
+    let mut parts: Vec<(String, f64)> =
+        named.map(|(name, (sum, count))| ((*name).to_owned(), sum / count as f64)).collect();
+    parts.sort_by(|a, b| b.1.total_cmp(&a.1));
+    parts.truncate(PARTS);
+    parts
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let mut table = Table::new(["part", "change, mm"]);
+        for (part, change) in &self.parts {
+            table.row([part.clone(), format!("{change:.1}")]);
+        }
+        format!(
+            "{}\n\ncanonical displacement changes by {:.1} mm in the mean, {:.1} mm at most; fixed \
+             offsets miss the posed surface by {:.1} mm\n{}",
+            table.text(),
+            self.mean_mm,
+            self.largest_mm,
+            self.posed_mean_mm,
+            self.out.join("pose_effect.png").display()
+        )
+    }
+}

@@ -1,0 +1,48 @@
+use cape_train::Event;
+
+use crate::error::{Error, Result};
+
+/// A dashboard that was not built: there is never one.
+#[derive(Debug)]
+pub(crate) enum Dashboard {}
+
+impl Dashboard {
+    pub(crate) fn check() -> Result {
+        Err(absent())
+    }
+
+    pub(crate) fn start(_title: &str, _epochs: usize) -> Result<Self> {
+        Err(absent())
+    }
+
+    pub(crate) fn see(&mut self, _event: &Event) {
+        match *self {}
+    }
+
+    pub(crate) fn asked_to_stop(&mut self) -> bool {
+        match *self {}
+    }
+}
+
+fn absent() -> Error {
+    Error::message(
+        "this cape was built without its dashboard; build it with `--features tui` for --tui",
+    )
+}
+
+pub(crate) const fn ask_to_stop() -> bool {
+    false
+}
+
+pub(crate) const fn restore() {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_error_says_how_to_build_it() {
+        let error = Dashboard::start("run", 1).unwrap_err().to_string();
+        assert!(error.contains("--features tui"), "{error}");
+    }
+}
