@@ -93,12 +93,10 @@ impl Watch {
             Event::Validation {
                 epoch, millimetres, active_units, discriminator_accuracy, ..
             } => {
-                let mut line = self.line(*epoch, Some(*millimetres));
-                line += &format!("  {active_units} active");
-                if let Some(accuracy) = discriminator_accuracy {
-                    line += &format!("  D right {:.0} %", 100.0 * accuracy);
-                }
-                self.say(&line);
+                let line = self.line(*epoch, Some(*millimetres));
+                let accuracy = discriminator_accuracy
+                    .map_or(String::new(), |share| format!("  D right {:.0} %", 100.0 * share));
+                self.say(&format!("{line}  {active_units} active{accuracy}"));
             }
             Event::Checkpoint { .. } => {}
         }

@@ -161,7 +161,9 @@ mod tests {
                 *right = products.map(|(row, l)| f64::from(row[column]) * l).sum();
             }
             let length = right.iter().map(|x| x * x).sum::<f64>().sqrt();
-            right.iter_mut().for_each(|x| *x /= length);
+            for x in &mut right {
+                *x /= length;
+            }
         }
         norm
     }

@@ -13,7 +13,7 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, at_least_one, default_device},
+    arguments::{Global, default_device},
     console::{Console, seconds},
     dashboard::Dashboard,
     error::{Context, Error, Result},
@@ -22,6 +22,7 @@ use crate::{
     training,
 };
 use settings::{Settings, set};
+use trials::Trials;
 
 /// Exit code of a training that was interrupted and can be resumed: 128 + SIGINT.
 const INTERRUPTED: u8 = 130;
@@ -48,18 +49,8 @@ pub(crate) struct Train {
     /// Go on from the newest checkpoint in --out.
     #[arg(long)]
     resume: bool,
-    /// Do not train, but see whether these settings are sound: a few frames are learnt by heart, and
-    /// after a little training losses fall, the code says something, the discriminator is neither
-    /// dead nor perfect and gradients reach all parts.
-    #[arg(long, conflicts_with_all = ["resume", "find_rate", "out"])]
-    check: bool,
-    /// Do not train, but try growing learning rates until the loss explodes, and suggest one; with
-    /// --out, rates.csv and rates.png go there.
-    #[arg(long, conflicts_with = "resume")]
-    find_rate: bool,
-    /// Steps of --check (200, after at most 1500 for learning by heart) or --find-rate (120).
-    #[arg(long, value_name = "N", value_parser = at_least_one)]
-    trial_steps: Option<usize>,
+    #[command(flatten)]
+    trials: Trials,
     /// Settings as a TOML file; options below override it.
     #[arg(long, value_name = "FILE", conflicts_with = "preset")]
     config: Option<PathBuf>,
@@ -91,7 +82,7 @@ struct Report {
 impl Train {
     pub(crate) fn run(self, global: &Global, console: Console) -> Result<ExitCode> {
         let device = parse_device(&global.device)?;
-        if self.check || self.find_rate {
+        if self.trials.any() {
             return self.tried(global, console, &device);
         }
         if self.tui {

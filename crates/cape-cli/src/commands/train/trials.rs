@@ -9,8 +9,39 @@ use cape_train::{
     trial::{CheckOptions, CheckReport, RateOptions, RateReport, Subject, check, find_rate},
 };
 
+use clap::Args;
+
 use super::Train;
-use crate::{arguments::Global, console::Console, error::Result, files, table::Table};
+use crate::{
+    arguments::{Global, at_least_one},
+    console::Console,
+    error::Result,
+    files,
+    table::Table,
+};
+
+/// What is done instead of training.
+#[derive(Debug, Args)]
+pub(super) struct Trials {
+    /// Do not train, but see whether these settings are sound: a few frames are learnt by heart, and
+    /// after a little training losses fall, the code says something, the discriminator is neither
+    /// dead nor perfect and gradients reach all parts.
+    #[arg(long, conflicts_with_all = ["resume", "find_rate", "out"])]
+    check: bool,
+    /// Do not train, but try growing learning rates until the loss explodes, and suggest one; with
+    /// --out, rates.csv and rates.png go there.
+    #[arg(long, conflicts_with = "resume")]
+    find_rate: bool,
+    /// Steps of --check (200, after at most 1500 for learning by heart) or --find-rate (120).
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    trial_steps: Option<usize>,
+}
+
+impl Trials {
+    pub(super) fn any(&self) -> bool {
+        self.check || self.find_rate
+    }
+}
 
 /// Exit code where something is not as it should be.
 const UNSOUND: u8 = 1;
@@ -30,9 +61,9 @@ impl Train {
             config: &config,
             device,
         };
-        if self.find_rate {
+        if self.trials.find_rate {
             let mut options = RateOptions::default();
-            super::settings::set(&mut options.steps, self.trial_steps);
+            super::settings::set(&mut options.steps, self.trials.trial_steps);
             let report = console.while_showing("rates", "steps", |progress| {
                 find_rate(&subject, options, progress)
             })?;
@@ -43,7 +74,7 @@ impl Train {
             return Ok(ExitCode::SUCCESS);
         }
         let mut options = CheckOptions::default();
-        super::settings::set(&mut options.steps, self.trial_steps);
+        super::settings::set(&mut options.steps, self.trials.trial_steps);
         let report = console
             .while_showing("check", "steps", |progress| check(&subject, options, progress))?;
         console.result(&report, || findings(&report))?;
