@@ -103,7 +103,6 @@ fn the_report_is_readable_on_a_telephone() {
 }
 
 #[test]
-#[ignore = "the data's hash does not wrap: table2/report.rs needs p{overflow-wrap:anywhere}"]
 fn the_report_does_not_scroll_sideways_on_a_telephone() {
     let view = View { width: 420, ..WIDE };
     let Some(shot) = shown("narrow", view) else { return };

@@ -92,8 +92,6 @@ impl Log {
         if let Some(accuracy) = discriminator_accuracy {
             scalar("discriminator_accuracy", accuracy)?;
         }
-        self.events.histogram("validation/error_mm", step, &found.sample_errors)?;
-        self.events.histogram("validation/code", step, &found.codes)?;
         self.line(&json!({
             "kind": "validation", "step": step, "epoch": epoch, "millimetres": errors.mean,
             "reconstruction": losses.reconstruction, "edge": losses.edge, "kl": losses.kl,
@@ -101,8 +99,15 @@ impl Log {
         }))
     }
 
-    /// A histogram of every parameter.
-    pub(crate) fn weights<M: Module>(&mut self, step: u64, model: &M) -> Result<()> {
+    /// Of every parameter, and of the validation frames' errors and codes.
+    pub(crate) fn histograms<M: Module>(
+        &mut self,
+        step: u64,
+        model: &M,
+        found: &Validation,
+    ) -> Result<()> {
+        self.events.histogram("validation/error_mm", step, &found.sample_errors)?;
+        self.events.histogram("validation/code", step, &found.codes)?;
         let mut outcome = Ok(());
         for_each_parameter(model, |path, parameter| {
             if outcome.is_ok() {

@@ -24,7 +24,7 @@ use crate::{
     log::Log,
     objective::{Losses, StepInput},
     run::{self, RunPaths, build_graphs, normal, tensor2, to_device},
-    validate::{Illustrate, Validator},
+    validate::{Illustrate, Validation, Validator},
 };
 
 /// What training reports as it goes.
@@ -262,12 +262,17 @@ impl Trainer {
                 let stop = self.one_step(&mut loader, &mut log, steps, report)?;
                 let step = self.progress.step;
                 let epoch_ends = step.is_multiple_of(steps as u64);
-                if epoch_ends {
-                    self.validate((step / steps as u64) as usize, &mut log, report)?;
-                }
+                let found = if epoch_ends {
+                    self.validate((step / steps as u64) as usize, &mut log, report)?
+                } else {
+                    None
+                };
                 let often = self.config.train.checkpoint_steps as u64;
                 if stop || epoch_ends || (often > 0 && step.is_multiple_of(often)) {
                     let path = self.save()?;
+                    if let Some(found) = found {
+                        self.show(&found, &mut log)?;
+                    }
                     log.flush()?;
                     // A reader of the report may break again; training is about to stop anyway.
                     let _ = report(&Event::Checkpoint { path });
@@ -354,12 +359,11 @@ impl Trainer {
         epoch: usize,
         log: &mut Log,
         report: &mut dyn FnMut(&Event) -> ControlFlow<()>,
-    ) -> Result<()> {
+    ) -> Result<Option<Validation>> {
         let (sum, count) = std::mem::take(&mut self.progress.judged);
         let judged = self.config.model.discriminator.is_some() && count > 0;
         let discriminator_accuracy = judged.then(|| f64::from(sum) / count as f64);
         let step = self.progress.step;
-        log.weights(step, self.learner.model())?;
         let generator = self.learner.valid_generator();
         let validator = Validator {
             generator: &generator,
@@ -371,12 +375,7 @@ impl Trainer {
             batch: self.config.train.batch,
             device: self.device.clone().inner(),
         };
-        let Some(found) = validator.run()? else { return Ok(()) };
-        if let Some(illustrate) = &mut self.illustrate {
-            for picture in illustrate(&found.previews) {
-                log.picture(step, &picture)?;
-            }
-        }
+        let Some(found) = validator.run()? else { return Ok(None) };
         let millimetres = found.errors.mean;
         self.progress.validation = Some(millimetres);
         if self.progress.best.is_none_or(|(best, _)| millimetres < best) {
@@ -391,6 +390,18 @@ impl Trainer {
             active_units: found.active_units,
             discriminator_accuracy,
         });
+        Ok(Some(found))
+    }
+
+    /// Histograms and pictures, which are large: after the checkpoint, should the disk be full.
+    fn show(&mut self, found: &Validation, log: &mut Log) -> Result<()> {
+        let step = self.progress.step;
+        log.histograms(step, self.learner.model(), found)?;
+        if let Some(illustrate) = &mut self.illustrate {
+            for picture in illustrate(&found.previews) {
+                log.picture(step, &picture)?;
+            }
+        }
         Ok(())
     }
 

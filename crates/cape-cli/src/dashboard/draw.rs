@@ -53,11 +53,9 @@ fn footer(state: &State) -> Line<'_> {
         return Line::styled(text, BRIGHT.fg(SECOND));
     }
     let scale = if state.logarithmic { "linear" } else { "logarithmic" };
-    let mut text = format!("q stop and save · l {scale} scale");
-    if let Some(name) = state.checkpoint.as_ref().and_then(|path| path.file_name()) {
-        text += &format!(" · saved {}", name.display());
-    }
-    Line::styled(text, FAINT)
+    let saved = state.checkpoint.as_ref().and_then(|path| path.file_name());
+    let saved = saved.map_or(String::new(), |name| format!(" · saved {}", name.display()));
+    Line::styled(format!("q stop and save · l {scale} scale{saved}"), FAINT)
 }
 
 fn draw_progress(frame: &mut Frame, area: Rect, state: &State) {
@@ -209,7 +207,7 @@ fn draw_charts(frame: &mut Frame, area: Rect, state: &State) {
 fn draw_panel(frame: &mut Frame, area: Rect, panel: &Panel, logarithmic: bool) {
     let colours = [ACCENT, SECOND];
     let shown = |(x, y): (f64, f64)| {
-        if !logarithmic { Some((x, y)) } else { (y > 0.0).then(|| (x, y.log10())) }
+        if logarithmic { (y > 0.0).then(|| (x, y.log10())) } else { Some((x, y)) }
     };
     let points: Vec<Vec<(f64, f64)>> = panel
         .curves

@@ -75,6 +75,7 @@ impl Dashboard {
     }
 
     /// Whether the user asked to stop after this step.
+    #[allow(clippy::unused_self, reason = "only who has the dashboard may ask it")]
     pub(crate) fn asked_to_stop(&mut self) -> bool {
         STOP.load(Ordering::SeqCst)
     }
@@ -190,7 +191,8 @@ fn show(mut screen: Screen, state: &Mutex<State>, start: Instant) {
 fn press(key: KeyEvent, state: &mut State) {
     match key.code {
         KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => {
-            if STOP.swap(true, Ordering::SeqCst) {
+            let asked_before = STOP.swap(true, Ordering::SeqCst);
+            if asked_before {
                 restore();
                 process::exit(130);
             }

@@ -25,7 +25,7 @@ const CLAY: Material = Material { colour: [0.72, 0.71, 0.70], gloss: 0.05 };
 const SIDES: [View; 2] = [View::Front, View::Back];
 /// Rows of pixels of a body with its errors, and of a reconstruction.
 const MAP_HEIGHT: u32 = 420;
-const CLAY_HEIGHT: u32 = 360;
+const CLAY_HEIGHT: u32 = 300;
 /// Columns of pixels of the bar of colours.
 const BAR_WIDTH: u32 = 150;
 
@@ -42,10 +42,7 @@ pub(super) fn maps(body: &SmplModel, methods: &[Method]) -> Result<Image> {
         let colour = |&error: &f32| if error > 0.0 { colour_of(error / scale) } else { BARE };
         let colours: Vec<[f32; 3]> = errors.iter().map(colour).collect();
         let object = Object::new(&mesh).coloured(&colours);
-        let mut image = Image::new(2 * style.width, style.height, PAPER)?;
-        for (side, left) in SIDES.into_iter().zip([0, style.width]) {
-            image.draw(&picture(object, &bounds, side, &style)?, i64::from(left), 0);
-        }
+        let image = both_sides(object, &bounds, &style)?;
         tiles.push(Tile { image, label: method.label.clone() });
     }
     let columns = (tiles.len() as f64).sqrt().ceil() as usize;
@@ -62,8 +59,7 @@ pub(super) struct Shown {
     pub(super) frames: Frames,
 }
 
-/// The frames shown, a line for the front and one for the back of each: the truth, then every
-/// method.
+/// The frames shown, front and back, in a line for the truth and one for every method.
 pub(super) fn reconstructions(
     set: &PackedSet,
     body: &SmplModel,
@@ -86,19 +82,17 @@ pub(super) fn reconstructions(
     let bounds: Vec<Bounds> = lines.iter().map(|(_, bounds, _)| *bounds).collect();
     let style = style(CLAY_HEIGHT, &bounds);
     let mut tiles = Vec::new();
-    for (row, bounds, meshes) in &lines {
-        for side in SIDES {
-            let front = side == View::Front;
-            let truth = if front { "ground truth".to_owned() } else { name_of(set, *row) };
-            let others =
-                methods.iter().map(|m| if front { m.label.clone() } else { String::new() });
-            for (mesh, label) in meshes.iter().zip(std::iter::once(truth).chain(others)) {
-                let object = Object { material: CLAY, ..Object::new(mesh) };
-                tiles.push(Tile { image: picture(object, bounds, side, &style)?, label });
-            }
+    for method in 0..=methods.len() {
+        for (row, bounds, meshes) in &lines {
+            let object = Object { material: CLAY, ..Object::new(&meshes[method]) };
+            let label = match method.checked_sub(1) {
+                None => format!("{}, ground truth", name_of(set, *row)),
+                Some(method) => methods[method].label.clone(),
+            };
+            tiles.push(Tile { image: both_sides(object, bounds, &style)?, label });
         }
     }
-    Ok(contact_sheet(&tiles, methods.len() + 1, None)?)
+    Ok(contact_sheet(&tiles, lines.len().max(1), None)?)
 }
 
 fn name_of(set: &PackedSet, row: usize) -> String {
@@ -106,6 +100,15 @@ fn name_of(set: &PackedSet, row: usize) -> String {
         Some(origins) => origins[row].frame.clone(),
         None => format!("{}, frame {row}", set.outfits()[row]),
     }
+}
+
+/// Front and back, side by side.
+fn both_sides(object: Object, bounds: &Bounds, style: &Style) -> Result<Image> {
+    let mut image = Image::new(2 * style.width, style.height, PAPER)?;
+    for (side, left) in SIDES.into_iter().zip([0, style.width]) {
+        image.draw(&picture(object, bounds, side, style)?, i64::from(left), 0);
+    }
+    Ok(image)
 }
 
 fn picture(object: Object, bounds: &Bounds, view: View, style: &Style) -> Result<Image> {

@@ -226,21 +226,18 @@ fn write(report: &Report, grid: &Grid, jobs: &[Job], results: &[RowResult]) -> R
             caption: "Test frames and their reconstructions from the posterior's mean, first seed, \
                       front and back: the mean body in the frame's pose.",
             image: &reconstructions,
-            wide: true,
         },
         Figure {
             title: "Mean error on the body",
             caption: "Mean over test frames and seeds of the error of sampled reconstructions at \
                       every clothing vertex, on the body in an A-pose.",
             image: &maps,
-            wide: false,
         },
         Figure {
             title: "Distribution of errors",
             caption: "Errors of sampled reconstructions at all clothing vertices of all test \
                       frames, up to the 99th percentile of the widest distribution.",
             image: &histograms,
-            wide: false,
         },
     ];
     let html = report::html(&report.table, grid, report.seconds, &figures)?;

@@ -13,18 +13,16 @@ use crate::{
 
 const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:72rem;padding:0 \
 1rem;color:#222;background:#fff}table{border-collapse:collapse;margin:1rem 0;font-variant-numeric:\
-tabular-nums}th,td{padding:.3rem .7rem;border-bottom:1px solid #ddd;text-align:right}th:first-child,\
-td:first-child{text-align:left}div.wide{overflow-x:auto}img{max-width:100%}div.wide img{max-width:160%}figure{margin:1rem 0}figcaption{color:#777}pre{background:#f5f5f6;\
+tabular-nums}th,td{padding:.3rem .7rem;border-bottom:1px solid #ddd;text-align:right;white-space:nowrap}p{overflow-wrap:anywhere}th:first-child,\
+td:first-child{text-align:left}div.wide{overflow-x:auto}img{max-width:100%}figure{margin:1rem 0}figcaption{color:#777}pre{background:#f5f5f6;\
 padding:1rem;overflow-x:auto}tr.reference{background:#f0f6ff}@media(prefers-color-scheme:dark){body{color:\
-#ddd;background:#17181a}th,td{border-color:#3a3b3e}pre{background:#222326}tr.reference{background:#1d2733}}";
+#ddd;background:#17181a}th,td{border-color:#3a3b3e}pre{background:#222326}img{filter:brightness(.85)}tr.reference{background:#1d2733}}";
 
 /// A picture of the report.
 pub(super) struct Figure<'a> {
     pub(super) title: &'a str,
     pub(super) caption: &'a str,
     pub(super) image: &'a Image,
-    /// Whether it is shown as large as it is, to be scrolled.
-    pub(super) wide: bool,
 }
 
 /// Tables, figures, configuration, versions and the data's hash, all in one text.
@@ -49,15 +47,14 @@ pub(super) fn html(table: &Table, grid: &Grid, spent: f64, figures: &[Figure]) -
         });
         let _ = writeln!(body, "<h2>{title}</h2>{}", html_table(&header, rows));
     }
-    for Figure { title, caption, image, wide } in figures {
+    for Figure { title, caption, image } in figures {
         let mut png = Vec::new();
         image.encode(&mut png).map_err(|error| Error::io("report.html", error))?;
         let data = STANDARD.encode(&png);
-        let class = if *wide { " class=\"wide\"" } else { "" };
         let _ = writeln!(
             body,
-            "<h2>{title}</h2><figure><div{class}><img alt=\"{title}\" \
-             src=\"data:image/png;base64,{data}\"></div><figcaption>{}</figcaption></figure>",
+            "<h2>{title}</h2><figure><img alt=\"{title}\" \
+             src=\"data:image/png;base64,{data}\"><figcaption>{}</figcaption></figure>",
             escaped(caption)
         );
     }
