@@ -145,9 +145,9 @@ impl Learner {
     pub fn restore(&mut self, saved: &Checkpoint) -> Result<()> {
         self.model = weights::apply(self.model.clone(), &saved.model)?;
         self.steps = saved.progress.step;
-        self.generator.restore(&self.model.generator, &saved.generator_momentum, self.steps)?;
+        self.generator.restore(&self.model.generator, &saved.generator_momentum)?;
         if let Some(discriminator) = &self.model.discriminator {
-            self.discriminator.restore(discriminator, &saved.discriminator_momentum, self.steps)?;
+            self.discriminator.restore(discriminator, &saved.discriminator_momentum)?;
         }
         // An imported checkpoint has no average: it begins with the next step.
         if let (Some(average), Some(state)) = (&mut self.average, &saved.average) {

@@ -12,6 +12,8 @@ use crate::{Error, Result, Rule, run::host};
 
 /// Added to the names of second moments in [`Optimiser::state`].
 const SECOND: &str = ".second_moment";
+/// Name of Adam's number of steps in [`Optimiser::state`].
+const STEPS: &str = "steps";
 /// Adam's β₂ and ε.
 const SECOND_DECAY: f64 = 0.999;
 const EPSILON: f64 = 1e-8;
@@ -93,15 +95,19 @@ impl Optimiser {
                 state.insert(format!("{name}{SECOND}"), array(shape, second));
             }
         }
+        if self.rule == Rule::Adam {
+            let steps = Array { shape: vec![1], values: vec![self.steps as f32] };
+            state.insert(STEPS.to_owned(), steps);
+        }
         state
     }
 
-    /// Puts the moments of a checkpoint made after `steps` steps back, for the parameters of
-    /// `module`.
+    /// Puts the moments of a checkpoint back, for the parameters of `module`. Those of another rule
+    /// are of no use: Adam then starts afresh, and momentum takes the first moments only.
     ///
     /// # Errors
     /// If a moment is not of a parameter of `module`, or of another shape.
-    pub fn restore<M: Module>(&mut self, module: &M, state: &Weights, steps: u64) -> Result<()> {
+    pub fn restore<M: Module>(&mut self, module: &M, state: &Weights) -> Result<()> {
         let mut shapes = BTreeMap::new();
         let mut device = None;
         cape_model::weights::for_each_parameter(module, |path, parameter| {
@@ -114,7 +120,8 @@ impl Optimiser {
             let data = TensorData::new(array.values.clone(), [array.values.len()]);
             Tensor::<1>::from_data(data, &device)
         };
-        for (name, array) in state {
+        let of_parameters = || state.iter().filter(|(name, _)| *name != STEPS);
+        for (name, array) in of_parameters() {
             let name = name.strip_suffix(SECOND).unwrap_or(name);
             if shapes.get(name) != Some(&array.shape) {
                 return Err(Error::Model(cape_model::Error::Weight {
@@ -127,13 +134,19 @@ impl Optimiser {
                 }));
             }
         }
-        self.steps = steps;
         self.moments.clear();
-        for (name, array) in state.iter().filter(|(name, _)| !name.ends_with(SECOND)) {
+        self.steps = 0;
+        if self.rule == Rule::Adam {
+            let steps = state.get(STEPS).and_then(|steps| steps.values.first());
+            let Some(&steps) = steps else { return Ok(()) };
+            self.steps = steps as u64;
+        }
+        for (name, array) in of_parameters().filter(|(name, _)| !name.ends_with(SECOND)) {
+            let second = state.get(&format!("{name}{SECOND}"));
             let moments = Moments {
                 shape: array.shape.clone(),
                 first: tensor(array),
-                second: state.get(&format!("{name}{SECOND}")).map(tensor),
+                second: second.filter(|_| self.rule == Rule::Adam).map(tensor),
             };
             self.moments.insert(name.clone(), moments);
         }
@@ -288,12 +301,26 @@ mod tests {
             let mut optimiser = Optimiser::new(rule, 0.9, 1e9);
             let halfway = descend(&mut optimiser, start(), 5);
             let mut resumed = Optimiser::new(rule, 0.9, 1e9);
-            resumed.restore(&halfway, &optimiser.state(), 5).unwrap();
+            resumed.restore(&halfway, &optimiser.state()).unwrap();
             let whole = descend(&mut optimiser, halfway.clone(), 5);
             assert_eq!(values(&whole), values(&descend(&mut resumed, halfway, 5)));
             for (found, expected) in values(&whole).into_iter().zip(by_hand(rule, 10)) {
                 assert!((f64::from(found) - expected).abs() < 1e-5, "{rule:?}: {found} {expected}");
             }
         }
+    }
+
+    #[test]
+    fn moments_of_the_other_rule_do_no_harm() {
+        let mut sgd = Optimiser::new(Rule::Sgd, 0.9, 1e9);
+        let point = descend(&mut sgd, start(), 5);
+        let mut adam = Optimiser::new(Rule::Adam, 0.9, 1e9);
+        adam.restore(&point, &sgd.state()).unwrap();
+        let mut fresh = Optimiser::new(Rule::Adam, 0.9, 1e9);
+        let expected = values(&descend(&mut fresh, point.clone(), 3));
+        assert_eq!(values(&descend(&mut adam, point.clone(), 3)), expected);
+        let mut back = Optimiser::new(Rule::Sgd, 0.9, 1e9);
+        back.restore(&point, &adam.state()).unwrap();
+        assert!(values(&descend(&mut back, point, 3)).iter().all(|x| x.is_finite()));
     }
 }
