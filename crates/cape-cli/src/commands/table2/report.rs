@@ -13,7 +13,7 @@ use crate::{
 
 const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:72rem;padding:0 \
 1rem;color:#222;background:#fff}table{border-collapse:collapse;margin:1rem 0;font-variant-numeric:\
-tabular-nums}th,td{padding:.3rem .7rem;border-bottom:1px solid #ddd;text-align:right;white-space:nowrap}p{overflow-wrap:anywhere}th:first-child,\
+tabular-nums}th,td{padding:.3rem .7rem;border-bottom:1px solid #ddd;text-align:right;white-space:nowrap}th{white-space:normal;vertical-align:bottom}p{overflow-wrap:anywhere}th:first-child,\
 td:first-child{text-align:left}div.wide{overflow-x:auto}img{max-width:100%}figure{margin:1rem 0}figcaption{color:#777}pre{background:#f5f5f6;\
 padding:1rem;overflow-x:auto}tr.reference{background:#f0f6ff}@media(prefers-color-scheme:dark){body{color:\
 #ddd;background:#17181a}th,td{border-color:#3a3b3e}pre{background:#222326}img{filter:brightness(.85)}tr.reference{background:#1d2733}}";
@@ -26,7 +26,7 @@ pub(super) struct Figure<'a> {
 }
 
 /// Tables, figures, configuration, versions and the data's hash, all in one text.
-pub(super) fn html(table: &Table, grid: &Grid, spent: f64, figures: &[Figure]) -> Result<String> {
+pub(super) fn html(table: &Table, grid: &Grid, figures: &[Figure]) -> Result<String> {
     let mut body = String::new();
     let (header, rows) = table.rows();
     let class = |line| if table.is_reference(line) { "reference" } else { "" };
@@ -58,15 +58,15 @@ pub(super) fn html(table: &Table, grid: &Grid, spent: f64, figures: &[Figure]) -
             escaped(caption)
         );
     }
-    let config = toml::to_string_pretty(&grid.config)
+    let config = toml::to_string(&grid.config)
         .map_err(|error| Error::message(format!("settings: {error}")))?;
     let _ = writeln!(
         body,
-        "<h2>How</h2><p>cape {} · data {} (SHA-256 {}) · {}</p><pre>{}</pre>",
+        "<h2>How</h2><p>cape {} · data {} (SHA-256 {}) · trained in {}</p><pre>{}</pre>",
         env!("CARGO_PKG_VERSION"),
         escaped(&grid.data.display().to_string()),
         grid.data_hash,
-        seconds(spent),
+        seconds(table.lines.iter().map(|line| line.seconds).sum()),
         escaped(&config)
     );
     Ok(format!(
