@@ -1,7 +1,10 @@
 use std::path::PathBuf;
 
 use cape_core::{Outfit, joints::JOINT_NAMES, parse_device, ply};
-use cape_render::{Object, Style, Tile, View, colour_of, contact_sheet, portrait};
+use cape_render::{
+    Bounds, Camera, Object, Projection, Style, Tile, View, colour_of, contact_sheet, portrait,
+    render,
+};
 use cape_train::{Run, write_json};
 use clap::Args;
 use ndarray::{Array3, Axis, concatenate};
@@ -10,7 +13,7 @@ use serde::Serialize;
 use crate::{
     arguments::{Global, outfit},
     console::Console,
-    dressed::{Wearer, eight_bit},
+    dressed::{Dressed, Wearer, eight_bit},
     error::{Error, Result},
     files,
     pose::{Pose, poses},
@@ -122,7 +125,15 @@ impl PoseEffect {
         ply::write(self.out.join("change.ply"), &canonical, Some(&eight))?;
         let style = Style { width: 300, height: 460, ..Style::default() };
         let change = portrait(Object::new(&canonical).coloured(&colours), View::Front, &style)?;
-        let picture = |dressed: &crate::dressed::Dressed| dressed.picture(View::Front, 300, 460);
+        // One camera, so that sizes can be compared.
+        let shown = [in_a, &rigid[1], in_b];
+        let bounds = Bounds::of_meshes(shown.map(|dressed| &dressed.mesh))
+            .ok_or_else(|| Error::message("the body has no vertices"))?;
+        let aspect = style.width as f32 / style.height as f32;
+        let camera = Camera::framing(&bounds, View::Front, Projection::default(), aspect);
+        let picture = |dressed: &Dressed| {
+            render(&[Object::new(&dressed.mesh).coloured(&dressed.colours)], &camera, &style)
+        };
         let tiles = [
             (picture(in_a)?, self.pose_a.clone()),
             (picture(&rigid[1])?, format!("{}, offsets of {}", self.pose_b, self.pose_a)),
