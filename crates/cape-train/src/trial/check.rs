@@ -28,7 +28,7 @@ pub struct CheckOptions {
 
 impl Default for CheckOptions {
     fn default() -> Self {
-        Self { frames: 16, overfit_steps: 1500, target_mm: 0.5, steps: 200 }
+        Self { frames: 16, overfit_steps: 2500, target_mm: 0.5, steps: 200 }
     }
 }
 

@@ -32,7 +32,7 @@ pub(super) struct Trials {
     /// --out, rates.csv and rates.png go there.
     #[arg(long, conflicts_with = "resume")]
     find_rate: bool,
-    /// Steps of --check (200, after at most 1500 for learning by heart) or --find-rate (120).
+    /// Steps of --check (200, after at most 2500 for learning by heart) or --find-rate (120).
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     trial_steps: Option<usize>,
 }
