@@ -136,10 +136,10 @@ impl Animate {
     ) -> Result<Array3<f32>> {
         let mut parts = Vec::new();
         console.while_showing("decode", "frames", |progress| {
-            for (index, poses) in poses.chunks(BATCH).enumerate() {
-                let codes = code.select(Axis(0), &vec![0; poses.len()]);
-                parts.push(run.decode(&codes, poses, &vec![self.outfit; poses.len()])?);
-                progress(index * BATCH + poses.len(), poses.len());
+            for (index, chunk) in poses.chunks(BATCH).enumerate() {
+                let codes = code.select(Axis(0), &vec![0; chunk.len()]);
+                parts.push(run.decode(&codes, chunk, &vec![self.outfit; chunk.len()])?);
+                progress(index * BATCH + chunk.len(), poses.len());
             }
             Ok::<_, Error>(())
         })?;

@@ -58,6 +58,9 @@ impl Mixture {
                 covariances.dim()
             )));
         }
+        if !means.iter().all(|x| x.is_finite()) {
+            return Err(Error::argument("mixture: a mean is not finite"));
+        }
         let sum: f64 = weights.sum();
         if !(weights.iter().all(|&w| w >= 0.0) && (sum - 1.0).abs() < 1e-3) {
             return Err(Error::argument(format!("mixture: weights that add up to {sum}")));

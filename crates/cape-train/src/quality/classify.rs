@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, path::Path};
 use cape_core::Outfit;
 
 use crate::{
-    Result, Run,
+    Error, Result, Run,
     data::{PackedSet, Part},
 };
 
@@ -19,6 +19,12 @@ impl Centroids {
     /// Of at most `frames` training frames, evenly spaced.
     pub(super) fn of_training(run: &Run, data: &Path, frames: usize) -> Result<Self> {
         let set = PackedSet::open(data, Part::Train)?;
+        let (found, expected) = (set.vertices(), run.body().vertices());
+        if found != expected {
+            return Err(Error::Data(format!(
+                "training frames of {found} vertices, but the run's body has {expected}"
+            )));
+        }
         let rows = run.statistics().training_rows(set.frames());
         let step = rows.len().div_ceil(frames.max(1)).max(1);
         let mut lengths = Vec::new();

@@ -120,7 +120,8 @@ pub fn quality(
         let right = points.iter().zip(&outfits).filter(|(p, o)| classifier.classify(p) == **o);
         right.count() as f64 / points.len().max(1) as f64
     };
-    let report_parts = (consistent(&sample_points), consistent(&truth_points));
+    let outfit_consistency = consistent(&sample_points);
+    let classifier_accuracy = consistent(&truth_points);
     progress(3, steps);
 
     let mut diversity = Vec::new();
@@ -134,7 +135,7 @@ pub fn quality(
     progress(4, steps);
     let pose_sensitivity_mm = sensitivity(run, &drawn, &poses, &outfits, options.seed)?;
     progress(5, steps);
-    let normals = normals(run);
+    let normals = run.body().mesh().vertex_normals();
     let inside = |rows: &[Vec<f32>]| inside_share(rows, clothing, &normals);
     Ok(QualityReport {
         frames: rows.len(),
@@ -151,8 +152,8 @@ pub fn quality(
             })
             .collect(),
         pose_sensitivity_mm,
-        outfit_consistency: report_parts.0,
-        classifier_accuracy: report_parts.1,
+        outfit_consistency,
+        classifier_accuracy,
         inside_body: [inside(&samples), inside(&truth)],
     })
 }
@@ -215,33 +216,14 @@ fn sensitivity(
     Ok(1000.0 * sum / (NUDGE * (count * run.clothing().len()).max(1) as f64))
 }
 
-/// Normals of the body's rest vertices, not of unit length.
-fn normals(run: &Run) -> Vec<[f64; 3]> {
-    let template = run.body().mesh();
-    let mut normals = vec![[0.0; 3]; template.vertices.len()];
-    for face in &template.faces {
-        let [a, b, c] = face.map(|v| template.vertices[v as usize].map(f64::from));
-        let (u, v): ([f64; 3], [f64; 3]) =
-            (std::array::from_fn(|i| b[i] - a[i]), std::array::from_fn(|i| c[i] - a[i]));
-        let normal =
-            [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
-        for &vertex in face {
-            for (sum, x) in normals[vertex as usize].iter_mut().zip(normal) {
-                *sum += x;
-            }
-        }
-    }
-    normals
-}
-
 /// Share of clothing vertices that are displaced against their normal.
-fn inside_share(rows: &[Vec<f32>], clothing: &[usize], normals: &[[f64; 3]]) -> f64 {
+fn inside_share(rows: &[Vec<f32>], clothing: &[usize], normals: &[[f32; 3]]) -> f64 {
     let inside: usize = rows
         .iter()
         .map(|row| {
             let against = |&&vertex: &&usize| {
                 let moved = &row[3 * vertex..3 * vertex + 3];
-                moved.iter().zip(normals[vertex]).map(|(&d, n)| f64::from(d) * n).sum::<f64>() < 0.0
+                moved.iter().zip(normals[vertex]).map(|(d, n)| d * n).sum::<f32>() < 0.0
             };
             clothing.iter().filter(against).count()
         })

@@ -13,7 +13,7 @@ pub use check::{CheckOptions, CheckReport, Finding, check};
 pub use rate::{RateOptions, RatePoint, RateReport, find_rate};
 
 use crate::{
-    Result, RunConfig,
+    Error, Result, RunConfig,
     data::{
         Loader, LoaderOptions, LoaderState, PackedSet, Part, Statistics, StepData, steps_per_epoch,
     },
@@ -51,6 +51,10 @@ impl Material {
         subject.config.validate()?;
         let set = PackedSet::open(subject.data, Part::Train)?;
         let statistics = Statistics::of_packed(subject.data, &mut crate::silent)?;
+        if statistics.training_rows(set.frames()).is_empty() {
+            let message = format!("{}: no frame to train on", subject.data.display());
+            return Err(Error::Data(message));
+        }
         let (body, mask) = body_and_clothing(subject.data, &set, subject.body, subject.clothing)?;
         Ok(Self {
             set: Arc::new(set),

@@ -44,7 +44,8 @@ pub struct RateReport {
     pub steepest: f64,
     /// The rate at which it exploded, if it did.
     pub diverged: Option<f64>,
-    /// A third of [`lowest`](Self::lowest): near it, the loss is about to rise.
+    /// A third of [`lowest`](Self::lowest), near which the loss is about to rise; or
+    /// [`steepest`](Self::steepest), if it fell to the end.
     pub suggested: f64,
 }
 
@@ -118,7 +119,9 @@ impl Curve {
         let falls =
             settled.windows(4).map(|four| (four[0].smoothed - four[3].smoothed, four[2].rate));
         let steepest = falls.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(lowest, |(_, rate)| rate);
-        Ok(RateReport { points, lowest, steepest, diverged, suggested: lowest / 3.0 })
+        let fell_to_the_end = points.last().is_some_and(|last| last.rate == lowest);
+        let suggested = if diverged.is_none() && fell_to_the_end { steepest } else { lowest / 3.0 };
+        Ok(RateReport { points, lowest, steepest, diverged, suggested })
     }
 }
 
@@ -150,6 +153,13 @@ mod tests {
         let diverged = found.diverged.unwrap();
         assert!((0.1..0.2).contains(&diverged), "{diverged}");
         assert!(found.suggested < found.lowest);
+    }
+
+    #[test]
+    fn a_loss_that_never_rises_suggests_where_it_fell_fastest() {
+        let found = report(|rate| 2.0 - 1.5 / (1.0 + (-6.0 * (rate.log10() + 3.0)).exp()));
+        assert!(found.diverged.is_none());
+        assert_eq!(found.suggested, found.steepest);
     }
 
     #[test]
