@@ -23,13 +23,14 @@ pub use cape_train as train;
 pub mod prelude {
     pub use burn::tensor::{Device, Tensor};
     pub use cape_core::{
-        Mesh, Outfit, SmplModel, parse_device,
+        BodyPose, Mesh, Outfit, SmplModel, parse_device, poses,
         smpl::{ClothedSmpl, ClothingMask, Pose, Smpl, SmplInput, SmplOutput},
         synth::synthetic_body,
     };
     pub use cape_graph::{MeshPyramid, Weighting};
     pub use cape_model::{Cape, CapeConfig, Generator, LossConfig};
-    pub use cape_train::{Run, RunConfig, TrainConfig, Trainer};
+    pub use cape_render::{Image, Object, Style, Tile, View, contact_sheet, portrait};
+    pub use cape_train::{Performance, Run, RunConfig, TrainConfig, Trainer, Wearer};
 }
 
 /// The README's examples, compiled as documentation tests.

@@ -112,7 +112,7 @@ pub(crate) struct Rect {
     pub(crate) height: f64,
 }
 
-pub(crate) struct Browser(PathBuf);
+pub(crate) struct Browser(pub(crate) PathBuf);
 
 impl Browser {
     /// The browser to test with; says so if there is none.
@@ -127,7 +127,7 @@ impl Browser {
         if found.is_none() {
             // Not by `eprintln!`, which the test harness keeps to itself.
             let text = format!(
-                "\n!!! NOT TESTED: the report in a browser. None of {} is in the path; install \
+                "\n!!! NOT TESTED: pages in a browser. None of {} is in the path; install \
                  Chromium or name it in CAPE_BROWSER.\n\n",
                 NAMES.join(", ")
             );

@@ -10,3 +10,4 @@ mod support;
 mod tf_writer;
 mod training;
 mod trials;
+mod variations;

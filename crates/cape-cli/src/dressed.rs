@@ -1,17 +1,13 @@
 //! Sampled clothes on posed bodies, and their pictures.
 
-use burn::tensor::{Device, Tensor, TensorData};
-use cape_core::{ClothedSmpl, ClothingMask, Mesh, Outfit, Smpl, SmplInput, SmplModel};
-use cape_render::{Image, Object, Style, View, colour_of, portrait};
-use cape_train::Run;
-use ndarray::{Array2, Array3, ArrayView2, Axis, s};
+use cape_core::{Mesh, Outfit, SmplModel};
+use cape_render::{Image, Object, Style, Texture, View, colour_of, portrait};
+use cape_train::{Run, Wearer};
+use ndarray::{Array2, Array3, ArrayView2, Axis};
 
-use crate::{
-    error::{Error, Result},
-    pose::Pose,
-};
+use crate::error::Result;
 
-/// Bodies posed at a time.
+/// Bodies dressed at a time.
 const BATCH: usize = 16;
 /// Displacements from here, metres, look like cloth, and from [`CLOTH`] on wholly so.
 const SKIN: f32 = 0.0025;
@@ -37,170 +33,124 @@ pub(crate) struct Dressed {
     pub(crate) distances: Vec<f32>,
 }
 
-/// What to dress.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Request {
-    pub(crate) outfit: Outfit,
-    pub(crate) pose: Pose,
-    /// Row of the codes.
-    pub(crate) code: usize,
-}
-
-/// Decodes `codes` `[n, latent]` for each request and poses the clothed bodies; joints follow the
-/// body, displacements apply at clothing vertices. `each` gets every result in turn.
+/// Bodies in the clothes of `codes` `[n, latent]`, one for each of `wearers`; `each` gets every one
+/// in turn.
 pub(crate) fn dress(
     run: &Run,
     codes: &Array2<f32>,
-    betas: &[f32],
-    requests: &[Request],
+    wearers: &[Wearer],
     mut each: impl FnMut(usize, Dressed) -> Result,
 ) -> Result {
-    let wearer = Wearer::new(run)?;
-    for (chunk_index, chunk) in requests.chunks(BATCH).enumerate() {
-        let rows: Vec<usize> = chunk.iter().map(|request| request.code).collect();
-        let z = codes.select(Axis(0), &rows);
-        let poses: Vec<Pose> = chunk.iter().map(|request| request.pose).collect();
-        let outfits: Vec<Outfit> = chunk.iter().map(|request| request.outfit).collect();
-        let displacement = run.decode(&z, &poses, &outfits)?;
-        let bodies = wearer.wear(betas, &outfits, &poses, &displacement)?;
-        for (index, body) in bodies.into_iter().enumerate() {
-            each(chunk_index * BATCH + index, body)?;
+    let painter = Painter::new(run);
+    for (index, chunk) in wearers.chunks(BATCH).enumerate() {
+        let first = index * BATCH;
+        let codes = codes.slice(ndarray::s![first..first + chunk.len(), ..]).to_owned();
+        let worn = run.clothes(&codes, chunk)?;
+        for (offset, body) in painter.wear(&worn, chunk)?.into_iter().enumerate() {
+            each(first + offset, body)?;
         }
     }
     Ok(())
 }
 
-/// A run's body, ready to be dressed.
-pub(crate) struct Wearer<'a> {
+/// Knows where cloth is on a run's body.
+pub(crate) struct Painter<'a> {
     run: &'a Run,
-    mask: ClothingMask,
-    clothed: ClothedSmpl,
+    covered: Vec<bool>,
+    legs: Vec<f32>,
+    trunk: Vec<f32>,
+    neighbours: Neighbours,
 }
 
-impl<'a> Wearer<'a> {
-    pub(crate) fn new(run: &'a Run) -> Result<Self> {
-        let mask = ClothingMask::from_indices(run.body().vertices(), run.clothing())?;
-        let smpl = Smpl::new(run.body(), run.device())?;
-        Ok(Self { run, clothed: ClothedSmpl::new(smpl).with_mask(&mask)?, mask })
+impl<'a> Painter<'a> {
+    pub(crate) fn new(run: &'a Run) -> Self {
+        let body = run.body();
+        let mut covered = vec![false; body.vertices()];
+        run.clothing().iter().for_each(|&vertex| covered[vertex] = true);
+        let neighbours = Neighbours::new(body);
+        let share = |joints: &[usize]| {
+            let of = |weights: ndarray::ArrayView1<f64>| {
+                joints.iter().filter_map(|&joint| weights.get(joint)).sum::<f64>() as f32
+            };
+            neighbours.smoothed(body.weights.rows().into_iter().map(of).collect())
+        };
+        Self { run, covered, legs: share(&LEGS), trunk: share(&TRUNK), neighbours }
     }
 
-    /// Bodies in given clothes: displacements `[n, vertices, 3]` in metres, of which those at
-    /// clothing vertices apply; an outfit and a pose for each.
+    /// Bodies in given clothes: displacements `[n, vertices, 3]` in metres.
     pub(crate) fn wear(
         &self,
-        betas: &[f32],
-        outfits: &[Outfit],
-        poses: &[Pose],
         displacement: &Array3<f32>,
+        wearers: &[Wearer],
     ) -> Result<Vec<Dressed>> {
-        let (body, mask) = (self.run.body(), &self.mask);
-        let vertices = posed(&self.clothed, betas, poses, Some(displacement), self.run.device())?;
-        let bodies = vertices.axis_iter(Axis(0)).zip(displacement.axis_iter(Axis(0)));
-        Ok(bodies
-            .zip(outfits)
-            .map(|((vertices, worn), &outfit)| Dressed {
-                mesh: mesh(body, vertices),
-                colours: colours(body, mask, worn, outfit),
-                distances: distances(mask, worn),
+        let meshes = self.run.wear(displacement, wearers)?;
+        let worn = displacement.axis_iter(Axis(0)).zip(wearers);
+        Ok(meshes
+            .into_iter()
+            .zip(worn)
+            .map(|(mesh, (worn, wearer))| Dressed {
+                mesh,
+                colours: self.colours(worn, wearer.outfit),
+                distances: distances(&self.covered, worn),
             })
             .collect())
     }
-}
 
-/// The body without clothes.
-pub(crate) fn bare(
-    body: &SmplModel,
-    betas: &[f32],
-    pose: &Pose,
-    device: &Device,
-) -> Result<Dressed> {
-    let clothed = ClothedSmpl::new(Smpl::new(body, device)?);
-    let vertices = posed(&clothed, betas, &[*pose], None, device)?;
-    Ok(Dressed {
-        mesh: mesh(body, vertices.slice(s![0, .., ..])),
-        colours: vec![SKIN_COLOUR; body.vertices()],
-        distances: vec![0.0; body.vertices()],
-    })
-}
-
-fn posed(
-    clothed: &ClothedSmpl,
-    betas: &[f32],
-    poses: &[Pose],
-    displacement: Option<&Array3<f32>>,
-    device: &Device,
-) -> Result<Array3<f32>> {
-    let (n, v) = (poses.len(), clothed.body().vertices());
-    let rows = |values: Vec<f32>, width: usize| {
-        Tensor::<2>::from_data(TensorData::new(values, [n, width]), device)
-    };
-    let worn = displacement.map(|array| {
-        let values: Vec<f32> = array.iter().copied().collect();
-        Tensor::<3>::from_data(TensorData::new(values, [n, v, 3]), device)
-    });
-    let output = clothed.forward(SmplInput {
-        betas: rows(betas.repeat(n), betas.len()),
-        pose: cape_core::Pose::AxisAngle(rows(poses.as_flattened().to_vec(), 72)),
-        transl: rows(vec![0.0; 3 * n], 3),
-        displacement: worn,
-    })?;
-    let values = output.vertices.into_data().convert::<f32>().try_into_vec::<f32>();
-    let values = values.map_err(|_| Error::message("the device returned no vertices"))?;
-    if values.iter().any(|x| !x.is_finite()) {
-        return Err(Error::message("the model decodes vertices that are not finite"));
+    /// Colours that show where there is cloth: on the trunk, and where the surface leaves the skin.
+    fn colours(&self, displacement: ArrayView2<f32>, outfit: Outfit) -> Vec<[f32; 3]> {
+        let distance = displacement.rows().into_iter().map(|d| d.dot(&d).sqrt()).collect();
+        let distance = self.neighbours.smoothed(distance);
+        let vertex = |(&covered, ((&distance, &leg), &trunk)): (&bool, ((&f32, &f32), &f32))| {
+            if !covered {
+                return SKIN_COLOUR;
+            }
+            let garment = mix(shirt_colour(outfit), TROUSERS, ramp(leg, 0.42, 0.58));
+            let cloth = ramp(distance, SKIN, CLOTH).max(ramp(trunk, 0.5, 0.8));
+            mix(SKIN_COLOUR, garment, cloth)
+        };
+        let places = distance.iter().zip(&self.legs).zip(&self.trunk);
+        self.covered.iter().zip(places).map(vertex).collect()
     }
-    Array3::from_shape_vec((n, v, 3), values).map_err(|error| Error::message(error.to_string()))
 }
 
-fn mesh(body: &SmplModel, vertices: ArrayView2<f32>) -> Mesh {
-    let vertices = vertices.rows().into_iter().map(|v| [v[0], v[1], v[2]]).collect();
-    Mesh { vertices, faces: body.faces.clone() }
+/// Bodies without clothes.
+pub(crate) fn bare(run: &Run, wearers: &[Wearer]) -> Result<Vec<Dressed>> {
+    let count = run.body().vertices();
+    let bodies = run.bare(wearers)?.into_iter();
+    Ok(bodies
+        .map(|mesh| Dressed {
+            mesh,
+            colours: vec![SKIN_COLOUR; count],
+            distances: vec![0.0; count],
+        })
+        .collect())
 }
 
-fn distances(mask: &ClothingMask, displacement: ArrayView2<f32>) -> Vec<f32> {
-    let rows = displacement.rows().into_iter().zip(mask.covered());
+fn distances(covered: &[bool], displacement: ArrayView2<f32>) -> Vec<f32> {
+    let rows = displacement.rows().into_iter().zip(covered);
     rows.map(|(d, &covered)| if covered { d.dot(&d).sqrt() } else { 0.0 }).collect()
 }
 
-/// Colours that show where there is cloth: on the trunk, and where the surface leaves the skin.
-fn colours(
-    body: &SmplModel,
-    mask: &ClothingMask,
-    displacement: ArrayView2<f32>,
-    outfit: Outfit,
-) -> Vec<[f32; 3]> {
-    let distance = displacement.rows().into_iter().map(|d| d.dot(&d).sqrt()).collect();
-    let share = |joints: &[usize]| {
-        let of = |weights: ndarray::ArrayView1<f64>| {
-            joints.iter().filter_map(|&joint| weights.get(joint)).sum::<f64>() as f32
-        };
-        smoothed(body, body.weights.rows().into_iter().map(of).collect())
-    };
-    let (distance, legs, trunk) = (smoothed(body, distance), share(&LEGS), share(&TRUNK));
-    let vertex = |(&covered, ((&distance, &leg), &trunk)): (&bool, ((&f32, &f32), &f32))| {
-        if !covered {
-            return SKIN_COLOUR;
-        }
-        let garment = mix(shirt_colour(outfit), TROUSERS, ramp(leg, 0.42, 0.58));
-        let cloth = ramp(distance, SKIN, CLOTH).max(ramp(trunk, 0.5, 0.8));
-        mix(SKIN_COLOUR, garment, cloth)
-    };
-    mask.covered().iter().zip(distance.iter().zip(&legs).zip(&trunk)).map(vertex).collect()
-}
+/// Both directions of every side of every triangle.
+struct Neighbours(Vec<[u32; 2]>);
 
-/// Averages over neighbours a few times, so that a fold that touches the skin is no hole.
-fn smoothed(body: &SmplModel, mut values: Vec<f32>) -> Vec<f32> {
-    for _ in 0..SMOOTHINGS {
-        let mut sums: Vec<(f32, f32)> = values.iter().map(|&value| (value, 1.0)).collect();
-        for face in &body.faces {
-            for (a, b) in [(0, 1), (1, 2), (2, 0)] {
-                let (a, b) = (face[a] as usize, face[b] as usize);
-                sums[a] = (sums[a].0 + values[b], sums[a].1 + 1.0);
-            }
-        }
-        values = sums.into_iter().map(|(sum, count)| sum / count).collect();
+impl Neighbours {
+    fn new(body: &SmplModel) -> Self {
+        Self(body.faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect())
     }
-    values
+
+    /// Averages over neighbours a few times, so that a fold that touches the skin is no hole.
+    fn smoothed(&self, mut values: Vec<f32>) -> Vec<f32> {
+        for _ in 0..SMOOTHINGS {
+            let mut sums: Vec<(f32, f32)> = values.iter().map(|&value| (value, 1.0)).collect();
+            for &[a, b] in &self.0 {
+                let sum = &mut sums[a as usize];
+                *sum = (sum.0 + values[b as usize], sum.1 + 1.0);
+            }
+            values = sums.into_iter().map(|(sum, count)| sum / count).collect();
+        }
+        values
+    }
 }
 
 /// From 0 at `low` to 1 at `high`.
@@ -222,10 +172,15 @@ fn mix(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
 }
 
 impl Dressed {
-    /// A picture from the given side.
-    pub(crate) fn picture(&self, view: View, width: u32, height: u32) -> Result<Image> {
-        let style = Style { width, height, ..Style::default() };
-        Ok(portrait(Object::new(&self.mesh).coloured(&self.colours), view, &style)?)
+    /// A picture from the given side, in its colours or with a texture.
+    pub(crate) fn picture(&self, from: View, size: [u32; 2], on: Option<Texture>) -> Result<Image> {
+        let style = Style { width: size[0], height: size[1], ..Style::default() };
+        let object = Object::new(&self.mesh);
+        let object = match on {
+            Some(texture) => object.textured(texture),
+            None => object.coloured(&self.colours),
+        };
+        Ok(portrait(object, from, &style)?)
     }
 
     /// Colours as 8-bit numbers.

@@ -3,6 +3,7 @@
 //! Results go to standard output (as JSON with `--json`), everything else to standard error.
 
 mod arguments;
+mod code_source;
 mod commands;
 mod comparison;
 mod console;
@@ -12,7 +13,6 @@ mod error;
 mod files;
 mod interrupt;
 mod mesh_file;
-mod pose;
 mod priors;
 mod table;
 mod training;

@@ -12,8 +12,18 @@ pub(crate) fn has_extension(path: &Path, expected: &str) -> bool {
 
 /// Reads a mesh: an OBJ or PLY file, or the template of a body file.
 pub(crate) fn read_surface(path: &Path) -> Result<Surface> {
-    if has_extension(path, "npz") || has_extension(path, "pkl") {
+    if is_body(path) {
         return Ok(Surface::from(&SmplModel::load(path)?));
     }
     Ok(Surface::from(&Mesh::load(path)?))
+}
+
+/// The same in single precision.
+#[cfg(feature = "view")]
+pub(crate) fn read_mesh(path: &Path) -> Result<Mesh> {
+    Ok(if is_body(path) { SmplModel::load(path)?.mesh() } else { Mesh::load(path)? })
+}
+
+fn is_body(path: &Path) -> bool {
+    has_extension(path, "npz") || has_extension(path, "pkl")
 }

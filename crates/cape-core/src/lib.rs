@@ -14,6 +14,7 @@ pub mod obj;
 mod outfit;
 pub mod pickle;
 pub mod ply;
+pub mod poses;
 pub mod smpl;
 pub mod synth;
 
@@ -22,6 +23,7 @@ pub use device::{DEVICES, devices, parse_device};
 pub use error::{Error, Result};
 pub use mesh::{Mesh, MeshReport};
 pub use outfit::Outfit;
+pub use poses::BodyPose;
 pub use smpl::{
     ClothedSmpl, ClothingMask, JointSource, Pose, Smpl, SmplInput, SmplModel, SmplOutput,
 };

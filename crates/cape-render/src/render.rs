@@ -3,10 +3,20 @@ use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
 use crate::{
-    Bounds, Camera, Error, Image, Material, Projection, Result, View,
+    Bounds, Camera, Error, Image, Material, Projection, Result, Texture, View,
     raster::{EMPTY, Point, Visibility, barycentric, rasterise},
     shade::{ContactShadow, Lights, Surface, sky_visibility, to_linear, to_srgb, vertex_normals},
 };
+
+/// How normals vary over a surface.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Shading {
+    /// Between those of vertices.
+    #[default]
+    Smooth,
+    /// Not at all within a face, which shows the triangles.
+    Flat,
+}
 
 /// A mesh in a scene.
 #[derive(Debug, Clone, Copy)]
@@ -17,18 +27,40 @@ pub struct Object<'a> {
     pub colours: Option<&'a [[f32; 3]]>,
     /// How it answers light.
     pub material: Material,
+    /// A picture on it, instead of colours.
+    pub texture: Option<Texture<'a>>,
+    /// How normals vary over it.
+    pub shading: Shading,
 }
 
 impl<'a> Object<'a> {
     /// `mesh` in the default material.
     pub fn new(mesh: &'a Mesh) -> Self {
-        Self { mesh, colours: None, material: Material::default() }
+        Self {
+            mesh,
+            colours: None,
+            material: Material::default(),
+            texture: None,
+            shading: Shading::Smooth,
+        }
     }
 
     /// The same with a colour for each vertex.
     #[must_use]
     pub fn coloured(self, colours: &'a [[f32; 3]]) -> Self {
         Self { colours: Some(colours), ..self }
+    }
+
+    /// The same with a picture on it.
+    #[must_use]
+    pub fn textured(self, texture: Texture<'a>) -> Self {
+        Self { texture: Some(texture), ..self }
+    }
+
+    /// The same with its triangles to be seen.
+    #[must_use]
+    pub fn flat(self) -> Self {
+        Self { shading: Shading::Flat, ..self }
     }
 }
 
@@ -71,20 +103,28 @@ impl Default for Style {
     }
 }
 
+/// What the faces of an object have in common.
+struct Look<'a> {
+    first_face: u32,
+    gloss: f32,
+    texture: Option<Texture<'a>>,
+    shading: Shading,
+}
+
 /// All objects in one vertex and one face array.
-struct Scene {
+struct Scene<'a> {
     vertices: Vec<Vec3>,
     normals: Vec<Vec3>,
     colours: Vec<Vec3>,
     sky: Vec<f32>,
     faces: Vec<[u32; 3]>,
-    /// First face of each object and its highlight's strength.
-    gloss: Vec<(u32, f32)>,
+    /// Of each object, in the order of their faces.
+    looks: Vec<Look<'a>>,
     bounds: Bounds,
 }
 
-impl Scene {
-    fn new(objects: &[Object<'_>], shadows: bool) -> Result<Self> {
+impl<'a> Scene<'a> {
+    fn new(objects: &[Object<'a>], shadows: bool) -> Result<Self> {
         let bounds =
             Bounds::of_meshes(objects.iter().map(|object| object.mesh)).ok_or_else(|| {
                 Error::Argument("nothing to draw: the meshes have no vertices".into())
@@ -95,7 +135,7 @@ impl Scene {
             colours: Vec::new(),
             sky: Vec::new(),
             faces: Vec::new(),
-            gloss: Vec::new(),
+            looks: Vec::new(),
             bounds,
         };
         for (index, object) in objects.iter().enumerate() {
@@ -109,8 +149,8 @@ impl Scene {
         Ok(scene)
     }
 
-    fn add(&mut self, index: usize, object: &Object<'_>) -> Result<()> {
-        let Object { mesh, colours, material } = object;
+    fn add(&mut self, index: usize, object: &Object<'a>) -> Result<()> {
+        let &Object { mesh, colours, material, texture, shading } = object;
         let count = mesh.vertices.len();
         if let Some(v) = mesh.vertices.iter().position(|v| !v.iter().all(|x| x.is_finite())) {
             return Err(Error::Argument(format!("object {index}: vertex {v} is not finite")));
@@ -130,17 +170,20 @@ impl Scene {
             Some(colours) => self.colours.extend(colours.iter().map(|&c| to_linear(c))),
             None => self.colours.extend(std::iter::repeat_n(to_linear(material.colour), count)),
         }
+        if let Some(texture) = texture {
+            texture.check(index, mesh.faces.len())?;
+        }
         let offset = self.vertices.len() as u32;
-        self.gloss.push((self.faces.len() as u32, material.gloss));
+        let first_face = self.faces.len() as u32;
+        self.looks.push(Look { first_face, gloss: material.gloss, texture, shading });
         self.vertices.extend(mesh.vertices.iter().map(|&v| Vec3::from(v)));
         self.faces.extend(mesh.faces.iter().map(|face| face.map(|i| i + offset)));
         self.normals.extend(vertex_normals(mesh));
         Ok(())
     }
 
-    fn gloss_of(&self, face: u32) -> f32 {
-        let object = self.gloss.partition_point(|&(first, _)| first <= face);
-        self.gloss[object - 1].1
+    fn look_of(&self, face: u32) -> &Look<'a> {
+        &self.looks[self.looks.partition_point(|look| look.first_face <= face) - 1]
     }
 
     fn surface(&self, camera: &Camera, face: u32, weights: [f32; 3]) -> Surface {
@@ -150,16 +193,24 @@ impl Scene {
         };
         let position = blend(&self.vertices);
         let eye = camera.towards(position);
-        let normal = blend(&self.normals).normalize_or(eye);
+        let look = self.look_of(face);
         let [a, b, c] = corners.map(|i| self.vertices[i]);
-        let flipped = (b - a).cross(c - a).dot(eye) < 0.0;
+        let flat = (b - a).cross(c - a);
+        let flipped = flat.dot(eye) < 0.0;
+        let normal = match look.shading {
+            Shading::Smooth => blend(&self.normals).normalize_or(eye),
+            Shading::Flat => flat.normalize_or(eye),
+        };
         Surface {
             position,
             normal: if flipped { -normal } else { normal },
             eye,
-            albedo: blend(&self.colours),
+            albedo: match &look.texture {
+                Some(texture) => texture.at((face - look.first_face) as usize, weights),
+                None => blend(&self.colours),
+            },
             sky: (0..3).map(|i| self.sky[corners[i]] * weights[i]).sum(),
-            gloss: self.gloss_of(face),
+            gloss: look.gloss,
         }
     }
 }
@@ -212,7 +263,7 @@ pub fn portrait(object: Object<'_>, view: View, style: &Style) -> Result<Image> 
 /// Sum of the radiance of a pixel's covered samples, and their part of all.
 #[expect(clippy::too_many_arguments, reason = "the loop body of `render`")]
 fn gather(
-    scene: &Scene,
+    scene: &Scene<'_>,
     camera: &Camera,
     lights: &Lights,
     points: &[Point],

@@ -1,8 +1,9 @@
 //! Whole pictures: what is seen where, independence of threads, and a small snapshot.
 
-use cape_core::Mesh;
+use cape_core::{Mesh, obj::Uv};
 use cape_render::{
-    Background, Bounds, Camera, Image, Object, Projection, Style, View, portrait, render,
+    Background, Bounds, Camera, Image, Object, Projection, Style, Texture, View, portrait, render,
+    silhouette,
 };
 use glam::Vec3;
 use std::f32::consts::TAU;
@@ -163,4 +164,65 @@ fn unusable_scenes_are_errors() {
     assert!(message(&mesh, Some(&[[0.0; 3]; 3]), &style).contains("3 colours for 4"));
     assert!(message(&mesh, None, &Style { samples: 0, ..style }).contains("samples"));
     assert!(message(&mesh, None, &Style { width: 0, ..style }).contains("pixels"));
+}
+
+#[test]
+fn flat_shading_is_the_same_all_over_a_face() {
+    let mesh = torus(9, 7);
+    let camera = camera(&[&mesh], View::Front);
+    let colours = |object: Object| {
+        let image = render(&[object], &camera, &plain(128)).unwrap();
+        let pixels: std::collections::BTreeSet<_> =
+            image.pixels().iter().filter(|pixel| pixel[3] == 255).copied().collect();
+        pixels.len()
+    };
+    // The highlight follows the eye, so that a face's pixels differ a little.
+    let (smooth, flat) = (colours(Object::new(&mesh)), colours(Object::new(&mesh).flat()));
+    assert!(3 * flat < smooth, "{flat} colours flat, {smooth} smooth");
+}
+
+#[test]
+fn a_texture_lies_on_the_surface_the_right_way_up() {
+    let mesh = square(0.0, 1.0);
+    let uv = Uv {
+        coordinates: vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]],
+        faces: mesh.faces.clone(),
+    };
+    let mut image = Image::new(2, 2, [255, 255, 255, 255]).unwrap();
+    // Top left red, top right green, bottom left blue.
+    image.pixels_mut()[..3]
+        .copy_from_slice(&[[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 255]]);
+    let texture = Texture { uv: &uv, image: &image };
+    let camera = Camera::look_at(
+        Vec3::new(0.0, 0.0, 5.0),
+        Vec3::ZERO,
+        Projection::Orthographic,
+        1.0,
+        [1.0, 9.0],
+    );
+    let picture = render(&[Object::new(&mesh).textured(texture)], &camera, &plain(64)).unwrap();
+    let strongest = |x: u32, y: u32| {
+        let [r, g, b, _] = picture.get(x, y).unwrap();
+        [r, g, b].map(|c| c > 128)
+    };
+    assert_eq!(strongest(18, 18), [true, false, false]);
+    assert_eq!(strongest(45, 18), [false, true, false]);
+    assert_eq!(strongest(18, 45), [false, false, true]);
+    assert_eq!(strongest(45, 45), [true, true, true]);
+
+    let short = Uv { faces: uv.faces[..1].to_vec(), ..uv.clone() };
+    let wrong = Texture { uv: &short, image: &image };
+    assert!(render(&[Object::new(&mesh).textured(wrong)], &camera, &plain(8)).is_err());
+}
+
+#[test]
+fn a_silhouette_is_what_is_drawn() {
+    let mesh = torus(40, 30);
+    let camera = camera(&[&mesh], View::ThreeQuarter);
+    let mask = silhouette(&mesh, &camera, 96, 96).unwrap();
+    let picture = render(&[Object::new(&mesh)], &camera, &plain(96)).unwrap();
+    let pairs = mask.pixels().iter().zip(picture.pixels());
+    assert!(pairs.into_iter().all(|(mask, drawn)| (mask[0] == 255) == (drawn[3] == 255)));
+    let broken = Mesh { faces: vec![[0, 1, 9999]], ..mesh };
+    assert!(silhouette(&broken, &camera, 96, 96).is_err());
 }

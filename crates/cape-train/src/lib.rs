@@ -21,6 +21,7 @@ pub mod objective;
 pub mod optim;
 pub mod pca;
 pub mod prior;
+mod performance;
 mod progress;
 pub mod quality;
 pub mod release;
@@ -31,6 +32,7 @@ pub mod tensorboard;
 mod trainer;
 pub mod trial;
 mod validate;
+mod wear;
 
 pub use config::{Rule, RunConfig, Schedule, TrainConfig, WarmUp};
 pub use error::{Error, Result};
@@ -38,7 +40,9 @@ pub use evaluate::{
     EachFrame, EvalOptions, EvalReport, FrameError, Gathered, PosteriorUse, evaluate,
     reconstruct_test,
 };
+pub use performance::Performance;
 pub use progress::{Progress, silent};
 pub use run::{DataIdentity, Run, RunPaths, build_graphs, to_device, write_json};
 pub use trainer::{Event, Outcome, Trainer};
 pub use validate::{Illustrate, Picture, Preview};
+pub use wear::{Wearer, directions_by_effect, interpolate_codes, walk_codes};

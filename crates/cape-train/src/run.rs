@@ -10,7 +10,9 @@ use burn::{
     module::Module,
     tensor::{Device, Tensor, TensorData},
 };
-use cape_core::{Outfit, SmplModel, joints::POSE_FEATURE, smpl::ClothingMask};
+use cape_core::{
+    BodyPose, ClothedSmpl, Outfit, Smpl, SmplModel, joints::POSE_FEATURE, smpl::ClothingMask,
+};
 use cape_graph::{DevicePyramid, MeshPyramid, SparseMatrix, Surface};
 use cape_model::{Cape, Generator, Graphs, weights};
 use ndarray::{Array2, Array3};
@@ -255,6 +257,7 @@ pub struct Run {
     config: RunConfig,
     body: SmplModel,
     clothing: Vec<usize>,
+    clothed: ClothedSmpl,
     statistics: Statistics,
     checkpoint: PathBuf,
     progress: checkpoint::Progress,
@@ -283,6 +286,7 @@ impl Run {
         let mask = ClothingMask::load(paths.clothing(), body.vertices())?;
         Ok(Self {
             clothing: mask.indices().collect(),
+            clothed: ClothedSmpl::new(Smpl::new(&body, &device)?).with_mask(&mask)?,
             generator: model.generator.valid(),
             paths,
             config,
@@ -338,6 +342,10 @@ impl Run {
         &self.clothing
     }
 
+    pub(crate) fn clothed(&self) -> &ClothedSmpl {
+        &self.clothed
+    }
+
     /// Normalisation of displacements.
     pub fn statistics(&self) -> &Statistics {
         &self.statistics
@@ -378,7 +386,7 @@ impl Run {
     pub fn decode(
         &self,
         z: &Array2<f32>,
-        poses: &[[f32; 72]],
+        poses: &[BodyPose],
         outfits: &[Outfit],
     ) -> Result<Array3<f32>> {
         let (n, latent) = z.dim();
@@ -395,10 +403,7 @@ impl Run {
         for start in (0..n).step_by(DECODE_BATCH) {
             let rows = start..(start + DECODE_BATCH).min(n);
             let code = z.slice(ndarray::s![rows.clone(), ..]).to_owned();
-            let mut features = Array2::zeros((rows.len(), POSE_FEATURE));
-            for (mut row, pose) in features.rows_mut().into_iter().zip(&poses[rows.clone()]) {
-                row.assign(&ndarray::arr1(&pose_feature(pose)?));
-            }
+            let features = pose_features(&poses[rows.clone()])?;
             let labels = Array2::from_shape_fn((rows.len(), 4), |(row, outfit)| {
                 outfits[rows.start + row].one_hot()[outfit]
             });
@@ -423,9 +428,13 @@ pub(crate) fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     data.try_into_vec().unwrap_or_else(|_| unreachable!("converted to f32"))
 }
 
-/// The network's pose feature of an axis-angle pose.
-fn pose_feature(pose: &[f32; 72]) -> Result<[f32; POSE_FEATURE]> {
-    let pose: Vec<f64> = pose.iter().map(|&angle| f64::from(angle)).collect();
-    let rotations = cape_core::joints::pose_rotations(&pose)?;
-    Ok(cape_core::joints::pose_feature(&rotations)?.map(|value| value as f32))
+/// The network's features of poses, `[n, POSE_FEATURE]`.
+pub(crate) fn pose_features(poses: &[BodyPose]) -> Result<Array2<f32>> {
+    let mut features = Array2::zeros((poses.len(), POSE_FEATURE));
+    for (mut row, pose) in features.rows_mut().into_iter().zip(poses) {
+        let rotations = cape_core::joints::pose_rotations(&pose.map(f64::from))?;
+        let feature = cape_core::joints::pose_feature(&rotations)?;
+        row.iter_mut().zip(feature).for_each(|(to, value)| *to = value as f32);
+    }
+    Ok(features)
 }

@@ -1,20 +1,18 @@
 use std::path::PathBuf;
 
-use cape_core::{Outfit, obj, parse_device, ply};
+use cape_core::{BodyPose, Outfit, obj, parse_device, ply, poses::movement};
 use cape_render::{Bounds, Camera, Image, Object, Projection, Style, View, render, save_animation};
-use cape_train::{Run, write_json};
+use cape_train::{Performance, Run, Wearer, write_json};
 use clap::{Args, ValueEnum};
 use ndarray::{Array2, Array3, ArrayView2, Axis, concatenate, s};
 use serde::Serialize;
 
 use crate::{
     arguments::{Global, outfit},
-    commands::sample::Animated,
     console::Console,
-    dressed::{Dressed, Wearer},
+    dressed::{Dressed, Painter},
     error::{Error, Result},
     files,
-    pose::{Pose, movement},
     priors::{PriorName, checked_temperature, codes},
 };
 
@@ -131,7 +129,7 @@ impl Animate {
         &self,
         run: &Run,
         code: &Array2<f32>,
-        poses: &[Pose],
+        poses: &[BodyPose],
         console: Console,
     ) -> Result<Array3<f32>> {
         let mut parts = Vec::new();
@@ -147,12 +145,10 @@ impl Animate {
         concatenate(Axis(0), &views).map_err(|error| Error::message(error.to_string()))
     }
 
-    fn write_glb(&self, run: &Run, code: &Array2<f32>, poses: &[Pose]) -> Result {
-        let wearer = Wearer::new(run)?;
-        let first = run.decode(code, &poses[..1], &[self.outfit])?;
-        let dressed = wearer.wear(&self.betas, &[self.outfit], &poses[..1], &first)?;
-        let animated = Animated {
-            run,
+    fn write_glb(&self, run: &Run, code: &Array2<f32>, poses: &[BodyPose]) -> Result {
+        let first = self.wearers(&poses[..1]);
+        let dressed = Painter::new(run).wear(&run.clothes(code, &first)?, &first)?;
+        let performance = Performance {
             name: "animation",
             code: code.clone(),
             betas: &self.betas,
@@ -163,25 +159,29 @@ impl Animate {
             colours: dressed.first().map(|dressed| &dressed.colours[..]),
             texture: None,
         };
-        animated.write(&self.out.join("animation.glb"))
+        Ok(performance.save(run, self.out.join("animation.glb"))?)
+    }
+
+    fn wearers(&self, poses: &[BodyPose]) -> Vec<Wearer> {
+        let outfit = self.outfit;
+        poses.iter().map(|&pose| Wearer { betas: self.betas.clone(), pose, outfit }).collect()
     }
 
     fn write_frames(
         &self,
         run: &Run,
-        poses: &[Pose],
+        poses: &[BodyPose],
         displacement: &Array3<f32>,
         console: Console,
     ) -> Result {
-        let wearer = Wearer::new(run)?;
+        let painter = Painter::new(run);
         let mut camera = None;
         let mut pictures = Vec::new();
         console.while_showing("write", "frames", |progress| {
             for (index, chunk) in poses.chunks(BATCH).enumerate() {
                 let first = index * BATCH;
                 let worn = displacement.slice(s![first..first + chunk.len(), .., ..]).to_owned();
-                let outfits = vec![self.outfit; chunk.len()];
-                let bodies = wearer.wear(&self.betas, &outfits, chunk, &worn)?;
+                let bodies = painter.wear(&worn, &self.wearers(chunk))?;
                 if camera.is_none() {
                     camera = view_of(&bodies);
                 }

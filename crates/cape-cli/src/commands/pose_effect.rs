@@ -1,11 +1,11 @@
 use std::path::PathBuf;
 
-use cape_core::{Outfit, joints::JOINT_NAMES, parse_device, ply};
+use cape_core::{BodyPose, Outfit, joints::JOINT_NAMES, parse_device, ply, poses::poses};
 use cape_render::{
     Bounds, Camera, Object, Projection, Style, Tile, View, colour_of, contact_sheet, portrait,
     render,
 };
-use cape_train::{Run, write_json};
+use cape_train::{Run, Wearer, write_json};
 use clap::Args;
 use ndarray::{Array3, Axis, concatenate};
 use serde::Serialize;
@@ -13,10 +13,9 @@ use serde::Serialize;
 use crate::{
     arguments::{Global, outfit},
     console::Console,
-    dressed::{Dressed, Wearer, eight_bit},
+    dressed::{Dressed, Painter, eight_bit},
     error::{Error, Result},
     files,
-    pose::{Pose, poses},
     priors::{PriorName, checked_temperature, codes},
     table::Table,
 };
@@ -87,12 +86,13 @@ impl PoseEffect {
         let code = codes(&run, self.prior, &[outfit], 1, temperature, seed, console)?;
         let both = concatenate(Axis(0), &[code.view(), code.view()])
             .map_err(|error| Error::message(error.to_string()))?;
-        let worn = run.decode(&both, &[a, b], &[outfit; 2])?;
+        let wearers = [a, b].map(|pose| Wearer { betas: Vec::new(), pose, outfit });
+        let worn = run.clothes(&both, &wearers)?;
         let fixed = worn.select(Axis(0), &[0, 0]);
 
-        let wearer = Wearer::new(&run)?;
-        let following = wearer.wear(&[], &[outfit; 2], &[a, b], &worn)?;
-        let rigid = wearer.wear(&[], &[outfit; 2], &[a, b], &fixed)?;
+        let painter = Painter::new(&run);
+        let following = painter.wear(&worn, &wearers)?;
+        let rigid = painter.wear(&fixed, &wearers)?;
         let [in_a, in_b] = &following[..] else {
             return Err(Error::message("the model dressed no body"));
         };
@@ -156,7 +156,7 @@ impl PoseEffect {
     }
 }
 
-fn first(text: &str) -> Result<Pose> {
+fn first(text: &str) -> Result<BodyPose> {
     let found = poses(text)?;
     found.first().map(|(_, pose)| *pose).ok_or_else(|| Error::message(format!("{text}: no pose")))
 }

@@ -8,7 +8,6 @@ use ndarray::Array2;
 use crate::{
     Error, Progress, Result, Run,
     data::{PackedSet, Part},
-    run::{host, to_device},
 };
 
 /// Frames encoded at a time.
@@ -52,17 +51,7 @@ impl Codes {
         let latent = run.config().model.latent;
         let mut codes = Vec::with_capacity(rows.len());
         for chunk in rows.chunks(BATCH) {
-            let batch = set.batch(chunk, Some(run.statistics()))?;
-            let frames = to_device(batch, run.device());
-            let generator = run.generator();
-            let condition = generator.condition.forward(frames.pose_feature, frames.outfit);
-            let posterior = generator.encoder.forward(
-                frames.displacement,
-                condition.as_ref(),
-                &run.graphs().generator,
-            );
-            let means = host(posterior.mean);
-            for (&row, mean) in chunk.iter().zip(means.chunks_exact(latent)) {
+            for (&row, mean) in chunk.iter().zip(run.encode_frames(&set, chunk)?.rows()) {
                 let code = mean.iter().map(|&x| f64::from(x)).collect();
                 codes.push((set.outfits()[row], code));
             }

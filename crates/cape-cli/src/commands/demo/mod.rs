@@ -8,10 +8,10 @@ use std::{
 };
 
 use burn::tensor::Device;
-use cape_core::{Outfit, obj, parse_device, synth};
+use cape_core::{Outfit, obj, parse_device, poses, synth};
 use cape_model::{CapeConfig, LossConfig};
 use cape_train::{
-    EvalOptions, EvalReport, Event, Outcome, PosteriorUse, Run, RunConfig, TrainConfig, Trainer,
+    EvalOptions, EvalReport, Event, Outcome, PosteriorUse, Run, RunConfig, TrainConfig, Trainer, Wearer,
     data::{PackOptions, Split, pack},
     evaluate,
     prior::{Codes, DensityKind, MixtureOptions, Prior},
@@ -23,9 +23,9 @@ use crate::{
     arguments::Global,
     commands::synth::split_of,
     console::Console,
-    dressed::{Dressed, Request, bare, dress},
+    dressed::{Dressed, bare, dress},
     error::{Context, Error, Result},
-    files, pose, training,
+    files, training,
 };
 use outcome::{Report, Stage};
 use pictures::Losses;
@@ -246,14 +246,11 @@ impl Setting {
             let codes = prior.sample_each(TEMPERATURE, this.seed)?;
             let mut rows = Vec::new();
             for (row, &(name, view)) in pictures::POSES.iter().enumerate() {
-                let pose = pose::preset(name)
+                let pose = poses::preset(name)
                     .ok_or_else(|| Error::message(format!("there is no pose `{name}`")))?;
-                let mut bodies = vec![bare(run.body(), &[], &pose, run.device())?];
-                let requests: Vec<Request> = Outfit::ALL
-                    .into_iter()
-                    .map(|outfit| Request { outfit, pose, code: outfit.index() })
-                    .collect();
-                dress(run, &codes, &[], &requests, |_, dressed| {
+                let wearers = Outfit::ALL.map(|outfit| Wearer { betas: Vec::new(), pose, outfit });
+                let mut bodies = bare(run, &wearers[..1])?;
+                dress(run, &codes, &wearers, |_, dressed| {
                     bodies.push(dressed);
                     Ok(())
                 })?;

@@ -18,7 +18,7 @@ pub(super) fn contact_sheet(rows: &[(View, Vec<Dressed>)]) -> Result<Image> {
         let last = row + 1 == rows.len();
         for (body, label) in bodies.iter().zip(&labels) {
             let label = if last { (*label).to_owned() } else { String::new() };
-            tiles.push(Tile { image: body.picture(*view, TILE[0], TILE[1])?, label });
+            tiles.push(Tile { image: body.picture(*view, TILE, None)?, label });
         }
     }
     Ok(lay_out(&tiles, labels.len(), None)?)

@@ -1,4 +1,3 @@
-mod animated;
 mod names;
 
 use std::path::{Path, PathBuf};
@@ -8,26 +7,27 @@ use cape_core::{
     gltf::Texture,
     obj::{self, Uv},
     parse_device, ply,
+    poses::poses,
 };
-use cape_render::{Tile, View, contact_sheet};
-use cape_train::Run;
+use cape_render::{Image, Texture as Drawn, Tile, View, contact_sheet};
+use cape_train::{Performance, Run, Wearer};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-pub(crate) use animated::Animated;
 use names::Fields;
 
 use crate::{
     arguments::{Global, at_least_one},
     console::Console,
-    dressed::{Dressed, Request, dress},
+    dressed::{Dressed, bare, dress},
     error::{Error, Result},
     files,
-    pose::poses,
     priors::{PriorName, checked_temperature, codes},
     table::Table,
 };
 
+/// Pixels of a picture.
+const TILE: [u32; 2] = [320, 420];
 /// Bodies that a contact sheet shows at most.
 const MOST_PICTURES: usize = 32;
 /// What textured .obj files refer to.
@@ -130,6 +130,8 @@ struct Skin {
     uv: Option<Uv>,
     /// The picture's name beside the meshes, and its bytes.
     image: Option<(String, Vec<u8>)>,
+    /// The picture, if it is one that can be drawn.
+    drawn: Option<Image>,
 }
 
 /// A line of samples.jsonl.
@@ -186,6 +188,9 @@ impl Sample {
             }
         }
         let skin = self.skin(&run)?;
+        if skin.image.is_some() && skin.drawn.is_none() {
+            console.note("the contact sheet is without the texture: only PNG can be drawn");
+        }
         let seed = global.seed.unwrap_or(1);
         let temperature = checked_temperature(self.temperature)?;
         let outfits = self.outfit.outfits();
@@ -195,12 +200,13 @@ impl Sample {
             Format::Glb => &poses[..1],
             _ => &poses[..],
         };
-        let (mut requests, mut lines) = (Vec::new(), Vec::new());
+        let (mut wearers, mut rows, mut lines) = (Vec::new(), Vec::new(), Vec::new());
         for sample in 0..self.n {
-            for (frame, (pose_name, pose)) in shown.iter().enumerate() {
+            for (frame, (pose_name, pose_angles)) in shown.iter().enumerate() {
                 for (place, &outfit) in outfits.iter().enumerate() {
                     let code = sample + place * self.n;
-                    requests.push(Request { outfit, pose: *pose, code });
+                    wearers.push(Wearer { betas: self.betas.clone(), pose: *pose_angles, outfit });
+                    rows.push(code);
                     let frames = shown.len();
                     let pose = pose_name;
                     let fields = Fields { outfit, sample, frame, frames, pose, seed };
@@ -209,7 +215,7 @@ impl Sample {
                         outfit,
                         pose: pose_name.clone(),
                         frames: poses.len() / shown.len(),
-                        axis_angles: requests[requests.len() - 1].pose.to_vec(),
+                        axis_angles: pose_angles.to_vec(),
                         betas: self.betas.clone(),
                         seed,
                         sample,
@@ -219,6 +225,7 @@ impl Sample {
             }
         }
         let files: Vec<String> = lines.iter().map(|line| line.file.clone()).collect();
+        let codes = codes.select(ndarray::Axis(0), &rows);
         names::require_distinct(files.iter().map(String::as_str))?;
         files::create_dir(&self.out)?;
         if let Some((name, image)) = skin.image.as_ref().filter(|_| self.format == Format::Obj) {
@@ -227,17 +234,23 @@ impl Sample {
             files::write_text(&self.out.join(MATERIALS), &material)?;
         }
         let mut tiles = Vec::new();
+        if skin.drawn.is_some() && !self.no_picture {
+            // The body with the same texture, to compare with.
+            for body in bare(&run, &wearers[..1])? {
+                let image = body.picture(View::ThreeQuarter, TILE, skin.on())?;
+                tiles.push(Tile { image, label: "body".into() });
+            }
+        }
         console.while_showing("sample", "bodies", |progress| {
-            dress(&run, &codes, &self.betas, &requests, |index, mut dressed| {
+            dress(&run, &codes, &wearers, |index, mut dressed| {
                 let line = &lines[index];
                 if self.colours == Colours::Displacement {
                     dressed.colour_by_distance(self.scale / 1000.0);
                 }
                 if self.format == Format::Glb {
-                    let animated = Animated {
-                        run: &run,
+                    let performance = Performance {
                         name: line.file.trim_end_matches(".glb"),
-                        code: codes.select(ndarray::Axis(0), &[requests[index].code]),
+                        code: codes.select(ndarray::Axis(0), &[index]),
                         betas: &self.betas,
                         outfit: line.outfit,
                         poses: poses.iter().map(|(_, pose)| *pose).collect(),
@@ -246,14 +259,14 @@ impl Sample {
                         colours: skin.image.is_none().then_some(&dressed.colours[..]),
                         texture: skin.texture(),
                     };
-                    animated.write(&self.out.join(&line.file))?;
+                    performance.save(&run, self.out.join(&line.file))?;
                 } else {
                     self.write(&self.out.join(&line.file), &dressed, &skin)?;
                 }
                 if !self.no_picture && index < MOST_PICTURES {
-                    tiles.push(tile(&dressed, line)?);
+                    tiles.push(tile(&dressed, line, &skin)?);
                 }
-                progress(index + 1, requests.len());
+                progress(index + 1, wearers.len());
                 Ok(())
             })
         })?;
@@ -314,7 +327,11 @@ impl Sample {
                 Some((format!("texture.{extension}"), bytes))
             }
         };
-        Ok(Skin { uv: Some(uv), image })
+        let drawn = match (&self.texture, &image) {
+            (Some(path), Some((name, _))) if name.ends_with("png") => Some(Image::load(path)?),
+            _ => None,
+        };
+        Ok(Skin { uv: Some(uv), image, drawn })
     }
 
     fn write(&self, path: &Path, dressed: &Dressed, skin: &Skin) -> Result {
@@ -331,19 +348,29 @@ impl Sample {
         if tiles.is_empty() {
             return Ok(None);
         }
-        let columns = if self.outfit == OutfitName::All { Outfit::ALL.len() } else { COLUMNS };
+        let columns = match (self.outfit, tiles.len()) {
+            // One of each, and the body beside them.
+            (OutfitName::All, 5) => 5,
+            (OutfitName::All, _) => Outfit::ALL.len(),
+            _ => COLUMNS,
+        };
         let path = self.out.join("contact_sheet.png");
         contact_sheet(tiles, columns, None)?.save(&path)?;
         Ok(Some(path))
     }
 }
 
-fn tile(dressed: &Dressed, line: &Line) -> Result<Tile> {
+fn tile(dressed: &Dressed, line: &Line, skin: &Skin) -> Result<Tile> {
     let label = format!("{} {} {}", line.outfit, line.sample + 1, line.pose);
-    Ok(Tile { image: dressed.picture(View::ThreeQuarter, 320, 420)?, label })
+    Ok(Tile { image: dressed.picture(View::ThreeQuarter, TILE, skin.on())?, label })
 }
 
 impl Skin {
+    /// What pictures are drawn with.
+    fn on(&self) -> Option<Drawn<'_>> {
+        Some(Drawn { uv: self.uv.as_ref()?, image: self.drawn.as_ref()? })
+    }
+
     fn texture(&self) -> Option<Texture<'_>> {
         let image = self.image.as_ref().map(|(_, bytes)| bytes.as_slice());
         Some(Texture { uv: self.uv.as_ref()?, image })

@@ -1,6 +1,6 @@
 //! Pictures of bodies: errors on them, and reconstructions beside the truth.
 
-use cape_core::{Mesh, SmplModel, smpl::ClothingMask};
+use cape_core::{Mesh, SmplModel, poses, smpl::ClothingMask};
 use cape_render::{
     Bounds, Camera, Image, Material, Object, Projection, Style, TextSize, Tile, View, colour_of,
     contact_sheet, render,
@@ -12,10 +12,7 @@ use cape_train::{
 };
 use ndarray::{Array2, Axis};
 
-use crate::{
-    error::{Error, Result},
-    pose,
-};
+use crate::error::{Error, Result};
 
 const PAPER: [u8; 4] = [250, 250, 251, 255];
 const INK: [u8; 3] = [40, 42, 46];
@@ -132,7 +129,7 @@ fn bounds_of<'a>(meshes: impl IntoIterator<Item = &'a Mesh>) -> Result<Bounds> {
 }
 
 fn a_posed(body: &SmplModel) -> Result<Mesh> {
-    let pose = pose::preset("a-pose").unwrap_or([0.0; 72]).map(f64::from);
+    let pose = poses::preset("a-pose").unwrap_or([0.0; 72]).map(f64::from);
     posed(body, &pose, None)
 }
 

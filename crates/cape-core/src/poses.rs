@@ -1,20 +1,17 @@
-//! Poses by name or from a file.
+//! Poses by name or from a file: SMPL's, SMPL+H's (as AMASS has them) or SMPL-X's.
 
 use std::path::Path;
 
-use cape_core::{
-    npy::{Npz, expect_shape, read_f64},
-    synth::{Motion, MotionStyle},
-};
 use ndarray::ArrayD;
 
 use crate::{
-    error::{Error, Result},
-    mesh_file::has_extension,
+    Error, Result,
+    npy::{Npz, expect_shape, read_f64},
+    synth::{Motion, MotionStyle},
 };
 
-/// 24 axis-angles, radians.
-pub(crate) type Pose = [f32; 72];
+/// 24 axis-angles of SMPL's joints, radians.
+pub type BodyPose = [f32; 72];
 
 /// Joints 16 and 17, the shoulders: where their axis-angles begin.
 const SHOULDERS: [usize; 2] = [3 * 16, 3 * 17];
@@ -23,8 +20,12 @@ const A_POSE: f32 = 0.8;
 /// The instant at which movements are caught, seconds.
 const INSTANT: f64 = 0.45;
 
-/// One pose, or all poses of a file, with a name for each.
-pub(crate) fn poses(text: &str) -> Result<Vec<(String, Pose)>> {
+/// One pose by its name (`t-pose`, `a-pose`, `walk` or another movement), or all poses of a `.npy`,
+/// `.npz` (`poses` or `pose`) or `.csv` file, with a name for each.
+///
+/// # Errors
+/// If there is no pose of that name, or the file is not rows of 72, 156 or 165 finite numbers.
+pub fn poses(text: &str) -> Result<Vec<(String, BodyPose)>> {
     if let Some(pose) = preset(text) {
         return Ok(vec![(text.to_owned(), pose)]);
     }
@@ -37,7 +38,7 @@ pub(crate) fn poses(text: &str) -> Result<Vec<(String, Pose)>> {
         ("rows", from_csv(path)?)
     } else {
         let names: Vec<&str> = Motion::ALL.iter().map(|motion| motion.name()).collect();
-        return Err(Error::message(format!(
+        return Err(Error::Argument(format!(
             "unknown pose `{text}`: expected t-pose, a-pose, walk, {}, or a file (.npy, .npz or .csv)",
             names.join(", ")
         )));
@@ -45,8 +46,11 @@ pub(crate) fn poses(text: &str) -> Result<Vec<(String, Pose)>> {
     numbers(path, field, &array)
 }
 
-/// `seconds` of a movement by name, or all poses of a file.
-pub(crate) fn movement(text: &str, seconds: f64, frames_per_second: f64) -> Result<Vec<Pose>> {
+/// `seconds` of a movement by name at `frames_per_second`, or all poses of a file.
+///
+/// # Errors
+/// As of [`poses`].
+pub fn movement(text: &str, seconds: f64, frames_per_second: f64) -> Result<Vec<BodyPose>> {
     let name = if text == "walk" { Motion::WalkMarch.name() } else { text };
     if let Some(motion) = Motion::ALL.into_iter().find(|motion| motion.name() == name) {
         let frames = (seconds * frames_per_second).round().max(1.0) as usize;
@@ -57,8 +61,8 @@ pub(crate) fn movement(text: &str, seconds: f64, frames_per_second: f64) -> Resu
     Ok(poses(text)?.into_iter().map(|(_, pose)| pose).collect())
 }
 
-/// The pose of that name.
-pub(crate) fn preset(name: &str) -> Option<Pose> {
+/// The pose of that name: an instant of a movement, or `t-pose` or `a-pose`.
+pub fn preset(name: &str) -> Option<BodyPose> {
     match name {
         "t-pose" => return Some([0.0; 72]),
         "a-pose" => {
@@ -73,6 +77,10 @@ pub(crate) fn preset(name: &str) -> Option<Pose> {
     let name = if name == "walk" { Motion::WalkMarch.name() } else { name };
     let motion = Motion::ALL.into_iter().find(|motion| motion.name() == name)?;
     Some(motion.pose(&MotionStyle::default(), INSTANT).map(|angle| angle as f32))
+}
+
+fn has_extension(path: &Path, expected: &str) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(expected))
 }
 
 fn from_archive(path: &Path) -> Result<(&'static str, ArrayD<f64>)> {
@@ -93,18 +101,18 @@ fn from_csv(path: &Path) -> Result<ArrayD<f64>> {
             Err(_) if rows == 0 => continue,
             Err(_) => {
                 let message = format!("line {}: expected numbers between commas", index + 1);
-                return Err(cape_core::Error::format(path, message).into());
+                return Err(Error::format(path, message));
             }
         };
         if rows > 0 && row.len() != width {
             let message = format!("line {}: {} numbers, expected {width}", index + 1, row.len());
-            return Err(cape_core::Error::format(path, message).into());
+            return Err(Error::format(path, message));
         }
         (rows, width) = (rows + 1, row.len());
         values.extend(row);
     }
     ArrayD::from_shape_vec(vec![rows, width], values)
-        .map_err(|error| Error::message(format!("{}: {error}", path.display())))
+        .map_err(|error| Error::Argument(format!("{}: {error}", path.display())))
 }
 
 /// Numbers of a pose in files for SMPL, SMPL+H (as AMASS has them) and SMPL-X. The first 22 joints
@@ -112,7 +120,7 @@ fn from_csv(path: &Path) -> Result<ArrayD<f64>> {
 const WIDTHS: [usize; 3] = [72, 156, 165];
 const BODY: usize = 66;
 
-fn numbers(path: &Path, field: &str, array: &ArrayD<f64>) -> Result<Vec<(String, Pose)>> {
+fn numbers(path: &Path, field: &str, array: &ArrayD<f64>) -> Result<Vec<(String, BodyPose)>> {
     let width = array.shape().last().copied().filter(|width| WIDTHS.contains(width));
     let width = width.unwrap_or(WIDTHS[0]);
     if array.ndim() == 1 {
@@ -122,18 +130,18 @@ fn numbers(path: &Path, field: &str, array: &ArrayD<f64>) -> Result<Vec<(String,
     }
     if let Some(at) = array.iter().position(|angle| !angle.is_finite()) {
         let message = format!("number {at} is not finite");
-        return Err(cape_core::Error::field(path, field, message).into());
+        return Err(Error::field(path, field, message));
     }
     if array.is_empty() {
-        return Err(cape_core::Error::field(path, field, "there is no pose").into());
+        return Err(Error::field(path, field, "there is no pose"));
     }
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let angles: Vec<f32> = array.iter().map(|&angle| angle as f32).collect();
-    let poses: Vec<Pose> = angles
+    let poses: Vec<BodyPose> = angles
         .chunks(width)
         .map(|row| {
             let taken = if width == 72 { 72 } else { BODY };
-            let mut pose = [0.0; 72];
+            let mut pose: BodyPose = [0.0; 72];
             pose[..taken].copy_from_slice(&row[..taken]);
             pose
         })
@@ -144,7 +152,7 @@ fn numbers(path: &Path, field: &str, array: &ArrayD<f64>) -> Result<Vec<(String,
 
 #[cfg(test)]
 mod tests {
-    use cape_core::npy::{NpzWriter, write_npy};
+    use crate::npy::{NpzWriter, write_npy};
     use ndarray::{Array1, Array2};
 
     use super::*;

@@ -1,0 +1,119 @@
+//! Latent codes named on the command line.
+
+use std::{fs, path::Path};
+
+use cape_core::{Outfit, npy::read_f64};
+use cape_train::{
+    Run,
+    data::{PackedSet, Part},
+};
+use serde::Deserialize;
+
+use crate::{
+    console::Console,
+    error::{Error, Result},
+    priors::{PriorName, codes},
+};
+
+/// How codes that are not given are drawn.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Draw<'a> {
+    pub(crate) run: &'a Run,
+    pub(crate) prior: PriorName,
+    pub(crate) temperature: f64,
+    pub(crate) outfit: Outfit,
+    pub(crate) console: Console,
+}
+
+#[derive(Deserialize)]
+struct Line {
+    code: Vec<f32>,
+}
+
+impl Draw<'_> {
+    /// The code that `text` names: `mean`; `seed:N`, drawn; `frame:K`, of a held-out frame of the
+    /// run's data; or a file, .npy of `[latent]` or `[n, latent]`, or samples.jsonl, with `:ROW`.
+    pub(crate) fn code(&self, text: &str) -> Result<Vec<f32>> {
+        let latent = self.run.config().model.latent;
+        let code = if text == "mean" {
+            vec![0.0; latent]
+        } else if let Some(seed) = text.strip_prefix("seed:") {
+            let seed = number(text, seed)?;
+            let &Self { run, prior, temperature, outfit, console } = self;
+            codes(run, prior, &[outfit], 1, temperature, seed, console)?.row(0).to_vec()
+        } else if let Some(frame) = text.strip_prefix("frame:") {
+            let set = PackedSet::open(&self.run.data()?, Part::Test)?;
+            self.run.encode_frames(&set, &[number(text, frame)? as usize])?.row(0).to_vec()
+        } else {
+            from_file(text)?
+        };
+        if code.len() != latent || code.iter().any(|x| !x.is_finite()) {
+            return Err(Error::message(format!(
+                "{text}: a code of {} numbers, expected {latent}, all finite",
+                code.len()
+            )));
+        }
+        Ok(code)
+    }
+
+    /// The sum of codes that a text such as `frame:3 - frame:10 + seed:1` describes, with its terms.
+    pub(crate) fn sum(&self, text: &str) -> Result<(Vec<f32>, Vec<(String, Vec<f32>)>)> {
+        let mut sum = vec![0.0; self.run.config().model.latent];
+        let mut terms = Vec::new();
+        let mut sign = 1.0;
+        let mut expects_term = true;
+        for word in text.split_whitespace() {
+            match (word, expects_term) {
+                ("+" | "-", false) => sign = if word == "+" { 1.0 } else { -1.0 },
+                ("+" | "-", true) | (_, false) => return Err(malformed(text)),
+                (name, true) => {
+                    let code = self.code(name)?;
+                    sum.iter_mut().zip(&code).for_each(|(sum, x)| *sum += sign * x);
+                    terms.push((if sign > 0.0 { name.to_owned() } else { format!("- {name}") }, code));
+                }
+            }
+            expects_term = !expects_term;
+        }
+        if expects_term { Err(malformed(text)) } else { Ok((sum, terms)) }
+    }
+}
+
+fn malformed(text: &str) -> Error {
+    Error::message(format!(
+        "`{text}`: expected codes with + or - and spaces between, such as `frame:3 - frame:10 + seed:1`"
+    ))
+}
+
+fn number(text: &str, digits: &str) -> Result<u64> {
+    digits.parse().map_err(|_| Error::message(format!("`{text}`: expected a whole number after the colon")))
+}
+
+fn from_file(text: &str) -> Result<Vec<f32>> {
+    let (path, row) = match text.rsplit_once(':') {
+        Some((path, row)) if !row.is_empty() && row.bytes().all(|b| b.is_ascii_digit()) => {
+            (Path::new(path), number(text, row)? as usize)
+        }
+        _ => (Path::new(text), 0),
+    };
+    let extension = path.extension().unwrap_or_default();
+    let missing = |rows: usize| Error::message(format!("{}: row {row} of {rows}", path.display()));
+    if extension.eq_ignore_ascii_case("jsonl") {
+        let lines = fs::read_to_string(path).map_err(|error| Error::io(path, error))?;
+        let line = lines.lines().nth(row).ok_or_else(|| missing(lines.lines().count()))?;
+        let line: Line = serde_json::from_str(line).map_err(|error| {
+            cape_core::Error::field(path, format!("line {}", row + 1), error.to_string())
+        })?;
+        return Ok(line.code);
+    }
+    if !extension.eq_ignore_ascii_case("npy") {
+        return Err(Error::message(format!(
+            "unknown code `{text}`: expected mean, seed:N, frame:K, FILE.npy:ROW or FILE.jsonl:ROW"
+        )));
+    }
+    let array = read_f64(path)?;
+    let width = array.shape().last().copied().unwrap_or(0).max(1);
+    let values: Vec<f32> = array.iter().map(|&x| x as f32).collect();
+    let rows = values.chunks_exact(width);
+    let count = rows.len();
+    rows.into_iter().nth(row).map(<[f32]>::to_vec).ok_or_else(|| missing(count))
+}

@@ -1,0 +1,306 @@
+use std::{
+    path::{Path, PathBuf},
+    time::Instant,
+};
+
+use cape_core::{
+    BodyPose, Mesh, Outfit,
+    npy::{NpzWriter, write_npy},
+    obj, parse_device, ply,
+    poses::poses,
+    synth::{Motion, MotionStyle},
+};
+use cape_train::{Run, Wearer, prior::Prior, write_json};
+use clap::{Args, ValueEnum};
+use ndarray::{Array2, Array3};
+use rand::{Rng, SeedableRng, seq::IndexedRandom};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    arguments::{Global, at_least_one, outfit},
+    console::Console,
+    error::{Error, Result},
+    files,
+    priors::{PriorName, checked_temperature, fitted},
+};
+
+/// Bodies in a part: what is decoded, written and resumed together.
+const PART: usize = 64;
+/// Shape coefficients that vary.
+const SHAPES: usize = 10;
+/// Seconds of a movement that poses are taken from.
+const SECONDS: f64 = 4.0;
+const PLAN: &str = "plan.json";
+const INDEX: &str = "index.jsonl";
+
+/// Make thousands of dressed bodies, as training data.
+///
+/// Shapes, poses, outfits and codes are drawn anew for each. Writes meshes in parts of 64 and
+/// index.jsonl, a line for each body with all that it was made from. What a body is depends on the
+/// seed and its number only; the same command goes on where it was interrupted.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  cape generate run --n 5000 --out bodies\n  \
+                        cape generate run --n 200 --poses amass.npz --prior gmm --format ply --out bodies")]
+pub(crate) struct Generate {
+    /// A training run.
+    #[arg(value_name = "RUN")]
+    run: PathBuf,
+    /// Directory to write, or to go on with.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Bodies.
+    #[arg(long, short, default_value_t = 1000, value_name = "N", value_parser = at_least_one)]
+    n: usize,
+    /// Poses to choose from: a file, as for `cape sample`; by default moments of all movements.
+    #[arg(long, value_name = "FILE")]
+    poses: Option<String>,
+    /// What is worn; by default any outfit.
+    #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…", value_parser = outfit)]
+    outfit: Vec<Outfit>,
+    /// Standard deviation of the ten shape coefficients.
+    #[arg(long, default_value_t = 1.0, value_name = "S")]
+    shape_deviation: f32,
+    /// What codes are drawn from.
+    #[arg(long, value_enum, default_value_t = PriorName::Normal)]
+    prior: PriorName,
+    /// Factor on how far codes are from what is typical.
+    #[arg(long, default_value_t = 1.0, value_name = "T")]
+    temperature: f64,
+    /// Arrays of 64 bodies, `vertices` [n, vertices, 3], or a mesh file for each body.
+    #[arg(long, value_enum, default_value_t = Format::Npz)]
+    format: Format,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Format {
+    Npz,
+    Ply,
+    Obj,
+}
+
+/// What makes two invocations the same.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Plan {
+    checkpoint_step: u64,
+    poses: Option<String>,
+    outfits: Vec<Outfit>,
+    shape_deviation: f32,
+    prior: String,
+    temperature: f64,
+    format: Format,
+    seed: u64,
+}
+
+/// A line of the index.
+#[derive(Debug, Serialize)]
+struct Line {
+    file: String,
+    /// Place in the file.
+    row: usize,
+    outfit: Outfit,
+    betas: Vec<f32>,
+    pose: Vec<f32>,
+    code: Vec<f32>,
+    seed: u64,
+    sample: usize,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    out: PathBuf,
+    bodies: usize,
+    made_now: usize,
+    bodies_per_second: f64,
+}
+
+impl Generate {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+        let device = parse_device(&global.device)?;
+        let temperature = checked_temperature(self.temperature)?;
+        if !(self.shape_deviation.is_finite() && self.shape_deviation >= 0.0) {
+            return Err(Error::message(format!(
+                "--shape-deviation {}: expected 0 or more",
+                self.shape_deviation
+            )));
+        }
+        let poses: Vec<BodyPose> = match &self.poses {
+            Some(text) => poses(text)?.into_iter().map(|(_, pose)| pose).collect(),
+            None => Vec::new(),
+        };
+        let run = Run::open(&self.run, &device)?;
+        let outfits =
+            if self.outfit.is_empty() { Outfit::ALL.to_vec() } else { self.outfit.clone() };
+        let plan = Plan {
+            checkpoint_step: run.progress().step,
+            poses: self.poses.clone(),
+            outfits: outfits.clone(),
+            shape_deviation: self.shape_deviation,
+            prior: self.prior.name().to_owned(),
+            temperature,
+            format: self.format,
+            seed: global.seed.unwrap_or(1),
+        };
+        self.begin(&plan, &run)?;
+        let prior = fitted(&run, self.prior, console)?;
+        let dice = Dice { plan: &plan, run: &run, poses: &poses, prior: prior.as_ref() };
+
+        let (start, mut made) = (Instant::now(), 0);
+        let mut index = String::new();
+        console.while_showing("generate", "bodies", |progress| {
+            for first in (0..self.n).step_by(PART) {
+                let count = PART.min(self.n - first);
+                let drawn: Vec<(Wearer, Vec<f32>)> =
+                    (first..first + count).map(|sample| dice.draw(sample)).collect();
+                let lines = self.lines(first, &drawn, plan.seed);
+                if !lines.iter().all(|line| self.out.join(&line.file).exists())
+                    || (count < PART && self.format == Format::Npz)
+                {
+                    let (wearers, codes): (Vec<Wearer>, Vec<Vec<f32>>) = drawn.into_iter().unzip();
+                    let codes =
+                        Array2::from_shape_vec((count, run.config().model.latent), codes.concat())
+                            .map_err(|error| Error::message(error.to_string()))?;
+                    self.write(&run.dress(&codes, &wearers)?, &lines)?;
+                    made += count;
+                }
+                for line in &lines {
+                    index += &serde_json::to_string(line)
+                        .map_err(|error| Error::message(format!("{INDEX}: {error}")))?;
+                    index.push('\n');
+                }
+                progress(first + count, self.n);
+            }
+            Ok::<_, Error>(())
+        })?;
+        files::write_text(&self.out.join(INDEX), &index)?;
+        let report = Report {
+            bodies: self.n,
+            made_now: made,
+            bodies_per_second: made as f64 / start.elapsed().as_secs_f64(),
+            out: self.out,
+        };
+        console.result(&report, || {
+            format!(
+                "{} bodies, {} of them now, {:.0} a second\n{}",
+                report.bodies,
+                report.made_now,
+                report.bodies_per_second,
+                report.out.join(INDEX).display()
+            )
+        })
+    }
+
+    /// Makes the directory, or sees whether what is there is of the same plan.
+    fn begin(&self, plan: &Plan, run: &Run) -> Result {
+        let path = self.out.join(PLAN);
+        if path.exists() {
+            let text = std::fs::read(&path).map_err(|error| Error::io(&path, error))?;
+            let there: Plan = serde_json::from_slice(&text)
+                .map_err(|error| cape_core::Error::format(&path, error.to_string()))?;
+            if there != *plan {
+                return Err(Error::message(format!(
+                    "{}: holds bodies of other settings: choose another --out",
+                    self.out.display()
+                )));
+            }
+            return Ok(());
+        }
+        files::require_empty(&self.out)?;
+        files::create_dir(&self.out)?;
+        let faces: Vec<i32> = run.body().faces.as_flattened().iter().map(|&i| i as i32).collect();
+        let faces = Array2::from_shape_vec((run.body().faces.len(), 3), faces)
+            .map_err(|error| Error::message(error.to_string()))?;
+        write_npy(self.out.join("faces.npy"), &faces)?;
+        Ok(write_json(&path, plan)?)
+    }
+
+    fn lines(&self, first: usize, drawn: &[(Wearer, Vec<f32>)], seed: u64) -> Vec<Line> {
+        let of = |(row, (wearer, code)): (usize, &(Wearer, Vec<f32>))| {
+            let sample = first + row;
+            let (file, row) = match self.format {
+                Format::Npz => (format!("bodies-{:06}.npz", first / PART), row),
+                Format::Ply => (format!("body-{sample:06}.ply"), 0),
+                Format::Obj => (format!("body-{sample:06}.obj"), 0),
+            };
+            Line {
+                file,
+                row,
+                outfit: wearer.outfit,
+                betas: wearer.betas.clone(),
+                pose: wearer.pose.to_vec(),
+                code: code.clone(),
+                seed,
+                sample,
+            }
+        };
+        drawn.iter().enumerate().map(of).collect()
+    }
+
+    fn write(&self, meshes: &[Mesh], lines: &[Line]) -> Result {
+        let path = |line: &Line| self.out.join(&line.file);
+        match self.format {
+            Format::Npz => match lines.first() {
+                Some(line) => write_part(&path(line), meshes),
+                None => Ok(()),
+            },
+            Format::Ply => meshes
+                .par_iter()
+                .zip(lines)
+                .try_for_each(|(mesh, line)| Ok(ply::write(path(line), mesh, None)?)),
+            Format::Obj => meshes
+                .par_iter()
+                .zip(lines)
+                .try_for_each(|(mesh, line)| Ok(obj::write(path(line), mesh, None)?)),
+        }
+    }
+}
+
+fn write_part(path: &Path, meshes: &[Mesh]) -> Result {
+    let vertices = meshes.first().map_or(0, |mesh| mesh.vertices.len());
+    let values: Vec<f32> =
+        meshes.iter().flat_map(|mesh| mesh.vertices.as_flattened()).copied().collect();
+    let values = Array3::from_shape_vec((meshes.len(), vertices, 3), values)
+        .map_err(|error| Error::message(error.to_string()))?;
+    let mut archive = NpzWriter::create(path)?;
+    archive.add("vertices", &values)?;
+    Ok(archive.finish()?)
+}
+
+/// Draws bodies, each from its own stream of random numbers.
+struct Dice<'a> {
+    plan: &'a Plan,
+    run: &'a Run,
+    poses: &'a [BodyPose],
+    prior: Option<&'a Prior>,
+}
+
+impl Dice<'_> {
+    fn draw(&self, sample: usize) -> (Wearer, Vec<f32>) {
+        let Plan { seed, temperature, shape_deviation, outfits, .. } = self.plan;
+        let mut rng = ChaCha8Rng::seed_from_u64(*seed);
+        rng.set_stream(sample as u64 + 1);
+        let outfit = outfits.choose(&mut rng).copied().unwrap_or(Outfit::LongLong);
+        let normal = |rng: &mut ChaCha8Rng| rng.sample::<f32, _>(StandardNormal);
+        let shapes = self.run.body().betas().min(SHAPES);
+        let betas = (0..shapes).map(|_| shape_deviation * normal(&mut rng)).collect();
+        let pose = match self.poses.choose(&mut rng) {
+            Some(pose) => *pose,
+            None => moment(&mut rng),
+        };
+        let code_seed = rng.random();
+        let code = match self.prior {
+            Some(prior) => prior.sample(outfit, 1, *temperature, code_seed),
+            None => self.run.sample_codes(1, code_seed) * *temperature as f32,
+        };
+        (Wearer { betas, pose, outfit }, code.row(0).to_vec())
+    }
+}
+
+fn moment(rng: &mut ChaCha8Rng) -> BodyPose {
+    let style = MotionStyle::random(rng);
+    let motion = Motion::ALL[rng.random_range(0..Motion::ALL.len())];
+    motion.pose(&style, rng.random_range(0.0..SECONDS)).map(|angle| angle as f32)
+}

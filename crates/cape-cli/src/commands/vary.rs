@@ -1,0 +1,330 @@
+use std::path::PathBuf;
+
+use cape_core::{Outfit, parse_device, ply, poses::{movement, poses}};
+use cape_render::{
+    Bounds, Camera, Object, Projection, Style, Tile, View, contact_sheet, render, save_animation,
+};
+use cape_train::{Run, Wearer, directions_by_effect, interpolate_codes, walk_codes};
+use clap::{Args, ValueEnum};
+use ndarray::Array2;
+use serde::Serialize;
+
+use crate::{
+    arguments::{Global, at_least_one, outfit},
+    code_source::Draw,
+    console::Console,
+    dressed::{Dressed, dress},
+    error::{Error, Result},
+    files,
+    priors::{PriorName, checked_temperature, codes},
+};
+
+/// Change one of code, pose, outfit and shape, the rest being fixed (the paper's figures 1, 5 and 6).
+///
+/// Or go from one code to another, walk among codes, follow the directions with the largest effect,
+/// or add and subtract codes. Writes a picture, coloured meshes and variations.jsonl.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  cape vary run --by outfit --rows 3 --out outfits\n  \
+                        cape vary run --by between --codes seed:1,frame:20 --out between\n  \
+                        cape vary run --by sum --sum \"frame:3 - frame:10 + seed:1\" --out sum")]
+pub(crate) struct Vary {
+    /// A training run.
+    #[arg(value_name = "RUN")]
+    run: PathBuf,
+    /// Directory to write; it must be empty or missing.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// What changes from left to right.
+    #[arg(long, value_enum, default_value_t = By::Code)]
+    by: By,
+    /// Bodies in a row, or frames of a walk.
+    #[arg(long, default_value_t = 6, value_name = "N", value_parser = at_least_one)]
+    columns: usize,
+    /// Rows, each with a code of its own; with `--by direction`, directions.
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = at_least_one)]
+    rows: usize,
+    /// Codes that rows use, or to go between or walk among: mean, seed:N, frame:K of the run's
+    /// held-out data, FILE.npy:ROW or samples.jsonl:ROW. Drawn where none is given.
+    #[arg(long, value_delimiter = ',', value_name = "CODE,…")]
+    codes: Vec<String>,
+    /// Codes to add and subtract, with `--by sum`.
+    #[arg(long, value_name = "SUM", required_if_eq("by", "sum"))]
+    sum: Option<String>,
+    /// The pose, as for `cape sample`.
+    #[arg(long, default_value = "a-pose", value_name = "POSE")]
+    pose: String,
+    /// The movement whose moments are shown with `--by pose`.
+    #[arg(long, default_value = "walk", value_name = "MOTION")]
+    motion: String,
+    /// What is worn.
+    #[arg(long, default_value = "longlong", value_name = "OUTFIT", value_parser = outfit)]
+    outfit: Outfit,
+    /// Shape coefficients of the body; missing ones are zero.
+    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "B,B,…")]
+    betas: Vec<f32>,
+    /// What codes are drawn from.
+    #[arg(long, value_enum, default_value_t = PriorName::Normal)]
+    prior: PriorName,
+    /// Factor on how far drawn codes are from what is typical.
+    #[arg(long, default_value_t = 1.0, value_name = "T")]
+    temperature: f64,
+    /// Write the picture only.
+    #[arg(long)]
+    no_meshes: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum By {
+    /// Codes.
+    Code,
+    /// Moments of a movement.
+    Pose,
+    /// The four outfits.
+    Outfit,
+    /// The first shape coefficient, -2 to 2.
+    Shape,
+    /// The directions of the code with the largest effect, -2 to 2.
+    Direction,
+    /// From one code to another.
+    Between,
+    /// Round through some codes, as an animation.
+    Walk,
+    /// Terms, and their sum.
+    Sum,
+}
+
+/// One body, and a line of variations.jsonl.
+#[derive(Debug, Clone, Serialize)]
+struct Cell {
+    label: String,
+    file: Option<String>,
+    outfit: Outfit,
+    betas: Vec<f32>,
+    pose: Vec<f32>,
+    code: Vec<f32>,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    out: PathBuf,
+    bodies: usize,
+    picture: PathBuf,
+}
+
+impl Vary {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+        let device = parse_device(&global.device)?;
+        let temperature = checked_temperature(self.temperature)?;
+        files::require_empty(&self.out)?;
+        let run = Run::open(&self.run, &device)?;
+        let draw = Draw {
+            run: &run,
+            prior: self.prior,
+            temperature,
+            outfit: self.outfit,
+            console,
+        };
+        let (mut cells, columns) = self.cells(&draw, global.seed.unwrap_or(1))?;
+        if !self.no_meshes {
+            for (index, cell) in cells.iter_mut().enumerate() {
+                cell.file = Some(format!("{index:03}.ply"));
+            }
+        }
+        let codes: Vec<f32> = cells.iter().flat_map(|cell| cell.code.clone()).collect();
+        let codes = Array2::from_shape_vec((cells.len(), run.config().model.latent), codes)
+            .map_err(|error| Error::message(error.to_string()))?;
+        let wearers: Vec<Wearer> = cells.iter().map(Cell::wearer).collect();
+        files::create_dir(&self.out)?;
+        let mut bodies = Vec::with_capacity(cells.len());
+        console.while_showing("dress", "bodies", |progress| {
+            dress(&run, &codes, &wearers, |index, body| {
+                if let Some(file) = &cells[index].file {
+                    ply::write(self.out.join(file), &body.mesh, Some(&body.colours_8_bit()))?;
+                }
+                bodies.push(body);
+                progress(index + 1, cells.len());
+                Ok(())
+            })
+        })?;
+        let picture = self.picture(&bodies, &cells, columns, console)?;
+        let mut text = String::new();
+        for cell in &cells {
+            text += &serde_json::to_string(cell).map_err(|e| Error::message(e.to_string()))?;
+            text.push('\n');
+        }
+        files::write_text(&self.out.join("variations.jsonl"), &text)?;
+        let report = Report { bodies: cells.len(), picture, out: self.out };
+        console.result(&report, || {
+            format!("{} bodies\n{}", report.bodies, report.picture.display())
+        })
+    }
+
+    /// All bodies, row by row, and how many are in a row.
+    fn cells(&self, draw: &Draw, seed: u64) -> Result<(Vec<Cell>, usize)> {
+        let all = poses(&self.pose)?;
+        let pose = all.first().map(|(_, pose)| *pose).unwrap_or([0.0; 72]);
+        let fixed = Cell {
+            label: String::new(),
+            file: None,
+            outfit: self.outfit,
+            betas: self.betas.clone(),
+            pose: pose.to_vec(),
+            code: Vec::new(),
+        };
+        let columns = self.columns;
+        let mut cells = Vec::new();
+        match self.by {
+            By::Code => {
+                for (label, code) in self.rows_of_codes(draw, self.rows * columns, seed)? {
+                    cells.push(Cell { label, code, ..fixed.clone() });
+                }
+            }
+            By::Pose => {
+                let moments = movement(&self.motion, 1.0, columns as f64)?;
+                let step = moments.len().div_ceil(columns).max(1);
+                let moments: Vec<_> = moments.into_iter().step_by(step).take(columns).collect();
+                for (label, code) in self.rows_of_codes(draw, self.rows, seed)? {
+                    cells.extend(moments.iter().map(|pose| {
+                        let (label, code) = (label.clone(), code.clone());
+                        Cell { label, code, pose: pose.to_vec(), ..fixed.clone() }
+                    }));
+                }
+                return Ok((cells, moments.len()));
+            }
+            By::Outfit => {
+                for (_, code) in self.rows_of_codes(draw, self.rows, seed)? {
+                    cells.extend(Outfit::ALL.map(|outfit| {
+                        let label = outfit.name().to_owned();
+                        Cell { label, code: code.clone(), outfit, ..fixed.clone() }
+                    }));
+                }
+                return Ok((cells, Outfit::ALL.len()));
+            }
+            By::Shape => {
+                for (_, code) in self.rows_of_codes(draw, self.rows, seed)? {
+                    cells.extend(spread(columns).map(|beta| {
+                        let mut betas = self.betas.clone();
+                        betas.resize(betas.len().max(1), 0.0);
+                        betas[0] = beta;
+                        let label = format!("beta {beta:+.1}");
+                        Cell { label, betas, code: code.clone(), ..fixed.clone() }
+                    }));
+                }
+            }
+            By::Direction => {
+                let base = self.rows_of_codes(draw, 1, seed)?.remove(0).1;
+                let (order, effects) = directions_by_effect(draw.run, &fixed.wearer())?;
+                for &direction in order.iter().take(self.rows) {
+                    cells.extend(spread(columns).map(|step| {
+                        let mut code = base.clone();
+                        code[direction] += step;
+                        let effect = effects[direction];
+                        let label = format!("z{direction} {step:+.1} ({effect:.1} mm)");
+                        Cell { label, code, ..fixed.clone() }
+                    }));
+                }
+            }
+            By::Between => {
+                let ends = self.rows_of_codes(draw, 2, seed)?;
+                let [(from, a), (to, b)] = &ends[..] else {
+                    return Err(Error::message("--by between: expected two codes"));
+                };
+                let steps = interpolate_codes(a, b, columns);
+                for (index, code) in steps.rows().into_iter().enumerate() {
+                    let label = match index {
+                        0 => from.clone(),
+                        index if index + 1 == columns => to.clone(),
+                        _ => String::new(),
+                    };
+                    cells.push(Cell { label, code: code.to_vec(), ..fixed.clone() });
+                }
+            }
+            By::Walk => {
+                let stops = self.rows_of_codes(draw, self.codes.len().max(4), seed)?;
+                let latent = draw.run.config().model.latent;
+                let flat: Vec<f32> = stops.iter().flat_map(|(_, code)| code.clone()).collect();
+                let stops = Array2::from_shape_vec((stops.len(), latent), flat)
+                    .map_err(|error| Error::message(error.to_string()))?;
+                for code in walk_codes(&stops, columns).rows() {
+                    cells.push(Cell { code: code.to_vec(), ..fixed.clone() });
+                }
+            }
+            By::Sum => {
+                let (sum, terms) = draw.sum(self.sum.as_deref().unwrap_or_default())?;
+                let result = ("sum".to_owned(), sum);
+                for (label, code) in terms.into_iter().chain([result]) {
+                    cells.push(Cell { label, code, ..fixed.clone() });
+                }
+                let columns = cells.len();
+                return Ok((cells, columns));
+            }
+        }
+        Ok((cells, columns))
+    }
+
+    /// As many codes, with labels: those given, or else drawn ones.
+    fn rows_of_codes(&self, draw: &Draw, n: usize, seed: u64) -> Result<Vec<(String, Vec<f32>)>> {
+        if self.codes.is_empty() {
+            let &Draw { run, prior, temperature, outfit, console } = draw;
+            let drawn = codes(run, prior, &[outfit], n, temperature, seed, console)?;
+            let rows = drawn.rows().into_iter().enumerate();
+            return Ok(rows.map(|(i, row)| (format!("sample {}", i + 1), row.to_vec())).collect());
+        }
+        if self.codes.len() != n {
+            return Err(Error::message(format!(
+                "--codes: {} given, but {n} needed",
+                self.codes.len()
+            )));
+        }
+        self.codes.iter().map(|text| Ok((text.clone(), draw.code(text)?))).collect()
+    }
+
+    fn picture(
+        &self,
+        bodies: &[Dressed],
+        cells: &[Cell],
+        columns: usize,
+        console: Console,
+    ) -> Result<PathBuf> {
+        let style = Style { width: 240, height: 352, ..Style::default() };
+        let aspect = style.width as f32 / style.height as f32;
+        // One camera, so that sizes can be compared.
+        let bounds = Bounds::of_meshes(bodies.iter().map(|body| &body.mesh))
+            .ok_or_else(|| Error::message("the body has no vertices"))?;
+        let camera =
+            Camera::framing(&bounds, View::ThreeQuarter, Projection::default(), aspect);
+        let mut pictures = Vec::with_capacity(bodies.len());
+        console.while_showing("draw", "bodies", |progress| {
+            for (index, body) in bodies.iter().enumerate() {
+                let object = Object::new(&body.mesh).coloured(&body.colours);
+                pictures.push(render(&[object], &camera, &style)?);
+                progress(index + 1, bodies.len());
+            }
+            Ok::<_, Error>(())
+        })?;
+        if self.by == By::Walk {
+            let path = self.out.join("walk.png");
+            save_animation(&path, &pictures, 15)?;
+            return Ok(path);
+        }
+        let labels = cells.iter().map(|cell| cell.label.clone());
+        let tiles: Vec<Tile> =
+            pictures.into_iter().zip(labels).map(|(image, label)| Tile { image, label }).collect();
+        let path = self.out.join("variations.png");
+        contact_sheet(&tiles, columns, None)?.save(&path)?;
+        Ok(path)
+    }
+}
+
+/// `n` numbers from -2 to 2.
+fn spread(n: usize) -> impl Iterator<Item = f32> {
+    (0..n).map(move |i| if n == 1 { 0.0 } else { -2.0 + 4.0 * i as f32 / (n - 1) as f32 })
+}
+
+impl Cell {
+    fn wearer(&self) -> Wearer {
+        let mut pose = [0.0; 72];
+        pose.copy_from_slice(&self.pose);
+        Wearer { betas: self.betas.clone(), pose, outfit: self.outfit }
+    }
+}

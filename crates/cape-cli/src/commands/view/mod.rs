@@ -1,0 +1,111 @@
+//! Looking at people in the browser.
+
+mod assets;
+mod server;
+mod source;
+mod wire;
+
+use std::{
+    fmt::Write,
+    net::{IpAddr, Ipv4Addr, TcpListener},
+    path::PathBuf,
+    sync::mpsc,
+    thread,
+};
+
+use cape_core::parse_device;
+use cape_train::Run;
+use clap::Args;
+use rand::{Rng, SeedableRng};
+use serde::Serialize;
+
+use crate::{
+    arguments::Global,
+    console::Console,
+    error::{Context, Error, Result},
+};
+use server::Site;
+use source::{Meshes, Model, Source};
+
+/// Look at dressed people in the browser: turn them, and change code, shape, pose and outfit.
+///
+/// Serves a page to this machine only, at an address with a secret in it, until it is interrupted.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  cape view run\n  cape view dressed.obj\n  \
+                        cape view frames --fps 15 --no-open --port 8080")]
+pub(crate) struct View {
+    /// A training run; a mesh, .obj, .ply or a body's .npz or .pkl; or a directory of meshes, the
+    /// frames of a sequence.
+    #[arg(value_name = "RUN|MESH|SEQUENCE")]
+    path: PathBuf,
+    /// Port to listen on; 0 takes a free one.
+    #[arg(long, default_value_t = 0, value_name = "PORT")]
+    port: u16,
+    /// Address to listen on.
+    #[arg(long, default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST), value_name = "ADDRESS", hide = true)]
+    address: IpAddr,
+    /// Frames a second of a sequence.
+    #[arg(long, default_value_t = 30.0, value_name = "FPS")]
+    fps: f64,
+    /// Do not open the browser.
+    #[arg(long)]
+    no_open: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    url: String,
+}
+
+impl View {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+        if !self.address.is_loopback() {
+            return Err(Error::message(format!(
+                "--address {}: expected a loopback address, such as 127.0.0.1",
+                self.address
+            )));
+        }
+        if !(self.fps.is_finite() && self.fps > 0.0) {
+            return Err(Error::message(format!("--fps {}: expected more than 0", self.fps)));
+        }
+        let device = parse_device(&global.device)?;
+        let run = if self.path.join("config.toml").exists() {
+            Some(Run::open(&self.path, &device)?)
+        } else {
+            None
+        };
+        let source = match &run {
+            Some(run) => Source::Model(Box::new(Model::new(run, console))),
+            None => Source::Meshes(Meshes::open(&self.path, self.fps)?),
+        };
+        let scene = source.scene()?.to_string();
+        let faces = source.faces().as_flattened().iter().flat_map(|i| i.to_le_bytes()).collect();
+
+        let address = (self.address, self.port);
+        let listener = TcpListener::bind(address)
+            .map_err(|error| Error::io("socket", error))
+            .doing(|| format!("listening on port {}", self.port))?;
+        let address = listener.local_addr().map_err(|error| Error::io("socket", error))?;
+        let (jobs, list) = mpsc::channel();
+        let token = token();
+        let report = Report { url: format!("http://{address}/{token}/") };
+        let site = Site { token, scene, faces, port: address.port(), jobs };
+        let server = thread::spawn(move || server::serve(listener, site));
+        console.result(&report, || format!("{}\nCtrl-C ends it", report.url))?;
+        if !self.no_open && open::that_detached(&report.url).is_err() {
+            console.note("no browser could be opened: open the address yourself");
+        }
+        server::work(list, |question| source.answer(question), |download| source.file(download));
+        server.join().map_err(|_| Error::message("the server failed"))?
+    }
+}
+
+/// 128 random bits, hexadecimal.
+fn token() -> String {
+    let mut rng = rand_chacha::ChaCha20Rng::from_os_rng();
+    let bytes: [u8; 16] = rng.random();
+    bytes.iter().fold(String::new(), |mut text, byte| {
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}

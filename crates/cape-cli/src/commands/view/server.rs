@@ -1,0 +1,315 @@
+//! A server for one page on this machine. All addresses begin with a secret; requests that other
+//! pages make, by their origin or under another host's name, are refused.
+
+use std::sync::{
+    Arc,
+    atomic::{AtomicU32, Ordering},
+    mpsc,
+};
+
+use axum::{
+    Router,
+    body::Bytes,
+    extract::{
+        DefaultBodyLimit, Path, Request as HttpRequest, State,
+        ws::{Message as Frame, WebSocket, WebSocketUpgrade},
+    },
+    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header},
+    middleware::{self, Next},
+    response::{IntoResponse, Redirect, Response},
+    routing::{any, get, post},
+};
+use tokio::{net::TcpListener, sync::{mpsc as channel, oneshot}};
+
+use super::{
+    assets,
+    wire::{self, Answer, Download, Message, Question, Request},
+};
+use crate::error::{Error, Result};
+
+/// Bytes of a message from the page at most.
+const MOST_BYTES: usize = 64 * 1024;
+/// Requests of a page that wait at most; a page that asks faster is cut off.
+const MOST_WAITING: u32 = 64;
+
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
+                      img-src 'self' data: blob:; connect-src 'self'; base-uri 'none'; \
+                      form-action 'none'; frame-ancestors 'none'";
+const HEADERS: [(HeaderName, &str); 4] = [
+    (header::CONTENT_SECURITY_POLICY, POLICY),
+    (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    (header::REFERRER_POLICY, "no-referrer"),
+    (header::CACHE_CONTROL, "no-store"),
+];
+
+/// What the thread that owns the model is asked.
+pub(super) enum Job {
+    /// A question of a page; `newest` is that page's latest one that supersedes.
+    Ask { request: Request, newest: Arc<AtomicU32>, reply: channel::UnboundedSender<Message> },
+    /// A file.
+    Save { download: Download, reply: oneshot::Sender<Result<Vec<u8>>> },
+}
+
+/// What does not change while the page is open.
+pub(super) struct Site {
+    pub(super) token: String,
+    pub(super) scene: String,
+    /// `[faces, 3]`, u32, little-endian.
+    pub(super) faces: Vec<u8>,
+    pub(super) port: u16,
+    pub(super) jobs: mpsc::Sender<Job>,
+}
+
+/// Answers jobs until the server is gone.
+pub(super) fn work(
+    jobs: mpsc::Receiver<Job>,
+    answer: impl Fn(&Question) -> Result<Answer>,
+    file: impl Fn(&Download) -> Result<Vec<u8>>,
+) {
+    for job in jobs {
+        match job {
+            Job::Ask { request: Request { id, question }, newest, reply } => {
+                if question.is_superseded() && newest.load(Ordering::Acquire) != id {
+                    continue;
+                }
+                // A page that has gone does not listen.
+                let _ = reply.send(wire::encode(id, &answer(&question)));
+            }
+            Job::Save { download, reply } => {
+                let _ = reply.send(file(&download));
+            }
+        }
+    }
+}
+
+/// Serves the site until the process ends.
+pub(super) fn serve(listener: std::net::TcpListener, site: Site) -> Result {
+    let fault = |error: std::io::Error| Error::message(format!("the server: {error}"));
+    listener.set_nonblocking(true).map_err(fault)?;
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(fault)?;
+    runtime.block_on(async {
+        let listener = TcpListener::from_std(listener).map_err(fault)?;
+        axum::serve(listener, router(Arc::new(site))).await.map_err(fault)
+    })
+}
+
+fn router(site: Arc<Site>) -> Router {
+    Router::new()
+        .route("/{token}", get(to_page))
+        .route("/{token}/", get(page))
+        .route("/{token}/scene.json", get(scene))
+        .route("/{token}/faces.bin", get(faces))
+        .route("/{token}/socket", any(socket))
+        .route("/{token}/download", post(download))
+        .route("/{token}/{asset}", get(asset))
+        .layer(DefaultBodyLimit::max(MOST_BYTES))
+        .layer(middleware::from_fn_with_state(site.clone(), guard))
+        .with_state(site)
+}
+
+/// Lets in who knows the secret and comes from the page itself.
+async fn guard(State(site): State<Arc<Site>>, request: HttpRequest, next: Next) -> Response {
+    let allowed = is_here(&site, request.headers()) && knows(&site, request.uri());
+    let mut response =
+        if allowed { next.run(request).await } else { StatusCode::NOT_FOUND.into_response() };
+    for (name, value) in HEADERS {
+        response.headers_mut().insert(name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+fn knows(site: &Site, uri: &Uri) -> bool {
+    let given = uri.path().split('/').nth(1).unwrap_or_default().as_bytes();
+    let token = site.token.as_bytes();
+    // Takes as long whatever is wrong.
+    given.len() == token.len()
+        && given.iter().zip(token).fold(0, |different, (a, b)| different | (a ^ b)) == 0
+}
+
+/// Whether the browser means this server by its own name, and no other page sent it here.
+fn is_here(site: &Site, headers: &HeaderMap) -> bool {
+    let text = |name: HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
+    let hosts = ["127.0.0.1", "localhost", "[::1]"].map(|host| format!("{host}:{}", site.port));
+    let Some(host) = text(header::HOST).filter(|host| hosts.iter().any(|known| known == host))
+    else {
+        return false;
+    };
+    match headers.get(header::ORIGIN) {
+        None => true,
+        Some(origin) => origin.as_bytes() == format!("http://{host}").as_bytes(),
+    }
+}
+
+async fn to_page(Path(token): Path<String>) -> Redirect {
+    Redirect::permanent(&format!("/{token}/"))
+}
+
+async fn page() -> Response {
+    of_type("text/html; charset=utf-8", assets::PAGE)
+}
+
+async fn asset(Path((_, name)): Path<(String, String)>) -> Response {
+    match assets::find(&name) {
+        Some((kind, text)) => of_type(kind, text),
+        None => StatusCode::NOT_FOUND.into_response(),
+    }
+}
+
+async fn scene(State(site): State<Arc<Site>>) -> Response {
+    of_type("application/json", site.scene.clone())
+}
+
+async fn faces(State(site): State<Arc<Site>>) -> Response {
+    of_type("application/octet-stream", site.faces.clone())
+}
+
+fn of_type(kind: &'static str, body: impl IntoResponse) -> Response {
+    ([(header::CONTENT_TYPE, kind)], body).into_response()
+}
+
+async fn download(State(site): State<Arc<Site>>, body: Bytes) -> Response {
+    let refuse = |status: StatusCode, why: String| (status, why).into_response();
+    let download: Download = match serde_json::from_slice(&body) {
+        Ok(download) => download,
+        Err(error) => return refuse(StatusCode::BAD_REQUEST, error.to_string()),
+    };
+    let (reply, answer) = oneshot::channel();
+    if site.jobs.send(Job::Save { download, reply }).is_err() {
+        return StatusCode::SERVICE_UNAVAILABLE.into_response();
+    }
+    match answer.await {
+        Ok(Ok(bytes)) => of_type("application/octet-stream", bytes),
+        Ok(Err(error)) => refuse(StatusCode::UNPROCESSABLE_ENTITY, error.to_string()),
+        Err(_) => StatusCode::SERVICE_UNAVAILABLE.into_response(),
+    }
+}
+
+async fn socket(State(site): State<Arc<Site>>, upgrade: WebSocketUpgrade) -> Response {
+    upgrade.max_message_size(MOST_BYTES).on_upgrade(move |socket| talk(socket, site))
+}
+
+/// One page's conversation.
+async fn talk(mut socket: WebSocket, site: Arc<Site>) {
+    let newest = Arc::new(AtomicU32::new(0));
+    let (reply, mut answers) = channel::unbounded_channel();
+    let mut waiting = 0;
+    loop {
+        tokio::select! {
+            message = socket.recv() => {
+                let text = match message {
+                    Some(Ok(Frame::Text(text))) => text,
+                    Some(Ok(Frame::Ping(_) | Frame::Pong(_))) => continue,
+                    Some(Ok(Frame::Binary(_))) => {
+                        let _ = reply.send(wire::failure(0, "expected text"));
+                        continue;
+                    }
+                    Some(Ok(Frame::Close(_)) | Err(_)) | None => return,
+                };
+                let request: Request = match serde_json::from_str(&text) {
+                    Ok(request) => request,
+                    Err(error) => {
+                        let _ = reply.send(wire::failure(0, &error.to_string()));
+                        continue;
+                    }
+                };
+                if request.question.is_superseded() {
+                    newest.store(request.id, Ordering::Release);
+                } else {
+                    waiting += 1;
+                    if waiting > MOST_WAITING {
+                        return;
+                    }
+                }
+                let job = Job::Ask { request, newest: newest.clone(), reply: reply.clone() };
+                if site.jobs.send(job).is_err() {
+                    return;
+                }
+            }
+            Some(answer) = answers.recv() => {
+                waiting = waiting.saturating_sub(1);
+                let frame = match answer {
+                    Message::Text(text) => Frame::Text(text.into()),
+                    Message::Binary(bytes) => Frame::Binary(bytes.into()),
+                };
+                if socket.send(frame).await.is_err() {
+                    return;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn site() -> Site {
+        let (jobs, _) = mpsc::channel();
+        Site { token: "secret".into(), scene: String::new(), faces: Vec::new(), port: 80, jobs }
+    }
+
+    #[test]
+    fn only_the_page_itself_gets_in() {
+        let site = site();
+        let headers = |host: &'static str, origin: Option<&'static str>| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::HOST, HeaderValue::from_static(host));
+            if let Some(origin) = origin {
+                headers.insert(header::ORIGIN, HeaderValue::from_static(origin));
+            }
+            headers
+        };
+        assert!(is_here(&site, &headers("127.0.0.1:80", None)));
+        assert!(is_here(&site, &headers("localhost:80", Some("http://localhost:80"))));
+        for (host, origin) in [
+            ("evil.example:80", None),
+            ("127.0.0.1:81", None),
+            ("127.0.0.1:80", Some("http://evil.example")),
+            ("127.0.0.1:80", Some("http://localhost:80")),
+            ("127.0.0.1:80", Some("null")),
+        ] {
+            assert!(!is_here(&site, &headers(host, origin)), "{host} {origin:?}");
+        }
+        assert!(!is_here(&site, &HeaderMap::new()));
+        let knows_of = |path: &'static str| knows(&site, &Uri::from_static(path));
+        assert!(knows_of("/secret/") && knows_of("/secret/scene.json"));
+        for path in ["/", "/Secret/", "/secre/", "/secrets/", "/../secret/", "/x/secret/"] {
+            assert!(!knows_of(path), "{path}");
+        }
+    }
+
+    #[test]
+    fn stale_pictures_are_not_computed() {
+        let (jobs, list) = mpsc::channel();
+        let (reply, mut answers) = channel::unbounded_channel();
+        let newest = Arc::new(AtomicU32::new(3));
+        let ask = |id: u32, question: Question| Job::Ask {
+            request: Request { id, question },
+            newest: newest.clone(),
+            reply: reply.clone(),
+        };
+        for job in [
+            ask(1, Question::Frame(0)),
+            ask(2, Question::Encode(0)),
+            ask(3, Question::Frame(1)),
+        ] {
+            jobs.send(job).unwrap();
+        }
+        drop(jobs);
+        let asked = std::cell::RefCell::new(Vec::new());
+        work(
+            list,
+            |question| {
+                asked.borrow_mut().push(question.clone());
+                Err(Error::message("no"))
+            },
+            |_| Err(Error::message("no")),
+        );
+        assert_eq!(asked.into_inner(), [Question::Encode(0), Question::Frame(1)]);
+        for id in [2, 3] {
+            let Ok(Message::Text(text)) = answers.try_recv() else { panic!("no answer") };
+            assert_eq!(text, format!(r#"{{"id":{id},"error":"no"}}"#));
+        }
+    }
+}

@@ -1,0 +1,337 @@
+//! What there is to see: a run's clothes, or meshes.
+
+use std::path::{Path, PathBuf};
+
+use cape_core::{
+    BodyPose, Mesh, Outfit, joints::JOINT_NAMES, obj, ply, poses, synth::Motion,
+};
+use cape_train::{
+    Performance, Run, Wearer,
+    data::{PackedSet, Part, raw::name_of},
+    directions_by_effect,
+};
+use ndarray::{Array2, Array3};
+use serde_json::{Value, json};
+
+use super::wire::{Answer, Download, FileFormat, Layer, Person, Question, Show};
+use crate::{
+    console::Console,
+    dressed::{Dressed, Painter, bare},
+    error::{Error, Result},
+    mesh_file::read_mesh,
+    priors::{PriorName, codes},
+};
+
+/// Shape coefficients that have sliders.
+const SHAPES: usize = 10;
+const CLAY: [f32; 3] = [0.72, 0.71, 0.70];
+
+/// Answers the page's questions, on one thread.
+pub(super) enum Source<'a> {
+    Model(Box<Model<'a>>),
+    Meshes(Meshes),
+}
+
+/// A trained run.
+pub(super) struct Model<'a> {
+    run: &'a Run,
+    painter: Painter<'a>,
+    truth: Option<PackedSet>,
+    console: Console,
+}
+
+/// A mesh, or the frames of a sequence.
+pub(super) struct Meshes {
+    paths: Vec<PathBuf>,
+    first: Mesh,
+    fps: f64,
+}
+
+impl Source<'_> {
+    /// The triangles of every picture.
+    pub(super) fn faces(&self) -> &[[u32; 3]] {
+        match self {
+            Self::Model(model) => &model.run.body().faces,
+            Self::Meshes(meshes) => &meshes.first.faces,
+        }
+    }
+
+    /// What the page is told first.
+    pub(super) fn scene(&self) -> Result<Value> {
+        match self {
+            Self::Model(model) => model.scene(),
+            Self::Meshes(meshes) => Ok(meshes.scene()),
+        }
+    }
+
+    pub(super) fn answer(&self, question: &Question) -> Result<Answer> {
+        match (self, question) {
+            (Self::Model(model), Question::Show(show)) => Ok(Answer::People(model.people(show)?)),
+            (Self::Model(model), Question::Sample(sample)) => {
+                let &Model { run, console, .. } = &**model;
+                let (outfit, seed) = (sample.outfit, sample.seed);
+                let temperature = crate::priors::checked_temperature(sample.temperature)?;
+                let z = codes(run, sample.prior()?, &[outfit], 1, temperature, seed, console)?;
+                Ok(Answer::Code { z: z.row(0).to_vec() })
+            }
+            (Self::Model(model), &Question::Encode(frame)) => {
+                let (_, wearer) = model.registration(frame)?;
+                Ok(Answer::Registration { z: model.code_of(frame)?.row(0).to_vec(), wearer })
+            }
+            (Self::Model(_), Question::Motion(movement)) => {
+                movement.check()?;
+                // A name, never a path.
+                if poses::preset(&movement.name).is_none() {
+                    return Err(Error::message(format!("no movement `{}`", movement.name)));
+                }
+                let poses = poses::movement(&movement.name, movement.seconds, movement.fps)?;
+                Ok(Answer::Poses { poses, fps: movement.fps })
+            }
+            (Self::Meshes(meshes), &Question::Frame(frame)) => {
+                Ok(Answer::People(vec![meshes.person(frame)?]))
+            }
+            _ => Err(Error::message("there is no such thing here")),
+        }
+    }
+
+    /// The file of what is asked for: of the clothed person, if there is one.
+    pub(super) fn file(&self, download: &Download) -> Result<Vec<u8>> {
+        if download.format == FileFormat::Glb {
+            return match (self, &download.question) {
+                (Self::Model(model), Question::Show(show)) => model.glb(show),
+                _ => Err(Error::message("glTF needs a skeleton: take .obj or .ply")),
+            };
+        }
+        let Answer::People(people) = self.answer(&download.question)? else {
+            return Err(Error::message("a file of something that cannot be seen"));
+        };
+        let person = people
+            .iter()
+            .find(|person| person.layer == Layer::Clothed)
+            .or(people.first())
+            .ok_or_else(|| Error::message("nothing is shown"))?;
+        let directory = tempfile::tempdir().map_err(|error| Error::io("download", error))?;
+        let path = directory.path().join("mesh");
+        if download.format == FileFormat::Ply {
+            let colours: Vec<[u8; 3]> =
+                person.colours.iter().copied().map(crate::dressed::eight_bit).collect();
+            ply::write(&path, &person.mesh, Some(&colours))?;
+        } else {
+            obj::write(&path, &person.mesh, None)?;
+        }
+        std::fs::read(&path).map_err(|error| Error::io(&path, error))
+    }
+}
+
+impl<'a> Model<'a> {
+    pub(super) fn new(run: &'a Run, console: Console) -> Self {
+        let truth = run.data().and_then(|data| PackedSet::open(&data, Part::Test)).ok();
+        let truth = truth.filter(|set| set.vertices() == run.body().vertices());
+        Self { run, painter: Painter::new(run), truth, console }
+    }
+
+    fn scene(&self) -> Result<Value> {
+        let run = self.run;
+        let at = |name: &str| poses::preset(name).unwrap_or([0.0; 72]);
+        let wearer = Wearer { betas: Vec::new(), pose: at("a-pose"), outfit: Outfit::LongLong };
+        let (order, effect) = directions_by_effect(run, &wearer)?;
+        let motions: Vec<&str> = Motion::ALL.iter().map(|motion| motion.name()).collect();
+        let named = ["a-pose", "t-pose"].into_iter().chain(motions.iter().copied());
+        let poses: Vec<Value> =
+            named.map(|name| json!({"name": name, "pose": at(name).to_vec()})).collect();
+        let priors: Vec<&str> = [PriorName::Normal, PriorName::Gmm, PriorName::Kde]
+            .into_iter()
+            .filter(|&prior| {
+                prior == PriorName::Normal || run.paths().prior(prior.name()).exists()
+            })
+            .map(PriorName::name)
+            .collect();
+        Ok(json!({
+            "title": name_of(run.paths().root()),
+            "kind": "run",
+            "vertices": run.body().vertices(),
+            "faces": run.body().faces.len(),
+            "model": {
+                "latent": order.len(),
+                "order": order,
+                "effect": effect,
+                "betas": run.body().betas().min(SHAPES),
+                "outfits": Outfit::ALL.map(Outfit::name),
+                "poses": poses,
+                "motions": motions,
+                "joints": JOINT_NAMES,
+                "priors": priors,
+                "truth": self.truth.as_ref().map_or(0, PackedSet::frames),
+            },
+            "sequence": null,
+        }))
+    }
+
+    fn people(&self, show: &Show) -> Result<Vec<Person>> {
+        let (wearer, code, truth) = if show.layers.contains(&Layer::Truth) {
+            let (displacement, wearer) = self.registration(show.truth)?;
+            let worn = self.painter.wear(&displacement, std::slice::from_ref(&wearer))?;
+            (wearer, self.code_of(show.truth)?, worn.into_iter().next())
+        } else {
+            (show.wearer()?, self.code(show)?, None)
+        };
+        let wearers = std::slice::from_ref(&wearer);
+        let vertices = self.run.body().vertices();
+        let mut people = Vec::with_capacity(show.layers.len());
+        for &layer in &show.layers {
+            if people.iter().any(|person: &Person| person.layer == layer) {
+                continue;
+            }
+            let dressed = match layer {
+                Layer::Truth => truth.clone(),
+                Layer::Body => bare(self.run, wearers)?.into_iter().next(),
+                Layer::Clothed => {
+                    let worn = self.run.clothes(&code, wearers)?;
+                    self.painter.wear(&worn, wearers)?.into_iter().next()
+                }
+            };
+            let Some(Dressed { mesh, colours, distances }) = dressed else { continue };
+            let mut errors = vec![0.0; vertices];
+            if let (Some(truth), Layer::Clothed) = (&truth, layer) {
+                for &vertex in self.run.clothing() {
+                    let (a, b) = (mesh.vertices[vertex], truth.mesh.vertices[vertex]);
+                    let squares = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b));
+                    errors[vertex] = squares.sum::<f32>().sqrt();
+                }
+            }
+            people.push(Person { layer, mesh, colours, distances, errors });
+        }
+        Ok(people)
+    }
+
+    fn code(&self, show: &Show) -> Result<Array2<f32>> {
+        let latent = self.run.config().model.latent;
+        Array2::from_shape_vec((1, show.z.len()), show.z.clone())
+            .ok()
+            .filter(|code| code.ncols() == latent)
+            .ok_or_else(|| {
+                Error::message(format!("z of {} numbers, expected {latent}", show.z.len()))
+            })
+    }
+
+    fn set(&self) -> Result<&PackedSet> {
+        self.truth.as_ref().ok_or_else(|| Error::message("there are no registrations to show"))
+    }
+
+    fn code_of(&self, frame: usize) -> Result<Array2<f32>> {
+        Ok(self.run.encode_frames(self.set()?, &[frame])?)
+    }
+
+    /// Displacements `[1, vertices, 3]` of a held-out frame, and its pose and outfit.
+    fn registration(&self, frame: usize) -> Result<(Array3<f32>, Wearer)> {
+        let set = self.set()?;
+        if frame >= set.frames() {
+            return Err(Error::message(format!("registration {frame} of {}", set.frames())));
+        }
+        let pose = BodyPose::try_from(set.pose(frame)?)
+            .map_err(|pose| Error::message(format!("a pose of {} numbers", pose.len())))?;
+        let wearer = Wearer { betas: vec![0.0; SHAPES], pose, outfit: set.outfits()[frame] };
+        Ok((set.batch(&[frame], None)?.displacement, wearer))
+    }
+
+    fn glb(&self, show: &Show) -> Result<Vec<u8>> {
+        let (code, wearer) = if show.layers.contains(&Layer::Truth) {
+            (self.code_of(show.truth)?, self.registration(show.truth)?.1)
+        } else {
+            (self.code(show)?, show.wearer()?)
+        };
+        let worn = self.run.clothes(&code, std::slice::from_ref(&wearer))?;
+        let dressed = self.painter.wear(&worn, std::slice::from_ref(&wearer))?;
+        let performance = Performance {
+            colours: dressed.first().map(|dressed| &dressed.colours[..]),
+            ..Performance::still("clothed", &code, &wearer)
+        };
+        Ok(performance.encode(self.run)?)
+    }
+}
+
+impl Meshes {
+    /// A mesh file, or all of a directory in the order of their names.
+    pub(super) fn open(path: &Path, fps: f64) -> Result<Self> {
+        let paths = if path.is_dir() {
+            let entries = std::fs::read_dir(path).map_err(|error| Error::io(path, error))?;
+            let mut paths = Vec::new();
+            for entry in entries {
+                let path = entry.map_err(|error| Error::io(path, error))?.path();
+                let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
+                if extension == "obj" || extension == "ply" {
+                    paths.push(path);
+                }
+            }
+            paths.sort();
+            paths
+        } else {
+            vec![path.to_owned()]
+        };
+        let Some(first) = paths.first() else {
+            return Err(Error::message(format!(
+                "{}: expected a run, a mesh (.obj, .ply, or a body's .npz or .pkl), or a directory \
+                 of .obj or .ply files",
+                path.display()
+            )));
+        };
+        let first = checked(first)?;
+        Ok(Self { paths, first, fps })
+    }
+
+    fn scene(&self) -> Value {
+        let sequence = self.paths.len() > 1;
+        let title = match self.paths.first() {
+            Some(path) if sequence => name_of(path.parent().unwrap_or(path)),
+            Some(path) => name_of(path),
+            None => String::new(),
+        };
+        json!({
+            "title": title,
+            "kind": if sequence { "sequence" } else { "mesh" },
+            "vertices": self.first.vertices.len(),
+            "faces": self.first.faces.len(),
+            "model": null,
+            "sequence": sequence.then(|| json!({"frames": self.paths.len(), "fps": self.fps})),
+        })
+    }
+
+    fn person(&self, frame: usize) -> Result<Person> {
+        let mesh = match self.paths.get(frame) {
+            Some(_) if frame == 0 => self.first.clone(),
+            Some(path) => checked(path)?,
+            None => return Err(Error::message(format!("frame {frame} of {}", self.paths.len()))),
+        };
+        if mesh.faces != self.first.faces {
+            return Err(Error::message(format!(
+                "{}: other triangles than the first frame's",
+                self.paths[frame].display()
+            )));
+        }
+        let count = mesh.vertices.len();
+        Ok(Person {
+            layer: Layer::Clothed,
+            colours: vec![CLAY; count],
+            distances: vec![0.0; count],
+            errors: vec![0.0; count],
+            mesh,
+        })
+    }
+}
+
+/// A mesh that can be drawn.
+fn checked(path: &Path) -> Result<Mesh> {
+    let mesh = read_mesh(path)?;
+    let count = mesh.vertices.len();
+    let drawable = count > 0
+        && mesh.faces.iter().flatten().all(|&i| (i as usize) < count)
+        && mesh.vertices.iter().flatten().all(|x| x.is_finite());
+    if drawable {
+        return Ok(mesh);
+    }
+    Err(cape_core::Error::format(
+        path,
+        "expected vertices that are finite, and triangles between them",
+    )
+    .into())
+}

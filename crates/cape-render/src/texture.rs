@@ -1,0 +1,53 @@
+use cape_core::obj::Uv;
+use glam::{Vec2, Vec3};
+
+use crate::{Error, Image, Result, shade::to_linear};
+
+/// A picture on a surface.
+#[derive(Debug, Clone, Copy)]
+pub struct Texture<'a> {
+    /// Where the corners of the mesh's faces are on it; the origin is at the bottom left.
+    pub uv: &'a Uv,
+    /// The picture; it repeats in both directions.
+    pub image: &'a Image,
+}
+
+impl Texture<'_> {
+    /// Whether there are coordinates for each of `faces` faces.
+    pub(crate) fn check(&self, object: usize, faces: usize) -> Result<()> {
+        let points = self.uv.coordinates.len();
+        if self.uv.faces.len() != faces {
+            return Err(Error::Argument(format!(
+                "object {object}: texture coordinates of {} faces for {faces}",
+                self.uv.faces.len()
+            )));
+        }
+        if self.uv.faces.iter().flatten().any(|&i| i as usize >= points)
+            || self.uv.coordinates.iter().flatten().any(|x| !x.is_finite())
+        {
+            return Err(Error::Argument(format!(
+                "object {object}: texture coordinates that are not finite, or beyond the {points} \
+                 there are"
+            )));
+        }
+        Ok(())
+    }
+
+    /// The linear colour at a point of a face, by its barycentric coordinates.
+    pub(crate) fn at(&self, face: usize, weights: [f32; 3]) -> Vec3 {
+        let corners = self.uv.faces[face].map(|i| Vec2::from(self.uv.coordinates[i as usize]));
+        let point = corners[0] * weights[0] + corners[1] * weights[1] + corners[2] * weights[2];
+        let size = Vec2::new(self.image.width() as f32, self.image.height() as f32);
+        let place = Vec2::new(point.x, 1.0 - point.y) * size - 0.5;
+        let (low, share) = (place.floor(), place - place.floor());
+        let texel = |dx: i64, dy: i64| {
+            let wrap = |at: f32, by: i64, size: u32| (at as i64 + by).rem_euclid(size.into()) as u32;
+            let x = wrap(low.x, dx, self.image.width());
+            let y = wrap(low.y, dy, self.image.height());
+            let [r, g, b, _] = self.image.get(x, y).unwrap_or_default();
+            to_linear([r, g, b].map(|c| f32::from(c) / 255.0))
+        };
+        let row = |dy: i64| texel(0, dy).lerp(texel(1, dy), share.x);
+        row(0).lerp(row(1), share.y)
+    }
+}

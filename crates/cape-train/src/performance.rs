@@ -1,0 +1,134 @@
+//! Clothed bodies as glTF: skeleton, skin, and a keyframe for each pose.
+
+use std::path::Path;
+
+use cape_core::{
+    BodyPose, ClothingMask, Outfit,
+    gltf::{self, Figure, Keyframe, Texture},
+};
+use ndarray::{Array2, Axis};
+
+use crate::{Error, Result, Run, Wearer};
+
+/// Poses of one file at most: each takes a morph target of 82 kB.
+const MOST_FRAMES: usize = 2000;
+/// Poses decoded at a time.
+const BATCH: usize = 64;
+
+/// One code in one outfit, moving through poses.
+#[derive(Debug, Clone)]
+pub struct Performance<'a> {
+    /// Shown by programs that open the file.
+    pub name: &'a str,
+    /// Latent code, `[1, latent]`.
+    pub code: Array2<f32>,
+    /// Shape coefficients; missing ones are zero.
+    pub betas: &'a [f32],
+    /// What is worn.
+    pub outfit: Outfit,
+    /// At least one.
+    pub poses: Vec<BodyPose>,
+    /// Poses a second.
+    pub frames_per_second: f32,
+    /// Shape directions added as morph targets.
+    pub shape_targets: usize,
+    /// sRGB from 0 to 1, `[vertices, 3]`.
+    pub colours: Option<&'a [[f32; 3]]>,
+    /// Texture coordinates and picture.
+    pub texture: Option<Texture<'a>>,
+}
+
+impl<'a> Performance<'a> {
+    /// A body that stands still.
+    pub fn still(name: &'a str, code: &Array2<f32>, wearer: &'a Wearer) -> Self {
+        Self {
+            name,
+            code: code.clone(),
+            betas: &wearer.betas,
+            outfit: wearer.outfit,
+            poses: vec![wearer.pose],
+            frames_per_second: 30.0,
+            shape_targets: 0,
+            colours: None,
+            texture: None,
+        }
+    }
+
+    /// Decodes every pose and writes a `.glb` file.
+    ///
+    /// # Errors
+    /// If there is no pose or there are too many, sizes do not suit the run, or the file cannot be
+    /// written.
+    pub fn save(&self, run: &Run, path: impl AsRef<Path>) -> Result<()> {
+        let (figure, keyframes) = self.figure(run)?;
+        Ok(gltf::write(path, &figure, &keyframes)?)
+    }
+
+    /// The bytes of [`save`](Self::save)'s file.
+    ///
+    /// # Errors
+    /// As of [`save`](Self::save).
+    pub fn encode(&self, run: &Run) -> Result<Vec<u8>> {
+        let (figure, keyframes) = self.figure(run)?;
+        Ok(gltf::encode(&figure, &keyframes)?)
+    }
+
+    fn figure<'s>(&'s self, run: &'s Run) -> Result<(Figure<'s>, Vec<Keyframe>)> {
+        if self.poses.is_empty() || self.poses.len() > MOST_FRAMES {
+            return Err(Error::argument(format!(
+                "{} poses, but a glTF file takes 1 to {MOST_FRAMES}: give fewer, or write .obj or \
+                 .ply",
+                self.poses.len()
+            )));
+        }
+        let body = run.body();
+        let mut betas: Vec<f64> = self.betas.iter().map(|&beta| beta.into()).collect();
+        betas.resize(body.betas().max(betas.len()), 0.0);
+        let shape = body.shaped(&betas)?;
+        let displacements = self.displacements(run)?;
+        let first = &displacements[0];
+        let mut keyframes = Vec::with_capacity(self.poses.len());
+        for (index, (pose, worn)) in self.poses.iter().zip(&displacements).enumerate() {
+            let pose: Vec<f64> = pose.iter().map(|&angle| angle.into()).collect();
+            keyframes.push(Keyframe {
+                time: index as f32 / self.frames_per_second,
+                offset: body.pose_offsets(&pose)? + worn - first,
+                transl: [0.0; 3],
+                pose,
+            });
+        }
+        let targets = (0..self.shape_targets.min(body.betas()))
+            .map(|k| (format!("beta {k}"), body.shapedirs.index_axis(Axis(2), k).to_owned()))
+            .collect();
+        let figure = Figure {
+            name: self.name,
+            body,
+            rest: &shape + first,
+            joints: body.rest_joints(&shape)?,
+            colours: self.colours,
+            texture: self.texture,
+            targets,
+        };
+        Ok((figure, keyframes))
+    }
+
+    /// Displacements at clothing vertices under every pose, metres.
+    fn displacements(&self, run: &Run) -> Result<Vec<Array2<f64>>> {
+        let mask = ClothingMask::from_indices(run.body().vertices(), run.clothing())?;
+        let mut found = Vec::with_capacity(self.poses.len());
+        for poses in self.poses.chunks(BATCH) {
+            let codes = self.code.select(Axis(0), &vec![0; poses.len()]);
+            let decoded = run.decode(&codes, poses, &vec![self.outfit; poses.len()])?;
+            for worn in decoded.outer_iter() {
+                let mut worn = worn.mapv(f64::from);
+                for (mut row, &covered) in worn.rows_mut().into_iter().zip(mask.covered()) {
+                    if !covered {
+                        row.fill(0.0);
+                    }
+                }
+                found.push(worn);
+            }
+        }
+        Ok(found)
+    }
+}

@@ -1,0 +1,35 @@
+//! Fits a density to the codes of the training set, draws one, and moves it through a walk.
+//!
+//! ```sh
+//! cargo run --release --example animate -- cape-demo/run
+//! ```
+
+use std::path::PathBuf;
+
+use cape::{
+    prelude::*,
+    train::{
+        prior::{Codes, DensityKind, MixtureOptions, Prior},
+        silent,
+    },
+};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let path = PathBuf::from(std::env::args().nth(1).ok_or("expected a run's directory")?);
+    let run = Run::open(&path, &Device::default())?;
+    let seen = Codes::of_training(&run, &run.data()?, 256, &mut silent)?;
+    let prior = Prior::fit(&seen, DensityKind::Mixture(1), true, &MixtureOptions::default())?;
+    let outfit = Outfit::ShortLong;
+    let performance = Performance {
+        name: "walk",
+        code: prior.sample(outfit, 1, 1.0, 3),
+        betas: &[0.5],
+        outfit,
+        poses: poses::movement("walk", 2.0, 30.0)?,
+        frames_per_second: 30.0,
+        shape_targets: 0,
+        colours: None,
+        texture: None,
+    };
+    Ok(performance.save(&run, "walk.glb")?)
+}

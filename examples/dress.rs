@@ -1,0 +1,20 @@
+//! Dresses a body in clothes drawn from a trained model.
+//!
+//! ```sh
+//! cape demo && cargo run --release --example dress -- cape-demo/run
+//! ```
+
+use std::path::PathBuf;
+
+use cape::prelude::*;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let path = PathBuf::from(std::env::args().nth(1).ok_or("expected a run's directory")?);
+    let run = Run::open(&path, &Device::default())?;
+    let code = run.sample_codes(1, 7);
+    let pose = poses::preset("walk").ok_or("no such pose")?;
+    let wearer = Wearer { betas: vec![1.0, -0.5], pose, outfit: Outfit::LongLong };
+    run.dress(&code, std::slice::from_ref(&wearer))?[0].save("dressed.obj")?;
+    Performance::still("dressed", &code, &wearer).save(&run, "dressed.glb")?;
+    Ok(())
+}

@@ -1,0 +1,29 @@
+//! Encodes a held-out registration, and gives its wearer another outfit and another pose.
+//!
+//! ```sh
+//! cargo run --release --example redress -- cape-demo/run
+//! ```
+
+use std::path::PathBuf;
+
+use cape::{
+    prelude::*,
+    train::data::{PackedSet, Part},
+};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let path = PathBuf::from(std::env::args().nth(1).ok_or("expected a run's directory")?);
+    let run = Run::open(&path, &Device::default())?;
+    let set = PackedSet::open(&run.data()?, Part::Test)?;
+    let pose = BodyPose::try_from(set.pose(0)?).map_err(|_| "expected 72 angles")?;
+    let seen = Wearer { betas: Vec::new(), pose, outfit: set.outfits()[0] };
+    let code = run.encode(&set.batch(&[0], None)?.displacement, &[seen.clone()])?;
+
+    let pose = poses::preset("squats").ok_or("no such pose")?;
+    let squatting = Wearer { pose, ..seen.clone() };
+    let other = Wearer { outfit: Outfit::ShortShort, ..seen.clone() };
+    for (name, wearer) in [("seen", seen), ("squatting", squatting), ("other", other)] {
+        run.dress(&code, &[wearer])?[0].save(format!("{name}.obj"))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,278 @@
+//! The page of `cape view`.
+
+use std::{
+    fs,
+    io::{BufRead, BufReader, Read, Write},
+    net::TcpStream,
+    process::{Child, Stdio},
+    thread::sleep,
+    time::{Duration, Instant},
+};
+
+use cape::{
+    core::{Mesh, obj},
+    render::Image,
+};
+use serde_json::Value;
+use tungstenite::{ClientRequestBuilder, Message, http::Uri};
+
+use crate::{
+    browser::{Browser, Scheme, View},
+    devtools::Live,
+    keep,
+    support::{VERTICES, cape, trained},
+};
+
+const WIDE: View = View { width: 1280, height: 800, scheme: Scheme::Light };
+
+/// `cape view`, until it is dropped.
+struct Server {
+    child: Child,
+    url: String,
+}
+
+impl Server {
+    fn start(of: &str) -> Self {
+        let path = trained().at(of);
+        let mut child = cape(["view", path.to_str().unwrap(), "--no-open", "--json"])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut text = String::new();
+        let mut out = BufReader::new(child.stdout.take().unwrap());
+        while serde_json::from_str::<Value>(&text).is_err() {
+            assert!(out.read_line(&mut text).unwrap() > 0, "no address: {text}");
+        }
+        let report: Value = serde_json::from_str(&text).unwrap();
+        Self { child, url: report["url"].as_str().unwrap().to_owned() }
+    }
+
+    /// Host and port, and the secret.
+    fn parts(&self) -> (&str, &str) {
+        let (host, token) = self.url.strip_prefix("http://").unwrap().split_once('/').unwrap();
+        (host, token.trim_end_matches('/'))
+    }
+
+    /// Status and body of a request that is sent as it stands.
+    fn request(&self, method: &str, target: &str, headers: &str, body: &str) -> (u16, String) {
+        let mut stream = TcpStream::connect(self.parts().0).unwrap();
+        let length = body.len();
+        write!(
+            stream,
+            "{method} {target} HTTP/1.1\r\n{headers}Content-Length: {length}\r\nConnection: close\r\n\r\n{body}"
+        )
+        .unwrap();
+        let mut answer = Vec::new();
+        // A server that refuses a body may close before it has read all of it.
+        let _ = stream.read_to_end(&mut answer);
+        let text = String::from_utf8_lossy(&answer).into_owned();
+        let status = text.split(' ').nth(1).and_then(|code| code.parse().ok()).unwrap_or(0);
+        (status, text.split_once("\r\n\r\n").map_or(String::new(), |(_, body)| body.to_owned()))
+    }
+
+    fn get(&self, target: &str) -> u16 {
+        let host = format!("Host: {}\r\n", self.parts().0);
+        self.request("GET", target, &host, "").0
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Moves a control of the page.
+fn set(live: &mut Live, control: &str, value: &str) {
+    live.evaluate(&format!(
+        "(() => {{ const control = document.querySelector('{control}'); control.value = '{value}'; \
+         for (const kind of ['input', 'change']) \
+         control.dispatchEvent(new Event(kind, {{bubbles: true}})); }})()"
+    ));
+    live.evaluate("cape.settled()");
+}
+
+fn click(live: &mut Live, control: &str) {
+    live.evaluate(&format!("document.querySelector('{control}').click()"));
+    live.evaluate("cape.settled()");
+}
+
+/// Share of pixels that differ.
+fn difference(a: &Image, b: &Image) -> f64 {
+    let pairs = a.pixels().iter().zip(b.pixels());
+    pairs.filter(|(a, b)| a != b).count() as f64 / a.pixels().len() as f64
+}
+
+#[test]
+fn sliders_outfits_and_samples_change_the_picture() {
+    let Some(browser) = Browser::find() else { return };
+    let server = Server::start("run");
+    let mut live = Live::open(&browser, &server.url, WIDE);
+    live.evaluate("cape.ready");
+    live.evaluate("cape.settled()");
+    let first = live.screenshot();
+    keep("viewer", &first);
+    let strongest = live.evaluate(
+        "document.querySelector('input[type=range][id^=\"z-\"]').id",
+    );
+    let mut last = first;
+    for (control, value) in
+        [(format!("#{}", strongest.as_str().unwrap()), "3"), ("#beta-0".to_owned(), "3")]
+    {
+        set(&mut live, &control, value);
+        let now = live.screenshot();
+        assert!(difference(&last, &now) > 0.001, "{control} changes nothing");
+        last = now;
+    }
+    click(&mut live, "#outfit-shortshort");
+    assert_eq!(live.evaluate("cape.state().outfit"), "shortshort");
+    let before = live.evaluate("cape.state().z");
+    click(&mut live, "#sample");
+    assert_ne!(live.evaluate("cape.state().z"), before);
+    assert!(live.evaluate("cape.state().answers").as_u64().unwrap() >= 5);
+    assert_eq!(live.complaints(), [""; 0]);
+}
+
+#[test]
+fn downloads_parse() {
+    let Some(browser) = Browser::find() else { return };
+    let server = Server::start("run");
+    let mut live = Live::open(&browser, &server.url, WIDE);
+    live.evaluate("cape.ready");
+    live.evaluate("cape.settled()");
+    for format in ["obj", "ply", "glb"] {
+        click(&mut live, &format!("#download-{format}"));
+    }
+    let start = Instant::now();
+    let found = loop {
+        let names: Vec<_> = fs::read_dir(live.downloads())
+            .map(|entries| entries.map(|entry| entry.unwrap().path()).collect())
+            .unwrap_or_default();
+        let ends = |kind: &str| {
+            names.iter().find(|path: &&std::path::PathBuf| path.extension().is_some_and(|e| e == kind))
+        };
+        if let (Some(obj), Some(ply), Some(glb)) = (ends("obj"), ends("ply"), ends("glb")) {
+            break [obj.clone(), ply.clone(), glb.clone()];
+        }
+        assert!(start.elapsed() < Duration::from_secs(30), "only {names:?}");
+        sleep(Duration::from_millis(50));
+    };
+    assert_eq!(obj::read(&found[0]).unwrap().mesh.vertices.len(), VERTICES);
+    assert_eq!(Mesh::load(&found[1]).unwrap().vertices.len(), VERTICES);
+    assert_eq!(&fs::read(&found[2]).unwrap()[..4], b"glTF");
+    assert_eq!(live.complaints(), [""; 0]);
+}
+
+#[test]
+fn the_page_fits_a_telephone_and_is_dark_where_that_is_preferred() {
+    let Some(browser) = Browser::find() else { return };
+    let server = Server::start("run");
+    let view = View { width: 390, height: 844, scheme: Scheme::Dark };
+    let mut live = Live::open(&browser, &server.url, view);
+    live.evaluate("cape.ready");
+    live.evaluate("cape.settled()");
+    let shot = live.screenshot();
+    keep("viewer-narrow", &shot);
+    let overflow = live.evaluate("document.documentElement.scrollWidth - innerWidth");
+    assert!(overflow.as_f64().unwrap() <= 0.0, "{overflow} px too wide");
+    let [r, g, b, _] = shot.get(view.width / 2, view.height - 3).unwrap();
+    assert!(u32::from(r) + u32::from(g) + u32::from(b) < 250, "the panel is bright");
+    let unnamed = live.evaluate(
+        "[...document.querySelectorAll('button, input, select')].filter(control => \
+         !(control.labels?.length || control.getAttribute('aria-label') \
+         || control.getAttribute('aria-labelledby') || control.textContent.trim())) \
+         .map(control => control.id || control.outerHTML)",
+    );
+    assert_eq!(unnamed, serde_json::json!([]), "controls without a name");
+    assert_eq!(live.complaints(), [""; 0]);
+}
+
+#[test]
+fn nobody_else_gets_in() {
+    let server = Server::start("run");
+    let (host, token) = server.parts();
+    assert_eq!(server.get(&format!("/{token}/")), 200);
+    assert_eq!(server.get(&format!("/{token}/viewer.js")), 200);
+    for target in ["/", "/scene.json", "/0123456789abcdef0123456789abcdef/", "/index.html"] {
+        assert_eq!(server.get(target), 404, "{target}");
+    }
+    for path in
+        ["../../etc/passwd", "..%2f..%2fetc%2fpasswd", "%2e%2e/Cargo.toml", "mod.rs", "config.toml"]
+    {
+        assert_eq!(server.get(&format!("/{token}/{path}")), 404, "{path}");
+    }
+    let page = format!("/{token}/");
+    let ours = format!("Host: {host}\r\n");
+    for headers in [
+        "Host: evil.example\r\n".to_owned(),
+        String::new(),
+        format!("{ours}Origin: http://evil.example\r\n"),
+        format!("{ours}Origin: null\r\n"),
+    ] {
+        let (status, body) = server.request("GET", &page, &headers, "");
+        assert!(status >= 400 && !body.contains("<html"), "{headers:?}: {status}");
+    }
+    let socket = |origin: &str| {
+        let uri: Uri = format!("ws://{host}/{token}/socket").parse().unwrap();
+        tungstenite::connect(ClientRequestBuilder::new(uri).with_header("Origin", origin))
+    };
+    assert!(socket("http://evil.example").is_err());
+    assert!(socket(&format!("http://{host}")).is_ok());
+    let big = "x".repeat(200_000);
+    let target = format!("/{token}/download");
+    assert_ne!(server.request("POST", &target, &ours, &big).0, 200);
+    assert_eq!(server.request("POST", &target, &ours, "{").0, 400);
+    let unknown = r#"{"format":"obj","frame":9}"#;
+    assert_eq!(server.request("POST", &target, &ours, unknown).0, 422);
+    assert_eq!(server.get(&page), 200);
+}
+
+#[test]
+fn malformed_messages_do_not_end_the_server() {
+    let server = Server::start("run");
+    let (host, token) = server.parts();
+    let connect = || tungstenite::connect(format!("ws://{host}/{token}/socket")).unwrap().0;
+    let mut socket = connect();
+    for text in ["", "{", "[]", r#"{"id":1}"#, r#"{"id":1,"show":{"z":[]}}"#, "\u{0}"] {
+        socket.send(Message::text(text)).unwrap();
+        let answer: Value = serde_json::from_str(socket.read().unwrap().to_text().unwrap()).unwrap();
+        assert!(answer["error"].is_string(), "{text:?}: {answer}");
+    }
+    let show = |z: &str, pose: usize| {
+        let pose = vec!["0"; pose].join(",");
+        format!(
+            r#"{{"id":7,"show":{{"z":{z},"betas":[],"pose":[{pose}],"outfit":"longlong","layers":["clothed"]}}}}"#
+        )
+    };
+    for wrong in [show("[1,2,3]", 72), show("[]", 71), show("[1e39]", 72)] {
+        socket.send(Message::text(wrong)).unwrap();
+        let answer: Value = serde_json::from_str(socket.read().unwrap().to_text().unwrap()).unwrap();
+        assert!(answer["error"].is_string(), "{answer}");
+    }
+    let mut other = connect();
+    // Refused, and the connection with it.
+    let _ = other.send(Message::text("x".repeat(100_000)));
+    while other.read().is_ok() {}
+    let sample = r#"{"id":8,"sample":{"prior":"normal","temperature":1,"seed":1,"outfit":"longlong"}}"#;
+    socket.send(Message::text(sample)).unwrap();
+    let answer: Value = serde_json::from_str(socket.read().unwrap().to_text().unwrap()).unwrap();
+    let code = answer["z"].to_string();
+    assert_eq!(answer["id"], 8);
+    socket.send(Message::text(show(&code, 72))).unwrap();
+    let Message::Binary(bytes) = socket.read().unwrap() else { panic!("expected a picture") };
+    assert_eq!(bytes.len(), 16 + 4 + VERTICES * 24);
+    assert_eq!(&bytes[..4], b"CAPE");
+}
+
+#[test]
+fn a_mesh_is_shown_without_a_model() {
+    let Some(browser) = Browser::find() else { return };
+    let server = Server::start("run/body.npz");
+    let mut live = Live::open(&browser, &server.url, WIDE);
+    live.evaluate("cape.ready");
+    live.evaluate("cape.settled()");
+    keep("viewer-mesh", &live.screenshot());
+    assert_eq!(live.evaluate("document.querySelector('#sample')?.checkVisibility() ?? false"), false);
+    assert_eq!(live.complaints(), [""; 0]);
+}
