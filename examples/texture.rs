@@ -31,7 +31,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let texture = Texture { uv: &uv, image: &image };
     let style = Style { width: 300, height: 420, ..Style::default() };
     let mut tiles = Vec::new();
-    for (mesh, label) in bodies.iter().zip(["body"].into_iter().chain(Outfit::ALL.map(Outfit::name))) {
+    for (mesh, label) in
+        bodies.iter().zip(["body"].into_iter().chain(Outfit::ALL.map(Outfit::name)))
+    {
         let image = portrait(Object::new(mesh).textured(texture), View::ThreeQuarter, &style)?;
         tiles.push(Tile { image, label: label.to_owned() });
     }

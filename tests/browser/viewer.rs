@@ -113,9 +113,7 @@ fn sliders_outfits_and_samples_change_the_picture() {
     live.evaluate("cape.settled()");
     let first = live.screenshot();
     keep("viewer", &first);
-    let strongest = live.evaluate(
-        "document.querySelector('input[type=range][id^=\"z-\"]').id",
-    );
+    let strongest = live.evaluate("document.querySelector('input[type=range][id^=\"z-\"]').id");
     let mut last = first;
     for (control, value) in
         [(format!("#{}", strongest.as_str().unwrap()), "3"), ("#beta-0".to_owned(), "3")]
@@ -150,7 +148,9 @@ fn downloads_parse() {
             .map(|entries| entries.map(|entry| entry.unwrap().path()).collect())
             .unwrap_or_default();
         let ends = |kind: &str| {
-            names.iter().find(|path: &&std::path::PathBuf| path.extension().is_some_and(|e| e == kind))
+            names
+                .iter()
+                .find(|path: &&std::path::PathBuf| path.extension().is_some_and(|e| e == kind))
         };
         if let (Some(obj), Some(ply), Some(glb)) = (ends("obj"), ends("ply"), ends("glb")) {
             break [obj.clone(), ply.clone(), glb.clone()];
@@ -236,7 +236,8 @@ fn malformed_messages_do_not_end_the_server() {
     let mut socket = connect();
     for text in ["", "{", "[]", r#"{"id":1}"#, r#"{"id":1,"show":{"z":[]}}"#, "\u{0}"] {
         socket.send(Message::text(text)).unwrap();
-        let answer: Value = serde_json::from_str(socket.read().unwrap().to_text().unwrap()).unwrap();
+        let answer: Value =
+            serde_json::from_str(socket.read().unwrap().to_text().unwrap()).unwrap();
         assert!(answer["error"].is_string(), "{text:?}: {answer}");
     }
     let show = |z: &str, pose: usize| {
@@ -247,14 +248,16 @@ fn malformed_messages_do_not_end_the_server() {
     };
     for wrong in [show("[1,2,3]", 72), show("[]", 71), show("[1e39]", 72)] {
         socket.send(Message::text(wrong)).unwrap();
-        let answer: Value = serde_json::from_str(socket.read().unwrap().to_text().unwrap()).unwrap();
+        let answer: Value =
+            serde_json::from_str(socket.read().unwrap().to_text().unwrap()).unwrap();
         assert!(answer["error"].is_string(), "{answer}");
     }
     let mut other = connect();
     // Refused, and the connection with it.
     let _ = other.send(Message::text("x".repeat(100_000)));
     while other.read().is_ok() {}
-    let sample = r#"{"id":8,"sample":{"prior":"normal","temperature":1,"seed":1,"outfit":"longlong"}}"#;
+    let sample =
+        r#"{"id":8,"sample":{"prior":"normal","temperature":1,"seed":1,"outfit":"longlong"}}"#;
     socket.send(Message::text(sample)).unwrap();
     let answer: Value = serde_json::from_str(socket.read().unwrap().to_text().unwrap()).unwrap();
     let code = answer["z"].to_string();
@@ -273,6 +276,9 @@ fn a_mesh_is_shown_without_a_model() {
     live.evaluate("cape.ready");
     live.evaluate("cape.settled()");
     keep("viewer-mesh", &live.screenshot());
-    assert_eq!(live.evaluate("document.querySelector('#sample')?.checkVisibility() ?? false"), false);
+    assert_eq!(
+        live.evaluate("document.querySelector('#sample')?.checkVisibility() ?? false"),
+        false
+    );
     assert_eq!(live.complaints(), [""; 0]);
 }

@@ -42,10 +42,7 @@ fn one_thing_changes_and_the_rest_is_fixed() {
         let picture = Image::load(&data.at(&format!("{by}/variations.png"))).unwrap();
         assert!(picture.width() as usize > count * 240);
         let file = bodies[0]["file"].as_str().unwrap();
-        assert_eq!(
-            Mesh::load(data.at(&format!("{by}/{file}"))).unwrap().vertices.len(),
-            VERTICES
-        );
+        assert_eq!(Mesh::load(data.at(&format!("{by}/{file}"))).unwrap().vertices.len(), VERTICES);
     }
     assert_eq!(vary("direction", "--by direction --rows 2 --columns 3 --no-meshes").len(), 6);
     assert!(!data.at("direction/000.ply").exists());
@@ -60,7 +57,8 @@ fn codes_are_named_added_and_gone_between() {
         words.extend(options.iter().map(ToString::to_string));
         crate::support::run(words)
     };
-    vary("between", &["--by", "between", "--codes", "seed:1,frame:0", "--columns", "3"]).succeeded();
+    vary("between", &["--by", "between", "--codes", "seed:1,frame:0", "--columns", "3"])
+        .succeeded();
     let between = lines(&data, "between/variations.jsonl");
     let code = |body: &Value| -> Vec<f64> {
         body["code"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect()
@@ -96,9 +94,8 @@ fn a_registration_is_given_other_clothes_and_poses() {
     let frame = "@/raw/sequences/ann/longlong_jump/longlong_jump.000002.npz";
     let found = contents(&data.at("raw/sequences/ann/longlong_jump"));
     let frame = frame.replace("longlong_jump.000002.npz", &found[1].0.display().to_string());
-    let report = data
-        .run(&format!("redress {run} {frame} --pose t-pose --out @/new --json"))
-        .json();
+    let report =
+        data.run(&format!("redress {run} {frame} --pose t-pose --out @/new --json")).json();
     assert_eq!(report["outfit"], "longlong");
     // The reconstruction, three other outfits and one other pose beside the registration.
     assert_eq!(report["files"].as_array().unwrap().len(), 6);

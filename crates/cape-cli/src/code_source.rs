@@ -69,7 +69,10 @@ impl Draw<'_> {
                 (name, true) => {
                     let code = self.code(name)?;
                     sum.iter_mut().zip(&code).for_each(|(sum, x)| *sum += sign * x);
-                    terms.push((if sign > 0.0 { name.to_owned() } else { format!("- {name}") }, code));
+                    terms.push((
+                        if sign > 0.0 { name.to_owned() } else { format!("- {name}") },
+                        code,
+                    ));
                 }
             }
             expects_term = !expects_term;
@@ -85,7 +88,9 @@ fn malformed(text: &str) -> Error {
 }
 
 fn number(text: &str, digits: &str) -> Result<u64> {
-    digits.parse().map_err(|_| Error::message(format!("`{text}`: expected a whole number after the colon")))
+    digits
+        .parse()
+        .map_err(|_| Error::message(format!("`{text}`: expected a whole number after the colon")))
 }
 
 fn from_file(text: &str) -> Result<Vec<f32>> {

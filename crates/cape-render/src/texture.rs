@@ -41,7 +41,8 @@ impl Texture<'_> {
         let place = Vec2::new(point.x, 1.0 - point.y) * size - 0.5;
         let (low, share) = (place.floor(), place - place.floor());
         let texel = |dx: i64, dy: i64| {
-            let wrap = |at: f32, by: i64, size: u32| (at as i64 + by).rem_euclid(size.into()) as u32;
+            let wrap =
+                |at: f32, by: i64, size: u32| (at as i64 + by).rem_euclid(size.into()) as u32;
             let x = wrap(low.x, dx, self.image.width());
             let y = wrap(low.y, dy, self.image.height());
             let [r, g, b, _] = self.image.get(x, y).unwrap_or_default();

@@ -190,8 +190,11 @@ fn a_texture_lies_on_the_surface_the_right_way_up() {
     };
     let mut image = Image::new(2, 2, [255, 255, 255, 255]).unwrap();
     // Top left red, top right green, bottom left blue.
-    image.pixels_mut()[..3]
-        .copy_from_slice(&[[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 255]]);
+    image.pixels_mut()[..3].copy_from_slice(&[
+        [255, 0, 0, 255],
+        [0, 255, 0, 255],
+        [0, 0, 255, 255],
+    ]);
     let texture = Texture { uv: &uv, image: &image };
     let camera = Camera::look_at(
         Vec3::new(0.0, 0.0, 5.0),

@@ -210,7 +210,7 @@ impl Generate {
         }
         files::require_empty(&self.out)?;
         files::create_dir(&self.out)?;
-        let faces: Vec<i32> = run.body().faces.as_flattened().iter().map(|&i| i as i32).collect();
+        let faces: Vec<i64> = run.body().faces.as_flattened().iter().map(|&i| i.into()).collect();
         let faces = Array2::from_shape_vec((run.body().faces.len(), 3), faces)
             .map_err(|error| Error::message(error.to_string()))?;
         write_npy(self.out.join("faces.npy"), &faces)?;

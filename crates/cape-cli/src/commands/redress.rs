@@ -113,7 +113,10 @@ impl Redress {
         for (index, (name, body)) in names.zip(&bodies).enumerate() {
             let file = format!("{index}-{}.ply", name.replace(['/', ' '], "-"));
             ply::write(self.out.join(&file), &body.mesh, Some(&body.colours_8_bit()))?;
-            tiles.push(Tile { image: body.picture(View::ThreeQuarter, [280, 400], None)?, label: name });
+            tiles.push(Tile {
+                image: body.picture(View::ThreeQuarter, [280, 400], None)?,
+                label: name,
+            });
             written.push(file);
         }
         contact_sheet(&tiles, tiles.len().min(6), None)?.save(self.out.join("redress.png"))?;

@@ -1,6 +1,9 @@
 use std::path::PathBuf;
 
-use cape_core::{Outfit, parse_device, ply, poses::{movement, poses}};
+use cape_core::{
+    Outfit, parse_device, ply,
+    poses::{movement, poses},
+};
 use cape_render::{
     Bounds, Camera, Object, Projection, Style, Tile, View, contact_sheet, render, save_animation,
 };
@@ -117,13 +120,7 @@ impl Vary {
         let temperature = checked_temperature(self.temperature)?;
         files::require_empty(&self.out)?;
         let run = Run::open(&self.run, &device)?;
-        let draw = Draw {
-            run: &run,
-            prior: self.prior,
-            temperature,
-            outfit: self.outfit,
-            console,
-        };
+        let draw = Draw { run: &run, prior: self.prior, temperature, outfit: self.outfit, console };
         let (mut cells, columns) = self.cells(&draw, global.seed.unwrap_or(1))?;
         if !self.no_meshes {
             for (index, cell) in cells.iter_mut().enumerate() {
@@ -154,9 +151,8 @@ impl Vary {
         }
         files::write_text(&self.out.join("variations.jsonl"), &text)?;
         let report = Report { bodies: cells.len(), picture, out: self.out };
-        console.result(&report, || {
-            format!("{} bodies\n{}", report.bodies, report.picture.display())
-        })
+        console
+            .result(&report, || format!("{} bodies\n{}", report.bodies, report.picture.display()))
     }
 
     /// All bodies, row by row, and how many are in a row.
@@ -291,8 +287,7 @@ impl Vary {
         // One camera, so that sizes can be compared.
         let bounds = Bounds::of_meshes(bodies.iter().map(|body| &body.mesh))
             .ok_or_else(|| Error::message("the body has no vertices"))?;
-        let camera =
-            Camera::framing(&bounds, View::ThreeQuarter, Projection::default(), aspect);
+        let camera = Camera::framing(&bounds, View::ThreeQuarter, Projection::default(), aspect);
         let mut pictures = Vec::with_capacity(bodies.len());
         console.while_showing("draw", "bodies", |progress| {
             for (index, body) in bodies.iter().enumerate() {

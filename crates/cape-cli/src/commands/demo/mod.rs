@@ -11,7 +11,8 @@ use burn::tensor::Device;
 use cape_core::{Outfit, obj, parse_device, poses, synth};
 use cape_model::{CapeConfig, LossConfig};
 use cape_train::{
-    EvalOptions, EvalReport, Event, Outcome, PosteriorUse, Run, RunConfig, TrainConfig, Trainer, Wearer,
+    EvalOptions, EvalReport, Event, Outcome, PosteriorUse, Run, RunConfig, TrainConfig, Trainer,
+    Wearer,
     data::{PackOptions, Split, pack},
     evaluate,
     prior::{Codes, DensityKind, MixtureOptions, Prior},

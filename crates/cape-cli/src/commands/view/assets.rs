@@ -2,13 +2,40 @@
 
 pub(super) const PAGE: &str = include_str!("web/index.html");
 
-const SCRIPT: &str = "text/javascript; charset=utf-8";
+macro_rules! files {
+    ($($kind:literal: $($name:literal)*;)*) => {
+        &[$($(($name, $kind, include_str!(concat!("web/", $name)))),*),*]
+    };
+}
+
+/// Name, type and text.
+const FILES: &[(&str, &str, &str)] = files! {
+    "text/css; charset=utf-8": "viewer.css";
+    "text/javascript; charset=utf-8":
+        "answer.js" "camera.js" "colours.js" "controls.js" "gestures.js" "keys.js" "legend.js"
+        "link.js" "matrix.js" "mesh.js" "panel.js" "player.js" "save.js" "scene.js" "shaders.js"
+        "shadows.js" "viewer.js" "words.js";
+};
 
 /// A part of the page by its name: type and text.
 pub(super) fn find(name: &str) -> Option<(&'static str, &'static str)> {
-    Some(match name {
-        "viewer.css" => ("text/css; charset=utf-8", include_str!("web/viewer.css")),
-        "viewer.js" => (SCRIPT, include_str!("web/viewer.js")),
-        _ => return None,
-    })
+    FILES.iter().find(|(known, ..)| *known == name).map(|&(_, kind, text)| (kind, text))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_module_that_is_imported_is_there() {
+        for (name, _, text) in FILES {
+            for import in text.split(" from \"./").skip(1) {
+                let module = import.split('"').next().unwrap_or_default();
+                assert!(find(module).is_some(), "{name} imports {module}");
+            }
+        }
+        for part in PAGE.split(['"', '\'']).filter(|part| part.ends_with(".js")) {
+            assert!(find(part.trim_start_matches("./")).is_some(), "the page needs {part}");
+        }
+    }
 }

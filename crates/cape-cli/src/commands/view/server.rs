@@ -19,7 +19,10 @@ use axum::{
     response::{IntoResponse, Redirect, Response},
     routing::{any, get, post},
 };
-use tokio::{net::TcpListener, sync::{mpsc as channel, oneshot}};
+use tokio::{
+    net::TcpListener,
+    sync::{mpsc as channel, oneshot},
+};
 
 use super::{
     assets,
@@ -289,11 +292,9 @@ mod tests {
             newest: newest.clone(),
             reply: reply.clone(),
         };
-        for job in [
-            ask(1, Question::Frame(0)),
-            ask(2, Question::Encode(0)),
-            ask(3, Question::Frame(1)),
-        ] {
+        for job in
+            [ask(1, Question::Frame(0)), ask(2, Question::Encode(0)), ask(3, Question::Frame(1))]
+        {
             jobs.send(job).unwrap();
         }
         drop(jobs);

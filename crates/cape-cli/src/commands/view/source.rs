@@ -2,9 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_core::{
-    BodyPose, Mesh, Outfit, joints::JOINT_NAMES, obj, ply, poses, synth::Motion,
-};
+use cape_core::{BodyPose, Mesh, Outfit, joints::JOINT_NAMES, obj, ply, poses, synth::Motion};
 use cape_train::{
     Performance, Run, Wearer,
     data::{PackedSet, Part, raw::name_of},
@@ -141,9 +139,7 @@ impl<'a> Model<'a> {
             named.map(|name| json!({"name": name, "pose": at(name).to_vec()})).collect();
         let priors: Vec<&str> = [PriorName::Normal, PriorName::Gmm, PriorName::Kde]
             .into_iter()
-            .filter(|&prior| {
-                prior == PriorName::Normal || run.paths().prior(prior.name()).exists()
-            })
+            .filter(|&prior| prior == PriorName::Normal || run.paths().prior(prior.name()).exists())
             .map(PriorName::name)
             .collect();
         Ok(json!({

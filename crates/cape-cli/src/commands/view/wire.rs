@@ -253,7 +253,9 @@ mod tests {
         let Question::Show(show) = read(text).unwrap().question else { panic!("not a show") };
         assert_eq!((show.truth, &show.layers[..]), (7, &[Layer::Clothed, Layer::Truth][..]));
         assert!(show.wearer().unwrap_err().to_string().contains("pose of 2 numbers"));
-        for nonsense in ["", "7", "{}", r#"{"id":1}"#, r#"{"id":-1,"frame":0}"#, r#"{"id":1,"shut":0}"#] {
+        for nonsense in
+            ["", "7", "{}", r#"{"id":1}"#, r#"{"id":-1,"frame":0}"#, r#"{"id":1,"shut":0}"#]
+        {
             assert!(read(nonsense).is_err(), "{nonsense}");
         }
     }

@@ -19,16 +19,16 @@ export class Link {
   #questions = new Map();
 
   /// `handlers` has `answer(layers, latency)`, `failure(message)`, `lost(seconds)`, `found()` and
-  /// `settled()`, which is called whenever something that was asked for is done with.
+  /// `settled()`, which is called whenever a picture has arrived or is not waited for any more.
   constructor(url, handlers) {
     this.#url = url;
     this.#handlers = handlers;
     this.#connect();
   }
 
-  /// Whether all that was asked for has been answered.
+  /// Whether no picture is waited for.
   get idle() {
-    return !this.#wanted && !this.#flying && this.#questions.size === 0;
+    return !this.#wanted && !this.#flying;
   }
 
   /// Asks for a picture, in place of any that has not been asked for yet.
@@ -124,8 +124,6 @@ export class Link {
       this.#questions.delete(id);
       if (error) question.reject(new Error(error));
       else question.resolve(answer);
-      // Whoever asked may go on to ask for a picture first.
-      setTimeout(this.#handlers.settled);
     } else if (id === this.#flying?.id) {
       if (error) this.#handlers.failure(error);
       this.#done();
