@@ -17,7 +17,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let set = PackedSet::open(&run.data()?, Part::Test)?;
     let pose = BodyPose::try_from(set.pose(0)?).map_err(|_| "expected 72 angles")?;
     let seen = Wearer { betas: Vec::new(), pose, outfit: set.outfits()[0] };
-    let code = run.encode(&set.batch(&[0], None)?.displacement, &[seen.clone()])?;
+    let code = run.encode(&set.batch(&[0], None)?.displacement, std::slice::from_ref(&seen))?;
 
     let pose = poses::preset("squats").ok_or("no such pose")?;
     let squatting = Wearer { pose, ..seen.clone() };

@@ -126,10 +126,7 @@ impl Live {
         }
         self.socket.send(Message::text(message.to_string())).unwrap();
         loop {
-            let text = match self.socket.read().unwrap() {
-                Message::Text(text) => text,
-                _ => continue,
-            };
+            let Message::Text(text) = self.socket.read().unwrap() else { continue };
             let mut said: Value = serde_json::from_str(&text).unwrap();
             if said["id"] == self.next {
                 assert!(said["error"].is_null(), "{method}: {said}");

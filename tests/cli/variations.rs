@@ -39,7 +39,7 @@ fn one_thing_changes_and_the_rest_is_fixed() {
             let expected = if field == changing { count - 1 } else { 0 };
             assert_eq!(differ(&bodies, field), expected, "{by}: {field}");
         }
-        let picture = Image::load(&data.at(&format!("{by}/variations.png"))).unwrap();
+        let picture = Image::load(data.at(&format!("{by}/variations.png"))).unwrap();
         assert!(picture.width() as usize > count * 240);
         let file = bodies[0]["file"].as_str().unwrap();
         assert_eq!(Mesh::load(data.at(&format!("{by}/{file}"))).unwrap().vertices.len(), VERTICES);

@@ -25,6 +25,9 @@ pub(crate) struct Draw<'a> {
     pub(crate) console: Console,
 }
 
+/// A latent code, `[latent]`.
+pub(crate) type Code = Vec<f32>;
+
 #[derive(Deserialize)]
 struct Line {
     code: Vec<f32>,
@@ -33,7 +36,7 @@ struct Line {
 impl Draw<'_> {
     /// The code that `text` names: `mean`; `seed:N`, drawn; `frame:K`, of a held-out frame of the
     /// run's data; or a file, .npy of `[latent]` or `[n, latent]`, or samples.jsonl, with `:ROW`.
-    pub(crate) fn code(&self, text: &str) -> Result<Vec<f32>> {
+    pub(crate) fn code(&self, text: &str) -> Result<Code> {
         let latent = self.run.config().model.latent;
         let code = if text == "mean" {
             vec![0.0; latent]
@@ -57,7 +60,7 @@ impl Draw<'_> {
     }
 
     /// The sum of codes that a text such as `frame:3 - frame:10 + seed:1` describes, with its terms.
-    pub(crate) fn sum(&self, text: &str) -> Result<(Vec<f32>, Vec<(String, Vec<f32>)>)> {
+    pub(crate) fn sum(&self, text: &str) -> Result<(Code, Vec<(String, Code)>)> {
         let mut sum = vec![0.0; self.run.config().model.latent];
         let mut terms = Vec::new();
         let mut sign = 1.0;

@@ -144,14 +144,11 @@ impl Redress {
             return self.of_packed(run, frame);
         }
         let path = Path::new(&self.registration);
-        let outfit = match self.was.or_else(|| outfit_of(path)) {
-            Some(outfit) => outfit,
-            None => {
-                return Err(Error::message(format!(
-                    "{}: its directory does not say what is worn: give --was OUTFIT",
-                    path.display()
-                )));
-            }
+        let Some(outfit) = self.was.or_else(|| outfit_of(path)) else {
+            return Err(Error::message(format!(
+                "{}: its directory does not say what is worn: give --was OUTFIT",
+                path.display()
+            )));
         };
         let body = run.body();
         let minimal = self.minimal(path, body.vertices())?;
@@ -198,19 +195,17 @@ impl Redress {
 
     /// The body under the clothes: as given, or of the raw tree that the frame is in.
     fn minimal(&self, frame: &Path, vertices: usize) -> Result<Array2<f64>> {
-        let path = match &self.minimal {
-            Some(path) => path.clone(),
-            None => {
-                let subject = frame.ancestors().nth(2).and_then(Path::file_name);
-                let root = frame.ancestors().nth(4);
-                let (Some(subject), Some(root)) = (subject, root) else {
-                    return Err(Error::message(format!(
-                        "{}: is not in a raw tree: give the body under the clothes by --minimal",
-                        frame.display()
-                    )));
-                };
-                raw::minimal_path(root, &subject.to_string_lossy())
-            }
+        let path = if let Some(path) = &self.minimal {
+            path.clone()
+        } else {
+            let subject = frame.ancestors().nth(2).and_then(Path::file_name);
+            let (Some(subject), Some(root)) = (subject, frame.ancestors().nth(4)) else {
+                return Err(Error::message(format!(
+                    "{}: is not in a raw tree: give the body under the clothes by --minimal",
+                    frame.display()
+                )));
+            };
+            raw::minimal_path(root, &subject.to_string_lossy())
         };
         let array = read_f64(&path)?;
         let fault = |found: &[usize]| {

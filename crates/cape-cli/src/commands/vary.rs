@@ -158,7 +158,7 @@ impl Vary {
     /// All bodies, row by row, and how many are in a row.
     fn cells(&self, draw: &Draw, seed: u64) -> Result<(Vec<Cell>, usize)> {
         let all = poses(&self.pose)?;
-        let pose = all.first().map(|(_, pose)| *pose).unwrap_or([0.0; 72]);
+        let pose = all.first().map_or([0.0; 72], |(_, pose)| *pose);
         let fixed = Cell {
             label: String::new(),
             file: None,

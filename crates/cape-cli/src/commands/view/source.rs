@@ -74,7 +74,8 @@ impl Source<'_> {
             }
             (Self::Model(model), &Question::Encode(frame)) => {
                 let (_, wearer) = model.registration(frame)?;
-                Ok(Answer::Registration { z: model.code_of(frame)?.row(0).to_vec(), wearer })
+                let z = model.code_of(frame)?.row(0).to_vec();
+                Ok(Answer::Registration { z, wearer: Box::new(wearer) })
             }
             (Self::Model(_), Question::Motion(movement)) => {
                 movement.check()?;

@@ -112,7 +112,7 @@ pub(super) struct Person {
 pub(super) enum Answer {
     People(Vec<Person>),
     Code { z: Vec<f32> },
-    Registration { z: Vec<f32>, wearer: Wearer },
+    Registration { z: Vec<f32>, wearer: Box<Wearer> },
     Poses { poses: Vec<BodyPose>, fps: f64 },
 }
 
