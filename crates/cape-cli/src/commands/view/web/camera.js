@@ -91,6 +91,17 @@ export class Camera {
     return { matrix: multiply(projection, view(eye, right, up, back)), eye, azimuth: this.azimuth };
   }
 
+  /// The lowest place of the box in pictures of this `aspect`, from 0 at the top to 1 at the bottom.
+  lowest(box, aspect) {
+    const { matrix } = this.lens(aspect);
+    const row = (i, [x, y, z]) => matrix[i] * x + matrix[4 + i] * y + matrix[8 + i] * z + matrix[12 + i];
+    const heights = Array.from({ length: 8 }, (_, corner) => {
+      const point = box.minimum.map((low, axis) => ((corner >> axis) & 1 ? box.maximum[axis] : low));
+      return row(1, point) / Math.max(1e-3, row(3, point));
+    });
+    return (1 - Math.min(...heights)) / 2;
+  }
+
   /// In words, from where the person is seen.
   get side() {
     const angle = side => Math.abs(wrap(this.azimuth - AZIMUTHS[side]));

@@ -13,7 +13,7 @@ export const MODES = ["cloth", "displacement", "error"];
 
 /// The modes that show a quantity; `maximum` is in millimetres.
 export const QUANTITIES = {
-  displacement: { title: "displacement", table: VIRIDIS, maximum: 40 },
+  displacement: { title: "displacement", table: VIRIDIS, maximum: 50 },
   error: { title: "error", table: PLASMA, maximum: 20 },
 };
 

@@ -26,7 +26,7 @@ const GESTURES = [
   [["drag", "←↑→↓"], "turn"],
   [["right or Shift drag", "two fingers", "Shift ←↑→↓"], "move"],
   [["wheel", "pinch", "+", "−"], "zoom"],
-  [["double click", "0"], "a slider back to its origin"],
+  [["double click", "0"], "slider to its origin"],
 ];
 
 const ACTIONS = new Map(KEYS.flatMap(([keys, , action]) => keys.map(key => [key === "Space" ? " " : key.toLowerCase(), action])));

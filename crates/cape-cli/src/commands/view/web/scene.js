@@ -9,7 +9,7 @@ const PIXEL_RATIO = 2;
 /// Directions to the lamps when the camera looks from the front.
 const LAMPS = [[-0.5, 0.65, 0.75], [0.85, 0.15, 0.5], [0.3, 0.5, -0.85]];
 const STUDIOS = {
-  light: { top: [0.925, 0.935, 0.95], bottom: [0.745, 0.76, 0.785], pool: [0.94, 0.945, 0.955, 0.55] },
+  light: { top: [0.925, 0.935, 0.95], bottom: [0.745, 0.76, 0.785], pool: [0.94, 0.945, 0.955, 0.45] },
   dark: { top: [0.185, 0.2, 0.225], bottom: [0.085, 0.092, 0.105], pool: [0.33, 0.345, 0.375, 0.6] },
 };
 
@@ -100,8 +100,9 @@ export class Scene {
     this.#drawBackdrop(studio);
     this.#layers.forEach((layer, i) => {
       const edge = column => Math.round((column * width) / this.columns);
-      gl.viewport(edge(i), 0, edge(i + 1) - edge(i), height);
-      if (lens.eye[1] > 0) this.#drawFloor(layer, lens, studio);
+      const span = [edge(i), edge(i + 1) - edge(i)];
+      gl.viewport(span[0], 0, span[1], height);
+      if (lens.eye[1] > 0) this.#drawFloor(layer, lens, { ...studio, span });
       this.#drawPerson(layer, lens, { ...look, paint: PAINTS[look.paints[i]] });
     });
   }
@@ -175,7 +176,7 @@ export class Scene {
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
   }
 
-  #drawFloor({ person: { shadow } }, lens, studio) {
+  #drawFloor({ person: { shadow } }, lens, { pool, span }) {
     const gl = this.#gl;
     const { floor } = this.#resources.programs;
     gl.disable(gl.DEPTH_TEST);
@@ -185,7 +186,8 @@ export class Scene {
     gl.uniformMatrix4fv(floor.matrix, false, lens.matrix);
     gl.uniform2fv(floor.centre, shadow.centre);
     gl.uniform1f(floor.radius, shadow.radius);
-    gl.uniform4fv(floor.pool, studio.pool);
+    gl.uniform4fv(floor.pool, pool);
+    gl.uniform2fv(floor.span, span);
     gl.bindTexture(gl.TEXTURE_2D, shadow.texture);
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
   }

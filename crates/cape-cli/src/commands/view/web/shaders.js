@@ -2,12 +2,19 @@
 
 import { STOPS } from "./colours.js";
 
-const VERSION = "#version 300 es\nprecision highp float;\n";
+const VERSION = "#version 300 es\nprecision highp float;\nprecision highp int;\n";
 
 const COLOUR = `
 vec3 linear(vec3 c) { return mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(0.04045, c)); }
 vec3 encoded(vec3 c) {
   return mix(c * 12.92, 1.055 * pow(max(c, 0.0), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c));
+}
+`;
+
+/// Less than a step of the colours, so that wide gradients have none.
+const DITHER = `
+float dither() {
+  return (fract(52.9829189 * fract(dot(gl_FragCoord.xy, vec2(0.06711056, 0.00583715)))) - 0.5) / 255.0;
 }
 `;
 
@@ -100,7 +107,7 @@ void main() {
 }`;
 
 /// The studio behind the person.
-const backdrop = [CORNERS, `${VERSION}
+const backdrop = [CORNERS, `${VERSION}${DITHER}
 in vec2 at;
 uniform vec3 top, bottom;
 out vec4 result;
@@ -108,8 +115,7 @@ void main() {
   vec2 centred = at - vec2(0.5, 0.58);
   float glow = exp(-5.0 * dot(centred, centred));
   vec3 colour = mix(bottom, top, smoothstep(0.0, 0.85, at.y)) * (0.94 + 0.08 * glow);
-  float noise = fract(52.9829189 * fract(dot(gl_FragCoord.xy, vec2(0.06711056, 0.00583715))));
-  result = vec4(colour + (noise - 0.5) / 255.0, 1.0);
+  result = vec4(colour + dither(), 1.0);
 }`];
 
 /// The floor below one person with its shadow.
@@ -122,19 +128,22 @@ void main() {
   at = vec2(gl_VertexID & 1, gl_VertexID >> 1);
   vec2 place = centre + (at * 2.0 - 1.0) * radius;
   gl_Position = matrix * vec4(place.x, 0.0, place.y, 1.0);
-}`, `${VERSION}
+}`, `${VERSION}${DITHER}
 in vec2 at;
 uniform sampler2D shadow;
 uniform vec4 pool;
+uniform vec2 span;
 out vec4 result;
 void main() {
   vec2 dark = texture(shadow, at).rg;
   float far = length(at * 2.0 - 1.0);
-  float lit = pool.a * (1.0 - smoothstep(0.0, 1.0, far));
+  // Nothing shows where one person's part of the picture ends.
+  float across = abs((gl_FragCoord.x - span.x) / span.y * 2.0 - 1.0);
+  float lit = pool.a * (1.0 - smoothstep(0.0, 1.0, far)) * (1.0 - smoothstep(0.6, 1.0, across));
   float alpha = 1.0 - (1.0 - 0.52 * dark.r) * (1.0 - 0.42 * dark.g);
   // The light on the floor first, its shadow over it.
   float cover = alpha + lit * (1.0 - alpha);
-  result = vec4(pool.rgb * lit * (1.0 - alpha), cover);
+  result = vec4(pool.rgb * lit * (1.0 - alpha) + dither(), cover);
 }`];
 
 /// How near the lowest surface is to the floor, seen from above: very near, and roughly.

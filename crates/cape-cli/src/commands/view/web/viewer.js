@@ -7,13 +7,15 @@ import { listen } from "./gestures.js";
 import { bindKeys } from "./keys.js";
 import { Legend } from "./legend.js";
 import { Link } from "./link.js";
-import { statistics, union } from "./mesh.js";
+import { statistics, union, within } from "./mesh.js";
 import { Panel } from "./panel.js";
 import { Player } from "./player.js";
 import { save } from "./save.js";
 import { Scene } from "./scene.js";
 import { describe, figures, fileName, layerNames } from "./words.js";
 
+/// How far people may get out of the box that fills the picture, in metres.
+const SLACK = 0.06;
 const MOTION = { seconds: 2, fps: 15 };
 
 class Viewer {
@@ -221,10 +223,11 @@ class Viewer {
     this.#answers += 1;
     this.#latency = latency ?? this.#latency;
 
-    const first = this.#answers === 1;
-    const before = JSON.stringify(this.#extent);
-    this.#extent = this.#extent ? union(this.#extent, this.#scene.box) : this.#scene.box;
-    if (JSON.stringify(this.#extent) !== before) this.#frameAll({ smooth: !first });
+    const { box } = this.#scene;
+    if (!this.#extent || !within(box, this.#extent, SLACK)) {
+      this.#extent = this.#extent ? union(this.#extent, box) : box;
+      this.#frameAll({ smooth: this.#answers > 1 });
+    }
     this.#message = "";
     this.#restyle();
   }
@@ -314,6 +317,10 @@ class Viewer {
       dark: this.#dark.matches,
     });
     this.#describe();
+    if (this.#extent) {
+      const under = this.#camera.lowest(this.#extent, this.#scene.aspect);
+      byId("labels").style.setProperty("--under", `${(100 * under).toFixed(1)}%`);
+    }
   }
 
   /// Says what goes wrong with something that takes time.
