@@ -156,9 +156,7 @@ impl Generate {
                 let drawn: Vec<(Wearer, Vec<f32>)> =
                     (first..first + count).map(|sample| dice.draw(sample)).collect();
                 let lines = self.lines(first, &drawn, plan.seed);
-                if !lines.iter().all(|line| self.out.join(&line.file).exists())
-                    || (count < PART && self.format == Format::Npz)
-                {
+                if !lines.iter().all(|line| self.is_there(line, count, run.body().vertices())) {
                     let (wearers, codes): (Vec<Wearer>, Vec<Vec<f32>>) = drawn.into_iter().unzip();
                     let codes =
                         Array2::from_shape_vec((count, run.config().model.latent), codes.concat())
@@ -215,6 +213,15 @@ impl Generate {
             .map_err(|error| Error::message(error.to_string()))?;
         write_npy(self.out.join("faces.npy"), &faces)?;
         Ok(write_json(&path, plan)?)
+    }
+
+    /// Whether a body's file is there, with all `count` bodies of its part.
+    fn is_there(&self, line: &Line, count: usize, vertices: usize) -> bool {
+        let least = match self.format {
+            Format::Npz => (count * vertices * 3 * size_of::<f32>()) as u64,
+            Format::Ply | Format::Obj => 0,
+        };
+        std::fs::metadata(self.out.join(&line.file)).is_ok_and(|file| file.len() >= least)
     }
 
     fn lines(&self, first: usize, drawn: &[(Wearer, Vec<f32>)], seed: u64) -> Vec<Line> {

@@ -189,7 +189,8 @@ impl Sample {
         }
         let skin = self.skin(&run)?;
         if skin.image.is_some() && skin.drawn.is_none() {
-            console.note("the contact sheet is without the texture: only PNG can be drawn");
+            console
+                .note("the contact sheet is without the texture: it can draw whole PNG files only");
         }
         let seed = global.seed.unwrap_or(1);
         let temperature = checked_temperature(self.temperature)?;
@@ -328,7 +329,7 @@ impl Sample {
             }
         };
         let drawn = match (&self.texture, &image) {
-            (Some(path), Some((name, _))) if name.ends_with("png") => Some(Image::load(path)?),
+            (Some(path), Some(_)) => Image::load(path).ok(),
             _ => None,
         };
         Ok(Skin { uv: Some(uv), image, drawn })

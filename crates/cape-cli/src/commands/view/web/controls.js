@@ -50,7 +50,9 @@ export function choice({ id, name, value, title, chosen }) {
   return element("label", { htmlFor: id, className: "choice", title }, radio, element("span", { textContent: value }));
 }
 
-export const fill = (select, values) => select.append(...values.map(value => element("option", { value, textContent: value })));
+export function fill(select, values) {
+  select.append(...values.map(value => element("option", { value, textContent: value })));
+}
 
 export const onChange = (id, action) => byId(id).addEventListener("change", event => action(event.target));
 

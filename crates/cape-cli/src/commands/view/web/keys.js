@@ -29,7 +29,8 @@ const GESTURES = [
   [["double click", "0"], "slider to its origin"],
 ];
 
-const ACTIONS = new Map(KEYS.flatMap(([keys, , action]) => keys.map(key => [key === "Space" ? " " : key.toLowerCase(), action])));
+const ACTIONS = new Map(KEYS.flatMap(([keys, , action]) =>
+  keys.map(key => [key === "Space" ? " " : key.toLowerCase(), action])));
 
 /// Keys that the focused control needs itself.
 function taken(target, key) {

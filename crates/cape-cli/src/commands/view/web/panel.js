@@ -113,7 +113,7 @@ export class Panel {
   #buildPose(model) {
     const { pose, edit, motion } = this.#actions;
     fill(byId("pose"), [...model.poses.map(({ name }) => name), CUSTOM]);
-    byId("pose").lastElementChild.hidden = true;
+    Object.assign(byId("pose").lastElementChild, { hidden: true, disabled: true });
     onChange("pose", select => pose(select.value));
 
     model.joints.forEach((name, i) => byId("joint").add(new Option(name, i)));

@@ -13,8 +13,14 @@ const STUDIOS = {
   dark: { top: [0.185, 0.2, 0.225], bottom: [0.085, 0.092, 0.105], pool: [0.33, 0.345, 0.375, 0.6] },
 };
 
-const byteArrays = { [SURFACE]: 4 };
-const floatArrays = { [POSITION]: 3, [NORMAL]: 3, [DISPLACEMENT]: 1, [ERROR]: 1 };
+/// What a layer has for each vertex, by its name there.
+const ATTRIBUTES = [
+  { name: "positions", location: POSITION, size: 3 },
+  { name: "normals", location: NORMAL, size: 3 },
+  { name: "displacement", location: DISPLACEMENT, size: 1 },
+  { name: "error", location: ERROR, size: 1 },
+  { name: "colours", location: SURFACE, size: 4, bytes: true },
+];
 
 /// The light's direction after turning it around the vertical axis.
 function turned([x, y, z], azimuth) {
@@ -132,16 +138,9 @@ export class Scene {
     const { people, faces, shadows } = this.#resources;
     this.#layers.forEach((layer, i) => {
       const person = (people[i] ??= this.#person());
-      const arrays = {
-        [POSITION]: layer.positions,
-        [NORMAL]: layer.normals,
-        [DISPLACEMENT]: layer.displacement,
-        [ERROR]: layer.error,
-        [SURFACE]: layer.colours,
-      };
-      for (const [location, data] of Object.entries(arrays)) {
-        gl.bindBuffer(gl.ARRAY_BUFFER, person.buffers[location]);
-        gl.bufferData(gl.ARRAY_BUFFER, data, gl.DYNAMIC_DRAW);
+      for (const { name } of ATTRIBUTES) {
+        gl.bindBuffer(gl.ARRAY_BUFFER, person.buffers[name]);
+        gl.bufferData(gl.ARRAY_BUFFER, layer[name], gl.DYNAMIC_DRAW);
       }
       gl.bindVertexArray(person.array);
       gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, faces);
@@ -154,14 +153,12 @@ export class Scene {
     const gl = this.#gl;
     const person = { array: gl.createVertexArray(), buffers: {}, shadow: this.#resources.shadows.create() };
     gl.bindVertexArray(person.array);
-    const attribute = (location, size, type, normalised) => {
-      person.buffers[location] = gl.createBuffer();
-      gl.bindBuffer(gl.ARRAY_BUFFER, person.buffers[location]);
+    for (const { name, location, size, bytes = false } of ATTRIBUTES) {
+      person.buffers[name] = gl.createBuffer();
+      gl.bindBuffer(gl.ARRAY_BUFFER, person.buffers[name]);
       gl.enableVertexAttribArray(location);
-      gl.vertexAttribPointer(location, size, type, normalised, 0, 0);
-    };
-    for (const [location, size] of Object.entries(floatArrays)) attribute(location, size, gl.FLOAT, false);
-    for (const [location, size] of Object.entries(byteArrays)) attribute(location, size, gl.UNSIGNED_BYTE, true);
+      gl.vertexAttribPointer(location, size, bytes ? gl.UNSIGNED_BYTE : gl.FLOAT, bytes, 0, 0);
+    }
     return person;
   }
 

@@ -76,8 +76,8 @@ void main() {
   vec3 v = normalize(eye - place);
   vec3 colour = linear(painted());
   if (paint == ${PAINTS.displacement} || paint == ${PAINTS.error}) {
-    // Lit alike from everywhere, so that the colours can be compared with the legend.
-    float light = 0.62 + 0.38 * max(dot(n, v), 0.0) + 0.10 * (wrapped(n, lamps[0]) - 0.5);
+    // Lit nearly alike from everywhere, so that the colours can be compared with the legend.
+    float light = 0.55 + 0.33 * max(dot(n, v), 0.0) + 0.20 * wrapped(n, lamps[0]);
     result = vec4(encoded(colour * light), 1.0);
     return;
   }
@@ -133,13 +133,14 @@ in vec2 at;
 uniform sampler2D shadow;
 uniform vec4 pool;
 uniform vec2 span;
+uniform float radius;
 out vec4 result;
 void main() {
   vec2 dark = texture(shadow, at).rg;
-  float far = length(at * 2.0 - 1.0);
+  float far = length(at * 2.0 - 1.0) * max(1.0, radius / 1.05);
   // Nothing shows where one person's part of the picture ends.
   float across = abs((gl_FragCoord.x - span.x) / span.y * 2.0 - 1.0);
-  float lit = pool.a * (1.0 - smoothstep(0.0, 1.0, far)) * (1.0 - smoothstep(0.6, 1.0, across));
+  float lit = pool.a * (1.0 - smoothstep(0.0, 1.0, far)) * (1.0 - smoothstep(0.5, 1.0, across));
   float alpha = 1.0 - (1.0 - 0.52 * dark.r) * (1.0 - 0.42 * dark.g);
   // The light on the floor first, its shadow over it.
   float cover = alpha + lit * (1.0 - alpha);
@@ -169,8 +170,8 @@ out vec4 result;
 void main() {
   vec2 sum = vec2(0.0);
   float total = 0.0;
-  for (int i = -8; i <= 8; i++) {
-    float t = float(i) / 8.0;
+  for (int i = -6; i <= 6; i++) {
+    float t = float(i) / 6.0;
     float weight = exp(-4.0 * t * t);
     sum += weight * vec2(
       texture(source, at + direction * t * widths.x).r, texture(source, at + direction * t * widths.y).g);

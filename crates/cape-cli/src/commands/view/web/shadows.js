@@ -1,6 +1,6 @@
 // Soft shadows of people on the floor, as textures seen from above.
 
-const SIZE = 256;
+const SIZE = 160;
 /// Floor around a person, in metres.
 const MARGIN = 0.55;
 /// How far the narrow and the wide shadow are blurred, in metres.

@@ -202,14 +202,14 @@ class Viewer {
     this.#frameAll({ turn: true });
   }
 
-  #body() {
+  #picture() {
     if (!this.#subject.model) return { frame: this.#person.frame };
     const { z, betas, pose, outfit, layers, truth } = this.#person;
     return { show: { z, betas, pose, outfit, layers, truth } };
   }
 
   #request() {
-    this.#link.show(this.#body());
+    this.#link.show(this.#picture());
   }
 
   #show(layers, latency) {
@@ -247,7 +247,7 @@ class Viewer {
     const available = Object.keys(QUANTITIES).filter(quantity => this.#has(quantity));
     if (this.#look.colours === "error" && !available.includes("error")) this.#look.colours = "cloth";
     this.#panel.offer(available);
-    const names = this.#names;
+    const names = this.#subject.model || this.#layers.length > 1 ? this.#names : [];
     byId("labels").replaceChildren(...names.map(textContent => element("span", { textContent })));
     this.#update();
     this.#tell();
@@ -352,7 +352,7 @@ class Viewer {
       const answer = await fetch("download", {
         method: "POST",
         headers: { "Content-Type": "application/json" },
-        body: JSON.stringify({ format, ...this.#body() }),
+        body: JSON.stringify({ format, ...this.#picture() }),
       });
       if (!answer.ok) throw new Error(`${format} is not to be had: ${(await answer.text()) || answer.statusText}`);
       save(await answer.blob(), name);
