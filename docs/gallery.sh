@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Makes the pictures of README and guide from the demo model, in about ten minutes:
+# Makes the pictures of README and guide, in about a quarter of an hour: the README's first from the
+# demo, all others from the quick table's CAPE, which is trained for longer:
 #
 #     cargo build --release --examples --bins && docs/gallery.sh [DIRECTORY]
 #
@@ -16,7 +17,9 @@ mkdir -p "$work" "$pictures"
 cd "$work"
 
 [[ -e demo ]] || "$cape" demo --out demo
-"$cape" fit-prior demo/run --components 1
+[[ -e quick ]] || "$cape" table2 --quick --rows cape --out quick
+run=quick/cape/seed-1/run
+"$cape" fit-prior "$run"
 
 make() {
     local name=$1
@@ -25,16 +28,16 @@ make() {
     "$cape" "$@" --out "$name"
 }
 
-make outfits vary demo/run --by outfit --rows 2 --prior gmm --temperature 0.7 --seed 2
-make codes vary demo/run --by code --outfit shortlong --prior gmm
-make poses vary demo/run --by pose --motion squats --prior gmm --temperature 0.5
-make shapes vary demo/run --by shape --outfit shortshort --prior gmm --temperature 0.5
-make directions vary demo/run --by direction --rows 3 --columns 5
-make between vary demo/run --by between --codes frame:0,frame:120
-make effect pose-effect demo/run --pose-a a-pose --pose-b squats --prior gmm --temperature 0.5
-make redressed redress demo/run frame:0 --pose squats
-make squats animate demo/run --motion squats --seconds 2 --fps 12 --size 256 --prior gmm --temperature 0.5
-"$examples/texture" demo/run
+make outfits vary "$run" --by outfit --codes mean,seed:4 --rows 2
+make codes vary "$run" --by code --outfit shortlong --prior gmm
+make poses vary "$run" --by pose --motion squats --codes seed:4
+make shapes vary "$run" --by shape --outfit shortshort --codes mean
+make directions vary "$run" --by direction --rows 3 --columns 5
+make between vary "$run" --by between --codes frame:0,frame:300
+make effect pose-effect "$run" --pose-a a-pose --pose-b squats --scale 4
+make redressed redress "$run" frame:3 --pose squats
+make squats animate "$run" --motion squats --seconds 2 --fps 12 --size 256
+"$examples/texture" "$run"
 "$examples/picture"
 
 for name in outfits codes poses shapes directions between; do

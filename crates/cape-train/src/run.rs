@@ -317,14 +317,16 @@ impl Run {
             )));
         }
         let data = read_identity(&path)?.path;
-        if !data.exists() {
-            return Err(Error::argument(format!(
+        // As it was named, or else seen from a directory that the run is in.
+        let root = fs::canonicalize(self.paths.root()).unwrap_or_default();
+        let places = root.ancestors().map(|place| place.join(&data));
+        std::iter::once(data.clone()).chain(places).find(|place| place.exists()).ok_or_else(|| {
+            Error::argument(format!(
                 "{}: not there any more: name the packed set that {} was trained on",
                 data.display(),
                 self.paths.root().display()
-            )));
-        }
-        Ok(data)
+            ))
+        })
     }
 
     /// The run's configuration.

@@ -136,7 +136,7 @@ export class Panel {
     byId("registrations").hidden = model.truth === 0;
     this.#truth = slider({
       id: "truth", label: "registration", range: [0, Math.max(1, model.truth - 1)], step: 1,
-      format: value => `${value} of ${model.truth}`, input: truth,
+      format: value => `${value}`, input: truth,
     });
     this.#truth.range.disabled = model.truth < 2;
     byId("truth-slider").append(this.#truth.row);
