@@ -8,6 +8,9 @@ use crate::{
     shade::{ContactShadow, Lights, Surface, sky_visibility, to_linear, to_srgb, vertex_normals},
 };
 
+/// Samples of a pixel.
+const MOST_SAMPLES: usize = 64;
+
 /// How normals vary over a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Shading {
@@ -228,9 +231,10 @@ pub fn render(objects: &[Object<'_>], camera: &Camera, style: &Style) -> Result<
     }
     let mut image = Image::new(style.width, style.height, [0; 4])?;
     let scene = Scene::new(objects, style.shadows)?;
-    let lights = Lights::new(camera, &scene.vertices, &scene.faces, &scene.bounds, style.shadows);
-    let floor =
-        style.floor.then(|| ContactShadow::new(&scene.vertices, &scene.faces, &scene.bounds));
+    let (lights, floor) = rayon::join(
+        || Lights::new(camera, &scene.vertices, &scene.faces, &scene.bounds, style.shadows),
+        || style.floor.then(|| ContactShadow::new(&scene.vertices, &scene.faces, &scene.bounds)),
+    );
 
     let samples = style.samples as usize;
     let (width, height) = (style.width as usize * samples, style.height as usize * samples);
@@ -273,19 +277,33 @@ fn gather(
     column: usize,
     row: usize,
 ) -> (Vec3, f32) {
-    let (mut light, mut count) = (Vec3::ZERO, 0);
+    // One of the samples in which a face is seen stands for all of them.
+    let mut faces = [(EMPTY, 0, [0; 2]); MOST_SAMPLES];
+    let (mut distinct, mut count) = (0, 0);
     for y in row * samples..(row + 1) * samples {
         for x in column * samples..(column + 1) * samples {
             let face = seen.face[y * width + x];
             if face == EMPTY {
                 continue;
             }
-            let corners = scene.faces[face as usize].map(|i| &points[i as usize]);
-            let surface = scene.surface(camera, face, barycentric(corners, x, y));
-            light += tone(lights.shade(&surface));
             count += 1;
+            match faces[..distinct].iter_mut().find(|(known, ..)| *known == face) {
+                Some((_, times, _)) => *times += 1,
+                None => {
+                    faces[distinct] = (face, 1, [x, y]);
+                    distinct += 1;
+                }
+            }
         }
     }
+    let light: Vec3 = faces[..distinct]
+        .iter()
+        .map(|&(face, times, [x, y])| {
+            let corners = scene.faces[face as usize].map(|i| &points[i as usize]);
+            let surface = scene.surface(camera, face, barycentric(corners, x, y));
+            tone(lights.shade(&surface)) * times as f32
+        })
+        .sum();
     let scale = 1.0 / (samples * samples) as f32;
     (light * scale, count as f32 * scale)
 }

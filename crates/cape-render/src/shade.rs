@@ -11,9 +11,9 @@ use crate::{
 };
 
 /// Directions from which a vertex may see the sky.
-const SKY_DIRECTIONS: usize = 24;
+const SKY_DIRECTIONS: usize = 16;
 /// Side of the depth map of each of them.
-const SKY_MAP: usize = 192;
+const SKY_MAP: usize = 128;
 /// Side of the key light's depth map.
 const KEY_MAP: usize = 768;
 
