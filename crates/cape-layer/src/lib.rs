@@ -1,0 +1,18 @@
+//! A clothing layer of its own topology over a moving body (Yang et al., "Analyzing Clothing Layer
+//! Deformation Statistics of 3D Human Motions", ECCV 2018).
+//!
+//! [`associate`] ties every clothing vertex to a few body vertices; [`offsets`] takes the pose out
+//! of clothing and puts it back; [`pca`] compresses what is left, and [`regress`] predicts it from
+//! motion, size and material. [`cloth`] simulates garments to learn from. Units are metres,
+//! seconds, kilograms and radians; y points up.
+
+pub mod associate;
+mod error;
+pub mod geometry;
+pub mod offsets;
+pub mod pca;
+
+pub use associate::{AssociateOptions, Association};
+pub use error::{Error, Result};
+pub use offsets::{BodyFrame, StandardPose};
+pub use pca::{Keep, LayerPca};
