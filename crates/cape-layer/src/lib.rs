@@ -11,6 +11,7 @@ mod error;
 pub mod geometry;
 pub mod offsets;
 pub mod pca;
+pub mod regress;
 
 pub use associate::{AssociateOptions, Association};
 pub use error::{Error, Result};
