@@ -7,13 +7,17 @@
 //! seconds, kilograms and radians; y points up.
 
 pub mod associate;
+pub mod cloth;
 mod error;
+pub mod experiment;
 pub mod geometry;
 pub mod offsets;
 pub mod pca;
 pub mod regress;
+pub mod sequence;
 
 pub use associate::{AssociateOptions, Association};
 pub use error::{Error, Result};
 pub use offsets::{BodyFrame, StandardPose};
 pub use pca::{Keep, LayerPca};
+pub use sequence::{LayerSet, Sequence, import};
