@@ -15,6 +15,7 @@ pub mod offsets;
 pub mod pca;
 pub mod regress;
 pub mod sequence;
+pub mod synth;
 
 pub use associate::{AssociateOptions, Association};
 pub use error::{Error, Result};

@@ -43,6 +43,44 @@ pub struct Sewn {
     pub surface: Surface,
     /// Vertices of an elastic waistband, ascending; none if the garment hangs on the shoulders.
     pub waistband: Vec<u32>,
+    /// The unclothed rest shape it was made for, metres, `[V, 3]`.
+    pub body: Array2<f64>,
+    /// Its cut.
+    pub garment: Garment,
+}
+
+impl Sewn {
+    /// The same garment, vertex for vertex, in another size: longer or shorter below the waist, with
+    /// other sleeves beyond the shoulders, wider or tighter along its normals.
+    ///
+    /// # Errors
+    /// If `size` is of another kind, or out of its domain.
+    pub fn resized(&self, model: &SmplModel, size: &Garment) -> Result<Self> {
+        size.check(model)?;
+        if size.kind != self.garment.kind {
+            return Err(Error::argument(format!(
+                "a {:?} cannot become a {:?} by another size",
+                self.garment.kind, size.kind
+            )));
+        }
+        let body = Surface::of_rows("body", self.body.view(), &model.faces)?;
+        let joints = points(model.rest_joints(&self.body)?.view());
+        let [from, to] = [&self.garment, size].map(|cut| Cutting::new(cut, &body, &joints));
+        let shoulder = joints[16].x.abs();
+        let along = |from: f64, to: f64| if from > 0.0 { to / from } else { 1.0 };
+        let longer = along(from.waist - from.hem, to.waist - to.hem);
+        let sleeves = along(from.sleeve - shoulder, to.sleeve - shoulder);
+        let normals = self.surface.vertex_normals();
+        let mut sewn = Self { garment: *size, ..self.clone() };
+        for (p, normal) in sewn.surface.vertices.iter_mut().zip(normals) {
+            let below = (from.waist - p.y).max(0.0);
+            let beyond = (p.x.abs() - shoulder).max(0.0);
+            *p += normal * (to.ease - from.ease);
+            p.y -= below * (longer - 1.0);
+            p.x += p.x.signum() * beyond * (sleeves - 1.0);
+        }
+        Ok(sewn)
+    }
 }
 
 impl Garment {
@@ -88,7 +126,7 @@ impl Garment {
         let boundary = surface.boundary();
         let on_band = |v: &usize| banded && boundary[*v] && surface.vertices[*v].y > top;
         let waistband = (0..boundary.len()).filter(on_band).map(|v| v as u32).collect();
-        Ok(Sewn { surface, waistband })
+        Ok(Sewn { surface, waistband, body: shape.clone(), garment: *self })
     }
 
     fn check(&self, model: &SmplModel) -> Result<()> {

@@ -65,9 +65,9 @@ impl Simulated {
 }
 
 impl Simulation {
-    /// Simulates `garment`, made for the unclothed rest shape `[V, 3]`, over the body's motion. The
-    /// body goes from the rest pose, in which the garment was made, to the first frame before
-    /// anything is recorded. `watch` is told the frames done and their number.
+    /// Simulates `garment` over the motion of a body with the unclothed rest shape `shape`, `[V, 3]`.
+    /// Before anything is recorded the body goes from the shape and the rest pose in which the
+    /// garment was made to its own and the first frame. `watch` is told the frames done and their number.
     pub fn run(
         &self,
         model: &SmplModel,
@@ -82,8 +82,8 @@ impl Simulation {
                 self.substeps, self.settle
             )));
         }
-        let track = self.track(model, shape, motion)?;
-        let rest = Surface::of_rows("body", shape.view(), &model.faces)?;
+        let track = self.track(model, (&garment.body, shape), motion)?;
+        let rest = Surface::of_rows("body", garment.body.view(), &model.faces)?;
         let across = rest.neighbours();
         let at_rest = Solid::new(&rest);
         let band: Vec<_> = garment
@@ -141,7 +141,7 @@ impl Simulation {
     fn track(
         &self,
         model: &SmplModel,
-        shape: &Array2<f64>,
+        (made_for, shape): (&Array2<f64>, &Array2<f64>),
         motion: &Motion,
     ) -> Result<Vec<Vec<DVec3>>> {
         if motion.frames() == 0 {
@@ -150,18 +150,21 @@ impl Simulation {
         let way = (self.settle * motion.frame_rate).ceil() as usize;
         let standing = way / 2;
         let first = motion.poses.row(0).to_owned();
-        let mut poses = Vec::new();
+        let mut stations = Vec::new();
         for step in 0..=way {
             let t = step as f64 / way.max(1) as f64;
-            poses.push((first.mapv(|angle| angle * t * t * (3.0 - 2.0 * t)).to_vec(), 0));
+            let share = t * t * (3.0 - 2.0 * t);
+            stations.push((share, first.mapv(|angle| angle * share), 0));
         }
-        poses.extend((0..standing).map(|_| (first.to_vec(), 0)));
-        poses.extend((0..motion.frames()).map(|f| (motion.poses.row(f).to_vec(), f)));
-        poses
+        stations.extend((0..standing).map(|_| (1.0, first.clone(), 0)));
+        stations.extend((0..motion.frames()).map(|f| (1.0, motion.poses.row(f).to_owned(), f)));
+        stations
             .par_iter()
-            .map(|(pose, frame)| {
+            .map(|(share, pose, frame)| {
                 let transl = [0, 1, 2].map(|axis| motion.translations[(*frame, axis)]);
-                Ok(points(model.pose_shape(shape, pose, transl, None)?.vertices.view()))
+                let shape = made_for * (1.0 - share) + shape * *share;
+                let posed = model.pose_shape(&shape, &pose.to_vec(), transl, None)?;
+                Ok(points(posed.vertices.view()))
             })
             .collect()
     }

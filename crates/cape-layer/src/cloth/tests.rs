@@ -258,7 +258,7 @@ fn a_garment_follows_a_moving_body() {
         [(GarmentKind::TShirt, Movement::WalkMarch), (GarmentKind::Skirt, Movement::Squats)]
     {
         let sewn = Garment::of(kind).sew(&model, &shape).unwrap();
-        let frames = 20;
+        let frames = 10;
         let style = MotionStyle::default();
         let poses = Array2::from_shape_vec(
             (frames, 72),
@@ -267,11 +267,11 @@ fn a_garment_follows_a_moving_body() {
         let motion = Motion::new(rate, poses.unwrap(), Array2::zeros((frames, 3))).unwrap();
         let material = Material::default();
         let start = Instant::now();
-        let simulation = Simulation::default();
+        let simulation = Simulation { settle: 0.6, ..Simulation::default() };
         let run =
             || simulation.run(&model, &shape, (&sewn, &material), &motion, &mut |_, _| {}).unwrap();
         let result = run();
-        let seconds = start.elapsed().as_secs_f64() / (frames + 46) as f64;
+        let seconds = start.elapsed().as_secs_f64() / (frames + 28) as f64;
         let strain = result.reports.iter().map(|r| r.strain[0]).fold(0.0, f64::max);
         let inside = result.reports.iter().map(|r| r.inside).max().unwrap();
         println!(
