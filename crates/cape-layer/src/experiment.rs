@@ -185,7 +185,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        AssociateOptions,
+        AssociateOptions, Layer,
         cloth::{Garment, GarmentKind},
         geometry::Surface,
         regress::Motion,
@@ -239,5 +239,40 @@ mod tests {
             unposed.regression(10, &Features::default(), &training, &mut |_| {}).unwrap();
         println!("regression: {:?} {:?}", regression.train, regression.predict);
         assert!(regression.train.mean < 5.0 && regression.predict.mean < 20.0);
+
+        let layer = Layer {
+            faces: set.faces.clone(),
+            association: association.clone(),
+            standard: StandardPose::Other(StandardPose::A.angles(24)),
+            pca: regression.pca,
+            features: Features::default(),
+            parameters: vec!["length".into()],
+            regressor: regression.outcome.regressor,
+        };
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("layer.npz");
+        layer.save(&path).unwrap();
+        let back = Layer::load(&path, model.vertices()).unwrap();
+        assert_eq!(
+            (&back.regressor, &back.pca, &back.faces),
+            (&layer.regressor, &layer.pca, &layer.faces)
+        );
+        assert_eq!((&back.parameters, &back.standard), (&layer.parameters, &layer.standard));
+        let sequence = &set.sequences[0];
+        let shape = sequence.shape(&model).unwrap();
+        let mut errors = Vec::new();
+        back.predict(&model, &shape, &sequence.motion, &[0.85], &mut |frame, clothing| {
+            let truth = sequence.clothing.index_axis(Axis(0), frame);
+            errors.push(LayerError::between(&clothing, truth));
+            Ok(())
+        })
+        .unwrap();
+        assert_eq!(errors.len(), 60);
+        let held =
+            regression.outcome.training_frames.iter().map(|&f| errors[f]).collect::<Vec<_>>();
+        assert!((LayerError::over(&held).mean - regression.train.mean).abs() < 1e-9);
+        let none = back.predict(&model, &shape, &sequence.motion, &[], &mut |_, _| Ok(()));
+        assert!(none.unwrap_err().to_string().contains("expected 1: length"));
+        assert!(Layer::load(&path, 10).is_err());
     }
 }

@@ -11,6 +11,7 @@ pub mod cloth;
 mod error;
 pub mod experiment;
 pub mod geometry;
+mod layer;
 pub mod offsets;
 pub mod pca;
 pub mod regress;
@@ -19,6 +20,7 @@ pub mod synth;
 
 pub use associate::{AssociateOptions, Association};
 pub use error::{Error, Result};
+pub use layer::Layer;
 pub use offsets::{BodyFrame, StandardPose};
 pub use pca::{Keep, LayerPca};
 pub use sequence::{LayerSet, Sequence, import};

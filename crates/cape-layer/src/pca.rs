@@ -122,22 +122,22 @@ impl LayerPca {
 
     /// Coordinates of frames `[n, numbers]` along the components, `[n, components]`.
     pub fn encode(&self, frames: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
-        self.expect("frames", frames.ncols(), self.mean.len())?;
+        expect("frames", frames.ncols(), self.mean.len())?;
         Ok((&frames - &self.mean).dot(&self.components.t()))
     }
 
     /// Frames `[n, numbers]` of coordinates `[n, components]`.
     pub fn decode(&self, codes: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
-        self.expect("codes", codes.ncols(), self.len())?;
+        expect("codes", codes.ncols(), self.len())?;
         Ok(codes.dot(&self.components) + &self.mean)
     }
+}
 
-    fn expect(&self, what: &str, found: usize, expected: usize) -> Result<()> {
-        if found == expected {
-            return Ok(());
-        }
-        Err(Error::argument(format!("{what} of {found} numbers, expected {expected}")))
+fn expect(what: &str, found: usize, expected: usize) -> Result<()> {
+    if found == expected {
+        return Ok(());
     }
+    Err(Error::argument(format!("{what} of {found} numbers, expected {expected}")))
 }
 
 /// Products of all pairs of rows. Each is summed in a fixed order, whatever the threads.

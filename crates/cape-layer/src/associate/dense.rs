@@ -145,7 +145,7 @@ impl Association {
             let far = |v: u32| clothing.vertices[v as usize].distance_squared(at);
             let nearest = pairs.iter().min_by(|p, q| far(p.clothing).total_cmp(&far(q.clothing)));
             if let Some(pair) = nearest {
-                votes[vertex as usize] = gifts[&pair.clothing].clone();
+                votes[vertex as usize].clone_from(&gifts[&pair.clothing]);
             }
         }
         let votes: Vec<Votes> =

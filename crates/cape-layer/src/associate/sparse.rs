@@ -39,6 +39,10 @@ impl RayStatistics {
     }
 }
 
+/// What one ray met: the pair and whether it came from the clothing's outer side; and whether the
+/// opposite ray met anything.
+type Ray = (Option<(Pair, bool)>, bool);
+
 /// Sparse correspondences of one frame, at most one for each clothing vertex.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pairs {
@@ -57,7 +61,7 @@ impl Pairs {
         let solid = Solid::new(clothing);
         let sides = clothing.face_normals();
         let normals = body.vertex_normals();
-        let seen: Vec<Option<(Option<(Pair, bool)>, bool)>> = (0..body.vertices.len())
+        let seen: Vec<Option<Ray>> = (0..body.vertices.len())
             .into_par_iter()
             .map(|vertex| {
                 let (origin, normal) = (body.vertices[vertex], normals[vertex]);

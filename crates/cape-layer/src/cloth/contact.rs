@@ -1,5 +1,3 @@
-use std::collections::HashMap;
-
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
@@ -52,37 +50,54 @@ impl Contact {
     }
 }
 
-/// Vertices by the cell of a grid that they are in.
+/// Vertices by the cell of an unbounded grid, in a table of as many places (Teschner et al. 2003).
 pub(super) struct SpatialHash {
     size: f64,
-    cells: HashMap<IVec3, Vec<u32>>,
+    /// Where each place's vertices start, and the end of the last, `[places + 1]`.
+    starts: Vec<u32>,
+    /// Vertices by place, ascending in each.
+    vertices: Vec<u32>,
 }
 
 impl SpatialHash {
-    /// Cells of `size` metres. Every vertex is listed in the cells around its own as well, so that
-    /// one look finds all within `size`, in ascending order.
+    /// Cells of `size` metres.
     pub(super) fn new(positions: &[DVec3], size: f64) -> Self {
-        let mut hash = Self { size, cells: HashMap::with_capacity(positions.len() * 8) };
-        for (vertex, &p) in positions.iter().enumerate() {
-            let cell = hash.cell(p);
-            for x in -1..=1 {
-                for y in -1..=1 {
-                    for z in -1..=1 {
-                        let near = cell + IVec3::new(x, y, z);
-                        hash.cells.entry(near).or_default().push(vertex as u32);
-                    }
-                }
-            }
+        let places = (2 * positions.len()).max(1);
+        let mut hash =
+            Self { size, starts: vec![0; places + 1], vertices: vec![0; positions.len()] };
+        let at: Vec<usize> = positions.iter().map(|&p| hash.place(hash.cell(p))).collect();
+        for &place in &at {
+            hash.starts[place + 1] += 1;
+        }
+        for place in 0..places {
+            hash.starts[place + 1] += hash.starts[place];
+        }
+        let mut next = hash.starts.clone();
+        for (vertex, place) in at.into_iter().enumerate() {
+            hash.vertices[next[place] as usize] = vertex as u32;
+            next[place] += 1;
         }
         hash
     }
 
-    /// Vertices that may be within a cell's size of `p`.
-    pub(super) fn near(&self, p: DVec3) -> &[u32] {
-        self.cells.get(&self.cell(p)).map_or(&[], Vec::as_slice)
+    /// All vertices within a cell's size of `p`, and others; some more than once.
+    pub(super) fn near(&self, p: DVec3) -> impl Iterator<Item = u32> + '_ {
+        let cell = self.cell(p);
+        (0..27).flat_map(move |k| {
+            let place = self.place(cell + IVec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1));
+            let (from, to) = (self.starts[place] as usize, self.starts[place + 1] as usize);
+            self.vertices[from..to].iter().copied()
+        })
     }
 
     fn cell(&self, p: DVec3) -> IVec3 {
         (p / self.size).floor().as_ivec3()
+    }
+
+    fn place(&self, cell: IVec3) -> usize {
+        let mixed = cell.x.wrapping_mul(73_856_093)
+            ^ cell.y.wrapping_mul(19_349_663)
+            ^ cell.z.wrapping_mul(83_492_791);
+        mixed as u32 as usize % (self.starts.len() - 1)
     }
 }

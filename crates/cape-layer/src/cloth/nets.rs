@@ -92,7 +92,9 @@ pub(super) fn cut(surface: &Surface, kept: impl Fn(DVec3) -> bool) -> Surface {
     for face in &faces {
         let [a, b, c] = face.map(|v| find(&mut root, v));
         let least = a.min(b).min(c);
-        [a, b, c].into_iter().for_each(|v| root[v as usize] = least);
+        for v in [a, b, c] {
+            root[v as usize] = least;
+        }
     }
     let mut sizes: HashMap<u32, usize> = HashMap::new();
     for face in &faces {

@@ -122,14 +122,10 @@ impl Simulation {
                     "the simulation failed in frame {frame} at vertex {vertex}: take more steps"
                 )));
             }
-            for (mut row, x) in frames
-                .outer_iter_mut()
-                .nth(frame)
-                .into_iter()
-                .flat_map(|f| f.into_outer_iter_mut())
-                .zip(&cloth.positions)
-            {
-                row.iter_mut().zip(x.to_array()).for_each(|(place, x)| *place = x);
+            for (vertex, x) in cloth.positions.iter().enumerate() {
+                for axis in 0..3 {
+                    frames[(frame, vertex, axis)] = x[axis];
+                }
             }
             reports.push(report(&cloth, &solid));
             watch(frame + 1, recorded);

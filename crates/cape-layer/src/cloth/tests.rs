@@ -184,6 +184,22 @@ fn folded_sheets_keep_apart() {
 }
 
 #[test]
+fn the_hash_finds_all_that_are_near() {
+    let at = |k: usize| {
+        let k = k as f64;
+        DVec3::new((k * 1.3).sin(), (k * 2.1).cos(), (k * 0.7).sin()) * 0.1
+    };
+    let positions: Vec<DVec3> = (0..500).map(at).collect();
+    let hash = super::contact::SpatialHash::new(&positions, 0.02);
+    for &p in &positions {
+        let found: std::collections::HashSet<u32> = hash.near(p).collect();
+        for (v, q) in positions.iter().enumerate().filter(|(_, q)| q.distance(p) < 0.02) {
+            assert!(found.contains(&(v as u32)), "{p} {q}");
+        }
+    }
+}
+
+#[test]
 fn garments_are_sewn_around_the_body() {
     let model = synthetic_body();
     let shape = model.shaped(&[]).unwrap();

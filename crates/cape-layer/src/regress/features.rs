@@ -42,7 +42,10 @@ impl Motion {
             return Err(Error::argument(format!("frame rate {frame_rate}: expected more than 0")));
         }
         let frames = poses.nrows();
-        if poses.ncols() < 3 || poses.ncols() % 3 != 0 || translations.dim() != (frames, 3) {
+        if poses.ncols() < 3
+            || !poses.ncols().is_multiple_of(3)
+            || translations.dim() != (frames, 3)
+        {
             return Err(Error::argument(format!(
                 "poses {:?} and translations {:?}: expected [frames, 3 · joints] and [frames, 3]",
                 poses.shape(),
@@ -75,7 +78,7 @@ impl Features {
         let joints = numbers / 3;
         let smooth = |values: Array2<f64>| smoothed(&values, self.smoothing * motion.frame_rate);
         let speeds = smooth(differences(motion.translations.view(), motion.frame_rate));
-        let turns = smooth(self.turns(motion));
+        let turns = smooth(turns(motion));
         let mut rows = Array2::zeros((frames, self.len(joints)));
         for (frame, mut row) in rows.rows_mut().into_iter().enumerate() {
             let root = rotation(motion, frame, 0);
@@ -95,24 +98,24 @@ impl Features {
         }
         rows
     }
+}
 
-    /// Angular velocities in each joint's own frame, rad/s, `[frames, 3 · joints]`.
-    fn turns(&self, motion: &Motion) -> Array2<f64> {
-        let (frames, numbers) = motion.poses.dim();
-        let mut turns = Array2::zeros((frames, numbers));
-        for frame in 0..frames {
-            let (from, to) = around(frame, frames);
-            for joint in 0..numbers / 3 {
-                let step = rotation(motion, from, joint).transpose() * rotation(motion, to, joint);
-                let turn = glam::DQuat::from_mat3(&step).to_scaled_axis();
-                let seconds = (to - from).max(1) as f64 / motion.frame_rate;
-                for axis in 0..3 {
-                    turns[(frame, 3 * joint + axis)] = turn[axis] / seconds;
-                }
+/// Angular velocities in each joint's own frame, rad/s, `[frames, 3 · joints]`.
+fn turns(motion: &Motion) -> Array2<f64> {
+    let (frames, numbers) = motion.poses.dim();
+    let mut turns = Array2::zeros((frames, numbers));
+    for frame in 0..frames {
+        let (from, to) = around(frame, frames);
+        for joint in 0..numbers / 3 {
+            let step = rotation(motion, from, joint).transpose() * rotation(motion, to, joint);
+            let turn = glam::DQuat::from_mat3(&step).to_scaled_axis();
+            let seconds = (to - from).max(1) as f64 / motion.frame_rate;
+            for axis in 0..3 {
+                turns[(frame, 3 * joint + axis)] = turn[axis] / seconds;
             }
         }
-        turns
     }
+    turns
 }
 
 fn rotation(motion: &Motion, frame: usize, joint: usize) -> DMat3 {

@@ -24,6 +24,9 @@ impl Default for Lbfgs {
     }
 }
 
+/// A function's value and gradient.
+pub type Objective<'a> = dyn FnMut(&Array1<f64>) -> (f64, Array1<f64>) + 'a;
+
 /// Where a minimisation ended.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Minimum {
@@ -51,7 +54,7 @@ impl Lbfgs {
     pub fn minimise(
         &self,
         start: Array1<f64>,
-        f: &mut dyn FnMut(&Array1<f64>) -> (f64, Array1<f64>),
+        f: &mut Objective<'_>,
         go_on: &mut dyn FnMut(usize, &Array1<f64>, f64) -> bool,
     ) -> Minimum {
         let (value, gradient) = f(&start);
@@ -100,7 +103,7 @@ impl Lbfgs {
         from: &Point,
         direction: &Array1<f64>,
         first: f64,
-        f: &mut dyn FnMut(&Array1<f64>) -> (f64, Array1<f64>),
+        f: &mut Objective<'_>,
     ) -> Option<Point> {
         let slope = from.gradient.dot(direction);
         let mut probe = |step: f64| {

@@ -13,7 +13,7 @@ mod tests;
 mod training;
 
 pub use features::{Features, Motion};
-pub use lbfgs::{Lbfgs, Minimum};
+pub use lbfgs::{Lbfgs, Minimum, Objective};
 pub use network::Network;
 pub use regressor::Regressor;
 pub use training::{Epoch, Outcome, Training};

@@ -81,6 +81,12 @@ impl Regressor {
     /// Writes everything as one `.npz`, atomically.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let mut file = NpzWriter::create(path)?;
+        self.write(&mut file)?;
+        Ok(file.finish()?)
+    }
+
+    /// Adds everything to an archive.
+    pub(crate) fn write(&self, file: &mut NpzWriter) -> Result<()> {
         let sizes: Array1<i64> = self.network.sizes().iter().map(|&n| n as i64).collect();
         file.add("sizes", &sizes)?;
         file.add("parameters", self.network.parameters())?;
@@ -88,7 +94,7 @@ impl Regressor {
         file.add("input_deviation", &self.inputs.deviation)?;
         file.add("target_mean", &self.targets.mean)?;
         file.add("target_deviation", &self.targets.deviation)?;
-        Ok(file.finish()?)
+        Ok(())
     }
 
     /// Reads what [`save`](Self::save) wrote.
@@ -96,9 +102,13 @@ impl Regressor {
     /// # Errors
     /// If an array is missing, does not fit the others, or is not finite; it is named.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
-        let path = path.as_ref();
-        let mut file = Npz::open(path)?;
-        let fault = |field: &str, message: String| cape_core::Error::field(path, field, message);
+        Self::read(&mut Npz::open(path)?)
+    }
+
+    /// Reads what [`write`](Self::write) added.
+    pub(crate) fn read(file: &mut Npz) -> Result<Self> {
+        let path = file.path().to_owned();
+        let fault = |field: &str, message: String| cape_core::Error::field(&path, field, message);
         let sizes: Vec<usize> = file
             .i64("sizes")?
             .iter()

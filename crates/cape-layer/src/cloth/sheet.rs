@@ -109,7 +109,9 @@ impl Cloth {
         for (face, corners) in surface.faces.iter().enumerate() {
             let [a, b, c] = surface.corners(face);
             let mass = material.density * (b - a).cross(c - a).length() / 6.0;
-            corners.iter().for_each(|&v| masses[v as usize] += mass);
+            for &corner in corners {
+                masses[corner as usize] += mass;
+            }
         }
         let inverse = |&mass: &f64| if mass > 0.0 { 1.0 / mass } else { 0.0 };
         let length =
@@ -224,7 +226,7 @@ impl Cloth {
     fn separate(&mut self) {
         let hash = SpatialHash::new(&self.positions, self.apart);
         for a in 0..self.positions.len() {
-            for &b in hash.near(self.positions[a]) {
+            for b in hash.near(self.positions[a]) {
                 let b = b as usize;
                 if b <= a {
                     continue;
