@@ -132,6 +132,26 @@ impl SmplModel {
         Ok(canonical - self.offsets(&rotations))
     }
 
+    /// Every vertex's blended joint transform `T_j(θ) = Σ_k w_{j,k} G_k(θ)`, translation included,
+    /// which takes an unposed vertex to its place; `[V]`, for an unclothed rest shape `[V, 3]`.
+    pub fn vertex_transforms(
+        &self,
+        shape: &Array2<f64>,
+        pose: &[f64],
+        transl: [f64; 3],
+    ) -> Result<Vec<DAffine3>> {
+        let rest_joints = self.rest_joints(shape)?;
+        let globals = self.global_transforms(&self.rotations(pose)?, &rest_joints);
+        let transforms = relative_to_rest(&globals, &rest_joints);
+        let transl = DVec3::from_array(transl);
+        let moved = |weights| {
+            let mut blended = blend(&transforms, weights);
+            blended.translation += transl;
+            blended
+        };
+        Ok(self.weights.rows().into_iter().map(moved).collect())
+    }
+
     pub(super) fn expect_vertices(&self, name: &str, array: &Array2<f64>) -> Result<()> {
         let expected = [self.vertices(), 3];
         if array.shape() == expected {
@@ -285,6 +305,19 @@ mod tests {
         let short = Array2::zeros((3, 3));
         let failed = message(model.pose(&[], &pose, [0.0; 3], Some(&short)));
         assert!(failed.contains("displacement") && failed.contains("[12, 3]"), "{failed}");
+    }
+
+    #[test]
+    fn vertex_transforms_pose_the_unposed_body() {
+        let model = random_model();
+        let pose: Vec<f64> = (0..12).map(|k| (f64::from(k) * 1.7).sin()).collect();
+        let shape = model.shaped(&[0.4, -0.3]).unwrap();
+        let transforms = model.vertex_transforms(&shape, &pose, [1.0, 2.0, 3.0]).unwrap();
+        let unposed = model.unposed(&[0.4, -0.3], &pose).unwrap();
+        let posed = model.pose(&[0.4, -0.3], &pose, [1.0, 2.0, 3.0], None).unwrap().vertices;
+        for ((transform, rest), posed) in transforms.iter().zip(unposed.rows()).zip(posed.rows()) {
+            assert!(transform.transform_point3(point(rest)).abs_diff_eq(point(posed), 1e-12));
+        }
     }
 
     #[test]

@@ -1,0 +1,208 @@
+use std::collections::{BTreeMap, HashMap};
+
+use ndarray::Array2;
+use rayon::prelude::*;
+
+use super::{AssociateOptions, Pairs, RayStatistics};
+use crate::{
+    Error, Result,
+    error::finite,
+    geometry::{Geodesics, Surface},
+};
+
+/// Votes that a vertex outside the plain support passes on.
+const PASSED_ON: usize = 64;
+
+/// How many clothing vertices needed more than the plain support.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Completion {
+    /// Vertices completed when the support was widened by one ring of neighbours, by two, ….
+    pub widened: Vec<usize>,
+    /// Vertices in parts of the clothing without any pair, which follow the pair nearest in space.
+    pub isolated: usize,
+}
+
+impl Completion {
+    /// All vertices that the plain support left without a body vertex.
+    pub fn total(&self) -> usize {
+        self.widened.iter().sum::<usize>() + self.isolated
+    }
+}
+
+/// The body vertices each clothing vertex follows, and how much (the paper's `I_j` and `ω`).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Association {
+    /// Body vertices, the most probable first, `[clothing vertices, n_f]`.
+    pub indices: Array2<u32>,
+    /// Weights, which sum to 1 in every row, `[clothing vertices, n_f]`. Where fewer than `n_f` body
+    /// vertices got votes, the first is repeated with weight 0.
+    pub weights: Array2<f64>,
+    /// Sparse pairs they come from.
+    pub pairs: usize,
+    /// What the rays met.
+    pub statistics: RayStatistics,
+    /// Vertices that needed a wider support.
+    pub completion: Completion,
+}
+
+type Votes = Vec<(u32, f64)>;
+
+impl Association {
+    /// Checked weights of an association that comes from elsewhere.
+    pub fn new(indices: Array2<u32>, weights: Array2<f64>, body_vertices: usize) -> Result<Self> {
+        if indices.dim() != weights.dim() || indices.ncols() == 0 {
+            return Err(Error::argument(format!(
+                "association: indices {:?} and weights {:?}, expected the same shape",
+                indices.shape(),
+                weights.shape()
+            )));
+        }
+        if let Some(index) = indices.iter().find(|&&index| index as usize >= body_vertices) {
+            return Err(Error::argument(format!(
+                "association: body vertex {index}, but there are {body_vertices}"
+            )));
+        }
+        finite("association weights", &weights)?;
+        if let Some(row) = weights.rows().into_iter().position(|w| (w.sum() - 1.0).abs() > 1e-6) {
+            return Err(Error::argument(format!(
+                "association: the weights of clothing vertex {row} do not sum to 1"
+            )));
+        }
+        let (statistics, completion) = (RayStatistics::default(), Completion::default());
+        Ok(Self { indices, weights, pairs: 0, statistics, completion })
+    }
+
+    /// Number of clothing vertices.
+    pub fn clothing_vertices(&self) -> usize {
+        self.indices.nrows()
+    }
+
+    /// Body vertices for each clothing vertex, `n_f`.
+    pub fn neighbours(&self) -> usize {
+        self.indices.ncols()
+    }
+
+    /// The fuzzy correspondences that `pairs` vote for: with squared geodesic distances `r`,
+    /// `P(v_k^C, v_l^B) = Σ_(i,j) exp(−(r(v_k^C, v_i^C) + r(v_l^B, v_j^B)) / σ²)`.
+    ///
+    /// The support is then widened one ring of neighbours at a time: a clothing vertex without votes
+    /// takes those of its neighbours that have some, each divided by the length of the edge between
+    /// them. A part of the clothing without any pair follows the pair nearest in space.
+    pub(super) fn spread(
+        body: &Surface,
+        clothing: &Surface,
+        pairs: Pairs,
+        options: &AssociateOptions,
+    ) -> Self {
+        let Pairs { pairs, statistics } = pairs;
+        let on_body = Geodesics::new(body, options.metric);
+        let on_clothing = Geodesics::new(clothing, options.metric);
+        let kernel = |r: f64, sigma: f64| (-(r / sigma).powi(2)).exp();
+        // What each pair gives to body vertices, by its clothing vertex.
+        let gifts: HashMap<u32, Votes> = pairs
+            .par_iter()
+            .map(|pair| {
+                let near = on_body.within(pair.body, options.support);
+                let gift = near.into_iter().map(|(v, r)| (v, kernel(r, options.sigma)));
+                (pair.clothing, gift.collect())
+            })
+            .collect();
+        let gather = |vertex: u32| -> Votes {
+            let mut sums: HashMap<u32, f64> = HashMap::new();
+            for (near, r) in on_clothing.within(vertex, options.support) {
+                let share = kernel(r, options.sigma);
+                for &(body, gift) in gifts.get(&near).into_iter().flatten() {
+                    *sums.entry(body).or_default() += share * gift;
+                }
+            }
+            sums.into_iter().collect()
+        };
+        let mut votes: Vec<Votes> = (0..clothing.vertices.len() as u32)
+            .into_par_iter()
+            .map(|vertex| most_probable(gather(vertex), PASSED_ON.max(options.neighbours)))
+            .collect();
+        let mut completion = Completion::default();
+        let mut missing = without(&votes);
+        let neighbours = adjacency(clothing);
+        while !missing.is_empty() {
+            let widened: Vec<Votes> = missing
+                .par_iter()
+                .map(|&vertex| pass_on(&votes, &neighbours[vertex as usize]))
+                .collect();
+            let before = missing.len();
+            for (&vertex, widened) in missing.iter().zip(widened) {
+                votes[vertex as usize] = widened;
+            }
+            missing = without(&votes);
+            if missing.len() == before {
+                break;
+            }
+            completion.widened.push(before - missing.len());
+        }
+        completion.isolated = missing.len();
+        for vertex in missing {
+            let at = clothing.vertices[vertex as usize];
+            let far = |v: u32| clothing.vertices[v as usize].distance_squared(at);
+            let nearest = pairs.iter().min_by(|p, q| far(p.clothing).total_cmp(&far(q.clothing)));
+            if let Some(pair) = nearest {
+                votes[vertex as usize].clone_from(&gifts[&pair.clothing]);
+            }
+        }
+        let votes: Vec<Votes> =
+            votes.into_iter().map(|votes| most_probable(votes, options.neighbours)).collect();
+        let (indices, weights) = normalised(&votes, options.neighbours);
+        Self { indices, weights, pairs: pairs.len(), statistics, completion }
+    }
+}
+
+/// The `count` votes with the most weight, the lower vertex first among equals.
+fn most_probable(mut votes: Votes, count: usize) -> Votes {
+    votes.sort_unstable_by(|p, q| q.1.total_cmp(&p.1).then(p.0.cmp(&q.0)));
+    votes.truncate(count);
+    votes
+}
+
+/// Neighbours of each vertex and the lengths of the edges to them, metres.
+fn adjacency(surface: &Surface) -> Vec<Vec<(u32, f64)>> {
+    let mut neighbours = vec![Vec::new(); surface.vertices.len()];
+    for [a, b] in surface.edges() {
+        let length = surface.vertices[a as usize].distance(surface.vertices[b as usize]);
+        neighbours[a as usize].push((b, length));
+        neighbours[b as usize].push((a, length));
+    }
+    neighbours
+}
+
+/// The mean of the neighbours' votes, of those that have some.
+fn pass_on(votes: &[Votes], neighbours: &[(u32, f64)]) -> Votes {
+    let mut sums: BTreeMap<u32, f64> = BTreeMap::new();
+    for &(neighbour, length) in neighbours {
+        let own = &votes[neighbour as usize];
+        let all: f64 = own.iter().map(|v| v.1).sum();
+        for &(body, vote) in own {
+            *sums.entry(body).or_default() += vote / (all * length.max(f64::MIN_POSITIVE));
+        }
+    }
+    most_probable(sums.into_iter().collect(), PASSED_ON)
+}
+
+fn without(votes: &[Votes]) -> Vec<u32> {
+    let empty = votes.iter().enumerate().filter(|(_, votes)| votes.is_empty());
+    empty.map(|(vertex, _)| vertex as u32).collect()
+}
+
+fn normalised(votes: &[Votes], count: usize) -> (Array2<u32>, Array2<f64>) {
+    let mut indices = Array2::zeros((votes.len(), count));
+    let mut weights = Array2::zeros((votes.len(), count));
+    for (row, votes) in votes.iter().enumerate() {
+        let sum: f64 = votes.iter().map(|v| v.1).sum();
+        if let Some(&(first, _)) = votes.first() {
+            indices.row_mut(row).fill(first);
+        }
+        for (k, &(vertex, vote)) in votes.iter().enumerate() {
+            indices[(row, k)] = vertex;
+            weights[(row, k)] = vote / sum;
+        }
+    }
+    (indices, weights)
+}

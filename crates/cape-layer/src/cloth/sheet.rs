@@ -1,0 +1,293 @@
+use std::collections::HashMap;
+
+use glam::DVec3;
+
+use super::contact::{Contact, SpatialHash};
+use crate::{
+    Error, Result,
+    geometry::{Solid, Surface},
+};
+
+/// What a garment is made of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Material {
+    /// Mass of a square metre, kg.
+    pub density: f64,
+    /// Compliance of the edges of triangles, metres a newton: stretch and shear; 0 is inextensible.
+    pub stretch: f64,
+    /// Compliance between the far corners of neighbouring triangles, metres a newton: bending.
+    pub bend: f64,
+    /// Share of the velocity that is lost in a second, as a rate, 1/s.
+    pub damping: f64,
+    /// Coefficient of Coulomb friction against the body.
+    pub friction: f64,
+    /// Distance kept from the body, metres.
+    pub thickness: f64,
+}
+
+impl Default for Material {
+    /// Cotton jersey.
+    fn default() -> Self {
+        Self {
+            density: 0.2,
+            stretch: 1e-5,
+            bend: 0.05,
+            damping: 1.0,
+            friction: 0.3,
+            thickness: 0.003,
+        }
+    }
+}
+
+impl Material {
+    /// The parameters as numbers, for regression: decimal logarithms of density, stretch and bend,
+    /// then damping and friction, `[5]`.
+    pub fn numbers(&self) -> [f64; 5] {
+        let log = |x: f64| x.max(1e-12).log10();
+        [log(self.density), log(self.stretch), log(self.bend), self.damping, self.friction]
+    }
+
+    fn check(&self) -> Result<()> {
+        let Self { density, stretch, bend, damping, friction, thickness } = *self;
+        for (name, value, least) in [
+            ("density", density, f64::MIN_POSITIVE),
+            ("stretch", stretch, 0.0),
+            ("bend", bend, 0.0),
+            ("damping", damping, 0.0),
+            ("friction", friction, 0.0),
+            ("thickness", thickness, 0.0),
+        ] {
+            if !(value.is_finite() && value >= least) {
+                return Err(Error::argument(format!("material: {name} of {value}")));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A distance that is kept.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Spring {
+    ends: [u32; 2],
+    rest: f64,
+    compliance: f64,
+}
+
+/// A vertex that is led to a place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Lead {
+    vertex: u32,
+    to: DVec3,
+    compliance: f64,
+}
+
+/// A sheet of triangles in motion.
+#[derive(Debug, Clone)]
+pub struct Cloth {
+    /// Positions, metres, `[vertices]`.
+    pub positions: Vec<DVec3>,
+    /// Velocities, m/s, `[vertices]`.
+    pub velocities: Vec<DVec3>,
+    inverse_masses: Vec<f64>,
+    /// Edges of triangles, then far corners of neighbours.
+    springs: Vec<Spring>,
+    edges: usize,
+    leads: Vec<Lead>,
+    material: Material,
+    /// Distance that vertices keep from each other, metres; 0 without self-collision.
+    apart: f64,
+    rest: Vec<DVec3>,
+}
+
+impl Cloth {
+    /// A sheet at rest in the shape of `surface`, whose lengths it keeps. Vertices carry a third of
+    /// their faces' mass.
+    pub fn new(surface: &Surface, material: &Material) -> Result<Self> {
+        material.check()?;
+        let count = surface.vertices.len();
+        let mut masses = vec![0.0; count];
+        for (face, corners) in surface.faces.iter().enumerate() {
+            let [a, b, c] = surface.corners(face);
+            let mass = material.density * (b - a).cross(c - a).length() / 6.0;
+            for &corner in corners {
+                masses[corner as usize] += mass;
+            }
+        }
+        let inverse = |&mass: &f64| if mass > 0.0 { 1.0 / mass } else { 0.0 };
+        let length =
+            |a: u32, b: u32| surface.vertices[a as usize].distance(surface.vertices[b as usize]);
+        let edges = surface.edges();
+        let edge_count = edges.len();
+        let stretch = edges.into_iter().map(|[a, b]| Spring {
+            ends: [a, b],
+            rest: length(a, b),
+            compliance: material.stretch,
+        });
+        let bend = far_corners(&surface.faces).into_iter().map(|[a, b]| Spring {
+            ends: [a, b],
+            rest: length(a, b),
+            compliance: material.bend,
+        });
+        Ok(Self {
+            positions: surface.vertices.clone(),
+            velocities: vec![DVec3::ZERO; count],
+            inverse_masses: masses.iter().map(inverse).collect(),
+            springs: stretch.chain(bend).collect(),
+            edges: edge_count,
+            leads: Vec::new(),
+            material: *material,
+            apart: 0.0,
+            rest: surface.vertices.clone(),
+        })
+    }
+
+    /// Keeps vertices `distance` metres from each other, unless they are closer at rest.
+    #[must_use]
+    pub fn with_self_collision(mut self, distance: f64) -> Self {
+        self.apart = distance.max(0.0);
+        self
+    }
+
+    /// Holds a vertex where it is.
+    pub fn pin(&mut self, vertex: usize) {
+        self.inverse_masses[vertex] = 0.0;
+    }
+
+    /// Leads vertices to places from now on, softly: `compliance` in metres a newton.
+    pub fn lead(&mut self, places: impl IntoIterator<Item = (u32, DVec3)>, compliance: f64) {
+        let lead = |(vertex, to)| Lead { vertex, to, compliance };
+        self.leads = places.into_iter().map(lead).collect();
+    }
+
+    /// Mass of a vertex, kg; infinite for one that is held.
+    pub fn mass(&self, vertex: usize) -> f64 {
+        1.0 / self.inverse_masses[vertex]
+    }
+
+    /// One step of `dt` seconds: all distances are corrected once, so that the compliance of each
+    /// is larger than the material's by `dt²` times its ends' inverse masses. `gravity`
+    /// is in m/s². A body, if there is one, comes with where it was on its way before the step and
+    /// is now, each 0 to 1.
+    pub fn step(&mut self, dt: f64, gravity: DVec3, body: Option<(&Solid, [f64; 2])>) {
+        let before = self.positions.clone();
+        let slow = (-self.material.damping * dt).exp();
+        // No vertex passes through a limb within one step.
+        let fastest = Contact::REACH / 4.0 / dt;
+        for ((x, v), &w) in
+            self.positions.iter_mut().zip(&mut self.velocities).zip(&self.inverse_masses)
+        {
+            if w > 0.0 {
+                *v = (*v * slow + gravity * dt).clamp_length_max(fastest);
+                *x += *v * dt;
+            }
+        }
+        self.project(dt);
+        if self.apart > 0.0 {
+            self.separate();
+        }
+        if let Some((solid, [from, now])) = body {
+            let contact = Contact {
+                friction: self.material.friction,
+                thickness: self.material.thickness,
+                from,
+                now,
+            };
+            contact.resolve(solid, &before, &mut self.positions, &self.inverse_masses);
+        }
+        for ((x, v), before) in self.positions.iter().zip(&mut self.velocities).zip(before) {
+            *v = (*x - before) / dt;
+        }
+    }
+
+    fn project(&mut self, dt: f64) {
+        for &Spring { ends: [a, b], rest, compliance } in &self.springs {
+            let (a, b) = (a as usize, b as usize);
+            let (wa, wb) = (self.inverse_masses[a], self.inverse_masses[b]);
+            let along = self.positions[a] - self.positions[b];
+            let length = along.length();
+            let sum = wa + wb + compliance / (dt * dt);
+            if sum == 0.0 || length == 0.0 {
+                continue;
+            }
+            let push = along * ((rest - length) / (length * sum));
+            self.positions[a] += push * wa;
+            self.positions[b] -= push * wb;
+        }
+        for &Lead { vertex, to, compliance } in &self.leads {
+            let w = self.inverse_masses[vertex as usize];
+            let x = &mut self.positions[vertex as usize];
+            if w > 0.0 {
+                *x += (to - *x) * (w / (w + compliance / (dt * dt)));
+            }
+        }
+    }
+
+    /// Pushes vertices apart that are closer than they should be.
+    fn separate(&mut self) {
+        let hash = SpatialHash::new(&self.positions, self.apart);
+        for a in 0..self.positions.len() {
+            for b in hash.near(self.positions[a]) {
+                let b = b as usize;
+                if b <= a {
+                    continue;
+                }
+                let along = self.positions[a] - self.positions[b];
+                let length = along.length();
+                if length >= self.apart || length == 0.0 {
+                    continue;
+                }
+                let least = self.apart.min(self.rest[a].distance(self.rest[b]));
+                let sum = self.inverse_masses[a] + self.inverse_masses[b];
+                if length >= least || sum == 0.0 {
+                    continue;
+                }
+                let push = along * ((least - length) / (length * sum));
+                self.positions[a] += push * self.inverse_masses[a];
+                self.positions[b] -= push * self.inverse_masses[b];
+            }
+        }
+    }
+
+    /// Kinetic, gravitational and elastic energy together, joules; height counts from `y = 0`.
+    pub fn energy(&self, gravity: DVec3) -> f64 {
+        let moving = self.inverse_masses.iter().enumerate().filter(|&(_, &w)| w > 0.0);
+        let of_vertices: f64 = moving
+            .map(|(v, w)| {
+                let kinetic = 0.5 * self.velocities[v].length_squared();
+                (kinetic - gravity.dot(self.positions[v])) / w
+            })
+            .sum();
+        let elastic = self.springs.iter().filter(|spring| spring.compliance > 0.0).map(|spring| {
+            let [a, b] = spring.ends.map(|v| self.positions[v as usize]);
+            0.5 * (a.distance(b) - spring.rest).powi(2) / spring.compliance
+        });
+        of_vertices + elastic.sum::<f64>()
+    }
+
+    /// Mean and largest relative change of length among edges of triangles.
+    pub fn strain(&self) -> [f64; 2] {
+        let edges = &self.springs[..self.edges];
+        let (mut sum, mut largest) = (0.0, 0.0f64);
+        for spring in edges {
+            let [a, b] = spring.ends.map(|v| self.positions[v as usize]);
+            let change = (a.distance(b) / spring.rest.max(f64::MIN_POSITIVE) - 1.0).abs();
+            (sum, largest) = (sum + change, largest.max(change));
+        }
+        [sum / edges.len().max(1) as f64, largest]
+    }
+}
+
+/// For every inner edge the corners of its two faces that are not on it.
+fn far_corners(faces: &[[u32; 3]]) -> Vec<[u32; 2]> {
+    let mut seen: HashMap<[u32; 2], u32> = HashMap::new();
+    let mut pairs = Vec::new();
+    for face in faces {
+        for i in 0..3 {
+            let (p, q, far) = (face[i], face[(i + 1) % 3], face[(i + 2) % 3]);
+            if let Some(other) = seen.insert([p.min(q), p.max(q)], far) {
+                pairs.push([other, far]);
+            }
+        }
+    }
+    pairs
+}

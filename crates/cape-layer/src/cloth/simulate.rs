@@ -1,0 +1,180 @@
+use cape_core::SmplModel;
+use glam::DVec3;
+use ndarray::{Array2, Array3};
+use rayon::prelude::*;
+
+use super::{Cloth, Material, Sewn};
+use crate::{
+    Error, Result,
+    geometry::{Solid, Surface, points},
+    regress::Motion,
+};
+
+/// How garments are simulated.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Simulation {
+    /// Steps of a frame.
+    pub substeps: usize,
+    /// Seconds from the rest pose to the first frame, and again half as many to settle there.
+    pub settle: f64,
+    /// Acceleration, m/s².
+    pub gravity: DVec3,
+    /// Whether vertices of the cloth keep apart, half an edge's length from each other.
+    pub self_collision: bool,
+    /// Compliance of the waistband's hold on the body, metres a newton.
+    pub waistband: f64,
+}
+
+impl Default for Simulation {
+    fn default() -> Self {
+        Self {
+            substeps: 20,
+            settle: 1.0,
+            gravity: DVec3::NEG_Y * 9.81,
+            self_collision: true,
+            waistband: 1e-4,
+        }
+    }
+}
+
+/// State of the cloth after a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct StepReport {
+    /// Deepest that a vertex is inside the body, metres.
+    pub penetration: f64,
+    /// Vertices inside the body.
+    pub inside: usize,
+    /// Mean and largest relative change of an edge's length.
+    pub strain: [f64; 2],
+}
+
+/// A garment's movement.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Simulated {
+    /// Clothing vertices, metres, `[frames, vertices, 3]`.
+    pub frames: Array3<f64>,
+    /// State after each frame.
+    pub reports: Vec<StepReport>,
+}
+
+impl Simulated {
+    /// Deepest penetration of all frames, metres.
+    pub fn penetration(&self) -> f64 {
+        self.reports.iter().map(|report| report.penetration).fold(0.0, f64::max)
+    }
+}
+
+impl Simulation {
+    /// Simulates `garment` over the motion of a body with the unclothed rest shape `shape`, `[V, 3]`.
+    /// Before anything is recorded the body goes from the shape and the rest pose in which the
+    /// garment was made to its own and the first frame. `watch` is told the frames done and their number.
+    pub fn run(
+        &self,
+        model: &SmplModel,
+        shape: &Array2<f64>,
+        (garment, material): (&Sewn, &Material),
+        motion: &Motion,
+        watch: &mut dyn FnMut(usize, usize),
+    ) -> Result<Simulated> {
+        if self.substeps == 0 || !(self.settle >= 0.0 && self.settle.is_finite()) {
+            return Err(Error::argument(format!(
+                "{} steps a frame and {} s to settle: expected at least 1 and 0",
+                self.substeps, self.settle
+            )));
+        }
+        let track = self.track(model, (&garment.body, shape), motion)?;
+        let rest = Surface::of_rows("body", garment.body.view(), &model.faces)?;
+        let across = rest.neighbours();
+        let at_rest = Solid::new(&rest);
+        let band: Vec<_> = garment
+            .waistband
+            .iter()
+            .filter_map(|&v| {
+                let near = at_rest.closest(garment.surface.vertices[v as usize], 0.2)?;
+                Some((v, near.face, near.barycentric))
+            })
+            .collect();
+        let mut cloth = Cloth::new(&garment.surface, material)?;
+        if self.self_collision {
+            cloth = cloth.with_self_collision(0.5 * garment.surface.mean_edge());
+        }
+        let start = track[0][0] - rest.vertices[0];
+        cloth.positions.iter_mut().for_each(|x| *x += start);
+        let dt = 1.0 / (motion.frame_rate * self.substeps as f64);
+        let recorded = motion.frames();
+        let before = track.len() - recorded;
+        let mut frames = Array3::zeros((recorded, cloth.positions.len(), 3));
+        let mut reports = Vec::with_capacity(recorded);
+        for (index, to) in track.iter().enumerate() {
+            let from = &track[index.saturating_sub(1)];
+            let surface = Surface { vertices: from.clone(), faces: model.faces.clone() };
+            let mut solid = Solid::moving(&surface, to.clone(), across.clone());
+            for substep in 0..self.substeps {
+                let [was, now] = [substep, substep + 1].map(|s| s as f64 / self.substeps as f64);
+                solid.at(now);
+                let led = band.iter().map(|&(v, face, at)| (v, solid.riding(face, at, now)));
+                cloth.lead(led, self.waistband);
+                cloth.step(dt, self.gravity, Some((&solid, [was, now])));
+            }
+            let Some(frame) = index.checked_sub(before) else { continue };
+            if let Some(vertex) = cloth.positions.iter().position(|x| !x.is_finite()) {
+                return Err(Error::argument(format!(
+                    "the simulation failed in frame {frame} at vertex {vertex}: take more steps"
+                )));
+            }
+            for (vertex, x) in cloth.positions.iter().enumerate() {
+                for axis in 0..3 {
+                    frames[(frame, vertex, axis)] = x[axis];
+                }
+            }
+            reports.push(report(&cloth, &solid));
+            watch(frame + 1, recorded);
+        }
+        Ok(Simulated { frames, reports })
+    }
+
+    /// Body vertices of the way to the first frame, then of the frames.
+    fn track(
+        &self,
+        model: &SmplModel,
+        (made_for, shape): (&Array2<f64>, &Array2<f64>),
+        motion: &Motion,
+    ) -> Result<Vec<Vec<DVec3>>> {
+        if motion.frames() == 0 {
+            return Err(Error::argument("a motion without frames"));
+        }
+        let way = (self.settle * motion.frame_rate).ceil() as usize;
+        let standing = way / 2;
+        let first = motion.poses.row(0).to_owned();
+        let mut stations = Vec::new();
+        for step in 0..=way {
+            let t = step as f64 / way.max(1) as f64;
+            let share = t * t * (3.0 - 2.0 * t);
+            stations.push((share, first.mapv(|angle| angle * share), 0));
+        }
+        stations.extend((0..standing).map(|_| (1.0, first.clone(), 0)));
+        stations.extend((0..motion.frames()).map(|f| (1.0, motion.poses.row(f).to_owned(), f)));
+        stations
+            .par_iter()
+            .map(|(share, pose, frame)| {
+                let transl = [0, 1, 2].map(|axis| motion.translations[(*frame, axis)]);
+                let shape = made_for * (1.0 - share) + shape * *share;
+                let posed = model.pose_shape(&shape, &pose.to_vec(), transl, None)?;
+                Ok(points(posed.vertices.view()))
+            })
+            .collect()
+    }
+}
+
+fn report(cloth: &Cloth, body: &Solid) -> StepReport {
+    let depths: Vec<f64> = cloth
+        .positions
+        .par_iter()
+        .map(|&x| body.closest(x, 0.1).map_or(0.0, |near| (-near.signed_distance).max(0.0)))
+        .collect();
+    StepReport {
+        penetration: depths.iter().copied().fold(0.0, f64::max),
+        inside: depths.iter().filter(|&&depth| depth > 0.0).count(),
+        strain: cloth.strain(),
+    }
+}

@@ -1,0 +1,245 @@
+//! Clothing as offsets from the unposed body (Yang et al. 2018, eq. 1–4).
+
+use cape_core::SmplModel;
+use glam::{DAffine3, DVec3};
+use ndarray::{Array1, Array2, Array3, ArrayView2, ArrayView3};
+
+use crate::{Error, Result, associate::Association, error::finite, geometry::points};
+
+/// Blends whose determinant is below this are refused; a rigid motion has 1.
+const NEARLY_SINGULAR: f64 = 1e-3;
+
+/// The pose in which offsets are measured, the paper's θ₀.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub enum StandardPose {
+    /// Arms lowered by 45°.
+    #[default]
+    A,
+    /// SMPL's rest pose.
+    T,
+    /// Any axis-angles, `[3 · joints]`, radians.
+    Other(Vec<f64>),
+}
+
+impl StandardPose {
+    /// The pose's axis-angles, `[3 · joints]`, radians.
+    pub fn angles(&self, joints: usize) -> Vec<f64> {
+        let mut pose = vec![0.0; 3 * joints];
+        match self {
+            Self::T => {}
+            Self::Other(angles) => pose.clone_from(angles),
+            Self::A => {
+                // The shoulders, about z.
+                for (joint, turn) in [(16, -1.0), (17, 1.0)] {
+                    if let Some(angle) = pose.get_mut(3 * joint + 2) {
+                        *angle = turn * std::f64::consts::FRAC_PI_4;
+                    }
+                }
+            }
+        }
+        pose
+    }
+}
+
+/// A body in one frame: where it is, and how each vertex got there from the standard pose.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BodyFrame {
+    /// Vertices with pose blend shapes, in the frame's pose, metres, `[V]`.
+    pub posed: Vec<DVec3>,
+    /// The same in the standard pose, metres, `[V]`.
+    pub standard: Vec<DVec3>,
+    /// `T_j`: standard pose to frame, translation included, `[V]`.
+    pub transforms: Vec<DAffine3>,
+}
+
+impl BodyFrame {
+    /// Poses an unclothed rest shape `[V, 3]` by axis-angles `[3 · joints]` and a translation,
+    /// metres.
+    pub fn new(
+        model: &SmplModel,
+        shape: &Array2<f64>,
+        pose: &[f64],
+        transl: [f64; 3],
+        standard: &StandardPose,
+    ) -> Result<Self> {
+        finite("pose", pose)?;
+        finite("transl", &transl)?;
+        let angles = standard.angles(model.joints());
+        let to_standard = model.vertex_transforms(shape, &angles, [0.0; 3])?;
+        let to_frame = model.vertex_transforms(shape, pose, transl)?;
+        let unposed = points((shape + &model.pose_offsets(pose)?).view());
+        let moved = |transforms: &[DAffine3]| {
+            let pairs = transforms.iter().zip(&unposed);
+            pairs.map(|(t, &p)| t.transform_point3(p)).collect()
+        };
+        let mut transforms = Vec::with_capacity(to_frame.len());
+        for (vertex, (frame, standard)) in to_frame.iter().zip(&to_standard).enumerate() {
+            let determinant = standard.matrix3.determinant();
+            if determinant.abs() < NEARLY_SINGULAR {
+                return Err(Error::argument(format!(
+                    "standard pose: the transform of body vertex {vertex} is nearly singular"
+                )));
+            }
+            transforms.push(*frame * standard.inverse());
+        }
+        Ok(Self { posed: moved(&to_frame), standard: moved(&to_standard), transforms })
+    }
+}
+
+impl Association {
+    /// The blended transform `Σ_i ω_i T_{I_j[i]}(θ)` of every clothing vertex (eq. 2).
+    fn blends(&self, body: &BodyFrame) -> Result<Vec<DAffine3>> {
+        self.check_body(body)?;
+        let rows = self.indices.rows().into_iter().zip(self.weights.rows());
+        let mut blends = Vec::with_capacity(self.clothing_vertices());
+        for (vertex, (indices, weights)) in rows.enumerate() {
+            let mut sum = DAffine3::ZERO;
+            for (&index, &weight) in indices.iter().zip(weights) {
+                let transform = &body.transforms[index as usize];
+                sum.matrix3 += transform.matrix3 * weight;
+                sum.translation += transform.translation * weight;
+            }
+            let determinant = sum.matrix3.determinant();
+            if determinant.is_nan() || determinant < NEARLY_SINGULAR {
+                return Err(Error::Singular { vertex, determinant });
+            }
+            blends.push(sum);
+        }
+        Ok(blends)
+    }
+
+    /// Clothing of one frame, metres, `[n_v, 3]`, as offsets `d_{j,i} = ṽ_j^C − ṽ^B_{I_j[i]}` from
+    /// the body in the standard pose, `[n_v, n_f, 3]` (eq. 3).
+    pub fn offsets(&self, body: &BodyFrame, clothing: ArrayView2<'_, f64>) -> Result<Array3<f64>> {
+        self.check_clothing(clothing.shape())?;
+        finite("clothing", clothing)?;
+        let blends = self.blends(body)?;
+        let mut offsets = Array3::zeros((self.clothing_vertices(), self.neighbours(), 3));
+        for (j, (blend, at)) in blends.iter().zip(points(clothing)).enumerate() {
+            let standard = blend.inverse().transform_point3(at);
+            for (i, &index) in self.indices.row(j).iter().enumerate() {
+                let offset = standard - body.standard[index as usize];
+                for axis in 0..3 {
+                    offsets[(j, i, axis)] = offset[axis];
+                }
+            }
+        }
+        Ok(offsets)
+    }
+
+    /// Undoes [`offsets`](Self::offsets): clothing over a body, metres, `[n_v, 3]` (eq. 4). Offsets
+    /// that do not agree with each other, such as predicted ones, are averaged by weight.
+    pub fn dress(&self, body: &BodyFrame, offsets: ArrayView3<'_, f64>) -> Result<Array2<f64>> {
+        let expected = [self.clothing_vertices(), self.neighbours(), 3];
+        if offsets.shape() != expected {
+            return Err(Error::argument(format!(
+                "offsets of shape {:?}, expected {expected:?}",
+                offsets.shape()
+            )));
+        }
+        let blends = self.blends(body)?;
+        let mut clothing = Array2::zeros((self.clothing_vertices(), 3));
+        for (j, blend) in blends.iter().enumerate() {
+            let mut standard = DVec3::ZERO;
+            for (i, &index) in self.indices.row(j).iter().enumerate() {
+                let offset = DVec3::from_array([0, 1, 2].map(|axis| offsets[(j, i, axis)]));
+                standard += (body.standard[index as usize] + offset) * self.weights[(j, i)];
+            }
+            let posed = blend.transform_point3(standard);
+            clothing.row_mut(j).assign(&Array1::from_vec(posed.to_array().to_vec()));
+        }
+        Ok(clothing)
+    }
+
+    fn check_body(&self, body: &BodyFrame) -> Result<()> {
+        let most = self.indices.iter().copied().max().unwrap_or(0) as usize;
+        if most < body.transforms.len() {
+            return Ok(());
+        }
+        Err(Error::argument(format!(
+            "the association refers to body vertex {most}, but the body has {}",
+            body.transforms.len()
+        )))
+    }
+
+    fn check_clothing(&self, found: &[usize]) -> Result<()> {
+        let expected = [self.clothing_vertices(), 3];
+        if found == expected {
+            return Ok(());
+        }
+        Err(Error::argument(format!("clothing of shape {found:?}, expected {expected:?}")))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ndarray::arr2;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn body(transforms: Vec<DAffine3>) -> BodyFrame {
+        let standard: Vec<DVec3> =
+            (0..transforms.len()).map(|k| DVec3::new(k as f64, 0.5, -0.2)).collect();
+        let posed = transforms.iter().zip(&standard).map(|(t, &p)| t.transform_point3(p)).collect();
+        BodyFrame { posed, standard, transforms }
+    }
+
+    fn association() -> Association {
+        let indices = arr2(&[[0, 1], [1, 2], [2, 0]]);
+        Association::new(indices, arr2(&[[0.5, 0.5], [0.9, 0.1], [1.0, 0.0]]), 3).unwrap()
+    }
+
+    proptest! {
+        #[test]
+        fn dressing_undoes_offsets(
+            turns in prop::collection::vec(prop::array::uniform3(-1.0f64..1.0), 3),
+            moves in prop::collection::vec(prop::array::uniform3(-2.0f64..2.0), 3),
+            clothing in prop::collection::vec(-1.0f64..1.0, 9),
+        ) {
+            let transforms = turns.iter().zip(&moves).map(|(&turn, &shift)| {
+                let turn = glam::DQuat::from_scaled_axis(DVec3::from(turn));
+                DAffine3::from_rotation_translation(turn, DVec3::from(shift))
+            });
+            let body = body(transforms.collect());
+            let clothing = Array2::from_shape_vec((3, 3), clothing).unwrap();
+            let association = association();
+            if let Ok(offsets) = association.offsets(&body, clothing.view()) {
+                let back = association.dress(&body, offsets.view()).unwrap();
+                prop_assert!((back - clothing).iter().all(|d| d.abs() < 1e-9));
+            }
+        }
+    }
+
+    #[test]
+    fn at_rest_an_offset_is_a_difference() {
+        let body = body(vec![DAffine3::IDENTITY; 3]);
+        let clothing = arr2(&[[0.3, 0.4, 0.5], [1.0, 2.0, 3.0], [0.0, 0.0, 0.0]]);
+        let offsets = association().offsets(&body, clothing.view()).unwrap();
+        let expected = clothing[(1, 0)] - 2.0;
+        assert!((offsets[(1, 1, 0)] - expected).abs() < 1e-15);
+    }
+
+    #[test]
+    fn opposite_turns_cannot_be_undone() {
+        let half = DAffine3::from_rotation_y(std::f64::consts::PI);
+        let body = body(vec![DAffine3::IDENTITY, half, DAffine3::IDENTITY]);
+        let clothing = Array2::zeros((3, 3));
+        let error = association().offsets(&body, clothing.view()).unwrap_err();
+        assert!(matches!(error, Error::Singular { vertex: 0, .. }), "{error}");
+    }
+
+    #[test]
+    fn bad_input_is_named() {
+        let body = body(vec![DAffine3::IDENTITY; 3]);
+        let mut clothing = Array2::zeros((3, 3));
+        clothing[(1, 1)] = f64::NAN;
+        let text = association().offsets(&body, clothing.view()).unwrap_err().to_string();
+        assert!(text.contains("number 4"), "{text}");
+        let short = Array2::zeros((2, 3));
+        let text = association().offsets(&body, short.view()).unwrap_err().to_string();
+        assert!(text.contains("[2, 3]"), "{text}");
+        assert!(Association::new(arr2(&[[3]]), arr2(&[[1.0]]), 3).is_err());
+        assert!(Association::new(arr2(&[[0]]), arr2(&[[0.7]]), 3).is_err());
+    }
+}

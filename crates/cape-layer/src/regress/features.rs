@@ -1,0 +1,158 @@
+use glam::{DMat3, DVec3};
+use ndarray::{Array2, ArrayView2};
+
+use crate::{Error, Result, error::finite};
+
+/// A body's movement at a fixed rate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Motion {
+    /// Frames a second.
+    pub frame_rate: f64,
+    /// Axis-angles of all joints, radians, `[frames, 3 · joints]`.
+    pub poses: Array2<f64>,
+    /// Translations, metres, `[frames, 3]`.
+    pub translations: Array2<f64>,
+}
+
+/// What the clothing depends on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Features {
+    /// Whether the global speed is used: of the root, in the body's own directions, m/s.
+    pub speed: bool,
+    /// Whether the joints' angles are used: axis-angles without the root's, radians. Of the root
+    /// only the direction of gravity in its frame is.
+    pub angles: bool,
+    /// Whether the joints' angular speeds are used, rad/s.
+    pub angular_speeds: bool,
+    /// Standard deviation of the Gaussian that smooths speeds, seconds. Speeds are central
+    /// differences at the capture rate (one-sided at both ends).
+    pub smoothing: f64,
+}
+
+impl Default for Features {
+    fn default() -> Self {
+        Self { speed: true, angles: true, angular_speeds: true, smoothing: 0.0 }
+    }
+}
+
+impl Motion {
+    /// A checked motion.
+    pub fn new(frame_rate: f64, poses: Array2<f64>, translations: Array2<f64>) -> Result<Self> {
+        if !(frame_rate.is_finite() && frame_rate > 0.0) {
+            return Err(Error::argument(format!("frame rate {frame_rate}: expected more than 0")));
+        }
+        let frames = poses.nrows();
+        if poses.ncols() < 3
+            || !poses.ncols().is_multiple_of(3)
+            || translations.dim() != (frames, 3)
+        {
+            return Err(Error::argument(format!(
+                "poses {:?} and translations {:?}: expected [frames, 3 · joints] and [frames, 3]",
+                poses.shape(),
+                translations.shape()
+            )));
+        }
+        finite("poses", &poses)?;
+        finite("translations", &translations)?;
+        Ok(Self { frame_rate, poses, translations })
+    }
+
+    /// Number of frames.
+    pub fn frames(&self) -> usize {
+        self.poses.nrows()
+    }
+}
+
+impl Features {
+    /// How many numbers describe a frame of a body of `joints` joints, without semantic parameters.
+    pub fn len(&self, joints: usize) -> usize {
+        let turned = 3 * joints.saturating_sub(1);
+        3 * usize::from(self.speed)
+            + (turned + 3) * usize::from(self.angles)
+            + (turned + 3) * usize::from(self.angular_speeds)
+    }
+
+    /// One row for each frame, `[frames, len]`.
+    pub fn rows(&self, motion: &Motion) -> Array2<f64> {
+        let (frames, numbers) = motion.poses.dim();
+        let joints = numbers / 3;
+        let smooth = |values: Array2<f64>| smoothed(&values, self.smoothing * motion.frame_rate);
+        let speeds = smooth(differences(motion.translations.view(), motion.frame_rate));
+        let turns = smooth(turns(motion));
+        let mut rows = Array2::zeros((frames, self.len(joints)));
+        for (frame, mut row) in rows.rows_mut().into_iter().enumerate() {
+            let root = rotation(motion, frame, 0);
+            let mut numbers = Vec::with_capacity(row.len());
+            if self.speed {
+                let speed = DVec3::from_array([0, 1, 2].map(|axis| speeds[(frame, axis)]));
+                numbers.extend((root.transpose() * speed).to_array());
+            }
+            if self.angles {
+                numbers.extend((root.transpose() * DVec3::NEG_Y).to_array());
+                numbers.extend(motion.poses.row(frame).iter().skip(3));
+            }
+            if self.angular_speeds {
+                numbers.extend(turns.row(frame));
+            }
+            row.iter_mut().zip(numbers).for_each(|(place, number)| *place = number);
+        }
+        rows
+    }
+}
+
+/// Angular velocities in each joint's own frame, rad/s, `[frames, 3 · joints]`.
+fn turns(motion: &Motion) -> Array2<f64> {
+    let (frames, numbers) = motion.poses.dim();
+    let mut turns = Array2::zeros((frames, numbers));
+    for frame in 0..frames {
+        let (from, to) = around(frame, frames);
+        for joint in 0..numbers / 3 {
+            let step = rotation(motion, from, joint).transpose() * rotation(motion, to, joint);
+            let turn = glam::DQuat::from_mat3(&step).to_scaled_axis();
+            let seconds = (to - from).max(1) as f64 / motion.frame_rate;
+            for axis in 0..3 {
+                turns[(frame, 3 * joint + axis)] = turn[axis] / seconds;
+            }
+        }
+    }
+    turns
+}
+
+fn rotation(motion: &Motion, frame: usize, joint: usize) -> DMat3 {
+    let angles = [0, 1, 2].map(|axis| motion.poses[(frame, 3 * joint + axis)]);
+    DMat3::from_quat(glam::DQuat::from_scaled_axis(DVec3::from_array(angles)))
+}
+
+/// The frames before and after, as far as there are some.
+fn around(frame: usize, frames: usize) -> (usize, usize) {
+    (frame.saturating_sub(1), (frame + 1).min(frames - 1))
+}
+
+/// Rates of change, a second.
+fn differences(values: ArrayView2<'_, f64>, rate: f64) -> Array2<f64> {
+    let frames = values.nrows();
+    Array2::from_shape_fn(values.dim(), |(frame, k)| {
+        let (from, to) = around(frame, frames);
+        (values[(to, k)] - values[(from, k)]) * rate / (to - from).max(1) as f64
+    })
+}
+
+/// Means weighted by a Gaussian of `sigma` frames, renormalised at the ends.
+fn smoothed(values: &Array2<f64>, sigma: f64) -> Array2<f64> {
+    if sigma.is_nan() || sigma <= 0.0 {
+        return values.clone();
+    }
+    let frames = values.nrows();
+    let reach = (3.0 * sigma).ceil() as usize;
+    let mut out = Array2::zeros(values.dim());
+    for (frame, mut row) in out.rows_mut().into_iter().enumerate() {
+        let mut sum = 0.0;
+        for near in frame.saturating_sub(reach)..(frame + reach + 1).min(frames) {
+            let weight = (-0.5 * ((near as f64 - frame as f64) / sigma).powi(2)).exp();
+            row.scaled_add(weight, &values.row(near));
+            sum += weight;
+        }
+        row /= sum;
+    }
+    out
+}

@@ -1,0 +1,19 @@
+//! Regression of clothing from motion, size and material (Yang et al. 2018, §3.3).
+//!
+//! [`Features`] turn a sequence of poses and semantic parameters into rows of numbers; a
+//! [`Network`] trained by [`Training`] maps them to coordinates in the space of principal
+//! components; a [`Regressor`] holds both ends' scales and is one file.
+
+mod features;
+mod lbfgs;
+mod network;
+mod regressor;
+#[cfg(test)]
+mod tests;
+mod training;
+
+pub use features::{Features, Motion};
+pub use lbfgs::{Lbfgs, Minimum, Objective};
+pub use network::Network;
+pub use regressor::Regressor;
+pub use training::{Epoch, Outcome, Training};

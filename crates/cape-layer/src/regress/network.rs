@@ -1,0 +1,186 @@
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use crate::{Error, Result};
+
+/// Rows whose errors are summed together; fixed, so that sums do not depend on the threads.
+const PIECE: usize = 64;
+
+/// A fully connected network with hyperbolic tangents between its layers and a linear output.
+///
+/// All weights and biases are one vector: for each layer its matrix `[outputs, inputs]`, row by
+/// row, then its biases `[outputs]`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Network {
+    sizes: Vec<usize>,
+    parameters: Array1<f64>,
+}
+
+impl Network {
+    /// A network of random weights (Glorot and Bengio 2010) and no biases; `sizes` are the numbers
+    /// of inputs, of each hidden layer's units, and of outputs.
+    pub fn random(sizes: &[usize], rng: &mut ChaCha8Rng) -> Result<Self> {
+        check(sizes)?;
+        let mut parameters = Vec::new();
+        for pair in sizes.windows(2) {
+            let bound = (6.0 / (pair[0] + pair[1]) as f64).sqrt();
+            parameters.extend((0..pair[0] * pair[1]).map(|_| rng.random_range(-bound..bound)));
+            parameters.extend(std::iter::repeat_n(0.0, pair[1]));
+        }
+        Ok(Self { sizes: sizes.to_vec(), parameters: Array1::from_vec(parameters) })
+    }
+
+    /// A network of given parameters.
+    pub fn new(sizes: &[usize], parameters: Array1<f64>) -> Result<Self> {
+        check(sizes)?;
+        let expected: usize = sizes.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum();
+        if parameters.len() != expected {
+            return Err(Error::argument(format!(
+                "network {sizes:?}: {} parameters, expected {expected}",
+                parameters.len()
+            )));
+        }
+        crate::error::finite("network parameters", &parameters)?;
+        Ok(Self { sizes: sizes.to_vec(), parameters })
+    }
+
+    /// Numbers of inputs, hidden units and outputs.
+    pub fn sizes(&self) -> &[usize] {
+        &self.sizes
+    }
+
+    /// All weights and biases.
+    pub fn parameters(&self) -> &Array1<f64> {
+        &self.parameters
+    }
+
+    pub(super) fn set_parameters(&mut self, parameters: Array1<f64>) {
+        self.parameters = parameters;
+    }
+
+    /// Outputs `[n, outputs]` of inputs `[n, inputs]`.
+    pub fn forward(&self, inputs: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
+        if inputs.ncols() != self.sizes[0] {
+            return Err(Error::argument(format!(
+                "{} inputs to a network of {}",
+                inputs.ncols(),
+                self.sizes[0]
+            )));
+        }
+        let mut values = inputs.to_owned();
+        let layers = layers(&self.sizes, self.parameters.view());
+        let last = layers.len() - 1;
+        for (index, layer) in layers.into_iter().enumerate() {
+            values = layer.apply(&values);
+            if index < last {
+                values.mapv_inplace(f64::tanh);
+            }
+        }
+        Ok(values)
+    }
+
+    /// Mean over rows and outputs of the squared error, and its gradient in `parameters`, by
+    /// backpropagation.
+    pub(super) fn error_and_gradient(
+        &self,
+        parameters: &Array1<f64>,
+        inputs: ArrayView2<'_, f64>,
+        targets: ArrayView2<'_, f64>,
+    ) -> (f64, Array1<f64>) {
+        let pieces: Vec<_> = inputs
+            .axis_chunks_iter(Axis(0), PIECE)
+            .zip(targets.axis_chunks_iter(Axis(0), PIECE))
+            .collect();
+        let parts: Vec<(f64, Array1<f64>)> = pieces
+            .into_par_iter()
+            .map(|(inputs, targets)| self.piece(parameters, inputs, targets))
+            .collect();
+        let mut gradient = Array1::zeros(parameters.len());
+        let mut error = 0.0;
+        for (part, slope) in parts {
+            error += part;
+            gradient += &slope;
+        }
+        let scale = 1.0 / targets.len().max(1) as f64;
+        (error * scale, gradient * scale)
+    }
+
+    /// Sum of squared errors of some rows, and its gradient.
+    fn piece(
+        &self,
+        parameters: &Array1<f64>,
+        inputs: ArrayView2<'_, f64>,
+        targets: ArrayView2<'_, f64>,
+    ) -> (f64, Array1<f64>) {
+        let layers = layers(&self.sizes, parameters.view());
+        let mut values = vec![inputs.to_owned()];
+        for (index, layer) in layers.iter().enumerate() {
+            let mut next = layer.apply(&values[index]);
+            if index + 1 < layers.len() {
+                next.mapv_inplace(f64::tanh);
+            }
+            values.push(next);
+        }
+        let off = &values[layers.len()] - &targets;
+        let error = off.iter().map(|x| x * x).sum();
+        let mut gradient = Array1::zeros(parameters.len());
+        let mut slope = off * 2.0;
+        for (index, layer) in layers.iter().enumerate().rev() {
+            let weights = slope.t().dot(&values[index]);
+            let (from, middle) = (layer.start, layer.start + weights.len());
+            gradient
+                .slice_mut(s![from..middle])
+                .assign(&Array1::from_iter(weights.iter().copied()));
+            let biases = slope.sum_axis(Axis(0));
+            gradient.slice_mut(s![middle..middle + biases.len()]).assign(&biases);
+            if index > 0 {
+                slope = slope.dot(&layer.weights) * values[index].mapv(|y| 1.0 - y * y);
+            }
+        }
+        (error, gradient)
+    }
+}
+
+struct Layer<'a> {
+    /// Where its parameters start.
+    start: usize,
+    /// `[outputs, inputs]`.
+    weights: ArrayView2<'a, f64>,
+    /// `[outputs]`.
+    biases: ArrayView1<'a, f64>,
+}
+
+impl Layer<'_> {
+    fn apply(&self, values: &Array2<f64>) -> Array2<f64> {
+        values.dot(&self.weights.t()) + self.biases
+    }
+}
+
+fn layers<'a>(sizes: &[usize], parameters: ArrayView1<'a, f64>) -> Vec<Layer<'a>> {
+    let mut rest = parameters;
+    let mut start = 0;
+    let mut layers = Vec::with_capacity(sizes.len() - 1);
+    for pair in sizes.windows(2) {
+        let count = pair[0] * pair[1];
+        let (weights, after) = rest.split_at(Axis(0), count);
+        let (biases, after) = after.split_at(Axis(0), pair[1]);
+        // The lengths were checked when the network was made.
+        if let Ok(weights) = weights.into_shape_with_order((pair[1], pair[0])) {
+            layers.push(Layer { start, weights, biases });
+        }
+        start += count + pair[1];
+        rest = after;
+    }
+    layers
+}
+
+fn check(sizes: &[usize]) -> Result<()> {
+    if sizes.len() < 2 || sizes.contains(&0) {
+        return Err(Error::argument(format!(
+            "a network of sizes {sizes:?}: expected 2 or more, none 0"
+        )));
+    }
+    Ok(())
+}

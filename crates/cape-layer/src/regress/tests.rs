@@ -1,0 +1,204 @@
+use ndarray::{Array1, Array2, Axis, arr1, s};
+use proptest::prelude::*;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+
+fn random(rows: usize, columns: usize, seed: u64) -> Array2<f64> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    Array2::from_shape_simple_fn((rows, columns), || rng.random_range(-1.0..1.0))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn the_gradient_agrees_with_finite_differences(seed: u64, hidden in 1usize..5, rows in 1usize..150) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let network = Network::random(&[3, hidden, 4, 2], &mut rng).unwrap();
+        let at = network.parameters().mapv(|x| x + rng.random_range(-0.3..0.3));
+        let (x, y) = (random(rows, 3, seed ^ 1), random(rows, 2, seed ^ 2));
+        let (value, gradient) = network.error_and_gradient(&at, x.view(), y.view());
+        let plain = Network::new(&[3, hidden, 4, 2], at.clone()).unwrap();
+        let off = plain.forward(x.view()).unwrap() - &y;
+        prop_assert!((value - off.mapv(|d| d * d).mean().unwrap()).abs() < 1e-12);
+        for k in 0..at.len() {
+            let probe = |by: f64| {
+                let mut moved = at.clone();
+                moved[k] += by;
+                network.error_and_gradient(&moved, x.view(), y.view()).0
+            };
+            let numeric = (probe(1e-5) - probe(-1e-5)) / 2e-5;
+            prop_assert!((numeric - gradient[k]).abs() < 1e-8, "{k}: {numeric} {}", gradient[k]);
+        }
+    }
+}
+
+#[test]
+fn a_quadratic_is_minimised_exactly() {
+    let scales = Array1::from_iter((0..30).map(|k| 1.2f64.powi(k - 10)));
+    let centre = Array1::from_iter((0..30).map(|k| f64::from(k).sin()));
+    let mut calls = 0;
+    let found = Lbfgs::default().minimise(
+        Array1::zeros(30),
+        &mut |x| {
+            calls += 1;
+            let off = x - &centre;
+            (0.5 * (&scales * &off).dot(&off), &scales * &off)
+        },
+        &mut |_, _, _| true,
+    );
+    assert!(found.converged, "{found:?}");
+    assert!((found.at - centre).iter().all(|d| d.abs() < 1e-5));
+    assert!(calls < 400, "{calls}");
+}
+
+#[test]
+fn rosenbrock_s_valley_is_followed_to_its_end() {
+    let mut f = |x: &Array1<f64>| {
+        let (a, b) = (1.0 - x[0], x[1] - x[0] * x[0]);
+        (a * a + 100.0 * b * b, arr1(&[-2.0 * a - 400.0 * x[0] * b, 200.0 * b]))
+    };
+    let mut values = vec![f64::INFINITY];
+    let found = Lbfgs::default().minimise(arr1(&[-1.2, 1.0]), &mut f, &mut |_, _, value| {
+        values.push(value);
+        true
+    });
+    assert!(found.converged && found.iterations < 60, "{found:?}");
+    assert!((found.at - 1.0).iter().all(|d| d.abs() < 1e-7));
+    assert!(values.windows(2).all(|pair| pair[1] < pair[0]), "every step goes down");
+}
+
+#[test]
+fn a_line_search_survives_walls() {
+    // −log x + x: infinite for x ≤ 0.
+    let mut f = |x: &Array1<f64>| {
+        if x[0] <= 0.0 {
+            (f64::INFINITY, arr1(&[f64::NAN]))
+        } else {
+            (x[0] - x[0].ln(), arr1(&[1.0 - 1.0 / x[0]]))
+        }
+    };
+    let found = Lbfgs::default().minimise(arr1(&[9.0]), &mut f, &mut |_, _, _| true);
+    assert!((found.at[0] - 1.0).abs() < 1e-7, "{found:?}");
+}
+
+fn smooth_data(rows: usize, seed: u64) -> (Array2<f64>, Array2<f64>) {
+    let x = random(rows, 4, seed) * 3.0 + 10.0;
+    let y = Array2::from_shape_fn((rows, 3), |(i, k)| {
+        let u = x.row(i).mapv(|v| (v - 10.0) / 3.0);
+        100.0 + 7.0 * (u[k] * 2.0).sin() + 3.0 * u[k] * u[3]
+    });
+    (x, y)
+}
+
+#[test]
+fn a_smooth_function_is_learned_and_generalises() {
+    let (x, y) = smooth_data(900, 5);
+    let training = Training { patience: 20, ..Training::default() };
+    let noisy = [false; 4];
+    let outcome = training.train(x.view(), y.view(), &noisy, &mut |_| {}).unwrap();
+    assert_eq!(outcome.validation_frames.len(), 180);
+    assert_eq!(outcome.training_frames.len(), 720);
+    let (new_x, new_y) = smooth_data(200, 6);
+    let off = outcome.regressor.predict(new_x.view()).unwrap() - &new_y;
+    let rms = off.mapv(|d| d * d).mean().unwrap().sqrt();
+    let spread = new_y.std_axis(Axis(0), 0.0).mean().unwrap();
+    assert!(rms < 0.05 * spread, "{rms} of {spread} after {}", outcome.epochs.len());
+    // The same again, whatever the threads.
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let again = pool.install(|| training.train(x.view(), y.view(), &noisy, &mut |_| {}).unwrap());
+    assert_eq!(again, outcome);
+}
+
+#[test]
+fn training_stops_when_validation_rises() {
+    // Pure noise: there is nothing to learn but the frames themselves.
+    let (x, y) = (random(60, 5, 1), random(60, 2, 2));
+    let noisy = [true; 5];
+    let training = Training { copies: 2, ..Training::default() };
+    let outcome = training.train(x.view(), y.view(), &noisy, &mut |_| {}).unwrap();
+    let errors: Vec<f64> = outcome.epochs.iter().map(|e| e.validation).collect();
+    let (last, before) = errors.split_last().unwrap();
+    assert!(before.windows(2).all(|pair| pair[1] <= pair[0]), "{errors:?}");
+    assert!(before.last().is_none_or(|b| last > b), "{errors:?}");
+}
+
+#[test]
+fn a_regressor_is_one_file() {
+    let (x, y) = smooth_data(60, 9);
+    let training = Training { hidden: vec![5], ..Training::default() };
+    let regressor = training.train(x.view(), y.view(), &[false; 4], &mut |_| {}).unwrap().regressor;
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("regressor.npz");
+    regressor.save(&path).unwrap();
+    let back = Regressor::load(&path).unwrap();
+    assert_eq!(back, regressor);
+    // Frame by frame as all at once.
+    let whole = back.predict(x.view()).unwrap();
+    let one = back.predict(x.slice(s![7..8, ..])).unwrap();
+    assert!((&one.row(0) - &whole.row(7)).iter().all(|d| d.abs() < 1e-12));
+    assert!(back.predict(x.slice(s![.., ..3])).unwrap_err().to_string().contains("3 inputs"));
+}
+
+#[test]
+fn bad_frames_are_refused() {
+    let (x, mut y) = smooth_data(20, 3);
+    let train = |x: &Array2<f64>, y: &Array2<f64>, training: Training| {
+        training
+            .train(x.view(), y.view(), &vec![false; x.ncols()], &mut |_| {})
+            .unwrap_err()
+            .to_string()
+    };
+    let default = Training::default;
+    assert!(train(&random(3, 4, 1), &y, default()).contains("3 rows"));
+    assert!(train(&x, &y, Training { validation: 1.0, ..default() }).contains("share"));
+    y[(3, 1)] = f64::NAN;
+    assert!(train(&x, &y, default()).contains("not finite"));
+}
+
+#[test]
+fn features_are_angles_and_their_rates() {
+    let (frames, rate) = (40, 30.0);
+    // The whole body turned to face +x, walking that way; joint 1 turns about x at 2 rad/s.
+    let poses = Array2::from_shape_fn((frames, 6), |(frame, k)| match k {
+        1 => std::f64::consts::FRAC_PI_2,
+        3 => 2.0 * frame as f64 / rate,
+        _ => 0.0,
+    });
+    let translations =
+        Array2::from_shape_fn(
+            (frames, 3),
+            |(frame, k)| {
+                if k == 0 { 1.5 * frame as f64 / rate } else { 0.9 }
+            },
+        );
+    let motion = Motion::new(rate, poses, translations).unwrap();
+    let features = Features { smoothing: 0.05, ..Features::default() };
+    let rows = features.rows(&motion);
+    assert_eq!(rows.dim(), (frames, features.len(2)));
+    for (frame, row) in rows.rows().into_iter().enumerate() {
+        let expected = [
+            0.0,
+            0.0,
+            1.5,
+            0.0,
+            -1.0,
+            0.0,
+            2.0 * frame as f64 / rate,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            2.0,
+            0.0,
+            0.0,
+        ];
+        for (found, expected) in row.iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-9, "{frame}: {row}");
+        }
+    }
+    assert!(Motion::new(0.0, Array2::zeros((2, 3)), Array2::zeros((2, 3))).is_err());
+    assert!(Motion::new(30.0, Array2::zeros((2, 3)), Array2::zeros((3, 3))).is_err());
+}

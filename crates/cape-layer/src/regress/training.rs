@@ -1,0 +1,192 @@
+use ndarray::{Array1, Array2, ArrayView2, Axis, concatenate};
+use rand::{Rng, SeedableRng, seq::SliceRandom};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use super::{Lbfgs, Network, Regressor, regressor::Scale};
+use crate::{Error, Result, error::finite};
+
+/// How a regressor is trained.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Training {
+    /// Units of the hidden layers; the paper's 60 and 80.
+    pub hidden: Vec<usize>,
+    /// Share of the frames that validate; the paper's 20 %.
+    pub validation: f64,
+    /// Rises of the validation error in a row that are borne; the paper's 0.
+    pub patience: usize,
+    /// Copies of the training frames with noise.
+    pub copies: usize,
+    /// Standard deviation of the noise on noisy inputs, relative to that of the input.
+    pub noise: f64,
+    /// The minimisation.
+    pub minimiser: Lbfgs,
+    /// Fixes weights, split and noise.
+    pub seed: u64,
+}
+
+impl Default for Training {
+    fn default() -> Self {
+        Self {
+            hidden: vec![60, 80],
+            validation: 0.2,
+            patience: 0,
+            copies: 0,
+            noise: 0.05,
+            minimiser: Lbfgs::default(),
+            seed: 1,
+        }
+    }
+}
+
+/// One iteration, for a progress display. Errors are means of squares of standardised targets.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Epoch {
+    /// Counted from 1.
+    pub iteration: usize,
+    /// Error of training frames.
+    pub training: f64,
+    /// Error of validation frames.
+    pub validation: f64,
+}
+
+/// A trained regressor and how it got there.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outcome {
+    /// The weights of the lowest validation error.
+    pub regressor: Regressor,
+    /// Every iteration.
+    pub epochs: Vec<Epoch>,
+    /// Frames that trained, ascending.
+    pub training_frames: Vec<usize>,
+    /// Frames that validated, ascending.
+    pub validation_frames: Vec<usize>,
+}
+
+impl Training {
+    /// Learns `targets` `[frames, outputs]` from `inputs` `[frames, inputs]`. Inputs and targets are
+    /// standardised; `noisy` says which inputs get noise in the additional copies, usually the
+    /// semantic parameters.
+    ///
+    /// # Errors
+    /// If the frames do not fit together, are fewer than two of each kind, or are not finite.
+    pub fn train(
+        &self,
+        inputs: ArrayView2<'_, f64>,
+        targets: ArrayView2<'_, f64>,
+        noisy: &[bool],
+        watch: &mut dyn FnMut(Epoch),
+    ) -> Result<Outcome> {
+        let frames = inputs.nrows();
+        self.check(inputs, targets, noisy)?;
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        let mut order: Vec<usize> = (0..frames).collect();
+        order.shuffle(&mut rng);
+        let held = ((frames as f64 * self.validation).round() as usize).clamp(1, frames - 1);
+        let (validation_frames, training_frames) = order.split_at(held);
+        let sorted = |frames: &[usize]| {
+            let mut frames = frames.to_vec();
+            frames.sort_unstable();
+            frames
+        };
+        let (training_frames, validation_frames) =
+            (sorted(training_frames), sorted(validation_frames));
+        let pick = |rows: ArrayView2<'_, f64>, frames: &[usize]| rows.select(Axis(0), frames);
+        let plain = pick(inputs, &training_frames);
+        let wanted = pick(targets, &training_frames);
+        let (of_inputs, of_targets) = (Scale::of(plain.view()), Scale::of(wanted.view()));
+        let (plain, wanted) = (of_inputs.apply(plain.view()), of_targets.apply(wanted.view()));
+        let (x, y) = self.augmented(&plain, &wanted, noisy, &mut rng)?;
+        let held_x = of_inputs.apply(pick(inputs, &validation_frames).view());
+        let held_y = of_targets.apply(pick(targets, &validation_frames).view());
+
+        let mut sizes = vec![inputs.ncols()];
+        sizes.extend(&self.hidden);
+        sizes.push(targets.ncols());
+        let mut network = Network::random(&sizes, &mut rng)?;
+        let start = network.parameters().clone();
+        let validate =
+            |at: &Array1<f64>| network.error_and_gradient(at, held_x.view(), held_y.view()).0;
+        let mut best = (validate(&start), start.clone());
+        let (mut last, mut rises) = (best.0, 0);
+        let mut epochs = Vec::new();
+        self.minimiser.minimise(
+            start,
+            &mut |at| network.error_and_gradient(at, x.view(), y.view()),
+            &mut |iteration, at, training| {
+                let validation = validate(at);
+                let epoch = Epoch { iteration, training, validation };
+                watch(epoch);
+                epochs.push(epoch);
+                if validation < best.0 {
+                    best = (validation, at.clone());
+                }
+                rises = if validation > last { rises + 1 } else { 0 };
+                last = validation;
+                rises <= self.patience
+            },
+        );
+        network.set_parameters(best.1);
+        let regressor = Regressor::new(of_inputs, network, of_targets)?;
+        Ok(Outcome { regressor, epochs, training_frames, validation_frames })
+    }
+
+    fn augmented(
+        &self,
+        inputs: &Array2<f64>,
+        targets: &Array2<f64>,
+        noisy: &[bool],
+        rng: &mut ChaCha8Rng,
+    ) -> Result<(Array2<f64>, Array2<f64>)> {
+        let mut x = vec![inputs.clone()];
+        let mut y = vec![targets.view()];
+        for _ in 0..self.copies {
+            let mut copy = inputs.clone();
+            for mut row in copy.rows_mut() {
+                for (value, _) in row.iter_mut().zip(noisy).filter(|&(_, &noisy)| noisy) {
+                    *value += self.noise * rng.sample::<f64, _>(StandardNormal);
+                }
+            }
+            x.push(copy);
+            y.push(targets.view());
+        }
+        let stack = |parts: &[ArrayView2<'_, f64>]| {
+            concatenate(Axis(0), parts).map_err(|error| Error::argument(error.to_string()))
+        };
+        let x: Vec<_> = x.iter().map(|copy| copy.view()).collect();
+        Ok((stack(&x)?, stack(&y)?))
+    }
+
+    fn check(
+        &self,
+        inputs: ArrayView2<'_, f64>,
+        targets: ArrayView2<'_, f64>,
+        noisy: &[bool],
+    ) -> Result<()> {
+        if inputs.nrows() != targets.nrows() || inputs.nrows() < 2 {
+            return Err(Error::argument(format!(
+                "{} rows of inputs and {} of targets: expected as many, at least 2",
+                inputs.nrows(),
+                targets.nrows()
+            )));
+        }
+        if noisy.len() != inputs.ncols() {
+            return Err(Error::argument(format!(
+                "noise for {} inputs of {}",
+                noisy.len(),
+                inputs.ncols()
+            )));
+        }
+        if !(self.validation > 0.0 && self.validation < 1.0) {
+            return Err(Error::argument(format!(
+                "{} of the frames validate: expected a share between 0 and 1",
+                self.validation
+            )));
+        }
+        if !(self.noise >= 0.0 && self.noise.is_finite()) {
+            return Err(Error::argument(format!("noise {}: expected 0 or more", self.noise)));
+        }
+        finite("inputs", inputs)?;
+        finite("targets", targets)
+    }
+}

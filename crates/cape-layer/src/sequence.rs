@@ -1,0 +1,368 @@
+//! Sequences of clothing over a moving body, and sets of them that share a topology.
+
+use std::path::{Path, PathBuf};
+
+use cape_core::{
+    Mesh, SmplModel,
+    npy::{Npz, NpzWriter},
+    write_atomically,
+};
+use ndarray::{Array1, Array2, Array3, Axis};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    BodyFrame, Error, Result, StandardPose,
+    error::finite,
+    geometry::{Surface, points},
+    regress::Motion,
+};
+
+/// Clothing over one body's motion, frame by frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sequence {
+    /// Its name, also in files.
+    pub name: String,
+    /// Clothing vertices, metres, `[frames, n_v, 3]`.
+    pub clothing: Array3<f64>,
+    /// Shape coefficients of the body.
+    pub betas: Vec<f64>,
+    /// The body's motion, of as many frames.
+    pub motion: Motion,
+    /// Semantic parameters by name: sizes and materials, the same for the whole sequence.
+    pub parameters: Vec<(String, f64)>,
+}
+
+impl Sequence {
+    /// Number of frames.
+    pub fn frames(&self) -> usize {
+        self.clothing.len_of(Axis(0))
+    }
+
+    /// The unclothed rest shape, metres, `[V, 3]`.
+    pub fn shape(&self, model: &SmplModel) -> Result<Array2<f64>> {
+        Ok(model.shaped(&self.betas)?)
+    }
+
+    /// The body in one frame.
+    pub fn body(
+        &self,
+        model: &SmplModel,
+        frame: usize,
+        standard: &StandardPose,
+    ) -> Result<BodyFrame> {
+        let pose = self.motion.poses.row(frame).to_vec();
+        let transl = [0, 1, 2].map(|axis| self.motion.translations[(frame, axis)]);
+        BodyFrame::new(model, &self.shape(model)?, &pose, transl, standard)
+    }
+
+    fn check(&self, vertices: usize) -> Result<()> {
+        let (frames, found, axes) = self.clothing.dim();
+        let fault = |message: String| Err(Error::sequence(&self.name, message));
+        if frames == 0 {
+            return fault("no frames".into());
+        }
+        if found != vertices || axes != 3 {
+            return fault(format!(
+                "clothing of {found} vertices, but the set's has {vertices}: every sequence of a set \
+                 must have the same topology"
+            ));
+        }
+        if self.motion.frames() != frames {
+            return fault(format!(
+                "{frames} frames of clothing and {} of the body: out of step",
+                self.motion.frames()
+            ));
+        }
+        for (frame, clothing) in self.clothing.outer_iter().enumerate() {
+            finite(format!("sequence `{}`, frame {frame}", self.name), clothing)?;
+        }
+        finite(
+            format!("sequence `{}`, parameters", self.name),
+            self.parameters.iter().map(|p| &p.1),
+        )
+    }
+}
+
+/// Sequences of one clothing mesh.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LayerSet {
+    /// The clothing's triangles, `[faces, 3]`.
+    pub faces: Vec<[u32; 3]>,
+    /// The sequences.
+    pub sequences: Vec<Sequence>,
+}
+
+/// What is written beside the arrays.
+#[derive(Debug, Serialize, Deserialize)]
+struct Entry {
+    name: String,
+    frame_rate: f64,
+    parameters: Vec<(String, f64)>,
+}
+
+const INDEX: &str = "set.json";
+
+impl LayerSet {
+    /// A checked set: one topology, frames in step, numbers finite, the same parameters in all.
+    pub fn new(faces: Vec<[u32; 3]>, sequences: Vec<Sequence>) -> Result<Self> {
+        let Some(first) = sequences.first() else {
+            return Err(Error::argument("a set without sequences"));
+        };
+        let vertices = first.clothing.len_of(Axis(1));
+        let names: Vec<&String> = first.parameters.iter().map(|p| &p.0).collect();
+        for sequence in &sequences {
+            sequence.check(vertices)?;
+            if !sequence.parameters.iter().map(|p| &p.0).eq(names.iter().copied()) {
+                let message = format!("other parameters than {names:?}");
+                return Err(Error::sequence(&sequence.name, message));
+            }
+        }
+        let set = Self { faces, sequences };
+        set.clothing(0, 0)?;
+        Ok(set)
+    }
+
+    /// Number of clothing vertices.
+    pub fn vertices(&self) -> usize {
+        self.sequences.first().map_or(0, |sequence| sequence.clothing.len_of(Axis(1)))
+    }
+
+    /// Number of frames of all sequences.
+    pub fn frames(&self) -> usize {
+        self.sequences.iter().map(Sequence::frames).sum()
+    }
+
+    /// Every frame as sequence and frame, in order.
+    pub fn each_frame(&self) -> Vec<(usize, usize)> {
+        let frames = |(index, sequence): (usize, &Sequence)| {
+            (0..sequence.frames()).map(move |frame| (index, frame)).collect::<Vec<_>>()
+        };
+        self.sequences.iter().enumerate().flat_map(frames).collect()
+    }
+
+    /// The clothing mesh of a frame.
+    pub fn clothing(&self, sequence: usize, frame: usize) -> Result<Surface> {
+        let clothing = self.sequences.get(sequence).filter(|s| frame < s.frames());
+        let Some(clothing) = clothing else {
+            return Err(Error::argument(format!("no frame {frame} of sequence {sequence}")));
+        };
+        let clothing = clothing.clothing.index_axis(Axis(0), frame);
+        Surface::new("clothing", points(clothing), self.faces.clone())
+    }
+
+    /// Writes `set.json` and one `<name>.npz` for each sequence (float32 clothing) into a directory
+    /// that exists. Every file appears whole or not at all.
+    pub fn save(&self, directory: impl AsRef<Path>) -> Result<()> {
+        let directory = directory.as_ref();
+        let faces =
+            Array2::from_shape_fn((self.faces.len(), 3), |(f, k)| i64::from(self.faces[f][k]));
+        let mut index = Vec::new();
+        for sequence in &self.sequences {
+            let mut file = NpzWriter::create(array_file(directory, &sequence.name))?;
+            file.add("faces", &faces)?;
+            file.add("clothing", &sequence.clothing.mapv(|x| x as f32))?;
+            file.add("poses", &sequence.motion.poses)?;
+            file.add("trans", &sequence.motion.translations)?;
+            file.add("betas", &Array1::from_vec(sequence.betas.clone()))?;
+            file.finish()?;
+            index.push(Entry {
+                name: sequence.name.clone(),
+                frame_rate: sequence.motion.frame_rate,
+                parameters: sequence.parameters.clone(),
+            });
+        }
+        let text = serde_json::to_vec_pretty(&index)
+            .map_err(|error| cape_core::Error::format(directory, error.to_string()))?;
+        Ok(write_atomically(directory.join(INDEX), |file| std::io::Write::write_all(file, &text))?)
+    }
+
+    /// Reads what [`save`](Self::save) wrote.
+    pub fn load(directory: impl AsRef<Path>) -> Result<Self> {
+        let directory = directory.as_ref();
+        let path = directory.join(INDEX);
+        let text = std::fs::read(&path).map_err(|source| cape_core::Error::io(&path, source))?;
+        let index: Vec<Entry> = serde_json::from_slice(&text)
+            .map_err(|error| cape_core::Error::format(&path, error.to_string()))?;
+        let mut all_faces: Option<Vec<[u32; 3]>> = None;
+        let mut sequences = Vec::new();
+        for entry in index {
+            let (faces, sequence) = read(directory, entry)?;
+            if all_faces.as_ref().is_some_and(|known| *known != faces) {
+                let message = "other faces than the sequences before it: every sequence of a set \
+                               must have the same topology";
+                return Err(Error::sequence(&sequence.name, message));
+            }
+            all_faces = Some(faces);
+            sequences.push(sequence);
+        }
+        Self::new(all_faces.unwrap_or_default(), sequences)
+    }
+}
+
+fn array_file(directory: &Path, name: &str) -> PathBuf {
+    directory.join(format!("{name}.npz"))
+}
+
+fn read(directory: &Path, entry: Entry) -> Result<(Vec<[u32; 3]>, Sequence)> {
+    let Entry { name, frame_rate, parameters } = entry;
+    if name.contains(['/', '\\']) || name.starts_with('.') {
+        return Err(Error::sequence(&name, "a name that is not a file's"));
+    }
+    let path = array_file(directory, &name);
+    let mut file = Npz::open(&path)?;
+    let faces = file.i64("faces")?;
+    file.expect_shape("faces", faces.shape(), &[None, Some(3)])?;
+    let corner = |&v: &i64| {
+        u32::try_from(v).map_err(|error| cape_core::Error::field(&path, "faces", error.to_string()))
+    };
+    let corners: Vec<u32> = faces.iter().map(corner).collect::<Result<_, _>>()?;
+    let faces = corners.as_chunks::<3>().0.to_vec();
+    let clothing = file.f64("clothing")?;
+    file.expect_shape("clothing", clothing.shape(), &[None, None, Some(3)])?;
+    let clothing = clothing
+        .into_dimensionality()
+        .map_err(|error| cape_core::Error::field(&path, "clothing", error.to_string()))?;
+    let (motion, betas) = read_motion(&mut file, Some(frame_rate))?;
+    Ok((faces, Sequence { name, clothing, betas, motion, parameters }))
+}
+
+/// `poses`, `trans` (or `transl`), `betas` and, unless the rate is given, `mocap_framerate` of an
+/// archive, as AMASS has them.
+fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(Motion, Vec<f64>)> {
+    let mut table = |name: &str, columns: Option<usize>| -> Result<Array2<f64>> {
+        let array = file.f64(name)?;
+        file.expect_shape(name, array.shape(), &[None, columns])?;
+        let path = file.path();
+        Ok(array
+            .into_dimensionality()
+            .map_err(|error| cape_core::Error::field(path, name, error.to_string()))?)
+    };
+    let poses = table("poses", None)?;
+    let shift = if file.contains("trans") { "trans" } else { "transl" };
+    let mut table = |name: &str| -> Result<Array2<f64>> {
+        let array = file.f64(name)?;
+        file.expect_shape(name, array.shape(), &[None, Some(3)])?;
+        let path = file.path();
+        Ok(array
+            .into_dimensionality()
+            .map_err(|error| cape_core::Error::field(path, name, error.to_string()))?)
+    };
+    let translations = table(shift)?;
+    let betas = file.f64("betas")?.iter().copied().collect();
+    let rate = match frame_rate {
+        Some(rate) => rate,
+        None => file.f64("mocap_framerate")?.first().copied().unwrap_or(f64::NAN),
+    };
+    Ok((Motion::new(rate, poses, translations)?, betas))
+}
+
+/// A sequence of one's own: a directory of `.obj` or `.ply` meshes, whose names sort by frame, and
+/// an archive of SMPL parameters (`poses`, `trans` or `transl`, `betas`, `mocap_framerate`).
+/// Gives the faces with it, for [`LayerSet::new`].
+pub fn import(
+    name: &str,
+    meshes: impl AsRef<Path>,
+    parameters: impl AsRef<Path>,
+) -> Result<(Vec<[u32; 3]>, Sequence)> {
+    let directory = meshes.as_ref();
+    let io = |source| cape_core::Error::io(directory, source);
+    let mut paths: Vec<PathBuf> = Vec::new();
+    for entry in std::fs::read_dir(directory).map_err(io)? {
+        let path = entry.map_err(io)?.path();
+        let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+        if matches!(extension.as_deref(), Some("obj" | "ply")) {
+            paths.push(path);
+        }
+    }
+    paths.sort();
+    let mut faces: Option<Vec<[u32; 3]>> = None;
+    let mut numbers = Vec::new();
+    for path in &paths {
+        let mesh = Mesh::load(path)?;
+        if faces.as_ref().is_some_and(|faces| *faces != mesh.faces) {
+            let message = format!("{}: other faces than in the frames before", path.display());
+            return Err(Error::sequence(name, message));
+        }
+        numbers.extend(mesh.vertices.iter().flatten().map(|&x| f64::from(x)));
+        faces = Some(mesh.faces);
+    }
+    let Some(faces) = faces else {
+        let message = format!("{}: no .obj or .ply meshes", directory.display());
+        return Err(Error::sequence(name, message));
+    };
+    let shape = (paths.len(), numbers.len() / (3 * paths.len()), 3);
+    let clothing = Array3::from_shape_vec(shape, numbers)
+        .map_err(|_| Error::sequence(name, "frames of different numbers of vertices"))?;
+    let (motion, betas) = read_motion(&mut Npz::open(parameters)?, None)?;
+    let parameters = Vec::new();
+    let sequence = Sequence { name: name.to_owned(), clothing, betas, motion, parameters };
+    sequence.check(shape.1)?;
+    Ok((faces, sequence))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sequence(name: &str) -> Sequence {
+        let clothing =
+            Array3::from_shape_fn((3, 4, 3), |(f, v, k)| (f + 2 * v + k * v) as f64 / 8.0);
+        let motion = Motion::new(30.0, Array2::zeros((3, 72)), Array2::zeros((3, 3))).unwrap();
+        let parameters = vec![("length".to_owned(), 1.5)];
+        Sequence { name: name.into(), clothing, betas: vec![0.5, -1.0], motion, parameters }
+    }
+
+    const FACES: [[u32; 3]; 2] = [[0, 1, 2], [0, 2, 3]];
+
+    #[test]
+    fn a_set_is_read_back() {
+        let set = LayerSet::new(FACES.to_vec(), vec![sequence("a"), sequence("b")]).unwrap();
+        let directory = tempfile::tempdir().unwrap();
+        set.save(directory.path()).unwrap();
+        assert_eq!(LayerSet::load(directory.path()).unwrap(), set);
+        assert_eq!((set.frames(), set.vertices(), set.each_frame()[4]), (6, 4, (1, 1)));
+    }
+
+    #[test]
+    fn what_does_not_fit_is_named() {
+        let text = |sequences| LayerSet::new(FACES.to_vec(), sequences).unwrap_err().to_string();
+        let mut other = sequence("b");
+        other.clothing = Array3::zeros((3, 5, 3));
+        assert!(text(vec![sequence("a"), other]).contains("`b`: clothing of 5 vertices"));
+        let mut late = sequence("b");
+        late.clothing = Array3::zeros((2, 4, 3));
+        assert!(text(vec![sequence("a"), late]).contains("out of step"));
+        let mut broken = sequence("b");
+        broken.clothing[(1, 0, 0)] = f64::NAN;
+        assert!(text(vec![broken]).contains("frame 1"));
+        let mut unlike = sequence("b");
+        unlike.parameters.clear();
+        assert!(text(vec![sequence("a"), unlike]).contains("parameters"));
+        assert!(text(vec![]).contains("without sequences"));
+    }
+
+    #[test]
+    fn meshes_and_parameters_are_imported() {
+        let directory = tempfile::tempdir().unwrap();
+        let meshes = directory.path().join("meshes");
+        std::fs::create_dir(&meshes).unwrap();
+        let wanted = sequence("own");
+        for (frame, clothing) in wanted.clothing.outer_iter().enumerate() {
+            let vertices = points(clothing);
+            let mesh = Surface::new("clothing", vertices, FACES.to_vec()).unwrap().to_mesh();
+            mesh.save(meshes.join(format!("{frame:04}.ply"))).unwrap();
+        }
+        let archive = directory.path().join("smpl.npz");
+        let mut file = NpzWriter::create(&archive).unwrap();
+        file.add("poses", &wanted.motion.poses).unwrap();
+        file.add("transl", &wanted.motion.translations).unwrap();
+        file.add("betas", &Array1::from_vec(wanted.betas.clone())).unwrap();
+        file.add("mocap_framerate", &ndarray::arr1(&[30.0])).unwrap();
+        file.finish().unwrap();
+        let (faces, found) = import("own", &meshes, &archive).unwrap();
+        assert_eq!(faces, FACES);
+        assert_eq!(found, Sequence { parameters: vec![], ..wanted });
+        std::fs::remove_file(meshes.join("0001.ply")).unwrap();
+        assert!(import("own", &meshes, &archive).unwrap_err().to_string().contains("out of step"));
+    }
+}

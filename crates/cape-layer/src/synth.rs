@@ -1,0 +1,288 @@
+//! Simulated sequences to learn from: exercises of several subjects, in several sizes and materials.
+
+use cape_core::{
+    SmplModel,
+    synth::{Motion as Movement, MotionStyle},
+};
+use ndarray::{Array2, Axis};
+use rayon::prelude::*;
+
+use crate::{
+    Error, LayerSet, Result, Sequence,
+    cloth::{Garment, Material, Sewn, Simulation},
+    regress::Motion,
+};
+
+/// What a subject does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Exercise {
+    /// Walking forward, 1.2 m/s.
+    Walk,
+    /// Deep knee bends.
+    Squat,
+    /// Marching on the spot.
+    March,
+    /// Swinging the trunk from side to side.
+    Swing,
+    /// Jumping jacks, feet off the floor.
+    Jump,
+}
+
+impl Exercise {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Walk, Self::Squat, Self::March, Self::Swing, Self::Jump];
+
+    /// The name in files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Walk => "walk",
+            Self::Squat => "squat",
+            Self::March => "march",
+            Self::Swing => "swing",
+            Self::Jump => "jump",
+        }
+    }
+
+    /// Frames of the exercise by a body of 24 joints with an unclothed rest shape `[V, 3]`, feet on
+    /// the floor `y = 0` except in jumps of 15 cm.
+    pub fn motion(
+        self,
+        model: &SmplModel,
+        shape: &Array2<f64>,
+        frames: usize,
+        frame_rate: f64,
+    ) -> Result<Motion> {
+        const JUMP: f64 = 0.15;
+        const JACK: f64 = 1.8;
+        let style = match self {
+            Self::Walk => MotionStyle { amplitude: 0.55, ..MotionStyle::default() },
+            _ => MotionStyle::default(),
+        };
+        let movement = match self {
+            Self::Walk | Self::March => Movement::WalkMarch,
+            Self::Squat => Movement::Squats,
+            Self::Swing => Movement::TwistTilt,
+            Self::Jump => Movement::JumpingJacks,
+        };
+        let rows: Vec<([f64; 72], [f64; 3])> = (0..frames)
+            .into_par_iter()
+            .map(|frame| {
+                let time = frame as f64 / frame_rate;
+                let pose = movement.pose(&style, time);
+                let posed = model.pose_shape(shape, &pose, [0.0; 3], None)?.vertices;
+                let floor = posed.column(1).iter().copied().fold(f64::INFINITY, f64::min);
+                let from_top = (time / JACK).rem_euclid(1.0) * JACK - 0.5 * JACK;
+                let (up, forward) = match self {
+                    Self::Jump => ((JUMP - 0.5 * 9.81 * from_top.powi(2)).max(0.0), 0.0),
+                    Self::Walk => (0.0, 1.2 * time),
+                    _ => (0.0, 0.0),
+                };
+                Ok((pose, [0.0, up - floor, forward]))
+            })
+            .collect::<Result<_>>()?;
+        let poses = Array2::from_shape_fn((frames, 72), |(f, k)| rows[f].0[k]);
+        let translations = Array2::from_shape_fn((frames, 3), |(f, k)| rows[f].1[k]);
+        Motion::new(frame_rate, poses, translations)
+    }
+}
+
+/// A full grid of subjects, sizes, materials and exercises, in one topology.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Design {
+    /// Shape coefficients of the subjects.
+    pub subjects: Vec<Vec<f64>>,
+    /// Sizes of one garment; the first is made for the mean body, the others resized from it.
+    pub sizes: Vec<Garment>,
+    /// Materials.
+    pub materials: Vec<Material>,
+    /// What is done.
+    pub exercises: Vec<Exercise>,
+    /// Frames of every sequence.
+    pub frames: usize,
+    /// Frames a second.
+    pub frame_rate: f64,
+    /// How it is simulated.
+    pub simulation: Simulation,
+}
+
+/// One cell of a [`Design`], by index.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Take {
+    /// The subject.
+    pub subject: usize,
+    /// The size.
+    pub size: usize,
+    /// The material.
+    pub material: usize,
+    /// What is done.
+    pub exercise: Exercise,
+}
+
+/// Names of the semantic parameters of simulated sequences: size, then material.
+pub const PARAMETERS: [&str; 8] =
+    ["length", "width", "sleeve", "log_density", "log_stretch", "log_bend", "damping", "friction"];
+
+impl Design {
+    /// One subject of mean shape in one garment of usual cut and material, all exercises.
+    pub fn of(garment: Garment) -> Self {
+        Self {
+            subjects: vec![vec![]],
+            sizes: vec![garment],
+            materials: vec![Material::default()],
+            exercises: Exercise::ALL.to_vec(),
+            frames: 100,
+            frame_rate: 30.0,
+            simulation: Simulation::default(),
+        }
+    }
+
+    /// All cells of the grid.
+    pub fn takes(&self) -> Vec<Take> {
+        let mut takes = Vec::new();
+        for subject in 0..self.subjects.len() {
+            for size in 0..self.sizes.len() {
+                for material in 0..self.materials.len() {
+                    for &exercise in &self.exercises {
+                        takes.push(Take { subject, size, material, exercise });
+                    }
+                }
+            }
+        }
+        takes
+    }
+
+    /// The garment for the mean body, of the first size.
+    pub fn sew(&self, model: &SmplModel) -> Result<Sewn> {
+        let first = self.sizes.first().ok_or_else(|| Error::argument("a design without sizes"))?;
+        first.sew(model, &model.shaped(&[])?)
+    }
+
+    /// Simulates one cell; gives its deepest penetration, metres, with it.
+    pub fn simulate(&self, model: &SmplModel, sewn: &Sewn, take: Take) -> Result<(Sequence, f64)> {
+        let missing = || Error::argument(format!("{take:?} is not in the design"));
+        let betas = self.subjects.get(take.subject).ok_or_else(missing)?;
+        let size = self.sizes.get(take.size).ok_or_else(missing)?;
+        let material = self.materials.get(take.material).ok_or_else(missing)?;
+        let shape = model.shaped(betas)?;
+        let motion = take.exercise.motion(model, &shape, self.frames, self.frame_rate)?;
+        let sewn = sewn.resized(model, size)?;
+        let result =
+            self.simulation.run(model, &shape, (&sewn, material), &motion, &mut |_, _| {})?;
+        let numbers = size.numbers().into_iter().chain(material.numbers());
+        let named = PARAMETERS.iter().zip(numbers).map(|(name, x)| ((*name).to_owned(), x));
+        let penetration = result.penetration();
+        let sequence = Sequence {
+            name: format!(
+                "s{:02}_z{:02}_m{:02}_{}",
+                take.subject,
+                take.size,
+                take.material,
+                take.exercise.name()
+            ),
+            clothing: result.frames,
+            betas: betas.clone(),
+            motion,
+            parameters: named.collect(),
+        };
+        Ok((sequence, penetration))
+    }
+
+    /// Simulates all cells, side by side. `watch` is told those done and their number.
+    pub fn set(
+        &self,
+        model: &SmplModel,
+        watch: &(dyn Fn(usize, usize) + Sync),
+    ) -> Result<LayerSet> {
+        let sewn = self.sew(model)?;
+        let takes = self.takes();
+        let done = std::sync::atomic::AtomicUsize::new(0);
+        let sequences = takes
+            .par_iter()
+            .map(|&take| {
+                let (sequence, _) = self.simulate(model, &sewn, take)?;
+                let done = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+                watch(done, takes.len());
+                Ok(sequence)
+            })
+            .collect::<Result<_>>()?;
+        LayerSet::new(sewn.surface.faces, sequences)
+    }
+}
+
+/// A sequence's clothing with the body's own vertices after it, and the faces of both: for layers
+/// that are to include the body.
+pub fn with_body(
+    model: &SmplModel,
+    faces: &[[u32; 3]],
+    sequence: &Sequence,
+) -> Result<(Vec<[u32; 3]>, Sequence)> {
+    let shape = sequence.shape(model)?;
+    let own = sequence.clothing.len_of(Axis(1));
+    let mut clothing = ndarray::Array3::zeros((sequence.frames(), own + model.vertices(), 3));
+    for frame in 0..sequence.frames() {
+        let pose = sequence.motion.poses.row(frame).to_vec();
+        let transl = [0, 1, 2].map(|axis| sequence.motion.translations[(frame, axis)]);
+        let body = model.pose_shape(&shape, &pose, transl, None)?.vertices;
+        let mut whole = clothing.index_axis_mut(Axis(0), frame);
+        let (mut first, mut second) = whole.view_mut().split_at(Axis(0), own);
+        first.assign(&sequence.clothing.index_axis(Axis(0), frame));
+        second.assign(&body);
+    }
+    let shifted = model.faces.iter().map(|face| face.map(|v| v + own as u32));
+    let faces = faces.iter().copied().chain(shifted).collect();
+    Ok((faces, Sequence { clothing, ..sequence.clone() }))
+}
+
+#[cfg(test)]
+mod tests {
+    use cape_core::synth::synthetic_body;
+
+    use super::*;
+    use crate::cloth::GarmentKind;
+
+    #[test]
+    fn exercises_stand_on_the_floor() {
+        let model = synthetic_body();
+        let shape = model.shaped(&[]).unwrap();
+        let lowest = |exercise: Exercise| -> Vec<f64> {
+            let motion = exercise.motion(&model, &shape, 54, 30.0).unwrap();
+            (0..54)
+                .map(|f| {
+                    let transl = [0, 1, 2].map(|k| motion.translations[(f, k)]);
+                    let pose = motion.poses.row(f).to_vec();
+                    let posed = model.pose_shape(&shape, &pose, transl, None).unwrap().vertices;
+                    posed.column(1).iter().copied().fold(f64::INFINITY, f64::min)
+                })
+                .collect()
+        };
+        assert!(lowest(Exercise::Walk).iter().all(|y| y.abs() < 1e-9));
+        let jump = lowest(Exercise::Jump);
+        let in_air = jump.iter().filter(|&&y| y > 1e-9).count() as f64 / 30.0;
+        assert!((in_air - 2.0 * (2.0 * 0.15f64 / 9.81).sqrt()).abs() < 0.07, "{in_air}");
+        let highest = jump.iter().copied().fold(0.0, f64::max);
+        assert!((highest - 0.15).abs() < 0.003, "{highest}");
+    }
+
+    #[test]
+    fn a_design_is_one_topology_over_all_its_cells() {
+        let model = synthetic_body();
+        let skirt = Garment { resolution: 0.035, ..Garment::of(GarmentKind::Skirt) };
+        let design = Design {
+            subjects: vec![vec![], vec![1.5, -1.0]],
+            sizes: vec![skirt, Garment { length: 1.1, width: 1.25, ..skirt }],
+            exercises: vec![Exercise::March],
+            frames: 4,
+            ..Design::of(skirt)
+        };
+        let set = design.set(&model, &|_, _| {}).unwrap();
+        assert_eq!((set.sequences.len(), set.frames()), (4, 16));
+        let hem = |sequence: usize| {
+            let last = set.sequences[sequence].clothing.index_axis(Axis(0), 3).to_owned();
+            last.column(1).iter().copied().fold(f64::INFINITY, f64::min)
+        };
+        assert!(hem(1) < hem(0) - 0.05, "the longer skirt reaches further: {} {}", hem(0), hem(1));
+        let (faces, whole) = with_body(&model, &set.faces, &set.sequences[2]).unwrap();
+        assert_eq!(whole.clothing.len_of(Axis(1)), set.vertices() + model.vertices());
+        LayerSet::new(faces, vec![whole]).unwrap();
+    }
+}
