@@ -8,6 +8,8 @@
 //! - [`core`] — meshes, NumPy files, SMPL and the clothing term, outfits, the synthetic data;
 //! - [`graph`] — mesh pyramids and graph operations on tensors;
 //! - [`model`] — the networks and losses;
+//! - [`layer`] — clothing of its own topology (Yang et al., ECCV 2018): association, statistics,
+//!   regression, simulation;
 //! - [`train`] — data sets, training, evaluation, and opening a trained [`Run`](train::Run);
 //! - [`render`] — pictures.
 //!
@@ -15,6 +17,7 @@
 
 pub use cape_core as core;
 pub use cape_graph as graph;
+pub use cape_layer as layer;
 pub use cape_model as model;
 pub use cape_render as render;
 pub use cape_train as train;

@@ -56,6 +56,7 @@ pub(crate) enum Command {
     PoseEffect(commands::pose_effect::PoseEffect),
     #[cfg(feature = "view")]
     View(commands::view::View),
+    Layer(commands::layer::Layer),
     Import(commands::import::Import),
     Export(commands::export::Export),
     Inspect(commands::inspect::Inspect),
@@ -85,6 +86,7 @@ impl Command {
             Self::PoseEffect(command) => command.run(global, console)?,
             #[cfg(feature = "view")]
             Self::View(command) => command.run(global, console)?,
+            Self::Layer(command) => command.run(global, console)?,
             Self::Import(command) => command.run(global, console)?,
             Self::Export(command) => command.run(console)?,
             Self::Inspect(command) => command.run(console)?,

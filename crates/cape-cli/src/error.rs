@@ -15,6 +15,8 @@ pub(crate) enum Error {
     #[error(transparent)]
     Train(#[from] cape_train::Error),
     #[error(transparent)]
+    Layer(#[from] cape_layer::Error),
+    #[error(transparent)]
     Render(#[from] cape_render::Error),
     /// The command's own objection; says what was expected.
     #[error("{0}")]

@@ -12,6 +12,7 @@ pub(crate) mod generate;
 pub(crate) mod import;
 pub(crate) mod info;
 pub(crate) mod inspect;
+pub(crate) mod layer;
 pub(crate) mod pack;
 pub(crate) mod pose_effect;
 pub(crate) mod pyramid;
