@@ -150,18 +150,69 @@ impl<'a> Unposed<'a> {
         training: &Training,
         watch: &mut dyn FnMut(Epoch),
     ) -> Result<Regression> {
-        let pca = LayerPca::fit(self.rows.view(), Keep::Components(components))?;
-        let codes = pca.encode(self.rows.view())?;
-        let (inputs, noisy) = self.inputs(features)?;
-        let outcome = training.train(inputs.view(), codes.view(), &noisy, watch)?;
-        let error_of = |frames: &[usize]| {
-            let predicted = outcome.regressor.predict(inputs.select(Axis(0), frames).view())?;
-            let errors = self.errors(frames, pca.decode(predicted.view())?.view())?;
-            Ok::<_, Error>(LayerError::over(&errors))
-        };
+        let all: Vec<usize> = (0..self.rows.nrows()).collect();
+        let (pca, outcome) = self.learn(&all, components, features, training, watch)?;
+        let inputs = self.inputs(features)?.0;
+        let error_of = |frames: &[usize]| self.predicted(&pca, &outcome, &inputs, frames);
         let (train, predict) =
             (error_of(&outcome.training_frames)?, error_of(&outcome.validation_frames)?);
         Ok(Regression { pca, outcome, train, predict })
+    }
+
+    /// The same from all sequences but those numbered `held`, whose error is the prediction's: new
+    /// bodies, motions, materials or sizes, as the set has them.
+    pub fn transfer(
+        &self,
+        held: &[usize],
+        components: usize,
+        features: &Features,
+        training: &Training,
+        watch: &mut dyn FnMut(Epoch),
+    ) -> Result<Regression> {
+        let each = self.set.each_frame();
+        let (new, known): (Vec<usize>, Vec<usize>) =
+            (0..each.len()).partition(|&frame| held.contains(&each[frame].0));
+        if new.is_empty() || known.is_empty() {
+            return Err(Error::argument(format!(
+                "{} of {} frames held out: expected some, not all",
+                new.len(),
+                each.len()
+            )));
+        }
+        let (pca, outcome) = self.learn(&known, components, features, training, watch)?;
+        let inputs = self.inputs(features)?.0;
+        let trained: Vec<usize> = outcome.training_frames.iter().map(|&k| known[k]).collect();
+        let train = self.predicted(&pca, &outcome, &inputs, &trained)?;
+        let predict = self.predicted(&pca, &outcome, &inputs, &new)?;
+        Ok(Regression { pca, outcome, train, predict })
+    }
+
+    fn learn(
+        &self,
+        frames: &[usize],
+        components: usize,
+        features: &Features,
+        training: &Training,
+        watch: &mut dyn FnMut(Epoch),
+    ) -> Result<(LayerPca, Outcome)> {
+        let rows = self.rows.select(Axis(0), frames);
+        let pca = LayerPca::fit(rows.view(), Keep::Components(components))?;
+        let codes = pca.encode(rows.view())?;
+        let (inputs, noisy) = self.inputs(features)?;
+        let inputs = inputs.select(Axis(0), frames);
+        let outcome = training.train(inputs.view(), codes.view(), &noisy, watch)?;
+        Ok((pca, outcome))
+    }
+
+    fn predicted(
+        &self,
+        pca: &LayerPca,
+        outcome: &Outcome,
+        inputs: &Array2<f64>,
+        frames: &[usize],
+    ) -> Result<LayerError> {
+        let codes = outcome.regressor.predict(inputs.select(Axis(0), frames).view())?;
+        Ok(LayerError::over(&self.errors(frames, pca.decode(codes.view())?.view())?))
     }
 }
 
@@ -172,7 +223,7 @@ pub struct Regression {
     pub pca: LayerPca,
     /// The regressor and its course.
     pub outcome: Outcome,
-    /// Over frames that trained, `E_train`.
+    /// Over frames that trained, `E_train`. Frames are counted among those that were learned from.
     pub train: LayerError,
     /// Over frames that did not, `E_pred`.
     pub predict: LayerError,
@@ -239,6 +290,15 @@ mod tests {
             unposed.regression(10, &Features::default(), &training, &mut |_| {}).unwrap();
         println!("regression: {:?} {:?}", regression.train, regression.predict);
         assert!(regression.train.mean < 5.0 && regression.predict.mean < 20.0);
+
+        let mut two = set.clone();
+        two.sequences.push(Sequence { name: "again".into(), ..set.sequences[0].clone() });
+        let both = Unposed::new(&model, &two, &association, StandardPose::default()).unwrap();
+        let features = Features::default();
+        let same = both.transfer(&[1], 10, &features, &training, &mut |_| {}).unwrap();
+        assert_eq!(same.outcome, regression.outcome, "the held-out sequence plays no part");
+        assert!(same.predict.mean < 5.0, "{:?}", same.predict);
+        assert!(both.transfer(&[], 10, &features, &training, &mut |_| {}).is_err());
 
         let layer = Layer {
             faces: set.faces.clone(),

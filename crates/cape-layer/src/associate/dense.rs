@@ -82,6 +82,23 @@ impl Association {
         self.indices.ncols()
     }
 
+    /// Colours of the clothing, `[n_v, 3]`, mixed from the body's, `[V, 3]`, as it follows them; for
+    /// pictures of the association.
+    pub fn colours(&self, body: &[[u8; 3]]) -> Result<Vec<[u8; 3]>> {
+        let rows = self.indices.rows().into_iter().zip(self.weights.rows());
+        rows.map(|(indices, weights)| {
+            let mut mixed = [0.0; 3];
+            for (&index, weight) in indices.iter().zip(weights) {
+                let colour = body.get(index as usize).ok_or_else(|| {
+                    Error::argument(format!("no colour of body vertex {index} of {}", body.len()))
+                })?;
+                mixed.iter_mut().zip(colour).for_each(|(m, &c)| *m += weight * f64::from(c));
+            }
+            Ok(mixed.map(|m| m.round() as u8))
+        })
+        .collect()
+    }
+
     /// The fuzzy correspondences that `pairs` vote for: with squared geodesic distances `r`,
     /// `P(v_k^C, v_l^B) = Σ_(i,j) exp(−(r(v_k^C, v_i^C) + r(v_l^B, v_j^B)) / σ²)`.
     ///

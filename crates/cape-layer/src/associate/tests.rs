@@ -34,7 +34,7 @@ fn pairs_agree_with_brute_force_rays() {
                 let p = origin + normals[vertex] * t;
                 let beside = |p0: DVec3, p1: DVec3| n.dot((p1 - p0).cross(p - p0)) >= -1e-18;
                 let within = beside(a, b) && beside(b, c) && beside(c, a);
-                (t >= 0.0 && t <= 0.15 && within).then_some((t, face, p))
+                ((0.0..=0.15).contains(&t) && within).then_some((t, face, p))
             })
             .min_by(|x, y| x.0.total_cmp(&y.0));
         let Some((distance, face, p)) = first else { continue };
@@ -92,6 +92,9 @@ fn weights_agree_with_the_formula() {
         }
     }
     assert!(found.weights.rows().into_iter().all(|w| (w.sum() - 1.0).abs() < 1e-12));
+    let grey = vec![[10, 20, 30]; body.vertices.len()];
+    assert!(found.colours(&grey).unwrap().iter().all(|&c| c == [10, 20, 30]));
+    assert!(found.colours(&grey[..1]).is_err());
 }
 
 #[test]

@@ -121,20 +121,20 @@ fn exact(surface: &Surface, source: u32, reach: f64) -> Vec<f64> {
     let across = surface.neighbours();
     let count = surface.vertices.len();
     let mut lines = vec![vec![f64::INFINITY; count]; count];
-    for vertex in 0..count {
+    for (vertex, lines) in lines.iter_mut().enumerate() {
         for (face, corners) in surface.faces.iter().enumerate() {
             let Some(i) = corners.iter().position(|&v| v as usize == vertex) else { continue };
             let [_, b, c] = [0, 1, 2].map(|k| corners[(i + k) % 3] as usize);
             let length = |p: usize, q: usize| surface.vertices[p].distance(surface.vertices[q]);
             for near in [b, c] {
-                lines[vertex][near] = lines[vertex][near].min(length(vertex, near));
+                lines[near] = lines[near].min(length(vertex, near));
             }
             // The source at the origin, the side in front of it in the plane.
             let (ob, oc, bc) = (length(vertex, b), length(vertex, c), length(b, c));
             let x = (ob * ob + oc * oc - bc * bc) / (2.0 * ob);
             let [pb, pc] = [[ob, 0.0], [x, (oc * oc - x * x).max(0.0).sqrt()]];
             let window = Window { face, side: (i + 1) % 3, ends: [pb, pc], cone: [pb, pc] };
-            window.spread(surface, &across, reach, &mut lines[vertex]);
+            window.spread(surface, &across, reach, lines);
         }
     }
     let mut best = vec![f64::INFINITY; count];
