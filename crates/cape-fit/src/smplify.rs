@@ -1,0 +1,235 @@
+//! Bare bodies from keypoints: SMPLify (Bogo et al. 2016), without its interpenetration term, as
+//! CAPE uses it (§6.3).
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use cape_core::SmplModel;
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    BodyParameters, Camera, Error, Keypoints, LbfgsOptions, PosePrior, Result, Skeleton,
+    body_energy::{BodyEnergy, BodyTerms, BodyWeights},
+    initial::{Placement, place},
+    keypoints::Sighting,
+    parameters::{POSE_AT, solve},
+};
+
+/// How bare bodies are fitted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SmplifyConfig {
+    /// Shape coefficients solved for, at most those of the body.
+    pub betas: usize,
+    /// Confidence from which a keypoint counts.
+    pub confidence: f64,
+    /// Standard deviation of the detector, metres at the person's distance.
+    pub deviation: f64,
+    /// Size of errors from which they are rather mistakes, metres at the person's distance.
+    pub robust: f64,
+    /// Weights of the terms, one stage of the optimisation after the other: priors begin strong,
+    /// so that the body first finds its place, and give way.
+    pub stages: Vec<BodyWeights>,
+    /// The directions that the body is first taken to face, radians to the left of the camera; the
+    /// best of the outcomes is kept.
+    pub facing: Vec<f64>,
+    /// The optimiser, in every stage.
+    pub optimiser: LbfgsOptions,
+    /// Mean error of joints above which the fit is said to have failed, metres.
+    pub accepted: f64,
+}
+
+impl Default for SmplifyConfig {
+    fn default() -> Self {
+        let stage = |prior: f64| BodyWeights { pose: prior, shape: 0.5 * prior, ..<_>::default() };
+        Self {
+            betas: 10,
+            confidence: 0.1,
+            deviation: 0.02,
+            robust: 0.3,
+            stages: [100.0, 20.0, 4.0, 1.0].map(stage).to_vec(),
+            facing: vec![0.0, PI, FRAC_PI_2, -FRAC_PI_2],
+            optimiser: LbfgsOptions { gain: 1e-7, ..LbfgsOptions::default() },
+            accepted: 0.1,
+        }
+    }
+}
+
+impl SmplifyConfig {
+    fn check(&self) -> Result<()> {
+        let positive = [("deviation", self.deviation), ("robust", self.robust)];
+        for (field, value) in positive {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(Error::argument(format!("{field} of {value}, expected above 0")));
+            }
+        }
+        if self.stages.is_empty() || self.facing.is_empty() {
+            return Err(Error::argument("stages, facing: expected at least one each"));
+        }
+        Ok(())
+    }
+}
+
+/// A bare body that explains keypoints.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BodyFit {
+    /// The body.
+    pub parameters: BodyParameters,
+    /// Terms of the energy.
+    pub terms: BodyTerms,
+    /// Energy after every step of every stage, by the stage's weights.
+    pub curves: Vec<Vec<f64>>,
+    /// Mean distance of the joints from where they were seen, pixels.
+    pub joint_error: f64,
+    /// Metres that a pixel is wide at the person's distance.
+    pub pixel: f64,
+    /// The direction that the body was first taken to face, radians.
+    pub facing: f64,
+    /// Why the fit cannot be trusted, if it cannot.
+    pub problem: Option<String>,
+}
+
+/// Fits bare bodies of one kind.
+#[derive(Debug, Clone)]
+pub struct Smplify {
+    skeleton: Skeleton,
+    prior: PosePrior,
+    config: SmplifyConfig,
+}
+
+impl Smplify {
+    /// For a body with SMPL's 24 joints.
+    ///
+    /// # Errors
+    /// If the body has others, or the configuration is impossible.
+    pub fn new(model: &SmplModel, prior: PosePrior, config: SmplifyConfig) -> Result<Self> {
+        config.check()?;
+        let skeleton = Skeleton::new(model)?;
+        if skeleton.joints() != cape_core::joints::JOINTS {
+            return Err(Error::argument(format!(
+                "a body of {} joints, expected SMPL's {}",
+                skeleton.joints(),
+                cape_core::joints::JOINTS
+            )));
+        }
+        Ok(Self { skeleton, prior, config })
+    }
+
+    /// The configuration.
+    pub fn config(&self) -> &SmplifyConfig {
+        &self.config
+    }
+
+    /// The joints that count.
+    pub(crate) fn sightings(&self, keypoints: &Keypoints) -> Vec<Sighting> {
+        keypoints.sightings(self.config.confidence)
+    }
+
+    /// The energy of what was seen, where a pixel is so wide.
+    pub(crate) fn energy<'a>(
+        &'a self,
+        camera: &Camera,
+        sightings: &'a [Sighting],
+        pixel: f64,
+    ) -> BodyEnergy<'a> {
+        BodyEnergy {
+            skeleton: &self.skeleton,
+            prior: &self.prior,
+            camera: *camera,
+            sightings,
+            pixel,
+            deviation: self.config.deviation,
+            robust: self.config.robust,
+        }
+    }
+
+    /// The body that explains the keypoints best. Where it starts, except for place and
+    /// orientation, is a pose that people often take, or `initial`.
+    ///
+    /// # Errors
+    /// If too few joints were seen to place a body, or `initial` is none.
+    pub fn fit(
+        &self,
+        camera: &Camera,
+        keypoints: &Keypoints,
+        initial: Option<&BodyParameters>,
+    ) -> Result<BodyFit> {
+        let betas = self.config.betas.min(self.skeleton.betas());
+        let mut start = match initial {
+            Some(initial) => {
+                initial.check()?;
+                initial.clone()
+            }
+            None => BodyParameters {
+                transl: [0.0; 3],
+                pose: [vec![0.0; 3], self.prior.typical()].concat(),
+                betas: Vec::new(),
+            },
+        };
+        start.betas.resize(betas, 0.0);
+        start.pose[..3].fill(0.0);
+        let sightings = self.sightings(keypoints);
+        let joints =
+            self.skeleton.pose(&start.betas, &start.pose, glam::DVec3::ZERO)?.joints().to_vec();
+        let mut best: Option<(f64, BodyFit)> = None;
+        for &facing in &self.config.facing {
+            let placement = place(camera, &joints, &sightings, facing)?;
+            let found = self.fit_from(camera, &sightings, &start, &placement, facing)?;
+            if best.as_ref().is_none_or(|(least, _)| found.0 < *least) {
+                best = Some(found);
+            }
+        }
+        best.map(|(_, fit)| fit)
+            .ok_or_else(|| Error::Failed("no orientation of the body has a finite energy".into()))
+    }
+
+    /// From one placement: place and orientation first, then everything, stage by stage.
+    fn fit_from(
+        &self,
+        camera: &Camera,
+        sightings: &[Sighting],
+        start: &BodyParameters,
+        placement: &Placement,
+        facing: f64,
+    ) -> Result<(f64, BodyFit)> {
+        let betas = start.betas.len();
+        let pixel = placement.distance / camera.focal();
+        let energy = self.energy(camera, sightings, pixel);
+        let mut body = start.clone();
+        body.transl = placement.transl.to_array();
+        body.pose[..3].copy_from_slice(&placement.orientation.to_array());
+        let mut x = body.to_vector();
+        let mut curves = Vec::with_capacity(self.config.stages.len() + 1);
+        let rigid = |at: usize| at < POSE_AT + 3;
+        let stages = self.config.stages.iter();
+        let first = self.config.stages.first().map(|weights| (weights, true));
+        for (weights, placing) in first.into_iter().chain(stages.map(|weights| (weights, false))) {
+            let free = |at: usize| !placing || rigid(at);
+            let found = solve(&x, free, &self.config.optimiser, |x, gradient| {
+                Ok(energy.evaluate(x, betas, weights, gradient)?.weighted(weights))
+            })?;
+            x = found.x;
+            curves.push(found.curve);
+        }
+        let weights = self.config.stages.last().copied().unwrap_or_default();
+        let terms = energy.evaluate(&x, betas, &weights, &mut vec![0.0; x.len()])?;
+        let joint_error = energy.joint_error(&x, betas)?;
+        let metres = joint_error * pixel;
+        let problem = (!metres.is_finite() || metres > self.config.accepted).then(|| {
+            format!(
+                "joints are {:.0} mm from where they were seen on average: more than {:.0} mm",
+                1000.0 * metres,
+                1000.0 * self.config.accepted
+            )
+        });
+        let fit = BodyFit {
+            parameters: BodyParameters::from_vector(&x, betas),
+            terms,
+            curves,
+            joint_error,
+            pixel,
+            facing,
+            problem,
+        };
+        Ok((terms.weighted(&weights), fit))
+    }
+}
