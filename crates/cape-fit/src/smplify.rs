@@ -124,6 +124,17 @@ impl Smplify {
         keypoints.sightings(self.config.confidence)
     }
 
+    /// Why a fit whose joints are so far off, metres, cannot be trusted.
+    pub(crate) fn problem(&self, joint_error: f64) -> Option<String> {
+        (joint_error.is_nan() || joint_error > self.config.accepted).then(|| {
+            format!(
+                "joints are {:.0} mm from where they were seen on average: more than {:.0} mm",
+                1000.0 * joint_error,
+                1000.0 * self.config.accepted
+            )
+        })
+    }
+
     /// The energy of what was seen, where a pixel is so wide.
     pub(crate) fn energy<'a>(
         &'a self,
@@ -213,14 +224,6 @@ impl Smplify {
         let weights = self.config.stages.last().copied().unwrap_or_default();
         let terms = energy.evaluate(&x, betas, &weights, &mut vec![0.0; x.len()])?;
         let joint_error = energy.joint_error(&x, betas)?;
-        let metres = joint_error * pixel;
-        let problem = (!metres.is_finite() || metres > self.config.accepted).then(|| {
-            format!(
-                "joints are {:.0} mm from where they were seen on average: more than {:.0} mm",
-                1000.0 * metres,
-                1000.0 * self.config.accepted
-            )
-        });
         let fit = BodyFit {
             parameters: BodyParameters::from_vector(&x, betas),
             terms,
@@ -228,7 +231,7 @@ impl Smplify {
             joint_error,
             pixel,
             facing,
-            problem,
+            problem: self.problem(joint_error * pixel),
         };
         Ok((terms.weighted(&weights), fit))
     }
