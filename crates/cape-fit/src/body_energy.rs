@@ -11,7 +11,8 @@ use crate::{
 
 /// Angles of elbows and knees with the direction that they do not bend in: number in the pose, sign.
 /// Elbows turn about the vertical axis of the arm, knees about the transverse one.
-const BENDS: [(usize, f64); 4] = [(18 * 3 + 1, 1.0), (19 * 3 + 1, -1.0), (4 * 3, -1.0), (5 * 3, -1.0)];
+const BENDS: [(usize, f64); 4] =
+    [(18 * 3 + 1, 1.0), (19 * 3 + 1, -1.0), (4 * 3, -1.0), (5 * 3, -1.0)];
 
 /// Weights of the terms.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -149,24 +150,31 @@ fn geman_mcclure(square: f64, sigma: f64) -> (f64, f64) {
 mod tests {
     use cape_core::{
         joints::JOINT_NAMES,
-        synth::{Motion, MotionStyle, synthetic_body},
+        synth::{Motion, MotionStyle},
     };
     use ndarray::{Array1, Array2, Array3};
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::{keypoints::Keypoint, pose_prior::BODY_POSE, testing::assert_gradient};
+    use crate::{
+        keypoints::Keypoint,
+        pose_prior::BODY_POSE,
+        testing::{BODY, assert_gradient},
+    };
 
     #[test]
     fn gradients_agree_with_finite_differences() {
-        let skeleton = Skeleton::new(&synthetic_body()).unwrap();
+        let skeleton = Skeleton::new(&BODY).unwrap();
         let prior = PosePrior::new(
             Array1::ones(1),
             Array2::from_elem((1, BODY_POSE), 0.1),
-            Array3::from_shape_fn((1, BODY_POSE, BODY_POSE), |(_, i, j)| {
-                if i == j { 0.3 } else { 0.001 }
-            }),
+            Array3::from_shape_fn(
+                (1, BODY_POSE, BODY_POSE),
+                |(_, i, j)| {
+                    if i == j { 0.3 } else { 0.001 }
+                },
+            ),
         )
         .unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(8);

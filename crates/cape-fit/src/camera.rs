@@ -65,11 +65,7 @@ impl Camera {
             return *self;
         }
         let scaled = |pixels: u32| ((f64::from(pixels) * scale).round() as u32).max(1);
-        Self {
-            width: scaled(self.width),
-            height: scaled(self.height),
-            focal: self.focal * scale,
-        }
+        Self { width: scaled(self.width), height: scaled(self.height), focal: self.focal * scale }
     }
 
     /// Pixels from the principal point to a column and row, y up.

@@ -43,13 +43,13 @@ pub struct ClothedConfig {
 impl Default for ClothedConfig {
     fn default() -> Self {
         Self {
-            silhouette: 1e5,
+            silhouette: 5e4,
             code: 0.5,
             body: BodyWeights::default(),
             levels: vec![
-                Level { side: 128, rounds: 2, steps: 8 },
-                Level { side: 256, rounds: 2, steps: 8 },
-                Level { side: 512, rounds: 2, steps: 6 },
+                Level { side: 128, rounds: 2, steps: 12 },
+                Level { side: 256, rounds: 2, steps: 10 },
+                Level { side: 512, rounds: 2, steps: 10 },
             ],
             accepted: 0.85,
         }
@@ -117,8 +117,7 @@ impl Scene<'_> {
         let code = &x[BETAS_AT + self.betas..];
         let surface = self.dressed.surface(&body, code)?;
         let mut forces = vec![DVec3::ZERO; surface.vertices().len()];
-        let silhouette =
-            matched.evaluate(surface.vertices(), self.config.silhouette, &mut forces);
+        let silhouette = matched.evaluate(surface.vertices(), self.config.silhouette, &mut forces);
         let by = surface.pull_back(&forces)?;
         let parts = by.transl.iter().chain(&by.pose).chain(&by.betas).chain(&by.code);
         gradient.iter_mut().zip(parts).for_each(|(g, part)| *g += part);
@@ -171,9 +170,12 @@ impl Smplify {
                 let body = BodyParameters::from_vector(&x, betas);
                 let surface = dressed.surface(&body, &x[BETAS_AT + betas..])?;
                 let matched = silhouette.matched(surface.vertices(), dressed.faces())?;
-                let found = solve(&x, |_| true, &options, |x, gradient| {
-                    Ok(scene.evaluate(x, &matched, gradient)?.weighted(config))
-                })?;
+                let found = solve(
+                    &x,
+                    |_| true,
+                    &options,
+                    |x, gradient| Ok(scene.evaluate(x, &matched, gradient)?.weighted(config)),
+                )?;
                 x = found.x;
                 evaluations += found.evaluations;
                 curves.push(found.curve);
@@ -192,8 +194,7 @@ impl Smplify {
         };
         let rendering = render(surface.vertices(), dressed.faces(), camera)?;
         let intersection_over_union = rendering.mask().intersection_over_union(mask)?;
-        let joint_error =
-            self.energy(camera, &sightings, start.pixel).joint_error(&x, betas)?;
+        let joint_error = self.energy(camera, &sightings, start.pixel).joint_error(&x, betas)?;
         Ok(ClothedFit {
             problem: self.problem(joint_error * start.pixel).or_else(|| {
                 (intersection_over_union < config.accepted).then(|| {

@@ -140,10 +140,8 @@ impl DressedBody {
         let (transl, pose) = (leaf(&body.transl), leaf(&body.pose));
         let (betas, code) = (leaf(&body.betas), leaf(code));
         let rotations = self.smpl.body().rotations(Pose::AxisAngle(pose.clone()))?;
-        let feature = rotations
-            .clone()
-            .select(1, self.clothing_joints.clone())
-            .reshape([1, POSE_FEATURE]);
+        let feature =
+            rotations.clone().select(1, self.clothing_joints.clone()).reshape([1, POSE_FEATURE]);
         let decoded =
             self.generator.decode(code.clone(), feature, self.label.clone(), &self.graphs);
         let output = self.smpl.forward(SmplInput {

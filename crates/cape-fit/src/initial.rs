@@ -90,8 +90,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::{Skeleton, keypoints::Keypoint};
-    use cape_core::synth::synthetic_body;
+    use crate::{Skeleton, keypoints::Keypoint, testing::BODY};
 
     fn sightings(camera: &Camera, joints: &[DVec3], which: &[usize]) -> Vec<Sighting> {
         let sighting = |&joint: &usize| {
@@ -109,7 +108,7 @@ mod tests {
         fn far_bodies_are_placed(
             roll in -3.1f64..3.1, side in any::<bool>(), x in -2.0f64..2.0, limbs in any::<bool>(),
         ) {
-            let skeleton = Skeleton::new(&synthetic_body()).unwrap();
+            let skeleton = Skeleton::new(&BODY).unwrap();
             let camera = Camera::new(500, 400, Some(4000.0)).unwrap();
             let yaw = if side { std::f64::consts::PI } else { 0.0 };
             let turn = DQuat::from_rotation_z(roll) * DQuat::from_rotation_y(yaw);
@@ -130,7 +129,7 @@ mod tests {
     #[test]
     fn what_says_nothing_is_refused() {
         let camera = Camera::new(500, 400, None).unwrap();
-        let rest = Skeleton::new(&synthetic_body()).unwrap().rest(&[]);
+        let rest = Skeleton::new(&BODY).unwrap().rest(&[]);
         let seen = sightings(&camera, &rest, &[1, 2, 16]);
         let message = place(&camera, &rest, &seen, 0.0).unwrap_err().to_string();
         assert!(message.contains("3 joints"), "{message}");

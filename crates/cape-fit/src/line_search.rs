@@ -30,7 +30,8 @@ pub(crate) fn search<E>(
     first: f64,
     mut at: impl FnMut(f64) -> Result<Point, E>,
 ) -> Result<Option<Point>, E> {
-    let decreases = |point: &Point| point.value <= start.value + DECREASE * point.step * start.slope;
+    let decreases =
+        |point: &Point| point.value <= start.value + DECREASE * point.step * start.slope;
     let flat = |point: &Point| point.slope.abs() <= -CURVATURE * start.slope;
     let mut low = start.clone();
     let mut high: Option<Point> = None;

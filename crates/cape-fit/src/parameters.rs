@@ -10,17 +10,17 @@ use crate::{
 };
 
 /// Numbers of a pose.
-pub const POSE: usize = 3 * JOINTS;
+pub(crate) const POSE: usize = 3 * JOINTS;
 
 /// Where translation, pose and shape are in the vector of unknowns; a code follows them.
 pub(crate) const TRANSL_AT: usize = 0;
 pub(crate) const POSE_AT: usize = 3;
 pub(crate) const BETAS_AT: usize = POSE_AT + POSE;
 
-/// Sizes of ordinary changes, by which unknowns are measured when they are solved for: metres,
-/// radians, standard deviations.
-const TRANSL_SCALE: f64 = 0.1;
-const POSE_SCALE: f64 = 0.3;
+/// Changes that move a body's surface about as much, by which unknowns are measured when they are
+/// solved for: metres, radians, standard deviations.
+const TRANSL_SCALE: f64 = 0.03;
+const POSE_SCALE: f64 = 0.1;
 const OTHER_SCALE: f64 = 1.0;
 
 /// A body in front of the camera.
@@ -80,8 +80,7 @@ pub(crate) fn transl(x: &[f64]) -> DVec3 {
     DVec3::from_slice(&x[TRANSL_AT..])
 }
 
-/// Minimises over the unknowns for which `free` says so, each measured by the size of its ordinary
-/// changes.
+/// Minimises over the unknowns for which `free` says so, each measured by changes of like effect.
 pub(crate) fn solve(
     x: &[f64],
     free: impl Fn(usize) -> bool,
@@ -124,10 +123,15 @@ mod tests {
     #[test]
     fn only_free_unknowns_move() {
         let x = vec![1.0; 80];
-        let found = solve(&x, |at| at % 2 == 0, &LbfgsOptions::default(), |x, g| {
-            g.copy_from_slice(x);
-            Ok(0.5 * x.iter().map(|x| x * x).sum::<f64>())
-        });
+        let found = solve(
+            &x,
+            |at| at % 2 == 0,
+            &LbfgsOptions::default(),
+            |x, g| {
+                g.copy_from_slice(x);
+                Ok(0.5 * x.iter().map(|x| x * x).sum::<f64>())
+            },
+        );
         for (at, x) in found.unwrap().x.iter().enumerate() {
             let expected = if at % 2 == 0 { 0.0 } else { 1.0 };
             assert!((x - expected).abs() < 1e-4, "{at} {x}");

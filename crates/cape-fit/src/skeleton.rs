@@ -138,13 +138,14 @@ impl PosedSkeleton<'_> {
         let mut betas = vec![0.0; self.betas];
         for joint in (0..count).rev() {
             let above = parents[joint].map_or(DMat3::IDENTITY, |parent| self.rotations[parent]);
-            let turned = left_jacobian(-angles(self.pose, joint))
-                * (above.transpose() * torque[joint]);
+            let turned =
+                left_jacobian(-angles(self.pose, joint)) * (above.transpose() * torque[joint]);
             pose[3 * joint..3 * joint + 3].copy_from_slice(&turned.to_array());
             let stretched = above.transpose() * force[joint];
             for (beta, slot) in betas.iter_mut().enumerate() {
                 let own = self.skeleton.directions[joint][beta];
-                let base = parents[joint].map_or(DVec3::ZERO, |p| self.skeleton.directions[p][beta]);
+                let base =
+                    parents[joint].map_or(DVec3::ZERO, |p| self.skeleton.directions[p][beta]);
                 *slot += stretched.dot(own - base);
             }
             if let Some(parent) = parents[joint] {
@@ -182,18 +183,17 @@ fn left_jacobian(v: DVec3) -> DMat3 {
 
 #[cfg(test)]
 mod tests {
-    use cape_core::synth::synthetic_body;
     use proptest::prelude::*;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::testing::assert_gradient;
+    use crate::testing::{BODY, assert_gradient};
 
     #[test]
     fn joints_are_the_bodys() {
-        let model = synthetic_body();
-        let skeleton = Skeleton::new(&model).unwrap();
+        let model = &*BODY;
+        let skeleton = Skeleton::new(model).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let pose: Vec<f64> = (0..72).map(|_| rng.random_range(-1.0..1.0)).collect();
         let betas = [0.5, -1.5, 0.3];
@@ -211,7 +211,7 @@ mod tests {
 
     #[test]
     fn gradients_agree_with_finite_differences() {
-        let skeleton = Skeleton::new(&synthetic_body()).unwrap();
+        let skeleton = Skeleton::new(&BODY).unwrap();
         for scale in [0.0, 1e-4, 0.4, 2.5] {
             let mut rng = ChaCha8Rng::seed_from_u64(5);
             let mut random = || rng.random_range(-1.0..1.0f64);

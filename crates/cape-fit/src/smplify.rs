@@ -4,6 +4,7 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use cape_core::SmplModel;
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -48,7 +49,7 @@ impl Default for SmplifyConfig {
             robust: 0.3,
             stages: [100.0, 20.0, 4.0, 1.0].map(stage).to_vec(),
             facing: vec![0.0, PI, FRAC_PI_2, -FRAC_PI_2],
-            optimiser: LbfgsOptions { gain: 1e-7, ..LbfgsOptions::default() },
+            optimiser: LbfgsOptions { gain: 1e-6, ..LbfgsOptions::default() },
             accepted: 0.1,
         }
     }
@@ -153,8 +154,8 @@ impl Smplify {
         }
     }
 
-    /// The body that explains the keypoints best. Where it starts, except for place and
-    /// orientation, is a pose that people often take, or `initial`.
+    /// The body that explains the keypoints best, of those found from the poses that people often
+    /// take, or from `initial`, in every orientation that the configuration names.
     ///
     /// # Errors
     /// If too few joints were seen to place a body, or `initial` is none.
@@ -165,74 +166,102 @@ impl Smplify {
         initial: Option<&BodyParameters>,
     ) -> Result<BodyFit> {
         let betas = self.config.betas.min(self.skeleton.betas());
-        let mut start = match initial {
-            Some(initial) => {
-                initial.check()?;
-                initial.clone()
-            }
-            None => BodyParameters {
-                transl: [0.0; 3],
-                pose: [vec![0.0; 3], self.prior.typical()].concat(),
-                betas: Vec::new(),
-            },
-        };
-        start.betas.resize(betas, 0.0);
-        start.pose[..3].fill(0.0);
         let sightings = self.sightings(keypoints);
-        let joints =
-            self.skeleton.pose(&start.betas, &start.pose, glam::DVec3::ZERO)?.joints().to_vec();
-        let mut best: Option<(f64, BodyFit)> = None;
-        for &facing in &self.config.facing {
-            let placement = place(camera, &joints, &sightings, facing)?;
-            let found = self.fit_from(camera, &sightings, &start, &placement, facing)?;
-            if best.as_ref().is_none_or(|(least, _)| found.0 < *least) {
-                best = Some(found);
+        let mut attempts = Vec::new();
+        for mut start in self.starts(initial)? {
+            start.betas.resize(betas, 0.0);
+            start.pose[..3].fill(0.0);
+            let joints = self.skeleton.pose(&start.betas, &start.pose, DVec3::ZERO)?;
+            for &facing in &self.config.facing {
+                let placement = place(camera, joints.joints(), &sightings, facing)?;
+                attempts.push(self.attempt(camera, &sightings, &start, &placement, facing)?);
             }
         }
-        best.map(|(_, fit)| fit)
-            .ok_or_else(|| Error::Failed("no orientation of the body has a finite energy".into()))
+        let last = self.config.stages.last().copied().unwrap_or_default();
+        let finite = attempts.into_iter().filter(|attempt| attempt.energy.is_finite());
+        let best = finite.min_by(|a, b| a.energy.total_cmp(&b.energy));
+        let Some(Attempt { x, curves, pixel, facing, .. }) = best else {
+            return Err(Error::Failed("no orientation of the body has a finite energy".into()));
+        };
+        let energy = self.energy(camera, &sightings, pixel);
+        let joint_error = energy.joint_error(&x, betas)?;
+        Ok(BodyFit {
+            parameters: BodyParameters::from_vector(&x, betas),
+            terms: energy.evaluate(&x, betas, &last, &mut vec![0.0; x.len()])?,
+            curves,
+            joint_error,
+            pixel,
+            facing,
+            problem: self.problem(joint_error * pixel),
+        })
     }
 
-    /// From one placement: place and orientation first, then everything, stage by stage.
-    fn fit_from(
+    fn starts(&self, initial: Option<&BodyParameters>) -> Result<Vec<BodyParameters>> {
+        if let Some(initial) = initial {
+            initial.check()?;
+            return Ok(vec![initial.clone()]);
+        }
+        let standing = self.prior.means().rows().into_iter();
+        standing
+            .map(|pose| BodyParameters::new([&[0.0; 3], &pose.to_vec()[..]].concat(), vec![]))
+            .collect()
+    }
+
+    /// Place and orientation by the first stage's weights, then everything, stage by stage.
+    fn attempt(
         &self,
         camera: &Camera,
         sightings: &[Sighting],
         start: &BodyParameters,
         placement: &Placement,
         facing: f64,
-    ) -> Result<(f64, BodyFit)> {
-        let betas = start.betas.len();
-        let pixel = placement.distance / camera.focal();
-        let energy = self.energy(camera, sightings, pixel);
+    ) -> Result<Attempt> {
         let mut body = start.clone();
         body.transl = placement.transl.to_array();
         body.pose[..3].copy_from_slice(&placement.orientation.to_array());
-        let mut x = body.to_vector();
-        let mut curves = Vec::with_capacity(self.config.stages.len() + 1);
-        let rigid = |at: usize| at < POSE_AT + 3;
-        let stages = self.config.stages.iter();
-        let first = self.config.stages.first().map(|weights| (weights, true));
-        for (weights, placing) in first.into_iter().chain(stages.map(|weights| (weights, false))) {
-            let free = |at: usize| !placing || rigid(at);
-            let found = solve(&x, free, &self.config.optimiser, |x, gradient| {
-                Ok(energy.evaluate(x, betas, weights, gradient)?.weighted(weights))
-            })?;
-            x = found.x;
-            curves.push(found.curve);
-        }
-        let weights = self.config.stages.last().copied().unwrap_or_default();
-        let terms = energy.evaluate(&x, betas, &weights, &mut vec![0.0; x.len()])?;
-        let joint_error = energy.joint_error(&x, betas)?;
-        let fit = BodyFit {
-            parameters: BodyParameters::from_vector(&x, betas),
-            terms,
-            curves,
-            joint_error,
-            pixel,
+        let mut attempt = Attempt {
+            x: body.to_vector(),
+            betas: body.betas.len(),
+            energy: f64::INFINITY,
+            curves: Vec::new(),
+            pixel: placement.distance / camera.focal(),
             facing,
-            problem: self.problem(joint_error * pixel),
         };
-        Ok((terms.weighted(&weights), fit))
+        let weights = self.config.stages.first().copied().unwrap_or_default();
+        self.descend(camera, sightings, &mut attempt, &weights, |at| at < POSE_AT + 3)?;
+        for weights in &self.config.stages {
+            self.descend(camera, sightings, &mut attempt, weights, |_| true)?;
+        }
+        Ok(attempt)
     }
+
+    fn descend(
+        &self,
+        camera: &Camera,
+        sightings: &[Sighting],
+        attempt: &mut Attempt,
+        weights: &BodyWeights,
+        free: impl Fn(usize) -> bool,
+    ) -> Result<()> {
+        let energy = self.energy(camera, sightings, attempt.pixel);
+        let found = solve(&attempt.x, free, &self.config.optimiser, |x, gradient| {
+            Ok(energy.evaluate(x, attempt.betas, weights, gradient)?.weighted(weights))
+        })?;
+        attempt.x = found.x;
+        attempt.energy = found.value;
+        attempt.curves.push(found.curve);
+        Ok(())
+    }
+}
+
+/// A body on its way.
+#[derive(Debug, Clone)]
+struct Attempt {
+    x: Vec<f64>,
+    betas: usize,
+    /// By the weights of the stage it has been through.
+    energy: f64,
+    curves: Vec<Vec<f64>>,
+    pixel: f64,
+    facing: f64,
 }

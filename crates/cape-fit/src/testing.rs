@@ -1,5 +1,12 @@
 //! What tests share.
 
+use std::sync::LazyLock;
+
+use cape_core::{SmplModel, synth::synthetic_body};
+
+/// The synthetic body, made once.
+pub(crate) static BODY: LazyLock<SmplModel> = LazyLock::new(synthetic_body);
+
 /// Asserts that a gradient is that of `value` at `x` by central differences, to `tolerance` of the
 /// largest component.
 pub(crate) fn assert_gradient(

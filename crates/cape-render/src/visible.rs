@@ -26,7 +26,10 @@ pub fn visible_faces(
         )));
     }
     if let Some(face) = faces.iter().find(|face| face.iter().any(|&i| i as usize >= points.len())) {
-        return Err(Error::Argument(format!("face {face:?}, but there are {} points", points.len())));
+        return Err(Error::Argument(format!(
+            "face {face:?}, but there are {} points",
+            points.len()
+        )));
     }
     let points: Vec<Point> = points.iter().map(point).collect();
     let seen = rasterise(&points, faces, width as usize, height as usize);
@@ -46,9 +49,8 @@ mod tests {
 
     #[test]
     fn nearer_faces_hide_farther_ones() {
-        let square = |z: f64, size: f64| {
-            [[0.0, 0.0, z], [size, 0.0, z], [size, size, z], [0.0, size, z]]
-        };
+        let square =
+            |z: f64, size: f64| [[0.0, 0.0, z], [size, 0.0, z], [size, size, z], [0.0, size, z]];
         let points: Vec<[f64; 3]> = [square(2.0, 4.0), square(5.0, 8.0)].concat();
         let faces = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]];
         let seen = visible_faces(&points, &faces, 10, 9).unwrap();

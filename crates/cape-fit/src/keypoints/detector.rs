@@ -20,36 +20,36 @@ pub enum Detector {
 type Table = &'static [(usize, usize)];
 
 const BODY_25: Table = &[
-    (1, 12),  // neck
-    (2, 17),  // right shoulder
-    (3, 19),  // right elbow
-    (4, 21),  // right wrist
-    (5, 16),  // left shoulder
-    (6, 18),  // left elbow
-    (7, 20),  // left wrist
-    (8, 0),   // middle of the hips: pelvis
-    (9, 2),   // right hip
-    (10, 5),  // right knee
-    (11, 8),  // right ankle
-    (12, 1),  // left hip
-    (13, 4),  // left knee
-    (14, 7),  // left ankle
+    (1, 12), // neck
+    (2, 17), // right shoulder
+    (3, 19), // right elbow
+    (4, 21), // right wrist
+    (5, 16), // left shoulder
+    (6, 18), // left elbow
+    (7, 20), // left wrist
+    (8, 0),  // middle of the hips: pelvis
+    (9, 2),  // right hip
+    (10, 5), // right knee
+    (11, 8), // right ankle
+    (12, 1), // left hip
+    (13, 4), // left knee
+    (14, 7), // left ankle
 ];
 
 const COCO_18: Table = &[
-    (1, 12),  // neck
-    (2, 17),  // right shoulder
-    (3, 19),  // right elbow
-    (4, 21),  // right wrist
-    (5, 16),  // left shoulder
-    (6, 18),  // left elbow
-    (7, 20),  // left wrist
-    (8, 2),   // right hip
-    (9, 5),   // right knee
-    (10, 8),  // right ankle
-    (11, 1),  // left hip
-    (12, 4),  // left knee
-    (13, 7),  // left ankle
+    (1, 12), // neck
+    (2, 17), // right shoulder
+    (3, 19), // right elbow
+    (4, 21), // right wrist
+    (5, 16), // left shoulder
+    (6, 18), // left elbow
+    (7, 20), // left wrist
+    (8, 2),  // right hip
+    (9, 5),  // right knee
+    (10, 8), // right ankle
+    (11, 1), // left hip
+    (12, 4), // left knee
+    (13, 7), // left ankle
 ];
 
 const COCO_17: Table = &[

@@ -40,9 +40,10 @@ impl People {
         let refuse = |message: String| Err(Error::Observation(message));
         match (person, count) {
             (_, 0) => refuse("the keypoints are of nobody".into()),
-            (None, 2..) => {
-                refuse(format!("the keypoints are of {count} people: choose one, 0 to {}", count - 1))
-            }
+            (None, 2..) => refuse(format!(
+                "the keypoints are of {count} people: choose one, 0 to {}",
+                count - 1
+            )),
             (person, _) => {
                 let person = person.unwrap_or(0);
                 match self.people.into_iter().nth(person) {
@@ -187,9 +188,8 @@ mod tests {
             assert_eq!(keypoints.detector(), detector);
             assert_eq!(keypoints.points()[3], Keypoint { x: 3.5, y: 6.0, confidence: 0.7 });
         }
-        let entry = |image: usize| {
-            format!("{{\"image_id\": {image}, \"keypoints\": [{}]}}", row(17, 2.0))
-        };
+        let entry =
+            |image: usize| format!("{{\"image_id\": {image}, \"keypoints\": [{}]}}", row(17, 2.0));
         for text in [
             format!("[{}, {}]", entry(1), entry(1)),
             format!("{{\"annotations\": [{}, {}]}}", entry(1), entry(1)),

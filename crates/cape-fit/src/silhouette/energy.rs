@@ -153,18 +153,16 @@ fn rounded(d: f64) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
-    use cape_core::synth::synthetic_body;
-
     use super::*;
-    use crate::testing::assert_gradient;
+    use crate::testing::{BODY, assert_gradient};
 
     /// The synthetic body, raised, made wider, and moved to the right.
     fn body(width: f64, shift: f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
-        let body = synthetic_body();
+        let body = &*BODY;
         let rows = body.v_template.rows().into_iter();
         let vertices =
             rows.map(|v| DVec3::new(v[0] * width + shift, v[1] + 0.3, v[2] * width - 2.6));
-        (vertices.collect(), body.faces)
+        (vertices.collect(), body.faces.clone())
     }
 
     fn camera() -> Camera {
@@ -229,31 +227,34 @@ mod tests {
             DVec3::new(phase.sin(), (1.3 * phase).cos(), (0.4 * phase).sin()) * 0.2
         };
         let moved = |x: &[f64]| -> Vec<DVec3> {
-            let change = |i: usize| x.iter().enumerate().map(|(w, x)| mode(w, i) * *x).sum::<DVec3>();
+            let change =
+                |i: usize| x.iter().enumerate().map(|(w, x)| mode(w, i) * *x).sum::<DVec3>();
             vertices.iter().enumerate().map(|(i, v)| *v + change(i)).collect()
         };
         let value = |x: &[f64], gradient: &mut [DVec3]| {
             matched.evaluate(&moved(x), 2.0, gradient).total() * 2.0
         };
-        // Off the kinks of the field, where it is as it was matched.
-        let x = [2e-3, -1e-3, 3e-3, 1.5e-3];
-        let mut by_vertices = vec![DVec3::ZERO; vertices.len()];
-        value(&x, &mut by_vertices);
-        let gradient: Vec<f64> = (0..x.len())
-            .map(|w| by_vertices.iter().enumerate().map(|(i, g)| g.dot(mode(w, i))).sum())
-            .collect();
-        let none = &mut vec![DVec3::ZERO; vertices.len()];
-        assert_gradient(&x, &gradient, 2e-2, |x| value(x, none));
+        // As matched, and moved.
+        for x in [[0.0; 4], [0.02, -0.01, 0.03, 0.015]] {
+            let mut by_vertices = vec![DVec3::ZERO; vertices.len()];
+            value(&x, &mut by_vertices);
+            let gradient: Vec<f64> = (0..x.len())
+                .map(|w| by_vertices.iter().enumerate().map(|(i, g)| g.dot(mode(w, i))).sum())
+                .collect();
+            let none = &mut vec![DVec3::ZERO; vertices.len()];
+            assert_gradient(&x, &gradient, 2e-3, |x| value(x, none));
+        }
     }
 
-    /// The derivative of the paper's sums themselves, over changes of some pixels.
+    /// The derivative of the paper's sums themselves, over changes of some pixels, but for the growth
+    /// of what rendered pixels stand for.
     #[test]
     fn the_gradient_is_that_of_the_sums() {
         let (truth, faces) = body(1.0, 0.0);
         let energy = energy(&truth, &faces);
         type Change = fn(f64) -> (Vec<DVec3>, Vec<[u32; 3]>);
         let changes: [(&str, Change); 2] =
-            [("shift", |t| body(1.0, 0.15 + t)), ("width", |t| body(1.15 + t, 0.0))];
+            [("shift", |t| body(1.0, 0.15 + t)), ("width", |t| body(1.1 + t, 0.0))];
         for (name, change) in changes {
             let step = 0.02;
             let [before, now, after] = [-step, 0.0, step].map(|t| change(t).0);
@@ -263,7 +264,7 @@ mod tests {
             energy.matched(&now, &faces).unwrap().evaluate(&now, 1.0, &mut gradient);
             let moved = after.iter().zip(&before).map(|(a, b)| (*a - *b) / (2.0 * step));
             let found: f64 = gradient.iter().zip(moved).map(|(g, d)| g.dot(d)).sum();
-            assert!((found - expected).abs() < 0.15 * expected.abs(), "{name}: {found} {expected}");
+            assert!((found - expected).abs() < 0.25 * expected.abs(), "{name}: {found} {expected}");
         }
     }
 

@@ -79,17 +79,15 @@ impl Rendering {
 
 #[cfg(test)]
 mod tests {
-    use cape_core::synth::synthetic_body;
-
     use super::*;
+    use crate::testing::BODY;
 
     #[test]
     fn surface_points_are_at_their_pixels() {
-        let body = synthetic_body();
+        let body = &*BODY;
         let camera = Camera::new(120, 90, None).unwrap();
         let rows = body.v_template.rows().into_iter();
-        let vertices: Vec<DVec3> =
-            rows.map(|v| DVec3::new(v[0], v[1] + 0.3, v[2] - 2.5)).collect();
+        let vertices: Vec<DVec3> = rows.map(|v| DVec3::new(v[0], v[1] + 0.3, v[2] - 2.5)).collect();
         let rendering = render(&vertices, &body.faces, &camera).unwrap();
         let mut count = 0;
         for (pixel, &covered) in rendering.mask().covered().iter().enumerate() {
