@@ -4,7 +4,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Camera, PosePrior, Result, Skeleton,
+    Camera, Error, PosePrior, Result, Skeleton,
     keypoints::Sighting,
     parameters::{BETAS_AT, POSE_AT, transl},
 };
@@ -26,6 +26,27 @@ pub struct BodyWeights {
     pub shape: f64,
     /// λ_a of unnatural bends.
     pub bend: f64,
+}
+
+impl BodyWeights {
+    /// Refuses weights that are negative or not finite.
+    pub(crate) fn check(&self) -> Result<()> {
+        let Self { joints, pose, shape, bend } = *self;
+        for (field, weight) in
+            [("joints", joints), ("pose", pose), ("shape", shape), ("bend", bend)]
+        {
+            check_weight(field, weight)?;
+        }
+        Ok(())
+    }
+}
+
+/// Refuses a weight that is negative or not finite.
+pub(crate) fn check_weight(field: &str, weight: f64) -> Result<()> {
+    if weight >= 0.0 && weight.is_finite() {
+        return Ok(());
+    }
+    Err(Error::argument(format!("configuration: `{field}` of {weight}, expected 0 or more")))
 }
 
 impl Default for BodyWeights {

@@ -7,10 +7,14 @@ use serde::{Deserialize, Serialize};
 use crate::{
     BodyFit, BodyParameters, BodyTerms, BodyWeights, Camera, DressedBody, Error, Keypoints,
     LbfgsOptions, Mask, Result, Smplify,
+    body_energy::check_weight,
     keypoints::Sighting,
     parameters::{BETAS_AT, solve},
     silhouette::{Matched, SilhouetteEnergy, SilhouetteTerms, render},
 };
+
+/// Fewest pixels of a scale's longer side.
+const SMALLEST: u32 = 16;
 
 /// One scale of the comparison of silhouettes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -53,6 +57,20 @@ impl Default for ClothedConfig {
             ],
             accepted: 0.85,
         }
+    }
+}
+
+impl ClothedConfig {
+    fn check(&self) -> Result<()> {
+        self.body.check()?;
+        check_weight("silhouette", self.silhouette)?;
+        check_weight("code", self.code)?;
+        if self.levels.is_empty() || self.levels.iter().any(|level| level.side < SMALLEST) {
+            return Err(Error::argument(format!(
+                "configuration: `levels`: expected at least one, of {SMALLEST} pixels or more"
+            )));
+        }
+        Ok(())
     }
 }
 
@@ -146,9 +164,7 @@ impl Smplify {
     ) -> Result<ClothedFit> {
         mask.check(camera)?;
         start.parameters.check()?;
-        if config.levels.is_empty() {
-            return Err(Error::argument("levels: expected at least one"));
-        }
+        config.check()?;
         let sightings = self.sightings(keypoints);
         let betas = start.parameters.betas.len();
         let scene = Scene {

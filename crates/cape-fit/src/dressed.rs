@@ -174,8 +174,7 @@ impl DressedSurface {
                 self.vertices.len()
             )));
         }
-        let values: Vec<f32> =
-            forces.iter().flat_map(|force| force.to_array()).map(|x| x as f32).collect();
+        let values: Vec<f32> = forces.iter().flat_map(DVec3::to_array).map(|x| x as f32).collect();
         let forces = TensorData::new(values, [1, forces.len(), 3]);
         let forces = Tensor::<3>::from_data(forces, &self.output.device());
         let gradients = (self.output.clone() * forces).sum().backward();

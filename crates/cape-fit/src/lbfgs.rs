@@ -82,45 +82,42 @@ pub fn minimise<E>(
     let mut memory = Memory { pairs: VecDeque::new(), most: options.history.max(1) };
     let mut now = evaluate(&x, &vec![0.0; x.len()], 0.0)?;
     let mut curve = vec![now.value];
-    let mut stop = Stop::Steps;
-    if !now.value.is_finite() {
-        stop = Stop::Line;
-    } else {
-        for _ in 0..options.steps {
-            let steepest = now.gradient.iter().fold(0.0f64, |most, g| most.max(g.abs()));
-            if steepest <= options.gradient {
-                stop = Stop::Gradient;
+    let (steps, mut stop) =
+        if now.value.is_finite() { (options.steps, Stop::Steps) } else { (0, Stop::Line) };
+    for _ in 0..steps {
+        let steepest = now.gradient.iter().fold(0.0f64, |most, g| most.max(g.abs()));
+        if steepest <= options.gradient {
+            stop = Stop::Gradient;
+            break;
+        }
+        let mut direction = memory.direction(&now.gradient);
+        now.slope = dot(&now.gradient, &direction);
+        if now.slope >= 0.0 {
+            memory.pairs.clear();
+            direction = now.gradient.iter().map(|g| -g).collect();
+            now.slope = -dot(&now.gradient, &now.gradient);
+        }
+        let first = if memory.pairs.is_empty() { 1.0 / (1.0 + steepest) } else { 1.0 };
+        now.step = 0.0;
+        let Some(next) = search(&now, first, |step| evaluate(&x, &direction, step))? else {
+            if memory.pairs.is_empty() {
+                stop = Stop::Line;
                 break;
             }
-            let mut direction = memory.direction(&now.gradient);
-            now.slope = dot(&now.gradient, &direction);
-            if now.slope >= 0.0 {
-                memory.pairs.clear();
-                direction = now.gradient.iter().map(|g| -g).collect();
-                now.slope = -dot(&now.gradient, &now.gradient);
-            }
-            let first = if memory.pairs.is_empty() { 1.0 / (1.0 + steepest) } else { 1.0 };
-            now.step = 0.0;
-            let Some(next) = search(&now, first, |step| evaluate(&x, &direction, step))? else {
-                if memory.pairs.is_empty() {
-                    stop = Stop::Line;
-                    break;
-                }
-                // What is remembered may mislead: once more downhill.
-                memory.pairs.clear();
-                continue;
-            };
-            let change: Vec<f64> = direction.iter().map(|d| next.step * d).collect();
-            let bend = next.gradient.iter().zip(&now.gradient).map(|(a, b)| a - b).collect();
-            x.iter_mut().zip(&change).for_each(|(x, d)| *x += d);
-            memory.push(change, bend);
-            let gain = now.value - next.value;
-            now = next;
-            curve.push(now.value);
-            if gain <= options.gain * now.value.abs().max(1e-12) {
-                stop = Stop::Gain;
-                break;
-            }
+            // What is remembered may mislead: once more downhill.
+            memory.pairs.clear();
+            continue;
+        };
+        let change: Vec<f64> = direction.iter().map(|d| next.step * d).collect();
+        let bend = next.gradient.iter().zip(&now.gradient).map(|(a, b)| a - b).collect();
+        x.iter_mut().zip(&change).for_each(|(x, d)| *x += d);
+        memory.push(change, bend);
+        let gain = now.value - next.value;
+        now = next;
+        curve.push(now.value);
+        if gain <= options.gain * now.value.abs().max(1e-12) {
+            stop = Stop::Gain;
+            break;
         }
     }
     Ok(Minimum { x, value: now.value, curve, evaluations, stop })
@@ -156,7 +153,9 @@ impl Memory {
         }
         if let Some((change, bend)) = self.pairs.back() {
             let scale = dot(change, bend) / dot(bend, bend);
-            q.iter_mut().for_each(|q| *q *= scale);
+            for q in &mut q {
+                *q *= scale;
+            }
         }
         for ((change, bend), share) in self.pairs.iter().zip(shares.iter().rev()) {
             let other = dot(bend, &q) / dot(change, bend);

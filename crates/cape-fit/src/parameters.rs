@@ -54,10 +54,10 @@ impl BodyParameters {
             )));
         }
         let mut numbers = self.transl.iter().chain(&self.pose).chain(&self.betas);
-        match numbers.all(|x| x.is_finite()) {
-            true => Ok(()),
-            false => Err(Error::argument("translation, pose or betas are not finite")),
+        if numbers.all(|x| x.is_finite()) {
+            return Ok(());
         }
+        Err(Error::argument("translation, pose or betas are not finite"))
     }
 
     /// `[3 + 72 + betas]`.

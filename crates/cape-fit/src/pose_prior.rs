@@ -75,7 +75,9 @@ impl PosePrior {
             components.push(Component { mean, factor, offset: volume - weight.ln() });
         }
         let least = components.iter().map(|c| c.offset).fold(f64::INFINITY, f64::min);
-        components.iter_mut().for_each(|component| component.offset -= least);
+        for component in &mut components {
+            component.offset -= least;
+        }
         Ok(Self { components, weights, means, covariances })
     }
 
@@ -305,8 +307,8 @@ mod tests {
     /// A dictionary of (nested) lists in the text protocol, with SMPLify's keys.
     fn pickled(prior: &PosePrior) -> Vec<u8> {
         fn list(values: impl Iterator<Item = String>) -> String {
-            let items: String = values.map(|value| format!("{value}a")).collect();
-            format!("(l{items}")
+            let items: Vec<String> = values.map(|value| value + "a").collect();
+            format!("(l{}", items.concat())
         }
         let number = |x: &f64| format!("F{x:?}\n");
         let means = list(prior.means.rows().into_iter().map(|row| list(row.iter().map(number))));

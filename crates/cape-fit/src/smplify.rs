@@ -60,13 +60,18 @@ impl SmplifyConfig {
         let positive = [("deviation", self.deviation), ("robust", self.robust)];
         for (field, value) in positive {
             if !(value > 0.0 && value.is_finite()) {
-                return Err(Error::argument(format!("{field} of {value}, expected above 0")));
+                return Err(Error::argument(format!(
+                    "configuration: `{field}` of {value}, expected above 0"
+                )));
             }
         }
-        if self.stages.is_empty() || self.facing.is_empty() {
-            return Err(Error::argument("stages, facing: expected at least one each"));
+        let facing = !self.facing.is_empty() && self.facing.iter().all(|yaw| yaw.is_finite());
+        if self.stages.is_empty() || !facing {
+            return Err(Error::argument(
+                "configuration: `stages`, `facing`: expected at least one each, finite",
+            ));
         }
-        Ok(())
+        self.stages.iter().try_for_each(BodyWeights::check)
     }
 }
 
@@ -167,6 +172,9 @@ impl Smplify {
     ) -> Result<BodyFit> {
         let betas = self.config.betas.min(self.skeleton.betas());
         let sightings = self.sightings(keypoints);
+        let distance = place(camera, &self.skeleton.rest(&[]), &sightings, 0.0)?.distance;
+        let pixel = distance / camera.focal();
+        let energy = self.energy(camera, &sightings, pixel);
         let mut attempts = Vec::new();
         for mut start in self.starts(initial)? {
             start.betas.resize(betas, 0.0);
@@ -174,16 +182,15 @@ impl Smplify {
             let joints = self.skeleton.pose(&start.betas, &start.pose, DVec3::ZERO)?;
             for &facing in &self.config.facing {
                 let placement = place(camera, joints.joints(), &sightings, facing)?;
-                attempts.push(self.attempt(camera, &sightings, &start, &placement, facing)?);
+                attempts.push(self.attempt(&energy, &start, &placement, facing)?);
             }
         }
         let last = self.config.stages.last().copied().unwrap_or_default();
         let finite = attempts.into_iter().filter(|attempt| attempt.energy.is_finite());
         let best = finite.min_by(|a, b| a.energy.total_cmp(&b.energy));
-        let Some(Attempt { x, curves, pixel, facing, .. }) = best else {
+        let Some(Attempt { x, curves, facing, .. }) = best else {
             return Err(Error::Failed("no orientation of the body has a finite energy".into()));
         };
-        let energy = self.energy(camera, &sightings, pixel);
         let joint_error = energy.joint_error(&x, betas)?;
         Ok(BodyFit {
             parameters: BodyParameters::from_vector(&x, betas),
@@ -210,8 +217,7 @@ impl Smplify {
     /// Place and orientation by the first stage's weights, then everything, stage by stage.
     fn attempt(
         &self,
-        camera: &Camera,
-        sightings: &[Sighting],
+        energy: &BodyEnergy<'_>,
         start: &BodyParameters,
         placement: &Placement,
         facing: f64,
@@ -224,26 +230,23 @@ impl Smplify {
             betas: body.betas.len(),
             energy: f64::INFINITY,
             curves: Vec::new(),
-            pixel: placement.distance / camera.focal(),
             facing,
         };
         let weights = self.config.stages.first().copied().unwrap_or_default();
-        self.descend(camera, sightings, &mut attempt, &weights, |at| at < POSE_AT + 3)?;
+        self.descend(energy, &mut attempt, &weights, |at| at < POSE_AT + 3)?;
         for weights in &self.config.stages {
-            self.descend(camera, sightings, &mut attempt, weights, |_| true)?;
+            self.descend(energy, &mut attempt, weights, |_| true)?;
         }
         Ok(attempt)
     }
 
     fn descend(
         &self,
-        camera: &Camera,
-        sightings: &[Sighting],
+        energy: &BodyEnergy<'_>,
         attempt: &mut Attempt,
         weights: &BodyWeights,
         free: impl Fn(usize) -> bool,
     ) -> Result<()> {
-        let energy = self.energy(camera, sightings, attempt.pixel);
         let found = solve(&attempt.x, free, &self.config.optimiser, |x, gradient| {
             Ok(energy.evaluate(x, attempt.betas, weights, gradient)?.weighted(weights))
         })?;
@@ -262,6 +265,5 @@ struct Attempt {
     /// By the weights of the stage it has been through.
     energy: f64,
     curves: Vec<Vec<f64>>,
-    pixel: f64,
     facing: f64,
 }

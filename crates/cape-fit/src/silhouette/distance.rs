@@ -209,6 +209,8 @@ mod tests {
     use super::*;
     use crate::testing::assert_gradient;
 
+    type Metric = fn(f64, f64) -> f64;
+
     fn masks() -> impl Strategy<Value = Mask> {
         (1u32..24, 1u32..24, 0.0f64..0.5).prop_flat_map(|(width, height, share)| {
             let pixels = (width * height) as usize;
@@ -217,7 +219,7 @@ mod tests {
         })
     }
 
-    fn brute(mask: &Mask, metric: fn(f64, f64) -> f64) -> Vec<f64> {
+    fn brute(mask: &Mask, metric: Metric) -> Vec<f64> {
         let width = mask.width() as usize;
         let covered: Vec<usize> =
             (0..mask.covered().len()).filter(|&at| mask.covered()[at]).collect();
@@ -229,17 +231,16 @@ mod tests {
             .collect()
     }
 
-    fn between(a: usize, b: usize, width: usize, metric: fn(f64, f64) -> f64) -> f64 {
+    fn between(a: usize, b: usize, width: usize, metric: Metric) -> f64 {
         metric((a % width).abs_diff(b % width) as f64, (a / width).abs_diff(b / width) as f64)
     }
 
     proptest! {
         #[test]
         fn distances_are_those_of_brute_force(mask in masks()) {
-            let metrics: [(fn(&Mask) -> Nearest, fn(f64, f64) -> f64); 2] =
-                [(euclidean, |x, y| (x * x + y * y).sqrt()), (manhattan, |x, y| x + y)];
-            for (transform, metric) in metrics {
-                let found = transform(&mask);
+            let l2: Metric = |x, y| (x * x + y * y).sqrt();
+            let l1: Metric = |x, y| x + y;
+            for (found, metric) in [(euclidean(&mask), l2), (manhattan(&mask), l1)] {
                 let expected = brute(&mask, metric);
                 prop_assert_eq!(found.distance(), &expected[..]);
                 for (at, &site) in found.site().iter().enumerate() {

@@ -156,6 +156,8 @@ mod tests {
     use super::*;
     use crate::testing::{BODY, assert_gradient};
 
+    type Change = fn(f64) -> (Vec<DVec3>, Vec<[u32; 3]>);
+
     /// The synthetic body, raised, made wider, and moved to the right.
     fn body(width: f64, shift: f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
         let body = &*BODY;
@@ -252,7 +254,6 @@ mod tests {
     fn the_gradient_is_that_of_the_sums() {
         let (truth, faces) = body(1.0, 0.0);
         let energy = energy(&truth, &faces);
-        type Change = fn(f64) -> (Vec<DVec3>, Vec<[u32; 3]>);
         let changes: [(&str, Change); 2] =
             [("shift", |t| body(1.0, 0.15 + t)), ("width", |t| body(1.1 + t, 0.0))];
         for (name, change) in changes {
