@@ -231,4 +231,28 @@ impl Smplify {
             evaluations,
         })
     }
+
+    /// [`fit_clothed`](Self::fit_clothed) in each of several outfits, the one of the lowest energy
+    /// first.
+    ///
+    /// # Errors
+    /// As of [`fit_clothed`](Self::fit_clothed), or if there is no outfit.
+    pub fn fit_outfits(
+        &self,
+        outfits: &[DressedBody],
+        camera: &Camera,
+        keypoints: &Keypoints,
+        mask: &Mask,
+        start: &BodyFit,
+        config: &ClothedConfig,
+    ) -> Result<Vec<ClothedFit>> {
+        if outfits.is_empty() {
+            return Err(Error::argument("no outfit to fit"));
+        }
+        let fit = |dressed| self.fit_clothed(dressed, camera, keypoints, mask, start, config);
+        let mut fits: Vec<ClothedFit> = outfits.iter().map(fit).collect::<Result<_>>()?;
+        let energy = |fit: &ClothedFit| fit.terms.weighted(config);
+        fits.sort_by(|a, b| energy(a).total_cmp(&energy(b)));
+        Ok(fits)
+    }
 }

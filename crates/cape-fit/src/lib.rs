@@ -2,7 +2,7 @@
 //!
 //! [`Smplify`] finds the bare body behind [`Keypoints`]: a pose that people take ([`PosePrior`]),
 //! whose joints a [`Camera`] sees where a detector did. [`Smplify::fit_clothed`] goes on to the body
-//! in clothes ([`DressedBody`], of a trained model) whose [silhouette](silhouette) is a given
+//! in clothes ([`DressedBody`], of a trained model) whose [silhouette] is a given
 //! [`Mask`]. [`aligned_error`] compares outcomes with the truth.
 //!
 //! The camera is at the origin and looks along −z, y up; a body without orientation faces it. Units

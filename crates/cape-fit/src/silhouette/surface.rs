@@ -103,4 +103,21 @@ mod tests {
         assert!(count > 600, "{count}");
         assert!(render(&vertices, &[[0, 1, 99999]], &camera).is_err());
     }
+
+    #[test]
+    fn pictures_of_the_same_camera_agree() {
+        let camera = Camera::new(200, 160, Some(230.0)).unwrap();
+        let place = |v: [f64; 3]| DVec3::new(v[0] + 0.2, v[1] + 0.3, v[2] - 3.0);
+        let rows = BODY.v_template.rows().into_iter();
+        let vertices: Vec<DVec3> = rows.map(|v| place([v[0], v[1], v[2]])).collect();
+        let mesh = cape_core::Mesh {
+            vertices: vertices.iter().map(|v| v.as_vec3().to_array()).collect(),
+            faces: BODY.faces.clone(),
+        };
+        let picture =
+            cape_render::silhouette(&mesh, &camera.to_render([0.1, 10.0]), 200, 160).unwrap();
+        let rendering = render(&vertices, &BODY.faces, &camera).unwrap();
+        let overlap = rendering.mask().intersection_over_union(&Mask::of_image(&picture)).unwrap();
+        assert!(overlap > 0.995, "{overlap}");
+    }
 }
