@@ -29,6 +29,12 @@ pub struct Level {
 }
 
 /// How clothed bodies are fitted.
+///
+/// The default weights are those of a negative logarithm of a density (deviations of a detector, a
+/// mixture of poses, unit normal shapes and codes), with λ_S from a search over 8 to 12 held-out
+/// frames of the synthetic set for the lowest error at clothing vertices: it takes 36 % off the
+/// squared error of the bare body at 5e4 and at 1.5e5, 33 % at 2e4. A third of λ_θ or λ_z changes
+/// that by at most 3 %; three times λ_θ costs 8 %.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClothedConfig {
