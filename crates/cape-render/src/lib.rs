@@ -18,6 +18,7 @@ mod sheet;
 mod silhouette;
 mod text;
 mod texture;
+mod visible;
 
 pub use animation::save_animation;
 pub use camera::{Bounds, Camera, Projection, View};
@@ -31,3 +32,4 @@ pub use sheet::{Tile, contact_sheet};
 pub use silhouette::silhouette;
 pub use text::TextSize;
 pub use texture::Texture;
+pub use visible::visible_faces;

@@ -1,0 +1,148 @@
+//! Scale and translation for evaluation (CAPE eq. 12–13).
+//!
+//! One image does not tell how large and how far a body is: estimates are compared with the truth
+//! after the scale and translation that bring them closest, per frame and in closed form.
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, Result};
+
+/// `x ↦ s x + t`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Alignment {
+    /// `s`, which may be negative where points are mirrored.
+    pub scale: f64,
+    /// `t`, metres.
+    pub translation: [f64; 3],
+}
+
+impl Alignment {
+    /// The scale and translation that minimise `Σ ‖s a_i + t − b_i‖²`: of points all in one place,
+    /// a scale of 1.
+    ///
+    /// # Errors
+    /// If there are no points, or not as many of both.
+    pub fn between(estimate: &[DVec3], truth: &[DVec3]) -> Result<Self> {
+        if estimate.is_empty() || estimate.len() != truth.len() {
+            return Err(Error::argument(format!(
+                "{} estimated points and {} true ones, expected as many of both",
+                estimate.len(),
+                truth.len()
+            )));
+        }
+        let count = estimate.len() as f64;
+        let middle = |points: &[DVec3]| points.iter().sum::<DVec3>() / count;
+        let (a, b) = (middle(estimate), middle(truth));
+        let (mut along, mut spread) = (0.0, 0.0);
+        for (p, q) in estimate.iter().zip(truth) {
+            along += (*p - a).dot(*q - b);
+            spread += (*p - a).length_squared();
+        }
+        let scale = if spread > 0.0 { along / spread } else { 1.0 };
+        Ok(Self { scale, translation: (b - a * scale).to_array() })
+    }
+
+    /// A point, moved.
+    pub fn apply(&self, point: DVec3) -> DVec3 {
+        point * self.scale + DVec3::from_array(self.translation)
+    }
+}
+
+/// How far aligned estimates are from the truth.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AlignedError {
+    /// Mean squared distance, metres².
+    pub squared: f64,
+    /// Mean distance, metres.
+    pub distance: f64,
+}
+
+/// The errors at `vertices` (numbers, such as those that clothes cover) after the alignment of all
+/// points.
+///
+/// # Errors
+/// As of [`Alignment::between`], or if there is no vertex, or one is not there.
+pub fn aligned_error(
+    estimate: &[DVec3],
+    truth: &[DVec3],
+    vertices: &[usize],
+) -> Result<AlignedError> {
+    let alignment = Alignment::between(estimate, truth)?;
+    if let Some(vertex) = vertices.iter().find(|&&vertex| vertex >= truth.len()) {
+        return Err(Error::argument(format!("vertex {vertex} of {}", truth.len())));
+    }
+    if vertices.is_empty() {
+        return Err(Error::argument("no vertex to compare"));
+    }
+    let count = vertices.len() as f64;
+    let off = |&v: &usize| alignment.apply(estimate[v]).distance(truth[v]);
+    Ok(AlignedError {
+        squared: vertices.iter().map(|v| off(v).powi(2)).sum::<f64>() / count,
+        distance: vertices.iter().map(off).sum::<f64>() / count,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::convert::Infallible;
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::lbfgs::{LbfgsOptions, minimise};
+
+    fn points(numbers: &[f64]) -> Vec<DVec3> {
+        numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)).collect()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+
+        #[test]
+        fn the_closed_form_is_what_an_optimiser_finds(
+            a in prop::collection::vec(-1.0f64..1.0, 15),
+            b in prop::collection::vec(-1.0f64..1.0, 15),
+        ) {
+            let (a, b) = (points(&a), points(&b));
+            let found = Alignment::between(&a, &b).unwrap();
+            let options = LbfgsOptions { gain: 0.0, gradient: 1e-10, ..Default::default() };
+            let expected = minimise(vec![1.0, 0.0, 0.0, 0.0], &options, |x, g| {
+                g.fill(0.0);
+                let mut sum = 0.0;
+                for (p, q) in a.iter().zip(&b) {
+                    let off = *p * x[0] + DVec3::from_slice(&x[1..]) - *q;
+                    sum += off.length_squared();
+                    g[0] += 2.0 * off.dot(*p);
+                    (0..3).for_each(|i| g[1 + i] += 2.0 * off[i]);
+                }
+                Ok::<_, Infallible>(sum)
+            })
+            .unwrap();
+            prop_assert!((found.scale - expected.x[0]).abs() < 1e-6);
+            for i in 0..3 {
+                prop_assert!((found.translation[i] - expected.x[1 + i]).abs() < 1e-6);
+            }
+        }
+
+        #[test]
+        fn scaled_and_moved_points_come_back(
+            a in prop::collection::vec(-1.0f64..1.0, 12), scale in 0.2f64..4.0, x in -5.0f64..5.0,
+        ) {
+            let a = points(&a);
+            let b: Vec<DVec3> = a.iter().map(|p| (*p - DVec3::splat(x)) / scale).collect();
+            let error = aligned_error(&b, &a, &[0, 2]).unwrap();
+            prop_assert!(error.squared < 1e-20 && error.distance < 1e-10);
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_compared_is_refused() {
+        let one = [DVec3::ONE];
+        assert_eq!(Alignment::between(&one, &[DVec3::ZERO]).unwrap().scale, 1.0);
+        assert!(Alignment::between(&[], &[]).is_err());
+        assert!(Alignment::between(&one, &[]).is_err());
+        assert!(aligned_error(&one, &one, &[]).is_err());
+        assert!(aligned_error(&one, &one, &[1]).is_err());
+    }
+}

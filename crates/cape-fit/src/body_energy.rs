@@ -1,0 +1,256 @@
+//! SMPLify's energy (Bogo et al. 2016): what keypoints say of a body, and what bodies are like.
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    Camera, Error, PosePrior, Result, Skeleton,
+    keypoints::Sighting,
+    parameters::{BETAS_AT, POSE_AT, transl},
+};
+
+/// Angles of elbows and knees with the direction that they do not bend in: number in the pose, sign.
+/// Elbows turn about the vertical axis of the arm, knees about the transverse one.
+const BENDS: [(usize, f64); 4] =
+    [(18 * 3 + 1, 1.0), (19 * 3 + 1, -1.0), (4 * 3, -1.0), (5 * 3, -1.0)];
+
+/// Weights of the terms.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BodyWeights {
+    /// Of the reprojection of joints.
+    pub joints: f64,
+    /// λ_θ of the pose prior.
+    pub pose: f64,
+    /// λ_β of the shape prior.
+    pub shape: f64,
+    /// λ_a of unnatural bends.
+    pub bend: f64,
+}
+
+impl BodyWeights {
+    /// Refuses weights that are negative or not finite.
+    pub(crate) fn check(&self) -> Result<()> {
+        let Self { joints, pose, shape, bend } = *self;
+        for (field, weight) in
+            [("joints", joints), ("pose", pose), ("shape", shape), ("bend", bend)]
+        {
+            check_weight(field, weight)?;
+        }
+        Ok(())
+    }
+}
+
+/// Refuses a weight that is negative or not finite.
+pub(crate) fn check_weight(field: &str, weight: f64) -> Result<()> {
+    if weight >= 0.0 && weight.is_finite() {
+        return Ok(());
+    }
+    Err(Error::argument(format!("configuration: `{field}` of {weight}, expected 0 or more")))
+}
+
+impl Default for BodyWeights {
+    fn default() -> Self {
+        Self { joints: 1.0, pose: 1.0, shape: 0.5, bend: 1.0 }
+    }
+}
+
+/// The terms of the energy, unweighted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct BodyTerms {
+    /// `E_J`, in halves of squared deviations of the detector.
+    pub joints: f64,
+    /// `E_θ`, the negative logarithm of the pose prior's density.
+    pub pose: f64,
+    /// `E_β = ‖β‖²`.
+    pub shape: f64,
+    /// `E_a`, of elbows and knees.
+    pub bend: f64,
+}
+
+impl BodyTerms {
+    /// `E_J + λ_θ E_θ + λ_β E_β + λ_a E_a`.
+    pub fn weighted(&self, weights: &BodyWeights) -> f64 {
+        weights.joints * self.joints
+            + weights.pose * self.pose
+            + weights.shape * self.shape
+            + weights.bend * self.bend
+    }
+}
+
+/// The energy of bodies before a camera that saw keypoints.
+#[derive(Debug, Clone)]
+pub struct BodyEnergy<'a> {
+    /// The body's joints.
+    pub skeleton: &'a Skeleton,
+    /// What poses people take.
+    pub prior: &'a PosePrior,
+    /// Who looks.
+    pub camera: Camera,
+    /// What was seen.
+    pub sightings: &'a [Sighting],
+    /// Metres that a pixel is wide at the person's distance: errors are measured in metres, so that
+    /// weights do not depend on the size of the image.
+    pub pixel: f64,
+    /// Standard deviation of the detector, metres at the person's distance.
+    pub deviation: f64,
+    /// Size of errors from which they are rather mistakes, metres at the person's distance.
+    pub robust: f64,
+}
+
+impl BodyEnergy<'_> {
+    /// The terms at the unknowns `[3 + 72 + betas, …]`, of which `betas` shape coefficients are
+    /// used; the weighted gradient is added to `gradient`.
+    ///
+    /// # Errors
+    /// If sizes do not suit the body.
+    pub(crate) fn evaluate(
+        &self,
+        x: &[f64],
+        betas: usize,
+        weights: &BodyWeights,
+        gradient: &mut [f64],
+    ) -> Result<BodyTerms> {
+        let (pose, betas) = (&x[POSE_AT..BETAS_AT], &x[BETAS_AT..BETAS_AT + betas]);
+        let mut terms = BodyTerms::default();
+        if weights.joints > 0.0 {
+            let posed = self.skeleton.pose(betas, pose, transl(x))?;
+            let mut forces = vec![DVec3::ZERO; posed.joints().len()];
+            for sighting in self.sightings {
+                let at = posed.joints()[sighting.joint];
+                let seen = glam::DVec2::new(sighting.at.x, sighting.at.y);
+                let error = (self.camera.project(at) - seen) * self.pixel;
+                let (penalty, share) = geman_mcclure(error.length_squared(), self.robust);
+                let weight = sighting.at.confidence / (2.0 * self.deviation * self.deviation);
+                terms.joints += weight * penalty;
+                let pull = error * (2.0 * share * weight * weights.joints * self.pixel);
+                forces[sighting.joint] += self.camera.pull_back(at, pull);
+            }
+            let by = posed.pull_back(&forces);
+            let parts = by.transl.to_array().into_iter().chain(by.pose).chain(by.betas);
+            gradient.iter_mut().zip(parts).for_each(|(g, part)| *g += part);
+        }
+        terms.pose =
+            self.prior.energy(&pose[3..], weights.pose, &mut gradient[POSE_AT + 3..BETAS_AT]);
+        for (at, beta) in betas.iter().enumerate() {
+            terms.shape += beta * beta;
+            gradient[BETAS_AT + at] += 2.0 * weights.shape * beta;
+        }
+        for (at, sign) in BENDS {
+            let penalty = (sign * pose[at]).exp();
+            terms.bend += penalty;
+            gradient[POSE_AT + at] += weights.bend * sign * penalty;
+        }
+        Ok(terms)
+    }
+
+    /// Mean distance of the body's joints from where they were seen, pixels.
+    ///
+    /// # Errors
+    /// If sizes do not suit the body.
+    pub(crate) fn joint_error(&self, x: &[f64], betas: usize) -> Result<f64> {
+        let (pose, betas) = (&x[POSE_AT..BETAS_AT], &x[BETAS_AT..BETAS_AT + betas]);
+        let posed = self.skeleton.pose(betas, pose, transl(x))?;
+        let error = |s: &Sighting| {
+            let at = self.camera.project(posed.joints()[s.joint]);
+            s.at.confidence * (at.x - s.at.x).hypot(at.y - s.at.y)
+        };
+        let confidence: f64 = self.sightings.iter().map(|s| s.at.confidence).sum();
+        Ok(self.sightings.iter().map(error).sum::<f64>() / confidence.max(1e-9))
+    }
+}
+
+/// `ρ = σ² e² / (σ² + e²)` of a squared error, and its derivative by that.
+fn geman_mcclure(square: f64, sigma: f64) -> (f64, f64) {
+    let s = sigma * sigma;
+    let share = s / (s + square);
+    (share * square, share * share)
+}
+
+#[cfg(test)]
+mod tests {
+    use cape_core::{
+        joints::JOINT_NAMES,
+        synth::{Motion, MotionStyle},
+    };
+    use ndarray::{Array1, Array2, Array3};
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::{
+        keypoints::Keypoint,
+        pose_prior::BODY_POSE,
+        testing::{BODY, assert_gradient},
+    };
+
+    #[test]
+    fn gradients_agree_with_finite_differences() {
+        let skeleton = Skeleton::new(&BODY).unwrap();
+        let prior = PosePrior::new(
+            Array1::ones(1),
+            Array2::from_elem((1, BODY_POSE), 0.1),
+            Array3::from_shape_fn(
+                (1, BODY_POSE, BODY_POSE),
+                |(_, i, j)| {
+                    if i == j { 0.3 } else { 0.001 }
+                },
+            ),
+        )
+        .unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(8);
+        let sightings: Vec<Sighting> = (0..24)
+            .map(|joint| Sighting {
+                joint,
+                at: Keypoint {
+                    x: rng.random_range(100.0..400.0),
+                    y: rng.random_range(100.0..400.0),
+                    confidence: rng.random_range(0.1..1.0),
+                },
+            })
+            .collect();
+        let energy = BodyEnergy {
+            skeleton: &skeleton,
+            prior: &prior,
+            camera: Camera::new(512, 512, None).unwrap(),
+            sightings: &sightings,
+            pixel: 0.004,
+            deviation: 0.02,
+            robust: 0.3,
+        };
+        let mut x: Vec<f64> = (0..3 + 72 + 10).map(|_| rng.random_range(-0.5..0.5)).collect();
+        x[2] -= 3.0;
+        let weights = BodyWeights { joints: 0.7, pose: 1.3, shape: 2.0, bend: 4.0 };
+        let value = |x: &[f64], gradient: &mut [f64]| {
+            energy.evaluate(x, 10, &weights, gradient).unwrap().weighted(&weights)
+        };
+        let mut gradient = vec![0.0; x.len()];
+        value(&x, &mut gradient);
+        assert_gradient(&x, &gradient, 1e-6, |x| value(x, &mut vec![0.0; x.len()]));
+    }
+
+    #[test]
+    fn bends_are_penalised_the_unnatural_way() {
+        let joints: Vec<&str> = BENDS.iter().map(|&(at, _)| JOINT_NAMES[at / 3]).collect();
+        assert_eq!(joints, ["l_elbow", "r_elbow", "l_knee", "r_knee"]);
+        let mut lowest = [0.0f64; 4];
+        for motion in Motion::ALL {
+            for frame in 0..40 {
+                let pose = motion.pose(&MotionStyle::default(), 0.1 * f64::from(frame));
+                for (lowest, (at, sign)) in lowest.iter_mut().zip(BENDS) {
+                    *lowest = lowest.min(sign * pose[at]);
+                    assert!(sign * pose[at] < 0.05, "{motion} {}", JOINT_NAMES[at / 3]);
+                }
+            }
+        }
+        assert!(lowest.iter().all(|&most| most < -0.8), "{lowest:?}");
+    }
+
+    #[test]
+    fn far_errors_lose_their_pull() {
+        let (near, _) = geman_mcclure(0.01, 10.0);
+        assert!((near - 0.01).abs() < 1e-5);
+        let (far, share) = geman_mcclure(1e8, 10.0);
+        assert!((far - 100.0).abs() < 1e-3 && share < 1e-8);
+    }
+}

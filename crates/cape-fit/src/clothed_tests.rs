@@ -1,0 +1,173 @@
+//! Clothed bodies of a model with random weights, found again from keypoints and silhouette.
+
+use cape_core::{
+    ClothingMask, Outfit, devices,
+    synth::{Motion, MotionStyle},
+};
+use cape_model::{Cape, CapeConfig};
+use cape_train::{RunConfig, build_graphs, data::Statistics};
+use glam::DVec3;
+use ndarray::Array2;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::{
+    BodyParameters, Camera, ClothedConfig, Detector, DressedBody, Keypoint, Keypoints, Level, Mask,
+    PosePrior, Smplify, SmplifyConfig, aligned_error, dressed::Parts, silhouette::render,
+    testing::BODY,
+};
+
+fn dressed(outfit: Outfit) -> DressedBody {
+    let config = RunConfig {
+        model: CapeConfig {
+            filters: vec![32, 32, 32],
+            factors: vec![2, 2, 2],
+            latent: 6,
+            reduce: 8,
+            discriminator: None,
+            deviation: 0.3,
+            ..CapeConfig::paper()
+        },
+        ..RunConfig::default()
+    };
+    let device = &devices()[0];
+    let graphs = build_graphs(&config, &*BODY, device).unwrap();
+    let model = Cape::new(&config.model, &graphs, 3, device).unwrap();
+    let clothing: Vec<usize> = ClothingMask::from_weights(&BODY).unwrap().indices().collect();
+    // Clothes lie outwards of the body.
+    let rows = BODY.v_template.rows().into_iter().map(|v| {
+        let out = DVec3::new(v[0], 0.0, v[2]).normalize_or_zero() * 0.015;
+        out.to_array()
+    });
+    let mean = Array2::from(rows.collect::<Vec<_>>());
+    let statistics =
+        Statistics::new(mean.clone(), Array2::from_elem(mean.dim(), 0.006), 0).unwrap();
+    let parts = Parts {
+        generator: &model.generator,
+        config: &config,
+        body: &BODY,
+        clothing: &clothing,
+        statistics: &statistics,
+    };
+    DressedBody::of_parts(&parts, outfit, device).unwrap()
+}
+
+fn truth() -> (BodyParameters, Vec<f64>) {
+    let pose = Motion::MoveArms.pose(&MotionStyle::default(), 0.7).to_vec();
+    let mut body = BodyParameters::new(pose, vec![0.6, -1.0]).unwrap();
+    body.transl = [0.05, 0.25, -3.2];
+    (body, vec![1.2, -0.8, 0.5, 1.5, -1.0, 0.3])
+}
+
+#[test]
+fn gradients_agree_with_finite_differences() {
+    let dressed = dressed(Outfit::LongShort);
+    let (mut body, code) = truth();
+    // Near the origin, where single precision is finest.
+    body.transl = [0.0; 3];
+    let surface = dressed.surface(&body, &code).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    let forces: Vec<DVec3> = surface
+        .vertices()
+        .iter()
+        .map(|v| {
+            let mut random = || rng.random_range(-1.0..1.0);
+            DVec3::new(v.x, 0.3 * random(), v.z)
+        })
+        .collect();
+    let found = surface.pull_back(&forces).unwrap();
+    let value = |body: &BodyParameters, code: &[f64]| -> f64 {
+        let surface = dressed.surface(body, code).unwrap();
+        surface.vertices().iter().zip(&forces).map(|(v, f)| v.dot(*f)).sum()
+    };
+    let step = 4e-3;
+    let check = |name: &str, found: &[f64], tolerance: f64, change: &dyn Fn(usize, f64) -> f64| {
+        let expected: Vec<f64> = (0..found.len())
+            .map(|at| (change(at, step) - change(at, -step)) / (2.0 * step))
+            .collect();
+        let scale = expected.iter().fold(0.0f64, |most, x| most.max(x.abs()));
+        for (at, (found, expected)) in found.iter().zip(&expected).enumerate() {
+            let off = (found - expected).abs();
+            assert!(off < tolerance * scale, "{name} {at}: {found} {expected} of {scale}");
+        }
+    };
+    // A random network has kinks everywhere.
+    check("code", &found.code, 0.15, &|at, by| {
+        let mut code = code.clone();
+        code[at] += by;
+        value(&body, &code)
+    });
+    check("pose", &found.pose, 0.03, &|at, by| {
+        let mut body = body.clone();
+        body.pose[at] += by;
+        value(&body, &code)
+    });
+    check("betas", &found.betas, 0.03, &|at, by| {
+        let mut body = body.clone();
+        body.betas[at] += by;
+        value(&body, &code)
+    });
+    check("transl", &found.transl, 0.03, &|at, by| {
+        let mut body = body.clone();
+        body.transl[at] += by;
+        value(&body, &code)
+    });
+}
+
+#[test]
+fn silhouettes_bring_clothed_bodies_closer() {
+    let dressed = dressed(Outfit::LongShort);
+    let camera = Camera::new(256, 256, None).unwrap();
+    let (body, code) = truth();
+    let true_surface = dressed.surface(&body, &code).unwrap();
+    let mask = render(true_surface.vertices(), dressed.faces(), &camera).unwrap().mask().clone();
+    let keypoints = seen(&camera, &body);
+    let prior = PosePrior::synthetic().unwrap();
+    let smplify = Smplify::new(&BODY, prior, SmplifyConfig::default()).unwrap();
+    let bare = smplify.fit(&camera, &keypoints, None).unwrap();
+    let config = ClothedConfig {
+        levels: vec![
+            Level { side: 128, rounds: 3, steps: 8 },
+            Level { side: 256, rounds: 2, steps: 8 },
+        ],
+        ..ClothedConfig::default()
+    };
+    let fit = smplify.fit_clothed(&dressed, &camera, &keypoints, &mask, &bare, &config).unwrap();
+    let all: Vec<usize> = (0..true_surface.vertices().len()).collect();
+    let off = |vertices: &[DVec3]| {
+        1000.0 * aligned_error(vertices, true_surface.vertices(), &all).unwrap().distance
+    };
+    let posed = BODY
+        .pose(&bare.parameters.betas, &bare.parameters.pose, bare.parameters.transl, None)
+        .unwrap();
+    let rows = posed.vertices.rows().into_iter();
+    let bare_vertices: Vec<DVec3> = rows.map(|v| DVec3::new(v[0], v[1], v[2])).collect();
+    let clothed = dressed.surface(&fit.parameters, &fit.code).unwrap();
+    let [before, after] = [off(&bare_vertices), off(clothed.vertices())];
+    assert!(fit.problem.is_none(), "{:?}", fit.problem);
+    assert!(fit.intersection_over_union > 0.92, "{}", fit.intersection_over_union);
+    assert!(after < 0.5 * before, "{before} {after}");
+    assert!(fit.curves.iter().all(|curve| curve.windows(2).all(|pair| pair[1] <= pair[0])));
+
+    // The same result for the same input, better than in another outfit.
+    let outfits = [Outfit::ShortShort, Outfit::LongShort].map(self::dressed);
+    let fits = smplify.fit_outfits(&outfits, &camera, &keypoints, &mask, &bare, &config).unwrap();
+    assert_eq!(fits[0], fit);
+    assert!(fits[1].terms.weighted(&config) > fit.terms.weighted(&config));
+
+    let empty = Mask::new(256, 256, vec![false; 256 * 256]).unwrap();
+    let refused = smplify.fit_clothed(&dressed, &camera, &keypoints, &empty, &bare, &config);
+    assert!(refused.unwrap_err().to_string().contains("empty"));
+}
+
+fn seen(camera: &Camera, body: &BodyParameters) -> Keypoints {
+    let joints = BODY.pose(&body.betas, &body.pose, body.transl, None).unwrap().joints;
+    let detector = Detector::Body25;
+    let mut points = vec![Keypoint { x: 0.0, y: 0.0, confidence: 0.0 }; detector.points()];
+    for &(point, joint) in detector.joints() {
+        let row = joints.row(joint);
+        let at = camera.project(DVec3::new(row[0], row[1], row[2]));
+        points[point] = Keypoint { x: at.x, y: at.y, confidence: 1.0 };
+    }
+    Keypoints::new(detector, points).unwrap()
+}

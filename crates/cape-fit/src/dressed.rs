@@ -1,0 +1,204 @@
+//! Clothed bodies as differentiable functions of shape, pose and code.
+
+use burn::{
+    module::Module,
+    tensor::{Device, Int, Tensor, TensorData},
+};
+use cape_core::{
+    ClothedSmpl, ClothingMask, Outfit, Pose, Smpl, SmplInput, SmplModel,
+    joints::{CLOTHING_JOINTS, POSE_FEATURE},
+};
+use cape_model::{Generator, Graphs};
+use cape_train::{Run, RunConfig, build_graphs, data::Statistics};
+use glam::DVec3;
+
+use crate::{BodyParameters, Error, Result};
+
+/// A trained model's clothed bodies in one outfit: `M(β, θ, c, z)` (CAPE eq. 3–4), differentiable
+/// in shape, pose, translation and code, also through the pose that the clothes are made for.
+#[derive(Debug)]
+pub struct DressedBody {
+    generator: Generator,
+    graphs: Graphs,
+    smpl: ClothedSmpl,
+    /// Of displacements, metres, `[1, V, 3]`.
+    mean: Tensor<3>,
+    deviation: Tensor<3>,
+    /// `[1, 4]`.
+    label: Tensor<2>,
+    clothing_joints: Tensor<1, Int>,
+    faces: Vec<[u32; 3]>,
+    outfit: Outfit,
+    latent: usize,
+    device: Device,
+}
+
+/// What a trained model's clothed bodies are made of.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Parts<'a> {
+    pub(crate) generator: &'a Generator,
+    pub(crate) config: &'a RunConfig,
+    pub(crate) body: &'a SmplModel,
+    pub(crate) clothing: &'a [usize],
+    pub(crate) statistics: &'a Statistics,
+}
+
+/// A clothed body, and what it was made from.
+#[derive(Debug, Clone)]
+pub struct DressedSurface {
+    transl: Tensor<2>,
+    pose: Tensor<2>,
+    betas: Tensor<2>,
+    code: Tensor<2>,
+    output: Tensor<3>,
+    vertices: Vec<DVec3>,
+}
+
+/// The gradient of a function of a clothed body.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DressedGradient {
+    /// By translation, `[3]`.
+    pub transl: Vec<f64>,
+    /// By pose, `[72]`.
+    pub pose: Vec<f64>,
+    /// By shape, as many as were given.
+    pub betas: Vec<f64>,
+    /// By code, `[latent]`.
+    pub code: Vec<f64>,
+}
+
+impl DressedBody {
+    /// The bodies of a run, on its device, wearing `outfit`.
+    ///
+    /// # Errors
+    /// If the run's files do not suit one another.
+    pub fn new(run: &Run, outfit: Outfit) -> Result<Self> {
+        let parts = Parts {
+            generator: run.generator(),
+            config: run.config(),
+            body: run.body(),
+            clothing: run.clothing(),
+            statistics: run.statistics(),
+        };
+        Self::of_parts(&parts, outfit, run.device())
+    }
+
+    pub(crate) fn of_parts(parts: &Parts<'_>, outfit: Outfit, device: &Device) -> Result<Self> {
+        let Parts { generator, config, body, clothing, statistics } = *parts;
+        let device = device.clone().autodiff();
+        let mask = ClothingMask::from_indices(body.vertices(), clothing)?;
+        let rows = |array: &ndarray::Array2<f64>| {
+            let values: Vec<f32> = array.iter().map(|&x| x as f32).collect();
+            Tensor::from_data(TensorData::new(values, [1, body.vertices(), 3]), &device)
+        };
+        let joints: Vec<i32> = CLOTHING_JOINTS.iter().map(|&joint| joint as i32).collect();
+        let count = joints.len();
+        Ok(Self {
+            generator: generator.clone().no_grad().train(),
+            graphs: build_graphs(config, body, &device)?,
+            smpl: ClothedSmpl::new(Smpl::new(body, &device)?).with_mask(&mask)?,
+            mean: rows(statistics.mean()),
+            deviation: rows(statistics.std()),
+            label: row(&outfit.one_hot().map(f64::from), &device),
+            clothing_joints: Tensor::from_data(TensorData::new(joints, [count]), &device),
+            faces: body.faces.clone(),
+            outfit,
+            latent: config.model.latent,
+            device,
+        })
+    }
+
+    /// Numbers of a code.
+    pub fn latent(&self) -> usize {
+        self.latent
+    }
+
+    /// What is worn.
+    pub fn outfit(&self) -> Outfit {
+        self.outfit
+    }
+
+    /// Triangles of the surface.
+    pub fn faces(&self) -> &[[u32; 3]] {
+        &self.faces
+    }
+
+    /// The body in the clothes that `code` stands for.
+    ///
+    /// # Errors
+    /// If sizes do not suit the model.
+    pub fn surface(&self, body: &BodyParameters, code: &[f64]) -> Result<DressedSurface> {
+        body.check()?;
+        if code.len() != self.latent {
+            return Err(Error::argument(format!(
+                "a code of {} numbers, expected {}",
+                code.len(),
+                self.latent
+            )));
+        }
+        let leaf = |values: &[f64]| row(values, &self.device).require_grad();
+        let (transl, pose) = (leaf(&body.transl), leaf(&body.pose));
+        let (betas, code) = (leaf(&body.betas), leaf(code));
+        let rotations = self.smpl.body().rotations(Pose::AxisAngle(pose.clone()))?;
+        let feature =
+            rotations.clone().select(1, self.clothing_joints.clone()).reshape([1, POSE_FEATURE]);
+        let decoded =
+            self.generator.decode(code.clone(), feature, self.label.clone(), &self.graphs);
+        let output = self.smpl.forward(SmplInput {
+            betas: betas.clone(),
+            pose: Pose::Rotations(rotations),
+            transl: transl.clone(),
+            displacement: Some(decoded * self.deviation.clone() + self.mean.clone()),
+        })?;
+        let values = host(output.vertices.clone().inner().reshape([1, -1]));
+        let vertices = values.as_chunks::<3>().0.iter().map(|&v| DVec3::from_array(v)).collect();
+        Ok(DressedSurface { transl, pose, betas, code, output: output.vertices, vertices })
+    }
+}
+
+impl DressedSurface {
+    /// Metres, `[V]`.
+    pub fn vertices(&self) -> &[DVec3] {
+        &self.vertices
+    }
+
+    /// The gradient of what has the gradients `forces` by the vertices, `[V]`.
+    ///
+    /// # Errors
+    /// If there are more or fewer forces than vertices.
+    pub fn pull_back(&self, forces: &[DVec3]) -> Result<DressedGradient> {
+        if forces.len() != self.vertices.len() {
+            return Err(Error::argument(format!(
+                "{} forces on {} vertices",
+                forces.len(),
+                self.vertices.len()
+            )));
+        }
+        let values: Vec<f32> = forces.iter().flat_map(DVec3::to_array).map(|x| x as f32).collect();
+        let forces = TensorData::new(values, [1, forces.len(), 3]);
+        let forces = Tensor::<3>::from_data(forces, &self.output.device());
+        let gradients = (self.output.clone() * forces).sum().backward();
+        // What nothing depends on has no gradient.
+        let by = |leaf: &Tensor<2>| match leaf.grad(&gradients) {
+            Some(gradient) => host(gradient),
+            None => vec![0.0; leaf.dims()[1]],
+        };
+        Ok(DressedGradient {
+            transl: by(&self.transl),
+            pose: by(&self.pose),
+            betas: by(&self.betas),
+            code: by(&self.code),
+        })
+    }
+}
+
+fn row(values: &[f64], device: &Device) -> Tensor<2> {
+    let values: Vec<f32> = values.iter().map(|&x| x as f32).collect();
+    let count = values.len();
+    Tensor::from_data(TensorData::new(values, [1, count]), device)
+}
+
+fn host(tensor: Tensor<2>) -> Vec<f64> {
+    let data = tensor.into_data().convert::<f64>();
+    data.try_into_vec().unwrap_or_else(|_| unreachable!("converted to f64"))
+}

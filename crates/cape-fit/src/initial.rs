@@ -1,0 +1,141 @@
+//! Where a body stands, from its torso alone.
+
+use glam::{DQuat, DVec2, DVec3};
+
+use crate::{Camera, Error, Result, keypoints::Sighting};
+
+/// Shoulder and hip of each side.
+const SIDES: [[usize; 2]; 2] = [[16, 1], [17, 2]];
+/// Fewest joints that say anything.
+const FEWEST: usize = 4;
+
+/// A guess at a body's place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Placement {
+    /// Axis-angle of the pelvis, radians.
+    pub(crate) orientation: DVec3,
+    /// Metres.
+    pub(crate) transl: DVec3,
+    /// Metres in front of the camera.
+    pub(crate) distance: f64,
+}
+
+/// Places a body, whose joints in metres are given for no orientation and no translation, under a
+/// weak perspective: as far as its torso looks long, turned in the image as the torso is, and
+/// facing `yaw` radians to the left of the camera.
+///
+/// # Errors
+/// If too few joints were seen, or all in one place.
+pub(crate) fn place(
+    camera: &Camera,
+    joints: &[DVec3],
+    sightings: &[Sighting],
+    yaw: f64,
+) -> Result<Placement> {
+    if sightings.len() < FEWEST {
+        return Err(Error::Observation(format!(
+            "{} joints were seen with confidence, expected at least {FEWEST}",
+            sightings.len()
+        )));
+    }
+    let turn = DQuat::from_rotation_y(yaw);
+    let turned = |joint: usize| turn * (joints[joint] - joints[0]);
+    let seen = |s: &Sighting| camera.offset(s.at.x, s.at.y);
+    let find = |joint: usize| sightings.iter().find(|s| s.joint == joint);
+
+    // Up the torso, in space and in the image; else all joints by a similarity.
+    let (mut up, mut up_seen, mut length, mut length_seen) = (DVec2::ZERO, DVec2::ZERO, 0.0, 0.0);
+    for [shoulder, hip] in SIDES {
+        if let (Some(upper), Some(lower)) = (find(shoulder), find(hip)) {
+            let (trunk, trunk_seen) = (turned(shoulder) - turned(hip), seen(upper) - seen(lower));
+            up += trunk.truncate();
+            up_seen += trunk_seen;
+            length += trunk.length();
+            length_seen += trunk_seen.length();
+        }
+    }
+    let count = sightings.len() as f64;
+    let middle = sightings.iter().map(|s| turned(s.joint)).sum::<DVec3>() / count;
+    let middle_seen = sightings.iter().map(seen).sum::<DVec2>() / count;
+    if length_seen < 1.0 {
+        (up, up_seen, length, length_seen) = (DVec2::X, DVec2::ZERO, 0.0, 0.0);
+        for sighting in sightings {
+            let from = (turned(sighting.joint) - middle).truncate();
+            let to = seen(sighting) - middle_seen;
+            // Conjugate of one complex number times the other.
+            up_seen += DVec2::new(from.dot(to), from.perp_dot(to));
+            length += from.length();
+            length_seen += to.length();
+        }
+    }
+    let scale = length_seen / length;
+    if !(scale > 1e-6 && scale.is_finite()) {
+        return Err(Error::Observation(
+            "the joints that were seen are all in one place: no body can be placed".into(),
+        ));
+    }
+    let roll = DQuat::from_rotation_z(up.angle_to(up_seen));
+    let distance = camera.focal() / scale;
+    let target = (middle_seen / scale).extend(-distance);
+    let turned_pelvis_to_middle = roll * middle;
+    Ok(Placement {
+        orientation: (roll * turn).to_scaled_axis(),
+        transl: target - turned_pelvis_to_middle - joints[0],
+        distance,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::{Skeleton, keypoints::Keypoint, testing::BODY};
+
+    fn sightings(camera: &Camera, joints: &[DVec3], which: &[usize]) -> Vec<Sighting> {
+        let sighting = |&joint: &usize| {
+            let at = camera.project(joints[joint]);
+            Sighting { joint, at: Keypoint { x: at.x, y: at.y, confidence: 1.0 } }
+        };
+        which.iter().map(sighting).collect()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+
+        /// A far body at rest, turned in the image in any way, even upside down.
+        #[test]
+        fn far_bodies_are_placed(
+            roll in -3.1f64..3.1, side in any::<bool>(), x in -2.0f64..2.0, limbs in any::<bool>(),
+        ) {
+            let skeleton = Skeleton::new(&BODY).unwrap();
+            let camera = Camera::new(500, 400, Some(4000.0)).unwrap();
+            let yaw = if side { std::f64::consts::PI } else { 0.0 };
+            let turn = DQuat::from_rotation_z(roll) * DQuat::from_rotation_y(yaw);
+            let rest = skeleton.rest(&[]);
+            let transl = DVec3::new(x, 0.5, -40.0);
+            let moved: Vec<DVec3> =
+                rest.iter().map(|&p| turn * (p - rest[0]) + rest[0] + transl).collect();
+            // Without hips there is no torso.
+            let which: &[usize] = if limbs { &[4, 5, 16, 17, 20] } else { &[1, 2, 16, 17, 4] };
+            let seen = sightings(&camera, &moved, which);
+            let placed = place(&camera, &rest, &seen, yaw).unwrap();
+            prop_assert!((placed.transl - transl).length() < 0.6, "{placed:?}");
+            let off = DQuat::from_scaled_axis(placed.orientation).angle_between(turn);
+            prop_assert!(off < 0.05, "{off}");
+        }
+    }
+
+    #[test]
+    fn what_says_nothing_is_refused() {
+        let camera = Camera::new(500, 400, None).unwrap();
+        let rest = Skeleton::new(&BODY).unwrap().rest(&[]);
+        let seen = sightings(&camera, &rest, &[1, 2, 16]);
+        let message = place(&camera, &rest, &seen, 0.0).unwrap_err().to_string();
+        assert!(message.contains("3 joints"), "{message}");
+        let at = Keypoint { x: 3.0, y: 3.0, confidence: 1.0 };
+        let same: Vec<Sighting> = (16..22).map(|joint| Sighting { joint, at }).collect();
+        let message = place(&camera, &rest, &same, 0.0).unwrap_err().to_string();
+        assert!(message.contains("one place"), "{message}");
+    }
+}

@@ -1,0 +1,108 @@
+//! Keypoints of one person in an image, and the files that detectors write them to.
+
+mod detector;
+mod file;
+
+pub use detector::Detector;
+pub use file::{People, read_keypoints};
+
+use crate::{Error, Result};
+
+/// A point that a detector saw.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Keypoint {
+    /// Column, pixels from the left edge.
+    pub x: f64,
+    /// Row, pixels from the upper edge.
+    pub y: f64,
+    /// How sure the detector is, 0 (not seen) to 1.
+    pub confidence: f64,
+}
+
+/// One person's keypoints.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Keypoints {
+    detector: Detector,
+    points: Vec<Keypoint>,
+}
+
+/// A joint of SMPL as it was seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sighting {
+    /// The joint's number.
+    pub joint: usize,
+    /// Where it was seen, and how surely.
+    pub at: Keypoint,
+}
+
+impl Keypoints {
+    /// Points in the order of `detector`; confidences above 1 are taken as 1.
+    ///
+    /// # Errors
+    /// If there are more or fewer than the detector has, or a number is not finite or a confidence
+    /// negative.
+    pub fn new(detector: Detector, points: Vec<Keypoint>) -> Result<Self> {
+        let (found, expected) = (points.len(), detector.points());
+        if found != expected {
+            return Err(Error::Observation(format!(
+                "{found} keypoints, but {detector} has {expected}"
+            )));
+        }
+        let unusable = |point: &Keypoint| {
+            !(point.x.is_finite() && point.y.is_finite() && point.confidence.is_finite())
+                || point.confidence < 0.0
+        };
+        if let Some(at) = points.iter().position(unusable) {
+            let Keypoint { x, y, confidence } = points[at];
+            return Err(Error::Observation(format!(
+                "keypoint {at}: ({x}, {y}) with confidence {confidence}: expected finite numbers \
+                 and a confidence of 0 to 1"
+            )));
+        }
+        let capped = |point: Keypoint| Keypoint { confidence: point.confidence.min(1.0), ..point };
+        Ok(Self { detector, points: points.into_iter().map(capped).collect() })
+    }
+
+    /// Whose order the points are in.
+    pub fn detector(&self) -> Detector {
+        self.detector
+    }
+
+    /// All points, those that were not seen included.
+    pub fn points(&self) -> &[Keypoint] {
+        &self.points
+    }
+
+    /// The joints of SMPL that were seen with at least that confidence.
+    pub fn sightings(&self, confidence: f64) -> Vec<Sighting> {
+        let table = self.detector.joints().iter();
+        let seen = table.map(|&(point, joint)| Sighting { joint, at: self.points[point] });
+        seen.filter(|s| s.at.confidence > 0.0 && s.at.confidence >= confidence).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sightings_are_those_of_enough_confidence() {
+        let mut points = vec![Keypoint { x: 1.0, y: 2.0, confidence: 0.0 }; 25];
+        points[4] = Keypoint { x: 5.0, y: 6.0, confidence: 1.2 };
+        points[7].confidence = 0.3;
+        points[0].confidence = 1.0;
+        let keypoints = Keypoints::new(Detector::Body25, points.clone()).unwrap();
+        let joints = |confidence: f64| -> Vec<usize> {
+            keypoints.sightings(confidence).iter().map(|s| s.joint).collect()
+        };
+        assert_eq!(joints(0.0), [21, 20]);
+        assert_eq!(joints(0.5), [21]);
+        assert_eq!(keypoints.sightings(0.5)[0].at.confidence, 1.0);
+        assert!(Keypoints::new(Detector::Coco17, points.clone()).is_err());
+        for wrong in [f64::NAN, -0.1] {
+            points[3].confidence = wrong;
+            let message = Keypoints::new(Detector::Body25, points.clone()).unwrap_err().to_string();
+            assert!(message.contains("keypoint 3"), "{message}");
+        }
+    }
+}

@@ -1,0 +1,246 @@
+//! Minimisation by limited-memory BFGS (Nocedal & Wright 2006, algorithm 7.5) over plain vectors.
+//!
+//! Burn's optimiser of that name works on the tensors of a module in `f32`; the energies here have a
+//! hundred unknowns, are summed in `f64`, and need their line search to see failures of the
+//! function, so the method has a module of its own.
+
+use std::collections::VecDeque;
+
+use serde::{Deserialize, Serialize};
+
+use crate::line_search::{Point, search};
+
+/// When to stop, and how much to remember.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LbfgsOptions {
+    /// Steps whose curvature is remembered.
+    pub history: usize,
+    /// Most steps.
+    pub steps: usize,
+    /// Largest component of the gradient at which it has converged.
+    pub gradient: f64,
+    /// Gain of a step, relative to the value, below which it has converged.
+    pub gain: f64,
+}
+
+impl Default for LbfgsOptions {
+    fn default() -> Self {
+        Self { history: 20, steps: 200, gradient: 1e-6, gain: 1e-9 }
+    }
+}
+
+/// Why a minimisation ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stop {
+    /// The gradient vanished.
+    Gradient,
+    /// Steps gained nothing any more.
+    Gain,
+    /// The line search found no lower point.
+    Line,
+    /// All steps were made.
+    Steps,
+}
+
+/// What a minimisation came to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Minimum {
+    /// Where.
+    pub x: Vec<f64>,
+    /// The value there.
+    pub value: f64,
+    /// Values at the start and after every step.
+    pub curve: Vec<f64>,
+    /// How often the function was evaluated.
+    pub evaluations: usize,
+    /// Why it ended.
+    pub stop: Stop,
+}
+
+/// Minimises from `x`. The function writes its gradient and returns its value; where the value is
+/// not finite the line search turns back.
+///
+/// # Errors
+/// Those of the function.
+pub fn minimise<E>(
+    x: Vec<f64>,
+    options: &LbfgsOptions,
+    mut function: impl FnMut(&[f64], &mut [f64]) -> Result<f64, E>,
+) -> Result<Minimum, E> {
+    let mut evaluations = 0;
+    let mut evaluate = |x: &[f64], direction: &[f64], step: f64| -> Result<Point, E> {
+        let moved: Vec<f64> = x.iter().zip(direction).map(|(x, d)| x + step * d).collect();
+        let mut gradient = vec![0.0; x.len()];
+        let value = function(&moved, &mut gradient)?;
+        evaluations += 1;
+        let slope = dot(&gradient, direction);
+        let finite = value.is_finite() && gradient.iter().all(|g| g.is_finite());
+        Ok(Point { step, value: if finite { value } else { f64::INFINITY }, slope, gradient })
+    };
+    let mut x = x;
+    let mut memory = Memory { pairs: VecDeque::new(), most: options.history.max(1) };
+    let mut now = evaluate(&x, &vec![0.0; x.len()], 0.0)?;
+    let mut curve = vec![now.value];
+    let (steps, mut stop) =
+        if now.value.is_finite() { (options.steps, Stop::Steps) } else { (0, Stop::Line) };
+    for _ in 0..steps {
+        let steepest = now.gradient.iter().fold(0.0f64, |most, g| most.max(g.abs()));
+        if steepest <= options.gradient {
+            stop = Stop::Gradient;
+            break;
+        }
+        let mut direction = memory.direction(&now.gradient);
+        now.slope = dot(&now.gradient, &direction);
+        if now.slope >= 0.0 {
+            memory.pairs.clear();
+            direction = now.gradient.iter().map(|g| -g).collect();
+            now.slope = -dot(&now.gradient, &now.gradient);
+        }
+        let first = if memory.pairs.is_empty() { 1.0 / (1.0 + steepest) } else { 1.0 };
+        now.step = 0.0;
+        let Some(next) = search(&now, first, |step| evaluate(&x, &direction, step))? else {
+            if memory.pairs.is_empty() {
+                stop = Stop::Line;
+                break;
+            }
+            // What is remembered may mislead: once more downhill.
+            memory.pairs.clear();
+            continue;
+        };
+        let change: Vec<f64> = direction.iter().map(|d| next.step * d).collect();
+        let bend = next.gradient.iter().zip(&now.gradient).map(|(a, b)| a - b).collect();
+        x.iter_mut().zip(&change).for_each(|(x, d)| *x += d);
+        memory.push(change, bend);
+        let gain = now.value - next.value;
+        now = next;
+        curve.push(now.value);
+        if gain <= options.gain * now.value.abs().max(1e-12) {
+            stop = Stop::Gain;
+            break;
+        }
+    }
+    Ok(Minimum { x, value: now.value, curve, evaluations, stop })
+}
+
+/// Changes of point and gradient, newest last.
+struct Memory {
+    pairs: VecDeque<(Vec<f64>, Vec<f64>)>,
+    most: usize,
+}
+
+impl Memory {
+    /// Pairs without positive curvature are of no use.
+    fn push(&mut self, change: Vec<f64>, bend: Vec<f64>) {
+        let curvature = dot(&change, &bend);
+        if curvature <= 1e-12 * dot(&bend, &bend).sqrt() * dot(&change, &change).sqrt() {
+            return;
+        }
+        if self.pairs.len() == self.most {
+            self.pairs.pop_front();
+        }
+        self.pairs.push_back((change, bend));
+    }
+
+    /// The quasi-Newton direction, by the two loops over the pairs.
+    fn direction(&self, gradient: &[f64]) -> Vec<f64> {
+        let mut q: Vec<f64> = gradient.iter().map(|g| -g).collect();
+        let mut shares = Vec::with_capacity(self.pairs.len());
+        for (change, bend) in self.pairs.iter().rev() {
+            let share = dot(change, &q) / dot(change, bend);
+            add(&mut q, -share, bend);
+            shares.push(share);
+        }
+        if let Some((change, bend)) = self.pairs.back() {
+            let scale = dot(change, bend) / dot(bend, bend);
+            for q in &mut q {
+                *q *= scale;
+            }
+        }
+        for ((change, bend), share) in self.pairs.iter().zip(shares.iter().rev()) {
+            let other = dot(bend, &q) / dot(change, bend);
+            add(&mut q, share - other, change);
+        }
+        q
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+fn add(to: &mut [f64], scale: f64, from: &[f64]) {
+    to.iter_mut().zip(from).for_each(|(to, from)| *to += scale * from);
+}
+
+#[cfg(test)]
+mod tests {
+    use std::convert::Infallible;
+
+    use nalgebra::{DMatrix, DVector};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn run(x: Vec<f64>, f: impl Fn(&[f64], &mut [f64]) -> f64) -> Minimum {
+        let options = LbfgsOptions { gain: 0.0, gradient: 1e-9, ..LbfgsOptions::default() };
+        minimise(x, &options, |x, g| Ok::<_, Infallible>(f(x, g))).unwrap()
+    }
+
+    #[test]
+    fn rosenbrocks_valley_is_followed_to_its_end() {
+        let found = run(vec![-1.2, 1.0, -1.2, 1.0], |x, g| {
+            let mut sum = 0.0;
+            for pair in 0..2 {
+                let (a, b) = (x[2 * pair], x[2 * pair + 1]);
+                let (u, v) = (1.0 - a, b - a * a);
+                sum += u * u + 100.0 * v * v;
+                g[2 * pair] = -2.0 * u - 400.0 * a * v;
+                g[2 * pair + 1] = 200.0 * v;
+            }
+            sum
+        });
+        assert!(found.x.iter().all(|x| (x - 1.0).abs() < 1e-8), "{found:?}");
+        assert!(found.evaluations < 100, "{}", found.evaluations);
+        assert!(found.curve.windows(2).all(|pair| pair[1] <= pair[0]));
+    }
+
+    #[test]
+    fn functions_that_fail_in_places_are_walked_around() {
+        // −ln x + x has no value left of 0.
+        let found = run(vec![50.0], |x, g| {
+            g[0] = 1.0 - 1.0 / x[0];
+            x[0] - x[0].ln()
+        });
+        assert!((found.x[0] - 1.0).abs() < 1e-6, "{found:?}");
+        let nowhere = run(vec![1.0], |_, _| f64::NAN);
+        assert_eq!(nowhere.stop, Stop::Line);
+        let failed = minimise(vec![1.0], &LbfgsOptions::default(), |_, _| Err("broken"));
+        assert_eq!(failed.unwrap_err(), "broken");
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+
+        /// Quadratic forms have their minimum where a linear system says.
+        #[test]
+        fn quadratic_forms_are_solved(
+            entries in prop::collection::vec(-1.0f64..1.0, 36),
+            right in prop::collection::vec(-1.0f64..1.0, 6),
+        ) {
+            let a = DMatrix::from_vec(6, 6, entries);
+            let h = &a * a.transpose() + DMatrix::identity(6, 6) * 0.1;
+            let b = DVector::from_vec(right);
+            let expected = h.clone().lu().solve(&b).unwrap();
+            let found = run(vec![0.0; 6], |x, g| {
+                let x = DVector::from_column_slice(x);
+                let hx = &h * &x;
+                g.copy_from_slice((&hx - &b).as_slice());
+                0.5 * x.dot(&hx) - b.dot(&x)
+            });
+            for (found, expected) in found.x.iter().zip(expected.iter()) {
+                prop_assert!((found - expected).abs() < 1e-6);
+            }
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! Bodies fitted to images.
+//!
+//! [`Smplify`] finds the bare body behind [`Keypoints`]: a pose that people take ([`PosePrior`]),
+//! whose joints a [`Camera`] sees where a detector did. [`Smplify::fit_clothed`] goes on to the body
+//! in clothes ([`DressedBody`], of a trained model) whose [silhouette] is a given
+//! [`Mask`]. [`aligned_error`] compares outcomes with the truth.
+//!
+//! The camera is at the origin and looks along −z, y up; a body without orientation faces it. Units
+//! are metres, radians and pixels; everything is computed in `f64`, and every gradient is exact.
+
+mod alignment;
+mod body_energy;
+mod camera;
+mod clothed;
+#[cfg(test)]
+mod clothed_tests;
+mod dressed;
+mod error;
+mod initial;
+pub mod keypoints;
+mod lbfgs;
+mod line_search;
+mod parameters;
+mod pose_prior;
+pub mod silhouette;
+mod skeleton;
+mod smplify;
+#[cfg(test)]
+mod smplify_tests;
+#[cfg(test)]
+mod testing;
+
+pub use alignment::{AlignedError, Alignment, aligned_error};
+pub use body_energy::{BodyEnergy, BodyTerms, BodyWeights};
+pub use camera::Camera;
+pub use clothed::{ClothedConfig, ClothedFit, ClothedTerms, Level};
+pub use dressed::{DressedBody, DressedGradient, DressedSurface};
+pub use error::{Error, Result};
+pub use keypoints::{Detector, Keypoint, Keypoints, read_keypoints};
+pub use lbfgs::{LbfgsOptions, Minimum, Stop, minimise};
+pub use parameters::BodyParameters;
+pub use pose_prior::{BODY_POSE, COMPONENTS, OPTIONS, PosePrior, synthetic_poses};
+pub use silhouette::Mask;
+pub use skeleton::{PosedSkeleton, Skeleton, SkeletonGradient};
+pub use smplify::{BodyFit, Smplify, SmplifyConfig};

@@ -1,0 +1,277 @@
+//! Exact distance transforms in linear time.
+//!
+//! Both metrics are separable: the nearest covered pixel is found along columns first, and among
+//! those along rows; for the Euclidean distance by the lower envelope of parabolas (Felzenszwalb &
+//! Huttenlocher 2012), for the Manhattan distance by one pass in each direction.
+
+use super::Mask;
+
+/// Each pixel's distance to the nearest covered one, and which that is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Nearest {
+    width: usize,
+    distance: Vec<f64>,
+    site: Vec<u32>,
+}
+
+impl Nearest {
+    /// Distances, pixels, `[height · width]`; infinite where nothing is covered at all.
+    pub fn distance(&self) -> &[f64] {
+        &self.distance
+    }
+
+    /// Numbers of the nearest covered pixels, `[height · width]`; of no meaning where nothing is
+    /// covered at all.
+    pub fn site(&self) -> &[u32] {
+        &self.site
+    }
+
+    /// The distance at a column and row and its gradient. Between the centres of pixels, where it
+    /// is exact, it is a Catmull–Rom spline: unlike a bilinear one it has no kinks, which would be at
+    /// the very points that surfaces are matched at. Outside the picture it grows by the distance
+    /// from it.
+    pub fn sample(&self, x: f64, y: f64) -> (f64, [f64; 2]) {
+        let height = self.distance.len() / self.width;
+        let (columns, beyond_x) = Taps::of(x - 0.5, self.width);
+        let (rows, beyond_y) = Taps::of(y - 0.5, height);
+        let (mut value, mut slope_x, mut slope_y) = (0.0, 0.0, 0.0);
+        for i in 0..4 {
+            let row = &self.distance[rows.at[i] * self.width..][..self.width];
+            let along = |weights: &[f64; 4]| -> f64 {
+                (0..4).map(|j| weights[j] * row[columns.at[j]]).sum()
+            };
+            let here = along(&columns.weights);
+            value += rows.weights[i] * here;
+            slope_x += rows.weights[i] * along(&columns.slopes);
+            slope_y += rows.slopes[i] * here;
+        }
+        let along = |beyond: f64, slope: f64| if beyond == 0.0 { slope } else { beyond.signum() };
+        let value = value + beyond_x.abs() + beyond_y.abs();
+        (value, [along(beyond_x, slope_x), along(beyond_y, slope_y)])
+    }
+}
+
+/// The four centres around a coordinate, their weights, and the derivatives of these.
+struct Taps {
+    at: [usize; 4],
+    weights: [f64; 4],
+    slopes: [f64; 4],
+}
+
+impl Taps {
+    /// And how far the coordinate is beyond the first or last centre.
+    fn of(at: f64, count: usize) -> (Self, f64) {
+        let inside = at.clamp(0.0, (count - 1) as f64);
+        let cell = inside.floor();
+        let t = inside - cell;
+        let neighbour = |i: usize| (cell as usize + i).saturating_sub(1).min(count - 1);
+        let taps = Self {
+            at: std::array::from_fn(neighbour),
+            weights: [
+                0.5 * t * (t * (2.0 - t) - 1.0),
+                0.5 * (t * t * (3.0 * t - 5.0) + 2.0),
+                0.5 * t * (t * (4.0 - 3.0 * t) + 1.0),
+                0.5 * t * t * (t - 1.0),
+            ],
+            slopes: [
+                0.5 * (t * (4.0 - 3.0 * t) - 1.0),
+                0.5 * t * (9.0 * t - 10.0),
+                0.5 * (t * (8.0 - 9.0 * t) + 1.0),
+                0.5 * t * (3.0 * t - 2.0),
+            ],
+        };
+        (taps, at - inside)
+    }
+}
+
+/// Euclidean distances to the covered pixels of a mask.
+pub fn euclidean(mask: &Mask) -> Nearest {
+    let columns = down_columns(mask);
+    let width = mask.width() as usize;
+    let mut distance = Vec::with_capacity(columns.len());
+    let mut site = Vec::with_capacity(columns.len());
+    let mut envelope = Envelope::default();
+    for row in columns.chunks_exact(width) {
+        envelope.build(row);
+        for x in 0..width {
+            let (square, at) = envelope.lowest(x);
+            distance.push(square.sqrt());
+            site.push(at);
+        }
+    }
+    Nearest { width, distance, site }
+}
+
+/// Manhattan (L1) distances to the covered pixels of a mask, as CAPE compares silhouettes by.
+pub fn manhattan(mask: &Mask) -> Nearest {
+    let mut all = down_columns(mask);
+    let width = mask.width() as usize;
+    for row in all.chunks_exact_mut(width) {
+        spread(row, 0..width);
+        spread(row, (0..width).rev());
+    }
+    Nearest {
+        width,
+        distance: all.iter().map(|site| site.distance).collect(),
+        site: all.iter().map(|site| site.at).collect(),
+    }
+}
+
+/// The nearest covered pixel so far.
+#[derive(Debug, Clone, Copy)]
+struct Site {
+    distance: f64,
+    at: u32,
+}
+
+/// Each pixel's nearest covered pixel in its column.
+fn down_columns(mask: &Mask) -> Vec<Site> {
+    let (width, height) = (mask.width() as usize, mask.height() as usize);
+    let own = |(at, &covered): (usize, &bool)| Site {
+        distance: if covered { 0.0 } else { f64::INFINITY },
+        at: at as u32,
+    };
+    let mut sites: Vec<Site> = mask.covered().iter().enumerate().map(own).collect();
+    for column in 0..width {
+        for row in 1..height {
+            pass(&mut sites, (row - 1) * width + column, row * width + column);
+        }
+        for row in (1..height).rev() {
+            pass(&mut sites, row * width + column, (row - 1) * width + column);
+        }
+    }
+    sites
+}
+
+fn spread(row: &mut [Site], order: impl Iterator<Item = usize>) {
+    let mut before = None;
+    for at in order {
+        if let Some(before) = before {
+            pass(row, before, at);
+        }
+        before = Some(at);
+    }
+}
+
+/// One pixel farther than the neighbour's.
+fn pass(sites: &mut [Site], from: usize, to: usize) {
+    if sites[from].distance + 1.0 < sites[to].distance {
+        sites[to] = Site { distance: sites[from].distance + 1.0, ..sites[from] };
+    }
+}
+
+/// The lower envelope of one parabola for each column.
+#[derive(Debug, Default)]
+struct Envelope {
+    /// Column, height at its apex, site; and from where on it is the lowest.
+    parabolas: Vec<(f64, f64, u32, f64)>,
+    /// The parabola at the last column asked for.
+    now: usize,
+}
+
+impl Envelope {
+    fn build(&mut self, row: &[Site]) {
+        self.parabolas.clear();
+        self.now = 0;
+        for (column, site) in row.iter().enumerate().filter(|(_, site)| site.distance.is_finite()) {
+            let (x, height) = (column as f64, site.distance * site.distance);
+            let mut from = f64::NEG_INFINITY;
+            while let Some(&(other, above, _, start)) = self.parabolas.last() {
+                // Where the two cross.
+                from = (height + x * x - above - other * other) / (2.0 * (x - other));
+                if from > start {
+                    break;
+                }
+                self.parabolas.pop();
+                from = f64::NEG_INFINITY;
+            }
+            self.parabolas.push((x, height, site.at, from));
+        }
+    }
+
+    /// Height and site at a column; columns must be asked for in rising order.
+    fn lowest(&mut self, column: usize) -> (f64, u32) {
+        let x = column as f64;
+        while self.parabolas.get(self.now + 1).is_some_and(|next| next.3 <= x) {
+            self.now += 1;
+        }
+        match self.parabolas.get(self.now) {
+            Some(&(apex, height, site, _)) => ((x - apex) * (x - apex) + height, site),
+            None => (f64::INFINITY, 0),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::testing::assert_gradient;
+
+    type Metric = fn(f64, f64) -> f64;
+
+    fn masks() -> impl Strategy<Value = Mask> {
+        (1u32..24, 1u32..24, 0.0f64..0.5).prop_flat_map(|(width, height, share)| {
+            let pixels = (width * height) as usize;
+            prop::collection::vec(prop::bool::weighted(share), pixels)
+                .prop_map(move |covered| Mask::new(width, height, covered).unwrap())
+        })
+    }
+
+    fn brute(mask: &Mask, metric: Metric) -> Vec<f64> {
+        let width = mask.width() as usize;
+        let covered: Vec<usize> =
+            (0..mask.covered().len()).filter(|&at| mask.covered()[at]).collect();
+        (0..mask.covered().len())
+            .map(|at| {
+                let to = |&site: &usize| between(at, site, width, metric);
+                covered.iter().map(to).fold(f64::INFINITY, f64::min)
+            })
+            .collect()
+    }
+
+    fn between(a: usize, b: usize, width: usize, metric: Metric) -> f64 {
+        metric((a % width).abs_diff(b % width) as f64, (a / width).abs_diff(b / width) as f64)
+    }
+
+    proptest! {
+        #[test]
+        fn distances_are_those_of_brute_force(mask in masks()) {
+            let l2: Metric = |x, y| (x * x + y * y).sqrt();
+            let l1: Metric = |x, y| x + y;
+            for (found, metric) in [(euclidean(&mask), l2), (manhattan(&mask), l1)] {
+                let expected = brute(&mask, metric);
+                prop_assert_eq!(found.distance(), &expected[..]);
+                for (at, &site) in found.site().iter().enumerate() {
+                    if expected[at].is_finite() {
+                        prop_assert!(mask.covered()[site as usize]);
+                        let own = between(at, site as usize, mask.width() as usize, metric);
+                        prop_assert_eq!(own, expected[at]);
+                    }
+                }
+            }
+        }
+
+        #[test]
+        fn samples_interpolate_and_their_gradient_is_right(
+            mask in masks(), x in -5.0f64..30.0, y in -5.0f64..30.0,
+        ) {
+            prop_assume!(mask.area() > 0);
+            let field = manhattan(&mask);
+            // Away from the last centres, beyond which it is continued.
+            let height = field.distance.len() / field.width;
+            let away = |v: f64, count: usize| {
+                (v - 0.5).abs() > 1e-3 && (v + 0.5 - count as f64).abs() > 1e-3
+            };
+            prop_assume!(away(x, field.width) && away(y, height));
+            let (_, gradient) = field.sample(x, y);
+            assert_gradient(&[x, y], &gradient, 1e-4, |p| field.sample(p[0], p[1]).0);
+            for (at, &distance) in field.distance().iter().enumerate() {
+                let (column, row) = (at % field.width, at / field.width);
+                let sample = field.sample(column as f64 + 0.5, row as f64 + 0.5).0;
+                prop_assert!((sample - distance).abs() < 1e-9);
+            }
+        }
+    }
+}

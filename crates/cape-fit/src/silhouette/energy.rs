@@ -1,0 +1,281 @@
+//! The silhouette term `E_S` (CAPE eq. 11).
+//!
+//! `E_S` sums, over the pixels of the rendered silhouette, their Manhattan distance to the image's
+//! silhouette, and back; pixels inside the other silhouette count nothing. For its derivative,
+//! pixels stand for points of the surface: a rendered pixel for the point that is seen there, which
+//! takes the distance field's value where it goes; a pixel of the image for the nearest point of
+//! the rendered outline, on the occluding contour, which it draws to itself. A contour moves as its
+//! points do (sliding along the surface does not move it, to first order), so the second is the
+//! derivative of the sum over the image; the first is that over the rendered silhouette but for the
+//! growth of the area that a point stands for, small while silhouettes are close. Surfaces that
+//! have moved far are matched anew.
+
+use glam::{DVec2, DVec3};
+use serde::{Deserialize, Serialize};
+
+use super::{
+    Mask, SurfacePoint,
+    distance::{Nearest, manhattan},
+    surface::render,
+};
+use crate::{Camera, Error, Result};
+
+/// Distances in a coordinate below which their size is rounded off, pixels: the derivative of |d|
+/// jumps at 0.
+const ROUNDING: f64 = 0.5;
+
+/// An image's silhouette, to compare surfaces with.
+#[derive(Debug, Clone)]
+pub struct SilhouetteEnergy {
+    camera: Camera,
+    target: Mask,
+    field: Nearest,
+    /// Metres per pixel at the person, over the silhouette's area.
+    scale: f64,
+}
+
+/// Both directions of `E_S`: means over the image's silhouette, metres at the person's distance.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct SilhouetteTerms {
+    /// Of the rendered silhouette's pixels to the image's.
+    pub rendered: f64,
+    /// Of the image's to the rendered one's.
+    pub image: f64,
+}
+
+impl SilhouetteTerms {
+    /// The sum.
+    pub fn total(&self) -> f64 {
+        self.rendered + self.image
+    }
+}
+
+/// A surface matched with the image's silhouette.
+#[derive(Debug, Clone)]
+pub struct Matched<'a> {
+    energy: &'a SilhouetteEnergy,
+    /// Where the surface is seen.
+    rendered: Vec<SurfacePoint>,
+    /// Pixels of the image outside the rendered silhouette, and the contour's nearest points.
+    image: Vec<(DVec2, SurfacePoint)>,
+}
+
+impl SilhouetteEnergy {
+    /// For an image's silhouette, compared at most `side` pixels wide and high; `pixel` is the width
+    /// of a pixel of `mask` in metres at the person's distance.
+    ///
+    /// # Errors
+    /// If the mask is not of the camera's image, or covers nothing or everything, even at that size.
+    pub fn new(camera: &Camera, mask: &Mask, side: u32, pixel: f64) -> Result<Self> {
+        mask.check(camera)?;
+        let small = camera.within(side);
+        let target = mask.resized(small.width(), small.height());
+        target.check(&small)?;
+        let pixel = pixel * camera.focal() / small.focal();
+        let scale = pixel / target.area() as f64;
+        Ok(Self { field: manhattan(&target), camera: small, target, scale })
+    }
+
+    /// The image's silhouette at the size of the comparison.
+    pub fn target(&self) -> &Mask {
+        &self.target
+    }
+
+    /// The camera of the comparison.
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// Matches a surface with the silhouette, both ways.
+    ///
+    /// # Errors
+    /// If nothing of the surface is in the image.
+    pub fn matched(&self, vertices: &[DVec3], faces: &[[u32; 3]]) -> Result<Matched<'_>> {
+        let rendering = render(vertices, faces, &self.camera)?;
+        if rendering.mask().area() == 0 {
+            return Err(Error::Failed("the body has left the image".into()));
+        }
+        let nearest = manhattan(rendering.mask());
+        let point = |pixel: usize| rendering.point(pixel, vertices, faces);
+        let count = self.target.covered().len();
+        let width = self.target.width() as usize;
+        let pulled = |pixel: usize| {
+            let centre = DVec2::new((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
+            let outside = self.target.covered()[pixel] && nearest.distance()[pixel] > 0.0;
+            outside.then(|| Some((centre, point(nearest.site()[pixel] as usize)?))).flatten()
+        };
+        Ok(Matched {
+            energy: self,
+            rendered: (0..count).filter_map(point).collect(),
+            image: (0..count).filter_map(pulled).collect(),
+        })
+    }
+}
+
+impl Matched<'_> {
+    /// The terms for the surface at `vertices`; `weight` times the gradient is added to `gradient`.
+    pub fn evaluate(
+        &self,
+        vertices: &[DVec3],
+        weight: f64,
+        gradient: &mut [DVec3],
+    ) -> SilhouetteTerms {
+        let SilhouetteEnergy { camera, field, scale, .. } = self.energy;
+        let mut terms = SilhouetteTerms::default();
+        let mut pull = |point: &SurfacePoint, at: DVec3, by_pixel: DVec2| {
+            if by_pixel != DVec2::ZERO {
+                point.pull_back(camera.pull_back(at, by_pixel * (weight * scale)), gradient);
+            }
+        };
+        for point in &self.rendered {
+            let at = point.at(vertices);
+            let pixel = camera.project(at);
+            let (distance, slope) = field.sample(pixel.x, pixel.y);
+            terms.rendered += scale * distance;
+            pull(point, at, DVec2::from_array(slope));
+        }
+        for (target, point) in &self.image {
+            let at = point.at(vertices);
+            let off = camera.project(at) - *target;
+            let [x, y] = [off.x, off.y].map(rounded);
+            terms.image += scale * (x.0 + y.0);
+            pull(point, at, DVec2::new(x.1, y.1));
+        }
+        terms
+    }
+}
+
+/// `√(d² + r²) − r`, and its derivative.
+fn rounded(d: f64) -> (f64, f64) {
+    let size = d.hypot(ROUNDING);
+    (size - ROUNDING, d / size)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{BODY, assert_gradient};
+
+    type Change = fn(f64) -> (Vec<DVec3>, Vec<[u32; 3]>);
+
+    /// The synthetic body, raised, made wider, and moved to the right.
+    fn body(width: f64, shift: f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let body = &*BODY;
+        let rows = body.v_template.rows().into_iter();
+        let vertices =
+            rows.map(|v| DVec3::new(v[0] * width + shift, v[1] + 0.3, v[2] * width - 2.6));
+        (vertices.collect(), body.faces.clone())
+    }
+
+    fn camera() -> Camera {
+        Camera::new(160, 160, None).unwrap()
+    }
+
+    fn energy(vertices: &[DVec3], faces: &[[u32; 3]]) -> SilhouetteEnergy {
+        let camera = camera();
+        let mask = render(vertices, faces, &camera).unwrap().mask().clone();
+        SilhouetteEnergy::new(&camera, &mask, 160, 0.01).unwrap()
+    }
+
+    /// Sums over pixels as the paper defines them.
+    fn sums(energy: &SilhouetteEnergy, vertices: &[DVec3], faces: &[[u32; 3]]) -> [f64; 2] {
+        let rendered = render(vertices, faces, energy.camera()).unwrap().mask().clone();
+        let covered = |mask: &Mask| -> Vec<[i64; 2]> {
+            let width = i64::from(mask.width());
+            (0..mask.covered().len())
+                .filter(|&at| mask.covered()[at])
+                .map(|at| [at as i64 % width, at as i64 / width])
+                .collect()
+        };
+        let [a, b] = [covered(&rendered), covered(energy.target())];
+        let to = |p: &[i64; 2], others: &[[i64; 2]]| {
+            others.iter().map(|q| (p[0] - q[0]).abs() + (p[1] - q[1]).abs()).min().unwrap() as f64
+        };
+        let sum = |from: &[[i64; 2]], others: &[[i64; 2]]| -> f64 {
+            from.iter().map(|p| to(p, others)).sum::<f64>() * energy.scale
+        };
+        [sum(&a, &b), sum(&b, &a)]
+    }
+
+    #[test]
+    fn values_are_the_papers_sums() {
+        let (truth, faces) = body(1.0, 0.0);
+        let energy = energy(&truth, &faces);
+        for (width, shift) in [(1.1, 0.0), (0.9, 0.0), (1.0, 0.15), (0.8, -0.2)] {
+            let (vertices, _) = body(width, shift);
+            let matched = energy.matched(&vertices, &faces).unwrap();
+            let terms = matched.evaluate(&vertices, 0.0, &mut vec![DVec3::ZERO; vertices.len()]);
+            let expected = sums(&energy, &vertices, &faces);
+            assert!((terms.rendered - expected[0]).abs() < 0.03 * expected[0] + 1e-6, "{terms:?}");
+            // Rounding off takes at most ROUNDING from each of two coordinates.
+            let taken = 2.0 * ROUNDING * energy.scale * matched.image.len() as f64;
+            assert!(terms.image <= 1.001 * expected[1] + 1e-6, "{terms:?} {expected:?}");
+            assert!(terms.image >= expected[1] - taken, "{terms:?} {expected:?}");
+        }
+        let perfect = energy.matched(&truth, &faces).unwrap();
+        let terms = perfect.evaluate(&truth, 0.0, &mut vec![DVec3::ZERO; truth.len()]);
+        assert!(terms.total() < 1e-5, "{terms:?}");
+    }
+
+    #[test]
+    fn gradients_of_matched_surfaces_agree_with_differences() {
+        let (truth, faces) = body(1.0, 0.0);
+        let energy = energy(&truth, &faces);
+        let (vertices, _) = body(1.05, 0.13);
+        let matched = energy.matched(&vertices, &faces).unwrap();
+        // Directions: every vertex by its own random vector.
+        let mode = |which: usize, i: usize| {
+            let phase = (i * (which + 3)) as f64 * 0.7;
+            DVec3::new(phase.sin(), (1.3 * phase).cos(), (0.4 * phase).sin()) * 0.2
+        };
+        let moved = |x: &[f64]| -> Vec<DVec3> {
+            let change =
+                |i: usize| x.iter().enumerate().map(|(w, x)| mode(w, i) * *x).sum::<DVec3>();
+            vertices.iter().enumerate().map(|(i, v)| *v + change(i)).collect()
+        };
+        let value = |x: &[f64], gradient: &mut [DVec3]| {
+            matched.evaluate(&moved(x), 2.0, gradient).total() * 2.0
+        };
+        // As matched, and moved.
+        for x in [[0.0; 4], [0.02, -0.01, 0.03, 0.015]] {
+            let mut by_vertices = vec![DVec3::ZERO; vertices.len()];
+            value(&x, &mut by_vertices);
+            let gradient: Vec<f64> = (0..x.len())
+                .map(|w| by_vertices.iter().enumerate().map(|(i, g)| g.dot(mode(w, i))).sum())
+                .collect();
+            let none = &mut vec![DVec3::ZERO; vertices.len()];
+            assert_gradient(&x, &gradient, 2e-3, |x| value(x, none));
+        }
+    }
+
+    /// The derivative of the paper's sums themselves, over changes of some pixels, but for the growth
+    /// of what rendered pixels stand for.
+    #[test]
+    fn the_gradient_is_that_of_the_sums() {
+        let (truth, faces) = body(1.0, 0.0);
+        let energy = energy(&truth, &faces);
+        let changes: [(&str, Change); 2] =
+            [("shift", |t| body(1.0, 0.15 + t)), ("width", |t| body(1.1 + t, 0.0))];
+        for (name, change) in changes {
+            let step = 0.02;
+            let [before, now, after] = [-step, 0.0, step].map(|t| change(t).0);
+            let total = |v: &[DVec3]| sums(&energy, v, &faces).iter().sum::<f64>();
+            let expected = (total(&after) - total(&before)) / (2.0 * step);
+            let mut gradient = vec![DVec3::ZERO; now.len()];
+            energy.matched(&now, &faces).unwrap().evaluate(&now, 1.0, &mut gradient);
+            let moved = after.iter().zip(&before).map(|(a, b)| (*a - *b) / (2.0 * step));
+            let found: f64 = gradient.iter().zip(moved).map(|(g, d)| g.dot(d)).sum();
+            assert!((found - expected).abs() < 0.25 * expected.abs(), "{name}: {found} {expected}");
+        }
+    }
+
+    #[test]
+    fn bodies_outside_the_image_are_an_error() {
+        let (truth, faces) = body(1.0, 0.0);
+        let energy = energy(&truth, &faces);
+        let (gone, _) = body(1.0, 50.0);
+        assert!(energy.matched(&gone, &faces).unwrap_err().to_string().contains("left the image"));
+        let empty = Mask::new(160, 160, vec![false; 160 * 160]).unwrap();
+        assert!(SilhouetteEnergy::new(&camera(), &empty, 80, 0.01).is_err());
+    }
+}

@@ -1,0 +1,206 @@
+use std::path::Path;
+
+use cape_render::Image;
+
+use crate::{Camera, Error, Result};
+
+/// The pixels that a person covers.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Mask {
+    width: u32,
+    height: u32,
+    covered: Vec<bool>,
+}
+
+impl Mask {
+    /// Rows of pixels, `[height · width]`.
+    ///
+    /// # Errors
+    /// If there are more or fewer.
+    pub fn new(width: u32, height: u32, covered: Vec<bool>) -> Result<Self> {
+        if covered.len() != width as usize * height as usize {
+            return Err(Error::Observation(format!(
+                "mask of {} pixels, expected {width}×{height}",
+                covered.len()
+            )));
+        }
+        Ok(Self { width, height, covered })
+    }
+
+    /// The pixels of a picture that are light and opaque.
+    pub fn of_image(image: &Image) -> Self {
+        let light = |&[r, g, b, a]: &[u8; 4]| a > 127 && u16::from(r.max(g).max(b)) > 127;
+        Self {
+            width: image.width(),
+            height: image.height(),
+            covered: image.pixels().iter().map(light).collect(),
+        }
+    }
+
+    /// Reads a PNG: light pixels are covered.
+    ///
+    /// # Errors
+    /// If the file is no PNG.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self> {
+        Ok(Self::of_image(&Image::load(path)?))
+    }
+
+    /// The mask as a picture, white on black.
+    ///
+    /// # Errors
+    /// If the mask has no pixels or too many for a picture.
+    pub fn to_image(&self) -> Result<Image> {
+        let mut image = Image::new(self.width, self.height, [0, 0, 0, 255])?;
+        for (pixel, &covered) in image.pixels_mut().iter_mut().zip(&self.covered) {
+            if covered {
+                *pixel = [255; 4];
+            }
+        }
+        Ok(image)
+    }
+
+    /// Columns.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Rows.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// Whether each pixel is covered, `[height · width]`.
+    pub fn covered(&self) -> &[bool] {
+        &self.covered
+    }
+
+    /// Number of covered pixels.
+    pub fn area(&self) -> usize {
+        self.covered.iter().filter(|&&covered| covered).count()
+    }
+
+    /// Refuses a mask that cannot be of a person in the camera's image.
+    ///
+    /// # Errors
+    /// If it has another size than the image, or covers nothing or everything.
+    pub fn check(&self, camera: &Camera) -> Result<()> {
+        let refuse = |message: String| Err(Error::Observation(message));
+        if (self.width, self.height) != (camera.width(), camera.height()) {
+            return refuse(format!(
+                "mask of {}×{} pixels, but the image has {}×{}",
+                self.width,
+                self.height,
+                camera.width(),
+                camera.height()
+            ));
+        }
+        match self.area() {
+            0 => refuse("the mask is empty: nobody is in the image".into()),
+            area if area == self.covered.len() => {
+                refuse("the mask covers the whole image: there is no silhouette".into())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The mask on a picture of another size: a pixel is covered where more than half of it was.
+    #[must_use]
+    pub fn resized(&self, width: u32, height: u32) -> Self {
+        if (width, height) == (self.width, self.height) {
+            return self.clone();
+        }
+        let (columns, rows) = (shares(self.width, width), shares(self.height, height));
+        let mut covered = Vec::with_capacity(width as usize * height as usize);
+        for row in &rows {
+            for column in &columns {
+                let (mut inside, mut all) = (0.0, 0.0);
+                for &(y, share_y) in row {
+                    for &(x, share_x) in column {
+                        let share = share_x * share_y;
+                        all += share;
+                        if self.covered[y * self.width as usize + x] {
+                            inside += share;
+                        }
+                    }
+                }
+                covered.push(inside > 0.5 * all);
+            }
+        }
+        Self { width, height, covered }
+    }
+
+    /// Covered by both over covered by either; 1 where neither covers anything.
+    ///
+    /// # Errors
+    /// If the sizes differ.
+    pub fn intersection_over_union(&self, other: &Self) -> Result<f64> {
+        if (self.width, self.height) != (other.width, other.height) {
+            return Err(Error::argument(format!(
+                "masks of {}×{} and {}×{} pixels",
+                self.width, self.height, other.width, other.height
+            )));
+        }
+        let pairs = || self.covered.iter().zip(&other.covered);
+        let both = pairs().filter(|&(&a, &b)| a && b).count();
+        let either = pairs().filter(|&(&a, &b)| a || b).count();
+        Ok(if either == 0 { 1.0 } else { both as f64 / either as f64 })
+    }
+}
+
+/// For each of `to` cells the cells of `from` that it overlaps, and by how much.
+fn shares(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
+    let scale = f64::from(from) / f64::from(to);
+    let cell = |at: u32| {
+        let (start, end) = (f64::from(at) * scale, f64::from(at + 1) * scale);
+        let cells = start as usize..(end.ceil() as usize).min(from as usize);
+        cells.map(|i| (i, end.min(i as f64 + 1.0) - start.max(i as f64))).collect()
+    };
+    (0..to).map(cell).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn disc(side: u32) -> Mask {
+        let centre = 0.5 * f64::from(side);
+        let covered = (0..side * side).map(|at| {
+            let (x, y) = (f64::from(at % side) + 0.5, f64::from(at / side) + 0.5);
+            (x - centre).hypot(y - centre) < 0.35 * f64::from(side)
+        });
+        Mask::new(side, side, covered.collect()).unwrap()
+    }
+
+    #[test]
+    fn a_disc_stays_a_disc_at_any_size() {
+        for side in [32, 50, 100] {
+            let expected = disc(side);
+            let overlap = disc(200).resized(side, side).intersection_over_union(&expected);
+            assert!(overlap.unwrap() > 0.98);
+        }
+        assert_eq!(disc(64).resized(64, 64), disc(64));
+        let wide = disc(30).resized(60, 15);
+        assert_eq!((wide.width(), wide.height()), (60, 15));
+    }
+
+    #[test]
+    fn pictures_and_masks_are_the_same() {
+        let mask = disc(20);
+        assert_eq!(Mask::of_image(&mask.to_image().unwrap()), mask);
+        let shifted = Mask::new(2, 1, vec![true, false]).unwrap();
+        let other = Mask::new(2, 1, vec![true, true]).unwrap();
+        assert_eq!(shifted.intersection_over_union(&other).unwrap(), 0.5);
+        assert!(shifted.intersection_over_union(&mask).is_err());
+    }
+
+    #[test]
+    fn masks_of_nobody_are_refused() {
+        let camera = Camera::new(20, 20, None).unwrap();
+        let message = |mask: Mask| mask.check(&camera).unwrap_err().to_string();
+        assert!(disc(20).check(&camera).is_ok());
+        assert!(message(disc(21)).contains("21×21"));
+        assert!(message(Mask::new(20, 20, vec![false; 400]).unwrap()).contains("empty"));
+        assert!(message(Mask::new(20, 20, vec![true; 400]).unwrap()).contains("whole"));
+        assert!(Mask::new(20, 20, vec![true; 399]).is_err());
+    }
+}
