@@ -8,6 +8,7 @@
 //! - [`core`] — meshes, NumPy files, SMPL and the clothing term, outfits, the synthetic data;
 //! - [`graph`] — mesh pyramids and graph operations on tensors;
 //! - [`model`] — the networks and losses;
+//! - [`fit`] — bodies and their clothes from keypoints and silhouettes (SMPLify, CAPE §6.3);
 //! - [`layer`] — clothing of its own topology (Yang et al., ECCV 2018): association, statistics,
 //!   regression, simulation;
 //! - [`train`] — data sets, training, evaluation, and opening a trained [`Run`](train::Run);
@@ -16,6 +17,7 @@
 //! [`prelude`] has what most programs need.
 
 pub use cape_core as core;
+pub use cape_fit as fit;
 pub use cape_graph as graph;
 pub use cape_layer as layer;
 pub use cape_model as model;

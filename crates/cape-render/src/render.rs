@@ -287,12 +287,12 @@ fn gather(
                 continue;
             }
             count += 1;
-            match faces[..distinct].iter_mut().find(|(known, ..)| *known == face) {
-                Some((_, times, _)) => *times += 1,
-                None => {
-                    faces[distinct] = (face, 1, [x, y]);
-                    distinct += 1;
-                }
+            let known = faces[..distinct].iter_mut().find(|(known, ..)| *known == face);
+            if let Some((_, times, _)) = known {
+                *times += 1;
+            } else {
+                faces[distinct] = (face, 1, [x, y]);
+                distinct += 1;
             }
         }
     }
