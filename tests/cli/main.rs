@@ -5,6 +5,8 @@ mod bad_places;
 mod bench;
 mod commands;
 mod files;
+mod fitting;
+mod layer;
 mod priors;
 mod support;
 mod tf_writer;

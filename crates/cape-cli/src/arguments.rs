@@ -56,6 +56,8 @@ pub(crate) enum Command {
     PoseEffect(commands::pose_effect::PoseEffect),
     #[cfg(feature = "view")]
     View(commands::view::View),
+    Fit(commands::fit::Fit),
+    FitBenchmark(commands::fit_benchmark::FitBenchmark),
     Layer(commands::layer::Layer),
     Import(commands::import::Import),
     Export(commands::export::Export),
@@ -86,6 +88,8 @@ impl Command {
             Self::PoseEffect(command) => command.run(global, console)?,
             #[cfg(feature = "view")]
             Self::View(command) => command.run(global, console)?,
+            Self::Fit(command) => command.run(global, console)?,
+            Self::FitBenchmark(command) => command.run(global, console)?,
             Self::Layer(command) => command.run(global, console)?,
             Self::Import(command) => command.run(global, console)?,
             Self::Export(command) => command.run(console)?,

@@ -17,6 +17,8 @@ pub(crate) enum Error {
     #[error(transparent)]
     Layer(#[from] cape_layer::Error),
     #[error(transparent)]
+    Fit(#[from] cape_fit::Error),
+    #[error(transparent)]
     Render(#[from] cape_render::Error),
     /// The command's own objection; says what was expected.
     #[error("{0}")]

@@ -9,6 +9,7 @@
 //! are metres, radians and pixels; everything is computed in `f64`, and every gradient is exact.
 
 mod alignment;
+pub mod benchmark;
 mod body_energy;
 mod camera;
 mod clothed;

@@ -7,6 +7,8 @@ pub(crate) mod demo;
 pub(crate) mod eval;
 pub(crate) mod eval_samples;
 pub(crate) mod export;
+pub(crate) mod fit;
+pub(crate) mod fit_benchmark;
 pub(crate) mod fit_prior;
 pub(crate) mod generate;
 pub(crate) mod import;

@@ -47,6 +47,9 @@ pub(super) struct Synth {
     /// Stiffness of the cloth, as ratios to that of cotton jersey.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     stiffness: Vec<f64>,
+    /// What subjects do: walk, squat, march, swing, jump; by default all.
+    #[arg(long, value_delimiter = ',', value_name = "EXERCISE,…", value_parser = exercise)]
+    exercises: Vec<Exercise>,
     /// Length of triangles' edges, millimetres.
     #[arg(long, default_value_t = 25.0, value_name = "MM")]
     resolution: f64,
@@ -58,6 +61,13 @@ enum Kind {
     Shorts,
     Skirt,
     Dress,
+}
+
+fn exercise(name: &str) -> Result<Exercise, String> {
+    Exercise::ALL.into_iter().find(|exercise| exercise.name() == name).ok_or_else(|| {
+        let names: Vec<&str> = Exercise::ALL.iter().map(|exercise| exercise.name()).collect();
+        format!("expected one of {}", names.join(", "))
+    })
 }
 
 #[derive(Debug, Serialize)]
@@ -98,7 +108,10 @@ impl Synth {
                 .collect(),
             frames: self.frames,
             frame_rate: self.fps,
-            exercises: Exercise::ALL.to_vec(),
+            exercises: match &self.exercises[..] {
+                [] => Exercise::ALL.to_vec(),
+                chosen => chosen.to_vec(),
+            },
             ..Design::of(garment)
         };
         let sewn = design.sew(&model)?;
