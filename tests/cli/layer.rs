@@ -11,7 +11,7 @@ fn a_skirt_is_simulated_learnt_and_predicted() {
     let place = tempfile::tempdir().unwrap();
     let at = |name: &str| place.path().join(name).display().to_string();
     let (set, learnt, predicted) = (at("set"), at("learnt"), at("predicted"));
-    let options = "--garment skirt --exercises march --frames 8 --resolution 60";
+    let options = "--garment skirt --exercises march --frames 8 --resolution 50";
     let report = run_line(&format!("layer synth {options} --out {set} --json")).json();
     assert_eq!((&report["sequences"], &report["frames"]), (&1.into(), &8.into()));
 

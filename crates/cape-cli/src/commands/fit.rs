@@ -15,7 +15,7 @@ use serde::Serialize;
 use crate::{
     arguments::Global,
     console::Console,
-    error::{Error, Result},
+    error::{Context, Error, Result},
     files,
 };
 
@@ -76,7 +76,9 @@ impl Fit {
         let mask = Mask::load(&self.mask)?;
         let camera = Camera::new(mask.width(), mask.height(), self.focal)?;
         mask.check(&camera)?;
-        let keypoints = read_keypoints(&self.keypoints)?.choose(self.person)?;
+        let keypoints = read_keypoints(&self.keypoints)?
+            .choose(self.person)
+            .doing(|| format!("reading {}", self.keypoints.display()))?;
         let image = self.image.as_ref().map(Image::load).transpose()?;
         if let Some(image) = &image
             && (image.width(), image.height()) != (mask.width(), mask.height())
