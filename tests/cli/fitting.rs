@@ -43,6 +43,6 @@ fn what_cannot_be_fitted_is_said() {
     fit("broken.json", "half.png").failed_saying(&["broken.json"]);
     fit("nobody.json", "half.png").failed_saying(&["nobody.json"]);
     fit("unseen.json", "half.png").failed_saying(&["joint"]);
-    fit("two.json", "half.png").failed_saying(&["person"]);
+    fit("two.json", "half.png").failed_saying(&["two.json", "choose one"]);
     assert!(!data.at("no").exists());
 }

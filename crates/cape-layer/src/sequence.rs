@@ -154,6 +154,8 @@ impl LayerSet {
     /// that exists. Every file appears whole or not at all.
     pub fn save(&self, directory: impl AsRef<Path>) -> Result<()> {
         let directory = directory.as_ref();
+        std::fs::create_dir_all(directory)
+            .map_err(|source| cape_core::Error::io(directory, source))?;
         let faces =
             Array2::from_shape_fn((self.faces.len(), 3), |(f, k)| i64::from(self.faces[f][k]));
         let mut index = Vec::new();

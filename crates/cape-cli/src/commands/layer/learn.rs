@@ -75,6 +75,7 @@ struct Report {
     clothing_vertices: usize,
     pairs: usize,
     completed_vertices: usize,
+    components: usize,
     explained: f64,
     counts: Vec<usize>,
     reconstruction: Vec<Row>,
@@ -100,7 +101,9 @@ impl Learn {
         let association = options.associate(&under, &over)?;
 
         let unposed = Unposed::new(&model, &set, &association, standard.clone())?;
-        let counts: Vec<usize> = [1, 5, self.components].into();
+        let mut counts = vec![1, 5, self.components];
+        counts.sort_unstable();
+        counts.dedup();
         let table = unposed.reconstruction(&counts)?;
         let features = Features::default();
         let training = Training { seed: global.seed.unwrap_or(1), ..Training::default() };
@@ -128,6 +131,7 @@ impl Learn {
             clothing_vertices: association.clothing_vertices(),
             pairs: association.pairs,
             completed_vertices: association.completion.total(),
+            components: self.components,
             explained: learnt.pca.explained(),
             reconstruction: rows.collect(),
             counts,
@@ -188,7 +192,7 @@ impl Report {
             self.clothing_vertices,
             self.pairs,
             self.completed_vertices,
-            self.counts.last().copied().unwrap_or_default(),
+            self.components,
             100.0 * self.explained,
             self.train.mean_mm,
             self.predict.mean_mm,
