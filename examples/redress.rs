@@ -15,9 +15,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = PathBuf::from(std::env::args().nth(1).ok_or("expected a run's directory")?);
     let run = Run::open(&path, &Device::default())?;
     let set = PackedSet::open(&run.data()?, Part::Test)?;
-    let pose = BodyPose::try_from(set.pose(0)?).map_err(|_| "expected 72 angles")?;
-    let seen = Wearer { betas: Vec::new(), pose, outfit: set.outfits()[0] };
-    let code = run.encode(&set.batch(&[0], None)?.displacement, std::slice::from_ref(&seen))?;
+    let (displacement, seen) = set.registration(0)?;
+    let code = run.encode(&displacement, std::slice::from_ref(&seen))?;
 
     let pose = poses::preset("squats").ok_or("no such pose")?;
     let squatting = Wearer { pose, ..seen.clone() };

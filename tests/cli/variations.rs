@@ -106,7 +106,7 @@ fn a_registration_is_given_other_clothes_and_poses() {
     }
     let packed = data.run(&format!("redress {run} frame:1 --outfit shortshort --out @/two --json"));
     assert!(packed.json()["files"].as_array().unwrap().len() >= 2);
-    data.run(&format!("redress {run} frame:77777 --out @/no")).failed_saying(&["frame:77777"]);
+    data.run(&format!("redress {run} frame:77777 --out @/no")).failed_saying(&["frame 77777"]);
     fs::copy(data.at("raw/body.npz"), data.at("lost.npz")).unwrap();
     data.run(&format!("redress {run} @/lost.npz --out @/no")).failed_saying(&["--was"]);
     assert!(!data.at("no").exists());

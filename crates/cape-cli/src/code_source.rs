@@ -12,15 +12,14 @@ use serde::Deserialize;
 use crate::{
     console::Console,
     error::{Error, Result},
-    priors::{PriorName, codes},
+    priors::Drawn,
 };
 
 /// How codes that are not given are drawn.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Draw<'a> {
     pub(crate) run: &'a Run,
-    pub(crate) prior: PriorName,
-    pub(crate) temperature: f64,
+    pub(crate) drawn: Drawn,
     pub(crate) outfit: Outfit,
     pub(crate) console: Console,
 }
@@ -42,8 +41,8 @@ impl Draw<'_> {
             vec![0.0; latent]
         } else if let Some(seed) = text.strip_prefix("seed:") {
             let seed = number(text, seed)?;
-            let &Self { run, prior, temperature, outfit, console } = self;
-            codes(run, prior, &[outfit], 1, temperature, seed, console)?.row(0).to_vec()
+            let &Self { run, drawn, outfit, console } = self;
+            drawn.codes(run, &[outfit], 1, seed, console)?.row(0).to_vec()
         } else if let Some(frame) = text.strip_prefix("frame:") {
             let set = PackedSet::open(&self.run.data()?, Part::Test)?;
             self.run.encode_frames(&set, &[number(text, frame)? as usize])?.row(0).to_vec()

@@ -3,6 +3,7 @@
 use std::{fs, io::Write, path::Path};
 
 use cape_core::write_atomically;
+use serde::Serialize;
 
 use crate::error::{Error, Result};
 
@@ -29,6 +30,17 @@ pub(crate) fn create_dir(path: &Path) -> Result {
 
 pub(crate) fn write_text(path: &Path, text: &str) -> Result {
     write_bytes(path, text.as_bytes())
+}
+
+/// Writes each of `lines` as JSON on a line.
+pub(crate) fn write_json_lines(path: &Path, lines: &[impl Serialize]) -> Result {
+    let mut text = String::new();
+    for line in lines {
+        text += &serde_json::to_string(line)
+            .map_err(|error| Error::message(format!("{}: {error}", path.display())))?;
+        text.push('\n');
+    }
+    write_text(path, &text)
 }
 
 pub(crate) fn write_bytes(path: &Path, bytes: &[u8]) -> Result {

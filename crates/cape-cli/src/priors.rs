@@ -2,7 +2,7 @@
 
 use cape_core::Outfit;
 use cape_train::{Run, prior::Prior};
-use clap::ValueEnum;
+use clap::{Args, ValueEnum};
 use ndarray::{Array2, Axis, concatenate};
 
 use crate::{
@@ -28,11 +28,47 @@ impl PriorName {
     }
 }
 
-pub(crate) fn checked_temperature(temperature: f64) -> Result<f64> {
-    if temperature.is_finite() && temperature >= 0.0 {
-        return Ok(temperature);
+/// What codes are drawn from, as commands ask for it.
+#[derive(Debug, Clone, Copy, Args)]
+pub(crate) struct Drawn {
+    /// What codes are drawn from: the standard normal prior, or the mixture or kernel density that
+    /// `cape fit-prior` fitted.
+    #[arg(long, value_enum, default_value_t = PriorName::Normal)]
+    pub(crate) prior: PriorName,
+    /// Factor on how far codes are from what is typical: below 1 plainer, above 1 wilder.
+    #[arg(long, default_value_t = 1.0, value_name = "T")]
+    pub(crate) temperature: f64,
+}
+
+impl Drawn {
+    pub(crate) fn temperature(&self) -> Result<f64> {
+        let temperature = self.temperature;
+        if temperature.is_finite() && temperature >= 0.0 {
+            return Ok(temperature);
+        }
+        Err(Error::message(format!("--temperature {temperature}: expected 0 or more")))
     }
-    Err(Error::message(format!("--temperature {temperature}: expected 0 or more")))
+
+    /// `n` codes for each of `outfits`, one outfit's below the other's, `[outfits · n, latent]`. From
+    /// the standard normal prior they are the same for all outfits.
+    pub(crate) fn codes(
+        &self,
+        run: &Run,
+        outfits: &[Outfit],
+        n: usize,
+        seed: u64,
+        console: Console,
+    ) -> Result<Array2<f32>> {
+        let temperature = self.temperature()?;
+        let prior = fitted(run, self.prior, console)?;
+        let of = |&outfit: &Outfit| match &prior {
+            Some(prior) => prior.sample(outfit, n, temperature, seed),
+            None => run.sample_codes(n, seed) * temperature as f32,
+        };
+        let codes: Vec<Array2<f32>> = outfits.iter().map(of).collect();
+        let views: Vec<_> = codes.iter().map(|codes| codes.view()).collect();
+        concatenate(Axis(0), &views).map_err(|error| Error::message(error.to_string()))
+    }
 }
 
 /// The density that was fitted to the run's codes; none for the standard normal prior.
@@ -65,25 +101,4 @@ pub(crate) fn fitted(run: &Run, name: PriorName, console: Console) -> Result<Opt
         ));
     }
     Ok(Some(prior))
-}
-
-/// `n` codes for each of `outfits`, one outfit's below the other's, `[outfits · n, latent]`. From the
-/// standard normal prior they are the same for all outfits.
-pub(crate) fn codes(
-    run: &Run,
-    name: PriorName,
-    outfits: &[Outfit],
-    n: usize,
-    temperature: f64,
-    seed: u64,
-    console: Console,
-) -> Result<Array2<f32>> {
-    let prior = fitted(run, name, console)?;
-    let of = |&outfit: &Outfit| match &prior {
-        Some(prior) => prior.sample(outfit, n, temperature, seed),
-        None => run.sample_codes(n, seed) * temperature as f32,
-    };
-    let codes: Vec<Array2<f32>> = outfits.iter().map(of).collect();
-    let views: Vec<_> = codes.iter().map(|codes| codes.view()).collect();
-    concatenate(Axis(0), &views).map_err(|error| Error::message(error.to_string()))
 }

@@ -11,6 +11,7 @@ pub mod joints;
 mod mesh;
 pub mod npy;
 pub mod obj;
+pub mod optimise;
 mod outfit;
 pub mod pickle;
 pub mod ply;

@@ -90,7 +90,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::lbfgs::{LbfgsOptions, minimise};
+    use cape_core::optimise::{LbfgsOptions, minimise};
 
     fn points(numbers: &[f64]) -> Vec<DVec3> {
         numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)).collect()

@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use cape_core::Outfit;
-use cape_train::{Run, Wearer, data::PackedSet};
+use cape_train::{Run, data::PackedSet};
 use glam::DVec3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -177,19 +177,15 @@ fn scene(
     rng: &mut ChaCha8Rng,
 ) -> Result<(Vec<DVec3>, Keypoints, Camera)> {
     let camera = Camera::new(options.side, options.side, None)?;
-    let pose = set.pose(frame)?;
-    let pose: [f32; 72] = pose.try_into().map_err(|pose: Vec<f32>| {
-        Error::argument(format!("frame {frame}: a pose of {} numbers", pose.len()))
-    })?;
+    let (displacement, mut wearer) = set.registration(frame)?;
     let shapes = SHAPES.min(run.body().betas());
-    let betas: Vec<f32> = (0..shapes).map(|_| rng.sample(StandardNormal)).collect();
-    let wearer = Wearer { betas: betas.clone(), pose, outfit: set.outfits()[frame] };
-    let displacement = set.batch(&[frame], None)?.displacement;
+    wearer.betas = (0..shapes).map(|_| rng.sample(StandardNormal)).collect();
     let mesh = run.wear(&displacement, std::slice::from_ref(&wearer))?.remove(0);
     let truth =
         mesh.vertices.iter().map(|&[x, y, z]| DVec3::new(x.into(), y.into(), z.into()) + PLACE);
-    let betas: Vec<f64> = betas.into_iter().map(f64::from).collect();
-    let joints = run.body().pose(&betas, &pose.map(f64::from), [0.0; 3], None)?.joints;
+    let betas: Vec<f64> = wearer.betas.iter().copied().map(f64::from).collect();
+    let pose = wearer.pose.map(f64::from);
+    let joints = run.body().pose(&betas, &pose, [0.0; 3], None)?.joints;
     let detector = Detector::Body25;
     let unseen = Keypoint { x: 0.0, y: 0.0, confidence: 0.0 };
     let mut points = vec![unseen; detector.points()];

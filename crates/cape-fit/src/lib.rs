@@ -19,8 +19,6 @@ mod dressed;
 mod error;
 mod initial;
 pub mod keypoints;
-mod lbfgs;
-mod line_search;
 mod parameters;
 mod pose_prior;
 pub mod silhouette;
@@ -31,6 +29,8 @@ mod smplify_tests;
 #[cfg(test)]
 mod testing;
 
+pub use cape_core::optimise::{LbfgsOptions, Minimum, Stop};
+
 pub use alignment::{AlignedError, Alignment, aligned_error};
 pub use body_energy::{BodyEnergy, BodyTerms, BodyWeights};
 pub use camera::Camera;
@@ -38,7 +38,6 @@ pub use clothed::{ClothedConfig, ClothedFit, ClothedTerms, Level};
 pub use dressed::{DressedBody, DressedGradient, DressedSurface};
 pub use error::{Error, Result};
 pub use keypoints::{Detector, Keypoint, Keypoints, read_keypoints};
-pub use lbfgs::{LbfgsOptions, Minimum, Stop, minimise};
 pub use parameters::BodyParameters;
 pub use pose_prior::{BODY_POSE, COMPONENTS, OPTIONS, PosePrior, synthetic_poses};
 pub use silhouette::Mask;

@@ -1,13 +1,13 @@
 //! Unknowns of a fit, by name and as one vector.
 
-use cape_core::joints::JOINTS;
+use cape_core::{
+    joints::JOINTS,
+    optimise::{LbfgsOptions, Minimum, minimise},
+};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    Error, Result,
-    lbfgs::{LbfgsOptions, Minimum, minimise},
-};
+use crate::{Error, Result};
 
 /// Numbers of a pose.
 pub(crate) const POSE: usize = 3 * JOINTS;

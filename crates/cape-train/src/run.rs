@@ -316,11 +316,19 @@ impl Run {
                 self.paths.root().display()
             )));
         }
-        let data = read_identity(&path)?.path;
-        // As it was named, or else seen from a directory that the run is in.
+        let identity = read_identity(&path)?;
+        let data = &identity.path;
+        if data.exists() {
+            return Ok(data.clone());
+        }
+        // Seen from a directory that the run is in, if it is the same set.
         let root = fs::canonicalize(self.paths.root()).unwrap_or_default();
-        let places = root.ancestors().map(|place| place.join(&data));
-        std::iter::once(data.clone()).chain(places).find(|place| place.exists()).ok_or_else(|| {
+        let same = |place: &PathBuf| {
+            PackedSet::open(place, Part::Train).is_ok_and(|set| {
+                (set.frames(), set.vertices()) == (identity.frames, identity.vertices)
+            })
+        };
+        root.ancestors().map(|place| place.join(data)).find(same).ok_or_else(|| {
             Error::argument(format!(
                 "{}: not there any more: name the packed set that {} was trained on",
                 data.display(),

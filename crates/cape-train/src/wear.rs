@@ -197,6 +197,25 @@ impl Run {
     }
 }
 
+impl PackedSet {
+    /// A frame's displacements in metres, `[1, vertices, 3]`, and who wears them: a body of mean
+    /// shape, since packed sets keep none.
+    ///
+    /// # Errors
+    /// If there is no such frame, or it cannot be read.
+    pub fn registration(&self, frame: usize) -> Result<(Array3<f32>, Wearer)> {
+        let count = self.frames();
+        let outfit = *self.outfits().get(frame).filter(|_| frame < count).ok_or_else(|| {
+            Error::argument(format!("frame {frame}: the set has {count}, counted from 0"))
+        })?;
+        let pose = BodyPose::try_from(self.pose(frame)?).map_err(|pose| {
+            Error::argument(format!("frame {frame}: a pose of {} numbers", pose.len()))
+        })?;
+        let wearer = Wearer { betas: Vec::new(), pose, outfit };
+        Ok((self.batch(&[frame], None)?.displacement, wearer))
+    }
+}
+
 fn poses_and_outfits(wearers: &[Wearer]) -> (Vec<BodyPose>, Vec<Outfit>) {
     wearers.iter().map(|wearer| (wearer.pose, wearer.outfit)).unzip()
 }

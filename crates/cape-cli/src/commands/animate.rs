@@ -13,7 +13,7 @@ use crate::{
     dressed::{Dressed, Painter},
     error::{Error, Result},
     files,
-    priors::{PriorName, checked_temperature, codes},
+    priors::Drawn,
 };
 
 /// Frames decoded and posed at a time.
@@ -50,12 +50,8 @@ pub(crate) struct Animate {
     /// Shape coefficients of the body; missing ones are zero.
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "B,B,…")]
     betas: Vec<f32>,
-    /// What the code is drawn from: the standard normal prior, or what `cape fit-prior` fitted.
-    #[arg(long, value_enum, default_value_t = PriorName::Normal)]
-    prior: PriorName,
-    /// Factor on how far the code is from what is typical.
-    #[arg(long, default_value_t = 1.0, value_name = "T")]
-    temperature: f64,
+    #[command(flatten)]
+    drawn: Drawn,
     /// What is written: pictures with an animated PNG, meshes, or one glTF file.
     #[arg(long, value_enum, default_value_t = Format::Png)]
     format: Format,
@@ -95,7 +91,6 @@ impl Animate {
             )));
         }
         let poses = movement(&self.motion, self.seconds, f64::from(self.fps))?;
-        let temperature = checked_temperature(self.temperature)?;
         files::require_empty(&self.out)?;
         let run = Run::open(&self.run, &device)?;
         if self.betas.len() > run.body().betas() || self.betas.iter().any(|b| !b.is_finite()) {
@@ -103,7 +98,7 @@ impl Animate {
             return Err(Error::message(format!("--betas: expected at most {most} finite numbers")));
         }
         let seed = global.seed.unwrap_or(1);
-        let code = codes(&run, self.prior, &[self.outfit], 1, temperature, seed, console)?;
+        let code = self.drawn.codes(&run, &[self.outfit], 1, seed, console)?;
         files::create_dir(&self.out)?;
         let displacement = self.frames(&run, &code, &poses, console)?;
         match self.format {

@@ -13,7 +13,7 @@ use crate::{
     arguments::{Global, at_least_one},
     console::Console,
     error::Result,
-    priors::{PriorName, fitted},
+    priors::{Drawn, fitted},
     table::Table,
 };
 
@@ -30,12 +30,8 @@ pub(crate) struct EvalSamples {
     /// Packed set with the held-out frames; by default the run's own.
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// What codes are drawn from: the standard normal prior, or what `cape fit-prior` fitted.
-    #[arg(long, value_enum, default_value_t = PriorName::Normal)]
-    prior: PriorName,
-    /// Factor on how far codes are from what is typical.
-    #[arg(long, default_value_t = 1.0, value_name = "T")]
-    temperature: f64,
+    #[command(flatten)]
+    drawn: Drawn,
     /// Most held-out frames to compare with, evenly spaced.
     #[arg(long, default_value_t = 200, value_name = "N", value_parser = at_least_one)]
     frames: usize,
@@ -58,9 +54,9 @@ impl EvalSamples {
             None => run.data()?,
         };
         let seed = global.seed.unwrap_or(1);
-        let temperature = crate::priors::checked_temperature(self.temperature)?;
+        let temperature = self.drawn.temperature()?;
         let options = QualityOptions { frames: self.frames, seed, ..QualityOptions::default() };
-        let prior = fitted(&run, self.prior, console)?;
+        let prior = fitted(&run, self.drawn.prior, console)?;
         let normal = standard_normal(run.config().model.latent, temperature, seed);
         let found = console.while_showing("measure", "parts", |progress| match &prior {
             None => quality(&run, &data, &normal, options, progress),
@@ -72,7 +68,7 @@ impl EvalSamples {
                 progress,
             ),
         })?;
-        let report = Report { prior: self.prior.name(), temperature, quality: found };
+        let report = Report { prior: self.drawn.prior.name(), temperature, quality: found };
         write_json(&run.paths().root().join("samples.json"), &report)?;
         console.result(&report, || report.text())
     }

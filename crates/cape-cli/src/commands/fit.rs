@@ -158,7 +158,7 @@ impl Fit {
     }
 }
 
-pub(super) fn mesh(vertices: &[DVec3], faces: &[[u32; 3]]) -> Mesh {
+fn mesh(vertices: &[DVec3], faces: &[[u32; 3]]) -> Mesh {
     let vertices = vertices.iter().map(|v| v.to_array().map(|x| x as f32)).collect();
     Mesh { vertices, faces: faces.to_vec() }
 }

@@ -24,7 +24,7 @@ use crate::{
     console::Console,
     error::{Error, Result},
     files,
-    priors::{PriorName, checked_temperature, fitted},
+    priors::{Drawn, fitted},
 };
 
 /// Bodies in a part: what is decoded, written and resumed together.
@@ -63,12 +63,8 @@ pub(crate) struct Generate {
     /// Standard deviation of the ten shape coefficients.
     #[arg(long, default_value_t = 1.0, value_name = "S")]
     shape_deviation: f32,
-    /// What codes are drawn from.
-    #[arg(long, value_enum, default_value_t = PriorName::Normal)]
-    prior: PriorName,
-    /// Factor on how far codes are from what is typical.
-    #[arg(long, default_value_t = 1.0, value_name = "T")]
-    temperature: f64,
+    #[command(flatten)]
+    drawn: Drawn,
     /// Arrays of 64 bodies, `vertices` [n, vertices, 3], or a mesh file for each body.
     #[arg(long, value_enum, default_value_t = Format::Npz)]
     format: Format,
@@ -120,7 +116,7 @@ struct Report {
 impl Generate {
     pub(crate) fn run(self, global: &Global, console: Console) -> Result {
         let device = parse_device(&global.device)?;
-        let temperature = checked_temperature(self.temperature)?;
+        let temperature = self.drawn.temperature()?;
         if !(self.shape_deviation.is_finite() && self.shape_deviation >= 0.0) {
             return Err(Error::message(format!(
                 "--shape-deviation {}: expected 0 or more",
@@ -139,17 +135,17 @@ impl Generate {
             poses: self.poses.clone(),
             outfits: outfits.clone(),
             shape_deviation: self.shape_deviation,
-            prior: self.prior.name().to_owned(),
+            prior: self.drawn.prior.name().to_owned(),
             temperature,
             format: self.format,
             seed: global.seed.unwrap_or(1),
         };
         self.begin(&plan, &run)?;
-        let prior = fitted(&run, self.prior, console)?;
+        let prior = fitted(&run, self.drawn.prior, console)?;
         let dice = Dice { plan: &plan, run: &run, poses: &poses, prior: prior.as_ref() };
 
         let (start, mut made) = (Instant::now(), 0);
-        let mut index = String::new();
+        let mut index = Vec::with_capacity(self.n);
         console.while_showing("generate", "bodies", |progress| {
             for first in (0..self.n).step_by(PART) {
                 let count = PART.min(self.n - first);
@@ -164,16 +160,12 @@ impl Generate {
                     self.write(&run.dress(&codes, &wearers)?, &lines)?;
                     made += count;
                 }
-                for line in &lines {
-                    index += &serde_json::to_string(line)
-                        .map_err(|error| Error::message(format!("{INDEX}: {error}")))?;
-                    index.push('\n');
-                }
+                index.extend(lines);
                 progress(first + count, self.n);
             }
             Ok::<_, Error>(())
         })?;
-        files::write_text(&self.out.join(INDEX), &index)?;
+        files::write_json_lines(&self.out.join(INDEX), &index)?;
         let report = Report {
             bodies: self.n,
             made_now: made,

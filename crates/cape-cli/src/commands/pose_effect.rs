@@ -16,7 +16,7 @@ use crate::{
     dressed::{Dressed, Painter, eight_bit},
     error::{Error, Result},
     files,
-    priors::{PriorName, checked_temperature, codes},
+    priors::Drawn,
     table::Table,
 };
 
@@ -48,12 +48,8 @@ pub(crate) struct PoseEffect {
     /// What is worn.
     #[arg(long, default_value = "longlong", value_name = "OUTFIT", value_parser = outfit)]
     outfit: Outfit,
-    /// What the code is drawn from: the standard normal prior, or what `cape fit-prior` fitted.
-    #[arg(long, value_enum, default_value_t = PriorName::Normal)]
-    prior: PriorName,
-    /// Factor on how far the code is from what is typical.
-    #[arg(long, default_value_t = 1.0, value_name = "T")]
-    temperature: f64,
+    #[command(flatten)]
+    drawn: Drawn,
     /// Change that gets the brightest colour, millimetres.
     #[arg(long, default_value_t = 20.0, value_name = "MM")]
     scale: f32,
@@ -78,12 +74,11 @@ impl PoseEffect {
         if !(self.scale.is_finite() && self.scale > 0.0) {
             return Err(Error::message(format!("--scale {}: expected more than 0", self.scale)));
         }
-        let temperature = checked_temperature(self.temperature)?;
         files::require_empty(&self.out)?;
         let run = Run::open(&self.run, &device)?;
         let outfit = self.outfit;
         let seed = global.seed.unwrap_or(1);
-        let code = codes(&run, self.prior, &[outfit], 1, temperature, seed, console)?;
+        let code = self.drawn.codes(&run, &[outfit], 1, seed, console)?;
         let both = concatenate(Axis(0), &[code.view(), code.view()])
             .map_err(|error| Error::message(error.to_string()))?;
         let wearers = [a, b].map(|pose| Wearer { betas: Vec::new(), pose, outfit });

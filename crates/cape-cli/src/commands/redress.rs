@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use cape_core::{BodyPose, Outfit, npy::read_f64, parse_device, ply, poses::poses};
+use cape_core::{Outfit, npy::read_f64, parse_device, ply, poses::poses};
 use cape_render::{Tile, View, contact_sheet};
 use cape_train::{
     Run, Wearer,
@@ -175,22 +175,9 @@ impl Redress {
 
     fn of_packed(&self, run: &Run, frame: usize) -> Result<Registration> {
         let set = PackedSet::open(&run.data()?, Part::Test)?;
-        if frame >= set.frames() {
-            return Err(Error::message(format!(
-                "frame:{frame}: there are {} held-out frames, counted from 0",
-                set.frames()
-            )));
-        }
-        let batch = set.batch(&[frame], None)?;
-        let pose = BodyPose::try_from(set.pose(frame)?).map_err(|pose| {
-            Error::message(format!("frame {frame}: a pose of {} numbers", pose.len()))
-        })?;
-        let outfit = self.was.unwrap_or(set.outfits()[frame]);
-        Ok(Registration {
-            displacement: batch.displacement,
-            wearer: Wearer { betas: Vec::new(), pose, outfit },
-            residual_mm: None,
-        })
+        let (displacement, mut wearer) = set.registration(frame)?;
+        wearer.outfit = self.was.unwrap_or(wearer.outfit);
+        Ok(Registration { displacement, wearer, residual_mm: None })
     }
 
     /// The body under the clothes: as given, or of the raw tree that the frame is in.

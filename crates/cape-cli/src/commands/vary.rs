@@ -19,7 +19,7 @@ use crate::{
     dressed::{Dressed, dress},
     error::{Error, Result},
     files,
-    priors::{PriorName, checked_temperature, codes},
+    priors::Drawn,
 };
 
 /// Change one of code, pose, outfit and shape, the rest being fixed (the paper's figures 1, 5 and 6).
@@ -65,12 +65,8 @@ pub(crate) struct Vary {
     /// Shape coefficients of the body; missing ones are zero.
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "B,B,…")]
     betas: Vec<f32>,
-    /// What codes are drawn from.
-    #[arg(long, value_enum, default_value_t = PriorName::Normal)]
-    prior: PriorName,
-    /// Factor on how far drawn codes are from what is typical.
-    #[arg(long, default_value_t = 1.0, value_name = "T")]
-    temperature: f64,
+    #[command(flatten)]
+    drawn: Drawn,
     /// Write the picture only.
     #[arg(long)]
     no_meshes: bool,
@@ -117,10 +113,9 @@ struct Report {
 impl Vary {
     pub(crate) fn run(self, global: &Global, console: Console) -> Result {
         let device = parse_device(&global.device)?;
-        let temperature = checked_temperature(self.temperature)?;
         files::require_empty(&self.out)?;
         let run = Run::open(&self.run, &device)?;
-        let draw = Draw { run: &run, prior: self.prior, temperature, outfit: self.outfit, console };
+        let draw = Draw { run: &run, drawn: self.drawn, outfit: self.outfit, console };
         let (mut cells, columns) = self.cells(&draw, global.seed.unwrap_or(1))?;
         if !self.no_meshes {
             for (index, cell) in cells.iter_mut().enumerate() {
@@ -144,12 +139,7 @@ impl Vary {
             })
         })?;
         let picture = self.picture(&bodies, &cells, columns, console)?;
-        let mut text = String::new();
-        for cell in &cells {
-            text += &serde_json::to_string(cell).map_err(|e| Error::message(e.to_string()))?;
-            text.push('\n');
-        }
-        files::write_text(&self.out.join("variations.jsonl"), &text)?;
+        files::write_json_lines(&self.out.join("variations.jsonl"), &cells)?;
         let report = Report { bodies: cells.len(), picture, out: self.out };
         console
             .result(&report, || format!("{} bodies\n{}", report.bodies, report.picture.display()))
@@ -261,8 +251,8 @@ impl Vary {
     /// As many codes, with labels: those given, or else drawn ones.
     fn rows_of_codes(&self, draw: &Draw, n: usize, seed: u64) -> Result<Vec<(String, Vec<f32>)>> {
         if self.codes.is_empty() {
-            let &Draw { run, prior, temperature, outfit, console } = draw;
-            let drawn = codes(run, prior, &[outfit], n, temperature, seed, console)?;
+            let &Draw { run, drawn, outfit, console } = draw;
+            let drawn = drawn.codes(run, &[outfit], n, seed, console)?;
             let rows = drawn.rows().into_iter().enumerate();
             return Ok(rows.map(|(i, row)| (format!("sample {}", i + 1), row.to_vec())).collect());
         }

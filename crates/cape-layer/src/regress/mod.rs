@@ -5,7 +5,6 @@
 //! components; a [`Regressor`] holds both ends' scales and is one file.
 
 mod features;
-mod lbfgs;
 mod network;
 mod regressor;
 #[cfg(test)]
@@ -13,7 +12,6 @@ mod tests;
 mod training;
 
 pub use features::{Features, Motion};
-pub use lbfgs::{Lbfgs, Minimum, Objective};
 pub use network::Network;
 pub use regressor::Regressor;
 pub use training::{Epoch, Outcome, Training};

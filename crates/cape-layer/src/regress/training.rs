@@ -1,9 +1,12 @@
-use ndarray::{Array1, Array2, ArrayView2, Axis, concatenate};
+use std::convert::Infallible;
+
+use cape_core::optimise::{LbfgsOptions, minimise_while};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate};
 use rand::{Rng, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::{Lbfgs, Network, Regressor, regressor::Scale};
+use super::{Network, Regressor, regressor::Scale};
 use crate::{Error, Result, error::finite};
 
 /// How a regressor is trained.
@@ -20,7 +23,7 @@ pub struct Training {
     /// Standard deviation of the noise on noisy inputs, relative to that of the input.
     pub noise: f64,
     /// The minimisation.
-    pub minimiser: Lbfgs,
+    pub minimiser: LbfgsOptions,
     /// Fixes weights, split and noise.
     pub seed: u64,
 }
@@ -33,7 +36,12 @@ impl Default for Training {
             patience: 0,
             copies: 0,
             noise: 0.05,
-            minimiser: Lbfgs::default(),
+            minimiser: LbfgsOptions {
+                steps: 500,
+                gradient: 1e-8,
+                gain: 0.0,
+                ..LbfgsOptions::default()
+            },
             seed: 1,
         }
     }
@@ -110,22 +118,30 @@ impl Training {
         let mut best = (validate(&start), start.clone());
         let (mut last, mut rises) = (best.0, 0);
         let mut epochs = Vec::new();
-        self.minimiser.minimise(
-            start,
-            &mut |at| network.error_and_gradient(at, x.view(), y.view()),
-            &mut |iteration, at, training| {
-                let validation = validate(at);
-                let epoch = Epoch { iteration, training, validation };
+        let minimised = minimise_while(
+            start.to_vec(),
+            &self.minimiser,
+            |at, gradient| {
+                let at = ArrayView1::from(at).to_owned();
+                let (error, slopes) = network.error_and_gradient(&at, x.view(), y.view());
+                gradient.iter_mut().zip(slopes).for_each(|(to, slope)| *to = slope);
+                Ok::<_, Infallible>(error)
+            },
+            |at, training| {
+                let at = ArrayView1::from(at).to_owned();
+                let validation = validate(&at);
+                let epoch = Epoch { iteration: epochs.len() + 1, training, validation };
                 watch(epoch);
                 epochs.push(epoch);
                 if validation < best.0 {
-                    best = (validation, at.clone());
+                    best = (validation, at);
                 }
                 rises = if validation > last { rises + 1 } else { 0 };
                 last = validation;
                 rises <= self.patience
             },
         );
+        let Ok(_) = minimised;
         network.set_parameters(best.1);
         let regressor = Regressor::new(of_inputs, network, of_targets)?;
         Ok(Outcome { regressor, epochs, training_frames, validation_frames })

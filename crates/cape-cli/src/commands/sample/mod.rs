@@ -9,7 +9,7 @@ use cape_core::{
     parse_device, ply,
     poses::poses,
 };
-use cape_render::{Image, Texture as Drawn, Tile, View, contact_sheet};
+use cape_render::{Image, Texture as Painted, Tile, View, contact_sheet};
 use cape_train::{Performance, Run, Wearer};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -22,7 +22,7 @@ use crate::{
     dressed::{Dressed, bare, dress},
     error::{Error, Result},
     files,
-    priors::{PriorName, checked_temperature, codes},
+    priors::Drawn,
     table::Table,
 };
 
@@ -64,13 +64,8 @@ pub(crate) struct Sample {
     /// Codes to draw.
     #[arg(long, short, default_value_t = 1, value_name = "K", value_parser = at_least_one)]
     n: usize,
-    /// What codes are drawn from: the standard normal prior, or the mixture or kernel density that
-    /// `cape fit-prior` fitted.
-    #[arg(long, value_enum, default_value_t = PriorName::Normal)]
-    prior: PriorName,
-    /// Factor on how far codes are from what is typical: below 1 plainer, above 1 wilder.
-    #[arg(long, default_value_t = 1.0, value_name = "T")]
-    temperature: f64,
+    #[command(flatten)]
+    drawn: Drawn,
     /// Kind of mesh file: .ply comes with colours; .glb with colours, skeleton and skin, and with
     /// the poses of a file as one animation.
     #[arg(long, value_enum, default_value_t = Format::Obj)]
@@ -193,9 +188,8 @@ impl Sample {
                 .note("the contact sheet is without the texture: it can draw whole PNG files only");
         }
         let seed = global.seed.unwrap_or(1);
-        let temperature = checked_temperature(self.temperature)?;
         let outfits = self.outfit.outfits();
-        let codes = codes(&run, self.prior, &outfits, self.n, temperature, seed, console)?;
+        let codes = self.drawn.codes(&run, &outfits, self.n, seed, console)?;
         // All poses of an animation are in one file, which is listed and drawn in its first.
         let shown = match self.format {
             Format::Glb => &poses[..1],
@@ -271,14 +265,7 @@ impl Sample {
                 Ok(())
             })
         })?;
-        let mut text = String::new();
-        for line in &lines {
-            let json = serde_json::to_string(line)
-                .map_err(|error| Error::message(format!("samples.jsonl: {error}")))?;
-            text += &json;
-            text.push('\n');
-        }
-        files::write_text(&self.out.join("samples.jsonl"), &text)?;
+        files::write_json_lines(&self.out.join("samples.jsonl"), &lines)?;
         let picture = self.picture(&tiles)?;
         let report = Report { files, picture, out: self.out };
         console.result(&report, || report.text(&lines))
@@ -368,8 +355,8 @@ fn tile(dressed: &Dressed, line: &Line, skin: &Skin) -> Result<Tile> {
 
 impl Skin {
     /// What pictures are drawn with.
-    fn on(&self) -> Option<Drawn<'_>> {
-        Some(Drawn { uv: self.uv.as_ref()?, image: self.drawn.as_ref()? })
+    fn on(&self) -> Option<Painted<'_>> {
+        Some(Painted { uv: self.uv.as_ref()?, image: self.drawn.as_ref()? })
     }
 
     fn texture(&self) -> Option<Texture<'_>> {

@@ -32,8 +32,6 @@ use crate::error::{Error, Result};
 
 /// Bytes of a message from the page at most.
 const MOST_BYTES: usize = 64 * 1024;
-/// Requests of a page that wait at most; a page that asks faster is cut off.
-const MOST_WAITING: u32 = 64;
 
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
                       img-src 'self' data: blob:; connect-src 'self'; base-uri 'none'; \
@@ -196,7 +194,6 @@ async fn socket(State(site): State<Arc<Site>>, upgrade: WebSocketUpgrade) -> Res
 async fn talk(mut socket: WebSocket, site: Arc<Site>) {
     let newest = Arc::new(AtomicU32::new(0));
     let (reply, mut answers) = channel::unbounded_channel();
-    let mut waiting = 0;
     loop {
         tokio::select! {
             message = socket.recv() => {
@@ -218,11 +215,6 @@ async fn talk(mut socket: WebSocket, site: Arc<Site>) {
                 };
                 if request.question.is_superseded() {
                     newest.store(request.id, Ordering::Release);
-                } else {
-                    waiting += 1;
-                    if waiting > MOST_WAITING {
-                        return;
-                    }
                 }
                 let job = Job::Ask { request, newest: newest.clone(), reply: reply.clone() };
                 if site.jobs.send(job).is_err() {
@@ -230,7 +222,6 @@ async fn talk(mut socket: WebSocket, site: Arc<Site>) {
                 }
             }
             Some(answer) = answers.recv() => {
-                waiting = waiting.saturating_sub(1);
                 let frame = match answer {
                     Message::Text(text) => Frame::Text(text.into()),
                     Message::Binary(bytes) => Frame::Binary(bytes.into()),

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_core::{BodyPose, Mesh, Outfit, joints::JOINT_NAMES, obj, ply, poses, synth::Motion};
+use cape_core::{Mesh, Outfit, joints::JOINT_NAMES, obj, ply, poses, synth::Motion};
 use cape_train::{
     Performance, Run, Wearer,
     data::{PackedSet, Part, raw::name_of},
@@ -17,7 +17,7 @@ use crate::{
     dressed::{Dressed, Painter, bare},
     error::{Error, Result},
     mesh_file::read_mesh,
-    priors::{PriorName, codes},
+    priors::{Drawn, PriorName},
 };
 
 /// Shape coefficients that have sliders.
@@ -68,8 +68,8 @@ impl Source<'_> {
             (Self::Model(model), Question::Sample(sample)) => {
                 let &Model { run, console, .. } = &**model;
                 let (outfit, seed) = (sample.outfit, sample.seed);
-                let temperature = crate::priors::checked_temperature(sample.temperature)?;
-                let z = codes(run, sample.prior()?, &[outfit], 1, temperature, seed, console)?;
+                let drawn = Drawn { prior: sample.prior()?, temperature: sample.temperature };
+                let z = drawn.codes(run, &[outfit], 1, seed, console)?;
                 Ok(Answer::Code { z: z.row(0).to_vec() })
             }
             (Self::Model(model), &Question::Encode(frame)) => {
@@ -152,7 +152,7 @@ impl<'a> Model<'a> {
                 "latent": order.len(),
                 "order": order,
                 "effect": effect,
-                "betas": run.body().betas().min(SHAPES),
+                "betas": self.shapes(),
                 "outfits": Outfit::ALL.map(Outfit::name),
                 "poses": poses,
                 "motions": motions,
@@ -221,14 +221,13 @@ impl<'a> Model<'a> {
 
     /// Displacements `[1, vertices, 3]` of a held-out frame, and its pose and outfit.
     fn registration(&self, frame: usize) -> Result<(Array3<f32>, Wearer)> {
-        let set = self.set()?;
-        if frame >= set.frames() {
-            return Err(Error::message(format!("registration {frame} of {}", set.frames())));
-        }
-        let pose = BodyPose::try_from(set.pose(frame)?)
-            .map_err(|pose| Error::message(format!("a pose of {} numbers", pose.len())))?;
-        let wearer = Wearer { betas: vec![0.0; SHAPES], pose, outfit: set.outfits()[frame] };
-        Ok((set.batch(&[frame], None)?.displacement, wearer))
+        let (displacement, wearer) = self.set()?.registration(frame)?;
+        Ok((displacement, Wearer { betas: vec![0.0; self.shapes()], ..wearer }))
+    }
+
+    /// Shape coefficients that have sliders.
+    fn shapes(&self) -> usize {
+        self.run.body().betas().min(SHAPES)
     }
 
     fn glb(&self, show: &Show) -> Result<Vec<u8>> {

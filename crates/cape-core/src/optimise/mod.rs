@@ -1,14 +1,16 @@
 //! Minimisation by limited-memory BFGS (Nocedal & Wright 2006, algorithm 7.5) over plain vectors.
 //!
-//! Burn's optimiser of that name works on the tensors of a module in `f32`; the energies here have a
-//! hundred unknowns, are summed in `f64`, and need their line search to see failures of the
-//! function, so the method has a module of its own.
+//! Burn's optimiser of that name works on the tensors of a module in `f32`; the functions here are
+//! summed in `f64`, and need their line search to see where they have no value, so the method has a
+//! module of its own.
+
+mod line_search;
 
 use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
-use crate::line_search::{Point, search};
+use line_search::{Point, search};
 
 /// When to stop, and how much to remember.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -41,6 +43,8 @@ pub enum Stop {
     Line,
     /// All steps were made.
     Steps,
+    /// Who watched had seen enough.
+    Enough,
 }
 
 /// What a minimisation came to.
@@ -66,7 +70,20 @@ pub struct Minimum {
 pub fn minimise<E>(
     x: Vec<f64>,
     options: &LbfgsOptions,
+    function: impl FnMut(&[f64], &mut [f64]) -> Result<f64, E>,
+) -> Result<Minimum, E> {
+    minimise_while(x, options, function, |_, _| true)
+}
+
+/// As [`minimise`], as long as `go_on` wants it, which sees every new point and its value.
+///
+/// # Errors
+/// Those of the function.
+pub fn minimise_while<E>(
+    x: Vec<f64>,
+    options: &LbfgsOptions,
     mut function: impl FnMut(&[f64], &mut [f64]) -> Result<f64, E>,
+    mut go_on: impl FnMut(&[f64], f64) -> bool,
 ) -> Result<Minimum, E> {
     let mut evaluations = 0;
     let mut evaluate = |x: &[f64], direction: &[f64], step: f64| -> Result<Point, E> {
@@ -115,6 +132,10 @@ pub fn minimise<E>(
         let gain = now.value - next.value;
         now = next;
         curve.push(now.value);
+        if !go_on(&x, now.value) {
+            stop = Stop::Enough;
+            break;
+        }
         if gain <= options.gain * now.value.abs().max(1e-12) {
             stop = Stop::Gain;
             break;
@@ -217,6 +238,58 @@ mod tests {
         assert_eq!(nowhere.stop, Stop::Line);
         let failed = minimise(vec![1.0], &LbfgsOptions::default(), |_, _| Err("broken"));
         assert_eq!(failed.unwrap_err(), "broken");
+    }
+
+    #[test]
+    fn directions_of_very_different_bend_are_all_minimised() {
+        let scales: Vec<f64> = (0..30).map(|k| 1.2f64.powi(k - 10)).collect();
+        let centre: Vec<f64> = (0..30).map(|k| f64::from(k).sin()).collect();
+        let options = LbfgsOptions { gain: 0.0, gradient: 1e-8, ..LbfgsOptions::default() };
+        let function = |x: &[f64], g: &mut [f64]| {
+            let mut sum = 0.0;
+            for k in 0..30 {
+                let off = x[k] - centre[k];
+                g[k] = scales[k] * off;
+                sum += 0.5 * scales[k] * off * off;
+            }
+            Ok::<_, Infallible>(sum)
+        };
+        let found = minimise(vec![0.0; 30], &options, function).unwrap();
+        assert_eq!(found.stop, Stop::Gradient, "{found:?}");
+        assert!(found.x.iter().zip(&centre).all(|(x, c)| (x - c).abs() < 1e-5));
+        assert!(found.evaluations < 400, "{}", found.evaluations);
+
+        let some = minimise_while(vec![0.0; 30], &options, function, |_, value| value > 1.0);
+        let some = some.unwrap();
+        assert_eq!(some.stop, Stop::Enough);
+        assert!(some.value <= 1.0 && some.curve[some.curve.len() - 2] > 1.0);
+    }
+
+    #[test]
+    fn every_step_in_the_valley_goes_down() {
+        let options = LbfgsOptions { gain: 0.0, gradient: 1e-8, ..LbfgsOptions::default() };
+        let found = minimise(vec![-1.2, 1.0], &options, |x, g| {
+            let (a, b) = (1.0 - x[0], x[1] - x[0] * x[0]);
+            g.copy_from_slice(&[-2.0 * a - 400.0 * x[0] * b, 200.0 * b]);
+            Ok::<_, Infallible>(a * a + 100.0 * b * b)
+        })
+        .unwrap();
+        assert!(found.stop == Stop::Gradient && found.curve.len() <= 60, "{found:?}");
+        assert!(found.x.iter().all(|x| (x - 1.0).abs() < 1e-7));
+        assert!(found.curve.windows(2).all(|pair| pair[1] < pair[0]));
+    }
+
+    #[test]
+    fn a_line_search_survives_walls() {
+        let found = run(vec![9.0], |x, g| {
+            if x[0] <= 0.0 {
+                g[0] = f64::NAN;
+                return f64::INFINITY;
+            }
+            g[0] = 1.0 - 1.0 / x[0];
+            x[0] - x[0].ln()
+        });
+        assert!((found.x[0] - 1.0).abs() < 1e-7, "{found:?}");
     }
 
     proptest! {

@@ -11,21 +11,21 @@ const EXPANSION: f64 = 3.0;
 
 /// A point on the line.
 #[derive(Debug, Clone)]
-pub(crate) struct Point {
+pub(super) struct Point {
     /// Distance along the direction.
-    pub(crate) step: f64,
+    pub(super) step: f64,
     /// Value of the function; infinite where it has none.
-    pub(crate) value: f64,
+    pub(super) value: f64,
     /// Derivative along the direction.
-    pub(crate) slope: f64,
+    pub(super) slope: f64,
     /// The gradient there.
-    pub(crate) gradient: Vec<f64>,
+    pub(super) gradient: Vec<f64>,
 }
 
 /// Finds a step from `start`, which is at 0 and goes downhill, that satisfies the strong Wolfe
 /// conditions; or, where none is found in time, the lowest that was seen to decrease the function.
 /// `None` if there is none.
-pub(crate) fn search<E>(
+pub(super) fn search<E>(
     start: &Point,
     first: f64,
     mut at: impl FnMut(f64) -> Result<Point, E>,
