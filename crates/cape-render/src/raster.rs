@@ -5,7 +5,7 @@ pub(crate) const EMPTY: u32 = u32::MAX;
 /// Positions are rounded to this fraction of a sample, so that coverage is exact integer arithmetic.
 const SUBSAMPLES: i64 = 256;
 /// Rows of samples drawn by one task.
-const BAND: usize = 16;
+pub(crate) const BAND: usize = 16;
 /// Coordinates beyond this many samples are not drawn (the edge functions would overflow).
 const REACH: f32 = 1e6;
 
@@ -66,17 +66,9 @@ impl Triangle {
         (area > 0).then_some(Self { corners, area })
     }
 
-    /// First and last sample (inclusive) whose centre may be covered along one axis.
-    fn span(&self, axis: fn(&Point) -> i64, limit: usize) -> Option<(usize, usize)> {
-        let [a, b, c] = [0, 1, 2].map(|i| axis(&self.corners[i]));
-        let low = (a.min(b).min(c) - SUBSAMPLES / 2 + SUBSAMPLES - 1).div_euclid(SUBSAMPLES).max(0);
-        let high = (a.max(b).max(c) - SUBSAMPLES / 2).div_euclid(SUBSAMPLES).min(limit as i64 - 1);
-        (low <= high).then_some((low as usize, high as usize))
-    }
-
     /// Calls `hit` with every covered column of `row` and its depth.
     fn scan(&self, row: usize, width: usize, mut hit: impl FnMut(usize, f32)) {
-        let Some((first, last)) = self.span(|p| p.x, width) else { return };
+        let Some((first, last)) = span(self.corners.each_ref(), |p| p.x, width) else { return };
         let [a, b, c] = &self.corners;
         let (x, y) = (centre(first), centre(row));
         let edges = [(b, c), (c, a), (a, b)];
@@ -98,6 +90,14 @@ impl Triangle {
     }
 }
 
+/// First and last sample (inclusive) whose centre a triangle may cover along one axis.
+fn span(corners: [&Point; 3], axis: fn(&Point) -> i64, limit: usize) -> Option<(usize, usize)> {
+    let [a, b, c] = corners.map(axis);
+    let low = (a.min(b).min(c) - SUBSAMPLES / 2 + SUBSAMPLES - 1).div_euclid(SUBSAMPLES).max(0);
+    let high = (a.max(b).max(c) - SUBSAMPLES / 2).div_euclid(SUBSAMPLES).min(limit as i64 - 1);
+    (low <= high).then_some((low as usize, high as usize))
+}
+
 fn centre(sample: usize) -> i64 {
     sample as i64 * SUBSAMPLES + SUBSAMPLES / 2
 }
@@ -106,51 +106,90 @@ fn edge(p: &Point, q: &Point, x: i64, y: i64) -> i64 {
     (q.x - p.x) * (y - p.y) - (q.y - p.y) * (x - p.x)
 }
 
-/// Draws triangles with a depth buffer; the first of two at equal depth wins.
+/// Triangles sorted by the bands of rows that they touch, so that bands can be drawn by themselves.
 ///
-/// Bands of rows are drawn in parallel, each in the order of `faces`, so that the outcome does not
-/// depend on the number of threads. Every index in `faces` must be below `points.len()`.
+/// The outcome does not depend on who draws a band when.
+pub(crate) struct Bands<'a> {
+    points: &'a [Point],
+    faces: &'a [[u32; 3]],
+    size: [usize; 2],
+    rows: usize,
+    /// Faces that may cover a sample of each band, ascending.
+    members: Vec<Vec<u32>>,
+}
+
+impl<'a> Bands<'a> {
+    /// Bands of `rows` rows (at least 1). Every index in `faces` must be below `points.len()`.
+    pub(crate) fn new(
+        points: &'a [Point],
+        faces: &'a [[u32; 3]],
+        size: [usize; 2],
+        rows: usize,
+    ) -> Self {
+        let [width, height] = size;
+        let mut members = vec![Vec::new(); height.div_ceil(rows)];
+        for (index, &face) in faces.iter().enumerate() {
+            let corners = face.map(|i| &points[i as usize]);
+            if !corners.iter().all(|corner| corner.valid) || span(corners, |p| p.x, width).is_none()
+            {
+                continue;
+            }
+            if let Some((first, last)) = span(corners, |p| p.y, height) {
+                for bin in &mut members[first / rows..=last / rows] {
+                    bin.push(index as u32);
+                }
+            }
+        }
+        Self { points, faces, size, rows, members }
+    }
+
+    /// Whether no triangle can be seen in a band.
+    pub(crate) fn is_empty(&self, band: usize) -> bool {
+        self.members[band].is_empty()
+    }
+
+    /// Draws a band with a depth buffer into `face`, all [`EMPTY`], and `depth`, all infinite, row by
+    /// row; the first of two triangles at equal depth wins.
+    pub(crate) fn draw(&self, band: usize, face: &mut [u32], depth: &mut [f32]) {
+        let [width, height] = self.size;
+        let top = band * self.rows;
+        for &index in &self.members[band] {
+            let Some(triangle) = Triangle::new(self.points, self.faces[index as usize]) else {
+                continue;
+            };
+            let corners = triangle.corners.each_ref();
+            let Some((first, last)) = span(corners, |p| p.y, height) else { continue };
+            for row in first.max(top)..=last.min(top + self.rows - 1) {
+                let start = (row - top) * width;
+                triangle.scan(row, width, |column, z| {
+                    if z < depth[start + column] {
+                        depth[start + column] = z;
+                        face[start + column] = index;
+                    }
+                });
+            }
+        }
+    }
+}
+
+/// Draws a whole picture; the first of two triangles at equal depth wins.
 pub(crate) fn rasterise(
     points: &[Point],
     faces: &[[u32; 3]],
     width: usize,
     height: usize,
 ) -> Visibility {
-    let bands = height.div_ceil(BAND);
-    let mut bins = vec![Vec::new(); bands];
-    for (index, &face) in faces.iter().enumerate() {
-        let Some((first, last)) =
-            Triangle::new(points, face).and_then(|triangle| triangle.span(|p| p.y, height))
-        else {
-            continue;
-        };
-        for bin in &mut bins[first / BAND..=last / BAND] {
-            bin.push(index as u32);
-        }
-    }
+    let bands = Bands::new(points, faces, [width, height], BAND);
     let mut seen = Visibility {
         face: vec![EMPTY; width * height],
         depth: vec![f32::INFINITY; width * height],
     };
     let size = (BAND * width).max(1);
-    seen.face.par_chunks_mut(size).zip(seen.depth.par_chunks_mut(size)).enumerate().for_each(
-        |(band, (face, depth))| {
-            let top = band * BAND;
-            for &index in &bins[band] {
-                let Some(triangle) = Triangle::new(points, faces[index as usize]) else { continue };
-                let Some((first, last)) = triangle.span(|p| p.y, height) else { continue };
-                for row in first.max(top)..=last.min(top + BAND - 1) {
-                    let start = (row - top) * width;
-                    triangle.scan(row, width, |column, z| {
-                        if z < depth[start + column] {
-                            depth[start + column] = z;
-                            face[start + column] = index;
-                        }
-                    });
-                }
-            }
-        },
-    );
+    seen.face
+        .par_chunks_mut(size)
+        .zip(seen.depth.par_chunks_mut(size))
+        .enumerate()
+        .for_each(|(band, (face, depth))| bands.draw(band, face, depth));
     seen
 }
 

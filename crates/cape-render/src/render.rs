@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::{
     Bounds, Camera, Error, Image, Material, Projection, Result, Texture, View,
-    raster::{EMPTY, Point, Visibility, barycentric, rasterise},
+    raster::{BAND, Bands, EMPTY, Point, barycentric},
     shade::{ContactShadow, Lights, Surface, sky_visibility, to_linear, to_srgb, vertex_normals},
 };
 
@@ -119,7 +119,8 @@ struct Scene<'a> {
     vertices: Vec<Vec3>,
     normals: Vec<Vec3>,
     colours: Vec<Vec3>,
-    sky: Vec<f32>,
+    /// Part of the sky each vertex sees, where that is drawn.
+    sky: Option<Vec<f32>>,
     faces: Vec<[u32; 3]>,
     /// Of each object, in the order of their faces.
     looks: Vec<Look<'a>>,
@@ -127,7 +128,7 @@ struct Scene<'a> {
 }
 
 impl<'a> Scene<'a> {
-    fn new(objects: &[Object<'a>], shadows: bool) -> Result<Self> {
+    fn new(objects: &[Object<'a>]) -> Result<Self> {
         let bounds =
             Bounds::of_meshes(objects.iter().map(|object| object.mesh)).ok_or_else(|| {
                 Error::Argument("nothing to draw: the meshes have no vertices".into())
@@ -136,7 +137,7 @@ impl<'a> Scene<'a> {
             vertices: Vec::new(),
             normals: Vec::new(),
             colours: Vec::new(),
-            sky: Vec::new(),
+            sky: None,
             faces: Vec::new(),
             looks: Vec::new(),
             bounds,
@@ -144,11 +145,6 @@ impl<'a> Scene<'a> {
         for (index, object) in objects.iter().enumerate() {
             scene.add(index, object)?;
         }
-        scene.sky = if shadows {
-            sky_visibility(&scene.vertices, &scene.normals, &scene.faces, &bounds)
-        } else {
-            vec![1.0; scene.vertices.len()]
-        };
         Ok(scene)
     }
 
@@ -212,7 +208,10 @@ impl<'a> Scene<'a> {
                 Some(texture) => texture.at((face - look.first_face) as usize, weights),
                 None => blend(&self.colours),
             },
-            sky: (0..3).map(|i| self.sky[corners[i]] * weights[i]).sum(),
+            sky: self
+                .sky
+                .as_ref()
+                .map_or(1.0, |sky| (0..3).map(|i| sky[corners[i]] * weights[i]).sum()),
             gloss: look.gloss,
         }
     }
@@ -230,11 +229,23 @@ pub fn render(objects: &[Object<'_>], camera: &Camera, style: &Style) -> Result<
         )));
     }
     let mut image = Image::new(style.width, style.height, [0; 4])?;
-    let scene = Scene::new(objects, style.shadows)?;
-    let (lights, floor) = rayon::join(
-        || Lights::new(camera, &scene.vertices, &scene.faces, &scene.bounds, style.shadows),
-        || style.floor.then(|| ContactShadow::new(&scene.vertices, &scene.faces, &scene.bounds)),
+    let mut scene = Scene::new(objects)?;
+    let (sky, (lights, floor)) = rayon::join(
+        || {
+            let Scene { vertices, normals, faces, bounds, .. } = &scene;
+            style.shadows.then(|| sky_visibility(vertices, normals, faces, bounds))
+        },
+        || {
+            rayon::join(
+                || Lights::new(camera, &scene.vertices, &scene.faces, &scene.bounds, style.shadows),
+                || {
+                    let floor = || ContactShadow::new(&scene.vertices, &scene.faces, &scene.bounds);
+                    style.floor.then(floor)
+                },
+            )
+        },
     );
+    scene.sky = sky;
 
     let samples = style.samples as usize;
     let (width, height) = (style.width as usize * samples, style.height as usize * samples);
@@ -243,15 +254,31 @@ pub fn render(objects: &[Object<'_>], camera: &Camera, style: &Style) -> Result<
         .iter()
         .map(|&v| Point::project((camera.clip * v.extend(1.0)).to_array(), width, height))
         .collect();
-    let seen = rasterise(&points, &scene.faces, width, height);
+    let rows = BAND.next_multiple_of(samples);
+    let bands = Bands::new(&points, &scene.faces, [width, height], rows);
     let backdrop = Backdrop::new(camera, style, floor);
-    image.pixels_mut().par_chunks_mut(style.width as usize).enumerate().for_each(|(row, line)| {
-        for (column, pixel) in line.iter_mut().enumerate() {
-            let (light, covered) =
-                gather(&scene, camera, &lights, &points, &seen, width, samples, column, row);
-            *pixel = backdrop.compose(light, covered, column, row);
-        }
-    });
+    let size = style.width as usize * (rows / samples);
+    image.pixels_mut().par_chunks_mut(size).enumerate().for_each_init(
+        || (vec![EMPTY; width * rows], vec![f32::INFINITY; width * rows]),
+        |(face, depth), (band, pixels)| {
+            let seen = (!bands.is_empty(band)).then(|| {
+                face.fill(EMPTY);
+                depth.fill(f32::INFINITY);
+                bands.draw(band, face, depth);
+                &*face
+            });
+            let top = band * (rows / samples);
+            for (row, line) in pixels.chunks_exact_mut(style.width as usize).enumerate() {
+                for (column, pixel) in line.iter_mut().enumerate() {
+                    let (light, covered) = seen.map_or((Vec3::ZERO, 0.0), |seen| {
+                        let samples = Samples { seen, top: band * rows, width, side: samples };
+                        samples.gather(&scene, camera, &lights, &points, column, top + row)
+                    });
+                    *pixel = backdrop.compose(light, covered, column, top + row);
+                }
+            }
+        },
+    );
     Ok(image)
 }
 
@@ -264,48 +291,59 @@ pub fn portrait(object: Object<'_>, view: View, style: &Style) -> Result<Image> 
     render(&[object], &camera, style)
 }
 
-/// Sum of the radiance of a pixel's covered samples, and their part of all.
-#[expect(clippy::too_many_arguments, reason = "the loop body of `render`")]
-fn gather(
-    scene: &Scene<'_>,
-    camera: &Camera,
-    lights: &Lights,
-    points: &[Point],
-    seen: &Visibility,
+/// The faces seen at the samples of a band of rows.
+struct Samples<'a> {
+    seen: &'a [u32],
+    /// First row of samples of the band.
+    top: usize,
+    /// Samples in a row.
     width: usize,
-    samples: usize,
-    column: usize,
-    row: usize,
-) -> (Vec3, f32) {
-    // One of the samples in which a face is seen stands for all of them.
-    let mut faces = [(EMPTY, 0, [0; 2]); MOST_SAMPLES];
-    let (mut distinct, mut count) = (0, 0);
-    for y in row * samples..(row + 1) * samples {
-        for x in column * samples..(column + 1) * samples {
-            let face = seen.face[y * width + x];
-            if face == EMPTY {
-                continue;
-            }
-            count += 1;
-            let known = faces[..distinct].iter_mut().find(|(known, ..)| *known == face);
-            if let Some((_, times, _)) = known {
-                *times += 1;
-            } else {
-                faces[distinct] = (face, 1, [x, y]);
-                distinct += 1;
+    /// Samples along a pixel's side.
+    side: usize,
+}
+
+impl Samples<'_> {
+    /// Sum of the radiance of a pixel's covered samples, and their part of all.
+    fn gather(
+        &self,
+        scene: &Scene<'_>,
+        camera: &Camera,
+        lights: &Lights,
+        points: &[Point],
+        column: usize,
+        row: usize,
+    ) -> (Vec3, f32) {
+        let side = self.side;
+        // One of the samples in which a face is seen stands for all of them.
+        let mut faces = [(EMPTY, 0, [0; 2]); MOST_SAMPLES];
+        let (mut distinct, mut count) = (0, 0);
+        for y in row * side..(row + 1) * side {
+            let start = (y - self.top) * self.width + column * side;
+            for (x, &face) in self.seen[start..start + side].iter().enumerate() {
+                if face == EMPTY {
+                    continue;
+                }
+                count += 1;
+                let known = faces[..distinct].iter_mut().find(|(known, ..)| *known == face);
+                if let Some((_, times, _)) = known {
+                    *times += 1;
+                } else {
+                    faces[distinct] = (face, 1, [column * side + x, y]);
+                    distinct += 1;
+                }
             }
         }
+        let light: Vec3 = faces[..distinct]
+            .iter()
+            .map(|&(face, times, [x, y])| {
+                let corners = scene.faces[face as usize].map(|i| &points[i as usize]);
+                let surface = scene.surface(camera, face, barycentric(corners, x, y));
+                tone(lights.shade(&surface)) * times as f32
+            })
+            .sum();
+        let scale = 1.0 / (side * side) as f32;
+        (light * scale, count as f32 * scale)
     }
-    let light: Vec3 = faces[..distinct]
-        .iter()
-        .map(|&(face, times, [x, y])| {
-            let corners = scene.faces[face as usize].map(|i| &points[i as usize]);
-            let surface = scene.surface(camera, face, barycentric(corners, x, y));
-            tone(lights.shade(&surface)) * times as f32
-        })
-        .sum();
-    let scale = 1.0 / (samples * samples) as f32;
-    (light * scale, count as f32 * scale)
 }
 
 /// Rolls highlights off smoothly towards 1 instead of clipping them.

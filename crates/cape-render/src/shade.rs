@@ -1,5 +1,7 @@
 //! Light: a key with a shadow map, a fill, a rim, and an occluded hemisphere.
 
+use std::sync::LazyLock;
+
 use cape_core::Mesh;
 use glam::{Mat4, Vec3};
 use rayon::prelude::*;
@@ -50,13 +52,22 @@ pub(crate) fn to_linear(srgb: [f32; 3]) -> Vec3 {
     Vec3::from(srgb.map(|s| decode(s.clamp(0.0, 1.0))))
 }
 
+/// Steps from black to white of the table below; a step near black, where the curve is steepest, is a
+/// fifth of an 8-bit one.
+const SRGB_STEPS: usize = 16_384;
+
 pub(crate) fn to_srgb(linear: Vec3) -> [u8; 3] {
-    let encode = |l: f32| {
-        let l = l.clamp(0.0, 1.0);
-        let s = if l <= 0.0031308 { 12.92 * l } else { 1.055 * l.powf(1.0 / 2.4) - 0.055 };
-        (s * 255.0).round() as u8
-    };
-    linear.to_array().map(encode)
+    static TABLE: LazyLock<Vec<u8>> = LazyLock::new(|| {
+        let encode = |step: usize| {
+            let l = step as f32 / SRGB_STEPS as f32;
+            let s = if l <= 0.0031308 { 12.92 * l } else { 1.055 * l.powf(1.0 / 2.4) - 0.055 };
+            (s * 255.0).round() as u8
+        };
+        (0..=SRGB_STEPS).map(encode).collect()
+    });
+    let table = &**TABLE;
+    let steps = linear.clamp(Vec3::ZERO, Vec3::ONE) * SRGB_STEPS as f32 + 0.5;
+    steps.to_array().map(|step| table[step as usize])
 }
 
 /// An orthographic depth map of the scene.
@@ -91,38 +102,46 @@ impl DepthMap {
         Self { matrix, side, depth, texel: range / side as f32, range }
     }
 
-    /// How much of the light arrives at `point`, 0 to 1, over `taps`×`taps` samples.
-    fn lit(&self, point: Vec3, bias: f32, taps: i64) -> f32 {
+    /// How much of the light arrives at `point`, 0 to 1: the mean of `TAPS`×`TAPS` bilinear samples.
+    /// `EDGE` is one more than that.
+    fn lit<const TAPS: usize, const EDGE: usize>(&self, point: Vec3, bias: f32) -> f32 {
+        const { assert!(EDGE == TAPS + 1) };
         let clip = self.matrix.project_point3(point);
         let x = (clip.x * 0.5 + 0.5) * self.side as f32 - 0.5;
         let y = (0.5 - clip.y * 0.5) * self.side as f32 - 0.5;
-        let (left, top) = (x.floor() as i64, y.floor() as i64);
         let limit = clip.z - bias / self.range;
-        let lit = |column: i64, row: i64| {
+        // The border samples of the box get the fractional weights.
+        let weights = |f: f32| {
+            let mut weights = [1.0; EDGE];
+            (weights[0], weights[TAPS]) = (1.0 - f, f);
+            weights
+        };
+        let across = weights(x - x.floor());
+        let down = weights(y - y.floor());
+        let first = |of: f32| of.floor() as i64 - (TAPS as i64 - 1) / 2;
+        let (left, top) = (first(x), first(y));
+        let most = self.side as i64 - EDGE as i64;
+        let sum: f32 = if (0..=most).contains(&left) && (0..=most).contains(&top) {
+            let row = |j: usize| {
+                let start = (top as usize + j) * self.side + left as usize;
+                let depths = &self.depth[start..start + EDGE];
+                let lit = |i: usize| if depths[i] >= limit { across[i] } else { 0.0 };
+                (0..EDGE).map(lit).sum::<f32>()
+            };
+            (0..EDGE).map(|j| down[j] * row(j)).sum()
+        } else {
             let inside = 0..self.side as i64;
-            let free = !inside.contains(&column)
-                || !inside.contains(&row)
-                || self.depth[row as usize * self.side + column as usize] >= limit;
-            f32::from(free)
+            let lit = |i: usize, j: usize| {
+                let (column, row) = (left + i as i64, top + j as i64);
+                let free = !inside.contains(&column)
+                    || !inside.contains(&row)
+                    || self.depth[row as usize * self.side + column as usize] >= limit;
+                f32::from(free)
+            };
+            let row = |j: usize| (0..EDGE).map(|i| across[i] * lit(i, j)).sum::<f32>();
+            (0..EDGE).map(|j| down[j] * row(j)).sum()
         };
-        // A box of `taps` bilinear samples: the border samples get the fractional weights.
-        let (fx, fy) = (x - x.floor(), y - y.floor());
-        let start = -(taps - 1) / 2;
-        let weight = |i: i64, f: f32| match i {
-            0 => 1.0 - f,
-            i if i == taps => f,
-            _ => 1.0,
-        };
-        let mut sum = 0.0;
-        for j in 0..=taps {
-            for i in 0..=taps {
-                let w = weight(i, fx) * weight(j, fy);
-                if w > 0.0 {
-                    sum += w * lit(left + start + i, top + start + j);
-                }
-            }
-        }
-        sum / (taps * taps) as f32
+        sum / (TAPS * TAPS) as f32
     }
 }
 
@@ -176,7 +195,7 @@ impl Lights {
             Some(map) if facing > 0.0 => {
                 let slope = (1.0 - facing * facing).max(0.0).sqrt();
                 let lifted = position + normal * (2.0 * map.texel * slope);
-                facing * map.lit(lifted, 1.5 * map.texel, 5)
+                facing * map.lit::<5, 6>(lifted, 1.5 * map.texel)
             }
             _ => facing.max(0.0),
         };
@@ -221,7 +240,7 @@ pub(crate) fn sky_visibility(
                 if cosine > 0.05 {
                     let lifted = vertex + normal * (1.2 * map.texel);
                     all += weight * cosine;
-                    seen += weight * cosine * map.lit(lifted, 0.8 * map.texel, 1);
+                    seen += weight * cosine * map.lit::<1, 2>(lifted, 0.8 * map.texel);
                 }
             }
             if all > 0.0 { seen / all } else { 1.0 }
@@ -345,10 +364,10 @@ mod tests {
         let faces = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]];
         let bounds = Bounds { min: Vec3::new(-1.0, 0.0, -1.0), max: Vec3::new(1.0, 0.3, 1.0) };
         let map = DepthMap::new(&vertices, &faces, &bounds, Vec3::Y, 256);
-        assert_eq!(map.lit(Vec3::new(0.0, 0.0, 0.0), 0.01, 3), 0.0);
-        assert_eq!(map.lit(Vec3::new(0.0, 0.3, 0.0), 0.01, 3), 1.0);
-        assert_eq!(map.lit(Vec3::new(0.8, 0.0, 0.8), 0.01, 3), 1.0);
-        let edge = map.lit(Vec3::new(0.5, 0.0, 0.0), 0.01, 3);
+        assert_eq!(map.lit::<3, 4>(Vec3::new(0.0, 0.0, 0.0), 0.01), 0.0);
+        assert_eq!(map.lit::<3, 4>(Vec3::new(0.0, 0.3, 0.0), 0.01), 1.0);
+        assert_eq!(map.lit::<3, 4>(Vec3::new(0.8, 0.0, 0.8), 0.01), 1.0);
+        let edge = map.lit::<3, 4>(Vec3::new(0.5, 0.0, 0.0), 0.01);
         assert!(edge > 0.05 && edge < 0.95, "{edge}");
     }
 }
