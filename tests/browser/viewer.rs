@@ -1,6 +1,7 @@
 //! The page of `cape view`.
 
 use std::{
+    collections::HashSet,
     fs,
     io::{BufRead, BufReader, Read, Write},
     net::TcpStream,
@@ -139,7 +140,8 @@ fn downloads_parse() {
     let mut live = Live::open(&browser, &server.url, WIDE);
     live.evaluate("cape.ready");
     live.evaluate("cape.settled()");
-    for format in ["obj", "ply", "glb"] {
+    set(&mut live, "#colours", "displacement");
+    for format in ["obj", "ply", "glb", "png"] {
         click(&mut live, &format!("#download-{format}"));
     }
     let start = Instant::now();
@@ -152,8 +154,9 @@ fn downloads_parse() {
                 .iter()
                 .find(|path: &&std::path::PathBuf| path.extension().is_some_and(|e| e == kind))
         };
-        if let (Some(obj), Some(ply), Some(glb)) = (ends("obj"), ends("ply"), ends("glb")) {
-            break [obj.clone(), ply.clone(), glb.clone()];
+        if let [Some(obj), Some(ply), Some(glb), Some(png)] = ["obj", "ply", "glb", "png"].map(ends)
+        {
+            break [obj.clone(), ply.clone(), glb.clone(), png.clone()];
         }
         assert!(start.elapsed() < Duration::from_secs(30), "only {names:?}");
         sleep(Duration::from_millis(50));
@@ -161,6 +164,12 @@ fn downloads_parse() {
     assert_eq!(obj::read(&found[0]).unwrap().mesh.vertices.len(), VERTICES);
     assert_eq!(Mesh::load(&found[1]).unwrap().vertices.len(), VERTICES);
     assert_eq!(&fs::read(&found[2]).unwrap()[..4], b"glTF");
+    let picture = Image::load(&found[3]).unwrap();
+    keep("viewer-download", &picture);
+    let canvas = live.evaluate("document.querySelector('canvas').height").as_u64().unwrap() as u32;
+    let (width, below) = (picture.width(), picture.height() - canvas);
+    let bar: HashSet<_> = (0..width).filter_map(|x| picture.get(x, canvas + below / 2)).collect();
+    assert!(bar.len() > 100, "a colour bar of {} colours below the picture", bar.len());
     assert_eq!(live.complaints(), [""; 0]);
 }
 

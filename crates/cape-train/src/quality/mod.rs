@@ -1,6 +1,7 @@
 //! How good samples are, beside how they look: against held-out clothes, and by themselves.
 
 mod classify;
+mod inside;
 mod sets;
 
 use std::path::Path;
@@ -62,8 +63,8 @@ pub struct QualityReport {
     pub outfit_consistency: f64,
     /// The same for held-out frames: what the classifier is worth.
     pub classifier_accuracy: f64,
-    /// Share of clothing vertices that are on the inner side of the body's surface at the vertex
-    /// they dress, of samples and of held-out frames.
+    /// Share of clothing vertices that are inside the body's surface in the standard pose, of samples
+    /// and of held-out frames.
     pub inside_body: [f64; 2],
 }
 
@@ -135,8 +136,8 @@ pub fn quality(
     progress(4, steps);
     let pose_sensitivity_mm = sensitivity(run, &drawn, &poses, &outfits, options.seed)?;
     progress(5, steps);
-    let normals = run.body().mesh().vertex_normals();
-    let inside = |rows: &[Vec<f32>]| inside_share(rows, clothing, &normals);
+    let body = run.body().mesh();
+    let inside = |rows: &[Vec<f32>]| inside::inside_share(rows, clothing, &body);
     Ok(QualityReport {
         frames: rows.len(),
         coverage: distances.coverage(),
@@ -154,7 +155,7 @@ pub fn quality(
         pose_sensitivity_mm,
         outfit_consistency,
         classifier_accuracy,
-        inside_body: [inside(&samples), inside(&truth)],
+        inside_body: [inside(&samples)?, inside(&truth)?],
     })
 }
 
@@ -214,21 +215,6 @@ fn sensitivity(
         }
     }
     Ok(1000.0 * sum / (NUDGE * (count * run.clothing().len()).max(1) as f64))
-}
-
-/// Share of clothing vertices that are displaced against their normal.
-fn inside_share(rows: &[Vec<f32>], clothing: &[usize], normals: &[[f32; 3]]) -> f64 {
-    let inside: usize = rows
-        .iter()
-        .map(|row| {
-            let against = |&&vertex: &&usize| {
-                let moved = &row[3 * vertex..3 * vertex + 3];
-                moved.iter().zip(normals[vertex]).map(|(d, n)| d * n).sum::<f32>() < 0.0
-            };
-            clothing.iter().filter(against).count()
-        })
-        .sum();
-    inside as f64 / (rows.len() * clothing.len()).max(1) as f64
 }
 
 /// Codes drawn from the standard normal prior, for [`quality`].

@@ -17,7 +17,6 @@ export const QUANTITIES = {
   error: { title: "error", table: PLASMA, maximum: 20 },
 };
 
-export const cssGradient = table => {
-  const stops = table.map(colour => `rgb(${colour.map(part => Math.round(part * 255)).join(" ")})`);
-  return `linear-gradient(to right, ${stops.join(", ")})`;
-};
+export const cssColour = colour => `rgb(${colour.map(part => Math.round(part * 255)).join(" ")})`;
+
+export const cssGradient = table => `linear-gradient(to right, ${table.map(cssColour).join(", ")})`;

@@ -347,7 +347,9 @@ class Viewer {
     const name = fileName(this.#subject.model ? ["cape", ...posed] : still, format);
     if (format === "png") {
       this.#draw();
-      save(await new Promise(resolve => this.#canvas.toBlob(resolve)), name);
+      // At once: what WebGL drew lasts until the browser has shown it.
+      const picture = this.#legend.under(this.#canvas);
+      save(await new Promise(resolve => picture.toBlob(resolve)), name);
     } else {
       const answer = await fetch("download", {
         method: "POST",
