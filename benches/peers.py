@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Times `cape bench` and PyTorch implementations of CAPE in turn and prints the ratios.
 
-    cargo build --release
+    cargo build --release --workspace --bins --benches
     python3 benches/peers.py --peers DIR --python PYTHON [--rounds 3] [--threads 2]
 
 DIR holds `cape_torch.py` (commands `train-step`, `decode` and `encode` with `--impl smart|expert`)
@@ -34,6 +34,14 @@ def peer(work, implementation, batch, threads):
     line = out.strip().splitlines()[-1]
     seconds = float(re.search(r': ([0-9.e+-]+) s ', line).group(1))
     return seconds, float(re.search(r'peak RSS ([0-9.]+) GB', line).group(1)) * 1000
+
+
+def criterion(bench, name):
+    """Milliseconds of each of a bench's functions, compiled before."""
+    out = run('cargo', 'bench', '--quiet', '--workspace', '--bench', bench, '--', name)
+    scale = {'ns': 1e-6, 'µs': 1e-3, 'ms': 1, 's': 1e3}
+    return {name: float(value) * scale[unit] for name, value, unit in
+            re.findall(r'^(\S.*?)\s+time:\s+\[\S+ \S+ (\S+) (\S+) ', out, re.M)}
 
 
 samples = {}
@@ -72,4 +80,13 @@ for name, mine, theirs, unit, goal in rows:
         print(f'| {name} | {median[mine]:.4g} {unit} | {median[theirs]:.4g} {unit} | '
               f'{median[mine] / median[theirs]:.2f} | {goal} |')
 print(f"\n{median['gflops']:.0f} GFLOP/s, {100 * median['peak_fraction']:.0f} % of the peak")
-print('\nsmplx:\n' + run(a.python, '-B', a.peers / 'smplx_speed.py', a.threads))
+
+theirs = {batch: float(ms) for batch, ms in re.findall(
+    r'batch (\d+): ([0-9.]+) ms', run(a.python, '-B', a.peers / 'smplx_speed.py', a.threads))}
+print('\n| SMPL | ours | smplx | ratio | goal |\n|---|---|---|---|---|')
+for name, ms in criterion('smpl', 'weights, batch').items():
+    batch = name.split()[-1]
+    print(f'| {name} | {ms:.3g} ms | {theirs[batch]:.4g} ms | {ms / theirs[batch]:.2f} | 0.33 |')
+print('\n| pyramid | ours | goal |\n|---|---|---|')
+for name, ms in criterion('graph', 'pyramid').items():
+    print(f'| {name} | {ms:.3g} ms | 100 ms |')
