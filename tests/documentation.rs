@@ -8,10 +8,10 @@ use std::{
 /// Crates whose types all have examples.
 const CRATES: [&str; 5] = ["cape-core", "cape-graph", "cape-model", "cape-render", "cape-train"];
 
-/// Files whose types are tests' or private.
+/// Whether a file is source other than tests.
 fn is_source(path: &Path) -> bool {
-    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-    name.ends_with(".rs") && !name.ends_with("tests.rs")
+    let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+    path.extension().is_some_and(|extension| extension == "rs") && !stem.ends_with("tests")
 }
 
 fn sources(directory: &Path) -> Vec<PathBuf> {

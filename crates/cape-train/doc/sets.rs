@@ -53,10 +53,8 @@ fn captures() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
         motions: vec![Motion::Squats, Motion::Soccer],
         ..SynthSpec::default()
     };
-    let list = |motion: Motion| SequenceList {
-        sequences: vec![motion.to_string()],
-        exclude: Vec::new(),
-    };
+    let list =
+        |motion: Motion| SequenceList { sequences: vec![motion.to_string()], exclude: Vec::new() };
     let split = Split {
         subjects: spec.subject_names(),
         outfits: spec.outfits.clone(),

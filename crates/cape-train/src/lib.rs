@@ -61,6 +61,9 @@
 //! assert_eq!(dressed[0].vertices.len(), 6890);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+//!
+//! Further examples start from such captures, `captures()` or the smaller `triangles()`, from the
+//! configuration `small_config()`, and from the run `trained()`: `doc/sets.rs` has these functions.
 
 mod average;
 pub mod bench;
