@@ -11,6 +11,21 @@ use crate::{Error, Result};
 ///
 /// The bytes go to a temporary file in the same directory, which is renamed over the target at the
 /// end and removed when the value is dropped before that: a reader never sees half a file.
+///
+/// ```
+/// use std::io::Write;
+///
+/// use cape_core::AtomicFile;
+///
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("poses.csv");
+/// let mut file = AtomicFile::create(&path)?;
+/// writeln!(file, "0,0,0")?;
+/// assert!(!path.exists());
+/// file.commit()?;
+/// assert_eq!(std::fs::read_to_string(&path)?, "0,0,0\n");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct AtomicFile {
     path: PathBuf,

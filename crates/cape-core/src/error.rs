@@ -4,6 +4,25 @@ use std::path::{Path, PathBuf};
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// What can go wrong with meshes, bodies and their files.
+///
+/// Errors name the file and what is wrong in it:
+///
+/// ```
+/// use cape_core::{Error, Mesh};
+///
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("broken.obj");
+/// std::fs::write(&path, "v 0 0 0\nv 1 0\n")?;
+/// match Mesh::load(&path) {
+///     Err(Error::Field { path: file, field, message }) => {
+///         assert_eq!((file, field.as_str()), (path, "line 2"));
+///         assert_eq!(message, "2 numbers, expected 3");
+///     }
+///     other => panic!("{other:?}"),
+/// }
+/// assert!(matches!(Mesh::load("nowhere.obj"), Err(Error::Io { .. })));
+/// # Ok::<(), std::io::Error>(())
+/// ```
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

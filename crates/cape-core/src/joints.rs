@@ -70,6 +70,18 @@ pub const PARENTS: [Option<usize>; JOINTS] = [
 pub const CLOTHING_JOINTS: [usize; 14] = [1, 2, 3, 4, 5, 6, 9, 12, 13, 14, 16, 17, 18, 19];
 
 /// A 3 × 3 matrix as rows.
+///
+/// ```
+/// use cape_core::joints::{JOINTS, POSE_FEATURE, Rotation, pose_feature, pose_rotations};
+///
+/// let rotations: Vec<Rotation> = pose_rotations(&[0.0; 3 * JOINTS])?;
+/// assert_eq!(rotations[0], [[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]]);
+/// // At rest the feature is 14 identities.
+/// let feature = pose_feature(&rotations)?;
+/// assert_eq!(feature.len(), POSE_FEATURE);
+/// assert_eq!(feature.iter().sum::<f64>(), 3.0 * 14.0);
+/// # Ok::<(), cape_core::Error>(())
+/// ```
 pub type Rotation = [[f64; 3]; 3];
 
 /// The rotation about `axis_angle` by its length in radians (Rodrigues' formula).

@@ -2,6 +2,22 @@
 //!
 //! Everything geometric that knows nothing of graphs, networks or training. Units are metres and
 //! radians; the y axis points up and the body faces +z, as in SMPL.
+//!
+//! ```
+//! use cape_core::{Outfit, synth::{Wardrobe, synthetic_body}};
+//!
+//! let body = synthetic_body();
+//! let wardrobe = Wardrobe::new(&body, 7)?;
+//! let worn = wardrobe.fit(wardrobe.garment(0, Outfit::ShortLong, 0));
+//! let pose = [0.0; 72];
+//! let clothes = wardrobe.displacement(&worn, &pose, 0.0, None)?;
+//! let dressed = body.pose(&[1.0, -0.5], &pose, [0.0; 3], Some(&clothes))?;
+//! assert_eq!(dressed.vertices.dim(), (6890, 3));
+//!
+//! let directory = tempfile::tempdir()?;
+//! body.mesh_with(&dressed.vertices).save(directory.path().join("dressed.obj"))?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod atomic;
 mod device;

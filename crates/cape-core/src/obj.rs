@@ -6,6 +6,8 @@ use std::{io::Write, path::Path};
 use crate::{Error, Mesh, Result, mesh::read_bytes, write_atomically};
 
 /// Texture coordinates of a mesh.
+///
+/// See [`Obj`] for an example.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Uv {
     /// Points of the texture, `[points, 2]`.
@@ -15,6 +17,21 @@ pub struct Uv {
 }
 
 /// What an OBJ file holds.
+///
+/// ```
+/// use cape_core::{Mesh, obj::{self, Obj, Uv}};
+///
+/// let mesh = Mesh {
+///     vertices: vec![[0., 0., 0.], [1., 0., 0.], [0., 1., 0.]],
+///     faces: vec![[0, 1, 2]],
+/// };
+/// let uv = Uv { coordinates: vec![[0., 0.], [1., 0.], [0., 1.]], faces: vec![[0, 1, 2]] };
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("triangle.obj");
+/// obj::write(&path, &mesh, Some(&uv))?;
+/// assert_eq!(obj::read(&path)?, Obj { mesh, uv: Some(uv) });
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Obj {
     /// The triangles of all objects and groups of the file together.

@@ -5,6 +5,18 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 
 /// The clothing type `c` of CAPE (§3): upper garment, then lower garment.
+///
+/// ```
+/// use cape_core::Outfit;
+///
+/// let outfit: Outfit = "shortlong".parse()?;
+/// assert_eq!(outfit, Outfit::ShortLong);
+/// assert!(!outfit.long_sleeves() && outfit.long_legs());
+/// assert_eq!(outfit.one_hot(), [1., 0., 0., 0.]);
+/// assert_eq!(Outfit::ALL.map(Outfit::index), [0, 1, 2, 3]);
+/// assert!("pyjamas".parse::<Outfit>().is_err());
+/// # Ok::<(), cape_core::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Outfit {

@@ -11,6 +11,17 @@ use crate::{
 };
 
 /// 24 axis-angles of SMPL's joints, radians.
+///
+/// ```
+/// use cape_core::{BodyPose, poses::{movement, preset}};
+///
+/// let rest: BodyPose = preset("t-pose").unwrap();
+/// assert_eq!(rest, [0.0; 72]);
+/// // Two seconds of squats.
+/// let squats = movement("squats", 2.0, 30.0)?;
+/// assert_eq!(squats.len(), 60);
+/// # Ok::<(), cape_core::Error>(())
+/// ```
 pub type BodyPose = [f32; 72];
 
 /// Joints 16 and 17, the shoulders: where their axis-angles begin.

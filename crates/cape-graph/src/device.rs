@@ -14,6 +14,27 @@ const ROUNDING: f64 = 1e-6;
 /// A pyramid's matrices on a device: what graph networks need of a mesh.
 ///
 /// Level 0 is the input mesh; transition `i` leads from level `i` to level `i + 1`.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_core::synth::synthetic_body;
+/// use cape_graph::{DevicePyramid, MeshPyramid, Weighting};
+///
+/// let body = synthetic_body();
+/// let pyramid = MeshPyramid::build(&body, &[1.0, 4.0], Weighting::Barycentric)?;
+/// let device = Device::default();
+/// let graphs = DevicePyramid::upload(&pyramid, &device);
+/// assert_eq!((graphs.transitions(), graphs.vertices()), (2, &[6890, 6890, 1723][..]));
+/// assert!(graphs.is_identity(0) && !graphs.is_identity(1));
+/// assert_eq!((graphs.graph(1).kept(), graphs.pooled(1).kept()), (6890, 1723));
+///
+/// // Barycentric weights preserve what is the same everywhere.
+/// assert!(graphs.up_preserves_constants(1));
+/// let up = graphs.up(Tensor::ones([1, 1723, 2], &device), 1);
+/// let error: f32 = (up - 1.0).abs().max().into_scalar();
+/// assert!(error < 1e-6);
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct DevicePyramid {
     vertices: Vec<usize>,

@@ -4,6 +4,23 @@ use std::path::PathBuf;
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// What can go wrong with meshes, their pyramids and the pyramids' files.
+///
+/// ```
+/// use cape_graph::{Error, MeshPyramid, Surface, Weighting};
+///
+/// let surface = Surface { vertices: vec![[0.0; 3]; 4], faces: vec![[0, 1, 9]] };
+/// match MeshPyramid::build(surface, &[2.0], Weighting::Barycentric) {
+///     Err(Error::FaceOutOfRange { face, vertex, .. }) => assert_eq!((face, vertex), (0, 9)),
+///     other => panic!("{other:?}"),
+/// }
+///
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("pyramid.npz");
+/// std::fs::write(&path, "no archive")?;
+/// let Err(Error::File(reason)) = MeshPyramid::load(&path) else { panic!("a text was read") };
+/// assert!(reason.to_string().contains("pyramid.npz"));
+/// # Ok::<(), std::io::Error>(())
+/// ```
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

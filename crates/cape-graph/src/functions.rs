@@ -59,6 +59,8 @@ pub fn cheb_features(x: Tensor<3>, laplacian: &SparseMatrix, order: usize) -> Te
 }
 
 /// What a convolution ends with.
+///
+/// See [`ConvGraph`] for an example.
 #[derive(Debug, Clone, Default)]
 pub struct ConvEnd {
     /// Rows for each example, `[batch, r, out]` with `r` up to the order: `Σ_k T_k(L̃)1 · row_k` is
@@ -143,6 +145,28 @@ fn product_first(
 }
 
 /// Group normalisation with its parameters.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_graph::{ConvGraph, GroupNorm, norm_conv, sparse_from_triplets};
+///
+/// let path = sparse_from_triplets("L", (2, 2), &[0, 1], &[1, 0], &[-1.0; 2])?;
+/// let device = Device::default();
+/// let graph = ConvGraph::new(&path, None, &device);
+/// let norm = GroupNorm {
+///     gamma: Tensor::ones([1], &device),
+///     beta: Tensor::zeros([1], &device),
+///     groups: 1,
+///     epsilon: 1e-6,
+/// };
+/// // 3 and 7 are normalised to −1 and 1; ReLU and a weight of 2 leave 0 and 2.
+/// let x = Tensor::<3>::from_floats([[[3.0], [7.0]]], &device);
+/// let weight = Tensor::<2>::full([1, 1], 2.0, &device);
+/// let y = norm_conv(x, None, norm, weight, &graph, 1, None);
+/// let y: Vec<f32> = y.into_data().try_into_vec().unwrap();
+/// assert!(y[0] == 0.0 && (y[1] - 2.0).abs() < 1e-5);
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct GroupNorm {
     /// Scale, `[channels]`.

@@ -4,6 +4,24 @@
 //! and interpolations between them. A [`SparseMatrix`] is a fixed matrix (a Laplacian, a pooling or
 //! an up-sampling) uploaded to a device once; [`sparse_matmul`] and [`cheb_conv`] multiply tensors
 //! `[batch, vertices, channels]` by it, with gradients, on every backend compiled in.
+//!
+//! ```
+//! use burn::tensor::{Device, Tensor};
+//! use cape_core::synth::synthetic_body;
+//! use cape_graph::{DevicePyramid, MeshPyramid, Weighting};
+//!
+//! let mesh = synthetic_body().mesh();
+//! let pyramid = MeshPyramid::build(&mesh, &[2.0, 2.0], Weighting::Barycentric)?;
+//! let device = Device::default();
+//! let graphs = DevicePyramid::upload(&pyramid, &device);
+//! assert_eq!(graphs.vertices(), [6890, 3445, 1723]);
+//!
+//! let features = Tensor::ones([1, 6890, 3], &device);
+//! let coarse = graphs.down(features, 0);
+//! assert_eq!(coarse.dims(), [1, 3445, 3]);
+//! assert_eq!(graphs.up(coarse, 0).dims(), [1, 6890, 3]);
+//! # Ok::<(), cape_graph::Error>(())
+//! ```
 
 mod backends;
 #[cfg(any(feature = "flex", feature = "ndarray"))]

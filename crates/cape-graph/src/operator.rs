@@ -11,6 +11,8 @@ use sprs::CsMat;
 use crate::sparse::{Csr, SparseMatrix, SparsePair};
 
 /// What a graph convolution needs of the mesh, on the host.
+///
+/// See [`GraphBackend`](crate::GraphBackend) for an example.
 #[derive(Debug)]
 pub struct Operator {
     laplacian: Arc<SparsePair>,
@@ -101,6 +103,25 @@ fn multiply(a: &Csr, x: &[f64]) -> Vec<f64> {
 ///
 /// It consists of a level's rescaled Laplacian and, where a pooling follows the convolution, the
 /// vertices that it keeps.
+///
+/// A convolution on a triangle, whose rescaled Laplacian has −½ beside the diagonal:
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_graph::{ConvEnd, ConvGraph, cheb_conv, sparse_from_triplets};
+///
+/// let laplacian = sparse_from_triplets(
+///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
+/// let device = Device::default();
+/// let graph = ConvGraph::new(&laplacian, None, &device);
+/// let x = Tensor::<3>::ones([1, 3, 1], &device);
+/// let weight = Tensor::<2>::from_floats([[2.0], [0.5]], &device);
+/// // L̃ 1 = −1: terms and bias make 2 − ½ − 2½ = −1, of which the activation leaves a fifth.
+/// let end = ConvEnd { rows: Some(Tensor::full([1, 1, 1], -2.5, &device)), slope: Some(0.2) };
+/// let y: Vec<f32> = cheb_conv(x, weight, &graph, 2, end).into_data().try_into_vec().unwrap();
+/// assert!(y.iter().all(|y| (y + 0.2).abs() < 1e-6));
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct ConvGraph {
     pub(crate) operator: Arc<Operator>,

@@ -17,6 +17,8 @@ use crate::{
 };
 
 /// What a convolution does besides the products.
+///
+/// See [`GraphBackend`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ConvSpec {
     /// Chebyshev terms `K`.
@@ -28,6 +30,8 @@ pub struct ConvSpec {
 }
 
 /// What a convolution does after the products.
+///
+/// See [`GraphBackend`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EndSpec {
     /// Whether a last term is added.
@@ -39,6 +43,8 @@ pub struct EndSpec {
 }
 
 /// A convolution after group normalisation and ReLU.
+///
+/// See [`GraphBackend`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NormConvSpec {
     /// Chebyshev terms `K`.
@@ -55,6 +61,30 @@ pub struct NormConvSpec {
 
 /// Graph operations on primitives of a backend. Use the functions of this crate instead: they
 /// check shapes and take tensors.
+///
+/// A backend of one's own needs sparse products; from these the other operations are composed:
+///
+/// ```
+/// use std::sync::Arc;
+///
+/// use burn::backend::{Backend, tensor::{FloatTensor, IntTensor}};
+/// use cape_graph::{ConvSpec, GraphBackend, Operator};
+///
+/// /// A layer of an inference engine that has the graph at hand.
+/// fn layer<B: GraphBackend>(
+///     x: FloatTensor<B>,
+///     weight: FloatTensor<B>,
+///     (index, value): (IntTensor<B>, FloatTensor<B>),
+///     operator: Arc<Operator>,
+/// ) -> FloatTensor<B> {
+///     let spec = ConvSpec { order: 2, rows: 0, slope: None };
+///     let unused = x.clone();
+///     B::cheb_conv(x, weight, unused, index, value, operator, spec)
+/// }
+///
+/// # #[cfg(feature = "flex")]
+/// let _ = layer::<burn::backend::Flex>;
+/// ```
 #[backend_extension(
     Flex: cfg(feature = "flex"),
     NdArray: cfg(feature = "ndarray"),

@@ -11,6 +11,35 @@ use crate::{Error, Result};
 const ROUNDING: f64 = 1e-6;
 
 /// What a pyramid is put together from: matrices computed elsewhere.
+///
+/// A square with an apex, and the square without it:
+///
+/// ```
+/// use cape_graph::{MeshPyramid, PyramidParts, Surface, Weighting, sparse_from_triplets};
+///
+/// let surface = Surface {
+///     vertices: vec![[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.], [0.5, 0.5, 1.]],
+///     faces: vec![[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]],
+/// };
+/// // The apex goes; it is half-way between two opposite corners.
+/// let (fine, coarse) = (surface.adjacency(), 4);
+/// let around = sparse_from_triplets(
+///     "A1", (coarse, coarse), &[0, 0, 1, 1, 2, 2, 3, 3], &[1, 3, 0, 2, 1, 3, 2, 0], &[1.0; 8])?;
+/// let down = sparse_from_triplets("D0", (coarse, 5), &[0, 1, 2, 3], &[0, 1, 2, 3], &[1.0; 4])?;
+/// let up = sparse_from_triplets(
+///     "U0", (5, coarse), &[0, 1, 2, 3, 4, 4], &[0, 1, 2, 3, 0, 2], &[1., 1., 1., 1., 0.5, 0.5])?;
+/// let pyramid = MeshPyramid::from_parts(PyramidParts {
+///     surface,
+///     adjacency: vec![fine, around],
+///     down: vec![down],
+///     up: vec![up],
+///     faces: Vec::new(),
+///     weighting: Weighting::Barycentric,
+/// })?;
+/// assert_eq!(pyramid.levels()[1].vertex_count(), 4);
+/// assert_eq!(pyramid.transitions()[0].down(), [0, 1, 2, 3]);
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Debug, Clone, Default)]
 pub struct PyramidParts {
     /// The mesh of level 0; its faces may be missing.

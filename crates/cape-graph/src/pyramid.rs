@@ -10,6 +10,30 @@ use crate::{Error, Result};
 
 /// A mesh at falling resolutions: level 0 is the mesh itself, and transition `i` leads from level
 /// `i` to level `i + 1` and back.
+///
+/// ```
+/// use cape_core::synth::synthetic_body;
+/// use cape_graph::{MeshPyramid, Weighting};
+///
+/// let mesh = synthetic_body().mesh();
+/// let pyramid = MeshPyramid::build(&mesh, &[2.0], Weighting::Barycentric)?;
+/// let coarse = &pyramid.levels()[1];
+/// assert_eq!(coarse.vertex_count(), 3445);
+/// let laplacian = coarse.laplacian();
+/// assert_eq!(laplacian.shape(), (3445, 3445));
+/// assert!(laplacian.diag_iter().all(|entry| entry == Some(&1.0)));
+///
+/// // Coarse vertices are fine ones, and fine vertices are means of coarse ones.
+/// let transition = &pyramid.transitions()[0];
+/// assert_eq!(transition.down().len(), 3445);
+/// let sums = transition.up().outer_iterator().map(|row| row.data().iter().sum::<f64>());
+/// assert!(sums.into_iter().all(|sum| (sum - 1.0).abs() < 1e-9));
+///
+/// let directory = tempfile::tempdir()?;
+/// pyramid.save(directory.path().join("pyramid.npz"))?;
+/// assert_eq!(MeshPyramid::load(directory.path().join("pyramid.npz"))?, pyramid);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeshPyramid {
     pub(crate) levels: Vec<Level>,
@@ -18,6 +42,8 @@ pub struct MeshPyramid {
 }
 
 /// One mesh of a pyramid with its graph.
+///
+/// See [`MeshPyramid`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Level {
     pub(crate) surface: Surface,
@@ -25,6 +51,8 @@ pub struct Level {
 }
 
 /// The maps between a finer level and the next coarser one.
+///
+/// See [`MeshPyramid`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Transition {
     pub(crate) down: Vec<u32>,

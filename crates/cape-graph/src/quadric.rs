@@ -10,6 +10,26 @@ use crate::vector::{V3, cross, dot, sub};
 use crate::{Error, Result};
 
 /// A simplified mesh.
+///
+/// ```
+/// use cape_graph::{Surface, simplify};
+///
+/// let octahedron = Surface {
+///     vertices: vec![
+///         [1., 0., 0.], [-1., 0., 0.], [0., 1., 0.], [0., -1., 0.], [0., 0., 1.], [0., 0., -1.],
+///     ],
+///     faces: vec![
+///         [0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5],
+///     ],
+/// };
+/// let simplified = simplify(&octahedron, 5)?;
+/// assert_eq!(simplified.kept.len(), 5);
+/// // Vertices are kept where they are.
+/// for (&kept, vertex) in simplified.kept.iter().zip(&simplified.surface.vertices) {
+///     assert_eq!(octahedron.vertices[kept as usize], *vertex);
+/// }
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simplified {
     /// The vertices that were kept, as ascending indices into the input's.

@@ -8,6 +8,8 @@ use sprs::CsMat;
 use crate::operator::Arrays;
 
 /// A matrix in compressed sparse rows, f32.
+///
+/// See [`SparseMatrix`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Csr {
     cols: usize,
@@ -56,6 +58,8 @@ fn row_ends(matrix: &CsMat<f64>) -> impl Iterator<Item = u32> {
 }
 
 /// A sparse matrix and its transpose, for a product and its gradient.
+///
+/// See [`SparseMatrix`] for an example.
 #[derive(Debug, PartialEq)]
 pub struct SparsePair {
     forward: Csr,
@@ -119,6 +123,26 @@ pub(crate) struct Offsets {
 /// A sparse matrix that operations of this crate multiply tensors by; cheap to clone.
 ///
 /// Its structure and values are constants: no gradient flows into them.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_graph::{SparseMatrix, sparse_from_triplets, sparse_matmul};
+///
+/// // [0 0 2]
+/// // [5 0 0]
+/// let matrix = sparse_from_triplets("A", (2, 3), &[0, 1], &[2, 0], &[2.0, 5.0])?;
+/// let device = Device::default();
+/// let a = SparseMatrix::new(&matrix, &device);
+/// let x = Tensor::<3>::from_floats([[[1.0], [2.0], [3.0]]], &device);
+/// let y: Vec<f32> = sparse_matmul(x, &a).into_data().try_into_vec().unwrap();
+/// assert_eq!(y, [6.0, 5.0]);
+///
+/// // On the host there are the matrix and its transpose, for the gradient.
+/// let (forward, transposed) = (a.host().forward(), a.host().backward());
+/// assert_eq!(forward.row(0), (&[2][..], &[2.0][..]));
+/// assert_eq!((transposed.rows(), transposed.row(0)), (3, (&[1][..], &[5.0][..])));
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct SparseMatrix {
     pub(crate) pair: Arc<SparsePair>,

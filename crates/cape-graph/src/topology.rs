@@ -12,6 +12,19 @@ use crate::{Error, Result};
 const FLATNESS: f64 = 1e-12;
 
 /// A triangle mesh in double precision, which simplification and projection need.
+///
+/// ```
+/// use cape_core::synth::synthetic_body;
+/// use cape_graph::{EdgeCounts, Surface};
+///
+/// let body = Surface::from(&synthetic_body());
+/// body.validate()?;
+/// // Closed: every edge has two faces, and every face three edges.
+/// let edges = 3 * body.faces.len() / 2;
+/// assert_eq!(body.edge_counts(), EdgeCounts { edges, boundary: 0, non_manifold: 0 });
+/// assert_eq!(body.adjacency().nnz(), 2 * edges);
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Surface {
     /// Vertex positions in metres, `[vertices, 3]`.
@@ -139,6 +152,8 @@ impl Surface {
 
 /// What the edges of a mesh are like. A closed manifold has neither boundary nor non-manifold
 /// edges; simplification may create the latter.
+///
+/// See [`Surface`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct EdgeCounts {
     /// All edges.

@@ -12,6 +12,8 @@ use crate::{Error, Result};
 
 /// How a level's values are interpolated from the next coarser one's. Trained weights depend on it,
 /// so it is saved with the pyramid.
+///
+/// See [`MeshPyramid`](crate::MeshPyramid) for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Weighting {

@@ -10,6 +10,8 @@ use crate::{
 };
 
 /// The embedding net of one condition: one linear layer, or two with a leaky ReLU between.
+///
+/// See [`ConditionNets`] for an example.
 #[derive(Module, Debug)]
 pub struct ConditionNet {
     /// The hidden layer of a two-layer net.
@@ -49,6 +51,21 @@ pub(crate) fn hidden_width(input: usize, output: usize) -> usize {
 }
 
 /// Embeddings of pose and outfit (CAPE §4.2), shared by the decoder and the discriminator.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_model::{CapeConfig, ConditionNets, Init};
+///
+/// let config = CapeConfig::paper();
+/// let device = Device::default();
+/// let nets = ConditionNets::new(&config, &mut Init::new(1, config.deviation, &device));
+/// let (pose, outfit) = (Tensor::zeros([3, 126], &device), Tensor::zeros([3, 4], &device));
+/// let embedding = nets.forward(pose, outfit).unwrap();
+/// assert_eq!(embedding.dims(), [3, 24 + 8]);
+/// // The pose has a hidden layer, the outfit none.
+/// assert!(nets.pose.is_some_and(|net| net.hidden.is_some()));
+/// assert!(nets.outfit.is_some_and(|net| net.hidden.is_none()));
+/// ```
 #[derive(Module, Debug)]
 pub struct ConditionNets {
     /// Of the pose feature.

@@ -12,6 +12,8 @@ pub const POSE_FEATURE: usize = 126;
 pub const OUTFITS: usize = 4;
 
 /// What the decoder is made of (CAPE §4 and appendix A; CoMA).
+///
+/// See [`CapeConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DecoderBlock {
@@ -24,6 +26,8 @@ pub enum DecoderBlock {
 }
 
 /// Where the decoder sees the conditions.
+///
+/// See [`CapeConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DecoderConditions {
@@ -36,6 +40,23 @@ pub enum DecoderConditions {
 }
 
 /// Architecture of the generator and the discriminator; every number of CAPE's appendix A.
+///
+/// ```
+/// use cape_model::{CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, Error};
+///
+/// let config = CapeConfig {
+///     decoder: DecoderBlock::Plain,
+///     decoder_conditions: DecoderConditions::Latent,
+///     discriminator: Some(DiscriminatorConfig { spectral_norm: true, ..Default::default() }),
+///     ..CapeConfig::preset("paper")?
+/// };
+/// config.validate()?;
+/// assert_eq!(config.condition_size(), 24 + 8);
+///
+/// let wrong = CapeConfig { latent: 0, ..config };
+/// assert!(matches!(wrong.validate(), Err(Error::Config { field, .. }) if field == "latent"));
+/// # Ok::<(), cape_model::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CapeConfig {
@@ -76,6 +97,8 @@ pub struct CapeConfig {
 }
 
 /// Architecture of the discriminator.
+///
+/// See [`CapeConfig`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DiscriminatorConfig {

@@ -13,6 +13,8 @@ use crate::{
 };
 
 /// One layer of the decoder after its up-sampling.
+///
+/// See [`Decoder`] for an example.
 #[derive(Module, Debug)]
 #[allow(clippy::large_enum_variant)] // a model holds a handful of them
 pub enum DecoderLayer {
@@ -45,6 +47,24 @@ impl DecoderLayer {
 }
 
 /// From a latent code and conditions to displacements (CAPE §4.1 and appendix A).
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_graph::{DevicePyramid, sparse_from_triplets};
+/// use cape_model::{CapeConfig, Decoder, DecoderLayer, Init};
+///
+/// let triangle = sparse_from_triplets(
+///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
+/// let device = Device::default();
+/// let graph = DevicePyramid::new(&vec![triangle; 3], &[None, None], &[None, None], &device);
+/// let config = CapeConfig { filters: vec![4, 8], factors: vec![1, 1], ..CapeConfig::tiny() };
+/// let decoder = Decoder::new(&config, 3, 3, &mut Init::new(1, 0.1, &device));
+/// assert!(matches!(decoder.blocks[..], [DecoderLayer::Residual(_), DecoderLayer::Residual(_)]));
+/// let condition = Tensor::zeros([2, config.condition_size()], &device);
+/// let clothes = decoder.forward(Tensor::zeros([2, 6], &device), Some(&condition), &graph);
+/// assert_eq!(clothes.dims(), [2, 3, 3]);
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Module, Debug)]
 pub struct Decoder {
     /// From the code to features of the coarsest level.

@@ -7,6 +7,23 @@ use crate::{
 };
 
 /// The patchwise discriminator (CAPE §4.1): one real-or-fake logit for each patch of the mesh.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_graph::{DevicePyramid, sparse_from_triplets};
+/// use cape_model::{Discriminator, DiscriminatorConfig, Init};
+///
+/// let triangle = sparse_from_triplets(
+///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
+/// let device = Device::default();
+/// let graph = DevicePyramid::new(&vec![triangle; 2], &[None], &[None], &device);
+/// let config = DiscriminatorConfig { filters: vec![4], factors: vec![1], ..Default::default() };
+/// let discriminator = Discriminator::new(&config, 8, &mut Init::new(1, 0.1, &device));
+/// let condition = Tensor::zeros([2, 8], &device);
+/// let logits = discriminator.forward(Tensor::ones([2, 3, 3], &device), Some(&condition), &graph);
+/// assert_eq!(logits.dims(), [2, 3, 1]);
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Module, Debug)]
 pub struct Discriminator {
     /// One for each transition of its pyramid.

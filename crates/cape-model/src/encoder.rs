@@ -7,6 +7,8 @@ use crate::{
 };
 
 /// One layer of the encoder.
+///
+/// See [`Encoder`] for an example.
 #[derive(Module, Debug)]
 #[allow(clippy::large_enum_variant)] // a model holds a handful of them
 pub enum EncoderBlock {
@@ -35,6 +37,23 @@ impl EncoderBlock {
 }
 
 /// Mean and log-variance of `q(z|x)`, each `[batch, latent]`.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_model::{Posterior, losses::kl};
+///
+/// let device = Device::default();
+/// let posterior = Posterior {
+///     mean: Tensor::from_floats([[3.0, 4.0]], &device),
+///     log_variance: Tensor::zeros([1, 2], &device),
+/// };
+/// let noise = Tensor::from_floats([[1.0, -1.0]], &device);
+/// let z: Vec<f32> = posterior.sample(noise).into_data().try_into_vec().unwrap();
+/// assert_eq!(z, [4.0, 3.0]);
+/// // With unit variances the divergence from the prior is half the squared mean.
+/// let divergence: f32 = kl(&posterior).into_scalar();
+/// assert!((divergence - 12.5).abs() < 1e-5);
+/// ```
 #[derive(Debug, Clone)]
 pub struct Posterior {
     /// `μ`.
@@ -51,6 +70,24 @@ impl Posterior {
 }
 
 /// From displacements to the posterior of the latent code (CAPE §4.1).
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_graph::{DevicePyramid, sparse_from_triplets};
+/// use cape_model::{CapeConfig, Encoder, EncoderBlock, Init};
+///
+/// let triangle = sparse_from_triplets(
+///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
+/// let device = Device::default();
+/// let graph = DevicePyramid::new(&vec![triangle; 3], &[None, None], &[None, None], &device);
+/// let config = CapeConfig { filters: vec![4, 8], factors: vec![1, 1], ..CapeConfig::tiny() };
+/// let encoder = Encoder::new(&config, 3, &mut Init::new(1, 0.1, &device));
+/// assert!(matches!(encoder.blocks[..], [EncoderBlock::Conv(_), EncoderBlock::Conv(_)]));
+/// let posterior = encoder.forward(Tensor::ones([2, 3, 3], &device), None, &graph);
+/// assert_eq!(posterior.mean.dims(), [2, 6]);
+/// assert_eq!(posterior.log_variance.dims(), [2, 6]);
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Module, Debug)]
 pub struct Encoder {
     /// One for each transition of the pyramid.

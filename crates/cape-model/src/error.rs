@@ -4,6 +4,23 @@ use std::path::PathBuf;
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// What can go wrong with models and their files.
+///
+/// ```
+/// use cape_model::{CapeConfig, Error, weights};
+///
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("model.safetensors");
+/// std::fs::write(&path, "no weights")?;
+/// match weights::load(&path) {
+///     Err(Error::File { path: file, message }) => {
+///         assert_eq!(file, path);
+///         assert!(!message.is_empty());
+///     }
+///     other => panic!("{other:?}"),
+/// }
+/// assert!(matches!(CapeConfig::preset("large"), Err(Error::Config { .. })));
+/// # Ok::<(), std::io::Error>(())
+/// ```
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

@@ -7,6 +7,15 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 /// Draws initial weights on the host, so that a seed gives the same model on every backend.
+///
+/// ```
+/// use burn::tensor::Device;
+/// use cape_model::{Init, layers::Linear, weights::collect};
+///
+/// let draw = |seed| collect(&Linear::new(2, 3, &mut Init::new(seed, 0.1, &Device::default())));
+/// assert_eq!(draw(7), draw(7));
+/// assert_ne!(draw(7), draw(8));
+/// ```
 #[derive(Debug)]
 pub struct Init {
     rng: ChaCha8Rng,

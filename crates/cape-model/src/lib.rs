@@ -3,6 +3,41 @@
 //!
 //! A [`CapeConfig`] describes an architecture, [`Graphs`] hold what it needs of a mesh on a device,
 //! and [`Cape`] is the model. Displacements enter and leave as `[batch, vertices, 3]`, normalised.
+//!
+//! ```
+//! use burn::tensor::{Device, Tensor};
+//! use cape_core::{Outfit, synth::synthetic_body};
+//! use cape_graph::{
+//!     DevicePyramid, MeshPyramid, SparseMatrix, Surface, Weighting, sparse_from_triplets,
+//! };
+//! use cape_model::{Cape, CapeConfig, Graphs};
+//!
+//! let config = CapeConfig { discriminator: None, ..CapeConfig::tiny() };
+//! let device = Device::default();
+//! let surface = Surface::from(&synthetic_body());
+//! let pyramid = MeshPyramid::build(&surface, &[1., 2., 1., 1.], Weighting::Barycentric)?;
+//! let edges: Vec<[i64; 2]> = surface.edges().iter().map(|edge| edge.map(i64::from)).collect();
+//! let rows: Vec<i64> = (0..edges.len() as i64).flat_map(|row| [row; 2]).collect();
+//! let shape = (edges.len(), surface.vertices.len());
+//! let signs = [1., -1.].repeat(edges.len());
+//! let difference = sparse_from_triplets("edges", shape, &rows, edges.as_flattened(), &signs)?;
+//! let graphs = Graphs {
+//!     generator: DevicePyramid::upload(&pyramid, &device),
+//!     discriminator: None,
+//!     edges: SparseMatrix::new(&difference, &device),
+//! };
+//!
+//! let model = Cape::new(&config, &graphs, 1, &device)?;
+//! let outfits = [Outfit::ShortLong.one_hot(), Outfit::LongLong.one_hot()];
+//! let clothes = model.generator.decode(
+//!     Tensor::zeros([2, 6], &device),
+//!     Tensor::zeros([2, 126], &device),
+//!     Tensor::from_floats(outfits, &device),
+//!     &graphs,
+//! );
+//! assert_eq!(clothes.dims(), [2, 6890, 3]);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod condition;
 mod config;

@@ -10,6 +10,8 @@ use serde::{Deserialize, Serialize};
 use crate::{Error, Posterior, Result};
 
 /// How far a reconstruction is from its target.
+///
+/// See [`LossConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Reconstruction {
@@ -24,6 +26,8 @@ pub enum Reconstruction {
 const HUBER_DELTA: f64 = 0.1;
 
 /// What generator and discriminator play for.
+///
+/// See [`LossConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Adversary {
@@ -35,6 +39,28 @@ pub enum Adversary {
 }
 
 /// Weights and switches of the objective.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_model::{Adversary, LossConfig, Reconstruction, losses};
+///
+/// let config = LossConfig {
+///     kind: Reconstruction::L1,
+///     adversary: Adversary::Bce,
+///     ..LossConfig::default()
+/// };
+/// config.validate()?;
+/// let device = Device::default();
+/// let predicted = Tensor::zeros([1, 2, 3], &device);
+/// let target = Tensor::full([1, 2, 3], 0.5, &device);
+/// let error: f32 = losses::reconstruction(config.kind, predicted, target, None).into_scalar();
+/// assert_eq!(error, 0.5);
+/// // Who cannot tell at all loses log 2 a patch.
+/// let undecided = Tensor::zeros([1, 4, 1], &device);
+/// let loss: f32 = losses::generator_adversarial(&config, undecided).into_scalar();
+/// assert!((loss - 2f32.ln()).abs() < 1e-6);
+/// # Ok::<(), cape_model::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LossConfig {

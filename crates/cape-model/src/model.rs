@@ -10,6 +10,8 @@ use crate::{
 };
 
 /// Condition nets, encoder and decoder: what the generator's optimiser updates.
+///
+/// See [`Cape`] for an example.
 #[derive(Module, Debug)]
 pub struct Generator {
     /// Embeddings of pose and outfit.
@@ -21,6 +23,41 @@ pub struct Generator {
 }
 
 /// The whole of CAPE's network.
+///
+/// Clothes of a single triangle, encoded and decoded:
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_graph::{DevicePyramid, SparseMatrix, sparse_from_triplets};
+/// use cape_model::{Cape, CapeConfig, Graphs, weights::collect};
+///
+/// let (from, to) = ([0, 0, 1, 1, 2, 2], [1, 2, 0, 2, 0, 1]);
+/// let laplacian = sparse_from_triplets("L", (3, 3), &from, &to, &[-0.5; 6])?;
+/// let edges = sparse_from_triplets("edges", (3, 3), &from, &to, &[1., -1., 1., -1., 1., -1.])?;
+/// let device = Device::default();
+/// let graphs = Graphs {
+///     generator: DevicePyramid::new(&vec![laplacian; 3], &[None, None], &[None, None], &device),
+///     discriminator: None,
+///     edges: SparseMatrix::new(&edges, &device),
+/// };
+/// let config = CapeConfig {
+///     filters: vec![4, 8],
+///     factors: vec![1, 1],
+///     discriminator: None,
+///     ..CapeConfig::tiny()
+/// };
+/// let model = Cape::new(&config, &graphs, 1, &device)?;
+/// let posterior =
+///     model.generator.encoder.forward(Tensor::ones([1, 3, 3], &device), None, &graphs.generator);
+/// assert_eq!(posterior.mean.dims(), [1, 6]);
+/// let (pose, outfit) = (Tensor::zeros([1, 126], &device), Tensor::zeros([1, 4], &device));
+/// let decoded = model.generator.decode(posterior.mean, pose, outfit, &graphs);
+/// assert_eq!(decoded.dims(), [1, 3, 3]);
+/// // A seed gives one model.
+/// let again = Cape::new(&config, &graphs, 1, &device)?;
+/// assert_eq!(collect(&again), collect(&model));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Module, Debug)]
 pub struct Cape {
     /// The conditional Mesh-VAE.
@@ -30,6 +67,8 @@ pub struct Cape {
 }
 
 /// What the networks need of the mesh, on a device.
+///
+/// See [`Cape`] for an example.
 #[derive(Debug, Clone)]
 pub struct Graphs {
     /// The generator's pyramid.

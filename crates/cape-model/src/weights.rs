@@ -15,6 +15,8 @@ use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use crate::{Error, Result};
 
 /// A tensor on the host.
+///
+/// See [`Weights`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Array {
     /// Extents, row-major.
@@ -24,9 +26,39 @@ pub struct Array {
 }
 
 /// Parameters by their path in the module, such as `generator.encoder.mean.weight`.
+///
+/// ```
+/// use burn::tensor::Device;
+/// use cape_model::{Init, layers::Linear, weights::{self, Array}};
+///
+/// let mut init = Init::new(1, 0.1, &Device::default());
+/// let layer = Linear::new(2, 3, &mut init);
+/// let saved = weights::collect(&layer);
+/// assert_eq!(saved["bias"], Array { shape: vec![3], values: vec![0.0; 3] });
+///
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("layer.safetensors");
+/// weights::save(&saved, &path)?;
+/// let other = weights::apply(Linear::new(2, 3, &mut init), &weights::load(&path)?)?;
+/// assert_eq!(weights::collect(&other), saved);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub type Weights = BTreeMap<String, Array>;
 
 /// Path of the parameter being visited; the names of enum variants are not part of it.
+///
+/// ```
+/// use cape_model::weights::Trail;
+///
+/// let mut trail = Trail::default();
+/// trail.enter("decoder", "Struct:Decoder");
+/// trail.enter("blocks", "Vec");
+/// trail.enter("0", "Enum:DecoderLayer");
+/// trail.enter("bias", "Struct:ConvLayer");
+/// assert_eq!(trail.path(), "decoder.blocks.bias");
+/// trail.exit();
+/// assert_eq!(trail.path(), "decoder.blocks");
+/// ```
 #[derive(Debug, Default)]
 pub struct Trail(Vec<Option<String>>);
 
@@ -74,6 +106,20 @@ pub fn for_each_parameter<M: Module>(module: &M, f: impl FnMut(&str, ParameterRe
 }
 
 /// A parameter seen by [`for_each_parameter`].
+///
+/// ```
+/// use burn::tensor::Device;
+/// use cape_model::{Init, layers::Linear, weights::for_each_parameter};
+///
+/// let layer = Linear::new(2, 3, &mut Init::new(1, 0.1, &Device::default()));
+/// let mut numbers = 0;
+/// for_each_parameter(&layer, |path, parameter| {
+///     assert!(["weight", "bias"].contains(&path));
+///     numbers += parameter.shape.iter().product::<usize>();
+///     assert!(parameter.read().iter().all(|x| x.is_finite()));
+/// });
+/// assert_eq!(numbers, 2 * 3 + 3);
+/// ```
 pub struct ParameterRef<'a> {
     /// Its extents.
     pub shape: &'a [usize],

@@ -2,6 +2,8 @@ use cape_core::Mesh;
 use glam::{Mat4, Vec3};
 
 /// How depth shows.
+///
+/// See [`Camera`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Projection {
     /// Distant things look smaller; the vertical field of view, radians.
@@ -17,6 +19,8 @@ impl Default for Projection {
 }
 
 /// Where the camera stands around a body that faces +z.
+///
+/// See [`Camera`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum View {
     /// Facing the body.
@@ -46,6 +50,15 @@ impl View {
 }
 
 /// An axis-aligned box, metres.
+///
+/// ```
+/// use cape_render::Bounds;
+///
+/// let bounds = Bounds::of(&[[0., 0., 0.], [2., 4., 4.], [1., f32::NAN, 9.]]).unwrap();
+/// assert_eq!(bounds.centre().to_array(), [1., 2., 2.]);
+/// assert_eq!(bounds.radius(), 3.0);
+/// assert!(Bounds::of(&[]).is_none());
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
     /// The smallest coordinates.
@@ -93,6 +106,22 @@ impl Bounds {
 }
 
 /// A camera: world to clip space, with depth from 0 (near) to 1 (far).
+///
+/// ```
+/// use cape_core::synth::synthetic_body;
+/// use cape_render::{Bounds, Camera, Projection, Result, View, silhouette};
+///
+/// let body = synthetic_body().mesh();
+/// let bounds = Bounds::of_meshes([&body]).unwrap();
+/// let covered = |view| -> Result<usize> {
+///     let camera = Camera::framing(&bounds, view, Projection::Orthographic, 1.0);
+///     let picture = silhouette(&body, &camera, 64, 64)?;
+///     Ok(picture.pixels().iter().filter(|pixel| pixel[0] == 255).count())
+/// };
+/// // In the T-pose the arms are seen from the front, but hardly from the side.
+/// assert!(covered(View::Front)? > covered(View::Side)?);
+/// # Ok::<(), cape_render::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
     pub(crate) view: Mat4,

@@ -12,6 +12,21 @@ use crate::{Error, Result};
 pub const MAX_SIDE: u32 = 16_384;
 
 /// An 8-bit sRGB picture with straight alpha, row 0 at the top.
+///
+/// ```
+/// use cape_render::Image;
+///
+/// let mut image = Image::new(4, 3, [255; 4])?;
+/// image.blend(1, 2, [200, 0, 0], 1.0);
+/// assert_eq!(image.get(1, 2), Some([200, 0, 0, 255]));
+/// assert_eq!(image.get(4, 0), None);
+///
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("dot.png");
+/// image.save(&path)?;
+/// assert_eq!(Image::load(&path)?, image);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Image {
     width: u32,

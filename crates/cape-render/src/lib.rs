@@ -4,6 +4,19 @@
 //! smooth or flat shading, textures, a three-light studio, soft shadows and supersampling, on all
 //! cores and with the same picture whatever their number. [`silhouette`] draws what a mesh covers, [`contact_sheet`] puts pictures side by side, [`Plot`] draws
 //! curves.
+//!
+//! ```
+//! use cape_core::synth::synthetic_body;
+//! use cape_render::{Object, Style, View, portrait};
+//!
+//! let body = synthetic_body().mesh();
+//! let style = Style { width: 48, height: 64, ..Style::default() };
+//! let picture = portrait(Object::new(&body), View::ThreeQuarter, &style)?;
+//! assert_eq!((picture.width(), picture.height()), (48, 64));
+//! // There is a body in the middle, and only the background in the corner.
+//! assert_ne!(picture.get(24, 32), picture.get(0, 0));
+//! # Ok::<(), cape_render::Error>(())
+//! ```
 
 mod animation;
 mod camera;

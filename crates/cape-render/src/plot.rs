@@ -16,6 +16,8 @@ const INK: [u8; 3] = [50, 52, 56];
 const GRID: [u8; 3] = [222, 224, 228];
 
 /// A line of a plot.
+///
+/// See [`Plot`] for an example.
 #[derive(Debug, Clone, Default)]
 pub struct Series {
     /// What the legend says.
@@ -25,6 +27,27 @@ pub struct Series {
 }
 
 /// Lines over common axes.
+///
+/// ```
+/// use cape_render::{Plot, Series};
+///
+/// let loss = Series {
+///     name: "training".into(),
+///     points: (0..50).map(|epoch| (epoch.into(), (-0.1 * f64::from(epoch)).exp())).collect(),
+/// };
+/// let plot = Plot {
+///     title: "loss".into(),
+///     x_label: "epoch".into(),
+///     y_label: "L1".into(),
+///     log_y: true,
+///     series: vec![loss],
+/// };
+/// let picture = plot.draw(320, 240)?;
+/// assert_eq!((picture.width(), picture.height()), (320, 240));
+/// // Smaller plots would not be legible.
+/// assert_eq!(plot.draw(20, 20)?.width(), 160);
+/// # Ok::<(), cape_render::Error>(())
+/// ```
 #[derive(Debug, Clone, Default)]
 pub struct Plot {
     /// Written above.

@@ -12,6 +12,8 @@ use crate::{
 const MOST_SAMPLES: usize = 64;
 
 /// How normals vary over a surface.
+///
+/// See [`Object`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Shading {
     /// Between those of vertices.
@@ -22,6 +24,24 @@ pub enum Shading {
 }
 
 /// A mesh in a scene.
+///
+/// ```
+/// use cape_core::synth::synthetic_body;
+/// use cape_render::{Material, Object, Style, View, portrait};
+///
+/// let body = synthetic_body().mesh();
+/// let style = Style { width: 32, height: 32, ..Style::default() };
+/// let red = Material { colour: [0.8, 0.1, 0.1], gloss: 0.0 };
+/// let faceted = Object { material: red, ..Object::new(&body).flat() };
+/// let [r, g, ..] = portrait(faceted, View::Front, &style)?.get(16, 16).unwrap();
+/// assert!(r > g);
+///
+/// let green = vec![[0.1, 0.8, 0.1]; body.vertices.len()];
+/// let painted = Object::new(&body).coloured(&green);
+/// let [r, g, ..] = portrait(painted, View::Front, &style)?.get(16, 16).unwrap();
+/// assert!(g > r);
+/// # Ok::<(), cape_render::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy)]
 pub struct Object<'a> {
     /// The surface.
@@ -68,6 +88,8 @@ impl<'a> Object<'a> {
 }
 
 /// What is behind the scene.
+///
+/// See [`Style`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Background {
     /// sRGB colours at the top and at the bottom of the picture.
@@ -77,6 +99,24 @@ pub enum Background {
 }
 
 /// How a scene is drawn.
+///
+/// ```
+/// use cape_core::synth::synthetic_body;
+/// use cape_render::{Background, Object, Style, View, portrait};
+///
+/// let body = synthetic_body().mesh();
+/// let cut_out = Style {
+///     width: 32,
+///     height: 32,
+///     background: Background::Transparent,
+///     floor: false,
+///     ..Style::default()
+/// };
+/// let picture = portrait(Object::new(&body), View::Front, &cut_out)?;
+/// let alpha = |x, y| picture.get(x, y).unwrap()[3];
+/// assert_eq!((alpha(16, 16), alpha(0, 0)), (255, 0));
+/// # Ok::<(), cape_render::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Style {
     /// Pixels in a row.

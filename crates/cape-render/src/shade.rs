@@ -20,6 +20,8 @@ const SKY_MAP: usize = 128;
 const KEY_MAP: usize = 768;
 
 /// How a surface answers light.
+///
+/// See [`Object`](crate::Object) for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Material {
     /// sRGB colour, 0 to 1, where vertices have none of their own.

@@ -1,6 +1,17 @@
 use crate::{Error, Image, Result, TextSize};
 
 /// A picture on a contact sheet and what is written under it.
+///
+/// ```
+/// use cape_render::{Image, Tile, contact_sheet};
+///
+/// let picture = Image::new(40, 30, [90, 120, 150, 255])?;
+/// let tile = |label: &str| Tile { image: picture.clone(), label: label.into() };
+/// let sheet = contact_sheet(&[tile("bare"), tile("worn")], 2, None)?;
+/// // Two cells between gaps of 8 pixels; 16 rows for a label and a gap below each.
+/// assert_eq!((sheet.width(), sheet.height()), (8 + 2 * 48, 8 + 30 + 8 + 16 + 8));
+/// # Ok::<(), cape_render::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Tile {
     /// The picture.

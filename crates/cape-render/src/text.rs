@@ -3,6 +3,17 @@ use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_wid
 use crate::Image;
 
 /// Letter sizes, by line height in pixels.
+///
+/// ```
+/// use cape_render::{Image, TextSize};
+///
+/// let size = TextSize::Large;
+/// let mut label = Image::new(size.width("CAPE"), size.height(), [255; 4])?;
+/// label.text("CAPE", 0, 0, size, [0; 3]);
+/// assert_eq!(label.height(), 24);
+/// assert!(label.pixels().iter().any(|&[red, ..]| red < 128));
+/// # Ok::<(), cape_render::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum TextSize {
     /// 16 pixels.

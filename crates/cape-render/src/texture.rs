@@ -4,6 +4,24 @@ use glam::{Vec2, Vec3};
 use crate::{Error, Image, Result, shade::to_linear};
 
 /// A picture on a surface.
+///
+/// ```
+/// use cape_core::{Mesh, obj::Uv};
+/// use cape_render::{Image, Object, Style, Texture, View, portrait};
+///
+/// let square = Mesh {
+///     vertices: vec![[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]],
+///     faces: vec![[0, 1, 2], [0, 2, 3]],
+/// };
+/// let coordinates = square.vertices.iter().map(|&[x, y, _]| [x, y]).collect();
+/// let uv = Uv { coordinates, faces: square.faces.clone() };
+/// let image = Image::new(2, 2, [20, 20, 220, 255])?;
+/// let object = Object::new(&square).textured(Texture { uv: &uv, image: &image });
+/// let style = Style { width: 16, height: 16, ..Style::default() };
+/// let [red, _, blue, _] = portrait(object, View::Front, &style)?.get(8, 8).unwrap();
+/// assert!(blue > red);
+/// # Ok::<(), cape_render::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy)]
 pub struct Texture<'a> {
     /// Where the corners of the mesh's faces are on it; the origin is at the bottom left.

@@ -21,6 +21,8 @@ const PREFIX: &str = "step-";
 const PARTIAL: &str = ".partial-";
 
 /// Where a run is, beside its weights.
+///
+/// See [`Checkpoint`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Progress {
@@ -40,6 +42,37 @@ pub struct Progress {
 }
 
 /// A run's state.
+///
+/// ```
+/// use std::collections::BTreeMap;
+///
+/// use cape_model::weights::{Array, Weights};
+/// use cape_train::{checkpoint::{self, Checkpoint, Progress}, data::LoaderState};
+///
+/// let mut model = Weights::new();
+/// let bias = Array { shape: vec![2], values: vec![1., 2.] };
+/// model.insert("generator.encoder.mean.bias".into(), bias);
+/// let saved = Checkpoint {
+///     progress: Progress {
+///         step: 12,
+///         loader: LoaderState::new(1),
+///         seconds: 3.5,
+///         judged: (0.0, 0),
+///         validation: Some(6.1),
+///         best: Some((6.1, 12)),
+///     },
+///     model,
+///     generator_momentum: BTreeMap::new(),
+///     discriminator_momentum: BTreeMap::new(),
+///     average: None,
+/// };
+/// let directory = tempfile::tempdir()?;
+/// let path = saved.save(directory.path())?;
+/// assert_eq!(checkpoint::best(directory.path())?, path);
+/// let loaded = Checkpoint::load(&path)?;
+/// assert_eq!((loaded.progress, loaded.model), (saved.progress, saved.model));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Checkpoint {
     /// Where the run is.

@@ -9,6 +9,8 @@ use serde::{Deserialize, Serialize};
 use crate::{Error, Result};
 
 /// How the learning rate warms up.
+///
+/// See [`TrainConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum WarmUp {
@@ -20,6 +22,8 @@ pub enum WarmUp {
 }
 
 /// How gradients become steps.
+///
+/// See [`TrainConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Rule {
@@ -31,6 +35,8 @@ pub enum Rule {
 }
 
 /// How the learning rate falls after the warm-up.
+///
+/// See [`TrainConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Schedule {
@@ -42,6 +48,26 @@ pub enum Schedule {
 }
 
 /// Optimisation and bookkeeping of a run; the defaults are CAPE's.
+///
+/// ```
+/// use cape_train::{Rule, Schedule, TrainConfig, WarmUp};
+///
+/// let config = TrainConfig {
+///     epochs: 10,
+///     peak_rate: 0.1,
+///     warmup_epochs: 2.0,
+///     warmup: WarmUp::Step,
+///     schedule: Schedule::Cosine,
+///     optimiser: Rule::Adam,
+///     ..TrainConfig::default()
+/// };
+/// // Of five steps an epoch, ten lead to the peak; half-way down the rest it is half of that.
+/// let rate = |step| config.rate(step, 5);
+/// assert!((rate(0) - 0.01).abs() < 1e-12);
+/// assert!((rate(10) - 0.1).abs() < 1e-12);
+/// assert!((rate(30) - 0.05).abs() < 1e-12);
+/// assert!(rate(50).abs() < 1e-12);
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainConfig {
@@ -147,6 +173,18 @@ impl TrainConfig {
 }
 
 /// Everything that defines a run, beside its data.
+///
+/// ```
+/// use cape_model::CapeConfig;
+/// use cape_train::RunConfig;
+///
+/// let config = RunConfig { model: CapeConfig::narrow(), ..RunConfig::default() };
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("run.toml");
+/// config.save(&path)?;
+/// assert_eq!(RunConfig::load(&path)?, config);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunConfig {

@@ -4,6 +4,22 @@ use std::path::Path;
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// What can go wrong with data sets, training runs and their files.
+///
+/// ```
+/// use cape_train::{Error, RunConfig};
+///
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("run.toml");
+/// std::fs::write(&path, "[train]\nepochs = 'many'\n")?;
+/// match RunConfig::load(&path) {
+///     Err(Error::Core(cape_core::Error::Format { path: file, message })) => {
+///         assert_eq!(file, path);
+///         assert!(message.contains("epochs"));
+///     }
+///     other => panic!("{other:?}"),
+/// }
+/// # Ok::<(), std::io::Error>(())
+/// ```
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

@@ -13,6 +13,8 @@ use crate::{
 };
 
 /// Which code of the posterior is decoded.
+///
+/// See [`EvalOptions`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PosteriorUse {
@@ -23,6 +25,39 @@ pub enum PosteriorUse {
 }
 
 /// How to evaluate.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use std::sync::Arc;
+///
+/// use burn::tensor::Device;
+/// use cape_train::{
+///     EvalOptions, Gathered, PosteriorUse, Run,
+///     data::{PackedSet, Part},
+///     evaluate, reconstruct_test, silent,
+/// };
+///
+/// // A run, and four test frames.
+/// let directory = trained()?;
+/// let [packed, run] = ["packed", "run"].map(|name| directory.path().join(name));
+/// let run = Run::open(&run, &Device::default())?;
+/// let options = EvalOptions { posterior: PosteriorUse::Mean, ..EvalOptions::default() };
+/// let report = evaluate(&run, &packed, options, &mut silent)?;
+/// assert_eq!(report.frames, 4);
+/// assert_eq!(report.model.overall.count, 4 * run.clothing().len() as u64);
+///
+/// // The same frame by frame.
+/// let set = Arc::new(PackedSet::open(&packed, Part::Test)?);
+/// let mut gathered = Gathered::new(6890, run.clothing());
+/// reconstruct_test(&run, &set, options, &mut silent, &mut |row, predicted, truth| {
+///     gathered.push(&set, row, predicted, truth)
+/// })?;
+/// assert_eq!(gathered.summary(), report.model);
+/// assert_eq!(gathered.frames()[0].capture, set.capture(0));
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, Copy)]
 pub struct EvalOptions {
     /// Which code is decoded.
@@ -40,6 +75,8 @@ impl Default for EvalOptions {
 }
 
 /// Per-vertex Euclidean errors at clothing vertices of the test frames, millimetres.
+///
+/// See [`EvalOptions`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct EvalReport {
     /// The model's reconstructions.
@@ -56,6 +93,8 @@ pub struct EvalReport {
 }
 
 /// Errors of reconstructions, gathered frame by frame.
+///
+/// See [`EvalOptions`] for an example.
 #[derive(Debug, Clone)]
 pub struct Gathered {
     clothing: Vec<usize>,
@@ -65,6 +104,8 @@ pub struct Gathered {
 }
 
 /// One test frame's mean error.
+///
+/// See [`EvalOptions`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameError {
     /// The capture it is of: subject, outfit and sequence as far as the data say.
@@ -152,6 +193,8 @@ pub fn evaluate(
 }
 
 /// Takes a frame's row, its reconstruction and the truth.
+///
+/// See [`EvalOptions`] for an example.
 pub type EachFrame<'a> = dyn FnMut(usize, &[f32], &[f32]) -> Result<()> + 'a;
 
 /// Calls `each` with every test frame's row, reconstruction and truth: displacements in metres,

@@ -12,6 +12,48 @@ use crate::{
 };
 
 /// A model being trained: networks, optimisers and, if asked for, averaged weights.
+///
+/// A tetrahedron's clothes, learnt:
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_core::Mesh;
+/// use cape_model::CapeConfig;
+/// use cape_train::{
+///     RunConfig, build_graphs, learner::{Learner, Pace}, objective::{Frames, StepInput},
+/// };
+///
+/// let tetrahedron = Mesh {
+///     vertices: vec![[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., 0., 1.]],
+///     faces: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+/// };
+/// let config = RunConfig {
+///     model: CapeConfig {
+///         filters: vec![4],
+///         factors: vec![1],
+///         discriminator: None,
+///         ..CapeConfig::tiny()
+///     },
+///     ..RunConfig::default()
+/// };
+/// let device = Device::default().autodiff();
+/// let graphs = build_graphs(&config, &tetrahedron, &device)?;
+/// let mut learner = Learner::new(&config, graphs, &device)?;
+/// let frames = Frames {
+///     displacement: Tensor::ones([2, 4, 3], &device),
+///     pose_feature: Tensor::zeros([2, 126], &device),
+///     outfit: Tensor::zeros([2, 4], &device),
+/// };
+/// let input = StepInput { frames, epsilon: None, real: None };
+/// let pace = Pace { rate: 0.01, kl_share: 1.0, detailed: false };
+/// let first = learner.update(&input, pace)?.losses;
+/// for _ in 0..20 {
+///     learner.update(&input, pace)?;
+/// }
+/// let last = learner.update(&input, pace)?.losses;
+/// assert!(last.reconstruction < first.reconstruction);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Learner {
     model: Cape,
     graphs: Graphs,
@@ -24,6 +66,8 @@ pub struct Learner {
 }
 
 /// What an update came to.
+///
+/// See [`Learner`] for an example.
 #[derive(Debug, Clone, Copy)]
 pub struct Update {
     /// Losses before it.
@@ -38,6 +82,8 @@ pub struct Update {
 }
 
 /// How an update is made.
+///
+/// See [`Learner`] for an example.
 #[derive(Debug, Clone, Copy)]
 pub struct Pace {
     /// The generator's learning rate.

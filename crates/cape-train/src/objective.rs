@@ -8,6 +8,8 @@ use cape_model::{
 use serde::{Deserialize, Serialize};
 
 /// Frames on a device.
+///
+/// See [`Evaluation`] for an example.
 #[derive(Debug, Clone)]
 pub struct Frames {
     /// Normalised displacements, `[batch, vertices, 3]`.
@@ -19,6 +21,8 @@ pub struct Frames {
 }
 
 /// Each term of the objective, unweighted, both totals, and how often the discriminator is right.
+///
+/// See [`Evaluation`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Losses {
     /// Reconstruction error.
@@ -93,6 +97,50 @@ impl Losses {
 }
 
 /// Losses at the current weights, and the gradients each optimiser needs.
+///
+/// ```
+/// # use cape_core::Mesh;
+/// use burn::tensor::{Device, Tensor};
+/// use cape_model::{Cape, CapeConfig, LossConfig};
+/// use cape_train::{
+///     RunConfig, build_graphs,
+///     objective::{Frames, StepInput, evaluate, reconstruct, reconstruction_terms},
+///     optim::global_norm,
+/// };
+///
+/// # let mesh = Mesh {
+/// #     vertices: vec![[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., 0., 1.]],
+/// #     faces: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+/// # };
+/// # let model = CapeConfig {
+/// #     filters: vec![4],
+/// #     factors: vec![1],
+/// #     discriminator: None,
+/// #     ..CapeConfig::tiny()
+/// # };
+/// // A mesh of four vertices, and the configuration `model` without a discriminator.
+/// let config = RunConfig { model, ..RunConfig::default() };
+/// let device = Device::default().autodiff();
+/// let graphs = build_graphs(&config, &mesh, &device)?;
+/// let model = Cape::new(&config.model, &graphs, 1, &device)?;
+/// let frames = Frames {
+///     displacement: Tensor::ones([2, 4, 3], &device),
+///     pose_feature: Tensor::zeros([2, 126], &device),
+///     outfit: Tensor::zeros([2, 4], &device),
+/// };
+/// let input = StepInput { frames, epsilon: None, real: None };
+/// let evaluation = evaluate(&model, &graphs, &config.loss, &input);
+/// assert_eq!(evaluation.losses.non_finite(), None);
+/// assert!(evaluation.discriminator.is_none());
+/// assert!(global_norm(&model.generator, &evaluation.generator) > 0.0);
+///
+/// // Without gradients, the terms are the same.
+/// let reconstructed = reconstruct(&model.generator, &graphs, &input.frames, None);
+/// assert_eq!(reconstructed.displacement.dims(), [2, 4, 3]);
+/// let terms = reconstruction_terms(&config.loss, &graphs, &reconstructed, &input.frames);
+/// assert!((terms.reconstruction - evaluation.losses.reconstruction).abs() < 1e-6);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Evaluation {
     /// The terms.
     pub losses: Losses,
@@ -103,6 +151,8 @@ pub struct Evaluation {
 }
 
 /// A step's batches and noise.
+///
+/// See [`Evaluation`] for an example.
 #[derive(Debug, Clone)]
 pub struct StepInput {
     /// The generator's frames.
@@ -114,6 +164,8 @@ pub struct StepInput {
 }
 
 /// What the generator makes of a batch.
+///
+/// See [`Evaluation`] for an example.
 pub struct Reconstructed {
     /// `q(z|x)`.
     pub posterior: Posterior,

@@ -19,6 +19,25 @@ const SECOND_DECAY: f64 = 0.999;
 const EPSILON: f64 = 1e-8;
 
 /// A rule and its state: one or two moments a parameter.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_model::{Init, layers::Linear, weights::collect};
+/// use cape_train::{Rule, optim::{Optimiser, global_norm}};
+///
+/// let device = Device::default().autodiff();
+/// let layer = Linear::new(1, 1, &mut Init::new(1, 0.1, &device));
+/// // w x + b at x = 1 has the gradient (1, 1).
+/// let gradients = layer.forward(Tensor::ones([1, 1], &device)).sum().backward();
+/// let norm = global_norm(&layer, &gradients);
+/// assert!((norm - 2f64.sqrt()).abs() < 1e-6);
+/// let mut optimiser = Optimiser::new(Rule::Sgd, 0.9, 5.0);
+/// let layer = optimiser.step(layer, &gradients, norm, 0.25);
+/// assert_eq!(collect(&layer)["bias"].values, [-0.25]);
+/// // The momentum, for a checkpoint.
+/// assert_eq!(optimiser.state().len(), 2);
+/// # Ok::<(), cape_train::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Optimiser {
     rule: Rule,

@@ -16,6 +16,8 @@ const MOST_FRAMES: usize = 2000;
 const BATCH: usize = 64;
 
 /// One code in one outfit, moving through poses.
+///
+/// See [`Run`] for an example.
 #[derive(Debug, Clone)]
 pub struct Performance<'a> {
     /// Shown by programs that open the file.

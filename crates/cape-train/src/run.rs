@@ -39,6 +39,14 @@ const STATISTICS: &str = "stats.npz";
 const DECODE_BATCH: usize = 16;
 
 /// Paths inside a run's directory.
+///
+/// ```
+/// use cape_train::RunPaths;
+///
+/// let paths = RunPaths::new("runs/first".as_ref());
+/// assert_eq!(paths.root().join("checkpoints"), paths.checkpoints());
+/// assert!(paths.metrics().ends_with("metrics.jsonl"));
+/// ```
 #[derive(Debug, Clone)]
 pub struct RunPaths {
     root: PathBuf,
@@ -107,6 +115,20 @@ impl RunPaths {
 }
 
 /// The training data a run belongs to.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_train::{DataIdentity, RunPaths};
+///
+/// // A run on a packed set of four training frames.
+/// let directory = trained()?;
+/// let paths = RunPaths::new(&directory.path().join("run"));
+/// let data: DataIdentity = serde_json::from_slice(&std::fs::read(paths.data())?)?;
+/// assert_eq!((data.frames, data.vertices), (4, 6890));
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DataIdentity {
     /// Where they were when the run was created: a hint, not relied upon.
@@ -251,6 +273,30 @@ pub(crate) fn tensor2(array: Array2<f32>, device: &Device) -> Tensor<2> {
 }
 
 /// A run opened for evaluation and sampling.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use burn::tensor::Device;
+/// use cape_core::Outfit;
+/// use cape_train::{Performance, Run, Wearer};
+///
+/// let directory = trained()?;
+/// let run = Run::open(&directory.path().join("run"), &Device::default())?;
+/// let codes = run.sample_codes(2, 7);
+/// let wearer = Wearer { betas: vec![1.0, -0.5], pose: [0.0; 72], outfit: Outfit::LongLong };
+/// let wearers = [wearer.clone(), wearer];
+/// let clothes = run.clothes(&codes, &wearers)?;
+/// assert_eq!(clothes.dim(), (2, 6890, 3));
+/// assert_eq!(run.dress(&codes, &wearers)?, run.wear(&clothes, &wearers)?);
+/// assert_eq!(run.encode(&clothes, &wearers)?.dim(), codes.dim());
+///
+/// let first = codes.slice(ndarray::s![..1, ..]).to_owned();
+/// let file = Performance::still("dressed", &first, &wearers[0]).encode(&run)?;
+/// assert_eq!(&file[..4], b"glTF");
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug)]
 pub struct Run {
     paths: RunPaths,

@@ -21,6 +21,20 @@ use crate::{Error, Result};
 
 /// Writes one event file. A resumed run creates another in the same directory, as TensorBoard
 /// expects; of two values at the same step, it shows the later.
+///
+/// ```
+/// use cape_train::tensorboard::EventWriter;
+///
+/// let directory = tempfile::tempdir()?;
+/// let mut events = EventWriter::create(directory.path())?;
+/// for step in 0..10 {
+///     events.scalar("loss", step, 1.0 / (1.0 + step as f32))?;
+/// }
+/// events.histogram("codes", 10, &[0.1, -0.3, 0.2])?;
+/// events.flush()?;
+/// assert!(std::fs::metadata(events.path())?.len() > 0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct EventWriter {
     path: PathBuf,

@@ -28,6 +28,8 @@ use crate::{
 };
 
 /// What training reports as it goes.
+///
+/// See [`Trainer`] for an example.
 #[derive(Debug, Clone)]
 pub enum Event {
     /// A step was done.
@@ -68,6 +70,8 @@ pub enum Event {
 }
 
 /// How training ended.
+///
+/// See [`Trainer`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct Outcome {
     /// Whether every epoch was done; otherwise the run can be resumed.
@@ -83,6 +87,43 @@ pub struct Outcome {
 }
 
 /// A run being trained.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use std::ops::ControlFlow;
+///
+/// use burn::tensor::Device;
+/// use cape_train::{Event, Picture, Preview, Trainer};
+///
+/// // A packed set of four training frames, and an epoch in batches of two.
+/// let directory = captures()?;
+/// let [packed, run] = ["packed", "run"].map(|name| directory.path().join(name));
+/// let device = Device::default();
+/// let mut trainer = Trainer::create(&run, &packed, None, None, small_config(), &device)?;
+/// let outcome = trainer.run(&mut |event| match event {
+///     Event::Step { losses, .. } if losses.non_finite().is_none() => ControlFlow::Break(()),
+///     _ => ControlFlow::Continue(()),
+/// })?;
+/// assert_eq!((outcome.finished, outcome.steps), (false, 1));
+///
+/// // Another day, with pictures for TensorBoard.
+/// let mut trainer = Trainer::resume(&run, None, &device)?;
+/// trainer.illustrate_with(Box::new(|previews: &[Preview]| {
+///     let draw = |preview: &Preview| Picture {
+///         tag: preview.outfit.to_string(),
+///         width: 1,
+///         height: 1,
+///         png: Vec::new(),
+///     };
+///     previews.iter().map(draw).collect()
+/// }));
+/// let outcome = trainer.run(&mut |_| ControlFlow::Continue(()))?;
+/// assert_eq!((outcome.finished, outcome.epochs), (true, 1));
+/// assert!(outcome.best_validation.is_some());
+/// # Ok(())
+/// # }
+/// ```
 pub struct Trainer {
     paths: RunPaths,
     config: RunConfig,

@@ -23,6 +23,8 @@ const ACTIVE: f64 = 0.01;
 const SAMPLED: usize = 16;
 
 /// A validation frame and what the model makes of it.
+///
+/// See [`Trainer`](crate::Trainer) for an example.
 #[derive(Debug, Clone)]
 pub struct Preview {
     /// The outfit worn.
@@ -34,6 +36,8 @@ pub struct Preview {
 }
 
 /// A picture for TensorBoard.
+///
+/// See [`Trainer`](crate::Trainer) for an example.
 #[derive(Debug, Clone)]
 pub struct Picture {
     /// Its name.
@@ -47,6 +51,8 @@ pub struct Picture {
 }
 
 /// Draws previews.
+///
+/// See [`Trainer`](crate::Trainer) for an example.
 pub type Illustrate = Box<dyn FnMut(&[Preview]) -> Vec<Picture> + Send>;
 
 /// What the validation frames came to.

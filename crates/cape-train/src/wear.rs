@@ -15,6 +15,8 @@ use crate::{
 const BATCH: usize = 16;
 
 /// Whom clothes are made for.
+///
+/// See [`Run`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Wearer {
     /// Shape coefficients; missing ones are zero.

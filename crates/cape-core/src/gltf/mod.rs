@@ -24,6 +24,33 @@ const JSON_CHUNK: u32 = 0x4e4f_534a;
 const BINARY_CHUNK: u32 = 0x004e_4942;
 
 /// A body in clothes, at rest.
+///
+/// ```
+/// use cape_core::{gltf::{self, Figure, Keyframe}, synth::synthetic_body};
+///
+/// let body = synthetic_body();
+/// let rest = body.shaped(&[1.0])?;
+/// let figure = Figure {
+///     name: "waving",
+///     body: &body,
+///     joints: body.rest_joints(&rest)?,
+///     rest,
+///     colours: None,
+///     texture: None,
+///     targets: Vec::new(),
+/// };
+/// let keyframe = |time: f32, angle: f64| -> cape_core::Result<Keyframe> {
+///     let mut pose = vec![0.0; 72];
+///     pose[3 * 16 + 2] = angle;
+///     let offset = body.pose_offsets(&pose)?;
+///     Ok(Keyframe { time, pose, transl: [0.0; 3], offset })
+/// };
+/// let file = gltf::encode(&figure, &[keyframe(0.0, 0.0)?, keyframe(0.5, 1.2)?])?;
+/// assert_eq!(&file[..4], b"glTF");
+/// // Times must rise.
+/// assert!(gltf::encode(&figure, &[keyframe(0.5, 0.0)?, keyframe(0.0, 1.2)?]).is_err());
+/// # Ok::<(), cape_core::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Figure<'a> {
     /// Its name in the file.
@@ -44,6 +71,25 @@ pub struct Figure<'a> {
 }
 
 /// A picture and its coordinates on the body.
+///
+/// ```
+/// use cape_core::{gltf::{self, Figure, Texture}, obj::Uv, synth::synthetic_body};
+///
+/// let body = synthetic_body();
+/// let uv = Uv { coordinates: vec![[0.5, 0.5]], faces: vec![[0; 3]; body.faces.len()] };
+/// let figure = Figure {
+///     name: "textured",
+///     body: &body,
+///     rest: body.v_template.clone(),
+///     joints: body.rest_joints(&body.v_template)?,
+///     colours: None,
+///     texture: Some(Texture { uv: &uv, image: None }),
+///     targets: Vec::new(),
+/// };
+/// let file = gltf::encode(&figure, &[])?;
+/// assert!(String::from_utf8_lossy(&file).contains("TEXCOORD_0"));
+/// # Ok::<(), cape_core::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy)]
 pub struct Texture<'a> {
     /// Coordinates of the corners of the body's faces.
@@ -53,6 +99,8 @@ pub struct Texture<'a> {
 }
 
 /// A moment of an animation.
+///
+/// See [`Figure`] for an example.
 #[derive(Debug, Clone)]
 pub struct Keyframe {
     /// When, seconds.

@@ -9,6 +9,24 @@ use crate::{Error, Result, obj, ply};
 pub use report::MeshReport;
 
 /// A triangle mesh.
+///
+/// ```
+/// use cape_core::Mesh;
+///
+/// let tetrahedron = Mesh {
+///     vertices: vec![[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., 0., 1.]],
+///     faces: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+/// };
+/// assert_eq!(tetrahedron.edges().len(), 6);
+/// assert_eq!(tetrahedron.euler_characteristic(), 2);
+/// assert_eq!(tetrahedron.face_normals()[0], [0., 0., -1.]);
+///
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("tetrahedron.ply");
+/// tetrahedron.save(&path)?;
+/// assert_eq!(Mesh::load(&path)?, tetrahedron);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Mesh {
     /// Vertex positions in metres, `[vertices, 3]`.

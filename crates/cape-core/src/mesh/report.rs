@@ -6,6 +6,20 @@ use super::{Mesh, face_edges};
 const NO_AREA: f64 = 1e-10;
 
 /// What is unusual about a mesh, by index. All lists are ascending and empty for a closed manifold.
+///
+/// ```
+/// use cape_core::Mesh;
+///
+/// let triangle = Mesh {
+///     vertices: vec![[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [9., 9., 9.]],
+///     faces: vec![[0, 1, 2]],
+/// };
+/// let report = triangle.validate();
+/// assert!(report.is_usable() && !report.is_closed_manifold());
+/// assert_eq!(report.boundary_edges, [[0, 1], [0, 2], [1, 2]]);
+/// assert_eq!(report.isolated, [3]);
+/// assert_eq!(report.to_string(), "3 boundary edges, 1 isolated vertices");
+/// ```
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct MeshReport {
     /// Faces that refer to vertices that are not there.

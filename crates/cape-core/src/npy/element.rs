@@ -7,6 +7,21 @@ use super::header::{NpyHeader, NpyKind, NpyType};
 /// A number that arrays are read into and written from: `f32`, `f64`, `i64`, `u32` or `u8`.
 ///
 /// Sealed.
+///
+/// A file of any number type is read as the one that is asked for:
+///
+/// ```
+/// use cape_core::npy::{read_npy, write_npy};
+/// use ndarray::array;
+///
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("counts.npy");
+/// write_npy::<i64, _>(&path, &array![1, 2, 300])?;
+/// assert_eq!(read_npy::<f32>(&path)?, array![1., 2., 300.].into_dyn());
+/// // 300 is not a byte.
+/// assert!(read_npy::<u8>(&path).is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub trait NpyElement: Copy + private::Sealed + 'static {
     /// NumPy's description of the type as this crate writes it.
     #[doc(hidden)]

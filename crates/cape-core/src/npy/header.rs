@@ -8,6 +8,8 @@ const MAX_HEADER: usize = 1 << 16;
 const MAX_AXES: usize = 64;
 
 /// What one element is.
+///
+/// See [`NpyHeader`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum NpyKind {
     /// IEEE floating point.
@@ -23,6 +25,8 @@ pub enum NpyKind {
 }
 
 /// The element type of an array file.
+///
+/// See [`NpyHeader`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NpyType {
     /// What one element is.
@@ -86,6 +90,21 @@ impl fmt::Display for NpyType {
 }
 
 /// What a `.npy` file says about its array.
+///
+/// ```
+/// use cape_core::npy::{NpyKind, NpyType, npy_header, write_npy};
+/// use ndarray::Array2;
+///
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("vertices.npy");
+/// write_npy::<f32, _>(&path, &Array2::zeros((10, 3)))?;
+/// let header = npy_header(&path)?;
+/// assert_eq!(header.dtype, NpyType::F32);
+/// assert_eq!(header.dtype.kind, NpyKind::Float);
+/// assert_eq!(header.shape, [10, 3]);
+/// assert_eq!(header.elements_and_bytes(), Some((30, 120)));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NpyHeader {
     /// Element type.

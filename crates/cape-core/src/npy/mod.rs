@@ -209,6 +209,26 @@ pub fn expect_shape(
 }
 
 /// An open `.npz` archive.
+///
+/// ```
+/// use cape_core::npy::{Npz, NpzWriter};
+/// use ndarray::{Array1, array};
+///
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("frame.npz");
+/// let mut writer = NpzWriter::create(&path)?.deflate();
+/// writer.add::<f64, _>("pose", &Array1::zeros(72))?;
+/// writer.add::<f64, _>("transl", &array![0., 1., 0.])?;
+/// writer.finish()?;
+///
+/// let mut frame = Npz::open(&path)?;
+/// assert_eq!(frame.names(), ["pose", "transl"]);
+/// let pose = frame.f64("pose")?;
+/// frame.expect_shape("pose", pose.shape(), &[Some(72)])?;
+/// assert_eq!(frame.f32("transl")?, array![0., 1., 0.].into_dyn());
+/// assert!(frame.f64("v_cano").is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Npz {
     path: PathBuf,
@@ -325,6 +345,8 @@ impl Npz {
 }
 
 /// Writes a `.npz` archive, atomically: nothing appears before [`finish`](Self::finish).
+///
+/// See [`Npz`] for an example.
 pub struct NpzWriter {
     path: PathBuf,
     options: FileOptions,

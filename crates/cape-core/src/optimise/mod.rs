@@ -13,6 +13,24 @@ use serde::{Deserialize, Serialize};
 use line_search::{Point, search};
 
 /// When to stop, and how much to remember.
+///
+/// ```
+/// use std::convert::Infallible;
+///
+/// use cape_core::optimise::{LbfgsOptions, Stop, minimise};
+///
+/// // Rosenbrock's valley, whose lowest point is (1, 1).
+/// let options = LbfgsOptions { gain: 0.0, ..LbfgsOptions::default() };
+/// let minimum = minimise(vec![-1.2, 1.0], &options, |x, gradient| {
+///     let (a, b) = (1.0 - x[0], x[1] - x[0] * x[0]);
+///     gradient.copy_from_slice(&[-2.0 * a - 400.0 * x[0] * b, 200.0 * b]);
+///     Ok::<_, Infallible>(a * a + 100.0 * b * b)
+/// })?;
+/// assert_eq!(minimum.stop, Stop::Gradient);
+/// assert!(minimum.x.iter().all(|x| (x - 1.0).abs() < 1e-5));
+/// assert!(minimum.curve.is_sorted_by(|before, after| before >= after));
+/// # Ok::<(), Infallible>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LbfgsOptions {
@@ -33,6 +51,8 @@ impl Default for LbfgsOptions {
 }
 
 /// Why a minimisation ended.
+///
+/// See [`LbfgsOptions`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stop {
     /// The gradient vanished.
@@ -48,6 +68,8 @@ pub enum Stop {
 }
 
 /// What a minimisation came to.
+///
+/// See [`LbfgsOptions`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Minimum {
     /// Where.

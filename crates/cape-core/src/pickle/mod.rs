@@ -40,6 +40,24 @@ const MAX_FILE: u64 = 4 << 30;
 const MAX_EXPANSION: u64 = 64;
 
 /// A pickle in memory.
+///
+/// ```
+/// use cape_core::pickle::Pickle;
+///
+/// // pickle.dumps({"betas": [1, 2, 3], "gender": "female"}, protocol=0)
+/// let written = b"(dp0\nVbetas\np1\n(lp2\nI1\naI2\naI3\nasVgender\np3\nVfemale\np4\ns.";
+/// let pickle = Pickle::parse("body.pkl", written.to_vec())?;
+/// let body = pickle.root();
+/// assert_eq!(body.keys(), ["betas", "gender"]);
+/// assert_eq!(body.require("gender")?.text()?, "female");
+/// assert_eq!(body.require("betas")?.array::<f64>()?.into_raw_vec_and_offset().0, [1., 2., 3.]);
+/// let missing = body.require("shapedirs").err().unwrap();
+/// assert_eq!(missing.to_string(), "body.pkl: `shapedirs`: missing");
+///
+/// // What would run is refused, not run.
+/// assert!(Pickle::parse("evil.pkl", b"cos\nsystem\n(S'ls'\ntR.".to_vec()).is_err());
+/// # Ok::<(), cape_core::Error>(())
+/// ```
 pub struct Pickle {
     path: PathBuf,
     source: Vec<u8>,

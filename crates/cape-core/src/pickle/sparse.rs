@@ -6,6 +6,21 @@ use super::{class::Kind, value::Value};
 use crate::{Result, npy::NpyElement};
 
 /// A sparse matrix by its entries; entries at one place add up.
+///
+/// ```
+/// use cape_core::npy::read_objects;
+///
+/// // An array of two sparse matrices.
+/// let pickle = read_objects("fixtures/pickles/object_array.npy")?;
+/// let (shape, matrices) = pickle.root().objects()?;
+/// assert_eq!(shape, [2]);
+/// assert!(matrices[0].is_sparse());
+/// let entries = matrices[0].sparse()?;
+/// assert_eq!(entries.shape, [3, 5]);
+/// let sum: f64 = entries.values.iter().sum();
+/// assert!((sum - matrices[0].matrix([3, 5])?.sum()).abs() < 1e-12);
+/// # Ok::<(), cape_core::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Triplets {
     /// Rows and columns.

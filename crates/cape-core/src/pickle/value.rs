@@ -10,6 +10,8 @@ use super::{
 use crate::{Error, Result};
 
 /// One object of a pickle. It knows its place, so that errors can name it.
+///
+/// See [`Pickle`] for an example.
 #[derive(Clone)]
 pub struct Value<'a> {
     pub(super) pickle: &'a Pickle,

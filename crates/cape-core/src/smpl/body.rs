@@ -17,6 +17,8 @@ use super::{
 use crate::{Error, Result, devices};
 
 /// How each joint is turned, relative to its parent.
+///
+/// See [`Smpl`] for an example.
 #[derive(Debug, Clone)]
 pub enum Pose {
     /// Axis-angles, radians, `[n, 3·J]`.
@@ -26,6 +28,8 @@ pub enum Pose {
 }
 
 /// What a batch of bodies is made from.
+///
+/// See [`Smpl`] for an example.
 #[derive(Debug, Clone)]
 pub struct SmplInput {
     /// Shape coefficients β, `[n, b]`; fewer than the body has stand for zeros.
@@ -39,6 +43,8 @@ pub struct SmplInput {
 }
 
 /// A batch of posed bodies.
+///
+/// See [`Smpl`] for an example.
 #[derive(Debug, Clone)]
 pub struct SmplOutput {
     /// Metres, `[n, V, 3]`.
@@ -60,6 +66,27 @@ struct Depth {
 /// Inputs must live on the same device, with or without autodiff as the body's; they are converted
 /// to its precision, which the outputs have. On the CPU in `f32` and without autodiff,
 /// [`forward`](Self::forward) is one pass over the body instead of a series of tensor operations.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_core::{synth::synthetic_body, smpl::{Pose, Smpl, SmplInput}};
+///
+/// let device = Device::default();
+/// let smpl = Smpl::new(&synthetic_body(), &device)?;
+/// let bodies = smpl.forward(SmplInput {
+///     betas: Tensor::zeros([2, 10], &device),
+///     pose: Pose::AxisAngle(Tensor::zeros([2, 72], &device)),
+///     transl: Tensor::from_floats([[0., 0., 0.], [0., 0., 3.]], &device),
+///     displacement: None,
+/// })?;
+/// assert_eq!(bodies.vertices.dims(), [2, 6890, 3]);
+/// assert_eq!(bodies.joints.dims(), [2, 24, 3]);
+/// // The second body is the first, three metres further on.
+/// let moved = bodies.joints.clone().slice([1..2]) - bodies.joints.slice([0..1]);
+/// let z: f32 = moved.slice([0..1, 0..24, 2..3]).mean().into_scalar();
+/// assert!((z - 3.0).abs() < 1e-5);
+/// # Ok::<(), cape_core::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Smpl {
     vertices: usize,

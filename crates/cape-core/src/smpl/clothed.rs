@@ -7,6 +7,8 @@ use super::{
 use crate::{Error, Result};
 
 /// Where a dressed body's joints come from.
+///
+/// See [`ClothedSmpl`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum JointSource {
     /// `J(β)` of the body under the clothes (CAPE eq. 4).
@@ -20,6 +22,32 @@ pub enum JointSource {
 
 /// A body with an additive clothing term: `T_clo = T(β, θ) + S_clo(z, θ, c)`, then posed
 /// (CAPE eq. 3–4).
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_core::{
+///     ClothedSmpl, ClothingMask, JointSource, Pose, Smpl, SmplInput, synth::synthetic_body,
+/// };
+///
+/// let (body, device) = (synthetic_body(), Device::default());
+/// let dressed = ClothedSmpl::new(Smpl::new(&body, &device)?)
+///     .with_joints(JointSource::Body)
+///     .with_mask(&ClothingMask::from_weights(&body)?)?;
+/// let input = |clothes| SmplInput {
+///     betas: Tensor::zeros([1, 10], &device),
+///     pose: Pose::AxisAngle(Tensor::zeros([1, 72], &device)),
+///     transl: Tensor::zeros([1, 3], &device),
+///     displacement: clothes,
+/// };
+/// let bare = dressed.forward(input(None))?;
+/// let worn = dressed.forward(input(Some(Tensor::ones([1, 6890, 3], &device) * 0.01)))?;
+/// // Clothes move no joints, and vertices by no more than they are thick.
+/// let joints: f32 = (worn.joints - bare.joints).abs().max().into_scalar();
+/// assert_eq!(joints, 0.0);
+/// let vertices: f32 = (worn.vertices - bare.vertices).abs().max().into_scalar();
+/// assert!((vertices - 0.01).abs() < 1e-5);
+/// # Ok::<(), cape_core::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct ClothedSmpl {
     smpl: Smpl,

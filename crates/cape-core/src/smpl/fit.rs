@@ -10,6 +10,17 @@ use crate::{Error, Result};
 const RIDGE: f64 = 1e-10;
 
 /// The body nearest to a rest shape.
+///
+/// ```
+/// use cape_core::synth::synthetic_body;
+///
+/// let body = synthetic_body();
+/// let fit = body.fit_betas(&body.shaped(&[1.5, -0.5])?, 4)?;
+/// assert_eq!(fit.betas.len(), 4);
+/// assert!((fit.betas[0] - 1.5).abs() < 1e-6 && fit.betas[3].abs() < 1e-6);
+/// assert!(fit.rms < 1e-6);
+/// # Ok::<(), cape_core::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct ShapeFit {
     /// Shape coefficients `β`.

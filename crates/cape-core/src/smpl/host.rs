@@ -7,6 +7,8 @@ use super::SmplModel;
 use crate::{Error, Result, joints::rotation};
 
 /// A posed body.
+///
+/// See [`SmplModel`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Posed {
     /// `[V, 3]`, metres.

@@ -14,6 +14,18 @@ const BARE_JOINTS: [usize; 9] = [7, 8, 10, 11, 15, 20, 21, 22, 23];
 const BARE_WEIGHT: f64 = 0.1;
 
 /// Which vertices clothing covers; the displacement of all others is zero when a body is dressed.
+///
+/// ```
+/// use cape_core::{ClothingMask, synth::synthetic_body};
+///
+/// let mask = ClothingMask::from_indices(6, &[5, 1, 2])?;
+/// assert_eq!(mask.indices().collect::<Vec<_>>(), [1, 2, 5]);
+/// assert_eq!(mask.covered(), [false, true, true, false, false, true]);
+/// // Head, hands and feet stay bare.
+/// let derived = ClothingMask::from_weights(&synthetic_body())?;
+/// assert!((1..6890).contains(&derived.count()));
+/// # Ok::<(), cape_core::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ClothingMask {
     covered: Vec<bool>,

@@ -6,6 +6,27 @@ use crate::{Error, Mesh, Result};
 /// eq. 1–2) is made of.
 ///
 /// `V` vertices, `J` joints (24), `B` shape directions (10 to 300). Metres.
+///
+/// ```
+/// use cape_core::{SmplModel, synth::synthetic_body};
+///
+/// let body = synthetic_body();
+/// assert_eq!((body.vertices(), body.joints(), body.betas()), (6890, 24, 10));
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("body.npz");
+/// body.save(&path)?;
+/// assert_eq!(SmplModel::load(&path)?, body);
+///
+/// // Unposing undoes posing.
+/// let mut pose = [0.0; 72];
+/// pose[3 * 18] = 0.8;
+/// let betas = [1.0, -0.5];
+/// let posed = body.pose(&betas, &pose, [0., 1., 0.], None)?;
+/// let rest = body.unpose(&posed.vertices, &betas, &pose, [0., 1., 0.])?;
+/// let difference = rest - body.shaped(&betas)?;
+/// assert!(difference.iter().all(|x| x.abs() < 1e-9));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct SmplModel {
     /// Template `T̄`, `[V, 3]`.

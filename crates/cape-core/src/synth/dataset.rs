@@ -21,6 +21,20 @@ use crate::{
 };
 
 /// What to synthesise.
+///
+/// ```
+/// use cape_core::{Outfit, synth::{Motion, SynthSpec}};
+///
+/// let spec = SynthSpec {
+///     subjects: 2,
+///     outfits: vec![Outfit::ShortLong],
+///     motions: vec![Motion::Squats, Motion::Soccer],
+///     ..SynthSpec::default()
+/// };
+/// assert_eq!(spec.takes().len(), 2 * 2);
+/// assert_eq!(spec.train_motions(), [Motion::Squats]);
+/// assert_eq!(spec.test_motions(), [Motion::Soccer]);
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct SynthSpec {
     /// Number of subjects.
@@ -98,6 +112,13 @@ impl SynthSpec {
 }
 
 /// One sequence: a subject in an outfit performing a movement.
+///
+/// ```
+/// use cape_core::{Outfit, synth::{Motion, Take}};
+///
+/// let take = Take { subject: 0, outfit: Outfit::LongLong, motion: Motion::Hips };
+/// assert_eq!(take.name(), "longlong_hips");
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Take {
     /// Number of the subject, from 0.
@@ -125,6 +146,8 @@ fn subject_name(subject: usize) -> String {
 }
 
 /// One frame of a take.
+///
+/// See [`Synth`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SynthFrame {
     /// Clothed vertices in canonical space: minimal body plus displacement, metres, `[V, 3]`.
@@ -138,6 +161,24 @@ pub struct SynthFrame {
 }
 
 /// A generator of synthetic frames for a body.
+///
+/// ```
+/// use cape_core::synth::{Synth, SynthSpec, synthetic_body};
+///
+/// let body = synthetic_body();
+/// let synth = Synth::new(&body, SynthSpec::default())?;
+/// let session = synth.session(synth.spec().takes()[0])?;
+/// let frame = synth.frame(&session, 3)?;
+/// assert_eq!((frame.v_posed.dim(), frame.pose.len()), ((6890, 3), 72));
+/// // The lowest vertex is on the floor.
+/// let floor = frame.v_posed.column(1).iter().copied().fold(f32::INFINITY, f32::min);
+/// assert!(floor.abs() < 1e-6);
+/// // In canonical space a frame is the subject's body and its clothes.
+/// let clothes = synth.displacement(&session, 3)?;
+/// let expected = session.minimal() + &clothes;
+/// assert!((frame.v_cano.mapv(f64::from) - expected).iter().all(|x| x.abs() < 1e-6));
+/// # Ok::<(), cape_core::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Synth<'a> {
     model: &'a SmplModel,
@@ -146,6 +187,8 @@ pub struct Synth<'a> {
 }
 
 /// A take with all that its frames share.
+///
+/// See [`Synth`] for an example.
 #[derive(Debug, Clone)]
 pub struct Session {
     take: Take,

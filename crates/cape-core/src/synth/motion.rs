@@ -13,6 +13,19 @@ use super::regions::joint;
 use crate::Error;
 
 /// A movement that a synthetic subject performs.
+///
+/// ```
+/// use cape_core::synth::{Motion, MotionStyle};
+///
+/// let motion: Motion = "squats".parse()?;
+/// assert!(!motion.is_test());
+/// let pose = motion.pose(&MotionStyle::default(), 0.4);
+/// assert_eq!(pose.len(), 72);
+/// // A slower subject gets there later.
+/// let slow = MotionStyle { tempo: 0.5, ..MotionStyle::default() };
+/// assert_ne!(motion.pose(&slow, 0.4), pose);
+/// # Ok::<(), cape_core::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Motion {
     /// Marching on the spot.
@@ -281,6 +294,8 @@ impl FromStr for Motion {
 }
 
 /// How one subject performs a movement.
+///
+/// See [`Motion`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MotionStyle {
     /// Where in the repetition it starts, radians.

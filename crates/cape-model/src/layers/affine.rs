@@ -8,6 +8,21 @@ use super::{ChebConv, append_unless_preserved};
 use crate::Init;
 
 /// The block of "CAPE-affine": `relu(cheb(x)) + linear(x)`.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_graph::{DevicePyramid, sparse_from_triplets};
+/// use cape_model::{Init, layers::AffineBlock};
+///
+/// let triangle = sparse_from_triplets(
+///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
+/// let device = Device::default();
+/// let pyramid = DevicePyramid::new(&vec![triangle; 2], &[None], &[None], &device);
+/// let block = AffineBlock::new(4, 8, 2, &mut Init::new(1, 0.1, &device));
+/// let y = block.forward(Tensor::ones([1, 3, 4], &device), None, &pyramid, 0);
+/// assert_eq!(y.dims(), [1, 3, 8]);
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Module, Debug)]
 pub struct AffineBlock {
     /// The graph convolution.

@@ -7,6 +7,22 @@ use cape_graph::{ConvEnd, ConvGraph, cheb_conv};
 use crate::{Init, config::LEAKY_SLOPE};
 
 /// Chebyshev graph convolution without bias: `[T_0(L̃)x, …, T_{K−1}(L̃)x] · W`.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_graph::{ConvGraph, sparse_from_triplets};
+/// use cape_model::{Init, layers::ChebConv};
+///
+/// let triangle = sparse_from_triplets(
+///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
+/// let device = Device::default();
+/// let graph = ConvGraph::new(&triangle, None, &device);
+/// let conv = ChebConv::new(4, 8, 2, &mut Init::new(1, 0.1, &device)).with_spectral_norm(false);
+/// assert_eq!(conv.weight.val().dims(), [4 * 2, 8]);
+/// let y = conv.forward(Tensor::ones([1, 3, 4], &device), None, &graph);
+/// assert_eq!(y.dims(), [1, 3, 8]);
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Module, Debug)]
 pub struct ChebConv {
     /// `[channels · order, out]`, row `channel · order + k`.
@@ -84,6 +100,23 @@ fn spectral_norm(weight: Tensor<2>) -> Tensor<2> {
 }
 
 /// Convolution, one bias a channel, leaky ReLU.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_graph::{ConvGraph, sparse_from_triplets};
+/// use cape_model::{Init, layers::ConvLayer};
+///
+/// let triangle = sparse_from_triplets(
+///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
+/// let device = Device::default();
+/// let graph = ConvGraph::new(&triangle, None, &device);
+/// let layer = ConvLayer::new(4, 8, 2, &mut Init::new(1, 0.1, &device));
+/// // Of nothing, the initial bias is left.
+/// let y = layer.forward(Tensor::zeros([1, 3, 4], &device), None, &graph);
+/// let error: f32 = (y - 0.1).abs().max().into_scalar();
+/// assert!(error < 1e-6);
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Module, Debug)]
 pub struct ConvLayer {
     /// The convolution.

@@ -9,6 +9,22 @@ use crate::{Init, config::LEAKY_SLOPE};
 
 /// The encoder's optional residual block: two convolutions, the input added before the last bias
 /// and leaky ReLU.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_graph::{ConvGraph, sparse_from_triplets};
+/// use cape_model::{Init, layers::EncoderResidual};
+///
+/// let triangle = sparse_from_triplets(
+///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
+/// let device = Device::default();
+/// let graph = ConvGraph::new(&triangle, None, &device);
+/// let block = EncoderResidual::new(4, 8, 2, &mut Init::new(1, 0.1, &device));
+/// assert!(block.skip.is_some());
+/// let y = block.forward(Tensor::ones([1, 3, 4], &device), &graph);
+/// assert_eq!(y.dims(), [1, 3, 8]);
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Module, Debug)]
 pub struct EncoderResidual {
     /// First convolution with bias and leaky ReLU.

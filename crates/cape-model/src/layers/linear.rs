@@ -6,6 +6,18 @@ use burn::{
 use crate::Init;
 
 /// Fully connected layer `x W + b`.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_model::{Init, layers::Linear};
+///
+/// let device = Device::default();
+/// let layer = Linear::new(2, 3, &mut Init::new(1, 0.1, &device));
+/// let y = layer.forward(Tensor::zeros([4, 2], &device));
+/// assert_eq!(y.dims(), [4, 3]);
+/// let largest: f32 = y.abs().max().into_scalar();
+/// assert_eq!(largest, 0.0);
+/// ```
 #[derive(Module, Debug)]
 pub struct Linear {
     /// `[input, output]`.

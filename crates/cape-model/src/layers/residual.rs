@@ -10,6 +10,8 @@ use crate::{Init, config::MAX_GROUPS};
 const EPSILON: f64 = 1e-5;
 
 /// Group normalisation over (channels in group × vertices), then ReLU.
+///
+/// See [`ResidualBlock`] for an example.
 #[derive(Module, Debug)]
 pub struct GroupNormRelu {
     /// Scale, `[channels]`.
@@ -45,6 +47,8 @@ impl GroupNormRelu {
 }
 
 /// Features that are known to be a product, `features · weight`, of fewer channels.
+///
+/// See [`ResidualBlock`] for an example.
 #[derive(Debug, Clone)]
 pub struct Product {
     /// `[batch, vertices, inner]`.
@@ -55,6 +59,30 @@ pub struct Product {
 
 /// The decoder's residual block (CAPE appendix A, after GraphCMR): a bottleneck of linear, graph
 /// convolution, linear, each after normalisation and ReLU, added to the input.
+///
+/// ```
+/// use burn::tensor::{Device, Tensor};
+/// use cape_graph::{DevicePyramid, sparse_from_triplets};
+/// use cape_model::{Init, layers::{Product, ResidualBlock}};
+///
+/// let triangle = sparse_from_triplets(
+///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
+/// let device = Device::default();
+/// let pyramid = DevicePyramid::new(&vec![triangle; 2], &[None], &[None], &device);
+/// let block = ResidualBlock::new(4, 8, 2, &mut Init::new(1, 0.1, &device));
+/// assert_eq!(block.norm_1.gamma.val().dims(), [4]);
+///
+/// let features = Tensor::<3>::ones([1, 3, 2], &device);
+/// let weight = Tensor::<2>::full([2, 4], 0.5, &device);
+/// let x = features.clone().matmul(weight.clone().unsqueeze());
+/// let y = block.forward(x.clone(), None, None, &pyramid, 0);
+/// assert_eq!(y.dims(), [1, 3, 8]);
+/// // Knowing what the features are the product of saves work, and changes nothing.
+/// let same = block.forward(x, Some(Product { features, weight }), None, &pyramid, 0);
+/// let error: f32 = (y - same).abs().max().into_scalar();
+/// assert!(error < 1e-5);
+/// # Ok::<(), cape_graph::Error>(())
+/// ```
 #[derive(Module, Debug)]
 pub struct ResidualBlock {
     /// Before [`linear_1`](Self::linear_1).

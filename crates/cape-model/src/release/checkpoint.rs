@@ -17,6 +17,26 @@ const SLOTS: [&str; 4] = [MOMENTUM, "/ExponentialMovingAverage", "/Adam", "/Adam
 const STEP: &str = "global_step";
 
 /// What a checkpoint of the release holds.
+///
+/// ```
+/// use cape_model::{release::Released, tensorflow::Checkpoint};
+///
+/// let released = Released::read(&Checkpoint::open("fixtures/checkpoint")?)?;
+/// assert_eq!(released.step, Some(7));
+/// assert_eq!(released.shapes(), [("generator/encoder/1x1-conv/weights".to_owned(), vec![3, 2])]);
+/// assert!(released.ignored.is_empty());
+/// # Ok::<(), cape_model::Error>(())
+/// ```
+///
+/// For a checkpoint that has all of a model:
+///
+/// ```no_run
+/// # use cape_model::{release::{Released, infer}, tensorflow::Checkpoint};
+/// let released = Released::read(&Checkpoint::open("checkpoints/CAPE_male")?)?;
+/// let config = infer(&released.shapes())?;
+/// let weights = released.weights(&config)?;
+/// # Ok::<(), cape_model::Error>(())
+/// ```
 #[derive(Debug)]
 pub struct Released {
     /// The model's variables by TensorFlow's names.

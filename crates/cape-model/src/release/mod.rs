@@ -35,6 +35,41 @@ use crate::{
 };
 
 /// Each of our parameter names with the release's name for it.
+///
+/// ```
+/// use burn::tensor::Device;
+/// use cape_graph::{DevicePyramid, SparseMatrix, sparse_from_triplets};
+/// use cape_model::{
+///     Cape, CapeConfig, Graphs,
+///     release::{export, import, infer, name_map},
+///     weights::collect,
+/// };
+///
+/// let triangle = sparse_from_triplets(
+///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
+/// let device = Device::default();
+/// let graphs = Graphs {
+///     edges: SparseMatrix::new(&triangle, &device),
+///     generator: DevicePyramid::new(&vec![triangle; 3], &[None, None], &[None, None], &device),
+///     discriminator: None,
+/// };
+/// let config = CapeConfig {
+///     filters: vec![4, 8],
+///     factors: vec![1, 1],
+///     discriminator: None,
+///     ..CapeConfig::tiny()
+/// };
+/// let weights = collect(&Cape::new(&config, &graphs, 1, &device)?);
+/// let theirs = export(&config, &weights)?;
+/// assert_eq!(import(&config, &theirs)?, weights);
+///
+/// let shapes: Vec<_> = theirs.iter().map(|(name, it)| (name.clone(), it.shape.clone())).collect();
+/// let names = name_map(&config, &shapes)?;
+/// assert_eq!(names["generator.encoder.mean.bias"], "generator/encoder/fc_mean/dense/bias:0");
+/// // The shapes tell the architecture.
+/// assert_eq!(infer(&shapes)?.filters, config.filters);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub type NameMap = BTreeMap<String, String>;
 
 /// Maps our parameter names to those of a set of release variables.

@@ -33,6 +33,8 @@ fn mask(crc: u32) -> u32 {
 }
 
 /// What the elements of a variable are.
+///
+/// See [`Checkpoint`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ElementType {
     /// 32-bit floats.
@@ -73,6 +75,8 @@ impl ElementType {
 }
 
 /// A variable of a checkpoint.
+///
+/// See [`Checkpoint`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Variable {
     /// TensorFlow's name, without `:0`.
@@ -93,6 +97,23 @@ struct Place {
 }
 
 /// An open checkpoint.
+///
+/// ```
+/// use cape_model::tensorflow::{Checkpoint, ElementType};
+///
+/// let checkpoint = Checkpoint::open("fixtures/checkpoint")?;
+/// let names: Vec<_> = checkpoint.variables().iter().map(|v| v.name.as_str()).collect();
+/// assert_eq!(names[2], "global_step");
+/// let step = checkpoint.variable("global_step").unwrap();
+/// assert_eq!((step.element, &step.shape[..]), (ElementType::I64, &[][..]));
+/// assert_eq!(checkpoint.integers(step)?, [7]);
+///
+/// let weights = checkpoint.variable("generator/encoder/1x1-conv/weights").unwrap();
+/// assert_eq!(checkpoint.floats(weights)?.values, [0., 1., 2., 3., 4., 5.]);
+/// // Steps are no floats.
+/// assert!(checkpoint.floats(step).is_err());
+/// # Ok::<(), cape_model::Error>(())
+/// ```
 #[derive(Debug)]
 pub struct Checkpoint {
     prefix: PathBuf,

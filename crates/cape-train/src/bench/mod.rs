@@ -27,6 +27,18 @@ const INFERENCES: Effort =
 const INFERENCE_BATCH: usize = 16;
 
 /// What a benchmark found. Times are medians.
+///
+/// Not run here, for it takes a minute:
+///
+/// ```no_run
+/// use burn::tensor::Device;
+/// use cape_model::CapeConfig;
+/// use cape_train::{bench::bench, silent};
+///
+/// let report = bench(&CapeConfig::paper(), 16, 1, &Device::default(), &mut silent)?;
+/// println!("{:.2} s an update, {:?} GFLOP/s", report.seconds_per_update, report.gflops);
+/// # Ok::<(), cape_train::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BenchReport {
     /// Seconds of one update of generator and discriminator.

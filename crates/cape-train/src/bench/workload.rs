@@ -19,6 +19,31 @@ use crate::{
 const RATE: f64 = 1e-4;
 
 /// A model with fresh weights on a mesh, and the batches of one update.
+///
+/// ```
+/// use burn::tensor::Device;
+/// use cape_core::Mesh;
+/// use cape_model::CapeConfig;
+/// use cape_train::bench::Workload;
+///
+/// let tetrahedron = Mesh {
+///     vertices: vec![[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., 0., 1.]],
+///     faces: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+/// };
+/// let config = CapeConfig {
+///     filters: vec![4],
+///     factors: vec![1],
+///     discriminator: None,
+///     ..CapeConfig::tiny()
+/// };
+/// let mut workload = Workload::on_mesh(&config, &tetrahedron, 2, 1, &Device::default())?;
+/// workload.update()?;
+/// assert_eq!(workload.graphs().generator.vertices(), [4, 4]);
+/// let inference = workload.inference(16);
+/// inference.decode()?;
+/// inference.encode()?;
+/// # Ok::<(), cape_train::Error>(())
+/// ```
 pub struct Workload {
     learner: Learner,
     input: StepInput,
@@ -90,6 +115,8 @@ impl Workload {
 }
 
 /// A model in use: no gradients.
+///
+/// See [`Workload`] for an example.
 pub struct Inference {
     generator: Generator,
     discriminator: Option<Discriminator>,

@@ -32,6 +32,8 @@ const BIN_MM: f64 = 0.25;
 const BINS: usize = 200;
 
 /// What a method came to on the test frames.
+///
+/// See [`Table`] for an example.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Measured {
     /// Errors of a sample of the posterior, as the paper's table has them.
@@ -49,6 +51,8 @@ pub struct Measured {
 }
 
 /// A method with all its results.
+///
+/// See [`Table`] for an example.
 #[derive(Debug, Clone)]
 pub struct Method<'a> {
     /// Its name for programs.
@@ -62,6 +66,8 @@ pub struct Method<'a> {
 }
 
 /// Measures reconstructions of test frames as they come.
+///
+/// See [`Table`] for an example.
 #[derive(Debug, Clone)]
 pub struct Meter {
     sampled: Gathered,

@@ -36,6 +36,8 @@ pub(super) fn clusters<'a>(
 }
 
 /// An interval that contains the mean in 95 of 100 such data sets.
+///
+/// See [`Table`](super::Table) for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
     /// Its lower end.

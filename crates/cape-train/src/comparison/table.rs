@@ -12,6 +12,42 @@ use crate::{
 };
 
 /// Methods side by side.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_core::synth::synthetic_body;
+/// use cape_train::{comparison::{Meter, Method, Table}, data::{PackedSet, Part}};
+///
+/// // Two methods: one has every displacement right, the other misses it by a millimetre.
+/// let directory = captures()?;
+/// let set = PackedSet::open(&directory.path().join("packed"), Part::Test)?;
+/// let clothing = [3000, 3001, 3002];
+/// let measure = |miss: f32| -> cape_train::Result<_> {
+///     let mut meter = Meter::new(&synthetic_body(), &clothing);
+///     for row in 0..set.frames() {
+///         let truth: Vec<f32> = set.displacement_row(row)?.iter().map(|&x| x as f32).collect();
+///         let mut predicted = truth.clone();
+///         predicted.iter_mut().step_by(3).for_each(|x| *x += miss);
+///         meter.sampled(&set, row, &predicted, &truth)?;
+///         meter.mean(&set, row, &predicted, &truth)?;
+///     }
+///     Ok(meter.measured())
+/// };
+/// let (right, near) = (measure(0.0)?, measure(0.001)?);
+/// let method = |name: &str, result| Method {
+///     name: name.to_lowercase(),
+///     label: name.to_owned(),
+///     results: vec![result],
+///     seconds: 1.0,
+/// };
+/// let table = Table::new(&[method("Right", &right), method("Near", &near)], Some(0));
+/// assert_eq!((table.frames, table.captures), (4, 1));
+/// assert!((table.lines[1].mean - 1.0).abs() < 1e-3);
+/// assert!(table.markdown().contains("Near"));
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, Serialize)]
 pub struct Table {
     /// One a method.
@@ -25,6 +61,8 @@ pub struct Table {
 }
 
 /// A method's line of the table, over all its seeds.
+///
+/// See [`Table`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct Line {
     /// The method's name.

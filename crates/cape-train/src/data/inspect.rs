@@ -21,6 +21,22 @@ use super::{
 use crate::{Error, Progress, Result};
 
 /// What to compare data with, and how much of them to read.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_train::{data::inspect::{InspectOptions, inspect}, silent};
+///
+/// let directory = captures()?;
+/// let options = InspectOptions { frames: 2, clothing: None, body: None };
+/// let found = inspect(&directory.path().join("packed"), &options, &mut silent)?;
+/// assert_eq!((found.kind, found.frames, found.vertices), ("packed", 8, 6890));
+/// assert_eq!(found.captures.iter().map(|capture| capture.frames).sum::<usize>(), 8);
+/// // There is more to clothes than to the bare skin's noise.
+/// assert!(found.clothing_mm.unwrap().mean > found.elsewhere_mm.unwrap().mean);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone)]
 pub struct InspectOptions {
     /// Frames read of each capture, evenly spaced.
@@ -32,6 +48,8 @@ pub struct InspectOptions {
 }
 
 /// What data are like.
+///
+/// See [`InspectOptions`] for an example.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Inspection {
     /// `raw` or `packed`.
@@ -61,6 +79,8 @@ pub struct Inspection {
 }
 
 /// Frames of one capture, or of all captures that a packed set does not tell apart.
+///
+/// See [`InspectOptions`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct CaptureCount {
     /// `train` or `test`, of a packed set.
@@ -76,6 +96,8 @@ pub struct CaptureCount {
 }
 
 /// Lengths of displacements.
+///
+/// See [`InspectOptions`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Magnitudes {
     /// Their mean.

@@ -16,6 +16,8 @@ use super::{
 use crate::{Error, Result};
 
 /// How training data are drawn.
+///
+/// See [`Loader`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LoaderOptions {
     /// Frames in a batch.
@@ -33,6 +35,8 @@ impl Default for LoaderOptions {
 }
 
 /// Everything needed to go on drawing where training stopped.
+///
+/// See [`Loader`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LoaderState {
     /// Seed of both streams.
@@ -51,6 +55,8 @@ impl LoaderState {
 }
 
 /// The data of one training step.
+///
+/// See [`Loader`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepData {
     /// The generator's batch.
@@ -72,6 +78,31 @@ pub fn steps_per_epoch(frames: usize, batch: usize) -> usize {
 /// permutations of the training frames (see [`Shuffle`]), so the batch that ends an epoch is
 /// filled from the next permutation, and a set smaller than a batch repeats. What is drawn depends
 /// on the [`LoaderState`] alone.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use std::sync::Arc;
+///
+/// use cape_train::data::{Loader, LoaderOptions, LoaderState, PackedSet, Part, Statistics};
+///
+/// let directory = triangles()?;
+/// let packed = directory.path().join("packed");
+/// let set = Arc::new(PackedSet::open(&packed, Part::Train)?);
+/// let statistics = Arc::new(Statistics::of_packed(&packed, &mut cape_train::silent)?);
+/// let rows = statistics.training_rows(set.frames());
+/// let options = LoaderOptions { batch: 2, ..LoaderOptions::default() };
+/// let load = |state| Loader::new(set.clone(), statistics.clone(), rows.clone(), options, state);
+///
+/// let mut loader = load(LoaderState::new(1))?;
+/// let first = loader.step()?;
+/// assert_eq!(first.generator.displacement.dim(), (2, 3, 3));
+/// // Another loader goes on where this one is.
+/// let second = loader.step()?;
+/// assert_eq!(load(first.state)?.step()?, second);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug)]
 pub struct Loader {
     steps: Prefetch<StepData>,

@@ -38,6 +38,45 @@ use super::{
 use crate::{Error, Progress, Result, staging::Staging};
 
 /// How to pack.
+///
+/// ```
+/// use cape_core::Outfit;
+/// use cape_train::{data::{PackOptions, SequenceList, Split, pack, raw}, silent};
+/// use ndarray::Array2;
+///
+/// let directory = tempfile::tempdir()?;
+/// let [raw, packed] = ["raw", "packed"].map(|name| directory.path().join(name));
+/// raw::write_minimal(&raw, "anna", &Array2::zeros((3, 3)))?;
+/// for number in 0..4 {
+///     let v_cano = Array2::from_elem((3, 3), 0.01);
+///     let v_posed = v_cano.clone();
+///     let frame = raw::RawFrame { v_cano, v_posed, pose: [0.0; 72], transl: [0.0; 3] };
+///     raw::write_frame(&raw, "anna", Outfit::LongLong, "walk", number, &frame)?;
+/// }
+/// let capture = raw::capture_dir(&raw, "anna", Outfit::LongLong, "walk");
+/// std::fs::write(capture.join("longlong_walk.000002.npz"), "damaged")?;
+///
+/// let list = |names: &[&str]| SequenceList {
+///     sequences: names.iter().map(ToString::to_string).collect(),
+///     exclude: Vec::new(),
+/// };
+/// let split = Split {
+///     subjects: vec!["anna".into()],
+///     outfits: vec![Outfit::LongLong],
+///     cut: 0,
+///     sample_rate: 1,
+///     train: list(&["walk", "run"]),
+///     test: list(&[]),
+/// };
+/// let strict = PackOptions { strict: true, ..PackOptions::default() };
+/// assert!(pack(&raw, &packed, &split, strict, &mut silent).is_err());
+///
+/// let report = pack(&raw, &packed, &split, PackOptions::default(), &mut silent)?;
+/// assert_eq!((report.vertices, report.train_frames, report.test_frames), (3, 3, 0));
+/// assert!(report.broken[0].path.ends_with("longlong_walk.000002.npz"));
+/// assert_eq!(report.missing[0].sequence.as_deref(), Some("run"));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct PackOptions {
     /// Whether anything missing or unreadable is an error instead of being listed.
@@ -47,6 +86,8 @@ pub struct PackOptions {
 }
 
 /// What was packed, and what was not.
+///
+/// See [`PackOptions`] for an example.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct PackReport {
     /// Vertices of a frame.
@@ -66,6 +107,8 @@ pub struct PackReport {
 }
 
 /// A frame left out because it cannot be read.
+///
+/// See [`PackOptions`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct BrokenFrame {
     /// Relative to `sequences/`.
@@ -75,6 +118,8 @@ pub struct BrokenFrame {
 }
 
 /// Something the split names and the raw data do not have.
+///
+/// See [`PackOptions`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Missing {
     /// The subject.

@@ -20,6 +20,8 @@ use crate::{Error, Progress, Result};
 pub(super) const FRAMES_HEADER: &str = "subject,outfit,sequence,frame";
 
 /// A part of a packed set.
+///
+/// See [`PackedSet`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Part {
@@ -54,6 +56,8 @@ impl fmt::Display for Part {
 }
 
 /// Where a packed frame was captured.
+///
+/// See [`PackedSet`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Origin {
     /// The subject.
@@ -65,6 +69,8 @@ pub struct Origin {
 }
 
 /// Frames, as the network takes them.
+///
+/// See [`PackedSet`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Batch {
     /// Rows of the packed set.
@@ -79,6 +85,30 @@ pub struct Batch {
 
 /// One part of a packed set, read frame by frame from its files (by this crate or by the official
 /// tools, float64 or float32).
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_core::Outfit;
+/// use cape_train::{data::{PackedSet, Part, Statistics}, silent};
+///
+/// // Five frames of a walk of a triangle, which train, and five of a kick, which test.
+/// let directory = triangles()?;
+/// let packed = directory.path().join("packed");
+/// let set = PackedSet::open(&packed, Part::Train)?;
+/// assert_eq!((set.frames(), set.vertices(), set.outfits()[0]), (5, 3, Outfit::LongLong));
+/// assert_eq!(set.origins().unwrap()[0].sequence, "walk");
+/// let batch = set.batch(&[4, 0], None)?;
+/// assert_eq!((batch.displacement.dim(), batch.pose_feature.dim()), ((2, 3, 3), (2, 126)));
+/// assert!((batch.displacement[[0, 0, 0]] - 0.04).abs() < 1e-6);
+///
+/// // The last frame validates; 0, 1, 2 and 3 centimetres train, whose mean is 1.5.
+/// let statistics = Statistics::of_packed(&packed, &mut silent)?;
+/// assert_eq!(statistics.training_rows(set.frames()), 0..4);
+/// assert!((statistics.mean()[[0, 0]] - 0.015).abs() < 1e-6);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug)]
 pub struct PackedSet {
     displacement: RowReader,

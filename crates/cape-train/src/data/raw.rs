@@ -29,6 +29,30 @@ pub const CLOTHING_FILE: &str = "clothing_verts_idx.npy";
 pub const SPLIT_FILE: &str = "split.toml";
 
 /// One registered frame. Metres and radians.
+///
+/// ```
+/// use cape_core::Outfit;
+/// use cape_train::data::raw;
+/// use ndarray::Array2;
+///
+/// let directory = tempfile::tempdir()?;
+/// let frame = raw::RawFrame {
+///     v_cano: Array2::from_elem((5, 3), 0.5),
+///     v_posed: Array2::from_elem((5, 3), 1.5),
+///     pose: [0.0; 72],
+///     transl: [0.0, 1.0, 0.0],
+/// };
+/// let path = raw::write_frame(directory.path(), "anna", Outfit::LongLong, "hips", 1, &frame)?;
+/// assert!(path.ends_with("anna/longlong_hips/longlong_hips.000001.npz"));
+/// assert_eq!(raw::read_frame(&path, Some(5))?, frame);
+///
+/// // What displacements need, and the rest where it is there.
+/// let (canonical, posed) = raw::read_any(&path)?;
+/// assert_eq!(canonical, raw::read_canonical(&path, 5)?);
+/// assert_eq!(posed, Some((frame.v_posed, frame.transl)));
+/// assert!(raw::read_frame(&path, Some(6890)).is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct RawFrame {
     /// Clothed vertices, unposed, `[V, 3]`.
@@ -42,6 +66,8 @@ pub struct RawFrame {
 }
 
 /// The part of a frame that displacements come from.
+///
+/// See [`RawFrame`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CanonicalFrame {
     /// Clothed vertices, unposed, `[V, 3]`.
@@ -51,6 +77,8 @@ pub struct CanonicalFrame {
 }
 
 /// Posed vertices `[V, 3]` and the body's translation, metres.
+///
+/// See [`RawFrame`] for an example.
 pub type PosedVertices = (Array2<f64>, [f64; 3]);
 
 /// Directory of one capture: a subject in an outfit performing a sequence.

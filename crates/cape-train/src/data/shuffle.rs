@@ -3,6 +3,8 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 /// Who draws: each has its own order, independent of the other's.
+///
+/// See [`Shuffle`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stream {
     /// The generator's batches.
@@ -12,6 +14,8 @@ pub enum Stream {
 }
 
 /// How far a stream has been read.
+///
+/// See [`Shuffle`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Position {
     /// Complete passes over the frames.
@@ -24,6 +28,20 @@ pub struct Position {
 ///
 /// Every frame is drawn once before any is drawn twice. The permutation depends on the seed, the
 /// stream and the pass alone, so a [`Position`] is all that is needed to go on.
+///
+/// ```
+/// use cape_train::data::{Position, Shuffle, Stream};
+///
+/// let mut shuffle = Shuffle::new(1, Stream::Generator, 5, Position::default());
+/// let mut drawn = shuffle.draw(3);
+/// let there = shuffle.position();
+/// assert_eq!(there, Position { epoch: 0, drawn: 3 });
+/// drawn.extend(shuffle.draw(2));
+/// // From that position on the same frames follow, and in a pass every frame has been drawn.
+/// assert_eq!(Shuffle::new(1, Stream::Generator, 5, there).draw(2), drawn[3..]);
+/// drawn.sort_unstable();
+/// assert_eq!(drawn, [0, 1, 2, 3, 4]);
+/// ```
 #[derive(Debug, Clone)]
 pub struct Shuffle {
     seed: u64,

@@ -22,6 +22,24 @@ use crate::{Error, Result};
 /// [test]
 /// sequences = ["soccer"]
 /// ```
+///
+/// ```
+/// use cape_core::Outfit;
+/// use cape_train::data::Split;
+///
+/// let split = Split::preset("male")?;
+/// assert_eq!((split.subjects.len(), split.test.sequences.len()), (7, 4));
+///
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("split.toml");
+/// std::fs::write(&path, split.to_toml()?)?;
+/// assert_eq!(Split::from_file(&path)?, split);
+///
+/// let mut twice = split;
+/// twice.outfits = vec![Outfit::LongLong; 2];
+/// assert!(twice.validate().is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Split {
@@ -43,6 +61,19 @@ pub struct Split {
 }
 
 /// Motion sequences, in packing order, and what to leave out of them.
+///
+/// ```
+/// use cape_core::Outfit;
+/// use cape_train::data::SequenceList;
+///
+/// let list = SequenceList {
+///     sequences: vec!["hips".into(), "simple".into()],
+///     exclude: vec!["simple".into(), "00032/longlong_hips".into()],
+/// };
+/// assert!(list.excludes("00122", Outfit::LongLong, "simple"));
+/// assert!(list.excludes("00032", Outfit::LongLong, "hips"));
+/// assert!(!list.excludes("00122", Outfit::LongLong, "hips"));
+/// ```
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SequenceList {

@@ -26,6 +26,21 @@ pub fn validation_count(frames: usize) -> usize {
 
 /// Mean and standard deviation of displacements per vertex and coordinate, metres, over the
 /// training frames less validation; with them, displacements are normalised for the network.
+///
+/// ```
+/// use cape_train::data::{MIN_STD, Statistics};
+/// use ndarray::array;
+///
+/// let statistics = Statistics::new(array![[0.01, 0., 0.]], array![[0.005, 0.005, 0.]], 1)?;
+/// // Deviations are at least those of a scanner's noise.
+/// assert_eq!(statistics.std()[[0, 2]], MIN_STD);
+/// let mut displacement = [0.02, 0., 0.];
+/// statistics.normalise(&mut displacement);
+/// assert!((displacement[0] - 2.0).abs() < 1e-6);
+/// statistics.denormalise(&mut displacement);
+/// assert!((displacement[0] - 0.02).abs() < 1e-8);
+/// # Ok::<(), cape_train::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Statistics {
     mean: Array2<f64>,

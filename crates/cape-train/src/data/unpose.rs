@@ -11,6 +11,24 @@ use super::raw::{self, RawFrame};
 use crate::{Error, Progress, Result, staging::Staging};
 
 /// What was unposed.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_core::synth::synthetic_body;
+/// use cape_train::{data::unpose::unpose, silent};
+///
+/// // Four frames each of two movements of a synthetic subject.
+/// let directory = captures()?;
+/// let [raw, unposed] = ["raw", "unposed"].map(|name| directory.path().join(name));
+/// let report = unpose(&raw, &unposed, &synthetic_body(), 10, &mut silent)?;
+/// assert_eq!((report.frames, report.broken.len()), (8, 0));
+/// // The subject is one of the body's shapes, and clothes are some millimetres off it.
+/// assert!(report.subjects[0].residual_mm < 0.01);
+/// assert!((1.0..50.0).contains(&report.displacement_mm));
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct UnposeReport {
     /// Every subject whose frames were unposed.
@@ -24,6 +42,8 @@ pub struct UnposeReport {
 }
 
 /// A subject, and how well the body describes its minimal shape.
+///
+/// See [`UnposeReport`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct UnposedSubject {
     /// Its name.

@@ -1,6 +1,20 @@
 use serde::{Deserialize, Serialize};
 
 /// Counts of errors in bins of equal width.
+///
+/// ```
+/// use cape_train::metrics::ErrorStats;
+///
+/// let mut stats = ErrorStats::new();
+/// stats.push(&[0.2, 0.7, 0.8, 9.0]);
+/// let mut histogram = stats.histogram(0.5, 4);
+/// assert_eq!((histogram.counts.as_slice(), histogram.beyond), (&[1, 2][..], 1));
+/// assert_eq!(histogram.quantile(0.75), 1.0);
+/// // Half of the errors are between 0.5 and 1 mm.
+/// assert_eq!(histogram.density()[1], (0.75, 1.0));
+/// histogram.add(&stats.histogram(0.5, 4));
+/// assert_eq!(histogram.total(), 8);
+/// ```
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Histogram {
     /// Width of a bin, millimetres.

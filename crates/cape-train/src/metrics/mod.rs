@@ -13,6 +13,8 @@ pub use histogram::Histogram;
 use crate::{Error, Result};
 
 /// Statistics of a set of errors.
+///
+/// See [`ErrorStats`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Mean, mm.
@@ -30,6 +32,19 @@ pub struct Summary {
 /// Mean and deviation are combined in f64 from each push's own two-pass values; the median is read
 /// off a histogram of at most 24 MB, however many errors there are. The same pushes in the same
 /// order give the same bits.
+///
+/// ```
+/// use cape_train::metrics::{ErrorStats, vertex_errors_mm};
+///
+/// let mut stats = ErrorStats::new();
+/// stats.push(&vertex_errors_mm(&[0.003, 0.004, 0.], &[0., 0., 0.], &[0])?);
+/// stats.push(&[1.0, 3.0]);
+/// let summary = stats.summary();
+/// assert_eq!(summary.count, 3);
+/// assert!((summary.mean - 3.0).abs() < 1e-5 && (summary.median - 3.0).abs() < 1e-3);
+/// assert!((summary.std - (8f64 / 3.0).sqrt()).abs() < 1e-5);
+/// # Ok::<(), cape_train::Error>(())
+/// ```
 #[derive(Debug, Clone, Default)]
 pub struct ErrorStats {
     count: u64,
@@ -139,6 +154,19 @@ impl ErrorStats {
 }
 
 /// Errors over everything, for each outfit and for each sequence.
+///
+/// ```
+/// use cape_core::Outfit;
+/// use cape_train::metrics::GroupedErrors;
+///
+/// let mut errors = GroupedErrors::new();
+/// errors.push(Outfit::LongLong, Some("hips"), &[1.0, 3.0]);
+/// errors.push(Outfit::ShortLong, Some("hips"), &[5.0]);
+/// let summary = errors.summary();
+/// assert_eq!(summary.overall.mean, 3.0);
+/// assert_eq!(summary.outfits[&Outfit::LongLong].mean, 2.0);
+/// assert_eq!(summary.sequences["hips"].count, 3);
+/// ```
 #[derive(Debug, Clone, Default)]
 pub struct GroupedErrors {
     overall: ErrorStats,
@@ -147,6 +175,8 @@ pub struct GroupedErrors {
 }
 
 /// What [`GroupedErrors`] holds, summarised.
+///
+/// See [`GroupedErrors`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GroupedSummary {
     /// All frames.

@@ -27,6 +27,8 @@ const ROWS: usize = 48;
 const PIECES: usize = 8;
 
 /// How to find principal components.
+///
+/// See [`Pca`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PcaOptions {
     /// How many; the paper's 18.
@@ -46,6 +48,20 @@ impl Default for PcaOptions {
 }
 
 /// A linear space around a mean.
+///
+/// ```
+/// use cape_train::{pca::{Pca, PcaOptions}, silent};
+///
+/// // Points on the line through (0, 1) with the slope ¾.
+/// let row = |i: usize| Ok(vec![4.0 * i as f64, 3.0 * i as f64 + 1.0]);
+/// let options = PcaOptions { components: 1, ..PcaOptions::default() };
+/// let pca = Pca::fit(5, 2, &options, &row, &mut silent)?;
+/// assert_eq!(pca.latent(), 1);
+/// assert!((pca.mean[0] - 8.0).abs() < 1e-9 && (pca.mean[1] - 7.0).abs() < 1e-9);
+/// assert!((pca.components[[0, 0]].abs() - 0.8).abs() < 1e-9);
+/// assert!((pca.explained() - 1.0).abs() < 1e-9);
+/// # Ok::<(), cape_train::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pca {
     /// The mean row, `[numbers]`.

@@ -14,6 +14,8 @@ use crate::{
 const BATCH: usize = 16;
 
 /// Posterior means of frames, with the outfits they are of.
+///
+/// See [`Prior`](super::Prior) for an example.
 #[derive(Debug, Clone)]
 pub struct Codes {
     latent: usize,

@@ -8,6 +8,22 @@ use rand_distr::StandardNormal;
 use crate::{Error, Result};
 
 /// Points with a normal distribution of the same width around each.
+///
+/// ```
+/// use cape_train::prior::KernelDensity;
+/// use ndarray::array;
+/// use rand::SeedableRng;
+/// use rand_chacha::ChaCha8Rng;
+///
+/// let density = KernelDensity::new(array![[0.0, 0.0], [5.0, 5.0]], 0.1)?;
+/// let rng = &mut ChaCha8Rng::seed_from_u64(7);
+/// let drawn = density.sample(20, 1.0, rng);
+/// assert!(drawn.rows().into_iter().all(|x| (x[0] - x[1]).abs() < 1.0));
+/// // Without width, the points themselves are drawn.
+/// let points = density.sample(20, 0.0, rng);
+/// assert!(points.iter().all(|&x| x == 0.0 || x == 5.0));
+/// # Ok::<(), cape_train::Error>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct KernelDensity {
     points: Array2<f64>,

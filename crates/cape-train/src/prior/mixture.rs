@@ -9,6 +9,8 @@ use rand_distr::StandardNormal;
 use crate::{Error, Result};
 
 /// How a mixture is fitted.
+///
+/// See [`Mixture`] for an example.
 #[derive(Debug, Clone, Copy)]
 pub struct MixtureOptions {
     /// Most steps of expectation–maximisation.
@@ -31,6 +33,23 @@ impl Default for MixtureOptions {
 }
 
 /// A mixture of normal distributions.
+///
+/// ```
+/// use cape_train::prior::{Mixture, MixtureOptions};
+/// use ndarray::array;
+/// use rand::SeedableRng;
+/// use rand_chacha::ChaCha8Rng;
+///
+/// let identity = array![[[1.0, 0.0], [0.0, 1.0]]];
+/// let mixture = Mixture::new(&array![1.0], &array![[1.0, 2.0]], &identity)?;
+/// // At its mean the standard normal density of the plane is 1 / 2π.
+/// assert!((mixture.log_density(&[1.0, 2.0]) + std::f64::consts::TAU.ln()).abs() < 1e-12);
+///
+/// let points = mixture.sample(500, 1.0, &mut ChaCha8Rng::seed_from_u64(7));
+/// let fitted = Mixture::fit(points.view(), 1, &MixtureOptions::default())?;
+/// assert!((fitted.means()[[0, 1]] - 2.0).abs() < 0.2);
+/// # Ok::<(), cape_train::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Mixture {
     weights: Vec<f64>,

@@ -32,6 +32,8 @@ const JOINT: &str = "all";
 const STEP: &str = "step";
 
 /// What is fitted.
+///
+/// See [`Prior`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DensityKind {
     /// A mixture of so many normal distributions.
@@ -43,6 +45,8 @@ pub enum DensityKind {
 }
 
 /// A density of codes.
+///
+/// See [`Prior`] for an example.
 #[derive(Debug, Clone)]
 pub enum Density {
     /// A mixture of normal distributions.
@@ -52,6 +56,29 @@ pub enum Density {
 }
 
 /// A density for all outfits together, or one for each.
+///
+/// ```
+/// use cape_core::Outfit;
+/// use cape_train::prior::{Codes, Density, DensityKind, MixtureOptions, Prior};
+///
+/// // Codes that lie about (3, 0) for one outfit, and about (−3, 0) for another.
+/// let code = |x: f64, i: i32| vec![x + 0.1 * f64::from(i % 3), 0.1 * f64::from(i % 5)];
+/// let rows = (0..30).flat_map(|i| {
+///     [(Outfit::LongLong, code(3.0, i)), (Outfit::ShortShort, code(-3.0, i))]
+/// });
+/// let codes = Codes::new(2, rows.collect())?;
+/// let prior = Prior::fit(&codes, DensityKind::Mixture(1), true, &MixtureOptions::default())?;
+/// assert!(prior.groups().all(|(_, density)| matches!(density, Density::Mixture(_))));
+/// let drawn = prior.sample(Outfit::LongLong, 10, 1.0, 7);
+/// assert_eq!(drawn.dim(), (10, 2));
+/// assert!(drawn.column(0).iter().all(|x| (2.0..4.0).contains(x)));
+///
+/// let directory = tempfile::tempdir()?;
+/// prior.save(directory.path().join("prior.npz"))?;
+/// let loaded = Prior::load(directory.path().join("prior.npz"))?;
+/// assert_eq!(loaded.sample(Outfit::LongLong, 10, 1.0, 7), drawn);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Prior {
     latent: usize,

@@ -22,6 +22,24 @@ use crate::{
 };
 
 /// How much is sampled.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use burn::tensor::Device;
+/// use cape_train::{Run, quality::{QualityOptions, quality, standard_normal}, silent};
+///
+/// let directory = trained()?;
+/// let [packed, run] = ["packed", "run"].map(|name| directory.path().join(name));
+/// let run = Run::open(&run, &Device::default())?;
+/// let codes = standard_normal(run.config().model.latent, 1.0, 7);
+/// let options = QualityOptions { frames: 4, each: 2, ..QualityOptions::default() };
+/// let report = quality(&run, &packed, &codes, options, &mut silent)?;
+/// assert_eq!(report.frames, 4);
+/// assert!((0.0..=1.0).contains(&report.coverage));
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, Copy)]
 pub struct QualityOptions {
     /// Most held-out frames, evenly spaced, that samples are compared with; as many are drawn.
@@ -42,6 +60,8 @@ impl Default for QualityOptions {
 
 /// What samples came to. Distances are mean Euclidean distances of clothing vertices in canonical
 /// space, millimetres.
+///
+/// See [`QualityOptions`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct QualityReport {
     /// Held-out frames, each with a sample of its pose and outfit.

@@ -3,6 +3,16 @@
 use rayon::prelude::*;
 
 /// Distances within and between two sets.
+///
+/// ```
+/// use cape_train::quality::SetDistances;
+///
+/// // Two frames of one point each; both samples are near the first.
+/// let frames = [vec![[0.0, 0.0, 0.0]], vec![[1.0, 0.0, 0.0]]];
+/// let samples = [vec![[0.0, 0.1, 0.0]], vec![[0.0, 0.0, 0.1]]];
+/// let distances = SetDistances::between(&frames, &samples);
+/// assert_eq!(distances.coverage(), 0.5);
+/// ```
 #[derive(Debug, Clone)]
 pub struct SetDistances {
     /// `[frames][frames]`.

@@ -25,6 +25,25 @@ use crate::{
 };
 
 /// What a checkpoint does not hold itself.
+///
+/// ```no_run
+/// use burn::tensor::Device;
+/// use cape_train::{Run, release::{ImportOptions, import}};
+///
+/// let options = ImportOptions {
+///     body: "SMPL_MALE.pkl".into(),
+///     statistics: "trainset_stats.npz".into(),
+///     clothing: Some("clothing_verts_idx.npy".into()),
+///     factors: None,
+///     discriminator_factors: None,
+///     settings: Some("config.yaml".into()),
+/// };
+/// let device = Device::default();
+/// let report = import("checkpoints/CAPE_male".as_ref(), &options, "cape-male".as_ref(), &device)?;
+/// assert!(report.parameters > 0);
+/// let run = Run::open("cape-male".as_ref(), &device)?;
+/// # Ok::<(), cape_train::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct ImportOptions {
     /// The body, whose template the mesh pyramid is made of.
@@ -43,6 +62,8 @@ pub struct ImportOptions {
 }
 
 /// What was imported.
+///
+/// See [`ImportOptions`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ImportReport {
     /// The checkpoint, without the suffixes of its files.

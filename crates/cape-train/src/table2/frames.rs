@@ -78,6 +78,18 @@ fn spread(takes: impl Iterator<Item = Take>) -> Vec<usize> {
 }
 
 /// Reconstructions of the frames shown, from the posterior's mean.
+///
+/// ```
+/// use cape_train::table2::Frames;
+/// use ndarray::Array3;
+///
+/// let frames = Frames { rows: vec![2, 5], displacement: Array3::zeros((2, 10, 3)) };
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("frames.npz");
+/// frames.save(&path)?;
+/// assert_eq!(Frames::load(&path)?, frames);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frames {
     /// Rows of the test frames.

@@ -34,6 +34,39 @@ const RESULT: &str = "result.json";
 const FRAMES: &str = "frames.npz";
 
 /// What all rows have in common.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use burn::tensor::Device;
+/// use cape_train::{silent, table2::{Grid, Row, hash_of, methods, shown_frames}};
+///
+/// let directory = captures()?;
+/// let data = directory.path().join("packed");
+/// let grid = Grid {
+///     out: directory.path().join("table2"),
+///     body: None,
+///     clothing: None,
+///     config: small_config(),
+///     data_hash: hash_of(&data)?,
+///     shown: shown_frames(&data)?,
+///     data,
+/// };
+/// // Two seeds of CAPE, and one of what is not trained.
+/// let jobs = grid.jobs(&[Row::Mean, Row::Cape], 2)?;
+/// let rows: Vec<Row> = jobs.iter().map(|job| job.row).collect();
+/// assert_eq!(rows, [Row::Mean, Row::Cape, Row::Cape]);
+/// assert!(jobs[0].result().is_none());
+/// let result = jobs[0].measure(&grid, 0.0, &Device::default(), &mut silent)?;
+/// assert_eq!(result.row, Row::Mean);
+/// assert!(result.measured.sampled.overall.mean > 0.0);
+/// // Done once, it is kept, with its reconstructions of the frames to be shown.
+/// assert!(jobs[0].result().is_some());
+/// assert_eq!(jobs[0].frames()?.rows, grid.shown);
+/// assert_eq!(methods(&[result]).0.len(), 1);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone)]
 pub struct Grid {
     /// The packed set.
@@ -53,6 +86,8 @@ pub struct Grid {
 }
 
 /// One row with one seed.
+///
+/// See [`Grid`] for an example.
 #[derive(Debug, Clone)]
 pub struct Job {
     /// The row.
@@ -67,6 +102,8 @@ pub struct Job {
 }
 
 /// What a job came to.
+///
+/// See [`Grid`] for an example.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct RowResult {
     /// The row.

@@ -6,6 +6,16 @@ use serde::{Deserialize, Serialize};
 use crate::{Error, Result, RunConfig};
 
 /// A row of the table.
+///
+/// ```
+/// use cape_train::{RunConfig, table2::Row};
+///
+/// let row: Row = "no-discriminator".parse()?;
+/// let config = row.configure(&RunConfig::default());
+/// assert!(config.model.discriminator.is_none());
+/// assert!(row.is_trained() && !Row::Mean.is_trained());
+/// # Ok::<(), cape_train::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Row {

@@ -14,6 +14,8 @@ use crate::{
 };
 
 /// How much is tried.
+///
+/// See [`Subject`] for an example.
 #[derive(Debug, Clone, Copy)]
 pub struct CheckOptions {
     /// Frames to be learnt by heart.
@@ -33,6 +35,8 @@ impl Default for CheckOptions {
 }
 
 /// One thing that was looked at.
+///
+/// See [`Subject`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct Finding {
     /// What.
@@ -46,6 +50,8 @@ pub struct Finding {
 }
 
 /// All of them.
+///
+/// See [`Subject`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct CheckReport {
     /// In the order of the work.

@@ -23,6 +23,38 @@ use crate::{
 };
 
 /// What a trial is made with.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use burn::tensor::Device;
+/// use cape_train::{
+///     silent,
+///     trial::{CheckOptions, RateOptions, Subject, check, find_rate},
+/// };
+///
+/// // A packed set of four training frames, and a small configuration.
+/// let directory = captures()?;
+/// let (config, device) = (small_config(), Device::default());
+/// let subject = Subject {
+///     data: &directory.path().join("packed"),
+///     body: None,
+///     clothing: None,
+///     config: &config,
+///     device: &device,
+/// };
+/// let options = CheckOptions { frames: 2, overfit_steps: 4, target_mm: 0.5, steps: 4 };
+/// let report = check(&subject, options, &mut silent)?;
+/// // Nothing is learnt by heart in four steps.
+/// assert!(!report.passed && report.findings.iter().any(|finding| !finding.passed));
+///
+/// let options = RateOptions { low: 1e-6, high: 1e-3, steps: 10 };
+/// let rates = find_rate(&subject, options, &mut silent)?;
+/// assert!((1e-7..=1e-3).contains(&rates.suggested));
+/// assert!(rates.points.is_sorted_by(|a, b| a.rate < b.rate));
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, Copy)]
 pub struct Subject<'a> {
     /// The packed set.

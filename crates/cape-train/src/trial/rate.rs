@@ -6,6 +6,8 @@ use super::{Material, Subject};
 use crate::{Error, Progress, Result, learner::Pace};
 
 /// How learning rates are tried.
+///
+/// See [`Subject`] for an example.
 #[derive(Debug, Clone, Copy)]
 pub struct RateOptions {
     /// The first.
@@ -23,6 +25,8 @@ impl Default for RateOptions {
 }
 
 /// A step of the trial.
+///
+/// See [`Subject`] for an example.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct RatePoint {
     /// The generator's learning rate.
@@ -34,6 +38,8 @@ pub struct RatePoint {
 }
 
 /// What was found.
+///
+/// See [`Subject`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct RateReport {
     /// Every step.

@@ -21,6 +21,8 @@ const MISFIT: f64 = 0.0003;
 /// The clothes themselves, their cut and where they like to fold, are a person's own; how they were
 /// put on differs from sequence to sequence. Constant over a sequence's frames and independent of
 /// the pose. Lengths are metres, positions along limbs fractions of the limb.
+///
+/// See [`Wardrobe`](crate::synth::Wardrobe) for an example.
 #[derive(Debug, Clone)]
 pub struct Garment {
     /// What is worn.

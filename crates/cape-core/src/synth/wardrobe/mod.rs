@@ -27,6 +27,21 @@ use hang::{Hang, hangs};
 const SCAN_NOISE: f64 = 0.00015;
 
 /// Garments for a body.
+///
+/// ```
+/// use cape_core::{Outfit, synth::{Wardrobe, synthetic_body}};
+///
+/// let body = synthetic_body();
+/// let wardrobe = Wardrobe::new(&body, 7)?;
+/// let fitting = wardrobe.fit(wardrobe.garment(0, Outfit::ShortShort, 0));
+/// assert_eq!(fitting.garment().outfit, Outfit::ShortShort);
+/// // Clothes are where either garment covers the body, and nowhere else.
+/// let clothes = wardrobe.displacement(&fitting, &[0.0; 72], 0.0, None)?;
+/// for (moved, [upper, lower]) in clothes.rows().into_iter().zip(fitting.coverage()) {
+///     assert!(upper || lower || moved.iter().all(|&x| x == 0.0));
+/// }
+/// # Ok::<(), cape_core::Error>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Wardrobe<'a> {
     model: &'a SmplModel,
@@ -36,6 +51,8 @@ pub struct Wardrobe<'a> {
 }
 
 /// A garment laid out on its wearer: what does not depend on the pose.
+///
+/// See [`Wardrobe`] for an example.
 #[derive(Debug, Clone)]
 pub struct Fitting {
     garment: Garment,

@@ -1,0 +1,100 @@
+// What the examples in this crate's documentation work on.
+
+/// Five frames of a walk and of a kick of a triangle: `raw`, and `packed`, where the kick tests.
+#[allow(dead_code)]
+fn triangles() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
+    use cape_core::Outfit;
+    use cape_train::data::{PackOptions, SequenceList, Split, pack, raw};
+
+    let directory = tempfile::tempdir()?;
+    let [raw, packed] = ["raw", "packed"].map(|name| directory.path().join(name));
+    raw::write_minimal(&raw, "anna", &ndarray::Array2::zeros((3, 3)))?;
+    for (sequence, size) in [("walk", 0.01), ("kick", 0.02)] {
+        for number in 0..5 {
+            let vertices = ndarray::Array2::from_elem((3, 3), size * f64::from(number));
+            let frame = raw::RawFrame {
+                v_cano: vertices.clone(),
+                v_posed: vertices,
+                pose: [0.0; 72],
+                transl: [0.0; 3],
+            };
+            raw::write_frame(&raw, "anna", Outfit::LongLong, sequence, number as usize, &frame)?;
+        }
+    }
+    let list = |name: &str| SequenceList { sequences: vec![name.into()], exclude: Vec::new() };
+    let split = Split {
+        subjects: vec!["anna".into()],
+        outfits: vec![Outfit::LongLong],
+        cut: 0,
+        sample_rate: 1,
+        train: list("walk"),
+        test: list("kick"),
+    };
+    pack(&raw, &packed, &split, PackOptions::default(), &mut cape_train::silent)?;
+    Ok(directory)
+}
+
+/// Four frames of a squat and of a kick of a synthetic subject: `raw`, and `packed`, where the kick
+/// tests.
+#[allow(dead_code)]
+fn captures() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
+    use cape_core::{
+        Outfit,
+        synth::{Motion, Synth, SynthSpec, synthetic_body},
+    };
+    use cape_train::data::{PackOptions, SequenceList, Split, pack};
+
+    let directory = tempfile::tempdir()?;
+    let [raw, packed] = ["raw", "packed"].map(|name| directory.path().join(name));
+    let spec = SynthSpec {
+        subjects: 1,
+        frames_per_sequence: 4,
+        outfits: vec![Outfit::LongLong],
+        motions: vec![Motion::Squats, Motion::Soccer],
+        ..SynthSpec::default()
+    };
+    let list =
+        |motion: Motion| SequenceList { sequences: vec![motion.to_string()], exclude: Vec::new() };
+    let split = Split {
+        subjects: spec.subject_names(),
+        outfits: spec.outfits.clone(),
+        cut: 0,
+        sample_rate: 1,
+        train: list(Motion::Squats),
+        test: list(Motion::Soccer),
+    };
+    Synth::new(&synthetic_body(), spec)?.write(&raw, &mut cape_train::silent)?;
+    pack(&raw, &packed, &split, PackOptions::default(), &mut cape_train::silent)?;
+    Ok(directory)
+}
+
+/// One graph convolution, no discriminator, one epoch.
+#[allow(dead_code)]
+fn small_config() -> cape_train::RunConfig {
+    cape_train::RunConfig {
+        model: cape_model::CapeConfig {
+            filters: vec![4],
+            factors: vec![1],
+            discriminator: None,
+            ..cape_model::CapeConfig::tiny()
+        },
+        train: cape_train::TrainConfig {
+            epochs: 1,
+            batch: 2,
+            warmup_epochs: 1.0,
+            ..cape_train::TrainConfig::default()
+        },
+        ..cape_train::RunConfig::default()
+    }
+}
+
+/// The [`captures`], and a `run` of one epoch on them.
+#[allow(dead_code)]
+fn trained() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
+    let directory = captures()?;
+    let [packed, run] = ["packed", "run"].map(|name| directory.path().join(name));
+    let device = burn::tensor::Device::default();
+    cape_train::Trainer::create(&run, &packed, None, None, small_config(), &device)?
+        .run(&mut |_| std::ops::ControlFlow::Continue(()))?;
+    Ok(directory)
+}
