@@ -52,7 +52,7 @@ pub use functions::{
 };
 pub use laplacian::{normalized_laplacian, rescaled_laplacian};
 pub use operator::{ConvGraph, Operator};
-pub use ops::{ConvSpec, GraphBackend, NormConvSpec};
+pub use ops::{ConvSpec, EndSpec, GraphBackend, NormConvSpec};
 pub use parts::{PyramidParts, sparse_from_triplets};
 pub use peak::peak_gflops;
 pub use pyramid::{Level, MeshPyramid, Transition};
