@@ -2,7 +2,10 @@ use cape_core::SmplModel;
 use glam::DVec3;
 use ndarray::Array2;
 
-use super::nets::{cut, surface_nets};
+use super::{
+    nets::surface_nets,
+    tailor::{cut, fair},
+};
 use crate::{
     Error, Result,
     geometry::{Solid, Surface, points},
@@ -101,7 +104,8 @@ impl Garment {
     }
 
     /// Makes the garment for an unclothed rest shape `[V, 3]`, metres: the surface at some distance
-    /// from the body, joined with a flared tube for skirts, cut at hem, waist, sleeves and neck.
+    /// from the body, joined with a flared tube for skirts, cut at hem, waist, sleeves and neck, its
+    /// triangles evened out.
     pub fn sew(&self, model: &SmplModel, shape: &Array2<f64>) -> Result<Sewn> {
         self.check(model)?;
         let body = Surface::of_rows("body", shape.view(), &model.faces)?;
@@ -116,15 +120,16 @@ impl Garment {
         let margin = DVec3::splat(3.0 * self.resolution);
         let [low, high] = cutting.bounds();
         let whole = surface_nets(low - margin, high + margin, self.resolution, field);
-        let cut = cut(&whole, |p| cutting.keeps(p));
+        let mut cut = cut(&whole, |p| cutting.margin(p), 0.4 * self.resolution);
         if cut.faces.is_empty() {
             return Err(Error::argument(format!("{self:?} leaves nothing of a garment")));
         }
+        fair(&mut cut, field, |p| cutting.margin(p), FAIRING);
         let surface = Surface::new("garment", cut.vertices, cut.faces)?;
-        let top = cutting.top - 2.0 * self.resolution;
         let banded = matches!(self.kind, GarmentKind::Shorts | GarmentKind::Skirt);
         let boundary = surface.boundary();
-        let on_band = |v: &usize| banded && boundary[*v] && surface.vertices[*v].y > top;
+        let high = 0.5 * (cutting.waist + cutting.hem);
+        let on_band = |v: &usize| banded && boundary[*v] && surface.vertices[*v].y > high;
         let waistband = (0..boundary.len()).filter(on_band).map(|v| v as u32).collect();
         Ok(Sewn { surface, waistband, body: shape.clone(), garment: *self })
     }
@@ -169,6 +174,15 @@ struct Cutting {
     flare: f64,
 }
 
+/// Rounds of evening out triangles.
+const FAIRING: usize = 20;
+
+/// Radius of a neck opening without ease, metres.
+const NECK: f64 = 0.085;
+
+/// From the neck's joint to above the shoulders, metres.
+const SHOULDERS: f64 = 0.06;
+
 /// Radius of the torso that a width of 1 stands for, metres.
 const GIRTH: f64 = 0.14;
 
@@ -188,8 +202,8 @@ impl Cutting {
         let ((at_waist, middle), (at_hips, _)) = (half(waist), half(hip.y));
         let below = hip.y - garment.length * (hip.y - knee.y);
         let (top, hem) = match garment.kind {
-            GarmentKind::TShirt => (neck.y + ease, neck.y - garment.length * (neck.y - hip.y)),
-            GarmentKind::Dress => (neck.y + ease, below),
+            GarmentKind::TShirt => (neck.y + ease + SHOULDERS, neck.y - garment.length * (neck.y - hip.y)),
+            GarmentKind::Dress => (neck.y + ease + SHOULDERS, below),
             GarmentKind::Shorts | GarmentKind::Skirt => (waist, below),
         };
         Self {
@@ -222,16 +236,16 @@ impl Cutting {
         ((p.x / a).hypot((p.z - self.middle) / b) - 1.0) * a.min(b)
     }
 
-    fn keeps(&self, p: DVec3) -> bool {
-        if p.y > self.top || p.y < self.hem {
-            return false;
-        }
+    /// How far within the cut a place is, metres: negative where the garment is not.
+    fn margin(&self, p: DVec3) -> f64 {
+        let above = p.y - self.hem;
         match self.kind {
-            GarmentKind::Shorts | GarmentKind::Skirt => true,
+            GarmentKind::Shorts | GarmentKind::Skirt => above.min(self.waist - p.y),
             GarmentKind::TShirt | GarmentKind::Dress => {
-                let beside = p.x.hypot(p.z - self.neck.z);
-                let opening = p.y > self.neck.y - 0.08 && beside < 0.075 + self.ease;
-                p.x.abs() < self.sleeve && !opening
+                // The sleeves end at a plane that does not reach below the waist.
+                let sleeve = (self.sleeve - p.x.abs()).max(self.waist - p.y);
+                let opening = p.distance(self.neck) - NECK - self.ease;
+                above.min(sleeve).min(opening)
             }
         }
     }

@@ -6,6 +6,7 @@ mod garment;
 mod nets;
 mod sheet;
 mod simulate;
+mod tailor;
 #[cfg(test)]
 mod tests;
 
