@@ -2,6 +2,7 @@
 //! with many small steps of one iteration each (Macklin et al. 2019).
 
 mod contact;
+mod fold;
 mod garment;
 mod nets;
 mod sheet;

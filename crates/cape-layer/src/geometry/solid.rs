@@ -1,4 +1,4 @@
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use parry3d_f64::{
     bounding_volume::Aabb,
     math::Vector,
@@ -116,15 +116,22 @@ impl Solid {
 
     /// The closest point, unless it is further than `reach` metres.
     pub fn closest(&self, point: DVec3, reach: f64) -> Option<Closest> {
+        self.closest_from(point, reach, None)
+    }
+
+    /// Like [`closest`](Self::closest), faster if a face close to the point is known.
+    pub fn closest_from(&self, point: DVec3, reach: f64, guess: Option<u32>) -> Option<Closest> {
+        let distance = |face: u32| {
+            point.distance(closest_on_triangle(point, self.now.corners(face as usize)).0)
+        };
+        let known = guess.map(|face| (face, distance(face))).filter(|known| known.1 < reach);
         let from = vector(point);
-        let (face, _) = self.tree.find_best(
-            reach,
+        let better = self.tree.find_best(
+            known.map_or(reach, |known| known.1),
             |node: &BvhNode, _| node.aabb().distance_to_local_point(from, true),
-            |face, _| {
-                let (nearest, _) = closest_on_triangle(point, self.now.corners(face as usize));
-                Some(point.distance(nearest))
-            },
-        )?;
+            |face, _| Some(distance(face)),
+        );
+        let (face, _) = better.or(known)?;
         let (nearest, barycentric) = closest_on_triangle(point, self.now.corners(face as usize));
         let normal = self.pseudo_normal(face as usize, barycentric);
         let away = point - nearest;
@@ -142,6 +149,19 @@ impl Solid {
         };
         let signed_distance = if inside { -distance } else { distance };
         Some(Closest { face, barycentric, point: nearest, signed_distance, outward })
+    }
+
+    /// The longest way that a vertex goes from 0 to 1, metres.
+    pub fn longest_way(&self) -> f64 {
+        self.from.iter().zip(&self.to).map(|(from, to)| from.distance(*to)).fold(0.0, f64::max)
+    }
+
+    /// Unit axes of a face where it is now, one per column: its first side, the normal, and what is
+    /// at right angles to both.
+    pub fn axes(&self, face: u32) -> DMat3 {
+        let [a, b, _] = self.now.corners(face as usize);
+        let (side, normal) = ((b - a).normalize_or_zero(), self.face_normals[face as usize]);
+        DMat3::from_cols(side, normal, side.cross(normal))
     }
 
     /// Normal of the face, edge or vertex that a point of a face lies on.
@@ -168,7 +188,7 @@ fn vector(p: DVec3) -> Vector {
 
 /// Distance along a ray to a triangle (Möller and Trumbore 1997). Triangles are larger by a billionth,
 /// so that no ray slips through between two.
-fn ray_meets(origin: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> Option<f64> {
+pub(crate) fn ray_meets(origin: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> Option<f64> {
     const SLACK: f64 = 1e-9;
     let (ab, ac) = (b - a, c - a);
     let across = direction.cross(ac);
