@@ -68,7 +68,7 @@ impl Folds {
         let reach = self.distance + SLACK;
         let place = |v: u32| at[v as usize];
         let at_rest = |v: u32| self.rest.vertices[v as usize];
-        let faces = tree(&self.rest.faces, at);
+        let (faces, edges) = rayon::join(|| tree(&self.rest.faces, at), || tree(&self.edges, at));
         let vertices: Vec<Pair> = (0..at.len() as u32)
             .into_par_iter()
             .flat_map_iter(|v| {
@@ -85,7 +85,6 @@ impl Folds {
                 close.map(pair).collect::<Vec<_>>()
             })
             .collect();
-        let edges = tree(&self.edges, at);
         let crossing: Vec<Pair> = self
             .edges
             .par_iter()

@@ -2,6 +2,7 @@ use cape_core::SmplModel;
 use glam::DVec3;
 use ndarray::{Array1, Array2, Array3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::{
     Cloth, Material, Sewn,
@@ -18,7 +19,8 @@ use crate::{
 pub struct Simulation {
     /// Steps of a frame.
     pub substeps: usize,
-    /// Seconds from the pose of sewing to the first frame, and again half as many to settle there.
+    /// Seconds from the pose of sewing to the first frame, and half as many more until it moves as in
+    /// that frame.
     pub settle: f64,
     /// Acceleration, m/s².
     pub gravity: DVec3,
@@ -56,6 +58,25 @@ pub struct StepReport {
     pub crossings: usize,
     /// Mean relative change of an edge's length, and largest lengthening.
     pub strain: [f64; 2],
+    /// Speed of the fastest vertex, m/s.
+    pub speed: f64,
+}
+
+/// How a whole simulation went.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Quality {
+    /// Deepest that a vertex or the middle of a face was inside the body, metres.
+    pub penetration: f64,
+    /// Mean depth of vertices and middles of faces, those outside counting 0, metres.
+    pub mean_depth: f64,
+    /// Most edges that went through faces of the cloth in one frame.
+    pub crossings: usize,
+    /// Mean relative change of an edge's length.
+    pub mean_strain: f64,
+    /// Largest relative lengthening of an edge.
+    pub strain: f64,
+    /// Speed of the fastest vertex, m/s.
+    pub speed: f64,
 }
 
 /// A garment's movement.
@@ -68,9 +89,19 @@ pub struct Simulated {
 }
 
 impl Simulated {
-    /// Deepest penetration of all frames, metres.
-    pub fn penetration(&self) -> f64 {
-        self.reports.iter().map(|report| report.penetration).fold(0.0, f64::max)
+    /// The worst and the mean of all frames.
+    pub fn quality(&self) -> Quality {
+        let frames = self.reports.len().max(1) as f64;
+        let mut whole = Quality::default();
+        for report in &self.reports {
+            whole.penetration = whole.penetration.max(report.penetration);
+            whole.mean_depth += report.mean_depth / frames;
+            whole.crossings = whole.crossings.max(report.crossings);
+            whole.mean_strain += report.strain[0] / frames;
+            whole.strain = whole.strain.max(report.strain[1]);
+            whole.speed = whole.speed.max(report.speed);
+        }
+        whole
     }
 }
 
@@ -159,22 +190,32 @@ impl Simulation {
         }
         let way = (self.settle * motion.frame_rate).ceil() as usize;
         let standing = way / 2;
+        let transl = |frame: usize| {
+            DVec3::from_array([0, 1, 2].map(|axis| motion.translations[(frame, axis)]))
+        };
+        // From rest to the speed at the start, evenly, metres a frame.
+        let speed = transl(1.min(motion.frames() - 1)) - transl(0);
+        let run_up = |to_go: usize| {
+            let gone = (standing - to_go) as f64;
+            let whole = standing as f64;
+            transl(0) + speed * (0.5 * gone * gone / whole.max(1.0) - 0.5 * whole)
+        };
         let first = motion.poses.row(0);
         let sewn = Array1::from_vec(sewing_pose(model));
         let mut stations = Vec::new();
         for step in 0..=way {
             let t = step as f64 / way.max(1) as f64;
             let share = t * t * (3.0 - 2.0 * t);
-            stations.push((share, &sewn * (1.0 - share) + &first * share, 0));
+            stations.push((share, &sewn * (1.0 - share) + &first * share, run_up(standing)));
         }
-        stations.extend((0..standing).map(|_| (1.0, first.to_owned(), 0)));
-        stations.extend((0..motion.frames()).map(|f| (1.0, motion.poses.row(f).to_owned(), f)));
+        stations.extend((1..standing).map(|gone| (1.0, first.to_owned(), run_up(standing - gone))));
+        let frames = 0..motion.frames();
+        stations.extend(frames.map(|f| (1.0, motion.poses.row(f).to_owned(), transl(f))));
         stations
             .par_iter()
-            .map(|(share, pose, frame)| {
-                let transl = [0, 1, 2].map(|axis| motion.translations[(*frame, axis)]);
+            .map(|(share, pose, transl)| {
                 let shape = made_for * (1.0 - share) + shape * *share;
-                let posed = model.pose_shape(&shape, &pose.to_vec(), transl, None)?;
+                let posed = model.pose_shape(&shape, &pose.to_vec(), transl.to_array(), None)?;
                 Ok(points(posed.vertices.view()))
             })
             .collect()
@@ -189,5 +230,6 @@ fn report(cloth: &Cloth, body: &Solid) -> StepReport {
         inside: depths.iter().filter(|&&depth| depth > 0.0).count(),
         crossings: cloth.crossings(),
         strain: cloth.strain(),
+        speed: cloth.velocities.iter().map(|v| v.length()).fold(0.0, f64::max),
     }
 }

@@ -6,7 +6,7 @@ use parry3d_f64::{
     query::{PointQuery, Ray},
 };
 
-use super::surface::{Surface, face_normals, vertex_normals};
+use super::surface::{Surface, corner_angle, face_normals};
 
 /// Where a ray meets a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,7 +48,6 @@ pub struct Solid {
     tree: Bvh,
     now: Surface,
     face_normals: Vec<DVec3>,
-    vertex_normals: Vec<DVec3>,
 }
 
 impl Solid {
@@ -71,7 +70,6 @@ impl Solid {
         });
         let tree = Bvh::from_iter(BvhBuildStrategy::Binned, boxes);
         let face_normals = surface.face_normals();
-        let vertex_normals = vertex_normals(&surface.vertices, &surface.faces, &face_normals);
         Self {
             from: surface.vertices.clone(),
             to,
@@ -80,7 +78,6 @@ impl Solid {
             tree,
             now: surface.clone(),
             face_normals,
-            vertex_normals,
         }
     }
 
@@ -90,7 +87,6 @@ impl Solid {
             *now = from.lerp(to, t);
         }
         self.face_normals = face_normals(&self.now.vertices, &self.faces);
-        self.vertex_normals = vertex_normals(&self.now.vertices, &self.faces, &self.face_normals);
     }
 
     /// The surface where it is now.
@@ -169,7 +165,7 @@ impl Solid {
         const ON: f64 = 1e-9;
         let off: Vec<usize> = (0..3).filter(|&i| barycentric[i] > ON).collect();
         match off[..] {
-            [corner] => self.vertex_normals[self.faces[face][corner] as usize],
+            [corner] => self.vertex_normal(face, corner),
             [a, b] => {
                 // Side `i` runs from corner `i` to corner `i + 1`.
                 let side = if (a + 1) % 3 == b { a } else { b };
@@ -180,7 +176,37 @@ impl Solid {
             _ => self.face_normals[face],
         }
     }
+
+    /// Normals of the faces around a corner, weighted by their angles there.
+    fn vertex_normal(&self, face: usize, corner: usize) -> DVec3 {
+        let vertex = self.faces[face][corner];
+        let corner_of = |face: usize| self.faces[face].iter().position(|&v| v == vertex);
+        let mut sum = DVec3::ZERO;
+        let mut add = |face: usize, corner: usize| {
+            sum += self.face_normals[face] * corner_angle(self.now.corners(face), corner);
+        };
+        add(face, corner);
+        // On over the side that ends in the vertex; from a boundary back over the one that starts.
+        for turn in [2, 0] {
+            let mut here = (face, corner);
+            // Bounded, because neighbours may be of opposite orientation.
+            for _ in 0..MOST_AROUND {
+                let Some(next) = self.across[here.0][(here.1 + turn) % 3] else { break };
+                let next = next as usize;
+                let Some(corner) = corner_of(next) else { break };
+                if next == face {
+                    return sum.normalize_or_zero();
+                }
+                add(next, corner);
+                here = (next, corner);
+            }
+        }
+        sum.normalize_or_zero()
+    }
 }
+
+/// Faces that a vertex can have on each side of a face.
+const MOST_AROUND: usize = 100;
 
 fn vector(p: DVec3) -> Vector {
     Vector::from(p.to_array())
