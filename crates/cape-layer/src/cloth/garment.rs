@@ -141,7 +141,7 @@ impl Garment {
         if cut.faces.is_empty() {
             return Err(Error::argument(format!("{self:?} leaves nothing of a garment")));
         }
-        fair(&mut cut, field, |p| cutting.margin(p), FAIRING);
+        fair(&mut cut, field, |p| cutting.margin(p));
         let surface = Surface::new("garment", cut.vertices, cut.faces)?;
         let boundary = surface.boundary();
         let high = 0.5 * (cutting.waist + cutting.hem);
@@ -197,9 +197,6 @@ struct Cutting {
 
 /// Joints of both arms.
 const ARMS: std::ops::Range<usize> = 16..24;
-
-/// Rounds of evening out triangles.
-const FAIRING: usize = 20;
 
 /// Radius of a neck opening without ease, metres.
 const NECK: f64 = 0.085;

@@ -47,14 +47,17 @@ fn find(root: &mut [u32], mut v: u32) -> u32 {
     v
 }
 
+/// Rounds of evening out triangles by neighbours' middles, then by lengths.
+const ROUNDS: [usize; 2] = [16, 12];
+
 /// Evens out the triangles of a garment on the zero surface of `field`: vertices go towards the
-/// middle of their neighbours and back to the surface, those of the boundary along the curve
-/// where also `margin` is zero. Both functions are distances, roughly, of metres.
+/// middle of their neighbours, later to where edges are of mean length, and back to the surface,
+/// those of the boundary along the curve where also `margin` is zero. Both functions are
+/// distances, roughly, of metres.
 pub(super) fn fair(
     surface: &mut Surface,
     field: impl Fn(DVec3) -> f64 + Sync,
     margin: impl Fn(DVec3) -> f64 + Sync,
-    rounds: usize,
 ) {
     let boundary = surface.boundary();
     let mut around = vec![Vec::new(); surface.vertices.len()];
@@ -70,13 +73,19 @@ pub(super) fn fair(
             }
         }
     }
-    for _ in 0..rounds {
+    let mean = surface.mean_edge();
+    for round in 0..ROUNDS[0] + ROUNDS[1] {
+        let length = if round < ROUNDS[0] { 0.0 } else { mean };
         let before = &surface.vertices;
         surface.vertices = (0..before.len())
             .into_par_iter()
             .map(|v| {
-                let sum: DVec3 = around[v].iter().map(|&n| before[n as usize]).sum();
-                let mut p = before[v].lerp(sum / around[v].len().max(1) as f64, 0.5);
+                let towards = |&n: &u32| {
+                    let way = before[n as usize] - before[v];
+                    way * (1.0 - length / way.length().max(0.2 * mean))
+                };
+                let sum: DVec3 = around[v].iter().map(towards).sum();
+                let mut p = before[v] + 0.5 * sum / around[v].len().max(1) as f64;
                 for _ in 0..2 {
                     if boundary[v] {
                         p = onto(&margin, p);

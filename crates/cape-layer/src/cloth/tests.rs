@@ -252,7 +252,7 @@ fn a_strip_between_two_bars_hangs_in_a_catenary() {
         let expected = low * (at.cosh() - (0.5 * span / low).cosh());
         assert!((x.y - expected).abs() < 0.004, "{x}: {expected}");
     }
-    assert!(cloth.strain()[1] < 1e-3, "{:?}", cloth.strain());
+    assert!(cloth.strain()[1] < 2e-3, "{:?}", cloth.strain());
 }
 
 #[test]
