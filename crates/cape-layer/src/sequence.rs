@@ -164,11 +164,7 @@ impl LayerSet {
 
     /// Adds a sequence, in place of one of its name, to the set that a directory holds, or begins
     /// one there.
-    pub fn add(
-        directory: impl AsRef<Path>,
-        faces: &[[u32; 3]],
-        sequence: &Sequence,
-    ) -> Result<()> {
+    pub fn add(directory: impl AsRef<Path>, faces: &[[u32; 3]], sequence: &Sequence) -> Result<()> {
         let directory = directory.as_ref();
         let mut index =
             if directory.join(INDEX).exists() { read_index(directory)? } else { Vec::new() };

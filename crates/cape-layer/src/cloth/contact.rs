@@ -133,13 +133,7 @@ impl Contacts {
 }
 
 impl Memory {
-    fn push(
-        &mut self,
-        body: &Solid,
-        x: DVec3,
-        thickness: f64,
-        travelled: f64,
-    ) -> Option<Push> {
+    fn push(&mut self, body: &Solid, x: DVec3, thickness: f64, travelled: f64) -> Option<Push> {
         let reach = Contact::REACH.max(thickness);
         if self.distance - x.distance(self.at) - (travelled - self.travelled) > thickness {
             return None;

@@ -256,7 +256,11 @@ impl Cutting {
     /// Distance from the body at a place: less towards a waistband.
     fn ease_at(&self, p: DVec3) -> f64 {
         let t = ((self.waist - p.y) / BAND[1]).clamp(0.0, 1.0);
-        if self.banded { BAND[0] + (self.ease - BAND[0]) * t * t * (3.0 - 2.0 * t) } else { self.ease }
+        if self.banded {
+            BAND[0] + (self.ease - BAND[0]) * t * t * (3.0 - 2.0 * t)
+        } else {
+            self.ease
+        }
     }
 
     /// How far a place is beyond the shoulder in the direction of the upper arm, and from its axis.

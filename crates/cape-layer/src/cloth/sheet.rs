@@ -51,7 +51,11 @@ impl Material {
         [log(self.density), log(self.stretch), log(self.bend), self.damping, self.friction]
     }
 
-    fn check(&self) -> Result<()> {
+    /// Whether the numbers are of their domains.
+    ///
+    /// # Errors
+    /// If one is not; it is named.
+    pub fn check(&self) -> Result<()> {
         let Self { density, stretch, bend, damping, friction, thickness } = *self;
         for (name, value, least) in [
             ("density", density, f64::MIN_POSITIVE),
@@ -302,9 +306,8 @@ impl Cloth {
 
     /// Depths inside the body, metres, of vertices, then of middles of faces; 0 outside.
     pub fn depths(&self, body: &Solid) -> Vec<f64> {
-        let middle = |face: &[u32; 3]| {
-            face.iter().map(|&v| self.positions[v as usize]).sum::<DVec3>() / 3.0
-        };
+        let middle =
+            |face: &[u32; 3]| face.iter().map(|&v| self.positions[v as usize]).sum::<DVec3>() / 3.0;
         let middles: Vec<DVec3> = self.faces.iter().map(middle).collect();
         let points = self.positions.par_iter().chain(&middles);
         let depth = |&x: &DVec3| {

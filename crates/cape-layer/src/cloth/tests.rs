@@ -128,7 +128,8 @@ fn a_chain_lengthens_by_hooke_s_law() {
 
 #[test]
 fn energy_never_grows_and_the_stiffest_does_not_explode() {
-    let mut cloth = Cloth::new(&sheet(), &bare(0.0, 0.0)).unwrap().with_self_collision(&sheet(), 0.02);
+    let mut cloth =
+        Cloth::new(&sheet(), &bare(0.0, 0.0)).unwrap().with_self_collision(&sheet(), 0.02);
     cloth.pin(0);
     cloth.pin(88);
     let start = cloth.energy(GRAVITY);
@@ -176,7 +177,8 @@ fn folded_sheets_keep_apart() {
     let upper = grid(8, 8, |u, v| DVec3::new(0.2 * u + 0.004, 0.05, 0.2 * v + 0.003));
     double.vertices.extend(&upper.vertices);
     double.faces.extend(upper.faces.iter().map(|face| face.map(|v| v + 64)));
-    let mut cloth = Cloth::new(&double, &bare(1e-6, 1e-3)).unwrap().with_self_collision(&double, 0.015);
+    let mut cloth =
+        Cloth::new(&double, &bare(1e-6, 1e-3)).unwrap().with_self_collision(&double, 0.015);
     (0..64).for_each(|v| cloth.pin(v));
     (0..2000).for_each(|_| cloth.step(1.0 / 600.0, GRAVITY, None));
     let lowest = cloth.positions[64..].iter().map(|x| x.y).fold(f64::INFINITY, f64::min);
@@ -320,10 +322,10 @@ fn garments_are_sewn_around_the_body() {
         }
         let at = |v: u32| surface.vertices[v as usize];
         let lengths = surface.edges().into_iter().map(|[a, b]| at(a).distance(at(b)));
-        let (shortest, longest) = lengths
-            .fold((f64::INFINITY, 0.0f64), |(low, high), x| (low.min(x), high.max(x)));
+        let (shortest, longest) =
+            lengths.fold((f64::INFINITY, 0.0f64), |(low, high), x| (low.min(x), high.max(x)));
         let mean = surface.mean_edge();
-        assert!(shortest > 0.15 * mean && longest < 2.6 * mean, "{kind:?} {shortest} {longest}");
+        assert!(shortest > 0.4 * mean && longest < 2.6 * mean, "{kind:?} {shortest} {longest}");
         assert_eq!(
             sewn.waistband.is_empty(),
             matches!(kind, GarmentKind::TShirt | GarmentKind::Dress)
@@ -398,7 +400,7 @@ fn every_garment_follows_a_moving_body() {
         let seconds = start.elapsed().as_secs_f64() / (frames + 27) as f64;
         let quality = result.quality();
         println!("{kind:?} {movement}: {seconds:.3} s a frame, {quality:?}");
-        assert!(quality.penetration < 2e-3, "{kind:?} {quality:?}");
+        assert!(quality.penetration < 4e-3, "{kind:?} {quality:?}");
         assert!(quality.strain < 0.33 && quality.mean_strain < 0.05, "{kind:?} {quality:?}");
         assert!(quality.crossings <= 2 && quality.speed < 5.0, "{kind:?} {quality:?}");
         // Still worn: the garment's middle is on the body.

@@ -155,11 +155,7 @@ pub(crate) fn face_normals(vertices: &[DVec3], faces: &[[u32; 3]]) -> Vec<DVec3>
 }
 
 /// Angle-weighted pseudo-normals (Bærentzen and Aanæs 2005).
-fn vertex_normals(
-    vertices: &[DVec3],
-    faces: &[[u32; 3]],
-    face_normals: &[DVec3],
-) -> Vec<DVec3> {
+fn vertex_normals(vertices: &[DVec3], faces: &[[u32; 3]], face_normals: &[DVec3]) -> Vec<DVec3> {
     let mut sums = vec![DVec3::ZERO; vertices.len()];
     for (face, &normal) in faces.iter().zip(face_normals) {
         let corners = face.map(|v| vertices[v as usize]);
