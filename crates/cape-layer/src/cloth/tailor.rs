@@ -47,13 +47,14 @@ fn find(root: &mut [u32], mut v: u32) -> u32 {
     v
 }
 
-/// Rounds of evening out triangles by neighbours' middles, then by lengths.
-const ROUNDS: [usize; 2] = [16, 12];
+/// What [`fair`] does, and how many times: vertices go to the middle of their neighbours, or to
+/// where edges are of mean length, and back to the surface, or only out to it.
+const ROUNDS: [(usize, bool, bool); 4] =
+    [(16, false, true), (12, true, true), (10, false, false), (8, true, false)];
 
-/// Evens out the triangles of a garment on the zero surface of `field`: vertices go towards the
-/// middle of their neighbours, later to where edges are of mean length, and back to the surface,
-/// those of the boundary along the curve where also `margin` is zero. Both functions are
-/// distances, roughly, of metres.
+/// Evens out the triangles of a garment on the zero surface of `field`, then stretches it taut over
+/// what is hollow there, such as armpits, as cloth does. Vertices of the boundary stay on the
+/// curve where also `margin` is zero. Both functions are distances, roughly, of metres.
 pub(super) fn fair(
     surface: &mut Surface,
     field: impl Fn(DVec3) -> f64 + Sync,
@@ -74,8 +75,10 @@ pub(super) fn fair(
         }
     }
     let mean = surface.mean_edge();
-    for round in 0..ROUNDS[0] + ROUNDS[1] {
-        let length = if round < ROUNDS[0] { 0.0 } else { mean };
+    let rounds =
+        ROUNDS.iter().flat_map(|&(times, even, back)| std::iter::repeat_n((even, back), times));
+    for (even, back) in rounds {
+        let length = if even { mean } else { 0.0 };
         let before = &surface.vertices;
         surface.vertices = (0..before.len())
             .into_par_iter()
@@ -90,7 +93,9 @@ pub(super) fn fair(
                     if boundary[v] {
                         p = onto(&margin, p);
                     }
-                    p = onto(&field, p);
+                    if back || field(p) < 0.0 {
+                        p = onto(&field, p);
+                    }
                 }
                 p
             })
