@@ -47,10 +47,8 @@ fn find(root: &mut [u32], mut v: u32) -> u32 {
     v
 }
 
-/// What [`fair`] does, and how many times: vertices go to the middle of their neighbours, or to
-/// where edges are of mean length, and back to the surface, or only out to it.
-const ROUNDS: [(usize, bool, bool); 4] =
-    [(16, false, true), (12, true, true), (10, false, false), (8, true, false)];
+/// Rounds in which [`fair`] leads vertices back to the surface, then those in which only out to it.
+const ROUNDS: [usize; 2] = [20, 12];
 
 /// Evens out the triangles of a garment on the zero surface of `field`, then stretches it taut over
 /// what is hollow there, such as armpits, as cloth does. Vertices of the boundary stay on the
@@ -74,21 +72,14 @@ pub(super) fn fair(
             }
         }
     }
-    let mean = surface.mean_edge();
-    let rounds =
-        ROUNDS.iter().flat_map(|&(times, even, back)| std::iter::repeat_n((even, back), times));
-    for (even, back) in rounds {
-        let length = if even { mean } else { 0.0 };
+    for round in 0..ROUNDS[0] + ROUNDS[1] {
+        let back = round < ROUNDS[0];
         let before = &surface.vertices;
         surface.vertices = (0..before.len())
             .into_par_iter()
             .map(|v| {
-                let towards = |&n: &u32| {
-                    let way = before[n as usize] - before[v];
-                    way * (1.0 - length / way.length().max(0.2 * mean))
-                };
-                let sum: DVec3 = around[v].iter().map(towards).sum();
-                let mut p = before[v] + 0.5 * sum / around[v].len().max(1) as f64;
+                let sum: DVec3 = around[v].iter().map(|&n| before[n as usize]).sum();
+                let mut p = before[v].lerp(sum / around[v].len().max(1) as f64, 0.5);
                 for _ in 0..2 {
                     if boundary[v] {
                         p = onto(&margin, p);
