@@ -156,35 +156,28 @@ impl LayerSet {
         let directory = directory.as_ref();
         std::fs::create_dir_all(directory)
             .map_err(|source| cape_core::Error::io(directory, source))?;
-        let faces =
-            Array2::from_shape_fn((self.faces.len(), 3), |(f, k)| i64::from(self.faces[f][k]));
-        let mut index = Vec::new();
         for sequence in &self.sequences {
-            let mut file = NpzWriter::create(array_file(directory, &sequence.name))?;
-            file.add("faces", &faces)?;
-            file.add("clothing", &sequence.clothing.mapv(|x| x as f32))?;
-            file.add("poses", &sequence.motion.poses)?;
-            file.add("trans", &sequence.motion.translations)?;
-            file.add("betas", &Array1::from_vec(sequence.betas.clone()))?;
-            file.finish()?;
-            index.push(Entry {
-                name: sequence.name.clone(),
-                frame_rate: sequence.motion.frame_rate,
-                parameters: sequence.parameters.clone(),
-            });
+            write(directory, &self.faces, sequence)?;
         }
-        let text = serde_json::to_vec_pretty(&index)
-            .map_err(|error| cape_core::Error::format(directory, error.to_string()))?;
-        Ok(write_atomically(directory.join(INDEX), |file| std::io::Write::write_all(file, &text))?)
+        write_index(directory, &self.sequences.iter().map(Entry::of).collect::<Vec<_>>())
+    }
+
+    /// Adds a sequence, in place of one of its name, to the set that a directory holds, or begins
+    /// one there.
+    pub fn add(directory: impl AsRef<Path>, faces: &[[u32; 3]], sequence: &Sequence) -> Result<()> {
+        let directory = directory.as_ref();
+        let mut index =
+            if directory.join(INDEX).exists() { read_index(directory)? } else { Vec::new() };
+        write(directory, faces, sequence)?;
+        index.retain(|entry| entry.name != sequence.name);
+        index.push(Entry::of(sequence));
+        write_index(directory, &index)
     }
 
     /// Reads what [`save`](Self::save) wrote.
     pub fn load(directory: impl AsRef<Path>) -> Result<Self> {
         let directory = directory.as_ref();
-        let path = directory.join(INDEX);
-        let text = std::fs::read(&path).map_err(|source| cape_core::Error::io(&path, source))?;
-        let index: Vec<Entry> = serde_json::from_slice(&text)
-            .map_err(|error| cape_core::Error::format(&path, error.to_string()))?;
+        let index = read_index(directory)?;
         let mut all_faces: Option<Vec<[u32; 3]>> = None;
         let mut sequences = Vec::new();
         for entry in index {
@@ -199,6 +192,41 @@ impl LayerSet {
         }
         Self::new(all_faces.unwrap_or_default(), sequences)
     }
+}
+
+impl Entry {
+    fn of(sequence: &Sequence) -> Self {
+        Self {
+            name: sequence.name.clone(),
+            frame_rate: sequence.motion.frame_rate,
+            parameters: sequence.parameters.clone(),
+        }
+    }
+}
+
+fn read_index(directory: &Path) -> Result<Vec<Entry>> {
+    let path = directory.join(INDEX);
+    let text = std::fs::read(&path).map_err(|source| cape_core::Error::io(&path, source))?;
+    Ok(serde_json::from_slice(&text)
+        .map_err(|error| cape_core::Error::format(&path, error.to_string()))?)
+}
+
+fn write_index(directory: &Path, index: &[Entry]) -> Result<()> {
+    let path = directory.join(INDEX);
+    let text = serde_json::to_vec_pretty(index)
+        .map_err(|error| cape_core::Error::format(&path, error.to_string()))?;
+    Ok(write_atomically(path, |file| std::io::Write::write_all(file, &text))?)
+}
+
+fn write(directory: &Path, faces: &[[u32; 3]], sequence: &Sequence) -> Result<()> {
+    let faces = Array2::from_shape_fn((faces.len(), 3), |(f, k)| i64::from(faces[f][k]));
+    let mut file = NpzWriter::create(array_file(directory, &sequence.name))?;
+    file.add("faces", &faces)?;
+    file.add("clothing", &sequence.clothing.mapv(|x| x as f32))?;
+    file.add("poses", &sequence.motion.poses)?;
+    file.add("trans", &sequence.motion.translations)?;
+    file.add("betas", &Array1::from_vec(sequence.betas.clone()))?;
+    Ok(file.finish()?)
 }
 
 fn array_file(directory: &Path, name: &str) -> PathBuf {
@@ -323,6 +351,11 @@ mod tests {
         set.save(directory.path()).unwrap();
         assert_eq!(LayerSet::load(directory.path()).unwrap(), set);
         assert_eq!((set.frames(), set.vertices(), set.each_frame()[4]), (6, 4, (1, 1)));
+        let grown = tempfile::tempdir().unwrap();
+        for name in ["b", "a", "b"] {
+            LayerSet::add(grown.path(), &FACES, &sequence(name)).unwrap();
+        }
+        assert_eq!(LayerSet::load(grown.path()).unwrap(), set);
     }
 
     #[test]

@@ -6,15 +6,17 @@ use cape_core::{
 };
 use ndarray::{Array2, Axis};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::{
     Error, LayerSet, Result, Sequence,
-    cloth::{Garment, Material, Sewn, Simulation},
+    cloth::{Garment, Material, Quality, Sewn, Simulation},
     regress::Motion,
 };
 
 /// What a subject does.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Exercise {
     /// Walking forward, 1.2 m/s.
     Walk,
@@ -118,6 +120,14 @@ pub struct Take {
     pub exercise: Exercise,
 }
 
+impl Take {
+    /// The name of its sequence.
+    pub fn name(&self) -> String {
+        let Self { subject, size, material, exercise } = self;
+        format!("s{subject:02}_z{size:02}_m{material:02}_{}", exercise.name())
+    }
+}
+
 /// Names of the semantic parameters of simulated sequences: size, then material.
 pub const PARAMETERS: [&str; 8] =
     ["length", "width", "sleeve", "log_density", "log_stretch", "log_bend", "damping", "friction"];
@@ -157,8 +167,13 @@ impl Design {
         first.sew(model, &model.shaped(&[])?)
     }
 
-    /// Simulates one cell; gives its deepest penetration, metres, with it.
-    pub fn simulate(&self, model: &SmplModel, sewn: &Sewn, take: Take) -> Result<(Sequence, f64)> {
+    /// Simulates one cell; tells with it how that went.
+    pub fn simulate(
+        &self,
+        model: &SmplModel,
+        sewn: &Sewn,
+        take: Take,
+    ) -> Result<(Sequence, Quality)> {
         let missing = || Error::argument(format!("{take:?} is not in the design"));
         let betas = self.subjects.get(take.subject).ok_or_else(missing)?;
         let size = self.sizes.get(take.size).ok_or_else(missing)?;
@@ -170,21 +185,15 @@ impl Design {
             self.simulation.run(model, &shape, (&sewn, material), &motion, &mut |_, _| {})?;
         let numbers = size.numbers().into_iter().chain(material.numbers());
         let named = PARAMETERS.iter().zip(numbers).map(|(name, x)| ((*name).to_owned(), x));
-        let penetration = result.penetration();
+        let quality = result.quality();
         let sequence = Sequence {
-            name: format!(
-                "s{:02}_z{:02}_m{:02}_{}",
-                take.subject,
-                take.size,
-                take.material,
-                take.exercise.name()
-            ),
+            name: take.name(),
             clothing: result.frames,
             betas: betas.clone(),
             motion,
             parameters: named.collect(),
         };
-        Ok((sequence, penetration))
+        Ok((sequence, quality))
     }
 
     /// Simulates all cells, side by side. `watch` is told those done and their number.

@@ -1,8 +1,12 @@
 use std::collections::HashMap;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
-use super::contact::{Contact, SpatialHash};
+use super::{
+    contact::{Contact, Contacts},
+    fold::{Folds, crossings},
+};
 use crate::{
     Error, Result,
     geometry::{Solid, Surface},
@@ -47,7 +51,11 @@ impl Material {
         [log(self.density), log(self.stretch), log(self.bend), self.damping, self.friction]
     }
 
-    fn check(&self) -> Result<()> {
+    /// Whether the numbers are of their domains.
+    ///
+    /// # Errors
+    /// If one is not; it is named.
+    pub fn check(&self) -> Result<()> {
         let Self { density, stretch, bend, damping, friction, thickness } = *self;
         for (name, value, least) in [
             ("density", density, f64::MIN_POSITIVE),
@@ -94,9 +102,11 @@ pub struct Cloth {
     edges: usize,
     leads: Vec<Lead>,
     material: Material,
-    /// Distance that vertices keep from each other, metres; 0 without self-collision.
-    apart: f64,
-    rest: Vec<DVec3>,
+    faces: Vec<[u32; 3]>,
+    contacts: Contacts,
+    folds: Option<Folds>,
+    /// Largest relative lengthening of an edge.
+    limit: f64,
 }
 
 impl Cloth {
@@ -136,15 +146,27 @@ impl Cloth {
             edges: edge_count,
             leads: Vec::new(),
             material: *material,
-            apart: 0.0,
-            rest: surface.vertices.clone(),
+            faces: surface.faces.clone(),
+            contacts: Contacts::new(count, surface.faces.len()),
+            folds: None,
+            limit: f64::INFINITY,
         })
     }
 
-    /// Keeps vertices `distance` metres from each other, unless they are closer at rest.
+    /// Keeps vertices `distance` metres from faces and edges from edges, unless they are closer in
+    /// `rest`, the surface that the sheet was made of.
     #[must_use]
-    pub fn with_self_collision(mut self, distance: f64) -> Self {
-        self.apart = distance.max(0.0);
+    pub fn with_self_collision(mut self, rest: &Surface, distance: f64) -> Self {
+        self.folds = Some(Folds::new(rest, distance.max(0.0)));
+        self
+    }
+
+    /// Lets edges lengthen by at most the share `limit` of their lengths, as far as the material
+    /// would let them. This comes last in a step: where the body leaves cloth no room, it
+    /// goes into the body before it tears.
+    #[must_use]
+    pub fn with_strain_limit(mut self, limit: f64) -> Self {
+        self.limit = limit.max(0.0);
         self
     }
 
@@ -182,9 +204,6 @@ impl Cloth {
             }
         }
         self.project(dt);
-        if self.apart > 0.0 {
-            self.separate();
-        }
         if let Some((solid, [from, now])) = body {
             let contact = Contact {
                 friction: self.material.friction,
@@ -192,8 +211,13 @@ impl Cloth {
                 from,
                 now,
             };
-            contact.resolve(solid, &before, &mut self.positions, &self.inverse_masses);
+            let sheet = (&self.inverse_masses[..], &self.faces[..]);
+            self.contacts.resolve(&contact, solid, &before, &mut self.positions, sheet);
         }
+        if let Some(folds) = &mut self.folds {
+            folds.resolve(&before, &mut self.positions, &self.inverse_masses);
+        }
+        self.shorten();
         for ((x, v), before) in self.positions.iter().zip(&mut self.velocities).zip(before) {
             *v = (*x - before) / dt;
         }
@@ -222,28 +246,26 @@ impl Cloth {
         }
     }
 
-    /// Pushes vertices apart that are closer than they should be.
-    fn separate(&mut self) {
-        let hash = SpatialHash::new(&self.positions, self.apart);
-        for a in 0..self.positions.len() {
-            for b in hash.near(self.positions[a]) {
-                let b = b as usize;
-                if b <= a {
-                    continue;
-                }
+    /// Brings edges that are too long back to the limit, in alternating order.
+    fn shorten(&mut self) {
+        const SWEEPS: usize = 4;
+        if self.limit.is_infinite() {
+            return;
+        }
+        for sweep in 0..SWEEPS {
+            for index in 0..self.edges {
+                let at = if sweep % 2 == 0 { index } else { self.edges - 1 - index };
+                let Spring { ends: [a, b], rest, .. } = self.springs[at];
+                let (a, b) = (a as usize, b as usize);
                 let along = self.positions[a] - self.positions[b];
                 let length = along.length();
-                if length >= self.apart || length == 0.0 {
-                    continue;
+                let longest = rest * (1.0 + self.limit);
+                let (wa, wb) = (self.inverse_masses[a], self.inverse_masses[b]);
+                if length > longest && wa + wb > 0.0 {
+                    let push = along * ((longest - length) / (length * (wa + wb)));
+                    self.positions[a] += push * wa;
+                    self.positions[b] -= push * wb;
                 }
-                let least = self.apart.min(self.rest[a].distance(self.rest[b]));
-                let sum = self.inverse_masses[a] + self.inverse_masses[b];
-                if length >= least || sum == 0.0 {
-                    continue;
-                }
-                let push = along * ((least - length) / (length * sum));
-                self.positions[a] += push * self.inverse_masses[a];
-                self.positions[b] -= push * self.inverse_masses[b];
             }
         }
     }
@@ -264,18 +286,39 @@ impl Cloth {
         of_vertices + elastic.sum::<f64>()
     }
 
-    /// Mean and largest relative change of length among edges of triangles.
+    /// Mean relative change of length among edges of triangles, and the largest lengthening.
     pub fn strain(&self) -> [f64; 2] {
         let edges = &self.springs[..self.edges];
         let (mut sum, mut largest) = (0.0, 0.0f64);
         for spring in edges {
             let [a, b] = spring.ends.map(|v| self.positions[v as usize]);
-            let change = (a.distance(b) / spring.rest.max(f64::MIN_POSITIVE) - 1.0).abs();
-            (sum, largest) = (sum + change, largest.max(change));
+            let change = a.distance(b) / spring.rest.max(f64::MIN_POSITIVE) - 1.0;
+            (sum, largest) = (sum + change.abs(), largest.max(change));
         }
         [sum / edges.len().max(1) as f64, largest]
     }
+
+    /// How many edges go through faces.
+    pub fn crossings(&self) -> usize {
+        let edges: Vec<[u32; 2]> = self.springs[..self.edges].iter().map(|s| s.ends).collect();
+        crossings(&self.faces, &edges, &self.positions)
+    }
+
+    /// Depths inside the body, metres, of vertices, then of middles of faces; 0 outside.
+    pub fn depths(&self, body: &Solid) -> Vec<f64> {
+        let middle =
+            |face: &[u32; 3]| face.iter().map(|&v| self.positions[v as usize]).sum::<DVec3>() / 3.0;
+        let middles: Vec<DVec3> = self.faces.iter().map(middle).collect();
+        let points = self.positions.par_iter().chain(&middles);
+        let depth = |&x: &DVec3| {
+            body.closest(x, DEEPEST).map_or(0.0, |near| (-near.signed_distance).max(0.0))
+        };
+        points.map(depth).collect()
+    }
 }
+
+/// No part of a body is deeper than this, metres.
+const DEEPEST: f64 = 0.2;
 
 /// For every inner edge the corners of its two faces that are not on it.
 fn far_corners(faces: &[[u32; 3]]) -> Vec<[u32; 2]> {

@@ -1,9 +1,13 @@
 use cape_core::SmplModel;
 use glam::DVec3;
-use ndarray::{Array2, Array3};
+use ndarray::{Array1, Array2, Array3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
-use super::{Cloth, Material, Sewn};
+use super::{
+    Cloth, Material, Sewn,
+    garment::{sewing_pose, wearer},
+};
 use crate::{
     Error, Result,
     geometry::{Solid, Surface, points},
@@ -15,12 +19,15 @@ use crate::{
 pub struct Simulation {
     /// Steps of a frame.
     pub substeps: usize,
-    /// Seconds from the rest pose to the first frame, and again half as many to settle there.
+    /// Seconds from the pose of sewing to the first frame, and half as many more until it moves as in
+    /// that frame.
     pub settle: f64,
     /// Acceleration, m/s².
     pub gravity: DVec3,
-    /// Whether vertices of the cloth keep apart, half an edge's length from each other.
+    /// Whether layers of the cloth keep apart, by the material's thickness.
     pub self_collision: bool,
+    /// Largest relative lengthening of an edge, where the material would let it lengthen more.
+    pub strain_limit: f64,
     /// Compliance of the waistband's hold on the body, metres a newton.
     pub waistband: f64,
 }
@@ -32,7 +39,8 @@ impl Default for Simulation {
             settle: 1.0,
             gravity: DVec3::NEG_Y * 9.81,
             self_collision: true,
-            waistband: 1e-4,
+            strain_limit: 0.3,
+            waistband: 0.1,
         }
     }
 }
@@ -40,12 +48,35 @@ impl Default for Simulation {
 /// State of the cloth after a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct StepReport {
-    /// Deepest that a vertex is inside the body, metres.
+    /// Deepest that a vertex or the middle of a face is inside the body, metres.
     pub penetration: f64,
-    /// Vertices inside the body.
+    /// Mean depth of vertices and middles of faces, those outside counting 0, metres.
+    pub mean_depth: f64,
+    /// Vertices and middles of faces inside the body.
     pub inside: usize,
-    /// Mean and largest relative change of an edge's length.
+    /// Edges that go through faces of the cloth.
+    pub crossings: usize,
+    /// Mean relative change of an edge's length, and largest lengthening.
     pub strain: [f64; 2],
+    /// Speed of the fastest vertex, m/s.
+    pub speed: f64,
+}
+
+/// How a whole simulation went.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Quality {
+    /// Deepest that a vertex or the middle of a face was inside the body, metres.
+    pub penetration: f64,
+    /// Mean depth of vertices and middles of faces, those outside counting 0, metres.
+    pub mean_depth: f64,
+    /// Most edges that went through faces of the cloth in one frame.
+    pub crossings: usize,
+    /// Mean relative change of an edge's length.
+    pub mean_strain: f64,
+    /// Largest relative lengthening of an edge.
+    pub strain: f64,
+    /// Speed of the fastest vertex, m/s.
+    pub speed: f64,
 }
 
 /// A garment's movement.
@@ -58,15 +89,25 @@ pub struct Simulated {
 }
 
 impl Simulated {
-    /// Deepest penetration of all frames, metres.
-    pub fn penetration(&self) -> f64 {
-        self.reports.iter().map(|report| report.penetration).fold(0.0, f64::max)
+    /// The worst and the mean of all frames.
+    pub fn quality(&self) -> Quality {
+        let frames = self.reports.len().max(1) as f64;
+        let mut whole = Quality::default();
+        for report in &self.reports {
+            whole.penetration = whole.penetration.max(report.penetration);
+            whole.mean_depth += report.mean_depth / frames;
+            whole.crossings = whole.crossings.max(report.crossings);
+            whole.mean_strain += report.strain[0] / frames;
+            whole.strain = whole.strain.max(report.strain[1]);
+            whole.speed = whole.speed.max(report.speed);
+        }
+        whole
     }
 }
 
 impl Simulation {
     /// Simulates `garment` over the motion of a body with the unclothed rest shape `shape`, `[V, 3]`.
-    /// Before anything is recorded the body goes from the shape and the rest pose in which the
+    /// Before anything is recorded the body goes from the shape and the pose in which the
     /// garment was made to its own and the first frame. `watch` is told the frames done and their number.
     pub fn run(
         &self,
@@ -83,7 +124,7 @@ impl Simulation {
             )));
         }
         let track = self.track(model, (&garment.body, shape), motion)?;
-        let rest = Surface::of_rows("body", garment.body.view(), &model.faces)?;
+        let rest = wearer(model, &garment.body)?.0;
         let across = rest.neighbours();
         let at_rest = Solid::new(&rest);
         let band: Vec<_> = garment
@@ -91,12 +132,14 @@ impl Simulation {
             .iter()
             .filter_map(|&v| {
                 let near = at_rest.closest(garment.surface.vertices[v as usize], 0.2)?;
-                Some((v, near.face, near.barycentric))
+                let off = garment.surface.vertices[v as usize] - near.point;
+                Some((v, near.face, near.barycentric, at_rest.axes(near.face).transpose() * off))
             })
             .collect();
-        let mut cloth = Cloth::new(&garment.surface, material)?;
+        let mut cloth =
+            Cloth::new(&garment.surface, material)?.with_strain_limit(self.strain_limit);
         if self.self_collision {
-            cloth = cloth.with_self_collision(0.5 * garment.surface.mean_edge());
+            cloth = cloth.with_self_collision(&garment.surface, material.thickness);
         }
         let start = track[0][0] - rest.vertices[0];
         cloth.positions.iter_mut().for_each(|x| *x += start);
@@ -112,7 +155,9 @@ impl Simulation {
             for substep in 0..self.substeps {
                 let [was, now] = [substep, substep + 1].map(|s| s as f64 / self.substeps as f64);
                 solid.at(now);
-                let led = band.iter().map(|&(v, face, at)| (v, solid.riding(face, at, now)));
+                let led = band.iter().map(|&(v, face, at, off)| {
+                    (v, solid.riding(face, at, now) + solid.axes(face) * off)
+                });
                 cloth.lead(led, self.waistband);
                 cloth.step(dt, self.gravity, Some((&solid, [was, now])));
             }
@@ -145,21 +190,32 @@ impl Simulation {
         }
         let way = (self.settle * motion.frame_rate).ceil() as usize;
         let standing = way / 2;
-        let first = motion.poses.row(0).to_owned();
+        let transl = |frame: usize| {
+            DVec3::from_array([0, 1, 2].map(|axis| motion.translations[(frame, axis)]))
+        };
+        // From rest to the speed at the start, evenly, metres a frame.
+        let speed = transl(1.min(motion.frames() - 1)) - transl(0);
+        let run_up = |to_go: usize| {
+            let gone = (standing - to_go) as f64;
+            let whole = standing as f64;
+            transl(0) + speed * (0.5 * gone * gone / whole.max(1.0) - 0.5 * whole)
+        };
+        let first = motion.poses.row(0);
+        let sewn = Array1::from_vec(sewing_pose(model));
         let mut stations = Vec::new();
         for step in 0..=way {
             let t = step as f64 / way.max(1) as f64;
             let share = t * t * (3.0 - 2.0 * t);
-            stations.push((share, first.mapv(|angle| angle * share), 0));
+            stations.push((share, &sewn * (1.0 - share) + &first * share, run_up(standing)));
         }
-        stations.extend((0..standing).map(|_| (1.0, first.clone(), 0)));
-        stations.extend((0..motion.frames()).map(|f| (1.0, motion.poses.row(f).to_owned(), f)));
+        stations.extend((1..standing).map(|gone| (1.0, first.to_owned(), run_up(standing - gone))));
+        let frames = 0..motion.frames();
+        stations.extend(frames.map(|f| (1.0, motion.poses.row(f).to_owned(), transl(f))));
         stations
             .par_iter()
-            .map(|(share, pose, frame)| {
-                let transl = [0, 1, 2].map(|axis| motion.translations[(*frame, axis)]);
+            .map(|(share, pose, transl)| {
                 let shape = made_for * (1.0 - share) + shape * *share;
-                let posed = model.pose_shape(&shape, &pose.to_vec(), transl, None)?;
+                let posed = model.pose_shape(&shape, &pose.to_vec(), transl.to_array(), None)?;
                 Ok(points(posed.vertices.view()))
             })
             .collect()
@@ -167,14 +223,13 @@ impl Simulation {
 }
 
 fn report(cloth: &Cloth, body: &Solid) -> StepReport {
-    let depths: Vec<f64> = cloth
-        .positions
-        .par_iter()
-        .map(|&x| body.closest(x, 0.1).map_or(0.0, |near| (-near.signed_distance).max(0.0)))
-        .collect();
+    let depths = cloth.depths(body);
     StepReport {
         penetration: depths.iter().copied().fold(0.0, f64::max),
+        mean_depth: depths.iter().sum::<f64>() / depths.len().max(1) as f64,
         inside: depths.iter().filter(|&&depth| depth > 0.0).count(),
+        crossings: cloth.crossings(),
         strain: cloth.strain(),
+        speed: cloth.velocities.iter().map(|v| v.length()).fold(0.0, f64::max),
     }
 }

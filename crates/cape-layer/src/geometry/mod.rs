@@ -7,6 +7,7 @@ mod surface;
 pub(crate) mod tests;
 
 pub use geodesic::{Geodesics, Metric};
+pub(crate) use solid::ray_meets;
 pub use solid::{Closest, Hit, Solid, closest_on_triangle};
 pub use surface::Surface;
 pub(crate) use surface::points;

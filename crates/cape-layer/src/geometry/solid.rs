@@ -1,4 +1,4 @@
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use parry3d_f64::{
     bounding_volume::Aabb,
     math::Vector,
@@ -6,7 +6,7 @@ use parry3d_f64::{
     query::{PointQuery, Ray},
 };
 
-use super::surface::{Surface, face_normals, vertex_normals};
+use super::surface::{Surface, corner_angle, face_normals};
 
 /// Where a ray meets a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,7 +48,6 @@ pub struct Solid {
     tree: Bvh,
     now: Surface,
     face_normals: Vec<DVec3>,
-    vertex_normals: Vec<DVec3>,
 }
 
 impl Solid {
@@ -71,7 +70,6 @@ impl Solid {
         });
         let tree = Bvh::from_iter(BvhBuildStrategy::Binned, boxes);
         let face_normals = surface.face_normals();
-        let vertex_normals = vertex_normals(&surface.vertices, &surface.faces, &face_normals);
         Self {
             from: surface.vertices.clone(),
             to,
@@ -80,7 +78,6 @@ impl Solid {
             tree,
             now: surface.clone(),
             face_normals,
-            vertex_normals,
         }
     }
 
@@ -90,7 +87,6 @@ impl Solid {
             *now = from.lerp(to, t);
         }
         self.face_normals = face_normals(&self.now.vertices, &self.faces);
-        self.vertex_normals = vertex_normals(&self.now.vertices, &self.faces, &self.face_normals);
     }
 
     /// The surface where it is now.
@@ -116,15 +112,22 @@ impl Solid {
 
     /// The closest point, unless it is further than `reach` metres.
     pub fn closest(&self, point: DVec3, reach: f64) -> Option<Closest> {
+        self.closest_from(point, reach, None)
+    }
+
+    /// Like [`closest`](Self::closest), faster if a face close to the point is known.
+    pub fn closest_from(&self, point: DVec3, reach: f64, guess: Option<u32>) -> Option<Closest> {
+        let distance = |face: u32| {
+            point.distance(closest_on_triangle(point, self.now.corners(face as usize)).0)
+        };
+        let known = guess.map(|face| (face, distance(face))).filter(|known| known.1 < reach);
         let from = vector(point);
-        let (face, _) = self.tree.find_best(
-            reach,
+        let better = self.tree.find_best(
+            known.map_or(reach, |known| known.1),
             |node: &BvhNode, _| node.aabb().distance_to_local_point(from, true),
-            |face, _| {
-                let (nearest, _) = closest_on_triangle(point, self.now.corners(face as usize));
-                Some(point.distance(nearest))
-            },
-        )?;
+            |face, _| Some(distance(face)),
+        );
+        let (face, _) = better.or(known)?;
         let (nearest, barycentric) = closest_on_triangle(point, self.now.corners(face as usize));
         let normal = self.pseudo_normal(face as usize, barycentric);
         let away = point - nearest;
@@ -144,12 +147,25 @@ impl Solid {
         Some(Closest { face, barycentric, point: nearest, signed_distance, outward })
     }
 
+    /// The longest way that a vertex goes from 0 to 1, metres.
+    pub fn longest_way(&self) -> f64 {
+        self.from.iter().zip(&self.to).map(|(from, to)| from.distance(*to)).fold(0.0, f64::max)
+    }
+
+    /// Unit axes of a face where it is now, one per column: its first side, the normal, and what is
+    /// at right angles to both.
+    pub fn axes(&self, face: u32) -> DMat3 {
+        let [a, b, _] = self.now.corners(face as usize);
+        let (side, normal) = ((b - a).normalize_or_zero(), self.face_normals[face as usize]);
+        DMat3::from_cols(side, normal, side.cross(normal))
+    }
+
     /// Normal of the face, edge or vertex that a point of a face lies on.
     fn pseudo_normal(&self, face: usize, barycentric: [f64; 3]) -> DVec3 {
         const ON: f64 = 1e-9;
         let off: Vec<usize> = (0..3).filter(|&i| barycentric[i] > ON).collect();
         match off[..] {
-            [corner] => self.vertex_normals[self.faces[face][corner] as usize],
+            [corner] => self.vertex_normal(face, corner),
             [a, b] => {
                 // Side `i` runs from corner `i` to corner `i + 1`.
                 let side = if (a + 1) % 3 == b { a } else { b };
@@ -160,7 +176,37 @@ impl Solid {
             _ => self.face_normals[face],
         }
     }
+
+    /// Normals of the faces around a corner, weighted by their angles there.
+    fn vertex_normal(&self, face: usize, corner: usize) -> DVec3 {
+        let vertex = self.faces[face][corner];
+        let corner_of = |face: usize| self.faces[face].iter().position(|&v| v == vertex);
+        let mut sum = DVec3::ZERO;
+        let mut add = |face: usize, corner: usize| {
+            sum += self.face_normals[face] * corner_angle(self.now.corners(face), corner);
+        };
+        add(face, corner);
+        // On over the side that ends in the vertex; from a boundary back over the one that starts.
+        for turn in [2, 0] {
+            let mut here = (face, corner);
+            // Bounded, because neighbours may be of opposite orientation.
+            for _ in 0..MOST_AROUND {
+                let Some(next) = self.across[here.0][(here.1 + turn) % 3] else { break };
+                let next = next as usize;
+                let Some(corner) = corner_of(next) else { break };
+                if next == face {
+                    return sum.normalize_or_zero();
+                }
+                add(next, corner);
+                here = (next, corner);
+            }
+        }
+        sum.normalize_or_zero()
+    }
 }
+
+/// Faces that a vertex can have on each side of a face.
+const MOST_AROUND: usize = 100;
 
 fn vector(p: DVec3) -> Vector {
     Vector::from(p.to_array())
@@ -168,7 +214,7 @@ fn vector(p: DVec3) -> Vector {
 
 /// Distance along a ray to a triangle (Möller and Trumbore 1997). Triangles are larger by a billionth,
 /// so that no ray slips through between two.
-fn ray_meets(origin: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> Option<f64> {
+pub(crate) fn ray_meets(origin: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> Option<f64> {
     const SLACK: f64 = 1e-9;
     let (ab, ac) = (b - a, c - a);
     let across = direction.cross(ac);

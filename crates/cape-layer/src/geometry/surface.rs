@@ -155,19 +155,20 @@ pub(crate) fn face_normals(vertices: &[DVec3], faces: &[[u32; 3]]) -> Vec<DVec3>
 }
 
 /// Angle-weighted pseudo-normals (Bærentzen and Aanæs 2005).
-pub(crate) fn vertex_normals(
-    vertices: &[DVec3],
-    faces: &[[u32; 3]],
-    face_normals: &[DVec3],
-) -> Vec<DVec3> {
+fn vertex_normals(vertices: &[DVec3], faces: &[[u32; 3]], face_normals: &[DVec3]) -> Vec<DVec3> {
     let mut sums = vec![DVec3::ZERO; vertices.len()];
     for (face, &normal) in faces.iter().zip(face_normals) {
         let corners = face.map(|v| vertices[v as usize]);
         for i in 0..3 {
-            let (p, q) = (corners[(i + 1) % 3] - corners[i], corners[(i + 2) % 3] - corners[i]);
-            let angle = p.cross(q).length().atan2(p.dot(q));
-            sums[face[i] as usize] += normal * angle;
+            sums[face[i] as usize] += normal * corner_angle(corners, i);
         }
     }
     sums.into_iter().map(DVec3::normalize_or_zero).collect()
+}
+
+/// Angle of a triangle at one of its corners, radians.
+pub(crate) fn corner_angle(corners: [DVec3; 3], corner: usize) -> f64 {
+    let from = corners[corner];
+    let (p, q) = (corners[(corner + 1) % 3] - from, corners[(corner + 2) % 3] - from);
+    p.cross(q).length().atan2(p.dot(q))
 }
