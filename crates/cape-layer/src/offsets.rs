@@ -108,15 +108,26 @@ impl Association {
         Ok(blends)
     }
 
-    /// Clothing of one frame, metres, `[n_v, 3]`, as offsets `d_{j,i} = ṽ_j^C − ṽ^B_{I_j[i]}` from
-    /// the body in the standard pose, `[n_v, n_f, 3]` (eq. 3).
-    pub fn offsets(&self, body: &BodyFrame, clothing: ArrayView2<'_, f64>) -> Result<Array3<f64>> {
+    /// Clothing of one frame, metres, `[n_v, 3]`, in the body's standard pose: `ṽ_j^C`, each vertex
+    /// by the inverse of its blended transform, `[n_v, 3]` (eq. 2).
+    pub fn unpose(&self, body: &BodyFrame, clothing: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
         self.check_clothing(clothing.shape())?;
         finite("clothing", clothing)?;
         let blends = self.blends(body)?;
+        let mut standard = Array2::zeros((self.clothing_vertices(), 3));
+        for ((blend, at), mut row) in blends.iter().zip(points(clothing)).zip(standard.rows_mut()) {
+            let unposed = blend.inverse().transform_point3(at).to_array();
+            row.iter_mut().zip(unposed).for_each(|(to, from)| *to = from);
+        }
+        Ok(standard)
+    }
+
+    /// Clothing of one frame, metres, `[n_v, 3]`, as offsets `d_{j,i} = ṽ_j^C − ṽ^B_{I_j[i]}` from
+    /// the body in the standard pose, `[n_v, n_f, 3]` (eq. 3).
+    pub fn offsets(&self, body: &BodyFrame, clothing: ArrayView2<'_, f64>) -> Result<Array3<f64>> {
+        let standard = points(self.unpose(body, clothing)?.view());
         let mut offsets = Array3::zeros((self.clothing_vertices(), self.neighbours(), 3));
-        for (j, (blend, at)) in blends.iter().zip(points(clothing)).enumerate() {
-            let standard = blend.inverse().transform_point3(at);
+        for (j, standard) in standard.into_iter().enumerate() {
             for (i, &index) in self.indices.row(j).iter().enumerate() {
                 let offset = standard - body.standard[index as usize];
                 for axis in 0..3 {

@@ -29,6 +29,25 @@ impl Scale {
         (&rows - &self.mean) / &self.deviation
     }
 
+    pub(super) fn mean(&self) -> &Array1<f64> {
+        &self.mean
+    }
+
+    /// Adds both to an archive, as `<name>_mean` and `<name>_deviation`.
+    pub(super) fn write(&self, file: &mut NpzWriter, name: &str) -> Result<()> {
+        file.add(&format!("{name}_mean"), &self.mean)?;
+        file.add(&format!("{name}_deviation"), &self.deviation)?;
+        Ok(())
+    }
+
+    /// Reads what [`write`](Self::write) added.
+    pub(super) fn read(file: &mut Npz, name: &str) -> Result<Self> {
+        let mean = vector(file, &format!("{name}_mean"))?;
+        let deviation = vector(file, &format!("{name}_deviation"))?;
+        file.expect_shape(&format!("{name}_deviation"), deviation.shape(), &[Some(mean.len())])?;
+        Ok(Self { mean, deviation })
+    }
+
     fn undo(&self, rows: &Array2<f64>) -> Array2<f64> {
         rows * &self.deviation + &self.mean
     }
@@ -90,11 +109,8 @@ impl Regressor {
         let sizes: Array1<i64> = self.network.sizes().iter().map(|&n| n as i64).collect();
         file.add("sizes", &sizes)?;
         file.add("parameters", self.network.parameters())?;
-        file.add("input_mean", &self.inputs.mean)?;
-        file.add("input_deviation", &self.inputs.deviation)?;
-        file.add("target_mean", &self.targets.mean)?;
-        file.add("target_deviation", &self.targets.deviation)?;
-        Ok(())
+        self.inputs.write(file, "input")?;
+        self.targets.write(file, "target")
     }
 
     /// Reads what [`save`](Self::save) wrote.
@@ -114,18 +130,15 @@ impl Regressor {
             .iter()
             .map(|&n| usize::try_from(n).map_err(|error| fault("sizes", error.to_string())))
             .collect::<Result<_, _>>()?;
-        let mut vector = |name: &str| -> Result<Array1<f64>> {
-            let array = file.f64(name)?;
-            file.expect_shape(name, array.shape(), &[None])?;
-            finite(name, &array)?;
-            Ok(Array1::from_iter(array))
-        };
-        let network = Network::new(&sizes, vector("parameters")?)?;
-        let mut scale = |mean: &str, deviation: &str| -> Result<Scale> {
-            Ok(Scale { mean: vector(mean)?, deviation: vector(deviation)? })
-        };
-        let inputs = scale("input_mean", "input_deviation")?;
-        let targets = scale("target_mean", "target_deviation")?;
+        let network = Network::new(&sizes, vector(file, "parameters")?)?;
+        let (inputs, targets) = (Scale::read(file, "input")?, Scale::read(file, "target")?);
         Self::new(inputs, network, targets)
     }
+}
+
+fn vector(file: &mut Npz, name: &str) -> Result<Array1<f64>> {
+    let array = file.f64(name)?;
+    file.expect_shape(name, array.shape(), &[None])?;
+    finite(name, &array)?;
+    Ok(Array1::from_iter(array))
 }

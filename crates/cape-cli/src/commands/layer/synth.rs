@@ -56,11 +56,22 @@ pub(super) struct Synth {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Kind {
+pub(super) enum Kind {
     Tshirt,
     Shorts,
     Skirt,
     Dress,
+}
+
+impl From<Kind> for GarmentKind {
+    fn from(kind: Kind) -> Self {
+        match kind {
+            Kind::Tshirt => Self::TShirt,
+            Kind::Shorts => Self::Shorts,
+            Kind::Skirt => Self::Skirt,
+            Kind::Dress => Self::Dress,
+        }
+    }
 }
 
 fn exercise(name: &str) -> Result<Exercise, String> {
@@ -82,12 +93,7 @@ impl Synth {
     pub(super) fn run(self, console: Console) -> Result {
         files::require_empty(&self.out)?;
         let model = body(self.body.as_deref())?;
-        let kind = match self.garment {
-            Kind::Tshirt => GarmentKind::TShirt,
-            Kind::Shorts => GarmentKind::Shorts,
-            Kind::Skirt => GarmentKind::Skirt,
-            Kind::Dress => GarmentKind::Dress,
-        };
+        let kind = GarmentKind::from(self.garment);
         let garment = Garment { resolution: 1e-3 * self.resolution, ..Garment::of(kind) };
         let usual = Material::default();
         let design = Design {

@@ -240,7 +240,7 @@ fn write(report: &Report, grid: &Grid, jobs: &[Job], results: &[RowResult]) -> R
             image: &histograms,
         },
     ];
-    let html = report::html(&report.table, grid, &figures)?;
+    let html = report::page(&report.table, grid, &figures)?;
     files::write_text(&at("report.html"), &html)
 }
 
