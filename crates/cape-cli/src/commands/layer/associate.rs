@@ -86,6 +86,9 @@ struct Report {
     /// Clothing vertices that needed a wider support, by the number of rings it was widened.
     widened: Vec<usize>,
     isolated: usize,
+    /// Hits that were left out: from the other side of the clothing than most, or through the body.
+    on_outer_side: usize,
+    blocked: usize,
     inside_body: usize,
     clothing_is_flipped: bool,
     /// How long tying took.
@@ -122,6 +125,8 @@ impl Associate {
             pairs: association.pairs,
             widened: association.completion.widened.clone(),
             isolated: association.completion.isolated,
+            on_outer_side: statistics.on_outer_side,
+            blocked: statistics.blocked,
             inside_body: statistics.inside,
             clothing_is_flipped: statistics.clothing_is_flipped(),
             seconds,

@@ -62,7 +62,7 @@ impl Import {
     pub(super) fn run(self, console: Console) -> Result {
         let model = body(self.body.as_deref())?;
         let (faces, mut sequence) = import(&self.name, &self.meshes, &self.motion, self.fps)?;
-        sequence.parameters = self.parameters;
+        sequence.parameters.clone_from(&self.parameters);
         let own = LayerSet::new(faces, vec![sequence])?;
         // What cannot be tied to the body cannot be learned.
         let tying = Tying { neighbours: 1, frame: 0, standard: Standard::APose };

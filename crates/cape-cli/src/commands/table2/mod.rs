@@ -23,11 +23,11 @@ use crate::{
     console::{Console, seconds},
     error::{Context, Result},
     files,
+    html::Figure,
     interrupt::Interrupt,
     training,
 };
 use figures::Shown;
-use report::Figure;
 
 /// Exit code of an interrupted grid: 128 + SIGINT.
 const INTERRUPTED: u8 = 130;

@@ -132,7 +132,8 @@ impl Laboratory<'_> {
                     image.save(self.path(named, job, "png"))?;
                     // The outcome comes last: where it is, its picture is too.
                     write_json(&self.path(named, job, "json"), &outcome)?;
-                    (outcome, image)
+                    // As it will be read from now on, to the last digit.
+                    self.kept(named, job, &key).unwrap_or((outcome, image))
                 }
                 (None, None) => continue,
             };
