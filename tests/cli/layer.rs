@@ -132,7 +132,8 @@ fn a_skirt_is_learnt_and_predicted() {
 fn an_association_is_shown() {
     let place = tempfile::tempdir().unwrap();
     let out = place.path().join("tied").display().to_string();
-    let line = format!("layer associate {} --compare 1,8 --out {out} --json", skirt().display());
+    let options = "--compare 1,32 --sigma 50 --support 150";
+    let line = format!("layer associate {} {options} --out {out} --json", skirt().display());
     let report = run_line(&line).json();
     assert!(report["pairs"].as_u64().unwrap() > 50, "{report}");
     let change = |k: usize| report["seams"][k]["mean_change"].as_f64().unwrap();

@@ -270,9 +270,10 @@ fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(Motion, Vec<f
             .map_err(|error| cape_core::Error::field(path, name, error.to_string()))?)
     };
     let translations = table(shift)?;
-    let betas = match file.contains("betas") {
-        true => file.f64("betas")?.iter().copied().collect(),
-        false => Vec::new(),
+    let betas = if file.contains("betas") {
+        file.f64("betas")?.iter().copied().collect()
+    } else {
+        Vec::new()
     };
     finite("betas", &betas)?;
     let rate = match frame_rate {

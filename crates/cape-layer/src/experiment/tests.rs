@@ -47,7 +47,7 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
     let body = Surface::new("body", body.posed, model.faces.clone()).unwrap();
     let clothing = set.clothing(0, 0).unwrap();
     let association = AssociateOptions::default().associate(&body, &clothing).unwrap();
-    let unposed = Unposed::new(&model, &set, &association, standard).unwrap();
+    let unposed = Unposed::new(&model, &set, &association, &standard).unwrap();
     let frames: Vec<usize> = (0..set.frames()).collect();
     let exact = unposed.errors(&frames, unposed.rows.view()).unwrap();
     assert!(exact.iter().all(|e| e.largest < 1e-6), "{exact:?}");
@@ -68,7 +68,7 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
 
     let mut two = set.clone();
     two.sequences.push(Sequence { name: "again".into(), ..set.sequences[0].clone() });
-    let both = Unposed::new(&model, &two, &association, StandardPose::default()).unwrap();
+    let both = Unposed::new(&model, &two, &association, &standard).unwrap();
     let same = both.transfer(&[1], &learning, &mut |_| {}).unwrap();
     assert_eq!(same.learnt, regression.learnt, "the held-out sequence plays no part");
     let worst = regression.train.mean.max(regression.predict.mean);

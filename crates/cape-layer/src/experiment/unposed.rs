@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use super::{LayerError, Learning, Learnt, Regression};
 use crate::{
     Association, Error, Keep, LayerPca, Result, StandardPose,
+    offsets::Carrier,
     regress::{Epoch, Features, Semantics},
     sequence::LayerSet,
 };
@@ -12,10 +13,10 @@ use crate::{
 /// A set whose clothing is tied to its bodies and freed from their poses.
 #[derive(Debug, Clone)]
 pub struct Unposed<'a> {
-    model: &'a SmplModel,
     set: &'a LayerSet,
     association: &'a Association,
-    standard: StandardPose,
+    /// What carries the clothing in each frame.
+    carriers: Vec<Carrier>,
     /// Offsets, a row for each frame of [`LayerSet::each_frame`], metres, `[frames, 3 · n_v · n_f]`.
     pub rows: Array2<f64>,
 }
@@ -23,25 +24,28 @@ pub struct Unposed<'a> {
 impl<'a> Unposed<'a> {
     /// Takes the poses out of all frames.
     pub fn new(
-        model: &'a SmplModel,
+        model: &SmplModel,
         set: &'a LayerSet,
         association: &'a Association,
-        standard: StandardPose,
+        standard: &StandardPose,
     ) -> Result<Self> {
         let frames = set.each_frame();
         let numbers = 3 * association.clothing_vertices() * association.neighbours();
-        let rows: Vec<Vec<f64>> = frames
+        let (rows, carriers): (Vec<Vec<f64>>, Vec<Carrier>) = frames
             .par_iter()
             .map(|&(sequence, frame)| {
                 let sequence = &set.sequences[sequence];
-                let body = sequence.body(model, frame, &standard)?;
+                let body = sequence.body(model, frame, standard)?;
                 let clothing = sequence.clothing.index_axis(Axis(0), frame);
-                Ok(association.offsets(&body, clothing)?.into_iter().collect())
+                let offsets = association.offsets(&body, clothing)?;
+                Ok((offsets.into_iter().collect(), association.carry(&body)?))
             })
-            .collect::<Result<_>>()?;
+            .collect::<Result<Vec<_>>>()?
+            .into_iter()
+            .unzip();
         let rows = Array2::from_shape_vec((frames.len(), numbers), rows.concat())
             .map_err(|error| Error::argument(error.to_string()))?;
-        Ok(Self { model, set, association, standard, rows })
+        Ok(Self { set, association, carriers, rows })
     }
 
     /// Frames of the sequences numbered `sequences`, and the others, in order.
@@ -64,20 +68,19 @@ impl<'a> Unposed<'a> {
                 frames.len()
             )));
         }
-        let each = self.set.each_frame();
         let shape = (self.association.clothing_vertices(), self.association.neighbours(), 3);
         frames
             .par_iter()
             .zip(offsets.axis_iter(Axis(0)).into_par_iter())
             .map(|(&index, offsets)| {
-                let (sequence, frame) = *each
+                let carrier = self
+                    .carriers
                     .get(index)
                     .ok_or_else(|| Error::argument(format!("no frame {index} in the set")))?;
                 let offsets = offsets
                     .into_shape_with_order(shape)
                     .map_err(|error| Error::argument(error.to_string()))?;
-                let body = self.set.sequences[sequence].body(self.model, frame, &self.standard)?;
-                self.association.dress(&body, offsets)
+                carrier.dress(self.association, offsets)
             })
             .collect()
     }

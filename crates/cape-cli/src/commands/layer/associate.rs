@@ -4,7 +4,7 @@ use std::{
 };
 
 use cape_core::{SmplModel, ply};
-use cape_layer::{AssociateOptions, LayerSet, StandardPose};
+use cape_layer::{AssociateOptions, LayerSet, StandardPose, geometry::Surface};
 use cape_render::{Image, Tile, View, contact_sheet};
 use cape_train::write_json;
 use clap::Args;
@@ -112,7 +112,8 @@ impl Associate {
             Some(shown) => shown,
             None => most_torn(&model, &set, &tied, &standard)?,
         };
-        let seams = Seams { model: &model, set: &set, tied: &tied, standard, shown };
+        let options = self.tying.options();
+        let seams = Seams { model: &model, set: &set, tied: &tied, standard, options, shown };
         let (image, seams) = seams.compare(&self.compare)?;
         image.save(self.out.join("seams.png"))?;
         let association = &tied.association;
@@ -166,7 +167,7 @@ impl Report {
 /// Writes the association: association.png, body.ply and clothing.ply in colours by place on the
 /// body, so that what is tied to each other looks the same.
 pub(super) fn draw(tied: &Tied, out: &Path) -> Result {
-    let [body, clothing] = [&tied.body, &tied.clothing].map(|surface| surface.to_mesh());
+    let [body, clothing] = [&tied.body, &tied.clothing].map(Surface::to_mesh);
     let of_body = by_place(&tied.body)?;
     let eight: Vec<[u8; 3]> = of_body.iter().copied().map(eight_bit).collect();
     let of_clothing = tied.association.colours(&eight)?;
@@ -193,6 +194,7 @@ struct Seams<'a> {
     set: &'a LayerSet,
     tied: &'a Tied,
     standard: StandardPose,
+    options: AssociateOptions,
     shown: usize,
 }
 
@@ -211,7 +213,7 @@ impl Seams<'_> {
         let edges = self.tied.clothing.edges();
         let mut unposed = Vec::new();
         for &neighbours in counts {
-            let options = AssociateOptions { neighbours, ..AssociateOptions::default() };
+            let options = AssociateOptions { neighbours, ..self.options };
             let association = options.associate(&self.tied.body, &self.tied.clothing)?;
             unposed.push(association.unpose(&body, posed)?);
         }
@@ -233,7 +235,7 @@ impl Seams<'_> {
             }
             let stage = Stage::around([mesh], View::Front, HEIGHT)?;
             let image = stage.show(None, mesh, Some(&shades(&worst, TORN)))?;
-            tiles.push(Tile { image, label: format!("{neighbours} body vertices") });
+            tiles.push(Tile { image, label: format!("following {neighbours}") });
             seams.push(Seam::of(neighbours, changes));
         }
         let title = "change of edges, 0 to 100 %, when the pose is taken out";

@@ -4,10 +4,7 @@ use cape_layer::{LayerSet, import};
 use clap::Args;
 use serde::Serialize;
 
-use super::{
-    body, named,
-    tying::{Standard, Tying},
-};
+use super::{body, named, tying::Tying};
 use crate::{
     console::Console,
     error::{Error, Result},
@@ -65,8 +62,7 @@ impl Import {
         sequence.parameters.clone_from(&self.parameters);
         let own = LayerSet::new(faces, vec![sequence])?;
         // What cannot be tied to the body cannot be learned.
-        let tying = Tying { neighbours: 1, frame: 0, standard: Standard::APose };
-        tying.tie(&model, &own, console)?;
+        Tying::default().tie(&model, &own, console)?;
         let set = self.joined(own)?;
         files::create_dir(&self.set)?;
         set.save(&self.set)?;

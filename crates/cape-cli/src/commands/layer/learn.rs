@@ -80,7 +80,7 @@ impl Learn {
         let learning = self.lessons.learning(global.seed.unwrap_or(1))?;
         let tied = self.tying.tie(&model, &set, console)?;
         let association = &tied.association;
-        let unposed = Unposed::new(&model, &set, association, self.tying.standard())?;
+        let unposed = Unposed::new(&model, &set, association, &self.tying.standard())?;
         let mut counts = vec![1, 5, components];
         counts.sort_unstable();
         counts.dedup();

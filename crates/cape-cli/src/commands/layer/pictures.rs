@@ -27,7 +27,7 @@ impl Stage {
         let bounds = Bounds::of_meshes(meshes)
             .ok_or_else(|| Error::message("nothing to draw: the meshes have no vertices"))?;
         let size = bounds.max - bounds.min;
-        let aspect = (size.x.max(size.z) / size.y.max(1e-3)).clamp(0.4, 1.2);
+        let aspect = (size.x.max(size.z) / size.y.max(1e-3)).clamp(0.6, 1.2);
         let width = (height as f32 * aspect).round() as u32;
         let style = Style { width, height, ..Style::default() };
         let camera = Camera::framing(&bounds, view, Projection::default(), aspect);

@@ -21,12 +21,26 @@ pub(super) struct Tying {
     /// Body vertices for each clothing vertex.
     #[arg(long, default_value_t = 4, value_name = "N", value_parser = at_least_one)]
     pub(super) neighbours: usize,
+    /// How far a pair of body and clothing vertex is felt, σ, over both meshes, millimetres.
+    #[arg(long, default_value_t = 10.0, value_name = "MM")]
+    pub(super) sigma: f64,
+    /// Distance over either mesh beyond which it is not, millimetres.
+    #[arg(long, default_value_t = 30.0, value_name = "MM")]
+    pub(super) support: f64,
     /// Frame, counted over all sequences, in which clothing is tied to the body.
     #[arg(long, default_value_t = 0, value_name = "K")]
     pub(super) frame: usize,
     /// The pose that clothing is brought to.
     #[arg(long, value_enum, default_value_t = Standard::APose)]
     pub(super) standard: Standard,
+}
+
+impl Default for Tying {
+    fn default() -> Self {
+        let AssociateOptions { neighbours, sigma, support, .. } = AssociateOptions::default();
+        let (sigma, support) = (1e3 * sigma, 1e3 * support);
+        Self { neighbours, sigma, support, frame: 0, standard: Standard::APose }
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -50,6 +64,15 @@ impl Tying {
         }
     }
 
+    pub(super) fn options(&self) -> AssociateOptions {
+        AssociateOptions {
+            neighbours: self.neighbours,
+            sigma: 1e-3 * self.sigma,
+            support: 1e-3 * self.support,
+            ..AssociateOptions::default()
+        }
+    }
+
     /// Ties the set's clothing to its body, and says what is odd about them.
     pub(super) fn tie(&self, model: &SmplModel, set: &LayerSet, console: Console) -> Result<Tied> {
         let each = set.each_frame();
@@ -59,9 +82,7 @@ impl Tying {
         let body = set.sequences[sequence].body(model, frame, &self.standard())?;
         let body = Surface::new("body", body.posed, model.faces.clone())?;
         let clothing = set.clothing(sequence, frame)?;
-        let options =
-            AssociateOptions { neighbours: self.neighbours, ..AssociateOptions::default() };
-        let association = options.associate(&body, &clothing)?;
+        let association = self.options().associate(&body, &clothing)?;
         for oddity in oddities(&association) {
             console.note(&format!("sequence `{}`: {oddity}", set.sequences[sequence].name));
         }

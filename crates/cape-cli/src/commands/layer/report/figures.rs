@@ -32,7 +32,10 @@ impl Shown {
     /// The frame numbered `frame` as it is.
     pub(super) fn truth(named: &Named, frame: usize) -> Self {
         let (sequence, of) = named.set.each_frame()[frame];
-        let label = format!("{}, {of}", named.set.sequences[sequence].name);
+        let name = &named.set.sequences[sequence].name;
+        // The subject, size and material are said elsewhere.
+        let movement = name.rsplit_once('_').map_or(name.as_str(), |(_, last)| last);
+        let label = format!("{movement}, frame {of}");
         Self { label, frame, clothing: None }
     }
 }

@@ -159,7 +159,7 @@ impl Laboratory<'_> {
 
     fn unpose<'b>(&'b self, named: &'b Named, tied: &'b Tied) -> Result<Unposed<'b>> {
         let standard = self.tying.standard();
-        Ok(Unposed::new(self.model, &named.set, &tied.association, standard)?)
+        Ok(Unposed::new(self.model, &named.set, &tied.association, &standard)?)
     }
 
     fn run(&self, named: &Named, unposed: &Unposed, job: Job) -> Result<(Outcome, Image)> {
@@ -215,7 +215,7 @@ impl Laboratory<'_> {
             let pca = all.truncated(count);
             let offsets = pca.decode(pca.encode(row)?.view())?;
             let clothing = unposed.dressed(&[frames[middle]], offsets.view())?;
-            let label = format!("{count} components");
+            let label = format!("by {count}");
             shown
                 .extend(clothing.into_iter().map(|c| Shown::new(label.clone(), frames[middle], c)));
         }

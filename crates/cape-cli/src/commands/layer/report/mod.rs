@@ -6,7 +6,7 @@ mod jobs;
 mod sets;
 mod tables;
 
-use std::path::PathBuf;
+use std::{fmt::Write as _, path::PathBuf};
 
 use cape_core::{SmplModel, parse_device};
 use cape_layer::LayerSet;
@@ -213,7 +213,8 @@ impl Report {
             page += &Figure { title, caption, image }.html()?;
         }
         let settings = format!("{:#?}", (&self.tying, &self.lessons));
-        page += &format!(
+        let _ = writeln!(
+            page,
             "<h2>How</h2><p>cape {}</p><pre>{}</pre>",
             env!("CARGO_PKG_VERSION"),
             html::escaped(&settings)
@@ -302,7 +303,7 @@ impl Written {
 
     fn reconstructions(&self) -> Table {
         let counts = self.reconstruction.first().map_or(&[][..], |line| &line.components);
-        let counts = counts.iter().map(|count| count.to_string());
+        let counts = counts.iter().map(ToString::to_string);
         let header = ["set", "sequence", "frames"].into_iter().map(str::to_owned).chain(counts);
         let rows = self.reconstruction.iter().map(|line| {
             let mut cells = vec![line.set.clone(), line.sequence.clone(), line.frames.to_string()];
