@@ -6,6 +6,9 @@ use ndarray::{Array1, Array2, ArrayView2, Axis};
 use super::Network;
 use crate::{Error, Result, error::finite};
 
+/// Standard deviations from its mean beyond which an input counts no further.
+const FURTHEST: f64 = 3.0;
+
 /// Means and standard deviations of columns.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Scale {
@@ -27,6 +30,12 @@ impl Scale {
 
     pub(super) fn apply(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {
         (&rows - &self.mean) / &self.deviation
+    }
+
+    /// As [`apply`](Self::apply), but no further from the mean than [`FURTHEST`]: a joint that hardly
+    /// moved in training must not decide everything when it does later.
+    pub(super) fn bounded(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {
+        self.apply(rows).mapv_into(|x| x.clamp(-FURTHEST, FURTHEST))
     }
 
     pub(super) fn mean(&self) -> &Array1<f64> {
@@ -83,7 +92,8 @@ impl Regressor {
         &self.network
     }
 
-    /// Targets `[n, outputs]` of inputs `[n, inputs]`, both in their own units. Frames do not
+    /// Targets `[n, outputs]` of inputs `[n, inputs]`, both in their own units. Inputs further than
+    /// three standard deviations from the mean that was learned from are taken as if they were not. Frames do not
     /// depend on each other: an animation can be predicted frame by frame as it arrives.
     pub fn predict(&self, inputs: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
         if inputs.ncols() != self.inputs.mean.len() {
@@ -94,7 +104,7 @@ impl Regressor {
             )));
         }
         finite("inputs", inputs)?;
-        Ok(self.targets.undo(&self.network.forward(self.inputs.apply(inputs).view())?))
+        Ok(self.targets.undo(&self.network.forward(self.inputs.bounded(inputs).view())?))
     }
 
     /// Writes everything as one `.npz`, atomically.

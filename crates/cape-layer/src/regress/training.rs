@@ -106,9 +106,9 @@ impl Training {
         let plain = pick(inputs, &training_frames);
         let wanted = pick(targets, &training_frames);
         let (of_inputs, of_targets) = (Scale::of(plain.view()), Scale::of(wanted.view()));
-        let (plain, wanted) = (of_inputs.apply(plain.view()), of_targets.apply(wanted.view()));
+        let (plain, wanted) = (of_inputs.bounded(plain.view()), of_targets.apply(wanted.view()));
         let (x, y) = self.augmented(&plain, &wanted, noisy, &mut rng)?;
-        let held_x = of_inputs.apply(pick(inputs, &validation_frames).view());
+        let held_x = of_inputs.bounded(pick(inputs, &validation_frames).view());
         let held_y = of_targets.apply(pick(targets, &validation_frames).view());
 
         let mut sizes = vec![inputs.ncols()];

@@ -128,6 +128,13 @@ impl Bench<'_> {
             pca.decode(&code.insert_axis(Axis(0)).view()).remove_axis(Axis(0)).to_vec()
         };
         let reconstruction_mm = self.error(|row| Ok(decode(encode(self.test, row)?)))?;
+        // As many numbers as CAPE has.
+        let few = self.run.config().model.latent.min(components);
+        let few_mm = self.error(|row| {
+            let mut code = encode(self.test, row)?;
+            code.slice_mut(ndarray::s![few..]).fill(0.0);
+            Ok(decode(code))
+        })?;
         let mean_mm = self.error(|_| Ok(pca.mean.to_vec()))?;
 
         let frames: Vec<usize> = rows.collect();
@@ -159,7 +166,8 @@ impl Bench<'_> {
             prediction_mm,
             ..plain.clone()
         };
-        Ok(vec![plain, layer])
+        let fewer = Compared { code: few, reconstruction_mm: few_mm, ..plain.clone() };
+        Ok(vec![fewer, plain, layer])
     }
 
     fn cape(&self) -> Result<Compared> {
