@@ -82,12 +82,12 @@ fn rays_that_other_parts_of_the_body_block_or_send_are_left_out() {
     let found = Pairs::find(&body, &tube, 0.15).unwrap();
     assert!(!found.statistics.clothing_is_flipped());
     let RayStatistics { on_outer_side, blocked, .. } = found.statistics;
-    assert!(on_outer_side > 50 && blocked > 50, "{:?}", found.statistics);
+    assert!(on_outer_side > 20 && blocked > 10, "{:?}", found.statistics);
     for pair in &found.pairs {
         assert!(pair.body < starts[2], "{pair:?} is of the hand");
         let side = tube.vertices[pair.clothing as usize].x;
         let own = body.vertices[pair.body as usize].x;
-        assert!(side * own > 0.0 || side.abs() < 0.03, "{pair:?} crosses to the other leg");
+        assert!(side * own > 0.0 || side.abs() < 0.08, "{pair:?} crosses to the other leg");
     }
     let turned = Surface {
         faces: tube.faces.iter().map(|&[a, b, c]| [a, c, b]).collect(),

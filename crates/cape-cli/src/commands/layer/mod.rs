@@ -24,7 +24,8 @@ use crate::{arguments::Global, console::Console, error::Result};
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape layer synth --garment skirt --out skirt\n  \
                   cape layer learn skirt --out learnt\n  \
-                  cape layer predict learnt/layer.npz --motion squats --out predicted")]
+                  cape layer predict learnt/layer.npz --motion squats --out predicted\n  \
+                  cape layer report --quick --out quick")]
 pub(crate) struct Layer {
     #[command(subcommand)]
     command: Command,
