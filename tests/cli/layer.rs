@@ -1,20 +1,69 @@
-//! A clothing layer of its own topology: simulated, learnt, predicted.
+//! A clothing layer of its own topology: simulated, imported, tied, learnt, predicted, reported.
 
-use std::fs;
+use std::{
+    fs,
+    io::Write,
+    path::Path,
+    process::{Output, Stdio},
+    sync::OnceLock,
+};
 
-use cape::core::Mesh;
+use cape::{
+    core::{Mesh, npy::NpzWriter},
+    layer::LayerSet,
+};
+use ndarray::Axis;
+use tempfile::TempDir;
 
-use crate::support::run_line;
+use crate::support::{Ran, cape, run_line};
+
+/// A short march in a coarse skirt.
+fn skirt() -> &'static Path {
+    static SKIRT: OnceLock<TempDir> = OnceLock::new();
+    let place = SKIRT.get_or_init(|| {
+        let place = tempfile::tempdir().unwrap();
+        let out = place.path().join("set");
+        let options = "--garment skirt --exercises march --frames 8 --resolution 50";
+        let line = format!("layer synth {options} --out {} --json", out.display());
+        let report = run_line(&line).json();
+        assert_eq!((&report["sequences"], &report["frames"]), (&1.into(), &8.into()));
+        place
+    });
+    Box::leak(place.path().join("set").into_boxed_path())
+}
+
+/// The set's first sequence as meshes and an archive, changed as wanted, in a directory of its own.
+fn captured(change: impl Fn(usize, &mut Mesh)) -> TempDir {
+    let place = tempfile::tempdir().unwrap();
+    let set = LayerSet::load(skirt()).unwrap();
+    let meshes = place.path().join("meshes");
+    fs::create_dir(&meshes).unwrap();
+    for frame in 0..set.frames() {
+        let mut mesh = set.clothing(0, frame).unwrap().to_mesh();
+        change(frame, &mut mesh);
+        mesh.save(meshes.join(format!("{frame:04}.ply"))).unwrap();
+    }
+    let motion = &set.sequences[0].motion;
+    let mut file = NpzWriter::create(place.path().join("smpl.npz")).unwrap();
+    file.add("poses", &motion.poses).unwrap();
+    file.add("trans", &motion.translations).unwrap();
+    file.finish().unwrap();
+    place
+}
+
+fn import(captured: &TempDir, set: &Path, name: &str) -> Ran {
+    let at = |name: &str| captured.path().join(name).display().to_string();
+    let (meshes, motion) = (at("meshes"), at("smpl.npz"));
+    let set = set.display();
+    let options = format!("--set {set} --name {name} --fps 30 --parameters length=0.85");
+    run_line(&format!("layer import {meshes} {motion} {options} --json"))
+}
 
 #[test]
-fn a_skirt_is_simulated_learnt_and_predicted() {
+fn a_skirt_is_learnt_and_predicted() {
     let place = tempfile::tempdir().unwrap();
     let at = |name: &str| place.path().join(name).display().to_string();
-    let (set, learnt, predicted) = (at("set"), at("learnt"), at("predicted"));
-    let options = "--garment skirt --exercises march --frames 8 --resolution 50";
-    let report = run_line(&format!("layer synth {options} --out {set} --json")).json();
-    assert_eq!((&report["sequences"], &report["frames"]), (&1.into(), &8.into()));
-
+    let (set, learnt, predicted) = (skirt().display(), at("learnt"), at("predicted"));
     let report =
         run_line(&format!("layer learn {set} --components 3 --out {learnt} --json")).json();
     let errors = report["reconstruction"][0]["errors"].as_array().unwrap();
@@ -24,18 +73,160 @@ fn a_skirt_is_simulated_learnt_and_predicted() {
     let clothing = Mesh::load(format!("{learnt}/clothing.ply")).unwrap();
 
     let layer = format!("{learnt}/layer.npz");
-    let parameters = "--parameters 1,1,1,0,0,0,0,0";
-    run_line(&format!("layer predict {layer} --seconds 0.1 --out {predicted} --json {parameters}"))
-        .succeeded();
+    let named = "--parameters length=0.9,friction=0.2";
+    let line = format!("layer predict {layer} --seconds 0.1 --out {predicted} --json {named}");
+    let report = run_line(&line).json();
+    assert_eq!(report["parameters"][0], serde_json::json!(["length", 0.9]));
     let frame = Mesh::load(format!("{predicted}/frame-00002.ply")).unwrap();
     assert_eq!(frame.vertices.len(), clothing.vertices.len());
-    assert_eq!(fs::read_dir(&predicted).unwrap().count(), 3);
+    assert_eq!(fs::read_dir(&predicted).unwrap().count(), 4, "three frames and a picture");
 
     run_line(&format!("layer predict {layer} --out {predicted}"))
         .failed_saying(&["exists already"]);
-    run_line(&format!("layer predict {layer} --out {}", at("other")))
-        .failed_saying(&["semantic parameters"]);
+    run_line(&format!("layer predict {layer} --parameters collar=1 --out {}", at("other")))
+        .failed_saying(&["`collar`", "length"]);
     run_line(&format!("layer learn {learnt} --out {}", at("other"))).failed_saying(&["learnt"]);
+    run_line(&format!("layer learn {set} --components 40 --out {}", at("other")))
+        .failed_saying(&["40 principal components of 6 frames", "expected 1 to 5"]);
+
+    // The same motion from an archive, from rows of text, and from rows as they arrive.
+    let sequence = &LayerSet::load(skirt()).unwrap().sequences[0];
+    let motion = &sequence.motion;
+    let rows = motion.poses.rows().into_iter().zip(motion.translations.rows());
+    let text: String = rows
+        .map(|(pose, transl)| {
+            let numbers = pose.iter().chain(transl).map(|x| (*x as f32).to_string());
+            numbers.collect::<Vec<_>>().join(",") + "\n"
+        })
+        .collect();
+    fs::write(at("rows.csv"), &text).unwrap();
+    let archive = skirt().join(format!("{}.npz", sequence.name)).display().to_string();
+    let of = |motion: &str, out: &str| {
+        format!("layer predict {layer} --motion {motion} --format obj --out {}", at(out))
+    };
+    run_line(&of(&at("rows.csv"), "rows")).succeeded();
+    run_line(&of(&archive, "archive")).succeeded();
+    let mut child = cape(of("-", "stream").split_whitespace())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    child.stdin.take().unwrap().write_all(text.as_bytes()).unwrap();
+    let output: Output = child.wait_with_output().unwrap();
+    Ran::from(output).succeeded();
+    for frame in 0..sequence.frames() {
+        let read = |from: &str| fs::read(format!("{}/frame-{frame:05}.obj", at(from))).unwrap();
+        assert_eq!(read("rows"), read("stream"));
+        let [one, other] = ["rows", "archive"]
+            .map(|from| Mesh::load(format!("{}/frame-{frame:05}.obj", at(from))).unwrap());
+        for (p, q) in one.vertices.iter().zip(&other.vertices) {
+            assert!(p.iter().zip(q).all(|(a, b)| (a - b).abs() < 1e-4), "{p:?} {q:?}");
+        }
+    }
+    fs::write(at("bad.csv"), "1,2,3\n").unwrap();
+    run_line(&of(&at("bad.csv"), "bad")).failed_saying(&["line 1", "3 numbers, expected 72"]);
+}
+
+#[test]
+fn an_association_is_shown() {
+    let place = tempfile::tempdir().unwrap();
+    let out = place.path().join("tied").display().to_string();
+    let options = "--compare 1,32 --sigma 50 --support 150";
+    let line = format!("layer associate {} {options} --out {out} --json", skirt().display());
+    let report = run_line(&line).json();
+    assert!(report["pairs"].as_u64().unwrap() > 50, "{report}");
+    let change = |k: usize| report["seams"][k]["mean_change"].as_f64().unwrap();
+    assert!(change(1) < change(0), "more body vertices tear the cloth less: {report}");
+    for name in ["association.png", "seams.png", "body.ply", "clothing.ply", "association.json"] {
+        assert!(fs::metadata(format!("{out}/{name}")).unwrap().len() > 0, "{name}");
+    }
+}
+
+#[test]
+fn sequences_are_imported_and_odd_ones_told() {
+    let place = tempfile::tempdir().unwrap();
+    let set = place.path().join("own");
+    let plain = captured(|_, _| {});
+    let report = import(&plain, &set, "walk").json();
+    assert_eq!((&report["frames"], &report["sequences"]), (&8.into(), &1.into()));
+    let back = LayerSet::load(&set).unwrap();
+    let known = LayerSet::load(skirt()).unwrap();
+    assert_eq!(back.sequences[0].clothing, known.sequences[0].clothing);
+    import(&plain, &set, "walk").failed_saying(&["--name walk"]);
+
+    let flipped = captured(|_, mesh| mesh.faces.iter_mut().for_each(|f| f.swap(1, 2)));
+    import(&flipped, &set, "flipped").failed_saying(&["same topology"]);
+    let alone = place.path().join("flipped");
+    let said = import(&flipped, &alone, "flipped");
+    assert!(said.err.contains("faces are flipped"), "{}", said.err);
+    said.succeeded();
+
+    let other = captured(|_, mesh| mesh.faces.truncate(100));
+    import(&other, &set, "other").failed_saying(&["same topology"]);
+    let ragged = captured(|frame, mesh| mesh.faces.truncate(100 + frame));
+    import(&ragged, &alone, "ragged").failed_saying(&["0001.ply", "other faces"]);
+    let late = captured(|_, _| {});
+    fs::remove_file(late.path().join("meshes/0003.ply")).unwrap();
+    import(&late, &set, "late").failed_saying(&["out of step"]);
+    let broken = captured(|frame, mesh| {
+        if frame == 2 {
+            mesh.vertices[5][1] = f32::NAN;
+        }
+    });
+    import(&broken, &set, "broken").failed_saying(&["not"]);
+    let away = captured(|_, mesh| mesh.vertices.iter_mut().for_each(|v| v[0] += 3.0));
+    import(&away, &set, "away").failed_saying(&["none of", "rays"]);
+    // Drawn in towards the middle of the trunk.
+    let middle = known.sequences[0].clothing.index_axis(Axis(0), 0).mean_axis(Axis(0)).unwrap();
+    let sunk = captured(|_, mesh| {
+        for v in &mut mesh.vertices {
+            for k in [0, 2] {
+                v[k] = middle[k] as f32 + 0.2 * (v[k] - middle[k] as f32);
+            }
+        }
+    });
+    let sunk = import(&sunk, &place.path().join("sunk"), "sunk");
+    assert!(sunk.err.contains("inside the body"), "{}", sunk.err);
+    assert_eq!(LayerSet::load(&set).unwrap().sequences.len(), 1);
+}
+
+#[test]
+fn a_report_is_written_and_kept() {
+    let place = tempfile::tempdir().unwrap();
+    // Two marches and a size more, of which one is the other a little larger.
+    let known = LayerSet::load(skirt()).unwrap();
+    let mut larger = known.sequences[0].clone();
+    larger.name = "larger_march".into();
+    larger.clothing.mapv_inplace(|x| 1.01 * x);
+    larger.parameters[0].1 *= 1.1;
+    let set = place.path().join("marches");
+    let sequences = vec![known.sequences[0].clone(), larger];
+    LayerSet::new(known.faces.clone(), sequences).unwrap().save(&set).unwrap();
+    let out = place.path().join("report");
+    let line =
+        format!("layer report {} --components 4 --out {} --json", set.display(), out.display());
+    let first = run_line(&line);
+    let report: serde_json::Value = serde_json::from_str(&first.out).expect(&first.err);
+    assert_eq!(report["reconstruction"].as_array().unwrap().len(), 2);
+    let lines = report["regression"].as_array().unwrap();
+    let of = |factor: &str| lines.iter().filter(|line| line["factor"] == factor).count();
+    assert_eq!((of(""), of("fit"), of("shape"), of("motion")), (3, 2, 0, 0));
+    for line in lines {
+        let [space, predict] = ["space_mm", "predict_mm"].map(|key| line[key].as_f64().unwrap());
+        assert!(space <= predict + 1e-9, "{line}");
+    }
+    let page = fs::read(out.join("report.html")).unwrap();
+    assert!(String::from_utf8_lossy(&page).contains("table 2"));
+    for name in ["reconstruction.csv", "regression.csv", "new.csv", "marches-fit.png"] {
+        assert!(fs::metadata(out.join(name)).unwrap().len() > 0, "{name}");
+    }
+    let again = run_line(&line);
+    assert!(again.err.contains("marches, fit: done before"), "{}", again.err);
+    assert_eq!(again.out, first.out);
+    assert_eq!(fs::read(out.join("report.html")).unwrap(), page);
+    let other = run_line(&format!("{line} --neighbours 2"));
+    assert!(!other.err.contains("done before"), "{}", other.err);
 }
 
 #[test]

@@ -4,12 +4,12 @@ use cape_core::{
     SmplModel,
     npy::{Npz, NpzWriter},
 };
-use ndarray::{Array1, Array2, ArrayD, Dimension, arr1, s};
+use ndarray::{Array1, Array2, ArrayD, Axis, Dimension, arr1};
 
 use crate::{
     Association, BodyFrame, Error, LayerPca, Result, StandardPose,
     error::finite,
-    regress::{Features, Motion, Regressor},
+    regress::{Arrived, FeatureStream, Features, Motion, Regressor, Semantics},
 };
 
 /// A learned clothing layer: all that predicts clothing for a body in motion.
@@ -25,52 +25,105 @@ pub struct Layer {
     pub pca: LayerPca,
     /// What the regression sees of the motion.
     pub features: Features,
-    /// Names of the semantic parameters that follow.
-    pub parameters: Vec<String>,
+    /// The sizes and materials that it sees besides.
+    pub semantics: Semantics,
     /// From motion and parameters to the space's coordinates.
     pub regressor: Regressor,
 }
 
+/// Clothing of one frame as a layer predicts it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Predicted {
+    /// The frame's number, from 0.
+    pub frame: usize,
+    /// The body in the frame.
+    pub body: BodyFrame,
+    /// Clothing vertices, metres, `[n_v, 3]`.
+    pub clothing: Array2<f64>,
+}
+
+/// Prediction over a motion that arrives frame by frame; see [`Layer::stream`].
+#[derive(Debug, Clone)]
+pub struct LayerStream<'a> {
+    layer: &'a Layer,
+    model: &'a SmplModel,
+    shape: Array2<f64>,
+    semantics: Vec<f64>,
+    features: FeatureStream,
+}
+
+impl LayerStream<'_> {
+    /// Takes the next frame: axis-angles `[3 · joints]`, radians, and a translation, metres. Gives
+    /// the frame before, whose speeds are now known.
+    ///
+    /// # Errors
+    /// If numbers are not finite, or not of as many joints as the layer learned from.
+    pub fn push(&mut self, pose: &[f64], transl: [f64; 3]) -> Result<Option<Predicted>> {
+        let arrived = self.features.push(pose, transl)?;
+        arrived.map(|arrived| self.dress(&arrived)).transpose()
+    }
+
+    /// The next of the frames that are left when no more come; none at last.
+    pub fn finish(&mut self) -> Result<Option<Predicted>> {
+        let arrived = self.features.finish()?;
+        arrived.map(|arrived| self.dress(&arrived)).transpose()
+    }
+
+    fn dress(&self, arrived: &Arrived) -> Result<Predicted> {
+        let Layer { association, pca, regressor, standard, .. } = self.layer;
+        let input = Array1::from_iter(arrived.row.iter().chain(&self.semantics).copied());
+        let code = regressor.predict(input.view().insert_axis(Axis(0)))?;
+        let size = (association.clothing_vertices(), association.neighbours(), 3);
+        let offsets = pca
+            .decode(code.view())?
+            .into_shape_with_order(size)
+            .map_err(|error| Error::argument(error.to_string()))?;
+        let body =
+            BodyFrame::new(self.model, &self.shape, &arrived.pose, arrived.transl, standard)?;
+        let clothing = association.dress(&body, offsets.view())?;
+        Ok(Predicted { frame: arrived.frame, body, clothing })
+    }
+}
+
 impl Layer {
-    /// Predicts clothing over a body with the unclothed rest shape `[V, 3]`, frame by frame:
-    /// `each` gets every frame's vertices, metres, `[n_v, 3]`, as they are made, and ends the
-    /// prediction by an error. `parameters` are the semantic ones in the layer's order.
+    /// Predicts clothing frame by frame over a body with the unclothed rest shape `[V, 3]`, for
+    /// semantic parameters in the layer's order.
+    pub fn stream<'a>(
+        &'a self,
+        model: &'a SmplModel,
+        shape: &Array2<f64>,
+        frame_rate: f64,
+        parameters: &[f64],
+    ) -> Result<LayerStream<'a>> {
+        let semantics = self.semantics.reduced(parameters)?;
+        let features = FeatureStream::new(self.features, frame_rate);
+        Ok(LayerStream { layer: self, model, shape: shape.clone(), semantics, features })
+    }
+
+    /// Predicts clothing over a whole motion: `each` gets every frame as it is made, and ends the
+    /// prediction by an error.
     pub fn predict(
         &self,
         model: &SmplModel,
         shape: &Array2<f64>,
         motion: &Motion,
         parameters: &[f64],
-        each: &mut dyn FnMut(usize, Array2<f64>) -> Result<()>,
+        each: &mut dyn FnMut(Predicted) -> Result<()>,
     ) -> Result<()> {
-        if parameters.len() != self.parameters.len() {
-            return Err(Error::argument(format!(
-                "{} semantic parameters, expected {}: {}",
-                parameters.len(),
-                self.parameters.len(),
-                self.parameters.join(", ")
-            )));
-        }
-        let rows = self.features.rows(motion);
-        let size = (self.association.clothing_vertices(), self.association.neighbours(), 3);
+        let mut stream = self.stream(model, shape, motion.frame_rate, parameters)?;
         for frame in 0..motion.frames() {
-            let row = rows.row(frame);
-            let input = Array1::from_iter(row.iter().chain(parameters).copied());
-            let code = self.regressor.predict(input.slice(s![..]).insert_axis(ndarray::Axis(0)))?;
-            let offsets = self.pca.decode(code.view())?;
-            let offsets = offsets
-                .into_shape_with_order(size)
-                .map_err(|error| Error::argument(error.to_string()))?;
-            let pose = motion.poses.row(frame).to_vec();
             let transl = [0, 1, 2].map(|axis| motion.translations[(frame, axis)]);
-            let body = BodyFrame::new(model, shape, &pose, transl, &self.standard)?;
-            each(frame, self.association.dress(&body, offsets.view())?)?;
+            if let Some(predicted) = stream.push(&motion.poses.row(frame).to_vec(), transl)? {
+                each(predicted)?;
+            }
+        }
+        while let Some(predicted) = stream.finish()? {
+            each(predicted)?;
         }
         Ok(())
     }
 
-    /// Writes everything as one `.npz`, atomically. The names of the parameters are their UTF-8,
-    /// one a line.
+    /// Writes everything as one `.npz`, atomically.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let corners: Array1<i64> = self.faces.iter().flatten().map(|&v| i64::from(v)).collect();
         let joints = cape_core::joints::JOINTS;
@@ -87,8 +140,7 @@ impl Layer {
         file.add("total_variance", &arr1(&[self.pca.total_variance]))?;
         let features = [flag(speed), flag(angles), flag(angular_speeds), smoothing];
         file.add("features", &arr1(&features))?;
-        let names: Array1<i64> = self.parameters.join("\n").bytes().map(i64::from).collect();
-        file.add("parameter_names", &names)?;
+        self.semantics.write(&mut file)?;
         self.regressor.write(&mut file)?;
         Ok(file.finish()?)
     }
@@ -124,17 +176,14 @@ impl Layer {
         let on = |k: usize| numbers[k] != 0.0;
         let features =
             Features { speed: on(0), angles: on(1), angular_speeds: on(2), smoothing: numbers[3] };
-        let bytes = naturals(file, "parameter_names")?.into_iter().map(|b| b as u8).collect();
-        let names = String::from_utf8(bytes)
-            .map_err(|error| fault(file, "parameter_names", error.to_string()))?;
+        let semantics = Semantics::read(file)?;
         let regressor = Regressor::read(file)?;
         if regressor.network().sizes().last() != Some(&pca.len()) {
             let message = format!("does not end in {} components", pca.len());
             return Err(fault(file, "sizes", message));
         }
         let standard = StandardPose::Other(vector(file, "standard_pose", None)?.to_vec());
-        let parameters = names.lines().map(str::to_owned).collect();
-        Ok(Self { faces, association, standard, pca, features, parameters, regressor })
+        Ok(Self { faces, association, standard, pca, features, semantics, regressor })
     }
 }
 

@@ -20,7 +20,7 @@ pub mod synth;
 
 pub use associate::{AssociateOptions, Association};
 pub use error::{Error, Result};
-pub use layer::Layer;
-pub use offsets::{BodyFrame, StandardPose};
+pub use layer::{Layer, LayerStream, Predicted};
+pub use offsets::{BodyFrame, Carrier, StandardPose};
 pub use pca::{Keep, LayerPca};
-pub use sequence::{LayerSet, Sequence, import};
+pub use sequence::{LayerSet, Sequence, import, import_motion};

@@ -2,7 +2,7 @@
 
 use cape_core::SmplModel;
 use glam::{DAffine3, DVec3};
-use ndarray::{Array1, Array2, Array3, ArrayView2, ArrayView3};
+use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayView3};
 
 use crate::{Error, Result, associate::Association, error::finite, geometry::points};
 
@@ -108,15 +108,26 @@ impl Association {
         Ok(blends)
     }
 
-    /// Clothing of one frame, metres, `[n_v, 3]`, as offsets `d_{j,i} = ṽ_j^C − ṽ^B_{I_j[i]}` from
-    /// the body in the standard pose, `[n_v, n_f, 3]` (eq. 3).
-    pub fn offsets(&self, body: &BodyFrame, clothing: ArrayView2<'_, f64>) -> Result<Array3<f64>> {
+    /// Clothing of one frame, metres, `[n_v, 3]`, in the body's standard pose: `ṽ_j^C`, each vertex
+    /// by the inverse of its blended transform, `[n_v, 3]` (eq. 2).
+    pub fn unpose(&self, body: &BodyFrame, clothing: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
         self.check_clothing(clothing.shape())?;
         finite("clothing", clothing)?;
         let blends = self.blends(body)?;
+        let mut standard = Array2::zeros((self.clothing_vertices(), 3));
+        for ((blend, at), mut row) in blends.iter().zip(points(clothing)).zip(standard.rows_mut()) {
+            let unposed = blend.inverse().transform_point3(at).to_array();
+            row.iter_mut().zip(unposed).for_each(|(to, from)| *to = from);
+        }
+        Ok(standard)
+    }
+
+    /// Clothing of one frame, metres, `[n_v, 3]`, as offsets `d_{j,i} = ṽ_j^C − ṽ^B_{I_j[i]}` from
+    /// the body in the standard pose, `[n_v, n_f, 3]` (eq. 3).
+    pub fn offsets(&self, body: &BodyFrame, clothing: ArrayView2<'_, f64>) -> Result<Array3<f64>> {
+        let standard = points(self.unpose(body, clothing)?.view());
         let mut offsets = Array3::zeros((self.clothing_vertices(), self.neighbours(), 3));
-        for (j, (blend, at)) in blends.iter().zip(points(clothing)).enumerate() {
-            let standard = blend.inverse().transform_point3(at);
+        for (j, standard) in standard.into_iter().enumerate() {
             for (i, &index) in self.indices.row(j).iter().enumerate() {
                 let offset = standard - body.standard[index as usize];
                 for axis in 0..3 {
@@ -130,25 +141,18 @@ impl Association {
     /// Undoes [`offsets`](Self::offsets): clothing over a body, metres, `[n_v, 3]` (eq. 4). Offsets
     /// that do not agree with each other, such as predicted ones, are averaged by weight.
     pub fn dress(&self, body: &BodyFrame, offsets: ArrayView3<'_, f64>) -> Result<Array2<f64>> {
-        let expected = [self.clothing_vertices(), self.neighbours(), 3];
-        if offsets.shape() != expected {
-            return Err(Error::argument(format!(
-                "offsets of shape {:?}, expected {expected:?}",
-                offsets.shape()
-            )));
-        }
+        self.carry(body)?.dress(self, offsets)
+    }
+
+    /// What of a body is needed to [`dress`](Self::dress) it, for doing so more than once.
+    pub fn carry(&self, body: &BodyFrame) -> Result<Carrier> {
         let blends = self.blends(body)?;
-        let mut clothing = Array2::zeros((self.clothing_vertices(), 3));
-        for (j, blend) in blends.iter().enumerate() {
-            let mut standard = DVec3::ZERO;
-            for (i, &index) in self.indices.row(j).iter().enumerate() {
-                let offset = DVec3::from_array([0, 1, 2].map(|axis| offsets[(j, i, axis)]));
-                standard += (body.standard[index as usize] + offset) * self.weights[(j, i)];
-            }
-            let posed = blend.transform_point3(standard);
-            clothing.row_mut(j).assign(&Array1::from_vec(posed.to_array().to_vec()));
-        }
-        Ok(clothing)
+        let rows = self.indices.rows().into_iter().zip(self.weights.rows());
+        let middle = |(indices, weights): (ArrayView1<'_, u32>, ArrayView1<'_, f64>)| {
+            let near = indices.iter().map(|&index| body.standard[index as usize]);
+            near.zip(weights).map(|(at, &weight)| at * weight).sum()
+        };
+        Ok(Carrier { middles: rows.map(middle).collect(), blends })
     }
 
     fn check_body(&self, body: &BodyFrame) -> Result<()> {
@@ -168,6 +172,46 @@ impl Association {
             return Ok(());
         }
         Err(Error::argument(format!("clothing of shape {found:?}, expected {expected:?}")))
+    }
+}
+
+/// Where clothing vertices are carried by a body in one frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Carrier {
+    /// Weighted means of the body vertices that each clothing vertex follows, in the standard pose,
+    /// metres, `[n_v]`.
+    middles: Vec<DVec3>,
+    /// Blended transforms, `[n_v]`.
+    blends: Vec<DAffine3>,
+}
+
+impl Carrier {
+    /// Clothing of offsets `[n_v, n_f, 3]`: metres, `[n_v, 3]` (eq. 4).
+    pub fn dress(
+        &self,
+        association: &Association,
+        offsets: ArrayView3<'_, f64>,
+    ) -> Result<Array2<f64>> {
+        let expected = [self.blends.len(), association.neighbours(), 3];
+        if offsets.shape() != expected || association.clothing_vertices() != self.blends.len() {
+            return Err(Error::argument(format!(
+                "offsets of shape {:?}, expected {expected:?}",
+                offsets.shape()
+            )));
+        }
+        let mut clothing = Array2::zeros((self.blends.len(), 3));
+        for (j, (blend, &middle)) in self.blends.iter().zip(&self.middles).enumerate() {
+            let mut standard = middle;
+            for (i, &weight) in association.weights.row(j).iter().enumerate() {
+                let offset = DVec3::from_array([0, 1, 2].map(|axis| offsets[(j, i, axis)]));
+                standard += offset * weight;
+            }
+            let posed = blend.transform_point3(standard);
+            for axis in 0..3 {
+                clothing[(j, axis)] = posed[axis];
+            }
+        }
+        Ok(clothing)
     }
 }
 

@@ -1,6 +1,9 @@
 //! Sequences of clothing over a moving body, and sets of them that share a topology.
 
-use std::path::{Path, PathBuf};
+use std::{
+    hash::{Hash, Hasher},
+    path::{Path, PathBuf},
+};
 
 use cape_core::{
     Mesh, SmplModel,
@@ -150,6 +153,23 @@ impl LayerSet {
         Surface::new("clothing", points(clothing), self.faces.clone())
     }
 
+    /// A number that tells sets apart: equal sets have the same, in whatever process.
+    pub fn fingerprint(&self) -> u64 {
+        let mut hash = std::hash::DefaultHasher::new();
+        self.faces.hash(&mut hash);
+        for sequence in &self.sequences {
+            let Sequence { name, clothing, betas, motion, parameters } = sequence;
+            name.hash(&mut hash);
+            let numbers = clothing.iter().chain(betas).chain(&motion.poses);
+            let numbers = numbers.chain(&motion.translations).chain([&motion.frame_rate]);
+            numbers.for_each(|number| number.to_bits().hash(&mut hash));
+            for (name, value) in parameters {
+                (name, value.to_bits()).hash(&mut hash);
+            }
+        }
+        hash.finish()
+    }
+
     /// Writes `set.json` and one `<name>.npz` for each sequence (float32 clothing) into a directory
     /// that exists. Every file appears whole or not at all.
     pub fn save(&self, directory: impl AsRef<Path>) -> Result<()> {
@@ -278,7 +298,12 @@ fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(Motion, Vec<f
             .map_err(|error| cape_core::Error::field(path, name, error.to_string()))?)
     };
     let translations = table(shift)?;
-    let betas = file.f64("betas")?.iter().copied().collect();
+    let betas = if file.contains("betas") {
+        file.f64("betas")?.iter().copied().collect()
+    } else {
+        Vec::new()
+    };
+    finite("betas", &betas)?;
     let rate = match frame_rate {
         Some(rate) => rate,
         None => file.f64("mocap_framerate")?.first().copied().unwrap_or(f64::NAN),
@@ -286,13 +311,23 @@ fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(Motion, Vec<f
     Ok((Motion::new(rate, poses, translations)?, betas))
 }
 
+/// Motion and shape coefficients of an archive of SMPL parameters, as AMASS has them: `poses`,
+/// `trans` or `transl`, `betas` (or none), and `mocap_framerate`, unless the rate is given.
+pub fn import_motion(
+    parameters: impl AsRef<Path>,
+    frame_rate: Option<f64>,
+) -> Result<(Motion, Vec<f64>)> {
+    read_motion(&mut Npz::open(parameters)?, frame_rate)
+}
+
 /// A sequence of one's own: a directory of `.obj` or `.ply` meshes, whose names sort by frame, and
-/// an archive of SMPL parameters (`poses`, `trans` or `transl`, `betas`, `mocap_framerate`).
+/// an archive of SMPL parameters as for [`import_motion`].
 /// Gives the faces with it, for [`LayerSet::new`].
 pub fn import(
     name: &str,
     meshes: impl AsRef<Path>,
     parameters: impl AsRef<Path>,
+    frame_rate: Option<f64>,
 ) -> Result<(Vec<[u32; 3]>, Sequence)> {
     let directory = meshes.as_ref();
     let io = |source| cape_core::Error::io(directory, source);
@@ -323,7 +358,7 @@ pub fn import(
     let shape = (paths.len(), numbers.len() / (3 * paths.len()), 3);
     let clothing = Array3::from_shape_vec(shape, numbers)
         .map_err(|_| Error::sequence(name, "frames of different numbers of vertices"))?;
-    let (motion, betas) = read_motion(&mut Npz::open(parameters)?, None)?;
+    let (motion, betas) = import_motion(parameters, frame_rate)?;
     let parameters = Vec::new();
     let sequence = Sequence { name: name.to_owned(), clothing, betas, motion, parameters };
     sequence.check(shape.1)?;
@@ -356,6 +391,17 @@ mod tests {
             LayerSet::add(grown.path(), &FACES, &sequence(name)).unwrap();
         }
         assert_eq!(LayerSet::load(grown.path()).unwrap(), set);
+    }
+
+    #[test]
+    fn fingerprints_tell_sets_apart() {
+        let of =
+            |name: &str| LayerSet::new(FACES.to_vec(), vec![sequence(name)]).unwrap().fingerprint();
+        assert_eq!(of("a"), of("a"));
+        assert_ne!(of("a"), of("b"));
+        let mut moved = sequence("a");
+        moved.clothing[(1, 2, 0)] += 1e-6;
+        assert_ne!(LayerSet::new(FACES.to_vec(), vec![moved]).unwrap().fingerprint(), of("a"));
     }
 
     #[test]
@@ -394,10 +440,12 @@ mod tests {
         file.add("betas", &Array1::from_vec(wanted.betas.clone())).unwrap();
         file.add("mocap_framerate", &ndarray::arr1(&[30.0])).unwrap();
         file.finish().unwrap();
-        let (faces, found) = import("own", &meshes, &archive).unwrap();
+        let (faces, found) = import("own", &meshes, &archive, None).unwrap();
         assert_eq!(faces, FACES);
         assert_eq!(found, Sequence { parameters: vec![], ..wanted });
         std::fs::remove_file(meshes.join("0001.ply")).unwrap();
-        assert!(import("own", &meshes, &archive).unwrap_err().to_string().contains("out of step"));
+        assert!(
+            import("own", &meshes, &archive, None).unwrap_err().to_string().contains("out of step")
+        );
     }
 }

@@ -23,9 +23,11 @@ pub struct RayStatistics {
     pub rays: usize,
     /// Rays that met the clothing.
     pub hits: usize,
-    /// Hits on the clothing's outer side, which faces away from the body only if the clothing's
-    /// faces are flipped.
+    /// Hits on the clothing's outer side: of hands on a skirt, or of all of the body if the
+    /// clothing's faces are flipped.
     pub on_outer_side: usize,
+    /// Hits behind another part of the body: of one leg on the other's side of a skirt.
+    pub blocked: usize,
     /// Rays that would have met the clothing in the opposite direction, into the body.
     pub behind: usize,
     /// Clothing vertices inside the body.
@@ -39,9 +41,16 @@ impl RayStatistics {
     }
 }
 
-/// What one ray met: the pair and whether it came from the clothing's outer side; and whether the
-/// opposite ray met anything.
-type Ray = (Option<(Pair, bool)>, bool);
+/// How far from its vertex a ray starts that looks for the body, metres.
+const OFF_THE_SKIN: f64 = 1e-3;
+
+/// A pair that a ray found.
+#[derive(Debug, Clone, Copy)]
+struct Met {
+    pair: Pair,
+    on_outer_side: bool,
+    blocked: bool,
+}
 
 /// Sparse correspondences of one frame, at most one for each clothing vertex.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,14 +63,15 @@ pub struct Pairs {
 
 impl Pairs {
     /// Casts a ray of `reach` metres along the outward normal of every body vertex; where it first
-    /// meets the clothing, the closest corner of the face it meets is the body vertex's. Of several
-    /// body vertices that claim one clothing vertex, the one with the shortest ray keeps it; of
-    /// equal ones, the first.
+    /// meets the clothing, the closest corner of the face it meets is the body vertex's. Left out are
+    /// rays that meet the clothing from the other side than most do, as a hand's beside a skirt, and
+    /// rays that another part of the body is in the way of. Of several body vertices that claim one
+    /// clothing vertex, the one with the shortest ray keeps it; of equal ones, the first.
     pub fn find(body: &Surface, clothing: &Surface, reach: f64) -> Result<Self> {
-        let solid = Solid::new(clothing);
+        let (solid, flesh) = (Solid::new(clothing), Solid::new(body));
         let sides = clothing.face_normals();
         let normals = body.vertex_normals();
-        let seen: Vec<Option<Ray>> = (0..body.vertices.len())
+        let seen: Vec<Option<(Option<Met>, bool)>> = (0..body.vertices.len())
             .into_par_iter()
             .map(|vertex| {
                 let (origin, normal) = (body.vertices[vertex], normals[vertex]);
@@ -75,24 +85,40 @@ impl Pairs {
                     let closest = [b, c]
                         .into_iter()
                         .fold(a, |best, v| if far(v) < far(best) { v } else { best });
-                    let outer = sides[hit.face as usize].dot(normal) < 0.0;
-                    let body = vertex as u32;
-                    (Pair { clothing: closest, body, distance: hit.distance }, outer)
+                    let start = OFF_THE_SKIN.min(0.5 * hit.distance);
+                    let way = hit.distance - start;
+                    let pair =
+                        Pair { clothing: closest, body: vertex as u32, distance: hit.distance };
+                    Met {
+                        pair,
+                        on_outer_side: sides[hit.face as usize].dot(normal) < 0.0,
+                        blocked: flesh.cast(origin + normal * start, normal, way).is_some(),
+                    }
                 });
                 Some((hit, solid.cast(origin, -normal, reach).is_some()))
             })
             .collect();
-        let inside = inside(body, clothing);
-        let mut statistics = RayStatistics { inside, ..RayStatistics::default() };
-        let mut kept: Vec<Option<Pair>> = vec![None; clothing.vertices.len()];
-        for (hit, behind) in seen.into_iter().flatten() {
+        let mut statistics =
+            RayStatistics { inside: inside(&flesh, clothing), ..RayStatistics::default() };
+        for (met, behind) in seen.iter().flatten() {
             statistics.rays += 1;
-            statistics.behind += usize::from(behind);
-            let Some((pair, outer)) = hit else { continue };
-            statistics.hits += 1;
-            statistics.on_outer_side += usize::from(outer);
+            statistics.behind += usize::from(*behind);
+            if let Some(met) = met {
+                statistics.hits += 1;
+                statistics.on_outer_side += usize::from(met.on_outer_side);
+                statistics.blocked += usize::from(met.blocked);
+            }
+        }
+        let usual = statistics.clothing_is_flipped();
+        let mut kept: Vec<Option<Pair>> = vec![None; clothing.vertices.len()];
+        for Met { pair, on_outer_side, blocked } in
+            seen.into_iter().flatten().filter_map(|(met, _)| met)
+        {
             let place = &mut kept[pair.clothing as usize];
-            if place.is_none_or(|held| pair.distance < held.distance) {
+            if on_outer_side == usual
+                && !blocked
+                && place.is_none_or(|held| pair.distance < held.distance)
+            {
                 *place = Some(pair);
             }
         }
@@ -103,13 +129,16 @@ impl Pairs {
         if behind > hits {
             return Err(Error::FlippedBody { ahead: hits, behind });
         }
-        Ok(Self { pairs: kept.into_iter().flatten().collect(), statistics })
+        let pairs: Vec<Pair> = kept.into_iter().flatten().collect();
+        if pairs.is_empty() {
+            return Err(Error::NoHits { rays, reach });
+        }
+        Ok(Self { pairs, statistics })
     }
 }
 
 /// Clothing vertices inside the body.
-fn inside(body: &Surface, clothing: &Surface) -> usize {
-    let solid = Solid::new(body);
-    let within = |p| solid.closest(p, f64::INFINITY).is_some_and(|c| c.signed_distance < 0.0);
+fn inside(body: &Solid, clothing: &Surface) -> usize {
+    let within = |p| body.closest(p, f64::INFINITY).is_some_and(|near| near.signed_distance < 0.0);
     clothing.vertices.par_iter().filter(|&&p| within(p)).count()
 }

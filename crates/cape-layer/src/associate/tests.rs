@@ -59,6 +59,46 @@ fn pairs_agree_with_brute_force_rays() {
 }
 
 #[test]
+fn rays_that_other_parts_of_the_body_block_or_send_are_left_out() {
+    // Two legs in a tube that the hand, a smaller ball outside of it, nearly touches.
+    let ball = |radius: f64, at: DVec3| Surface {
+        vertices: sphere(radius, 3).vertices.into_iter().map(|v| v + at).collect(),
+        faces: sphere(radius, 3).faces,
+    };
+    let parts =
+        [ball(0.05, DVec3::X * -0.055), ball(0.05, DVec3::X * 0.055), ball(0.03, DVec3::X * 0.19)];
+    let mut body = Surface::default();
+    let mut starts = Vec::new();
+    for part in parts {
+        let first = body.vertices.len() as u32;
+        starts.push(first);
+        body.vertices.extend(part.vertices);
+        body.faces.extend(part.faces.iter().map(|f| f.map(|v| v + first)));
+    }
+    let tube = grid(60, 20, |u, v| {
+        let turn = -std::f64::consts::TAU * u;
+        DVec3::new(0.13 * turn.cos(), 0.08 * turn.sin(), 0.1 - 0.2 * v)
+    });
+    let found = Pairs::find(&body, &tube, 0.15).unwrap();
+    assert!(!found.statistics.clothing_is_flipped());
+    let RayStatistics { on_outer_side, blocked, .. } = found.statistics;
+    assert!(on_outer_side > 20 && blocked > 10, "{:?}", found.statistics);
+    for pair in &found.pairs {
+        assert!(pair.body < starts[2], "{pair:?} is of the hand");
+        let side = tube.vertices[pair.clothing as usize].x;
+        let own = body.vertices[pair.body as usize].x;
+        assert!(side * own > 0.0 || side.abs() < 0.08, "{pair:?} crosses to the other leg");
+    }
+    let turned = Surface {
+        faces: tube.faces.iter().map(|&[a, b, c]| [a, c, b]).collect(),
+        vertices: tube.vertices.clone(),
+    };
+    let again = Pairs::find(&body, &turned, 0.15).unwrap();
+    assert!(again.statistics.clothing_is_flipped());
+    assert_eq!(again.pairs, found.pairs);
+}
+
+#[test]
 fn weights_agree_with_the_formula() {
     let (body, hat) = ball_and_hat();
     let options = AssociateOptions { neighbours: 5, ..AssociateOptions::default() };

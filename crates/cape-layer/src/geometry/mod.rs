@@ -1,5 +1,7 @@
 //! Surfaces, rays, closest points and geodesic distances, in `f64`.
 
+#[cfg(test)]
+mod comparison;
 mod geodesic;
 mod solid;
 mod surface;

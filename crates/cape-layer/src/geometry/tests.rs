@@ -115,9 +115,9 @@ fn geodesics_of_a_sphere_are_great_circles() {
     assert!(edges > 0.05, "refining does not help Dijkstra: {edges}");
 }
 
-/// Exact distances on a polyhedron within `reach` by brute force: all straight lines through all
-/// sequences of faces from every vertex, joined at vertices.
-fn exact(surface: &Surface, source: u32, reach: f64) -> Vec<f64> {
+/// Lengths of all straight lines between vertices of a polyhedron through all sequences of faces
+/// within `reach`, by brute force.
+pub(super) fn straight_lines(surface: &Surface, reach: f64) -> Vec<Vec<f64>> {
     let across = surface.neighbours();
     let count = surface.vertices.len();
     let mut lines = vec![vec![f64::INFINITY; count]; count];
@@ -137,16 +137,25 @@ fn exact(surface: &Surface, source: u32, reach: f64) -> Vec<f64> {
             window.spread(surface, &across, reach, lines);
         }
     }
+    lines
+}
+
+/// Exact distances on a polyhedron: straight lines joined at vertices.
+pub(super) fn exact(lines: &[Vec<f64>], source: u32) -> Vec<f64> {
+    let count = lines.len();
     let mut best = vec![f64::INFINITY; count];
     best[source as usize] = 0.0;
-    for _ in 0..count {
-        for p in 0..count {
+    loop {
+        let before = best.clone();
+        for p in (0..count).filter(|&p| before[p].is_finite()) {
             for q in 0..count {
                 best[q] = best[q].min(best[p] + lines[p][q]);
             }
         }
+        if best == before {
+            return best;
+        }
     }
-    best
 }
 
 /// What a source sees through one side of a face, unfolded into the plane: the side's ends, and the
@@ -225,7 +234,7 @@ impl Window {
 fn unfolding_agrees_with_exact_geodesics_of_a_bumpy_mesh() {
     let bumpy = grid(7, 7, |u, v| DVec3::new(u, v, 0.12 * (5.0 * u).sin() * (4.0 * v).cos()));
     let (source, reach) = (24, 0.45);
-    let exact = exact(&bumpy, source, reach);
+    let exact = exact(&straight_lines(&bumpy, reach), source);
     let found = Geodesics::new(&bumpy, Metric::Unfolded).within(source, reach);
     let edges = Geodesics::new(&bumpy, Metric::Graph).within(source, f64::INFINITY);
     let off = |found: &[(u32, f64)]| {

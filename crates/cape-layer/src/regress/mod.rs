@@ -1,12 +1,14 @@
 //! Regression of clothing from motion, size and material (Yang et al. 2018, §3.3).
 //!
-//! [`Features`] turn a sequence of poses and semantic parameters into rows of numbers; a
+//! [`Features`] turn a sequence of poses, and [`Semantics`] sizes and materials, into rows of numbers; a
 //! [`Network`] trained by [`Training`] maps them to coordinates in the space of principal
 //! components; a [`Regressor`] holds both ends' scales and is one file.
 
 mod features;
 mod network;
 mod regressor;
+mod semantics;
+mod stream;
 #[cfg(test)]
 mod tests;
 mod training;
@@ -14,4 +16,6 @@ mod training;
 pub use features::{Features, Motion};
 pub use network::Network;
 pub use regressor::Regressor;
+pub use semantics::Semantics;
+pub use stream::{Arrived, FeatureStream};
 pub use training::{Epoch, Outcome, Training};

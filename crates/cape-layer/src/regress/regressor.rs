@@ -6,6 +6,9 @@ use ndarray::{Array1, Array2, ArrayView2, Axis};
 use super::Network;
 use crate::{Error, Result, error::finite};
 
+/// Standard deviations from its mean beyond which an input counts no further.
+const FURTHEST: f64 = 3.0;
+
 /// Means and standard deviations of columns.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Scale {
@@ -27,6 +30,31 @@ impl Scale {
 
     pub(super) fn apply(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {
         (&rows - &self.mean) / &self.deviation
+    }
+
+    /// As [`apply`](Self::apply), but no further from the mean than [`FURTHEST`]: a joint that hardly
+    /// moved in training must not decide everything when it does later.
+    pub(super) fn bounded(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {
+        self.apply(rows).mapv_into(|x| x.clamp(-FURTHEST, FURTHEST))
+    }
+
+    pub(super) fn mean(&self) -> &Array1<f64> {
+        &self.mean
+    }
+
+    /// Adds both to an archive, as `<name>_mean` and `<name>_deviation`.
+    pub(super) fn write(&self, file: &mut NpzWriter, name: &str) -> Result<()> {
+        file.add(&format!("{name}_mean"), &self.mean)?;
+        file.add(&format!("{name}_deviation"), &self.deviation)?;
+        Ok(())
+    }
+
+    /// Reads what [`write`](Self::write) added.
+    pub(super) fn read(file: &mut Npz, name: &str) -> Result<Self> {
+        let mean = vector(file, &format!("{name}_mean"))?;
+        let deviation = vector(file, &format!("{name}_deviation"))?;
+        file.expect_shape(&format!("{name}_deviation"), deviation.shape(), &[Some(mean.len())])?;
+        Ok(Self { mean, deviation })
     }
 
     fn undo(&self, rows: &Array2<f64>) -> Array2<f64> {
@@ -64,7 +92,8 @@ impl Regressor {
         &self.network
     }
 
-    /// Targets `[n, outputs]` of inputs `[n, inputs]`, both in their own units. Frames do not
+    /// Targets `[n, outputs]` of inputs `[n, inputs]`, both in their own units. Inputs further than
+    /// three standard deviations from the mean that was learned from are taken as if they were not. Frames do not
     /// depend on each other: an animation can be predicted frame by frame as it arrives.
     pub fn predict(&self, inputs: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
         if inputs.ncols() != self.inputs.mean.len() {
@@ -75,7 +104,7 @@ impl Regressor {
             )));
         }
         finite("inputs", inputs)?;
-        Ok(self.targets.undo(&self.network.forward(self.inputs.apply(inputs).view())?))
+        Ok(self.targets.undo(&self.network.forward(self.inputs.bounded(inputs).view())?))
     }
 
     /// Writes everything as one `.npz`, atomically.
@@ -90,11 +119,8 @@ impl Regressor {
         let sizes: Array1<i64> = self.network.sizes().iter().map(|&n| n as i64).collect();
         file.add("sizes", &sizes)?;
         file.add("parameters", self.network.parameters())?;
-        file.add("input_mean", &self.inputs.mean)?;
-        file.add("input_deviation", &self.inputs.deviation)?;
-        file.add("target_mean", &self.targets.mean)?;
-        file.add("target_deviation", &self.targets.deviation)?;
-        Ok(())
+        self.inputs.write(file, "input")?;
+        self.targets.write(file, "target")
     }
 
     /// Reads what [`save`](Self::save) wrote.
@@ -114,18 +140,15 @@ impl Regressor {
             .iter()
             .map(|&n| usize::try_from(n).map_err(|error| fault("sizes", error.to_string())))
             .collect::<Result<_, _>>()?;
-        let mut vector = |name: &str| -> Result<Array1<f64>> {
-            let array = file.f64(name)?;
-            file.expect_shape(name, array.shape(), &[None])?;
-            finite(name, &array)?;
-            Ok(Array1::from_iter(array))
-        };
-        let network = Network::new(&sizes, vector("parameters")?)?;
-        let mut scale = |mean: &str, deviation: &str| -> Result<Scale> {
-            Ok(Scale { mean: vector(mean)?, deviation: vector(deviation)? })
-        };
-        let inputs = scale("input_mean", "input_deviation")?;
-        let targets = scale("target_mean", "target_deviation")?;
+        let network = Network::new(&sizes, vector(file, "parameters")?)?;
+        let (inputs, targets) = (Scale::read(file, "input")?, Scale::read(file, "target")?);
         Self::new(inputs, network, targets)
     }
+}
+
+fn vector(file: &mut Npz, name: &str) -> Result<Array1<f64>> {
+    let array = file.f64(name)?;
+    file.expect_shape(name, array.shape(), &[None])?;
+    finite(name, &array)?;
+    Ok(Array1::from_iter(array))
 }

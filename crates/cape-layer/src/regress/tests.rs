@@ -63,6 +63,21 @@ fn a_smooth_function_is_learned_and_generalises() {
 }
 
 #[test]
+fn inputs_far_from_all_seen_count_no_further() {
+    let (x, y) = smooth_data(60, 3);
+    let training = Training { hidden: vec![4], ..Training::default() };
+    let none = vec![false; x.ncols()];
+    let outcome = training.train(x.view(), y.view(), &none, &mut |_| {}).unwrap();
+    let at = |value: f64| {
+        let mut row = x.slice(s![..1, ..]).to_owned();
+        row[(0, 0)] = value;
+        outcome.regressor.predict(row.view()).unwrap()
+    };
+    assert_eq!(at(1e3), at(1e6));
+    assert_ne!(at(1e3), at(-1e3));
+}
+
+#[test]
 fn training_stops_when_validation_rises() {
     // Pure noise: there is nothing to learn but the frames themselves.
     let (x, y) = (random(60, 5, 1), random(60, 2, 2));

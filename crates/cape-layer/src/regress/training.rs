@@ -72,6 +72,18 @@ pub struct Outcome {
 }
 
 impl Training {
+    /// Which of `frames` frames train and which validate, both ascending; fixed by the seed.
+    pub fn split(&self, frames: usize) -> (Vec<usize>, Vec<usize>) {
+        let mut order: Vec<usize> = (0..frames).collect();
+        order.shuffle(&mut ChaCha8Rng::seed_from_u64(self.seed));
+        let most = frames.saturating_sub(1).max(1);
+        let held = ((frames as f64 * self.validation).round() as usize).clamp(1, most);
+        let mut training = order.split_off(held.min(frames));
+        training.sort_unstable();
+        order.sort_unstable();
+        (training, order)
+    }
+
     /// Learns `targets` `[frames, outputs]` from `inputs` `[frames, inputs]`. Inputs and targets are
     /// standardised; `noisy` says which inputs get noise in the additional copies, usually the
     /// semantic parameters.
@@ -87,25 +99,16 @@ impl Training {
     ) -> Result<Outcome> {
         let frames = inputs.nrows();
         self.check(inputs, targets, noisy)?;
+        let (training_frames, validation_frames) = self.split(frames);
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
-        let mut order: Vec<usize> = (0..frames).collect();
-        order.shuffle(&mut rng);
-        let held = ((frames as f64 * self.validation).round() as usize).clamp(1, frames - 1);
-        let (validation_frames, training_frames) = order.split_at(held);
-        let sorted = |frames: &[usize]| {
-            let mut frames = frames.to_vec();
-            frames.sort_unstable();
-            frames
-        };
-        let (training_frames, validation_frames) =
-            (sorted(training_frames), sorted(validation_frames));
+        rng.set_stream(1);
         let pick = |rows: ArrayView2<'_, f64>, frames: &[usize]| rows.select(Axis(0), frames);
         let plain = pick(inputs, &training_frames);
         let wanted = pick(targets, &training_frames);
         let (of_inputs, of_targets) = (Scale::of(plain.view()), Scale::of(wanted.view()));
-        let (plain, wanted) = (of_inputs.apply(plain.view()), of_targets.apply(wanted.view()));
+        let (plain, wanted) = (of_inputs.bounded(plain.view()), of_targets.apply(wanted.view()));
         let (x, y) = self.augmented(&plain, &wanted, noisy, &mut rng)?;
-        let held_x = of_inputs.apply(pick(inputs, &validation_frames).view());
+        let held_x = of_inputs.bounded(pick(inputs, &validation_frames).view());
         let held_y = of_targets.apply(pick(targets, &validation_frames).view());
 
         let mut sizes = vec![inputs.ncols()];

@@ -1,8 +1,14 @@
 //! Clothing layers of their own topology (Yang et al. 2018).
 
+mod associate;
+mod import;
 mod learn;
+mod motions;
+mod pictures;
 mod predict;
+mod report;
 mod synth;
+mod tying;
 
 use std::path::Path;
 
@@ -18,7 +24,8 @@ use crate::{arguments::Global, console::Console, error::Result};
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape layer synth --garment skirt --out skirt\n  \
                   cape layer learn skirt --out learnt\n  \
-                  cape layer predict learnt/layer.npz --motion squats --out predicted")]
+                  cape layer predict learnt/layer.npz --motion squats --out predicted\n  \
+                  cape layer report --quick --out quick")]
 pub(crate) struct Layer {
     #[command(subcommand)]
     command: Command,
@@ -27,16 +34,22 @@ pub(crate) struct Layer {
 #[derive(Debug, Subcommand)]
 enum Command {
     Synth(synth::Synth),
+    Import(import::Import),
+    Associate(associate::Associate),
     Learn(learn::Learn),
     Predict(predict::Predict),
+    Report(report::Report),
 }
 
 impl Layer {
     pub(crate) fn run(self, global: &Global, console: Console) -> Result {
         match self.command {
             Command::Synth(command) => command.run(console),
+            Command::Import(command) => command.run(console),
+            Command::Associate(command) => command.run(console),
             Command::Learn(command) => command.run(global, console),
             Command::Predict(command) => command.run(console),
+            Command::Report(command) => command.run(global, console),
         }
     }
 }
@@ -47,4 +60,14 @@ fn body(path: Option<&Path>) -> Result<SmplModel> {
         Some(path) => SmplModel::load(path)?,
         None => synthetic_body(),
     })
+}
+
+/// Parses `name=number`.
+fn named(text: &str) -> Result<(String, f64), String> {
+    let (name, value) = text.split_once('=').ok_or("expected NAME=NUMBER")?;
+    let value: f64 = value.trim().parse().map_err(|_| format!("`{value}` is not a number"))?;
+    if name.trim().is_empty() || !value.is_finite() {
+        return Err("expected a name and a finite number".into());
+    }
+    Ok((name.trim().to_owned(), value))
 }

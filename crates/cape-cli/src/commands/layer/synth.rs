@@ -109,11 +109,22 @@ struct Plan {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-enum Kind {
+pub(super) enum Kind {
     Tshirt,
     Shorts,
     Skirt,
     Dress,
+}
+
+impl From<Kind> for GarmentKind {
+    fn from(kind: Kind) -> Self {
+        match kind {
+            Kind::Tshirt => Self::TShirt,
+            Kind::Shorts => Self::Shorts,
+            Kind::Skirt => Self::Skirt,
+            Kind::Dress => Self::Dress,
+        }
+    }
 }
 
 fn exercise(name: &str) -> Result<Exercise, String> {
@@ -134,12 +145,7 @@ fn vary<T: Copy>(values: &[T], ratios: &[f64], change: impl Fn(T, f64) -> T) -> 
 
 impl Plan {
     fn design(&self) -> Design {
-        let kind = match self.garment {
-            Kind::Tshirt => GarmentKind::TShirt,
-            Kind::Shorts => GarmentKind::Shorts,
-            Kind::Skirt => GarmentKind::Skirt,
-            Kind::Dress => GarmentKind::Dress,
-        };
+        let kind = GarmentKind::from(self.garment);
         let garment = Garment { resolution: 1e-3 * self.resolution, ..Garment::of(kind) };
         let sizes = vary(&[garment], &self.lengths, |g, r| Garment { length: g.length * r, ..g });
         let sizes = vary(&sizes, &self.widths, |g, r| Garment { width: g.width * r, ..g });

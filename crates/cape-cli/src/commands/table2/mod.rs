@@ -23,11 +23,11 @@ use crate::{
     console::{Console, seconds},
     error::{Context, Result},
     files,
+    html::Figure,
     interrupt::Interrupt,
     training,
 };
 use figures::Shown;
-use report::Figure;
 
 /// Exit code of an interrupted grid: 128 + SIGINT.
 const INTERRUPTED: u8 = 130;
@@ -240,7 +240,7 @@ fn write(report: &Report, grid: &Grid, jobs: &[Job], results: &[RowResult]) -> R
             image: &histograms,
         },
     ];
-    let html = report::html(&report.table, grid, &figures)?;
+    let html = report::page(&report.table, grid, &figures)?;
     files::write_text(&at("report.html"), &html)
 }
 

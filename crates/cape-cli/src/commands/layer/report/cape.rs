@@ -1,0 +1,245 @@
+//! A layer's statistics beside CAPE where both can be had: clothing as displacements of the body.
+
+use std::{path::Path, sync::Arc};
+
+use burn::tensor::Device;
+use cape_layer::{
+    experiment::Learning,
+    regress::{Features, Motion},
+};
+use cape_train::{
+    EvalOptions, Gathered, PosteriorUse, Run, Wearer,
+    data::{PackedSet, Part, Statistics},
+    pca::{Pca, PcaOptions},
+    reconstruct_test,
+    table2::hash_of,
+    write_json,
+};
+use ndarray::{Array1, Array2, Axis, concatenate};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    console::Console,
+    error::{Error, Result},
+};
+
+/// Test frames decoded at a time.
+const BATCH: usize = 16;
+/// Codes drawn for the frames that show how samples differ, and how many frames.
+const SAMPLES: usize = 8;
+const SAMPLED_FRAMES: usize = 24;
+
+/// A method on the test frames.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Compared {
+    pub(super) method: String,
+    /// Numbers of its code.
+    pub(super) code: usize,
+    pub(super) pose_dependent: bool,
+    pub(super) probabilistic: bool,
+    /// Error of the frame's own code, millimetres.
+    pub(super) reconstruction_mm: f64,
+    /// Error of what is expected from pose and outfit alone.
+    pub(super) prediction_mm: f64,
+    /// Mean distance of samples from their mean; none if there is only one answer.
+    pub(super) spread_mm: Option<f64>,
+}
+
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Comparison {
+    key: String,
+    pub(super) frames: usize,
+    pub(super) methods: Vec<Compared>,
+}
+
+/// The comparison on a run's data, kept as `path`.
+pub(super) fn compare(
+    root: &Path,
+    data: Option<&Path>,
+    learning: &Learning,
+    path: &Path,
+    device: &Device,
+    console: Console,
+) -> Result<Comparison> {
+    let run = Run::open(root, device)?;
+    let data = match data {
+        Some(data) => data.to_owned(),
+        None => run.data()?,
+    };
+    let checkpoint = run.checkpoint().display();
+    let key = format!("{checkpoint} {} {learning:?}", hash_of(&data)?);
+    let kept = || -> Option<Comparison> {
+        let kept: Comparison = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
+        (kept.key == key).then_some(kept)
+    };
+    if let Some(kept) = kept() {
+        console.note("comparison with CAPE: done before");
+        return Ok(kept);
+    }
+    let test = Arc::new(PackedSet::open(&data, Part::Test)?);
+    let bench = Bench { run: &run, data: &data, test: &test, learning, console };
+    let mut methods = bench.linear()?;
+    methods.push(bench.cape()?);
+    let comparison = Comparison { key: key.clone(), frames: test.frames(), methods };
+    write_json(path, &comparison)?;
+    // As it will be read from now on, to the last digit.
+    Ok(kept().unwrap_or(comparison))
+}
+
+struct Bench<'a> {
+    run: &'a Run,
+    data: &'a Path,
+    test: &'a Arc<PackedSet>,
+    learning: &'a Learning,
+    console: Console,
+}
+
+impl Bench<'_> {
+    fn meter(&self) -> Gathered {
+        Gathered::new(self.run.body().vertices(), self.run.clothing())
+    }
+
+    /// Mean error over all test frames of displacements `[3 V]`, metres.
+    fn error(&self, mut of: impl FnMut(usize) -> Result<Vec<f64>>) -> Result<f64> {
+        let mut meter = self.meter();
+        for row in 0..self.test.frames() {
+            let single =
+                |values: Vec<f64>| values.into_iter().map(|x| x as f32).collect::<Vec<_>>();
+            let (found, truth) = (single(of(row)?), single(self.test.displacement_row(row)?));
+            meter.push(self.test, row, &found, &truth)?;
+        }
+        Ok(meter.summary().overall.mean)
+    }
+
+    /// Principal components of displacements, alone and with a regression from pose and outfit.
+    fn linear(&self) -> Result<Vec<Compared>> {
+        let train = PackedSet::open(self.data, Part::Train)?;
+        let rows = Statistics::of_packed(self.data, &mut |_, _| {})?.training_rows(train.frames());
+        let components = self.learning.components.min(rows.len().saturating_sub(1));
+        let options = PcaOptions { components, ..PcaOptions::default() };
+        let pca = self.console.while_showing("components", "rows", |progress| {
+            Pca::of_packed(self.data, &options, progress)
+        })?;
+        let encode = |set: &PackedSet, row: usize| -> Result<Array1<f64>> {
+            let displacement = Array1::from_vec(set.displacement_row(row)?).insert_axis(Axis(0));
+            Ok(pca.encode(&displacement.view()).remove_axis(Axis(0)))
+        };
+        let decode = |code: Array1<f64>| {
+            pca.decode(&code.insert_axis(Axis(0)).view()).remove_axis(Axis(0)).to_vec()
+        };
+        let reconstruction_mm = self.error(|row| Ok(decode(encode(self.test, row)?)))?;
+        // As many numbers as CAPE has.
+        let few = self.run.config().model.latent.min(components);
+        let few_mm = self.error(|row| {
+            let mut code = encode(self.test, row)?;
+            code.slice_mut(ndarray::s![few..]).fill(0.0);
+            Ok(decode(code))
+        })?;
+        let mean_mm = self.error(|_| Ok(pca.mean.to_vec()))?;
+
+        let frames: Vec<usize> = rows.collect();
+        let codes: Vec<Array1<f64>> =
+            frames.iter().map(|&row| encode(&train, row)).collect::<Result<_>>()?;
+        let codes = Array2::from_shape_fn((codes.len(), components), |(f, k)| codes[f][k]);
+        let (inputs, noisy) = inputs(&train, &frames)?;
+        let regressor = self.console.while_showing("learn", "iterations", |progress| {
+            let most = self.learning.training.minimiser.steps;
+            let watch = &mut |epoch: cape_layer::regress::Epoch| progress(epoch.iteration, most);
+            self.learning.training.train(inputs.view(), codes.view(), &noisy, watch)
+        })?;
+        let all: Vec<usize> = (0..self.test.frames()).collect();
+        let (inputs, _) = self::inputs(self.test, &all)?;
+        let predicted = regressor.regressor.predict(inputs.view())?;
+        let prediction_mm = self.error(|row| Ok(decode(predicted.row(row).to_owned())))?;
+        let plain = Compared {
+            method: "principal components".into(),
+            code: components,
+            pose_dependent: false,
+            probabilistic: false,
+            reconstruction_mm,
+            prediction_mm: mean_mm,
+            spread_mm: None,
+        };
+        let layer = Compared {
+            method: "layer: components and regression".into(),
+            pose_dependent: true,
+            prediction_mm,
+            ..plain.clone()
+        };
+        let fewer = Compared { code: few, reconstruction_mm: few_mm, ..plain.clone() };
+        Ok(vec![fewer, plain, layer])
+    }
+
+    fn cape(&self) -> Result<Compared> {
+        let (run, test) = (self.run, self.test);
+        let mut meter = self.meter();
+        self.console.while_showing("reconstruct", "frames", |progress| {
+            let options = EvalOptions { posterior: PosteriorUse::Mean, ..EvalOptions::default() };
+            reconstruct_test(run, test, options, progress, &mut |row, predicted, truth| {
+                meter.push(test, row, predicted, truth)
+            })
+        })?;
+        let reconstruction_mm = meter.summary().overall.mean;
+        let latent = run.config().model.latent;
+        let wearers: Vec<Wearer> =
+            (0..test.frames()).map(|row| Ok(test.registration(row)?.1)).collect::<Result<_>>()?;
+        let mut meter = self.meter();
+        self.console.while_showing("predict", "frames", |progress| {
+            for (index, chunk) in wearers.chunks(BATCH).enumerate() {
+                let worn = run.clothes(&Array2::zeros((chunk.len(), latent)), chunk)?;
+                for (offset, worn) in worn.outer_iter().enumerate() {
+                    let row = index * BATCH + offset;
+                    let found: Vec<f32> = worn.iter().copied().collect();
+                    let truth: Vec<f32> =
+                        test.displacement_row(row)?.into_iter().map(|x| x as f32).collect();
+                    meter.push(test, row, &found, &truth)?;
+                }
+                progress((index + 1) * BATCH, wearers.len());
+            }
+            Ok::<_, Error>(())
+        })?;
+        let prediction_mm = meter.summary().overall.mean;
+        let step = wearers.len().div_ceil(SAMPLED_FRAMES);
+        let mut spreads = Vec::new();
+        for (seed, wearer) in wearers.iter().step_by(step).enumerate() {
+            let codes = run.sample_codes(SAMPLES, seed as u64);
+            let worn = run.clothes(&codes, &vec![wearer.clone(); SAMPLES])?;
+            let mean = worn.sum_axis(Axis(0)) / SAMPLES as f32;
+            for sample in worn.outer_iter() {
+                let off = &sample - &mean;
+                let of = |&v: &usize| 1e3 * f64::from(off.row(v).dot(&off.row(v)).sqrt());
+                let clothing = run.clothing();
+                spreads.push(clothing.iter().map(of).sum::<f64>() / clothing.len().max(1) as f64);
+            }
+        }
+        Ok(Compared {
+            method: "CAPE".into(),
+            code: latent,
+            pose_dependent: true,
+            probabilistic: true,
+            reconstruction_mm,
+            prediction_mm,
+            spread_mm: Some(spreads.iter().sum::<f64>() / spreads.len().max(1) as f64),
+        })
+    }
+}
+
+/// Joint angles, the direction of gravity, and the outfit of frames; packed frames do not follow
+/// each other, so that there are no speeds. Also which of them are semantic.
+fn inputs(set: &PackedSet, frames: &[usize]) -> Result<(Array2<f64>, Vec<bool>)> {
+    let shape = |error: ndarray::ShapeError| Error::message(error.to_string());
+    let mut poses = Vec::with_capacity(72 * frames.len());
+    let mut outfits = Vec::with_capacity(4 * frames.len());
+    for &frame in frames {
+        poses.extend(set.pose(frame)?.into_iter().map(f64::from));
+        outfits.extend(set.outfits()[frame].one_hot().map(f64::from));
+    }
+    let count = frames.len();
+    let poses = Array2::from_shape_vec((count, 72), poses).map_err(shape)?;
+    let motion = Motion::new(30.0, poses, Array2::zeros((count, 3)))?;
+    let features = Features { speed: false, angular_speeds: false, ..Features::default() };
+    let rows = features.rows(&motion);
+    let outfits = Array2::from_shape_vec((count, 4), outfits).map_err(shape)?;
+    let semantic = [vec![false; rows.ncols()], vec![true; 4]].concat();
+    Ok((concatenate(Axis(1), &[rows.view(), outfits.view()]).map_err(shape)?, semantic))
+}

@@ -1,0 +1,80 @@
+//! Pictures of clothing beside the truth, with its errors.
+
+use cape_core::{Mesh, SmplModel};
+use cape_layer::experiment::{LayerError, distances};
+use cape_render::{Image, Tile, View, contact_sheet};
+use ndarray::{Array2, ArrayView2, Axis};
+
+use super::jobs::Named;
+use crate::{
+    commands::layer::pictures::{Stage, mesh_of, shades},
+    error::Result,
+};
+
+/// Rows of pixels of a picture.
+const HEIGHT: u32 = 300;
+/// Error that gets the brightest colour, millimetres.
+const BRIGHTEST: f64 = 30.0;
+
+/// Clothing of one frame of a set.
+pub(super) struct Shown {
+    label: String,
+    frame: usize,
+    /// None for the truth.
+    clothing: Option<Array2<f64>>,
+}
+
+impl Shown {
+    pub(super) fn new(label: String, frame: usize, clothing: Array2<f64>) -> Self {
+        Self { label, frame, clothing: Some(clothing) }
+    }
+
+    /// The frame numbered `frame` as it is.
+    pub(super) fn truth(named: &Named, frame: usize) -> Self {
+        let (sequence, of) = named.set.each_frame()[frame];
+        let name = &named.set.sequences[sequence].name;
+        // The subject, size and material are said elsewhere.
+        let movement = name.rsplit_once('_').map_or(name.as_str(), |(_, last)| last);
+        let label = format!("{movement}, frame {of}");
+        Self { label, frame, clothing: None }
+    }
+}
+
+/// The truth, and what is shown in colours by its errors; all of a frame from one place.
+pub(super) fn errors(model: &SmplModel, named: &Named, shown: &[Shown]) -> Result<Image> {
+    let each = named.set.each_frame();
+    let mut tiles = Vec::new();
+    for shown in shown {
+        let (sequence, frame) = each[shown.frame];
+        let sequence = &named.set.sequences[sequence];
+        let pose = sequence.motion.poses.row(frame).to_vec();
+        let transl = [0, 1, 2].map(|axis| sequence.motion.translations[(frame, axis)]);
+        let body = model.pose_shape(&sequence.shape(model)?, &pose, transl, None)?.vertices;
+        let body = mesh_of(body.view(), &model.faces);
+        let truth = sequence.clothing.index_axis(Axis(0), frame);
+        let true_mesh = mesh_of(truth, &named.set.faces);
+        let stage = Stage::around([&body, &true_mesh], View::ThreeQuarter, HEIGHT)?;
+        tiles.push(tile(&stage, &body, &true_mesh, truth, shown, &named.set.faces)?);
+    }
+    let title = format!("errors from 0 to {BRIGHTEST} mm");
+    Ok(contact_sheet(&tiles, tiles.len(), Some(&title))?)
+}
+
+fn tile(
+    stage: &Stage,
+    body: &Mesh,
+    true_mesh: &Mesh,
+    truth: ArrayView2<'_, f64>,
+    shown: &Shown,
+    faces: &[[u32; 3]],
+) -> Result<Tile> {
+    let Some(clothing) = &shown.clothing else {
+        let image = stage.show(Some(body), true_mesh, None)?;
+        return Ok(Tile { image, label: shown.label.clone() });
+    };
+    let mesh = mesh_of(clothing.view(), faces);
+    let colours = shades(&distances(clothing.view(), truth), BRIGHTEST);
+    let image = stage.show(Some(body), &mesh, Some(&colours))?;
+    let mean = LayerError::between(clothing.view(), truth).mean;
+    Ok(Tile { image, label: format!("{}, {mean:.1} mm", shown.label) })
+}

@@ -1,0 +1,319 @@
+//! The experiments on a set, kept so that an interrupted report goes on.
+
+use std::{fs, path::Path};
+
+use cape_core::SmplModel;
+use cape_layer::{
+    LayerSet,
+    experiment::{Factor, LayerError, Learning, Regression, Unposed},
+};
+use cape_render::Image;
+use cape_train::write_json;
+use ndarray::{Array2, Axis};
+use serde::{Deserialize, Serialize};
+
+use super::figures::{self, Shown};
+use crate::{
+    commands::layer::tying::{Tied, Tying},
+    console::Console,
+    error::{Error, Result},
+};
+
+/// Frames of a held-out group that are shown, as shares of its length.
+const MOMENTS: [f64; 3] = [0.2, 0.5, 0.8];
+
+/// A set by name.
+pub(super) struct Named {
+    pub(super) name: String,
+    pub(super) set: LayerSet,
+}
+
+/// An experiment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Job {
+    /// Table 1.
+    Reconstruction,
+    /// Table 2.
+    Regression,
+    /// What is new in one factor.
+    Transfer(Factor),
+}
+
+/// A line of table 1: mean errors with as many components as the header says, millimetres.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Reconstructed {
+    pub(super) set: String,
+    pub(super) sequence: String,
+    pub(super) frames: usize,
+    pub(super) components: Vec<usize>,
+    pub(super) errors_mm: Vec<f64>,
+    /// Largest with all components.
+    pub(super) largest_mm: f64,
+}
+
+/// A line of table 2, or of what is new: errors, millimetres.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Regressed {
+    pub(super) set: String,
+    /// What is new; empty in table 2.
+    pub(super) factor: String,
+    /// The sequence, or what the held-out ones have in common.
+    pub(super) name: String,
+    /// Frames that trained.
+    pub(super) trained: usize,
+    /// Frames that were predicted.
+    pub(super) frames: usize,
+    pub(super) train_mm: f64,
+    pub(super) predict_mm: f64,
+    pub(super) largest_mm: f64,
+    /// Of the first components' coordinates of the predicted frames themselves.
+    pub(super) space_mm: f64,
+    /// Of the mean of the frames that trained.
+    pub(super) nothing_mm: f64,
+    pub(super) iterations: usize,
+}
+
+/// What an experiment came to.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub(super) struct Outcome {
+    key: String,
+    pub(super) reconstructed: Vec<Reconstructed>,
+    pub(super) regressed: Vec<Regressed>,
+}
+
+/// What all experiments share.
+pub(super) struct Laboratory<'a> {
+    pub(super) model: &'a SmplModel,
+    pub(super) learning: Learning,
+    pub(super) tying: Tying,
+    /// Where outcomes and pictures are kept.
+    pub(super) kept: &'a Path,
+    pub(super) console: Console,
+}
+
+impl Job {
+    /// Those that a set allows.
+    pub(super) fn of(set: &LayerSet) -> Vec<Self> {
+        let transfers = Factor::ALL.into_iter().filter(|factor| factor.groups(set).len() > 1);
+        [Self::Reconstruction, Self::Regression]
+            .into_iter()
+            .chain(transfers.map(Self::Transfer))
+            .collect()
+    }
+
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Reconstruction => "reconstruction",
+            Self::Regression => "regression",
+            Self::Transfer(factor) => factor.name(),
+        }
+    }
+}
+
+impl Laboratory<'_> {
+    /// The outcomes and pictures of all experiments on a set.
+    pub(super) fn work(&self, named: &Named) -> Result<Vec<(Job, Outcome, Image)>> {
+        let jobs = Job::of(&named.set);
+        let key = format!("{:016x} {:?} {:?}", named.set.fingerprint(), self.tying, self.learning);
+        let done: Vec<Option<(Outcome, Image)>> =
+            jobs.iter().map(|&job| self.kept(named, job, &key)).collect();
+        let bench = if done.iter().all(Option::is_some) { None } else { Some(self.tie(named)?) };
+        let unposed = bench.as_ref().map(|tied| self.unpose(named, tied)).transpose()?;
+        let mut found = Vec::new();
+        for (job, done) in jobs.into_iter().zip(done) {
+            let (outcome, image) = match (done, &unposed) {
+                (Some(done), _) => {
+                    self.console.note(&format!("{}, {}: done before", named.name, job.name()));
+                    done
+                }
+                (None, Some(unposed)) => {
+                    let (outcome, image) = self.run(named, unposed, job)?;
+                    let outcome = Outcome { key: key.clone(), ..outcome };
+                    image.save(self.path(named, job, "png"))?;
+                    // The outcome comes last: where it is, its picture is too.
+                    write_json(&self.path(named, job, "json"), &outcome)?;
+                    // As it will be read from now on, to the last digit.
+                    self.kept(named, job, &key).unwrap_or((outcome, image))
+                }
+                (None, None) => continue,
+            };
+            found.push((job, outcome, image));
+        }
+        Ok(found)
+    }
+
+    fn path(&self, named: &Named, job: Job, extension: &str) -> std::path::PathBuf {
+        self.kept.join(format!("{}-{}.{extension}", named.name, job.name()))
+    }
+
+    fn kept(&self, named: &Named, job: Job, key: &str) -> Option<(Outcome, Image)> {
+        let text = fs::read(self.path(named, job, "json")).ok()?;
+        let outcome: Outcome = serde_json::from_slice(&text).ok()?;
+        let image = Image::load(self.path(named, job, "png")).ok()?;
+        (outcome.key == key).then_some((outcome, image))
+    }
+
+    fn tie(&self, named: &Named) -> Result<Tied> {
+        self.tying.tie(self.model, &named.set, self.console)
+    }
+
+    fn unpose<'b>(&'b self, named: &'b Named, tied: &'b Tied) -> Result<Unposed<'b>> {
+        let standard = self.tying.standard();
+        Ok(Unposed::new(self.model, &named.set, &tied.association, &standard)?)
+    }
+
+    fn run(&self, named: &Named, unposed: &Unposed, job: Job) -> Result<(Outcome, Image)> {
+        let title = format!("{}, {}", named.name, job.name());
+        self.console.while_showing(&title, "runs", |progress| match job {
+            Job::Reconstruction => self.reconstruction(named, unposed, progress),
+            Job::Regression => self.regression(named, unposed, progress),
+            Job::Transfer(factor) => self.transfer(named, unposed, factor, progress),
+        })
+    }
+
+    fn reconstruction(
+        &self,
+        named: &Named,
+        unposed: &Unposed,
+        progress: &mut dyn FnMut(usize, usize),
+    ) -> Result<(Outcome, Image)> {
+        let mut counts = vec![1, 5, self.learning.components];
+        counts.sort_unstable();
+        counts.dedup();
+        let mut lines = Vec::new();
+        for (index, sequence) in named.set.sequences.iter().enumerate() {
+            let errors = unposed.reconstruction_of(index, &counts)?;
+            let all = errors.last().copied().unwrap_or(LayerError::over(&[]));
+            lines.push(Reconstructed {
+                set: named.name.clone(),
+                sequence: sequence.name.clone(),
+                frames: sequence.frames(),
+                components: counts.clone(),
+                errors_mm: errors.iter().map(|error| error.mean).collect(),
+                largest_mm: all.largest,
+            });
+            progress(index + 1, named.set.sequences.len());
+        }
+        let image = self.shown_reconstructions(named, unposed, &counts)?;
+        Ok((Outcome { reconstructed: lines, ..Outcome::default() }, image))
+    }
+
+    /// The middle frame of the first sequence by its own components.
+    fn shown_reconstructions(
+        &self,
+        named: &Named,
+        unposed: &Unposed,
+        counts: &[usize],
+    ) -> Result<Image> {
+        let (frames, _) = unposed.frames_of(&[0]);
+        let rows = unposed.rows.select(Axis(0), &frames);
+        let all = cape_layer::LayerPca::fit(rows.view(), cape_layer::Keep::All)?;
+        let middle = frames.len() / 2;
+        let row = rows.slice(ndarray::s![middle..=middle, ..]);
+        let mut shown = vec![Shown::truth(named, frames[middle])];
+        for &count in counts {
+            let pca = all.truncated(count);
+            let offsets = pca.decode(pca.encode(row)?.view())?;
+            let clothing = unposed.dressed(&[frames[middle]], offsets.view())?;
+            let label = format!("by {count}");
+            shown
+                .extend(clothing.into_iter().map(|c| Shown::new(label.clone(), frames[middle], c)));
+        }
+        figures::errors(self.model, named, &shown)
+    }
+
+    fn regression(
+        &self,
+        named: &Named,
+        unposed: &Unposed,
+        progress: &mut dyn FnMut(usize, usize),
+    ) -> Result<(Outcome, Image)> {
+        let sequences = &named.set.sequences;
+        let mut runs: Vec<(String, Vec<usize>)> =
+            sequences.iter().enumerate().map(|(k, s)| (s.name.clone(), vec![k])).collect();
+        if runs.len() > 1 {
+            runs.push(("all together".into(), (0..sequences.len()).collect()));
+        }
+        let mut lines = Vec::new();
+        let mut shown = Vec::new();
+        for (index, (name, of)) in runs.iter().enumerate() {
+            let regression = unposed.regression(of, &self.learning, &mut |_| {})?;
+            let (frames, _) = unposed.frames_of(of);
+            let held = &regression.learnt.outcome.validation_frames;
+            if index == 0 {
+                for &at in held.iter().skip(held.len() / 4).step_by(1 + held.len() / 3).take(3) {
+                    shown.extend(self.shown(named, unposed, &regression, frames[at])?);
+                }
+            }
+            lines.push(Regressed::of(named, "", name, &regression, held.len()));
+            progress(index + 1, runs.len());
+        }
+        let image = figures::errors(self.model, named, &shown)?;
+        Ok((Outcome { regressed: lines, ..Outcome::default() }, image))
+    }
+
+    fn transfer(
+        &self,
+        named: &Named,
+        unposed: &Unposed,
+        factor: Factor,
+        progress: &mut dyn FnMut(usize, usize),
+    ) -> Result<(Outcome, Image)> {
+        let groups = factor.groups(&named.set);
+        let mut lines = Vec::new();
+        let mut pictures = Vec::new();
+        for (index, group) in groups.iter().enumerate() {
+            let regression = unposed.transfer(&group.sequences, &self.learning, &mut |_| {})?;
+            let (frames, _) = unposed.frames_of(&group.sequences);
+            let mut shown = Vec::new();
+            for moment in MOMENTS {
+                let frame = frames[(moment * frames.len() as f64) as usize];
+                shown.extend(self.shown(named, unposed, &regression, frame)?);
+            }
+            pictures.push((regression.predict.mean, shown));
+            let line = Regressed::of(named, factor.name(), &group.label, &regression, frames.len());
+            lines.push(line);
+            progress(index + 1, groups.len());
+        }
+        // Neither the best nor the worst.
+        pictures.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (_, shown) = &pictures[(pictures.len() - 1) / 2];
+        let image = figures::errors(self.model, named, shown)?;
+        Ok((Outcome { regressed: lines, ..Outcome::default() }, image))
+    }
+
+    /// A frame as it is and as it is predicted.
+    fn shown(
+        &self,
+        named: &Named,
+        unposed: &Unposed,
+        regression: &Regression,
+        frame: usize,
+    ) -> Result<Vec<Shown>> {
+        let features = &self.learning.features;
+        let predicted: Vec<Array2<f64>> =
+            unposed.predicted(&regression.learnt, features, &[frame])?;
+        let predicted = predicted.into_iter().next();
+        let predicted = predicted.ok_or_else(|| Error::message("nothing was predicted"))?;
+        Ok(vec![Shown::truth(named, frame), Shown::new("predicted".into(), frame, predicted)])
+    }
+}
+
+impl Regressed {
+    fn of(named: &Named, factor: &str, name: &str, regression: &Regression, frames: usize) -> Self {
+        let outcome = &regression.learnt.outcome;
+        Self {
+            set: named.name.clone(),
+            factor: factor.to_owned(),
+            name: name.to_owned(),
+            trained: outcome.training_frames.len(),
+            frames,
+            train_mm: regression.train.mean,
+            predict_mm: regression.predict.mean,
+            largest_mm: regression.predict.largest,
+            space_mm: regression.space.mean,
+            nothing_mm: regression.nothing.mean,
+            iterations: outcome.epochs.len(),
+        }
+    }
+}

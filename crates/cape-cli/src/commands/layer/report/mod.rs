@@ -1,0 +1,378 @@
+//! All experiments on clothing layers, in one report.
+
+mod cape;
+mod figures;
+mod jobs;
+mod sets;
+mod tables;
+
+use std::{fmt::Write as _, path::PathBuf};
+
+use cape_core::{SmplModel, parse_device};
+use cape_layer::LayerSet;
+use cape_render::Image;
+use cape_train::write_json;
+use clap::Args;
+use serde::Serialize;
+
+use super::{
+    associate, body,
+    synth::Kind,
+    tying::{Lessons, Tying},
+};
+use crate::{
+    arguments::{Global, at_least_one},
+    console::Console,
+    error::{Context, Result},
+    files,
+    html::{self, Figure},
+};
+use cape::{Comparison, compare};
+use jobs::{Job, Laboratory, Named, Outcome, Reconstructed, Regressed};
+use sets::{Size, simulated};
+use tables::Table;
+
+/// Frames of a sequence and length of edges in millimetres, with --quick and without.
+const QUICK: (usize, f64) = (16, 50.0);
+const FULL: (usize, f64) = (110, 25.0);
+
+/// Run the paper's experiments on sets of sequences, and write tables and pictures of them.
+///
+/// For every set: reconstruction by number of components (table 1), regression of held-out frames
+/// (table 2), and, for each of body shape, motion, material and fit in which its sequences differ,
+/// prediction of those that were left out, one value after the other. Without sets it simulates its
+/// own: a garment on two subjects in five movements, in eight fabrics, and in eight sizes.
+///
+/// What is done is kept in --out unless settings or data change; an interrupted report goes on where
+/// it was. Writes report.html, report.json, a .csv for each table and a .png for each picture.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  cape layer report --quick --out quick\n  cape layer report skirts \
+                  shirts --components 40 --cape run --out report"
+)]
+pub(super) struct Report {
+    /// Sets that `cape layer synth` or `cape layer import` wrote; by default simulated ones.
+    #[arg(value_name = "SET")]
+    sets: Vec<PathBuf>,
+    /// Directory for sets, tables, pictures and the report.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Simulate few short sequences of a coarse garment.
+    #[arg(long, conflicts_with = "sets")]
+    quick: bool,
+    /// The garment that is simulated.
+    #[arg(long, value_enum, default_value_t = Kind::Skirt, conflicts_with = "sets")]
+    garment: Kind,
+    /// Frames of each simulated sequence.
+    #[arg(long, value_name = "N", value_parser = at_least_one, conflicts_with = "sets")]
+    frames: Option<usize>,
+    /// Length of the simulated garment's edges, millimetres.
+    #[arg(long, value_name = "MM", conflicts_with = "sets")]
+    resolution: Option<f64>,
+    /// The body, .pkl or .npz; by default the synthetic one.
+    #[arg(long, value_name = "SMPL")]
+    body: Option<PathBuf>,
+    /// A training run of CAPE to compare with on its test frames, where clothing displaces the body.
+    #[arg(long, value_name = "RUN")]
+    cape: Option<PathBuf>,
+    /// The packed set to compare on; by default the one that the run was trained on.
+    #[arg(long, value_name = "DIR", requires = "cape")]
+    data: Option<PathBuf>,
+    #[command(flatten)]
+    tying: Tying,
+    #[command(flatten)]
+    lessons: Lessons,
+}
+
+/// A set, for programs.
+#[derive(Debug, Serialize)]
+struct Described {
+    name: String,
+    sequences: usize,
+    frames: usize,
+    vertices: usize,
+}
+
+#[derive(Debug, Serialize)]
+struct Written {
+    out: PathBuf,
+    sets: Vec<Described>,
+    reconstruction: Vec<Reconstructed>,
+    regression: Vec<Regressed>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    comparison: Option<Comparison>,
+}
+
+/// A picture with what is said about it.
+struct Shown {
+    name: String,
+    title: String,
+    caption: String,
+    image: Image,
+}
+
+impl Report {
+    pub(super) fn run(mut self, global: &Global, console: Console) -> Result {
+        let model = body(self.body.as_deref())?;
+        let kept = self.out.join("results");
+        files::create_dir(&kept)?;
+        if self.quick {
+            // A quarter of its frames is all that trains a new motion.
+            self.lessons.components = self.lessons.components.min(QUICK.0 / 2);
+        }
+        let learning = self.lessons.learning(global.seed.unwrap_or(1))?;
+        let sets = self.sets(&model, console)?;
+        let laboratory =
+            Laboratory { model: &model, learning, tying: self.tying.clone(), kept: &kept, console };
+        let mut written = Written {
+            out: self.out.clone(),
+            sets: sets.iter().map(Described::of).collect(),
+            reconstruction: Vec::new(),
+            regression: Vec::new(),
+            comparison: None,
+        };
+        let mut shown = Vec::new();
+        for named in &sets {
+            let doing = || format!("set {}", named.name);
+            shown.push(self.association(&model, named, console).doing(doing)?);
+            for (job, outcome, image) in laboratory.work(named).doing(doing)? {
+                let Outcome { reconstructed, regressed, .. } = outcome;
+                written.reconstruction.extend(reconstructed);
+                written.regression.extend(regressed);
+                shown.push(Shown::of(named, job, image));
+            }
+        }
+        if let Some(run) = &self.cape {
+            let device = parse_device(&global.device)?;
+            let (data, kept) = (self.data.as_deref(), kept.join("cape.json"));
+            let found = compare(run, data, &laboratory.learning, &kept, &device, console);
+            written.comparison = Some(found.doing(|| "comparison with CAPE".into())?);
+        }
+        let tables = written.tables();
+        self.write(&written, &tables, &shown)?;
+        console.result(&written, || {
+            let texts: Vec<String> = tables.iter().map(Table::text).collect();
+            format!("{}\n\n{}", texts.join("\n\n"), self.out.join("report.html").display())
+        })
+    }
+
+    fn sets(&self, model: &SmplModel, console: Console) -> Result<Vec<Named>> {
+        let mut named = Vec::new();
+        if self.sets.is_empty() {
+            let (frames, resolution) = if self.quick { QUICK } else { FULL };
+            let size = Size {
+                quick: self.quick,
+                frames: self.frames.unwrap_or(frames),
+                resolution: 1e-3 * self.resolution.unwrap_or(resolution),
+            };
+            let out = self.out.join("sets");
+            for (name, set) in simulated(model, &out, size, self.garment.into(), console)? {
+                named.push(Named { name, set });
+            }
+        }
+        for (index, path) in self.sets.iter().enumerate() {
+            let stem = path.file_name().map_or("set".into(), |name| name.to_string_lossy());
+            let known = named.iter().any(|other: &Named| other.name == stem);
+            let name = if known { format!("{stem}-{index}") } else { stem.into_owned() };
+            named.push(Named { name, set: LayerSet::load(path)? });
+        }
+        Ok(named)
+    }
+
+    /// The set's association, drawn if it is not there yet.
+    fn association(&self, model: &SmplModel, named: &Named, console: Console) -> Result<Shown> {
+        let tied = self.tying.tie(model, &named.set, console)?;
+        let directory = self.out.join("results").join(format!("{}-association", named.name));
+        files::create_dir(&directory)?;
+        associate::draw(&tied, &directory)?;
+        let statistics = &tied.association.statistics;
+        Ok(Shown {
+            name: format!("{}-association", named.name),
+            title: format!("{}: association", named.name),
+            caption: format!(
+                "Clothing in the colours of the body that it follows: {} clothing vertices, {} pairs \
+                 from {} rays that met the clothing, {} vertices completed.",
+                tied.association.clothing_vertices(),
+                tied.association.pairs,
+                statistics.hits,
+                tied.association.completion.total()
+            ),
+            image: Image::load(directory.join("association.png"))?,
+        })
+    }
+
+    fn write(&self, written: &Written, tables: &[Table], shown: &[Shown]) -> Result {
+        write_json(&self.out.join("report.json"), written)?;
+        let mut page = written.described();
+        for table in tables {
+            files::write_text(&self.out.join(format!("{}.csv", table.name)), &table.csv())?;
+            page += &table.html();
+        }
+        for Shown { name, title, caption, image } in shown {
+            image.save(self.out.join(format!("{name}.png")))?;
+            page += &Figure { title, caption, image }.html()?;
+        }
+        let settings = format!("{:#?}", (&self.tying, &self.lessons));
+        let _ = writeln!(
+            page,
+            "<h2>How</h2><p>cape {}</p><pre>{}</pre>",
+            env!("CARGO_PKG_VERSION"),
+            html::escaped(&settings)
+        );
+        let page = html::page("Clothing layers", "Statistics of clothing layers", &page);
+        files::write_text(&self.out.join("report.html"), &page)
+    }
+}
+
+impl Described {
+    fn of(named: &Named) -> Self {
+        let Named { name, set } = named;
+        Self {
+            name: name.clone(),
+            sequences: set.sequences.len(),
+            frames: set.frames(),
+            vertices: set.vertices(),
+        }
+    }
+}
+
+impl Shown {
+    fn of(named: &Named, job: Job, image: Image) -> Self {
+        let caption = match job {
+            Job::Reconstruction => {
+                "The middle frame of the first sequence and its reconstructions by the sequence's \
+                 own components, in colours by their errors."
+            }
+            Job::Regression => {
+                "Held-out frames of the first sequence and what is predicted for them, in colours by \
+                 the errors."
+            }
+            Job::Transfer(_) => {
+                "Frames of a value that was left out (of all values the one of median error) and \
+                 what is predicted for them, in colours by the errors."
+            }
+        };
+        let title = match job {
+            Job::Transfer(factor) => format!("{}: new {}", named.name, factor.name()),
+            job => format!("{}: {}", named.name, job.name()),
+        };
+        let name = format!("{}-{}", named.name, job.name());
+        Self { name, title, caption: caption.into(), image }
+    }
+}
+
+impl Written {
+    fn described(&self) -> String {
+        let line = |set: &Described| {
+            let Described { name, sequences, frames, vertices } = set;
+            let name = html::escaped(name);
+            format!("{name}: {sequences} sequences, {frames} frames of {vertices} vertices")
+        };
+        format!("<p>{}</p>\n", self.sets.iter().map(line).collect::<Vec<_>>().join("<br>"))
+    }
+
+    fn tables(&self) -> Vec<Table> {
+        let mut tables = vec![self.reconstructions()];
+        let (seen, new): (Vec<_>, Vec<_>) =
+            self.regression.iter().partition(|line| line.factor.is_empty());
+        tables.push(Table {
+            name: "regression",
+            title: "Regression of held-out frames (table 2), mm".into(),
+            caption: "One frame of five is held out. \u{201c}Space\u{201d} is the error of the held-out \
+                      frames' own coordinates in the components of the others, \u{201c}mean\u{201d} \
+                      that of the others' mean: between the two a prediction can be."
+                .into(),
+            header: heads(&["set", "sequence", "trained", "held out", "E_train", "E_pred"]),
+            rows: seen.iter().map(|line| line.cells([&line.set, &line.name])).collect(),
+        });
+        if !new.is_empty() {
+            tables.push(Table {
+                name: "new",
+                title: "Prediction of what was not learned from, mm".into(),
+                caption:
+                    "All sequences of the value named are left out of the components and of the \
+                          regression."
+                        .into(),
+                header: heads(&["new", "left out", "trained", "predicted", "E_train", "E_pred"]),
+                rows: new.iter().map(|line| line.cells([&line.factor, &line.name])).collect(),
+            });
+        }
+        tables.extend(self.comparison.as_ref().map(compared));
+        tables
+    }
+
+    fn reconstructions(&self) -> Table {
+        let counts = self.reconstruction.first().map_or(&[][..], |line| &line.components);
+        let counts = counts.iter().map(ToString::to_string);
+        let header = ["set", "sequence", "frames"].into_iter().map(str::to_owned).chain(counts);
+        let rows = self.reconstruction.iter().map(|line| {
+            let mut cells = vec![line.set.clone(), line.sequence.clone(), line.frames.to_string()];
+            let (all, few) = line.errors_mm.split_last().unwrap_or((&0.0, &[]));
+            cells.extend(few.iter().map(|error| format!("{error:.2}")));
+            cells.extend([format!("{all:.1e}"), format!("{:.1e}", line.largest_mm)]);
+            cells
+        });
+        Table {
+            name: "reconstruction",
+            title: "Reconstruction by number of components (table 1), mm".into(),
+            caption:
+                "Mean distance of clothing vertices from their places, by the first components \
+                      of each sequence; with all of them also the largest distance."
+                    .into(),
+            header: header.chain(["all".into(), "largest".into()]).collect(),
+            rows: rows.collect(),
+        }
+    }
+}
+
+impl Regressed {
+    fn cells(&self, names: [&str; 2]) -> Vec<String> {
+        let mut cells: Vec<String> = names.into_iter().map(str::to_owned).collect();
+        cells.extend([self.trained, self.frames].map(|count| count.to_string()));
+        let errors = [self.train_mm, self.predict_mm, self.space_mm, self.nothing_mm];
+        cells.extend(errors.map(|error| format!("{error:.2}")));
+        cells.push(self.iterations.to_string());
+        cells
+    }
+}
+
+fn heads(names: &[&str]) -> Vec<String> {
+    names.iter().chain(&["space", "mean", "iterations"]).map(|&name| name.to_owned()).collect()
+}
+
+fn compared(comparison: &Comparison) -> Table {
+    let said = |is: bool| if is { "yes" } else { "no" }.to_owned();
+    let rows = comparison.methods.iter().map(|method| {
+        vec![
+            method.method.clone(),
+            method.code.to_string(),
+            said(true),
+            said(method.pose_dependent),
+            said(method.probabilistic),
+            format!("{:.2}", method.reconstruction_mm),
+            format!("{:.2}", method.prediction_mm),
+            method.spread_mm.map_or("–".into(), |spread| format!("{spread:.2}")),
+        ]
+    });
+    let header = [
+        "method",
+        "numbers",
+        "parametric",
+        "pose-dependent",
+        "probabilistic",
+        "reconstruction",
+        "from pose",
+        "spread",
+    ];
+    Table {
+        name: "cape",
+        title: format!("Displacements of {} test frames, mm", comparison.frames),
+        caption:
+            "Reconstruction is by a frame's own code. From pose is what is expected of pose and \
+                  outfit alone: the components' mean, the regression, and CAPE's decoder at the \
+                  prior's mean. Spread is the mean distance of samples from their mean."
+                .into(),
+        header: header.map(str::to_owned).to_vec(),
+        rows: rows.collect(),
+    }
+}

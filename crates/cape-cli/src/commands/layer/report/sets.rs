@@ -1,0 +1,139 @@
+//! Simulated sets for the report, if there are no others.
+
+use std::{fs, path::Path};
+
+use cape_core::SmplModel;
+use cape_layer::{
+    LayerSet,
+    cloth::{Garment, GarmentKind, Material},
+    synth::{Design, Exercise},
+};
+
+use crate::{
+    console::Console,
+    error::{Error, Result},
+    files,
+};
+
+/// What the simulated sets are of.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Size {
+    /// Few subjects, movements, fabrics and sizes.
+    pub(super) quick: bool,
+    /// Frames of a sequence.
+    pub(super) frames: usize,
+    /// Length of triangles' edges, metres.
+    pub(super) resolution: f64,
+}
+
+/// Fabrics: density in kg/m², and how much more stretchable and pliable they are than jersey, how
+/// much more they damp, and their friction against the body.
+const FABRICS: [[f64; 5]; 8] = [
+    [0.06, 0.5, 6.0, 2.0, 0.25],  // chiffon
+    [0.08, 0.3, 4.0, 0.7, 0.15],  // silk
+    [0.20, 1.0, 1.0, 1.0, 0.30],  // jersey
+    [0.14, 0.3, 0.7, 1.0, 0.35],  // cotton
+    [0.19, 0.25, 0.4, 1.2, 0.40], // linen
+    [0.28, 0.6, 0.5, 1.8, 0.50],  // wool
+    [0.40, 0.1, 0.15, 1.5, 0.55], // denim
+    [0.60, 0.2, 0.06, 2.2, 0.60], // leather
+];
+
+fn fabric([density, stretch, bend, damping, friction]: [f64; 5]) -> Material {
+    let jersey = Material::default();
+    Material {
+        density,
+        stretch: stretch * jersey.stretch,
+        bend: bend * jersey.bend,
+        damping: damping * jersey.damping,
+        friction,
+        ..jersey
+    }
+}
+
+/// Names and designs: one garment in all movements of two subjects (ten sequences, for tables 1 and
+/// 2, new bodies and new motions), in eight fabrics, and in eight sizes.
+fn designs(size: Size, kind: GarmentKind) -> Vec<(&'static str, Design)> {
+    let garment = Garment { resolution: size.resolution, ..Garment::of(kind) };
+    let plain = Design { frames: size.frames, ..Design::of(garment) };
+    let few = if size.quick { 3 } else { 8 };
+    let lengths = [1.0, 0.75, 1.2, 0.9].into_iter();
+    let widths = [0.97, 1.09];
+    let sizes = lengths.flat_map(|length| {
+        widths.map(|width| Garment {
+            length: garment.length * length,
+            width: garment.width * width,
+            ..garment
+        })
+    });
+    let subjects = vec![vec![0.0, 0.0], vec![1.5, -1.0]];
+    let exercises =
+        if size.quick { vec![Exercise::March, Exercise::Squat] } else { Exercise::ALL.to_vec() };
+    let one = |exercise| Design { exercises: vec![exercise], ..plain.clone() };
+    vec![
+        ("moves", Design { subjects, exercises, ..plain.clone() }),
+        (
+            "materials",
+            Design {
+                materials: FABRICS.into_iter().take(few).map(fabric).collect(),
+                ..one(Exercise::Swing)
+            },
+        ),
+        ("fits", Design { sizes: sizes.take(few).collect(), ..one(Exercise::March) }),
+    ]
+}
+
+/// Simulates what is not there yet, sequence by sequence, and gives the sets with their names.
+pub(super) fn simulated(
+    model: &SmplModel,
+    out: &Path,
+    size: Size,
+    kind: GarmentKind,
+    console: Console,
+) -> Result<Vec<(String, LayerSet)>> {
+    let mut sets = Vec::new();
+    for (name, design) in designs(size, kind) {
+        let directory = out.join(name);
+        let (text, made) = (format!("{design:?}\n"), directory.join("design.txt"));
+        if fs::read_to_string(&made).ok().as_ref() != Some(&text) {
+            if directory.exists() {
+                fs::remove_dir_all(&directory).map_err(|error| Error::io(&directory, error))?;
+            }
+            files::create_dir(&directory)?;
+            files::write_text(&made, &text)?;
+        }
+        let set = console.while_showing(name, "sequences", |progress| {
+            simulate(model, &directory, &design, progress)
+        })?;
+        sets.push((name.to_owned(), set));
+    }
+    Ok(sets)
+}
+
+/// The design's set, saved after every sequence, so that an interrupted simulation goes on.
+fn simulate(
+    model: &SmplModel,
+    directory: &Path,
+    design: &Design,
+    progress: &mut dyn FnMut(usize, usize),
+) -> Result<LayerSet> {
+    let takes = design.takes();
+    let done = if directory.join("set.json").exists() {
+        LayerSet::load(directory)?.sequences
+    } else {
+        Vec::new()
+    };
+    if done.len() < takes.len() {
+        let sewn = design.sew(model)?;
+        let mut sequences = done;
+        for (index, &take) in takes.iter().enumerate().skip(sequences.len()) {
+            progress(index, takes.len());
+            sequences.push(design.simulate(model, &sewn, take)?.0);
+            let set = LayerSet::new(sewn.surface.faces.clone(), sequences)?;
+            set.save(directory)?;
+            sequences = set.sequences;
+        }
+    }
+    // As it will be read from now on, to the last digit.
+    Ok(LayerSet::load(directory)?)
+}

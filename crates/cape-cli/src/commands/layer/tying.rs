@@ -1,0 +1,163 @@
+//! What commands that learn from a set have in common: tying clothing to the body, and settings.
+
+use cape_core::SmplModel;
+use cape_layer::{
+    AssociateOptions, Association, LayerSet, StandardPose,
+    experiment::Learning,
+    geometry::Surface,
+    regress::{Features, Training},
+};
+use clap::{Args, ValueEnum};
+
+use crate::{
+    arguments::at_least_one,
+    console::Console,
+    error::{Error, Result},
+};
+
+/// How clothing is tied to the body.
+#[derive(Debug, Clone, Args)]
+pub(super) struct Tying {
+    /// Body vertices for each clothing vertex.
+    #[arg(long, default_value_t = 4, value_name = "N", value_parser = at_least_one)]
+    pub(super) neighbours: usize,
+    /// How far a pair of body and clothing vertex is felt, σ, over both meshes, millimetres.
+    #[arg(long, default_value_t = 10.0, value_name = "MM")]
+    pub(super) sigma: f64,
+    /// Distance over either mesh beyond which it is not, millimetres.
+    #[arg(long, default_value_t = 30.0, value_name = "MM")]
+    pub(super) support: f64,
+    /// Frame, counted over all sequences, in which clothing is tied to the body.
+    #[arg(long, default_value_t = 0, value_name = "K")]
+    pub(super) frame: usize,
+    /// The pose that clothing is brought to.
+    #[arg(long, value_enum, default_value_t = Standard::APose)]
+    pub(super) standard: Standard,
+}
+
+impl Default for Tying {
+    fn default() -> Self {
+        let AssociateOptions { neighbours, sigma, support, .. } = AssociateOptions::default();
+        let (sigma, support) = (1e3 * sigma, 1e3 * support);
+        Self { neighbours, sigma, support, frame: 0, standard: Standard::APose }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum Standard {
+    APose,
+    TPose,
+}
+
+/// Clothing tied to the body in one frame.
+pub(super) struct Tied {
+    pub(super) body: Surface,
+    pub(super) clothing: Surface,
+    pub(super) association: Association,
+}
+
+impl Tying {
+    pub(super) fn standard(&self) -> StandardPose {
+        match self.standard {
+            Standard::APose => StandardPose::A,
+            Standard::TPose => StandardPose::T,
+        }
+    }
+
+    pub(super) fn options(&self) -> AssociateOptions {
+        AssociateOptions {
+            neighbours: self.neighbours,
+            sigma: 1e-3 * self.sigma,
+            support: 1e-3 * self.support,
+            ..AssociateOptions::default()
+        }
+    }
+
+    /// Ties the set's clothing to its body, and says what is odd about them.
+    pub(super) fn tie(&self, model: &SmplModel, set: &LayerSet, console: Console) -> Result<Tied> {
+        let each = set.each_frame();
+        let &(sequence, frame) = each.get(self.frame).ok_or_else(|| {
+            Error::message(format!("--frame {}: there are {}", self.frame, each.len()))
+        })?;
+        let body = set.sequences[sequence].body(model, frame, &self.standard())?;
+        let body = Surface::new("body", body.posed, model.faces.clone())?;
+        let clothing = set.clothing(sequence, frame)?;
+        let association = self.options().associate(&body, &clothing)?;
+        for oddity in oddities(&association) {
+            console.note(&format!("sequence `{}`: {oddity}", set.sequences[sequence].name));
+        }
+        Ok(Tied { body, clothing, association })
+    }
+}
+
+/// What the rays from the body say about meshes that can be used but may not be meant.
+fn oddities(association: &Association) -> Vec<String> {
+    let statistics = &association.statistics;
+    let mut found = Vec::new();
+    if statistics.clothing_is_flipped() {
+        found.push(format!(
+            "{} of {} rays from the body meet the clothing's outer side: its faces are flipped \
+             (they only matter for pictures)",
+            statistics.on_outer_side, statistics.hits
+        ));
+    }
+    if statistics.inside > 0 {
+        found.push(format!(
+            "{} of {} clothing vertices are inside the body in the frame that ties them",
+            statistics.inside,
+            association.clothing_vertices()
+        ));
+    }
+    if association.completion.isolated > 0 {
+        found.push(format!(
+            "{} clothing vertices are in parts that no ray from the body meets: they follow the \
+             nearest part that is met",
+            association.completion.isolated
+        ));
+    }
+    found
+}
+
+/// How clothing is learned.
+#[derive(Debug, Clone, Args)]
+pub(super) struct Lessons {
+    /// Principal components that are predicted.
+    #[arg(long, default_value_t = 40, value_name = "N", value_parser = at_least_one)]
+    pub(super) components: usize,
+    /// Rises of the validation error in a row after which training still goes on.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    patience: usize,
+    /// Copies of the training frames with noise on the semantic parameters.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    copies: usize,
+    /// Standard deviation of that noise, relative to that of the parameters.
+    #[arg(long, default_value_t = 0.05, value_name = "S")]
+    noise: f64,
+    /// Numbers that semantic parameters are reduced to if more of them vary.
+    #[arg(long, default_value_t = 4, value_name = "N", value_parser = at_least_one)]
+    reduce: usize,
+    /// Standard deviation of the Gaussian that smooths speeds, seconds.
+    #[arg(long, default_value_t = 0.0, value_name = "S")]
+    smoothing: f64,
+}
+
+impl Lessons {
+    pub(super) fn learning(&self, seed: u64) -> Result<Learning> {
+        if !(self.smoothing.is_finite() && self.smoothing >= 0.0) {
+            let message = format!("--smoothing {}: expected 0 or more", self.smoothing);
+            return Err(Error::message(message));
+        }
+        Ok(Learning {
+            components: self.components,
+            features: Features { smoothing: self.smoothing, ..Features::default() },
+            semantics: Some(self.reduce),
+            training: Training {
+                patience: self.patience,
+                copies: self.copies,
+                noise: self.noise,
+                seed,
+                ..Training::default()
+            },
+        })
+    }
+}

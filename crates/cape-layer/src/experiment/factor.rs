@@ -1,0 +1,120 @@
+use crate::{LayerSet, Sequence};
+
+/// What sequences of a set differ in, and what can be new to a layer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Factor {
+    /// The body's shape coefficients.
+    Shape,
+    /// The movement: what follows the last `_` of a sequence's name.
+    Motion,
+    /// Parameters other than sizes.
+    Material,
+    /// Sizes: parameters named length, width, sleeve or size.
+    Fit,
+}
+
+/// Sequences that are alike in a factor.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Group {
+    /// What they have in common, for people.
+    pub label: String,
+    /// Their numbers in the set, ascending.
+    pub sequences: Vec<usize>,
+}
+
+const SIZES: [&str; 4] = ["length", "width", "sleeve", "size"];
+
+impl Factor {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Shape, Self::Motion, Self::Material, Self::Fit];
+
+    /// The name in tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Shape => "shape",
+            Self::Motion => "motion",
+            Self::Material => "material",
+            Self::Fit => "fit",
+        }
+    }
+
+    /// Sequences of the set by this factor, in the order of their first ones. There is one group if
+    /// they do not differ in it.
+    pub fn groups(self, set: &LayerSet) -> Vec<Group> {
+        let mut groups: Vec<Group> = Vec::new();
+        for (index, sequence) in set.sequences.iter().enumerate() {
+            let label = self.label(set, sequence);
+            match groups.iter_mut().find(|group| group.label == label) {
+                Some(group) => group.sequences.push(index),
+                None => groups.push(Group { label, sequences: vec![index] }),
+            }
+        }
+        groups
+    }
+
+    fn label(self, set: &LayerSet, sequence: &Sequence) -> String {
+        let numbers = |wanted: &dyn Fn(&str) -> bool| {
+            let differs = |at: usize, value: f64| {
+                set.sequences.iter().any(|other| other.parameters[at].1 != value)
+            };
+            let parameters = sequence.parameters.iter().enumerate();
+            let told =
+                parameters.filter(|(at, (name, value))| wanted(name) && differs(*at, *value));
+            told.map(|(_, (name, value))| format!("{name} {value:.3}"))
+                .collect::<Vec<_>>()
+                .join(", ")
+        };
+        match self {
+            Self::Shape => {
+                let betas: Vec<String> = sequence.betas.iter().map(|b| format!("{b:.2}")).collect();
+                if betas.is_empty() {
+                    "mean shape".into()
+                } else {
+                    format!("β {}", betas.join(" "))
+                }
+            }
+            Self::Motion => {
+                let name = &sequence.name;
+                name.rsplit_once('_').map_or(name.as_str(), |(_, last)| last).to_owned()
+            }
+            Self::Material => numbers(&|name| !SIZES.contains(&name)),
+            Self::Fit => numbers(&|name| SIZES.contains(&name)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ndarray::{Array2, Array3};
+
+    use super::*;
+    use crate::regress::Motion;
+
+    #[test]
+    fn sequences_are_grouped_by_what_differs() {
+        let sequence = |name: &str, beta: f64, length: f64| Sequence {
+            name: name.into(),
+            clothing: Array3::zeros((1, 3, 3)),
+            betas: vec![beta],
+            motion: Motion::new(30.0, Array2::zeros((1, 72)), Array2::zeros((1, 3))).unwrap(),
+            parameters: vec![
+                ("length".into(), length),
+                ("width".into(), 1.0),
+                ("log_bend".into(), -2.0),
+            ],
+        };
+        let sequences = vec![
+            sequence("a_walk", 0.0, 1.0),
+            sequence("b_jump", 0.0, 1.2),
+            sequence("c_walk", 1.0, 1.0),
+        ];
+        let set = LayerSet::new(vec![[0, 1, 2]], sequences).unwrap();
+        let groups = |factor: Factor| -> Vec<(String, Vec<usize>)> {
+            factor.groups(&set).into_iter().map(|g| (g.label, g.sequences)).collect()
+        };
+        assert_eq!(groups(Factor::Motion), [("walk".into(), vec![0, 2]), ("jump".into(), vec![1])]);
+        assert_eq!(groups(Factor::Shape)[1], ("β 1.00".into(), vec![2]));
+        assert_eq!(groups(Factor::Fit)[1], ("length 1.200".into(), vec![1]));
+        assert_eq!(groups(Factor::Material).len(), 1);
+    }
+}

@@ -1,0 +1,260 @@
+use cape_core::SmplModel;
+use ndarray::{Array2, ArrayView2, Axis};
+use rayon::prelude::*;
+
+use super::{LayerError, Learning, Learnt, Regression};
+use crate::{
+    Association, Error, Keep, LayerPca, Result, StandardPose,
+    offsets::Carrier,
+    regress::{Epoch, Features, Semantics},
+    sequence::LayerSet,
+};
+
+/// A set whose clothing is tied to its bodies and freed from their poses.
+#[derive(Debug, Clone)]
+pub struct Unposed<'a> {
+    set: &'a LayerSet,
+    association: &'a Association,
+    /// What carries the clothing in each frame.
+    carriers: Vec<Carrier>,
+    /// Offsets, a row for each frame of [`LayerSet::each_frame`], metres, `[frames, 3 · n_v · n_f]`.
+    pub rows: Array2<f64>,
+}
+
+impl<'a> Unposed<'a> {
+    /// Takes the poses out of all frames.
+    pub fn new(
+        model: &SmplModel,
+        set: &'a LayerSet,
+        association: &'a Association,
+        standard: &StandardPose,
+    ) -> Result<Self> {
+        let frames = set.each_frame();
+        let numbers = 3 * association.clothing_vertices() * association.neighbours();
+        let (rows, carriers): (Vec<Vec<f64>>, Vec<Carrier>) = frames
+            .par_iter()
+            .map(|&(sequence, frame)| {
+                let sequence = &set.sequences[sequence];
+                let body = sequence.body(model, frame, standard)?;
+                let clothing = sequence.clothing.index_axis(Axis(0), frame);
+                let offsets = association.offsets(&body, clothing)?;
+                Ok((offsets.into_iter().collect(), association.carry(&body)?))
+            })
+            .collect::<Result<Vec<_>>>()?
+            .into_iter()
+            .unzip();
+        let rows = Array2::from_shape_vec((frames.len(), numbers), rows.concat())
+            .map_err(|error| Error::argument(error.to_string()))?;
+        Ok(Self { set, association, carriers, rows })
+    }
+
+    /// Frames of the sequences numbered `sequences`, and the others, in order.
+    pub fn frames_of(&self, sequences: &[usize]) -> (Vec<usize>, Vec<usize>) {
+        let each = self.set.each_frame();
+        (0..each.len()).partition(|&frame| sequences.contains(&each[frame].0))
+    }
+
+    /// Clothing of offsets `[n, 3 · n_v · n_f]` on the bodies of the frames numbered `frames`, in
+    /// order: metres, `[n_v, 3]` each.
+    pub fn dressed(
+        &self,
+        frames: &[usize],
+        offsets: ArrayView2<'_, f64>,
+    ) -> Result<Vec<Array2<f64>>> {
+        if offsets.nrows() != frames.len() {
+            return Err(Error::argument(format!(
+                "offsets of {} frames, expected {}",
+                offsets.nrows(),
+                frames.len()
+            )));
+        }
+        let shape = (self.association.clothing_vertices(), self.association.neighbours(), 3);
+        frames
+            .par_iter()
+            .zip(offsets.axis_iter(Axis(0)).into_par_iter())
+            .map(|(&index, offsets)| {
+                let carrier = self
+                    .carriers
+                    .get(index)
+                    .ok_or_else(|| Error::argument(format!("no frame {index} in the set")))?;
+                let offsets = offsets
+                    .into_shape_with_order(shape)
+                    .map_err(|error| Error::argument(error.to_string()))?;
+                carrier.dress(self.association, offsets)
+            })
+            .collect()
+    }
+
+    /// Errors of offsets `[n, 3 · n_v · n_f]` for the frames numbered `frames`, in order.
+    pub fn errors(
+        &self,
+        frames: &[usize],
+        offsets: ArrayView2<'_, f64>,
+    ) -> Result<Vec<LayerError>> {
+        let found = self.dressed(frames, offsets)?;
+        let each = self.set.each_frame();
+        let of = |(found, &index): (Array2<f64>, &usize)| {
+            let (sequence, frame) = each[index];
+            let truth = self.set.sequences[sequence].clothing.index_axis(Axis(0), frame);
+            LayerError::between(found.view(), truth)
+        };
+        Ok(found.into_iter().zip(frames).map(of).collect())
+    }
+
+    /// Reconstruction error of each sequence by its own principal components (table 1): for each of
+    /// `counts` (all, if there are fewer), and with all components last. `[sequences, counts + 1]`
+    pub fn reconstruction(&self, counts: &[usize]) -> Result<Vec<Vec<LayerError>>> {
+        let sequences = 0..self.set.sequences.len();
+        sequences.map(|sequence| self.reconstruction_of(sequence, counts)).collect()
+    }
+
+    /// The same of one sequence, `[counts + 1]`.
+    pub fn reconstruction_of(&self, sequence: usize, counts: &[usize]) -> Result<Vec<LayerError>> {
+        let (frames, _) = self.frames_of(&[sequence]);
+        let rows = self.rows.select(Axis(0), &frames);
+        let all = LayerPca::fit(rows.view(), Keep::All)?;
+        let codes = all.encode(rows.view())?;
+        let kept = counts.iter().copied().chain([all.len()]);
+        kept.map(|count| {
+            let pca = all.truncated(count);
+            let codes = codes.slice(ndarray::s![.., ..pca.len()]);
+            Ok(LayerError::over(&self.errors(&frames, pca.decode(codes)?.view())?))
+        })
+        .collect()
+    }
+
+    /// Inputs of the regression, `[frames, inputs]`, and which of them are semantic parameters.
+    pub fn inputs(
+        &self,
+        features: &Features,
+        semantics: &Semantics,
+    ) -> Result<(Array2<f64>, Vec<bool>)> {
+        let mut rows: Vec<f64> = Vec::new();
+        let mut noisy = Vec::new();
+        for sequence in &self.set.sequences {
+            let motion = features.rows(&sequence.motion);
+            let parameters: Vec<f64> = sequence.parameters.iter().map(|p| p.1).collect();
+            let parameters = semantics.reduced(&parameters)?;
+            noisy = vec![false; motion.ncols()];
+            noisy.resize(motion.ncols() + parameters.len(), true);
+            for row in motion.rows() {
+                rows.extend(row);
+                rows.extend(&parameters);
+            }
+        }
+        let inputs = Array2::from_shape_vec((self.set.frames(), noisy.len()), rows)
+            .map_err(|error| Error::argument(error.to_string()))?;
+        Ok((inputs, noisy))
+    }
+
+    /// Regression of the sequences numbered `sequences` (table 2): errors of clothing predicted for
+    /// the frames that trained and for the held-out ones among them.
+    pub fn regression(
+        &self,
+        sequences: &[usize],
+        learning: &Learning,
+        watch: &mut dyn FnMut(Epoch),
+    ) -> Result<Regression> {
+        let (frames, _) = self.frames_of(sequences);
+        let learnt = self.learn(&frames, learning, watch)?;
+        let held: Vec<usize> =
+            learnt.outcome.validation_frames.iter().map(|&k| frames[k]).collect();
+        self.measured(learnt, &frames, &held, learning)
+    }
+
+    /// Regression of all sequences but those numbered `held`, whose error is the prediction's: new
+    /// bodies, motions, materials or sizes, as the set has them.
+    pub fn transfer(
+        &self,
+        held: &[usize],
+        learning: &Learning,
+        watch: &mut dyn FnMut(Epoch),
+    ) -> Result<Regression> {
+        let (new, known) = self.frames_of(held);
+        if new.is_empty() || known.is_empty() {
+            return Err(Error::argument(format!(
+                "{} of {} frames held out: expected some, not all",
+                new.len(),
+                new.len() + known.len()
+            )));
+        }
+        let learnt = self.learn(&known, learning, watch)?;
+        self.measured(learnt, &known, &new, learning)
+    }
+
+    /// Clothing that is predicted for the frames numbered `frames`, in order: metres, `[n_v, 3]`
+    /// each.
+    pub fn predicted(
+        &self,
+        learnt: &Learnt,
+        features: &Features,
+        frames: &[usize],
+    ) -> Result<Vec<Array2<f64>>> {
+        self.dressed(frames, self.predicted_offsets(learnt, features, frames)?.view())
+    }
+
+    fn predicted_offsets(
+        &self,
+        learnt: &Learnt,
+        features: &Features,
+        frames: &[usize],
+    ) -> Result<Array2<f64>> {
+        let inputs = self.inputs(features, &learnt.semantics)?.0.select(Axis(0), frames);
+        learnt.pca.decode(learnt.outcome.regressor.predict(inputs.view())?.view())
+    }
+
+    fn learn(
+        &self,
+        frames: &[usize],
+        learning: &Learning,
+        watch: &mut dyn FnMut(Epoch),
+    ) -> Result<Learnt> {
+        let Learning { components, features, semantics, training } = learning;
+        let semantics = self.semantics(frames, *semantics)?;
+        let (inputs, noisy) = self.inputs(features, &semantics)?;
+        let rows = self.rows.select(Axis(0), frames);
+        // Held-out frames play no part in the space.
+        let fitted = rows.select(Axis(0), &training.split(frames.len()).0);
+        let pca = LayerPca::fit(fitted.view(), Keep::Components(*components))?;
+        let codes = pca.encode(rows.view())?;
+        let inputs = inputs.select(Axis(0), frames);
+        let outcome = training.train(inputs.view(), codes.view(), &noisy, watch)?;
+        Ok(Learnt { pca, semantics, outcome })
+    }
+
+    /// Of the sequences that `frames` are of.
+    fn semantics(&self, frames: &[usize], most: Option<usize>) -> Result<Semantics> {
+        let each = self.set.each_frame();
+        let mut sequences: Vec<usize> = frames.iter().map(|&frame| each[frame].0).collect();
+        sequences.dedup();
+        let names = match self.set.sequences.first() {
+            Some(first) => first.parameters.iter().map(|(name, _)| name.clone()).collect(),
+            None => Vec::new(),
+        };
+        let rows = Array2::from_shape_fn((sequences.len(), names.len()), |(k, p)| {
+            self.set.sequences[sequences[k]].parameters[p].1
+        });
+        Semantics::of(names, rows.view(), most)
+    }
+
+    fn measured(
+        &self,
+        learnt: Learnt,
+        known: &[usize],
+        held: &[usize],
+        learning: &Learning,
+    ) -> Result<Regression> {
+        let trained: Vec<usize> =
+            learnt.outcome.training_frames.iter().map(|&k| known[k]).collect();
+        let error = |frames: &[usize], offsets: &Array2<f64>| -> Result<LayerError> {
+            Ok(LayerError::over(&self.errors(frames, offsets.view())?))
+        };
+        let features = &learning.features;
+        let [train, predict] = [&trained[..], held]
+            .map(|frames| error(frames, &self.predicted_offsets(&learnt, features, frames)?));
+        let codes = learnt.pca.encode(self.rows.select(Axis(0), held).view())?;
+        let space = error(held, &learnt.pca.decode(codes.view())?)?;
+        let nothing = error(held, &learnt.pca.decode(Array2::zeros(codes.dim()).view())?)?;
+        Ok(Regression { train: train?, predict: predict?, space, nothing, learnt })
+    }
+}

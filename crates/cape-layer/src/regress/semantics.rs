@@ -1,0 +1,158 @@
+use cape_core::npy::{Npz, NpzWriter};
+use ndarray::{Array1, Array2, ArrayView2, Axis};
+
+use super::regressor::Scale;
+use crate::{Error, Keep, LayerPca, Result, error::finite};
+
+/// Semantic parameters of sequences, sizes and materials, and what the regression sees of them:
+/// standardised, and, where there are more than wanted, reduced to principal components (§5.4 of the
+/// paper reduces a material to 4).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Semantics {
+    names: Vec<String>,
+    scale: Scale,
+    /// Directions in standardised parameters, `[numbers, parameters]`.
+    components: Array2<f64>,
+}
+
+impl Semantics {
+    /// Of sequences with these parameters, `[sequences, names]`. If more than `most` of them vary,
+    /// they are reduced to that many numbers.
+    pub fn of(
+        names: Vec<String>,
+        sequences: ArrayView2<'_, f64>,
+        most: Option<usize>,
+    ) -> Result<Self> {
+        if names.len() != sequences.ncols() {
+            return Err(Error::argument(format!(
+                "{} names of {} semantic parameters",
+                names.len(),
+                sequences.ncols()
+            )));
+        }
+        finite("semantic parameters", sequences)?;
+        let scale = Scale::of(sequences);
+        let standardised = scale.apply(sequences);
+        let varied = standardised.columns().into_iter().filter(|c| c.iter().any(|&x| x != 0.0));
+        let components = match most {
+            Some(most) if varied.count() > most => {
+                let most = most.min(sequences.nrows() - 1);
+                LayerPca::fit(standardised.view(), Keep::Components(most))?.components
+            }
+            _ => Array2::eye(names.len()),
+        };
+        Ok(Self { names, scale, components })
+    }
+
+    /// The parameters' names, in order.
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    /// How many numbers the regression sees.
+    pub fn len(&self) -> usize {
+        self.components.nrows()
+    }
+
+    /// Whether it sees none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// What the regression sees of parameters in the order of [`names`](Self::names).
+    pub fn reduced(&self, parameters: &[f64]) -> Result<Vec<f64>> {
+        if parameters.len() != self.names.len() {
+            return Err(Error::argument(format!(
+                "{} semantic parameters, expected {}: {}",
+                parameters.len(),
+                self.names.len(),
+                self.names.join(", ")
+            )));
+        }
+        finite("semantic parameters", parameters)?;
+        let row = Array1::from_vec(parameters.to_vec()).insert_axis(Axis(0));
+        Ok(self.scale.apply(row.view()).dot(&self.components.t()).into_iter().collect())
+    }
+
+    /// All parameters, from some by name; the others have the mean that was learned from.
+    pub fn with(&self, named: &[(String, f64)]) -> Result<Vec<f64>> {
+        let mut parameters = self.scale.mean().to_vec();
+        for (name, value) in named {
+            let Some(at) = self.names.iter().position(|known| known == name) else {
+                return Err(Error::argument(format!(
+                    "no semantic parameter `{name}`: expected {}",
+                    if self.names.is_empty() { "none".into() } else { self.names.join(", ") }
+                )));
+            };
+            parameters[at] = *value;
+        }
+        Ok(parameters)
+    }
+
+    /// Adds everything to an archive.
+    pub(crate) fn write(&self, file: &mut NpzWriter) -> Result<()> {
+        let names: Array1<i64> = self.names.join("\n").bytes().map(i64::from).collect();
+        file.add("semantic_names", &names)?;
+        self.scale.write(file, "semantic")?;
+        file.add("semantic_components", &self.components)?;
+        Ok(())
+    }
+
+    /// Reads what [`write`](Self::write) added.
+    pub(crate) fn read(file: &mut Npz) -> Result<Self> {
+        let path = file.path().to_owned();
+        let fault = |field: &str, message: String| cape_core::Error::field(&path, field, message);
+        let bytes: Vec<u8> = file
+            .i64("semantic_names")?
+            .iter()
+            .map(|&b| u8::try_from(b).map_err(|e| fault("semantic_names", e.to_string())))
+            .collect::<Result<_, _>>()?;
+        let text = String::from_utf8(bytes).map_err(|e| fault("semantic_names", e.to_string()))?;
+        let names: Vec<String> = text.lines().map(str::to_owned).collect();
+        let scale = Scale::read(file, "semantic")?;
+        let components = file.f64("semantic_components")?;
+        let (of, count) = ("semantic_components", names.len());
+        file.expect_shape(of, components.shape(), &[None, Some(count)])?;
+        file.expect_shape("semantic_mean", &[scale.mean().len()], &[Some(count)])?;
+        finite(of, &components)?;
+        let components = components.into_dimensionality().map_err(|e| fault(of, e.to_string()))?;
+        Ok(Self { names, scale, components })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ndarray::arr2;
+
+    use super::*;
+
+    fn names(count: usize) -> Vec<String> {
+        (0..count).map(|k| format!("p{k}")).collect()
+    }
+
+    #[test]
+    fn few_parameters_are_standardised_and_many_reduced() {
+        let rows = arr2(&[[1.0, 5.0, 0.0], [3.0, 5.0, 4.0], [5.0, 5.0, 8.0], [7.0, 5.0, 12.0]]);
+        let plain = Semantics::of(names(3), rows.view(), Some(2)).unwrap();
+        assert_eq!(plain.len(), 3, "only two vary");
+        let seen = plain.reduced(&[4.0, 5.0, 6.0]).unwrap();
+        assert!(seen.iter().all(|x| x.abs() < 1e-12), "the mean: {seen:?}");
+        // Two parameters that say the same are one number.
+        let reduced = Semantics::of(names(3), rows.view(), Some(1)).unwrap();
+        assert_eq!(reduced.len(), 1);
+        let [a, b] = [[1.0, 5.0, 0.0], [7.0, 5.0, 12.0]].map(|p| reduced.reduced(&p).unwrap()[0]);
+        assert!((a + b).abs() < 1e-9 && (a.abs() - 1.8f64.sqrt() * 2f64.sqrt()).abs() < 1e-9);
+    }
+
+    #[test]
+    fn parameters_are_named() {
+        let rows = arr2(&[[1.0, 2.0], [3.0, 4.0]]);
+        let semantics = Semantics::of(names(2), rows.view(), None).unwrap();
+        assert_eq!(semantics.with(&[("p1".into(), 9.0)]).unwrap(), [2.0, 9.0]);
+        let unknown = semantics.with(&[("q".into(), 1.0)]).unwrap_err().to_string();
+        assert!(unknown.contains("`q`") && unknown.contains("p0, p1"), "{unknown}");
+        assert!(semantics.reduced(&[1.0]).unwrap_err().to_string().contains("expected 2: p0, p1"));
+        assert!(semantics.reduced(&[1.0, f64::NAN]).is_err());
+        assert!(Semantics::of(names(1), rows.view(), None).is_err());
+    }
+}

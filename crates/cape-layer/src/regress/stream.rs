@@ -1,0 +1,127 @@
+use std::collections::VecDeque;
+
+use ndarray::Array2;
+
+use super::{Features, Motion};
+use crate::Result;
+
+/// A frame whose features are known.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Arrived {
+    /// Its number, from 0.
+    pub frame: usize,
+    /// Axis-angles, radians, `[3 · joints]`.
+    pub pose: Vec<f64>,
+    /// Translation, metres.
+    pub transl: [f64; 3],
+    /// Its features, `[len]`.
+    pub row: Vec<f64>,
+}
+
+/// The rows of [`Features::rows`], the same numbers, of a motion that arrives frame by frame. A row
+/// comes as soon as the frames that its speeds depend on have: one frame later, or, if speeds are
+/// smoothed, as many as the Gaussian is cut off at.
+#[derive(Debug, Clone)]
+pub struct FeatureStream {
+    features: Features,
+    frame_rate: f64,
+    reach: usize,
+    /// Frames that rows still depend on; the first is number `first`.
+    window: VecDeque<(Vec<f64>, [f64; 3])>,
+    first: usize,
+    next: usize,
+}
+
+impl FeatureStream {
+    /// Of a motion of so many frames a second.
+    pub fn new(features: Features, frame_rate: f64) -> Self {
+        let sigma = (features.smoothing * frame_rate).max(0.0);
+        let reach = 1 + (3.0 * sigma).ceil() as usize;
+        Self { features, frame_rate, reach, window: VecDeque::new(), first: 0, next: 0 }
+    }
+
+    /// Takes the next frame; gives the one whose row is complete by it.
+    ///
+    /// # Errors
+    /// If the frame has another number of joints than those before, or is not finite.
+    pub fn push(&mut self, pose: &[f64], transl: [f64; 3]) -> Result<Option<Arrived>> {
+        self.window.push_back((pose.to_vec(), transl));
+        let seen = self.first + self.window.len();
+        if seen <= self.next + self.reach {
+            return Ok(None);
+        }
+        self.emit().map(Some)
+    }
+
+    /// The next of the frames that are left when no more come; none at last.
+    pub fn finish(&mut self) -> Result<Option<Arrived>> {
+        if self.next == self.first + self.window.len() {
+            return Ok(None);
+        }
+        self.emit().map(Some)
+    }
+
+    fn emit(&mut self) -> Result<Arrived> {
+        let at = self.next - self.first;
+        let count = self.window.len().min(at + self.reach + 1);
+        let joints = self.window[0].0.len();
+        let angles = self.window.iter().take(count).flat_map(|(pose, _)| pose).copied().collect();
+        let poses = Array2::from_shape_vec((count, joints), angles)
+            .map_err(|error| crate::Error::argument(format!("poses of one motion: {error}")))?;
+        let translations = Array2::from_shape_fn((count, 3), |(f, k)| self.window[f].1[k]);
+        let motion = Motion::new(self.frame_rate, poses, translations)?;
+        let row = self.features.rows(&motion).row(at).to_vec();
+        let (pose, transl) = self.window[at].clone();
+        let frame = self.next;
+        self.next += 1;
+        while self.first + self.reach < self.next {
+            self.window.pop_front();
+            self.first += 1;
+        }
+        Ok(Arrived { frame, pose, transl, row })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stream_is_the_whole() {
+        for (frames, smoothing) in [(1, 0.0), (2, 0.0), (17, 0.0), (17, 0.04), (5, 0.2)] {
+            let poses =
+                Array2::from_shape_fn((frames, 9), |(f, k)| (0.3 * f as f64 + k as f64).sin());
+            let moves =
+                Array2::from_shape_fn((frames, 3), |(f, k)| (0.1 * f as f64).powi(k as i32));
+            let motion = Motion::new(30.0, poses, moves).unwrap();
+            let features = Features { smoothing, ..Features::default() };
+            let expected = features.rows(&motion);
+            let mut stream = FeatureStream::new(features, 30.0);
+            let mut found = Vec::new();
+            for f in 0..frames {
+                let transl = [0, 1, 2].map(|k| motion.translations[(f, k)]);
+                found.extend(stream.push(&motion.poses.row(f).to_vec(), transl).unwrap());
+                assert!(found.len() + stream.reach > f, "no later than it must be");
+            }
+            while let Some(arrived) = stream.finish().unwrap() {
+                found.push(arrived);
+            }
+            assert_eq!(found.len(), frames);
+            for (f, arrived) in found.iter().enumerate() {
+                assert_eq!((arrived.frame, &arrived.row), (f, &expected.row(f).to_vec()));
+                assert_eq!(arrived.pose, motion.poses.row(f).to_vec());
+            }
+        }
+    }
+
+    #[test]
+    fn bad_frames_are_refused() {
+        let stream = || FeatureStream::new(Features::default(), 30.0);
+        let mut ragged = stream();
+        ragged.push(&[0.0; 9], [0.0; 3]).unwrap();
+        assert!(ragged.push(&[0.0; 6], [0.0; 3]).is_err());
+        let mut broken = stream();
+        broken.push(&[0.0; 9], [f64::NAN, 0.0, 0.0]).unwrap();
+        assert!(broken.finish().is_err());
+    }
+}
