@@ -16,7 +16,7 @@ use ndarray::Array2;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let model = synthetic_body();
     let shape = model.shaped(&[])?;
-    let garment = Garment { resolution: 0.0105, ..Garment::of(GarmentKind::Dress) };
+    let garment = Garment { resolution: 0.0088, ..Garment::of(GarmentKind::Dress) };
     let start = Instant::now();
     let dress = garment.sew(&model, &shape)?.surface;
     println!("{} vertices sewn in {:.1} s", dress.vertices.len(), start.elapsed().as_secs_f64());
