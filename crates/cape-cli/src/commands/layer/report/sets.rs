@@ -8,6 +8,7 @@ use cape_layer::{
     cloth::{Garment, GarmentKind, Material},
     synth::{Design, Exercise},
 };
+use rayon::prelude::*;
 
 use crate::{
     console::Console,
@@ -110,7 +111,7 @@ pub(super) fn simulated(
     Ok(sets)
 }
 
-/// The design's set, saved after every sequence, so that an interrupted simulation goes on.
+/// The design's set, each sequence kept as it is made, so that an interrupted simulation goes on.
 fn simulate(
     model: &SmplModel,
     directory: &Path,
@@ -123,15 +124,18 @@ fn simulate(
     } else {
         Vec::new()
     };
-    if done.len() < takes.len() {
+    let left = &takes[done.len().min(takes.len())..];
+    if !left.is_empty() {
         let sewn = design.sew(model)?;
-        let mut sequences = done;
-        for (index, &take) in takes.iter().enumerate().skip(sequences.len()) {
-            progress(index, takes.len());
-            sequences.push(design.simulate(model, &sewn, take)?.0);
-            let set = LayerSet::new(sewn.surface.faces.clone(), sequences)?;
-            set.save(directory)?;
-            sequences = set.sequences;
+        // As many side by side as there are threads; each is the same alone.
+        for (chunk, some) in left.chunks(rayon::current_num_threads()).enumerate() {
+            progress(done.len() + chunk * rayon::current_num_threads(), takes.len());
+            let results: Vec<_> =
+                some.par_iter().map(|&take| design.simulate(model, &sewn, take)).collect();
+            for result in results {
+                let (sequence, _) = result?;
+                LayerSet::add(directory, &sewn.surface.faces, &sequence)?;
+            }
         }
     }
     // As it will be read from now on, to the last digit.
