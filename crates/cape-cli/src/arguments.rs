@@ -1,7 +1,7 @@
-use std::process::ExitCode;
+use std::{ffi::OsString, process::ExitCode};
 
 use cape_core::Outfit;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 
 use crate::{commands, console::Console, error::Result};
 
@@ -57,6 +57,7 @@ pub(crate) enum Command {
     #[cfg(feature = "view")]
     View(commands::view::View),
     Fit(commands::fit::Fit),
+    FitScan(commands::fit_scan::FitScan),
     FitBenchmark(commands::fit_benchmark::FitBenchmark),
     Layer(commands::layer::Layer),
     Import(commands::import::Import),
@@ -89,6 +90,7 @@ impl Command {
             #[cfg(feature = "view")]
             Self::View(command) => command.run(global, console)?,
             Self::Fit(command) => command.run(global, console)?,
+            Self::FitScan(command) => command.run(global, console)?,
             Self::FitBenchmark(command) => command.run(global, console)?,
             Self::Layer(command) => command.run(global, console)?,
             Self::Import(command) => command.run(global, console)?,
@@ -101,6 +103,25 @@ impl Command {
         }
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// The arguments with `fit … --scan` as what it stands for, `fit-scan … --scan`.
+pub(crate) fn forwarded(arguments: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
+    let mut arguments: Vec<OsString> = arguments.into_iter().collect();
+    let cli = Cli::command();
+    let is_command = |word: &OsString| {
+        word.to_str().is_some_and(|word| cli.find_subcommand(word).is_some())
+    };
+    let is_scan = |word: &OsString| {
+        word.to_str().is_some_and(|word| word == "--scan" || word.starts_with("--scan="))
+    };
+    if let Some(at) = arguments.iter().skip(1).position(is_command).map(|at| at + 1)
+        && arguments[at] == "fit"
+        && arguments[at..].iter().take_while(|word| *word != "--").any(is_scan)
+    {
+        arguments[at] = "fit-scan".into();
+    }
+    arguments
 }
 
 /// The device that is used if none is named: the first that is compiled in.
@@ -124,9 +145,20 @@ pub(crate) fn outfit(text: &str) -> Result<Outfit, String> {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
-
     use super::*;
+
+    #[test]
+    fn fits_with_a_scan_are_fits_to_it() {
+        let command = |line: &str| {
+            let words = forwarded(line.split_whitespace().map(OsString::from));
+            words.iter().map(|word| word.to_str().unwrap()).collect::<Vec<_>>().join(" ")
+        };
+        assert_eq!(command("cape --json fit run --scan a.ply"), "cape --json fit-scan run --scan a.ply");
+        assert_eq!(command("cape fit --scan=a.ply run"), "cape fit-scan --scan=a.ply run");
+        for other in ["cape fit run a.json --mask b.png", "cape info fit --scan", "cape fit -- --scan"] {
+            assert_eq!(command(other), other);
+        }
+    }
 
     #[test]
     fn the_arguments_are_consistent_and_every_command_has_an_example() {

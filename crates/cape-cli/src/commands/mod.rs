@@ -10,6 +10,7 @@ pub(crate) mod export;
 pub(crate) mod fit;
 pub(crate) mod fit_benchmark;
 pub(crate) mod fit_prior;
+pub(crate) mod fit_scan;
 pub(crate) mod generate;
 pub(crate) mod import;
 pub(crate) mod info;
