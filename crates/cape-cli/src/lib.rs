@@ -14,6 +14,7 @@ mod files;
 mod interrupt;
 mod mesh_file;
 mod priors;
+mod registration;
 mod table;
 mod training;
 

@@ -4,6 +4,9 @@ use std::{io::Write, path::Path};
 
 use crate::{Error, Mesh, Result, mesh::read_bytes, write_atomically};
 
+/// A mesh, and normals of its vertices where there are some.
+pub type WithNormals = (Mesh, Option<Vec<[f32; 3]>>);
+
 /// Reads a PLY file. Polygons are cut into fans of triangles; everything but vertex positions and
 /// face corners is ignored.
 pub fn read(path: impl AsRef<Path>) -> Result<Mesh> {
@@ -15,7 +18,7 @@ pub fn read(path: impl AsRef<Path>) -> Result<Mesh> {
 ///
 /// # Errors
 /// If the file cannot be read, or is no PLY file.
-pub fn read_with_normals(path: impl AsRef<Path>) -> Result<(Mesh, Option<Vec<[f32; 3]>>)> {
+pub fn read_with_normals(path: impl AsRef<Path>) -> Result<WithNormals> {
     let path = path.as_ref();
     parse_with_normals(&read_bytes(path)?).map_err(|message| Error::format(path, message))
 }
@@ -136,7 +139,7 @@ fn parse(bytes: &[u8]) -> Result<Mesh, String> {
     Ok(parse_with_normals(bytes)?.0)
 }
 
-fn parse_with_normals(bytes: &[u8]) -> Result<(Mesh, Option<Vec<[f32; 3]>>), String> {
+fn parse_with_normals(bytes: &[u8]) -> Result<WithNormals, String> {
     let (encoding, elements, rest) = header(bytes)?;
     let mut body = Body { encoding, rest };
     let (mut mesh, mut normals) = (Mesh::default(), None);

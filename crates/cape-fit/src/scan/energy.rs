@@ -204,6 +204,17 @@ pub fn distances_to(scan: &Scan, points: &[DVec3]) -> Vec<f64> {
     points.par_iter().map(off).collect()
 }
 
+/// Mean distance of points from a surface, millimetres.
+pub(crate) fn surface_distance(points: &[DVec3], vertices: &[DVec3], faces: &[[u32; 3]]) -> f64 {
+    let tree = Tree::of_faces(vertices, faces);
+    let off = |&point: &DVec3| {
+        let nearest = tree.nearest(point, DVec3::ZERO, f64::MAX);
+        nearest.map_or(f64::INFINITY, |(_, nearest)| nearest.at.distance(point))
+    };
+    let all: Vec<f64> = points.par_iter().map(off).collect();
+    1000.0 * all.iter().sum::<f64>() / points.len().max(1) as f64
+}
+
 /// How far a surface is from a scan, millimetres.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScanDistance {
@@ -304,7 +315,9 @@ mod tests {
     #[test]
     fn scans_that_are_inside_out_are_turned() {
         let (vertices, mut faces) = body(1.0);
-        faces.iter_mut().for_each(|face| face.swap(0, 1));
+        for face in &mut faces {
+            face.swap(0, 1);
+        }
         let scan = Scan::new(vertices.clone(), None, faces, Unit::M).unwrap();
         let mut target = Target::new(&scan, 1000, 1);
         assert!(!target.orient(&vertices, &BODY.faces));

@@ -100,7 +100,7 @@ impl Scan {
         let points: Vec<DVec3> = points.into_iter().map(|point| point * unit.metres()).collect();
         check_size(&points, unit)?;
         let normals = normals
-            .map(|all| all.into_iter().map(|n| n.normalize_or_zero()).collect::<Vec<_>>())
+            .map(|all| all.into_iter().map(DVec3::normalize_or_zero).collect::<Vec<_>>())
             .filter(|all| all.iter().any(|normal| *normal != DVec3::ZERO));
         Ok(Self { points, normals, faces })
     }

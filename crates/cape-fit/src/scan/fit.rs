@@ -133,6 +133,27 @@ impl ScanFitter {
         Ok(self.body.shaped(&fit.parameters.betas)?)
     }
 
+    /// The body without clothes, metres, `[V]`.
+    ///
+    /// # Errors
+    /// If sizes do not suit the body.
+    pub fn bare(&self, body: &BodyParameters) -> Result<Vec<DVec3>> {
+        self.posed(body, None)
+    }
+
+    /// The body in the clothes that people wear on average, metres, `[V]`.
+    ///
+    /// # Errors
+    /// If sizes do not suit the body.
+    pub fn in_mean_clothes(&self, body: &BodyParameters) -> Result<Vec<DVec3>> {
+        self.posed(body, Some(&self.mean_clothes))
+    }
+
+    fn posed(&self, body: &BodyParameters, worn: Option<&Array2<f64>>) -> Result<Vec<DVec3>> {
+        let posed = self.body.pose(&body.betas, &body.pose, body.transl, worn)?;
+        Ok(posed.vertices.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2])).collect())
+    }
+
     /// A fit's clothed surface, metres, `[V]`.
     ///
     /// # Errors
@@ -156,9 +177,10 @@ impl ScanFitter {
     ) -> Result<ScanFit> {
         let config = &self.config;
         let mut target = Target::new(scan, config.samples(), config.seed);
-        let betas = match self.shape_is_known {
-            true => 0,
-            false => config.betas.min(self.body.betas()),
+        let betas = if self.shape_is_known {
+            0
+        } else {
+            config.betas.min(self.body.betas())
         };
         let kind = Kind {
             body: &self.body,
@@ -185,7 +207,9 @@ impl ScanFitter {
         for body in &bodies {
             let x = [body.to_vector(), vec![0.0; first.latent()]].concat();
             let attempt = in_mean.descend(Attempt::at(x), tried, &mut counter)?;
-            best = Attempt::better(best, attempt);
+            if best.as_ref().is_none_or(|best| attempt.value < best.value) {
+                best = Some(attempt);
+            }
         }
         let best = best.ok_or_else(|| Error::Failed("there is no body to begin with".into()))?;
         let bare = in_mean.descend(best, refined, &mut counter)?;
@@ -231,13 +255,6 @@ struct Attempt {
 impl Attempt {
     fn at(x: Vec<f64>) -> Self {
         Self { x, value: 0.0, curves: Vec::new() }
-    }
-
-    fn better(best: Option<Self>, other: Self) -> Option<Self> {
-        match best {
-            Some(best) if best.value <= other.value => Some(best),
-            _ => Some(other),
-        }
     }
 }
 

@@ -165,7 +165,9 @@ impl Umbrella {
             if !near.is_empty() {
                 sums[vertex] += rough;
                 let share = rough / near.len() as f64;
-                near.iter().for_each(|&other| sums[other as usize] -= share);
+                for &other in near {
+                    sums[other as usize] -= share;
+                }
             }
         }
         sums

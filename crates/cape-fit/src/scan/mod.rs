@@ -5,6 +5,7 @@
 //! [`free_displacement`] then lets every vertex leave what the model can say, which makes a
 //! registration of the scan. Unlike an image's, a scan's space may be anywhere and of any side up.
 
+pub mod benchmark;
 mod energy;
 mod file;
 mod fit;

@@ -162,7 +162,7 @@ mod tests {
             place.number = number;
             registration.write(&tree, &place, &[1, 2, 3]).unwrap();
         }
-        let split = Split::from_file(&tree.join(SPLIT_FILE)).unwrap();
+        let split = Split::from_file(tree.join(SPLIT_FILE)).unwrap();
         let packed = root.path().join("packed");
         let options = PackOptions { strict: true, ..<_>::default() };
         pack(&tree, &packed, &split, options, &mut |_, _| {}).unwrap();

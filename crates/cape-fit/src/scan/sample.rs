@@ -81,8 +81,8 @@ fn across(vertices: &[DVec3], face: [u32; 3]) -> DVec3 {
 /// Unit normals of vertices, and the share of the surface around each.
 pub(crate) fn vertex_frames(vertices: &[DVec3], faces: &[[u32; 3]]) -> (Vec<DVec3>, Vec<f64>) {
     let mut normals = vec![DVec3::ZERO; vertices.len()];
-    let mut shares = vec![0.0; vertices.len()];
-    let mut area = 0.0;
+    let mut shares = vec![0.0f64; vertices.len()];
+    let mut area: f64 = 0.0;
     for &face in faces {
         let normal = across(vertices, face);
         let size = normal.length();
@@ -92,8 +92,8 @@ pub(crate) fn vertex_frames(vertices: &[DVec3], faces: &[[u32; 3]]) -> (Vec<DVec
             shares[corner as usize] += size;
         }
     }
-    normals.iter_mut().for_each(|normal| *normal = normal.normalize_or_zero());
-    shares.iter_mut().for_each(|share| *share /= f64::max(area, f64::MIN_POSITIVE));
+    let normals = normals.into_iter().map(DVec3::normalize_or_zero).collect();
+    let shares = shares.into_iter().map(|share| share / area.max(f64::MIN_POSITIVE)).collect();
     (normals, shares)
 }
 

@@ -6,7 +6,7 @@ use std::{
     time::Instant,
 };
 
-use cape_core::{Outfit, npy::read_f64, parse_device, poses};
+use cape_core::{Outfit, parse_device, poses};
 use cape_fit::{
     BodyParameters, PosePrior,
     scan::{
@@ -16,7 +16,6 @@ use cape_fit::{
 };
 use cape_train::Run;
 use clap::Args;
-use ndarray::{Array2, Ix2};
 
 use self::output::{Outcome, Written};
 use crate::{
@@ -24,6 +23,7 @@ use crate::{
     console::{Console, seconds},
     error::{Context, Error, Result},
     files,
+    registration::read_shape,
 };
 
 /// Fit a clothed body to a scan: points or a mesh, with holes and noise.
@@ -109,7 +109,7 @@ impl FitScan {
         };
         let start = self.start(&prior)?;
         let minimal = self.minimal_shape.as_deref();
-        let minimal = minimal.map(|path| read_minimal(path, run.body().vertices())).transpose()?;
+        let minimal = minimal.map(|path| read_shape(path, run.body().vertices())).transpose()?;
         let seed = global.seed.unwrap_or(1);
         let config = ScanConfig { seed, ..ScanConfig::default() };
         let fitter = ScanFitter::new(&run, &outfits, minimal.as_ref(), prior, config)?;
@@ -180,19 +180,6 @@ fn read_body(path: &Path) -> Result<BodyParameters> {
     let places = ["/fit/parameters", "/clothed/parameters", "/parameters"];
     let body = places.iter().find_map(|place| value.pointer(place)).unwrap_or(&value);
     Ok(serde_json::from_value(body.clone()).map_err(fault)?)
-}
-
-fn read_minimal(path: &Path, vertices: usize) -> Result<Array2<f64>> {
-    let array = read_f64(path)?;
-    let shape = array.shape().to_vec();
-    let fault = || {
-        let message = format!("shape {shape:?}, expected [{vertices}, 3]");
-        cape_core::Error::format(path, message)
-    };
-    if shape != [vertices, 3] {
-        return Err(fault().into());
-    }
-    Ok(array.into_dimensionality::<Ix2>().map_err(|_| fault())?)
 }
 
 fn text(report: &Written) -> String {
