@@ -41,7 +41,8 @@ fn a_scan_becomes_a_registration_that_is_packed() {
     }
     // What was found is a start, and the same again is the same.
     let sure = "--initial @/fitted/fit.json --minimal-shape @/fitted/minimal.npy --outfit longlong";
-    data.run(&format!("fit-scan {run} --scan @/scan.ply --unit mm {sure} --out @/more")).succeeded();
+    data.run(&format!("fit-scan {run} --scan @/scan.ply --unit mm {sure} --out @/more"))
+        .succeeded();
     fit("again").succeeded();
     for name in ["clothed.ply", "displaced.ply", "fit.png"] {
         let [a, b] = ["fitted", "again"].map(|out| fs::read(data.at(out).join(name)).unwrap());

@@ -165,10 +165,15 @@ mod tests {
             let words = forwarded(line.split_whitespace().map(OsString::from));
             words.iter().map(|word| word.to_str().unwrap()).collect::<Vec<_>>().join(" ")
         };
-        assert_eq!(command("cape --json fit run --scan a.ply"), "cape --json fit-scan run --scan a.ply");
+        assert_eq!(
+            command("cape --json fit run --scan a.ply"),
+            "cape --json fit-scan run --scan a.ply"
+        );
         assert_eq!(command("cape fit --scan=a.ply run"), "cape fit-scan --scan=a.ply run");
         assert_eq!(command("cape fit-benchmark --scans"), "cape scan-benchmark --scans");
-        for other in ["cape fit run a.json --mask b.png", "cape info fit --scan", "cape fit -- --scan"] {
+        for other in
+            ["cape fit run a.json --mask b.png", "cape info fit --scan", "cape fit -- --scan"]
+        {
             assert_eq!(command(other), other);
         }
     }

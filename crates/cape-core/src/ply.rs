@@ -429,7 +429,9 @@ mod tests {
         let properties = ["x", "nx", "ny", "nz", "y", "z"].map(|p| format!("property float {p}\n"));
         let header = |properties: &[String]| {
             let properties = properties.concat();
-            format!("ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n1 2 3 4 5 6\n")
+            format!(
+                "ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n1 2 3 4 5 6\n"
+            )
         };
         let (mesh, normals) = parse_with_normals(header(&properties).as_bytes()).unwrap();
         assert_eq!((mesh.vertices[0], normals), ([1.0, 5.0, 6.0], Some(vec![[2.0, 3.0, 4.0]])));

@@ -75,15 +75,16 @@ impl Encode {
         let run = Run::open(&self.run, &device)?;
         let known = Known { outfit: self.was, minimal: self.minimal.as_deref() };
         let total = self.registrations.len();
-        let read: Vec<Registration> = console.while_showing("read", "registrations", |progress| {
-            let each = self.registrations.iter().enumerate();
-            each.map(|(index, text)| {
-                let registration = Registration::read(&run, text, known)?;
-                progress(index + 1, total);
-                Ok(registration)
-            })
-            .collect::<Result<_>>()
-        })?;
+        let read: Vec<Registration> =
+            console.while_showing("read", "registrations", |progress| {
+                let each = self.registrations.iter().enumerate();
+                each.map(|(index, text)| {
+                    let registration = Registration::read(&run, text, known)?;
+                    progress(index + 1, total);
+                    Ok(registration)
+                })
+                .collect::<Result<_>>()
+            })?;
         let wearers: Vec<Wearer> = read.iter().map(|one| one.wearer.clone()).collect();
         let worn: Vec<_> = read.iter().map(|one| one.displacement.view()).collect();
         let worn: Array3<f32> =

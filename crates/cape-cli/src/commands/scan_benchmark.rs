@@ -27,8 +27,10 @@ use crate::{
 /// every level of noise and of holes. Writes benchmark.json. `cape fit-benchmark RUN --scans` is the
 /// same.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  cape scan-benchmark run --frames 8 --noise 0,2,5 --holes 0,0.2 \
-                        --out scans")]
+#[command(
+    after_help = "Example:\n  cape scan-benchmark run --frames 8 --noise 0,2,5 --holes 0,0.2 \
+                        --out scans"
+)]
 pub(crate) struct ScanBenchmark {
     /// A training run.
     #[arg(value_name = "RUN")]
@@ -132,6 +134,7 @@ impl Level {
             error: ScanError {
                 mean_clothes: mean(|error| error.mean_clothes),
                 clothed: mean(|error| error.clothed),
+                encoded: mean(|error| error.encoded),
                 displaced: mean(|error| error.displaced),
                 bare: mean(|error| error.bare),
                 surface: mean(|error| error.surface),
@@ -147,8 +150,17 @@ impl Level {
 impl Report {
     fn text(&self) -> String {
         let mut table = Table::new([
-            "noise", "holes", "mean clothes", "CAPE", "displaced", "bare", "surface",
-            "displaced", "failed", "seconds",
+            "noise",
+            "holes",
+            "mean clothes",
+            "CAPE",
+            "(encoded)",
+            "displaced",
+            "bare",
+            "surface",
+            "displaced",
+            "failed",
+            "seconds",
         ]);
         for level in &self.levels {
             let error = &level.error;
@@ -158,6 +170,7 @@ impl Report {
                 format!("{:.0} %", 100.0 * level.hole),
                 mm(error.mean_clothes),
                 mm(error.clothed),
+                mm(error.encoded),
                 mm(error.displaced),
                 mm(error.bare),
                 mm(error.surface),

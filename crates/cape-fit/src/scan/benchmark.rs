@@ -11,8 +11,8 @@ use rand_distr::StandardNormal;
 use serde::Serialize;
 
 use super::{
-    FreeConfig, Scan, ScanConfig, ScanFit, ScanFitter, ScanStart, Unit, Up, energy::surface_distance,
-    free_displacement, sample::of_faces,
+    FreeConfig, Scan, ScanConfig, ScanFit, ScanFitter, ScanStart, Unit, Up,
+    energy::surface_distance, free_displacement, sample::of_faces,
 };
 use crate::{Error, PosePrior, Result};
 
@@ -45,6 +45,8 @@ pub struct ScanError {
     pub mean_clothes: f64,
     /// In the clothes that were found.
     pub clothed: f64,
+    /// Of the true clothes themselves, encoded and decoded: what the model can say.
+    pub encoded: f64,
     /// After every vertex went where the scan is.
     pub displaced: f64,
     /// Of all vertices of the body under the clothes.
@@ -82,6 +84,8 @@ pub struct ScanCase {
 struct Truth {
     surface: Vec<DVec3>,
     bare: Vec<DVec3>,
+    /// The surface in what the true clothes' code is decoded to.
+    encoded: Vec<DVec3>,
 }
 
 /// Fits scans of held-out frames of `set` in the clothes of `run`, the outfit being known; `each`
@@ -105,9 +109,8 @@ pub fn scan_benchmark(
     }
     let prior = PosePrior::synthetic()?;
     let start = ScanStart::usual(&prior);
-    let fitter = |&outfit: &Outfit| {
-        ScanFitter::new(run, &[outfit], None, prior.clone(), config.clone())
-    };
+    let fitter =
+        |&outfit: &Outfit| ScanFitter::new(run, &[outfit], None, prior.clone(), config.clone());
     let fitters: Vec<ScanFitter> = Outfit::ALL.iter().map(fitter).collect::<Result<_>>()?;
     let count = options.frames.min(set.frames());
     for index in 0..count {
@@ -152,7 +155,9 @@ fn truth(run: &Run, set: &PackedSet, frame: usize, rng: &mut ChaCha8Rng) -> Resu
         vertices.map(|v| turn * DVec3::from_array(v.map(f64::from)) + shift).collect()
     };
     let wearers = std::slice::from_ref(&wearer);
+    let decoded = run.clothes(&run.encode(&displacement, wearers)?, wearers)?;
     Ok(Truth {
+        encoded: placed(run.wear(&decoded, wearers)?.remove(0)),
         surface: placed(run.wear(&displacement, wearers)?.remove(0)),
         bare: placed(run.bare(wearers)?.remove(0)),
     })
@@ -203,13 +208,13 @@ fn error(
     let surface = fitter.surface(fit)?;
     let clock = Instant::now();
     let faces = &run.body().faces;
-    let free =
-        free_displacement(scan, &surface, faces, &FreeConfig::default(), &mut |_, _| {})?;
+    let free = free_displacement(scan, &surface, faces, &FreeConfig::default(), &mut |_, _| {})?;
     let displacement_seconds = clock.elapsed().as_secs_f64();
     let clothing = run.clothing();
     Ok(ScanError {
         mean_clothes: off(&fitter.in_mean_clothes(&fit.before_clothes)?, &truth.surface, clothing),
         clothed: off(&surface, &truth.surface, clothing),
+        encoded: off(&truth.encoded, &truth.surface, clothing),
         displaced: off(&free.vertices, &truth.surface, clothing),
         bare: off(&fitter.bare(&fit.parameters)?, &truth.bare, &all),
         surface: surface_distance(&truth.surface, &surface, faces),

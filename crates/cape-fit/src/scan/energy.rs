@@ -129,11 +129,8 @@ impl<'a> Distances<'a> {
             let sideways = off.reject_from_normalized(normal.try_normalize()?).length();
             Some(sideways <= (0.5 * off.length()).max(2.0 * target.spacing))
         };
-        let there: Vec<bool> = vertices
-            .par_iter()
-            .zip(&normals)
-            .map(|pair| opposite(pair).unwrap_or(false))
-            .collect();
+        let there: Vec<bool> =
+            vertices.par_iter().zip(&normals).map(|pair| opposite(pair).unwrap_or(false)).collect();
         let wanted = shares.iter_mut().zip(there).filter(|(_, there)| !there);
         wanted.for_each(|(share, _)| *share = 0.0);
         let samples = samples.min(target.samples.len());

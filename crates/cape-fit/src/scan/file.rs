@@ -169,7 +169,8 @@ mod tests {
     use super::*;
 
     fn cloud(size: f64) -> Vec<DVec3> {
-        let at = |i: i32| DVec3::new(f64::from(i % 7), f64::from(i) / 10.0, f64::from(i % 5)) * 0.03;
+        let at =
+            |i: i32| DVec3::new(f64::from(i % 7), f64::from(i) / 10.0, f64::from(i % 5)) * 0.03;
         (0..600).map(|i| at(i) * size).collect()
     }
 

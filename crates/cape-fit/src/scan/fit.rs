@@ -177,11 +177,7 @@ impl ScanFitter {
     ) -> Result<ScanFit> {
         let config = &self.config;
         let mut target = Target::new(scan, config.samples(), config.seed);
-        let betas = if self.shape_is_known {
-            0
-        } else {
-            config.betas.min(self.body.betas())
-        };
+        let betas = if self.shape_is_known { 0 } else { config.betas.min(self.body.betas()) };
         let kind = Kind {
             body: &self.body,
             skeleton: &self.skeleton,
@@ -199,7 +195,14 @@ impl ScanFitter {
         let (bare, clothed): (Vec<ScanStage>, Vec<ScanStage>) =
             config.stages.iter().partition(|stage| stage.unknowns != Unknowns::Clothes);
         let mut counter = Counter::new(&bare, &clothed, bodies.len(), self.outfits.len(), progress);
-        let scene = |dressed, clothes| Scene { fitter: self, dressed, clothes, target: &target, start, betas };
+        let scene = |dressed, clothes| Scene {
+            fitter: self,
+            dressed,
+            clothes,
+            target: &target,
+            start,
+            betas,
+        };
 
         let in_mean = scene(first, Some(&clothes));
         let mut best: Option<Attempt> = None;

@@ -249,7 +249,8 @@ mod tests {
         assert_eq!(umbrella.apply(&[DVec3::X; 5]), [DVec3::ZERO; 5]);
         let (a, b) = ([1.0, 2.0, 3.0, 4.0, 5.0], [2.0, 0.0, 1.0, -1.0, 3.0]);
         let [a, b] = [a, b].map(|all| all.map(|x| DVec3::new(x, x * x, 1.0)));
-        let dot = |a: &[DVec3], b: &[DVec3]| -> f64 { a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum() };
+        let dot =
+            |a: &[DVec3], b: &[DVec3]| -> f64 { a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum() };
         let difference = dot(&umbrella.apply(&a), &b) - dot(&a, &umbrella.apply_transposed(&b));
         assert!(difference.abs() < 1e-9);
     }

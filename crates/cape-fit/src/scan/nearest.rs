@@ -163,9 +163,8 @@ mod tests {
     fn the_far_side_is_not_the_nearest() {
         // Two sides of a plate, of which the nearer faces away.
         let corner = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
-        let vertices = [0.0, 0.1].map(|z| {
-            [corner(-1.0, -1.0, z), corner(1.0, -1.0, z), corner(0.0, 2.0, z)]
-        });
+        let vertices =
+            [0.0, 0.1].map(|z| [corner(-1.0, -1.0, z), corner(1.0, -1.0, z), corner(0.0, 2.0, z)]);
         let faces = [[0, 2, 1], [3, 4, 5]];
         let tree = Tree::of_faces(vertices.as_flattened(), &faces);
         let point = DVec3::new(0.0, 0.0, -0.1);

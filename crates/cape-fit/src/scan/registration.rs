@@ -148,8 +148,12 @@ mod tests {
         let posed = BODY.pose(betas, pose, *transl, Some(&worn)).unwrap().vertices;
         let vertices: Vec<DVec3> =
             posed.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2])).collect();
-        let registration =
-            Registration { body: &BODY, minimal: &minimal, parameters: &parameters, vertices: &vertices };
+        let registration = Registration {
+            body: &BODY,
+            minimal: &minimal,
+            parameters: &parameters,
+            vertices: &vertices,
+        };
         let root = tempfile::tempdir().unwrap();
         let tree = root.path().join("raw");
         let mut place = Place {

@@ -99,8 +99,7 @@ fn iterate(target: &Target<'_>, body: &Tree<'_>, vertices: &[DVec3], start: Rigi
         let mut pairs = Vec::with_capacity(2 * POINTS);
         energy = 0.0;
         let mut pair = |x: DVec3, y: DVec3, share: f64, rigid: &Rigid| {
-            let (penalty, slope) =
-                geman_mcclure(rigid.apply(x).distance_squared(y), robust);
+            let (penalty, slope) = geman_mcclure(rigid.apply(x).distance_squared(y), robust);
             energy += share * penalty;
             pairs.push((x, y, share * slope));
         };

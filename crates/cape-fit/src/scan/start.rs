@@ -84,7 +84,9 @@ impl std::str::FromStr for Up {
 
     fn from_str(text: &str) -> Result<Self> {
         let known = Self::ALL.into_iter().find(|up| up.name() == text.trim_start_matches('+'));
-        known.ok_or_else(|| Error::argument(format!("axis `{text}`: expected x, y, z, -x, -y or -z")))
+        known.ok_or_else(|| {
+            Error::argument(format!("axis `{text}`: expected x, y, z, -x, -y or -z"))
+        })
     }
 }
 
@@ -181,12 +183,23 @@ fn of_joints(kind: &Kind<'_>, joints: &KnownJoints) -> Result<BodyParameters> {
         let mut x = moved(kind, &body, &rigid).to_vector();
         let mut value = f64::INFINITY;
         for weights in &weights {
-            let found = solve(&x, |_| true, &options, |x, gradient| {
-                let priors = prior_terms(kind.prior, x, kind.betas, weights, gradient);
-                let seen =
-                    joints.energy(kind.skeleton, x, kind.betas, 0.02, weights.joints, gradient)?;
-                Ok(priors.weighted(weights) + weights.joints * seen)
-            })?;
+            let found = solve(
+                &x,
+                |_| true,
+                &options,
+                |x, gradient| {
+                    let priors = prior_terms(kind.prior, x, kind.betas, weights, gradient);
+                    let seen = joints.energy(
+                        kind.skeleton,
+                        x,
+                        kind.betas,
+                        0.02,
+                        weights.joints,
+                        gradient,
+                    )?;
+                    Ok(priors.weighted(weights) + weights.joints * seen)
+                },
+            )?;
             (x, value) = (found.x, found.value);
         }
         if value.is_finite() && best.as_ref().is_none_or(|(_, least)| value < *least) {
@@ -241,7 +254,10 @@ mod tests {
 
     fn walking() -> BodyParameters {
         let pose = cape_core::poses::preset("walk").unwrap().map(f64::from).to_vec();
-        BodyParameters { transl: [1.0, 2.0, 0.5], ..BodyParameters::new(pose, vec![0.0; 10]).unwrap() }
+        BodyParameters {
+            transl: [1.0, 2.0, 0.5],
+            ..BodyParameters::new(pose, vec![0.0; 10]).unwrap()
+        }
     }
 
     #[test]
@@ -268,7 +284,8 @@ mod tests {
             joints[20] = None;
             let known = KnownJoints::new(&joints).unwrap();
             let found = of_joints(kind, &known).unwrap();
-            let posed = kind.skeleton.pose(&found.betas, &found.pose, DVec3::from_array(found.transl));
+            let posed =
+                kind.skeleton.pose(&found.betas, &found.pose, DVec3::from_array(found.transl));
             for &(joint, at) in known.known() {
                 assert!(posed.as_ref().unwrap().joints()[joint].distance(at) < 0.02);
             }

@@ -9,5 +9,5 @@ mod surface;
 pub use distance::{Nearest, euclidean, manhattan};
 pub use energy::{Matched, SilhouetteEnergy, SilhouetteTerms};
 pub use mask::Mask;
-pub use soft::{SoftRendering, SoftSilhouette, render_softly};
+pub use soft::{SoftRendering, render_softly};
 pub use surface::{Rendering, SurfacePoint, render};

@@ -5,7 +5,8 @@
 //! from the triangle's outline and the sign of its being inside, and the surface by
 //! `A = 1 − Π (1 − D)`: with `σ → 0` what a renderer says. With `t = ±d² / σ²` the derivative is
 //! `∂A/∂t = (1 − A) D`, and that of `d²` by the ends of the nearest side follows from the nearest
-//! point's place on it.
+//! point's place on it. Where many small triangles meet at an outline they cover more together: the
+//! silhouette is wider than the surface by about σ, so that σ should be less than a pixel.
 //!
 //! The picture is cut into bands of rows, whatever the number of threads, and their gradients are
 //! added in order, so that the same surface has the same gradient to the last bit.
@@ -13,12 +14,12 @@
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::Mask;
 use crate::{Camera, Error, Result, camera::depth};
 
 /// Rows of a band.
 const BAND: usize = 16;
-/// `t` below which a triangle covers nothing of a pixel: sigmoid(−9) is 1/8000.
+/// `t` below which a triangle covers nothing of a pixel: sigmoid(−9) is 1/8000, and is taken off
+/// everywhere, so that no pixel drops out with a jump.
 const FAINT: f64 = 9.0;
 /// Depths nearer than this are not drawn, metres.
 const NEAREST: f64 = 0.05;
@@ -47,14 +48,29 @@ pub fn render_softly<'a>(
     camera: &Camera,
     softness: f64,
 ) -> Result<SoftRendering<'a>> {
-    if !(softness > 0.0 && softness.is_finite()) {
-        return Err(Error::argument(format!("softness of {softness} pixels, expected above 0")));
-    }
+    check_softness(softness)?;
     let outside = |face: &&[u32; 3]| face.iter().any(|&at| at as usize >= vertices.len());
     if let Some(face) = faces.iter().find(outside) {
         let count = vertices.len();
         return Err(Error::argument(format!("face {face:?}, but there are {count} vertices")));
     }
+    Ok(draw(vertices, faces, camera, softness))
+}
+
+pub(super) fn check_softness(softness: f64) -> Result<()> {
+    if softness > 0.0 && softness.is_finite() {
+        return Ok(());
+    }
+    Err(Error::argument(format!("softness of {softness} pixels, expected above 0")))
+}
+
+/// [`render_softly`] of faces and a softness that are known to be good.
+pub(super) fn draw<'a>(
+    vertices: &[DVec3],
+    faces: &'a [[u32; 3]],
+    camera: &Camera,
+    softness: f64,
+) -> SoftRendering<'a> {
     let pixels: Vec<DVec2> = vertices.iter().map(|&vertex| camera.project(vertex)).collect();
     let (width, height) = (camera.width() as usize, camera.height() as usize);
     let reach = softness * FAINT.sqrt();
@@ -77,13 +93,14 @@ pub fn render_softly<'a>(
         SoftRendering { camera: *camera, faces, softness, pixels, bands, coverage: Vec::new() };
     coverage.par_chunks_mut(BAND * width).enumerate().for_each(|(band, slots)| {
         // Logarithms of what is left uncovered.
-        rendering.each(band, |at, touch| slots[at] -= softplus(touch.t));
+        let nothing = softplus(-FAINT);
+        rendering.each(band, |at, touch| slots[at] -= softplus(touch.t) - nothing);
         for slot in slots {
             *slot = 1.0 - slot.exp();
         }
     });
     rendering.coverage = coverage;
-    Ok(rendering)
+    rendering
 }
 
 impl SoftRendering<'_> {
@@ -218,61 +235,6 @@ fn softplus(t: f64) -> f64 {
     t.max(0.0) + (-t.abs()).exp().ln_1p()
 }
 
-/// An image's silhouette, for soft comparison.
-#[derive(Debug, Clone)]
-pub struct SoftSilhouette {
-    camera: Camera,
-    target: Mask,
-    softness: f64,
-    /// Metres per pixel at the person, over the silhouette's area.
-    scale: f64,
-}
-
-impl SoftSilhouette {
-    /// As of [`SilhouetteEnergy::new`](super::SilhouetteEnergy::new), with edges `softness` pixels
-    /// of the comparison wide.
-    ///
-    /// # Errors
-    /// As there, or if the softness is not positive.
-    pub fn new(
-        camera: &Camera,
-        mask: &Mask,
-        side: u32,
-        pixel: f64,
-        softness: f64,
-    ) -> Result<Self> {
-        mask.check(camera)?;
-        let small = camera.within(side);
-        let target = mask.resized(small.width(), small.height());
-        target.check(&small)?;
-        let pixel = pixel * camera.focal() / small.focal();
-        let scale = pixel / target.area() as f64;
-        Ok(Self { camera: small, target, softness, scale })
-    }
-
-    /// `Σ (A − mask)²`, metres at the person's distance over the silhouette's area as
-    /// [`SilhouetteTerms`](super::SilhouetteTerms) are: an outline that is off by two pixels counts
-    /// as much. The gradient times `weight` is added to `forces`.
-    ///
-    /// # Errors
-    /// As of [`render_softly`].
-    pub fn evaluate(
-        &self,
-        vertices: &[DVec3],
-        faces: &[[u32; 3]],
-        weight: f64,
-        forces: &mut [DVec3],
-    ) -> Result<f64> {
-        let rendering = render_softly(vertices, faces, &self.camera, self.softness)?;
-        let wanted = self.target.covered().iter().map(|&covered| f64::from(covered));
-        let off: Vec<f64> =
-            rendering.coverage().iter().zip(wanted).map(|(found, wanted)| found - wanted).collect();
-        let by: Vec<f64> = off.iter().map(|off| 2.0 * weight * self.scale * off).collect();
-        rendering.pull_back(vertices, &by, forces);
-        Ok(self.scale * off.iter().map(|off| off * off).sum::<f64>())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -310,30 +272,7 @@ mod tests {
         let soft = render_softly(&vertices, &faces, &camera, 2.0).unwrap();
         soft.pull_back(&vertices, &weights, &mut forces);
         let gradient: Vec<f64> = forces.iter().flat_map(DVec3::to_array).collect();
-        // Pixels drop out where sigmoid(−9) of them is left.
-        assert_gradient(&x, &gradient, 2e-3, value);
-    }
-
-    #[test]
-    fn energies_of_bodies_have_the_gradient_of_differences() {
-        let camera = Camera::new(160, 160, None).unwrap();
-        let mask = render(&body(1.1, 0.03), &BODY.faces, &camera).unwrap().mask().clone();
-        let soft = SoftSilhouette::new(&camera, &mask, 96, 0.01, 1.5).unwrap();
-        let at = |x: &[f64]| body(1.0 + x[0], x[1]);
-        let value = |x: &[f64]| {
-            let none = &mut vec![DVec3::ZERO; BODY.vertices()];
-            3.0 * soft.evaluate(&at(x), &BODY.faces, 3.0, none).unwrap()
-        };
-        let x = [0.01, -0.01];
-        let mut forces = vec![DVec3::ZERO; BODY.vertices()];
-        soft.evaluate(&at(&x), &BODY.faces, 3.0, &mut forces).unwrap();
-        let template = BODY.v_template.column(0);
-        let gradient = [
-            forces.iter().zip(template).map(|(f, x)| f.x * x).sum::<f64>(),
-            forces.iter().map(|f| f.x).sum::<f64>(),
-        ];
-        assert_gradient(&x, &gradient, 5e-3, value);
-        assert!(gradient[0] < 0.0 && gradient[1] < 0.0, "{gradient:?}");
+        assert_gradient(&x, &gradient, 1e-3, value);
     }
 
     /// With hard edges on a finer grid, averaged over the pixels of a coarser one.
@@ -346,7 +285,7 @@ mod tests {
         let soft = render_softly(&vertices, faces, &camera, 1e-3).unwrap();
         let pairs = || soft.coverage().iter().zip(hard.mask().covered());
         let off = pairs().filter(|&(a, &b)| (a - f64::from(b)).abs() > 0.01).count();
-        assert!(off <= 3, "{off} pixels");
+        assert!(off <= 12, "{off} pixels");
 
         // Supersampled four times in either direction, against as many soft pixels.
         let fine = Camera::new(384, 384, None).unwrap();

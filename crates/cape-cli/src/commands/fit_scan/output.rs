@@ -91,8 +91,7 @@ impl Outcome<'_> {
         let displaced = mesh(&free.vertices, &body.faces);
         ply::write(command.out.join("displaced.ply"), &displaced, None)?;
         let parameters = &self.fit.parameters;
-        let registration =
-            Registration { body, minimal, parameters, vertices: &free.vertices };
+        let registration = Registration { body, minimal, parameters, vertices: &free.vertices };
         let place = Place {
             subject: command.subject.clone(),
             outfit: self.fit.outfit,

@@ -41,10 +41,8 @@ pub(super) fn draw(
         }
         mesh
     };
-    let mut meshes = vec![
-        ("scan", turned(scan_mesh(scan)), None),
-        ("bare body", turned(bare.clone()), None),
-    ];
+    let mut meshes =
+        vec![("scan", turned(scan_mesh(scan)), None), ("bare body", turned(bare.clone()), None)];
     for (name, vertices) in ["clothed body", "displaced"].iter().zip(surfaces) {
         let colours: Vec<[f32; 3]> = distances_to(scan, vertices)
             .into_iter()
@@ -87,7 +85,9 @@ fn scan_mesh(scan: &Scan) -> Mesh {
     let vertices: Vec<DVec3> = points.flat_map(|&at| corners.map(|corner| at + corner)).collect();
     let faces: Vec<[u32; 3]> = (0..vertices.len() as u32 / 4)
         .map(|point| 4 * point)
-        .flat_map(|p| [[p, p + 1, p + 2], [p, p + 2, p + 3], [p, p + 3, p + 1], [p + 1, p + 3, p + 2]])
+        .flat_map(|p| {
+            [[p, p + 1, p + 2], [p, p + 2, p + 3], [p, p + 3, p + 1], [p + 1, p + 3, p + 2]]
+        })
         .collect();
     mesh(&vertices, &faces)
 }
