@@ -23,6 +23,9 @@ use crate::body_energy::geman_mcclure;
 const REACH: f64 = 10.0;
 /// Surface of a person, m²: how close the points of a scan lie follows from their number.
 const SURFACE: f64 = 1.9;
+/// Distance of a place on a surface from the nearest of points that are strewn over it, which one
+/// in a hundred exceeds, by the square root of the surface for each point.
+const SIDEWAYS: f64 = 1.2;
 /// A scan whose normals agree with the body's at less than this share is inside out.
 const INSIDE_OUT: f64 = 0.35;
 
@@ -123,11 +126,14 @@ impl<'a> Distances<'a> {
     ) -> Self {
         let (normals, mut shares) = vertex_frames(vertices, faces);
         let opposite = |(&vertex, &normal): (&DVec3, &DVec3)| {
+            if back <= 0.0 {
+                return None;
+            }
             // Over a hole the scan is nearest sideways.
             let (_, nearest) = target.tree.nearest(vertex, normal, REACH * robust)?;
             let off = nearest.at - vertex;
             let sideways = off.reject_from_normalized(normal.try_normalize()?).length();
-            Some(sideways <= (0.5 * off.length()).max(2.0 * target.spacing))
+            Some(sideways <= (0.5 * off.length()).max(SIDEWAYS * target.spacing))
         };
         let there: Vec<bool> =
             vertices.par_iter().zip(&normals).map(|pair| opposite(pair).unwrap_or(false)).collect();

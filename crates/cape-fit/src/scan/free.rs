@@ -1,8 +1,9 @@
 //! What a scan has that no code of clothes says.
 //!
-//! `E(d) = E_D(b + d) + λ_L Σ_v ‖(L d)_v‖² / V` over displacements `d_v` of the fitted surface's
-//! vertices, with the umbrella Laplacian `(L d)_v = d_v − mean of its neighbours'`: where the scan
-//! has noise or holes the displacement goes on smoothly.
+//! `E(d) = E_D(b + d) + (λ_L Σ_v ‖(L d)_v‖² + λ_0 Σ_v ‖d_v‖²) / V` over displacements `d_v` of the
+//! fitted surface's vertices, with the umbrella Laplacian `(L d)_v = d_v − mean of its neighbours'`:
+//! where the scan has noise or holes the displacement goes on smoothly, and comes to an end. `E_D`
+//! is from the scan to the surface alone: the way back would draw vertices to the edges of holes.
 
 use cape_core::optimise::{LbfgsOptions, minimise};
 use glam::DVec3;
@@ -20,21 +21,21 @@ use crate::{Error, Result, body_energy::check_weight};
 pub struct FreeConfig {
     /// λ_L, of the displacement's roughness.
     pub smooth: f64,
+    /// λ_0, of its size.
+    pub small: f64,
     /// Points of the scan.
     pub samples: usize,
     /// Size of errors that are rather mistakes, metres, one round after the other.
     pub robust: [f64; 2],
     /// Most steps of the optimiser in each round.
     pub steps: usize,
-    /// Weight of the way from the body to the scan.
-    pub back: f64,
     /// Fixes which points are taken.
     pub seed: u64,
 }
 
 impl Default for FreeConfig {
     fn default() -> Self {
-        Self { smooth: 1.0, samples: 20_000, robust: [0.05, 0.02], steps: 40, back: 0.5, seed: 1 }
+        Self { smooth: 1.0, small: 0.03, samples: 20_000, robust: [0.05, 0.02], steps: 40, seed: 1 }
     }
 }
 
@@ -63,7 +64,7 @@ pub fn free_displacement(
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<FreeSurface> {
     check_weight("smooth", config.smooth)?;
-    check_weight("back", config.back)?;
+    check_weight("small", config.small)?;
     let mut target = Target::new(scan, config.samples, config.seed);
     target.orient(vertices, faces);
     let umbrella = Umbrella::new(vertices.len(), faces);
@@ -72,13 +73,13 @@ pub fn free_displacement(
     let total = config.steps * config.robust.len();
     for robust in config.robust {
         let now = displaced(vertices, &x);
-        let distances = Distances::new(&target, &now, faces, config.samples, robust, config.back);
+        let distances = Distances::new(&target, &now, faces, config.samples, robust, 0.0);
         let options = LbfgsOptions { steps: config.steps, gain: 1e-4, ..<_>::default() };
         let mut within = 0;
         let found = minimise(x, &options, |x, gradient| {
             within += 1;
             progress((done + within).min(total), total);
-            let value = energy(vertices, x, &distances, &umbrella, config.smooth, gradient);
+            let value = energy(vertices, x, &distances, &umbrella, config, gradient);
             Ok::<_, Error>(value)
         })?;
         done += config.steps;
@@ -101,7 +102,7 @@ fn energy(
     x: &[f64],
     distances: &Distances<'_>,
     umbrella: &Umbrella,
-    smooth: f64,
+    config: &FreeConfig,
     gradient: &mut [f64],
 ) -> f64 {
     let mut forces = vec![DVec3::ZERO; vertices.len()];
@@ -109,13 +110,15 @@ fn energy(
     let terms = distances.evaluate(&displaced(vertices, x), 1e3, &mut forces);
     let d: Vec<DVec3> = x.as_chunks::<3>().0.iter().map(|&d| DVec3::from_array(d)).collect();
     let rough = umbrella.apply(&d);
-    let each = smooth / vertices.len().max(1) as f64;
+    let count = vertices.len().max(1) as f64;
+    let (smooth, small) = (config.smooth / count, config.small / count);
     let by_d = umbrella.apply_transposed(&rough);
     let slots = gradient.as_chunks_mut::<3>().0.iter_mut();
-    for ((slot, force), by) in slots.zip(&forces).zip(&by_d) {
-        *slot = (*force + *by * (2.0 * each)).to_array();
+    for (((slot, force), by), d) in slots.zip(&forces).zip(&by_d).zip(&d) {
+        *slot = (*force + *by * (2.0 * smooth) + *d * (2.0 * small)).to_array();
     }
-    1e6 * distances.total(&terms) + each * rough.iter().map(|r| r.length_squared()).sum::<f64>()
+    let squares = |all: &[DVec3]| all.iter().map(|x| x.length_squared()).sum::<f64>();
+    1e6 * distances.total(&terms) + smooth * squares(&rough) + small * squares(&d)
 }
 
 fn displaced(vertices: &[DVec3], x: &[f64]) -> Vec<DVec3> {
@@ -206,8 +209,9 @@ mod tests {
             let sum = |at| (0..x.len()).map(|w| x[w] * along(w, at)).sum();
             (0..3 * vertices.len()).map(sum).collect()
         };
+        let config = FreeConfig { smooth: 0.7, small: 0.2, ..FreeConfig::default() };
         let value = |x: &[f64], gradient: &mut [f64]| {
-            energy(&vertices, &moved(x), &distances, &umbrella, 0.7, gradient)
+            energy(&vertices, &moved(x), &distances, &umbrella, &config, gradient)
         };
         let x = [0.9, -1.4];
         let mut by_vertices = vec![0.0; 3 * vertices.len()];

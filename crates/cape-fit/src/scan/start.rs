@@ -2,7 +2,6 @@
 
 use cape_core::{SmplModel, poses::preset};
 use glam::{DMat3, DQuat, DVec3};
-use rayon::prelude::*;
 
 use super::{KnownJoints, energy::Target, rigid, rigid::Rigid};
 use crate::{
@@ -13,6 +12,8 @@ use crate::{
 
 /// A scan that fits another way up with less than this part of the energy lies or hangs.
 const OTHER_WAY: f64 = 0.6;
+/// Poses that are tried another way up.
+const OTHERS: usize = 3;
 /// Strengths of the pose prior while a body is drawn to known joints.
 const JOINT_STAGES: [f64; 3] = [10.0, 2.0, 0.5];
 
@@ -102,13 +103,24 @@ pub(crate) struct Kind<'a> {
     pub(crate) clothes: &'a ndarray::Array2<f64>,
 }
 
-/// At most `count` bodies in place, the most likely first.
+impl ScanStart {
+    /// How many bodies [`starts`] finds at most, and how often it calls back.
+    pub(crate) fn count(&self, most: usize) -> [usize; 2] {
+        match self {
+            Self::Poses(poses) => [poses.len().min(most), poses.len() + OTHERS.min(poses.len())],
+            Self::Joints(_) | Self::Body(_) => [1, 0],
+        }
+    }
+}
+
+/// At most `count` bodies in place, the most likely first; `placed` is called from time to time.
 pub(crate) fn starts(
     kind: &Kind<'_>,
     target: &Target<'_>,
     start: &ScanStart,
     up: Up,
     count: usize,
+    placed: &mut dyn FnMut(),
 ) -> Result<Vec<BodyParameters>> {
     match start {
         ScanStart::Body(body) => {
@@ -118,7 +130,7 @@ pub(crate) fn starts(
             Ok(vec![body])
         }
         ScanStart::Joints(joints) => Ok(vec![of_joints(kind, joints)?]),
-        ScanStart::Poses(poses) => of_poses(kind, target, poses, up, count),
+        ScanStart::Poses(poses) => of_poses(kind, target, poses, up, count, placed),
     }
 }
 
@@ -128,36 +140,37 @@ fn of_poses(
     poses: &[Vec<f64>],
     up: Up,
     count: usize,
+    placed: &mut dyn FnMut(),
 ) -> Result<Vec<BodyParameters>> {
-    let mut placed = Vec::with_capacity(poses.len());
+    let faces = &kind.body.faces;
+    let (mut found, mut surfaces) = (Vec::new(), Vec::new());
     for pose in poses {
         let body = BodyParameters::new(pose.clone(), vec![0.0; kind.betas])?;
         let vertices = surface(kind, &body)?;
-        placed.push((body, vertices));
+        if let Some(placing) = rigid::place(target, &vertices, faces, up.direction())
+            && placing.energy.is_finite()
+        {
+            found.push((moved(kind, &body, &placing.rigid), placing.energy));
+        }
+        surfaces.push(vertices);
+        placed();
     }
-    let faces = &kind.body.faces;
-    let mut found: Vec<(BodyParameters, f64)> = placed
-        .par_iter()
-        .filter_map(|(body, vertices)| {
-            let placing = rigid::place(target, vertices, faces, up.direction())?;
-            Some((moved(kind, body, &placing.rigid), placing.energy))
-        })
-        .filter(|(_, energy)| energy.is_finite())
-        .collect();
     found.sort_by(|a, b| a.1.total_cmp(&b.1));
     let Some(&(_, least)) = found.first() else {
         return Err(Error::Failed("no pose to begin with can be placed in the scan".into()));
     };
-    let energy = |other: &Up| {
-        let best = placed.par_iter().filter_map(|(_, vertices)| {
-            Some(rigid::place(target, vertices, faces, other.direction())?.energy)
-        });
-        (*other, best.reduce(|| f64::INFINITY, f64::min))
-    };
-    let others = Up::ALL.iter().filter(|&&other| other != up).map(energy);
-    if let Some((other, best)) = others.min_by(|a, b| a.1.total_cmp(&b.1))
-        && best < OTHER_WAY * least
-    {
+    let mut best = (up, f64::INFINITY);
+    for vertices in surfaces.iter().take(OTHERS) {
+        for &other in Up::ALL.iter().filter(|&&other| other != up) {
+            let placing = rigid::place(target, vertices, faces, other.direction());
+            if let Some(placing) = placing.filter(|placing| placing.energy < best.1) {
+                best = (other, placing.energy);
+            }
+        }
+        placed();
+    }
+    let (other, energy) = best;
+    if energy < OTHER_WAY * least {
         let how = if other.axis == up.axis { "is upside down" } else { "lies on its side" };
         return Err(Error::Observation(format!(
             "the scan {how}: a person fits it with the head towards {0}, not {1}: give --up {0}",
@@ -301,10 +314,11 @@ mod tests {
             let scan = Scan::new(upside_down, None, Vec::new(), Unit::M).unwrap();
             let target = Target::new(&scan, 1000, 1);
             let start = ScanStart::Poses(vec![body.pose.clone()]);
-            let message = starts(kind, &target, &start, Up::Y, 1).unwrap_err().to_string();
+            let message =
+                starts(kind, &target, &start, Up::Y, 1, &mut || {}).unwrap_err().to_string();
             assert!(message.contains("upside down") && message.contains("--up -y"), "{message}");
             let up = "-y".parse().unwrap();
-            assert_eq!(starts(kind, &target, &start, up, 3).unwrap().len(), 1);
+            assert_eq!(starts(kind, &target, &start, up, 3, &mut || {}).unwrap().len(), 1);
             assert!("w".parse::<Up>().is_err());
         });
     }
