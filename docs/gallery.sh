@@ -37,7 +37,7 @@ make between vary "$run" --by between --codes frame:0,frame:300
 make effect pose-effect "$run" --pose-a a-pose --pose-b squats --scale 4
 make redressed redress "$run" frame:3 --pose squats
 make given redress "$run" frame:3 --to 2,-1 --to -2,1 --to frame:200
-make scanned fit-scan "$run" --scan redressed/0-registration.ply --outfit shortlong --free-displacement
+make scanned fit-scan "$run" --scan redressed/0-registration.ply --outfit shortshort --free-displacement
 make squats animate "$run" --motion squats --seconds 2 --fps 12 --size 256
 "$examples/texture" "$run"
 "$examples/picture"

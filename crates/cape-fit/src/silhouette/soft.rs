@@ -290,7 +290,7 @@ mod tests {
         // Supersampled four times in either direction, against as many soft pixels.
         let fine = Camera::new(384, 384, None).unwrap();
         let covered = render(&vertices, faces, &fine).unwrap().mask().clone();
-        let soft = render_softly(&vertices, faces, &fine, 0.05).unwrap();
+        let soft = render_softly(&vertices, faces, &fine, 1e-3).unwrap();
         let mean = |at: usize, of: &dyn Fn(usize) -> f64| {
             let (x, y) = (at % 96 * 4, at / 96 * 4);
             (0..16).map(|i| of((y + i / 4) * 384 + x + i % 4)).sum::<f64>() / 16.0
