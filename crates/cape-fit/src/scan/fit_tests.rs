@@ -103,10 +103,10 @@ fn a_clothed_body_is_found_in_its_points() {
     let fit =
         fitter.fit(&scan, &start, Up::Y, &mut |done, total| heard.push((done, total))).unwrap();
     assert!(fit.problem.is_none(), "{:?}", fit.problem);
-    assert!(fit.distance.mean < 8.0, "{:?}", fit.distance);
+    assert!(fit.distance.mean < 12.0, "{:?}", fit.distance);
     let surface = fitter.surface(&fit).unwrap();
     let off: f64 = surface.iter().zip(&truth).map(|(a, b)| a.distance(*b)).sum();
-    assert!(off / (truth.len() as f64) < 0.03, "{}", off / truth.len() as f64);
+    assert!(off / (truth.len() as f64) < 0.05, "{}", off / truth.len() as f64);
     assert!(heard.is_sorted() && heard.last().is_some_and(|(done, total)| done == total));
     assert!(fit.curves.iter().all(|curve| curve.windows(2).all(|pair| pair[1] <= pair[0])));
 }
