@@ -36,6 +36,8 @@ make directions vary "$run" --by direction --rows 3 --columns 5
 make between vary "$run" --by between --codes frame:0,frame:300
 make effect pose-effect "$run" --pose-a a-pose --pose-b squats --scale 4
 make redressed redress "$run" frame:3 --pose squats
+make given redress "$run" frame:3 --to 2,-1 --to -2,1 --to frame:200
+make scanned fit-scan "$run" --scan redressed/0-registration.ply --outfit shortshort --free-displacement
 make squats animate "$run" --motion squats --seconds 2 --fps 12 --size 256
 "$examples/texture" "$run"
 "$examples/picture"
@@ -45,6 +47,8 @@ for name in outfits codes poses shapes directions between; do
 done
 cp effect/pose_effect.png "$pictures/effect.png"
 cp redressed/redress.png "$pictures/redressed.png"
+cp given/redress.png "$pictures/given.png"
+cp scanned/fit.png "$pictures/scan.png"
 cp squats/animation.png "$pictures/squats.png"
 cp texture.png picture.png "$pictures"
 cp demo/contact_sheet.png "$pictures/../../../contact_sheet.png"

@@ -8,6 +8,7 @@ mod files;
 mod fitting;
 mod layer;
 mod priors;
+mod scanning;
 mod support;
 mod tf_writer;
 mod training;

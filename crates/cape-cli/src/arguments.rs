@@ -1,7 +1,7 @@
-use std::process::ExitCode;
+use std::{ffi::OsString, process::ExitCode};
 
 use cape_core::Outfit;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 
 use crate::{commands, console::Console, error::Result};
 
@@ -50,6 +50,7 @@ pub(crate) enum Command {
     Sample(commands::sample::Sample),
     EvalSamples(commands::eval_samples::EvalSamples),
     Vary(commands::vary::Vary),
+    Encode(commands::encode::Encode),
     Redress(commands::redress::Redress),
     Generate(commands::generate::Generate),
     Animate(commands::animate::Animate),
@@ -57,7 +58,9 @@ pub(crate) enum Command {
     #[cfg(feature = "view")]
     View(commands::view::View),
     Fit(commands::fit::Fit),
+    FitScan(commands::fit_scan::FitScan),
     FitBenchmark(commands::fit_benchmark::FitBenchmark),
+    ScanBenchmark(commands::scan_benchmark::ScanBenchmark),
     Layer(commands::layer::Layer),
     Import(commands::import::Import),
     Export(commands::export::Export),
@@ -82,6 +85,7 @@ impl Command {
             Self::Sample(command) => command.run(global, console)?,
             Self::EvalSamples(command) => command.run(global, console)?,
             Self::Vary(command) => command.run(global, console)?,
+            Self::Encode(command) => command.run(global, console)?,
             Self::Redress(command) => command.run(global, console)?,
             Self::Generate(command) => command.run(global, console)?,
             Self::Animate(command) => command.run(global, console)?,
@@ -89,7 +93,9 @@ impl Command {
             #[cfg(feature = "view")]
             Self::View(command) => command.run(global, console)?,
             Self::Fit(command) => command.run(global, console)?,
+            Self::FitScan(command) => command.run(global, console)?,
             Self::FitBenchmark(command) => command.run(global, console)?,
+            Self::ScanBenchmark(command) => command.run(global, console)?,
             Self::Layer(command) => command.run(global, console)?,
             Self::Import(command) => command.run(global, console)?,
             Self::Export(command) => command.run(console)?,
@@ -101,6 +107,33 @@ impl Command {
         }
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// What commands with an option for scans stand for.
+const FORWARDED: [[&str; 3]; 2] =
+    [["fit", "--scan", "fit-scan"], ["fit-benchmark", "--scans", "scan-benchmark"]];
+
+/// The arguments with `fit … --scan` as what it stands for, `fit-scan … --scan`, and others alike.
+pub(crate) fn forwarded(arguments: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
+    let mut arguments: Vec<OsString> = arguments.into_iter().collect();
+    let cli = Cli::command();
+    let is_command =
+        |word: &OsString| word.to_str().is_some_and(|word| cli.find_subcommand(word).is_some());
+    let Some(at) = arguments.iter().skip(1).position(is_command).map(|at| at + 1) else {
+        return arguments;
+    };
+    for [command, option, instead] in FORWARDED {
+        let is_option = |word: &OsString| {
+            let word = word.to_string_lossy();
+            word == option || word.strip_prefix(option).is_some_and(|rest| rest.starts_with('='))
+        };
+        if arguments[at] == command
+            && arguments[at..].iter().take_while(|word| *word != "--").any(is_option)
+        {
+            arguments[at] = instead.into();
+        }
+    }
+    arguments
 }
 
 /// The device that is used if none is named: the first that is compiled in.
@@ -124,9 +157,26 @@ pub(crate) fn outfit(text: &str) -> Result<Outfit, String> {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
-
     use super::*;
+
+    #[test]
+    fn fits_with_a_scan_are_fits_to_it() {
+        let command = |line: &str| {
+            let words = forwarded(line.split_whitespace().map(OsString::from));
+            words.iter().map(|word| word.to_str().unwrap()).collect::<Vec<_>>().join(" ")
+        };
+        assert_eq!(
+            command("cape --json fit run --scan a.ply"),
+            "cape --json fit-scan run --scan a.ply"
+        );
+        assert_eq!(command("cape fit --scan=a.ply run"), "cape fit-scan --scan=a.ply run");
+        assert_eq!(command("cape fit-benchmark --scans"), "cape scan-benchmark --scans");
+        for other in
+            ["cape fit run a.json --mask b.png", "cape info fit --scan", "cape fit -- --scan"]
+        {
+            assert_eq!(command(other), other);
+        }
+    }
 
     #[test]
     fn the_arguments_are_consistent_and_every_command_has_an_example() {

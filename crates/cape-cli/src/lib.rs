@@ -15,6 +15,7 @@ mod html;
 mod interrupt;
 mod mesh_file;
 mod priors;
+mod registration;
 mod table;
 mod training;
 
@@ -22,14 +23,14 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
-use arguments::Cli;
+use arguments::{Cli, forwarded};
 use console::Console;
 use error::Error;
 
 /// Runs the command line on the process's arguments and returns its exit code: 0 for success, 1 for
 /// an error, 2 for arguments that cannot be understood, 130 for a training that was interrupted.
 pub fn main() -> ExitCode {
-    let Cli { global, command } = Cli::parse();
+    let Cli { global, command } = Cli::parse_from(forwarded(std::env::args_os()));
     let console = Console::new(global.json, global.quiet);
     match use_threads(global.threads).and_then(|()| command.run(&global, console)) {
         Ok(code) => code,

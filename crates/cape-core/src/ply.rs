@@ -4,11 +4,23 @@ use std::{io::Write, path::Path};
 
 use crate::{Error, Mesh, Result, mesh::read_bytes, write_atomically};
 
+/// A mesh, and normals of its vertices where there are some.
+pub type WithNormals = (Mesh, Option<Vec<[f32; 3]>>);
+
 /// Reads a PLY file. Polygons are cut into fans of triangles; everything but vertex positions and
 /// face corners is ignored.
 pub fn read(path: impl AsRef<Path>) -> Result<Mesh> {
+    Ok(read_with_normals(path)?.0)
+}
+
+/// As [`read()`], with the normals of the vertices (`nx`, `ny`, `nz`) if the file has them,
+/// `[vertices, 3]`, of any length.
+///
+/// # Errors
+/// If the file cannot be read, or is no PLY file.
+pub fn read_with_normals(path: impl AsRef<Path>) -> Result<WithNormals> {
     let path = path.as_ref();
-    parse(&read_bytes(path)?).map_err(|message| Error::format(path, message))
+    parse_with_normals(&read_bytes(path)?).map_err(|message| Error::format(path, message))
 }
 
 /// Writes a binary little-endian PLY file, atomically, with colours (red, green, blue) of the
@@ -122,17 +134,22 @@ enum Encoding {
     BigEndian,
 }
 
+#[cfg(test)]
 fn parse(bytes: &[u8]) -> Result<Mesh, String> {
+    Ok(parse_with_normals(bytes)?.0)
+}
+
+fn parse_with_normals(bytes: &[u8]) -> Result<WithNormals, String> {
     let (encoding, elements, rest) = header(bytes)?;
     let mut body = Body { encoding, rest };
-    let mut mesh = Mesh::default();
+    let (mut mesh, mut normals) = (Mesh::default(), None);
     let (mut vertices_seen, mut faces_seen) = (false, false);
     for element in &elements {
         body.check_count(element)?;
         match element.name {
             "vertex" => {
                 vertices_seen = true;
-                mesh.vertices = vertices(&mut body, element)?;
+                (mesh.vertices, normals) = vertices(&mut body, element)?;
             }
             "face" => {
                 faces_seen = true;
@@ -153,7 +170,7 @@ fn parse(bytes: &[u8]) -> Result<Mesh, String> {
     if faces_seen && let Some(face) = mesh.faces.iter().find(outside) {
         return Err(format!("face {face:?}, but there are {} vertices", mesh.vertices.len()));
     }
-    Ok(mesh)
+    Ok((mesh, normals))
 }
 
 fn header(bytes: &[u8]) -> Result<(Encoding, Vec<Element<'_>>, &[u8]), String> {
@@ -212,30 +229,39 @@ fn header(bytes: &[u8]) -> Result<(Encoding, Vec<Element<'_>>, &[u8]), String> {
     }
 }
 
-fn vertices(body: &mut Body, element: &Element) -> Result<Vec<[f32; 3]>, String> {
-    let position = |axis: &str| {
-        let found = element.properties.iter().position(|p| p.name == axis && p.length.is_none());
-        found.ok_or_else(|| format!("vertices have no `{axis}`"))
+/// Positions, and normals where there are some.
+type Vertices = (Vec<[f32; 3]>, Option<Vec<[f32; 3]>>);
+
+fn vertices(body: &mut Body, element: &Element) -> Result<Vertices, String> {
+    let position =
+        |axis: &str| element.properties.iter().position(|p| p.name == axis && p.length.is_none());
+    let axis = |name| position(name).ok_or_else(|| format!("vertices have no `{name}`"));
+    let axes = [axis("x")?, axis("y")?, axis("z")?];
+    let across = match ["nx", "ny", "nz"].map(position) {
+        [Some(x), Some(y), Some(z)] => Some([x, y, z]),
+        _ => None,
     };
-    let axes = [position("x")?, position("y")?, position("z")?];
     let mut vertices = Vec::with_capacity(element.count);
+    let mut normals = across.map(|_| Vec::with_capacity(element.count));
     for index in 0..element.count {
-        let mut vertex = [0.0f32; 3];
+        let (mut vertex, mut normal) = ([0.0f32; 3], [0.0f32; 3]);
         body.item(element, |property, values| {
-            for (slot, axis) in vertex.iter_mut().zip(axes) {
-                if axis == property
-                    && let [value] = values
-                {
-                    *slot = *value as f32;
-                }
+            let [value] = values else { return };
+            let slots = vertex.iter_mut().zip(axes);
+            let slots = slots.chain(normal.iter_mut().zip(across.unwrap_or([usize::MAX; 3])));
+            for (slot, _) in slots.filter(|&(_, axis)| axis == property) {
+                *slot = *value as f32;
             }
         })?;
         if !vertex.iter().all(|coordinate| coordinate.is_finite()) {
             return Err(format!("vertex {index} is not finite: {vertex:?}"));
         }
         vertices.push(vertex);
+        if let Some(normals) = &mut normals {
+            normals.push(normal);
+        }
     }
-    Ok(vertices)
+    Ok((vertices, normals))
 }
 
 fn faces(body: &mut Body, element: &Element) -> Result<Vec<[u32; 3]>, String> {
@@ -396,6 +422,21 @@ mod tests {
         binary.extend([1, 4]);
         binary.extend([0i32, 1, 2, 3].iter().flat_map(|i| i.to_be_bytes()));
         assert_eq!(parse(&binary).unwrap(), expected);
+    }
+
+    #[test]
+    fn normals_of_vertices_are_read() {
+        let properties = ["x", "nx", "ny", "nz", "y", "z"].map(|p| format!("property float {p}\n"));
+        let header = |properties: &[String]| {
+            let properties = properties.concat();
+            format!(
+                "ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n1 2 3 4 5 6\n"
+            )
+        };
+        let (mesh, normals) = parse_with_normals(header(&properties).as_bytes()).unwrap();
+        assert_eq!((mesh.vertices[0], normals), ([1.0, 5.0, 6.0], Some(vec![[2.0, 3.0, 4.0]])));
+        let text = header(&properties).replace(" nz", " weight");
+        assert_eq!(parse_with_normals(text.as_bytes()).unwrap().1, None);
     }
 
     #[test]

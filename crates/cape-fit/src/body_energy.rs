@@ -130,18 +130,8 @@ impl BodyEnergy<'_> {
             let parts = by.transl.to_array().into_iter().chain(by.pose).chain(by.betas);
             gradient.iter_mut().zip(parts).for_each(|(g, part)| *g += part);
         }
-        terms.pose =
-            self.prior.energy(&pose[3..], weights.pose, &mut gradient[POSE_AT + 3..BETAS_AT]);
-        for (at, beta) in betas.iter().enumerate() {
-            terms.shape += beta * beta;
-            gradient[BETAS_AT + at] += 2.0 * weights.shape * beta;
-        }
-        for (at, sign) in BENDS {
-            let penalty = (sign * pose[at]).exp();
-            terms.bend += penalty;
-            gradient[POSE_AT + at] += weights.bend * sign * penalty;
-        }
-        Ok(terms)
+        let priors = prior_terms(self.prior, x, betas.len(), weights, gradient);
+        Ok(BodyTerms { joints: terms.joints, ..priors })
     }
 
     /// Mean distance of the body's joints from where they were seen, pixels.
@@ -160,8 +150,33 @@ impl BodyEnergy<'_> {
     }
 }
 
+/// What bodies are like, whatever was seen of them: the terms but for joints at the unknowns
+/// `[3 + 72 + betas, …]`; the weighted gradient is added to `gradient`.
+pub(crate) fn prior_terms(
+    prior: &PosePrior,
+    x: &[f64],
+    betas: usize,
+    weights: &BodyWeights,
+    gradient: &mut [f64],
+) -> BodyTerms {
+    let (pose, betas) = (&x[POSE_AT..BETAS_AT], &x[BETAS_AT..BETAS_AT + betas]);
+    let by_pose = &mut gradient[POSE_AT + 3..BETAS_AT];
+    let mut terms =
+        BodyTerms { pose: prior.energy(&pose[3..], weights.pose, by_pose), ..<_>::default() };
+    for (at, beta) in betas.iter().enumerate() {
+        terms.shape += beta * beta;
+        gradient[BETAS_AT + at] += 2.0 * weights.shape * beta;
+    }
+    for (at, sign) in BENDS {
+        let penalty = (sign * pose[at]).exp();
+        terms.bend += penalty;
+        gradient[POSE_AT + at] += weights.bend * sign * penalty;
+    }
+    terms
+}
+
 /// `ρ = σ² e² / (σ² + e²)` of a squared error, and its derivative by that.
-fn geman_mcclure(square: f64, sigma: f64) -> (f64, f64) {
+pub(crate) fn geman_mcclure(square: f64, sigma: f64) -> (f64, f64) {
     let s = sigma * sigma;
     let share = s / (s + square);
     (share * square, share * share)

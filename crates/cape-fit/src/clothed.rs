@@ -40,6 +40,9 @@ pub struct Level {
 pub struct ClothedConfig {
     /// λ_S of the silhouettes' mean distance, per metre.
     pub silhouette: f64,
+    /// Width of soft edges, pixels of a scale, by which silhouettes are compared on all scales but
+    /// the first, if not by distances.
+    pub soft: Option<f64>,
     /// λ_z of the code's squared length.
     pub code: f64,
     /// Weights of the bare body's terms.
@@ -54,6 +57,7 @@ impl Default for ClothedConfig {
     fn default() -> Self {
         Self {
             silhouette: 5e4,
+            soft: None,
             code: 0.5,
             body: BodyWeights::default(),
             levels: vec![
@@ -187,6 +191,10 @@ impl Smplify {
         let mut last = None;
         for level in &config.levels {
             let silhouette = SilhouetteEnergy::new(camera, mask, level.side, start.pixel)?;
+            let silhouette = match config.soft {
+                Some(softness) if last.is_some() => silhouette.softened(softness)?,
+                _ => silhouette,
+            };
             let options = LbfgsOptions { steps: level.steps, ..self.config().optimiser };
             for _ in 0..level.rounds {
                 let body = BodyParameters::from_vector(&x, betas);

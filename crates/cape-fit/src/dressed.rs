@@ -11,6 +11,7 @@ use cape_core::{
 use cape_model::{Generator, Graphs};
 use cape_train::{Run, RunConfig, build_graphs, data::Statistics};
 use glam::DVec3;
+use ndarray::Array2;
 
 use crate::{BodyParameters, Error, Result};
 
@@ -42,6 +43,10 @@ pub(crate) struct Parts<'a> {
     pub(crate) clothing: &'a [usize],
     pub(crate) statistics: &'a Statistics,
 }
+
+/// Clothes that do not change with the body: displacements, metres, `[1, V, 3]`.
+#[derive(Debug, Clone)]
+pub struct Clothes(Tensor<3>);
 
 /// A clothed body, and what it was made from.
 #[derive(Debug, Clone)]
@@ -83,11 +88,25 @@ impl DressedBody {
         Self::of_parts(&parts, outfit, run.device())
     }
 
+    /// The bodies of one subject, given by its unclothed rest shape `[V, 3]`, metres: shape
+    /// coefficients are then changes of that.
+    ///
+    /// # Errors
+    /// As of [`new`](Self::new), or if the shape has another number of vertices.
+    pub fn of_subject(run: &Run, outfit: Outfit, minimal: &Array2<f64>) -> Result<Self> {
+        let body = SmplModel { v_template: minimal.clone(), ..run.body().clone() };
+        let smpl = Smpl::new(&body, &run.device().clone().autodiff())?;
+        let mut dressed = Self::new(run, outfit)?;
+        let mask = ClothingMask::from_indices(body.vertices(), run.clothing())?;
+        dressed.smpl = ClothedSmpl::new(smpl).with_mask(&mask)?;
+        Ok(dressed)
+    }
+
     pub(crate) fn of_parts(parts: &Parts<'_>, outfit: Outfit, device: &Device) -> Result<Self> {
         let Parts { generator, config, body, clothing, statistics } = *parts;
         let device = device.clone().autodiff();
         let mask = ClothingMask::from_indices(body.vertices(), clothing)?;
-        let rows = |array: &ndarray::Array2<f64>| {
+        let rows = |array: &Array2<f64>| {
             let values: Vec<f32> = array.iter().map(|&x| x as f32).collect();
             Tensor::from_data(TensorData::new(values, [1, body.vertices(), 3]), &device)
         };
@@ -128,27 +147,75 @@ impl DressedBody {
     /// # Errors
     /// If sizes do not suit the model.
     pub fn surface(&self, body: &BodyParameters, code: &[f64]) -> Result<DressedSurface> {
+        self.expect_code(code)?;
+        let code = self.leaf(code);
+        self.dress(body, code, |code, feature| self.decode(code, feature))
+    }
+
+    /// The clothes that `code` stands for in a body's pose, to be kept whatever the pose.
+    ///
+    /// # Errors
+    /// If sizes do not suit the model.
+    pub fn clothes(&self, body: &BodyParameters, code: &[f64]) -> Result<Clothes> {
         body.check()?;
-        if code.len() != self.latent {
-            return Err(Error::argument(format!(
-                "a code of {} numbers, expected {}",
-                code.len(),
-                self.latent
-            )));
+        self.expect_code(code)?;
+        let rotations = self.smpl.body().rotations(Pose::AxisAngle(self.leaf(&body.pose)))?;
+        let decoded = self.decode(self.leaf(code), self.feature(rotations));
+        Ok(Clothes(decoded.detach()))
+    }
+
+    /// The clothes that people of the training set wear on average, whatever the outfit.
+    pub fn mean_clothes(&self) -> Clothes {
+        Clothes(self.mean.clone())
+    }
+
+    /// The body in clothes that stay as they are; there is no gradient by a code.
+    ///
+    /// # Errors
+    /// If sizes do not suit the model.
+    pub fn surface_in(&self, clothes: &Clothes, body: &BodyParameters) -> Result<DressedSurface> {
+        let code = self.leaf(&vec![0.0; self.latent]);
+        self.dress(body, code, |_, _| clothes.0.clone())
+    }
+
+    fn expect_code(&self, code: &[f64]) -> Result<()> {
+        if code.len() == self.latent {
+            return Ok(());
         }
-        let leaf = |values: &[f64]| row(values, &self.device).require_grad();
-        let (transl, pose) = (leaf(&body.transl), leaf(&body.pose));
-        let (betas, code) = (leaf(&body.betas), leaf(code));
+        Err(Error::argument(format!("a code of {} numbers, expected {}", code.len(), self.latent)))
+    }
+
+    fn leaf(&self, values: &[f64]) -> Tensor<2> {
+        row(values, &self.device).require_grad()
+    }
+
+    /// What the clothes see of the joints' rotations.
+    fn feature(&self, rotations: Tensor<4>) -> Tensor<2> {
+        rotations.select(1, self.clothing_joints.clone()).reshape([1, POSE_FEATURE])
+    }
+
+    /// Displacements, metres, `[1, V, 3]`.
+    fn decode(&self, code: Tensor<2>, feature: Tensor<2>) -> Tensor<3> {
+        let decoded = self.generator.decode(code, feature, self.label.clone(), &self.graphs);
+        decoded * self.deviation.clone() + self.mean.clone()
+    }
+
+    fn dress(
+        &self,
+        body: &BodyParameters,
+        code: Tensor<2>,
+        clothes: impl FnOnce(Tensor<2>, Tensor<2>) -> Tensor<3>,
+    ) -> Result<DressedSurface> {
+        body.check()?;
+        let (transl, pose) = (self.leaf(&body.transl), self.leaf(&body.pose));
+        let betas = self.leaf(&body.betas);
         let rotations = self.smpl.body().rotations(Pose::AxisAngle(pose.clone()))?;
-        let feature =
-            rotations.clone().select(1, self.clothing_joints.clone()).reshape([1, POSE_FEATURE]);
-        let decoded =
-            self.generator.decode(code.clone(), feature, self.label.clone(), &self.graphs);
+        let displacement = clothes(code.clone(), self.feature(rotations.clone()));
         let output = self.smpl.forward(SmplInput {
             betas: betas.clone(),
             pose: Pose::Rotations(rotations),
             transl: transl.clone(),
-            displacement: Some(decoded * self.deviation.clone() + self.mean.clone()),
+            displacement: Some(displacement),
         })?;
         let values = host(output.vertices.clone().inner().reshape([1, -1]));
         let vertices = values.as_chunks::<3>().0.iter().map(|&v| DVec3::from_array(v)).collect();

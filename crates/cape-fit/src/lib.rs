@@ -1,9 +1,10 @@
-//! Bodies fitted to images.
+//! Bodies fitted to images and scans.
 //!
 //! [`Smplify`] finds the bare body behind [`Keypoints`]: a pose that people take ([`PosePrior`]),
 //! whose joints a [`Camera`] sees where a detector did. [`Smplify::fit_clothed`] goes on to the body
 //! in clothes ([`DressedBody`], of a trained model) whose [silhouette] is a given
-//! [`Mask`]. [`aligned_error`] compares outcomes with the truth.
+//! [`Mask`]. [`aligned_error`] compares outcomes with the truth. [`scan`] has what finds bodies in
+//! points and meshes.
 //!
 //! The camera is at the origin and looks along −z, y up; a body without orientation faces it. Units
 //! are metres, radians and pixels; everything is computed in `f64`, and every gradient is exact.
@@ -21,6 +22,7 @@ mod initial;
 pub mod keypoints;
 mod parameters;
 mod pose_prior;
+pub mod scan;
 pub mod silhouette;
 mod skeleton;
 mod smplify;
@@ -35,7 +37,7 @@ pub use alignment::{AlignedError, Alignment, aligned_error};
 pub use body_energy::{BodyEnergy, BodyTerms, BodyWeights};
 pub use camera::Camera;
 pub use clothed::{ClothedConfig, ClothedFit, ClothedTerms, Level};
-pub use dressed::{DressedBody, DressedGradient, DressedSurface};
+pub use dressed::{Clothes, DressedBody, DressedGradient, DressedSurface};
 pub use error::{Error, Result};
 pub use keypoints::{Detector, Keypoint, Keypoints, read_keypoints};
 pub use parameters::BodyParameters;

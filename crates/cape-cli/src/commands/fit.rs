@@ -19,11 +19,14 @@ use crate::{
     files,
 };
 
+/// Width of soft edges, pixels.
+const SOFTNESS: f64 = 0.5;
+
 /// Fit a clothed body to keypoints and a silhouette (section 6.3 of the paper).
 ///
 /// First the bare body by SMPLify, then body and clothes together. Writes both as meshes, fit.json,
 /// the code and the pose for other commands, and overlay.png. A fit that cannot be trusted is
-/// written too, and is an error.
+/// written too, and is an error. `cape fit RUN --scan FILE` fits to a scan: see `cape fit-scan --help`.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape fit run person_keypoints.json --mask person.png \
                         --outfit auto --out fitted")]
@@ -46,6 +49,9 @@ pub(crate) struct Fit {
     /// Which person, if the file has several, counted from 0.
     #[arg(long, value_name = "N")]
     person: Option<usize>,
+    /// How silhouettes are compared: by distances, or finely by what soft edges cover.
+    #[arg(long, default_value = "distance", value_parser = ["distance", "soft"], value_name = "WAY")]
+    silhouette: String,
     /// Focal length, pixels; by default the image's diagonal.
     #[arg(long, value_name = "PIXELS")]
     focal: Option<f64>,
@@ -97,7 +103,8 @@ impl Fit {
         };
         let run = Run::open(&self.run, &device)?;
         let smplify = Smplify::new(run.body(), prior, SmplifyConfig::default())?;
-        let config = ClothedConfig::default();
+        let soft = (self.silhouette == "soft").then_some(SOFTNESS);
+        let config = ClothedConfig { soft, ..ClothedConfig::default() };
 
         let start = Instant::now();
         let stages = 1 + outfits.len();

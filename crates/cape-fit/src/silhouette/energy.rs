@@ -9,6 +9,9 @@
 //! derivative of the sum over the image; the first is that over the rendered silhouette but for the
 //! growth of the area that a point stands for, small while silhouettes are close. Surfaces that
 //! have moved far are matched anew.
+//!
+//! [`SilhouetteEnergy::softened`] compares what surfaces cover [softly](super::render_softly) instead: exact,
+//! with no matching, but blind to what is further off than a few pixels.
 
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
@@ -16,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     Mask, SurfacePoint,
     distance::{Nearest, manhattan},
+    soft::{check_softness, draw},
     surface::render,
 };
 use crate::{Camera, Error, Result};
@@ -32,6 +36,8 @@ pub struct SilhouetteEnergy {
     field: Nearest,
     /// Metres per pixel at the person, over the silhouette's area.
     scale: f64,
+    /// Width of soft edges, pixels, if coverage is compared.
+    softness: Option<f64>,
 }
 
 /// Both directions of `E_S`: means over the image's silhouette, metres at the person's distance.
@@ -58,6 +64,8 @@ pub struct Matched<'a> {
     rendered: Vec<SurfacePoint>,
     /// Pixels of the image outside the rendered silhouette, and the contour's nearest points.
     image: Vec<(DVec2, SurfacePoint)>,
+    /// Of the surface, if coverage is compared.
+    faces: Vec<[u32; 3]>,
 }
 
 impl SilhouetteEnergy {
@@ -73,7 +81,18 @@ impl SilhouetteEnergy {
         target.check(&small)?;
         let pixel = pixel * camera.focal() / small.focal();
         let scale = pixel / target.area() as f64;
-        Ok(Self { field: manhattan(&target), camera: small, target, scale })
+        Ok(Self { field: manhattan(&target), camera: small, target, scale, softness: None })
+    }
+
+    /// The same silhouette, compared by what a surface with edges `softness` pixels wide covers of
+    /// each pixel: `Σ (A − mask)²`, in the same units, so that an outline that is off by two pixels
+    /// counts as much.
+    ///
+    /// # Errors
+    /// If the softness is not positive.
+    pub fn softened(self, softness: f64) -> Result<Self> {
+        check_softness(softness)?;
+        Ok(Self { softness: Some(softness), ..self })
     }
 
     /// The image's silhouette at the size of the comparison.
@@ -95,6 +114,10 @@ impl SilhouetteEnergy {
         if rendering.mask().area() == 0 {
             return Err(Error::Failed("the body has left the image".into()));
         }
+        if self.softness.is_some() {
+            let (rendered, image) = (Vec::new(), Vec::new());
+            return Ok(Matched { energy: self, rendered, image, faces: faces.to_vec() });
+        }
         let nearest = manhattan(rendering.mask());
         let point = |pixel: usize| rendering.point(pixel, vertices, faces);
         let count = self.target.covered().len();
@@ -108,6 +131,7 @@ impl SilhouetteEnergy {
             energy: self,
             rendered: (0..count).filter_map(point).collect(),
             image: (0..count).filter_map(pulled).collect(),
+            faces: Vec::new(),
         })
     }
 }
@@ -120,6 +144,9 @@ impl Matched<'_> {
         weight: f64,
         gradient: &mut [DVec3],
     ) -> SilhouetteTerms {
+        if let Some(softness) = self.energy.softness {
+            return self.evaluate_softly(vertices, softness, weight, gradient);
+        }
         let SilhouetteEnergy { camera, field, scale, .. } = self.energy;
         let mut terms = SilhouetteTerms::default();
         let mut pull = |point: &SurfacePoint, at: DVec3, by_pixel: DVec2| {
@@ -141,6 +168,27 @@ impl Matched<'_> {
             terms.image += scale * (x.0 + y.0);
             pull(point, at, DVec2::new(x.1, y.1));
         }
+        terms
+    }
+
+    fn evaluate_softly(
+        &self,
+        vertices: &[DVec3],
+        softness: f64,
+        weight: f64,
+        gradient: &mut [DVec3],
+    ) -> SilhouetteTerms {
+        let SilhouetteEnergy { camera, target, scale, .. } = self.energy;
+        let rendering = draw(vertices, &self.faces, camera, softness);
+        let mut terms = SilhouetteTerms::default();
+        let mut by_coverage = Vec::with_capacity(target.covered().len());
+        for (&found, &wanted) in rendering.coverage().iter().zip(target.covered()) {
+            let off = found - f64::from(wanted);
+            let term = if wanted { &mut terms.image } else { &mut terms.rendered };
+            *term += scale * off * off;
+            by_coverage.push(2.0 * weight * scale * off);
+        }
+        rendering.pull_back(vertices, &by_coverage, gradient);
         terms
     }
 }
@@ -267,6 +315,27 @@ mod tests {
             let found: f64 = gradient.iter().zip(moved).map(|(g, d)| g.dot(d)).sum();
             assert!((found - expected).abs() < 0.25 * expected.abs(), "{name}: {found} {expected}");
         }
+    }
+
+    #[test]
+    fn soft_energies_have_the_gradient_of_differences() {
+        let (truth, faces) = body(1.1, 0.03);
+        let energy = energy(&truth, &faces).softened(1.5).unwrap();
+        let at = |x: &[f64]| body(1.0 + x[0], x[1]).0;
+        let matched = energy.matched(&at(&[0.0, 0.0]), &faces).unwrap();
+        let value = |x: &[f64]| {
+            let vertices = at(x);
+            3.0 * matched.evaluate(&vertices, 3.0, &mut vec![DVec3::ZERO; vertices.len()]).total()
+        };
+        let x = [0.01, -0.01];
+        let mut forces = vec![DVec3::ZERO; truth.len()];
+        matched.evaluate(&at(&x), 3.0, &mut forces);
+        let template = BODY.v_template.rows().into_iter();
+        let wider: f64 = forces.iter().zip(template).map(|(f, v)| f.x * v[0] + f.z * v[2]).sum();
+        let gradient = [wider, forces.iter().map(|f| f.x).sum::<f64>()];
+        assert_gradient(&x, &gradient, 5e-3, value);
+        assert!(gradient[1] < 0.0, "{gradient:?}");
+        assert!(energy.softened(0.0).is_err());
     }
 
     #[test]

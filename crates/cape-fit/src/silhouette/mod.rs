@@ -3,9 +3,11 @@
 mod distance;
 mod energy;
 mod mask;
+mod soft;
 mod surface;
 
 pub use distance::{Nearest, euclidean, manhattan};
 pub use energy::{Matched, SilhouetteEnergy, SilhouetteTerms};
 pub use mask::Mask;
+pub use soft::{SoftRendering, render_softly};
 pub use surface::{Rendering, SurfacePoint, render};

@@ -1,0 +1,142 @@
+use std::path::PathBuf;
+
+use cape_core::{Outfit, npy::write_npy, parse_device, ply};
+use cape_train::{Run, Wearer, write_json};
+use clap::Args;
+use ndarray::{Array3, Axis, concatenate};
+use serde::Serialize;
+
+use crate::{
+    arguments::{Global, outfit},
+    console::Console,
+    dressed::Painter,
+    error::{Error, Result},
+    files,
+    registration::{Known, Registration, mean_error},
+    table::Table,
+};
+
+/// Encode registrations to codes.
+///
+/// Writes codes.npy, a row for each, which other commands take as codes.npy:ROW, and encode.json
+/// with codes, outfits and how far the decoded clothes are from the registered ones. With --decode
+/// the decoded bodies are written as coloured meshes.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  cape encode run raw/sequences/00032/shortlong_hips/*.npz --out codes\n  \
+                  cape encode run frame:0 frame:40 --decode --out codes"
+)]
+pub(crate) struct Encode {
+    /// A training run.
+    #[arg(value_name = "RUN")]
+    run: PathBuf,
+    /// Frames' .npz with pose and v_cano, or v_posed; or frame:K of the run's held-out data.
+    #[arg(value_name = "REGISTRATION", required = true)]
+    registrations: Vec<String>,
+    /// Directory to write; it must be empty or missing.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// What the registrations wear; by default as their directories say.
+    #[arg(long, value_name = "OUTFIT", value_parser = outfit)]
+    was: Option<Outfit>,
+    /// The body under the clothes, .npy of [vertices, 3]; by default the raw tree's.
+    #[arg(long, value_name = "FILE.npy")]
+    minimal: Option<PathBuf>,
+    /// Write what the codes are decoded to.
+    #[arg(long)]
+    decode: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    out: PathBuf,
+    /// Mean error at clothing vertices.
+    error_mm: f64,
+    encoded: Vec<Encoded>,
+}
+
+#[derive(Debug, Serialize)]
+struct Encoded {
+    registration: String,
+    outfit: Outfit,
+    code: Vec<f32>,
+    betas: Vec<f32>,
+    /// Of the body that the betas describe, from the minimal one.
+    residual_mm: Option<f64>,
+    /// Mean error of the decoded clothes at clothing vertices.
+    error_mm: f64,
+    mesh: Option<String>,
+}
+
+impl Encode {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+        let device = parse_device(&global.device)?;
+        files::require_empty(&self.out)?;
+        let run = Run::open(&self.run, &device)?;
+        let known = Known { outfit: self.was, minimal: self.minimal.as_deref() };
+        let total = self.registrations.len();
+        let read: Vec<Registration> =
+            console.while_showing("read", "registrations", |progress| {
+                let each = self.registrations.iter().enumerate();
+                each.map(|(index, text)| {
+                    let registration = Registration::read(&run, text, known)?;
+                    progress(index + 1, total);
+                    Ok(registration)
+                })
+                .collect::<Result<_>>()
+            })?;
+        let wearers: Vec<Wearer> = read.iter().map(|one| one.wearer.clone()).collect();
+        let worn: Vec<_> = read.iter().map(|one| one.displacement.view()).collect();
+        let worn: Array3<f32> =
+            concatenate(Axis(0), &worn).map_err(|error| Error::message(error.to_string()))?;
+        let codes = run.encode(&worn, &wearers)?;
+        let decoded = run.clothes(&codes, &wearers)?;
+
+        files::create_dir(&self.out)?;
+        write_npy(self.out.join("codes.npy"), &codes)?;
+        let mut meshes = vec![None; total];
+        if self.decode {
+            for (index, body) in Painter::new(&run).wear(&decoded, &wearers)?.iter().enumerate() {
+                let name = format!("{index:04}.ply");
+                ply::write(self.out.join(&name), &body.mesh, Some(&body.colours_8_bit()))?;
+                meshes[index] = Some(name);
+            }
+        }
+        let encoded: Vec<Encoded> = read
+            .into_iter()
+            .zip(self.registrations)
+            .zip(meshes)
+            .enumerate()
+            .map(|(row, ((one, registration), mesh))| Encoded {
+                registration,
+                outfit: one.wearer.outfit,
+                code: codes.row(row).to_vec(),
+                betas: one.wearer.betas,
+                residual_mm: one.residual_mm,
+                error_mm: mean_error(&run, &worn, &decoded, row),
+                mesh,
+            })
+            .collect();
+        let error_mm = encoded.iter().map(|one| one.error_mm).sum::<f64>() / total.max(1) as f64;
+        let report = Report { out: self.out, error_mm, encoded };
+        write_json(&report.out.join("encode.json"), &report)?;
+        console.result(&report, || report.text())
+    }
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let mut table = Table::new(["registration", "outfit", "code's length", "error, mm"]);
+        for one in &self.encoded {
+            let length = one.code.iter().map(|x| x * x).sum::<f32>().sqrt();
+            table.row([
+                one.registration.clone(),
+                one.outfit.to_string(),
+                format!("{length:.2}"),
+                format!("{:.2}", one.error_mm),
+            ]);
+        }
+        let codes = self.out.join("codes.npy");
+        format!("{}\n\n{:.2} mm in the mean\n{}", table.text(), self.error_mm, codes.display())
+    }
+}

@@ -1,0 +1,187 @@
+//! Bodies that a registration's clothes move to.
+
+use std::path::Path;
+
+use cape_core::{BodyPose, Mesh};
+use cape_layer::geometry::{Solid, Surface};
+use cape_train::{Run, Wearer};
+use ndarray::{Array2, ArrayView2};
+use serde::Serialize;
+
+use crate::{
+    error::{Error, Result},
+    registration::{Known, Registration, read_shape},
+};
+
+/// Depths under the skin from which clothes count as inside, metres.
+const INSIDE: f64 = 0.001;
+/// How far from the skin a vertex is looked for on it, metres.
+const REACH: f64 = 0.5;
+
+/// Another body.
+#[derive(Debug, Clone)]
+pub(super) struct Target {
+    pub(super) name: String,
+    /// Rest vertices without clothes, metres, `[vertices, 3]`.
+    minimal: Array2<f64>,
+    betas: Vec<f32>,
+    /// Of a registration.
+    pub(super) pose: Option<BodyPose>,
+}
+
+/// How clothes sit on another body.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct Transferred {
+    to: String,
+    file: String,
+    /// Mean distance of the clothes from the skin at clothing vertices, millimetres.
+    distance_mm: f64,
+    /// How much longer or shorter the edges between clothing vertices are than on the body that the
+    /// clothes come from, in the mean.
+    stretch: f64,
+    /// Share of clothing vertices that are more than a millimetre under the skin.
+    inside: f64,
+    /// And on the body that the clothes come from.
+    inside_before: f64,
+}
+
+impl Transferred {
+    /// A line for people.
+    pub(super) fn text(&self) -> String {
+        format!(
+            "on {}: edges change by {:.1} %, {:.1} % of the clothes under the skin (before {:.1} %)\n",
+            self.to,
+            100.0 * self.stretch,
+            100.0 * self.inside,
+            100.0 * self.inside_before
+        )
+    }
+}
+
+impl Target {
+    /// Shape coefficients `1,-0.5`; a rest shape, `.npy`; or a registration, as the source is given.
+    pub(super) fn read(run: &Run, text: &str) -> Result<Self> {
+        let body = run.body();
+        let betas: Result<Vec<f32>, _> = text.split(',').map(|beta| beta.trim().parse()).collect();
+        if let Ok(betas) = betas {
+            let double: Vec<f64> = betas.iter().copied().map(f64::from).collect();
+            if double.iter().any(|beta| !beta.is_finite()) {
+                return Err(Error::message(format!("--to {text}: not finite")));
+            }
+            let minimal = body.shaped(&double)?;
+            return Ok(Self { name: format!("betas {text}"), minimal, betas, pose: None });
+        }
+        let path = Path::new(text);
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        if path.extension().is_some_and(|extension| extension == "npy") {
+            let minimal = read_shape(path, body.vertices())?;
+            let fit = body.fit_betas(&minimal, body.betas().min(10))?;
+            let betas = fit.betas.iter().map(|&beta| beta as f32).collect();
+            return Ok(Self { name, minimal, betas, pose: None });
+        }
+        // What the other wears does not matter.
+        let known = Known { outfit: Some(cape_core::Outfit::LongLong), minimal: None };
+        let Registration { wearer, minimal, .. } = Registration::read(run, text, known)?;
+        let minimal = match minimal {
+            Some(minimal) => minimal,
+            None => body.shaped(&[])?,
+        };
+        let name = if text.starts_with("frame:") { text.replace(':', " ") } else { name };
+        Ok(Self { name, minimal, betas: wearer.betas, pose: Some(wearer.pose) })
+    }
+
+    /// Who wears the clothes then, in the target's own pose if it has one.
+    pub(super) fn wearer(&self, before: &Wearer) -> Wearer {
+        Wearer {
+            betas: self.betas.clone(),
+            pose: self.pose.unwrap_or(before.pose),
+            outfit: before.outfit,
+        }
+    }
+
+    /// The target in clothes `[vertices, 3]`, in its exact shape.
+    pub(super) fn mesh(
+        &self,
+        run: &Run,
+        wearer: &Wearer,
+        worn: ArrayView2<'_, f32>,
+    ) -> Result<Mesh> {
+        posed(run, &self.minimal, &wearer.pose, Some(&on_clothing(run, worn)))
+    }
+
+    /// How clothes `[vertices, 3]` sit on it, compared with the body that `before` had: in the pose
+    /// of the registration, so that the bodies alone differ.
+    pub(super) fn measure(
+        &self,
+        run: &Run,
+        before: &Registration,
+        worn: ArrayView2<'_, f32>,
+        file: String,
+    ) -> Result<Transferred> {
+        let pose = &before.wearer.pose;
+        let betas: Vec<f64> = before.wearer.betas.iter().copied().map(f64::from).collect();
+        let source = match &before.minimal {
+            Some(minimal) => minimal.clone(),
+            None => run.body().shaped(&betas)?,
+        };
+        let worn = on_clothing(run, worn);
+        let lengths = |minimal: &Array2<f64>| -> Result<Vec<f64>> {
+            let mesh = posed(run, minimal, pose, Some(&worn))?;
+            let covered = covered(run);
+            let edges = mesh.edges().into_iter();
+            let at = |v: u32| glam::Vec3::from(mesh.vertices[v as usize]);
+            let edges = edges.filter(|edge| edge.iter().all(|&v| covered[v as usize]));
+            Ok(edges.map(|[a, b]| f64::from(at(a).distance(at(b)))).collect())
+        };
+        let (old, new) = (lengths(&source)?, lengths(&self.minimal)?);
+        let stretch = old.iter().zip(&new).map(|(old, new)| (new / old.max(1e-9) - 1.0).abs());
+        let stretch = stretch.sum::<f64>() / old.len().max(1) as f64;
+        let distance = run.clothing().iter().map(|&v| worn.row(v).dot(&worn.row(v)).sqrt());
+        let distance = distance.sum::<f64>() / run.clothing().len().max(1) as f64;
+        Ok(Transferred {
+            to: self.name.clone(),
+            file,
+            distance_mm: 1000.0 * distance,
+            stretch,
+            inside: inside(run, &self.minimal, pose, &worn)?,
+            inside_before: inside(run, &source, pose, &worn)?,
+        })
+    }
+}
+
+fn covered(run: &Run) -> Vec<bool> {
+    let mut covered = vec![false; run.body().vertices()];
+    run.clothing().iter().for_each(|&vertex| covered[vertex] = true);
+    covered
+}
+
+/// Displacements where there are clothes, and none elsewhere.
+fn on_clothing(run: &Run, worn: ArrayView2<'_, f32>) -> Array2<f64> {
+    let covered = covered(run);
+    Array2::from_shape_fn(worn.dim(), |(vertex, axis)| {
+        if covered[vertex] { f64::from(worn[[vertex, axis]]) } else { 0.0 }
+    })
+}
+
+fn posed(
+    run: &Run,
+    minimal: &Array2<f64>,
+    pose: &BodyPose,
+    worn: Option<&Array2<f64>>,
+) -> Result<Mesh> {
+    let pose = pose.map(f64::from);
+    let posed = run.body().pose_shape(minimal, &pose, [0.0; 3], worn)?;
+    Ok(run.body().mesh_with(&posed.vertices))
+}
+
+/// Share of clothing vertices that are under the skin.
+fn inside(run: &Run, minimal: &Array2<f64>, pose: &BodyPose, worn: &Array2<f64>) -> Result<f64> {
+    let skin = Solid::new(&Surface::of_mesh("body", &posed(run, minimal, pose, None)?)?);
+    let clothed = posed(run, minimal, pose, Some(worn))?;
+    let under = |&&vertex: &&usize| {
+        let at = glam::DVec3::from_array(clothed.vertices[vertex].map(f64::from));
+        skin.closest(at, REACH).is_some_and(|closest| closest.signed_distance < -INSIDE)
+    };
+    let count = run.clothing().iter().filter(under).count();
+    Ok(count as f64 / run.clothing().len().max(1) as f64)
+}

@@ -1,0 +1,189 @@
+use std::path::PathBuf;
+
+use cape_core::parse_device;
+use cape_fit::scan::{
+    ScanConfig,
+    benchmark::{ScanBenchmarkOptions, ScanCase, ScanError, scan_benchmark},
+};
+use cape_train::{
+    Run,
+    data::{PackedSet, Part},
+    write_json,
+};
+use clap::Args;
+use serde::Serialize;
+
+use crate::{
+    arguments::{Global, at_least_one},
+    console::Console,
+    error::{Error, Result},
+    files,
+    table::Table,
+};
+
+/// Measure how well clothed bodies are found again from scans with noise and holes.
+///
+/// Points of held-out clothes on bodies of random shape are fitted, the outfit being known, at
+/// every level of noise and of holes. Writes benchmark.json. `cape fit-benchmark RUN --scans` is the
+/// same.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  cape scan-benchmark run --frames 8 --noise 0,2,5 --holes 0,0.2 \
+                        --out scans"
+)]
+pub(crate) struct ScanBenchmark {
+    /// A training run.
+    #[arg(value_name = "RUN")]
+    run: PathBuf,
+    /// How `cape fit-benchmark` asks for this.
+    #[arg(long, hide = true)]
+    scans: bool,
+    /// Packed set with the held-out frames; by default the run's own.
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Directory to write; it must be empty or missing.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Held-out frames, evenly spaced.
+    #[arg(long, default_value_t = 8, value_name = "N", value_parser = at_least_one)]
+    frames: usize,
+    /// Points of a scan without holes.
+    #[arg(long, default_value_t = 20_000, value_name = "N", value_parser = at_least_one)]
+    points: usize,
+    /// Standard deviations of the points' coordinates, millimetres.
+    #[arg(long, default_value = "0,2,5", value_delimiter = ',', value_name = "MM,…")]
+    noise: Vec<f64>,
+    /// Shares of the surface that are missing, 0 to 0.9.
+    #[arg(long, default_value = "0,0.2", value_delimiter = ',', value_name = "SHARE,…")]
+    holes: Vec<f64>,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    out: PathBuf,
+    frames: usize,
+    levels: Vec<Level>,
+    cases: Vec<ScanCase>,
+}
+
+/// Means over the scans of one level.
+#[derive(Debug, Serialize)]
+struct Level {
+    noise_mm: f64,
+    hole: f64,
+    error: ScanError,
+    /// Fits that say that they cannot be trusted.
+    failed: usize,
+}
+
+impl ScanBenchmark {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+        let device = parse_device(&global.device)?;
+        if let Some(hole) = self.holes.iter().find(|hole| !(0.0..=0.9).contains(*hole)) {
+            return Err(Error::message(format!("--holes {hole}: expected 0 to 0.9")));
+        }
+        if let Some(noise) = self.noise.iter().find(|noise| !(0.0..=100.0).contains(*noise)) {
+            return Err(Error::message(format!("--noise {noise}: expected 0 to 100")));
+        }
+        files::require_empty(&self.out)?;
+        let run = Run::open(&self.run, &device)?;
+        let data = match &self.data {
+            Some(data) => data.clone(),
+            None => run.data()?,
+        };
+        let set = PackedSet::open(&data, Part::Test)?;
+        let options = ScanBenchmarkOptions {
+            frames: self.frames,
+            points: self.points,
+            noises: self.noise.iter().map(|mm| mm / 1000.0).collect(),
+            holes: self.holes.clone(),
+            seed: global.seed.unwrap_or(1),
+        };
+        let frames = options.frames.min(set.frames());
+        let total = frames * options.noises.len() * options.holes.len();
+        let mut cases = Vec::with_capacity(total);
+        console.while_showing("fit", "scans", |progress| {
+            scan_benchmark(&run, &set, &options, &ScanConfig::default(), &mut |case| {
+                cases.push(case);
+                progress(cases.len(), total);
+                Ok(())
+            })
+        })?;
+        let mut levels = Vec::new();
+        for &noise in &options.noises {
+            for &hole in &options.holes {
+                let of = |case: &&ScanCase| (case.noise, case.hole) == (noise, hole);
+                levels.push(Level::of(&cases.iter().filter(of).collect::<Vec<_>>(), noise, hole));
+            }
+        }
+        files::create_dir(&self.out)?;
+        let report = Report { out: self.out, frames, levels, cases };
+        write_json(&report.out.join("benchmark.json"), &report)?;
+        console.result(&report, || report.text())
+    }
+}
+
+impl Level {
+    fn of(cases: &[&ScanCase], noise: f64, hole: f64) -> Self {
+        let mean = |part: fn(&ScanError) -> f64| {
+            cases.iter().map(|case| part(&case.error)).sum::<f64>() / cases.len().max(1) as f64
+        };
+        Self {
+            noise_mm: 1000.0 * noise,
+            hole,
+            error: ScanError {
+                mean_clothes: mean(|error| error.mean_clothes),
+                clothed: mean(|error| error.clothed),
+                encoded: mean(|error| error.encoded),
+                displaced: mean(|error| error.displaced),
+                bare: mean(|error| error.bare),
+                surface: mean(|error| error.surface),
+                displaced_surface: mean(|error| error.displaced_surface),
+                seconds: mean(|error| error.seconds),
+                displacement_seconds: mean(|error| error.displacement_seconds),
+            },
+            failed: cases.iter().filter(|case| case.problem.is_some()).count(),
+        }
+    }
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let mut table = Table::new([
+            "noise",
+            "holes",
+            "mean clothes",
+            "CAPE",
+            "(encoded)",
+            "displaced",
+            "bare",
+            "surface",
+            "displaced",
+            "failed",
+            "seconds",
+        ]);
+        for level in &self.levels {
+            let error = &level.error;
+            let mm = |mm: f64| format!("{mm:.1}");
+            table.row([
+                format!("{} mm", level.noise_mm),
+                format!("{:.0} %", 100.0 * level.hole),
+                mm(error.mean_clothes),
+                mm(error.clothed),
+                mm(error.encoded),
+                mm(error.displaced),
+                mm(error.bare),
+                mm(error.surface),
+                mm(error.displaced_surface),
+                level.failed.to_string(),
+                format!("{:.1} + {:.1}", error.seconds, error.displacement_seconds),
+            ]);
+        }
+        format!(
+            "{}\n\nmillimetres in the mean over {} scans a row\n{}",
+            table.text(),
+            self.frames,
+            self.out.join("benchmark.json").display()
+        )
+    }
+}

@@ -1,0 +1,122 @@
+//! Registrations named on the command line: clothes as they were captured, and who wore them.
+
+use std::path::Path;
+
+use cape_core::{Outfit, npy::read_f64};
+use cape_train::{
+    Run, Wearer,
+    data::{PackedSet, Part, raw},
+};
+use ndarray::{Array2, Array3, Axis, Ix2};
+
+use crate::error::{Error, Result};
+
+/// What else is known of a registration.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Known<'a> {
+    /// What is worn; otherwise as its directory says.
+    pub(crate) outfit: Option<Outfit>,
+    /// File of the body under the clothes; otherwise the raw tree's.
+    pub(crate) minimal: Option<&'a Path>,
+}
+
+/// Clothes as they were registered.
+#[derive(Debug, Clone)]
+pub(crate) struct Registration {
+    /// `[1, vertices, 3]`, metres.
+    pub(crate) displacement: Array3<f32>,
+    pub(crate) wearer: Wearer,
+    /// The body under the clothes, `[vertices, 3]`; packed sets keep none.
+    pub(crate) minimal: Option<Array2<f64>>,
+    /// Distance of the body that the betas describe from that, millimetres.
+    pub(crate) residual_mm: Option<f64>,
+}
+
+impl Registration {
+    /// A frame's `.npz` with pose and `v_cano`, or `v_posed`; or `frame:K` of the run's held-out
+    /// data.
+    pub(crate) fn read(run: &Run, text: &str, known: Known<'_>) -> Result<Self> {
+        if let Some(frame) = text.strip_prefix("frame:") {
+            let frame = frame
+                .parse()
+                .map_err(|_| Error::message(format!("`{text}`: expected frame:NUMBER")))?;
+            let set = PackedSet::open(&run.data()?, Part::Test)?;
+            let (displacement, mut wearer) = set.registration(frame)?;
+            wearer.outfit = known.outfit.unwrap_or(wearer.outfit);
+            return Ok(Self { displacement, wearer, minimal: None, residual_mm: None });
+        }
+        let path = Path::new(text);
+        let Some(outfit) = known.outfit.or_else(|| outfit_of(path)) else {
+            return Err(Error::message(format!(
+                "{}: its directory does not say what is worn: give --was OUTFIT",
+                path.display()
+            )));
+        };
+        let body = run.body();
+        let minimal = match known.minimal {
+            Some(minimal) => read_shape(minimal, body.vertices())?,
+            None => minimal_of(path, body.vertices())?,
+        };
+        let (v_cano, pose) = match raw::read_canonical(path, body.vertices()) {
+            Ok(frame) => (frame.v_cano, frame.pose),
+            Err(cause) => {
+                let Ok(posed) = raw::read_posed(path, body.vertices()) else {
+                    return Err(cause.into());
+                };
+                let v_cano =
+                    body.unpose_shape(&posed.v_posed, &minimal, &posed.pose, posed.transl)?;
+                (v_cano, posed.pose)
+            }
+        };
+        let fit = body.fit_betas(&minimal, body.betas().min(10))?;
+        let displacement = (&v_cano - &minimal).mapv(|x| x as f32).insert_axis(Axis(0));
+        let betas = fit.betas.iter().map(|&beta| beta as f32).collect();
+        Ok(Self {
+            displacement,
+            wearer: Wearer { betas, pose: pose.map(|angle| angle as f32), outfit },
+            minimal: Some(minimal),
+            residual_mm: Some(1000.0 * fit.rms),
+        })
+    }
+}
+
+/// The body under the clothes in the raw tree that a frame is in.
+fn minimal_of(frame: &Path, vertices: usize) -> Result<Array2<f64>> {
+    let subject = frame.ancestors().nth(2).and_then(Path::file_name);
+    let (Some(subject), Some(root)) = (subject, frame.ancestors().nth(4)) else {
+        return Err(Error::message(format!(
+            "{}: is not in a raw tree: give the body under the clothes by --minimal",
+            frame.display()
+        )));
+    };
+    read_shape(&raw::minimal_path(root, &subject.to_string_lossy()), vertices)
+}
+
+/// Rest vertices from `.npy`, `[vertices, 3]`, metres.
+pub(crate) fn read_shape(path: &Path, vertices: usize) -> Result<Array2<f64>> {
+    let array = read_f64(path)?;
+    let fault = |found: &[usize]| {
+        let message = format!("shape {found:?}, expected [{vertices}, 3]");
+        cape_core::Error::format(path, message)
+    };
+    if array.shape() != [vertices, 3] {
+        return Err(fault(array.shape()).into());
+    }
+    let shape = array.shape().to_vec();
+    Ok(array.into_dimensionality::<Ix2>().map_err(|_| fault(&shape))?)
+}
+
+/// What the directory of a capture says is worn: its name begins with the outfit.
+fn outfit_of(frame: &Path) -> Option<Outfit> {
+    let capture = frame.parent()?.file_name()?.to_string_lossy().into_owned();
+    capture.split('_').next()?.parse().ok()
+}
+
+/// Mean distance between the rows `row` of displacements at clothing vertices, millimetres.
+pub(crate) fn mean_error(run: &Run, truth: &Array3<f32>, decoded: &Array3<f32>, row: usize) -> f64 {
+    let distance = |&v: &usize| {
+        let off = |i| f64::from(truth[[row, v, i]] - decoded[[row, v, i]]);
+        (0..3).map(|i| off(i).powi(2)).sum::<f64>().sqrt()
+    };
+    1000.0 * run.clothing().iter().map(distance).sum::<f64>() / run.clothing().len().max(1) as f64
+}

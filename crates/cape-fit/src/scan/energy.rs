@@ -1,0 +1,344 @@
+//! How far a scan and a body's surface are apart, both ways.
+//!
+//! `E_D = Σ_i ρ(‖s_i − nearest on the body‖) / n + w Σ_v a_v ρ(‖b_v − nearest on the scan‖)` over
+//! samples `s_i` of the scan and vertices `b_v` of the body with the shares `a_v` of its surface,
+//! with Geman and McClure's ρ. Nearest points are found anew at every evaluation; where they slide
+//! along a surface the distance does not change to first order, so that the gradient is exact with
+//! each fixed to its triangle.
+
+use glam::DVec3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    Scan,
+    nearest::{Nearest, Tree},
+    sample::{Sample, of_scan, vertex_frames},
+};
+use crate::body_energy::geman_mcclure;
+
+/// Nearest points are looked for up to so many times the size of errors that are rather mistakes.
+const REACH: f64 = 10.0;
+/// Surface of a person, m²: how close the points of a scan lie follows from their number.
+const SURFACE: f64 = 1.9;
+/// Distance of a place on a surface from the nearest of points that are strewn over it, which one
+/// in a hundred exceeds, by the square root of the surface for each point.
+const SIDEWAYS: f64 = 1.2;
+/// A scan whose normals agree with the body's at less than this share is inside out.
+const INSIDE_OUT: f64 = 0.35;
+
+/// A scan, ready to be compared with.
+#[derive(Debug, Clone)]
+pub(crate) struct Target<'a> {
+    samples: Vec<Sample>,
+    tree: Tree<'a>,
+    /// Between points, metres; 0 with triangles between.
+    spacing: f64,
+}
+
+impl<'a> Target<'a> {
+    /// Of at most `count` points of the scan.
+    pub(crate) fn new(scan: &'a Scan, count: usize, seed: u64) -> Self {
+        let samples = of_scan(scan, count, &mut ChaCha8Rng::seed_from_u64(seed));
+        if scan.faces().is_empty() {
+            let normals = scan.normals().unwrap_or_default().to_vec();
+            let spacing = (SURFACE / scan.points().len() as f64).sqrt();
+            return Self { samples, tree: Tree::of_points(scan.points(), normals), spacing };
+        }
+        Self { samples, tree: Tree::of_faces(scan.points(), scan.faces()), spacing: 0.0 }
+    }
+
+    /// The points to compare with.
+    pub(crate) fn samples(&self) -> &[Sample] {
+        &self.samples
+    }
+
+    /// The scan itself.
+    pub(crate) fn tree(&self) -> &Tree<'a> {
+        &self.tree
+    }
+
+    /// Turns the scan's normals, or forgets them, if they do not agree with those of a body that is
+    /// roughly in place; whether they were of use as they are.
+    pub(crate) fn orient(&mut self, vertices: &[DVec3], faces: &[[u32; 3]]) -> bool {
+        let tree = Tree::of_faces(vertices, faces);
+        let with: Vec<f64> = self
+            .samples
+            .par_iter()
+            .take(1000)
+            .filter(|sample| sample.normal != DVec3::ZERO)
+            .filter_map(|sample| {
+                let (face, _) = tree.nearest(sample.at, DVec3::ZERO, f64::MAX)?;
+                Some(sample.normal.dot(tree.normal(face)))
+            })
+            .collect();
+        let agree = with.iter().filter(|cosine| **cosine > 0.0).count() as f64;
+        let share = agree / with.len().max(1) as f64;
+        if with.is_empty() || share > 1.0 - INSIDE_OUT {
+            return true;
+        }
+        if share < INSIDE_OUT {
+            self.tree.flip();
+            self.samples.iter_mut().for_each(|sample| sample.normal = -sample.normal);
+        } else {
+            self.tree.forget_normals();
+            self.samples.iter_mut().for_each(|sample| sample.normal = DVec3::ZERO);
+        }
+        false
+    }
+}
+
+/// Both directions of `E_D`, square metres.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct ScanTerms {
+    /// From the scan to the body.
+    pub to_body: f64,
+    /// From the body to the scan.
+    pub to_scan: f64,
+}
+
+/// What a body is compared with in one stage.
+#[derive(Debug, Clone)]
+pub(crate) struct Distances<'a> {
+    target: &'a Target<'a>,
+    faces: &'a [[u32; 3]],
+    /// Of the surface around each vertex; 0 where the scan has a hole.
+    shares: Vec<f64>,
+    samples: usize,
+    /// Size of errors that are rather mistakes, metres.
+    robust: f64,
+    /// Weight of the way from the body to the scan.
+    back: f64,
+}
+
+impl<'a> Distances<'a> {
+    /// From at most `samples` points of the scan to a surface that is now at `vertices`, and back
+    /// with the weight `back`, from where the scan has no holes.
+    pub(crate) fn new(
+        target: &'a Target<'a>,
+        vertices: &[DVec3],
+        faces: &'a [[u32; 3]],
+        samples: usize,
+        robust: f64,
+        back: f64,
+    ) -> Self {
+        let (normals, mut shares) = vertex_frames(vertices, faces);
+        let opposite = |(&vertex, &normal): (&DVec3, &DVec3)| {
+            if back <= 0.0 {
+                return None;
+            }
+            // Over a hole the scan is nearest sideways.
+            let (_, nearest) = target.tree.nearest(vertex, normal, REACH * robust)?;
+            let off = nearest.at - vertex;
+            let sideways = off.reject_from_normalized(normal.try_normalize()?).length();
+            Some(sideways <= (0.5 * off.length()).max(SIDEWAYS * target.spacing))
+        };
+        let there: Vec<bool> =
+            vertices.par_iter().zip(&normals).map(|pair| opposite(pair).unwrap_or(false)).collect();
+        let wanted = shares.iter_mut().zip(there).filter(|(_, there)| !there);
+        wanted.for_each(|(share, _)| *share = 0.0);
+        let samples = samples.min(target.samples.len());
+        Self { target, faces, shares, samples, robust, back }
+    }
+
+    /// The terms of a surface; the gradient of `scale · E_D` is added to `forces`.
+    pub(crate) fn evaluate(
+        &self,
+        vertices: &[DVec3],
+        scale: f64,
+        forces: &mut [DVec3],
+    ) -> ScanTerms {
+        let reach = REACH * self.robust;
+        let samples = &self.target.samples[..self.samples];
+        let body = Tree::of_faces(vertices, self.faces);
+        let on_body: Vec<Option<(usize, Nearest)>> =
+            samples.par_iter().map(|s| body.nearest(s.at, s.normal, reach)).collect();
+        let (normals, _) = vertex_frames(vertices, self.faces);
+        let on_scan: Vec<Option<(usize, Nearest)>> = vertices
+            .par_iter()
+            .zip(&normals)
+            .zip(&self.shares)
+            .map(|((&at, &normal), &share)| {
+                (share > 0.0).then(|| self.target.tree.nearest(at, normal, reach)).flatten()
+            })
+            .collect();
+        let (lost, _) = geman_mcclure(reach * reach, self.robust);
+        let mut terms = ScanTerms::default();
+        let each = 1.0 / samples.len().max(1) as f64;
+        for (sample, nearest) in samples.iter().zip(on_body) {
+            let Some((_, Nearest { on, at })) = nearest else {
+                terms.to_body += each * lost;
+                continue;
+            };
+            let off = at - sample.at;
+            let (penalty, slope) = geman_mcclure(off.length_squared(), self.robust);
+            terms.to_body += each * penalty;
+            on.pull_back(off * (2.0 * scale * each * slope), forces);
+        }
+        for (vertex, nearest) in on_scan.into_iter().enumerate() {
+            let share = self.shares[vertex];
+            let Some((_, Nearest { at, .. })) = nearest else {
+                terms.to_scan += share * lost;
+                continue;
+            };
+            let off = vertices[vertex] - at;
+            let (penalty, slope) = geman_mcclure(off.length_squared(), self.robust);
+            terms.to_scan += share * penalty;
+            forces[vertex] += off * (2.0 * scale * self.back * share * slope);
+        }
+        terms
+    }
+
+    /// `E_D` of its terms.
+    pub(crate) fn total(&self, terms: &ScanTerms) -> f64 {
+        terms.to_body + self.back * terms.to_scan
+    }
+}
+
+/// Distance of each of `points` from a scan, metres.
+pub fn distances_to(scan: &Scan, points: &[DVec3]) -> Vec<f64> {
+    let target = Target::new(scan, 0, 0);
+    let off = |&point: &DVec3| {
+        let nearest = target.tree.nearest(point, DVec3::ZERO, f64::MAX);
+        nearest.map_or(f64::INFINITY, |(_, nearest)| nearest.at.distance(point))
+    };
+    points.par_iter().map(off).collect()
+}
+
+/// Mean distance of points from a surface, millimetres.
+pub(crate) fn surface_distance(points: &[DVec3], vertices: &[DVec3], faces: &[[u32; 3]]) -> f64 {
+    let tree = Tree::of_faces(vertices, faces);
+    let off = |&point: &DVec3| {
+        let nearest = tree.nearest(point, DVec3::ZERO, f64::MAX);
+        nearest.map_or(f64::INFINITY, |(_, nearest)| nearest.at.distance(point))
+    };
+    let all: Vec<f64> = points.par_iter().map(off).collect();
+    1000.0 * all.iter().sum::<f64>() / points.len().max(1) as f64
+}
+
+/// How far a surface is from a scan, millimetres.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct ScanDistance {
+    /// Half of the scan's points are nearer to the surface.
+    pub median: f64,
+    /// Mean distance of the scan's points.
+    pub mean: f64,
+    /// 95 % of the scan's points are nearer.
+    pub most: f64,
+    /// Share of the surface that the scan has nothing opposite to, 0 to 1.
+    pub unseen: f64,
+}
+
+/// The distances of the scan's samples from a surface.
+pub(crate) fn distance(
+    target: &Target<'_>,
+    vertices: &[DVec3],
+    faces: &[[u32; 3]],
+) -> ScanDistance {
+    let tree = Tree::of_faces(vertices, faces);
+    let off = |sample: &Sample| {
+        let nearest = tree.nearest(sample.at, sample.normal, f64::MAX);
+        nearest.map_or(f64::INFINITY, |(_, nearest)| 1000.0 * nearest.at.distance(sample.at))
+    };
+    let mut all: Vec<f64> = target.samples.par_iter().map(off).collect();
+    all.sort_unstable_by(f64::total_cmp);
+    let at = |share: f64| all.get((share * all.len() as f64) as usize).copied().unwrap_or(0.0);
+    let seen = Distances::new(target, vertices, faces, 0, 0.02, 1.0).shares;
+    ScanDistance {
+        median: at(0.5),
+        mean: all.iter().sum::<f64>() / all.len().max(1) as f64,
+        most: at(0.95),
+        unseen: (1.0 - seen.iter().sum::<f64>()).clamp(0.0, 1.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        scan::Unit,
+        testing::{BODY, assert_gradient},
+    };
+
+    fn body(width: f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let rows = BODY.v_template.rows().into_iter();
+        (rows.map(|v| DVec3::new(width * v[0], v[1], width * v[2])).collect(), BODY.faces.clone())
+    }
+
+    fn scan(width: f64, with_faces: bool) -> Scan {
+        let (vertices, faces) = body(width);
+        let faces = if with_faces { faces } else { Vec::new() };
+        Scan::new(vertices, None, faces, Unit::M).unwrap()
+    }
+
+    /// Over changes of a few directions, of a surface that is apart from the scan.
+    #[test]
+    fn the_gradient_agrees_with_finite_differences() {
+        for with_faces in [true, false] {
+            let scan = scan(1.06, with_faces);
+            let target = Target::new(&scan, 1500, 3);
+            let (vertices, faces) = body(1.0);
+            let distances = Distances::new(&target, &vertices, &faces, 1500, 0.03, 0.7);
+            let mode = |which: usize, vertex: usize| {
+                let phase = vertices[vertex].dot(DVec3::new(3.1, 4.7, 2.3)) + which as f64;
+                DVec3::new(phase.sin(), (1.3 * phase).cos(), (0.7 * phase).sin())
+            };
+            let moved = |x: &[f64]| -> Vec<DVec3> {
+                let change = |v| (0..x.len()).map(|w| mode(w, v) * x[w]).sum::<DVec3>();
+                vertices.iter().enumerate().map(|(v, &at)| at + change(v)).collect()
+            };
+            let value = |x: &[f64]| {
+                let none = &mut vec![DVec3::ZERO; vertices.len()];
+                500.0 * distances.total(&distances.evaluate(&moved(x), 500.0, none))
+            };
+            let x = [0.004, -0.002, 0.003];
+            let mut forces = vec![DVec3::ZERO; vertices.len()];
+            distances.evaluate(&moved(&x), 500.0, &mut forces);
+            let gradient: Vec<f64> = (0..x.len())
+                .map(|w| forces.iter().enumerate().map(|(v, f)| f.dot(mode(w, v))).sum())
+                .collect();
+            assert_gradient(&x, &gradient, 5e-3, value);
+        }
+    }
+
+    #[test]
+    fn the_same_surface_is_at_no_distance() {
+        let scan = scan(1.0, true);
+        let mut target = Target::new(&scan, 2000, 1);
+        let (vertices, faces) = body(1.0);
+        assert!(target.orient(&vertices, &faces));
+        let found = distance(&target, &vertices, &faces);
+        assert!(found.mean < 1e-6 && found.unseen < 0.01, "{found:?}");
+        let wider = distance(&target, &body(1.1).0, &faces);
+        assert!(wider.median > 3.0 && wider.most > wider.median, "{wider:?}");
+    }
+
+    #[test]
+    fn scans_that_are_inside_out_are_turned() {
+        let (vertices, mut faces) = body(1.0);
+        for face in &mut faces {
+            face.swap(0, 1);
+        }
+        let scan = Scan::new(vertices.clone(), None, faces, Unit::M).unwrap();
+        let mut target = Target::new(&scan, 1000, 1);
+        assert!(!target.orient(&vertices, &BODY.faces));
+        assert!(distance(&target, &vertices, &BODY.faces).mean < 1e-6);
+    }
+
+    #[test]
+    fn surface_over_a_hole_is_not_drawn_to_its_edge() {
+        let (vertices, faces) = body(1.0);
+        let front = |&v: &u32| vertices[v as usize].distance(DVec3::new(0.0, 0.0, 0.15)) < 0.1;
+        let holed = faces.iter().filter(|face| !face.iter().any(front)).copied().collect();
+        let scan = Scan::new(vertices.clone(), None, holed, Unit::M).unwrap();
+        let target = Target::new(&scan, 1000, 1);
+        let distances = Distances::new(&target, &vertices, &faces, 1000, 0.05, 1.0);
+        let mut forces = vec![DVec3::ZERO; vertices.len()];
+        let terms = distances.evaluate(&vertices, 1.0, &mut forces);
+        assert!(terms.to_scan < 1e-12, "{terms:?}");
+        let unseen = distance(&target, &vertices, &faces).unseen;
+        assert!((0.002..0.1).contains(&unseen), "{unseen}");
+    }
+}

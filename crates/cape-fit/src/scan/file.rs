@@ -1,0 +1,221 @@
+//! Scans from files, and what is wrong with them.
+
+use std::path::Path;
+
+use cape_core::{obj, ply};
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use super::sample::spread;
+use crate::{Error, Result};
+
+/// Fewest points that tell of a body.
+const FEWEST: usize = 200;
+/// Largest extents that a person has, standing, lying or stretched, metres.
+const PERSON: [f64; 2] = [0.5, 3.0];
+
+/// What a scan is measured in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Unit {
+    /// Metres.
+    M,
+    /// Centimetres.
+    Cm,
+    /// Millimetres.
+    Mm,
+}
+
+impl Unit {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::M, Self::Cm, Self::Mm];
+
+    /// Its sign.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::M => "m",
+            Self::Cm => "cm",
+            Self::Mm => "mm",
+        }
+    }
+
+    /// Its length.
+    pub const fn metres(self) -> f64 {
+        match self {
+            Self::M => 1.0,
+            Self::Cm => 0.01,
+            Self::Mm => 0.001,
+        }
+    }
+}
+
+impl std::str::FromStr for Unit {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let known = Self::ALL.into_iter().find(|unit| unit.name() == text);
+        known.ok_or_else(|| Error::argument(format!("unit `{text}`: expected m, cm or mm")))
+    }
+}
+
+/// A scanned person: points, with triangles between them or none. Metres.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scan {
+    points: Vec<DVec3>,
+    normals: Option<Vec<DVec3>>,
+    faces: Vec<[u32; 3]>,
+}
+
+impl Scan {
+    /// Of points with or without unit normals, and triangles, if there are any.
+    ///
+    /// # Errors
+    /// If there are too few points, numbers are not finite, normals are not as many as points, a
+    /// triangle names a point that is not there, or the whole is not as large as a person.
+    pub fn new(
+        points: Vec<DVec3>,
+        normals: Option<Vec<DVec3>>,
+        faces: Vec<[u32; 3]>,
+        unit: Unit,
+    ) -> Result<Self> {
+        let refuse = |message: String| Err(Error::Observation(message));
+        if points.len() < FEWEST {
+            return refuse(format!(
+                "a scan of {} points, expected at least {FEWEST}",
+                points.len()
+            ));
+        }
+        if let Some(index) = points.iter().position(|point| !point.is_finite()) {
+            return refuse(format!("point {index} is not finite: {}", points[index]));
+        }
+        if let Some(normals) = &normals
+            && normals.len() != points.len()
+        {
+            return refuse(format!("{} normals for {} points", normals.len(), points.len()));
+        }
+        let outside = |face: &&[u32; 3]| face.iter().any(|&at| at as usize >= points.len());
+        if let Some(face) = faces.iter().find(outside) {
+            return refuse(format!("face {face:?}, but there are {} points", points.len()));
+        }
+        let points: Vec<DVec3> = points.into_iter().map(|point| point * unit.metres()).collect();
+        check_size(&points, unit)?;
+        let normals = normals
+            .map(|all| all.into_iter().map(DVec3::normalize_or_zero).collect::<Vec<_>>())
+            .filter(|all| all.iter().any(|normal| *normal != DVec3::ZERO));
+        Ok(Self { points, normals, faces })
+    }
+
+    /// Reads a `.ply` or `.obj` file.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or as of [`new`](Self::new).
+    pub fn load(path: impl AsRef<Path>, unit: Unit) -> Result<Self> {
+        let path = path.as_ref();
+        let is = |name| path.extension().is_some_and(|found| found.eq_ignore_ascii_case(name));
+        let (mesh, normals) = match (is("ply"), is("obj")) {
+            (true, _) => ply::read_with_normals(path)?,
+            (_, true) => (obj::read(path)?.mesh, None),
+            _ => return Err(Error::format(path, "expected a scan, .ply or .obj")),
+        };
+        let vectors = |rows: Vec<[f32; 3]>| -> Vec<DVec3> {
+            rows.into_iter().map(|row| DVec3::from_array(row.map(f64::from))).collect()
+        };
+        Self::new(vectors(mesh.vertices), normals.map(vectors), mesh.faces, unit).map_err(|error| {
+            match error {
+                Error::Observation(message) => Error::format(path, message),
+                other => other,
+            }
+        })
+    }
+
+    /// Metres, `[points]`.
+    pub fn points(&self) -> &[DVec3] {
+        &self.points
+    }
+
+    /// Unit normals where the scan has them, `[points]`.
+    pub fn normals(&self) -> Option<&[DVec3]> {
+        self.normals.as_deref()
+    }
+
+    /// Triangles, if there are any.
+    pub fn faces(&self) -> &[[u32; 3]] {
+        &self.faces
+    }
+}
+
+/// Refuses what is not as large as a person, and says which unit would make it one.
+fn check_size(points: &[DVec3], unit: Unit) -> Result<()> {
+    // Without the outermost points, which may be strays.
+    let extent = spread(points, 0.01).max_element();
+    let [least, most] = PERSON;
+    if (least..=most).contains(&extent) {
+        return Ok(());
+    }
+    let units = extent / unit.metres();
+    let fits = |other: &Unit| (least..=most).contains(&(units * other.metres()));
+    let advice = match Unit::ALL.iter().find(|&other| *other != unit && fits(other)) {
+        Some(other) => format!("it seems to be in {0}: give --unit {0}", other.name()),
+        None => "this is no person in metres, centimetres or millimetres".into(),
+    };
+    Err(Error::Observation(format!(
+        "the scan is {units:.4} {} long where a person is {least} to {most} m: {advice}",
+        unit.name()
+    )))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cloud(size: f64) -> Vec<DVec3> {
+        let at =
+            |i: i32| DVec3::new(f64::from(i % 7), f64::from(i) / 10.0, f64::from(i % 5)) * 0.03;
+        (0..600).map(|i| at(i) * size).collect()
+    }
+
+    fn message(points: Vec<DVec3>, unit: Unit) -> String {
+        Scan::new(points, None, Vec::new(), unit).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn other_units_are_named() {
+        assert!(Scan::new(cloud(1.0), None, Vec::new(), Unit::M).is_ok());
+        assert!(message(cloud(1000.0), Unit::M).contains("--unit mm"));
+        assert!(message(cloud(100.0), Unit::M).contains("--unit cm"));
+        assert!(message(cloud(1.0), Unit::Mm).contains("--unit m"));
+        assert!(message(cloud(1e5), Unit::M).contains("no person"));
+        let scan = Scan::new(cloud(1000.0), None, Vec::new(), Unit::Mm).unwrap();
+        let metres = cloud(1.0);
+        assert!(scan.points().iter().zip(&metres).all(|(a, b)| a.distance(*b) < 1e-9));
+    }
+
+    #[test]
+    fn a_stray_point_does_not_change_the_unit() {
+        let mut points = cloud(1.0);
+        points.push(DVec3::splat(500.0));
+        assert!(Scan::new(points, None, Vec::new(), Unit::M).is_ok());
+    }
+
+    #[test]
+    fn what_is_no_scan_is_refused() {
+        assert!(message(Vec::new(), Unit::M).contains("0 points"));
+        assert!(message(cloud(1.0)[..50].to_vec(), Unit::M).contains("50 points"));
+        let mut broken = cloud(1.0);
+        broken[7].y = f64::NAN;
+        assert!(message(broken, Unit::M).contains("point 7 is not finite"));
+        let few = Scan::new(cloud(1.0), Some(vec![DVec3::X]), Vec::new(), Unit::M);
+        assert!(few.unwrap_err().to_string().contains("1 normals"));
+        let wrong = Scan::new(cloud(1.0), None, vec![[0, 1, 600]], Unit::M);
+        assert!(wrong.unwrap_err().to_string().contains("[0, 1, 600]"));
+        // Normals that are all zero are none.
+        let zero = Scan::new(cloud(1.0), Some(vec![DVec3::ZERO; 600]), Vec::new(), Unit::M);
+        assert_eq!(zero.unwrap().normals(), None);
+    }
+
+    #[test]
+    fn units_are_known_by_their_signs() {
+        assert!(Unit::ALL.iter().all(|unit| unit.name().parse::<Unit>().unwrap() == *unit));
+        assert!("inch".parse::<Unit>().unwrap_err().to_string().contains("inch"));
+    }
+}

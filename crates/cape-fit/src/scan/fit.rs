@@ -1,0 +1,430 @@
+//! Clothed bodies from scans.
+
+use cape_core::{Outfit, SmplModel};
+use cape_train::Run;
+use glam::DVec3;
+use ndarray::Array2;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    Scan, ScanDistance, ScanTerms,
+    energy::{Distances, Target, distance},
+    stage::{ScanConfig, ScanStage, Unknowns},
+    start::{Kind, ScanStart, Up, starts},
+};
+use crate::{
+    BodyParameters, BodyTerms, DressedBody, Error, LbfgsOptions, PosePrior, Result, Skeleton,
+    body_energy::prior_terms,
+    dressed::{Clothes, DressedSurface},
+    parameters::{BETAS_AT, solve},
+};
+
+/// The terms of the energy, unweighted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct ScanFitTerms {
+    /// Those of priors, and of joints if some are known.
+    pub body: BodyTerms,
+    /// `E_D`.
+    pub distance: ScanTerms,
+    /// `‖z‖²`.
+    pub code: f64,
+}
+
+/// A clothed body that explains a scan.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ScanFit {
+    /// The body under the clothes, in the scan's space, metres.
+    pub parameters: BodyParameters,
+    /// The clothes, `[latent]`.
+    pub code: Vec<f64>,
+    /// What is worn.
+    pub outfit: Outfit,
+    /// The body as it was before the clothes were solved for.
+    pub before_clothes: BodyParameters,
+    /// Energy of each outfit that was tried.
+    pub outfits: Vec<(Outfit, f64)>,
+    /// Terms of the energy.
+    pub terms: ScanFitTerms,
+    /// Energy after every step of every stage that led here.
+    pub curves: Vec<Vec<f64>>,
+    /// How far the scan is from the surface.
+    pub distance: ScanDistance,
+    /// How often a body was evaluated.
+    pub evaluations: usize,
+    /// Whether the scan's normals pointed outwards, if it has any.
+    pub normals_as_given: bool,
+    /// Why the fit cannot be trusted, if it cannot.
+    pub problem: Option<String>,
+}
+
+/// Steps that were made, of how many at most.
+pub type ScanProgress<'a> = dyn FnMut(usize, usize) + 'a;
+
+/// Fits a run's clothed bodies to scans.
+#[derive(Debug)]
+pub struct ScanFitter {
+    body: SmplModel,
+    skeleton: Skeleton,
+    prior: PosePrior,
+    outfits: Vec<DressedBody>,
+    mean_clothes: Array2<f64>,
+    shape_is_known: bool,
+    config: ScanConfig,
+}
+
+impl ScanFitter {
+    /// For one of several outfits, and for any shape or that of one subject, by its unclothed rest
+    /// shape `[V, 3]`, metres.
+    ///
+    /// # Errors
+    /// If there is no outfit, the shape or the run's files do not suit one another, or the
+    /// configuration is impossible.
+    pub fn new(
+        run: &Run,
+        outfits: &[Outfit],
+        minimal: Option<&Array2<f64>>,
+        prior: PosePrior,
+        config: ScanConfig,
+    ) -> Result<Self> {
+        config.check()?;
+        if outfits.is_empty() {
+            return Err(Error::argument("no outfit to fit"));
+        }
+        let mut body = run.body().clone();
+        if let Some(minimal) = minimal {
+            if minimal.dim() != body.v_template.dim() || minimal.iter().any(|x| !x.is_finite()) {
+                return Err(Error::argument(format!(
+                    "minimal shape {:?}, expected {:?}, finite",
+                    minimal.shape(),
+                    body.v_template.shape()
+                )));
+            }
+            body.v_template.assign(minimal);
+        }
+        let dressed = |&outfit: &Outfit| match minimal {
+            Some(minimal) => DressedBody::of_subject(run, outfit, minimal),
+            None => DressedBody::new(run, outfit),
+        };
+        let mut mean_clothes = Array2::zeros(body.v_template.dim());
+        for &vertex in run.clothing() {
+            mean_clothes.row_mut(vertex).assign(&run.statistics().mean().row(vertex));
+        }
+        Ok(Self {
+            skeleton: Skeleton::new(&body)?,
+            outfits: outfits.iter().map(dressed).collect::<Result<_>>()?,
+            mean_clothes,
+            shape_is_known: minimal.is_some(),
+            body,
+            prior,
+            config,
+        })
+    }
+
+    /// The body, of the subject's shape if that is known.
+    pub fn body(&self) -> &SmplModel {
+        &self.body
+    }
+
+    /// The rest shape of a fit's body without clothes, metres, `[V, 3]`.
+    ///
+    /// # Errors
+    /// If the body has too many shape coefficients.
+    pub fn minimal(&self, fit: &ScanFit) -> Result<Array2<f64>> {
+        Ok(self.body.shaped(&fit.parameters.betas)?)
+    }
+
+    /// The body without clothes, metres, `[V]`.
+    ///
+    /// # Errors
+    /// If sizes do not suit the body.
+    pub fn bare(&self, body: &BodyParameters) -> Result<Vec<DVec3>> {
+        self.posed(body, None)
+    }
+
+    /// The body in the clothes that people wear on average, metres, `[V]`.
+    ///
+    /// # Errors
+    /// If sizes do not suit the body.
+    pub fn in_mean_clothes(&self, body: &BodyParameters) -> Result<Vec<DVec3>> {
+        self.posed(body, Some(&self.mean_clothes))
+    }
+
+    fn posed(&self, body: &BodyParameters, worn: Option<&Array2<f64>>) -> Result<Vec<DVec3>> {
+        let posed = self.body.pose(&body.betas, &body.pose, body.transl, worn)?;
+        Ok(posed.vertices.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2])).collect())
+    }
+
+    /// A fit's clothed surface, metres, `[V]`.
+    ///
+    /// # Errors
+    /// If the fit is not of these bodies.
+    pub fn surface(&self, fit: &ScanFit) -> Result<Vec<DVec3>> {
+        let dressed = self.outfits.iter().find(|dressed| dressed.outfit() == fit.outfit);
+        let dressed = dressed.ok_or_else(|| Error::argument("a fit in another outfit"))?;
+        Ok(dressed.surface(&fit.parameters, &fit.code)?.vertices().to_vec())
+    }
+
+    /// The clothed body that explains a scan best; the person's head is towards `up`.
+    ///
+    /// # Errors
+    /// If what is known of the pose is none, or the person lies or hangs the other way.
+    pub fn fit(
+        &self,
+        scan: &Scan,
+        start: &ScanStart,
+        up: Up,
+        progress: &mut ScanProgress<'_>,
+    ) -> Result<ScanFit> {
+        let config = &self.config;
+        let mut target = Target::new(scan, config.samples(), config.seed);
+        let betas = if self.shape_is_known { 0 } else { config.betas.min(self.body.betas()) };
+        let kind = Kind {
+            body: &self.body,
+            skeleton: &self.skeleton,
+            prior: &self.prior,
+            betas,
+            clothes: &self.mean_clothes,
+        };
+        let (bare, clothed): (Vec<ScanStage>, Vec<ScanStage>) =
+            config.stages.iter().partition(|stage| stage.unknowns != Unknowns::Clothes);
+        let [count, placings] = start.count(config.starts);
+        let mut counter = Counter::new(&bare, &clothed, count, self.outfits.len(), progress);
+        counter.total += placings;
+        let bodies = starts(&kind, &target, start, up, config.starts, &mut || counter.moved_on(1))?;
+        let first = &self.outfits[0];
+        let clothes = first.mean_clothes();
+        let surface = first.surface_in(&clothes, &padded(&bodies[0]))?;
+        let normals_as_given = target.orient(surface.vertices(), first.faces());
+
+        let scene = |dressed, clothes| Scene {
+            fitter: self,
+            dressed,
+            clothes,
+            target: &target,
+            start,
+            betas,
+        };
+
+        let in_mean = scene(first, Some(&clothes));
+        let mut best: Option<Attempt> = None;
+        let (tried, refined) = bare.split_at(bare.len().min(1));
+        for body in &bodies {
+            let x = [body.to_vector(), vec![0.0; first.latent()]].concat();
+            let attempt = in_mean.descend(Attempt::at(x), tried, &mut counter)?;
+            if best.as_ref().is_none_or(|best| attempt.value < best.value) {
+                best = Some(attempt);
+            }
+        }
+        let best = best.ok_or_else(|| Error::Failed("there is no body to begin with".into()))?;
+        let bare = in_mean.descend(best, refined, &mut counter)?;
+
+        let (tried, refined) = clothed.split_at(1);
+        let (mut best, mut outfits): (Option<(Attempt, &DressedBody)>, _) = (None, Vec::new());
+        for dressed in &self.outfits {
+            let attempt = scene(dressed, None).descend(bare.clone(), tried, &mut counter)?;
+            outfits.push((dressed.outfit(), attempt.value));
+            if best.as_ref().is_none_or(|(other, _)| attempt.value < other.value) {
+                best = Some((attempt, dressed));
+            }
+        }
+        let (attempt, dressed) = best.ok_or_else(|| Error::Failed("there is no outfit".into()))?;
+        let scene = scene(dressed, None);
+        let found = scene.descend(attempt, refined, &mut counter)?;
+        let evaluations = counter.evaluations;
+        let mut fit = scene.outcome(&found, clothed[clothed.len() - 1])?;
+        fit.before_clothes = BodyParameters::from_vector(&bare.x, betas);
+        (fit.outfits, fit.evaluations, fit.normals_as_given) =
+            (outfits, evaluations, normals_as_given);
+        Ok(fit)
+    }
+}
+
+/// Devices want no tensors without numbers.
+fn padded(body: &BodyParameters) -> BodyParameters {
+    let mut body = body.clone();
+    if body.betas.is_empty() {
+        body.betas.push(0.0);
+    }
+    body
+}
+
+/// A body on its way: unknowns `[3 + 72 + betas + latent]`.
+#[derive(Debug, Clone)]
+struct Attempt {
+    x: Vec<f64>,
+    value: f64,
+    curves: Vec<Vec<f64>>,
+}
+
+impl Attempt {
+    fn at(x: Vec<f64>) -> Self {
+        Self { x, value: 0.0, curves: Vec::new() }
+    }
+}
+
+/// Steps made and to be made.
+struct Counter<'p, 'a> {
+    done: usize,
+    total: usize,
+    evaluations: usize,
+    progress: &'p mut ScanProgress<'a>,
+}
+
+impl<'p, 'a> Counter<'p, 'a> {
+    fn new(
+        bare: &[ScanStage],
+        clothed: &[ScanStage],
+        starts: usize,
+        outfits: usize,
+        progress: &'p mut ScanProgress<'a>,
+    ) -> Self {
+        let steps = |stages: &[ScanStage], times: usize| -> usize {
+            let each = stages.iter().enumerate();
+            each.map(|(index, stage)| stage.steps * if index == 0 { times } else { 1 }).sum()
+        };
+        let total = steps(bare, starts) + steps(clothed, outfits);
+        Self { done: 0, total, evaluations: 0, progress }
+    }
+
+    fn moved_on(&mut self, steps: usize) {
+        self.done += steps;
+        (self.progress)(self.done.min(self.total), self.total);
+    }
+
+    /// An evaluation in a stage: about one a step.
+    fn evaluated(&mut self, within: usize) {
+        self.evaluations += 1;
+        (self.progress)((self.done + within).min(self.total), self.total);
+    }
+}
+
+/// What bodies are compared with.
+#[derive(Clone, Copy)]
+struct Scene<'a> {
+    fitter: &'a ScanFitter,
+    dressed: &'a DressedBody,
+    /// If they are not to be solved for.
+    clothes: Option<&'a Clothes>,
+    target: &'a Target<'a>,
+    start: &'a ScanStart,
+    betas: usize,
+}
+
+impl Scene<'_> {
+    fn surface(&self, x: &[f64]) -> Result<DressedSurface> {
+        let body = padded(&BodyParameters::from_vector(x, self.betas));
+        match self.clothes {
+            Some(clothes) => self.dressed.surface_in(clothes, &body),
+            None => self.dressed.surface(&body, &x[BETAS_AT + self.betas..]),
+        }
+    }
+
+    fn distances(&self, x: &[f64], stage: &ScanStage) -> Result<Distances<'_>> {
+        let surface = self.surface(x)?;
+        let (faces, back) = (self.dressed.faces(), self.fitter.config.back);
+        let vertices = surface.vertices();
+        Ok(Distances::new(self.target, vertices, faces, stage.samples, stage.robust, back))
+    }
+
+    fn evaluate(
+        &self,
+        x: &[f64],
+        distances: &Distances<'_>,
+        scale: f64,
+        gradient: &mut [f64],
+    ) -> Result<ScanFitTerms> {
+        let config = &self.fitter.config;
+        let surface = self.surface(x)?;
+        let mut forces = vec![DVec3::ZERO; surface.vertices().len()];
+        let distance = distances.evaluate(surface.vertices(), scale, &mut forces);
+        let by = surface.pull_back(&forces)?;
+        let betas = by.betas.into_iter().take(self.betas);
+        let parts = by.transl.into_iter().chain(by.pose).chain(betas).chain(by.code);
+        gradient.iter_mut().zip(parts).for_each(|(g, part)| *g += part);
+        let weights = &config.body;
+        let mut body = prior_terms(&self.fitter.prior, x, self.betas, weights, gradient);
+        if let ScanStart::Joints(joints) = self.start {
+            let (skeleton, deviation) = (&self.fitter.skeleton, config.joint_deviation);
+            body.joints =
+                joints.energy(skeleton, x, self.betas, deviation, weights.joints, gradient)?;
+        }
+        let code = &x[BETAS_AT + self.betas..];
+        let by_code = gradient[BETAS_AT + self.betas..].iter_mut().zip(code);
+        by_code.for_each(|(g, z)| *g += 2.0 * config.code * z);
+        Ok(ScanFitTerms { body, distance, code: code.iter().map(|z| z * z).sum() })
+    }
+
+    /// Through stages, one after the other.
+    fn descend(
+        &self,
+        mut attempt: Attempt,
+        stages: &[ScanStage],
+        counter: &mut Counter<'_, '_>,
+    ) -> Result<Attempt> {
+        let config = &self.fitter.config;
+        for stage in stages {
+            let distances = self.distances(&attempt.x, stage)?;
+            let free = |at: usize| match stage.unknowns {
+                Unknowns::Pose => at < BETAS_AT,
+                Unknowns::Shape => at < BETAS_AT + self.betas,
+                Unknowns::Clothes => true,
+            };
+            let options = LbfgsOptions { steps: stage.steps, gain: 1e-5, ..<_>::default() };
+            let mut within = 0;
+            let found = solve(&attempt.x, free, &options, |x, gradient| {
+                within += 1;
+                counter.evaluated(within.min(stage.steps));
+                let terms = self.evaluate(x, &distances, stage.distance, gradient)?;
+                Ok(terms.body.weighted(&config.body)
+                    + stage.distance * distances.total(&terms.distance)
+                    + config.code * terms.code)
+            })?;
+            counter.moved_on(stage.steps);
+            (attempt.x, attempt.value) = (found.x, found.value);
+            attempt.curves.push(found.curve);
+        }
+        Ok(attempt)
+    }
+
+    fn outcome(&self, found: &Attempt, last: ScanStage) -> Result<ScanFit> {
+        let config = &self.fitter.config;
+        let distances = self.distances(&found.x, &last)?;
+        let terms = self.evaluate(&found.x, &distances, 0.0, &mut vec![0.0; found.x.len()])?;
+        let surface = self.surface(&found.x)?;
+        let distance = distance(self.target, surface.vertices(), self.dressed.faces());
+        let parameters = BodyParameters::from_vector(&found.x, self.betas);
+        Ok(ScanFit {
+            before_clothes: parameters.clone(),
+            parameters,
+            code: found.x[BETAS_AT + self.betas..].to_vec(),
+            outfit: self.dressed.outfit(),
+            outfits: Vec::new(),
+            terms,
+            curves: found.curves.clone(),
+            distance,
+            evaluations: 0,
+            normals_as_given: true,
+            problem: problem(&distance, config),
+        })
+    }
+}
+
+fn problem(distance: &ScanDistance, config: &ScanConfig) -> Option<String> {
+    let [median, most] = [config.accepted, config.accepted_most].map(|metres| 1000.0 * metres);
+    if distance.median.is_nan() || distance.median > median {
+        return Some(format!(
+            "half of the scan is further than {:.1} mm from the surface: more than {median:.0} mm",
+            distance.median
+        ));
+    }
+    (distance.most > most).then(|| {
+        format!(
+            "5 % of the scan are further than {:.0} mm from the surface: more than {most:.0} mm",
+            distance.most
+        )
+    })
+}
+
+#[cfg(test)]
+#[path = "fit_tests.rs"]
+mod tests;

@@ -1,0 +1,261 @@
+//! What a scan has that no code of clothes says.
+//!
+//! `E(d) = E_D(b + d) + (λ_L Σ_v ‖(L d)_v‖² + λ_0 Σ_v ‖d_v‖²) / V` over displacements `d_v` of the
+//! fitted surface's vertices, with the umbrella Laplacian `(L d)_v = d_v − mean of its neighbours'`:
+//! where the scan has noise or holes the displacement goes on smoothly, and comes to an end. `E_D`
+//! is from the scan to the surface alone: the way back would draw vertices to the edges of holes.
+
+use cape_core::optimise::{LbfgsOptions, minimise};
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    Scan, ScanDistance,
+    energy::{Distances, Target, distance},
+};
+use crate::{Error, Result, body_energy::check_weight};
+
+/// How freely vertices leave a fitted surface.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FreeConfig {
+    /// λ_L, of the displacement's roughness.
+    pub smooth: f64,
+    /// λ_0, of its size.
+    pub small: f64,
+    /// Points of the scan.
+    pub samples: usize,
+    /// Size of errors that are rather mistakes, metres, one round after the other.
+    pub robust: [f64; 2],
+    /// Most steps of the optimiser in each round.
+    pub steps: usize,
+    /// Fixes which points are taken.
+    pub seed: u64,
+}
+
+impl Default for FreeConfig {
+    fn default() -> Self {
+        Self { smooth: 1.0, small: 0.03, samples: 20_000, robust: [0.05, 0.02], steps: 40, seed: 1 }
+    }
+}
+
+/// A surface whose vertices went where the scan is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FreeSurface {
+    /// Metres, `[V]`.
+    pub vertices: Vec<DVec3>,
+    /// How far the scan is from it.
+    pub distance: ScanDistance,
+    /// Mean length of the displacement, millimetres.
+    pub moved: f64,
+    /// Energy after every step of each round, mm².
+    pub curves: Vec<Vec<f64>>,
+}
+
+/// Lets the vertices of a fitted surface go where the scan is; `progress` hears steps of how many.
+///
+/// # Errors
+/// If the configuration is impossible.
+pub fn free_displacement(
+    scan: &Scan,
+    vertices: &[DVec3],
+    faces: &[[u32; 3]],
+    config: &FreeConfig,
+    progress: &mut dyn FnMut(usize, usize),
+) -> Result<FreeSurface> {
+    check_weight("smooth", config.smooth)?;
+    check_weight("small", config.small)?;
+    let mut target = Target::new(scan, config.samples, config.seed);
+    target.orient(vertices, faces);
+    let umbrella = Umbrella::new(vertices.len(), faces);
+    let mut x = vec![0.0; 3 * vertices.len()];
+    let (mut curves, mut done) = (Vec::new(), 0);
+    let total = config.steps * config.robust.len();
+    for robust in config.robust {
+        let now = displaced(vertices, &x);
+        let distances = Distances::new(&target, &now, faces, config.samples, robust, 0.0);
+        let options = LbfgsOptions { steps: config.steps, gain: 1e-4, ..<_>::default() };
+        let mut within = 0;
+        let found = minimise(x, &options, |x, gradient| {
+            within += 1;
+            progress((done + within).min(total), total);
+            let value = energy(vertices, x, &distances, &umbrella, config, gradient);
+            Ok::<_, Error>(value)
+        })?;
+        done += config.steps;
+        x = found.x;
+        curves.push(found.curve);
+    }
+    let moved = displaced(vertices, &x);
+    let lengths = x.as_chunks::<3>().0.iter().map(|&d| DVec3::from_array(d).length());
+    Ok(FreeSurface {
+        distance: distance(&target, &moved, faces),
+        moved: lengths.sum::<f64>() / vertices.len().max(1) as f64,
+        vertices: moved,
+        curves,
+    })
+}
+
+/// In mm², of displacements in millimetres, `[3 V]`.
+fn energy(
+    vertices: &[DVec3],
+    x: &[f64],
+    distances: &Distances<'_>,
+    umbrella: &Umbrella,
+    config: &FreeConfig,
+    gradient: &mut [f64],
+) -> f64 {
+    let mut forces = vec![DVec3::ZERO; vertices.len()];
+    // Square metres by metres, as mm² by millimetres.
+    let terms = distances.evaluate(&displaced(vertices, x), 1e3, &mut forces);
+    let d: Vec<DVec3> = x.as_chunks::<3>().0.iter().map(|&d| DVec3::from_array(d)).collect();
+    let rough = umbrella.apply(&d);
+    let count = vertices.len().max(1) as f64;
+    let (smooth, small) = (config.smooth / count, config.small / count);
+    let by_d = umbrella.apply_transposed(&rough);
+    let slots = gradient.as_chunks_mut::<3>().0.iter_mut();
+    for (((slot, force), by), d) in slots.zip(&forces).zip(&by_d).zip(&d) {
+        *slot = (*force + *by * (2.0 * smooth) + *d * (2.0 * small)).to_array();
+    }
+    let squares = |all: &[DVec3]| all.iter().map(|x| x.length_squared()).sum::<f64>();
+    1e6 * distances.total(&terms) + smooth * squares(&rough) + small * squares(&d)
+}
+
+fn displaced(vertices: &[DVec3], x: &[f64]) -> Vec<DVec3> {
+    let d = x.as_chunks::<3>().0;
+    vertices.iter().zip(d).map(|(&v, &d)| v + DVec3::from_array(d) * 1e-3).collect()
+}
+
+/// `(L d)_v = d_v − mean of its neighbours'`.
+struct Umbrella {
+    /// Neighbours of vertex `v` are those from `starts[v]` to `starts[v + 1]`.
+    starts: Vec<usize>,
+    neighbours: Vec<u32>,
+}
+
+impl Umbrella {
+    fn new(vertices: usize, faces: &[[u32; 3]]) -> Self {
+        let sides = faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+        let mut pairs: Vec<[u32; 2]> = sides.flat_map(|[a, b]| [[a, b], [b, a]]).collect();
+        pairs.sort_unstable();
+        pairs.dedup();
+        let start = |vertex: usize| pairs.partition_point(|pair| (pair[0] as usize) < vertex);
+        Self {
+            starts: (0..=vertices).map(start).collect(),
+            neighbours: pairs.iter().map(|pair| pair[1]).collect(),
+        }
+    }
+
+    fn of(&self, vertex: usize) -> &[u32] {
+        &self.neighbours[self.starts[vertex]..self.starts[vertex + 1]]
+    }
+
+    fn apply(&self, d: &[DVec3]) -> Vec<DVec3> {
+        let rough = |(vertex, &own): (usize, &DVec3)| {
+            let near = self.of(vertex);
+            if near.is_empty() {
+                return DVec3::ZERO;
+            }
+            own - near.iter().map(|&other| d[other as usize]).sum::<DVec3>() / near.len() as f64
+        };
+        d.iter().enumerate().map(rough).collect()
+    }
+
+    fn apply_transposed(&self, rough: &[DVec3]) -> Vec<DVec3> {
+        let mut sums = vec![DVec3::ZERO; rough.len()];
+        for (vertex, &rough) in rough.iter().enumerate() {
+            let near = self.of(vertex);
+            if !near.is_empty() {
+                sums[vertex] += rough;
+                let share = rough / near.len() as f64;
+                for &other in near {
+                    sums[other as usize] -= share;
+                }
+            }
+        }
+        sums
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        scan::Unit,
+        testing::{BODY, assert_gradient},
+    };
+
+    fn body() -> Vec<DVec3> {
+        let rows = BODY.v_template.rows().into_iter();
+        rows.map(|v| DVec3::new(v[0], v[1], v[2])).collect()
+    }
+
+    fn bulge(at: DVec3) -> DVec3 {
+        let height = 0.02 * (-(at - DVec3::new(0.0, 0.0, 0.1)).length_squared() / 0.02).exp();
+        at + DVec3::new(0.0, 0.0, height * f64::from(at.z > 0.0))
+    }
+
+    #[test]
+    fn the_gradient_agrees_with_finite_differences() {
+        let vertices = body();
+        let scan = Scan::new(vertices.iter().map(|&v| bulge(v)).collect(), None, vec![], Unit::M);
+        let scan = scan.unwrap();
+        let target = Target::new(&scan, 2000, 1);
+        let faces = &BODY.faces;
+        let distances = Distances::new(&target, &vertices, faces, 2000, 0.03, 0.5);
+        let umbrella = Umbrella::new(vertices.len(), faces);
+        let along = |which: usize, at: usize| ((at * (which + 3)) as f64 * 0.01).sin();
+        let moved = |x: &[f64]| -> Vec<f64> {
+            let sum = |at| (0..x.len()).map(|w| x[w] * along(w, at)).sum();
+            (0..3 * vertices.len()).map(sum).collect()
+        };
+        let config = FreeConfig { smooth: 0.7, small: 0.2, ..FreeConfig::default() };
+        let value = |x: &[f64], gradient: &mut [f64]| {
+            energy(&vertices, &moved(x), &distances, &umbrella, &config, gradient)
+        };
+        let x = [0.9, -1.4];
+        let mut by_vertices = vec![0.0; 3 * vertices.len()];
+        value(&x, &mut by_vertices);
+        let gradient: Vec<f64> = (0..2)
+            .map(|w| by_vertices.iter().enumerate().map(|(at, g)| g * along(w, at)).sum())
+            .collect();
+        let none = &mut vec![0.0; 3 * vertices.len()];
+        assert_gradient(&x, &gradient, 2e-3, |x| value(x, none));
+    }
+
+    #[test]
+    fn a_bulge_is_followed_and_holes_are_bridged() {
+        let vertices = body();
+        let bulged: Vec<DVec3> = vertices.iter().map(|&v| bulge(v)).collect();
+        let hole = |v: &DVec3| v.distance(DVec3::new(0.05, 0.05, 0.1)) < 0.04;
+        let faces = BODY.faces.iter();
+        let kept = faces.filter(|f| !f.iter().any(|&v| hole(&vertices[v as usize]))).copied();
+        let scan = Scan::new(bulged.clone(), None, kept.collect(), Unit::M).unwrap();
+        let config = FreeConfig::default();
+        let found =
+            free_displacement(&scan, &vertices, &BODY.faces, &config, &mut |_, _| {}).unwrap();
+        let off = |surface: &[DVec3]| {
+            let near = vertices.iter().enumerate().filter(|(_, v)| v.z > 0.0 && v.length() < 0.3);
+            let all: Vec<f64> = near.map(|(i, _)| surface[i].distance(bulged[i])).collect();
+            all.iter().sum::<f64>() / all.len() as f64
+        };
+        let (before, after) = (off(&vertices), off(&found.vertices));
+        assert!(after < 0.5 * before, "{before} {after}");
+        assert!(found.distance.mean < 1.0, "{:?}", found.distance);
+        let again = free_displacement(&scan, &vertices, &BODY.faces, &config, &mut |_, _| {});
+        assert_eq!(again.unwrap(), found);
+    }
+
+    #[test]
+    fn rigid_movements_are_not_rough() {
+        let faces = [[0, 1, 2], [1, 3, 2]];
+        let umbrella = Umbrella::new(5, &faces);
+        assert_eq!(umbrella.apply(&[DVec3::X; 5]), [DVec3::ZERO; 5]);
+        let (a, b) = ([1.0, 2.0, 3.0, 4.0, 5.0], [2.0, 0.0, 1.0, -1.0, 3.0]);
+        let [a, b] = [a, b].map(|all| all.map(|x| DVec3::new(x, x * x, 1.0)));
+        let dot =
+            |a: &[DVec3], b: &[DVec3]| -> f64 { a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum() };
+        let difference = dot(&umbrella.apply(&a), &b) - dot(&a, &umbrella.apply_transposed(&b));
+        assert!(difference.abs() < 1e-9);
+    }
+}

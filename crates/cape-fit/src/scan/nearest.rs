@@ -1,0 +1,174 @@
+use glam::DVec3;
+use parry3d_f64::{
+    bounding_volume::Aabb,
+    math::Vector,
+    partitioning::{Bvh, BvhBuildStrategy, BvhNode},
+    query::{PointQuery, PointQueryWithLocation},
+    shape::Triangle,
+};
+
+use crate::silhouette::SurfacePoint;
+
+/// The point of a surface that is nearest to another.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Nearest {
+    /// Where it lies on the surface.
+    pub(crate) on: SurfacePoint,
+    /// Where that is, metres.
+    pub(crate) at: DVec3,
+}
+
+/// Triangles, or else points alone, in a bounding-volume tree.
+#[derive(Debug, Clone)]
+pub(crate) struct Tree<'a> {
+    vertices: &'a [DVec3],
+    faces: &'a [[u32; 3]],
+    /// Of faces or, where there are none, of points; empty if unknown.
+    normals: Vec<DVec3>,
+    boxes: Bvh,
+}
+
+impl<'a> Tree<'a> {
+    /// Of triangles, which must name vertices that are there.
+    pub(crate) fn of_faces(vertices: &'a [DVec3], faces: &'a [[u32; 3]]) -> Self {
+        let corners = |face: &[u32; 3]| face.map(|corner| vertices[corner as usize]);
+        let boxes = faces.iter().map(corners).enumerate().map(|(index, [a, b, c])| {
+            (index, Aabb::new(vector(a.min(b).min(c)), vector(a.max(b).max(c))))
+        });
+        let boxes = Bvh::from_iter(BvhBuildStrategy::Binned, boxes);
+        let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a).normalize_or_zero();
+        let normals = faces.iter().map(corners).map(normal).collect();
+        Self { vertices, faces, normals, boxes }
+    }
+
+    /// Of points, with their normals or none.
+    pub(crate) fn of_points(vertices: &'a [DVec3], normals: Vec<DVec3>) -> Self {
+        let boxes = vertices.iter().enumerate().map(|(index, &at)| {
+            let at = vector(at);
+            (index, Aabb::new(at, at))
+        });
+        let boxes = Bvh::from_iter(BvhBuildStrategy::Binned, boxes);
+        Self { vertices, faces: &[], normals, boxes }
+    }
+
+    /// Turns what is inside to the outside.
+    pub(crate) fn flip(&mut self) {
+        self.normals.iter_mut().for_each(|normal| *normal = -*normal);
+    }
+
+    /// Forgets which side is outside.
+    pub(crate) fn forget_normals(&mut self) {
+        self.normals.clear();
+    }
+
+    /// The normal of a face or point; zero if it has none.
+    pub(crate) fn normal(&self, element: usize) -> DVec3 {
+        self.normals.get(element).copied().unwrap_or_default()
+    }
+
+    /// The nearest point, of those less than `reach` metres away that do not face away from
+    /// `normal`, which may be zero, and what it lies on.
+    pub(crate) fn nearest(
+        &self,
+        point: DVec3,
+        normal: DVec3,
+        reach: f64,
+    ) -> Option<(usize, Nearest)> {
+        let from = vector(point);
+        let (element, _) = self.boxes.find_best(
+            reach,
+            |node: &BvhNode, _| node.aabb().distance_to_local_point(from, true),
+            |element, _| {
+                let element = element as usize;
+                let same_side = self.normal(element).dot(normal) >= 0.0;
+                same_side.then(|| self.on(element, point).at.distance(point))
+            },
+        )?;
+        Some((element as usize, self.on(element as usize, point)))
+    }
+
+    fn on(&self, element: usize, point: DVec3) -> Nearest {
+        let Some(&corners) = self.faces.get(element) else {
+            let corner = element as u32;
+            let on = SurfacePoint { corners: [corner; 3], weights: [1.0, 0.0, 0.0] };
+            return Nearest { on, at: self.vertices[element] };
+        };
+        let [a, b, c] = corners.map(|corner| self.vertices[corner as usize]);
+        let triangle = Triangle::new(vector(a), vector(b), vector(c));
+        let (_, location) = triangle.project_local_point_and_get_location(vector(point), false);
+        // In a triangle's own plane there is no other answer than weights.
+        let weights = location.barycentric_coordinates().unwrap_or([1.0, 0.0, 0.0]);
+        let on = SurfacePoint { corners, weights };
+        Nearest { on, at: on.at(self.vertices) }
+    }
+}
+
+fn vector(point: DVec3) -> Vector {
+    Vector::from(point.to_array())
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Of a finely divided triangle.
+    fn brute(point: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
+        const STEPS: usize = 200;
+        let mut least = f64::INFINITY;
+        for i in 0..=STEPS {
+            for j in 0..=STEPS - i {
+                let (u, v) = (i as f64 / STEPS as f64, j as f64 / STEPS as f64);
+                least = least.min(point.distance(a + (b - a) * u + (c - a) * v));
+            }
+        }
+        least
+    }
+
+    fn points(numbers: &[f64]) -> Vec<DVec3> {
+        numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p)).collect()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+
+        #[test]
+        fn the_nearest_is_what_brute_force_finds(
+            numbers in prop::collection::vec(-1.0f64..1.0, 27),
+            x in -2.0f64..2.0, y in -2.0f64..2.0, z in -2.0f64..2.0,
+        ) {
+            let vertices = points(&numbers);
+            let faces = [[0u32, 1, 2], [3, 4, 5], [6, 7, 8]];
+            let point = DVec3::new(x, y, z);
+            let tree = Tree::of_faces(&vertices, &faces);
+            let (element, found) = tree.nearest(point, DVec3::ZERO, 100.0).unwrap();
+            let all = faces.map(|face| brute(point, face.map(|corner| vertices[corner as usize])));
+            let least = all.iter().copied().fold(f64::INFINITY, f64::min);
+            let distance = found.at.distance(point);
+            prop_assert!(distance <= least + 1e-9 && distance > least - 0.02, "{distance} {least}");
+            prop_assert!(all[element] < least + 0.02);
+            prop_assert!(found.on.at(&vertices).distance(found.at) < 1e-12);
+
+            let cloud = Tree::of_points(&vertices, Vec::new());
+            let (index, found) = cloud.nearest(point, DVec3::ZERO, 100.0).unwrap();
+            let least = vertices.iter().map(|v| v.distance(point)).fold(f64::INFINITY, f64::min);
+            prop_assert_eq!(found.at.distance(point), least);
+            prop_assert_eq!(vertices[index], found.at);
+            prop_assert!(cloud.nearest(point, DVec3::ZERO, least).is_none());
+        }
+    }
+
+    #[test]
+    fn the_far_side_is_not_the_nearest() {
+        // Two sides of a plate, of which the nearer faces away.
+        let corner = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
+        let vertices =
+            [0.0, 0.1].map(|z| [corner(-1.0, -1.0, z), corner(1.0, -1.0, z), corner(0.0, 2.0, z)]);
+        let faces = [[0, 2, 1], [3, 4, 5]];
+        let tree = Tree::of_faces(vertices.as_flattened(), &faces);
+        let point = DVec3::new(0.0, 0.0, -0.1);
+        let face = |normal| tree.nearest(point, normal, 1.0).unwrap().0;
+        assert_eq!((face(DVec3::ZERO), face(DVec3::NEG_Z), face(DVec3::Z)), (0, 0, 1));
+    }
+}

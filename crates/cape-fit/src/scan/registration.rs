@@ -1,0 +1,185 @@
+//! Registrations as the CAPE release has them.
+
+use std::path::{Path, PathBuf};
+
+use cape_core::{ClothingMask, Outfit, SmplModel};
+use cape_train::data::{
+    SequenceList, Split,
+    raw::{self, BODY_FILE, CLOTHING_FILE, RawFrame, SPLIT_FILE},
+};
+use glam::DVec3;
+use ndarray::Array2;
+
+use crate::{BodyParameters, Error, Result, parameters::POSE};
+
+/// Differences of rest shapes, metres, that are no other subject.
+const SAME: f64 = 1e-5;
+
+/// Where a registration goes in a raw tree.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Place {
+    /// The subject.
+    pub subject: String,
+    /// What is worn.
+    pub outfit: Outfit,
+    /// The movement.
+    pub sequence: String,
+    /// Number of the frame in it.
+    pub number: usize,
+}
+
+/// A surface in motion with the body under it.
+#[derive(Debug, Clone, Copy)]
+pub struct Registration<'a> {
+    /// Skeleton and skin.
+    pub body: &'a SmplModel,
+    /// The subject's unclothed rest shape, metres, `[V, 3]`.
+    pub minimal: &'a Array2<f64>,
+    /// Pose and translation; the shape is that of `minimal`.
+    pub parameters: &'a BodyParameters,
+    /// The clothed surface, metres, `[V]`.
+    pub vertices: &'a [DVec3],
+}
+
+impl Registration<'_> {
+    /// The frame: posed, and unposed by the body's own transforms.
+    ///
+    /// # Errors
+    /// If sizes do not agree, or a vertex cannot be unposed.
+    pub fn frame(&self) -> Result<RawFrame> {
+        let rows: Vec<[f64; 3]> = self.vertices.iter().map(DVec3::to_array).collect();
+        let v_posed = Array2::from(rows);
+        let BodyParameters { transl, pose, .. } = self.parameters;
+        let v_cano = self.body.unpose_shape(&v_posed, self.minimal, pose, *transl)?;
+        let pose = pose.as_slice().try_into().map_err(|_| {
+            Error::argument(format!("pose of {} numbers, expected {POSE}", pose.len()))
+        })?;
+        Ok(RawFrame { v_cano, v_posed, pose, transl: *transl })
+    }
+
+    /// Writes it into the raw tree `root`, which is begun if it is not there, with the body, its
+    /// clothing vertices and a split by which every frame is packed for training; returns the path.
+    ///
+    /// # Errors
+    /// If the tree has that subject with another shape, or a file cannot be read or written.
+    pub fn write(&self, root: &Path, place: &Place, clothing: &[usize]) -> Result<PathBuf> {
+        let Place { subject, outfit, sequence, number } = place;
+        for (what, name) in [("subject", subject), ("sequence", sequence)] {
+            let plain = |c: char| c.is_ascii_alphanumeric() || "_-".contains(c);
+            if name.is_empty() || !name.chars().all(plain) {
+                return Err(Error::argument(format!(
+                    "{what} `{name}`: expected letters, digits, - and _"
+                )));
+            }
+        }
+        let frame = self.frame()?;
+        let minimal_path = raw::minimal_path(root, subject);
+        if minimal_path.exists() {
+            let known = raw::read_minimal(root, subject)?;
+            let same = known.dim() == self.minimal.dim()
+                && known.iter().zip(self.minimal).all(|(a, b)| (a - b).abs() < SAME);
+            if !same {
+                return Err(Error::format(
+                    minimal_path,
+                    "is another body than the one fitted: give it as the subject's minimal shape",
+                ));
+            }
+        } else {
+            raw::write_minimal(root, subject, self.minimal)?;
+        }
+        if !root.join(BODY_FILE).exists() {
+            self.body.save(root.join(BODY_FILE))?;
+        }
+        if !root.join(CLOTHING_FILE).exists() {
+            let mask = ClothingMask::from_indices(self.body.vertices(), clothing)?;
+            mask.save(root.join(CLOTHING_FILE))?;
+        }
+        let path = raw::write_frame(root, subject, *outfit, sequence, *number, &frame)?;
+        add_to_split(&root.join(SPLIT_FILE), place)?;
+        Ok(path)
+    }
+}
+
+fn add_to_split(path: &Path, place: &Place) -> Result<()> {
+    let mut split = if path.exists() {
+        Split::from_file(path)?
+    } else {
+        Split {
+            subjects: Vec::new(),
+            outfits: Outfit::ALL.to_vec(),
+            cut: 0,
+            sample_rate: 1,
+            train: SequenceList::default(),
+            test: SequenceList::default(),
+        }
+    };
+    let sequences = &mut split.train.sequences;
+    let known = split.test.sequences.contains(&place.sequence);
+    if !known && !sequences.contains(&place.sequence) {
+        sequences.push(place.sequence.clone());
+    }
+    if !split.subjects.contains(&place.subject) {
+        split.subjects.push(place.subject.clone());
+    }
+    let text = split.to_toml()?;
+    Ok(cape_core::write_atomically(path, |file| {
+        use std::io::Write;
+        file.write_all(text.as_bytes())
+    })?)
+}
+
+#[cfg(test)]
+mod tests {
+    use cape_train::data::{PackOptions, PackedSet, Part, pack};
+
+    use super::*;
+    use crate::testing::BODY;
+
+    #[test]
+    fn registrations_are_packed_as_they_were() {
+        let pose = cape_core::poses::preset("walk").unwrap().map(f64::from).to_vec();
+        let mut parameters = BodyParameters::new(pose, vec![0.5, -1.0]).unwrap();
+        parameters.transl = [0.3, 1.0, -2.0];
+        let minimal = BODY.shaped(&parameters.betas).unwrap();
+        let worn = Array2::from_shape_fn(minimal.dim(), |(v, axis)| {
+            0.01 * ((v + 5 * axis) as f64 * 0.1).sin()
+        });
+        let BodyParameters { betas, pose, transl } = &parameters;
+        let posed = BODY.pose(betas, pose, *transl, Some(&worn)).unwrap().vertices;
+        let vertices: Vec<DVec3> =
+            posed.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2])).collect();
+        let registration = Registration {
+            body: &BODY,
+            minimal: &minimal,
+            parameters: &parameters,
+            vertices: &vertices,
+        };
+        let root = tempfile::tempdir().unwrap();
+        let tree = root.path().join("raw");
+        let mut place = Place {
+            subject: "ann".into(),
+            outfit: Outfit::LongShort,
+            sequence: "scan".into(),
+            number: 1,
+        };
+        for number in 1..4 {
+            place.number = number;
+            registration.write(&tree, &place, &[1, 2, 3]).unwrap();
+        }
+        let split = Split::from_file(tree.join(SPLIT_FILE)).unwrap();
+        let packed = root.path().join("packed");
+        let options = PackOptions { strict: true, ..<_>::default() };
+        pack(&tree, &packed, &split, options, &mut |_, _| {}).unwrap();
+        let set = PackedSet::open(&packed, Part::Train).unwrap();
+        assert_eq!(set.frames(), 3);
+        let (displacement, packed_pose, _) = set.frame(0).unwrap();
+        assert!((&displacement - &worn).iter().all(|d| d.abs() < 1e-9));
+        assert_eq!(&packed_pose, pose);
+
+        let other = BODY.shaped(&[1.0]).unwrap();
+        let refused = Registration { minimal: &other, ..registration }.write(&tree, &place, &[1]);
+        assert!(refused.unwrap_err().to_string().contains("another body"));
+        place.subject = "../up".into();
+        assert!(registration.write(&tree, &place, &[1]).is_err());
+    }
+}

@@ -1,0 +1,325 @@
+//! Bodies to begin a fit to a scan with.
+
+use cape_core::{SmplModel, poses::preset};
+use glam::{DMat3, DQuat, DVec3};
+
+use super::{KnownJoints, energy::Target, rigid, rigid::Rigid};
+use crate::{
+    BodyParameters, Error, LbfgsOptions, PosePrior, Result, Skeleton,
+    body_energy::{BodyWeights, prior_terms},
+    parameters::solve,
+};
+
+/// A scan that fits another way up with less than this part of the energy lies or hangs.
+const OTHER_WAY: f64 = 0.6;
+/// Poses that are tried another way up.
+const OTHERS: usize = 3;
+/// Strengths of the pose prior while a body is drawn to known joints.
+const JOINT_STAGES: [f64; 3] = [10.0, 2.0, 0.5];
+
+/// What is known of a scanned body's pose.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ScanStart {
+    /// Rough poses, one of which it may be in, wherever it stands: axis-angles `[72]`, of which the
+    /// pelvis's counts.
+    Poses(Vec<Vec<f64>>),
+    /// Its joints.
+    Joints(KnownJoints),
+    /// A body that is roughly in place.
+    Body(BodyParameters),
+}
+
+impl ScanStart {
+    /// What people often do: the prior's poses, standing with the arms down or stretched out.
+    pub fn usual(prior: &PosePrior) -> Self {
+        let often = prior.means().rows().into_iter();
+        let often = often.map(|pose| [&[0.0; 3], &pose.to_vec()[..]].concat());
+        let standing = ["a-pose", "t-pose"].iter().filter_map(|name| preset(name));
+        let standing = standing.map(|pose| pose.map(f64::from).to_vec());
+        Self::Poses(standing.chain(often).collect())
+    }
+}
+
+/// An axis of the scan's space.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Up {
+    axis: usize,
+    negative: bool,
+}
+
+impl Up {
+    /// +y, as SMPL has it.
+    pub const Y: Self = Self { axis: 1, negative: false };
+
+    const ALL: [Self; 6] = {
+        const fn up(axis: usize, negative: bool) -> Up {
+            Up { axis, negative }
+        }
+        [up(1, false), up(1, true), up(2, false), up(2, true), up(0, false), up(0, true)]
+    };
+
+    /// As people write it.
+    pub const fn name(self) -> &'static str {
+        match (self.axis, self.negative) {
+            (0, false) => "x",
+            (0, true) => "-x",
+            (1, false) => "y",
+            (1, true) => "-y",
+            (_, false) => "z",
+            (_, true) => "-z",
+        }
+    }
+
+    /// The turn that brings it to +y.
+    pub fn to_y(self) -> DQuat {
+        DQuat::from_rotation_arc(self.direction(), DVec3::Y)
+    }
+
+    pub(crate) fn direction(self) -> DVec3 {
+        if self.negative { -DVec3::AXES[self.axis] } else { DVec3::AXES[self.axis] }
+    }
+}
+
+impl std::str::FromStr for Up {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let known = Self::ALL.into_iter().find(|up| up.name() == text.trim_start_matches('+'));
+        known.ok_or_else(|| {
+            Error::argument(format!("axis `{text}`: expected x, y, z, -x, -y or -z"))
+        })
+    }
+}
+
+/// The body that scans are of, with what is known of people.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Kind<'a> {
+    pub(crate) body: &'a SmplModel,
+    pub(crate) skeleton: &'a Skeleton,
+    pub(crate) prior: &'a PosePrior,
+    /// Shape coefficients that are solved for, or 0.
+    pub(crate) betas: usize,
+    /// What bodies wear at first, metres, `[V, 3]`.
+    pub(crate) clothes: &'a ndarray::Array2<f64>,
+}
+
+impl ScanStart {
+    /// How many bodies [`starts`] finds at most, and how often it calls back.
+    pub(crate) fn count(&self, most: usize) -> [usize; 2] {
+        match self {
+            Self::Poses(poses) => [poses.len().min(most), poses.len() + OTHERS.min(poses.len())],
+            Self::Joints(_) | Self::Body(_) => [1, 0],
+        }
+    }
+}
+
+/// At most `count` bodies in place, the most likely first; `placed` is called from time to time.
+pub(crate) fn starts(
+    kind: &Kind<'_>,
+    target: &Target<'_>,
+    start: &ScanStart,
+    up: Up,
+    count: usize,
+    placed: &mut dyn FnMut(),
+) -> Result<Vec<BodyParameters>> {
+    match start {
+        ScanStart::Body(body) => {
+            body.check()?;
+            let mut body = body.clone();
+            body.betas.resize(kind.betas, 0.0);
+            Ok(vec![body])
+        }
+        ScanStart::Joints(joints) => Ok(vec![of_joints(kind, joints)?]),
+        ScanStart::Poses(poses) => of_poses(kind, target, poses, up, count, placed),
+    }
+}
+
+fn of_poses(
+    kind: &Kind<'_>,
+    target: &Target<'_>,
+    poses: &[Vec<f64>],
+    up: Up,
+    count: usize,
+    placed: &mut dyn FnMut(),
+) -> Result<Vec<BodyParameters>> {
+    let faces = &kind.body.faces;
+    let (mut found, mut surfaces) = (Vec::new(), Vec::new());
+    for pose in poses {
+        let body = BodyParameters::new(pose.clone(), vec![0.0; kind.betas])?;
+        let vertices = surface(kind, &body)?;
+        if let Some(placing) = rigid::place(target, &vertices, faces, up.direction())
+            && placing.energy.is_finite()
+        {
+            found.push((moved(kind, &body, &placing.rigid), placing.energy));
+        }
+        surfaces.push(vertices);
+        placed();
+    }
+    found.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let Some(&(_, least)) = found.first() else {
+        return Err(Error::Failed("no pose to begin with can be placed in the scan".into()));
+    };
+    let mut best = (up, f64::INFINITY);
+    for vertices in surfaces.iter().take(OTHERS) {
+        for &other in Up::ALL.iter().filter(|&&other| other != up) {
+            let placing = rigid::place(target, vertices, faces, other.direction());
+            if let Some(placing) = placing.filter(|placing| placing.energy < best.1) {
+                best = (other, placing.energy);
+            }
+        }
+        placed();
+    }
+    let (other, energy) = best;
+    if energy < OTHER_WAY * least {
+        let how = if other.axis == up.axis { "is upside down" } else { "lies on its side" };
+        return Err(Error::Observation(format!(
+            "the scan {how}: a person fits it with the head towards {0}, not {1}: give --up {0}",
+            other.name(),
+            up.name()
+        )));
+    }
+    Ok(found.into_iter().take(count).map(|(body, _)| body).collect())
+}
+
+/// A body that has its joints where they are known, from whichever common pose comes closest.
+fn of_joints(kind: &Kind<'_>, joints: &KnownJoints) -> Result<BodyParameters> {
+    let weights = JOINT_STAGES.map(|pose| BodyWeights { pose, ..<_>::default() });
+    let options = LbfgsOptions { steps: 100, gain: 1e-6, ..<_>::default() };
+    let mut best: Option<(Vec<f64>, f64)> = None;
+    for pose in kind.prior.means().rows() {
+        let pose = [&[0.0; 3], &pose.to_vec()[..]].concat();
+        let body = BodyParameters::new(pose, vec![0.0; kind.betas])?;
+        let posed = kind.skeleton.pose(&body.betas, &body.pose, DVec3::ZERO)?;
+        let pairs = joints.known().iter().map(|&(joint, at)| (posed.joints()[joint], at, 1.0));
+        let pairs: Vec<_> = pairs.collect();
+        let Some(rigid) = Rigid::between(&pairs) else { continue };
+        let mut x = moved(kind, &body, &rigid).to_vector();
+        let mut value = f64::INFINITY;
+        for weights in &weights {
+            let found = solve(
+                &x,
+                |_| true,
+                &options,
+                |x, gradient| {
+                    let priors = prior_terms(kind.prior, x, kind.betas, weights, gradient);
+                    let seen = joints.energy(
+                        kind.skeleton,
+                        x,
+                        kind.betas,
+                        0.02,
+                        weights.joints,
+                        gradient,
+                    )?;
+                    Ok(priors.weighted(weights) + weights.joints * seen)
+                },
+            )?;
+            (x, value) = (found.x, found.value);
+        }
+        if value.is_finite() && best.as_ref().is_none_or(|(_, least)| value < *least) {
+            best = Some((x, value));
+        }
+    }
+    let (x, _) = best.ok_or_else(|| {
+        Error::Observation("the joints are all in one place: no body can be placed".into())
+    })?;
+    Ok(BodyParameters::from_vector(&x, kind.betas))
+}
+
+/// A body's surface in the clothes that bodies wear at first.
+fn surface(kind: &Kind<'_>, body: &BodyParameters) -> Result<Vec<DVec3>> {
+    let posed = kind.body.pose(&body.betas, &body.pose, body.transl, Some(kind.clothes))?;
+    Ok(posed.vertices.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2])).collect())
+}
+
+/// The body after a rigid movement.
+fn moved(kind: &Kind<'_>, body: &BodyParameters, rigid: &Rigid) -> BodyParameters {
+    let pelvis = kind.skeleton.rest(&body.betas)[0];
+    let own = DQuat::from_scaled_axis(DVec3::from_slice(&body.pose[..3]));
+    let turn = DMat3::from_quat(own);
+    let orientation = DQuat::from_mat3(&(rigid.turn * turn)).to_scaled_axis();
+    let mut moved = body.clone();
+    moved.pose[..3].copy_from_slice(&orientation.to_array());
+    let at = rigid.apply(pelvis + DVec3::from_array(body.transl));
+    moved.transl = (at - pelvis).to_array();
+    moved
+}
+
+#[cfg(test)]
+mod tests {
+    use ndarray::Array2;
+
+    use super::*;
+    use crate::{
+        scan::{Scan, Unit},
+        testing::BODY,
+    };
+
+    fn with_kind<T>(work: impl FnOnce(&Kind<'_>) -> T) -> T {
+        let clothes = Array2::zeros(BODY.v_template.dim());
+        work(&Kind {
+            body: &BODY,
+            skeleton: &Skeleton::new(&BODY).unwrap(),
+            prior: &PosePrior::synthetic().unwrap(),
+            betas: 10,
+            clothes: &clothes,
+        })
+    }
+
+    fn walking() -> BodyParameters {
+        let pose = cape_core::poses::preset("walk").unwrap().map(f64::from).to_vec();
+        BodyParameters {
+            transl: [1.0, 2.0, 0.5],
+            ..BodyParameters::new(pose, vec![0.0; 10]).unwrap()
+        }
+    }
+
+    #[test]
+    fn moving_a_body_moves_its_surface() {
+        with_kind(|kind| {
+            let body = walking();
+            let turn = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(0.4, -1.0, 2.0)));
+            let rigid = Rigid { turn, shift: DVec3::new(1.0, 0.0, -3.0) };
+            let before = surface(kind, &body).unwrap();
+            let after = surface(kind, &moved(kind, &body, &rigid)).unwrap();
+            for (&before, after) in before.iter().zip(after) {
+                assert!(rigid.apply(before).distance(after) < 1e-9);
+            }
+        });
+    }
+
+    #[test]
+    fn bodies_are_found_by_their_joints() {
+        with_kind(|kind| {
+            let body = walking();
+            let posed = BODY.pose(&body.betas, &body.pose, body.transl, None).unwrap().joints;
+            let at = |row: ndarray::ArrayView1<f64>| Some(DVec3::new(row[0], row[1], row[2]));
+            let mut joints: Vec<_> = posed.rows().into_iter().map(at).collect();
+            joints[20] = None;
+            let known = KnownJoints::new(&joints).unwrap();
+            let found = of_joints(kind, &known).unwrap();
+            let posed =
+                kind.skeleton.pose(&found.betas, &found.pose, DVec3::from_array(found.transl));
+            for &(joint, at) in known.known() {
+                assert!(posed.as_ref().unwrap().joints()[joint].distance(at) < 0.02);
+            }
+        });
+    }
+
+    #[test]
+    fn people_on_their_heads_are_told_so() {
+        with_kind(|kind| {
+            let body = walking();
+            let upside_down: Vec<DVec3> =
+                surface(kind, &body).unwrap().iter().map(|v| DVec3::new(v.x, -v.y, -v.z)).collect();
+            let scan = Scan::new(upside_down, None, Vec::new(), Unit::M).unwrap();
+            let target = Target::new(&scan, 1000, 1);
+            let start = ScanStart::Poses(vec![body.pose.clone()]);
+            let message =
+                starts(kind, &target, &start, Up::Y, 1, &mut || {}).unwrap_err().to_string();
+            assert!(message.contains("upside down") && message.contains("--up -y"), "{message}");
+            let up = "-y".parse().unwrap();
+            assert_eq!(starts(kind, &target, &start, up, 3, &mut || {}).unwrap().len(), 1);
+            assert!("w".parse::<Up>().is_err());
+        });
+    }
+}

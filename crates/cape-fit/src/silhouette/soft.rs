@@ -1,0 +1,325 @@
+//! Soft silhouettes (Liu et al. 2019, *Soft Rasterizer*): how much of every pixel a surface covers
+//! as a smooth function of its vertices.
+//!
+//! A triangle covers a pixel by `D = sigmoid(±d² / σ²)`, with the distance `d` of the pixel's centre
+//! from the triangle's outline and the sign of its being inside, and the surface by
+//! `A = 1 − Π (1 − D)`: with `σ → 0` what a renderer says. With `t = ±d² / σ²` the derivative is
+//! `∂A/∂t = (1 − A) D`, and that of `d²` by the ends of the nearest side follows from the nearest
+//! point's place on it. Where many small triangles meet at an outline they cover more together: the
+//! silhouette is wider than the surface by about σ, so that σ should be less than a pixel.
+//!
+//! The picture is cut into bands of rows, whatever the number of threads, and their gradients are
+//! added in order, so that the same surface has the same gradient to the last bit.
+
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+use crate::{Camera, Error, Result, camera::depth};
+
+/// Rows of a band.
+const BAND: usize = 16;
+/// `t` below which a triangle covers nothing of a pixel: sigmoid(−9) is 1/8000, and is taken off
+/// everywhere, so that no pixel drops out with a jump.
+const FAINT: f64 = 9.0;
+/// Depths nearer than this are not drawn, metres.
+const NEAREST: f64 = 0.05;
+
+/// What a surface covers, softly.
+#[derive(Debug, Clone)]
+pub struct SoftRendering<'a> {
+    camera: Camera,
+    faces: &'a [[u32; 3]],
+    softness: f64,
+    /// Vertices in the image.
+    pixels: Vec<DVec2>,
+    /// Faces that reach into each band, ascending.
+    bands: Vec<Vec<u32>>,
+    coverage: Vec<f64>,
+}
+
+/// Renders a mesh, vertices in metres `[vertices]`, triangles `[faces]`, with edges `softness`
+/// pixels wide.
+///
+/// # Errors
+/// If a face names a vertex that is not there, or the softness is not positive.
+pub fn render_softly<'a>(
+    vertices: &[DVec3],
+    faces: &'a [[u32; 3]],
+    camera: &Camera,
+    softness: f64,
+) -> Result<SoftRendering<'a>> {
+    check_softness(softness)?;
+    let outside = |face: &&[u32; 3]| face.iter().any(|&at| at as usize >= vertices.len());
+    if let Some(face) = faces.iter().find(outside) {
+        let count = vertices.len();
+        return Err(Error::argument(format!("face {face:?}, but there are {count} vertices")));
+    }
+    Ok(draw(vertices, faces, camera, softness))
+}
+
+pub(super) fn check_softness(softness: f64) -> Result<()> {
+    if softness > 0.0 && softness.is_finite() {
+        return Ok(());
+    }
+    Err(Error::argument(format!("softness of {softness} pixels, expected above 0")))
+}
+
+/// [`render_softly`] of faces and a softness that are known to be good.
+pub(super) fn draw<'a>(
+    vertices: &[DVec3],
+    faces: &'a [[u32; 3]],
+    camera: &Camera,
+    softness: f64,
+) -> SoftRendering<'a> {
+    let pixels: Vec<DVec2> = vertices.iter().map(|&vertex| camera.project(vertex)).collect();
+    let (width, height) = (camera.width() as usize, camera.height() as usize);
+    let reach = softness * FAINT.sqrt();
+    let mut bands = vec![Vec::new(); height.div_ceil(BAND)];
+    for (index, face) in faces.iter().enumerate() {
+        if face.iter().any(|&corner| depth(vertices[corner as usize]) <= NEAREST) {
+            continue;
+        }
+        let corners = face.map(|corner| pixels[corner as usize]);
+        let rows = span(corners.map(|corner| corner.y), reach, height);
+        if rows.is_empty() || span(corners.map(|corner| corner.x), reach, width).is_empty() {
+            continue;
+        }
+        for band in &mut bands[rows.start / BAND..=(rows.end - 1) / BAND] {
+            band.push(index as u32);
+        }
+    }
+    let mut coverage = vec![0.0; width * height];
+    let mut rendering =
+        SoftRendering { camera: *camera, faces, softness, pixels, bands, coverage: Vec::new() };
+    coverage.par_chunks_mut(BAND * width).enumerate().for_each(|(band, slots)| {
+        // Logarithms of what is left uncovered.
+        let nothing = softplus(-FAINT);
+        rendering.each(band, |at, touch| slots[at] -= softplus(touch.t) - nothing);
+        for slot in slots {
+            *slot = 1.0 - slot.exp();
+        }
+    });
+    rendering.coverage = coverage;
+    rendering
+}
+
+impl SoftRendering<'_> {
+    /// The covered part of each pixel, 0 to 1, `[height · width]`.
+    pub fn coverage(&self) -> &[f64] {
+        &self.coverage
+    }
+
+    /// Adds the gradient of what has the gradient `by_coverage` `[height · width]` by the coverage
+    /// to that by the vertices.
+    pub fn pull_back(&self, vertices: &[DVec3], by_coverage: &[f64], forces: &mut [DVec3]) {
+        let width = self.camera.width() as usize;
+        let of_band = |band: usize| {
+            let first = band * BAND * width;
+            let mut sums: Vec<(u32, DVec2)> = Vec::new();
+            self.each(band, |at, touch| {
+                let left = 1.0 - self.coverage[first + at];
+                let by = by_coverage[first + at] * left;
+                if by != 0.0 {
+                    let [start, end] = touch.by_ends(by * sigmoid(touch.t));
+                    add(&mut sums, touch.side[0], start);
+                    add(&mut sums, touch.side[1], end);
+                }
+            });
+            sums
+        };
+        let bands: Vec<Vec<(u32, DVec2)>> =
+            (0..self.bands.len()).into_par_iter().map(of_band).collect();
+        let mut by_pixels = vec![DVec2::ZERO; vertices.len()];
+        for (vertex, sum) in bands.into_iter().flatten() {
+            by_pixels[vertex as usize] += sum;
+        }
+        for ((force, &vertex), by) in forces.iter_mut().zip(vertices).zip(by_pixels) {
+            *force += self.camera.pull_back(vertex, by);
+        }
+    }
+
+    /// Every pixel of a band, counted from its first, with every triangle that covers some of it, in
+    /// order.
+    fn each(&self, band: usize, mut with: impl FnMut(usize, Touch)) {
+        let (width, height) = (self.camera.width() as usize, self.camera.height() as usize);
+        let reach = self.softness * FAINT.sqrt();
+        let (first, end) = (band * BAND, ((band + 1) * BAND).min(height));
+        for &face in &self.bands[band] {
+            let corners = self.faces[face as usize];
+            let at = corners.map(|corner| self.pixels[corner as usize]);
+            let rows = span(at.map(|p| p.y), reach, height);
+            let columns = span(at.map(|p| p.x), reach, width);
+            for row in rows.start.max(first)..rows.end.min(end) {
+                for column in columns.clone() {
+                    let centre = DVec2::new(column as f64 + 0.5, row as f64 + 0.5);
+                    let touch = Touch::of(centre, corners, at, self.softness);
+                    if touch.t > -FAINT {
+                        with((row - first) * width + column, touch);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Adds to the latest sum of that vertex if it is among the last few: a triangle's pixels follow
+/// one another.
+fn add(sums: &mut Vec<(u32, DVec2)>, vertex: u32, by: DVec2) {
+    match sums.iter_mut().rev().take(4).find(|(known, _)| *known == vertex) {
+        Some((_, sum)) => *sum += by,
+        None => sums.push((vertex, by)),
+    }
+}
+
+/// A pixel and a triangle.
+#[derive(Debug, Clone, Copy)]
+struct Touch {
+    /// `±d² / σ²`, positive inside.
+    t: f64,
+    /// Ends of the side that is nearest, and where on it the nearest point is, 0 to 1.
+    side: [u32; 2],
+    along: f64,
+    /// `±2 / σ²` times the way from the nearest point to the pixel.
+    pull: DVec2,
+}
+
+impl Touch {
+    fn of(centre: DVec2, corners: [u32; 3], at: [DVec2; 3], softness: f64) -> Self {
+        let (mut nearest, mut least) = ((0, 0.0, DVec2::ZERO), f64::INFINITY);
+        let mut turns = [0.0; 3];
+        for side in 0..3 {
+            let (a, b) = (at[side], at[(side + 1) % 3]);
+            let (edge, from) = (b - a, centre - a);
+            turns[side] = edge.perp_dot(from);
+            let along = from.dot(edge) / edge.length_squared().max(f64::MIN_POSITIVE);
+            let along = along.clamp(0.0, 1.0);
+            let off = from - edge * along;
+            let square = off.length_squared();
+            if square < least {
+                (nearest, least) = ((side, along, off), square);
+            }
+        }
+        let inside = turns.iter().all(|&turn| turn > 0.0) || turns.iter().all(|&turn| turn < 0.0);
+        let scale = if inside { 1.0 } else { -1.0 } / (softness * softness);
+        let (side, along, off) = nearest;
+        Self {
+            t: scale * least,
+            side: [corners[side], corners[(side + 1) % 3]],
+            along,
+            pull: off * (2.0 * scale),
+        }
+    }
+
+    /// Gradients by the ends of the side of what has the gradient `by` by `t`.
+    fn by_ends(&self, by: f64) -> [DVec2; 2] {
+        [self.pull * (-by * (1.0 - self.along)), self.pull * (-by * self.along)]
+    }
+}
+
+/// The pixels whose centres are within `reach` of the range of three coordinates.
+fn span(at: [f64; 3], reach: f64, count: usize) -> std::ops::Range<usize> {
+    let low = at.iter().copied().fold(f64::INFINITY, f64::min) - reach - 0.5;
+    let high = at.iter().copied().fold(f64::NEG_INFINITY, f64::max) + reach - 0.5;
+    // Out of range, and NaN, become the nearest end.
+    let start = low.ceil().max(0.0) as usize;
+    let end = ((high.floor() + 1.0).max(0.0) as usize).min(count);
+    start.min(end)..end
+}
+
+fn sigmoid(t: f64) -> f64 {
+    1.0 / (1.0 + (-t).exp())
+}
+
+/// `log(1 + eᵗ)`.
+fn softplus(t: f64) -> f64 {
+    t.max(0.0) + (-t.abs()).exp().ln_1p()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        silhouette::render,
+        testing::{BODY, assert_gradient},
+    };
+
+    fn body(width: f64, right: f64) -> Vec<DVec3> {
+        let rows = BODY.v_template.rows().into_iter();
+        rows.map(|v| DVec3::new(width * v[0] + right, v[1] + 0.3, v[2] - 3.0)).collect()
+    }
+
+    fn few() -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let at = [[-0.4, -0.3], [0.5, -0.4], [0.1, 0.6], [0.6, 0.5], [-0.5, 0.4]];
+        let depth = |i: usize| -2.0 - 0.1 * i as f64;
+        let vertices = at.iter().enumerate().map(|(i, &[x, y])| DVec3::new(x, y, depth(i)));
+        (vertices.collect(), vec![[0, 1, 2], [1, 3, 2], [4, 0, 2], [4, 2, 1]])
+    }
+
+    #[test]
+    fn the_gradient_agrees_with_finite_differences() {
+        let (vertices, faces) = few();
+        let camera = Camera::new(40, 37, None).unwrap();
+        let weights: Vec<f64> = (0..40 * 37).map(|i| (f64::from(i) * 0.37).sin()).collect();
+        let at = |x: &[f64]| -> Vec<DVec3> {
+            x.as_chunks::<3>().0.iter().map(|&v| DVec3::from_array(v)).collect()
+        };
+        let value = |x: &[f64]| -> f64 {
+            let soft = render_softly(&at(x), &faces, &camera, 2.0).unwrap();
+            soft.coverage().iter().zip(&weights).map(|(a, w)| a * w).sum()
+        };
+        let x: Vec<f64> = vertices.iter().flat_map(DVec3::to_array).collect();
+        let mut forces = vec![DVec3::ZERO; vertices.len()];
+        let soft = render_softly(&vertices, &faces, &camera, 2.0).unwrap();
+        soft.pull_back(&vertices, &weights, &mut forces);
+        let gradient: Vec<f64> = forces.iter().flat_map(DVec3::to_array).collect();
+        assert_gradient(&x, &gradient, 1e-3, value);
+    }
+
+    /// With hard edges on a finer grid, averaged over the pixels of a coarser one.
+    #[test]
+    fn without_softness_it_is_what_a_renderer_covers() {
+        let vertices = body(1.0, 0.0);
+        let faces = &BODY.faces;
+        let camera = Camera::new(96, 96, None).unwrap();
+        let hard = render(&vertices, faces, &camera).unwrap();
+        let soft = render_softly(&vertices, faces, &camera, 1e-3).unwrap();
+        let pairs = || soft.coverage().iter().zip(hard.mask().covered());
+        let off = pairs().filter(|&(a, &b)| (a - f64::from(b)).abs() > 0.01).count();
+        assert!(off <= 12, "{off} pixels");
+
+        // Supersampled four times in either direction, against as many soft pixels.
+        let fine = Camera::new(384, 384, None).unwrap();
+        let covered = render(&vertices, faces, &fine).unwrap().mask().clone();
+        let soft = render_softly(&vertices, faces, &fine, 1e-3).unwrap();
+        let mean = |at: usize, of: &dyn Fn(usize) -> f64| {
+            let (x, y) = (at % 96 * 4, at / 96 * 4);
+            (0..16).map(|i| of((y + i / 4) * 384 + x + i % 4)).sum::<f64>() / 16.0
+        };
+        for at in 0..96 * 96 {
+            let supersampled = mean(at, &|i| f64::from(covered.covered()[i]));
+            let softly = mean(at, &|i| soft.coverage()[i]);
+            assert!((supersampled - softly).abs() < 0.13, "{at}: {supersampled} {softly}");
+        }
+    }
+
+    #[test]
+    fn threads_do_not_change_a_bit() {
+        let camera = Camera::new(128, 120, None).unwrap();
+        let vertices = body(1.0, 0.0);
+        let gradient = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| {
+                let soft = render_softly(&vertices, &BODY.faces, &camera, 1.0).unwrap();
+                let mut forces = vec![DVec3::ZERO; vertices.len()];
+                soft.pull_back(&vertices, soft.coverage(), &mut forces);
+                (soft.coverage().to_vec(), forces)
+            })
+        };
+        assert_eq!(gradient(1), gradient(3));
+        assert!(render_softly(&vertices, &[[0, 1, 99_999]], &camera, 1.0).is_err());
+        assert!(render_softly(&vertices, &BODY.faces, &camera, 0.0).is_err());
+        let away: Vec<DVec3> = vertices.iter().map(|v| DVec3::new(v.x, v.y, -v.z)).collect();
+        let empty = render_softly(&away, &BODY.faces, &camera, 1.0).unwrap();
+        assert!(empty.coverage().iter().all(|&a| a == 0.0));
+    }
+}

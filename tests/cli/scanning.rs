@@ -1,0 +1,127 @@
+//! Clothed bodies from scans, codes of registrations, and clothes on other bodies.
+
+use std::fs;
+
+use cape::core::{Mesh, npy::write_npy, ply};
+use ndarray::Array2;
+
+use crate::support::{Packed, pose_of, small_body, trained, truncate};
+
+/// The small body's surface, posed and a little wider, as points between its vertices.
+fn scan(scale: f32) -> Mesh {
+    let body = small_body();
+    let worn = 0.05 * &body.v_template;
+    let pose = pose_of(3).map(|angle| 0.3 * angle);
+    let posed = body.pose(&[], &pose, [0.2, 1.0, 0.1], Some(&worn)).unwrap();
+    let mesh = body.mesh_with(&posed.vertices);
+    let mut points = Vec::new();
+    for &face in &mesh.faces {
+        let [a, b, c] = mesh.corners(face).unwrap();
+        for (u, v) in [(0.2, 0.2), (0.2, 0.6), (0.6, 0.2)] {
+            points.push(((a + (b - a) * u + (c - a) * v) * scale).to_array());
+        }
+    }
+    Mesh { vertices: points, faces: Vec::new() }
+}
+
+#[test]
+fn a_scan_becomes_a_registration_that_is_packed() {
+    let (data, run) = (Packed::new(), trained().at("run").display().to_string());
+    ply::write(data.at("scan.ply"), &scan(1000.0), None).unwrap();
+    let fit = |out: &str| {
+        let options = "--unit mm --outfit longlong --pose t-pose --free-displacement --json";
+        data.run(&format!("fit {run} --scan @/scan.ply {options} --out @/{out}"))
+    };
+    let report = fit("fitted").json();
+    assert!(report["fit"]["distance"]["median"].as_f64().unwrap() < 12.0, "{report}");
+    let before = report["fit"]["distance"]["mean"].as_f64().unwrap();
+    assert!(report["free"]["distance"]["mean"].as_f64().unwrap() < before, "{report}");
+    for name in ["bare.ply", "clothed.ply", "displaced.ply", "clothed.glb", "fit.png", "code.npy"] {
+        assert!(data.at("fitted").join(name).exists(), "{name}");
+    }
+    // What was found is a start, and the same again is the same.
+    let sure = "--initial @/fitted/fit.json --minimal-shape @/fitted/minimal.npy --outfit longlong";
+    data.run(&format!("fit-scan {run} --scan @/scan.ply --unit mm {sure} --out @/more"))
+        .succeeded();
+    fit("again").succeeded();
+    for name in ["clothed.ply", "displaced.ply", "fit.png"] {
+        let [a, b] = ["fitted", "again"].map(|out| fs::read(data.at(out).join(name)).unwrap());
+        assert!(a == b, "{name}");
+    }
+    let packed = data.run("pack @/fitted/raw --out @/packed-scan --json").json();
+    assert_eq!(packed["train_frames"], 1, "{packed}");
+}
+
+#[test]
+fn scans_that_are_none_are_refused() {
+    let (data, run) = (Packed::new(), trained().at("run").display().to_string());
+    ply::write(data.at("mm.ply"), &scan(1000.0), None).unwrap();
+    ply::write(data.at("m.ply"), &scan(1.0), None).unwrap();
+    let few = Mesh { vertices: scan(1.0).vertices[..20].to_vec(), faces: Vec::new() };
+    ply::write(data.at("few.ply"), &few, None).unwrap();
+    ply::write(data.at("cut.ply"), &scan(1.0), None).unwrap();
+    truncate(&data.at("cut.ply"));
+    fs::write(data.at("nan.obj"), "v 0 nan 0\n").unwrap();
+    fs::write(data.at("scan.txt"), "").unwrap();
+    let fit = |scan: &str, options: &str| {
+        data.run(&format!("fit {run} --scan @/{scan} --outfit longlong {options} --out @/no"))
+    };
+    fit("mm.ply", "").failed_saying(&["mm.ply", "--unit mm"]);
+    fit("few.ply", "").failed_saying(&["few.ply", "20 points"]);
+    fit("cut.ply", "").failed_saying(&["cut.ply"]);
+    fit("nan.obj", "").failed_saying(&["nan.obj", "finite"]);
+    fit("scan.txt", "").failed_saying(&[".ply or .obj"]);
+    fit("lost.ply", "").failed_saying(&["lost.ply"]);
+    fit("m.ply", "--pose headstand").failed_saying(&["headstand"]);
+    fs::write(data.at("joints.json"), "[[0,0,0]]").unwrap();
+    fit("m.ply", "--joints @/joints.json").failed_saying(&["joints.json", "24"]);
+    write_npy(data.at("other.npy"), &Array2::<f64>::zeros((5, 3))).unwrap();
+    fit("m.ply", "--minimal-shape @/other.npy").failed_saying(&["other.npy", "[5, 3]"]);
+    assert!(!data.at("no").exists());
+}
+
+#[test]
+fn scans_of_held_out_bodies_are_measured() {
+    let (data, run) = (Packed::new(), trained().at("run").display().to_string());
+    let options = "--frames 1 --points 600 --noise 0,5 --holes 0.2 --json";
+    let report = data.run(&format!("fit-benchmark {run} --scans {options} --out @/scans")).json();
+    assert_eq!(report["cases"].as_array().unwrap().len(), 2, "{report}");
+    assert!(report["levels"][1]["error"]["clothed"].as_f64().unwrap() > 0.0);
+    data.run(&format!("scan-benchmark {run} --holes 2 --out @/no")).failed_saying(&["--holes"]);
+}
+
+#[test]
+fn registrations_are_encoded_and_given_to_others() {
+    let (data, run) = (Packed::new(), trained().at("run").display().to_string());
+    let frame = "@/raw/sequences/ann/longlong_walk/longlong_walk.000003.npz";
+    let line = format!("encode {run} {frame} frame:1 --decode --out @/codes --json");
+    let report = data.run(&line).json();
+    let encoded = report["encoded"].as_array().unwrap();
+    assert_eq!(encoded.len(), 2, "{report}");
+    assert!(encoded[0]["mesh"].as_str().is_some_and(|name| data.at("codes").join(name).exists()));
+    let redressed = data.run(&format!("redress {run} {frame} --out @/same --json")).json();
+    assert_eq!(redressed["code"], encoded[0]["code"]);
+    assert_eq!(redressed["error_mm"], encoded[0]["error_mm"]);
+    let sampled = "--by outfit --codes @/codes/codes.npy:1";
+    data.run(&format!("vary {run} {sampled} --out @/varied")).succeeded();
+
+    let mut wider = small_body().v_template;
+    wider.column_mut(0).mapv_inplace(|x| 1.2 * x);
+    write_npy(data.at("wide.npy"), &wider).unwrap();
+    let to = "--to 1,-0.5 --to @/wide.npy --to frame:2";
+    for exact in ["", "--exact"] {
+        let out = format!("@/given{exact}");
+        let line = format!("redress {run} {frame} {to} {exact} --out {out} --json");
+        let report = data.run(&line).json();
+        let given = report["transferred"].as_array().unwrap();
+        assert_eq!(given.len(), 3, "{report}");
+        for one in given {
+            assert!(one["stretch"].as_f64().unwrap() >= 0.0, "{one}");
+            assert!((0.0..=1.0).contains(&one["inside"].as_f64().unwrap()), "{one}");
+        }
+        assert!(given[1]["stretch"].as_f64().unwrap() > 0.01, "{report}");
+    }
+    let no = |to: &str| data.run(&format!("redress {run} {frame} --to {to} --out @/no"));
+    no("1,2,3,4").failed_saying(&["betas"]);
+    no("@/lost.npy").failed_saying(&["lost.npy"]);
+}
