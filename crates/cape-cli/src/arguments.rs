@@ -58,6 +58,7 @@ pub(crate) enum Command {
     View(commands::view::View),
     Fit(commands::fit::Fit),
     FitBenchmark(commands::fit_benchmark::FitBenchmark),
+    FitPosePrior(commands::fit_pose_prior::FitPosePrior),
     Layer(commands::layer::Layer),
     Import(commands::import::Import),
     Export(commands::export::Export),
@@ -89,7 +90,8 @@ impl Command {
             #[cfg(feature = "view")]
             Self::View(command) => command.run(global, console)?,
             Self::Fit(command) => command.run(global, console)?,
-            Self::FitBenchmark(command) => command.run(global, console)?,
+            Self::FitBenchmark(command) => return command.run(global, console),
+            Self::FitPosePrior(command) => command.run(global, console)?,
             Self::Layer(command) => command.run(global, console)?,
             Self::Import(command) => command.run(global, console)?,
             Self::Export(command) => command.run(console)?,

@@ -67,7 +67,7 @@ impl Default for ClothedConfig {
 }
 
 impl ClothedConfig {
-    fn check(&self) -> Result<()> {
+    pub(crate) fn check(&self) -> Result<()> {
         self.body.check()?;
         check_weight("silhouette", self.silhouette)?;
         check_weight("code", self.code)?;
@@ -134,6 +134,14 @@ struct Scene<'a> {
     betas: usize,
 }
 
+/// A clothed body on its way down.
+#[derive(Debug, Clone)]
+struct Way {
+    x: Vec<f64>,
+    curves: Vec<Vec<f64>>,
+    evaluations: usize,
+}
+
 impl Scene<'_> {
     /// The energy at the unknowns `[3 + 72 + betas + latent]`.
     fn evaluate(&self, x: &[f64], matched: &Matched, gradient: &mut [f64]) -> Result<ClothedTerms> {
@@ -151,11 +159,42 @@ impl Scene<'_> {
         by_code.for_each(|(g, z)| *g += 2.0 * self.config.code * z);
         Ok(ClothedTerms { body, silhouette, code: code.iter().map(|z| z * z).sum() })
     }
+
+    fn matched<'s>(&self, x: &[f64], silhouette: &'s SilhouetteEnergy) -> Result<Matched<'s>> {
+        let body = BodyParameters::from_vector(x, self.betas);
+        let surface = self.dressed.surface(&body, &x[BETAS_AT + self.betas..])?;
+        silhouette.matched(surface.vertices(), self.dressed.faces())
+    }
+
+    fn energy(&self, x: &[f64], silhouette: &SilhouetteEnergy) -> Result<f64> {
+        let matched = self.matched(x, silhouette)?;
+        let terms = self.evaluate(x, &matched, &mut vec![0.0; x.len()])?;
+        Ok(terms.weighted(self.config))
+    }
+
+    /// Goes down one level.
+    fn go(&self, way: &mut Way, silhouette: &SilhouetteEnergy, level: &Level) -> Result<()> {
+        let options = LbfgsOptions { steps: level.steps, ..self.smplify.config().optimiser };
+        for _ in 0..level.rounds {
+            let matched = self.matched(&way.x, silhouette)?;
+            let found = solve(
+                &way.x,
+                |_| true,
+                &options,
+                |x, gradient| Ok(self.evaluate(x, &matched, gradient)?.weighted(self.config)),
+            )?;
+            way.x = found.x;
+            way.evaluations += found.evaluations;
+            way.curves.push(found.curve);
+        }
+        Ok(())
+    }
 }
 
 impl Smplify {
     /// The clothed body that explains keypoints and silhouette best (eq. 10–11), from the bare body
-    /// that [`fit`](Self::fit) found, in the clothes of the code 0.
+    /// that [`fit`](Self::fit) found or one of its rivals, whichever explains the silhouette better at
+    /// the coarsest scale, in the clothes of the code 0.
     ///
     /// # Errors
     /// If the mask is empty or of another image, or the body leaves the image.
@@ -172,6 +211,7 @@ impl Smplify {
         start.parameters.check()?;
         config.check()?;
         let sightings = self.sightings(keypoints);
+        mask.expect_joints(&sightings)?;
         let betas = start.parameters.betas.len();
         let scene = Scene {
             smplify: self,
@@ -182,28 +222,39 @@ impl Smplify {
             pixel: start.pixel,
             betas,
         };
-        let mut x = [start.parameters.to_vector(), vec![0.0; dressed.latent()]].concat();
-        let (mut curves, mut evaluations) = (Vec::new(), 0);
+        let bodies = std::iter::once(&start.parameters).chain(&start.rivals);
+        let begin = |body: &BodyParameters| Way {
+            x: [body.to_vector(), vec![0.0; dressed.latent()]].concat(),
+            curves: Vec::new(),
+            evaluations: 0,
+        };
+        let mut ways: Vec<Way> = bodies.map(begin).collect();
+        let mut evaluations = 0;
         let mut last = None;
         for level in &config.levels {
             let silhouette = SilhouetteEnergy::new(camera, mask, level.side, start.pixel)?;
-            let options = LbfgsOptions { steps: level.steps, ..self.config().optimiser };
-            for _ in 0..level.rounds {
-                let body = BodyParameters::from_vector(&x, betas);
-                let surface = dressed.surface(&body, &x[BETAS_AT + betas..])?;
-                let matched = silhouette.matched(surface.vertices(), dressed.faces())?;
-                let found = solve(
-                    &x,
-                    |_| true,
-                    &options,
-                    |x, gradient| Ok(scene.evaluate(x, &matched, gradient)?.weighted(config)),
-                )?;
-                x = found.x;
-                evaluations += found.evaluations;
-                curves.push(found.curve);
+            let mut best: Option<(f64, Way)> = None;
+            let several = ways.len() > 1;
+            for mut way in std::mem::take(&mut ways) {
+                let through = scene.go(&mut way, &silhouette, level);
+                evaluations += std::mem::take(&mut way.evaluations);
+                let energy = match through.and_then(|()| {
+                    if several { scene.energy(&way.x, &silhouette) } else { Ok(0.0) }
+                }) {
+                    // A rival may leave the image.
+                    Err(Error::Failed(_)) if several => f64::INFINITY,
+                    energy => energy?,
+                };
+                if best.as_ref().is_none_or(|(least, _)| energy < *least) {
+                    best = Some((energy, way));
+                }
             }
+            ways.extend(best.map(|(_, way)| way));
             last = Some(silhouette);
         }
+        let Some(Way { x, curves, .. }) = ways.pop() else {
+            return Err(Error::Failed("no body to clothe".into()));
+        };
         let parameters = BodyParameters::from_vector(&x, betas);
         let code = x[BETAS_AT + betas..].to_vec();
         let surface = dressed.surface(&parameters, &code)?;
@@ -260,5 +311,74 @@ impl Smplify {
         let energy = |fit: &ClothedFit| fit.terms.weighted(config);
         fits.sort_by(|a, b| energy(a).total_cmp(&energy(b)));
         Ok(fits)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        PosePrior, SmplifyConfig,
+        clothed_tests::{dressed, seen, truth},
+        parameters::POSE_AT,
+        testing::BODY,
+    };
+
+    /// All terms together, over translation, pose, shape and code, with the surface matched once.
+    #[test]
+    fn gradients_of_the_energy_agree_with_finite_differences() {
+        let dressed = dressed(Outfit::LongShort);
+        let camera = Camera::new(192, 192, None).unwrap();
+        let (body, code) = truth();
+        let keypoints = seen(&camera, &body);
+        let surface = dressed.surface(&body, &code).unwrap();
+        let mask = render(surface.vertices(), dressed.faces(), &camera).unwrap().mask().clone();
+        let prior = PosePrior::synthetic().unwrap();
+        let smplify = Smplify::new(&BODY, prior, SmplifyConfig::default()).unwrap();
+        let config = ClothedConfig { silhouette: 2e4, code: 3.0, ..ClothedConfig::default() };
+        let sightings = smplify.sightings(&keypoints);
+        let pixel = 3.2 / camera.focal();
+        let betas = body.betas.len();
+        let scene = Scene {
+            smplify: &smplify,
+            dressed: &dressed,
+            config: &config,
+            camera,
+            sightings: &sightings,
+            pixel,
+            betas,
+        };
+        let silhouette = SilhouetteEnergy::new(&camera, &mask, 192, pixel).unwrap();
+        let mut x = [body.to_vector(), code].concat();
+        // Not at the minimum, nor where any term has a kink.
+        for (at, value) in x.iter_mut().enumerate() {
+            *value += 0.03 * (1.7 * at as f64 + 0.4).sin();
+        }
+        let matched = scene.matched(&x, &silhouette).unwrap();
+        let mut found = vec![0.0; x.len()];
+        let terms = scene.evaluate(&x, &matched, &mut found).unwrap();
+        let parts = [terms.body.joints, terms.silhouette.rendered, terms.silhouette.image];
+        assert!(parts.iter().all(|&part| part > 0.0) && terms.code > 0.0, "{terms:?}");
+        let value = |at: usize, change: f64| {
+            let mut x = x.clone();
+            x[at] += change;
+            let terms = scene.evaluate(&x, &matched, &mut vec![0.0; x.len()]).unwrap();
+            terms.weighted(&config)
+        };
+        let step = 2e-3;
+        let (shape, codes) = (BETAS_AT, BETAS_AT + betas);
+        for (name, all, every, tolerance) in [
+            ("translation", 0..POSE_AT, 1, 0.02),
+            ("pose", POSE_AT..shape, 4, 0.02),
+            ("shape", shape..codes, 1, 0.02),
+            ("code", codes..x.len(), 1, 0.1),
+        ] {
+            let scale = found[all.clone()].iter().fold(0.0f64, |most, g| most.max(g.abs()));
+            for at in all.step_by(every) {
+                let expected = (value(at, step) - value(at, -step)) / (2.0 * step);
+                let off = (found[at] - expected).abs();
+                assert!(off < tolerance * scale, "{name} {at}: {} {expected} {scale}", found[at]);
+            }
+        }
     }
 }

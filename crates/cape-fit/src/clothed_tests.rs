@@ -17,7 +17,7 @@ use crate::{
     testing::BODY,
 };
 
-fn dressed(outfit: Outfit) -> DressedBody {
+pub(crate) fn dressed(outfit: Outfit) -> DressedBody {
     let config = RunConfig {
         model: CapeConfig {
             filters: vec![32, 32, 32],
@@ -52,7 +52,7 @@ fn dressed(outfit: Outfit) -> DressedBody {
     DressedBody::of_parts(&parts, outfit, device).unwrap()
 }
 
-fn truth() -> (BodyParameters, Vec<f64>) {
+pub(crate) fn truth() -> (BodyParameters, Vec<f64>) {
     let pose = Motion::MoveArms.pose(&MotionStyle::default(), 0.7).to_vec();
     let mut body = BodyParameters::new(pose, vec![0.6, -1.0]).unwrap();
     body.transl = [0.05, 0.25, -3.2];
@@ -160,7 +160,7 @@ fn silhouettes_bring_clothed_bodies_closer() {
     assert!(refused.unwrap_err().to_string().contains("empty"));
 }
 
-fn seen(camera: &Camera, body: &BodyParameters) -> Keypoints {
+pub(crate) fn seen(camera: &Camera, body: &BodyParameters) -> Keypoints {
     let joints = BODY.pose(&body.betas, &body.pose, body.transl, None).unwrap().joints;
     let detector = Detector::Body25;
     let mut points = vec![Keypoint { x: 0.0, y: 0.0, confidence: 0.0 }; detector.points()];

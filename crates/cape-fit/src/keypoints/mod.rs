@@ -73,6 +73,13 @@ impl Keypoints {
         &self.points
     }
 
+    /// The same in an image `scale` times as large.
+    #[must_use]
+    pub fn scaled(&self, scale: f64) -> Self {
+        let scaled = |p: &Keypoint| Keypoint { x: p.x * scale, y: p.y * scale, ..*p };
+        Self { detector: self.detector, points: self.points.iter().map(scaled).collect() }
+    }
+
     /// The joints of SMPL that were seen with at least that confidence.
     pub fn sightings(&self, confidence: f64) -> Vec<Sighting> {
         let table = self.detector.joints().iter();

@@ -1,0 +1,95 @@
+use cape_fit::{
+    benchmark::{Benchmark, Case, Scene},
+    silhouette::render,
+};
+use cape_render::{Image, Plot, Series, Tile, colour_of, contact_sheet};
+use glam::DVec3;
+
+use crate::{error::Result, fitting};
+
+/// Most pixels of a tile's image before it is cut to the person.
+const SIDE: u32 = 384;
+/// Distance that has the last colour, metres.
+const FAR: f64 = 0.1;
+
+/// Best, median and worst by the clothed body's error, a row each: silhouette, keypoints, SMPLify
+/// and CAPE with their distance from the truth in colour, and the truth.
+pub(super) fn sheet(benchmark: &Benchmark<'_>, cases: &[Case]) -> Result<Image> {
+    let mut order: Vec<&Case> = cases.iter().collect();
+    order.sort_by(|a, b| a.clothed.squared.total_cmp(&b.clothed.squared));
+    let mut places = vec![
+        ("best", 0),
+        ("median", order.len().saturating_sub(1) / 2),
+        ("worst", order.len().saturating_sub(1)),
+    ];
+    places.dedup_by_key(|(_, place)| *place);
+    let mut tiles = Vec::new();
+    for (name, place) in places {
+        if let Some(case) = order.get(place) {
+            tiles.extend(row(benchmark, name, case)?);
+        }
+    }
+    let title = format!("distance from the truth: dark 0, light {:.0} mm", 1000.0 * FAR);
+    Ok(contact_sheet(&tiles, 5, Some(&title))?)
+}
+
+fn row(benchmark: &Benchmark<'_>, name: &str, case: &Case) -> Result<[Tile; 5]> {
+    let Scene { camera, keypoints, mask, truth } = benchmark.scene(case.frame)?;
+    let [bare, clothed] = benchmark.surfaces(case)?;
+    let faces = benchmark.faces();
+    let small = camera.within(SIDE);
+    let drawn = |vertices: &[DVec3]| render(vertices, faces, &small);
+    let silhouettes = [drawn(&truth)?, drawn(&bare)?, drawn(&clothed)?];
+    let masks: Vec<_> = silhouettes.iter().map(|drawn| drawn.mask()).collect();
+    let person = fitting::person_box(&masks).unwrap_or([0, 0, small.width(), small.height()]);
+    let shown = |vertices: &[DVec3], colours: Option<&[[f32; 3]]>| {
+        let mut picture = fitting::paper(&small)?;
+        fitting::body(&mut picture, vertices, faces, colours, &small)?;
+        fitting::cut(&picture, person)
+    };
+    let errors = |vertices: &[DVec3]| -> Result<Vec<[f32; 3]>> {
+        let alignment = cape_fit::Alignment::between(vertices, &truth)?;
+        let off = vertices.iter().zip(&truth).map(|(v, t)| alignment.apply(*v).distance(*t));
+        Ok(off.map(|distance| colour_of((distance / FAR) as f32)).collect())
+    };
+    let mut silhouette = fitting::paper(&small)?;
+    let given = mask.resized(small.width(), small.height());
+    fitting::difference(&mut silhouette, &given, &given);
+    let mut marked = silhouette.clone();
+    fitting::mark(&mut marked, &keypoints.scaled(small.focal() / camera.focal()));
+    let tile = |image: Image, label: String| Tile { image, label };
+    Ok([
+        tile(fitting::cut(&silhouette, person)?, format!("{name}: frame {}", case.frame)),
+        tile(fitting::cut(&marked, person)?, case.outfit.to_string()),
+        tile(
+            shown(&bare, Some(&errors(&bare)?))?,
+            format!("SMPLify {:.0} mm", case.bare.distance_mm),
+        ),
+        tile(
+            shown(&clothed, Some(&errors(&clothed)?))?,
+            format!("CAPE {:.0} mm", case.clothed.distance_mm),
+        ),
+        tile(shown(&truth, None)?, "truth".into()),
+    ])
+}
+
+/// Mean errors of both methods, in order of each.
+pub(super) fn errors(cases: &[Case]) -> Result<Image> {
+    let sorted = |name: &str, of: fn(&Case) -> f64| {
+        let mut values: Vec<f64> = cases.iter().map(of).collect();
+        values.sort_by(f64::total_cmp);
+        let points = values.into_iter().enumerate().map(|(at, error)| ((at + 1) as f64, error));
+        Series { name: name.into(), points: points.collect() }
+    };
+    let plot = Plot {
+        title: "Errors, image by image".into(),
+        x_label: "images, each method in its own order".into(),
+        y_label: "mean distance at clothing vertices, mm".into(),
+        log_y: false,
+        series: vec![
+            sorted("SMPLify", |case| case.bare.distance_mm),
+            sorted("CAPE", |case| case.clothed.distance_mm),
+        ],
+    };
+    Ok(plot.draw(900, 480)?)
+}
