@@ -140,6 +140,7 @@ fn normal_tail(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+    use rand::Rng;
     use rand_distr::{Distribution, StandardNormal};
 
     use super::*;
