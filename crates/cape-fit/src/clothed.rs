@@ -166,12 +166,6 @@ impl Scene<'_> {
         silhouette.matched(surface.vertices(), self.dressed.faces())
     }
 
-    fn energy(&self, x: &[f64], silhouette: &SilhouetteEnergy) -> Result<f64> {
-        let matched = self.matched(x, silhouette)?;
-        let terms = self.evaluate(x, &matched, &mut vec![0.0; x.len()])?;
-        Ok(terms.weighted(self.config))
-    }
-
     /// Goes down one level.
     fn go(&self, way: &mut Way, silhouette: &SilhouetteEnergy, level: &Level) -> Result<()> {
         let options = LbfgsOptions { steps: level.steps, ..self.smplify.config().optimiser };
@@ -193,8 +187,7 @@ impl Scene<'_> {
 
 impl Smplify {
     /// The clothed body that explains keypoints and silhouette best (eq. 10–11), from the bare body
-    /// that [`fit`](Self::fit) found or one of its rivals, whichever explains the silhouette better at
-    /// the coarsest scale, in the clothes of the code 0.
+    /// that [`fit`](Self::fit) found, in the clothes of the code 0.
     ///
     /// # Errors
     /// If the mask is empty or of another image, or the body leaves the image.
@@ -222,46 +215,25 @@ impl Smplify {
             pixel: start.pixel,
             betas,
         };
-        let bodies = std::iter::once(&start.parameters).chain(&start.rivals);
-        let begin = |body: &BodyParameters| Way {
-            x: [body.to_vector(), vec![0.0; dressed.latent()]].concat(),
+        let mut way = Way {
+            x: [start.parameters.to_vector(), vec![0.0; dressed.latent()]].concat(),
             curves: Vec::new(),
             evaluations: 0,
         };
-        let mut ways: Vec<Way> = bodies.map(begin).collect();
-        let mut evaluations = 0;
         let mut last = None;
         for level in &config.levels {
             let silhouette = SilhouetteEnergy::new(camera, mask, level.side, start.pixel)?;
-            let mut best: Option<(f64, Way)> = None;
-            let several = ways.len() > 1;
-            for mut way in std::mem::take(&mut ways) {
-                let through = scene.go(&mut way, &silhouette, level);
-                evaluations += std::mem::take(&mut way.evaluations);
-                let energy = match through.and_then(|()| {
-                    if several { scene.energy(&way.x, &silhouette) } else { Ok(0.0) }
-                }) {
-                    // A rival may leave the image.
-                    Err(Error::Failed(_)) if several => f64::INFINITY,
-                    energy => energy?,
-                };
-                if best.as_ref().is_none_or(|(least, _)| energy < *least) {
-                    best = Some((energy, way));
-                }
-            }
-            ways.extend(best.map(|(_, way)| way));
+            scene.go(&mut way, &silhouette, level)?;
             last = Some(silhouette);
         }
-        let Some(Way { x, curves, .. }) = ways.pop() else {
-            return Err(Error::Failed("no body to clothe".into()));
-        };
+        let Way { x, curves, evaluations } = way;
         let parameters = BodyParameters::from_vector(&x, betas);
         let code = x[BETAS_AT + betas..].to_vec();
         let surface = dressed.surface(&parameters, &code)?;
         let terms = match &last {
             None => ClothedTerms::default(),
             Some(silhouette) => {
-                let matched = silhouette.matched(surface.vertices(), dressed.faces())?;
+                let matched = scene.matched(&x, silhouette)?;
                 scene.evaluate(&x, &matched, &mut vec![0.0; x.len()])?
             }
         };

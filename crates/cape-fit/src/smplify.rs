@@ -9,15 +9,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     BodyParameters, Camera, Error, Keypoints, LbfgsOptions, PosePrior, Result, Skeleton,
-    body_energy::{BodyEnergy, BodyTerms, BodyWeights, check_weight},
+    body_energy::{BodyEnergy, BodyTerms, BodyWeights},
     flips::{LIMBS, WHICH, mirrored},
     initial::{Placement, place},
     keypoints::Sighting,
     parameters::{POSE_AT, solve},
 };
-
-/// Distance of a joint that makes bodies different, metres.
-const APART: f64 = 0.1;
 
 /// How bare bodies are fitted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -37,10 +34,6 @@ pub struct SmplifyConfig {
     /// The directions that the body is first taken to face, radians to the left of the camera; the
     /// best of the outcomes is kept.
     pub facing: Vec<f64>,
-    /// Most other bodies, nearly as likely, that the clothed stage decides about.
-    pub rivals: usize,
-    /// How much higher their energies may be.
-    pub rivalry: f64,
     /// The optimiser, in every stage.
     pub optimiser: LbfgsOptions,
     /// Mean error of joints above which the fit is said to have failed, metres.
@@ -57,8 +50,6 @@ impl Default for SmplifyConfig {
             robust: 0.3,
             stages: [100.0, 20.0, 4.0, 1.0].map(stage).to_vec(),
             facing: vec![0.0, PI, FRAC_PI_2, -FRAC_PI_2],
-            rivals: 2,
-            rivalry: 6.0,
             optimiser: LbfgsOptions { gain: 1e-6, ..LbfgsOptions::default() },
             accepted: 0.1,
         }
@@ -68,7 +59,6 @@ impl Default for SmplifyConfig {
 impl SmplifyConfig {
     pub(crate) fn check(&self) -> Result<()> {
         let positive = [("deviation", self.deviation), ("robust", self.robust)];
-        check_weight("rivalry", self.rivalry)?;
         for (field, value) in positive {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(Error::argument(format!(
@@ -91,8 +81,6 @@ impl SmplifyConfig {
 pub struct BodyFit {
     /// The body.
     pub parameters: BodyParameters,
-    /// Other bodies that are nearly as likely, limbs or the whole being mirrored in depth.
-    pub rivals: Vec<BodyParameters>,
     /// Terms of the energy.
     pub terms: BodyTerms,
     /// Energy after every step of every stage, by the stage's weights.
@@ -198,23 +186,18 @@ impl Smplify {
                 attempts.push(self.attempt(&energy, &start, &placement, facing)?);
             }
         }
-        attempts.retain(|attempt| attempt.energy.is_finite());
-        attempts.sort_by(|a, b| a.energy.total_cmp(&b.energy));
-        let mut bodies = self.different(attempts)?;
-        let Some(best) = bodies.first().cloned() else {
+        let Some(mut best) = lowest(attempts) else {
             return Err(Error::Failed("no orientation of the body has a finite energy".into()));
         };
-        bodies.extend(self.mirrored(&energy, &best)?);
-        bodies.sort_by(|a, b| a.energy.total_cmp(&b.energy));
-        let mut bodies = self.different(bodies)?.into_iter();
-        let Attempt { x, energy: least, curves, facing, .. } = bodies.next().unwrap_or(best);
-        let rivals = bodies.filter(|body| body.energy - least < self.config.rivalry);
-        let rivals = rivals.take(self.config.rivals);
+        let mirrored = self.mirrored(&energy, &best)?;
+        if let Some(other) = lowest(mirrored).filter(|other| other.energy < best.energy) {
+            best = other;
+        }
+        let Attempt { x, curves, facing, .. } = best;
         let last = self.config.stages.last().copied().unwrap_or_default();
         let joint_error = energy.joint_error(&x, betas)?;
         Ok(BodyFit {
             parameters: BodyParameters::from_vector(&x, betas),
-            rivals: rivals.map(|body| BodyParameters::from_vector(&body.x, betas)).collect(),
             terms: energy.evaluate(&x, betas, &last, &mut vec![0.0; x.len()])?,
             curves,
             joint_error,
@@ -222,26 +205,6 @@ impl Smplify {
             facing,
             problem: self.problem(joint_error * pixel),
         })
-    }
-
-    /// Of bodies in order, the first of each kind: no two of those returned have their joints in
-    /// about the same places.
-    fn different(&self, attempts: Vec<Attempt>) -> Result<Vec<Attempt>> {
-        let mut kept: Vec<(Attempt, Vec<DVec3>)> = Vec::new();
-        for attempt in attempts {
-            let body = BodyParameters::from_vector(&attempt.x, attempt.betas);
-            let joints = self.skeleton.pose(&body.betas, &body.pose, DVec3::ZERO)?;
-            let joints = joints.joints().to_vec();
-            let apart = |(_, others): &(Attempt, Vec<DVec3>)| {
-                let from = |joints: &[DVec3], at: usize| joints[at] - joints[0];
-                let far = (0..joints.len()).map(|j| from(&joints, j).distance(from(others, j)));
-                far.fold(0.0, f64::max) > APART
-            };
-            if kept.iter().all(apart) {
-                kept.push((attempt, joints));
-            }
-        }
-        Ok(kept.into_iter().map(|(attempt, _)| attempt).collect())
     }
 
     /// What the body becomes from where bones of its limbs are mirrored in depth.
@@ -253,9 +216,7 @@ impl Smplify {
                 let x = mirrored(&self.skeleton, &body.x, body.betas, limb, which)?;
                 let mut attempt = Attempt { x, ..body.clone() };
                 self.descend(energy, &mut attempt, &weights, |_| true)?;
-                if attempt.energy.is_finite() {
-                    found.push(attempt);
-                }
+                found.push(attempt);
             }
         }
         Ok(found)
@@ -313,6 +274,12 @@ impl Smplify {
         attempt.curves.push(found.curve);
         Ok(())
     }
+}
+
+/// The body of the lowest finite energy.
+fn lowest(attempts: Vec<Attempt>) -> Option<Attempt> {
+    let finite = attempts.into_iter().filter(|attempt| attempt.energy.is_finite());
+    finite.min_by(|a, b| a.energy.total_cmp(&b.energy))
 }
 
 /// A body on its way.

@@ -23,7 +23,7 @@ use crate::{
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BenchmarkOptions {
-    /// Held-out frames, evenly spaced.
+    /// Held-out frames, evenly spaced in each outfit.
     pub frames: usize,
     /// Side of the pictures, pixels.
     pub side: u32,
@@ -114,11 +114,10 @@ impl<'a> Benchmark<'a> {
         Ok(Self { run, set, smplify, config, options, bodies })
     }
 
-    /// Numbers of the frames, evenly spaced: sets are in the order of subjects, sequences and
-    /// outfits.
+    /// Numbers of the frames: as many of each outfit, as far as there are, evenly spaced over
+    /// subjects and movements.
     pub fn frames(&self) -> Vec<usize> {
-        let count = self.options.frames.min(self.set.frames());
-        (0..count).map(|index| index * self.set.frames() / count).collect()
+        spread(self.set.outfits(), self.options.frames)
     }
 
     /// What is to be seen in a frame, and the truth.
@@ -211,6 +210,59 @@ impl<'a> Benchmark<'a> {
     }
 }
 
+/// `count` places in a list of outfits, at most all: evenly spaced in those of each outfit, and not
+/// at the same places of each.
+fn spread(outfits: &[Outfit], count: usize) -> Vec<usize> {
+    let of_outfit = |outfit: Outfit| -> Vec<usize> {
+        (0..outfits.len()).filter(|&at| outfits[at] == outfit).collect()
+    };
+    let mut groups: Vec<Vec<usize>> = Outfit::ALL.map(of_outfit).to_vec();
+    groups.retain(|group| !group.is_empty());
+    // From the smallest, so that larger ones make up for what it lacks.
+    groups.sort_by_key(Vec::len);
+    let kinds = groups.len();
+    let (mut found, mut left) = (Vec::new(), count.min(outfits.len()));
+    for (index, group) in groups.iter().enumerate() {
+        let wanted = left.div_ceil(kinds - index).min(group.len());
+        let place = |k: usize| (k * kinds + index) * group.len() / (wanted * kinds);
+        found.extend((0..wanted).map(|k| group[place(k)]));
+        left -= wanted;
+    }
+    found.sort_unstable();
+    found
+}
+
 fn problem(bare: &BodyFit, clothed: &ClothedFit) -> Option<String> {
     bare.problem.clone().or(clothed.problem.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_spread_over_outfits() {
+        // Subjects one after the other, each in four outfits.
+        let outfits: Vec<Outfit> = (0..96).map(|at| Outfit::ALL[at / 3 % 4]).collect();
+        for count in [1, 4, 6, 24, 50, 96, 200] {
+            let frames = spread(&outfits, count);
+            assert_eq!(frames.len(), count.min(96));
+            assert!(frames.windows(2).all(|pair| pair[0] < pair[1]), "{frames:?}");
+            for outfit in Outfit::ALL {
+                let worn = frames.iter().filter(|&&frame| outfits[frame] == outfit).count();
+                assert!(worn.abs_diff(frames.len() / 4) <= 1, "{count} {outfit}");
+            }
+        }
+        let captures = |frames: Vec<usize>| {
+            let mut captures: Vec<usize> = frames.into_iter().map(|frame| frame / 3).collect();
+            captures.dedup();
+            captures.len()
+        };
+        assert_eq!(captures(spread(&outfits, 24)), 24);
+        let mut few = vec![Outfit::ShortLong; 20];
+        few[7] = Outfit::LongLong;
+        assert_eq!(spread(&few, 10).len(), 10);
+        assert!(spread(&few, 10).contains(&7));
+        assert!(spread(&[], 3).is_empty());
+    }
 }

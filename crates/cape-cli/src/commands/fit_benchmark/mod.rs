@@ -45,7 +45,7 @@ pub(crate) struct FitBenchmark {
     /// Directory to write, or to go on with.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Held-out frames, evenly spaced.
+    /// Held-out frames, as many of each outfit, evenly spaced.
     #[arg(long, default_value_t = 120, value_name = "N", value_parser = at_least_one)]
     frames: usize,
     /// Side of the images, pixels.
