@@ -3,11 +3,10 @@
 use std::fs;
 
 use cape::{core::npy::NpzWriter, render::Image};
-use glam::DVec3;
 use ndarray::Array2;
 use serde_json::Value;
 
-use crate::support::{Packed, contents, small_body, trained};
+use crate::support::{Packed, contents, trained};
 
 #[test]
 fn held_out_frames_are_fitted_and_measured() {
@@ -24,7 +23,8 @@ fn held_out_frames_are_fitted_and_measured() {
     assert_eq!(report["squared"]["images"], 2);
     let p = report["squared"]["wilcoxon"].as_f64().unwrap();
     assert!((0.0..=1.0).contains(&p), "{p}");
-    for name in ["fits.png", "errors.png", "results.json", "settings.json"] {
+    let inputs = ["best/keypoints.json", "best/mask.png", "worst/image.png"];
+    for name in ["fits.png", "errors.png", "results.json", "settings.json"].iter().chain(&inputs) {
         assert!(data.at("fits").join(name).exists(), "{name}");
     }
 
@@ -54,6 +54,7 @@ fn held_out_frames_are_fitted_and_measured() {
 /// Few steps: these tests are of the command, not of the method.
 const CONFIG: &str = r#"
 [smplify]
+accepted = 1e9
 facing = [0.0]
 stages = [{ pose = 20.0, shape = 10.0 }, {}]
 
@@ -82,29 +83,14 @@ fn strip(value: &mut Value) {
     }
 }
 
-/// Keypoints of a person of the small body, from the first frame of a benchmark.
+/// What [`person`] makes, as `cape fit` takes it.
+const SEEN: &str = "@/seen/best/keypoints.json --mask @/seen/best/mask.png";
+
+/// What a person looks like, in seen/best, and few.toml with few steps.
 fn person(data: &Packed, run: &str) {
-    // The stack of joints stands upright in the middle: so do its keypoints.
-    let body = small_body();
-    let joints = body.joint_regressor.dot(&body.v_template);
-    let camera = cape::fit::Camera::new(128, 128, None).unwrap();
-    let place = |at: [f64; 3]| DVec3::new(at[0], at[1] - 0.8, at[2] - 3.0);
-    let vertices: Vec<DVec3> =
-        body.v_template.rows().into_iter().map(|v| place([v[0], v[1], v[2]])).collect();
-    let drawn = cape::fit::silhouette::render(&vertices, &body.faces, &camera).unwrap();
-    drawn.mask().to_image().unwrap().save(data.at("mask.png")).unwrap();
-    let mut keypoints = Array2::<f64>::zeros((24, 3));
-    for joint in 0..24 {
-        let at =
-            camera.project(place([joints[[joint, 0]], joints[[joint, 1]], joints[[joint, 2]]]));
-        for (slot, value) in [at.x, at.y, 0.9].into_iter().enumerate() {
-            keypoints[[joint, slot]] = value;
-        }
-    }
-    let mut file = NpzWriter::create(data.at("person.npz")).unwrap();
-    file.add("keypoints", &keypoints).unwrap();
-    file.finish().unwrap();
-    assert!(fs::metadata(run).is_ok());
+    fs::write(data.at("few.toml"), CONFIG).unwrap();
+    let options = "--frames 1 --size 128 --config @/few.toml --out @/seen";
+    data.run(&format!("fit-benchmark {run} {options}")).succeeded();
 }
 
 #[test]
@@ -112,10 +98,8 @@ fn a_person_is_fitted_to_an_image() {
     let (data, run) = (Packed::new(), trained().at("run").display().to_string());
     person(&data, &run);
     fs::write(data.at("few.toml"), CONFIG.replace("accepted = 0.0", "accepted = 0.3")).unwrap();
-    let fit = |rest: &str| {
-        data.run(&format!("fit {run} @/person.npz --mask @/mask.png --config @/few.toml {rest}"))
-    };
-    let report = fit("--out @/fit --json").json();
+    let fit = |rest: &str| data.run(&format!("fit {run} {SEEN} --config @/few.toml {rest}"));
+    let report = fit("--image @/seen/best/image.png --out @/fit --json").json();
     assert_eq!(report["outfits"].as_array().unwrap().len(), 4);
     assert_eq!(report["clothed"]["outfit"], report["outfits"][0]["outfit"]);
     let files = ["bare.ply", "clothed.ply", "clothed.glb", "code.npy", "pose.npy", "overlay.png"];
@@ -146,18 +130,15 @@ fn pose_priors_are_fitted_and_used() {
     let report = data.run("fit-pose-prior @/packed --components 2 --out @/prior.npz --json").json();
     assert_eq!(report["components"], 2);
     person(&data, &run);
-    fs::write(data.at("few.toml"), CONFIG).unwrap();
     data.run(&format!(
-        "fit {run} @/person.npz --mask @/mask.png --outfit longlong --config @/few.toml \
+        "fit {run} {SEEN} --outfit longlong --config @/few.toml \
          --pose-prior @/prior.npz --out @/fit"
     ))
     .succeeded();
     data.run("fit-pose-prior @/nowhere.npz --out @/no.npz").failed_saying(&["nowhere.npz"]);
     data.run("fit-pose-prior @/packed --out @/no.pkl").failed_saying(&["no.pkl", ".npz"]);
-    data.run(&format!(
-        "fit {run} @/person.npz --mask @/mask.png --pose-prior @/few.toml --out @/no"
-    ))
-    .failed_saying(&["few.toml"]);
+    data.run(&format!("fit {run} {SEEN} --pose-prior @/few.toml --out @/no"))
+        .failed_saying(&["few.toml"]);
 }
 
 #[test]

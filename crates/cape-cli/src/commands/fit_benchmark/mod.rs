@@ -29,9 +29,9 @@ const INTERRUPTED: u8 = 130;
 /// Measure how well clothed bodies are found again from images (tables 3 and 4 of the paper).
 ///
 /// Held-out clothes on bodies of random shape are drawn; from silhouette, keypoints and outfit alone
-/// they are fitted, by SMPLify and by CAPE. Writes results.json, fits.png with the best, the median
-/// and the worst, and errors.png. Finished frames are kept in frames/: the same command goes on where
-/// it was interrupted.
+/// they are fitted, by SMPLify and by CAPE. Writes results.json, errors.png, and of the best, the
+/// median and the worst fits.png and what `cape fit` can be tried on. Finished frames are kept in
+/// frames/: the same command goes on where it was interrupted.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  cape fit-benchmark run --out fits\n  cape fit-benchmark run \
                         --noise 3 --dropped 0.1 --ragged 0.3 --out noisy")]
@@ -112,7 +112,11 @@ impl FitBenchmark {
             console.note("interrupted and saved; the same command goes on");
             return Ok(ExitCode::from(INTERRUPTED));
         }
-        pictures::sheet(&benchmark, &cases)?.save(self.out.join("fits.png"))?;
+        let chosen = pictures::chosen(&cases);
+        for (name, case) in &chosen {
+            pictures::inputs(&benchmark, &self.out.join(name), case)?;
+        }
+        pictures::sheet(&benchmark, &chosen)?.save(self.out.join("fits.png"))?;
         pictures::errors(&cases)?.save(self.out.join("errors.png"))?;
         let report = Report::new(self.out, options, cases)?;
         write_json(&report.out.join("results.json"), &report)?;

@@ -1,36 +1,52 @@
+use std::path::Path;
+
 use cape_fit::{
     benchmark::{Benchmark, Case, Scene},
     silhouette::render,
 };
 use cape_render::{Image, Plot, Series, Tile, colour_of, contact_sheet};
+use cape_train::write_json;
 use glam::DVec3;
 
-use crate::{error::Result, fitting};
+use crate::{error::Result, files, fitting};
 
 /// Most pixels of a tile's image before it is cut to the person.
 const SIDE: u32 = 384;
 /// Distance that has the last colour, metres.
 const FAR: f64 = 0.1;
 
-/// Best, median and worst by the clothed body's error, a row each: silhouette, keypoints, SMPLify
-/// and CAPE with their distance from the truth in colour, and the truth.
-pub(super) fn sheet(benchmark: &Benchmark<'_>, cases: &[Case]) -> Result<Image> {
+/// Best, median and worst by the clothed body's error.
+pub(super) fn chosen(cases: &[Case]) -> Vec<(&'static str, &Case)> {
     let mut order: Vec<&Case> = cases.iter().collect();
     order.sort_by(|a, b| a.clothed.squared.total_cmp(&b.clothed.squared));
-    let mut places = vec![
-        ("best", 0),
-        ("median", order.len().saturating_sub(1) / 2),
-        ("worst", order.len().saturating_sub(1)),
-    ];
+    let last = order.len().saturating_sub(1);
+    let mut places = vec![("best", 0), ("median", last / 2), ("worst", last)];
     places.dedup_by_key(|(_, place)| *place);
+    let places = places.into_iter();
+    places.filter_map(|(name, place)| Some((name, *order.get(place)?))).collect()
+}
+
+/// A row for each of the chosen: silhouette, keypoints, SMPLify and CAPE with their distance from
+/// the truth in colour, and the truth.
+pub(super) fn sheet(benchmark: &Benchmark<'_>, chosen: &[(&str, &Case)]) -> Result<Image> {
     let mut tiles = Vec::new();
-    for (name, place) in places {
-        if let Some(case) = order.get(place) {
-            tiles.extend(row(benchmark, name, case)?);
-        }
+    for (name, case) in chosen {
+        tiles.extend(row(benchmark, name, case)?);
     }
     let title = format!("distance from the truth: dark 0, light {:.0} mm", 1000.0 * FAR);
     Ok(contact_sheet(&tiles, 5, Some(&title))?)
+}
+
+/// Writes what a frame shows, as `cape fit` reads it: keypoints.json, mask.png, and the truth as
+/// image.png.
+pub(super) fn inputs(benchmark: &Benchmark<'_>, directory: &Path, case: &Case) -> Result {
+    let Scene { camera, keypoints, mask, truth } = benchmark.scene(case.frame)?;
+    files::create_dir(directory)?;
+    write_json(&directory.join("keypoints.json"), &keypoints.to_openpose())?;
+    mask.to_image()?.save(directory.join("mask.png"))?;
+    let mut image = fitting::paper(&camera)?;
+    fitting::body(&mut image, &truth, benchmark.faces(), None, &camera)?;
+    Ok(image.save(directory.join("image.png"))?)
 }
 
 fn row(benchmark: &Benchmark<'_>, name: &str, case: &Case) -> Result<[Tile; 5]> {
