@@ -52,7 +52,7 @@ fn held_out_frames_are_fitted_and_measured() {
 }
 
 /// Few steps: these tests are of the command, not of the method.
-const CONFIG: &str = r#"
+const CONFIG: &str = "
 [smplify]
 accepted = 1e9
 facing = [0.0]
@@ -64,7 +64,7 @@ steps = 20
 [clothed]
 levels = [{ side = 64, rounds = 1, steps = 3 }]
 accepted = 0.0
-"#;
+";
 
 fn without_times(results: &[u8]) -> Value {
     let mut results: Value = serde_json::from_slice(results).unwrap();

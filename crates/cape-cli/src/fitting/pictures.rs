@@ -80,7 +80,7 @@ pub(crate) fn mark(picture: &mut Image, keypoints: &Keypoints) {
 
 /// Columns and rows, first and one past the last, that any of `masks` covers, with a margin of a
 /// twentieth of the image.
-pub(crate) fn person_box(masks: &[&Mask]) -> Option<[u32; 4]> {
+pub(crate) fn person_box(masks: &[Mask]) -> Option<[u32; 4]> {
     let mut found: Option<[u32; 4]> = None;
     for mask in masks {
         for (at, _) in mask.covered().iter().enumerate().filter(|(_, covered)| **covered) {
@@ -114,7 +114,7 @@ mod tests {
     fn people_are_boxed_and_cut_out() {
         let covered = (0..100 * 60).map(|at| (30..50).contains(&(at % 100)) && at / 100 > 20);
         let mask = Mask::new(100, 60, covered.collect()).unwrap();
-        let found = person_box(&[&mask]).unwrap();
+        let found = person_box(&[mask]).unwrap();
         assert_eq!(found, [25, 16, 55, 60]);
         let mut picture = Image::new(100, 60, [9, 9, 9, 255]).unwrap();
         picture.blend(30, 20, [200, 0, 0], 1.0);
@@ -122,6 +122,6 @@ mod tests {
         assert_eq!((part.width(), part.height()), (30, 44));
         assert_eq!(part.get(5, 4), Some([200, 0, 0, 255]));
         let nobody = Mask::new(4, 4, vec![false; 16]).unwrap();
-        assert_eq!(person_box(&[&nobody]), None);
+        assert_eq!(person_box(&[nobody]), None);
     }
 }

@@ -95,13 +95,11 @@ impl FitBenchmark {
                 if interrupt.was_asked() {
                     return Ok(false);
                 }
-                let case = match store.case(frame)? {
-                    Some(case) => case,
-                    None => {
-                        let case =
-                            benchmark.case(frame).doing(|| format!("fitting frame {frame}"))?;
-                        store.keep(case)?
-                    }
+                let case = if let Some(case) = store.case(frame)? {
+                    case
+                } else {
+                    let found = benchmark.case(frame);
+                    store.keep(found.doing(|| format!("fitting frame {frame}"))?)?
                 };
                 cases.push(case);
                 progress(cases.len(), frames.len());

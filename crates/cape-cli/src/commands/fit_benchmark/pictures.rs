@@ -54,9 +54,10 @@ fn row(benchmark: &Benchmark<'_>, name: &str, case: &Case) -> Result<[Tile; 5]> 
     let [bare, clothed] = benchmark.surfaces(case)?;
     let faces = benchmark.faces();
     let small = camera.within(SIDE);
-    let drawn = |vertices: &[DVec3]| render(vertices, faces, &small);
-    let silhouettes = [drawn(&truth)?, drawn(&bare)?, drawn(&clothed)?];
-    let masks: Vec<_> = silhouettes.iter().map(|drawn| drawn.mask()).collect();
+    let mut masks = Vec::new();
+    for vertices in [&truth, &bare, &clothed] {
+        masks.push(render(vertices, faces, &small)?.mask().clone());
+    }
     let person = fitting::person_box(&masks).unwrap_or([0, 0, small.width(), small.height()]);
     let shown = |vertices: &[DVec3], colours: Option<&[[f32; 3]]>| {
         let mut picture = fitting::paper(&small)?;
