@@ -46,6 +46,9 @@ pub struct ClothedConfig {
     pub body: BodyWeights,
     /// Scales, coarse to fine.
     pub levels: Vec<Level>,
+    /// Intersection over union of the silhouettes below which the body is tried again with its trunk
+    /// mirrored in depth, which joints alone hardly tell from one that leans the other way.
+    pub doubtful: f64,
     /// Intersection over union of the silhouettes below which the fit is said to have failed.
     pub accepted: f64,
 }
@@ -61,6 +64,7 @@ impl Default for ClothedConfig {
                 Level { side: 256, rounds: 2, steps: 10 },
                 Level { side: 512, rounds: 2, steps: 10 },
             ],
+            doubtful: 0.91,
             accepted: 0.85,
         }
     }
@@ -134,6 +138,15 @@ struct Scene<'a> {
     betas: usize,
 }
 
+/// What was observed.
+struct Seen<'a> {
+    camera: &'a Camera,
+    keypoints: &'a Keypoints,
+    mask: &'a Mask,
+    /// Metres that a pixel is wide at the person's distance.
+    pixel: f64,
+}
+
 /// A clothed body on its way down.
 #[derive(Debug, Clone)]
 struct Way {
@@ -187,7 +200,8 @@ impl Scene<'_> {
 
 impl Smplify {
     /// The clothed body that explains keypoints and silhouette best (eq. 10–11), from the bare body
-    /// that [`fit`](Self::fit) found, in the clothes of the code 0.
+    /// that [`fit`](Self::fit) found, in the clothes of the code 0. Where the silhouettes then agree
+    /// badly, also from the body with its trunk mirrored in depth; the lower energy is kept.
     ///
     /// # Errors
     /// If the mask is empty or of another image, or the body leaves the image.
@@ -200,29 +214,55 @@ impl Smplify {
         start: &BodyFit,
         config: &ClothedConfig,
     ) -> Result<ClothedFit> {
+        let seen = Seen { camera, keypoints, mask, pixel: start.pixel };
+        let fit = self.clothe(dressed, &seen, &start.parameters, config)?;
+        if fit.intersection_over_union >= config.doubtful {
+            return Ok(fit);
+        }
+        let evaluations = fit.evaluations;
+        let energy = |fit: &ClothedFit| fit.terms.weighted(config);
+        let best = match self.clothe(dressed, &seen, &start.leaning, config) {
+            Ok(other) if energy(&other) < energy(&fit) => {
+                ClothedFit { evaluations: other.evaluations + evaluations, ..other }
+            }
+            Ok(other) => ClothedFit { evaluations: other.evaluations + evaluations, ..fit },
+            Err(Error::Failed(_)) => fit,
+            Err(error) => return Err(error),
+        };
+        Ok(best)
+    }
+
+    fn clothe(
+        &self,
+        dressed: &DressedBody,
+        seen: &Seen<'_>,
+        start: &BodyParameters,
+        config: &ClothedConfig,
+    ) -> Result<ClothedFit> {
+        let &Seen { camera, keypoints, mask, pixel } = seen;
         mask.check(camera)?;
-        start.parameters.check()?;
+        start.check()?;
         config.check()?;
         let sightings = self.sightings(keypoints);
         mask.expect_joints(&sightings)?;
-        let betas = start.parameters.betas.len();
+        let betas = start.betas.len();
         let scene = Scene {
             smplify: self,
             dressed,
             config,
             camera: *camera,
             sightings: &sightings,
-            pixel: start.pixel,
+            pixel,
             betas,
         };
         let mut way = Way {
-            x: [start.parameters.to_vector(), vec![0.0; dressed.latent()]].concat(),
+            x: [start.to_vector(), vec![0.0; dressed.latent()]].concat(),
             curves: Vec::new(),
             evaluations: 0,
         };
         let mut last = None;
         for level in &config.levels {
-            let silhouette = SilhouetteEnergy::new(camera, mask, level.side, start.pixel)?;
+            let silhouette = SilhouetteEnergy::new(camera, mask, level.side, pixel)?;
             scene.go(&mut way, &silhouette, level)?;
             last = Some(silhouette);
         }
@@ -239,9 +279,9 @@ impl Smplify {
         };
         let rendering = render(surface.vertices(), dressed.faces(), camera)?;
         let intersection_over_union = rendering.mask().intersection_over_union(mask)?;
-        let joint_error = self.energy(camera, &sightings, start.pixel).joint_error(&x, betas)?;
+        let joint_error = self.energy(camera, &sightings, pixel).joint_error(&x, betas)?;
         Ok(ClothedFit {
-            problem: self.problem(joint_error * start.pixel).or_else(|| {
+            problem: self.problem(joint_error * pixel).or_else(|| {
                 (intersection_over_union < config.accepted).then(|| {
                     format!(
                         "the silhouettes' intersection over union is {intersection_over_union:.3}: \

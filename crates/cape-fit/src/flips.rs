@@ -12,6 +12,7 @@ use crate::{
 
 /// Root, middle and end of arms and legs.
 pub(crate) const LIMBS: [[usize; 3]; 4] = [[16, 18, 20], [17, 19, 21], [1, 4, 7], [2, 5, 8]];
+const NECK: usize = 12;
 /// Which of a limb's two bones are mirrored.
 pub(crate) const WHICH: [[bool; 2]; 3] = [[true, false], [false, true], [true, true]];
 
@@ -42,6 +43,33 @@ pub(crate) fn mirrored(
     for (joint, parent, rotation) in [(root, above, first), (middle, first, second)] {
         let local = DQuat::from_mat3(&(parent.transpose() * rotation)).to_scaled_axis();
         moved[POSE_AT + 3 * joint..][..3].copy_from_slice(&local.to_array());
+    }
+    Ok(moved)
+}
+
+/// The unknowns with the trunk mirrored along the line of sight, so that who leans back bends forward:
+/// about the pelvis, all limbs keeping the directions that they had.
+///
+/// # Errors
+/// If sizes do not suit the body.
+pub(crate) fn leaning(skeleton: &Skeleton, x: &[f64], betas: usize) -> Result<Vec<f64>> {
+    let (pose, shape) = (&x[POSE_AT..BETAS_AT], &x[BETAS_AT..BETAS_AT + betas]);
+    let posed = skeleton.pose(shape, pose, transl(x))?;
+    let (joints, rotations) = (posed.joints(), posed.rotations());
+    let bone = (joints[NECK] - joints[0]).normalize_or(DVec3::Y);
+    let sight = (joints[NECK] + joints[0]).normalize_or(DVec3::NEG_Z);
+    let turn = DQuat::from_rotation_arc(bone, bone - 2.0 * bone.dot(sight) * sight);
+    let turn = DMat3::from_quat(turn);
+    let mut moved = x.to_vec();
+    let mut set = |joint: usize, local: DMat3| {
+        let angles = DQuat::from_mat3(&local).to_scaled_axis().to_array();
+        moved[POSE_AT + 3 * joint..][..3].copy_from_slice(&angles);
+    };
+    set(0, turn * rotations[0]);
+    for [root, ..] in LIMBS {
+        if let Some(parent) = skeleton.parent(root) {
+            set(root, (turn * rotations[parent]).transpose() * rotations[root]);
+        }
     }
     Ok(moved)
 }
@@ -81,6 +109,25 @@ mod tests {
                 for joint in others.filter(|&joint| !hangs(joint, limb[1], &skeleton)) {
                     assert!((before[joint] - after[joint]).length() < 1e-9);
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn a_mirrored_trunk_leans_the_other_way_and_limbs_stay() {
+        let skeleton = Skeleton::new(&BODY).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(9);
+        let mut x: Vec<f64> = (0..3 + 72 + 2).map(|_| rng.random_range(-0.4..0.4)).collect();
+        x[2] = -60.0;
+        let at =
+            |x: &[f64]| skeleton.pose(&x[75..], &x[3..75], transl(x)).unwrap().joints().to_vec();
+        let [before, after] = [at(&x), at(&leaning(&skeleton, &x, 2).unwrap())];
+        let lean = |joints: &[DVec3]| joints[NECK].z - joints[0].z;
+        assert!((lean(&after) + lean(&before)).abs() < 0.01, "{} {}", lean(&before), lean(&after));
+        for [root, middle, end] in LIMBS {
+            for (a, b) in [(root, middle), (middle, end)] {
+                let bone = |joints: &[DVec3]| joints[b] - joints[a];
+                assert!((bone(&before) - bone(&after)).length() < 1e-9);
             }
         }
     }

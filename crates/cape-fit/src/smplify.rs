@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     BodyParameters, Camera, Error, Keypoints, LbfgsOptions, PosePrior, Result, Skeleton,
     body_energy::{BodyEnergy, BodyTerms, BodyWeights},
-    flips::{LIMBS, WHICH, mirrored},
+    flips::{LIMBS, WHICH, leaning, mirrored},
     initial::{Placement, place},
     keypoints::Sighting,
     parameters::{POSE_AT, solve},
@@ -81,6 +81,8 @@ impl SmplifyConfig {
 pub struct BodyFit {
     /// The body.
     pub parameters: BodyParameters,
+    /// What it becomes from where its trunk is mirrored in depth.
+    pub leaning: BodyParameters,
     /// Terms of the energy.
     pub terms: BodyTerms,
     /// Energy after every step of every stage, by the stage's weights.
@@ -193,11 +195,14 @@ impl Smplify {
         if let Some(other) = lowest(mirrored).filter(|other| other.energy < best.energy) {
             best = other;
         }
-        let Attempt { x, curves, facing, .. } = best;
         let last = self.config.stages.last().copied().unwrap_or_default();
+        let mut other = Attempt { x: leaning(&self.skeleton, &best.x, betas)?, ..best.clone() };
+        self.descend(&energy, &mut other, &last, |_| true)?;
+        let Attempt { x, curves, facing, .. } = best;
         let joint_error = energy.joint_error(&x, betas)?;
         Ok(BodyFit {
             parameters: BodyParameters::from_vector(&x, betas),
+            leaning: BodyParameters::from_vector(&other.x, betas),
             terms: energy.evaluate(&x, betas, &last, &mut vec![0.0; x.len()])?,
             curves,
             joint_error,
