@@ -2,22 +2,143 @@
 
 use std::fs;
 
-use cape::render::Image;
+use cape::{core::npy::NpzWriter, render::Image};
+use ndarray::Array2;
+use serde_json::Value;
 
-use crate::support::{Packed, trained};
+use crate::support::{Packed, contents, trained};
 
 #[test]
 fn held_out_frames_are_fitted_and_measured() {
     let (data, run) = (Packed::new(), trained().at("run").display().to_string());
-    let options = "--frames 2 --size 128 --noise 1 --dropped 0.1 --ragged 0.1";
-    let report = data.run(&format!("fit-benchmark {run} {options} --out @/fits --json")).json();
+    fs::write(data.at("few.toml"), CONFIG).unwrap();
+    let options = "--frames 2 --size 128 --noise 1 --dropped 0.1 --ragged 0.1 --config @/few.toml";
+    let command = format!("fit-benchmark {run} {options} --out @/fits");
+    let report = data.run(&format!("{command} --json")).json();
     assert_eq!(report["cases"].as_array().unwrap().len(), 2);
     for kind in ["bare", "clothed"] {
-        assert!(report[kind]["squared"].as_f64().unwrap() > 0.0, "{report}");
-        assert!(report[kind]["intersection_over_union"].as_f64().unwrap() <= 1.0);
+        assert!(report[kind]["squared"]["mean"].as_f64().unwrap() > 0.0, "{report}");
+        assert!(report[kind]["intersection_over_union"]["most"].as_f64().unwrap() <= 1.0);
     }
-    assert!(data.at("fits/fits.png").exists() && data.at("fits/benchmark.json").exists());
+    assert_eq!(report["squared"]["images"], 2);
+    let p = report["squared"]["wilcoxon"].as_f64().unwrap();
+    assert!((0.0..=1.0).contains(&p), "{p}");
+    let inputs = ["best/keypoints.json", "best/mask.png", "worst/image.png"];
+    for name in ["fits.png", "errors.png", "results.json", "settings.json"].iter().chain(&inputs) {
+        assert!(data.at("fits").join(name).exists(), "{name}");
+    }
+
+    // What is missing is made, what is there is kept.
+    let frames = contents(&data.at("fits/frames"));
+    assert_eq!(frames.len(), 2);
+    let results = fs::read(data.at("fits/results.json")).unwrap();
+    fs::remove_file(data.at("fits/results.json")).unwrap();
+    fs::remove_file(data.at("fits/frames").join(&frames[1].0)).unwrap();
+    let text = data.run(&command).succeeded();
+    assert!(text.contains("SMPLify") && text.contains("2 images"), "{text}");
+    assert_eq!(contents(&data.at("fits/frames"))[0], frames[0]);
+    let again = fs::read(data.at("fits/results.json")).unwrap();
+    assert_eq!(without_times(&again), without_times(&results));
+    data.run(&command.replace("--noise 1", "--noise 2")).failed_saying(&[
+        "settings.json",
+        "options.noise",
+        "--out",
+    ]);
+
     data.run(&format!("fit-benchmark {run} --dropped 2 --out @/no")).failed_saying(&["--dropped"]);
+    fs::write(data.at("few.toml"), "[clothed]\ncode = -1").unwrap();
+    data.run(&command).failed_saying(&["few.toml", "code"]);
+    assert!(!data.at("no").exists());
+}
+
+/// Few steps: these tests are of the command, not of the method.
+const CONFIG: &str = "
+[smplify]
+accepted = 1e9
+facing = [0.0]
+stages = [{ pose = 20.0, shape = 10.0 }, {}]
+
+[smplify.optimiser]
+steps = 20
+
+[clothed]
+levels = [{ side = 64, rounds = 1, steps = 3 }]
+accepted = 0.0
+";
+
+fn without_times(results: &[u8]) -> Value {
+    let mut results: Value = serde_json::from_slice(results).unwrap();
+    strip(&mut results);
+    results
+}
+
+fn strip(value: &mut Value) {
+    match value {
+        Value::Object(map) => {
+            map.remove("seconds");
+            map.values_mut().for_each(strip);
+        }
+        Value::Array(list) => list.iter_mut().for_each(strip),
+        _ => {}
+    }
+}
+
+/// What [`person`] makes, as `cape fit` takes it.
+const SEEN: &str = "@/seen/best/keypoints.json --mask @/seen/best/mask.png";
+
+/// What a person looks like, in seen/best, and few.toml with few steps.
+fn person(data: &Packed, run: &str) {
+    fs::write(data.at("few.toml"), CONFIG).unwrap();
+    let options = "--frames 1 --size 128 --config @/few.toml --out @/seen";
+    data.run(&format!("fit-benchmark {run} {options}")).succeeded();
+}
+
+#[test]
+fn a_person_is_fitted_to_an_image() {
+    let (data, run) = (Packed::new(), trained().at("run").display().to_string());
+    person(&data, &run);
+    fs::write(data.at("few.toml"), CONFIG.replace("accepted = 0.0", "accepted = 0.3")).unwrap();
+    let fit = |rest: &str| data.run(&format!("fit {run} {SEEN} --config @/few.toml {rest}"));
+    let report = fit("--image @/seen/best/image.png --out @/fit --json").json();
+    assert_eq!(report["outfits"].as_array().unwrap().len(), 4);
+    assert_eq!(report["clothed"]["outfit"], report["outfits"][0]["outfit"]);
+    let files = ["bare.ply", "clothed.ply", "clothed.glb", "code.npy", "pose.npy", "overlay.png"];
+    for name in files.into_iter().chain(["energy.png", "fit.json"]) {
+        assert!(data.at("fit").join(name).exists(), "{name}");
+    }
+    // Its pose and code go on to other commands.
+    let code = "@/fit/code.npy";
+    data.run(&format!("vary {run} --by outfit --codes {code} --pose @/fit/pose.npy --out @/more"))
+        .succeeded();
+    data.run(&format!("animate {run} --code {code} --motion walk --seconds 0.2 --out @/walk"))
+        .succeeded();
+
+    // Someone who wears what explains the image worst is told so.
+    let worst = report["outfits"][3]["outfit"].as_str().unwrap();
+    let ran = fit(&format!("--outfit {worst} --compare-outfits --out @/other"));
+    assert!(ran.err.contains("explains the image better"), "{}", ran.err);
+
+    // A fit that cannot be trusted is written, and is an error.
+    fs::write(data.at("few.toml"), CONFIG.replace("accepted = 0.0", "accepted = 0.999")).unwrap();
+    fit("--outfit longlong --out @/failed").failed_saying(&["cannot be trusted", "0.999"]);
+    assert!(data.at("failed/fit.json").exists());
+}
+
+#[test]
+fn pose_priors_are_fitted_and_used() {
+    let (data, run) = (Packed::new(), trained().at("run").display().to_string());
+    let report = data.run("fit-pose-prior @/packed --components 2 --out @/prior.npz --json").json();
+    assert_eq!(report["components"], 2);
+    person(&data, &run);
+    data.run(&format!(
+        "fit {run} {SEEN} --outfit longlong --config @/few.toml \
+         --pose-prior @/prior.npz --out @/fit"
+    ))
+    .succeeded();
+    data.run("fit-pose-prior @/nowhere.npz --out @/no.npz").failed_saying(&["nowhere.npz"]);
+    data.run("fit-pose-prior @/packed --out @/no.pkl").failed_saying(&["no.pkl", ".npz"]);
+    data.run(&format!("fit {run} {SEEN} --pose-prior @/few.toml --out @/no"))
+        .failed_saying(&["few.toml"]);
 }
 
 #[test]
@@ -40,6 +161,26 @@ fn what_cannot_be_fitted_is_said() {
         data.run(&format!("fit {run} @/{keypoints} --mask @/{mask} --outfit longlong --out @/no"))
     };
     fit("unseen.json", "empty.png").failed_saying(&["mask is empty"]);
+    // Where there is no silhouette, or another's.
+    let standing: Vec<String> =
+        (0..25).map(|at| format!("{},{},0.9", 20 + at % 3, 2 * at + 5)).collect();
+    fs::write(data.at("standing.json"), people(&[person(&standing.join(","))])).unwrap();
+    let far: Vec<String> =
+        (0..25).map(|at| format!("{},{},0.9", 220 + at % 3, 20 * at + 5)).collect();
+    fs::write(data.at("far.json"), people(&[person(&far.join(","))])).unwrap();
+    let mut lower = black.clone();
+    lower.pixels_mut()[3500..].fill([255; 4]);
+    lower.save(data.at("lower.png")).unwrap();
+    fit("far.json", "half.png").failed_saying(&["joints are on the mask", "another size"]);
+    fit("standing.json", "lower.png").failed_saying(&["joints are on the mask"]);
+    let mut file = NpzWriter::create(data.at("infinite.npz")).unwrap();
+    file.add("keypoints", &Array2::from_elem((25, 3), f64::INFINITY)).unwrap();
+    file.finish().unwrap();
+    fit("infinite.npz", "half.png").failed_saying(&["infinite.npz", "finite"]);
+    data.run(&format!(
+        "fit {run} @/two.json --person 5 --mask @/half.png --outfit longlong --out @/no"
+    ))
+    .failed_saying(&["two.json", "person 5"]);
     fit("broken.json", "half.png").failed_saying(&["broken.json"]);
     fit("nobody.json", "half.png").failed_saying(&["nobody.json"]);
     fit("unseen.json", "half.png").failed_saying(&["joint"]);

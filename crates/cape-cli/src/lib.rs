@@ -11,6 +11,7 @@ mod dashboard;
 mod dressed;
 mod error;
 mod files;
+mod fitting;
 mod html;
 mod interrupt;
 mod mesh_file;

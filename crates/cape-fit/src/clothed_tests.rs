@@ -160,7 +160,7 @@ fn silhouettes_bring_clothed_bodies_closer() {
     assert!(refused.unwrap_err().to_string().contains("empty"));
 }
 
-fn seen(camera: &Camera, body: &BodyParameters) -> Keypoints {
+pub(crate) fn seen(camera: &Camera, body: &BodyParameters) -> Keypoints {
     let joints = BODY.pose(&body.betas, &body.pose, body.transl, None).unwrap().joints;
     let detector = Detector::Body25;
     let mut points = vec![Keypoint { x: 0.0, y: 0.0, confidence: 0.0 }; detector.points()];

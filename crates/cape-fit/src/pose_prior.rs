@@ -134,6 +134,11 @@ impl PosePrior {
         energy
     }
 
+    /// Shares of the normal distributions, `[components]`.
+    pub fn weights(&self) -> &Array1<f64> {
+        &self.weights
+    }
+
     /// Poses that people often take, `[components, 69]`.
     pub fn means(&self) -> &Array2<f64> {
         &self.means

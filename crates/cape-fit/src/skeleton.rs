@@ -74,6 +74,11 @@ impl Skeleton {
         self.directions[0].len()
     }
 
+    /// The joint that a joint hangs on.
+    pub(crate) fn parent(&self, joint: usize) -> Option<usize> {
+        self.parents[joint]
+    }
+
     /// Joints at rest, metres; missing betas are zero.
     pub fn rest(&self, betas: &[f64]) -> Vec<DVec3> {
         let moved = |directions: &Vec<DVec3>| -> DVec3 {
@@ -125,6 +130,11 @@ impl PosedSkeleton<'_> {
     /// Where the joints are, metres, `[joints]`.
     pub fn joints(&self) -> &[DVec3] {
         &self.joints
+    }
+
+    /// Global rotations of the joints' frames, `[joints]`.
+    pub(crate) fn rotations(&self) -> &[DMat3] {
+        &self.rotations
     }
 
     /// The gradient of what has the gradients `forces` by the joints, `[joints]`: every joint's

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     BodyParameters, Camera, Error, Keypoints, LbfgsOptions, PosePrior, Result, Skeleton,
     body_energy::{BodyEnergy, BodyTerms, BodyWeights},
+    flips::{LIMBS, WHICH, leaning, mirrored},
     initial::{Placement, place},
     keypoints::Sighting,
     parameters::{POSE_AT, solve},
@@ -56,7 +57,7 @@ impl Default for SmplifyConfig {
 }
 
 impl SmplifyConfig {
-    fn check(&self) -> Result<()> {
+    pub(crate) fn check(&self) -> Result<()> {
         let positive = [("deviation", self.deviation), ("robust", self.robust)];
         for (field, value) in positive {
             if !(value > 0.0 && value.is_finite()) {
@@ -80,6 +81,8 @@ impl SmplifyConfig {
 pub struct BodyFit {
     /// The body.
     pub parameters: BodyParameters,
+    /// What it becomes from where its trunk is mirrored in depth.
+    pub leaning: BodyParameters,
     /// Terms of the energy.
     pub terms: BodyTerms,
     /// Energy after every step of every stage, by the stage's weights.
@@ -185,15 +188,21 @@ impl Smplify {
                 attempts.push(self.attempt(&energy, &start, &placement, facing)?);
             }
         }
-        let last = self.config.stages.last().copied().unwrap_or_default();
-        let finite = attempts.into_iter().filter(|attempt| attempt.energy.is_finite());
-        let best = finite.min_by(|a, b| a.energy.total_cmp(&b.energy));
-        let Some(Attempt { x, curves, facing, .. }) = best else {
+        let Some(mut best) = lowest(attempts) else {
             return Err(Error::Failed("no orientation of the body has a finite energy".into()));
         };
+        let mirrored = self.mirrored(&energy, &best)?;
+        if let Some(other) = lowest(mirrored).filter(|other| other.energy < best.energy) {
+            best = other;
+        }
+        let last = self.config.stages.last().copied().unwrap_or_default();
+        let mut other = Attempt { x: leaning(&self.skeleton, &best.x, betas)?, ..best.clone() };
+        self.descend(&energy, &mut other, &last, |_| true)?;
+        let Attempt { x, curves, facing, .. } = best;
         let joint_error = energy.joint_error(&x, betas)?;
         Ok(BodyFit {
             parameters: BodyParameters::from_vector(&x, betas),
+            leaning: BodyParameters::from_vector(&other.x, betas),
             terms: energy.evaluate(&x, betas, &last, &mut vec![0.0; x.len()])?,
             curves,
             joint_error,
@@ -201,6 +210,21 @@ impl Smplify {
             facing,
             problem: self.problem(joint_error * pixel),
         })
+    }
+
+    /// What the body becomes from where bones of its limbs are mirrored in depth.
+    fn mirrored(&self, energy: &BodyEnergy<'_>, body: &Attempt) -> Result<Vec<Attempt>> {
+        let weights = self.config.stages.last().copied().unwrap_or_default();
+        let mut found = Vec::new();
+        for limb in LIMBS {
+            for which in WHICH {
+                let x = mirrored(&self.skeleton, &body.x, body.betas, limb, which)?;
+                let mut attempt = Attempt { x, ..body.clone() };
+                self.descend(energy, &mut attempt, &weights, |_| true)?;
+                found.push(attempt);
+            }
+        }
+        Ok(found)
     }
 
     fn starts(&self, initial: Option<&BodyParameters>) -> Result<Vec<BodyParameters>> {
@@ -255,6 +279,12 @@ impl Smplify {
         attempt.curves.push(found.curve);
         Ok(())
     }
+}
+
+/// The body of the lowest finite energy.
+fn lowest(attempts: Vec<Attempt>) -> Option<Attempt> {
+    let finite = attempts.into_iter().filter(|attempt| attempt.energy.is_finite());
+    finite.min_by(|a, b| a.energy.total_cmp(&b.energy))
 }
 
 /// A body on its way.

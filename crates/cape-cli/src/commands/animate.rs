@@ -4,11 +4,12 @@ use cape_core::{BodyPose, Outfit, obj, parse_device, ply, poses::movement};
 use cape_render::{Bounds, Camera, Image, Object, Projection, Style, View, render, save_animation};
 use cape_train::{Performance, Run, Wearer, write_json};
 use clap::{Args, ValueEnum};
-use ndarray::{Array2, Array3, ArrayView2, Axis, concatenate, s};
+use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, concatenate, s};
 use serde::Serialize;
 
 use crate::{
     arguments::{Global, outfit},
+    code_source::Draw,
     console::Console,
     dressed::{Dressed, Painter},
     error::{Error, Result},
@@ -50,6 +51,10 @@ pub(crate) struct Animate {
     /// Shape coefficients of the body; missing ones are zero.
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "B,B,…")]
     betas: Vec<f32>,
+    /// The clothes' code: mean, seed:N, frame:K of the run's held-out data, FILE.npy:ROW or
+    /// samples.jsonl:ROW; by default one is drawn.
+    #[arg(long, value_name = "CODE")]
+    code: Option<String>,
     #[command(flatten)]
     drawn: Drawn,
     /// What is written: pictures with an animated PNG, meshes, or one glTF file.
@@ -98,7 +103,13 @@ impl Animate {
             return Err(Error::message(format!("--betas: expected at most {most} finite numbers")));
         }
         let seed = global.seed.unwrap_or(1);
-        let code = self.drawn.codes(&run, &[self.outfit], 1, seed, console)?;
+        let code = match &self.code {
+            Some(name) => {
+                let draw = Draw { run: &run, drawn: self.drawn, outfit: self.outfit, console };
+                Array1::from(draw.code(name)?).insert_axis(Axis(0))
+            }
+            None => self.drawn.codes(&run, &[self.outfit], 1, seed, console)?,
+        };
         files::create_dir(&self.out)?;
         let displacement = self.frames(&run, &code, &poses, console)?;
         match self.format {

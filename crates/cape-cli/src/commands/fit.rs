@@ -1,32 +1,33 @@
 use std::{path::PathBuf, time::Instant};
 
-use cape_core::{Mesh, Outfit, npy::write_npy, parse_device, ply};
+use cape_core::{Outfit, npy::write_npy, parse_device, ply};
 use cape_fit::{
-    BodyFit, Camera, ClothedConfig, ClothedFit, DressedBody, Keypoints, Mask, PosePrior, Smplify,
-    SmplifyConfig, read_keypoints, silhouette::render,
+    BodyFit, Camera, ClothedConfig, ClothedFit, DressedBody, DressedSurface, Keypoints, Mask,
+    read_keypoints, silhouette::render,
 };
-use cape_render::Image;
-use cape_train::{Run, write_json};
+use cape_render::{Image, Tile, contact_sheet};
+use cape_train::{Performance, Run, Wearer, write_json};
 use clap::Args;
 use glam::DVec3;
-use ndarray::Array1;
+use ndarray::{Array1, Array2};
 use serde::Serialize;
 
 use crate::{
     arguments::Global,
     console::Console,
+    dressed::{Dressed, Painter},
     error::{Context, Error, Result},
     files,
+    fitting::{self, Method},
+    table::Table,
 };
-
-/// Width of soft edges, pixels.
-const SOFTNESS: f64 = 0.5;
 
 /// Fit a clothed body to keypoints and a silhouette (section 6.3 of the paper).
 ///
-/// First the bare body by SMPLify, then body and clothes together. Writes both as meshes, fit.json,
-/// the code and the pose for other commands, and overlay.png. A fit that cannot be trusted is
-/// written too, and is an error. `cape fit RUN --scan FILE` fits to a scan: see `cape fit-scan --help`.
+/// First the bare body by SMPLify, then body and clothes together. Writes both as meshes, the clothed
+/// one as glTF too, fit.json, code.npy and pose.npy for other commands, overlay.png and energy.png. A
+/// fit that cannot be trusted is written too, and is an error. `cape fit RUN --scan FILE`
+/// fits to a scan: see `cape fit-scan --help`.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape fit run person_keypoints.json --mask person.png \
                         --outfit auto --out fitted")]
@@ -43,24 +44,34 @@ pub(crate) struct Fit {
     /// Directory to write; it must be empty or missing.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// What is worn; with `auto`, what explains the silhouette best.
+    /// What is worn; with `auto`, what explains keypoints and silhouette best.
     #[arg(long, default_value = "auto", value_name = "OUTFIT|auto")]
     outfit: String,
+    /// Fit the other outfits too, and say if one of them explains the image better.
+    #[arg(long)]
+    compare_outfits: bool,
     /// Which person, if the file has several, counted from 0.
     #[arg(long, value_name = "N")]
     person: Option<usize>,
-    /// How silhouettes are compared: by distances, or finely by what soft edges cover.
-    #[arg(long, default_value = "distance", value_parser = ["distance", "soft"], value_name = "WAY")]
-    silhouette: String,
     /// Focal length, pixels; by default the image's diagonal.
     #[arg(long, value_name = "PIXELS")]
     focal: Option<f64>,
     /// The image, PNG, to draw over.
     #[arg(long, value_name = "IMAGE.png")]
     image: Option<PathBuf>,
-    /// The pose prior: SMPLify's pickle, or .npz; by default one of synthetic movements.
-    #[arg(long, value_name = "FILE")]
-    pose_prior: Option<PathBuf>,
+    #[command(flatten)]
+    method: Method,
+}
+
+/// How well one outfit explains the image.
+#[derive(Debug, Clone, Serialize)]
+struct Tried {
+    outfit: Outfit,
+    /// Of the whole fit, by its last weights.
+    energy: f64,
+    /// `E_S`, millimetres at the person's distance.
+    silhouette_mm: f64,
+    intersection_over_union: f64,
 }
 
 #[derive(Debug, Serialize)]
@@ -68,27 +79,93 @@ struct Report {
     out: PathBuf,
     bare: BodyFit,
     clothed: ClothedFit,
+    /// All outfits that were fitted, best first.
+    outfits: Vec<Tried>,
     seconds: f64,
+}
+
+/// What was observed.
+struct Observed {
+    camera: Camera,
+    mask: Mask,
+    keypoints: Keypoints,
+    image: Image,
 }
 
 impl Fit {
     pub(crate) fn run(self, global: &Global, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         files::require_empty(&self.out)?;
-        let outfits = match self.outfit.as_str() {
-            "auto" => Outfit::ALL.to_vec(),
-            name => vec![name.parse::<Outfit>()?],
+        let chosen = match self.outfit.as_str() {
+            "auto" => None,
+            name => Some(name.parse::<Outfit>()?),
         };
+        let config = self.method.config()?;
+        let observed = self.observed()?;
+        let run = Run::open(&self.run, &device)?;
+        let smplify = self.method.smplify(run.body(), &config)?;
+
+        let start = Instant::now();
+        let outfits = match chosen {
+            Some(outfit) if !self.compare_outfits => vec![outfit],
+            _ => Outfit::ALL.to_vec(),
+        };
+        let stages = 1 + outfits.len();
+        let Observed { camera, mask, keypoints, .. } = &observed;
+        let (bare, mut fits) = console.while_showing("fit", "stages", |progress| {
+            let bare = smplify.fit(camera, keypoints, None)?;
+            progress(1, stages);
+            let mut fits = Vec::new();
+            for (index, &outfit) in outfits.iter().enumerate() {
+                let body = DressedBody::new(&run, outfit)?;
+                let fit =
+                    smplify.fit_clothed(&body, camera, keypoints, mask, &bare, &config.clothed)?;
+                fits.push(fit);
+                progress(2 + index, stages);
+            }
+            Ok::<_, cape_fit::Error>((bare, fits))
+        })?;
+        let energy = |fit: &ClothedFit| fit.terms.weighted(&config.clothed);
+        fits.sort_by(|a, b| energy(a).total_cmp(&energy(b)));
+        let tried: Vec<Tried> = fits.iter().map(|fit| Tried::of(fit, &config.clothed)).collect();
+        let worn = |fit: &ClothedFit| chosen.is_none_or(|outfit| fit.outfit == outfit);
+        let clothed = fits.into_iter().find(worn);
+        let clothed = clothed.ok_or_else(|| Error::message("no outfit to fit"))?;
+        let report = Report {
+            bare,
+            clothed,
+            outfits: tried,
+            seconds: start.elapsed().as_secs_f64(),
+            out: self.out,
+        };
+        report.write(&run, &observed)?;
+        if let Some(better) = report.better_outfit() {
+            console.note(&format!(
+                "warning: {better} explains the image better than {}",
+                report.clothed.outfit
+            ));
+        }
+        if let Some(problem) = report.problem() {
+            return Err(Error::message(format!(
+                "the fit in {} cannot be trusted: {problem}",
+                report.out.display()
+            )));
+        }
+        console.result(&report, || report.text())
+    }
+
+    fn observed(&self) -> Result<Observed> {
         let mask = Mask::load(&self.mask)?;
         let camera = Camera::new(mask.width(), mask.height(), self.focal)?;
-        mask.check(&camera)?;
+        mask.check(&camera).doing(|| format!("reading {}", self.mask.display()))?;
         let keypoints = read_keypoints(&self.keypoints)?
             .choose(self.person)
             .doing(|| format!("reading {}", self.keypoints.display()))?;
-        let image = self.image.as_ref().map(Image::load).transpose()?;
-        if let Some(image) = &image
-            && (image.width(), image.height()) != (mask.width(), mask.height())
-        {
+        let image = match &self.image {
+            Some(path) => Image::load(path)?,
+            None => fitting::paper(&camera)?,
+        };
+        if (image.width(), image.height()) != (mask.width(), mask.height()) {
             return Err(Error::message(format!(
                 "--image of {}×{} pixels, but the mask has {}×{}",
                 image.width(),
@@ -97,105 +174,120 @@ impl Fit {
                 mask.height()
             )));
         }
-        let prior = match &self.pose_prior {
-            Some(path) => PosePrior::load(path)?,
-            None => PosePrior::synthetic()?,
-        };
-        let run = Run::open(&self.run, &device)?;
-        let smplify = Smplify::new(run.body(), prior, SmplifyConfig::default())?;
-        let soft = (self.silhouette == "soft").then_some(SOFTNESS);
-        let config = ClothedConfig { soft, ..ClothedConfig::default() };
+        Ok(Observed { camera, mask, keypoints, image })
+    }
+}
 
-        let start = Instant::now();
-        let stages = 1 + outfits.len();
-        let (bare, fits) = console.while_showing("fit", "stages", |progress| {
-            let bare = smplify.fit(&camera, &keypoints, None)?;
-            progress(1, stages);
-            let mut fits = Vec::new();
-            for (index, &outfit) in outfits.iter().enumerate() {
-                let dressed = DressedBody::new(&run, outfit)?;
-                let fit =
-                    smplify.fit_clothed(&dressed, &camera, &keypoints, &mask, &bare, &config)?;
-                fits.push((dressed, fit));
-                progress(2 + index, stages);
-            }
-            Ok::<_, cape_fit::Error>((bare, fits))
-        })?;
-        let seconds = start.elapsed().as_secs_f64();
-        let energy = |fit: &ClothedFit| fit.terms.weighted(&config);
-        let best = fits.into_iter().min_by(|a, b| energy(&a.1).total_cmp(&energy(&b.1)));
-        let (dressed, clothed) = best.ok_or_else(|| Error::message("no outfit to fit"))?;
+impl Tried {
+    fn of(fit: &ClothedFit, config: &ClothedConfig) -> Self {
+        Self {
+            outfit: fit.outfit,
+            energy: fit.terms.weighted(config),
+            silhouette_mm: 1000.0 * fit.terms.silhouette.total(),
+            intersection_over_union: fit.intersection_over_union,
+        }
+    }
+}
 
+impl Report {
+    /// Why the fit cannot be trusted, if it cannot.
+    fn problem(&self) -> Option<&String> {
+        self.bare.problem.as_ref().or(self.clothed.problem.as_ref())
+    }
+
+    fn better_outfit(&self) -> Option<Outfit> {
+        let best = self.outfits.first()?.outfit;
+        (best != self.clothed.outfit).then_some(best)
+    }
+
+    /// Every file but the one with the numbers comes first.
+    fn write(&self, run: &Run, observed: &Observed) -> Result {
         files::create_dir(&self.out)?;
-        let surface = dressed.surface(&clothed.parameters, &clothed.code)?;
+        let Self { bare, clothed, .. } = self;
+        let at = |name: &str| self.out.join(name);
         let body = &bare.parameters;
         let posed = run.body().pose(&body.betas, &body.pose, body.transl, None)?;
-        self.save("bare.ply", &run.body().mesh_with(&posed.vertices))?;
-        self.save("clothed.ply", &mesh(surface.vertices(), dressed.faces()))?;
+        ply::write(at("bare.ply"), &run.body().mesh_with(&posed.vertices), None)?;
+
         let code = Array1::from_iter(clothed.code.iter().map(|&x| x as f32));
-        write_npy(self.out.join("code.npy"), &code)?;
         let pose = Array1::from_iter(clothed.parameters.pose.iter().map(|&x| x as f32));
-        write_npy(self.out.join("pose.npy"), &pose)?;
-        let drawn = render(surface.vertices(), dressed.faces(), &camera)?;
-        let overlay = overlay(image, &mask, drawn.mask(), &keypoints)?;
-        overlay.save(self.out.join("overlay.png"))?;
-
-        let report = Report { out: self.out, bare, clothed, seconds };
-        write_json(&report.out.join("fit.json"), &report)?;
-        if let Some(problem) = report.bare.problem.as_ref().or(report.clothed.problem.as_ref()) {
-            return Err(Error::message(format!(
-                "the fit in {} cannot be trusted: {problem}",
-                report.out.display()
-            )));
-        }
-        console.result(&report, || {
-            format!(
-                "{} in {:.1} s: silhouettes agree to {:.1} %, joints to {:.1} pixels\n{}",
-                report.clothed.outfit,
-                report.seconds,
-                100.0 * report.clothed.intersection_over_union,
-                report.clothed.joint_error,
-                report.out.join("overlay.png").display()
-            )
-        })
-    }
-
-    fn save(&self, name: &str, mesh: &Mesh) -> Result {
-        Ok(ply::write(self.out.join(name), mesh, None)?)
-    }
-}
-
-fn mesh(vertices: &[DVec3], faces: &[[u32; 3]]) -> Mesh {
-    let vertices = vertices.iter().map(|v| v.to_array().map(|x| x as f32)).collect();
-    Mesh { vertices, faces: faces.to_vec() }
-}
-
-/// The image, or grey, with what only the mask covers in red, what only the fit covers in blue, what
-/// both cover in green, and the keypoints.
-pub(super) fn overlay(
-    image: Option<Image>,
-    mask: &Mask,
-    fitted: &Mask,
-    keypoints: &Keypoints,
-) -> Result<Image> {
-    let mut picture = match image {
-        Some(image) => image,
-        None => Image::new(mask.width(), mask.height(), [235, 235, 238, 255])?,
-    };
-    let width = mask.width() as usize;
-    for (at, (&wanted, &found)) in mask.covered().iter().zip(fitted.covered()).enumerate() {
-        let colour = match (wanted, found) {
-            (false, false) => continue,
-            (true, false) => [214, 69, 65],
-            (false, true) => [65, 105, 214],
-            (true, true) => [90, 170, 110],
+        write_npy(at("code.npy"), &code)?;
+        write_npy(at("pose.npy"), &pose)?;
+        let wearer = wearer(clothed)?;
+        let codes = code.insert_axis(ndarray::Axis(0));
+        let dressed = dressed(run, &codes, &wearer)?;
+        let surface =
+            DressedBody::new(run, clothed.outfit)?.surface(&clothed.parameters, &clothed.code)?;
+        let mesh = fitting::mesh(surface.vertices(), &run.body().faces);
+        ply::write(at("clothed.ply"), &mesh, Some(&dressed.colours_8_bit()))?;
+        let performance = Performance {
+            colours: Some(&dressed.colours),
+            ..Performance::still("fitted", &codes, &wearer)
         };
-        picture.blend((at % width) as i64, (at / width) as i64, colour, 0.55);
+        performance.save(run, at("clothed.glb"))?;
+        overlay(observed, &surface, run, &dressed)?.save(at("overlay.png"))?;
+        fitting::energies(bare, clothed)?.save(at("energy.png"))?;
+        Ok(write_json(&at("fit.json"), self)?)
     }
-    for point in keypoints.points().iter().filter(|point| point.confidence > 0.0) {
-        for (dx, dy) in (-2..=2).flat_map(|dx| (-2..=2).map(move |dy| (dx, dy))) {
-            picture.blend(point.x as i64 + dx, point.y as i64 + dy, [250, 210, 60], 1.0);
+
+    fn text(&self) -> String {
+        let line = format!(
+            "{} in {:.1} s: silhouettes agree to {:.1} %, joints to {:.1} pixels\n{}",
+            self.clothed.outfit,
+            self.seconds,
+            100.0 * self.clothed.intersection_over_union,
+            self.clothed.joint_error,
+            self.out.join("overlay.png").display()
+        );
+        if self.outfits.len() == 1 {
+            return line;
         }
+        let mut table = Table::new(["outfit", "energy", "silhouette, mm", "agree"]);
+        for Tried { outfit, energy, silhouette_mm, intersection_over_union } in &self.outfits {
+            table.row([
+                outfit.to_string(),
+                format!("{energy:.1}"),
+                format!("{silhouette_mm:.2}"),
+                format!("{:.1} %", 100.0 * intersection_over_union),
+            ]);
+        }
+        format!("{}\n\n{line}", table.text())
     }
-    Ok(picture)
+}
+
+/// Who was found.
+fn wearer(clothed: &ClothedFit) -> Result<Wearer> {
+    let pose: Vec<f32> = clothed.parameters.pose.iter().map(|&x| x as f32).collect();
+    let numbers = pose.len();
+    let pose = pose.try_into();
+    let pose = pose.map_err(|_| Error::message(format!("a pose of {numbers} numbers")))?;
+    let betas = clothed.parameters.betas.iter().map(|&x| x as f32).collect();
+    Ok(Wearer { betas, pose, outfit: clothed.outfit })
+}
+
+fn dressed(run: &Run, codes: &Array2<f32>, wearer: &Wearer) -> Result<Dressed> {
+    let wearers = std::slice::from_ref(wearer);
+    let mut bodies = Painter::new(run).wear(&run.clothes(codes, wearers)?, wearers)?;
+    bodies.pop().ok_or_else(|| Error::message("nobody was dressed"))
+}
+
+/// The image with its keypoints, the silhouettes' difference, and the fitted body over the image.
+fn overlay(
+    observed: &Observed,
+    surface: &DressedSurface,
+    run: &Run,
+    dressed: &Dressed,
+) -> Result<Image> {
+    let Observed { camera, mask, keypoints, image } = observed;
+    let vertices: &[DVec3] = surface.vertices();
+    let faces = &run.body().faces;
+    let mut seen = image.clone();
+    fitting::mark(&mut seen, keypoints);
+    let mut silhouettes = image.clone();
+    fitting::difference(&mut silhouettes, mask, render(vertices, faces, camera)?.mask());
+    let mut fitted = image.clone();
+    fitting::body(&mut fitted, vertices, faces, Some(&dressed.colours), camera)?;
+    let tiles = [(seen, "keypoints"), (silhouettes, "red: mask, blue: fit"), (fitted, "fit")];
+    let tiles = tiles.map(|(image, label)| Tile { image, label: label.into() });
+    Ok(contact_sheet(&tiles, 3, None)?)
 }

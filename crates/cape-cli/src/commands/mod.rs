@@ -10,6 +10,7 @@ pub(crate) mod eval_samples;
 pub(crate) mod export;
 pub(crate) mod fit;
 pub(crate) mod fit_benchmark;
+pub(crate) mod fit_pose_prior;
 pub(crate) mod fit_prior;
 pub(crate) mod fit_scan;
 pub(crate) mod generate;

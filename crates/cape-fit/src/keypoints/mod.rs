@@ -73,6 +73,19 @@ impl Keypoints {
         &self.points
     }
 
+    /// As OpenPose writes a person: x, y and confidence for each point.
+    pub fn to_openpose(&self) -> serde_json::Value {
+        let numbers: Vec<f64> = self.points.iter().flat_map(|p| [p.x, p.y, p.confidence]).collect();
+        serde_json::json!({ "version": 1.3, "people": [{ "pose_keypoints_2d": numbers }] })
+    }
+
+    /// The same in an image `scale` times as large.
+    #[must_use]
+    pub fn scaled(&self, scale: f64) -> Self {
+        let scaled = |p: &Keypoint| Keypoint { x: p.x * scale, y: p.y * scale, ..*p };
+        Self { detector: self.detector, points: self.points.iter().map(scaled).collect() }
+    }
+
     /// The joints of SMPL that were seen with at least that confidence.
     pub fn sightings(&self, confidence: f64) -> Vec<Sighting> {
         let table = self.detector.joints().iter();
@@ -99,6 +112,11 @@ mod tests {
         assert_eq!(joints(0.5), [21]);
         assert_eq!(keypoints.sightings(0.5)[0].at.confidence, 1.0);
         assert!(Keypoints::new(Detector::Coco17, points.clone()).is_err());
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("person.json");
+        std::fs::write(&path, keypoints.to_openpose().to_string()).unwrap();
+        assert_eq!(read_keypoints(&path).unwrap().choose(None).unwrap(), keypoints);
+        assert_eq!(keypoints.scaled(2.0).points()[4].y, 12.0);
         for wrong in [f64::NAN, -0.1] {
             points[3].confidence = wrong;
             let message = Keypoints::new(Detector::Body25, points.clone()).unwrap_err().to_string();

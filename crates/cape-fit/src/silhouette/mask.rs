@@ -2,7 +2,11 @@ use std::path::Path;
 
 use cape_render::Image;
 
-use crate::{Camera, Error, Result};
+use super::distance::manhattan;
+use crate::{Camera, Error, Result, keypoints::Sighting};
+
+/// Distance within which a joint counts as on the mask, of the image's longer side.
+const NEAR: f64 = 0.02;
 
 /// The pixels that a person covers.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -103,6 +107,25 @@ impl Mask {
         }
     }
 
+    /// Refuses a mask that most of a person's joints are not on: it is of another size, another image
+    /// or another person.
+    ///
+    /// # Errors
+    /// Saying how many are.
+    pub(crate) fn expect_joints(&self, sightings: &[Sighting]) -> Result<()> {
+        let nearest = manhattan(self);
+        let near = NEAR * f64::from(self.width.max(self.height));
+        let on = |s: &&Sighting| nearest.sample(s.at.x, s.at.y).0 <= near;
+        let (count, found) = (sightings.len(), sightings.iter().filter(on).count());
+        if 2 * found >= count {
+            return Ok(());
+        }
+        Err(Error::Observation(format!(
+            "{found} of {count} joints are on the mask: it is of another size, another image or \
+             another person than the keypoints"
+        )))
+    }
+
     /// The mask on a picture of another size: a pixel is covered where more than half of it was.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
@@ -161,6 +184,7 @@ fn shares(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Keypoint;
 
     fn disc(side: u32) -> Mask {
         let centre = 0.5 * f64::from(side);
@@ -191,6 +215,19 @@ mod tests {
         let other = Mask::new(2, 1, vec![true, true]).unwrap();
         assert_eq!(shifted.intersection_over_union(&other).unwrap(), 0.5);
         assert!(shifted.intersection_over_union(&mask).is_err());
+    }
+
+    #[test]
+    fn masks_of_others_are_refused() {
+        let mask = disc(100);
+        let joints = |places: &[(f64, f64)]| -> Vec<Sighting> {
+            let at = |&(x, y): &(f64, f64)| Keypoint { x, y, confidence: 1.0 };
+            places.iter().map(|p| Sighting { joint: 0, at: at(p) }).collect()
+        };
+        assert!(mask.expect_joints(&joints(&[(50.0, 50.0), (50.0, 84.0), (2.0, 2.0)])).is_ok());
+        let elsewhere = joints(&[(50.0, 50.0), (250.0, 84.0), (2.0, 2.0)]);
+        let message = mask.expect_joints(&elsewhere).unwrap_err().to_string();
+        assert!(message.contains("1 of 3 joints"), "{message}");
     }
 
     #[test]

@@ -40,6 +40,11 @@ impl Part {
         }
     }
 
+    /// Whether a packed set in `root` has this part.
+    pub fn exists(self, root: &Path) -> bool {
+        self.path(root, "disp").exists()
+    }
+
     pub(crate) fn path(self, root: &Path, what: &str) -> PathBuf {
         root.join(self.name()).join(format!("{self}_{what}.npy"))
     }

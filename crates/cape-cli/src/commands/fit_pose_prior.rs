@@ -1,0 +1,120 @@
+use std::path::PathBuf;
+
+use cape_fit::{BODY_POSE, COMPONENTS, OPTIONS, PoseCollection, PosePrior};
+use cape_train::prior::MixtureOptions;
+use clap::Args;
+use ndarray::Array2;
+use serde::Serialize;
+
+use crate::{
+    arguments::{Global, at_least_one},
+    console::Console,
+    error::{Error, Result},
+    table::Table,
+};
+
+/// Fit a pose prior for `cape fit` to any collection of poses.
+///
+/// A mixture of normal distributions over the 23 joints' axis-angles, as SMPLify has. Poses come
+/// from .npz (`poses` or `pose`, also AMASS's), .npy or .csv files, from directories of them, or from
+/// a packed set's training frames.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  cape fit-pose-prior AMASS/CMU --components 8 --out prior.npz\n  \
+                        cape fit run keypoints.json --mask mask.png --pose-prior prior.npz --out fit"
+)]
+pub(crate) struct FitPosePrior {
+    /// Files and directories.
+    #[arg(value_name = "FILE|DIR", required = true)]
+    sources: Vec<PathBuf>,
+    /// Normal distributions.
+    #[arg(long, default_value_t = COMPONENTS, value_name = "K", value_parser = at_least_one)]
+    components: usize,
+    /// Most poses to fit to, evenly spaced over all.
+    #[arg(long, default_value_t = 20_000, value_name = "N", value_parser = at_least_one)]
+    poses: usize,
+    /// Added to variances, of the poses' mean variance: lets joints that hardly move move a little.
+    #[arg(long, default_value_t = OPTIONS.regularisation, value_name = "SHARE")]
+    floor: f64,
+    /// File to write.
+    #[arg(long, value_name = "FILE.npz")]
+    out: PathBuf,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    out: PathBuf,
+    files: usize,
+    /// Files below directories that hold no poses.
+    skipped: usize,
+    poses: usize,
+    fitted: usize,
+    components: usize,
+    weights: Vec<f64>,
+    /// Mean `E_θ` of the poses fitted to.
+    energy: f64,
+    /// Mean `E_θ` of others between them, if there are any.
+    held_out_energy: Option<f64>,
+}
+
+impl FitPosePrior {
+    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+        if !self.out.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("npz")) {
+            return Err(Error::message(format!("--out {}: expected .npz", self.out.display())));
+        }
+        if !(self.floor.is_finite() && self.floor > 0.0) {
+            return Err(Error::message(format!("--floor {}: expected above 0", self.floor)));
+        }
+        let collection = console.while_showing("read", "files", |progress| {
+            PoseCollection::read(&self.sources, progress)
+        })?;
+        for (path, reason) in &collection.skipped {
+            console.note(&format!("left out: {}: {reason}", path.display()));
+        }
+        let [poses, others] = collection.spread(self.poses);
+        let options = MixtureOptions {
+            regularisation: self.floor,
+            seed: global.seed.unwrap_or(OPTIONS.seed),
+            ..OPTIONS
+        };
+        let prior = console.while_showing("fit", "mixtures", |progress| {
+            progress(0, 1);
+            PosePrior::fit(poses.view(), self.components, &options)
+        })?;
+        prior.save(&self.out)?;
+        let report = Report {
+            files: collection.files,
+            skipped: collection.skipped.len(),
+            poses: collection.len(),
+            fitted: poses.nrows(),
+            components: prior.components(),
+            weights: prior.weights().to_vec(),
+            energy: mean_energy(&prior, &poses),
+            held_out_energy: (others.nrows() > 0).then(|| mean_energy(&prior, &others)),
+            out: self.out,
+        };
+        console.result(&report, || report.text())
+    }
+}
+
+fn mean_energy(prior: &PosePrior, poses: &Array2<f64>) -> f64 {
+    let energy = |pose: ndarray::ArrayView1<'_, f64>| {
+        prior.energy(&pose.to_vec()[3..], 0.0, &mut [0.0; BODY_POSE])
+    };
+    poses.rows().into_iter().map(energy).sum::<f64>() / poses.nrows().max(1) as f64
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let mut table = Table::default();
+        table.row(["poses".to_owned(), format!("{} of {} files", self.poses, self.files)]);
+        table.row(["fitted to".to_owned(), self.fitted.to_string()]);
+        let weights: Vec<String> = self.weights.iter().map(|w| format!("{w:.3}")).collect();
+        table.row(["weights".to_owned(), weights.join(" ")]);
+        table.row(["mean energy".to_owned(), format!("{:.1}", self.energy)]);
+        if let Some(energy) = self.held_out_energy {
+            table.row(["of other poses".to_owned(), format!("{energy:.1}")]);
+        }
+        format!("{}\n\n{}", table.text(), self.out.display())
+    }
+}

@@ -1,0 +1,104 @@
+use cape_train::{Run, data::PackedSet};
+use glam::DVec3;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use super::BenchmarkOptions;
+use crate::{Camera, Detector, Keypoint, Keypoints, Mask, Result, silhouette::render};
+
+/// Where bodies stand, metres in front of the camera.
+const PLACE: DVec3 = DVec3::new(0.0, 0.15, -3.3);
+/// Shape coefficients that vary.
+const SHAPES: usize = 4;
+
+/// What a frame shows, and what is behind it.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    /// The camera.
+    pub camera: Camera,
+    /// What the detector saw.
+    pub keypoints: Keypoints,
+    /// The silhouette.
+    pub mask: Mask,
+    /// The true surface, `[vertices]`, metres.
+    pub truth: Vec<DVec3>,
+}
+
+impl Scene {
+    /// The same for the same frame and options, whatever other frames there are.
+    pub(super) fn new(
+        run: &Run,
+        set: &PackedSet,
+        frame: usize,
+        options: &BenchmarkOptions,
+    ) -> Result<Self> {
+        let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+        rng.set_stream(frame as u64);
+        let camera = Camera::new(options.side, options.side, None)?;
+        let (displacement, mut wearer) = set.registration(frame)?;
+        let shapes = SHAPES.min(run.body().betas());
+        wearer.betas = (0..shapes).map(|_| rng.sample(StandardNormal)).collect();
+        let mesh = run.wear(&displacement, std::slice::from_ref(&wearer))?.remove(0);
+        let vertices = mesh.vertices.iter();
+        let truth: Vec<DVec3> =
+            vertices.map(|&[x, y, z]| DVec3::new(x.into(), y.into(), z.into()) + PLACE).collect();
+        let betas: Vec<f64> = wearer.betas.iter().copied().map(f64::from).collect();
+        let pose = wearer.pose.map(f64::from);
+        let joints = run.body().pose(&betas, &pose, PLACE.to_array(), None)?.joints;
+        let detector = Detector::Body25;
+        let unseen = Keypoint { x: 0.0, y: 0.0, confidence: 0.0 };
+        let mut points = vec![unseen; detector.points()];
+        for &(point, joint) in detector.joints() {
+            let at = joints.row(joint);
+            let at = camera.project(DVec3::new(at[0], at[1], at[2]));
+            let [dx, dy] = [0; 2].map(|_| options.noise * rng.sample::<f64, _>(StandardNormal));
+            if rng.random::<f64>() >= options.dropped {
+                points[point] = Keypoint { x: at.x + dx, y: at.y + dy, confidence: 1.0 };
+            }
+        }
+        let mask = render(&truth, &run.body().faces, &camera)?.mask().clone();
+        let mask = ragged(&mask, options.ragged, &mut rng)?;
+        Ok(Self { camera, keypoints: Keypoints::new(detector, points)?, mask, truth })
+    }
+}
+
+/// The mask with some of the pixels beside its edge on the other side of it.
+fn ragged(mask: &Mask, share: f64, rng: &mut ChaCha8Rng) -> Result<Mask> {
+    let (width, height) = (mask.width() as usize, mask.height() as usize);
+    let inside = mask.covered();
+    let mut covered = inside.to_vec();
+    for y in 0..height {
+        for x in 0..width {
+            let at = y * width + x;
+            let differs = |other: usize| inside[other] != inside[at];
+            let edge = (x > 0 && differs(at - 1))
+                || (x + 1 < width && differs(at + 1))
+                || (y > 0 && differs(at - width))
+                || (y + 1 < height && differs(at + width));
+            if edge && rng.random::<f64>() < share {
+                covered[at] = !inside[at];
+            }
+        }
+    }
+    Mask::new(mask.width(), mask.height(), covered)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_edges_become_ragged() {
+        let covered = (0..40 * 40).map(|at| (10..30).contains(&(at % 40)));
+        let mask = Mask::new(40, 40, covered.collect()).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        assert_eq!(ragged(&mask, 0.0, &mut rng).unwrap(), mask);
+        let torn = ragged(&mask, 0.5, &mut rng).unwrap();
+        let changed = mask.covered().iter().zip(torn.covered()).enumerate();
+        let changed: Vec<usize> =
+            changed.filter(|(_, (a, b))| a != b).map(|(at, _)| at % 40).collect();
+        assert!((50..110).contains(&changed.len()), "{}", changed.len());
+        assert!(changed.iter().all(|column| [9, 10, 29, 30].contains(column)));
+    }
+}

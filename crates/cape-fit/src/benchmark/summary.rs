@@ -1,0 +1,179 @@
+use cape_core::Outfit;
+use serde::{Deserialize, Serialize};
+
+use super::{Case, FitError};
+use crate::{Paired, Result};
+
+/// Mean and median of the cases' values.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Spread {
+    /// Mean.
+    pub mean: f64,
+    /// Median.
+    pub median: f64,
+    /// The largest.
+    pub most: f64,
+}
+
+/// How well one method did.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Score {
+    /// Mean squared distance at clothing vertices, m².
+    pub squared: Spread,
+    /// Mean distance there, millimetres.
+    pub distance_mm: Spread,
+    /// Of the silhouettes.
+    pub intersection_over_union: Spread,
+    /// Seconds for an image.
+    pub seconds: Spread,
+}
+
+/// The cases in one outfit.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct OutfitSummary {
+    /// What is worn.
+    pub outfit: Outfit,
+    /// Images.
+    pub images: usize,
+    /// Of SMPLify alone.
+    pub bare: Score,
+    /// Of CAPE's clothed body.
+    pub clothed: Score,
+}
+
+/// What a benchmark came to.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// Images.
+    pub images: usize,
+    /// Different captures among them.
+    pub captures: usize,
+    /// Of SMPLify alone.
+    pub bare: Score,
+    /// Of CAPE's clothed body.
+    pub clothed: Score,
+    /// Of the squared distances, CAPE against SMPLify alone.
+    pub squared: Paired,
+    /// Of the distances, millimetres.
+    pub distance_mm: Paired,
+    /// Fits that say that they cannot be trusted.
+    pub failed: usize,
+    /// Of the squared distances of the others; nothing, if all have failed.
+    pub squared_of_trusted: Option<Paired>,
+    /// Outfit by outfit.
+    pub outfits: Vec<OutfitSummary>,
+}
+
+impl Summary {
+    /// Of all cases; `seed` fixes the bootstrap.
+    ///
+    /// # Errors
+    /// If there is no case.
+    pub fn of(cases: &[Case], seed: u64) -> Result<Self> {
+        let all: Vec<&Case> = cases.iter().collect();
+        let trusted: Vec<&Case> = cases.iter().filter(|case| case.problem.is_none()).collect();
+        let of_outfit = |outfit| {
+            let worn: Vec<&Case> = cases.iter().filter(|case| case.outfit == outfit).collect();
+            (!worn.is_empty()).then(|| OutfitSummary {
+                outfit,
+                images: worn.len(),
+                bare: score(&worn, |case| &case.bare),
+                clothed: score(&worn, |case| &case.clothed),
+            })
+        };
+        let mut captures: Vec<&str> = cases.iter().map(|case| case.capture.as_str()).collect();
+        captures.sort_unstable();
+        captures.dedup();
+        let squared = |error: &FitError| error.squared;
+        Ok(Self {
+            images: cases.len(),
+            captures: captures.len(),
+            bare: score(&all, |case| &case.bare),
+            clothed: score(&all, |case| &case.clothed),
+            squared: paired(&all, seed, squared)?,
+            distance_mm: paired(&all, seed, |error| error.distance_mm)?,
+            failed: cases.len() - trusted.len(),
+            squared_of_trusted: match trusted.as_slice() {
+                [] => None,
+                trusted => Some(paired(trusted, seed, squared)?),
+            },
+            outfits: Outfit::ALL.into_iter().filter_map(of_outfit).collect(),
+        })
+    }
+}
+
+fn paired(cases: &[&Case], seed: u64, of: fn(&FitError) -> f64) -> Result<Paired> {
+    let [bare, clothed]: [Vec<f64>; 2] = [|case: &Case| case.bare, |case: &Case| case.clothed]
+        .map(|method| cases.iter().map(|case| of(&method(case))).collect());
+    Paired::of(&bare, &clothed, seed)
+}
+
+fn score(cases: &[&Case], method: fn(&Case) -> &FitError) -> Score {
+    let spread = |of: fn(&FitError) -> f64| {
+        let mut values: Vec<f64> = cases.iter().map(|case| of(method(case))).collect();
+        values.sort_by(f64::total_cmp);
+        let at = |index: usize| values.get(index).copied().unwrap_or(0.0);
+        let count = values.len();
+        Spread {
+            mean: values.iter().sum::<f64>() / count.max(1) as f64,
+            median: 0.5 * (at(count / 2) + at(count.saturating_sub(1) / 2)),
+            most: at(count.saturating_sub(1)),
+        }
+    };
+    Score {
+        squared: spread(|error| error.squared),
+        distance_mm: spread(|error| error.distance_mm),
+        intersection_over_union: spread(|error| error.intersection_over_union),
+        seconds: spread(|error| error.seconds),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::BodyParameters;
+
+    fn case(frame: usize, squared: [f64; 2], problem: Option<&str>) -> Case {
+        let error = |squared: f64| FitError {
+            squared,
+            distance_mm: 1000.0 * squared.sqrt(),
+            intersection_over_union: 0.9,
+            seconds: frame as f64,
+        };
+        let body = BodyParameters::new(vec![0.0; 72], Vec::new()).unwrap();
+        Case {
+            frame,
+            capture: format!("capture {}", frame / 2),
+            outfit: Outfit::ALL[frame % 2],
+            bare: error(squared[0]),
+            clothed: error(squared[1]),
+            problem: problem.map(str::to_owned),
+            bare_body: body.clone(),
+            clothed_body: body,
+            code: vec![0.5],
+        }
+    }
+
+    #[test]
+    fn cases_are_counted_and_averaged() {
+        let cases = [
+            case(0, [4.0, 1.0], None),
+            case(1, [1.0, 1.0], None),
+            case(2, [1.0, 4.0], Some("lost")),
+            case(3, [2.0, 1.0], None),
+        ];
+        let summary = Summary::of(&cases, 1).unwrap();
+        assert_eq!((summary.images, summary.captures, summary.failed), (4, 2, 1));
+        assert_eq!(summary.bare.squared, Spread { mean: 2.0, median: 1.5, most: 4.0 });
+        assert_eq!(summary.clothed.squared.median, 1.0);
+        assert_eq!((summary.squared.wins, summary.squared.difference), (2, -0.25));
+        let trusted = summary.squared_of_trusted.unwrap();
+        assert_eq!((trusted.images, trusted.improvement), (3, 1.0 - 3.0 / 7.0));
+        let outfits: Vec<usize> = summary.outfits.iter().map(|outfit| outfit.images).collect();
+        assert_eq!(outfits, [2, 2]);
+        assert_eq!(summary.outfits[1].bare.seconds.mean, 2.0);
+        let lost = Summary::of(&cases[2..3], 1).unwrap();
+        assert_eq!(lost.squared_of_trusted, None);
+        assert!(Summary::of(&[], 1).is_err());
+    }
+}

@@ -1,0 +1,42 @@
+use serde::{Deserialize, Serialize};
+
+use crate::{ClothedConfig, Result, SmplifyConfig};
+
+/// Weights and stages of a whole fit.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FitConfig {
+    /// Of the bare body.
+    pub smplify: SmplifyConfig,
+    /// Of the clothed body.
+    pub clothed: ClothedConfig,
+}
+
+impl FitConfig {
+    /// Refuses what cannot be meant.
+    ///
+    /// # Errors
+    /// Naming the field.
+    pub fn check(&self) -> Result<()> {
+        self.smplify.check()?;
+        self.clothed.check()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_left_out_keeps_its_default() {
+        let text = r#"{"clothed": {"silhouette": 2e4, "body": {"pose": 0.5}}}"#;
+        let config: FitConfig = serde_json::from_str(text).unwrap();
+        config.check().unwrap();
+        assert_eq!(config.smplify, SmplifyConfig::default());
+        assert_eq!((config.clothed.silhouette, config.clothed.body.pose), (2e4, 0.5));
+        assert_eq!(config.clothed.levels, ClothedConfig::default().levels);
+        assert!(serde_json::from_str::<FitConfig>(r#"{"clothing": {}}"#).is_err());
+        let negative: FitConfig = serde_json::from_str(r#"{"clothed": {"code": -1}}"#).unwrap();
+        assert!(negative.check().unwrap_err().to_string().contains("code"));
+    }
+}
