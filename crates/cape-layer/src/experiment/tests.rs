@@ -57,7 +57,7 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
     assert!(means.windows(2).all(|pair| pair[1] <= pair[0]) && means[3] < 1e-3, "{means:?}");
     let learning = Learning {
         components: 10,
-        training: Training { patience: 5, ..Training::default() },
+        training: Training { patience: 30, ..Training::default() },
         ..Learning::default()
     };
     let regression = unposed.regression(&[0], &learning, &mut |_| {}).unwrap();
