@@ -5,6 +5,18 @@ use std::{io::Write, path::Path};
 use crate::{Error, Mesh, Result, mesh::read_bytes, write_atomically};
 
 /// A mesh, and normals of its vertices where there are some.
+///
+/// ```
+/// let file = std::env::temp_dir().join(format!("normals-{}.ply", std::process::id()));
+/// let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n\
+///     property float z\nproperty float nx\nproperty float ny\nproperty float nz\nend_header\n\
+///     1 2 3 0 0 1\n";
+/// std::fs::write(&file, text)?;
+/// let (mesh, normals) = cape_core::ply::read_with_normals(&file)?;
+/// assert_eq!((mesh.vertices, normals), (vec![[1.0, 2.0, 3.0]], Some(vec![[0.0, 0.0, 1.0]])));
+/// # std::fs::remove_file(&file)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub type WithNormals = (Mesh, Option<Vec<[f32; 3]>>);
 
 /// Reads a PLY file. Polygons are cut into fans of triangles; everything but vertex positions and
