@@ -27,9 +27,7 @@ fn patch(
     body: &cape_core::SmplModel,
 ) -> cape_layer::Result<(cape_layer::LayerSet, cape_layer::Association)> {
     use cape_core::synth::{Motion as Movement, MotionStyle};
-    use cape_layer::{
-        Association, BodyFrame, LayerSet, Sequence, StandardPose, regress::Motion,
-    };
+    use cape_layer::{Association, BodyFrame, LayerSet, Sequence, StandardPose, regress::Motion};
     use ndarray::{Array2, Array3};
 
     let (style, frames, rate) = (MotionStyle::default(), 30, 30.0);
@@ -58,7 +56,6 @@ fn patch(
         parameters: vec![("length".into(), 0.85)],
     };
     let follows = Array2::from_shape_fn((3, 1), |(corner, _)| skin[corner] as u32);
-    let association =
-        Association::new(follows, Array2::ones((3, 1)), body.v_template.nrows())?;
+    let association = Association::new(follows, Array2::ones((3, 1)), body.v_template.nrows())?;
     Ok((LayerSet::new(vec![[0, 1, 2]], vec![march])?, association))
 }

@@ -113,7 +113,7 @@ struct Lead {
 /// let material = Material { damping: 0.0, ..Material::default() };
 /// let mut cloth = Cloth::new(&octahedron(0.1), &material)?;
 /// let gravity = DVec3::NEG_Y * 9.81;
-/// (0..10).for_each(|_| cloth.step(0.01, gravity, None));
+/// (0..100).for_each(|_| cloth.step(0.001, gravity, None));
 /// assert!(cloth.velocities.iter().all(|v| (*v - 0.1 * gravity).length() < 1e-6));
 /// assert!(cloth.strain()[1] < 1e-6);
 /// assert_eq!(cloth.crossings(), 0);
