@@ -6,7 +6,15 @@ use std::{
 };
 
 /// Crates whose types all have examples.
-const CRATES: [&str; 5] = ["cape-core", "cape-graph", "cape-model", "cape-render", "cape-train"];
+const CRATES: [&str; 7] = [
+    "cape-core",
+    "cape-fit",
+    "cape-graph",
+    "cape-layer",
+    "cape-model",
+    "cape-render",
+    "cape-train",
+];
 
 /// Whether a file is source other than tests.
 fn is_source(path: &Path) -> bool {

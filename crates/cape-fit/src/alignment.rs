@@ -9,6 +9,19 @@ use serde::{Deserialize, Serialize};
 use crate::{Error, Result};
 
 /// `x ↦ s x + t`.
+///
+/// ```
+/// use cape_fit::Alignment;
+/// use glam::DVec3;
+///
+/// // Twice as large and 1 m away.
+/// let estimate = [DVec3::ZERO, DVec3::X, DVec3::Y];
+/// let truth = estimate.map(|point| 2.0 * point + DVec3::Z);
+/// let alignment = Alignment::between(&estimate, &truth)?;
+/// assert!((alignment.scale - 2.0).abs() < 1e-9);
+/// assert!((alignment.apply(DVec3::X) - truth[1]).length() < 1e-9);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Alignment {
     /// `s`, which may be negative where points are mirrored.
@@ -50,6 +63,18 @@ impl Alignment {
 }
 
 /// How far aligned estimates are from the truth.
+///
+/// ```
+/// use cape_fit::aligned_error;
+/// use glam::DVec3;
+///
+/// // Scale and place do not count as errors.
+/// let estimate = [DVec3::ZERO, DVec3::X, DVec3::Y];
+/// let truth = estimate.map(|point| 2.0 * point + DVec3::Z);
+/// let error = aligned_error(&estimate, &truth, &[0, 2])?;
+/// assert!(error.squared < 1e-15 && error.distance < 1e-7);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AlignedError {
     /// Mean squared distance, metres².

@@ -15,6 +15,14 @@ const BENDS: [(usize, f64); 4] =
     [(18 * 3 + 1, 1.0), (19 * 3 + 1, -1.0), (4 * 3, -1.0), (5 * 3, -1.0)];
 
 /// Weights of the terms.
+///
+/// ```
+/// use cape_fit::{BodyTerms, BodyWeights};
+///
+/// let terms = BodyTerms { joints: 1.0, pose: 2.0, shape: 3.0, bend: 4.0 };
+/// let weights = BodyWeights { joints: 1.0, pose: 0.5, shape: 1.0, bend: 0.0 };
+/// assert_eq!(terms.weighted(&weights), 5.0);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BodyWeights {
@@ -56,6 +64,8 @@ impl Default for BodyWeights {
 }
 
 /// The terms of the energy, unweighted.
+///
+/// See [`BodyWeights`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct BodyTerms {
     /// `E_J`, in halves of squared deviations of the detector.
@@ -79,6 +89,8 @@ impl BodyTerms {
 }
 
 /// The energy of bodies before a camera that saw keypoints.
+///
+/// See [`Smplify`](crate::Smplify) for an example.
 #[derive(Debug, Clone)]
 pub struct BodyEnergy<'a> {
     /// The body's joints.

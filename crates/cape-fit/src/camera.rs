@@ -13,6 +13,20 @@ const MAX_SIDE: u32 = cape_render::MAX_SIDE;
 /// A pinhole camera at the origin that looks along −z, y up: a body that faces +z and stands on
 /// the negative z axis faces it. The principal point is the middle of the image, whose columns and
 /// rows are counted from its upper left corner.
+///
+/// ```
+/// use cape_fit::Camera;
+/// use glam::{DVec2, DVec3};
+///
+/// let camera = Camera::new(640, 480, None)?;
+/// // Without a focal length it is the image's diagonal.
+/// assert_eq!(camera.focal(), 800.0);
+/// assert_eq!(camera.project(DVec3::new(0.0, 0.0, -2.0)), DVec2::new(320.0, 240.0));
+/// // What is above the axis is in the upper half.
+/// assert_eq!(camera.project(DVec3::new(0.0, 0.5, -2.0)), DVec2::new(320.0, 40.0));
+/// assert_eq!(camera.within(320).height(), 240);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
     width: u32,

@@ -17,6 +17,8 @@ use crate::{
 const SMALLEST: u32 = 16;
 
 /// One scale of the comparison of silhouettes.
+///
+/// See [`FitConfig`](crate::FitConfig) for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Level {
@@ -35,6 +37,8 @@ pub struct Level {
 /// frames of the synthetic set for the lowest error at clothing vertices: it takes 36 % off the
 /// squared error of the bare body at 5e4 and at 1.5e5, 33 % at 2e4. A third of λ_θ or λ_z changes
 /// that by at most 3 %; three times λ_θ costs 8 %.
+///
+/// See [`FitConfig`](crate::FitConfig) for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClothedConfig {
@@ -89,6 +93,14 @@ impl ClothedConfig {
 }
 
 /// The terms of the energy (CAPE eq. 10), unweighted.
+///
+/// ```
+/// use cape_fit::{ClothedConfig, ClothedTerms};
+///
+/// let terms = ClothedTerms { code: 2.0, ..ClothedTerms::default() };
+/// let config = ClothedConfig { code: 0.25, ..ClothedConfig::default() };
+/// assert_eq!(terms.weighted(&config), 0.5);
+/// ```
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ClothedTerms {
     /// Those of the bare body.
@@ -109,6 +121,8 @@ impl ClothedTerms {
 }
 
 /// A clothed body that explains keypoints and a silhouette.
+///
+/// See [`DressedBody`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ClothedFit {
     /// The body under the clothes.

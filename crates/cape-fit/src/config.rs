@@ -3,6 +3,23 @@ use serde::{Deserialize, Serialize};
 use crate::{ClothedConfig, Result, SmplifyConfig};
 
 /// Weights and stages of a whole fit.
+///
+/// ```
+/// use cape_fit::{ClothedConfig, FitConfig, Level};
+///
+/// // Silhouettes are compared at one scale only.
+/// let levels = vec![Level { side: 128, rounds: 4, steps: 10 }];
+/// let config = FitConfig {
+///     clothed: ClothedConfig { levels, ..ClothedConfig::default() },
+///     ..FitConfig::default()
+/// };
+/// config.check()?;
+/// // Weights must not be negative.
+/// let clothed = ClothedConfig { code: -1.0, ..config.clothed };
+/// let refused = FitConfig { clothed, ..config }.check().unwrap_err();
+/// assert!(refused.to_string().contains("code"));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FitConfig {

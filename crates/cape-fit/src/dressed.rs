@@ -17,6 +17,34 @@ use crate::{BodyParameters, Error, Result};
 
 /// A trained model's clothed bodies in one outfit: `M(β, θ, c, z)` (CAPE eq. 3–4), differentiable
 /// in shape, pose, translation and code, also through the pose that the clothes are made for.
+///
+/// ```no_run
+/// use burn::tensor::Device;
+/// use cape_core::Outfit;
+/// use cape_fit::{
+///     Camera, ClothedConfig, DressedBody, Mask, PosePrior, Smplify, SmplifyConfig, read_keypoints,
+/// };
+/// use cape_train::Run;
+///
+/// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
+/// let dressed = DressedBody::new(&run, Outfit::LongLong)?;
+/// // The bare body behind keypoints, then the clothed one that fills the silhouette.
+/// let mask = Mask::load("mask.png")?;
+/// let camera = Camera::new(mask.width(), mask.height(), None)?;
+/// let keypoints = read_keypoints("keypoints.json")?.choose(None)?;
+/// let smplify = Smplify::new(run.body(), PosePrior::synthetic()?, SmplifyConfig::default())?;
+/// let bare = smplify.fit(&camera, &keypoints, None)?;
+/// let config = ClothedConfig::default();
+/// let fit = smplify.fit_clothed(&dressed, &camera, &keypoints, &mask, &bare, &config)?;
+/// // Its surface, and how that depends on pose, shape and code.
+/// let surface = dressed.surface(&fit.parameters, &fit.code)?;
+/// let gradient = surface.pull_back(&vec![glam::DVec3::Y; surface.vertices().len()])?;
+/// assert_eq!(gradient.code.len(), dressed.latent());
+/// // Other bodies in the same clothes.
+/// let clothes = dressed.clothes(&fit.parameters, &fit.code)?;
+/// dressed.surface_in(&clothes, &bare.parameters)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct DressedBody {
     generator: Generator,
@@ -45,10 +73,14 @@ pub(crate) struct Parts<'a> {
 }
 
 /// Clothes that do not change with the body: displacements, metres, `[1, V, 3]`.
+///
+/// See [`DressedBody`] for an example.
 #[derive(Debug, Clone)]
 pub struct Clothes(Tensor<3>);
 
 /// A clothed body, and what it was made from.
+///
+/// See [`DressedBody`] for an example.
 #[derive(Debug, Clone)]
 pub struct DressedSurface {
     transl: Tensor<2>,
@@ -60,6 +92,8 @@ pub struct DressedSurface {
 }
 
 /// The gradient of a function of a clothed body.
+///
+/// See [`DressedBody`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DressedGradient {
     /// By translation, `[3]`.

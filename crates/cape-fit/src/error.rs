@@ -4,6 +4,14 @@ use std::path::Path;
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// What can go wrong when a body is fitted.
+///
+/// ```
+/// use cape_fit::{Detector, Error, Keypoints};
+///
+/// // No keypoint, where the detector has 25.
+/// let nothing = Keypoints::new(Detector::Body25, Vec::new());
+/// assert!(matches!(nothing, Err(Error::Observation(message)) if message.contains("25")));
+/// ```
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

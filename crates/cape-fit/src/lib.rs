@@ -8,6 +8,24 @@
 //!
 //! The camera is at the origin and looks along −z, y up; a body without orientation faces it. Units
 //! are metres, radians and pixels; everything is computed in `f64`, and every gradient is exact.
+//!
+//! ```
+//! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use cape_core::synth::synthetic_body;
+//! use cape_fit::{Camera, PosePrior, Smplify, SmplifyConfig};
+//!
+//! // A walking body is found again from where a camera saw its joints.
+//! let model = synthetic_body();
+//! let camera = Camera::new(512, 512, None)?;
+//! let (truth, keypoints) = seen(&model, &camera)?;
+//! let smplify = Smplify::new(&model, PosePrior::synthetic()?, SmplifyConfig::default())?;
+//! let fit = smplify.fit(&camera, &keypoints, None)?;
+//! assert!(fit.problem.is_none());
+//! assert!((fit.parameters.transl[2] - truth.transl[2]).abs() < 0.3);
+//! # Ok(())
+//! # }
+//! ```
 
 mod alignment;
 pub mod benchmark;

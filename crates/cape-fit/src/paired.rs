@@ -14,6 +14,18 @@ const RESAMPLES: usize = 4000;
 const EXACT: usize = 600;
 
 /// Two methods' errors on the same images, compared.
+///
+/// ```
+/// use cape_fit::Paired;
+///
+/// // The second method's error is half the first's on all of six images.
+/// let paired = Paired::of(&[2.0; 6], &[1.0; 6], 1)?;
+/// assert_eq!((paired.difference, paired.improvement), (-1.0, 0.5));
+/// assert_eq!((paired.wins, paired.images), (6, 6));
+/// // Of the 2⁶ ways to sign them two are as extreme.
+/// assert!((paired.wilcoxon - 2.0 / 64.0).abs() < 1e-9);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Paired {
     /// Mean of the second less that of the first.

@@ -24,6 +24,16 @@ const POSE_SCALE: f64 = 0.1;
 const OTHER_SCALE: f64 = 1.0;
 
 /// A body in front of the camera.
+///
+/// ```
+/// use cape_fit::BodyParameters;
+///
+/// let mut body = BodyParameters::new(vec![0.0; 72], vec![1.5])?;
+/// body.transl = [0.0, 0.2, -3.0];
+/// // A pose has 24 axis-angles.
+/// assert!(BodyParameters::new(vec![0.0; 69], Vec::new()).is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BodyParameters {
     /// Translation, metres, in the camera's frame.

@@ -12,6 +12,21 @@ use crate::{Error, Result};
 const ENDINGS: [&str; 3] = ["npz", "npy", "csv"];
 
 /// Poses by file.
+///
+/// ```
+/// use cape_core::npy::write_npy;
+/// use cape_fit::PoseCollection;
+/// use ndarray::Array2;
+///
+/// let directory = tempfile::tempdir()?;
+/// write_npy(directory.path().join("walk.npy"), &Array2::<f64>::zeros((5, 72)))?;
+/// let poses = PoseCollection::read(&[directory.path().to_owned()], &mut |_, _| {})?;
+/// assert_eq!((poses.len(), poses.files), (5, 1));
+/// // Some to fit a prior to, others to test it on.
+/// let [fitted, tested] = poses.spread(2);
+/// assert_eq!((fitted.dim(), tested.dim()), ((2, 72), (2, 72)));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Default)]
 pub struct PoseCollection {
     poses: Vec<[f64; 72]>,

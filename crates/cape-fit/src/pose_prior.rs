@@ -32,6 +32,21 @@ const STYLES: u64 = 6;
 const INSTANTS: u32 = 12;
 
 /// `E_θ = min_j (−log(c g_j N(θ; μ_j, Σ_j)))`, where `c` makes the lowest energy 0.
+///
+/// ```
+/// use cape_fit::{BODY_POSE, PosePrior};
+/// use ndarray::{Array1, Array2, Array3};
+///
+/// // One standard normal distribution.
+/// let means = Array2::zeros((1, BODY_POSE));
+/// let unit = Array3::from_shape_fn((1, BODY_POSE, BODY_POSE), |(_, i, j)| f64::from(i == j));
+/// let prior = PosePrior::new(Array1::ones(1), means, unit)?;
+/// let (mut pose, mut gradient) = (vec![0.0; BODY_POSE], vec![0.0; BODY_POSE]);
+/// pose[3] = 2.0;
+/// assert!((prior.energy(&pose, 1.0, &mut gradient) - 2.0).abs() < 1e-9);
+/// assert!((gradient[3] - 2.0).abs() < 1e-9);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct PosePrior {
     components: Vec<Component>,

@@ -11,6 +11,23 @@ use ndarray::Axis;
 use crate::{Error, Result};
 
 /// The joints of a body as functions of shape and pose.
+///
+/// ```
+/// use cape_core::synth::synthetic_body;
+/// use cape_fit::Skeleton;
+/// use glam::DVec3;
+///
+/// // In the rest pose joints are where they were, moved.
+/// let skeleton = Skeleton::new(&synthetic_body())?;
+/// let pose = [0.0; 72];
+/// let posed = skeleton.pose(&[], &pose, DVec3::Y)?;
+/// let rest = skeleton.rest(&[]);
+/// assert!(posed.joints().iter().zip(&rest).all(|(a, b)| (*a - *b - DVec3::Y).length() < 1e-9));
+/// // The translation moves all 24.
+/// let gradient = posed.pull_back(&[DVec3::X; 24]);
+/// assert!((gradient.transl - 24.0 * DVec3::X).length() < 1e-9);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Skeleton {
     /// Joints of the template, metres, `[joints]`.
@@ -21,6 +38,8 @@ pub struct Skeleton {
 }
 
 /// A posed skeleton.
+///
+/// See [`Skeleton`] for an example.
 #[derive(Debug, Clone)]
 pub struct PosedSkeleton<'a> {
     skeleton: &'a Skeleton,
@@ -33,6 +52,8 @@ pub struct PosedSkeleton<'a> {
 }
 
 /// The gradient of a function of a posed skeleton.
+///
+/// See [`Skeleton`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SkeletonGradient {
     /// By translation, `[3]`.

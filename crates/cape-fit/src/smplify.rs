@@ -17,6 +17,8 @@ use crate::{
 };
 
 /// How bare bodies are fitted.
+///
+/// See [`Smplify`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SmplifyConfig {
@@ -77,6 +79,8 @@ impl SmplifyConfig {
 }
 
 /// A bare body that explains keypoints.
+///
+/// See [`Smplify`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BodyFit {
     /// The body.
@@ -98,6 +102,26 @@ pub struct BodyFit {
 }
 
 /// Fits bare bodies of one kind.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_core::synth::synthetic_body;
+/// use cape_fit::{Camera, PosePrior, Smplify, SmplifyConfig};
+///
+/// // From a body that is nearly right, with two shape coefficients.
+/// let model = synthetic_body();
+/// let camera = Camera::new(512, 512, None)?;
+/// let (truth, keypoints) = seen(&model, &camera)?;
+/// let config = SmplifyConfig { betas: 2, ..SmplifyConfig::default() };
+/// let smplify = Smplify::new(&model, PosePrior::synthetic()?, config)?;
+/// let fit = smplify.fit(&camera, &keypoints, Some(&truth))?;
+/// assert_eq!(fit.parameters.betas.len(), 2);
+/// // Joints are within 5 cm of where they were seen.
+/// assert!(fit.joint_error * fit.pixel < 0.05);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone)]
 pub struct Smplify {
     skeleton: Skeleton,

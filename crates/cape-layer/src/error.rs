@@ -2,6 +2,18 @@
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// What can go wrong with clothing layers.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_layer::{AssociateOptions, Error};
+///
+/// // The clothing is further away than the rays reach.
+/// let apart = AssociateOptions::default().associate(&octahedron(0.1), &octahedron(2.0));
+/// assert!(matches!(apart, Err(Error::NoHits { rays: 6, .. })));
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

@@ -13,6 +13,44 @@ use crate::{
 };
 
 /// A learned clothing layer: all that predicts clothing for a body in motion.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_core::synth::synthetic_body;
+/// use cape_layer::{
+///     Layer, StandardPose,
+///     experiment::{Learning, Unposed},
+///     regress::Training,
+/// };
+///
+/// // What is learned of a patch on the skin of a body that marches ...
+/// let body = synthetic_body();
+/// let (set, association) = patch(&body)?;
+/// let standard = StandardPose::default();
+/// let unposed = Unposed::new(&body, &set, &association, &standard)?;
+/// let training = Training { hidden: vec![4], patience: 10, ..Training::default() };
+/// let learning = Learning { components: 1, training, ..Learning::default() };
+/// let learnt = unposed.regression(&[0], &learning, &mut |_| {})?.learnt;
+/// // ... makes a layer,
+/// let layer = Layer {
+///     faces: set.faces.clone(),
+///     association: association.clone(),
+///     standard,
+///     pca: learnt.pca,
+///     features: learning.features,
+///     semantics: learnt.semantics,
+///     regressor: learnt.outcome.regressor,
+/// };
+/// // which dresses bodies frame by frame, each as soon as its speeds are known.
+/// let shape = body.shaped(&[])?;
+/// let mut stream = layer.stream(&body, &shape, 30.0, &[0.85])?;
+/// assert!(stream.push(&[0.0; 72], [0.0; 3])?.is_none());
+/// let first = stream.push(&[0.0; 72], [0.0; 3])?.ok_or("no frame")?;
+/// assert_eq!((first.frame, first.clothing.dim()), (0, (3, 3)));
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Layer {
     /// The clothing's triangles, `[faces, 3]`.
@@ -32,6 +70,8 @@ pub struct Layer {
 }
 
 /// Clothing of one frame as a layer predicts it.
+///
+/// See [`Layer`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Predicted {
     /// The frame's number, from 0.
@@ -43,6 +83,8 @@ pub struct Predicted {
 }
 
 /// Prediction over a motion that arrives frame by frame; see [`Layer::stream`].
+///
+/// See [`Layer`] for an example.
 #[derive(Debug, Clone)]
 pub struct LayerStream<'a> {
     layer: &'a Layer,

@@ -5,6 +5,23 @@
 //! of clothing and puts it back; [`pca`] compresses what is left, and [`regress`] predicts it from
 //! motion, size and material. [`cloth`] simulates garments to learn from. Units are metres,
 //! seconds, kilograms and radians; y points up.
+//!
+//! ```
+//! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use cape_core::synth::synthetic_body;
+//! use cape_layer::{Keep, LayerPca, StandardPose, experiment::Unposed};
+//!
+//! // A patch on the skin of a body that marches, and the body vertices that it follows.
+//! let body = synthetic_body();
+//! let (set, association) = patch(&body)?;
+//! // Freed from the poses it only rises and falls: one component holds all of that.
+//! let unposed = Unposed::new(&body, &set, &association, &StandardPose::default())?;
+//! let pca = LayerPca::fit(unposed.rows.view(), Keep::Components(1))?;
+//! assert!(pca.explained() > 1.0 - 1e-9);
+//! # Ok(())
+//! # }
+//! ```
 
 pub mod associate;
 pub mod cloth;

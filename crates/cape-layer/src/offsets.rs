@@ -10,6 +10,17 @@ use crate::{Error, Result, associate::Association, error::finite, geometry::poin
 const NEARLY_SINGULAR: f64 = 1e-3;
 
 /// The pose in which offsets are measured, the paper's θ₀.
+///
+/// ```
+/// use cape_layer::StandardPose;
+///
+/// assert_eq!(StandardPose::T.angles(24), [0.0; 72]);
+/// // The shoulders alone are turned, by 45°.
+/// let lowered = StandardPose::A.angles(24);
+/// let turned: Vec<f64> = lowered.into_iter().filter(|angle| *angle != 0.0).collect();
+/// assert_eq!(turned.len(), 2);
+/// assert!((turned[0].abs().to_degrees() - 45.0).abs() < 1e-9);
+/// ```
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum StandardPose {
     /// Arms lowered by 45°.
@@ -42,6 +53,27 @@ impl StandardPose {
 }
 
 /// A body in one frame: where it is, and how each vertex got there from the standard pose.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_core::synth::synthetic_body;
+/// use cape_layer::{BodyFrame, StandardPose};
+///
+/// // A body in its standard pose, 1 m up.
+/// let body = synthetic_body();
+/// let (shape, standard) = (body.shaped(&[])?, StandardPose::T);
+/// let frame = BodyFrame::new(&body, &shape, &[0.0; 72], [0.0, 1.0, 0.0], &standard)?;
+/// assert!((frame.posed[0] - frame.standard[0] - glam::DVec3::Y).length() < 1e-9);
+/// // Clothing comes back from its offsets.
+/// let (set, association) = patch(&body)?;
+/// let clothing = set.sequences[0].clothing.index_axis(ndarray::Axis(0), 3);
+/// let offsets = association.offsets(&frame, clothing)?;
+/// let again = association.carry(&frame)?.dress(&association, offsets.view())?;
+/// assert!((&again - &clothing).iter().all(|gap| gap.abs() < 1e-9));
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyFrame {
     /// Vertices with pose blend shapes, in the frame's pose, metres, `[V]`.
@@ -176,6 +208,8 @@ impl Association {
 }
 
 /// Where clothing vertices are carried by a body in one frame.
+///
+/// See [`BodyFrame`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Carrier {
     /// Weighted means of the body vertices that each clothing vertex follows, in the standard pose,

@@ -10,6 +10,8 @@ use crate::{Error, Result, error::finite};
 const NOTHING: f64 = 1e-14;
 
 /// How many components are kept.
+///
+/// See [`LayerPca`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Keep {
     /// So many.
@@ -21,6 +23,21 @@ pub enum Keep {
 }
 
 /// A linear space around a mean.
+///
+/// ```
+/// use cape_layer::{Keep, LayerPca};
+/// use ndarray::arr2;
+///
+/// // Three frames on a line, 5 apart.
+/// let frames = arr2(&[[0.0, 0.0], [3.0, 4.0], [6.0, 8.0]]);
+/// let pca = LayerPca::fit(frames.view(), Keep::Energy(0.99))?;
+/// assert_eq!(pca.len(), 1);
+/// assert!((pca.variances[0] - 50.0 / 3.0).abs() < 1e-9);
+/// let codes = pca.encode(frames.view())?;
+/// assert!((codes[(2, 0)] - 5.0).abs() < 1e-9);
+/// assert!((pca.decode(codes.view())? - frames).iter().all(|gap| gap.abs() < 1e-9));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct LayerPca {
     /// The mean frame, `[numbers]`.

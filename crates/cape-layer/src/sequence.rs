@@ -21,6 +21,8 @@ use crate::{
 };
 
 /// Clothing over one body's motion, frame by frame.
+///
+/// See [`LayerSet`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sequence {
     /// Its name, also in files.
@@ -87,6 +89,25 @@ impl Sequence {
 }
 
 /// Sequences of one clothing mesh.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_core::synth::synthetic_body;
+/// use cape_layer::LayerSet;
+///
+/// // A patch of three vertices on a body that marches.
+/// let set = patch(&synthetic_body())?.0;
+/// assert_eq!((set.vertices(), set.frames()), (3, 30));
+/// assert_eq!(set.clothing(0, 0)?.faces, [[0, 1, 2]]);
+/// // Sets are directories.
+/// let directory = tempfile::tempdir()?;
+/// set.save(directory.path())?;
+/// let again = LayerSet::load(directory.path())?;
+/// assert_eq!(again.sequences[0].motion.frames(), set.sequences[0].frames());
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct LayerSet {
     /// The clothing's triangles, `[faces, 3]`.

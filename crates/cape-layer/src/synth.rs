@@ -15,6 +15,19 @@ use crate::{
 };
 
 /// What a subject does.
+///
+/// ```
+/// use cape_core::synth::synthetic_body;
+/// use cape_layer::synth::Exercise;
+///
+/// // Half a second of a walk at 1.2 m/s.
+/// let body = synthetic_body();
+/// let motion = Exercise::Walk.motion(&body, &body.shaped(&[])?, 16, 30.0)?;
+/// assert_eq!(motion.poses.dim(), (16, 72));
+/// let way = motion.translations[(15, 2)] - motion.translations[(0, 2)];
+/// assert!((way - 0.6).abs() < 0.05);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Exercise {
@@ -89,6 +102,23 @@ impl Exercise {
 }
 
 /// A full grid of subjects, sizes, materials and exercises, in one topology.
+///
+/// ```
+/// use cape_layer::{
+///     cloth::{Garment, GarmentKind},
+///     synth::{Design, Exercise},
+/// };
+///
+/// let skirt = Garment::of(GarmentKind::Skirt);
+/// let design = Design {
+///     sizes: vec![skirt, Garment { length: 1.2 * skirt.length, ..skirt }],
+///     exercises: vec![Exercise::Walk, Exercise::Squat],
+///     ..Design::of(skirt)
+/// };
+/// let names: Vec<String> = design.takes().iter().map(|take| take.name()).collect();
+/// assert_eq!(names.len(), 4);
+/// assert_eq!(names[3], "s00_z01_m00_squat");
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Design {
     /// Shape coefficients of the subjects.
@@ -108,6 +138,8 @@ pub struct Design {
 }
 
 /// One cell of a [`Design`], by index.
+///
+/// See [`Design`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Take {
     /// The subject.

@@ -20,6 +20,8 @@ use crate::{
 };
 
 /// What is seen.
+///
+/// See [`Benchmark`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BenchmarkOptions {
@@ -44,6 +46,8 @@ impl Default for BenchmarkOptions {
 }
 
 /// Errors after scale and translation are taken out (eq. 12–13), at clothing vertices.
+///
+/// See [`Summary`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FitError {
     /// Mean squared distance, m².
@@ -57,6 +61,8 @@ pub struct FitError {
 }
 
 /// One frame of the benchmark, and what was found.
+///
+/// See [`Summary`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Case {
     /// Number of the held-out frame.
@@ -80,6 +86,30 @@ pub struct Case {
 }
 
 /// Frames to fit, and what fits them.
+///
+/// ```no_run
+/// use burn::tensor::Device;
+/// use cape_fit::{
+///     ClothedConfig, PosePrior, Smplify, SmplifyConfig,
+///     benchmark::{Benchmark, BenchmarkOptions, Summary},
+/// };
+/// use cape_train::{Run, data::{PackedSet, Part}};
+///
+/// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
+/// let set = PackedSet::open("data/packed".as_ref(), Part::Test)?;
+/// let smplify = Smplify::new(run.body(), PosePrior::synthetic()?, SmplifyConfig::default())?;
+/// let config = ClothedConfig::default();
+/// let options = BenchmarkOptions { frames: 8, ..BenchmarkOptions::default() };
+/// let benchmark = Benchmark::new(&run, &set, &smplify, &config, options)?;
+/// let mut cases = Vec::new();
+/// for frame in benchmark.frames() {
+///     let scene = benchmark.scene(frame)?;
+///     println!("{} pixels", scene.mask.area());
+///     cases.push(benchmark.case(frame)?);
+/// }
+/// println!("{:.1} mm", Summary::of(&cases, 1)?.clothed.distance_mm.mean);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Benchmark<'a> {
     run: &'a Run,

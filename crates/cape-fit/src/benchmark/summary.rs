@@ -5,6 +5,8 @@ use super::{Case, FitError};
 use crate::{Paired, Result};
 
 /// Mean and median of the cases' values.
+///
+/// See [`Summary`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// Mean.
@@ -16,6 +18,8 @@ pub struct Spread {
 }
 
 /// How well one method did.
+///
+/// See [`Summary`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Score {
     /// Mean squared distance at clothing vertices, m².
@@ -29,6 +33,8 @@ pub struct Score {
 }
 
 /// The cases in one outfit.
+///
+/// See [`Summary`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct OutfitSummary {
     /// What is worn.
@@ -42,6 +48,39 @@ pub struct OutfitSummary {
 }
 
 /// What a benchmark came to.
+///
+/// ```
+/// use cape_core::Outfit;
+/// use cape_fit::{
+///     BodyParameters,
+///     benchmark::{Case, FitError, Summary},
+/// };
+///
+/// // Three images where clothes bring the error from 20 mm to 10 mm.
+/// let error = |distance_mm: f64| FitError {
+///     squared: 1e-6 * distance_mm * distance_mm,
+///     distance_mm,
+///     intersection_over_union: 0.9,
+///     seconds: 1.0,
+/// };
+/// let body = BodyParameters::new(vec![0.0; 72], Vec::new())?;
+/// let cases = [0, 1, 2].map(|frame| Case {
+///     frame,
+///     capture: "anna".into(),
+///     outfit: Outfit::LongLong,
+///     bare: error(20.0),
+///     clothed: error(10.0),
+///     problem: None,
+///     bare_body: body.clone(),
+///     clothed_body: body.clone(),
+///     code: vec![0.0],
+/// });
+/// let summary = Summary::of(&cases, 1)?;
+/// assert_eq!((summary.images, summary.captures, summary.failed), (3, 1, 0));
+/// assert_eq!((summary.bare.distance_mm.mean, summary.clothed.distance_mm.median), (20.0, 10.0));
+/// assert_eq!((summary.distance_mm.wins, summary.outfits[0].images), (3, 3));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Images.

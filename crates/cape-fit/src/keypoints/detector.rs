@@ -1,6 +1,15 @@
 use std::fmt;
 
 /// What numbers a detector's keypoints have.
+///
+/// ```
+/// use cape_fit::Detector;
+///
+/// assert_eq!(Detector::of_points(17), Some(Detector::Coco17));
+/// assert_eq!(Detector::of_points(5), None);
+/// // BODY_25 has a point between the hips, which stands for the pelvis.
+/// assert!(Detector::Body25.joints().contains(&(8, 0)));
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Detector {
     /// OpenPose's 25 points of body and feet.

@@ -10,6 +10,30 @@ use super::{Detector, Keypoint, Keypoints};
 use crate::{Error, Result};
 
 /// Everyone in an image.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_core::synth::synthetic_body;
+/// use cape_fit::{Camera, read_keypoints};
+///
+/// // Keypoints as OpenPose writes them, read back.
+/// let (_, keypoints) = seen(&synthetic_body(), &Camera::new(512, 512, None)?)?;
+/// let directory = tempfile::tempdir()?;
+/// let archive = directory.path().join("keypoints.npz");
+/// let points = keypoints.points();
+/// let rows = ndarray::Array2::from_shape_fn((points.len(), 3), |(point, column)| {
+///     [points[point].x, points[point].y, points[point].confidence][column]
+/// });
+/// let mut file = cape_core::npy::NpzWriter::create(&archive)?;
+/// file.add("keypoints", &rows)?;
+/// file.finish()?;
+/// let people = read_keypoints(&archive)?;
+/// assert_eq!(people.len(), 1);
+/// assert_eq!(people.choose(None)?, keypoints);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct People {
     people: Vec<Keypoints>,

@@ -9,6 +9,8 @@ pub use file::{People, read_keypoints};
 use crate::{Error, Result};
 
 /// A point that a detector saw.
+///
+/// See [`Keypoints`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Keypoint {
     /// Column, pixels from the left edge.
@@ -20,6 +22,20 @@ pub struct Keypoint {
 }
 
 /// One person's keypoints.
+///
+/// ```
+/// use cape_fit::{Detector, Keypoint, Keypoints};
+///
+/// // All that was seen is the middle of the hips.
+/// let mut points = vec![Keypoint { x: 0.0, y: 0.0, confidence: 0.0 }; 25];
+/// points[8] = Keypoint { x: 100.0, y: 200.0, confidence: 0.9 };
+/// let keypoints = Keypoints::new(Detector::Body25, points)?;
+/// let sightings = keypoints.sightings(0.5);
+/// assert_eq!((sightings.len(), sightings[0].joint, sightings[0].at.x), (1, 0, 100.0));
+/// // In an image of half the size.
+/// assert_eq!(keypoints.scaled(0.5).points()[8].y, 100.0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Keypoints {
     detector: Detector,
@@ -27,6 +43,8 @@ pub struct Keypoints {
 }
 
 /// A joint of SMPL as it was seen.
+///
+/// See [`Keypoints`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
     /// The joint's number.

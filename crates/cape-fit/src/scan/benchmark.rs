@@ -24,6 +24,28 @@ const HOLE: f64 = 0.12;
 const FAR: f64 = 2.0;
 
 /// What is scanned, and how badly.
+///
+/// ```no_run
+/// use burn::tensor::Device;
+/// use cape_fit::scan::{ScanConfig, benchmark::{ScanBenchmarkOptions, scan_benchmark}};
+/// use cape_train::{Run, data::{PackedSet, Part}};
+///
+/// // Two scans of each of four frames: whole, and with a tenth missing.
+/// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
+/// let set = PackedSet::open("data/packed".as_ref(), Part::Test)?;
+/// let options = ScanBenchmarkOptions {
+///     frames: 4,
+///     points: 20_000,
+///     noises: vec![0.001],
+///     holes: vec![0.0, 0.1],
+///     seed: 1,
+/// };
+/// scan_benchmark(&run, &set, &options, &ScanConfig::default(), &mut |case| {
+///     println!("{} {:.0} %: {:.1} mm", case.capture, 100.0 * case.hole, case.error.clothed);
+///     Ok(())
+/// })?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScanBenchmarkOptions {
     /// Held-out frames, evenly spaced.
@@ -39,6 +61,8 @@ pub struct ScanBenchmarkOptions {
 }
 
 /// Errors of one scan's fit, millimetres.
+///
+/// See [`ScanBenchmarkOptions`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct ScanError {
     /// Mean distance of clothing vertices from the true ones, in the mean clothes.
@@ -62,6 +86,8 @@ pub struct ScanError {
 }
 
 /// One scan of the benchmark.
+///
+/// See [`ScanBenchmarkOptions`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ScanCase {
     /// Number of the held-out frame.

@@ -91,6 +91,8 @@ impl<'a> Target<'a> {
 }
 
 /// Both directions of `E_D`, square metres.
+///
+/// See [`ScanFitter`](super::ScanFitter) for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScanTerms {
     /// From the scan to the body.
@@ -219,6 +221,8 @@ pub(crate) fn surface_distance(points: &[DVec3], vertices: &[DVec3], faces: &[[u
 }
 
 /// How far a surface is from a scan, millimetres.
+///
+/// See [`FreeSurface`](super::FreeSurface) for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScanDistance {
     /// Half of the scan's points are nearer to the surface.

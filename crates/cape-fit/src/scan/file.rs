@@ -15,6 +15,14 @@ const FEWEST: usize = 200;
 const PERSON: [f64; 2] = [0.5, 3.0];
 
 /// What a scan is measured in.
+///
+/// ```
+/// use cape_fit::scan::Unit;
+///
+/// assert_eq!("cm".parse::<Unit>()?.metres(), 0.01);
+/// assert!("ft".parse::<Unit>().is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Unit {
@@ -59,6 +67,22 @@ impl std::str::FromStr for Unit {
 }
 
 /// A scanned person: points, with triangles between them or none. Metres.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_fit::scan::{Scan, Unit, distances_to};
+///
+/// // The points of a body, read as metres.
+/// let (points, _) = person();
+/// let scan = Scan::new(points.clone(), None, Vec::new(), Unit::M)?;
+/// assert_eq!((scan.points().len(), scan.faces().len()), (points.len(), 0));
+/// assert!(distances_to(&scan, &points[..10]).iter().all(|&far| far < 1e-9));
+/// // Nobody is that small.
+/// assert!(Scan::new(points, None, Vec::new(), Unit::Mm).is_err());
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scan {
     points: Vec<DVec3>,

@@ -20,6 +20,8 @@ use crate::{
 };
 
 /// The terms of the energy, unweighted.
+///
+/// See [`ScanFitter`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScanFitTerms {
     /// Those of priors, and of joints if some are known.
@@ -31,6 +33,8 @@ pub struct ScanFitTerms {
 }
 
 /// A clothed body that explains a scan.
+///
+/// See [`ScanFitter`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ScanFit {
     /// The body under the clothes, in the scan's space, metres.
@@ -58,9 +62,30 @@ pub struct ScanFit {
 }
 
 /// Steps that were made, of how many at most.
+///
+/// See [`ScanFitter`] for an example.
 pub type ScanProgress<'a> = dyn FnMut(usize, usize) + 'a;
 
 /// Fits a run's clothed bodies to scans.
+///
+/// ```no_run
+/// use burn::tensor::Device;
+/// use cape_core::Outfit;
+/// use cape_fit::{PosePrior, scan::{Scan, ScanConfig, ScanFitter, ScanStart, Unit, Up}};
+/// use cape_train::Run;
+///
+/// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
+/// let prior = PosePrior::synthetic()?;
+/// let start = ScanStart::usual(&prior);
+/// let fitter = ScanFitter::new(&run, &Outfit::ALL, None, prior, ScanConfig::default())?;
+/// let scan = Scan::load("scan.ply", Unit::M)?;
+/// let mut progress = |done, total| eprintln!("{done} of {total}");
+/// let fit = fitter.fit(&scan, &start, Up::Y, &mut progress)?;
+/// println!("{:?}, {:.1} mm from the scan", fit.outfit, fit.distance.mean);
+/// println!("both ways: {:?}", fit.terms.distance);
+/// let vertices = fitter.surface(&fit)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct ScanFitter {
     body: SmplModel,

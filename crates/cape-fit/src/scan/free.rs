@@ -16,6 +16,8 @@ use super::{
 use crate::{Error, Result, body_energy::check_weight};
 
 /// How freely vertices leave a fitted surface.
+///
+/// See [`FreeSurface`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FreeConfig {
@@ -40,6 +42,23 @@ impl Default for FreeConfig {
 }
 
 /// A surface whose vertices went where the scan is.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_fit::scan::{FreeConfig, Scan, Unit, free_displacement};
+/// use glam::DVec3;
+///
+/// // A scan that the surface already fits leaves it where it is.
+/// let (vertices, faces) = person();
+/// let scan = Scan::new(vertices.clone(), None, Vec::new(), Unit::M)?;
+/// let config = FreeConfig { samples: 500, steps: 2, ..FreeConfig::default() };
+/// let free = free_displacement(&scan, &vertices, &faces, &config, &mut |_, _| {})?;
+/// assert_eq!(free.vertices.len(), vertices.len());
+/// assert!(free.moved < 1e-3 && free.distance.mean < 1e-3);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct FreeSurface {
     /// Metres, `[V]`.

@@ -17,6 +17,21 @@ const FEWEST: usize = 4;
 const ROBUST: f64 = 6.0;
 
 /// Joints in a scan's space.
+///
+/// ```
+/// use cape_core::synth::synthetic_body;
+/// use cape_fit::{Skeleton, scan::KnownJoints};
+///
+/// let joints = Skeleton::new(&synthetic_body())?.rest(&[]);
+/// let mut known: Vec<_> = joints.into_iter().map(Some).collect();
+/// // The hands are not known.
+/// known[22..].fill(None);
+/// assert!(KnownJoints::new(&known).is_ok());
+/// // One joint does not place a body.
+/// known[1..].fill(None);
+/// assert!(KnownJoints::new(&known).is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct KnownJoints(Vec<(usize, DVec3)>);
 

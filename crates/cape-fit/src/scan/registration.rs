@@ -16,6 +16,8 @@ use crate::{BodyParameters, Error, Result, parameters::POSE};
 const SAME: f64 = 1e-5;
 
 /// Where a registration goes in a raw tree.
+///
+/// See [`Registration`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Place {
     /// The subject.
@@ -29,6 +31,29 @@ pub struct Place {
 }
 
 /// A surface in motion with the body under it.
+///
+/// ```
+/// use cape_core::{Outfit, synth::synthetic_body};
+/// use cape_fit::{BodyParameters, scan::{Place, Registration}};
+/// use glam::DVec3;
+///
+/// // A bare body in its rest pose, 1 m up.
+/// let body = synthetic_body();
+/// let minimal = body.shaped(&[])?;
+/// let mut parameters = BodyParameters::new(vec![0.0; 72], Vec::new())?;
+/// parameters.transl = [0.0, 1.0, 0.0];
+/// let rest = minimal.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2]) + DVec3::Y);
+/// let vertices: Vec<DVec3> = rest.collect();
+/// let (body, minimal, parameters) = (&body, &minimal, &parameters);
+/// let registration = Registration { body, minimal, parameters, vertices: &vertices };
+/// let unposed = registration.frame()?.v_cano;
+/// assert!((&unposed - minimal).iter().all(|gap| gap.abs() < 1e-9));
+/// // It becomes a frame of a raw tree.
+/// let (root, subject, sequence) = (tempfile::tempdir()?, "anna".into(), "scan".into());
+/// let place = Place { subject, outfit: Outfit::LongLong, sequence, number: 1 };
+/// assert!(registration.write(&root.path().join("raw"), &place, &[100, 101])?.exists());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy)]
 pub struct Registration<'a> {
     /// Skeleton and skin.

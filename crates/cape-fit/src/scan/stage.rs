@@ -5,6 +5,8 @@ use serde::{Deserialize, Serialize};
 use crate::{BodyWeights, Error, Result, body_energy::check_weight};
 
 /// What a stage solves for.
+///
+/// See [`ScanConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Unknowns {
@@ -17,6 +19,8 @@ pub enum Unknowns {
 }
 
 /// One stage.
+///
+/// See [`ScanConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScanStage {
@@ -33,6 +37,16 @@ pub struct ScanStage {
 }
 
 /// How clothed bodies are fitted to scans.
+///
+/// ```
+/// use cape_fit::scan::{ScanConfig, Unknowns};
+///
+/// // Coarse to fine: every stage solves for as much as the last one, and is less robust.
+/// let stages = ScanConfig::default().stages;
+/// assert!(stages.is_sorted_by_key(|stage| stage.unknowns));
+/// assert!(stages.is_sorted_by(|first, second| first.robust >= second.robust));
+/// assert_eq!(stages[0].unknowns, Unknowns::Pose);
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ScanConfig {

@@ -18,6 +18,15 @@ const OTHERS: usize = 3;
 const JOINT_STAGES: [f64; 3] = [10.0, 2.0, 0.5];
 
 /// What is known of a scanned body's pose.
+///
+/// ```
+/// use cape_fit::{PosePrior, scan::ScanStart};
+///
+/// // The poses that people are in, where nothing is known.
+/// let start = ScanStart::usual(&PosePrior::synthetic()?);
+/// assert!(matches!(start, ScanStart::Poses(poses) if poses.iter().all(|pose| pose.len() == 72)));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub enum ScanStart {
     /// Rough poses, one of which it may be in, wherever it stands: axis-angles `[72]`, of which the
@@ -41,6 +50,16 @@ impl ScanStart {
 }
 
 /// An axis of the scan's space.
+///
+/// ```
+/// use cape_fit::scan::Up;
+/// use glam::DVec3;
+///
+/// let up: Up = "-z".parse()?;
+/// assert!((up.to_y() * DVec3::NEG_Z - DVec3::Y).length() < 1e-12);
+/// assert_eq!((up.name(), Up::Y.name()), ("-z", "y"));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Up {
     axis: usize,

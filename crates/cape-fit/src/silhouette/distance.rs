@@ -7,6 +7,17 @@
 use super::Mask;
 
 /// Each pixel's distance to the nearest covered one, and which that is.
+///
+/// ```
+/// use cape_fit::{Mask, silhouette::{euclidean, manhattan}};
+///
+/// // From the upper left pixel, the only one covered, to the lower right one.
+/// let covered = (0..5 * 4).map(|pixel| pixel == 0).collect();
+/// let mask = Mask::new(5, 4, covered)?;
+/// assert_eq!((euclidean(&mask).distance()[19], manhattan(&mask).distance()[19]), (5.0, 7.0));
+/// assert_eq!(euclidean(&mask).site()[19], 0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Nearest {
     width: usize,

@@ -29,6 +29,27 @@ use crate::{Camera, Error, Result};
 const ROUNDING: f64 = 0.5;
 
 /// An image's silhouette, to compare surfaces with.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_fit::{Camera, silhouette::{SilhouetteEnergy, render}};
+/// use glam::DVec3;
+///
+/// // A surface matches its own silhouette; its neighbour costs something.
+/// let camera = Camera::new(100, 100, Some(100.0))?;
+/// let (vertices, faces) = square(1.0);
+/// let mask = render(&vertices, &faces, &camera)?.mask().clone();
+/// let energy = SilhouetteEnergy::new(&camera, &mask, 100, 0.02)?;
+/// let mut gradient = vec![DVec3::ZERO; 4];
+/// let terms = energy.matched(&vertices, &faces)?.evaluate(&vertices, 1.0, &mut gradient);
+/// assert!(terms.total() < 1e-6);
+/// let moved: Vec<DVec3> = vertices.iter().map(|&vertex| vertex + 0.2 * DVec3::X).collect();
+/// let terms = energy.matched(&moved, &faces)?.evaluate(&moved, 1.0, &mut gradient);
+/// assert!(terms.rendered > 1e-3 && terms.image > 1e-3);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone)]
 pub struct SilhouetteEnergy {
     camera: Camera,
@@ -41,6 +62,8 @@ pub struct SilhouetteEnergy {
 }
 
 /// Both directions of `E_S`: means over the image's silhouette, metres at the person's distance.
+///
+/// See [`SilhouetteEnergy`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct SilhouetteTerms {
     /// Of the rendered silhouette's pixels to the image's.
@@ -57,6 +80,8 @@ impl SilhouetteTerms {
 }
 
 /// A surface matched with the image's silhouette.
+///
+/// See [`SilhouetteEnergy`] for an example.
 #[derive(Debug, Clone)]
 pub struct Matched<'a> {
     energy: &'a SilhouetteEnergy,

@@ -9,6 +9,18 @@ use crate::{Camera, Error, Result, keypoints::Sighting};
 const NEAR: f64 = 0.02;
 
 /// The pixels that a person covers.
+///
+/// ```
+/// use cape_fit::Mask;
+///
+/// // The left half and the upper half of an image.
+/// let left = Mask::new(4, 4, (0..16).map(|pixel| pixel % 4 < 2).collect())?;
+/// let upper = Mask::new(4, 4, (0..16).map(|pixel| pixel < 8).collect())?;
+/// assert_eq!(left.area(), 8);
+/// assert!((left.intersection_over_union(&upper)? - 4.0 / 12.0).abs() < 1e-12);
+/// assert_eq!(left.resized(2, 2).covered(), [true, false, true, false]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Mask {
     width: u32,

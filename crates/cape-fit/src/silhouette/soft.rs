@@ -25,6 +25,26 @@ const FAINT: f64 = 9.0;
 const NEAREST: f64 = 0.05;
 
 /// What a surface covers, softly.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_fit::{Camera, silhouette::render_softly};
+/// use glam::DVec3;
+///
+/// // A square of 50 pixels.
+/// let camera = Camera::new(100, 100, Some(100.0))?;
+/// let (vertices, faces) = square(1.0);
+/// let soft = render_softly(&vertices, &faces, &camera, 0.5)?;
+/// let area: f64 = soft.coverage().iter().sum();
+/// assert!((area / 2500.0 - 1.0).abs() < 0.1);
+/// // Moving it altogether changes nothing of that.
+/// let mut forces = vec![DVec3::ZERO; 4];
+/// soft.pull_back(&vertices, &vec![1.0; 100 * 100], &mut forces);
+/// assert!(forces.iter().map(|force| force.x).sum::<f64>().abs() < 1e-6);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone)]
 pub struct SoftRendering<'a> {
     camera: Camera,

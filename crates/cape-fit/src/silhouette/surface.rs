@@ -7,6 +7,8 @@ use super::Mask;
 use crate::{Camera, Result, camera::depth};
 
 /// A point that stays on its triangle when the surface moves.
+///
+/// See [`Rendering`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SurfacePoint {
     /// Vertices of the triangle.
@@ -31,6 +33,24 @@ impl SurfacePoint {
 }
 
 /// A surface as a camera sees it.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_fit::{Camera, silhouette::render};
+/// use glam::DVec3;
+///
+/// // A square of 50 pixels, and what is seen of it beside the middle.
+/// let camera = Camera::new(100, 100, Some(100.0))?;
+/// let (vertices, faces) = square(1.0);
+/// let rendering = render(&vertices, &faces, &camera)?;
+/// assert!(rendering.mask().area().abs_diff(2500) < 110);
+/// let point = rendering.point(50 * 100 + 50, &vertices, &faces).ok_or("not covered")?;
+/// assert!((point.at(&vertices) - DVec3::new(0.01, -0.01, -2.0)).length() < 1e-9);
+/// assert!(rendering.point(0, &vertices, &faces).is_none());
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone)]
 pub struct Rendering {
     mask: Mask,

@@ -14,6 +14,8 @@ use crate::{
 const PASSED_ON: usize = 64;
 
 /// How many clothing vertices needed more than the plain support.
+///
+/// See [`Association`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Completion {
     /// Vertices completed when the support was widened by one ring of neighbours, by two, ….
@@ -30,6 +32,22 @@ impl Completion {
 }
 
 /// The body vertices each clothing vertex follows, and how much (the paper's `I_j` and `ω`).
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_layer::AssociateOptions;
+///
+/// // Each corner of an octahedron follows the one that it lies over.
+/// let (body, clothing) = (octahedron(0.1), octahedron(0.12));
+/// let association = AssociateOptions::default().associate(&body, &clothing)?;
+/// assert_eq!((association.clothing_vertices(), association.neighbours()), (6, 4));
+/// assert!((0..6).all(|corner| association.indices[(corner, 0)] == corner as u32));
+/// // All were met by rays; none needed a wider support.
+/// assert_eq!((association.statistics.hits, association.completion.total()), (6, 0));
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Association {
     /// Body vertices, the most probable first, `[clothing vertices, n_f]`.

@@ -18,6 +18,8 @@ use crate::{
 };
 
 /// How clothing vertices are tied to body vertices.
+///
+/// See [`Association`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AssociateOptions {
     /// Length of the rays, metres; the paper's 15 cm.

@@ -6,6 +6,8 @@ use crate::{
 };
 
 /// A clothing vertex and the body vertex whose ray found it.
+///
+/// See [`Pairs`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pair {
     /// The clothing vertex.
@@ -17,6 +19,8 @@ pub struct Pair {
 }
 
 /// What the rays met; tells flipped normals and misplaced meshes.
+///
+/// See [`Pairs`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct RayStatistics {
     /// Rays cast: one for each body vertex that has a normal.
@@ -53,6 +57,22 @@ struct Met {
 }
 
 /// Sparse correspondences of one frame, at most one for each clothing vertex.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_layer::associate::Pairs;
+///
+/// let found = Pairs::find(&octahedron(0.1), &octahedron(0.12), 0.15)?;
+/// assert_eq!((found.statistics.rays, found.pairs.len()), (6, 6));
+/// for pair in &found.pairs {
+///     assert_eq!(pair.body, pair.clothing);
+///     assert!((pair.distance - 0.02).abs() < 1e-6);
+/// }
+/// assert!(!found.statistics.clothing_is_flipped());
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pairs {
     /// By ascending clothing vertex.

@@ -4,6 +4,15 @@ use rayon::prelude::*;
 use crate::geometry::Solid;
 
 /// Contact of cloth with a body, at vertices and at the middles of faces.
+///
+/// ```
+/// use cape_layer::cloth::{Contact, Material};
+///
+/// // What cloth of a material keeps to, half a step on the way.
+/// let Material { friction, thickness, .. } = Material::default();
+/// let contact = Contact { friction, thickness, from: 0.0, now: 0.5 };
+/// assert!(contact.thickness < Contact::REACH);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
     /// Coefficient of Coulomb friction.

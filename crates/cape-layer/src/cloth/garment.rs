@@ -12,6 +12,8 @@ use crate::{
 };
 
 /// Kinds of garments, each of its own topology.
+///
+/// See [`Garment`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum GarmentKind {
     /// A body with sleeves.
@@ -25,6 +27,24 @@ pub enum GarmentKind {
 }
 
 /// A garment's cut, in ratios to the body that it is made for.
+///
+/// ```
+/// use cape_core::synth::synthetic_body;
+/// use cape_layer::cloth::{Garment, GarmentKind};
+///
+/// let body = synthetic_body();
+/// let skirt = Garment { resolution: 0.05, ..Garment::of(GarmentKind::Skirt) };
+/// let sewn = skirt.sew(&body, &body.shaped(&[])?)?;
+/// assert!(!sewn.waistband.is_empty());
+/// // A longer one has the same topology, and reaches further down.
+/// let longer = sewn.resized(&body, &Garment { length: 1.2 * skirt.length, ..skirt })?;
+/// assert_eq!(longer.surface.faces, sewn.surface.faces);
+/// let hem = |surface: &cape_layer::geometry::Surface| {
+///     surface.vertices.iter().fold(f64::INFINITY, |low, vertex| low.min(vertex.y))
+/// };
+/// assert!(hem(&longer.surface) < hem(&sewn.surface));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Garment {
     /// The kind.
@@ -41,6 +61,8 @@ pub struct Garment {
 
 /// A garment made for a body with its arms lowered by 45°, between where arms mostly are and where
 /// they may go: sleeves that are sewn further up bunch under hanging arms.
+///
+/// See [`Garment`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sewn {
     /// The garment around the body.

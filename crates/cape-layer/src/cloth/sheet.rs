@@ -13,6 +13,18 @@ use crate::{
 };
 
 /// What a garment is made of.
+///
+/// ```
+/// use cape_layer::cloth::Material;
+///
+/// let denim = Material { density: 0.1, ..Material::default() };
+/// denim.check()?;
+/// // Densities are seen on a logarithmic scale.
+/// assert_eq!(denim.numbers()[0], -1.0);
+/// let nothing = Material { density: 0.0, ..denim };
+/// assert!(nothing.check().unwrap_err().to_string().contains("density"));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Material {
     /// Mass of a square metre, kg.
@@ -90,6 +102,24 @@ struct Lead {
 }
 
 /// A sheet of triangles in motion.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_layer::cloth::{Cloth, Material};
+/// use glam::DVec3;
+///
+/// // A sheet in free fall keeps its shape.
+/// let material = Material { damping: 0.0, ..Material::default() };
+/// let mut cloth = Cloth::new(&octahedron(0.1), &material)?;
+/// let gravity = DVec3::NEG_Y * 9.81;
+/// (0..100).for_each(|_| cloth.step(0.001, gravity, None));
+/// assert!(cloth.velocities.iter().all(|v| (*v - 0.1 * gravity).length() < 1e-6));
+/// assert!(cloth.strain()[1] < 1e-6);
+/// assert_eq!(cloth.crossings(), 0);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone)]
 pub struct Cloth {
     /// Positions, metres, `[vertices]`.

@@ -15,6 +15,29 @@ use crate::{
 };
 
 /// How garments are simulated.
+///
+/// ```
+/// use cape_core::synth::synthetic_body;
+/// use cape_layer::{
+///     cloth::{Garment, GarmentKind, Material, Simulation},
+///     regress::Motion,
+/// };
+/// use ndarray::Array2;
+///
+/// // A coarse skirt falls onto the hips of a body that stands.
+/// let body = synthetic_body();
+/// let shape = body.shaped(&[])?;
+/// let skirt = Garment { resolution: 0.05, ..Garment::of(GarmentKind::Skirt) };
+/// let sewn = skirt.sew(&body, &shape)?;
+/// let motion = Motion::new(30.0, Array2::zeros((2, 72)), Array2::zeros((2, 3)))?;
+/// let simulation = Simulation { settle: 0.1, ..Simulation::default() };
+/// let worn = (&sewn, &Material::default());
+/// let simulated = simulation.run(&body, &shape, worn, &motion, &mut |_, _| {})?;
+/// assert_eq!(simulated.frames.dim(), (2, sewn.surface.vertices.len(), 3));
+/// assert_eq!(simulated.reports.len(), 2);
+/// assert!(simulated.quality().penetration < 0.01);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Simulation {
     /// Steps of a frame.
@@ -46,6 +69,8 @@ impl Default for Simulation {
 }
 
 /// State of the cloth after a frame.
+///
+/// See [`Simulation`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct StepReport {
     /// Deepest that a vertex or the middle of a face is inside the body, metres.
@@ -63,6 +88,8 @@ pub struct StepReport {
 }
 
 /// How a whole simulation went.
+///
+/// See [`Simulation`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Quality {
     /// Deepest that a vertex or the middle of a face was inside the body, metres.
@@ -80,6 +107,8 @@ pub struct Quality {
 }
 
 /// A garment's movement.
+///
+/// See [`Simulation`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simulated {
     /// Clothing vertices, metres, `[frames, vertices, 3]`.

@@ -1,6 +1,24 @@
 use crate::{LayerSet, Sequence};
 
 /// What sequences of a set differ in, and what can be new to a layer.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_core::synth::synthetic_body;
+/// use cape_layer::{LayerSet, Sequence, experiment::Factor};
+///
+/// // The same patch in two sequences, named for different movements.
+/// let march = patch(&synthetic_body())?.0.sequences.remove(0);
+/// let walk = Sequence { name: "anna_walk".into(), ..march.clone() };
+/// let set = LayerSet::new(vec![[0, 1, 2]], vec![march, walk])?;
+/// let groups = Factor::Motion.groups(&set);
+/// assert_eq!(groups.len(), 2);
+/// assert_eq!((groups[1].label.as_str(), groups[1].sequences.as_slice()), ("walk", &[1][..]));
+/// assert_eq!(Factor::Shape.groups(&set).len(), 1);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Factor {
     /// The body's shape coefficients.
@@ -14,6 +32,8 @@ pub enum Factor {
 }
 
 /// Sequences that are alike in a factor.
+///
+/// See [`Factor`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Group {
     /// What they have in common, for people.

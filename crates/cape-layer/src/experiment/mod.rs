@@ -17,6 +17,15 @@ use crate::{
 };
 
 /// Distances between clothing vertices and their true places, millimetres.
+///
+/// ```
+/// use cape_layer::experiment::LayerError;
+/// use ndarray::{arr2, aview2};
+///
+/// let found = arr2(&[[0.003, 0.004, 0.0], [1.0, 0.0, 0.0]]);
+/// let error = LayerError::between(found.view(), aview2(&[[0.0; 3], [1.0, 0.0, 0.0]]));
+/// assert!((error.mean - 2.5).abs() < 1e-9 && (error.largest - 5.0).abs() < 1e-9);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LayerError {
     /// Mean over vertices and frames.
@@ -49,6 +58,8 @@ pub fn distances(found: ArrayView2<'_, f64>, truth: ArrayView2<'_, f64>) -> Vec<
 }
 
 /// What is learned, and how.
+///
+/// See [`Unposed`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Learning {
     /// Principal components that are predicted; the paper's 40.
@@ -73,6 +84,8 @@ impl Default for Learning {
 }
 
 /// A space of offsets and the way into it.
+///
+/// See [`Unposed`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Learnt {
     /// The space, of frames that trained.
@@ -84,6 +97,8 @@ pub struct Learnt {
 }
 
 /// What was learned and its errors.
+///
+/// See [`Unposed`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Regression {
     /// What was learned.

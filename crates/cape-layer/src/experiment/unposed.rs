@@ -11,6 +11,32 @@ use crate::{
 };
 
 /// A set whose clothing is tied to its bodies and freed from their poses.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_core::synth::synthetic_body;
+/// use cape_layer::{
+///     StandardPose,
+///     experiment::{Learning, Unposed},
+///     regress::Training,
+/// };
+///
+/// // A patch that rises and falls as its wearer marches.
+/// let body = synthetic_body();
+/// let (set, association) = patch(&body)?;
+/// let unposed = Unposed::new(&body, &set, &association, &StandardPose::default())?;
+/// assert_eq!(unposed.rows.dim(), (30, 9));
+/// // One component reconstructs it; a small network predicts it better than its mean does.
+/// assert!(unposed.reconstruction(&[1])?[0][0].largest < 1e-6);
+/// let training = Training { hidden: vec![4], patience: 10, ..Training::default() };
+/// let learning = Learning { components: 1, training, ..Learning::default() };
+/// let regression = unposed.regression(&[0], &learning, &mut |_| {})?;
+/// assert_eq!(regression.learnt.pca.len(), 1);
+/// assert!(regression.predict.mean < regression.nothing.mean);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone)]
 pub struct Unposed<'a> {
     set: &'a LayerSet,

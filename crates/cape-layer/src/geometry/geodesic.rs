@@ -5,6 +5,8 @@ use glam::DVec3;
 use super::Surface;
 
 /// How lengths over a surface are measured.
+///
+/// See [`Geodesics`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Metric {
     /// Along edges (Dijkstra): never too short, up to 15 % too long on regular triangles, whatever
@@ -23,6 +25,19 @@ pub enum Metric {
 /// does not vanish and where the heat method, which smooths over one edge length, is at its worst;
 /// a global solve for each source would also be wasted. A wave front that unfolds triangles is
 /// local, takes microseconds, and is exact where the surface is flat.
+///
+/// ```
+/// use cape_layer::geometry::{Geodesics, Metric, Surface};
+/// use glam::DVec3;
+///
+/// // From corner to corner of a square of two triangles, across the other diagonal.
+/// let corners = vec![DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y];
+/// let square = Surface::new("square", corners, vec![[0, 1, 2], [0, 2, 3]])?;
+/// let across = |metric| Geodesics::new(&square, metric).within(1, 3.0)[3].1;
+/// assert_eq!(across(Metric::Graph), 2.0);
+/// assert!((across(Metric::Unfolded) - 2f64.sqrt()).abs() < 1e-12);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Geodesics {
     vertices: Vec<DVec3>,

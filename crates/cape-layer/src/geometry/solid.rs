@@ -9,6 +9,8 @@ use parry3d_f64::{
 use super::surface::{Surface, corner_angle, face_normals};
 
 /// Where a ray meets a surface.
+///
+/// See [`Solid`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
     /// The face.
@@ -20,6 +22,8 @@ pub struct Hit {
 }
 
 /// The point of a surface closest to another.
+///
+/// See [`Solid`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Closest {
     /// The face it lies on.
@@ -39,6 +43,25 @@ pub struct Closest {
 /// A bounding-volume tree over the boxes of the triangles answers both. For a surface that moves
 /// linearly between two frames the boxes hold the whole sweep, so that the same tree is valid at
 /// every instant ([`at`](Self::at)); distances are signed by angle-weighted pseudo-normals.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_layer::geometry::Solid;
+/// use glam::DVec3;
+///
+/// // The faces of an octahedron are 1/√3 from its middle.
+/// let solid = Solid::new(&octahedron(1.0));
+/// let (outside, inward) = (DVec3::ONE, -DVec3::ONE.normalize());
+/// let hit = solid.cast(outside, inward, 3.0).ok_or("no hit")?;
+/// assert!((hit.distance - (3f64.sqrt() - 1.0 / 3f64.sqrt())).abs() < 1e-9);
+/// // Distances are negative inside.
+/// let closest = solid.closest(0.1 * DVec3::ONE, 1.0).ok_or("too far")?;
+/// assert!((closest.signed_distance + 0.7 / 3f64.sqrt()).abs() < 1e-9);
+/// assert!((closest.outward + inward).length() < 1e-9);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone)]
 pub struct Solid {
     from: Vec<DVec3>,

@@ -7,6 +7,22 @@ use ndarray::ArrayView2;
 use crate::{Error, Result, error::finite};
 
 /// A triangle mesh in `f64`.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_layer::geometry::Surface;
+///
+/// let surface = octahedron(1.0);
+/// assert_eq!((surface.face_normals().len(), surface.edges().len()), (8, 12));
+/// assert!((surface.volume() - 4.0 / 3.0).abs() < 1e-12);
+/// assert!((surface.mean_edge() - 2f64.sqrt()).abs() < 1e-12);
+/// assert!(surface.boundary().iter().all(|&open| !open));
+/// // Faces must be of vertices that are there.
+/// assert!(Surface::new("clothing", surface.vertices, vec![[0, 1, 6]]).is_err());
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Surface {
     /// Positions, metres, `[vertices]`.

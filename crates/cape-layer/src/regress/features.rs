@@ -4,6 +4,17 @@ use ndarray::{Array2, ArrayView2};
 use crate::{Error, Result, error::finite};
 
 /// A body's movement at a fixed rate.
+///
+/// ```
+/// use cape_layer::regress::Motion;
+/// use ndarray::Array2;
+///
+/// let motion = Motion::new(30.0, Array2::zeros((60, 72)), Array2::zeros((60, 3)))?;
+/// assert_eq!(motion.frames(), 60);
+/// // Poses and translations must be of as many frames.
+/// assert!(Motion::new(30.0, Array2::zeros((60, 72)), Array2::zeros((59, 3))).is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Motion {
     /// Frames a second.
@@ -15,6 +26,20 @@ pub struct Motion {
 }
 
 /// What the clothing depends on.
+///
+/// ```
+/// use cape_layer::regress::{Features, Motion};
+/// use ndarray::Array2;
+///
+/// // A body that moves 10 cm forward in each tenth of a second.
+/// let way = Array2::from_shape_fn((5, 3), |(frame, axis)| 0.1 * frame as f64 * [0.0, 0.0, 1.0][axis]);
+/// let motion = Motion::new(10.0, Array2::zeros((5, 72)), way)?;
+/// let features = Features { angles: false, angular_speeds: false, ..Features::default() };
+/// let rows = features.rows(&motion);
+/// assert_eq!(rows.dim(), (5, features.len(24)));
+/// assert!(rows.rows().into_iter().all(|row| (row[2] - 1.0).abs() < 1e-9));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Features {
     /// Whether the global speed is used: of the root, in the body's own directions, m/s.

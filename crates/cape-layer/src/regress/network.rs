@@ -12,6 +12,18 @@ const PIECE: usize = 64;
 ///
 /// All weights and biases are one vector: for each layer its matrix `[outputs, inputs]`, row by
 /// row, then its biases `[outputs]`.
+///
+/// ```
+/// use cape_layer::regress::Network;
+/// use ndarray::{arr1, arr2};
+///
+/// // Without hidden layers a network is linear: 2 x + 1.
+/// let network = Network::new(&[1, 1], arr1(&[2.0, 1.0]))?;
+/// assert_eq!(network.forward(arr2(&[[0.0], [3.0]]).view())?, arr2(&[[1.0], [7.0]]));
+/// // It has as many parameters as its sizes say.
+/// assert!(Network::new(&[1, 1], arr1(&[2.0])).is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Network {
     sizes: Vec<usize>,

@@ -63,6 +63,8 @@ impl Scale {
 }
 
 /// A trained network between standardised inputs and targets.
+///
+/// See [`Training`](super::Training) for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Regressor {
     inputs: Scale,

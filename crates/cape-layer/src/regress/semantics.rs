@@ -7,6 +7,20 @@ use crate::{Error, Keep, LayerPca, Result, error::finite};
 /// Semantic parameters of sequences, sizes and materials, and what the regression sees of them:
 /// standardised, and, where there are more than wanted, reduced to principal components (§5.4 of the
 /// paper reduces a material to 4).
+///
+/// ```
+/// use cape_layer::regress::Semantics;
+/// use ndarray::arr2;
+///
+/// // Two sequences, of different length and of one width.
+/// let names = vec!["length".to_owned(), "width".to_owned()];
+/// let semantics = Semantics::of(names, arr2(&[[0.8, 1.1], [1.2, 1.1]]).view(), None)?;
+/// // What is not named is as in the mean, which the regression sees as zeros.
+/// let parameters = semantics.with(&[("length".into(), 1.0)])?;
+/// assert!((parameters[1] - 1.1).abs() < 1e-9);
+/// assert!(semantics.reduced(&parameters)?.iter().all(|number| number.abs() < 1e-9));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Semantics {
     names: Vec<String>,

@@ -6,6 +6,8 @@ use super::{Features, Motion};
 use crate::Result;
 
 /// A frame whose features are known.
+///
+/// See [`FeatureStream`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Arrived {
     /// Its number, from 0.
@@ -21,6 +23,19 @@ pub struct Arrived {
 /// The rows of [`Features::rows`], the same numbers, of a motion that arrives frame by frame. A row
 /// comes as soon as the frames that its speeds depend on have: one frame later, or, if speeds are
 /// smoothed, as many as the Gaussian is cut off at.
+///
+/// ```
+/// use cape_layer::regress::{FeatureStream, Features};
+///
+/// // A frame's speeds are known when the next frame is.
+/// let mut stream = FeatureStream::new(Features::default(), 30.0);
+/// assert!(stream.push(&[0.0; 72], [0.0; 3])?.is_none());
+/// let first = stream.push(&[0.0; 72], [0.0, 0.0, 0.1])?.ok_or("no frame")?;
+/// assert_eq!((first.frame, first.row.len()), (0, Features::default().len(24)));
+/// assert_eq!(stream.finish()?.ok_or("no frame")?.frame, 1);
+/// assert!(stream.finish()?.is_none());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct FeatureStream {
     features: Features,

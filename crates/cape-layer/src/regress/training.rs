@@ -10,6 +10,23 @@ use super::{Network, Regressor, regressor::Scale};
 use crate::{Error, Result, error::finite};
 
 /// How a regressor is trained.
+///
+/// ```
+/// use cape_layer::regress::Training;
+/// use ndarray::Array2;
+///
+/// // A straight line is learned from 40 points of it.
+/// let x = Array2::from_shape_fn((40, 1), |(row, _)| row as f64);
+/// let y = x.mapv(|x| 2.0 * x + 1.0);
+/// let training = Training { hidden: vec![4], patience: 20, ..Training::default() };
+/// let mut iterations = 0;
+/// let outcome = training.train(x.view(), y.view(), &[false], &mut |_| iterations += 1)?;
+/// assert_eq!((outcome.training_frames.len(), outcome.validation_frames.len()), (32, 8));
+/// assert_eq!(outcome.epochs.len(), iterations);
+/// let off = outcome.regressor.predict(x.view())? - y;
+/// assert!(off.iter().all(|gap| gap.abs() < 8.0));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Training {
     /// Units of the hidden layers; the paper's 60 and 80.
@@ -48,6 +65,8 @@ impl Default for Training {
 }
 
 /// One iteration, for a progress display. Errors are means of squares of standardised targets.
+///
+/// See [`Training`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Epoch {
     /// Counted from 1.
@@ -59,6 +78,8 @@ pub struct Epoch {
 }
 
 /// A trained regressor and how it got there.
+///
+/// See [`Training`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outcome {
     /// The weights of the lowest validation error.
