@@ -1,23 +1,29 @@
 //! Registrations named on the command line: clothes as they were captured, and who wore them.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use cape_core::{Outfit, npy::read_f64};
 use cape_train::{
     Run, Wearer,
     data::{PackedSet, Part, raw},
 };
+use clap::Args;
 use ndarray::{Array2, Array3, Axis, Ix2};
 
-use crate::error::{Error, Result};
+use crate::{
+    arguments::outfit,
+    error::{Error, Result},
+};
 
 /// What else is known of a registration.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Known<'a> {
-    /// What is worn; otherwise as its directory says.
-    pub(crate) outfit: Option<Outfit>,
-    /// File of the body under the clothes; otherwise the raw tree's.
-    pub(crate) minimal: Option<&'a Path>,
+#[derive(Debug, Clone, Default, Args)]
+pub(crate) struct Known {
+    /// What a registration wears; by default as its directory says.
+    #[arg(long = "was", value_name = "OUTFIT", value_parser = outfit)]
+    pub(crate) outfit_worn: Option<Outfit>,
+    /// The body under the clothes, .npy of [vertices, 3]; by default the raw tree's.
+    #[arg(long, value_name = "FILE.npy")]
+    pub(crate) minimal: Option<PathBuf>,
 }
 
 /// Clothes as they were registered.
@@ -35,25 +41,25 @@ pub(crate) struct Registration {
 impl Registration {
     /// A frame's `.npz` with pose and `v_cano`, or `v_posed`; or `frame:K` of the run's held-out
     /// data.
-    pub(crate) fn read(run: &Run, text: &str, known: Known<'_>) -> Result<Self> {
+    pub(crate) fn read(run: &Run, text: &str, known: &Known) -> Result<Self> {
         if let Some(frame) = text.strip_prefix("frame:") {
             let frame = frame
                 .parse()
                 .map_err(|_| Error::message(format!("`{text}`: expected frame:NUMBER")))?;
             let set = PackedSet::open(&run.data()?, Part::Test)?;
             let (displacement, mut wearer) = set.registration(frame)?;
-            wearer.outfit = known.outfit.unwrap_or(wearer.outfit);
+            wearer.outfit = known.outfit_worn.unwrap_or(wearer.outfit);
             return Ok(Self { displacement, wearer, minimal: None, residual_mm: None });
         }
         let path = Path::new(text);
-        let Some(outfit) = known.outfit.or_else(|| outfit_of(path)) else {
+        let Some(outfit) = known.outfit_worn.or_else(|| outfit_of(path)) else {
             return Err(Error::message(format!(
                 "{}: its directory does not say what is worn: give --was OUTFIT",
                 path.display()
             )));
         };
         let body = run.body();
-        let minimal = match known.minimal {
+        let minimal = match &known.minimal {
             Some(minimal) => read_shape(minimal, body.vertices())?,
             None => minimal_of(path, body.vertices())?,
         };

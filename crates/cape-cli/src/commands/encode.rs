@@ -7,7 +7,7 @@ use ndarray::{Array3, Axis, concatenate};
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, outfit},
+    arguments::Global,
     console::Console,
     dressed::Painter,
     error::{Error, Result},
@@ -36,12 +36,8 @@ pub(crate) struct Encode {
     /// Directory to write; it must be empty or missing.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// What the registrations wear; by default as their directories say.
-    #[arg(long, value_name = "OUTFIT", value_parser = outfit)]
-    was: Option<Outfit>,
-    /// The body under the clothes, .npy of [vertices, 3]; by default the raw tree's.
-    #[arg(long, value_name = "FILE.npy")]
-    minimal: Option<PathBuf>,
+    #[command(flatten)]
+    known: Known,
     /// Write what the codes are decoded to.
     #[arg(long)]
     decode: bool,
@@ -73,13 +69,12 @@ impl Encode {
         let device = parse_device(&global.device)?;
         files::require_empty(&self.out)?;
         let run = Run::open(&self.run, &device)?;
-        let known = Known { outfit: self.was, minimal: self.minimal.as_deref() };
         let total = self.registrations.len();
         let read: Vec<Registration> =
             console.while_showing("read", "registrations", |progress| {
                 let each = self.registrations.iter().enumerate();
                 each.map(|(index, text)| {
-                    let registration = Registration::read(&run, text, known)?;
+                    let registration = Registration::read(&run, text, &self.known)?;
                     progress(index + 1, total);
                     Ok(registration)
                 })

@@ -80,18 +80,11 @@ fn gradients_of_the_energy_agree_with_finite_differences() {
 
 #[test]
 fn a_clothed_body_is_found_in_its_points() {
-    let stage = |unknowns, robust, samples, steps, distance| ScanStage {
-        unknowns,
-        robust,
-        samples,
-        steps,
-        distance,
-    };
     let fitter = fitter(ScanConfig {
         stages: vec![
-            stage(Unknowns::Pose, 0.2, 500, 12, 1e5),
-            stage(Unknowns::Shape, 0.1, 500, 12, 1e6),
-            stage(Unknowns::Clothes, 0.03, 2000, 15, 3e6),
+            ScanStage::of(Unknowns::Pose, 0.2, 500, 12, 1e5),
+            ScanStage::of(Unknowns::Shape, 0.1, 500, 12, 1e6),
+            ScanStage::of(Unknowns::Clothes, 0.03, 2000, 15, 3e6),
         ],
         starts: 1,
         betas: 2,

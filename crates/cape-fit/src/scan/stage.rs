@@ -36,6 +36,18 @@ pub struct ScanStage {
     pub distance: f64,
 }
 
+impl ScanStage {
+    pub(super) const fn of(
+        unknowns: Unknowns,
+        robust: f64,
+        samples: usize,
+        steps: usize,
+        distance: f64,
+    ) -> Self {
+        Self { unknowns, robust, samples, steps, distance }
+    }
+}
+
 /// How clothed bodies are fitted to scans.
 ///
 /// ```
@@ -74,21 +86,14 @@ pub struct ScanConfig {
 
 impl Default for ScanConfig {
     fn default() -> Self {
-        let stage = |unknowns, robust, samples, steps, distance| ScanStage {
-            unknowns,
-            robust,
-            samples,
-            steps,
-            distance,
-        };
         Self {
             betas: 10,
             stages: vec![
-                stage(Unknowns::Pose, 0.2, 1000, 30, 1e5),
-                stage(Unknowns::Shape, 0.1, 1500, 30, 3e5),
-                stage(Unknowns::Shape, 0.05, 2000, 20, 1e6),
-                stage(Unknowns::Clothes, 0.05, 2500, 20, 1e6),
-                stage(Unknowns::Clothes, 0.02, 6000, 30, 3e6),
+                ScanStage::of(Unknowns::Pose, 0.2, 1000, 30, 1e5),
+                ScanStage::of(Unknowns::Shape, 0.1, 1500, 30, 3e5),
+                ScanStage::of(Unknowns::Shape, 0.05, 2000, 20, 1e6),
+                ScanStage::of(Unknowns::Clothes, 0.05, 2500, 20, 1e6),
+                ScanStage::of(Unknowns::Clothes, 0.02, 6000, 30, 3e6),
             ],
             starts: 3,
             back: 0.5,

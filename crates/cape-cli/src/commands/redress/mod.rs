@@ -43,12 +43,8 @@ pub(crate) struct Redress {
     /// Directory to write; it must be empty or missing.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// What the registration wears; by default as its directory says.
-    #[arg(long, value_name = "OUTFIT", value_parser = outfit)]
-    was: Option<Outfit>,
-    /// The body under the clothes, .npy of [vertices, 3]; by default the raw tree's.
-    #[arg(long, value_name = "FILE.npy")]
-    minimal: Option<PathBuf>,
+    #[command(flatten)]
+    known: Known,
     /// What is worn instead; by default each outfit.
     #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…", value_parser = outfit)]
     outfit: Vec<Outfit>,
@@ -88,8 +84,7 @@ impl Redress {
             others.extend(poses(text)?);
         }
         let run = Run::open(&self.run, &device)?;
-        let known = Known { outfit: self.was, minimal: self.minimal.as_deref() };
-        let registration = Registration::read(&run, &self.registration, known)?;
+        let registration = Registration::read(&run, &self.registration, &self.known)?;
         let read = |text: &String| Target::read(&run, text);
         let targets: Vec<Target> = self.to.iter().map(read).collect::<Result<_>>()?;
         let wearer = &registration.wearer;

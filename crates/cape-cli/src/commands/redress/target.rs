@@ -80,8 +80,8 @@ impl Target {
             return Ok(Self { name, minimal, betas, pose: None });
         }
         // What the other wears does not matter.
-        let known = Known { outfit: Some(cape_core::Outfit::LongLong), minimal: None };
-        let Registration { wearer, minimal, .. } = Registration::read(run, text, known)?;
+        let known = Known { outfit_worn: Some(cape_core::Outfit::LongLong), minimal: None };
+        let Registration { wearer, minimal, .. } = Registration::read(run, text, &known)?;
         let minimal = match minimal {
             Some(minimal) => minimal,
             None => body.shaped(&[])?,
