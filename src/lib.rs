@@ -28,14 +28,15 @@ pub use cape_train as train;
 pub mod prelude {
     pub use burn::tensor::{Device, Tensor};
     pub use cape_core::{
-        BodyPose, Mesh, Outfit, SmplModel, parse_device, poses,
+        BodyPose, Mesh, Outfit, SmplModel, parse_device,
         smpl::{ClothedSmpl, ClothingMask, Pose, Smpl, SmplInput, SmplOutput},
-        synth::synthetic_body,
     };
     pub use cape_graph::{MeshPyramid, Weighting};
+    pub use cape_infer::{Performance, Run, RunConfig, TrainConfig, Wearer};
     pub use cape_model::{Cape, CapeConfig, Generator, LossConfig};
     pub use cape_render::{Image, Object, Style, Tile, View, contact_sheet, portrait};
-    pub use cape_train::{Performance, Run, RunConfig, TrainConfig, Trainer, Wearer};
+    pub use cape_synth::{poses, synthetic_body};
+    pub use cape_train::Trainer;
 }
 
 /// The README's examples, compiled as documentation tests.

@@ -7,7 +7,7 @@
 #![allow(unreachable_pub)]
 
 mod readers;
-#[path = "../cli/tf_writer.rs"]
+#[path = "../../crates/cape-cli/tests/cli/tf_writer.rs"]
 mod tf_writer;
 
 use std::{

@@ -3,10 +3,8 @@
 use std::{fs, path::Path};
 
 use cape_core::{Outfit, npy::read_f64};
-use cape_train::{
-    Run,
-    data::{PackedSet, Part},
-};
+use cape_data::{PackedSet, Part};
+use cape_infer::Run;
 use serde::Deserialize;
 
 use crate::{

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
+use cape_eval::comparison::Table;
 use cape_render::{Image, Plot, Series};
-use cape_train::comparison::Table;
 
 use crate::{error::Result, files, table};
 

@@ -1,8 +1,8 @@
 //! Sampled clothes on posed bodies, and their pictures.
 
 use cape_core::{Mesh, Outfit, SmplModel};
+use cape_infer::{Run, Wearer};
 use cape_render::{Image, Object, Style, Texture, View, colour_of, portrait};
-use cape_train::{Run, Wearer};
 use ndarray::{Array2, Array3, ArrayView2, Axis};
 
 use crate::error::Result;

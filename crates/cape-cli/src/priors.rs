@@ -1,7 +1,7 @@
 //! What codes are drawn from.
 
 use cape_core::Outfit;
-use cape_train::{Run, prior::Prior};
+use cape_infer::{Run, prior::Prior};
 use clap::{Args, ValueEnum};
 use ndarray::{Array2, Axis, concatenate};
 

@@ -3,10 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use cape_core::{Outfit, npy::read_f64};
-use cape_train::{
-    Run, Wearer,
-    data::{PackedSet, Part, raw},
-};
+use cape_data::{PackedSet, Part, raw};
+use cape_infer::{Run, Wearer};
 use clap::Args;
 use ndarray::{Array2, Array3, Axis, Ix2};
 
@@ -47,7 +45,7 @@ impl Registration {
                 .parse()
                 .map_err(|_| Error::message(format!("`{text}`: expected frame:NUMBER")))?;
             let set = PackedSet::open(&run.data()?, Part::Test)?;
-            let (displacement, mut wearer) = set.registration(frame)?;
+            let (displacement, mut wearer) = cape_infer::registration(&set, frame)?;
             wearer.outfit = known.outfit_worn.unwrap_or(wearer.outfit);
             return Ok(Self { displacement, wearer, minimal: None, residual_mm: None });
         }

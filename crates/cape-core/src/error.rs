@@ -58,6 +58,9 @@ pub enum Error {
     /// An argument is out of its domain; the message names it, its value and what was expected.
     #[error("{0}")]
     Argument(String),
+    /// A data set as a whole cannot be used; the message says why and what would help.
+    #[error("{0}")]
+    Data(String),
 }
 
 impl Error {
@@ -78,5 +81,34 @@ impl Error {
     /// An [`Error::Format`] about `path`.
     pub fn format(path: impl AsRef<Path>, message: impl Into<String>) -> Self {
         Self::Format { path: path.as_ref().to_owned(), message: message.into() }
+    }
+
+    /// An [`Error::Argument`].
+    pub fn argument(message: impl Into<String>) -> Self {
+        Self::Argument(message.into())
+    }
+
+    /// An [`Error::Argument`] about the surface called `name`.
+    pub(crate) fn surface(name: &str, message: impl std::fmt::Display) -> Self {
+        Self::Argument(format!("{name}: {message}"))
+    }
+}
+
+/// An error that names the first of `numbers` that is NaN or infinite; `name` is what they are.
+///
+/// ```
+/// use cape_core::expect_finite;
+///
+/// assert!(expect_finite("betas", &[0.5, -1.0]).is_ok());
+/// let error = expect_finite("betas", &[0.5, f64::NAN]).unwrap_err();
+/// assert_eq!(error.to_string(), "betas: number 1 is not finite");
+/// ```
+pub fn expect_finite<'a>(
+    name: impl std::fmt::Display,
+    numbers: impl IntoIterator<Item = &'a f64>,
+) -> Result<()> {
+    match numbers.into_iter().position(|x| !x.is_finite()) {
+        None => Ok(()),
+        Some(at) => Err(Error::Argument(format!("{name}: number {at} is not finite"))),
     }
 }

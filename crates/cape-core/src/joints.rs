@@ -2,12 +2,17 @@
 
 use glam::{DMat3, DVec3};
 
+use ndarray::Array2;
+
 use crate::{Error, Result};
 
 /// Number of joints of SMPL.
 pub const JOINTS: usize = 24;
 /// Length of the pose feature: nine numbers for each of [`CLOTHING_JOINTS`].
 pub const POSE_FEATURE: usize = 9 * CLOTHING_JOINTS.len();
+
+/// Pose of a body: the axis-angles of SMPL's 24 joints, `[72]`, radians.
+pub type BodyPose = [f32; 3 * JOINTS];
 
 /// Names of the joints, in SMPL's order.
 pub const JOINT_NAMES: [&str; JOINTS] = [
@@ -117,6 +122,16 @@ pub fn pose_feature(rotations: &[Rotation]) -> Result<[f64; POSE_FEATURE]> {
         *slot = number;
     }
     Ok(feature)
+}
+
+/// Pose features of many poses, `[n, 126]`.
+pub fn pose_features(poses: &[BodyPose]) -> Result<Array2<f32>> {
+    let mut features = Array2::zeros((poses.len(), POSE_FEATURE));
+    for (mut row, pose) in features.rows_mut().into_iter().zip(poses) {
+        let feature = pose_feature(&pose_rotations(&pose.map(f64::from))?)?;
+        row.iter_mut().zip(feature).for_each(|(to, value)| *to = value as f32);
+    }
+    Ok(features)
 }
 
 #[cfg(test)]

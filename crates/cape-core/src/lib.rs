@@ -1,46 +1,51 @@
-//! Meshes and their files, the SMPL body, outfits, and a synthetic body and wardrobe.
+//! Meshes and their files, surfaces, and the SMPL body with its additive clothing term.
 //!
-//! Everything geometric that knows nothing of graphs, networks or training. Units are metres and
-//! radians; the y axis points up and the body faces +z, as in SMPL.
+//! Units are metres and radians; the y axis points up and the body faces +z, as in SMPL.
 //!
 //! ```
-//! use cape_core::{Outfit, synth::{Wardrobe, synthetic_body}};
+//! use cape_core::Mesh;
+//! use cape_synth::synthetic_body;
 //!
+//! // Any body in SMPL's layout: `SmplModel::load("SMPL_MALE.pkl")` reads the official one.
 //! let body = synthetic_body();
-//! let wardrobe = Wardrobe::new(&body, 7)?;
-//! let worn = wardrobe.fit(wardrobe.garment(0, Outfit::ShortLong, 0));
-//! let pose = [0.0; 72];
-//! let clothes = wardrobe.displacement(&worn, &pose, 0.0, None)?;
-//! let dressed = body.pose(&[1.0, -0.5], &pose, [0.0; 3], Some(&clothes))?;
-//! assert_eq!(dressed.vertices.dim(), (6890, 3));
+//! let posed = body.pose(&[1.0, -0.5], &[0.0; 72], [0.0; 3], None)?;
+//! assert_eq!(posed.vertices.dim(), (6890, 3));
 //!
 //! let directory = tempfile::tempdir()?;
-//! body.mesh_with(&dressed.vertices).save(directory.path().join("dressed.obj"))?;
+//! let path = directory.path().join("body.obj");
+//! body.mesh_with(&posed.vertices).save(&path)?;
+//! assert_eq!(Mesh::load(&path)?.vertices.len(), 6890);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 mod atomic;
 mod device;
 mod error;
+pub mod geometry;
 pub mod gltf;
 pub mod joints;
 mod mesh;
+mod motion;
 pub mod npy;
 pub mod obj;
 pub mod optimise;
 mod outfit;
 pub mod pickle;
 pub mod ply;
-pub mod poses;
+mod progress;
 pub mod smpl;
-pub mod synth;
+mod staging;
+pub mod tensors;
 
 pub use atomic::{AtomicFile, write_atomically};
 pub use device::{DEVICES, devices, parse_device};
-pub use error::{Error, Result};
+pub use error::{Error, Result, expect_finite};
+pub use joints::BodyPose;
 pub use mesh::{Mesh, MeshReport};
+pub use motion::BodyMotion;
 pub use outfit::Outfit;
-pub use poses::BodyPose;
+pub use progress::{Progress, silent};
 pub use smpl::{
     ClothedSmpl, ClothingMask, JointSource, Pose, Smpl, SmplInput, SmplModel, SmplOutput,
 };
+pub use staging::StagingDirectory;

@@ -3,7 +3,7 @@
 /// The vertices of the synthetic body, metres, and its triangles.
 #[allow(dead_code)]
 fn person() -> (Vec<glam::DVec3>, Vec<[u32; 3]>) {
-    let body = cape_core::synth::synthetic_body();
+    let body = cape_synth::synthetic_body();
     let rows = body.v_template.rows();
     (rows.into_iter().map(|v| glam::DVec3::new(v[0], v[1], v[2])).collect(), body.faces)
 }
@@ -22,7 +22,7 @@ fn seen(
     model: &cape_core::SmplModel,
     camera: &cape_fit::Camera,
 ) -> cape_fit::Result<(cape_fit::BodyParameters, cape_fit::Keypoints)> {
-    use cape_core::synth::{Motion, MotionStyle};
+    use cape_synth::{Motion, MotionStyle};
     use cape_fit::{BodyParameters, Detector, Keypoint, Keypoints, Skeleton};
 
     let pose = Motion::WalkMarch.pose(&MotionStyle::default(), 0.6).to_vec();

@@ -196,10 +196,8 @@ pub(crate) fn geman_mcclure(square: f64, sigma: f64) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
-    use cape_core::{
-        joints::JOINT_NAMES,
-        synth::{Motion, MotionStyle},
-    };
+    use cape_core::joints::JOINT_NAMES;
+    use cape_synth::{Motion, MotionStyle};
     use ndarray::{Array1, Array2, Array3};
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;

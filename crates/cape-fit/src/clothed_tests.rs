@@ -1,11 +1,10 @@
 //! Clothed bodies of a model with random weights, found again from keypoints and silhouette.
 
-use cape_core::{
-    ClothingMask, Outfit, devices,
-    synth::{Motion, MotionStyle},
-};
+use cape_core::{ClothingMask, Outfit, devices};
+use cape_data::Statistics;
+use cape_infer::{RunConfig, build_graphs};
 use cape_model::{Cape, CapeConfig};
-use cape_train::{RunConfig, build_graphs, data::Statistics};
+use cape_synth::{Motion, MotionStyle};
 use glam::DVec3;
 use ndarray::Array2;
 use rand::{Rng, SeedableRng};

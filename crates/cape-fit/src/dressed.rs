@@ -8,8 +8,9 @@ use cape_core::{
     ClothedSmpl, ClothingMask, Outfit, Pose, Smpl, SmplInput, SmplModel,
     joints::{CLOTHING_JOINTS, POSE_FEATURE},
 };
+use cape_data::Statistics;
+use cape_infer::{Run, RunConfig, build_graphs};
 use cape_model::{Generator, Graphs};
-use cape_train::{Run, RunConfig, build_graphs, data::Statistics};
 use glam::DVec3;
 use ndarray::Array2;
 
@@ -24,7 +25,7 @@ use crate::{BodyParameters, Error, Result};
 /// use cape_fit::{
 ///     Camera, ClothedConfig, DressedBody, Mask, PosePrior, Smplify, SmplifyConfig, read_keypoints,
 /// };
-/// use cape_train::Run;
+/// use cape_infer::Run;
 ///
 /// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
 /// let dressed = DressedBody::new(&run, Outfit::LongLong)?;

@@ -20,7 +20,7 @@ pub enum Error {
     Core(#[from] cape_core::Error),
     /// A trained model cannot be used.
     #[error(transparent)]
-    Train(#[from] cape_train::Error),
+    Train(#[from] cape_infer::Error),
     /// A picture cannot be read, written or drawn.
     #[error(transparent)]
     Render(#[from] cape_render::Error),

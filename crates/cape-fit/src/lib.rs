@@ -12,7 +12,7 @@
 //! ```
 //! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! use cape_core::synth::synthetic_body;
+//! use cape_synth::synthetic_body;
 //! use cape_fit::{Camera, PosePrior, Smplify, SmplifyConfig};
 //!
 //! // A walking body is found again from where a camera saw its joints.
@@ -40,7 +40,6 @@ mod error;
 mod flips;
 mod initial;
 pub mod keypoints;
-mod paired;
 mod parameters;
 mod pose_collection;
 mod pose_prior;
@@ -63,7 +62,6 @@ pub use config::FitConfig;
 pub use dressed::{Clothes, DressedBody, DressedGradient, DressedSurface};
 pub use error::{Error, Result};
 pub use keypoints::{Detector, Keypoint, Keypoints, read_keypoints};
-pub use paired::Paired;
 pub use parameters::BodyParameters;
 pub use pose_collection::PoseCollection;
 pub use pose_prior::{BODY_POSE, COMPONENTS, OPTIONS, PosePrior, synthetic_poses};

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_core::poses;
-use cape_train::data::{PackedSet, Part};
+use cape_data::{PackedSet, Part};
+use cape_synth::poses;
 use ndarray::Array2;
 
 use crate::{Error, Result};
@@ -37,7 +37,7 @@ pub struct PoseCollection {
 }
 
 impl PoseCollection {
-    /// Reads each of `sources`: a file as [`cape_core::poses`] reads it (SMPL's poses, AMASS's and
+    /// Reads each of `sources`: a file as [`cape_synth::poses`] reads it (SMPL's poses, AMASS's and
     /// SMPL-X's), a packed set, whose training poses are taken, or a directory, which is searched
     /// for such files. `progress` gets the number of files read and of all.
     ///

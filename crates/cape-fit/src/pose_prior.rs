@@ -6,9 +6,9 @@ use std::path::Path;
 use cape_core::{
     npy::{Npz, NpzWriter},
     pickle::{Pickle, Value},
-    synth::{Motion, MotionStyle},
 };
-use cape_train::prior::{Mixture, MixtureOptions};
+use cape_stats::density::{Mixture, MixtureOptions};
+use cape_synth::{Motion, MotionStyle};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use ndarray::{Array1, Array2, Array3, ArrayD, ArrayView2, Axis, Dimension, s};
 use rand::SeedableRng;

@@ -13,7 +13,7 @@ use crate::{Error, Result};
 /// The joints of a body as functions of shape and pose.
 ///
 /// ```
-/// use cape_core::synth::synthetic_body;
+/// use cape_synth::synthetic_body;
 /// use cape_fit::Skeleton;
 /// use glam::DVec3;
 ///

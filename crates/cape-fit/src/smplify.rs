@@ -106,7 +106,7 @@ pub struct BodyFit {
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_core::synth::synthetic_body;
+/// use cape_synth::synthetic_body;
 /// use cape_fit::{Camera, PosePrior, Smplify, SmplifyConfig};
 ///
 /// // From a body that is nearly right, with two shape coefficients.

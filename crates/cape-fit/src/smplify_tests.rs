@@ -2,10 +2,8 @@
 
 use std::f64::consts::PI;
 
-use cape_core::{
-    SmplModel,
-    synth::{Motion, MotionStyle},
-};
+use cape_core::SmplModel;
+use cape_synth::{Motion, MotionStyle};
 use glam::{DQuat, DVec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

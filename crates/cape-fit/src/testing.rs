@@ -2,7 +2,8 @@
 
 use std::sync::LazyLock;
 
-use cape_core::{SmplModel, synth::synthetic_body};
+use cape_core::SmplModel;
+use cape_synth::synthetic_body;
 
 /// The synthetic body, made once.
 pub(crate) static BODY: LazyLock<SmplModel> = LazyLock::new(synthetic_body);

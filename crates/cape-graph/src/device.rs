@@ -17,7 +17,7 @@ const ROUNDING: f64 = 1e-6;
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
-/// use cape_core::synth::synthetic_body;
+/// use cape_synth::synthetic_body;
 /// use cape_graph::{DevicePyramid, MeshPyramid, Weighting};
 ///
 /// let body = synthetic_body();

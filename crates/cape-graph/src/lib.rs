@@ -7,7 +7,7 @@
 //!
 //! ```
 //! use burn::tensor::{Device, Tensor};
-//! use cape_core::synth::synthetic_body;
+//! use cape_synth::synthetic_body;
 //! use cape_graph::{DevicePyramid, MeshPyramid, Weighting};
 //!
 //! let mesh = synthetic_body().mesh();

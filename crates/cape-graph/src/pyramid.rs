@@ -12,7 +12,7 @@ use crate::{Error, Result};
 /// `i` to level `i + 1` and back.
 ///
 /// ```
-/// use cape_core::synth::synthetic_body;
+/// use cape_synth::synthetic_body;
 /// use cape_graph::{MeshPyramid, Weighting};
 ///
 /// let mesh = synthetic_body().mesh();

@@ -14,7 +14,7 @@ const FLATNESS: f64 = 1e-12;
 /// A triangle mesh in double precision, which simplification and projection need.
 ///
 /// ```
-/// use cape_core::synth::synthetic_body;
+/// use cape_synth::synthetic_body;
 /// use cape_graph::{EdgeCounts, Surface};
 ///
 /// let body = Surface::from(&synthetic_body());

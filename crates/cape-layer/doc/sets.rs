@@ -2,11 +2,11 @@
 
 /// An octahedron whose corners are on the axes, `size` metres from the origin.
 #[allow(dead_code)]
-fn octahedron(size: f64) -> cape_layer::geometry::Surface {
+fn octahedron(size: f64) -> cape_core::geometry::Surface {
     use glam::DVec3;
 
     let axes = [DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z];
-    cape_layer::geometry::Surface {
+    cape_core::geometry::Surface {
         vertices: axes.map(|axis| size * axis).to_vec(),
         faces: vec![
             [0, 2, 4],
@@ -26,8 +26,9 @@ fn octahedron(size: f64) -> cape_layer::geometry::Surface {
 fn patch(
     body: &cape_core::SmplModel,
 ) -> cape_layer::Result<(cape_layer::LayerSet, cape_layer::Association)> {
-    use cape_core::synth::{Motion as Movement, MotionStyle};
-    use cape_layer::{Association, BodyFrame, LayerSet, Sequence, StandardPose, regress::Motion};
+    use cape_synth::{Motion as Movement, MotionStyle};
+    use cape_core::{BodyMotion, smpl::StandardPose};
+    use cape_layer::{Association, BodyFrame, LayerSet, Sequence};
     use ndarray::{Array2, Array3};
 
     let (style, frames, rate) = (MotionStyle::default(), 30, 30.0);
@@ -52,7 +53,7 @@ fn patch(
         name: "anna_march".into(),
         clothing,
         betas: vec![],
-        motion: Motion::new(rate, poses, Array2::zeros((frames, 3)))?,
+        motion: BodyMotion::new(rate, poses, Array2::zeros((frames, 3)))?,
         parameters: vec![("length".into(), 0.85)],
     };
     let follows = Array2::from_shape_fn((3, 1), |(corner, _)| skin[corner] as u32);

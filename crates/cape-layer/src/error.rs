@@ -72,14 +72,6 @@ pub enum Error {
         /// What was found, and what was expected.
         message: String,
     },
-    /// Numbers that should be finite are not.
-    #[error("{what}: number {at} is not finite")]
-    NotFinite {
-        /// What was looked at.
-        what: String,
-        /// Index of the first such number.
-        at: usize,
-    },
 }
 
 impl Error {
@@ -89,16 +81,5 @@ impl Error {
 
     pub(crate) fn sequence(name: &str, message: impl Into<String>) -> Self {
         Self::Sequence { name: name.to_owned(), message: message.into() }
-    }
-}
-
-/// An error if a number is not finite.
-pub(crate) fn finite<'a>(
-    what: impl Into<String>,
-    numbers: impl IntoIterator<Item = &'a f64>,
-) -> Result<()> {
-    match numbers.into_iter().position(|x| !x.is_finite()) {
-        None => Ok(()),
-        Some(at) => Err(Error::NotFinite { what: what.into(), at }),
     }
 }

@@ -7,22 +7,20 @@ use cape_core::{
 use ndarray::{Array1, Array2, ArrayD, Axis, Dimension, arr1};
 
 use crate::{
-    Association, BodyFrame, Error, LayerPca, Result, StandardPose,
-    error::finite,
-    regress::{Arrived, FeatureStream, Features, Motion, Regressor, Semantics},
+    Association, BodyFrame, Error, LayerPca, Result,
+    regress::{Arrived, FeatureStream, Features, Regressor, Semantics},
 };
+use cape_core::expect_finite;
+use cape_core::{BodyMotion, smpl::StandardPose};
 
 /// A learned clothing layer: all that predicts clothing for a body in motion.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_core::synth::synthetic_body;
-/// use cape_layer::{
-///     Layer, StandardPose,
-///     experiment::{Learning, Unposed},
-///     regress::Training,
-/// };
+/// use cape_synth::synthetic_body;
+/// use cape_core::smpl::StandardPose;
+/// use cape_layer::{Layer, experiment::{Learning, Unposed}, regress::Training};
 ///
 /// // What is learned of a patch on the skin of a body that marches ...
 /// let body = synthetic_body();
@@ -148,7 +146,7 @@ impl Layer {
         &self,
         model: &SmplModel,
         shape: &Array2<f64>,
-        motion: &Motion,
+        motion: &BodyMotion,
         parameters: &[f64],
         each: &mut dyn FnMut(Predicted) -> Result<()>,
     ) -> Result<()> {
@@ -235,7 +233,7 @@ fn fault(file: &Npz, field: &str, message: String) -> Error {
 
 fn array<D: Dimension>(file: &mut Npz, name: &str) -> Result<ndarray::Array<f64, D>> {
     let array: ArrayD<f64> = file.f64(name)?;
-    finite(name, &array)?;
+    expect_finite(name, &array)?;
     array.into_dimensionality().map_err(|error| fault(file, name, error.to_string()))
 }
 

@@ -9,8 +9,9 @@
 //! ```
 //! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! use cape_core::synth::synthetic_body;
-//! use cape_layer::{Keep, LayerPca, StandardPose, experiment::Unposed};
+//! use cape_synth::synthetic_body;
+//! use cape_core::smpl::StandardPose;
+//! use cape_layer::{Keep, LayerPca, experiment::Unposed};
 //!
 //! // A patch on the skin of a body that marches, and the body vertices that it follows.
 //! let body = synthetic_body();
@@ -24,7 +25,6 @@
 //! ```
 
 pub mod associate;
-pub mod cloth;
 mod error;
 pub mod experiment;
 pub mod geometry;
@@ -38,6 +38,6 @@ pub mod synth;
 pub use associate::{AssociateOptions, Association};
 pub use error::{Error, Result};
 pub use layer::{Layer, LayerStream, Predicted};
-pub use offsets::{BodyFrame, Carrier, StandardPose};
+pub use offsets::{BodyFrame, Carrier};
 pub use pca::{Keep, LayerPca};
 pub use sequence::{LayerSet, Sequence, import, import_motion};

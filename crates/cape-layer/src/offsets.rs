@@ -1,64 +1,24 @@
 //! Clothing as offsets from the unposed body (Yang et al. 2018, eq. 1–4).
 
-use cape_core::SmplModel;
+use cape_core::{SmplModel, smpl::StandardPose};
 use glam::{DAffine3, DVec3};
 use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayView3};
 
-use crate::{Error, Result, associate::Association, error::finite, geometry::points};
+use crate::{Error, Result, associate::Association};
+use cape_core::expect_finite;
+use cape_core::geometry::points;
 
 /// Blends whose determinant is below this are refused; a rigid motion has 1.
 const NEARLY_SINGULAR: f64 = 1e-3;
-
-/// The pose in which offsets are measured, the paper's θ₀.
-///
-/// ```
-/// use cape_layer::StandardPose;
-///
-/// assert_eq!(StandardPose::T.angles(24), [0.0; 72]);
-/// // The shoulders alone are turned, by 45°.
-/// let lowered = StandardPose::A.angles(24);
-/// let turned: Vec<f64> = lowered.into_iter().filter(|angle| *angle != 0.0).collect();
-/// assert_eq!(turned.len(), 2);
-/// assert!((turned[0].abs().to_degrees() - 45.0).abs() < 1e-9);
-/// ```
-#[derive(Debug, Clone, PartialEq, Default)]
-pub enum StandardPose {
-    /// Arms lowered by 45°.
-    #[default]
-    A,
-    /// SMPL's rest pose.
-    T,
-    /// Any axis-angles, `[3 · joints]`, radians.
-    Other(Vec<f64>),
-}
-
-impl StandardPose {
-    /// The pose's axis-angles, `[3 · joints]`, radians.
-    pub fn angles(&self, joints: usize) -> Vec<f64> {
-        let mut pose = vec![0.0; 3 * joints];
-        match self {
-            Self::T => {}
-            Self::Other(angles) => pose.clone_from(angles),
-            Self::A => {
-                // The shoulders, about z.
-                for (joint, turn) in [(16, -1.0), (17, 1.0)] {
-                    if let Some(angle) = pose.get_mut(3 * joint + 2) {
-                        *angle = turn * std::f64::consts::FRAC_PI_4;
-                    }
-                }
-            }
-        }
-        pose
-    }
-}
 
 /// A body in one frame: where it is, and how each vertex got there from the standard pose.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_core::synth::synthetic_body;
-/// use cape_layer::{BodyFrame, StandardPose};
+/// use cape_synth::synthetic_body;
+/// use cape_core::smpl::StandardPose;
+/// use cape_layer::BodyFrame;
 ///
 /// // A body in its standard pose, 1 m up.
 /// let body = synthetic_body();
@@ -94,8 +54,8 @@ impl BodyFrame {
         transl: [f64; 3],
         standard: &StandardPose,
     ) -> Result<Self> {
-        finite("pose", pose)?;
-        finite("transl", &transl)?;
+        expect_finite("pose", pose)?;
+        expect_finite("transl", &transl)?;
         let angles = standard.angles(model.joints());
         let to_standard = model.vertex_transforms(shape, &angles, [0.0; 3])?;
         let to_frame = model.vertex_transforms(shape, pose, transl)?;
@@ -144,7 +104,7 @@ impl Association {
     /// by the inverse of its blended transform, `[n_v, 3]` (eq. 2).
     pub fn unpose(&self, body: &BodyFrame, clothing: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
         self.check_clothing(clothing.shape())?;
-        finite("clothing", clothing)?;
+        expect_finite("clothing", clothing)?;
         let blends = self.blends(body)?;
         let mut standard = Array2::zeros((self.clothing_vertices(), 3));
         for ((blend, at), mut row) in blends.iter().zip(points(clothing)).zip(standard.rows_mut()) {

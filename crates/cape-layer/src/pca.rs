@@ -4,7 +4,8 @@ use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::{Array1, Array2, ArrayView2, Axis};
 use rayon::prelude::*;
 
-use crate::{Error, Result, error::finite};
+use crate::{Error, Result};
+use cape_core::expect_finite;
 
 /// Variance, relative to the largest, below which a direction is rounding.
 const NOTHING: f64 = 1e-14;
@@ -80,7 +81,7 @@ impl LayerPca {
             }
             _ => {}
         }
-        finite("frames", frames)?;
+        expect_finite("frames", frames)?;
         let mean = frames.sum_axis(Axis(0)) / count as f64;
         let centred = &frames - &mean;
         let gram = gram(&centred);

@@ -13,11 +13,12 @@ use cape_core::{
 use ndarray::{Array1, Array2, Array3, Axis};
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    BodyFrame, Error, Result, StandardPose,
-    error::finite,
+use crate::{BodyFrame, Error, Result};
+use cape_core::expect_finite;
+use cape_core::{
+    BodyMotion,
     geometry::{Surface, points},
-    regress::Motion,
+    smpl::StandardPose,
 };
 
 /// Clothing over one body's motion, frame by frame.
@@ -32,7 +33,7 @@ pub struct Sequence {
     /// Shape coefficients of the body.
     pub betas: Vec<f64>,
     /// The body's motion, of as many frames.
-    pub motion: Motion,
+    pub motion: BodyMotion,
     /// Semantic parameters by name: sizes and materials, the same for the whole sequence.
     pub parameters: Vec<(String, f64)>,
 }
@@ -79,12 +80,12 @@ impl Sequence {
             ));
         }
         for (frame, clothing) in self.clothing.outer_iter().enumerate() {
-            finite(format!("sequence `{}`, frame {frame}", self.name), clothing)?;
+            expect_finite(format!("sequence `{}`, frame {frame}", self.name), clothing)?;
         }
-        finite(
+        Ok(expect_finite(
             format!("sequence `{}`, parameters", self.name),
             self.parameters.iter().map(|p| &p.1),
-        )
+        )?)
     }
 }
 
@@ -93,7 +94,7 @@ impl Sequence {
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_core::synth::synthetic_body;
+/// use cape_synth::synthetic_body;
 /// use cape_layer::LayerSet;
 ///
 /// // A patch of three vertices on a body that marches.
@@ -171,7 +172,7 @@ impl LayerSet {
             return Err(Error::argument(format!("no frame {frame} of sequence {sequence}")));
         };
         let clothing = clothing.clothing.index_axis(Axis(0), frame);
-        Surface::new("clothing", points(clothing), self.faces.clone())
+        Ok(Surface::new("clothing", points(clothing), self.faces.clone())?)
     }
 
     /// A number that tells sets apart: equal sets have the same, in whatever process.
@@ -299,7 +300,7 @@ fn read(directory: &Path, entry: Entry) -> Result<(Vec<[u32; 3]>, Sequence)> {
 
 /// `poses`, `trans` (or `transl`), `betas` and, unless the rate is given, `mocap_framerate` of an
 /// archive, as AMASS has them.
-fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(Motion, Vec<f64>)> {
+fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(BodyMotion, Vec<f64>)> {
     let mut table = |name: &str, columns: Option<usize>| -> Result<Array2<f64>> {
         let array = file.f64(name)?;
         file.expect_shape(name, array.shape(), &[None, columns])?;
@@ -324,20 +325,20 @@ fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(Motion, Vec<f
     } else {
         Vec::new()
     };
-    finite("betas", &betas)?;
+    expect_finite("betas", &betas)?;
     let rate = match frame_rate {
         Some(rate) => rate,
         None => file.f64("mocap_framerate")?.first().copied().unwrap_or(f64::NAN),
     };
-    Ok((Motion::new(rate, poses, translations)?, betas))
+    Ok((BodyMotion::new(rate, poses, translations)?, betas))
 }
 
-/// Motion and shape coefficients of an archive of SMPL parameters, as AMASS has them: `poses`,
+/// BodyMotion and shape coefficients of an archive of SMPL parameters, as AMASS has them: `poses`,
 /// `trans` or `transl`, `betas` (or none), and `mocap_framerate`, unless the rate is given.
 pub fn import_motion(
     parameters: impl AsRef<Path>,
     frame_rate: Option<f64>,
-) -> Result<(Motion, Vec<f64>)> {
+) -> Result<(BodyMotion, Vec<f64>)> {
     read_motion(&mut Npz::open(parameters)?, frame_rate)
 }
 
@@ -393,7 +394,7 @@ mod tests {
     fn sequence(name: &str) -> Sequence {
         let clothing =
             Array3::from_shape_fn((3, 4, 3), |(f, v, k)| (f + 2 * v + k * v) as f64 / 8.0);
-        let motion = Motion::new(30.0, Array2::zeros((3, 72)), Array2::zeros((3, 3))).unwrap();
+        let motion = BodyMotion::new(30.0, Array2::zeros((3, 72)), Array2::zeros((3, 3))).unwrap();
         let parameters = vec![("length".to_owned(), 1.5)];
         Sequence { name: name.into(), clothing, betas: vec![0.5, -1.0], motion, parameters }
     }

@@ -1,23 +1,19 @@
 //! Simulated sequences to learn from: exercises of several subjects, in several sizes and materials.
 
-use cape_core::{
-    SmplModel,
-    synth::{Motion as Movement, MotionStyle},
-};
+use cape_core::SmplModel;
+use cape_synth::{Motion as Movement, MotionStyle};
 use ndarray::{Array2, Axis};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    Error, LayerSet, Result, Sequence,
-    cloth::{Garment, Material, Quality, Sewn, Simulation},
-    regress::Motion,
-};
+use crate::{Error, LayerSet, Result, Sequence};
+use cape_cloth::{Garment, Material, Quality, Sewn, Simulation};
+use cape_core::BodyMotion;
 
 /// What a subject does.
 ///
 /// ```
-/// use cape_core::synth::synthetic_body;
+/// use cape_synth::synthetic_body;
 /// use cape_layer::synth::Exercise;
 ///
 /// // Half a second of a walk at 1.2 m/s.
@@ -66,7 +62,7 @@ impl Exercise {
         shape: &Array2<f64>,
         frames: usize,
         frame_rate: f64,
-    ) -> Result<Motion> {
+    ) -> Result<BodyMotion> {
         const JUMP: f64 = 0.15;
         const JACK: f64 = 1.8;
         let style = match self {
@@ -97,17 +93,15 @@ impl Exercise {
             .collect::<Result<_>>()?;
         let poses = Array2::from_shape_fn((frames, 72), |(f, k)| rows[f].0[k]);
         let translations = Array2::from_shape_fn((frames, 3), |(f, k)| rows[f].1[k]);
-        Motion::new(frame_rate, poses, translations)
+        Ok(BodyMotion::new(frame_rate, poses, translations)?)
     }
 }
 
 /// A full grid of subjects, sizes, materials and exercises, in one topology.
 ///
 /// ```
-/// use cape_layer::{
-///     cloth::{Garment, GarmentKind},
-///     synth::{Design, Exercise},
-/// };
+/// use cape_cloth::{Garment, GarmentKind};
+/// use cape_layer::synth::{Design, Exercise};
 ///
 /// let skirt = Garment::of(GarmentKind::Skirt);
 /// let design = Design {
@@ -196,7 +190,7 @@ impl Design {
     /// The garment for the mean body, of the first size.
     pub fn sew(&self, model: &SmplModel) -> Result<Sewn> {
         let first = self.sizes.first().ok_or_else(|| Error::argument("a design without sizes"))?;
-        first.sew(model, &model.shaped(&[])?)
+        Ok(first.sew(model, &model.shaped(&[])?)?)
     }
 
     /// Simulates one cell; tells with it how that went.
@@ -276,10 +270,10 @@ pub fn with_body(
 
 #[cfg(test)]
 mod tests {
-    use cape_core::synth::synthetic_body;
+    use cape_synth::synthetic_body;
 
     use super::*;
-    use crate::cloth::GarmentKind;
+    use cape_cloth::GarmentKind;
 
     #[test]
     fn exercises_stand_on_the_floor() {

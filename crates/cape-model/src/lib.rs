@@ -6,7 +6,8 @@
 //!
 //! ```
 //! use burn::tensor::{Device, Tensor};
-//! use cape_core::{Outfit, synth::synthetic_body};
+//! use cape_core::Outfit;
+//! use cape_synth::synthetic_body;
 //! use cape_graph::{
 //!     DevicePyramid, MeshPyramid, SparseMatrix, Surface, Weighting, sparse_from_triplets,
 //! };

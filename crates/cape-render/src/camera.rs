@@ -108,7 +108,7 @@ impl Bounds {
 /// A camera: world to clip space, with depth from 0 (near) to 1 (far).
 ///
 /// ```
-/// use cape_core::synth::synthetic_body;
+/// use cape_synth::synthetic_body;
 /// use cape_render::{Bounds, Camera, Projection, Result, View, silhouette};
 ///
 /// let body = synthetic_body().mesh();

@@ -6,7 +6,7 @@
 //! curves.
 //!
 //! ```
-//! use cape_core::synth::synthetic_body;
+//! use cape_synth::synthetic_body;
 //! use cape_render::{Object, Style, View, portrait};
 //!
 //! let body = synthetic_body().mesh();

@@ -26,7 +26,7 @@ pub enum Shading {
 /// A mesh in a scene.
 ///
 /// ```
-/// use cape_core::synth::synthetic_body;
+/// use cape_synth::synthetic_body;
 /// use cape_render::{Material, Object, Style, View, portrait};
 ///
 /// let body = synthetic_body().mesh();
@@ -101,7 +101,7 @@ pub enum Background {
 /// How a scene is drawn.
 ///
 /// ```
-/// use cape_core::synth::synthetic_body;
+/// use cape_synth::synthetic_body;
 /// use cape_render::{Background, Object, Style, View, portrait};
 ///
 /// let body = synthetic_body().mesh();

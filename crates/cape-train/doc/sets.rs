@@ -4,7 +4,7 @@
 #[allow(dead_code)]
 fn triangles() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
     use cape_core::Outfit;
-    use cape_train::data::{PackOptions, SequenceList, Split, pack, raw};
+    use cape_data::{PackOptions, SequenceList, Split, pack, raw};
 
     let directory = tempfile::tempdir()?;
     let [raw, packed] = ["raw", "packed"].map(|name| directory.path().join(name));
@@ -30,7 +30,7 @@ fn triangles() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
         train: list("walk"),
         test: list("kick"),
     };
-    pack(&raw, &packed, &split, PackOptions::default(), &mut cape_train::silent)?;
+    pack(&raw, &packed, &split, PackOptions::default(), &mut cape_core::silent)?;
     Ok(directory)
 }
 
@@ -38,11 +38,9 @@ fn triangles() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
 /// tests.
 #[allow(dead_code)]
 fn captures() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
-    use cape_core::{
-        Outfit,
-        synth::{Motion, Synth, SynthSpec, synthetic_body},
-    };
-    use cape_train::data::{PackOptions, SequenceList, Split, pack};
+    use cape_core::Outfit;
+    use cape_synth::{Motion, Synth, SynthSpec, synthetic_body};
+    use cape_data::{PackOptions, SequenceList, Split, pack};
 
     let directory = tempfile::tempdir()?;
     let [raw, packed] = ["raw", "packed"].map(|name| directory.path().join(name));
@@ -63,28 +61,28 @@ fn captures() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
         train: list(Motion::Squats),
         test: list(Motion::Soccer),
     };
-    Synth::new(&synthetic_body(), spec)?.write(&raw, &mut cape_train::silent)?;
-    pack(&raw, &packed, &split, PackOptions::default(), &mut cape_train::silent)?;
+    Synth::new(&synthetic_body(), spec)?.write(&raw, &mut cape_core::silent)?;
+    pack(&raw, &packed, &split, PackOptions::default(), &mut cape_core::silent)?;
     Ok(directory)
 }
 
 /// One graph convolution, no discriminator, one epoch.
 #[allow(dead_code)]
-fn small_config() -> cape_train::RunConfig {
-    cape_train::RunConfig {
+fn small_config() -> cape_infer::RunConfig {
+    cape_infer::RunConfig {
         model: cape_model::CapeConfig {
             filters: vec![4],
             factors: vec![1],
             discriminator: None,
             ..cape_model::CapeConfig::tiny()
         },
-        train: cape_train::TrainConfig {
+        train: cape_infer::TrainConfig {
             epochs: 1,
             batch: 2,
             warmup_epochs: 1.0,
-            ..cape_train::TrainConfig::default()
+            ..cape_infer::TrainConfig::default()
         },
-        ..cape_train::RunConfig::default()
+        ..cape_infer::RunConfig::default()
     }
 }
 

@@ -8,7 +8,8 @@ use burn::{
 };
 use cape_model::weights::{self, Array, Trail, Weights};
 
-use crate::{Result, run::host};
+use crate::Result;
+use cape_core::tensors::host;
 
 /// An exponential average of every parameter of a module, over steps.
 ///

@@ -4,11 +4,14 @@ use burn::{module::Module, tensor::Device};
 use cape_model::{Cape, Generator, Graphs, LossConfig, weights};
 
 use crate::{
-    Result, RunConfig,
+    Result,
     average::Average,
-    checkpoint::{Checkpoint, Progress},
     objective::{Losses, StepInput, evaluate},
     optim::{Optimiser, global_norm},
+};
+use cape_infer::{
+    RunConfig,
+    checkpoint::{Checkpoint, Progress},
 };
 
 /// A model being trained: networks, optimisers and, if asked for, averaged weights.
@@ -19,9 +22,8 @@ use crate::{
 /// use burn::tensor::{Device, Tensor};
 /// use cape_core::Mesh;
 /// use cape_model::CapeConfig;
-/// use cape_train::{
-///     RunConfig, build_graphs, learner::{Learner, Pace}, objective::{Frames, StepInput},
-/// };
+/// use cape_infer::{Frames, RunConfig, build_graphs};
+/// use cape_train::{learner::{Learner, Pace}, objective::StepInput};
 ///
 /// let tetrahedron = Mesh {
 ///     vertices: vec![[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., 0., 1.]],

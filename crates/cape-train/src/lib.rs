@@ -1,4 +1,4 @@
-//! CAPE data sets, training and evaluation.
+//! Training of CAPE's networks: objective, optimisers, steps, checkpoints and logs.
 //!
 //! [`data`] turns registrations in the release's raw layout into packed sets and packed sets into
 //! batches on host arrays; [`metrics`] measures reconstructions in millimetres and [`comparison`] puts
@@ -11,13 +11,13 @@
 //! use std::ops::ControlFlow;
 //!
 //! use burn::tensor::Device;
-//! use cape_core::{Outfit, synth::{Motion, Synth, SynthSpec, synthetic_body}};
+//! use cape_core::Outfit;
+//! use cape_synth::{Motion, Synth, SynthSpec, synthetic_body};
 //! use cape_model::CapeConfig;
-//! use cape_train::{
-//!     Run, RunConfig, TrainConfig, Trainer, Wearer,
-//!     data::{PackOptions, SequenceList, Split, pack},
-//!     silent,
-//! };
+//! use cape_core::silent;
+//! use cape_data::{PackOptions, SequenceList, Split, pack};
+//! use cape_infer::{Run, RunConfig, TrainConfig, Wearer};
+//! use cape_train::Trainer;
 //!
 //! let directory = tempfile::tempdir()?;
 //! let [raw, packed, run] = ["raw", "packed", "run"].map(|name| directory.path().join(name));
@@ -66,43 +66,17 @@
 //! configuration `small_config()`, and from the run `trained()`: `doc/sets.rs` has these functions.
 
 mod average;
-pub mod bench;
-pub mod checkpoint;
-pub mod comparison;
-pub mod config;
-pub mod data;
-pub mod detail;
-mod error;
-pub mod evaluate;
+mod create;
 pub mod learner;
 mod log;
-pub mod metrics;
 pub mod objective;
 pub mod optim;
-pub mod pca;
-mod performance;
-pub mod prior;
-mod progress;
-pub mod quality;
 pub mod release;
-mod run;
-mod staging;
-pub mod table2;
 pub mod tensorboard;
 mod trainer;
-pub mod trial;
 mod validate;
-mod wear;
 
-pub use config::{Rule, RunConfig, Schedule, TrainConfig, WarmUp};
-pub use error::{Error, Result};
-pub use evaluate::{
-    EachFrame, EvalOptions, EvalReport, FrameError, Gathered, PosteriorUse, evaluate,
-    reconstruct_test,
-};
-pub use performance::Performance;
-pub use progress::{Progress, silent};
-pub use run::{DataIdentity, Run, RunPaths, build_graphs, to_device, write_json};
+pub use cape_infer::{Error, Result};
+
 pub use trainer::{Event, Outcome, Trainer};
-pub use validate::{Illustrate, Picture, Preview};
-pub use wear::{Wearer, directions_by_effect, interpolate_codes, walk_codes};
+pub use validate::{Illustrate, Picture, Preview, active_units};

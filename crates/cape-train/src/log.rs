@@ -11,11 +11,12 @@ use cape_model::weights::for_each_parameter;
 use serde_json::json;
 
 use crate::{
-    Error, Result, RunPaths,
+    Error, Result,
     learner::Update,
     tensorboard::EventWriter,
     validate::{Picture, Validation},
 };
+use cape_infer::RunPaths;
 
 pub(crate) struct Log {
     path: PathBuf,

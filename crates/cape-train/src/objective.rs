@@ -1,24 +1,12 @@
 //! One evaluation of CAPE's objective (§4.3) and its gradients.
 
 use burn::tensor::{Gradients, Tensor};
+use cape_infer::Frames;
 use cape_model::{
     Cape, Discriminator, Generator, Graphs, LossConfig, Posterior,
     losses::{discriminator_adversarial, edge, generator_adversarial, kl, reconstruction},
 };
 use serde::{Deserialize, Serialize};
-
-/// Frames on a device.
-///
-/// See [`Evaluation`] for an example.
-#[derive(Debug, Clone)]
-pub struct Frames {
-    /// Normalised displacements, `[batch, vertices, 3]`.
-    pub displacement: Tensor<3>,
-    /// Pose features, `[batch, 126]`.
-    pub pose_feature: Tensor<2>,
-    /// Outfit labels, `[batch, 4]`.
-    pub outfit: Tensor<2>,
-}
 
 /// Each term of the objective, unweighted, both totals, and how often the discriminator is right.
 ///
@@ -102,11 +90,8 @@ impl Losses {
 /// # use cape_core::Mesh;
 /// use burn::tensor::{Device, Tensor};
 /// use cape_model::{Cape, CapeConfig, LossConfig};
-/// use cape_train::{
-///     RunConfig, build_graphs,
-///     objective::{Frames, StepInput, evaluate, reconstruct, reconstruction_terms},
-///     optim::global_norm,
-/// };
+/// use cape_infer::{Frames, RunConfig, build_graphs};
+/// use cape_train::{objective::{StepInput, evaluate, reconstruct, reconstruction_terms}, optim::global_norm};
 ///
 /// # let mesh = Mesh {
 /// #     vertices: vec![[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., 0., 1.]],

@@ -8,7 +8,9 @@ use burn::{
 };
 use cape_model::weights::{Array, Trail, Weights};
 
-use crate::{Error, Result, Rule, run::host};
+use crate::{Error, Result};
+use cape_core::tensors::host;
+use cape_infer::Rule;
 
 /// Added to the names of second moments in [`Optimiser::state`].
 const SECOND: &str = ".second_moment";
@@ -23,7 +25,8 @@ const EPSILON: f64 = 1e-8;
 /// ```
 /// use burn::tensor::{Device, Tensor};
 /// use cape_model::{Init, layers::Linear, weights::collect};
-/// use cape_train::{Rule, optim::{Optimiser, global_norm}};
+/// use cape_infer::Rule;
+/// use cape_train::optim::{Optimiser, global_norm};
 ///
 /// let device = Device::default().autodiff();
 /// let layer = Linear::new(1, 1, &mut Init::new(1, 0.1, &device));

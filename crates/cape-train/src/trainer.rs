@@ -15,16 +15,21 @@ use cape_model::Cape;
 use serde::Serialize;
 
 use crate::{
-    Error, Result, RunConfig,
-    checkpoint::{self, Checkpoint, Progress},
-    data::{
-        Loader, LoaderOptions, LoaderState, PackedSet, Part, Statistics, StepData, steps_per_epoch,
-    },
+    Error, Result,
+    create::create,
     learner::{Learner, Pace},
     log::Log,
     objective::{Losses, StepInput},
-    run::{self, RunPaths, build_graphs, normal, tensor2, to_device},
     validate::{Illustrate, Validation, Validator},
+};
+use cape_core::tensors::tensor2;
+use cape_data::{
+    Loader, LoaderOptions, LoaderState, PackedSet, Part, Statistics, StepData, steps_per_epoch,
+};
+use cape_infer::{
+    RunConfig, RunPaths, build_graphs,
+    checkpoint::{self, Checkpoint, Progress},
+    normal, read_identity, to_device,
 };
 
 /// What training reports as it goes.
@@ -149,7 +154,7 @@ impl Trainer {
         config: RunConfig,
         device: &Device,
     ) -> Result<Self> {
-        let paths = run::create(root, data, body, clothing, &config)?;
+        let paths = create(root, data, body, clothing, &config)?;
         let progress = Progress {
             step: 0,
             loader: LoaderState::new(config.train.seed),
@@ -168,7 +173,7 @@ impl Trainer {
         let config = RunConfig::load(&paths.config())?;
         // An imported run does not know the data it was trained on.
         let identity =
-            if paths.data().exists() { Some(run::read_identity(&paths.data())?) } else { None };
+            if paths.data().exists() { Some(read_identity(&paths.data())?) } else { None };
         let Some(data) = data.or(identity.as_ref().map(|identity| identity.path.as_path())) else {
             return Err(Error::argument(format!(
                 "{}: does not say what it was trained on: name the packed set",
@@ -177,7 +182,7 @@ impl Trainer {
         };
         let newest = checkpoint::list(&paths.checkpoints())?.pop();
         let Some((_, newest)) = newest else {
-            return Err(Error::Data(format!(
+            return Err(Error::data(format!(
                 "{}: no checkpoint to resume from: remove the directory and train afresh",
                 root.display()
             )));
@@ -188,7 +193,7 @@ impl Trainer {
         if let Some(identity) = &identity
             && found != (identity.frames, identity.vertices)
         {
-            return Err(Error::Data(format!(
+            return Err(Error::data(format!(
                 "{}: {} training frames of {} vertices, but the run was trained on {} of {}",
                 data.display(),
                 found.0,
@@ -198,8 +203,8 @@ impl Trainer {
             )));
         }
         trainer.statistics.expect_vertices(found.1)?;
-        if !Statistics::of_packed(data, &mut crate::silent)?.is_close(&trainer.statistics) {
-            return Err(Error::Data(format!(
+        if !Statistics::of_packed(data, &mut cape_core::silent)?.is_close(&trainer.statistics) {
+            return Err(Error::data(format!(
                 "{}: its displacements have another mean and deviation than those the run was \
                  trained on: it is another data set",
                 data.display()
@@ -222,7 +227,7 @@ impl Trainer {
     ) -> Result<Self> {
         let mut set = PackedSet::open(data, Part::Train)?;
         if config.train.preload {
-            set.preload(&mut crate::silent)?;
+            set.preload(&mut cape_core::silent)?;
         }
         let statistics = Statistics::load(paths.statistics())?;
         let body = SmplModel::load(paths.body())?;
@@ -387,7 +392,7 @@ impl Trainer {
             || "there is no checkpoint yet".to_owned(),
             |(_, path)| format!("the last checkpoint is {}", path.display()),
         );
-        Ok(Error::Data(format!(
+        Ok(Error::data(format!(
             "{what} is not a finite number at step {} (training frames {frames:?}); {kept}; a lower \
              train.peak_rate may help",
             self.progress.step + 1,

@@ -8,11 +8,12 @@ use cape_model::{Generator, Graphs, LossConfig};
 
 use crate::{
     Result,
-    data::{Batch, PackedSet, Statistics, sequential},
-    metrics::{ErrorStats, Summary, vertex_errors_mm},
     objective::{Losses, reconstruct, reconstruction_terms},
-    run::{host, to_device},
 };
+use cape_core::tensors::host;
+use cape_data::{Batch, PackedSet, Statistics, sequential};
+use cape_infer::to_device;
+use cape_stats::errors::{ErrorStats, Summary, vertex_errors_mm};
 
 /// Frames that are shown.
 const PREVIEWS: usize = 4;
@@ -139,7 +140,7 @@ impl Validator<'_> {
 }
 
 /// How many columns of posterior means `[frames × latent]` vary.
-pub(crate) fn active_units(codes: &[f32], latent: usize) -> usize {
+pub fn active_units(codes: &[f32], latent: usize) -> usize {
     (0..latent).filter(|&unit| variance(codes, unit, latent) > ACTIVE).count()
 }
 

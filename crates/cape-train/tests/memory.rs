@@ -2,8 +2,8 @@
 
 #![cfg(target_os = "linux")]
 
+use cape_eval::bench::{Workload, rss_mb};
 use cape_model::CapeConfig;
-use cape_train::bench::{Workload, rss_mb};
 
 const BATCH: usize = 4;
 const SEED: u64 = 1;

@@ -3,13 +3,13 @@
 
 use burn::tensor::{Tensor, TensorData};
 use cape_graph::Surface;
+use cape_infer::{Frames, RunConfig, build_graphs};
 use cape_model::{
     Cape, CapeConfig, DecoderBlock, DecoderConditions, Graphs, LossConfig, Reconstruction, release,
     weights::{self, Weights},
 };
 use cape_train::{
-    RunConfig, build_graphs,
-    objective::{Frames, StepInput, evaluate},
+    objective::{StepInput, evaluate},
     optim::collect_gradients,
 };
 use rand::{Rng, SeedableRng};

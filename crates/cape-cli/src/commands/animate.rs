@@ -1,8 +1,9 @@
 use std::path::PathBuf;
 
-use cape_core::{BodyPose, Outfit, obj, parse_device, ply, poses::movement};
+use cape_core::{BodyPose, Outfit, obj, parse_device, ply};
+use cape_infer::{Performance, Run, Wearer, write_json};
 use cape_render::{Bounds, Camera, Image, Object, Projection, Style, View, render, save_animation};
-use cape_train::{Performance, Run, Wearer, write_json};
+use cape_synth::poses::movement;
 use clap::{Args, ValueEnum};
 use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, concatenate, s};
 use serde::Serialize;

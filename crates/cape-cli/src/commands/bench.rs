@@ -1,6 +1,6 @@
 use cape_core::parse_device;
+use cape_eval::bench::{BenchReport, bench};
 use cape_model::CapeConfig;
-use cape_train::bench::{BenchReport, bench};
 use clap::Args;
 use serde::Serialize;
 

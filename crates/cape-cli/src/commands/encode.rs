@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use cape_core::{Outfit, npy::write_npy, parse_device, ply};
-use cape_train::{Run, Wearer, write_json};
+use cape_infer::{Run, Wearer, write_json};
 use clap::Args;
 use ndarray::{Array3, Axis, concatenate};
 use serde::Serialize;

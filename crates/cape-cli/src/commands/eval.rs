@@ -1,12 +1,10 @@
 use std::path::PathBuf;
 
 use cape_core::{parse_device, ply};
+use cape_eval::{EvalOptions, EvalReport, PosteriorUse, evaluate};
+use cape_infer::{Run, write_json};
 use cape_render::colour_of;
-use cape_train::{
-    EvalOptions, EvalReport, PosteriorUse, Run, evaluate,
-    metrics::{GroupedSummary, Summary},
-    write_json,
-};
+use cape_stats::errors::{GroupedSummary, Summary};
 use clap::{Args, ValueEnum};
 
 use crate::{

@@ -1,11 +1,8 @@
 use std::path::PathBuf;
 
 use cape_core::parse_device;
-use cape_train::{
-    Run,
-    quality::{QualityOptions, QualityReport, quality, standard_normal},
-    write_json,
-};
+use cape_eval::quality::{QualityOptions, QualityReport, quality, standard_normal};
+use cape_infer::{Run, write_json};
 use clap::Args;
 use serde::Serialize;
 

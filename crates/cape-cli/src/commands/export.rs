@@ -1,8 +1,8 @@
 use std::path::PathBuf;
 
 use cape_core::npy::NpzWriter;
+use cape_infer::{RunConfig, RunPaths, checkpoint};
 use cape_model::{release, weights};
-use cape_train::{RunConfig, RunPaths, checkpoint};
 use clap::Args;
 use ndarray::{ArrayD, IxDyn};
 use serde::Serialize;

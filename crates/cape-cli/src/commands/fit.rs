@@ -5,8 +5,8 @@ use cape_fit::{
     BodyFit, Camera, ClothedConfig, ClothedFit, DressedBody, DressedSurface, Keypoints, Mask,
     read_keypoints, silhouette::render,
 };
+use cape_infer::{Performance, Run, Wearer, write_json};
 use cape_render::{Image, Tile, contact_sheet};
-use cape_train::{Performance, Run, Wearer, write_json};
 use clap::Args;
 use glam::DVec3;
 use ndarray::{Array1, Array2};

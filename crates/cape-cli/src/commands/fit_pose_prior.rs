@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use cape_fit::{BODY_POSE, COMPONENTS, OPTIONS, PoseCollection, PosePrior};
-use cape_train::prior::MixtureOptions;
+use cape_stats::density::MixtureOptions;
 use clap::Args;
 use ndarray::Array2;
 use serde::Serialize;

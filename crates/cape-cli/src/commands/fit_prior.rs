@@ -1,10 +1,11 @@
 use std::path::{Path, PathBuf};
 
 use cape_core::{Outfit, parse_device};
-use cape_train::{
+use cape_infer::{
     Run,
-    prior::{Codes, Density, DensityKind, MixtureOptions, Prior},
+    prior::{Codes, Density, DensityKind, Prior},
 };
+use cape_stats::density::MixtureOptions;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 

@@ -7,10 +7,9 @@ use cape_core::{
     BodyPose, Mesh, Outfit,
     npy::{NpzWriter, write_npy},
     obj, parse_device, ply,
-    poses::poses,
-    synth::{Motion, MotionStyle},
 };
-use cape_train::{Run, Wearer, prior::Prior, write_json};
+use cape_infer::{Run, Wearer, prior::Prior, write_json};
+use cape_synth::{Motion, MotionStyle, poses::poses};
 use clap::{Args, ValueEnum};
 use ndarray::{Array2, Array3};
 use rand::{Rng, SeedableRng, seq::IndexedRandom};

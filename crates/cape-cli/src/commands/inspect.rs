@@ -4,7 +4,7 @@ use std::{
 };
 
 use cape_core::Outfit;
-use cape_train::data::inspect::{InspectOptions, Inspection, Magnitudes, inspect};
+use cape_data::inspect::{InspectOptions, Inspection, Magnitudes, inspect};
 use clap::Args;
 
 use crate::{arguments::at_least_one, console::Console, error::Result, table::Table};

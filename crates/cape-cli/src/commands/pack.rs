@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use cape_train::data::{self, PackOptions, PackReport, Split, raw::SPLIT_FILE};
+use cape_data::{self, PackOptions, PackReport, Split, raw::SPLIT_FILE};
 use clap::Args;
 use serde::Serialize;
 
@@ -56,7 +56,7 @@ impl Pack {
         let split = self.split()?;
         let options = PackOptions { strict: self.strict, follow_links: self.follow_links };
         let packed = console.while_showing("pack", "frames", |progress| {
-            data::pack(&self.raw, &self.out, &split, options, progress)
+            cape_data::pack(&self.raw, &self.out, &split, options, progress)
         })?;
         for frame in &packed.broken {
             console.note(&format!("left out {}: {}", frame.path.display(), frame.reason));

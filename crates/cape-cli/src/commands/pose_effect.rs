@@ -1,11 +1,12 @@
 use std::path::PathBuf;
 
-use cape_core::{BodyPose, Outfit, joints::JOINT_NAMES, parse_device, ply, poses::poses};
+use cape_core::{BodyPose, Outfit, joints::JOINT_NAMES, parse_device, ply};
+use cape_infer::{Run, Wearer, write_json};
 use cape_render::{
     Bounds, Camera, Object, Projection, Style, Tile, View, colour_of, contact_sheet, portrait,
     render,
 };
-use cape_train::{Run, Wearer, write_json};
+use cape_synth::poses::poses;
 use clap::Args;
 use ndarray::{Array3, Axis, concatenate};
 use serde::Serialize;

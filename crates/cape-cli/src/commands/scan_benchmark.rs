@@ -1,15 +1,12 @@
 use std::path::PathBuf;
 
 use cape_core::parse_device;
+use cape_data::{PackedSet, Part};
 use cape_fit::scan::{
     ScanConfig,
     benchmark::{ScanBenchmarkOptions, ScanCase, ScanError, scan_benchmark},
 };
-use cape_train::{
-    Run,
-    data::{PackedSet, Part},
-    write_json,
-};
+use cape_infer::{Run, write_json};
 use clap::Args;
 use serde::Serialize;
 

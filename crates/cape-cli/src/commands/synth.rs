@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
-use cape_core::{SmplModel, synth};
-use cape_train::data::{
+use cape_core::SmplModel;
+use cape_data::{
     SequenceList, Split,
     raw::{BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
 };
@@ -56,18 +56,18 @@ impl Synth {
         let start = std::time::Instant::now();
         let body = match &self.body {
             Some(path) => SmplModel::load(path)?,
-            None => synth::synthetic_body(),
+            None => cape_synth::synthetic_body(),
         };
-        let spec = synth::SynthSpec {
+        let spec = cape_synth::SynthSpec {
             subjects: self.subjects,
             frames_per_sequence: self.frames_per_sequence,
             seed: global.seed.unwrap_or(1),
-            ..synth::SynthSpec::default()
+            ..cape_synth::SynthSpec::default()
         };
         files::require_empty(&self.out)?;
         let split = split_of(&spec);
         let (sequences, vertices) = (spec.takes().len(), body.vertices());
-        let synth = synth::Synth::new(&body, spec).doing(|| "dressing the body".into())?;
+        let synth = cape_synth::Synth::new(&body, spec).doing(|| "dressing the body".into())?;
         console.while_showing("synth", "frames", |progress| synth.write(&self.out, progress))?;
         files::write_text(&self.out.join(SPLIT_FILE), &split.to_toml()?)?;
         let report = Report {
@@ -84,8 +84,8 @@ impl Synth {
 }
 
 /// The split that the movements of `spec` are meant for.
-pub(crate) fn split_of(spec: &synth::SynthSpec) -> Split {
-    let names = |motions: Vec<synth::Motion>| SequenceList {
+pub(crate) fn split_of(spec: &cape_synth::SynthSpec) -> Split {
+    let names = |motions: Vec<cape_synth::Motion>| SequenceList {
         sequences: motions.into_iter().map(|motion| motion.name().to_owned()).collect(),
         exclude: Vec::new(),
     };

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use cape_core::SmplModel;
-use cape_train::data::unpose::{UnposeReport, unpose};
+use cape_data::unpose::{UnposeReport, unpose};
 use clap::Args;
 use serde::Serialize;
 

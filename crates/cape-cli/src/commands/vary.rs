@@ -1,13 +1,11 @@
 use std::path::PathBuf;
 
-use cape_core::{
-    Outfit, parse_device, ply,
-    poses::{movement, poses},
-};
+use cape_core::{Outfit, parse_device, ply};
+use cape_infer::{Run, Wearer, directions_by_effect, interpolate_codes, walk_codes};
 use cape_render::{
     Bounds, Camera, Object, Projection, Style, Tile, View, contact_sheet, render, save_animation,
 };
-use cape_train::{Run, Wearer, directions_by_effect, interpolate_codes, walk_codes};
+use cape_synth::poses::{movement, poses};
 use clap::{Args, ValueEnum};
 use ndarray::Array2;
 use serde::Serialize;

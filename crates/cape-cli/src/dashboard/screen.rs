@@ -11,7 +11,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use cape_train::{Event, bench::rss_mb};
+use cape_eval::bench::rss_mb;
+use cape_train::Event;
 use ratatui::{
     Terminal,
     backend::CrosstermBackend,

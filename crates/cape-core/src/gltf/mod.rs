@@ -26,7 +26,8 @@ const BINARY_CHUNK: u32 = 0x004e_4942;
 /// A body in clothes, at rest.
 ///
 /// ```
-/// use cape_core::{gltf::{self, Figure, Keyframe}, synth::synthetic_body};
+/// use cape_core::gltf::{self, Figure, Keyframe};
+/// use cape_synth::synthetic_body;
 ///
 /// let body = synthetic_body();
 /// let rest = body.shaped(&[1.0])?;
@@ -73,7 +74,8 @@ pub struct Figure<'a> {
 /// A picture and its coordinates on the body.
 ///
 /// ```
-/// use cape_core::{gltf::{self, Figure, Texture}, obj::Uv, synth::synthetic_body};
+/// use cape_core::{gltf::{self, Figure, Texture}, obj::Uv};
+/// use cape_synth::synthetic_body;
 ///
 /// let body = synthetic_body();
 /// let uv = Uv { coordinates: vec![[0.5, 0.5]], faces: vec![[0; 3]; body.faces.len()] };

@@ -69,7 +69,8 @@ struct Depth {
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
-/// use cape_core::{synth::synthetic_body, smpl::{Pose, Smpl, SmplInput}};
+/// use cape_core::smpl::{Pose, Smpl, SmplInput};
+/// use cape_synth::synthetic_body;
 ///
 /// let device = Device::default();
 /// let smpl = Smpl::new(&synthetic_body(), &device)?;

@@ -25,9 +25,8 @@ pub enum JointSource {
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
-/// use cape_core::{
-///     ClothedSmpl, ClothingMask, JointSource, Pose, Smpl, SmplInput, synth::synthetic_body,
-/// };
+/// use cape_core::{ClothedSmpl, ClothingMask, JointSource, Pose, Smpl, SmplInput};
+/// use cape_synth::synthetic_body;
 ///
 /// let (body, device) = (synthetic_body(), Device::default());
 /// let dressed = ClothedSmpl::new(Smpl::new(&body, &device)?)

@@ -12,7 +12,7 @@ const RIDGE: f64 = 1e-10;
 /// The body nearest to a rest shape.
 ///
 /// ```
-/// use cape_core::synth::synthetic_body;
+/// use cape_synth::synthetic_body;
 ///
 /// let body = synthetic_body();
 /// let fit = body.fit_betas(&body.shaped(&[1.5, -0.5])?, 4)?;

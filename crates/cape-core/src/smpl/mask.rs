@@ -16,7 +16,8 @@ const BARE_WEIGHT: f64 = 0.1;
 /// Which vertices clothing covers; the displacement of all others is zero when a body is dressed.
 ///
 /// ```
-/// use cape_core::{ClothingMask, synth::synthetic_body};
+/// use cape_core::ClothingMask;
+/// use cape_synth::synthetic_body;
 ///
 /// let mask = ClothingMask::from_indices(6, &[5, 1, 2])?;
 /// assert_eq!(mask.indices().collect::<Vec<_>>(), [1, 2, 5]);

@@ -13,6 +13,7 @@ mod host;
 mod mask;
 mod model;
 mod rodrigues;
+mod standard_pose;
 
 pub use body::{Pose, Smpl, SmplInput, SmplOutput};
 pub use clothed::{ClothedSmpl, JointSource};
@@ -21,6 +22,7 @@ pub use host::Posed;
 pub use mask::ClothingMask;
 pub use model::SmplModel;
 pub use rodrigues::rodrigues;
+pub use standard_pose::StandardPose;
 
 #[cfg(test)]
 mod forward_tests;

@@ -8,7 +8,8 @@ use crate::{Error, Mesh, Result};
 /// `V` vertices, `J` joints (24), `B` shape directions (10 to 300). Metres.
 ///
 /// ```
-/// use cape_core::{SmplModel, synth::synthetic_body};
+/// use cape_core::SmplModel;
+/// use cape_synth::synthetic_body;
 ///
 /// let body = synthetic_body();
 /// assert_eq!((body.vertices(), body.joints(), body.betas()), (6890, 24, 10));

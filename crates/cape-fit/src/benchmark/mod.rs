@@ -7,7 +7,8 @@ mod summary;
 use std::time::Instant;
 
 use cape_core::Outfit;
-use cape_train::{Run, data::PackedSet};
+use cape_data::PackedSet;
+use cape_infer::Run;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
@@ -93,7 +94,8 @@ pub struct Case {
 ///     ClothedConfig, PosePrior, Smplify, SmplifyConfig,
 ///     benchmark::{Benchmark, BenchmarkOptions, Summary},
 /// };
-/// use cape_train::{Run, data::{PackedSet, Part}};
+/// use cape_data::{PackedSet, Part};
+/// use cape_infer::Run;
 ///
 /// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
 /// let set = PackedSet::open("data/packed".as_ref(), Part::Test)?;

@@ -1,4 +1,5 @@
-use cape_train::{Run, data::PackedSet};
+use cape_data::PackedSet;
+use cape_infer::Run;
 use glam::DVec3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -38,7 +39,7 @@ impl Scene {
         let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
         rng.set_stream(frame as u64);
         let camera = Camera::new(options.side, options.side, None)?;
-        let (displacement, mut wearer) = set.registration(frame)?;
+        let (displacement, mut wearer) = cape_infer::registration(set, frame)?;
         let shapes = SHAPES.min(run.body().betas());
         wearer.betas = (0..shapes).map(|_| rng.sample(StandardNormal)).collect();
         let mesh = run.wear(&displacement, std::slice::from_ref(&wearer))?.remove(0);

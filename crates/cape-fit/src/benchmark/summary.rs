@@ -2,7 +2,8 @@ use cape_core::Outfit;
 use serde::{Deserialize, Serialize};
 
 use super::{Case, FitError};
-use crate::{Paired, Result};
+use crate::Result;
+use cape_stats::Paired;
 
 /// Mean and median of the cases' values.
 ///
@@ -144,7 +145,7 @@ impl Summary {
 fn paired(cases: &[&Case], seed: u64, of: fn(&FitError) -> f64) -> Result<Paired> {
     let [bare, clothed]: [Vec<f64>; 2] = [|case: &Case| case.bare, |case: &Case| case.clothed]
         .map(|method| cases.iter().map(|case| of(&method(case))).collect());
-    Paired::of(&bare, &clothed, seed)
+    Ok(Paired::of(&bare, &clothed, seed)?)
 }
 
 fn score(cases: &[&Case], method: fn(&Case) -> &FitError) -> Score {

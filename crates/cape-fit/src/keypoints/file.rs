@@ -14,7 +14,7 @@ use crate::{Error, Result};
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_core::synth::synthetic_body;
+/// use cape_synth::synthetic_body;
 /// use cape_fit::{Camera, read_keypoints};
 ///
 /// // Keypoints as OpenPose writes them, read back.

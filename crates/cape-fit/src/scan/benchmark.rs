@@ -3,7 +3,8 @@
 use std::time::Instant;
 
 use cape_core::Outfit;
-use cape_train::{Run, data::PackedSet};
+use cape_data::PackedSet;
+use cape_infer::Run;
 use glam::{DQuat, DVec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -28,7 +29,8 @@ const FAR: f64 = 2.0;
 /// ```no_run
 /// use burn::tensor::Device;
 /// use cape_fit::scan::{ScanConfig, benchmark::{ScanBenchmarkOptions, scan_benchmark}};
-/// use cape_train::{Run, data::{PackedSet, Part}};
+/// use cape_data::{PackedSet, Part};
+/// use cape_infer::Run;
 ///
 /// // Two scans of each of four frames: whole, and with a tenth missing.
 /// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
@@ -170,7 +172,7 @@ pub fn scan_benchmark(
 
 /// A held-out frame on a body of random shape, somewhere, facing anywhere.
 fn truth(run: &Run, set: &PackedSet, frame: usize, rng: &mut ChaCha8Rng) -> Result<Truth> {
-    let (displacement, mut wearer) = set.registration(frame)?;
+    let (displacement, mut wearer) = cape_infer::registration(set, frame)?;
     let shapes = SHAPES.min(run.body().betas());
     wearer.betas = (0..shapes).map(|_| rng.sample(StandardNormal)).collect();
     let turn = DQuat::from_rotation_y(rng.random_range(0.0..std::f64::consts::TAU));

@@ -1,7 +1,7 @@
 //! Clothed bodies from scans.
 
 use cape_core::{Outfit, SmplModel};
-use cape_train::Run;
+use cape_infer::Run;
 use glam::DVec3;
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
@@ -72,7 +72,7 @@ pub type ScanProgress<'a> = dyn FnMut(usize, usize) + 'a;
 /// use burn::tensor::Device;
 /// use cape_core::Outfit;
 /// use cape_fit::{PosePrior, scan::{Scan, ScanConfig, ScanFitter, ScanStart, Unit, Up}};
-/// use cape_train::Run;
+/// use cape_infer::Run;
 ///
 /// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
 /// let prior = PosePrior::synthetic()?;

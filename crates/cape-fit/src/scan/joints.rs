@@ -19,7 +19,7 @@ const ROBUST: f64 = 6.0;
 /// Joints in a scan's space.
 ///
 /// ```
-/// use cape_core::synth::synthetic_body;
+/// use cape_synth::synthetic_body;
 /// use cape_fit::{Skeleton, scan::KnownJoints};
 ///
 /// let joints = Skeleton::new(&synthetic_body())?.rest(&[]);

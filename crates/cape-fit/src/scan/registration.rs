@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use cape_core::{ClothingMask, Outfit, SmplModel};
-use cape_train::data::{
+use cape_data::{
     SequenceList, Split,
     raw::{self, BODY_FILE, CLOTHING_FILE, RawFrame, SPLIT_FILE},
 };
@@ -33,7 +33,8 @@ pub struct Place {
 /// A surface in motion with the body under it.
 ///
 /// ```
-/// use cape_core::{Outfit, synth::synthetic_body};
+/// use cape_core::Outfit;
+/// use cape_synth::synthetic_body;
 /// use cape_fit::{BodyParameters, scan::{Place, Registration}};
 /// use glam::DVec3;
 ///
@@ -155,14 +156,14 @@ fn add_to_split(path: &Path, place: &Place) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use cape_train::data::{PackOptions, PackedSet, Part, pack};
+    use cape_data::{PackOptions, PackedSet, Part, pack};
 
     use super::*;
     use crate::testing::BODY;
 
     #[test]
     fn registrations_are_packed_as_they_were() {
-        let pose = cape_core::poses::preset("walk").unwrap().map(f64::from).to_vec();
+        let pose = cape_synth::poses::preset("walk").unwrap().map(f64::from).to_vec();
         let mut parameters = BodyParameters::new(pose, vec![0.5, -1.0]).unwrap();
         parameters.transl = [0.3, 1.0, -2.0];
         let minimal = BODY.shaped(&parameters.betas).unwrap();

@@ -1,6 +1,7 @@
 //! Bodies to begin a fit to a scan with.
 
-use cape_core::{SmplModel, poses::preset};
+use cape_core::SmplModel;
+use cape_synth::poses::preset;
 use glam::{DMat3, DQuat, DVec3};
 
 use super::{KnownJoints, energy::Target, rigid, rigid::Rigid};
@@ -285,7 +286,7 @@ mod tests {
     }
 
     fn walking() -> BodyParameters {
-        let pose = cape_core::poses::preset("walk").unwrap().map(f64::from).to_vec();
+        let pose = cape_synth::poses::preset("walk").unwrap().map(f64::from).to_vec();
         BodyParameters {
             transl: [1.0, 2.0, 0.5],
             ..BodyParameters::new(pose, vec![0.0; 10]).unwrap()

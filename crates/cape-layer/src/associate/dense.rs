@@ -4,11 +4,9 @@ use ndarray::Array2;
 use rayon::prelude::*;
 
 use super::{AssociateOptions, Pairs, RayStatistics};
-use crate::{
-    Error, Result,
-    error::finite,
-    geometry::{Geodesics, Surface},
-};
+use crate::{Error, Result, geometry::Geodesics};
+use cape_core::expect_finite;
+use cape_core::geometry::Surface;
 
 /// Votes that a vertex outside the plain support passes on.
 const PASSED_ON: usize = 64;
@@ -80,7 +78,7 @@ impl Association {
                 "association: body vertex {index}, but there are {body_vertices}"
             )));
         }
-        finite("association weights", &weights)?;
+        expect_finite("association weights", &weights)?;
         if let Some(row) = weights.rows().into_iter().position(|w| (w.sum() - 1.0).abs() > 1e-6) {
             return Err(Error::argument(format!(
                 "association: the weights of clothing vertex {row} do not sum to 1"

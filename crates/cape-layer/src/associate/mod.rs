@@ -12,10 +12,8 @@ mod tests;
 pub use dense::{Association, Completion};
 pub use sparse::{Pair, Pairs, RayStatistics};
 
-use crate::{
-    Error, Result,
-    geometry::{Metric, Surface},
-};
+use crate::{Error, Result, geometry::Metric};
+use cape_core::geometry::Surface;
 
 /// How clothing vertices are tied to body vertices.
 ///

@@ -1,9 +1,7 @@
 use rayon::prelude::*;
 
-use crate::{
-    Error, Result,
-    geometry::{Solid, Surface},
-};
+use crate::{Error, Result};
+use cape_core::geometry::{Solid, Surface};
 
 /// A clothing vertex and the body vertex whose ray found it.
 ///

@@ -5,14 +5,14 @@ use crate::{LayerSet, Sequence};
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_core::synth::synthetic_body;
+/// use cape_synth::synthetic_body;
 /// use cape_layer::{LayerSet, Sequence, experiment::Factor};
 ///
 /// // The same patch in two sequences, named for different movements.
 /// let march = patch(&synthetic_body())?.0.sequences.remove(0);
 /// let walk = Sequence { name: "anna_walk".into(), ..march.clone() };
 /// let set = LayerSet::new(vec![[0, 1, 2]], vec![march, walk])?;
-/// let groups = Factor::Motion.groups(&set);
+/// let groups = Factor::BodyMotion.groups(&set);
 /// assert_eq!(groups.len(), 2);
 /// assert_eq!((groups[1].label.as_str(), groups[1].sequences.as_slice()), ("walk", &[1][..]));
 /// assert_eq!(Factor::Shape.groups(&set).len(), 1);
@@ -24,7 +24,7 @@ pub enum Factor {
     /// The body's shape coefficients.
     Shape,
     /// The movement: what follows the last `_` of a sequence's name.
-    Motion,
+    BodyMotion,
     /// Parameters other than sizes.
     Material,
     /// Sizes: parameters named length, width, sleeve or size.
@@ -46,13 +46,13 @@ const SIZES: [&str; 4] = ["length", "width", "sleeve", "size"];
 
 impl Factor {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Shape, Self::Motion, Self::Material, Self::Fit];
+    pub const ALL: [Self; 4] = [Self::Shape, Self::BodyMotion, Self::Material, Self::Fit];
 
     /// The name in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Shape => "shape",
-            Self::Motion => "motion",
+            Self::BodyMotion => "motion",
             Self::Material => "material",
             Self::Fit => "fit",
         }
@@ -93,7 +93,7 @@ impl Factor {
                     format!("β {}", betas.join(" "))
                 }
             }
-            Self::Motion => {
+            Self::BodyMotion => {
                 let name = &sequence.name;
                 name.rsplit_once('_').map_or(name.as_str(), |(_, last)| last).to_owned()
             }
@@ -108,7 +108,7 @@ mod tests {
     use ndarray::{Array2, Array3};
 
     use super::*;
-    use crate::regress::Motion;
+    use cape_core::BodyMotion;
 
     #[test]
     fn sequences_are_grouped_by_what_differs() {
@@ -116,7 +116,7 @@ mod tests {
             name: name.into(),
             clothing: Array3::zeros((1, 3, 3)),
             betas: vec![beta],
-            motion: Motion::new(30.0, Array2::zeros((1, 72)), Array2::zeros((1, 3))).unwrap(),
+            motion: BodyMotion::new(30.0, Array2::zeros((1, 72)), Array2::zeros((1, 3))).unwrap(),
             parameters: vec![
                 ("length".into(), length),
                 ("width".into(), 1.0),
@@ -132,7 +132,10 @@ mod tests {
         let groups = |factor: Factor| -> Vec<(String, Vec<usize>)> {
             factor.groups(&set).into_iter().map(|g| (g.label, g.sequences)).collect()
         };
-        assert_eq!(groups(Factor::Motion), [("walk".into(), vec![0, 2]), ("jump".into(), vec![1])]);
+        assert_eq!(
+            groups(Factor::BodyMotion),
+            [("walk".into(), vec![0, 2]), ("jump".into(), vec![1])]
+        );
         assert_eq!(groups(Factor::Shape)[1], ("β 1.00".into(), vec![2]));
         assert_eq!(groups(Factor::Fit)[1], ("length 1.200".into(), vec![1]));
         assert_eq!(groups(Factor::Material).len(), 1);

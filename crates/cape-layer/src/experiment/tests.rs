@@ -1,17 +1,11 @@
-use cape_core::{
-    SmplModel,
-    synth::{Motion as Movement, MotionStyle, synthetic_body},
-};
+use cape_core::SmplModel;
+use cape_synth::{Motion as Movement, MotionStyle, synthetic_body};
 use ndarray::Array3;
 
 use super::*;
-use crate::{
-    AssociateOptions, Layer, LayerSet, StandardPose,
-    cloth::{Garment, GarmentKind},
-    geometry::Surface,
-    regress::Motion,
-    sequence::Sequence,
-};
+use crate::{AssociateOptions, Layer, LayerSet, sequence::Sequence};
+use cape_cloth::{Garment, GarmentKind};
+use cape_core::{BodyMotion, geometry::Surface, smpl::StandardPose};
 
 /// A skirt that follows the hips and swings with the knees, in 60 frames of a march.
 fn set(model: &SmplModel) -> LayerSet {
@@ -20,7 +14,7 @@ fn set(model: &SmplModel) -> LayerSet {
     let poses: Vec<f64> =
         (0..frames).flat_map(|f| Movement::WalkMarch.pose(&style, f as f64 / rate)).collect();
     let poses = Array2::from_shape_vec((frames, 72), poses).unwrap();
-    let motion = Motion::new(rate, poses, Array2::zeros((frames, 3))).unwrap();
+    let motion = BodyMotion::new(rate, poses, Array2::zeros((frames, 3))).unwrap();
     let shape = model.shaped(&[]).unwrap();
     let skirt = Garment::of(GarmentKind::Skirt).sew(model, &shape).unwrap().surface;
     let clothing = Array3::from_shape_fn((frames, skirt.vertices.len(), 3), |(f, v, axis)| {

@@ -4,23 +4,21 @@ use rayon::prelude::*;
 
 use super::{LayerError, Learning, Learnt, Regression};
 use crate::{
-    Association, Error, Keep, LayerPca, Result, StandardPose,
+    Association, Error, Keep, LayerPca, Result,
     offsets::Carrier,
     regress::{Epoch, Features, Semantics},
     sequence::LayerSet,
 };
+use cape_core::smpl::StandardPose;
 
 /// A set whose clothing is tied to its bodies and freed from their poses.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_core::synth::synthetic_body;
-/// use cape_layer::{
-///     StandardPose,
-///     experiment::{Learning, Unposed},
-///     regress::Training,
-/// };
+/// use cape_synth::synthetic_body;
+/// use cape_core::smpl::StandardPose;
+/// use cape_layer::{experiment::{Learning, Unposed}, regress::Training};
 ///
 /// // A patch that rises and falls as its wearer marches.
 /// let body = synthetic_body();

@@ -2,7 +2,7 @@ use std::{cmp::Ordering, collections::BinaryHeap, collections::HashMap};
 
 use glam::DVec3;
 
-use super::Surface;
+use cape_core::geometry::Surface;
 
 /// How lengths over a surface are measured.
 ///
@@ -27,7 +27,8 @@ pub enum Metric {
 /// local, takes microseconds, and is exact where the surface is flat.
 ///
 /// ```
-/// use cape_layer::geometry::{Geodesics, Metric, Surface};
+/// use cape_core::geometry::Surface;
+/// use cape_layer::geometry::{Geodesics, Metric};
 /// use glam::DVec3;
 ///
 /// // From corner to corner of a square of two triangles, across the other diagonal.

@@ -1,39 +1,18 @@
 use glam::{DMat3, DVec3};
 use ndarray::{Array2, ArrayView2};
 
-use crate::{Error, Result, error::finite};
-
-/// A body's movement at a fixed rate.
-///
-/// ```
-/// use cape_layer::regress::Motion;
-/// use ndarray::Array2;
-///
-/// let motion = Motion::new(30.0, Array2::zeros((60, 72)), Array2::zeros((60, 3)))?;
-/// assert_eq!(motion.frames(), 60);
-/// // Poses and translations must be of as many frames.
-/// assert!(Motion::new(30.0, Array2::zeros((60, 72)), Array2::zeros((59, 3))).is_err());
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-#[derive(Debug, Clone, PartialEq)]
-pub struct Motion {
-    /// Frames a second.
-    pub frame_rate: f64,
-    /// Axis-angles of all joints, radians, `[frames, 3 · joints]`.
-    pub poses: Array2<f64>,
-    /// Translations, metres, `[frames, 3]`.
-    pub translations: Array2<f64>,
-}
+use cape_core::BodyMotion;
 
 /// What the clothing depends on.
 ///
 /// ```
-/// use cape_layer::regress::{Features, Motion};
+/// use cape_core::BodyMotion;
+/// use cape_layer::regress::Features;
 /// use ndarray::Array2;
 ///
 /// // A body that moves 10 cm forward in each tenth of a second.
 /// let way = Array2::from_shape_fn((5, 3), |(frame, axis)| 0.1 * frame as f64 * [0.0, 0.0, 1.0][axis]);
-/// let motion = Motion::new(10.0, Array2::zeros((5, 72)), way)?;
+/// let motion = BodyMotion::new(10.0, Array2::zeros((5, 72)), way)?;
 /// let features = Features { angles: false, angular_speeds: false, ..Features::default() };
 /// let rows = features.rows(&motion);
 /// assert_eq!(rows.dim(), (5, features.len(24)));
@@ -60,34 +39,6 @@ impl Default for Features {
     }
 }
 
-impl Motion {
-    /// A checked motion.
-    pub fn new(frame_rate: f64, poses: Array2<f64>, translations: Array2<f64>) -> Result<Self> {
-        if !(frame_rate.is_finite() && frame_rate > 0.0) {
-            return Err(Error::argument(format!("frame rate {frame_rate}: expected more than 0")));
-        }
-        let frames = poses.nrows();
-        if poses.ncols() < 3
-            || !poses.ncols().is_multiple_of(3)
-            || translations.dim() != (frames, 3)
-        {
-            return Err(Error::argument(format!(
-                "poses {:?} and translations {:?}: expected [frames, 3 · joints] and [frames, 3]",
-                poses.shape(),
-                translations.shape()
-            )));
-        }
-        finite("poses", &poses)?;
-        finite("translations", &translations)?;
-        Ok(Self { frame_rate, poses, translations })
-    }
-
-    /// Number of frames.
-    pub fn frames(&self) -> usize {
-        self.poses.nrows()
-    }
-}
-
 impl Features {
     /// How many numbers describe a frame of a body of `joints` joints, without semantic parameters.
     pub fn len(&self, joints: usize) -> usize {
@@ -98,7 +49,7 @@ impl Features {
     }
 
     /// One row for each frame, `[frames, len]`.
-    pub fn rows(&self, motion: &Motion) -> Array2<f64> {
+    pub fn rows(&self, motion: &BodyMotion) -> Array2<f64> {
         let (frames, numbers) = motion.poses.dim();
         let joints = numbers / 3;
         let smooth = |values: Array2<f64>| smoothed(&values, self.smoothing * motion.frame_rate);
@@ -126,7 +77,7 @@ impl Features {
 }
 
 /// Angular velocities in each joint's own frame, rad/s, `[frames, 3 · joints]`.
-fn turns(motion: &Motion) -> Array2<f64> {
+fn turns(motion: &BodyMotion) -> Array2<f64> {
     let (frames, numbers) = motion.poses.dim();
     let mut turns = Array2::zeros((frames, numbers));
     for frame in 0..frames {
@@ -143,7 +94,7 @@ fn turns(motion: &Motion) -> Array2<f64> {
     turns
 }
 
-fn rotation(motion: &Motion, frame: usize, joint: usize) -> DMat3 {
+fn rotation(motion: &BodyMotion, frame: usize, joint: usize) -> DMat3 {
     let angles = [0, 1, 2].map(|axis| motion.poses[(frame, 3 * joint + axis)]);
     DMat3::from_quat(glam::DQuat::from_scaled_axis(DVec3::from_array(angles)))
 }

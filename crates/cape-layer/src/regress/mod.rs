@@ -13,7 +13,7 @@ mod stream;
 mod tests;
 mod training;
 
-pub use features::{Features, Motion};
+pub use features::Features;
 pub use network::Network;
 pub use regressor::Regressor;
 pub use semantics::Semantics;

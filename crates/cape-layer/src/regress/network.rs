@@ -54,7 +54,7 @@ impl Network {
                 parameters.len()
             )));
         }
-        crate::error::finite("network parameters", &parameters)?;
+        cape_core::expect_finite("network parameters", &parameters)?;
         Ok(Self { sizes: sizes.to_vec(), parameters })
     }
 

@@ -4,7 +4,8 @@ use cape_core::npy::{Npz, NpzWriter};
 use ndarray::{Array1, Array2, ArrayView2, Axis};
 
 use super::Network;
-use crate::{Error, Result, error::finite};
+use crate::{Error, Result};
+use cape_core::expect_finite;
 
 /// Standard deviations from its mean beyond which an input counts no further.
 const FURTHEST: f64 = 3.0;
@@ -105,7 +106,7 @@ impl Regressor {
                 self.inputs.mean.len()
             )));
         }
-        finite("inputs", inputs)?;
+        expect_finite("inputs", inputs)?;
         Ok(self.targets.undo(&self.network.forward(self.inputs.bounded(inputs).view())?))
     }
 
@@ -151,6 +152,6 @@ impl Regressor {
 fn vector(file: &mut Npz, name: &str) -> Result<Array1<f64>> {
     let array = file.f64(name)?;
     file.expect_shape(name, array.shape(), &[None])?;
-    finite(name, &array)?;
+    expect_finite(name, &array)?;
     Ok(Array1::from_iter(array))
 }

@@ -2,7 +2,8 @@ use cape_core::npy::{Npz, NpzWriter};
 use ndarray::{Array1, Array2, ArrayView2, Axis};
 
 use super::regressor::Scale;
-use crate::{Error, Keep, LayerPca, Result, error::finite};
+use crate::{Error, Keep, LayerPca, Result};
+use cape_core::expect_finite;
 
 /// Semantic parameters of sequences, sizes and materials, and what the regression sees of them:
 /// standardised, and, where there are more than wanted, reduced to principal components (§5.4 of the
@@ -44,7 +45,7 @@ impl Semantics {
                 sequences.ncols()
             )));
         }
-        finite("semantic parameters", sequences)?;
+        expect_finite("semantic parameters", sequences)?;
         let scale = Scale::of(sequences);
         let standardised = scale.apply(sequences);
         let varied = standardised.columns().into_iter().filter(|c| c.iter().any(|&x| x != 0.0));
@@ -83,7 +84,7 @@ impl Semantics {
                 self.names.join(", ")
             )));
         }
-        finite("semantic parameters", parameters)?;
+        expect_finite("semantic parameters", parameters)?;
         let row = Array1::from_vec(parameters.to_vec()).insert_axis(Axis(0));
         Ok(self.scale.apply(row.view()).dot(&self.components.t()).into_iter().collect())
     }
@@ -128,7 +129,7 @@ impl Semantics {
         let (of, count) = ("semantic_components", names.len());
         file.expect_shape(of, components.shape(), &[None, Some(count)])?;
         file.expect_shape("semantic_mean", &[scale.mean().len()], &[Some(count)])?;
-        finite(of, &components)?;
+        expect_finite(of, &components)?;
         let components = components.into_dimensionality().map_err(|e| fault(of, e.to_string()))?;
         Ok(Self { names, scale, components })
     }

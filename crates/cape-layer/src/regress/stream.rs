@@ -2,7 +2,9 @@ use std::collections::VecDeque;
 
 use ndarray::Array2;
 
-use super::{Features, Motion};
+use cape_core::BodyMotion;
+
+use super::Features;
 use crate::Result;
 
 /// A frame whose features are known.
@@ -84,7 +86,7 @@ impl FeatureStream {
         let poses = Array2::from_shape_vec((count, joints), angles)
             .map_err(|error| crate::Error::argument(format!("poses of one motion: {error}")))?;
         let translations = Array2::from_shape_fn((count, 3), |(f, k)| self.window[f].1[k]);
-        let motion = Motion::new(self.frame_rate, poses, translations)?;
+        let motion = BodyMotion::new(self.frame_rate, poses, translations)?;
         let row = self.features.rows(&motion).row(at).to_vec();
         let (pose, transl) = self.window[at].clone();
         let frame = self.next;
@@ -108,7 +110,7 @@ mod tests {
                 Array2::from_shape_fn((frames, 9), |(f, k)| (0.3 * f as f64 + k as f64).sin());
             let moves =
                 Array2::from_shape_fn((frames, 3), |(f, k)| (0.1 * f as f64).powi(k as i32));
-            let motion = Motion::new(30.0, poses, moves).unwrap();
+            let motion = BodyMotion::new(30.0, poses, moves).unwrap();
             let features = Features { smoothing, ..Features::default() };
             let expected = features.rows(&motion);
             let mut stream = FeatureStream::new(features, 30.0);

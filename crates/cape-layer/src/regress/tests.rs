@@ -139,7 +139,7 @@ fn features_are_angles_and_their_rates() {
                 if k == 0 { 1.5 * frame as f64 / rate } else { 0.9 }
             },
         );
-    let motion = Motion::new(rate, poses, translations).unwrap();
+    let motion = BodyMotion::new(rate, poses, translations).unwrap();
     let features = Features { smoothing: 0.05, ..Features::default() };
     let rows = features.rows(&motion);
     assert_eq!(rows.dim(), (frames, features.len(2)));
@@ -165,6 +165,6 @@ fn features_are_angles_and_their_rates() {
             assert!((found - expected).abs() < 1e-9, "{frame}: {row}");
         }
     }
-    assert!(Motion::new(0.0, Array2::zeros((2, 3)), Array2::zeros((2, 3))).is_err());
-    assert!(Motion::new(30.0, Array2::zeros((2, 3)), Array2::zeros((3, 3))).is_err());
+    assert!(BodyMotion::new(0.0, Array2::zeros((2, 3)), Array2::zeros((2, 3))).is_err());
+    assert!(BodyMotion::new(30.0, Array2::zeros((2, 3)), Array2::zeros((3, 3))).is_err());
 }

@@ -7,7 +7,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use super::{Network, Regressor, regressor::Scale};
-use crate::{Error, Result, error::finite};
+use crate::{Error, Result};
+use cape_core::expect_finite;
 
 /// How a regressor is trained.
 ///
@@ -226,7 +227,7 @@ impl Training {
         if !(self.noise >= 0.0 && self.noise.is_finite()) {
             return Err(Error::argument(format!("noise {}: expected 0 or more", self.noise)));
         }
-        finite("inputs", inputs)?;
-        finite("targets", targets)
+        expect_finite("inputs", inputs)?;
+        Ok(expect_finite("targets", targets)?)
     }
 }

@@ -16,19 +16,20 @@ use cape_model::{
 use serde::Serialize;
 use settings::Settings;
 
-use crate::{
-    Error, Result, RunConfig, RunPaths,
+use crate::{Error, Result};
+use cape_core::StagingDirectory;
+use cape_data::{LoaderState, Statistics};
+use cape_infer::{
+    RunConfig, RunPaths, build_graphs,
     checkpoint::{Checkpoint, Progress},
-    data::{LoaderState, Statistics},
-    run::build_graphs,
-    staging::Staging,
 };
 
 /// What a checkpoint does not hold itself.
 ///
 /// ```no_run
 /// use burn::tensor::Device;
-/// use cape_train::{Run, release::{ImportOptions, import}};
+/// use cape_infer::Run;
+/// use cape_train::release::{ImportOptions, import};
 ///
 /// let options = ImportOptions {
 ///     body: "SMPL_MALE.pkl".into(),
@@ -153,7 +154,7 @@ pub fn import(
         model,
     };
 
-    let staging = Staging::create(out)?;
+    let staging = StagingDirectory::create(out)?;
     let paths = RunPaths::new(&staging.path);
     statistics.save(paths.statistics())?;
     body.save(paths.body())?;

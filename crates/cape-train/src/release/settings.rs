@@ -5,7 +5,8 @@ use std::{collections::BTreeMap, fs, path::Path};
 use cape_model::{CapeConfig, LossConfig};
 use yaml_rust2::{Event, parser::Parser};
 
-use crate::{Error, Result, RunConfig};
+use crate::{Error, Result};
+use cape_infer::RunConfig;
 
 /// Longest file read, bytes.
 const MAX_FILE: u64 = 1 << 20;

@@ -3,14 +3,11 @@ mod names;
 use std::{path::PathBuf, sync::Arc, time::Instant};
 
 use cape_core::parse_device;
-use cape_train::{
-    Run,
-    comparison::{
-        Measured, Method, Table, common_data, expect_alike, measure_run, training_seconds,
-    },
-    data::{PackedSet, Part},
-    write_json,
+use cape_data::{PackedSet, Part};
+use cape_eval::comparison::{
+    Measured, Method, Table, common_data, expect_alike, measure_run, training_seconds,
 };
+use cape_infer::{Run, write_json};
 use clap::Args;
 use serde::Serialize;
 

@@ -8,16 +8,19 @@ use std::{
 };
 
 use burn::tensor::Device;
-use cape_core::{Outfit, obj, parse_device, poses, synth};
-use cape_model::{CapeConfig, LossConfig};
-use cape_train::{
-    EvalOptions, EvalReport, Event, Outcome, PosteriorUse, Run, RunConfig, TrainConfig, Trainer,
-    Wearer,
-    data::{PackOptions, Split, pack},
-    evaluate,
-    prior::{Codes, DensityKind, MixtureOptions, Prior},
-    silent, write_json,
+use cape_core::silent;
+use cape_core::{Outfit, obj, parse_device};
+use cape_data::{PackOptions, Split, pack};
+use cape_eval::{EvalOptions, EvalReport, PosteriorUse, evaluate};
+use cape_infer::{
+    Run, RunConfig, TrainConfig, Wearer,
+    prior::{Codes, DensityKind, Prior},
+    write_json,
 };
+use cape_model::{CapeConfig, LossConfig};
+use cape_stats::density::MixtureOptions;
+use cape_synth::{self, poses};
+use cape_train::{Event, Outcome, Trainer};
 use clap::Args;
 
 use crate::{
@@ -108,13 +111,17 @@ impl Demo {
 }
 
 /// Synthetic people and their split.
-pub(crate) fn captures(subjects: usize, frames: usize, seed: u64) -> (synth::SynthSpec, Split) {
-    let spec = synth::SynthSpec {
+pub(crate) fn captures(
+    subjects: usize,
+    frames: usize,
+    seed: u64,
+) -> (cape_synth::SynthSpec, Split) {
+    let spec = cape_synth::SynthSpec {
         subjects,
         frames_per_sequence: frames,
         seed,
         frame_rate: 1.5,
-        ..synth::SynthSpec::default()
+        ..cape_synth::SynthSpec::default()
     };
     // Many takes of few frames, all of which are kept: clothes differ more between takes.
     let split = Split { cut: 0, ..split_of(&spec) };
@@ -188,8 +195,8 @@ impl Setting {
         let raw = self.path("raw");
         let (spec, split) = captures(8, 2, self.seed);
         self.stage("synth", "eight subjects in four outfits, fifteen movements", |this| {
-            let body = synth::synthetic_body();
-            let synth = synth::Synth::new(&body, spec)?;
+            let body = cape_synth::synthetic_body();
+            let synth = cape_synth::Synth::new(&body, spec)?;
             let write = |progress: &mut dyn FnMut(usize, usize)| synth.write(&raw, progress);
             Ok(this.console.while_showing("synth", "frames", write)?)
         })?;

@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 
-use cape_train::{EvalReport, Outcome};
+use cape_eval::EvalReport;
+use cape_train::Outcome;
 use serde::Serialize;
 
 use crate::{

@@ -5,12 +5,9 @@ mod store;
 use std::{path::PathBuf, process::ExitCode};
 
 use cape_core::parse_device;
+use cape_data::{PackedSet, Part};
 use cape_fit::benchmark::{Benchmark, BenchmarkOptions, Case};
-use cape_train::{
-    Run,
-    data::{PackedSet, Part},
-    write_json,
-};
+use cape_infer::{Run, write_json};
 use clap::Args;
 
 use crate::{

@@ -4,8 +4,8 @@ use cape_fit::{
     benchmark::{Benchmark, Case, Scene},
     silhouette::render,
 };
+use cape_infer::write_json;
 use cape_render::{Image, Plot, Series, Tile, colour_of, contact_sheet};
-use cape_train::write_json;
 use glam::DVec3;
 
 use crate::{error::Result, files, fitting};

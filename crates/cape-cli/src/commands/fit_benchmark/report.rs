@@ -1,9 +1,7 @@
 use std::path::PathBuf;
 
-use cape_fit::{
-    Paired,
-    benchmark::{BenchmarkOptions, Case, Score, Summary},
-};
+use cape_fit::benchmark::{BenchmarkOptions, Case, Score, Summary};
+use cape_stats::Paired;
 use serde::Serialize;
 
 use crate::{error::Result, table::Table};

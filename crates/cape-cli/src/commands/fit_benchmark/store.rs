@@ -9,7 +9,7 @@ use cape_fit::{
     FitConfig,
     benchmark::{BenchmarkOptions, Case},
 };
-use cape_train::write_json;
+use cape_infer::write_json;
 use serde::Serialize;
 use serde_json::Value;
 

@@ -6,7 +6,7 @@ use std::{
     time::Instant,
 };
 
-use cape_core::{Outfit, parse_device, poses};
+use cape_core::{Outfit, parse_device};
 use cape_fit::{
     BodyParameters, PosePrior,
     scan::{
@@ -14,7 +14,8 @@ use cape_fit::{
         free_displacement,
     },
 };
-use cape_train::Run;
+use cape_infer::Run;
+use cape_synth::poses;
 use clap::Args;
 
 use self::output::{Outcome, Written};

@@ -11,7 +11,7 @@ use cape_core::{
 use cape_fit::scan::{
     FreeSurface, Place, Registration, Scan, ScanDistance, ScanFit, ScanFitter, Up,
 };
-use cape_train::{Run, write_json};
+use cape_infer::{Run, write_json};
 use glam::DVec3;
 use ndarray::{Array1, Array2};
 use serde::Serialize;

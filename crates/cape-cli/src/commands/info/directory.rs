@@ -5,13 +5,11 @@ use std::{
 };
 
 use cape_core::npy::npy_header;
-use cape_train::{
-    config::RunConfig,
-    data::{
-        PackedSet, Part, STATISTICS_FILE,
-        raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
-    },
+use cape_data::{
+    PackedSet, Part, STATISTICS_FILE,
+    raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
 };
+use cape_infer::RunConfig;
 
 use super::{Facts, file::run_config};
 use crate::{

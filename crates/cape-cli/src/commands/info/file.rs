@@ -5,12 +5,10 @@ use cape_core::{
     npy::{Npz, npy_header, read_objects},
     pickle::Pickle,
 };
+use cape_data::{Split, Statistics, raw};
 use cape_graph::{Level, MeshPyramid, Surface};
+use cape_infer::RunConfig;
 use cape_model::{tensorflow::Checkpoint, weights};
-use cape_train::{
-    config::RunConfig,
-    data::{Split, Statistics, raw},
-};
 use ndarray::Array2;
 
 use super::Facts;

@@ -4,9 +4,10 @@ use std::{
 };
 
 use cape_core::{SmplModel, ply};
-use cape_layer::{AssociateOptions, LayerSet, StandardPose, geometry::Surface};
+use cape_core::{geometry::Surface, smpl::StandardPose};
+use cape_infer::write_json;
+use cape_layer::{AssociateOptions, LayerSet};
 use cape_render::{Image, Tile, View, contact_sheet};
-use cape_train::write_json;
 use clap::Args;
 use ndarray::{Array2, ArrayView2, Axis};
 use serde::Serialize;

@@ -1,10 +1,10 @@
 use std::path::PathBuf;
 
+use cape_infer::write_json;
 use cape_layer::{
     Layer, LayerSet,
     experiment::{LayerError, Unposed},
 };
-use cape_train::write_json;
 use clap::Args;
 use serde::Serialize;
 

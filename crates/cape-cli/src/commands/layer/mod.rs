@@ -12,7 +12,8 @@ mod tying;
 
 use std::path::Path;
 
-use cape_core::{SmplModel, synth::synthetic_body};
+use cape_core::SmplModel;
+use cape_synth::synthetic_body;
 use clap::{Args, Subcommand};
 
 use crate::{arguments::Global, console::Console, error::Result};

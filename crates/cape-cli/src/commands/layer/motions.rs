@@ -6,8 +6,9 @@ use std::{
     path::Path,
 };
 
-use cape_core::{npy::Npz, poses};
+use cape_core::npy::Npz;
 use cape_layer::import_motion;
+use cape_synth::poses;
 
 use crate::{
     error::{Error, Result},

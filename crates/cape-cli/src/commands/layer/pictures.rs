@@ -1,7 +1,7 @@
 //! Pictures of bodies and the clothing over them.
 
 use cape_core::Mesh;
-use cape_layer::geometry::Surface;
+use cape_core::geometry::Surface;
 use cape_render::{
     Bounds, Camera, Image, Material, Object, Projection, Style, View, colour_of, render,
 };

@@ -3,13 +3,13 @@ use std::{
     time::Instant,
 };
 
+use cape_cloth::{Garment, GarmentKind, Material, Quality, Sewn};
 use cape_core::SmplModel;
+use cape_infer::write_json;
 use cape_layer::{
     LayerSet,
-    cloth::{Garment, GarmentKind, Material, Quality, Sewn},
     synth::{Design, Exercise, Take, with_body},
 };
-use cape_train::write_json;
 use clap::{Args, ValueEnum};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};

@@ -1,10 +1,10 @@
 //! What commands that learn from a set have in common: tying clothing to the body, and settings.
 
 use cape_core::SmplModel;
+use cape_core::{geometry::Surface, smpl::StandardPose};
 use cape_layer::{
-    AssociateOptions, Association, LayerSet, StandardPose,
+    AssociateOptions, Association, LayerSet,
     experiment::Learning,
-    geometry::Surface,
     regress::{Features, Training},
 };
 use clap::{Args, ValueEnum};

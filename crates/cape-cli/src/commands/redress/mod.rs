@@ -2,9 +2,10 @@ mod target;
 
 use std::path::PathBuf;
 
-use cape_core::{Outfit, parse_device, ply, poses::poses};
+use cape_core::{Outfit, parse_device, ply};
+use cape_infer::{Run, Wearer, write_json};
 use cape_render::{Tile, View, contact_sheet};
-use cape_train::{Run, Wearer, write_json};
+use cape_synth::poses::poses;
 use clap::Args;
 use ndarray::{Axis, concatenate};
 use serde::Serialize;

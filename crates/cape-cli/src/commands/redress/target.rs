@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use cape_core::geometry::{Solid, Surface};
 use cape_core::{BodyPose, Mesh};
-use cape_layer::geometry::{Solid, Surface};
-use cape_train::{Run, Wearer};
+use cape_infer::{Run, Wearer};
 use ndarray::{Array2, ArrayView2};
 use serde::Serialize;
 

@@ -7,10 +7,10 @@ use cape_core::{
     gltf::Texture,
     obj::{self, Uv},
     parse_device, ply,
-    poses::poses,
 };
+use cape_infer::{Performance, Run, Wearer};
 use cape_render::{Image, Texture as Painted, Tile, View, contact_sheet};
-use cape_train::{Performance, Run, Wearer};
+use cape_synth::poses::poses;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 

@@ -1,15 +1,16 @@
 //! Pictures of bodies: errors on them, and reconstructions beside the truth.
 
-use cape_core::{Mesh, SmplModel, poses, smpl::ClothingMask};
+use cape_core::{Mesh, SmplModel, smpl::ClothingMask};
+use cape_data::PackedSet;
+use cape_eval::{
+    comparison::{Measured, Method},
+    table2::Frames,
+};
 use cape_render::{
     Bounds, Camera, Image, Material, Object, Projection, Style, TextSize, Tile, View, colour_of,
     contact_sheet, render,
 };
-use cape_train::{
-    comparison::{Measured, Method},
-    data::PackedSet,
-    table2::Frames,
-};
+use cape_synth::poses;
 use ndarray::{Array2, Axis};
 
 use crate::error::{Error, Result};

@@ -6,14 +6,13 @@ use std::{path::PathBuf, process::ExitCode, time::Instant};
 
 use burn::tensor::Device;
 use cape_core::parse_device;
-use cape_model::CapeConfig;
-use cape_train::{
-    RunConfig,
+use cape_data::{PackedSet, Part};
+use cape_eval::{
     comparison::Table,
-    data::{PackedSet, Part},
     table2::{Grid, Job, Row, RowResult, hash_of, methods, shown_frames},
-    write_json,
 };
+use cape_infer::{RunConfig, write_json};
+use cape_model::CapeConfig;
 use clap::Args;
 use serde::Serialize;
 

@@ -5,11 +5,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cape_core::synth::{Synth, synthetic_body};
-use cape_train::{
-    Rule, RunConfig, Schedule, TrainConfig,
-    data::{PackOptions, pack},
-};
+use cape_data::{PackOptions, pack};
+use cape_infer::{Rule, RunConfig, Schedule, TrainConfig};
+use cape_synth::{Synth, synthetic_body};
 
 use crate::{
     commands::demo,

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use cape_train::{comparison::Table, table2::Grid};
+use cape_eval::{comparison::Table, table2::Grid};
 
 use crate::{
     console::seconds,

@@ -7,8 +7,9 @@ use std::{
 };
 
 use cape_core::parse_device;
+use cape_infer::{RunConfig, RunPaths};
 use cape_model::CapeConfig;
-use cape_train::{Outcome, RunConfig, RunPaths, Trainer};
+use cape_train::{Outcome, Trainer};
 use clap::Args;
 use serde::Serialize;
 

@@ -1,7 +1,7 @@
 //! Settings of a training on the command line.
 
+use cape_infer::{Rule, RunConfig, Schedule};
 use cape_model::Adversary;
-use cape_train::{Rule, RunConfig, Schedule};
 use clap::{Args, ValueEnum};
 
 use crate::{arguments::at_least_one, commands::pyramid::WeightingName};

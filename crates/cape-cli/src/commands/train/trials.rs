@@ -3,11 +3,11 @@
 use std::{fmt::Write as _, path::Path, process::ExitCode};
 
 use burn::tensor::Device;
-use cape_render::{Plot, Series};
-use cape_train::{
-    RunConfig,
-    trial::{CheckOptions, CheckReport, RateOptions, RateReport, Subject, check, find_rate},
+use cape_eval::trial::{
+    CheckOptions, CheckReport, RateOptions, RateReport, Subject, check, find_rate,
 };
+use cape_infer::RunConfig;
+use cape_render::{Plot, Series};
 
 use clap::Args;
 
@@ -117,7 +117,7 @@ fn written(report: &RateReport, out: &Path) -> Result {
         let _ = writeln!(csv, "{},{},{}", point.rate, point.loss, point.smoothed);
     }
     files::write_text(&out.join("rates.csv"), &csv)?;
-    let curve = |of: fn(&cape_train::trial::RatePoint) -> f64| {
+    let curve = |of: fn(&cape_eval::trial::RatePoint) -> f64| {
         report.points.iter().map(|point| (point.rate.log10(), of(point))).collect()
     };
     let plot = Plot {

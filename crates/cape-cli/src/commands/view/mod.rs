@@ -14,7 +14,7 @@ use std::{
 };
 
 use cape_core::parse_device;
-use cape_train::Run;
+use cape_infer::Run;
 use clap::Args;
 use rand::{Rng, SeedableRng};
 use serde::Serialize;

@@ -2,12 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_core::{Mesh, Outfit, joints::JOINT_NAMES, obj, ply, poses, synth::Motion};
-use cape_train::{
-    Performance, Run, Wearer,
-    data::{PackedSet, Part, raw::name_of},
-    directions_by_effect,
-};
+use cape_core::{Mesh, Outfit, joints::JOINT_NAMES, obj, ply};
+use cape_data::{PackedSet, Part, raw::name_of};
+use cape_infer::{Performance, Run, Wearer, directions_by_effect};
+use cape_synth::{Motion, poses};
 use ndarray::{Array2, Array3};
 use serde_json::{Value, json};
 
@@ -124,7 +122,7 @@ impl Source<'_> {
 
 impl<'a> Model<'a> {
     pub(super) fn new(run: &'a Run, console: Console) -> Self {
-        let truth = run.data().and_then(|data| PackedSet::open(&data, Part::Test)).ok();
+        let truth = run.data().ok().and_then(|data| PackedSet::open(&data, Part::Test).ok());
         let truth = truth.filter(|set| set.vertices() == run.body().vertices());
         Self { run, painter: Painter::new(run), truth, console }
     }
@@ -221,7 +219,7 @@ impl<'a> Model<'a> {
 
     /// Displacements `[1, vertices, 3]` of a held-out frame, and its pose and outfit.
     fn registration(&self, frame: usize) -> Result<(Array3<f32>, Wearer)> {
-        let (displacement, wearer) = self.set()?.registration(frame)?;
+        let (displacement, wearer) = cape_infer::registration(self.set()?, frame)?;
         Ok((displacement, Wearer { betas: vec![0.0; self.shapes()], ..wearer }))
     }
 

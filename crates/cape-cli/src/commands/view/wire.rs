@@ -1,7 +1,7 @@
 //! Messages between the page and the server.
 
 use cape_core::{BodyPose, Mesh, Outfit};
-use cape_train::Wearer;
+use cape_infer::Wearer;
 use serde::{Deserialize, Serialize};
 
 use crate::{

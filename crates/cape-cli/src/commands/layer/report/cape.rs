@@ -3,18 +3,12 @@
 use std::{path::Path, sync::Arc};
 
 use burn::tensor::Device;
-use cape_layer::{
-    experiment::Learning,
-    regress::{Features, Motion},
-};
-use cape_train::{
-    EvalOptions, Gathered, PosteriorUse, Run, Wearer,
-    data::{PackedSet, Part, Statistics},
-    pca::{Pca, PcaOptions},
-    reconstruct_test,
-    table2::hash_of,
-    write_json,
-};
+use cape_core::BodyMotion;
+use cape_data::{PackedSet, Part, Statistics};
+use cape_eval::{EvalOptions, Gathered, PosteriorUse, reconstruct_test, table2::hash_of};
+use cape_infer::{Run, Wearer, write_json};
+use cape_layer::{experiment::Learning, regress::Features};
+use cape_stats::pca::PcaOptions;
 use ndarray::{Array1, Array2, Axis, concatenate};
 use serde::{Deserialize, Serialize};
 
@@ -118,7 +112,7 @@ impl Bench<'_> {
         let components = self.learning.components.min(rows.len().saturating_sub(1));
         let options = PcaOptions { components, ..PcaOptions::default() };
         let pca = self.console.while_showing("components", "rows", |progress| {
-            Pca::of_packed(self.data, &options, progress)
+            cape_data::principal_components(self.data, &options, progress)
         })?;
         let encode = |set: &PackedSet, row: usize| -> Result<Array1<f64>> {
             let displacement = Array1::from_vec(set.displacement_row(row)?).insert_axis(Axis(0));
@@ -181,8 +175,9 @@ impl Bench<'_> {
         })?;
         let reconstruction_mm = meter.summary().overall.mean;
         let latent = run.config().model.latent;
-        let wearers: Vec<Wearer> =
-            (0..test.frames()).map(|row| Ok(test.registration(row)?.1)).collect::<Result<_>>()?;
+        let wearers: Vec<Wearer> = (0..test.frames())
+            .map(|row| Ok(cape_infer::registration(&test, row)?.1))
+            .collect::<Result<_>>()?;
         let mut meter = self.meter();
         self.console.while_showing("predict", "frames", |progress| {
             for (index, chunk) in wearers.chunks(BATCH).enumerate() {
@@ -236,7 +231,7 @@ fn inputs(set: &PackedSet, frames: &[usize]) -> Result<(Array2<f64>, Vec<bool>)>
     }
     let count = frames.len();
     let poses = Array2::from_shape_vec((count, 72), poses).map_err(shape)?;
-    let motion = Motion::new(30.0, poses, Array2::zeros((count, 3)))?;
+    let motion = BodyMotion::new(30.0, poses, Array2::zeros((count, 3)))?;
     let features = Features { speed: false, angular_speeds: false, ..Features::default() };
     let rows = features.rows(&motion);
     let outfits = Array2::from_shape_vec((count, 4), outfits).map_err(shape)?;

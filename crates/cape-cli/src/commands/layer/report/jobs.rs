@@ -3,12 +3,12 @@
 use std::{fs, path::Path};
 
 use cape_core::SmplModel;
+use cape_infer::write_json;
 use cape_layer::{
     LayerSet,
     experiment::{Factor, LayerError, Learning, Regression, Unposed},
 };
 use cape_render::Image;
-use cape_train::write_json;
 use ndarray::{Array2, Axis};
 use serde::{Deserialize, Serialize};
 

@@ -9,9 +9,9 @@ mod tables;
 use std::{fmt::Write as _, path::PathBuf};
 
 use cape_core::{SmplModel, parse_device};
+use cape_infer::write_json;
 use cape_layer::LayerSet;
 use cape_render::Image;
-use cape_train::write_json;
 use clap::Args;
 use serde::Serialize;
 

@@ -2,10 +2,10 @@
 
 use std::{fs, path::Path};
 
+use cape_cloth::{Garment, GarmentKind, Material};
 use cape_core::SmplModel;
 use cape_layer::{
     LayerSet,
-    cloth::{Garment, GarmentKind, Material},
     synth::{Design, Exercise},
 };
 use rayon::prelude::*;

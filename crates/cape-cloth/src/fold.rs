@@ -1,0 +1,241 @@
+use glam::DVec3;
+use parry3d_f64::{
+    bounding_volume::Aabb,
+    math::Vector,
+    partitioning::{Bvh, BvhBuildStrategy},
+};
+use rayon::prelude::*;
+
+use cape_core::geometry::{Surface, closest_on_triangle, ray_meets};
+
+/// Steps until pairs are looked for again.
+const STEPS: usize = 5;
+
+/// How much further than the distance kept pairs are looked for, metres: what two parts of a
+/// garment go towards each other meanwhile.
+const SLACK: f64 = 0.008;
+
+/// Least sine of the angle of two edges whose sides are told apart.
+const PARALLEL: f64 = 0.02;
+
+/// Parts of a cloth that keep a distance from each other: vertices from faces and edges from
+/// edges, each on the side where it was a step ago.
+#[derive(Debug, Clone)]
+pub(super) struct Folds {
+    /// Distance kept, metres, unless the parts are closer at rest.
+    distance: f64,
+    rest: Surface,
+    edges: Vec<[u32; 2]>,
+    pairs: Vec<Pair>,
+    steps: usize,
+}
+
+/// Two parts that may come close and the distance that they keep.
+#[derive(Debug, Clone, Copy)]
+enum Pair {
+    /// A vertex and a face.
+    Vertex(u32, [u32; 3], f64),
+    /// Two edges.
+    Edges([u32; 2], [u32; 2], f64),
+}
+
+impl Folds {
+    pub(super) fn new(rest: &Surface, distance: f64) -> Self {
+        Self { distance, edges: rest.edges(), rest: rest.clone(), pairs: Vec::new(), steps: 0 }
+    }
+
+    /// Brings close pairs apart, one after the other. `before` are the positions a step ago.
+    pub(super) fn resolve(
+        &mut self,
+        before: &[DVec3],
+        positions: &mut [DVec3],
+        inverse_masses: &[f64],
+    ) {
+        if self.steps == 0 {
+            self.look(before);
+        }
+        self.steps = (self.steps + 1) % STEPS;
+        let mut corners = Corners { before, positions, inverse_masses };
+        for pair in &self.pairs {
+            match *pair {
+                Pair::Vertex(vertex, face, least) => corners.part_vertex(vertex, face, least),
+                Pair::Edges(one, other, least) => corners.part_edges(one, other, least),
+            }
+        }
+    }
+
+    fn look(&mut self, at: &[DVec3]) {
+        let reach = self.distance + SLACK;
+        let place = |v: u32| at[v as usize];
+        let at_rest = |v: u32| self.rest.vertices[v as usize];
+        let (faces, edges) = rayon::join(|| tree(&self.rest.faces, at), || tree(&self.edges, at));
+        let vertices: Vec<Pair> = (0..at.len() as u32)
+            .into_par_iter()
+            .flat_map_iter(|v| {
+                let near = around(&[v], at, reach);
+                let faces = faces.intersect_aabb(&near).map(|face| self.rest.faces[face as usize]);
+                let close = faces.filter(|face| {
+                    let (nearest, _) = closest_on_triangle(place(v), face.map(place));
+                    !face.contains(&v) && nearest.distance(place(v)) < reach
+                });
+                let pair = |face: [u32; 3]| {
+                    let (nearest, _) = closest_on_triangle(at_rest(v), face.map(at_rest));
+                    Pair::Vertex(v, face, self.distance.min(nearest.distance(at_rest(v))))
+                };
+                close.map(pair).collect::<Vec<_>>()
+            })
+            .collect();
+        let crossing: Vec<Pair> = self
+            .edges
+            .par_iter()
+            .enumerate()
+            .flat_map_iter(|(index, &one)| {
+                let near = around(&one, at, reach);
+                let others = edges.intersect_aabb(&near).filter(|&other| other as usize > index);
+                let close = others.map(|other| self.edges[other as usize]).filter(|other| {
+                    !other.iter().any(|v| one.contains(v))
+                        && between_segments(one.map(place), other.map(place)).1 < reach
+                });
+                let pair = |other: [u32; 2]| {
+                    let (_, apart) = between_segments(one.map(at_rest), other.map(at_rest));
+                    Pair::Edges(one, other, self.distance.min(apart))
+                };
+                close.map(pair).collect::<Vec<_>>()
+            })
+            .collect();
+        self.pairs = vertices;
+        self.pairs.extend(crossing);
+    }
+}
+
+/// Positions that constraints move.
+struct Corners<'a> {
+    before: &'a [DVec3],
+    positions: &'a mut [DVec3],
+    inverse_masses: &'a [f64],
+}
+
+impl Corners<'_> {
+    fn now(&self, v: u32) -> DVec3 {
+        self.positions[v as usize]
+    }
+
+    fn then(&self, v: u32) -> DVec3 {
+        self.before[v as usize]
+    }
+
+    fn part_vertex(&mut self, vertex: u32, face: [u32; 3], least: f64) {
+        let corners = face.map(|v| self.now(v));
+        let (nearest, weights) = closest_on_triangle(self.now(vertex), corners);
+        let along = self.now(vertex) - nearest;
+        let length = along.length();
+        let over = weights.iter().all(|&w| w > 0.0);
+        let (direction, apart) = if over {
+            let [a, b, c] = face.map(|v| self.then(v));
+            let side = (self.then(vertex) - a).dot((b - a).cross(c - a));
+            let [a, b, c] = corners;
+            let normal = (b - a).cross(c - a).normalize_or_zero() * side.signum();
+            (normal, along.dot(normal))
+        } else {
+            (along / length.max(f64::MIN_POSITIVE), length)
+        };
+        if apart < least && length < SLACK {
+            let [a, b, c] = face;
+            let [u, v, w] = weights;
+            self.push([(vertex, 1.0), (a, -u), (b, -v), (c, -w)], direction, least - apart);
+        }
+    }
+
+    fn part_edges(&mut self, one: [u32; 2], other: [u32; 2], least: f64) {
+        let [p, q] = one.map(|v| self.now(v));
+        let [r, s] = other.map(|v| self.now(v));
+        let ([t, u], length) = between_segments([p, q], [r, s]);
+        let inner = |t: f64| t > 0.0 && t < 1.0;
+        if length > SLACK || !inner(t) || !inner(u) {
+            return;
+        }
+        let across = (q - p).cross(s - r);
+        let (p0, q0) = (self.then(one[0]), self.then(one[1]));
+        let (r0, s0) = (self.then(other[0]), self.then(other[1]));
+        let across_then = (q0 - p0).cross(s0 - r0);
+        let sine = across.length() / ((q - p).length() * (s - r).length());
+        if sine.is_nan() || sine < PARALLEL || across.dot(across_then) <= 0.0 {
+            return;
+        }
+        let direction = across.normalize() * (p0 - r0).dot(across_then).signum();
+        let apart = (p.lerp(q, t) - r.lerp(s, u)).dot(direction);
+        if apart < least {
+            let ends = [(one[0], 1.0 - t), (one[1], t), (other[0], u - 1.0), (other[1], -u)];
+            self.push(ends, direction, least - apart);
+        }
+    }
+
+    /// Moves vertices, by their weight in the distance that is to grow by `missing` along
+    /// `direction`.
+    fn push(&mut self, ends: [(u32, f64); 4], direction: DVec3, missing: f64) {
+        let share = |&(v, weight): &(u32, f64)| self.inverse_masses[v as usize] * weight * weight;
+        let sum: f64 = ends.iter().map(share).sum();
+        if sum > 0.0 {
+            for (v, weight) in ends {
+                let v = v as usize;
+                self.positions[v] += direction * (self.inverse_masses[v] * weight * missing / sum);
+            }
+        }
+    }
+}
+
+/// How many edges go through faces that they have no corner in common with.
+pub(super) fn crossings(faces: &[[u32; 3]], edges: &[[u32; 2]], at: &[DVec3]) -> usize {
+    let tree = tree(faces, at);
+    edges
+        .par_iter()
+        .map(|edge| {
+            let [from, to] = edge.map(|v| at[v as usize]);
+            let near = around(edge, at, 0.0);
+            let through = |face: &u32| {
+                let face = faces[*face as usize];
+                let corners = face.map(|v| at[v as usize]);
+                !face.iter().any(|v| edge.contains(v))
+                    && ray_meets(from, to - from, corners).is_some_and(|t| t <= 1.0)
+            };
+            tree.intersect_aabb(&near).filter(through).count()
+        })
+        .sum()
+}
+
+fn tree<const N: usize>(parts: &[[u32; N]], at: &[DVec3]) -> Bvh {
+    let boxes = parts.iter().enumerate().map(|(index, part)| (index, around(part, at, 0.0)));
+    Bvh::from_iter(BvhBuildStrategy::Binned, boxes)
+}
+
+/// The box around vertices, larger by `reach` metres on all sides.
+fn around(vertices: &[u32], at: &[DVec3], reach: f64) -> Aabb {
+    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for &v in vertices {
+        (low, high) = (low.min(at[v as usize]), high.max(at[v as usize]));
+    }
+    let vector = |p: DVec3| Vector::from(p.to_array());
+    Aabb::new(vector(low - DVec3::splat(reach)), vector(high + DVec3::splat(reach)))
+}
+
+/// Where two segments are closest, as shares of their ways, and their distance (Ericson 2005,
+/// §5.1.9).
+pub(super) fn between_segments([p, q]: [DVec3; 2], [r, s]: [DVec3; 2]) -> ([f64; 2], f64) {
+    let (along, other, from) = (q - p, s - r, p - r);
+    let (a, e, f) = (along.length_squared(), other.length_squared(), other.dot(from));
+    let (b, c) = (along.dot(other), along.dot(from));
+    let denominator = a * e - b * b;
+    let ratio = |x: f64, y: f64| if y > 0.0 { (x / y).clamp(0.0, 1.0) } else { 0.0 };
+    let mut t = ratio(b * f - c * e, denominator);
+    let u = if e > 0.0 { (b * t + f) / e } else { 0.0 };
+    let u = if u < 0.0 {
+        t = ratio(-c, a);
+        0.0
+    } else if u > 1.0 {
+        t = ratio(b - c, a);
+        1.0
+    } else {
+        u
+    };
+    ([t, u], p.lerp(q, t).distance(r.lerp(s, u)))
+}

@@ -1,0 +1,364 @@
+use std::collections::HashMap;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::{
+    contact::{Contact, Contacts},
+    fold::{Folds, crossings},
+};
+use crate::{Error, Result};
+use cape_core::geometry::{Solid, Surface};
+
+/// What a garment is made of.
+///
+/// ```
+/// use cape_cloth::Material;
+///
+/// let denim = Material { density: 0.1, ..Material::default() };
+/// denim.check()?;
+/// // Densities are seen on a logarithmic scale.
+/// assert_eq!(denim.numbers()[0], -1.0);
+/// let nothing = Material { density: 0.0, ..denim };
+/// assert!(nothing.check().unwrap_err().to_string().contains("density"));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Material {
+    /// Mass of a square metre, kg.
+    pub density: f64,
+    /// Compliance of the edges of triangles, metres a newton: stretch and shear; 0 is inextensible.
+    pub stretch: f64,
+    /// Compliance between the far corners of neighbouring triangles, metres a newton: bending.
+    pub bend: f64,
+    /// Share of the velocity that is lost in a second, as a rate, 1/s.
+    pub damping: f64,
+    /// Coefficient of Coulomb friction against the body.
+    pub friction: f64,
+    /// Distance kept from the body, metres.
+    pub thickness: f64,
+}
+
+impl Default for Material {
+    /// Cotton jersey.
+    fn default() -> Self {
+        Self {
+            density: 0.2,
+            stretch: 1e-5,
+            bend: 0.05,
+            damping: 1.0,
+            friction: 0.3,
+            thickness: 0.003,
+        }
+    }
+}
+
+impl Material {
+    /// The parameters as numbers, for regression: decimal logarithms of density, stretch and bend,
+    /// then damping and friction, `[5]`.
+    pub fn numbers(&self) -> [f64; 5] {
+        let log = |x: f64| x.max(1e-12).log10();
+        [log(self.density), log(self.stretch), log(self.bend), self.damping, self.friction]
+    }
+
+    /// Whether the numbers are of their domains.
+    ///
+    /// # Errors
+    /// If one is not; it is named.
+    pub fn check(&self) -> Result<()> {
+        let Self { density, stretch, bend, damping, friction, thickness } = *self;
+        for (name, value, least) in [
+            ("density", density, f64::MIN_POSITIVE),
+            ("stretch", stretch, 0.0),
+            ("bend", bend, 0.0),
+            ("damping", damping, 0.0),
+            ("friction", friction, 0.0),
+            ("thickness", thickness, 0.0),
+        ] {
+            if !(value.is_finite() && value >= least) {
+                return Err(Error::argument(format!("material: {name} of {value}")));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A distance that is kept.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Spring {
+    ends: [u32; 2],
+    rest: f64,
+    compliance: f64,
+}
+
+/// A vertex that is led to a place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Lead {
+    vertex: u32,
+    to: DVec3,
+    compliance: f64,
+}
+
+/// A sheet of triangles in motion.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_cloth::{Cloth, Material};
+/// use glam::DVec3;
+///
+/// // A sheet in free fall keeps its shape.
+/// let material = Material { damping: 0.0, ..Material::default() };
+/// let mut cloth = Cloth::new(&octahedron(0.1), &material)?;
+/// let gravity = DVec3::NEG_Y * 9.81;
+/// (0..100).for_each(|_| cloth.step(0.001, gravity, None));
+/// assert!(cloth.velocities.iter().all(|v| (*v - 0.1 * gravity).length() < 1e-6));
+/// assert!(cloth.strain()[1] < 1e-6);
+/// assert_eq!(cloth.crossings(), 0);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, Clone)]
+pub struct Cloth {
+    /// Positions, metres, `[vertices]`.
+    pub positions: Vec<DVec3>,
+    /// Velocities, m/s, `[vertices]`.
+    pub velocities: Vec<DVec3>,
+    inverse_masses: Vec<f64>,
+    /// Edges of triangles, then far corners of neighbours.
+    springs: Vec<Spring>,
+    edges: usize,
+    leads: Vec<Lead>,
+    material: Material,
+    faces: Vec<[u32; 3]>,
+    contacts: Contacts,
+    folds: Option<Folds>,
+    /// Largest relative lengthening of an edge.
+    limit: f64,
+}
+
+impl Cloth {
+    /// A sheet at rest in the shape of `surface`, whose lengths it keeps. Vertices carry a third of
+    /// their faces' mass.
+    pub fn new(surface: &Surface, material: &Material) -> Result<Self> {
+        material.check()?;
+        let count = surface.vertices.len();
+        let mut masses = vec![0.0; count];
+        for (face, corners) in surface.faces.iter().enumerate() {
+            let [a, b, c] = surface.corners(face);
+            let mass = material.density * (b - a).cross(c - a).length() / 6.0;
+            for &corner in corners {
+                masses[corner as usize] += mass;
+            }
+        }
+        let inverse = |&mass: &f64| if mass > 0.0 { 1.0 / mass } else { 0.0 };
+        let length =
+            |a: u32, b: u32| surface.vertices[a as usize].distance(surface.vertices[b as usize]);
+        let edges = surface.edges();
+        let edge_count = edges.len();
+        let stretch = edges.into_iter().map(|[a, b]| Spring {
+            ends: [a, b],
+            rest: length(a, b),
+            compliance: material.stretch,
+        });
+        let bend = far_corners(&surface.faces).into_iter().map(|[a, b]| Spring {
+            ends: [a, b],
+            rest: length(a, b),
+            compliance: material.bend,
+        });
+        Ok(Self {
+            positions: surface.vertices.clone(),
+            velocities: vec![DVec3::ZERO; count],
+            inverse_masses: masses.iter().map(inverse).collect(),
+            springs: stretch.chain(bend).collect(),
+            edges: edge_count,
+            leads: Vec::new(),
+            material: *material,
+            faces: surface.faces.clone(),
+            contacts: Contacts::new(count, surface.faces.len()),
+            folds: None,
+            limit: f64::INFINITY,
+        })
+    }
+
+    /// Keeps vertices `distance` metres from faces and edges from edges, unless they are closer in
+    /// `rest`, the surface that the sheet was made of.
+    #[must_use]
+    pub fn with_self_collision(mut self, rest: &Surface, distance: f64) -> Self {
+        self.folds = Some(Folds::new(rest, distance.max(0.0)));
+        self
+    }
+
+    /// Lets edges lengthen by at most the share `limit` of their lengths, as far as the material
+    /// would let them. This comes last in a step: where the body leaves cloth no room, it
+    /// goes into the body before it tears.
+    #[must_use]
+    pub fn with_strain_limit(mut self, limit: f64) -> Self {
+        self.limit = limit.max(0.0);
+        self
+    }
+
+    /// Holds a vertex where it is.
+    pub fn pin(&mut self, vertex: usize) {
+        self.inverse_masses[vertex] = 0.0;
+    }
+
+    /// Leads vertices to places from now on, softly: `compliance` in metres a newton.
+    pub fn lead(&mut self, places: impl IntoIterator<Item = (u32, DVec3)>, compliance: f64) {
+        let lead = |(vertex, to)| Lead { vertex, to, compliance };
+        self.leads = places.into_iter().map(lead).collect();
+    }
+
+    /// Mass of a vertex, kg; infinite for one that is held.
+    pub fn mass(&self, vertex: usize) -> f64 {
+        1.0 / self.inverse_masses[vertex]
+    }
+
+    /// One step of `dt` seconds: all distances are corrected once, so that the compliance of each
+    /// is larger than the material's by `dt²` times its ends' inverse masses. `gravity`
+    /// is in m/s². A body, if there is one, comes with where it was on its way before the step and
+    /// is now, each 0 to 1.
+    pub fn step(&mut self, dt: f64, gravity: DVec3, body: Option<(&Solid, [f64; 2])>) {
+        let before = self.positions.clone();
+        let slow = (-self.material.damping * dt).exp();
+        // No vertex passes through a limb within one step.
+        let fastest = Contact::REACH / 4.0 / dt;
+        for ((x, v), &w) in
+            self.positions.iter_mut().zip(&mut self.velocities).zip(&self.inverse_masses)
+        {
+            if w > 0.0 {
+                *v = (*v * slow + gravity * dt).clamp_length_max(fastest);
+                *x += *v * dt;
+            }
+        }
+        self.project(dt);
+        if let Some((solid, [from, now])) = body {
+            let contact = Contact {
+                friction: self.material.friction,
+                thickness: self.material.thickness,
+                from,
+                now,
+            };
+            let sheet = (&self.inverse_masses[..], &self.faces[..]);
+            self.contacts.resolve(&contact, solid, &before, &mut self.positions, sheet);
+        }
+        if let Some(folds) = &mut self.folds {
+            folds.resolve(&before, &mut self.positions, &self.inverse_masses);
+        }
+        self.shorten();
+        for ((x, v), before) in self.positions.iter().zip(&mut self.velocities).zip(before) {
+            *v = (*x - before) / dt;
+        }
+    }
+
+    fn project(&mut self, dt: f64) {
+        for &Spring { ends: [a, b], rest, compliance } in &self.springs {
+            let (a, b) = (a as usize, b as usize);
+            let (wa, wb) = (self.inverse_masses[a], self.inverse_masses[b]);
+            let along = self.positions[a] - self.positions[b];
+            let length = along.length();
+            let sum = wa + wb + compliance / (dt * dt);
+            if sum == 0.0 || length == 0.0 {
+                continue;
+            }
+            let push = along * ((rest - length) / (length * sum));
+            self.positions[a] += push * wa;
+            self.positions[b] -= push * wb;
+        }
+        for &Lead { vertex, to, compliance } in &self.leads {
+            let w = self.inverse_masses[vertex as usize];
+            let x = &mut self.positions[vertex as usize];
+            if w > 0.0 {
+                *x += (to - *x) * (w / (w + compliance / (dt * dt)));
+            }
+        }
+    }
+
+    /// Brings edges that are too long back to the limit, in alternating order.
+    fn shorten(&mut self) {
+        const SWEEPS: usize = 4;
+        if self.limit.is_infinite() {
+            return;
+        }
+        for sweep in 0..SWEEPS {
+            for index in 0..self.edges {
+                let at = if sweep % 2 == 0 { index } else { self.edges - 1 - index };
+                let Spring { ends: [a, b], rest, .. } = self.springs[at];
+                let (a, b) = (a as usize, b as usize);
+                let along = self.positions[a] - self.positions[b];
+                let length = along.length();
+                let longest = rest * (1.0 + self.limit);
+                let (wa, wb) = (self.inverse_masses[a], self.inverse_masses[b]);
+                if length > longest && wa + wb > 0.0 {
+                    let push = along * ((longest - length) / (length * (wa + wb)));
+                    self.positions[a] += push * wa;
+                    self.positions[b] -= push * wb;
+                }
+            }
+        }
+    }
+
+    /// Kinetic, gravitational and elastic energy together, joules; height counts from `y = 0`.
+    pub fn energy(&self, gravity: DVec3) -> f64 {
+        let moving = self.inverse_masses.iter().enumerate().filter(|&(_, &w)| w > 0.0);
+        let of_vertices: f64 = moving
+            .map(|(v, w)| {
+                let kinetic = 0.5 * self.velocities[v].length_squared();
+                (kinetic - gravity.dot(self.positions[v])) / w
+            })
+            .sum();
+        let elastic = self.springs.iter().filter(|spring| spring.compliance > 0.0).map(|spring| {
+            let [a, b] = spring.ends.map(|v| self.positions[v as usize]);
+            0.5 * (a.distance(b) - spring.rest).powi(2) / spring.compliance
+        });
+        of_vertices + elastic.sum::<f64>()
+    }
+
+    /// Mean relative change of length among edges of triangles, and the largest lengthening.
+    pub fn strain(&self) -> [f64; 2] {
+        let edges = &self.springs[..self.edges];
+        let (mut sum, mut largest) = (0.0, 0.0f64);
+        for spring in edges {
+            let [a, b] = spring.ends.map(|v| self.positions[v as usize]);
+            let change = a.distance(b) / spring.rest.max(f64::MIN_POSITIVE) - 1.0;
+            (sum, largest) = (sum + change.abs(), largest.max(change));
+        }
+        [sum / edges.len().max(1) as f64, largest]
+    }
+
+    /// How many edges go through faces.
+    pub fn crossings(&self) -> usize {
+        let edges: Vec<[u32; 2]> = self.springs[..self.edges].iter().map(|s| s.ends).collect();
+        crossings(&self.faces, &edges, &self.positions)
+    }
+
+    /// Depths inside the body, metres, of vertices, then of middles of faces; 0 outside.
+    pub fn depths(&self, body: &Solid) -> Vec<f64> {
+        let middle =
+            |face: &[u32; 3]| face.iter().map(|&v| self.positions[v as usize]).sum::<DVec3>() / 3.0;
+        let middles: Vec<DVec3> = self.faces.iter().map(middle).collect();
+        let points = self.positions.par_iter().chain(&middles);
+        let depth = |&x: &DVec3| {
+            body.closest(x, DEEPEST).map_or(0.0, |near| (-near.signed_distance).max(0.0))
+        };
+        points.map(depth).collect()
+    }
+}
+
+/// No part of a body is deeper than this, metres.
+const DEEPEST: f64 = 0.2;
+
+/// For every inner edge the corners of its two faces that are not on it.
+fn far_corners(faces: &[[u32; 3]]) -> Vec<[u32; 2]> {
+    let mut seen: HashMap<[u32; 2], u32> = HashMap::new();
+    let mut pairs = Vec::new();
+    for face in faces {
+        for i in 0..3 {
+            let (p, q, far) = (face[i], face[(i + 1) % 3], face[(i + 2) % 3]);
+            if let Some(other) = seen.insert([p.min(q), p.max(q)], far) {
+                pairs.push([other, far]);
+            }
+        }
+    }
+    pairs
+}

@@ -1,0 +1,432 @@
+use std::{f64::consts::PI, time::Instant};
+
+use cape_synth::{Motion as Movement, MotionStyle, synthetic_body};
+use glam::DVec3;
+use ndarray::Array2;
+
+use super::*;
+use cape_core::{
+    BodyMotion,
+    geometry::{Solid, Surface},
+};
+use cape_layer::geometry::tests::grid;
+
+const GRAVITY: DVec3 = DVec3::new(0.0, -9.81, 0.0);
+
+fn bare(stretch: f64, bend: f64) -> Material {
+    Material { stretch, bend, damping: 0.0, friction: 0.0, thickness: 0.0, ..Material::default() }
+}
+
+fn sheet() -> Surface {
+    grid(9, 11, |u, v| DVec3::new(0.4 * u, -0.5 * v, 0.0))
+}
+
+#[test]
+fn a_free_sheet_falls_as_galileo_says() {
+    let mut cloth = Cloth::new(&sheet(), &bare(1e-6, 1e-3)).unwrap();
+    let (dt, steps) = (1e-3, 500);
+    (0..steps).for_each(|_| cloth.step(dt, GRAVITY, None));
+    for (x, rest) in cloth.positions.iter().zip(sheet().vertices) {
+        assert!((x.y - rest.y + 0.5 * 9.81 * 0.25).abs() < 0.005, "{x}");
+        assert!((x.x - rest.x).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn a_pendulum_swings_in_its_time() {
+    // A triangle hinged on one side: a compound pendulum with all moving mass at the third corner.
+    let length = 0.5;
+    let amplitude: f64 = 0.4;
+    let tip = DVec3::new(length * amplitude.sin(), -length * amplitude.cos(), 0.0);
+    let hinge = [DVec3::Z * 0.1, DVec3::Z * -0.1];
+    let surface = Surface::new("test", vec![hinge[0], hinge[1], tip], vec![[0, 1, 2]]).unwrap();
+    let mut cloth = Cloth::new(&surface, &bare(0.0, 0.0)).unwrap();
+    cloth.pin(0);
+    cloth.pin(1);
+    let dt = 2e-4;
+    let mut crossings = Vec::new();
+    for step in 1..60_000 {
+        let before = cloth.positions[2].x;
+        cloth.step(dt, GRAVITY, None);
+        let after = cloth.positions[2].x;
+        if before > 0.0 && after <= 0.0 {
+            crossings.push((f64::from(step) - after / (after - before)) * dt);
+        }
+    }
+    let swings = (crossings.len() - 1) as f64;
+    let period = (crossings[crossings.len() - 1] - crossings[0]) / swings;
+    // Of finite amplitude, by the series of the elliptic integral.
+    let series = 1.0 + amplitude.powi(2) / 16.0 + 11.0 * amplitude.powi(4) / 3072.0;
+    let expected = 2.0 * PI * (length / 9.81f64).sqrt() * series;
+    assert!((period / expected - 1.0).abs() < 2e-3, "{period} {expected}");
+}
+
+#[test]
+fn a_hanging_sheet_stretches_under_its_weight() {
+    // A ladder of vertices: vertical edges carry what hangs below them. With the diagonals alternating
+    // the sheet is symmetric enough to stay plane; forces on the upper side add up to its weight.
+    let stretch = 0.02;
+    let damped = Material { damping: 8.0, ..bare(stretch, 1e3) };
+    let surface = sheet();
+    let mut cloth = Cloth::new(&surface, &damped).unwrap();
+    let top: Vec<usize> = (0..9).map(|i| i * 11).collect();
+    for &v in &top {
+        cloth.pin(v);
+    }
+    (0..40_000).for_each(|_| cloth.step(1e-4, GRAVITY, None));
+    assert!(cloth.velocities.iter().all(|v| v.length() < 1e-3));
+    let weight: f64 = (0..99).filter(|v| !top.contains(v)).map(|v| cloth.mass(v) * 9.81).sum();
+    let pull: f64 = surface
+        .edges()
+        .iter()
+        .filter_map(|&[a, b]| {
+            let (a, b) = (a as usize, b as usize);
+            let upper = if top.contains(&a) { a } else { b };
+            let lower = if upper == a { b } else { a };
+            if !top.contains(&upper) || top.contains(&lower) {
+                return None;
+            }
+            let along = cloth.positions[upper] - cloth.positions[lower];
+            let rest = surface.vertices[upper].distance(surface.vertices[lower]);
+            let length = along.length();
+            Some((length - rest) / stretch * along.y / length)
+        })
+        .sum();
+    assert!((pull / weight - 1.0).abs() < 0.01, "{pull} N of {weight} N");
+}
+
+#[test]
+fn a_chain_lengthens_by_hooke_s_law() {
+    // Slivers in a row, hinged on the axis: each link carries all masses below.
+    let links = 8;
+    let mut vertices = vec![];
+    for k in 0..=links {
+        vertices.push(DVec3::new(0.0, -0.1 * f64::from(k), 0.0));
+    }
+    let faces = (0..links as u32 - 1).map(|k| [k, k + 1, k + 2]).collect();
+    // Zero areas have no mass: a little width to the side.
+    for (k, v) in vertices.iter_mut().enumerate() {
+        v.x = if k % 2 == 0 { 0.0 } else { 1e-3 };
+    }
+    let surface = Surface::new("test", vertices, faces).unwrap();
+    let stretch = 1.0;
+    let material = Material { damping: 8.0, ..bare(stretch, 1e9) };
+    let mut cloth = Cloth::new(&surface, &material).unwrap();
+    cloth.pin(0);
+    (0..100_000).for_each(|_| cloth.step(1e-4, GRAVITY, None));
+    // The lowest vertex: its link to the next and to the one after share its weight.
+    let at = |v: usize| cloth.positions[v];
+    let last = links as usize;
+    let force = |a: usize, b: usize| {
+        let along = at(a) - at(b);
+        let rest = surface.vertices[a].distance(surface.vertices[b]);
+        (along.length() - rest) / stretch * along.y / along.length()
+    };
+    let pull = force(last - 1, last) + force(last - 2, last);
+    let weight = cloth.mass(last) * 9.81;
+    assert!((pull / weight - 1.0).abs() < 0.01, "{pull} {weight}");
+}
+
+#[test]
+fn energy_never_grows_and_the_stiffest_does_not_explode() {
+    let mut cloth =
+        Cloth::new(&sheet(), &bare(0.0, 0.0)).unwrap().with_self_collision(&sheet(), 0.02);
+    cloth.pin(0);
+    cloth.pin(88);
+    let start = cloth.energy(GRAVITY);
+    for frame in 0..1000 {
+        (0..20).for_each(|_| cloth.step(1.0 / 600.0, GRAVITY, None));
+        let now = cloth.energy(GRAVITY);
+        assert!(now <= start + 1e-6, "frame {frame}: {now} J from {start} J");
+        assert!(cloth.positions.iter().all(|x| x.is_finite() && x.length() < 2.0));
+    }
+    assert!(cloth.strain()[1] < 0.05, "{:?}", cloth.strain());
+}
+
+#[test]
+fn friction_holds_on_a_slope_until_it_is_too_steep() {
+    for (degrees, friction) in [(20.0f64, 0.5), (40.0, 0.5), (30.0, 0.0)] {
+        let slope = degrees.to_radians();
+        let (down, up) =
+            (DVec3::new(slope.cos(), -slope.sin(), 0.0), DVec3::new(slope.sin(), slope.cos(), 0.0));
+        let ground = grid(2, 2, |u, v| down * (8.0 * u - 2.0) + DVec3::Z * (4.0 - 8.0 * v));
+        let ground = if ground.face_normals()[0].dot(up) > 0.0 {
+            ground
+        } else {
+            Surface { faces: ground.faces.iter().map(|&[a, b, c]| [a, c, b]).collect(), ..ground }
+        };
+        let solid = Solid::new(&ground);
+        let patch = grid(3, 3, |u, v| down * 0.1 * u + DVec3::Z * 0.1 * v + up * 0.003);
+        let material = Material { friction, thickness: 0.003, ..bare(1e-6, 1e-3) };
+        let mut cloth = Cloth::new(&patch, &material).unwrap();
+        let seconds = 0.5;
+        (0..1000).for_each(|_| cloth.step(seconds / 1000.0, GRAVITY, Some((&solid, [0.0, 1.0]))));
+        let moved = (cloth.positions[4] - patch.vertices[4]).dot(down);
+        let acceleration = 9.81 * (slope.sin() - friction * slope.cos()).max(0.0);
+        let expected = 0.5 * acceleration * seconds * seconds;
+        assert!(
+            (moved - expected).abs() < 0.01 * expected + 1e-3,
+            "{degrees}°: {moved} {expected}"
+        );
+    }
+}
+
+#[test]
+fn folded_sheets_keep_apart() {
+    // Two layers fall onto each other.
+    let mut double = grid(8, 8, |u, v| DVec3::new(0.2 * u, 0.0, 0.2 * v));
+    let upper = grid(8, 8, |u, v| DVec3::new(0.2 * u + 0.004, 0.05, 0.2 * v + 0.003));
+    double.vertices.extend(&upper.vertices);
+    double.faces.extend(upper.faces.iter().map(|face| face.map(|v| v + 64)));
+    let mut cloth =
+        Cloth::new(&double, &bare(1e-6, 1e-3)).unwrap().with_self_collision(&double, 0.015);
+    (0..64).for_each(|v| cloth.pin(v));
+    (0..2000).for_each(|_| cloth.step(1.0 / 600.0, GRAVITY, None));
+    let lowest = cloth.positions[64..].iter().map(|x| x.y).fold(f64::INFINITY, f64::min);
+    let over = |x: &DVec3| (0.0..0.2).contains(&x.x) && (0.0..0.2).contains(&x.z);
+    let through = cloth.positions[64..].iter().filter(|x| over(x) && x.y < 0.0).count();
+    assert_eq!(through, 0, "{lowest}");
+}
+
+#[test]
+fn segments_are_closest_where_brute_force_says() {
+    let at = |k: usize| {
+        let k = k as f64;
+        DVec3::new((k * 1.3).sin(), (k * 2.1).cos(), (k * 0.7).sin())
+    };
+    for k in 0..200 {
+        let (one, other) = ([at(4 * k), at(4 * k + 1)], [at(4 * k + 2), at(4 * k + 3)]);
+        let ([t, u], distance) = super::fold::between_segments(one, other);
+        let places = (0..=100).map(|i| f64::from(i) / 100.0);
+        let pairs = places.clone().flat_map(|t| places.clone().map(move |u| (t, u)));
+        let least = pairs
+            .map(|(t, u)| one[0].lerp(one[1], t).distance(other[0].lerp(other[1], u)))
+            .fold(f64::INFINITY, f64::min);
+        assert!(distance <= least + 1e-12 && distance > least - 0.03, "{distance} {least}");
+        let there = one[0].lerp(one[1], t).distance(other[0].lerp(other[1], u));
+        assert!((there - distance).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn crossings_are_counted() {
+    // A triangle upright through the middle of another; its two sides that go through it.
+    let vertices = vec![
+        DVec3::new(-1.0, 0.0, -1.0),
+        DVec3::new(1.0, 0.0, -1.0),
+        DVec3::new(0.0, 0.0, 1.0),
+        DVec3::new(-0.1, -0.5, 0.0),
+        DVec3::new(0.1, -0.5, 0.0),
+        DVec3::new(0.0, 0.5, 0.0),
+    ];
+    let through = Surface::new("test", vertices, vec![[0, 1, 2], [3, 4, 5]]).unwrap();
+    let mut cloth = Cloth::new(&through, &bare(0.0, 0.0)).unwrap();
+    assert_eq!(cloth.crossings(), 2);
+    cloth.positions[5].y = -0.1;
+    assert_eq!(cloth.crossings(), 0);
+}
+
+#[test]
+fn a_strip_between_two_bars_hangs_in_a_catenary() {
+    let (length, span, links) = (0.8, 0.6, 24);
+    let strip = grid(links + 1, 3, |u, v| DVec3::new(length * u, 0.0, 0.06 * v));
+    let material = Material { damping: 3.0, ..bare(0.0, 1e3) };
+    let mut cloth = Cloth::new(&strip, &material).unwrap();
+    // From a V of the same length.
+    let drop = 0.5 * (length * length - span * span).sqrt();
+    for (x, rest) in cloth.positions.iter_mut().zip(&strip.vertices) {
+        let u = rest.x / length;
+        *x = DVec3::new(span * u, -drop * (1.0 - (2.0 * u - 1.0).abs()), rest.z);
+    }
+    for side in 0..3 {
+        cloth.pin(side);
+        cloth.pin(3 * links + side);
+    }
+    (0..12_000).for_each(|_| cloth.step(5e-4, GRAVITY, None));
+    // Of the length 2 a sinh(span / 2a): a by bisection.
+    let (mut low, mut high) = (0.05, 10.0);
+    for _ in 0..100 {
+        let a = 0.5 * (low + high);
+        let longer = 2.0 * a * (0.5 * span / a).sinh() > length;
+        if longer { low = a } else { high = a }
+    }
+    for x in &cloth.positions {
+        let at = (x.x - 0.5 * span) / low;
+        let expected = low * (at.cosh() - (0.5 * span / low).cosh());
+        assert!((x.y - expected).abs() < 0.004, "{x}: {expected}");
+    }
+    assert!(cloth.strain()[1] < 2e-3, "{:?}", cloth.strain());
+}
+
+#[test]
+fn a_limit_on_strain_is_kept() {
+    let soft = Material { damping: 4.0, ..bare(1.0, 1e3) };
+    let hang = |limit: f64| {
+        let mut cloth = Cloth::new(&sheet(), &soft).unwrap().with_strain_limit(limit);
+        (0..9).for_each(|i| cloth.pin(11 * i));
+        (0..4000).for_each(|_| cloth.step(1e-3, GRAVITY, None));
+        cloth.strain()[1]
+    };
+    assert!(hang(f64::INFINITY) > 0.1);
+    let limited = hang(0.05);
+    assert!((0.045..0.055).contains(&limited), "{limited}");
+}
+
+#[test]
+fn a_sheet_thrown_on_a_ball_stays_outside() {
+    let ball = cape_layer::geometry::tests::sphere(0.15, 3);
+    let solid = Solid::new(&ball);
+    let sheet = grid(19, 19, |u, v| DVec3::new(0.5 * u - 0.25, 0.2, 0.25 - 0.5 * v));
+    let mut cloth = Cloth::new(&sheet, &Material::default())
+        .unwrap()
+        .with_self_collision(&sheet, 0.003)
+        .with_strain_limit(0.3);
+    cloth.velocities.fill(DVec3::NEG_Y * 3.0);
+    for step in 0..500 {
+        cloth.step(1.0 / 600.0, GRAVITY, Some((&solid, [0.0, 1.0])));
+        if step % 20 == 0 {
+            let deepest = cloth.depths(&solid).into_iter().fold(0.0, f64::max);
+            assert!(deepest < 1e-3, "{deepest} m in step {step}");
+            assert_eq!(cloth.crossings(), 0);
+        }
+    }
+    let lowest = cloth.positions.iter().map(|x| x.y).fold(f64::INFINITY, f64::min);
+    assert!((-0.2..0.0).contains(&lowest), "draped: {lowest}");
+}
+
+#[test]
+fn garments_are_sewn_around_the_body() {
+    let model = synthetic_body();
+    let shape = model.shaped(&[]).unwrap();
+    let solid = Solid::new(&super::garment::wearer(&model, &shape).unwrap().0);
+    for (kind, openings) in [
+        (GarmentKind::TShirt, 4),
+        (GarmentKind::Shorts, 3),
+        (GarmentKind::Skirt, 2),
+        (GarmentKind::Dress, 4),
+    ] {
+        let sewn = Garment::of(kind).sew(&model, &shape).unwrap();
+        let surface = &sewn.surface;
+        let mesh = surface.to_mesh();
+        let rings = boundary_rings(surface);
+        println!(
+            "{kind:?}: {} vertices, {} faces, {rings} openings, Euler {}, band {}",
+            surface.vertices.len(),
+            surface.faces.len(),
+            mesh.euler_characteristic(),
+            sewn.waistband.len()
+        );
+        assert_eq!(rings, openings, "{kind:?}");
+        assert_eq!(Cloth::new(surface, &Material::default()).unwrap().crossings(), 0, "{kind:?}");
+        for &p in &surface.vertices {
+            let near = solid.closest(p, 1.0).unwrap();
+            assert!(near.signed_distance > 0.003, "{kind:?} {p}");
+        }
+        let at = |v: u32| surface.vertices[v as usize];
+        let lengths = surface.edges().into_iter().map(|[a, b]| at(a).distance(at(b)));
+        let (shortest, longest) =
+            lengths.fold((f64::INFINITY, 0.0f64), |(low, high), x| (low.min(x), high.max(x)));
+        let mean = surface.mean_edge();
+        assert!(shortest > 0.15 * mean && longest < 2.6 * mean, "{kind:?} {shortest} {longest}");
+        assert_eq!(
+            sewn.waistband.is_empty(),
+            matches!(kind, GarmentKind::TShirt | GarmentKind::Dress)
+        );
+    }
+    let wide = Garment { width: 1.3, ..Garment::of(GarmentKind::Skirt) };
+    let longer = Garment { length: 1.2, ..wide };
+    let [a, b] = [wide, longer].map(|g| g.sew(&model, &shape).unwrap().surface.vertices.len());
+    assert!(b > a);
+    let wrong = Garment { width: 0.5, ..wide };
+    assert!(wrong.sew(&model, &shape).unwrap_err().to_string().contains("width"));
+}
+
+/// Number of closed curves that the boundary consists of.
+fn boundary_rings(surface: &Surface) -> usize {
+    let mut next = std::collections::HashMap::new();
+    for (corners, across) in surface.faces.iter().zip(surface.neighbours()) {
+        for side in (0..3).filter(|&side| across[side].is_none()) {
+            next.entry(corners[side]).or_insert_with(Vec::new).push(corners[(side + 1) % 3]);
+        }
+    }
+    let mut rings = 0;
+    let mut seen = std::collections::HashSet::new();
+    let starts: Vec<u32> = next.keys().copied().collect();
+    for start in starts {
+        if seen.contains(&start) {
+            continue;
+        }
+        rings += 1;
+        let mut front = vec![start];
+        while let Some(v) = front.pop() {
+            if seen.insert(v) {
+                front.extend(next.get(&v).into_iter().flatten());
+            }
+        }
+    }
+    rings
+}
+
+fn simulated(
+    (kind, movement): (GarmentKind, Movement),
+    material: &Material,
+    frames: usize,
+) -> (Sewn, Simulated) {
+    let model = synthetic_body();
+    let shape = model.shaped(&[]).unwrap();
+    let rate = 30.0;
+    let coarse = Garment { resolution: 0.035, ..Garment::of(kind) };
+    let sewn = coarse.sew(&model, &shape).unwrap();
+    let style = MotionStyle::default();
+    let poses = Array2::from_shape_vec(
+        (frames, 72),
+        (0..frames).flat_map(|f| movement.pose(&style, f as f64 / rate)).collect(),
+    );
+    let motion = BodyMotion::new(rate, poses.unwrap(), Array2::zeros((frames, 3))).unwrap();
+    let simulation = Simulation { settle: 0.6, ..Simulation::default() };
+    let garment = (&sewn, material);
+    let result = simulation.run(&model, &shape, garment, &motion, &mut |_, _| {}).unwrap();
+    (sewn, result)
+}
+
+#[test]
+fn every_garment_follows_a_moving_body() {
+    for (kind, movement, frames) in [
+        (GarmentKind::TShirt, Movement::WalkMarch, 20),
+        (GarmentKind::Shorts, Movement::Squats, 10),
+        (GarmentKind::Skirt, Movement::WalkMarch, 10),
+        (GarmentKind::Dress, Movement::TwistTilt, 10),
+    ] {
+        let start = Instant::now();
+        let (sewn, result) = simulated((kind, movement), &Material::default(), frames);
+        let seconds = start.elapsed().as_secs_f64() / (frames + 27) as f64;
+        let quality = result.quality();
+        println!("{kind:?} {movement}: {seconds:.3} s a frame, {quality:?}");
+        assert!(quality.penetration < 4e-3, "{kind:?} {quality:?}");
+        assert!(quality.strain < 0.33 && quality.mean_strain < 0.05, "{kind:?} {quality:?}");
+        assert!(quality.crossings <= 2 && quality.speed < 5.0, "{kind:?} {quality:?}");
+        // Still worn: the garment's middle is on the body.
+        let last = result.frames.index_axis(ndarray::Axis(0), frames - 1);
+        let middle = last.mean_axis(ndarray::Axis(0)).unwrap();
+        let rest = sewn.surface.vertices.iter().sum::<DVec3>() / sewn.surface.vertices.len() as f64;
+        assert!((middle[1] - rest.y).abs() < 0.1, "{kind:?} {middle} {rest}");
+    }
+}
+
+#[test]
+fn results_do_not_depend_on_threads() {
+    let run = || simulated((GarmentKind::Dress, Movement::Squats), &Material::default(), 2).1;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let pools = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+    assert_eq!(pool.install(run), pools.install(run));
+}
+
+#[test]
+fn the_stiffest_cloth_stays_calm_over_a_moving_body() {
+    let stiffest = Material { stretch: 0.0, bend: 0.0, damping: 0.0, ..Material::default() };
+    let garment = (GarmentKind::Skirt, Movement::JumpingJacks);
+    let (_, result) = simulated(garment, &stiffest, 60);
+    for (frame, report) in result.reports.iter().enumerate() {
+        assert!(report.speed < 10.0 && report.strain[1] < 0.33, "frame {frame}: {report:?}");
+    }
+}

@@ -1,0 +1,291 @@
+use glam::{DMat3, DVec3};
+use parry3d_f64::{
+    bounding_volume::Aabb,
+    math::Vector,
+    partitioning::{Bvh, BvhBuildStrategy, BvhNode},
+    query::{PointQuery, Ray},
+};
+
+use super::surface::{Surface, corner_angle, face_normals};
+
+/// Where a ray meets a surface.
+///
+/// See [`Solid`] for an example.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hit {
+    /// The face.
+    pub face: u32,
+    /// How far along the ray, metres.
+    pub distance: f64,
+    /// The place.
+    pub point: DVec3,
+}
+
+/// The point of a surface closest to another.
+///
+/// See [`Solid`] for an example.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Closest {
+    /// The face it lies on.
+    pub face: u32,
+    /// Its barycentric coordinates there.
+    pub barycentric: [f64; 3],
+    /// The place.
+    pub point: DVec3,
+    /// Distance, metres; negative inside.
+    pub signed_distance: f64,
+    /// Unit direction in which the distance grows.
+    pub outward: DVec3,
+}
+
+/// A surface that answers rays and closest points, at rest or moving.
+///
+/// A bounding-volume tree over the boxes of the triangles answers both. For a surface that moves
+/// linearly between two frames the boxes hold the whole sweep, so that the same tree is valid at
+/// every instant ([`at`](Self::at)); distances are signed by angle-weighted pseudo-normals.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_core::geometry::Solid;
+/// use glam::DVec3;
+///
+/// // The faces of an octahedron are 1/√3 from its middle.
+/// let solid = Solid::new(&octahedron(1.0));
+/// let (outside, inward) = (DVec3::ONE, -DVec3::ONE.normalize());
+/// let hit = solid.cast(outside, inward, 3.0).ok_or("no hit")?;
+/// assert!((hit.distance - (3f64.sqrt() - 1.0 / 3f64.sqrt())).abs() < 1e-9);
+/// // Distances are negative inside.
+/// let closest = solid.closest(0.1 * DVec3::ONE, 1.0).ok_or("too far")?;
+/// assert!((closest.signed_distance + 0.7 / 3f64.sqrt()).abs() < 1e-9);
+/// assert!((closest.outward + inward).length() < 1e-9);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, Clone)]
+pub struct Solid {
+    from: Vec<DVec3>,
+    to: Vec<DVec3>,
+    faces: Vec<[u32; 3]>,
+    across: Vec<[Option<u32>; 3]>,
+    tree: Bvh,
+    now: Surface,
+    face_normals: Vec<DVec3>,
+}
+
+impl Solid {
+    /// A surface at rest.
+    pub fn new(surface: &Surface) -> Self {
+        let across = surface.neighbours();
+        Self::moving(surface, surface.vertices.clone(), across)
+    }
+
+    /// A surface whose vertices move linearly to `to`; `across` are its
+    /// [`neighbours`](Surface::neighbours).
+    pub fn moving(surface: &Surface, to: Vec<DVec3>, across: Vec<[Option<u32>; 3]>) -> Self {
+        let boxes = surface.faces.iter().enumerate().map(|(index, face)| {
+            let both = face.iter().flat_map(|&v| [surface.vertices[v as usize], to[v as usize]]);
+            let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+            for p in both {
+                (low, high) = (low.min(p), high.max(p));
+            }
+            (index, Aabb::new(vector(low), vector(high)))
+        });
+        let tree = Bvh::from_iter(BvhBuildStrategy::Binned, boxes);
+        let face_normals = surface.face_normals();
+        Self {
+            from: surface.vertices.clone(),
+            to,
+            faces: surface.faces.clone(),
+            across,
+            tree,
+            now: surface.clone(),
+            face_normals,
+        }
+    }
+
+    /// Moves the surface to `t` of its way, 0 to 1.
+    pub fn at(&mut self, t: f64) {
+        for ((now, &from), &to) in self.now.vertices.iter_mut().zip(&self.from).zip(&self.to) {
+            *now = from.lerp(to, t);
+        }
+        self.face_normals = face_normals(&self.now.vertices, &self.faces);
+    }
+
+    /// The surface where it is now.
+    pub fn surface(&self) -> &Surface {
+        &self.now
+    }
+
+    /// Where a point that rides on the surface, at barycentric coordinates on a face, was at `t`.
+    pub fn riding(&self, face: u32, barycentric: [f64; 3], t: f64) -> DVec3 {
+        let corners = self.faces[face as usize].map(|v| v as usize);
+        corners.iter().zip(barycentric).map(|(&v, w)| self.from[v].lerp(self.to[v], t) * w).sum()
+    }
+
+    /// The first face that a ray (unit `direction`) meets within `reach` metres.
+    pub fn cast(&self, origin: DVec3, direction: DVec3, reach: f64) -> Option<Hit> {
+        let ray = Ray::new(vector(origin), vector(direction));
+        let (face, distance) = self.tree.cast_ray(&ray, reach, |face, _| {
+            let distance = ray_meets(origin, direction, self.now.corners(face as usize))?;
+            (distance <= reach).then_some(distance)
+        })?;
+        Some(Hit { face, distance, point: origin + direction * distance })
+    }
+
+    /// The closest point, unless it is further than `reach` metres.
+    pub fn closest(&self, point: DVec3, reach: f64) -> Option<Closest> {
+        self.closest_from(point, reach, None)
+    }
+
+    /// Like [`closest`](Self::closest), faster if a face close to the point is known.
+    pub fn closest_from(&self, point: DVec3, reach: f64, guess: Option<u32>) -> Option<Closest> {
+        let distance = |face: u32| {
+            point.distance(closest_on_triangle(point, self.now.corners(face as usize)).0)
+        };
+        let known = guess.map(|face| (face, distance(face))).filter(|known| known.1 < reach);
+        let from = vector(point);
+        let better = self.tree.find_best(
+            known.map_or(reach, |known| known.1),
+            |node: &BvhNode, _| node.aabb().distance_to_local_point(from, true),
+            |face, _| Some(distance(face)),
+        );
+        let (face, _) = better.or(known)?;
+        let (nearest, barycentric) = closest_on_triangle(point, self.now.corners(face as usize));
+        let normal = self.pseudo_normal(face as usize, barycentric);
+        let away = point - nearest;
+        let distance = away.length();
+        let inside = away.dot(normal) < 0.0;
+        let outward = match away.try_normalize() {
+            Some(direction) if distance > 1e-12 => {
+                if inside {
+                    -direction
+                } else {
+                    direction
+                }
+            }
+            _ => normal,
+        };
+        let signed_distance = if inside { -distance } else { distance };
+        Some(Closest { face, barycentric, point: nearest, signed_distance, outward })
+    }
+
+    /// The longest way that a vertex goes from 0 to 1, metres.
+    pub fn longest_way(&self) -> f64 {
+        self.from.iter().zip(&self.to).map(|(from, to)| from.distance(*to)).fold(0.0, f64::max)
+    }
+
+    /// Unit axes of a face where it is now, one per column: its first side, the normal, and what is
+    /// at right angles to both.
+    pub fn axes(&self, face: u32) -> DMat3 {
+        let [a, b, _] = self.now.corners(face as usize);
+        let (side, normal) = ((b - a).normalize_or_zero(), self.face_normals[face as usize]);
+        DMat3::from_cols(side, normal, side.cross(normal))
+    }
+
+    /// Normal of the face, edge or vertex that a point of a face lies on.
+    fn pseudo_normal(&self, face: usize, barycentric: [f64; 3]) -> DVec3 {
+        const ON: f64 = 1e-9;
+        let off: Vec<usize> = (0..3).filter(|&i| barycentric[i] > ON).collect();
+        match off[..] {
+            [corner] => self.vertex_normal(face, corner),
+            [a, b] => {
+                // Side `i` runs from corner `i` to corner `i + 1`.
+                let side = if (a + 1) % 3 == b { a } else { b };
+                let other =
+                    self.across[face][side].map_or(DVec3::ZERO, |f| self.face_normals[f as usize]);
+                (self.face_normals[face] + other).normalize_or_zero()
+            }
+            _ => self.face_normals[face],
+        }
+    }
+
+    /// Normals of the faces around a corner, weighted by their angles there.
+    fn vertex_normal(&self, face: usize, corner: usize) -> DVec3 {
+        let vertex = self.faces[face][corner];
+        let corner_of = |face: usize| self.faces[face].iter().position(|&v| v == vertex);
+        let mut sum = DVec3::ZERO;
+        let mut add = |face: usize, corner: usize| {
+            sum += self.face_normals[face] * corner_angle(self.now.corners(face), corner);
+        };
+        add(face, corner);
+        // On over the side that ends in the vertex; from a boundary back over the one that starts.
+        for turn in [2, 0] {
+            let mut here = (face, corner);
+            // Bounded, because neighbours may be of opposite orientation.
+            for _ in 0..MOST_AROUND {
+                let Some(next) = self.across[here.0][(here.1 + turn) % 3] else { break };
+                let next = next as usize;
+                let Some(corner) = corner_of(next) else { break };
+                if next == face {
+                    return sum.normalize_or_zero();
+                }
+                add(next, corner);
+                here = (next, corner);
+            }
+        }
+        sum.normalize_or_zero()
+    }
+}
+
+/// Faces that a vertex can have on each side of a face.
+const MOST_AROUND: usize = 100;
+
+fn vector(p: DVec3) -> Vector {
+    Vector::from(p.to_array())
+}
+
+/// Distance along a ray to a triangle (Möller and Trumbore 1997). Triangles are larger by a billionth,
+/// so that no ray slips through between two.
+pub fn ray_meets(origin: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> Option<f64> {
+    const SLACK: f64 = 1e-9;
+    let (ab, ac) = (b - a, c - a);
+    let across = direction.cross(ac);
+    let determinant = ab.dot(across);
+    let from = origin - a;
+    let (u, lift) = (from.dot(across) / determinant, from.cross(ab));
+    let (v, t) = (direction.dot(lift) / determinant, ac.dot(lift) / determinant);
+    (u >= -SLACK && v >= -SLACK && u + v <= 1.0 + SLACK && t >= 0.0).then_some(t)
+}
+
+/// The closest point of a triangle and its barycentric coordinates (Ericson 2005, §5.1.5).
+pub fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> (DVec3, [f64; 3]) {
+    let (ab, ac) = (b - a, c - a);
+    let ap = p - a;
+    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return (a, [1.0, 0.0, 0.0]);
+    }
+    let bp = p - b;
+    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return (b, [0.0, 1.0, 0.0]);
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 > d3 {
+        let v = d1 / (d1 - d3);
+        return (a + ab * v, [1.0 - v, v, 0.0]);
+    }
+    let cp = p - c;
+    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return (c, [0.0, 0.0, 1.0]);
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 && d2 > d6 {
+        let w = d2 / (d2 - d6);
+        return (a + ac * w, [1.0 - w, 0.0, w]);
+    }
+    let va = d3 * d6 - d5 * d4;
+    let (near_b, near_c) = (d4 - d3, d5 - d6);
+    if va <= 0.0 && near_b >= 0.0 && near_c >= 0.0 && near_b + near_c > 0.0 {
+        let w = near_b / (near_b + near_c);
+        return (b + (c - b) * w, [0.0, 1.0 - w, w]);
+    }
+    let sum = va + vb + vc;
+    if sum <= 0.0 {
+        return (a, [1.0, 0.0, 0.0]);
+    }
+    let (v, w) = (vb / sum, vc / sum);
+    (a + ab * v + ac * w, [1.0 - v - w, v, w])
+}

@@ -1,0 +1,53 @@
+use ndarray::Array2;
+
+use crate::{Error, Result, expect_finite};
+
+/// A body's movement at a fixed rate.
+///
+/// ```
+/// use cape_core::BodyMotion;
+/// use ndarray::Array2;
+///
+/// let motion = BodyMotion::new(30.0, Array2::zeros((60, 72)), Array2::zeros((60, 3)))?;
+/// assert_eq!(motion.frames(), 60);
+/// // Poses and translations must be of as many frames.
+/// assert!(BodyMotion::new(30.0, Array2::zeros((60, 72)), Array2::zeros((59, 3))).is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct BodyMotion {
+    /// Frames a second.
+    pub frame_rate: f64,
+    /// Axis-angles of all joints, radians, `[frames, 3 · joints]`.
+    pub poses: Array2<f64>,
+    /// Translations, metres, `[frames, 3]`.
+    pub translations: Array2<f64>,
+}
+
+impl BodyMotion {
+    /// A checked motion.
+    pub fn new(frame_rate: f64, poses: Array2<f64>, translations: Array2<f64>) -> Result<Self> {
+        if !(frame_rate.is_finite() && frame_rate > 0.0) {
+            return Err(Error::argument(format!("frame rate {frame_rate}: expected more than 0")));
+        }
+        let frames = poses.nrows();
+        if poses.ncols() < 3
+            || !poses.ncols().is_multiple_of(3)
+            || translations.dim() != (frames, 3)
+        {
+            return Err(Error::argument(format!(
+                "poses {:?} and translations {:?}: expected [frames, 3 · joints] and [frames, 3]",
+                poses.shape(),
+                translations.shape()
+            )));
+        }
+        expect_finite("poses", &poses)?;
+        expect_finite("translations", &translations)?;
+        Ok(Self { frame_rate, poses, translations })
+    }
+
+    /// Number of frames.
+    pub fn frames(&self) -> usize {
+        self.poses.nrows()
+    }
+}

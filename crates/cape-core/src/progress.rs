@@ -1,0 +1,22 @@
+/// Called by long operations with the work done so far and the whole of it, in the operation's own
+/// units (frames, batches); the last call has both equal. What is shown, if anything, is up to the
+/// caller.
+///
+/// ```
+/// use cape_core::{Progress, silent};
+///
+/// fn count_to_three(progress: &mut Progress) {
+///     for done in 0..=3 {
+///         progress(done, 3);
+///     }
+/// }
+///
+/// let mut shown = Vec::new();
+/// count_to_three(&mut |done, total| shown.push(format!("{done}/{total}")));
+/// assert_eq!(shown, ["0/3", "1/3", "2/3", "3/3"]);
+/// count_to_three(&mut silent);
+/// ```
+pub type Progress<'a> = dyn FnMut(usize, usize) + 'a;
+
+/// The [`Progress`] that shows nothing.
+pub fn silent(_done: usize, _total: usize) {}

@@ -1,0 +1,495 @@
+//! What data are like, and what usually goes wrong with them.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::{Path, PathBuf},
+};
+
+use cape_core::{
+    Outfit, SmplModel,
+    joints::{JOINTS, pose_rotations},
+    smpl::ClothingMask,
+};
+use ndarray::{Array2, ArrayView2};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::{
+    PackedSet, Part,
+    raw::{self, BODY_FILE, CLOTHING_FILE},
+};
+use crate::{Error, Result};
+use cape_core::Progress;
+
+/// What to compare data with, and how much of them to read.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_core::silent;
+/// use cape_data::inspect::{InspectOptions, inspect};
+///
+/// let directory = captures()?;
+/// let options = InspectOptions { frames: 2, clothing: None, body: None };
+/// let found = inspect(&directory.path().join("packed"), &options, &mut silent)?;
+/// assert_eq!((found.kind, found.frames, found.vertices), ("packed", 8, 6890));
+/// assert_eq!(found.captures.iter().map(|capture| capture.frames).sum::<usize>(), 8);
+/// // There is more to clothes than to the bare skin's noise.
+/// assert!(found.clothing_mm.unwrap().mean > found.elsewhere_mm.unwrap().mean);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, Clone)]
+pub struct InspectOptions {
+    /// Frames read of each capture, evenly spaced.
+    pub frames: usize,
+    /// Indices of clothing vertices, unless the data bring them.
+    pub clothing: Option<PathBuf>,
+    /// The body, whose blend weights tell clothing vertices where nothing else does.
+    pub body: Option<PathBuf>,
+}
+
+/// What data are like.
+///
+/// See [`InspectOptions`] for an example.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Inspection {
+    /// `raw` or `packed`.
+    pub kind: &'static str,
+    /// Subjects, outfits and sequences with their numbers of frames.
+    pub captures: Vec<CaptureCount>,
+    /// All frames.
+    pub frames: usize,
+    /// Frames that were read.
+    pub examined: usize,
+    /// Vertices of a frame.
+    pub vertices: usize,
+    /// Height of the tallest and the shortest subject, metres.
+    pub height_m: Option<[f64; 2]>,
+    /// Displacements at clothing vertices.
+    pub clothing_mm: Option<Magnitudes>,
+    /// Displacements at head, hands and feet.
+    pub elsewhere_mm: Option<Magnitudes>,
+    /// Displacements at all vertices.
+    pub displacement_mm: Option<Magnitudes>,
+    /// Largest rotation of a joint but the root, radians.
+    pub largest_rotation: Option<f64>,
+    /// Largest distance of a body from the origin, metres.
+    pub largest_translation_m: Option<f64>,
+    /// What is probably wrong, and what would help.
+    pub warnings: Vec<String>,
+}
+
+/// Frames of one capture, or of all captures that a packed set does not tell apart.
+///
+/// See [`InspectOptions`] for an example.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct CaptureCount {
+    /// `train` or `test`, of a packed set.
+    pub part: Option<Part>,
+    /// The subject, if known.
+    pub subject: Option<String>,
+    /// What is worn.
+    pub outfit: Option<Outfit>,
+    /// The motion, if known.
+    pub sequence: Option<String>,
+    /// How many frames there are.
+    pub frames: usize,
+}
+
+/// Lengths of displacements.
+///
+/// See [`InspectOptions`] for an example.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Magnitudes {
+    /// Their mean.
+    pub mean: f64,
+    /// The largest.
+    pub max: f64,
+}
+
+/// Lengths, added up.
+#[derive(Debug, Clone, Copy, Default)]
+struct Lengths {
+    sum: f64,
+    count: usize,
+    max: f64,
+}
+
+impl Lengths {
+    fn push(&mut self, length: f64) {
+        self.sum += length;
+        self.count += 1;
+        self.max = self.max.max(length);
+    }
+
+    fn millimetres(self) -> Option<Magnitudes> {
+        let mean = 1000.0 * self.sum / self.count.max(1) as f64;
+        (self.count > 0).then_some(Magnitudes { mean, max: 1000.0 * self.max })
+    }
+}
+
+/// What the frames that were read add up to.
+#[derive(Debug, Default)]
+struct Tally {
+    clothing: Lengths,
+    elsewhere: Lengths,
+    all: Lengths,
+    rotation: Option<f64>,
+    translation: Option<f64>,
+}
+
+impl Tally {
+    fn displacement(&mut self, displacement: ArrayView2<f64>, mask: Option<&ClothingMask>) {
+        for (vertex, row) in displacement.rows().into_iter().enumerate() {
+            let length = row.dot(&row).sqrt();
+            self.all.push(length);
+            match mask.and_then(|mask| mask.covered().get(vertex)) {
+                Some(true) => self.clothing.push(length),
+                Some(false) => self.elsewhere.push(length),
+                None => {}
+            }
+        }
+    }
+
+    fn pose(&mut self, pose: &[f64]) {
+        for axis_angle in pose.chunks_exact(3).skip(1) {
+            let angle = axis_angle.iter().map(|x| x * x).sum::<f64>().sqrt();
+            self.rotation = Some(self.rotation.map_or(angle, |most| most.max(angle)));
+        }
+    }
+}
+
+/// Looks at a raw tree or a packed set.
+///
+/// # Errors
+/// If there is neither at `path`, or a file beside the frames is unusable. Frames that cannot be
+/// read are counted among the warnings.
+pub fn inspect(
+    path: &Path,
+    options: &InspectOptions,
+    progress: &mut Progress,
+) -> Result<Inspection> {
+    if path.join("sequences").is_dir() {
+        return inspect_raw(path, options, progress);
+    }
+    let parts = [Part::Train, Part::Test].map(|part| (part, part.path(path, "disp")));
+    if parts.iter().any(|(_, file)| file.exists()) {
+        return inspect_packed(path, options, progress);
+    }
+    Err(Error::Data(format!(
+        "{}: neither raw data (sequences/) nor a packed set (train/train_disp.npy)",
+        path.display()
+    )))
+}
+
+fn mask(path: &Path, options: &InspectOptions, vertices: usize) -> Result<Option<ClothingMask>> {
+    let own = path.join(CLOTHING_FILE);
+    if let Some(file) = options.clothing.as_ref().or(own.is_file().then_some(&own)) {
+        return Ok(Some(ClothingMask::load(file, vertices)?));
+    }
+    let own = path.join(BODY_FILE);
+    let Some(file) = options.body.as_ref().or(own.is_file().then_some(&own)) else {
+        return Ok(None);
+    };
+    let body = SmplModel::load(file)?;
+    if body.vertices() != vertices {
+        let found = body.vertices();
+        let message = format!("{found} vertices, but the data have {vertices}");
+        return Err(Error::field(file, "v_template", message));
+    }
+    Ok(Some(ClothingMask::from_weights(&body)?))
+}
+
+fn inspect_raw(
+    root: &Path,
+    options: &InspectOptions,
+    progress: &mut Progress,
+) -> Result<Inspection> {
+    let mut found = Inspection { kind: "raw", ..Inspection::default() };
+    let mut minimal = BTreeMap::new();
+    let mut samples: Vec<(String, PathBuf)> = Vec::new();
+    for directory in raw::directories(&root.join("sequences"))? {
+        let subject = raw::name_of(&directory);
+        match raw::read_minimal(root, &subject) {
+            Ok(shape) => drop(minimal.insert(subject.clone(), shape)),
+            Err(error) => found.warnings.push(format!("{subject}: no minimal shape: {error}")),
+        }
+        for capture in raw::directories(&directory)? {
+            let title = raw::name_of(&capture);
+            let known = title
+                .split_once('_')
+                .and_then(|(outfit, sequence)| Some((outfit.parse::<Outfit>().ok()?, sequence)));
+            let Some((outfit, sequence)) = known else {
+                found.warnings.push(format!(
+                    "{subject}/{title}: not named outfit_sequence, will not be packed"
+                ));
+                continue;
+            };
+            let paths = raw::frame_paths(&capture)?.unwrap_or_default();
+            if paths.len() <= 4 {
+                found.warnings.push(format!(
+                    "{subject}/{title}: {} frames, nothing is left after cutting 2 at either end",
+                    paths.len()
+                ));
+            }
+            found.captures.push(CaptureCount {
+                part: None,
+                subject: Some(subject.clone()),
+                outfit: Some(outfit),
+                sequence: Some(sequence.to_owned()),
+                frames: paths.len(),
+            });
+            let picked = spread(paths.len(), options.frames);
+            samples.extend(picked.map(|at| (subject.clone(), paths[at].clone())));
+        }
+    }
+    found.frames = found.captures.iter().map(|capture| capture.frames).sum();
+    let counts: BTreeSet<usize> = minimal.values().map(Array2::nrows).collect();
+    if counts.len() > 1 {
+        found
+            .warnings
+            .push(format!("minimal shapes have different numbers of vertices: {counts:?}"));
+    }
+    found.vertices = counts.first().copied().unwrap_or(0);
+    heights(&minimal, &mut found);
+
+    let mask = match found.vertices {
+        0 => None,
+        vertices => mask(root, options, vertices)?,
+    };
+    let mut tally = Tally::default();
+    let mut unreadable = Vec::new();
+    let mut posed_as_canonical = 0;
+    let total = samples.len();
+    for chunk in samples.chunks(4 * rayon::current_num_threads()) {
+        let read: Vec<Result<_>> = chunk.par_iter().map(|(_, path)| raw::read_any(path)).collect();
+        for ((subject, path), frame) in chunk.iter().zip(read) {
+            let (frame, posed) = match frame {
+                Ok(read) => read,
+                Err(error) => {
+                    unreadable.push(error.to_string());
+                    continue;
+                }
+            };
+            found.examined += 1;
+            tally.pose(&frame.pose);
+            if let Some((v_posed, transl)) = &posed {
+                let distance = transl.iter().map(|x| x * x).sum::<f64>().sqrt();
+                tally.translation = Some(tally.translation.map_or(distance, |d| d.max(distance)));
+                posed_as_canonical += usize::from(frame.v_cano == *v_posed);
+            }
+            match minimal.get(subject) {
+                Some(shape) if shape.dim() == frame.v_cano.dim() => {
+                    tally.displacement((&frame.v_cano - shape).view(), mask.as_ref());
+                }
+                Some(shape) => unreadable.push(format!(
+                    "{}: {} vertices, but the minimal shape has {}",
+                    path.display(),
+                    frame.v_cano.nrows(),
+                    shape.nrows()
+                )),
+                None => {}
+            }
+        }
+        progress(found.examined + unreadable.len(), total);
+    }
+    if let Some(first) = unreadable.first() {
+        found.warnings.push(format!(
+            "{} of {total} examined frames cannot be used; the first: {first}",
+            unreadable.len()
+        ));
+    }
+    if found.examined > 0 && posed_as_canonical == found.examined {
+        found.warnings.push("v_cano equals v_posed everywhere: unpose the meshes first".into());
+    }
+    conclude(&mut found, &tally, mask.is_some());
+    Ok(found)
+}
+
+fn inspect_packed(
+    root: &Path,
+    options: &InspectOptions,
+    progress: &mut Progress,
+) -> Result<Inspection> {
+    let mut found = Inspection { kind: "packed", ..Inspection::default() };
+    let mut tally = Tally::default();
+    let mut sequences: BTreeMap<Part, BTreeSet<(String, Outfit, String)>> = BTreeMap::new();
+    let mut masked = false;
+    let mut inconsistent = 0;
+    for part in [Part::Train, Part::Test] {
+        if !part.path(root, "disp").exists() {
+            found.warnings.push(format!("no {part} part"));
+            continue;
+        }
+        let set = PackedSet::open(root, part)?;
+        if found.vertices != 0 && found.vertices != set.vertices() {
+            found.warnings.push(format!(
+                "training frames have {} vertices, test frames {}",
+                found.vertices,
+                set.vertices()
+            ));
+        }
+        found.vertices = set.vertices();
+        found.frames += set.frames();
+        let mut counts: Vec<CaptureCount> = Vec::new();
+        for (frame, &outfit) in set.outfits().iter().enumerate() {
+            let origin = set.origins().map(|origins| &origins[frame]);
+            let subject = origin.map(|origin| origin.subject.clone());
+            let sequence = origin.map(|origin| origin.sequence.clone());
+            if let (Some(subject), Some(sequence)) = (&subject, &sequence) {
+                let capture = (subject.clone(), outfit, sequence.clone());
+                sequences.entry(part).or_default().insert(capture);
+            }
+            let capture = CaptureCount {
+                part: Some(part),
+                subject,
+                outfit: Some(outfit),
+                sequence,
+                frames: 0,
+            };
+            let known = counts
+                .iter_mut()
+                .rev()
+                .find(|count| CaptureCount { frames: 0, ..(*count).clone() } == capture);
+            match known {
+                Some(count) => count.frames += 1,
+                None => counts.push(CaptureCount { frames: 1, ..capture }),
+            }
+        }
+        let mask = mask(root, options, set.vertices())?;
+        masked |= mask.is_some();
+        let wanted = options.frames.saturating_mul(counts.len());
+        found.captures.extend(counts);
+        for (done, frame) in spread(set.frames(), wanted).enumerate() {
+            let (displacement, pose, rotations) = set.frame(frame)?;
+            tally.displacement(displacement.view(), mask.as_ref());
+            tally.pose(&pose);
+            let expected = pose_rotations(&pose)?;
+            let differs = |(a, b): (&f64, &f64)| (a - b).abs() > 1e-4;
+            let expected = expected.as_flattened().as_flattened();
+            inconsistent += usize::from(rotations.iter().zip(expected).any(differs));
+            found.examined += 1;
+            progress(done + 1, wanted.min(set.frames()));
+        }
+    }
+    if inconsistent > 0 {
+        found.warnings.push(format!(
+            "in {inconsistent} of {} examined frames the rotation matrices are not those of the pose",
+            found.examined
+        ));
+    }
+    if let (Some(train), Some(test)) = (sequences.get(&Part::Train), sequences.get(&Part::Test))
+        && let Some((subject, outfit, sequence)) = train.intersection(test).next()
+    {
+        found.warnings.push(format!(
+            "{subject}/{outfit}_{sequence} is in both parts: test errors would be too low"
+        ));
+    }
+    conclude(&mut found, &tally, masked);
+    Ok(found)
+}
+
+/// Heights of the minimal shapes, and what they say about units and axes.
+fn heights(minimal: &BTreeMap<String, Array2<f64>>, found: &mut Inspection) {
+    let mut range: Option<[f64; 2]> = None;
+    for (subject, shape) in minimal {
+        let extent = [0, 1, 2].map(|axis| {
+            let column = shape.column(axis);
+            let low = column.iter().copied().fold(f64::INFINITY, f64::min);
+            let high = column.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            high - low
+        });
+        let tall = extent[1];
+        range = Some(range.map_or([tall; 2], |[low, high]| [low.min(tall), high.max(tall)]));
+        let largest = extent.into_iter().fold(0.0, f64::max);
+        let unit = match largest {
+            500.0..=3500.0 => Some("millimetres: divide by 1000"),
+            50.0..=350.0 => Some("centimetres: divide by 100"),
+            0.5..=3.5 => None,
+            _ => Some("none that fits a person"),
+        };
+        if let Some(unit) = unit {
+            found.warnings.push(format!(
+                "{subject}: the minimal shape is {largest:.1} long, its unit seems to be {unit} \
+                 (expected metres)"
+            ));
+        } else if extent[2] > extent[1] {
+            found.warnings.push(format!(
+                "{subject}: the minimal shape is longest along z: expected y upwards and z to the \
+                 front, as SMPL has them"
+            ));
+        }
+    }
+    found.height_m = range;
+}
+
+/// Takes over what was tallied, and says what is strange about it.
+fn conclude(found: &mut Inspection, tally: &Tally, masked: bool) {
+    found.displacement_mm = tally.all.millimetres();
+    found.clothing_mm = tally.clothing.millimetres();
+    found.elsewhere_mm = tally.elsewhere.millimetres();
+    found.largest_rotation = tally.rotation;
+    found.largest_translation_m = tally.translation;
+    let warnings = &mut found.warnings;
+    if found.frames == 0 {
+        warnings.push("no frames".into());
+    }
+    if let Some(worn) = found.clothing_mm.or(found.displacement_mm) {
+        if worn.mean > 1e4 {
+            warnings.push(format!(
+                "displacements of {:.0} mm on average: v_cano and minimal shape seem to be in \
+                 different units (expected metres)",
+                worn.mean
+            ));
+        } else if worn.mean > 100.0 {
+            warnings.push(format!(
+                "displacements of {:.0} mm on average do not look like clothes: v_cano is posed, \
+                 shifted, or of another subject (expected the unposed mesh on its minimal shape)",
+                worn.mean
+            ));
+        } else if worn.mean < 0.1 {
+            warnings.push(format!(
+                "displacements of {:.3} mm on average: there are no clothes",
+                worn.mean
+            ));
+        }
+    }
+    if let (Some(worn), Some(bare)) = (found.clothing_mm, found.elsewhere_mm)
+        && bare.mean > 10.0
+        && bare.mean > 0.5 * worn.mean
+    {
+        warnings.push(format!(
+            "head, hands and feet move by {:.1} mm, clothes by {:.1} mm: registrations are not \
+             aligned with the minimal shape, or hair and shoes are in them",
+            bare.mean, worn.mean
+        ));
+    }
+    if !masked {
+        warnings.push(
+            "clothing vertices are not known: give --clothing or --body to tell clothes from skin"
+                .into(),
+        );
+    }
+    match found.largest_rotation {
+        Some(angle) if angle > 2.5 * std::f64::consts::PI => warnings.push(format!(
+            "a joint turns by {angle:.1}: poses seem to be in degrees (expected radians)"
+        )),
+        Some(0.0) => warnings.push(format!("all poses of the {JOINTS} joints are zero")),
+        _ => {}
+    }
+    let outfits: BTreeSet<Outfit> = found.captures.iter().filter_map(|c| c.outfit).collect();
+    if found.frames > 0 && outfits.len() == 1 {
+        warnings.push("only one outfit: a model cannot learn to tell outfits apart".into());
+    }
+}
+
+/// `wanted` of `count` indices, evenly spread.
+fn spread(count: usize, wanted: usize) -> impl Iterator<Item = usize> {
+    let wanted = wanted.min(count);
+    (0..wanted).map(move |k| (2 * k + 1) * count / (2 * wanted))
+}
+
+#[cfg(test)]
+#[path = "inspect_tests.rs"]
+mod tests;

@@ -1,0 +1,120 @@
+use std::path::Path;
+
+use cape_core::{Outfit, npy::write_npy};
+use ndarray::{Array2, Array3};
+
+use super::*;
+use crate::Part;
+
+/// Every number of a frame's displacement is the frame's index.
+fn packed(root: &Path, frames: usize) -> (Arc<PackedSet>, Arc<Statistics>) {
+    std::fs::create_dir_all(root.join("train")).unwrap();
+    let path = |what: &str| root.join(format!("train/train_{what}.npy"));
+    write_npy(path("disp"), &Array3::from_shape_fn((frames, 2, 3), |(k, ..)| k as f64)).unwrap();
+    write_npy(path("pose"), &Array2::<f64>::zeros((frames, 72))).unwrap();
+    write_npy(path("rot"), &Array2::<f64>::zeros((frames, 216))).unwrap();
+    let hot = Outfit::LongLong.index();
+    let label = Array2::from_shape_fn((frames, 4), |(_, i)| f64::from(i == hot));
+    write_npy(path("clo_label"), &label).unwrap();
+    let statistics = Statistics::new(Array2::zeros((2, 3)), Array2::ones((2, 3)), 1).unwrap();
+    (Arc::new(PackedSet::open(root, Part::Train).unwrap()), Arc::new(statistics))
+}
+
+fn loader(
+    (set, statistics): &(Arc<PackedSet>, Arc<Statistics>),
+    rows: Range<usize>,
+    batch: usize,
+    state: LoaderState,
+) -> Loader {
+    let options = LoaderOptions { batch, ..LoaderOptions::default() };
+    Loader::new(set.clone(), statistics.clone(), rows, options, state).unwrap()
+}
+
+#[test]
+fn steps_bring_the_frames_they_name_and_resume_anywhere() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = packed(dir.path(), 12);
+    let mut whole = loader(&data, 2..12, 4, LoaderState::new(5));
+    let steps: Vec<StepData> = (0..9).map(|_| whole.step().unwrap()).collect();
+    let mut counts = [0; 12];
+    for step in &steps {
+        let real = step.discriminator.as_ref().unwrap();
+        for batch in [&step.generator, real] {
+            assert_eq!(batch.displacement.dim(), (4, 2, 3));
+            for (row, &frame) in batch.frames.iter().enumerate() {
+                assert_eq!(batch.displacement[[row, 1, 2]], frame as f32);
+            }
+        }
+        step.generator.frames.iter().for_each(|&frame| counts[frame] += 1);
+    }
+    // 36 draws of 10 frames: each three or four times.
+    assert!(counts[..2] == [0, 0] && counts[2..].iter().all(|&n| n == 3 || n == 4));
+    assert!(steps.iter().any(|s| s.generator.frames != s.discriminator.as_ref().unwrap().frames));
+    assert_eq!(steps[4].state.generator, Position { epoch: 1, drawn: 10 });
+    for k in 0..8 {
+        let mut resumed = loader(&data, 2..12, 4, steps[k].state);
+        assert_eq!(resumed.step().unwrap(), steps[k + 1]);
+    }
+}
+
+#[test]
+fn a_set_smaller_than_the_batch_repeats() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = packed(dir.path(), 1);
+    let mut loader = loader(&data, 0..1, 3, LoaderState::new(0));
+    assert_eq!(loader.step().unwrap().generator.frames, [0, 0, 0]);
+    for (frames, batch, steps) in [(1, 16, 1), (16, 16, 1), (17, 16, 2), (30_936, 16, 1934)] {
+        assert_eq!(steps_per_epoch(frames, batch), steps);
+    }
+}
+
+#[test]
+fn the_discriminators_batches_are_optional_and_change_nothing_else() {
+    let dir = tempfile::tempdir().unwrap();
+    let (set, statistics) = packed(dir.path(), 9);
+    let step = |discriminator| {
+        let options = LoaderOptions { batch: 2, discriminator, prefetch: 0 };
+        let state = LoaderState::new(1);
+        let mut loader =
+            Loader::new(set.clone(), statistics.clone(), 0..9, options, state).unwrap();
+        loader.step().unwrap()
+    };
+    assert!(step(false).discriminator.is_none());
+    assert_eq!(step(false).generator, step(true).generator);
+}
+
+#[test]
+fn sequential_reading_sees_each_frame_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let (set, _) = packed(dir.path(), 8);
+    let batches = |rows, batch| -> Vec<Vec<usize>> {
+        sequential(set.clone(), None, rows, batch).unwrap().map(|b| b.unwrap().frames).collect()
+    };
+    assert_eq!(batches(1..8, 3), [vec![1, 2, 3], vec![4, 5, 6], vec![7]]);
+    assert_eq!(batches(6..99, 5), [[6, 7]]);
+    assert!(batches(3..3, 5).is_empty());
+    // Stopping early does not wait for the rest.
+    drop(sequential(set.clone(), None, 0..8, 1).unwrap());
+}
+
+#[test]
+fn mistakes_and_bad_frames_are_errors() {
+    let dir = tempfile::tempdir().unwrap();
+    let (set, statistics) = packed(dir.path(), 4);
+    let new = |rows, batch| {
+        let options = LoaderOptions { batch, ..LoaderOptions::default() };
+        Loader::new(set.clone(), statistics.clone(), rows, options, LoaderState::new(0))
+    };
+    assert!(new(2..2, 1).unwrap_err().to_string().contains("2..2 of a set of 4"));
+    assert!(new(0..5, 1).is_err());
+    assert!(new(0..4, 0).unwrap_err().to_string().contains("batch is 0"));
+    let mut disp = Array3::<f64>::zeros((4, 2, 3));
+    disp[[2, 0, 0]] = f64::NAN;
+    write_npy(dir.path().join("train/train_disp.npy"), &disp).unwrap();
+    let set = Arc::new(PackedSet::open(dir.path(), Part::Train).unwrap());
+    let state = LoaderState::new(0);
+    let options = LoaderOptions { batch: 4, ..LoaderOptions::default() };
+    let mut loader = Loader::new(set, statistics.clone(), 0..4, options, state).unwrap();
+    assert!(loader.step().unwrap_err().to_string().contains("`frame 2`"));
+    assert!(loader.step().unwrap_err().to_string().contains("stopped"));
+}

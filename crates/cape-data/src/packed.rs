@@ -1,0 +1,363 @@
+use std::{
+    fmt, fs,
+    ops::Range,
+    path::{Path, PathBuf},
+};
+
+use cape_core::{
+    Outfit,
+    joints::{CLOTHING_JOINTS, POSE_FEATURE},
+};
+use ndarray::{Array2, Array3};
+use serde::{Deserialize, Serialize};
+
+use super::{
+    npy_rows::RowReader,
+    statistics::{Accumulator, STATISTICS_FILE, Statistics, validation_count},
+};
+use crate::{Error, Result};
+use cape_core::Progress;
+
+pub(super) const FRAMES_HEADER: &str = "subject,outfit,sequence,frame";
+
+/// A part of a packed set.
+///
+/// See [`PackedSet`] for an example.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Part {
+    /// Training frames; the last ones validate.
+    Train,
+    /// Test frames.
+    Test,
+}
+
+impl Part {
+    /// Its directory's name and its files' prefix.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Train => "train",
+            Self::Test => "test",
+        }
+    }
+
+    /// Whether a packed set in `root` has this part.
+    pub fn exists(self, root: &Path) -> bool {
+        self.path(root, "disp").exists()
+    }
+
+    /// Path of the array `what` of this part of the packed set in `root`.
+    pub fn path(self, root: &Path, what: &str) -> PathBuf {
+        root.join(self.name()).join(format!("{self}_{what}.npy"))
+    }
+
+    pub(super) fn frames_path(self, root: &Path) -> PathBuf {
+        root.join(self.name()).join(format!("{self}_frames.csv"))
+    }
+}
+
+impl fmt::Display for Part {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// Where a packed frame was captured.
+///
+/// See [`PackedSet`] for an example.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Origin {
+    /// The subject.
+    pub subject: String,
+    /// The motion sequence, without the outfit.
+    pub sequence: String,
+    /// Name of the raw frame's file, without its extension.
+    pub frame: String,
+}
+
+/// Frames, as the network takes them.
+///
+/// See [`PackedSet`] for an example.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Batch {
+    /// Rows of the packed set.
+    pub frames: Vec<usize>,
+    /// Displacements, `[batch, V, 3]`: normalised, or in metres.
+    pub displacement: Array3<f32>,
+    /// Rotation matrices of the clothing-related joints, row-major, `[batch, 126]`.
+    pub pose_feature: Array2<f32>,
+    /// One-hot outfits, `[batch, 4]`.
+    pub outfit: Array2<f32>,
+}
+
+/// One part of a packed set, read frame by frame from its files (by this crate or by the official
+/// tools, float64 or float32).
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_core::Outfit;
+/// use cape_core::silent;
+/// use cape_data::{PackedSet, Part, Statistics};
+///
+/// // Five frames of a walk of a triangle, which train, and five of a kick, which test.
+/// let directory = triangles()?;
+/// let packed = directory.path().join("packed");
+/// let set = PackedSet::open(&packed, Part::Train)?;
+/// assert_eq!((set.frames(), set.vertices(), set.outfits()[0]), (5, 3, Outfit::LongLong));
+/// assert_eq!(set.origins().unwrap()[0].sequence, "walk");
+/// let batch = set.batch(&[4, 0], None)?;
+/// assert_eq!((batch.displacement.dim(), batch.pose_feature.dim()), ((2, 3, 3), (2, 126)));
+/// assert!((batch.displacement[[0, 0, 0]] - 0.04).abs() < 1e-6);
+///
+/// // The last frame validates; 0, 1, 2 and 3 centimetres train, whose mean is 1.5.
+/// let statistics = Statistics::of_packed(&packed, &mut silent)?;
+/// assert_eq!(statistics.training_rows(set.frames()), 0..4);
+/// assert!((statistics.mean()[[0, 0]] - 0.015).abs() < 1e-6);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug)]
+pub struct PackedSet {
+    displacement: RowReader,
+    pose: RowReader,
+    rotations: RowReader,
+    outfits: Vec<Outfit>,
+    origins: Option<Vec<Origin>>,
+    /// Displacements and pose features of all frames.
+    preloaded: Option<(Vec<f32>, Vec<f32>)>,
+}
+
+impl PackedSet {
+    /// Opens a part of the packed set in `root` and checks that its files belong together.
+    pub fn open(root: &Path, part: Part) -> Result<Self> {
+        let open = |what, row: &[Option<usize>]| RowReader::open(part.path(root, what), row);
+        let displacement = open("disp", &[None, Some(3)])?;
+        let frames = displacement.rows();
+        if frames == 0 || displacement.shape()[1] == 0 {
+            let message = format!("shape {:?}: there are no frames", displacement.shape());
+            return Err(Error::format(displacement.path(), message));
+        }
+        let pose = open("pose", &[Some(72)])?;
+        let rotations = open("rot", &[Some(216)])?;
+        let labels = open("clo_label", &[Some(4)])?;
+        for other in [&pose, &rotations, &labels] {
+            if other.rows() != frames {
+                let message = format!(
+                    "has {} frames, but {} has {frames}",
+                    other.rows(),
+                    displacement.path().display()
+                );
+                return Err(Error::format(other.path(), message));
+            }
+        }
+        let outfits = (0..frames).map(|row| outfit(&labels, row)).collect::<Result<_>>()?;
+        let origins = read_origins(&part.frames_path(root), frames)?;
+        Ok(Self { displacement, pose, rotations, outfits, origins, preloaded: None })
+    }
+
+    /// Number of frames, at least 1.
+    pub fn frames(&self) -> usize {
+        self.displacement.rows()
+    }
+
+    /// Number of vertices of a frame, at least 1.
+    pub fn vertices(&self) -> usize {
+        self.displacement.shape()[1]
+    }
+
+    /// Every frame's outfit.
+    pub fn outfits(&self) -> &[Outfit] {
+        &self.outfits
+    }
+
+    /// Where every frame was captured; `None` if the set does not say, as the official one.
+    pub fn origins(&self) -> Option<&[Origin]> {
+        self.origins.as_deref()
+    }
+
+    /// The capture a frame is of: subject, outfit and sequence as far as the set says.
+    pub fn capture(&self, frame: usize) -> String {
+        let outfit = self.outfits[frame];
+        match self.origins() {
+            Some(origins) => {
+                let Origin { subject, sequence, .. } = &origins[frame];
+                format!("{subject}/{outfit}_{sequence}")
+            }
+            None => outfit.to_string(),
+        }
+    }
+
+    /// Reads every frame into memory, as float32.
+    pub fn preload(&mut self, progress: &mut Progress) -> Result<()> {
+        let frames = self.frames();
+        let mut all = (
+            Vec::with_capacity(frames * 3 * self.vertices()),
+            Vec::with_capacity(frames * POSE_FEATURE),
+        );
+        for frame in 0..frames {
+            self.read_into(frame, &mut all.0, &mut all.1)?;
+            progress(frame + 1, frames);
+        }
+        self.preloaded = Some(all);
+        Ok(())
+    }
+
+    /// Reads frames, in the order given; repetitions are allowed. Displacements are normalised by
+    /// the given statistics, or left in metres. The numbers do not depend on [`preload`].
+    ///
+    /// [`preload`]: Self::preload
+    pub fn batch(&self, frames: &[usize], normalise: Option<&Statistics>) -> Result<Batch> {
+        let (count, vertices) = (frames.len(), self.vertices());
+        let mut displacement = Vec::with_capacity(count * 3 * vertices);
+        let mut pose_feature = Vec::with_capacity(count * POSE_FEATURE);
+        let mut outfit = Vec::with_capacity(count * 4);
+        for &frame in frames {
+            let Some(label) = self.outfits.get(frame) else {
+                let total = self.frames();
+                return Err(Error::argument(format!("frame {frame} of a set of {total}")));
+            };
+            outfit.extend(label.one_hot());
+            match &self.preloaded {
+                Some((all, features)) => {
+                    let row = 3 * vertices;
+                    displacement.extend(&all[frame * row..][..row]);
+                    pose_feature.extend(&features[frame * POSE_FEATURE..][..POSE_FEATURE]);
+                }
+                None => self.read_into(frame, &mut displacement, &mut pose_feature)?,
+            }
+        }
+        if let Some(statistics) = normalise {
+            statistics.expect_vertices(vertices)?;
+            statistics.normalise(&mut displacement);
+        }
+        let shape = |e: ndarray::ShapeError| Error::argument(e.to_string());
+        Ok(Batch {
+            frames: frames.to_vec(),
+            displacement: Array3::from_shape_vec((count, vertices, 3), displacement)
+                .map_err(shape)?,
+            pose_feature: Array2::from_shape_vec((count, POSE_FEATURE), pose_feature)
+                .map_err(shape)?,
+            outfit: Array2::from_shape_vec((count, 4), outfit).map_err(shape)?,
+        })
+    }
+
+    /// One frame in double precision: displacements `[V, 3]` in metres, pose `[72]`, and the
+    /// rotation matrices of 24 joints, row-major, `[216]`.
+    pub fn frame(&self, frame: usize) -> Result<(Array2<f64>, Vec<f64>, Vec<f64>)> {
+        let displacement =
+            Array2::from_shape_vec((self.vertices(), 3), self.displacement.row(frame)?)
+                .map_err(|error| Error::argument(error.to_string()))?;
+        Ok((displacement, self.pose.row(frame)?, self.rotations.row(frame)?))
+    }
+
+    /// One frame's displacements, metres, `[3 V]`.
+    pub fn displacement_row(&self, frame: usize) -> Result<Vec<f64>> {
+        self.displacement.row(frame)
+    }
+
+    /// One frame's pose: axis-angle rotations of 24 joints, `[72]`.
+    pub fn pose(&self, frame: usize) -> Result<Vec<f32>> {
+        Ok(self.pose.row(frame)?.into_iter().map(|x| x as f32).collect())
+    }
+
+    fn read_into(
+        &self,
+        frame: usize,
+        displacement: &mut Vec<f32>,
+        feature: &mut Vec<f32>,
+    ) -> Result<()> {
+        displacement.extend(self.displacement.row(frame)?.into_iter().map(|x| x as f32));
+        let rotations = self.rotations.row(frame)?;
+        for joint in CLOTHING_JOINTS {
+            feature.extend(rotations[9 * joint..][..9].iter().map(|&x| x as f32));
+        }
+        Ok(())
+    }
+}
+
+fn outfit(labels: &RowReader, row: usize) -> Result<Outfit> {
+    let label = labels.row(row)?;
+    let hot = Outfit::ALL.into_iter().find(|outfit| {
+        let expected = outfit.one_hot().map(f64::from);
+        label.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-6)
+    });
+    hot.ok_or_else(|| {
+        let message = format!("label {label:?}, expected one 1 and three 0 (one-hot)");
+        Error::field(labels.path(), format!("row {row}"), message)
+    })
+}
+
+fn read_origins(path: &Path, frames: usize) -> Result<Option<Vec<Origin>>> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let text = fs::read_to_string(path).map_err(|e| Error::io(path, e))?;
+    let mut lines = text.lines();
+    if lines.next() != Some(FRAMES_HEADER) {
+        return Err(Error::format(path, format!("its first line is not `{FRAMES_HEADER}`")));
+    }
+    let origin = |(number, line): (usize, &str)| {
+        let fields: Vec<&str> = line.splitn(4, ',').collect();
+        let &[subject, _outfit, sequence, frame] = fields.as_slice() else {
+            let message = format!("expected `{FRAMES_HEADER}`");
+            return Err(Error::field(path, format!("line {}", number + 2), message));
+        };
+        let [subject, sequence, frame] = [subject, sequence, frame].map(str::to_owned);
+        Ok(Origin { subject, sequence, frame })
+    };
+    let origins = lines.enumerate().map(origin).collect::<Result<Vec<_>>>()?;
+    if origins.len() != frames {
+        let message = format!("lists {} frames, but there are {frames}", origins.len());
+        return Err(Error::format(path, message));
+    }
+    Ok(Some(origins))
+}
+
+impl Statistics {
+    /// The statistics of the packed set in `root`: its `stats.npz`, or else computed from the
+    /// training frames and, if the directory can be written, kept there for the next time.
+    pub fn of_packed(root: &Path, progress: &mut Progress) -> Result<Self> {
+        let path = root.join(STATISTICS_FILE);
+        if path.exists() {
+            return Self::load(path);
+        }
+        let set = PackedSet::open(root, Part::Train)?;
+        let validation = validation_count(set.frames());
+        let count = set.frames() - validation;
+        let mut accumulator = Accumulator::new(3 * set.vertices());
+        for frame in 0..count {
+            accumulator.push(set.displacement.row(frame)?);
+            progress(frame + 1, count);
+        }
+        let statistics = accumulator.finish(validation)?;
+        // A set on a read-only medium is as good; only the next opening is slower.
+        let _ = statistics.save(path);
+        Ok(statistics)
+    }
+
+    /// The rows of a training set of `frames` frames that train.
+    pub fn training_rows(&self, frames: usize) -> Range<usize> {
+        0..frames.saturating_sub(self.validation())
+    }
+
+    /// The rows of a training set of `frames` frames that validate.
+    pub fn validation_rows(&self, frames: usize) -> Range<usize> {
+        frames.saturating_sub(self.validation())..frames
+    }
+
+    /// An error unless the set has `vertices` vertices a frame.
+    pub fn expect_vertices(&self, vertices: usize) -> Result<()> {
+        if self.vertices() == vertices {
+            return Ok(());
+        }
+        Err(Error::Data(format!(
+            "normalisation statistics of {} vertices do not fit frames of {vertices}",
+            self.vertices()
+        )))
+    }
+}
+
+#[cfg(test)]
+#[path = "packed_tests.rs"]
+mod tests;

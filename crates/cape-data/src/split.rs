@@ -1,0 +1,362 @@
+use std::{collections::HashSet, fs, path::Path};
+
+use cape_core::Outfit;
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, Result};
+
+/// Which frames of a raw tree train and which test, and in which order they are packed.
+///
+/// As TOML (`split.toml`):
+///
+/// ```toml
+/// subjects = ["00032", "00122"]
+/// outfits = ["shortlong", "longlong"]
+/// cut = 2          # frames dropped at either end of a sequence (default 2)
+/// sample_rate = 1  # keep every n-th of the remaining frames (default 1)
+///
+/// [train]
+/// sequences = ["hips", "squats", "simple"]
+/// exclude = ["simple", "00032/longlong_hips"]
+///
+/// [test]
+/// sequences = ["soccer"]
+/// ```
+///
+/// ```
+/// use cape_core::Outfit;
+/// use cape_data::Split;
+///
+/// let split = Split::preset("male")?;
+/// assert_eq!((split.subjects.len(), split.test.sequences.len()), (7, 4));
+///
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("split.toml");
+/// std::fs::write(&path, split.to_toml()?)?;
+/// assert_eq!(Split::from_file(&path)?, split);
+///
+/// let mut twice = split;
+/// twice.outfits = vec![Outfit::LongLong; 2];
+/// assert!(twice.validate().is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Split {
+    /// Subjects, in packing order.
+    pub subjects: Vec<String>,
+    /// Outfits, in packing order.
+    pub outfits: Vec<Outfit>,
+    /// Frames dropped at the beginning and at the end of every sequence.
+    #[serde(default = "default_cut")]
+    pub cut: usize,
+    /// Of the frames left by `cut`, every `sample_rate`-th is kept, from the first on.
+    #[serde(default = "default_sample_rate")]
+    pub sample_rate: usize,
+    /// Sequences that train.
+    pub train: SequenceList,
+    /// Sequences that test.
+    #[serde(default)]
+    pub test: SequenceList,
+}
+
+/// Motion sequences, in packing order, and what to leave out of them.
+///
+/// ```
+/// use cape_core::Outfit;
+/// use cape_data::SequenceList;
+///
+/// let list = SequenceList {
+///     sequences: vec!["hips".into(), "simple".into()],
+///     exclude: vec!["simple".into(), "00032/longlong_hips".into()],
+/// };
+/// assert!(list.excludes("00122", Outfit::LongLong, "simple"));
+/// assert!(list.excludes("00032", Outfit::LongLong, "hips"));
+/// assert!(!list.excludes("00122", Outfit::LongLong, "hips"));
+/// ```
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SequenceList {
+    /// Names without the outfit, e.g. `soccer`.
+    pub sequences: Vec<String>,
+    /// Left out: a sequence (`soccer`), or one capture of it (`00032/longlong_soccer`).
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub exclude: Vec<String>,
+}
+
+impl SequenceList {
+    /// Whether `exclude` names this capture or its whole sequence.
+    pub fn excludes(&self, subject: &str, outfit: Outfit, sequence: &str) -> bool {
+        let capture = format!("{subject}/{outfit}_{sequence}");
+        self.exclude.iter().any(|name| name == sequence || *name == capture)
+    }
+}
+
+const fn default_cut() -> usize {
+    2
+}
+
+const fn default_sample_rate() -> usize {
+    1
+}
+
+const MALE: &[&str] = &["03284", "00215", "00127", "00122", "00032", "02474", "03394"];
+const FEMALE: &[&str] = &["00159", "00134", "03223", "03331"];
+const OUTFITS: [Outfit; 4] =
+    [Outfit::ShortLong, Outfit::LongShort, Outfit::ShortShort, Outfit::LongLong];
+const GROUP_1: &[&str] = &[
+    "ballerina_spin",
+    "ATUsquat",
+    "basketball",
+    "bend_back_and_front",
+    "bend_twist",
+    "chicken_wings",
+    "flying_eagle",
+    "hips",
+    "improvise",
+    "jumping_jacks",
+    "move_arms",
+    "move_shoulders",
+    "pose_model",
+    "punching",
+    "ROM_lower",
+    "ROM_upper",
+    "rotate_hips",
+    "running_on_the_spot",
+    "shoulders_mill",
+    "simple",
+    "soccer",
+    "squats",
+    "twist_tilt",
+    "tilt_twist_left",
+    "twist_tilt_left",
+    "walk_march",
+];
+const GROUP_1_TEST: &[&str] = &["ballerina_spin", "soccer", "pose_model", "bend_twist"];
+const GROUP_2_TRAIN: &[&str] = &[
+    "athletics",
+    "ATUsquat",
+    "badminton",
+    "basketball",
+    "ballet1",
+    "box",
+    "frisbee",
+    "golf",
+    "row",
+    "swim",
+    "twist_tilt",
+    "volleyball",
+    "climb",
+    "ski",
+];
+const GROUP_2_TEST: &[&str] = &["twist_trial2", "soccer_trial2", "climb_trial2", "ski_trial2"];
+/// Too much soft-tissue and cloth dynamics for a model of single frames.
+const TOO_DYNAMIC: &[&str] = &["running_on_the_spot", "jumping_jacks"];
+
+fn owned(names: &[&str]) -> Vec<String> {
+    names.iter().map(ToString::to_string).collect()
+}
+
+impl Split {
+    /// The paper's male set: seven subjects, four held-out sequences.
+    pub fn male() -> Self {
+        let train = GROUP_1.iter().filter(|name| !GROUP_1_TEST.contains(name));
+        Self {
+            subjects: owned(MALE),
+            outfits: OUTFITS.to_vec(),
+            cut: default_cut(),
+            sample_rate: default_sample_rate(),
+            train: SequenceList {
+                sequences: train.map(ToString::to_string).collect(),
+                exclude: owned(TOO_DYNAMIC),
+            },
+            test: SequenceList { sequences: owned(GROUP_1_TEST), exclude: Vec::new() },
+        }
+    }
+
+    /// The paper's female set: the male set's sequences and those of a second capture session,
+    /// four subjects.
+    pub fn female() -> Self {
+        let mut split = Self { subjects: owned(FEMALE), ..Self::male() };
+        split.train.sequences.extend(GROUP_2_TRAIN.iter().map(|name| format!("{name}_trial1")));
+        split.test.sequences.extend(owned(GROUP_2_TEST));
+        split
+    }
+
+    /// The preset called `name`: `male` or `female`.
+    pub fn preset(name: &str) -> Result<Self> {
+        match name {
+            "male" => Ok(Self::male()),
+            "female" => Ok(Self::female()),
+            _ => Err(Error::argument(format!("unknown split `{name}`: expected male or female"))),
+        }
+    }
+
+    /// Reads and validates a `split.toml`.
+    pub fn from_file(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let text = fs::read_to_string(path).map_err(|e| Error::io(path, e))?;
+        let split: Self =
+            toml::from_str(&text).map_err(|e| Error::format(path, e.to_string().trim_end()))?;
+        split.check().map_err(|(field, message)| Error::field(path, field, message))?;
+        Ok(split)
+    }
+
+    /// The contents of a `split.toml`.
+    pub fn to_toml(&self) -> Result<String> {
+        toml::to_string_pretty(self).map_err(|e| Error::argument(format!("split: {e}")))
+    }
+
+    /// Checks that the split selects something, and nothing twice.
+    pub fn validate(&self) -> Result<()> {
+        self.check()
+            .map_err(|(field, message)| Error::argument(format!("split: `{field}`: {message}")))
+    }
+
+    fn check(&self) -> Result<(), (&'static str, String)> {
+        check_names("subjects", &self.subjects)?;
+        check_names("train.sequences", &self.train.sequences)?;
+        check_names("test.sequences", &self.test.sequences)?;
+        for (field, empty) in [
+            ("subjects", self.subjects.is_empty()),
+            ("outfits", self.outfits.is_empty()),
+            ("train.sequences", self.train.sequences.is_empty() && self.test.sequences.is_empty()),
+        ] {
+            if empty {
+                return Err((field, "is empty: expected at least one name".to_owned()));
+            }
+        }
+        let distinct: HashSet<_> = self.outfits.iter().collect();
+        if distinct.len() != self.outfits.len() {
+            return Err(("outfits", "lists an outfit twice".to_owned()));
+        }
+        if self.sample_rate == 0 {
+            return Err(("sample_rate", "is 0: expected 1 (every frame) or more".to_owned()));
+        }
+        for (field, list) in [("train.exclude", &self.train), ("test.exclude", &self.test)] {
+            if let Some(name) = list.exclude.iter().find(|name| !self.selects(list, name)) {
+                return Err((
+                    field,
+                    format!(
+                        "`{name}` is neither a sequence of the list nor                          `subject/outfit_sequence` of one"
+                    ),
+                ));
+            }
+        }
+        let train: HashSet<_> = self.train.sequences.iter().collect();
+        match self.test.sequences.iter().find(|&name| train.contains(name)) {
+            Some(name) => Err(("test.sequences", format!("`{name}` is also in train.sequences"))),
+            None => Ok(()),
+        }
+    }
+
+    /// Whether `name` is a sequence of `list` or one capture of it.
+    fn selects(&self, list: &SequenceList, name: &str) -> bool {
+        let (subject, capture) = name.split_once('/').unwrap_or(("", name));
+        let Some((outfit, sequence)) = capture.split_once('_').filter(|_| name.contains('/'))
+        else {
+            return list.sequences.iter().any(|sequence| sequence == name);
+        };
+        self.subjects.iter().any(|known| known == subject)
+            && self.outfits.iter().any(|known| known.name() == outfit)
+            && list.sequences.iter().any(|known| known == sequence)
+    }
+}
+
+/// Names become directory names and columns of CSV files.
+fn check_names(field: &'static str, names: &[String]) -> Result<(), (&'static str, String)> {
+    let mut seen = HashSet::new();
+    for name in names {
+        let plain = |c: char| c.is_alphanumeric() || matches!(c, '_' | '-' | '.' | '+' | ' ');
+        if name.is_empty() || name.starts_with('.') || !name.chars().all(plain) {
+            return Err((
+                field,
+                format!("`{name}` is not a name: expected letters, digits, `_`, `-`, `.`"),
+            ));
+        }
+        if !seen.insert(name) {
+            return Err((field, format!("lists `{name}` twice")));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn minimal(extra: &str) -> String {
+        format!(
+            "{extra}\nsubjects = ['a']\noutfits = ['shortlong']\n[train]\nsequences = ['walk']\n"
+        )
+    }
+
+    fn load(text: &str) -> Result<Split> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        fs::write(file.path(), text).unwrap();
+        Split::from_file(file.path())
+    }
+
+    #[test]
+    fn presets_have_the_papers_sizes_and_order() {
+        let male = Split::male();
+        assert_eq!(male.subjects.first().map(String::as_str), Some("03284"));
+        assert_eq!((male.subjects.len(), male.train.sequences.len()), (7, 22));
+        assert_eq!(male.train.sequences[..2], ["ATUsquat", "basketball"]);
+        assert_eq!(male.test.sequences, ["ballerina_spin", "soccer", "pose_model", "bend_twist"]);
+        assert!(male.train.excludes("00032", Outfit::LongLong, "jumping_jacks"));
+        let female = Split::female();
+        assert_eq!(female.subjects, ["00159", "00134", "03223", "03331"]);
+        assert_eq!((female.train.sequences.len(), female.test.sequences.len()), (36, 8));
+        assert_eq!(female.train.sequences[22], "athletics_trial1");
+        for split in [male, female] {
+            split.validate().unwrap();
+            assert_eq!((split.cut, split.sample_rate), (2, 1));
+        }
+    }
+
+    #[test]
+    fn toml_round_trip_and_defaults() {
+        let split = Split::female();
+        assert_eq!(load(&split.to_toml().unwrap()).unwrap(), split);
+        let split = load(&minimal("")).unwrap();
+        assert_eq!((split.cut, split.sample_rate, split.test.sequences.len()), (2, 1, 0));
+    }
+
+    #[test]
+    fn exclusions_name_a_sequence_or_one_capture() {
+        let list = SequenceList {
+            sequences: owned(&["hips", "walk"]),
+            exclude: owned(&["walk", "a/longlong_hips"]),
+        };
+        assert!(list.excludes("b", Outfit::ShortLong, "walk"));
+        assert!(list.excludes("a", Outfit::LongLong, "hips"));
+        assert!(!list.excludes("b", Outfit::LongLong, "hips"));
+    }
+
+    #[test]
+    fn mistakes_are_named() {
+        let swap = |from: &str, to: &str| minimal("").replace(from, to);
+        for (text, expected) in [
+            (minimal("cats = 1"), "cats"),
+            (minimal("cut = -1"), "cut"),
+            (minimal("sample_rate = 0"), "`sample_rate`"),
+            (swap("subjects = ['a']", ""), "subjects"),
+            (swap("['a']", "[]"), "`subjects`: is empty"),
+            (swap("['a']", "['a', 'a']"), "`subjects`: lists `a` twice"),
+            (swap("['a']", "['../a']"), "`subjects`: `../a` is not a name"),
+            (swap("['shortlong']", "['coat']"), "coat"),
+            (swap("['shortlong']", "['longlong', 'longlong']"), "`outfits`"),
+            (swap("['walk']", "[]"), "`train.sequences`"),
+            (minimal("") + "exclude = ['wakl']", "`train.exclude`: `wakl`"),
+            (minimal("") + "exclude = ['a/longlong_walk']", "`train.exclude`"),
+            (minimal("") + "[test]\nsequences = ['walk']", "`test.sequences`: `walk` is also"),
+        ] {
+            let message = load(&text).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
+        }
+        load(&(minimal("") + "exclude = ['walk', 'a/shortlong_walk']")).unwrap();
+        assert!(Split::from_file("/nonexistent/split.toml").is_err());
+        assert!(Split::preset("child").unwrap_err().to_string().contains("child"));
+    }
+}

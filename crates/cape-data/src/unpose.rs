@@ -1,0 +1,210 @@
+//! Registrations in motion made into frames that [`pack`](super::pack()) takes.
+
+use std::path::{Path, PathBuf};
+
+use cape_core::{Outfit, SmplModel, npy::write_npy};
+use ndarray::Array2;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::raw::{self, RawFrame};
+use crate::{Error, Result};
+use cape_core::Progress;
+use cape_core::StagingDirectory;
+
+/// What was unposed.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_synth::synthetic_body;
+/// use cape_core::silent;
+/// use cape_data::unpose::unpose;
+///
+/// // Four frames each of two movements of a synthetic subject.
+/// let directory = captures()?;
+/// let [raw, unposed] = ["raw", "unposed"].map(|name| directory.path().join(name));
+/// let report = unpose(&raw, &unposed, &synthetic_body(), 10, &mut silent)?;
+/// assert_eq!((report.frames, report.broken.len()), (8, 0));
+/// // The subject is one of the body's shapes, and clothes are some millimetres off it.
+/// assert!(report.subjects[0].residual_mm < 0.01);
+/// assert!((1.0..50.0).contains(&report.displacement_mm));
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct UnposeReport {
+    /// Every subject whose frames were unposed.
+    pub subjects: Vec<UnposedSubject>,
+    /// Frames written.
+    pub frames: usize,
+    /// Mean length of the displacements, millimetres: some 5 to 20 under clothes.
+    pub displacement_mm: f64,
+    /// Frames left out, and why.
+    pub broken: Vec<(PathBuf, String)>,
+}
+
+/// A subject, and how well the body describes its minimal shape.
+///
+/// See [`UnposeReport`] for an example.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct UnposedSubject {
+    /// Its name.
+    pub subject: String,
+    /// Frames written.
+    pub frames: usize,
+    /// Shape coefficients nearest to its minimal shape.
+    pub betas: Vec<f64>,
+    /// Root mean square distance of that body from the minimal shape, millimetres.
+    pub residual_mm: f64,
+}
+
+/// Unposes every frame of the raw tree `raw`: reads `v_posed`, `pose` and `transl` (zero where it
+/// is missing), and writes them with `v_cano` into the new tree `out`, which appears only when it
+/// is complete. Joints come from each subject's minimal shape, which must be there.
+///
+/// # Errors
+/// If a minimal shape is missing or does not fit the body, or if no frame is left. Frames that
+/// cannot be read or unposed are listed.
+pub fn unpose(
+    raw: &Path,
+    out: &Path,
+    body: &SmplModel,
+    betas: usize,
+    progress: &mut Progress,
+) -> Result<UnposeReport> {
+    let mut report = UnposeReport::default();
+    let staging = StagingDirectory::create(out)?;
+    let subjects = plan(raw)?;
+    let total = subjects.iter().flat_map(|(_, frames)| frames).count();
+    let (mut done, mut sum) = (0, 0.0);
+    for (subject, frames) in &subjects {
+        let minimal = raw::read_minimal(raw, subject)?;
+        let fit = body
+            .fit_betas(&minimal, betas)
+            .map_err(|error| Error::format(raw::minimal_path(raw, subject), error.to_string()))?;
+        raw::write_minimal(&staging.path, subject, &minimal)?;
+        let mut written = 0;
+        for chunk in frames.chunks(4 * rayon::current_num_threads()) {
+            let unposed: Vec<Result<f64>> = chunk
+                .par_iter()
+                .map(|path| {
+                    raw::require_inside(raw, path)?;
+                    let (frame, length) = unpose_frame(path, &minimal, body)?;
+                    let place = staging.path.join(path.strip_prefix(raw).unwrap_or(path));
+                    raw::write_frame_at(&place, &frame)?;
+                    Ok(length)
+                })
+                .collect();
+            for (path, unposed) in chunk.iter().zip(unposed) {
+                match unposed {
+                    Ok(length) => {
+                        sum += length;
+                        written += 1;
+                    }
+                    Err(error) => report.broken.push((path.clone(), error.to_string())),
+                }
+            }
+            done += chunk.len();
+            progress(done, total);
+        }
+        report.frames += written;
+        report.subjects.push(UnposedSubject {
+            subject: subject.clone(),
+            frames: written,
+            betas: fit.betas,
+            residual_mm: 1000.0 * fit.rms,
+        });
+    }
+    if report.frames == 0 {
+        let why = report.broken.first().map_or_else(String::new, |(_, why)| format!(": {why}"));
+        return Err(Error::Data(format!("{}: no frame can be unposed{why}", raw.display())));
+    }
+    report.displacement_mm = 1000.0 * sum / report.frames as f64;
+    body.save(staging.path.join(raw::BODY_FILE))?;
+    let clothing = raw.join(raw::CLOTHING_FILE);
+    if clothing.is_file() {
+        let indices = cape_core::npy::read_i64(&clothing)?;
+        write_npy(staging.path.join(raw::CLOTHING_FILE), &indices)?;
+    }
+    staging.commit(out)?;
+    Ok(report)
+}
+
+/// Subjects with the paths of their frames.
+fn plan(raw: &Path) -> Result<Vec<(String, Vec<PathBuf>)>> {
+    let mut subjects = Vec::new();
+    for directory in raw::directories(&raw.join("sequences"))? {
+        let mut frames = Vec::new();
+        for capture in raw::directories(&directory)? {
+            let named = capture.file_name().and_then(|name| name.to_str()?.split_once('_'));
+            if named.is_some_and(|(outfit, _)| outfit.parse::<Outfit>().is_ok()) {
+                frames.extend(raw::frame_paths(&capture)?.unwrap_or_default());
+            }
+        }
+        if !frames.is_empty() {
+            subjects.push((raw::name_of(&directory), frames));
+        }
+    }
+    Ok(subjects)
+}
+
+/// The frame with its canonical vertices, and the mean length of its displacements, metres.
+fn unpose_frame(path: &Path, minimal: &Array2<f64>, body: &SmplModel) -> Result<(RawFrame, f64)> {
+    let posed = raw::read_posed(path, body.vertices())?;
+    let v_cano = body
+        .unpose_shape(&posed.v_posed, minimal, &posed.pose, posed.transl)
+        .map_err(|error| Error::format(path, error.to_string()))?;
+    let lengths = (&v_cano - minimal).map_axis(ndarray::Axis(1), |d| d.dot(&d).sqrt());
+    let length = lengths.mean().unwrap_or(0.0);
+    Ok((RawFrame { v_cano, ..posed }, length))
+}
+
+#[cfg(test)]
+mod tests {
+    use cape_synth::{Synth, SynthSpec, synthetic_body};
+
+    use std::fs;
+
+    use super::*;
+    use cape_core::silent;
+
+    #[test]
+    fn synthetic_captures_are_unposed_to_what_they_were_made_of() {
+        let root = tempfile::tempdir().unwrap();
+        let raw_tree = root.path().join("raw");
+        let body = synthetic_body();
+        let spec = SynthSpec { subjects: 1, frames_per_sequence: 3, ..SynthSpec::default() };
+        Synth::new(&body, spec).unwrap().write(&raw_tree, &mut silent).unwrap();
+        let frames: Vec<PathBuf> = plan(&raw_tree).unwrap().remove(0).1;
+        let expected: Vec<RawFrame> =
+            frames.iter().map(|path| raw::read_frame(path, None).unwrap()).collect();
+        // Without canonical vertices, and one without a translation.
+        for (index, (path, frame)) in frames.iter().zip(&expected).enumerate() {
+            let mut file = cape_core::npy::NpzWriter::create(path).unwrap();
+            file.add("v_posed", &frame.v_posed).unwrap();
+            file.add("pose", &ndarray::arr1(&frame.pose)).unwrap();
+            if index > 0 || frame.transl != [0.0; 3] {
+                file.add("transl", &ndarray::arr1(&frame.transl)).unwrap();
+            }
+            file.finish().unwrap();
+        }
+        fs::write(&frames[1], "x").unwrap();
+        let out = root.path().join("out");
+        let report = unpose(&raw_tree, &out, &body, 10, &mut silent).unwrap();
+        assert_eq!((report.frames, report.broken.len()), (frames.len() - 1, 1));
+        assert!(report.broken[0].1.contains("npz"), "{:?}", report.broken);
+        assert!(report.subjects[0].residual_mm < 1.0, "{report:?}");
+        assert!((1.0..50.0).contains(&report.displacement_mm), "{}", report.displacement_mm);
+        for (path, expected) in frames.iter().zip(&expected).skip(2) {
+            let found = raw::read_frame(&out.join(path.strip_prefix(&raw_tree).unwrap()), None);
+            let found = found.unwrap();
+            let difference = &found.v_cano - &expected.v_cano;
+            assert!(difference.iter().all(|d| d.abs() < 1e-6), "{}", path.display());
+            assert_eq!(found.pose, expected.pose);
+        }
+        assert!(out.join(raw::BODY_FILE).is_file());
+        let message = unpose(&out, &out, &body, 10, &mut silent).unwrap_err().to_string();
+        assert!(message.contains("exists already"), "{message}");
+    }
+}

@@ -1,0 +1,160 @@
+//! How fast a machine trains and dresses: updates, decoding and encoding on the synthetic body,
+//! beside what its processor could do.
+
+mod memory;
+mod timing;
+mod workload;
+
+use std::time::Duration;
+
+use burn::tensor::Device;
+use cape_graph::peak_gflops;
+use cape_model::{CapeConfig, update_flops};
+use serde::Serialize;
+
+use crate::Result;
+use cape_core::Progress;
+use timing::Effort;
+
+pub use memory::{peak_rss_mb, rss_mb};
+pub use workload::{Inference, Workload};
+
+/// Updates, which may take seconds each.
+const UPDATES: Effort = Effort { warm_up: 2, most: 10, least: 3, budget: Duration::from_secs(40) };
+/// Decoding or encoding.
+const INFERENCES: Effort =
+    Effort { warm_up: 2, most: 20, least: 3, budget: Duration::from_secs(5) };
+/// Examples of a batch that is decoded or encoded.
+const INFERENCE_BATCH: usize = 16;
+
+/// What a benchmark found. Times are medians.
+///
+/// Not run here, for it takes a minute:
+///
+/// ```no_run
+/// use burn::tensor::Device;
+/// use cape_model::CapeConfig;
+/// use cape_core::silent;
+/// use cape_eval::bench::bench;
+///
+/// let report = bench(&CapeConfig::paper(), 16, 1, &Device::default(), &mut silent)?;
+/// println!("{:.2} s an update, {:?} GFLOP/s", report.seconds_per_update, report.gflops);
+/// # Ok::<(), cape_train::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct BenchReport {
+    /// Seconds of one update of generator and discriminator.
+    pub seconds_per_update: f64,
+    /// Examples of the generator's batches in a second of updates.
+    pub examples_per_second: f64,
+    /// The operations counted by [`update_flops`], in a second of updates, 10⁹; none for
+    /// architectures that it does not count.
+    pub gflops: Option<f64>,
+    /// Part of [`peak_gflops`](Self::peak_gflops) that is; 1 would be all.
+    pub peak_fraction: Option<f64>,
+    /// Multiply-adds in registers that the processor's threads reach together, two operations
+    /// each, 10⁹ a second; none on devices that are not the processor.
+    pub peak_gflops: Option<f64>,
+    /// Operations of one update, 10⁹.
+    pub gflop_per_update: Option<f64>,
+    /// Milliseconds of decoding 1 example.
+    pub decode_ms_batch1: f64,
+    /// Milliseconds of decoding 16 examples.
+    pub decode_ms_batch16: f64,
+    /// Milliseconds of encoding 16 examples.
+    pub encode_ms_batch16: f64,
+    /// The most memory the process has had resident, 10⁶ bytes; none where the operating system
+    /// does not say.
+    pub peak_rss_mb: Option<f64>,
+    /// Examples of a batch in an update.
+    pub batch: usize,
+    /// Threads of the processor.
+    pub threads: usize,
+    /// Updates that were timed.
+    pub updates: usize,
+}
+
+/// Measures a model of `config` in batches of `batch` on `device`; `seed` fixes weights and data.
+/// Takes two minutes at most where an update takes no more than ten seconds.
+pub fn bench(
+    config: &CapeConfig,
+    batch: usize,
+    seed: u64,
+    device: &Device,
+    progress: &mut Progress,
+) -> Result<BenchReport> {
+    let total = 2 + UPDATES.runs() + 3 * INFERENCES.runs();
+    let mut steps = Steps { done: 0, total, progress };
+    let mut workload = Workload::new(config, batch, seed, device)?;
+    steps.to(1);
+    let peak = cape_core::devices().contains(device).then(peak_gflops);
+    steps.to(2);
+    let update = UPDATES.time(|| workload.update(), || steps.next())?;
+    let mut inference = |stage: usize, batch: usize, work: fn(&Inference) -> Result<()>| {
+        steps.to(2 + UPDATES.runs() + stage * INFERENCES.runs());
+        let model = workload.inference(batch);
+        let timing = INFERENCES.time(|| work(&model), || steps.next())?;
+        Ok::<_, crate::Error>(1e3 * timing.seconds)
+    };
+    let decode_ms_batch1 = inference(0, 1, Inference::decode)?;
+    let decode_ms_batch16 = inference(1, INFERENCE_BATCH, Inference::decode)?;
+    let encode_ms_batch16 = inference(2, INFERENCE_BATCH, Inference::encode)?;
+    steps.to(total);
+
+    let graphs = workload.graphs();
+    let adversary = graphs.discriminator.as_ref().map_or(&[][..], |graph| graph.vertices());
+    let gflop = update_flops(config, graphs.generator.vertices(), adversary, batch)
+        .map(|operations| 1e-9 * operations);
+    let gflops = gflop.map(|gflop| gflop / update.seconds);
+    Ok(BenchReport {
+        seconds_per_update: update.seconds,
+        examples_per_second: batch as f64 / update.seconds,
+        gflops,
+        peak_fraction: gflops.zip(peak).map(|(gflops, peak)| gflops / peak),
+        peak_gflops: peak,
+        gflop_per_update: gflop,
+        decode_ms_batch1,
+        decode_ms_batch16,
+        encode_ms_batch16,
+        peak_rss_mb: peak_rss_mb(),
+        batch,
+        threads: rayon::current_num_threads(),
+        updates: update.runs,
+    })
+}
+
+/// Where a benchmark is.
+struct Steps<'a, 'b> {
+    done: usize,
+    total: usize,
+    progress: &'a mut Progress<'b>,
+}
+
+impl Steps<'_, '_> {
+    fn next(&mut self) {
+        self.to(self.done + 1);
+    }
+
+    fn to(&mut self, done: usize) {
+        self.done = done;
+        (self.progress)(done, self.total);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tiny_model_is_measured() {
+        let device = cape_core::devices().remove(0);
+        let mut seen = Vec::new();
+        let report = bench(&CapeConfig::tiny(), 1, 1, &device, &mut |done, total| {
+            seen.push((done, total));
+        })
+        .unwrap();
+        assert!(report.seconds_per_update > 0.0 && report.gflops > Some(0.0), "{report:?}");
+        assert!(seen.is_sorted() && seen.last().is_some_and(|(done, total)| done == total));
+        assert!(Workload::new(&CapeConfig::tiny(), 0, 1, &device).is_err());
+    }
+}

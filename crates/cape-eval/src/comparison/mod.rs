@@ -1,0 +1,166 @@
+//! Methods side by side on the same test frames.
+//!
+//! [`measure_run`] reconstructs every test frame with a trained run; [`Meter`] does the measuring for
+//! methods of any kind. [`Table`] puts what they came to side by side, with intervals and tests that
+//! take frames of one capture for what they are: not independent.
+
+mod runs;
+mod table;
+mod text;
+
+use std::sync::Arc;
+
+use cape_core::SmplModel;
+use serde::{Deserialize, Serialize};
+
+pub use cape_stats::resample::Interval;
+pub use runs::{common_data, expect_alike, training_seconds};
+pub use table::{Line, Table};
+
+use crate::{
+    EachFrame, EvalOptions, Gathered, PosteriorUse, Result,
+    detail::{Detail, DetailMeter},
+    reconstruct_test,
+};
+use cape_core::Progress;
+use cape_data::PackedSet;
+use cape_infer::Run;
+use cape_stats::errors::{GroupedSummary, Histogram};
+
+/// Width of a histogram's bins, millimetres.
+const BIN_MM: f64 = 0.25;
+/// How many there are at most.
+const BINS: usize = 200;
+
+/// What a method came to on the test frames.
+///
+/// See [`Table`] for an example.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Measured {
+    /// Errors of a sample of the posterior, as the paper's table has them.
+    pub sampled: GroupedSummary,
+    /// Errors of the posterior's mean.
+    pub mean: GroupedSummary,
+    /// Wrinkles, for the posterior's mean.
+    pub detail: Detail,
+    /// Mean error of every test frame's sampled reconstruction, millimetres, by capture.
+    captures: Vec<(String, Vec<f32>)>,
+    /// Mean error of the sampled reconstruction at every vertex, millimetres.
+    pub vertex_means: Vec<f32>,
+    /// Errors of sampled reconstructions at all vertices of all frames.
+    pub histogram: Histogram,
+}
+
+/// A method with all its results.
+///
+/// See [`Table`] for an example.
+#[derive(Debug, Clone)]
+pub struct Method<'a> {
+    /// Its name for programs.
+    pub name: String,
+    /// Its name for people.
+    pub label: String,
+    /// Results, one a seed, at least one.
+    pub results: Vec<&'a Measured>,
+    /// Seconds of training, all seeds together.
+    pub seconds: f64,
+}
+
+/// Measures reconstructions of test frames as they come.
+///
+/// See [`Table`] for an example.
+#[derive(Debug, Clone)]
+pub struct Meter {
+    sampled: Gathered,
+    mean: Gathered,
+    detail: DetailMeter,
+}
+
+impl Meter {
+    /// For displacements of `body` compared at the clothing vertices.
+    pub fn new(body: &SmplModel, clothing: &[usize]) -> Self {
+        let gathered = Gathered::new(body.vertices(), clothing);
+        Self { sampled: gathered.clone(), mean: gathered, detail: DetailMeter::new(body, clothing) }
+    }
+
+    /// Adds frame `row` of `set`, decoded from a sample of the posterior: displacements in metres,
+    /// `[3 V]`.
+    pub fn sampled(
+        &mut self,
+        set: &PackedSet,
+        row: usize,
+        predicted: &[f32],
+        truth: &[f32],
+    ) -> Result<()> {
+        self.sampled.push(set, row, predicted, truth)
+    }
+
+    /// The same, decoded from the posterior's mean.
+    pub fn mean(
+        &mut self,
+        set: &PackedSet,
+        row: usize,
+        predicted: &[f32],
+        truth: &[f32],
+    ) -> Result<()> {
+        self.detail.push(predicted, truth);
+        self.mean.push(set, row, predicted, truth)
+    }
+
+    /// What the frames so far came to.
+    pub fn measured(&self) -> Measured {
+        let mut captures: Vec<(String, Vec<f32>)> = Vec::new();
+        for frame in self.sampled.frames() {
+            match captures.last_mut() {
+                Some((last, errors)) if *last == frame.capture => errors.push(frame.mean as f32),
+                _ => captures.push((frame.capture.clone(), vec![frame.mean as f32])),
+            }
+        }
+        Measured {
+            sampled: self.sampled.summary(),
+            mean: self.mean.summary(),
+            detail: self.detail.detail(),
+            captures,
+            vertex_means: self.sampled.vertex_means(),
+            histogram: self.sampled.histogram(BIN_MM, BINS),
+        }
+    }
+}
+
+/// Measures a trained run on test frames; `seed` fixes the samples. `each` also gets every
+/// reconstruction from the posterior's mean.
+pub fn measure_run(
+    run: &Run,
+    set: &Arc<PackedSet>,
+    seed: u64,
+    progress: &mut Progress,
+    each: &mut EachFrame,
+) -> Result<Measured> {
+    let mut meter = Meter::new(run.body(), run.clothing());
+    // An auto-encoder's code is its mean.
+    let variational = run.config().model.variational;
+    let options = |posterior| EvalOptions { posterior, seed, ..EvalOptions::default() };
+    reconstruct_test(
+        run,
+        set,
+        options(PosteriorUse::Mean),
+        progress,
+        &mut |row, predicted, truth| {
+            meter.mean(set, row, predicted, truth)?;
+            if !variational {
+                meter.sampled(set, row, predicted, truth)?;
+            }
+            each(row, predicted, truth)
+        },
+    )?;
+    if variational {
+        reconstruct_test(
+            run,
+            set,
+            options(PosteriorUse::Sample),
+            progress,
+            &mut |row, predicted, truth| meter.sampled(set, row, predicted, truth),
+        )?;
+    }
+    Ok(meter.measured())
+}

@@ -1,0 +1,273 @@
+//! Results side by side.
+
+use serde::Serialize;
+
+use cape_stats::resample::{Cluster, Interval, clusters, interval, sign_test};
+
+use super::{Measured, Method};
+use crate::detail::Detail;
+use cape_stats::errors::{GroupedSummary, Histogram};
+
+/// Methods side by side.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_synth::synthetic_body;
+/// use cape_data::{PackedSet, Part};
+/// use cape_eval::comparison::{Meter, Method, Table};
+///
+/// // Two methods: one has every displacement right, the other misses it by a millimetre.
+/// let directory = captures()?;
+/// let set = PackedSet::open(&directory.path().join("packed"), Part::Test)?;
+/// let clothing = [3000, 3001, 3002];
+/// let measure = |miss: f32| -> cape_train::Result<_> {
+///     let mut meter = Meter::new(&synthetic_body(), &clothing);
+///     for row in 0..set.frames() {
+///         let truth: Vec<f32> = set.displacement_row(row)?.iter().map(|&x| x as f32).collect();
+///         let mut predicted = truth.clone();
+///         predicted.iter_mut().step_by(3).for_each(|x| *x += miss);
+///         meter.sampled(&set, row, &predicted, &truth)?;
+///         meter.mean(&set, row, &predicted, &truth)?;
+///     }
+///     Ok(meter.measured())
+/// };
+/// let (right, near) = (measure(0.0)?, measure(0.001)?);
+/// let method = |name: &str, result| Method {
+///     name: name.to_lowercase(),
+///     label: name.to_owned(),
+///     results: vec![result],
+///     seconds: 1.0,
+/// };
+/// let table = Table::new(&[method("Right", &right), method("Near", &near)], Some(0));
+/// assert_eq!((table.frames, table.captures), (4, 1));
+/// assert!((table.lines[1].mean - 1.0).abs() < 1e-3);
+/// assert!(table.markdown().contains("Near"));
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, Clone, Serialize)]
+pub struct Table {
+    /// One a method.
+    pub lines: Vec<Line>,
+    /// Name of the method that the others are compared with.
+    pub reference: Option<String>,
+    /// Test frames.
+    pub frames: usize,
+    /// Captures they are of, which intervals and tests are drawn over.
+    pub captures: usize,
+}
+
+/// A method's line of the table, over all its seeds.
+///
+/// See [`Table`] for an example.
+#[derive(Debug, Clone, Serialize)]
+pub struct Line {
+    /// The method's name.
+    #[serde(rename = "row")]
+    pub name: String,
+    /// Its name for people.
+    #[serde(skip)]
+    pub label: String,
+    /// How many seeds.
+    pub seeds: usize,
+    /// Mean error of sampled reconstructions, millimetres; mean over seeds.
+    pub mean: f64,
+    /// Standard deviation over frames and vertices; mean over seeds.
+    pub std: f64,
+    /// Median; mean over seeds.
+    pub median: f64,
+    /// Standard deviation of the mean over seeds.
+    pub between_seeds: Option<f64>,
+    /// 95 % interval of the mean, by bootstrap over captures.
+    pub interval: Option<Interval>,
+    /// Mean error of the posterior's mean.
+    pub posterior_mean: f64,
+    /// Wrinkles.
+    pub detail: Detail,
+    /// Mean error minus the reference's, and how likely a difference as large is by chance.
+    pub against: Option<(f64, Option<f64>)>,
+    /// Seconds of training, all seeds together.
+    pub seconds: f64,
+    /// Mean error by outfit, of sampled reconstructions.
+    pub outfits: Vec<(String, f64)>,
+    /// Mean error by sequence.
+    pub sequences: Vec<(String, f64)>,
+    /// Errors of sampled reconstructions, all seeds together.
+    pub histogram: Histogram,
+}
+
+impl Table {
+    /// Of methods, in this order; `reference` is the place of the one that the others are compared
+    /// with.
+    pub fn new(methods: &[Method], reference: Option<usize>) -> Self {
+        let reference = reference
+            .and_then(|place| methods.get(place))
+            .filter(|method| !method.results.is_empty());
+        let lines = methods
+            .iter()
+            .filter(|method| !method.results.is_empty())
+            .map(|method| {
+                let other = reference.filter(|other| other.name != method.name);
+                Line::new(method, other.map_or(&[][..], |other| &other.results))
+            })
+            .collect();
+        let first = methods.iter().find_map(|method| method.results.first());
+        let frames = first.map_or(0, |r| r.captures.iter().map(|(_, errors)| errors.len()).sum());
+        let captures = first.map_or(0, |result| result.clusters().len());
+        let reference = reference.map(|method| method.name.clone());
+        Self { lines, reference, frames, captures }
+    }
+}
+
+impl Measured {
+    fn clusters(&self) -> Vec<(String, Cluster)> {
+        let frames = self.captures.iter().flat_map(|(capture, errors)| {
+            errors.iter().map(move |&error| (capture.as_str(), f64::from(error)))
+        });
+        let found = clusters(frames);
+        found.into_iter().map(|(capture, cluster)| (capture.to_owned(), cluster)).collect()
+    }
+}
+
+/// Clusters of several seeds, averaged.
+fn averaged(results: &[&Measured]) -> Vec<Cluster> {
+    let mut sum: Vec<Cluster> = Vec::new();
+    for result in results {
+        let own = result.clusters();
+        sum.resize(own.len(), Cluster::default());
+        for (sum, (_, own)) in sum.iter_mut().zip(&own) {
+            sum.sum += own.sum / results.len() as f64;
+            sum.count = own.count;
+        }
+    }
+    sum
+}
+
+fn mean_of(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), x| (sum + x, count + 1.0));
+    sum / count
+}
+
+impl Line {
+    fn new(method: &Method, reference: &[&Measured]) -> Self {
+        let results = &method.results;
+        let over = |f: &dyn Fn(&Measured) -> f64| mean_of(results.iter().map(|result| f(result)));
+        let mean = over(&|r| r.sampled.overall.mean);
+        let between_seeds = (results.len() > 1).then(|| {
+            let squares = results.iter().map(|r| (r.sampled.overall.mean - mean).powi(2));
+            (squares.sum::<f64>() / (results.len() - 1) as f64).sqrt()
+        });
+        let own = averaged(results);
+        let names = |result: &Measured| -> Vec<String> {
+            result.clusters().into_iter().map(|(name, _)| name).collect()
+        };
+        let comparable = reference.first().is_some_and(|other| names(other) == names(results[0]));
+        let against = comparable.then(|| {
+            let theirs = averaged(reference);
+            let differences: Vec<Cluster> = own
+                .iter()
+                .zip(&theirs)
+                .map(|(a, b)| Cluster { sum: a.sum - b.sum, count: a.count })
+                .collect();
+            let count: f64 = differences.iter().map(|d| d.count).sum();
+            let sum: f64 = differences.iter().map(|d| d.sum).sum();
+            (sum / count, sign_test(&differences))
+        });
+        let by = |of: &dyn Fn(&GroupedSummary) -> Vec<(String, f64)>| -> Vec<(String, f64)> {
+            let names = of(&results[0].sampled);
+            names
+                .into_iter()
+                .map(|(name, _)| {
+                    let found = |r: &&Measured| {
+                        of(&r.sampled).into_iter().find(|(n, _)| *n == name).map(|(_, x)| x)
+                    };
+                    let mean = mean_of(results.iter().filter_map(found));
+                    (name, mean)
+                })
+                .collect()
+        };
+        let mut histogram = results[0].histogram.clone();
+        for result in &results[1..] {
+            histogram.add(&result.histogram);
+        }
+        Self {
+            name: method.name.clone(),
+            label: method.label.clone(),
+            seeds: results.len(),
+            mean,
+            std: over(&|r| r.sampled.overall.std),
+            median: over(&|r| r.sampled.overall.median),
+            between_seeds,
+            interval: interval(&own),
+            posterior_mean: over(&|r| r.mean.overall.mean),
+            detail: Detail {
+                edge_mm: over(&|r| r.detail.edge_mm),
+                normal_degrees: over(&|r| r.detail.normal_degrees),
+                high_energy: over(&|r| r.detail.high_energy),
+            },
+            against,
+            seconds: method.seconds,
+            outfits: by(&|s| s.outfits.iter().map(|(k, v)| (k.to_string(), v.mean)).collect()),
+            sequences: by(&|s| s.sequences.iter().map(|(k, v)| (k.clone(), v.mean)).collect()),
+            histogram,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use cape_core::Outfit;
+
+    use super::*;
+    use cape_stats::errors::GroupedErrors;
+
+    /// A method with these errors in frames of captures `a` and `b`.
+    fn measured(frames: &[(&str, f32)]) -> Measured {
+        let mut errors = GroupedErrors::new();
+        let mut captures: Vec<(String, Vec<f32>)> = Vec::new();
+        for &(capture, error) in frames {
+            errors.push(Outfit::LongLong, Some(capture), &[error]);
+            captures.push((capture.to_owned(), vec![error]));
+        }
+        Measured {
+            sampled: errors.summary(),
+            mean: errors.summary(),
+            detail: Detail::default(),
+            captures,
+            vertex_means: vec![0.0],
+            histogram: errors.overall().histogram(0.25, 200),
+        }
+    }
+
+    fn method<'a>(name: &str, results: &[&'a Measured]) -> Method<'a> {
+        let label = name.to_uppercase();
+        Method { name: name.to_owned(), label, results: results.to_vec(), seconds: 1.0 }
+    }
+
+    #[test]
+    fn lines_are_compared_with_the_reference() {
+        let one = measured(&[("a", 1.0), ("b", 3.0), ("a", 2.0)]);
+        let two = measured(&[("a", 2.0), ("b", 4.0), ("a", 3.0)]);
+        let elsewhere = measured(&[("c", 2.0)]);
+        let methods = [method("x", &[&two]), method("y", &[&one]), method("z", &[&elsewhere])];
+        let table = Table::new(&methods, Some(1));
+        assert_eq!((table.frames, table.captures), (3, 2));
+        assert_eq!(table.reference.as_deref(), Some("y"));
+        let [x, y, z] = &table.lines[..] else { panic!("{table:?}") };
+        assert_eq!(x.against, Some((1.0, Some(0.5))));
+        assert_eq!((y.against, z.against), (None, None));
+        assert!(Table::new(&methods, None).lines.iter().all(|line| line.against.is_none()));
+    }
+
+    #[test]
+    fn seeds_are_averaged_and_counted_together() {
+        let results = [measured(&[("a", 1.0), ("b", 3.0)]), measured(&[("a", 2.0), ("b", 4.0)])];
+        let table = Table::new(&[method("x", &[&results[0], &results[1]])], None);
+        let line = &table.lines[0];
+        assert_eq!((line.seeds, line.mean), (2, 2.5));
+        assert!((line.between_seeds.unwrap() - 0.5_f64.sqrt()).abs() < 1e-12);
+        assert_eq!(line.sequences, [("a".to_owned(), 1.5), ("b".to_owned(), 3.5)]);
+        assert_eq!(line.histogram.total(), 4);
+    }
+}

@@ -1,0 +1,327 @@
+//! How well wrinkles are reconstructed, which the mean error rewards smoothing for.
+
+use std::f64::consts::PI;
+
+use cape_core::SmplModel;
+use cape_graph::{Surface, rescaled_laplacian};
+use serde::{Deserialize, Serialize};
+use sprs::{CsMat, TriMat};
+
+/// Terms of the Chebyshev series of the high-pass filter.
+const TERMS: usize = 64;
+
+/// Detail of reconstructions at clothing vertices, over all frames.
+///
+/// See [`DetailMeter`] for an example.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct Detail {
+    /// Mean length of the difference of edge vectors, millimetres.
+    pub edge_mm: f64,
+    /// Mean angle between true and reconstructed face normals on the template body, degrees.
+    pub normal_degrees: f64,
+    /// Energy of the reconstructed displacements above the middle of the Laplacian's spectrum,
+    /// relative to the true ones': below 1 wrinkles are smoothed away.
+    pub high_energy: f64,
+}
+
+/// Measures [`Detail`] frame by frame.
+///
+/// ```
+/// use cape_synth::synthetic_body;
+/// use cape_eval::detail::DetailMeter;
+///
+/// let body = synthetic_body();
+/// let clothing: Vec<usize> = (0..body.vertices()).collect();
+/// let truth: Vec<f32> = (0..3 * body.vertices()).map(|i| 0.01 * (i as f32).sin()).collect();
+/// let half: Vec<f32> = truth.iter().map(|x| 0.5 * x).collect();
+/// let mut meter = DetailMeter::new(&body, &clothing);
+/// meter.push(&half, &truth);
+/// // Wrinkles of half the size have a quarter of the energy.
+/// let detail = meter.detail();
+/// assert!((detail.high_energy - 0.25).abs() < 1e-3);
+/// assert!(detail.edge_mm > 0.0 && detail.normal_degrees > 0.0);
+/// ```
+#[derive(Debug, Clone)]
+pub struct DetailMeter {
+    template: Vec<[f64; 3]>,
+    faces: Vec<[usize; 3]>,
+    edges: Vec<[usize; 2]>,
+    clothing: Vec<usize>,
+    filter: HighPass,
+    edge_sum: f64,
+    angle_sum: f64,
+    energies: [f64; 2],
+    frames: usize,
+}
+
+impl DetailMeter {
+    /// For displacements of `body` compared at the clothing vertices; edges and faces count if all
+    /// their vertices do.
+    pub fn new(body: &SmplModel, clothing: &[usize]) -> Self {
+        let surface = Surface::from(body);
+        let mut covered = vec![false; body.vertices()];
+        for &vertex in clothing {
+            covered[vertex] = true;
+        }
+        let edges = surface.edges();
+        let indices =
+            |corners: &[u32]| -> Vec<usize> { corners.iter().map(|&v| v as usize).collect() };
+        let inside = |corners: &[usize]| corners.iter().all(|&vertex| covered[vertex]);
+        let mut adjacency = TriMat::new((body.vertices(), body.vertices()));
+        for &[a, b] in &edges {
+            adjacency.add_triplet(a as usize, b as usize, 1.0);
+            adjacency.add_triplet(b as usize, a as usize, 1.0);
+        }
+        Self {
+            faces: body
+                .faces
+                .iter()
+                .map(|face| face.map(|vertex| vertex as usize))
+                .filter(|face| inside(face))
+                .collect(),
+            edges: edges
+                .iter()
+                .filter(|edge| inside(&indices(&edge[..])))
+                .map(|edge| edge.map(|vertex| vertex as usize))
+                .collect(),
+            filter: HighPass::new(rescaled_laplacian(&adjacency.to_csr())),
+            clothing: clothing.to_vec(),
+            template: surface.vertices,
+            edge_sum: 0.0,
+            angle_sum: 0.0,
+            energies: [0.0; 2],
+            frames: 0,
+        }
+    }
+
+    /// Adds a frame: displacements in metres, `[3 V]`.
+    pub fn push(&mut self, predicted: &[f32], truth: &[f32]) {
+        let rows = |values: &[f32]| -> Vec<[f64; 3]> {
+            values.as_chunks::<3>().0.iter().map(|row| row.map(f64::from)).collect()
+        };
+        let [predicted, truth] = [rows(predicted), rows(truth)];
+        let difference = |a: usize, b: usize, of: &[[f64; 3]]| minus(of[a], of[b]);
+        let edge = |&[a, b]: &[usize; 2]| {
+            length(minus(difference(a, b, &predicted), difference(a, b, &truth)))
+        };
+        self.edge_sum += mean(self.edges.iter().map(edge));
+        let normal = |face: &[usize; 3], of: &[[f64; 3]]| {
+            let [a, b, c] = face.map(|v| plus(self.template[v], of[v]));
+            cross(minus(b, a), minus(c, a))
+        };
+        let angle = |face: &[usize; 3]| {
+            let (a, b) = (normal(face, &predicted), normal(face, &truth));
+            // By the tangent: the cosine of small angles has no digits left.
+            length(cross(a, b)).atan2(dot(a, b))
+        };
+        self.angle_sum += mean(self.faces.iter().map(angle));
+        for (energy, of) in self.energies.iter_mut().zip([&predicted, &truth]) {
+            let high = self.filter.apply(of);
+            *energy += self.clothing.iter().map(|&v| dot(high[v], high[v])).sum::<f64>();
+        }
+        self.frames += 1;
+    }
+
+    /// Means over the frames so far; NaN without any.
+    pub fn detail(&self) -> Detail {
+        let count = self.frames as f64;
+        Detail {
+            edge_mm: 1000.0 * self.edge_sum / count,
+            normal_degrees: (self.angle_sum / count).to_degrees(),
+            high_energy: self.energies[0] / self.energies[1],
+        }
+    }
+}
+
+/// The part of a signal above the middle of the spectrum of the normalised Laplacian `L`, whose
+/// eigenvalues lie in 0 to 2: a step at 1, as a Chebyshev series in `L − 1` damped after Jackson.
+#[derive(Debug, Clone)]
+struct HighPass {
+    laplacian: CsMat<f64>,
+    coefficients: Vec<f64>,
+}
+
+impl HighPass {
+    fn new(laplacian: CsMat<f64>) -> Self {
+        let n = TERMS as f64;
+        let damping = |k: f64| {
+            let angle = PI / (n + 1.0);
+            ((n - k + 1.0) * (angle * k).cos() + (angle * k).sin() / angle.tan()) / (n + 1.0)
+        };
+        // Coefficients of the step: 1/2, and 2 sin(kπ/2) / (kπ).
+        let step = |k: usize| match k {
+            0 => 0.5,
+            _ if k.is_multiple_of(2) => 0.0,
+            _ => 2.0 / (k as f64 * PI) * if k % 4 == 1 { 1.0 } else { -1.0 },
+        };
+        let coefficients = (0..TERMS).map(|k| step(k) * damping(k as f64)).collect();
+        Self { laplacian, coefficients }
+    }
+
+    fn apply(&self, signal: &[[f64; 3]]) -> Vec<[f64; 3]> {
+        let mut before = signal.to_vec();
+        let mut now = self.multiply(signal);
+        let mut out: Vec<[f64; 3]> = before
+            .iter()
+            .zip(&now)
+            .map(|(a, b)| {
+                [0, 1, 2].map(|i| self.coefficients[0] * a[i] + self.coefficients[1] * b[i])
+            })
+            .collect();
+        for &coefficient in &self.coefficients[2..] {
+            let mut next = self.multiply(&now);
+            for (next, before) in next.iter_mut().zip(&before) {
+                *next = [0, 1, 2].map(|i| 2.0 * next[i] - before[i]);
+            }
+            if coefficient != 0.0 {
+                for (out, next) in out.iter_mut().zip(&next) {
+                    *out = [0, 1, 2].map(|i| out[i] + coefficient * next[i]);
+                }
+            }
+            before = std::mem::replace(&mut now, next);
+        }
+        out
+    }
+
+    fn multiply(&self, signal: &[[f64; 3]]) -> Vec<[f64; 3]> {
+        let row = |row: sprs::CsVecViewI<f64, usize>| {
+            row.iter().fold([0.0; 3], |sum, (j, &w)| [0, 1, 2].map(|i| sum[i] + w * signal[j][i]))
+        };
+        self.laplacian.outer_iterator().map(row).collect()
+    }
+}
+
+fn plus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|i| a[i] + b[i])
+}
+
+fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|i| a[i] - b[i])
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+fn length(a: [f64; 3]) -> f64 {
+    dot(a, a).sqrt()
+}
+
+fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len().max(1) as f64;
+    values.sum::<f64>() / count
+}
+
+#[cfg(test)]
+mod tests {
+    use cape_core::Mesh;
+    use cape_synth::synthetic_body;
+    use nalgebra::{DMatrix, SymmetricEigen};
+
+    use super::*;
+
+    /// An octahedron, twice subdivided: 66 vertices.
+    fn sphere() -> Surface {
+        let mut vertices: Vec<[f32; 3]> = vec![
+            [1.0, 0.0, 0.0],
+            [-1.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0],
+            [0.0, -1.0, 0.0],
+            [0.0, 0.0, 1.0],
+            [0.0, 0.0, -1.0],
+        ];
+        let mut faces: Vec<[u32; 3]> = vec![
+            [0, 2, 4],
+            [2, 1, 4],
+            [1, 3, 4],
+            [3, 0, 4],
+            [2, 0, 5],
+            [1, 2, 5],
+            [3, 1, 5],
+            [0, 3, 5],
+        ];
+        for _ in 0..2 {
+            let mut middles = std::collections::HashMap::new();
+            let mut middle = |a: u32, b: u32| {
+                *middles.entry((a.min(b), a.max(b))).or_insert_with(|| {
+                    let (p, q) = (vertices[a as usize], vertices[b as usize]);
+                    vertices.push([0, 1, 2].map(|i| 0.5 * (p[i] + q[i])));
+                    vertices.len() as u32 - 1
+                })
+            };
+            faces = faces
+                .iter()
+                .flat_map(|&[a, b, c]| {
+                    let (ab, bc, ca) = (middle(a, b), middle(b, c), middle(c, a));
+                    [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+                })
+                .collect();
+        }
+        Surface::from(&Mesh { vertices, faces })
+    }
+
+    /// Against the exact spectrum: eigenvalues away from the step pass or do not.
+    #[test]
+    fn the_filter_is_a_step_in_the_spectrum() {
+        let surface = sphere();
+        let n = surface.vertices.len();
+        let mut adjacency = TriMat::new((n, n));
+        for [a, b] in surface.edges() {
+            adjacency.add_triplet(a as usize, b as usize, 1.0);
+            adjacency.add_triplet(b as usize, a as usize, 1.0);
+        }
+        let laplacian = rescaled_laplacian(&adjacency.to_csr());
+        let mut dense = DMatrix::zeros(n, n);
+        for (row, values) in laplacian.outer_iterator().enumerate() {
+            for (column, &value) in values.iter() {
+                dense[(row, column)] = value;
+            }
+        }
+        let eigen = SymmetricEigen::new(dense);
+        let filter = HighPass::new(laplacian);
+        let mut checked = [0, 0];
+        for (k, &value) in eigen.eigenvalues.iter().enumerate() {
+            let vector: Vec<[f64; 3]> =
+                eigen.eigenvectors.column(k).iter().map(|&x| [x, -2.0 * x, 0.0]).collect();
+            let out = filter.apply(&vector);
+            let gain = out.iter().zip(&vector).map(|(a, b)| dot(*a, *b)).sum::<f64>() / 5.0;
+            let expected = f64::from(value > 0.0);
+            if value.abs() > 0.08 {
+                assert!((gain - expected).abs() < 0.02, "eigenvalue {value}: gain {gain}");
+                checked[usize::from(value > 0.0)] += 1;
+            }
+            assert!((-0.01..1.01).contains(&gain));
+        }
+        assert!(checked[0] > 10 && checked[1] > 5, "{checked:?}");
+    }
+
+    #[test]
+    fn detail_of_known_differences() {
+        let body = synthetic_body();
+        let clothing: Vec<usize> = (0..body.vertices()).filter(|v| v % 7 != 0).collect();
+        let mut meter = DetailMeter::new(&body, &clothing);
+        let truth: Vec<f32> =
+            (0..3 * body.vertices()).map(|i| 0.01 * ((i * i) as f32 * 0.37).sin()).collect();
+        // The same, shifted as a whole: no edge and no normal differs.
+        let shifted: Vec<f32> = truth.iter().map(|x| x + 0.02).collect();
+        meter.push(&shifted, &truth);
+        let detail = meter.detail();
+        assert!(detail.edge_mm < 1e-4 && detail.normal_degrees < 1e-2, "{detail:?}");
+        // Half as long: half of every edge's difference, a quarter of the energy.
+        let mut meter = DetailMeter::new(&body, &clothing);
+        let half: Vec<f32> = truth.iter().map(|x| 0.5 * x).collect();
+        meter.push(&half, &truth);
+        let detail = meter.detail();
+        assert!((detail.high_energy - 0.25).abs() < 1e-6, "{detail:?}");
+        let expected = mean(meter.edges.iter().map(|&[a, b]| {
+            let d = |v: usize, i: usize| f64::from(truth[3 * v + i]);
+            500.0 * (0..3).map(|i| (d(a, i) - d(b, i)).powi(2)).sum::<f64>().sqrt()
+        }));
+        assert!((detail.edge_mm - expected).abs() < 1e-3 * expected, "{detail:?} {expected}");
+        assert!(detail.normal_degrees > 1.0);
+    }
+}

@@ -1,0 +1,85 @@
+//! Which outfit is it? A small classifier on displacements.
+
+use std::{collections::BTreeMap, path::Path};
+
+use cape_core::Outfit;
+
+use crate::{Error, Result};
+use cape_data::{PackedSet, Part};
+use cape_infer::Run;
+
+/// The mean length of displacement at every clothing vertex, for each outfit: where cloth ends shows
+/// in it.
+pub(super) struct Centroids {
+    outfits: BTreeMap<Outfit, Vec<f64>>,
+}
+
+impl Centroids {
+    /// Of at most `frames` training frames, evenly spaced.
+    pub(super) fn of_training(run: &Run, data: &Path, frames: usize) -> Result<Self> {
+        let set = PackedSet::open(data, Part::Train)?;
+        let (found, expected) = (set.vertices(), run.body().vertices());
+        if found != expected {
+            return Err(Error::data(format!(
+                "training frames of {found} vertices, but the run's body has {expected}"
+            )));
+        }
+        let rows = run.statistics().training_rows(set.frames());
+        let step = rows.len().div_ceil(frames.max(1)).max(1);
+        let mut lengths = Vec::new();
+        for row in rows.step_by(step) {
+            let displacement = set.displacement_row(row)?;
+            let length = |&v: &usize| {
+                displacement[3 * v..3 * v + 3].iter().map(|x| x * x).sum::<f64>().sqrt()
+            };
+            lengths.push((set.outfits()[row], run.clothing().iter().map(length).collect()));
+        }
+        Ok(Self::new(&lengths))
+    }
+
+    fn new(lengths: &[(Outfit, Vec<f64>)]) -> Self {
+        let mut sums: BTreeMap<Outfit, (usize, Vec<f64>)> = BTreeMap::new();
+        for (outfit, lengths) in lengths {
+            let (count, sum) = sums.entry(*outfit).or_insert_with(|| (0, vec![0.0; lengths.len()]));
+            *count += 1;
+            for (sum, length) in sum.iter_mut().zip(lengths) {
+                *sum += length;
+            }
+        }
+        let means = sums.into_iter().map(|(outfit, (count, sum))| {
+            (outfit, sum.into_iter().map(|x| x / count as f64).collect())
+        });
+        Self { outfits: means.collect() }
+    }
+
+    /// The outfit whose mean lengths are the nearest.
+    pub(super) fn classify(&self, points: &[[f32; 3]]) -> Outfit {
+        let lengths: Vec<f64> = points
+            .iter()
+            .map(|point| point.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt())
+            .collect();
+        let far = |mean: &[f64]| -> f64 {
+            mean.iter().zip(&lengths).map(|(mean, length)| (mean - length).powi(2)).sum()
+        };
+        let nearest = self.outfits.iter().min_by(|a, b| far(a.1).total_cmp(&far(b.1)));
+        nearest.map_or(Outfit::ALL[0], |(&outfit, _)| outfit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_mean_wins() {
+        let lengths = [
+            (Outfit::LongLong, vec![2.0, 2.0]),
+            (Outfit::LongLong, vec![2.2, 1.8]),
+            (Outfit::ShortShort, vec![0.0, 1.0]),
+        ];
+        let centroids = Centroids::new(&lengths);
+        let of = |a: f32, b: f32| centroids.classify(&[[a, 0.0, 0.0], [0.0, -b, 0.0]]);
+        assert_eq!(of(2.0, 2.0), Outfit::LongLong);
+        assert_eq!(of(0.1, 1.2), Outfit::ShortShort);
+    }
+}

@@ -1,0 +1,80 @@
+//! Interpenetration: clothing vertices that are inside the body.
+
+use cape_core::Mesh;
+use parry3d_f64::{
+    math::Vector,
+    query::PointQuery,
+    shape::{TriMesh, TriMeshFlags},
+};
+use rayon::prelude::*;
+
+use crate::{Error, Result};
+
+/// Share of `clothing` vertices, moved by each of `displacements` (metres, `[n][3 V]`), that are inside
+/// the closed surface `body`: by the angle-weighted normal at the closest of all its points, not only
+/// at the vertex that they dress.
+pub(super) fn inside_share(
+    displacements: &[Vec<f32>],
+    clothing: &[usize],
+    body: &Mesh,
+) -> Result<f64> {
+    let vector = |p: [f32; 3]| Vector::from(p.map(f64::from));
+    let vertices = body.vertices.iter().map(|&v| vector(v)).collect();
+    let solid = TriMesh::with_flags(vertices, body.faces.clone(), TriMeshFlags::ORIENTED)
+        .map_err(|error| Error::data(format!("the run's body has no inside: {error}")))?;
+    let inside: usize = displacements
+        .par_iter()
+        .map(|row| {
+            let within = |&&vertex: &&usize| {
+                let at = |i: usize| body.vertices[vertex][i] + row[3 * vertex + i];
+                solid.contains_local_point(vector([at(0), at(1), at(2)]))
+            };
+            clothing.iter().filter(within).count()
+        })
+        .sum();
+    Ok(inside as f64 / (displacements.len() * clothing.len()).max(1) as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two cubes of side 2, 1 apart along x.
+    fn cubes() -> Mesh {
+        let corner = |i: u32, x: f32| {
+            let side = |bit: u32| if i & bit == 0 { -1.0 } else { 1.0 };
+            [x + side(1), side(2), side(4)]
+        };
+        let quads =
+            [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let mut mesh = Mesh { vertices: Vec::new(), faces: Vec::new() };
+        for x in [0.0, 3.0] {
+            let first = mesh.vertices.len() as u32;
+            mesh.vertices.extend((0..8).map(|i| corner(i, x)));
+            for [a, b, c, d] in quads.map(|quad| quad.map(|i| first + i)) {
+                mesh.faces.extend([[a, b, c], [a, c, d]]);
+            }
+        }
+        mesh
+    }
+
+    #[test]
+    fn inside_is_inside_any_part_of_the_body() {
+        let body = cubes();
+        let clothing: Vec<usize> = (0..8).collect();
+        let share = |factor: f32, along: f32| {
+            let row = body
+                .vertices
+                .iter()
+                .flat_map(|&[x, y, z]| [factor * x + along, factor * y, factor * z]);
+            inside_share(&[row.collect()], &clothing, &body).unwrap()
+        };
+        assert_eq!(share(0.01, 0.0), 0.0);
+        assert_eq!(share(-0.01, 0.0), 1.0);
+        // The second cube begins at x = 2: shrunk a little and moved along x by 1.5, the four corners
+        // that were outermost are in the other cube, the four others still in their own.
+        assert_eq!(share(-0.1, 1.5), 1.0);
+        // By 1.05 the first four are between the cubes.
+        assert_eq!(share(-0.1, 1.05), 0.5);
+    }
+}

@@ -1,0 +1,254 @@
+//! How good samples are, beside how they look: against held-out clothes, and by themselves.
+
+mod classify;
+mod inside;
+mod sets;
+
+use std::path::Path;
+
+use cape_core::Outfit;
+use ndarray::{Array2, Axis};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use serde::Serialize;
+
+pub use sets::SetDistances;
+
+use crate::{Error, Result, quality::classify::Centroids};
+use cape_core::Progress;
+use cape_data::{PackedSet, Part};
+use cape_infer::Run;
+
+/// How much is sampled.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use burn::tensor::Device;
+/// use cape_core::silent;
+/// use cape_eval::quality::{QualityOptions, quality, standard_normal};
+/// use cape_infer::Run;
+///
+/// let directory = trained()?;
+/// let [packed, run] = ["packed", "run"].map(|name| directory.path().join(name));
+/// let run = Run::open(&run, &Device::default())?;
+/// let codes = standard_normal(run.config().model.latent, 1.0, 7);
+/// let options = QualityOptions { frames: 4, each: 2, ..QualityOptions::default() };
+/// let report = quality(&run, &packed, &codes, options, &mut silent)?;
+/// assert_eq!(report.frames, 4);
+/// assert!((0.0..=1.0).contains(&report.coverage));
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, Clone, Copy)]
+pub struct QualityOptions {
+    /// Most held-out frames, evenly spaced, that samples are compared with; as many are drawn.
+    pub frames: usize,
+    /// Samples of each outfit in one pose, for diversity.
+    pub each: usize,
+    /// Training frames that the classifier of outfits learns from.
+    pub training_frames: usize,
+    /// Fixes poses and directions.
+    pub seed: u64,
+}
+
+impl Default for QualityOptions {
+    fn default() -> Self {
+        Self { frames: 200, each: 16, training_frames: 400, seed: 1 }
+    }
+}
+
+/// What samples came to. Distances are mean Euclidean distances of clothing vertices in canonical
+/// space, millimetres.
+///
+/// See [`QualityOptions`] for an example.
+#[derive(Debug, Clone, Serialize)]
+pub struct QualityReport {
+    /// Held-out frames, each with a sample of its pose and outfit.
+    pub frames: usize,
+    /// Share of held-out frames that are the nearest to some sample: 1 where samples are everywhere.
+    pub coverage: f64,
+    /// Mean distance from a held-out frame to the nearest sample.
+    pub minimum_matching_mm: f64,
+    /// Share of frames and samples whose nearest neighbour is of their own kind: 0.5 where they
+    /// cannot be told apart, 1 where they are apart.
+    pub nearest_neighbour_accuracy: f64,
+    /// Mean distance between samples of an outfit in one pose.
+    pub diversity_mm: Vec<(Outfit, f64)>,
+    /// The same between held-out frames of an outfit, whatever their pose.
+    pub held_out_diversity_mm: Vec<(Outfit, f64)>,
+    /// How far the canonical displacement moves for a radian of one joint, the code being fixed.
+    pub pose_sensitivity_mm: f64,
+    /// Share of samples that a classifier of outfits takes for what was asked for.
+    pub outfit_consistency: f64,
+    /// The same for held-out frames: what the classifier is worth.
+    pub classifier_accuracy: f64,
+    /// Share of clothing vertices that are inside the body's surface in the standard pose, of samples
+    /// and of held-out frames.
+    pub inside_body: [f64; 2],
+}
+
+/// Pose changes that sensitivity is measured over, and their size, radians.
+const NUDGES: usize = 64;
+const NUDGE: f64 = 0.1;
+/// Joints that clothes follow: neither root, hands nor feet.
+const MOVING: std::ops::Range<usize> = 1..20;
+
+/// Measures samples of a run against the test frames of the packed set in `data`. `codes` draws `n`
+/// codes for an outfit, `[n, latent]`; its last argument is different for every call.
+pub fn quality(
+    run: &Run,
+    data: &Path,
+    codes: &dyn Fn(Outfit, usize, u64) -> Array2<f32>,
+    options: QualityOptions,
+    progress: &mut Progress,
+) -> Result<QualityReport> {
+    let set = PackedSet::open(data, Part::Test)?;
+    let (vertices, found) = (run.body().vertices(), set.vertices());
+    if found != vertices {
+        return Err(Error::data(format!(
+            "test frames of {found} vertices, but the run's body has {vertices}"
+        )));
+    }
+    let step = set.frames().div_ceil(options.frames.max(1)).max(1);
+    let rows: Vec<usize> = (0..set.frames()).step_by(step).collect();
+    let outfits: Vec<Outfit> = rows.iter().map(|&row| set.outfits()[row]).collect();
+    let mut truth = Vec::with_capacity(rows.len());
+    let mut poses = Vec::with_capacity(rows.len());
+    for &row in &rows {
+        truth.push(set.displacement_row(row)?.iter().map(|&x| x as f32).collect::<Vec<f32>>());
+        poses.push(pose_of(&set, row)?);
+    }
+    let mut drawn = Array2::zeros((rows.len(), run.config().model.latent));
+    for (index, &outfit) in outfits.iter().enumerate() {
+        drawn.row_mut(index).assign(&codes(outfit, 1, index as u64).row(0));
+    }
+    let steps = 5;
+    let samples = decoded(run, &drawn, &poses, &outfits)?;
+    progress(1, steps);
+
+    let clothing = run.clothing();
+    let of_clothes = |rows: &[Vec<f32>]| -> Vec<Vec<[f32; 3]>> {
+        let at = |row: &Vec<f32>, v: usize| [row[3 * v], row[3 * v + 1], row[3 * v + 2]];
+        rows.iter().map(|row| clothing.iter().map(|&v| at(row, v)).collect()).collect()
+    };
+    let (truth_points, sample_points) = (of_clothes(&truth), of_clothes(&samples));
+    let distances = SetDistances::between(&truth_points, &sample_points);
+    progress(2, steps);
+
+    let classifier = Centroids::of_training(run, data, options.training_frames)?;
+    let consistent = |points: &[Vec<[f32; 3]>]| {
+        let right = points.iter().zip(&outfits).filter(|(p, o)| classifier.classify(p) == **o);
+        right.count() as f64 / points.len().max(1) as f64
+    };
+    let outfit_consistency = consistent(&sample_points);
+    let classifier_accuracy = consistent(&truth_points);
+    progress(3, steps);
+
+    let mut diversity = Vec::new();
+    for outfit in present(&outfits) {
+        let index = outfits.iter().position(|&o| o == outfit).unwrap_or(0);
+        let codes = codes(outfit, options.each, 1 << 32);
+        let n = codes.nrows();
+        let rows = decoded(run, &codes, &vec![poses[index]; n], &vec![outfit; n])?;
+        diversity.push((outfit, sets::mean_distance(&of_clothes(&rows))));
+    }
+    progress(4, steps);
+    let pose_sensitivity_mm = sensitivity(run, &drawn, &poses, &outfits, options.seed)?;
+    progress(5, steps);
+    let body = run.body().mesh();
+    let inside = |rows: &[Vec<f32>]| inside::inside_share(rows, clothing, &body);
+    Ok(QualityReport {
+        frames: rows.len(),
+        coverage: distances.coverage(),
+        minimum_matching_mm: distances.minimum_matching(),
+        nearest_neighbour_accuracy: distances.nearest_neighbour_accuracy(),
+        diversity_mm: diversity,
+        held_out_diversity_mm: present(&outfits)
+            .into_iter()
+            .map(|outfit| {
+                let own = truth_points.iter().zip(&outfits).filter(|(_, o)| **o == outfit);
+                let own: Vec<_> = own.map(|(points, _)| points.clone()).collect();
+                (outfit, sets::mean_distance(&own))
+            })
+            .collect(),
+        pose_sensitivity_mm,
+        outfit_consistency,
+        classifier_accuracy,
+        inside_body: [inside(&samples)?, inside(&truth)?],
+    })
+}
+
+fn pose_of(set: &PackedSet, row: usize) -> Result<[f32; 72]> {
+    let pose = set.pose(row)?;
+    <[f32; 72]>::try_from(pose.as_slice())
+        .map_err(|_| Error::data(format!("test frame {row}: a pose of {} numbers", pose.len())))
+}
+
+fn present(outfits: &[Outfit]) -> Vec<Outfit> {
+    Outfit::ALL.into_iter().filter(|outfit| outfits.contains(outfit)).collect()
+}
+
+/// Displacements in metres, `[n][3 V]`.
+fn decoded(
+    run: &Run,
+    codes: &Array2<f32>,
+    poses: &[[f32; 72]],
+    outfits: &[Outfit],
+) -> Result<Vec<Vec<f32>>> {
+    let decoded = run.decode(codes, poses, outfits)?;
+    Ok(decoded.axis_iter(Axis(0)).map(|frame| frame.iter().copied().collect()).collect())
+}
+
+/// Mean movement of clothing vertices for a small turn of one joint, millimetres a radian.
+fn sensitivity(
+    run: &Run,
+    codes: &Array2<f32>,
+    poses: &[[f32; 72]],
+    outfits: &[Outfit],
+    seed: u64,
+) -> Result<f64> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let count = NUDGES.min(poses.len());
+    let chosen: Vec<usize> = (0..count).map(|i| i * poses.len() / count.max(1)).collect();
+    let mut moved = Vec::with_capacity(count);
+    for &index in &chosen {
+        let joint = rng.random_range(MOVING);
+        let axis: [f64; 3] = std::array::from_fn(|_| rng.sample(StandardNormal));
+        let length = axis.iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-9);
+        let mut pose = poses[index];
+        for (angle, along) in pose[3 * joint..3 * joint + 3].iter_mut().zip(axis) {
+            *angle += (NUDGE * along / length) as f32;
+        }
+        moved.push(pose);
+    }
+    let codes = codes.select(Axis(0), &chosen);
+    let outfits: Vec<Outfit> = chosen.iter().map(|&index| outfits[index]).collect();
+    let before: Vec<[f32; 72]> = chosen.iter().map(|&index| poses[index]).collect();
+    let [before, after] = [&before, &moved].map(|poses| decoded(run, &codes, poses, &outfits));
+    let mut sum = 0.0;
+    for (before, after) in before?.iter().zip(&after?) {
+        for &vertex in run.clothing() {
+            let at = 3 * vertex..3 * vertex + 3;
+            let squares = before[at.clone()].iter().zip(&after[at]).map(|(a, b)| (a - b).powi(2));
+            sum += f64::from(squares.sum::<f32>()).sqrt();
+        }
+    }
+    Ok(1000.0 * sum / (NUDGE * (count * run.clothing().len()).max(1) as f64))
+}
+
+/// Codes drawn from the standard normal prior, for [`quality`].
+pub fn standard_normal(
+    latent: usize,
+    temperature: f64,
+    seed: u64,
+) -> impl Fn(Outfit, usize, u64) -> Array2<f32> {
+    move |outfit, n, call| {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream((outfit.index() as u64) << 48 | call);
+        Array2::from_shape_simple_fn((n, latent), || {
+            (temperature * rng.sample::<f64, _>(StandardNormal)) as f32
+        })
+    }
+}

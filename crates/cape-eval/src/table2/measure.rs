@@ -1,0 +1,117 @@
+//! Measuring a row, and fitting those that are not trained.
+
+use std::{fs, path::Path, sync::Arc, time::Instant};
+
+use burn::tensor::Device;
+use ndarray::{Array2, Axis};
+
+use super::{FRAMES, Frames, Grid, Job, RESULT, Row, RowResult};
+use crate::{
+    Error, Result,
+    comparison::{Measured, Meter, measure_run},
+};
+use cape_core::Progress;
+use cape_data::{PackedSet, Part, Statistics, principal_components};
+use cape_infer::{Run, write_json};
+use cape_stats::pca::PcaOptions;
+
+const PCA: &str = "pca.npz";
+
+impl Job {
+    /// Measures the row on the test frames and keeps the result; `seconds` is what its training
+    /// took. Rows that are not trained are fitted here.
+    pub fn measure(
+        &self,
+        grid: &Grid,
+        seconds: f64,
+        device: &Device,
+        progress: &mut Progress,
+    ) -> Result<RowResult> {
+        let start = Instant::now();
+        let set = Arc::new(PackedSet::open(&grid.data, Part::Test)?);
+        let mut frames = Frames::new(&self.shown, set.vertices());
+        let measured = if self.row.is_trained() {
+            let run = Run::open(&self.run_directory(), device)?;
+            measure_run(&run, &set, self.seed, progress, &mut |row, predicted, _| {
+                frames.see(row, predicted);
+                Ok(())
+            })?
+        } else {
+            self.measure_fitted(grid, &set, &mut frames, progress)?
+        };
+        let result = RowResult {
+            row: self.row,
+            seed: self.seed,
+            key: self.key.clone(),
+            seconds: if self.row.is_trained() { seconds } else { start.elapsed().as_secs_f64() },
+            measured,
+        };
+        create_dir(&self.directory)?;
+        // The result comes last: where it is, its frames are too.
+        let path = self.directory.join(RESULT);
+        if path.exists() {
+            fs::remove_file(&path).map_err(|source| Error::io(&path, source))?;
+        }
+        frames.save(self.directory.join(FRAMES))?;
+        write_json(&path, &result)?;
+        // As it will be read from now on, to the last digit.
+        Ok(self.result().unwrap_or(result))
+    }
+
+    fn measure_fitted(
+        &self,
+        grid: &Grid,
+        set: &PackedSet,
+        frames: &mut Frames,
+        progress: &mut Progress,
+    ) -> Result<Measured> {
+        let (body, mask) = grid.body(set)?;
+        let clothing: Vec<usize> = mask.indices().collect();
+        let mut meter = Meter::new(&body, &clothing);
+        let reconstruct = self.fitted(grid, progress)?;
+        for row in 0..set.frames() {
+            let truth = set.displacement_row(row)?;
+            let predicted = reconstruct(&truth)?;
+            let [predicted, truth] = [predicted, truth]
+                .map(|values| values.iter().map(|&x| x as f32).collect::<Vec<_>>());
+            meter.sampled(set, row, &predicted, &truth)?;
+            meter.mean(set, row, &predicted, &truth)?;
+            frames.see(row, &predicted);
+            progress(row + 1, set.frames());
+        }
+        Ok(meter.measured())
+    }
+
+    /// The reconstruction of a row that is fitted, not trained.
+    #[allow(clippy::type_complexity)]
+    fn fitted(
+        &self,
+        grid: &Grid,
+        progress: &mut Progress,
+    ) -> Result<Box<dyn Fn(&[f64]) -> Result<Vec<f64>>>> {
+        if self.row == Row::Mean {
+            let statistics = Statistics::of_packed(&grid.data, progress)?;
+            let mean: Vec<f64> = statistics.mean().iter().copied().collect();
+            return Ok(Box::new(move |_| Ok(mean.clone())));
+        }
+        let set = PackedSet::open(&grid.data, Part::Train)?;
+        let statistics = Statistics::of_packed(&grid.data, &mut cape_core::silent)?;
+        let rows = statistics.training_rows(set.frames()).len();
+        // A small set has fewer directions than the paper's 18.
+        let components = self.config.model.latent.min(rows.saturating_sub(1));
+        let options = PcaOptions { components, seed: self.seed, ..PcaOptions::default() };
+        let pca = principal_components(&grid.data, &options, progress)?;
+        create_dir(&self.directory)?;
+        pca.save(self.directory.join(PCA))?;
+        Ok(Box::new(move |truth| {
+            let rows = Array2::from_shape_vec((1, truth.len()), truth.to_vec())
+                .map_err(|error| Error::argument(error.to_string()))?;
+            let decoded = pca.decode(&pca.encode(&rows.view()).view());
+            Ok(decoded.index_axis(Axis(0), 0).to_vec())
+        }))
+    }
+}
+
+fn create_dir(path: &Path) -> Result<()> {
+    fs::create_dir_all(path).map_err(|source| Error::io(path, source))
+}

@@ -1,0 +1,243 @@
+//! CAPE's table 2: every method under one protocol.
+//!
+//! A [`Job`] is one row with one seed in a directory of its own: it is trained (or fitted), measured
+//! on the test frames, and leaves a `result.json` with a key of its configuration and data, so that
+//! it is not done again unless either changed, and the [`Frames`] that pictures show. [`methods`]
+//! are what a [`Table`](crate::comparison::Table) puts side by side.
+
+mod frames;
+mod measure;
+mod rows;
+
+use std::{
+    fs,
+    io::Read,
+    path::{Path, PathBuf},
+};
+
+use burn::tensor::Device;
+use cape_core::{SmplModel, smpl::ClothingMask};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+pub use frames::{Frames, shown_frames};
+pub use rows::Row;
+
+use crate::{
+    Error, Result,
+    comparison::{Measured, Method},
+};
+use cape_data::{PackedSet, Part};
+use cape_infer::{RunConfig, RunPaths, body_and_clothing, checkpoint};
+use cape_train::Trainer;
+
+const RESULT: &str = "result.json";
+const FRAMES: &str = "frames.npz";
+
+/// What all rows have in common.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use burn::tensor::Device;
+/// use cape_core::silent;
+/// use cape_eval::table2::{Grid, Row, hash_of, methods, shown_frames};
+///
+/// let directory = captures()?;
+/// let data = directory.path().join("packed");
+/// let grid = Grid {
+///     out: directory.path().join("table2"),
+///     body: None,
+///     clothing: None,
+///     config: small_config(),
+///     data_hash: hash_of(&data)?,
+///     shown: shown_frames(&data)?,
+///     data,
+/// };
+/// // Two seeds of CAPE, and one of what is not trained.
+/// let jobs = grid.jobs(&[Row::Mean, Row::Cape], 2)?;
+/// let rows: Vec<Row> = jobs.iter().map(|job| job.row).collect();
+/// assert_eq!(rows, [Row::Mean, Row::Cape, Row::Cape]);
+/// assert!(jobs[0].result().is_none());
+/// let result = jobs[0].measure(&grid, 0.0, &Device::default(), &mut silent)?;
+/// assert_eq!(result.row, Row::Mean);
+/// assert!(result.measured.sampled.overall.mean > 0.0);
+/// // Done once, it is kept, with its reconstructions of the frames to be shown.
+/// assert!(jobs[0].result().is_some());
+/// assert_eq!(jobs[0].frames()?.rows, grid.shown);
+/// assert_eq!(methods(&[result]).0.len(), 1);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, Clone)]
+pub struct Grid {
+    /// The packed set.
+    pub data: PathBuf,
+    /// Where rows are kept.
+    pub out: PathBuf,
+    /// The body, unless the packed set has its own.
+    pub body: Option<PathBuf>,
+    /// The clothing vertices, likewise.
+    pub clothing: Option<PathBuf>,
+    /// CAPE's configuration.
+    pub config: RunConfig,
+    /// The packed set's [`hash_of`].
+    pub data_hash: String,
+    /// Its [`shown_frames`].
+    pub shown: Vec<usize>,
+}
+
+/// One row with one seed.
+///
+/// See [`Grid`] for an example.
+#[derive(Debug, Clone)]
+pub struct Job {
+    /// The row.
+    pub row: Row,
+    /// Fixes weights, shuffles, noise and samples.
+    pub seed: u64,
+    /// Where it is kept.
+    pub directory: PathBuf,
+    config: RunConfig,
+    key: String,
+    shown: Vec<usize>,
+}
+
+/// What a job came to.
+///
+/// See [`Grid`] for an example.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct RowResult {
+    /// The row.
+    pub row: Row,
+    /// Its seed.
+    pub seed: u64,
+    /// Of its configuration and data.
+    key: String,
+    /// Seconds of training or fitting.
+    pub seconds: f64,
+    /// What it came to on the test frames.
+    #[serde(flatten)]
+    pub measured: Measured,
+}
+
+/// The rows that there are results of, in the table's order, and the place of CAPE's among them.
+pub fn methods(results: &[RowResult]) -> (Vec<Method<'_>>, Option<usize>) {
+    let mut methods = Vec::new();
+    let mut cape = None;
+    for row in Row::ALL {
+        let of = || results.iter().filter(|result| result.row == row);
+        if of().next().is_none() {
+            continue;
+        }
+        if row == Row::Cape {
+            cape = Some(methods.len());
+        }
+        methods.push(Method {
+            name: row.name().to_owned(),
+            label: row.label().to_owned(),
+            results: of().map(|result| &result.measured).collect(),
+            seconds: of().map(|result| result.seconds).sum(),
+        });
+    }
+    (methods, cape)
+}
+
+impl Grid {
+    /// The jobs of these rows, every trained one with `seeds` seeds.
+    pub fn jobs(&self, rows: &[Row], seeds: u64) -> Result<Vec<Job>> {
+        let mut jobs = Vec::new();
+        for &row in rows {
+            for seed in 0..if row.is_trained() { seeds } else { 1 } {
+                let mut config = row.configure(&self.config);
+                config.train.seed = self.config.train.seed + seed;
+                config.validate()?;
+                let text = toml::to_string(&config)
+                    .map_err(|error| Error::argument(format!("settings: {error}")))?;
+                let mut hash = Sha256::new();
+                for part in [row.name(), &text, &self.data_hash, env!("CARGO_PKG_VERSION")] {
+                    hash.update(part);
+                    hash.update("\0");
+                }
+                jobs.push(Job {
+                    row,
+                    seed: config.train.seed,
+                    directory: self
+                        .out
+                        .join(row.name())
+                        .join(format!("seed-{}", config.train.seed)),
+                    key: format!("{:x}", hash.finalize()),
+                    config,
+                    shown: self.shown.clone(),
+                });
+            }
+        }
+        Ok(jobs)
+    }
+
+    /// The body and the clothing vertices of frames like those of `set`.
+    pub fn body(&self, set: &PackedSet) -> Result<(SmplModel, ClothingMask)> {
+        body_and_clothing(&self.data, set, self.body.as_deref(), self.clothing.as_deref())
+    }
+}
+
+/// A hash of a packed set's arrays.
+pub fn hash_of(data: &Path) -> Result<String> {
+    let mut hash = Sha256::new();
+    let mut buffer = vec![0; 1 << 20];
+    for part in [Part::Train, Part::Test] {
+        for what in ["disp", "rot", "clo_label"] {
+            let path = part.path(data, what);
+            let mut file = fs::File::open(&path).map_err(|source| Error::io(&path, source))?;
+            loop {
+                let read = file.read(&mut buffer).map_err(|source| Error::io(&path, source))?;
+                if read == 0 {
+                    break;
+                }
+                hash.update(&buffer[..read]);
+            }
+        }
+    }
+    Ok(format!("{:x}", hash.finalize()))
+}
+
+impl Job {
+    /// What it came to, if it is done and neither its configuration nor its data changed since.
+    pub fn result(&self) -> Option<RowResult> {
+        let text = fs::read(self.directory.join(RESULT)).ok()?;
+        let result: RowResult = serde_json::from_slice(&text).ok()?;
+        let frames = self.frames().ok()?;
+        (result.key == self.key && frames.rows == self.shown).then_some(result)
+    }
+
+    /// Reconstructions of the frames shown, once it is done.
+    pub fn frames(&self) -> Result<Frames> {
+        Frames::load(self.directory.join(FRAMES))
+    }
+
+    fn run_directory(&self) -> PathBuf {
+        self.directory.join("run")
+    }
+
+    /// The trainer that goes on with it; none for rows that are not trained. A run of another
+    /// configuration or other data in its place is removed.
+    pub fn trainer(&self, grid: &Grid, device: &Device) -> Result<Option<Trainer>> {
+        if !self.row.is_trained() {
+            return Ok(None);
+        }
+        let root = self.run_directory();
+        let marker = self.directory.join("key.txt");
+        let ours = fs::read_to_string(&marker).is_ok_and(|key| key == self.key);
+        if ours && !checkpoint::list(&RunPaths::new(&root).checkpoints())?.is_empty() {
+            return Trainer::resume(&root, Some(&grid.data), device).map(Some);
+        }
+        if root.exists() {
+            fs::remove_dir_all(&root).map_err(|source| Error::io(&root, source))?;
+        }
+        fs::create_dir_all(&self.directory).map_err(|source| Error::io(&self.directory, source))?;
+        fs::write(&marker, &self.key).map_err(|source| Error::io(&marker, source))?;
+        let (body, clothing) = (grid.body.as_deref(), grid.clothing.as_deref());
+        let config = self.config.clone();
+        Trainer::create(&root, &grid.data, body, clothing, config, device).map(Some)
+    }
+}

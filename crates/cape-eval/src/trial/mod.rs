@@ -1,0 +1,142 @@
+//! Short trials of a configuration that leave nothing behind: is it sound, and how fast may it
+//! learn?
+
+mod check;
+mod rate;
+
+use std::{path::Path, sync::Arc};
+
+use burn::tensor::Device;
+use cape_core::SmplModel;
+
+pub use check::{CheckOptions, CheckReport, Finding, check};
+pub use rate::{RateOptions, RatePoint, RateReport, find_rate};
+
+use crate::{Error, Result};
+use cape_core::tensors::tensor2;
+use cape_data::{
+    Loader, LoaderOptions, LoaderState, PackedSet, Part, Statistics, StepData, steps_per_epoch,
+};
+use cape_infer::{RunConfig, body_and_clothing, build_graphs, normal, to_device};
+use cape_train::{learner::Learner, objective::StepInput};
+
+/// What a trial is made with.
+///
+/// ```
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use burn::tensor::Device;
+/// use cape_core::silent;
+/// use cape_eval::trial::{CheckOptions, RateOptions, Subject, check, find_rate};
+///
+/// // A packed set of four training frames, and a small configuration.
+/// let directory = captures()?;
+/// let (config, device) = (small_config(), Device::default());
+/// let subject = Subject {
+///     data: &directory.path().join("packed"),
+///     body: None,
+///     clothing: None,
+///     config: &config,
+///     device: &device,
+/// };
+/// let options = CheckOptions { frames: 2, overfit_steps: 4, target_mm: 0.5, steps: 4 };
+/// let report = check(&subject, options, &mut silent)?;
+/// // Nothing is learnt by heart in four steps.
+/// assert!(!report.passed && report.findings.iter().any(|finding| !finding.passed));
+///
+/// let options = RateOptions { low: 1e-6, high: 1e-3, steps: 10 };
+/// let rates = find_rate(&subject, options, &mut silent)?;
+/// assert!((1e-7..=1e-3).contains(&rates.suggested));
+/// assert!(rates.points.is_sorted_by(|a, b| a.rate < b.rate));
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, Clone, Copy)]
+pub struct Subject<'a> {
+    /// The packed set.
+    pub data: &'a Path,
+    /// SMPL's body, for packed sets without one.
+    pub body: Option<&'a Path>,
+    /// Clothing vertices, likewise.
+    pub clothing: Option<&'a Path>,
+    /// What is tried.
+    pub config: &'a RunConfig,
+    /// Where.
+    pub device: &'a Device,
+}
+
+/// Data and body, opened.
+struct Material {
+    set: Arc<PackedSet>,
+    statistics: Arc<Statistics>,
+    body: SmplModel,
+    clothing: Vec<usize>,
+    device: Device,
+}
+
+impl Material {
+    fn open(subject: &Subject<'_>) -> Result<Self> {
+        subject.config.validate()?;
+        let set = PackedSet::open(subject.data, Part::Train)?;
+        let statistics = Statistics::of_packed(subject.data, &mut cape_core::silent)?;
+        if statistics.training_rows(set.frames()).is_empty() {
+            let message = format!("{}: no frame to train on", subject.data.display());
+            return Err(Error::data(message));
+        }
+        let (body, mask) = body_and_clothing(subject.data, &set, subject.body, subject.clothing)?;
+        Ok(Self {
+            set: Arc::new(set),
+            statistics: Arc::new(statistics),
+            body,
+            clothing: mask.indices().collect(),
+            device: subject.device.clone().autodiff(),
+        })
+    }
+
+    fn learner(&self, config: &RunConfig) -> Result<Learner> {
+        Learner::new(config, build_graphs(config, &self.body, &self.device)?, &self.device)
+    }
+
+    fn batches(&self, config: &RunConfig) -> Result<Batches> {
+        let rows = self.statistics.training_rows(self.set.frames());
+        let options = LoaderOptions {
+            batch: config.train.batch,
+            discriminator: config.model.discriminator.is_some(),
+            ..LoaderOptions::default()
+        };
+        let state = LoaderState::new(config.train.seed);
+        Ok(Batches {
+            steps_per_epoch: steps_per_epoch(rows.len(), config.train.batch),
+            loader: Loader::new(self.set.clone(), self.statistics.clone(), rows, options, state)?,
+            seed: config.train.seed,
+            latent: config.model.variational.then_some(config.model.latent),
+            device: self.device.clone(),
+            step: 0,
+        })
+    }
+}
+
+/// What training would see, step by step.
+struct Batches {
+    steps_per_epoch: usize,
+    loader: Loader,
+    seed: u64,
+    latent: Option<usize>,
+    device: Device,
+    step: u64,
+}
+
+impl Batches {
+    fn next(&mut self) -> Result<StepInput> {
+        let StepData { generator, discriminator, .. } = self.loader.step()?;
+        let count = generator.frames.len();
+        let noise = |latent| normal(self.seed, (1 << 32) + self.step, count, latent);
+        let epsilon = self.latent.map(|latent| tensor2(noise(latent), &self.device));
+        self.step += 1;
+        Ok(StepInput {
+            frames: to_device(generator, &self.device),
+            epsilon,
+            real: discriminator.map(|batch| to_device(batch, &self.device)),
+        })
+    }
+}

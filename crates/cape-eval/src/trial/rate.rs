@@ -1,0 +1,181 @@
+//! How fast a configuration may learn (Smith 2017).
+
+use serde::Serialize;
+
+use super::{Material, Subject};
+use crate::{Error, Result};
+use cape_core::Progress;
+use cape_train::learner::Pace;
+
+/// How learning rates are tried.
+///
+/// See [`Subject`] for an example.
+#[derive(Debug, Clone, Copy)]
+pub struct RateOptions {
+    /// The first.
+    pub low: f64,
+    /// The last, if the loss does not explode before.
+    pub high: f64,
+    /// Steps from one to the other, by equal factors.
+    pub steps: usize,
+}
+
+impl Default for RateOptions {
+    fn default() -> Self {
+        Self { low: 1e-5, high: 1.0, steps: 120 }
+    }
+}
+
+/// A step of the trial.
+///
+/// See [`Subject`] for an example.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct RatePoint {
+    /// The generator's learning rate.
+    pub rate: f64,
+    /// Its loss before the step.
+    pub loss: f64,
+    /// The running average of the losses.
+    pub smoothed: f64,
+}
+
+/// What was found.
+///
+/// See [`Subject`] for an example.
+#[derive(Debug, Clone, Serialize)]
+pub struct RateReport {
+    /// Every step.
+    pub points: Vec<RatePoint>,
+    /// The rate at which the averaged loss was lowest.
+    pub lowest: f64,
+    /// The rate at which it fell fastest.
+    pub steepest: f64,
+    /// The rate at which it exploded, if it did.
+    pub diverged: Option<f64>,
+    /// A third of [`lowest`](Self::lowest), near which the loss is about to rise; or
+    /// [`steepest`](Self::steepest), if it fell to the end.
+    pub suggested: f64,
+}
+
+/// Losses averaged over about so many steps.
+const MEMORY: f64 = 12.0;
+/// The loss has exploded where it is so many times its lowest value.
+const EXPLODED: f64 = 3.0;
+
+/// Trains with a learning rate that grows from step to step until the loss explodes.
+pub fn find_rate(
+    subject: &Subject<'_>,
+    options: RateOptions,
+    progress: &mut Progress,
+) -> Result<RateReport> {
+    let RateOptions { low, high, steps } = options;
+    if !(low > 0.0 && high > low && high.is_finite() && steps >= 10) {
+        let message = format!("learning rates from {low} to {high} in {steps} steps");
+        return Err(Error::argument(format!("{message}: expected 0 < from < to and 10 steps")));
+    }
+    let material = Material::open(subject)?;
+    let mut learner = material.learner(subject.config)?;
+    let mut batches = material.batches(subject.config)?;
+    let mut curve = Curve::default();
+    for step in 0..steps {
+        let rate = low * (high / low).powf(step as f64 / (steps - 1) as f64);
+        let pace = Pace { rate, kl_share: 1.0, detailed: false };
+        let loss = match learner.update(&batches.next()?, pace) {
+            Ok(update) => update.losses.total_generator,
+            Err(_) => f64::INFINITY,
+        };
+        progress(step + 1, steps);
+        if !curve.push(rate, loss) {
+            break;
+        }
+    }
+    curve.report()
+}
+
+#[derive(Default)]
+struct Curve {
+    points: Vec<RatePoint>,
+    average: f64,
+    diverged: Option<f64>,
+}
+
+impl Curve {
+    /// Whether to go on.
+    fn push(&mut self, rate: f64, loss: f64) -> bool {
+        let decay = 1.0 - 1.0 / MEMORY;
+        let count = self.points.len() as i32 + 1;
+        let average = decay * self.average + (1.0 - decay) * loss;
+        let smoothed = average / (1.0 - decay.powi(count));
+        let lowest = self.points.iter().map(|point| point.smoothed).fold(smoothed, f64::min);
+        if !smoothed.is_finite() || smoothed > EXPLODED * lowest {
+            self.diverged = Some(rate);
+            return false;
+        }
+        self.average = average;
+        self.points.push(RatePoint { rate, loss, smoothed });
+        true
+    }
+
+    fn report(self) -> Result<RateReport> {
+        let Self { points, diverged, .. } = self;
+        let lowest = points.iter().min_by(|a, b| a.smoothed.total_cmp(&b.smoothed));
+        let Some(&RatePoint { rate: lowest, .. }) = lowest else {
+            return Err(Error::argument("the loss is not a number at the lowest learning rate"));
+        };
+        // The average lags behind its steps; the first ones are of few.
+        let settled = points.get(MEMORY as usize..).unwrap_or_default();
+        let falls =
+            settled.windows(4).map(|four| (four[0].smoothed - four[3].smoothed, four[2].rate));
+        let steepest = falls.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(lowest, |(_, rate)| rate);
+        let fell_to_the_end = points.last().is_some_and(|last| last.rate == lowest);
+        let suggested = if diverged.is_none() && fell_to_the_end { steepest } else { lowest / 3.0 };
+        Ok(RateReport { points, lowest, steepest, diverged, suggested })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Losses that fall where rates matter and explode beyond.
+    fn report(loss: impl Fn(f64) -> f64) -> RateReport {
+        let mut curve = Curve::default();
+        for step in 0..200 {
+            let rate = 1e-5 * 1e5f64.powf(f64::from(step) / 199.0);
+            if !curve.push(rate, loss(rate)) {
+                break;
+            }
+        }
+        curve.report().unwrap()
+    }
+
+    #[test]
+    fn the_valley_and_the_explosion_are_found() {
+        let found = report(|rate| {
+            let decade = rate.log10();
+            let fall = 2.0 - 1.5 / (1.0 + (-6.0 * (decade + 3.0)).exp());
+            if rate > 0.1 { fall + 1e4 * (rate - 0.1) } else { fall }
+        });
+        assert!((1e-3..3e-3).contains(&found.steepest), "{}", found.steepest);
+        assert!((3e-3..0.12).contains(&found.lowest), "{}", found.lowest);
+        let diverged = found.diverged.unwrap();
+        assert!((0.1..0.2).contains(&diverged), "{diverged}");
+        assert!(found.suggested < found.lowest);
+    }
+
+    #[test]
+    fn a_loss_that_never_rises_suggests_where_it_fell_fastest() {
+        let found = report(|rate| 2.0 - 1.5 / (1.0 + (-6.0 * (rate.log10() + 3.0)).exp()));
+        assert!(found.diverged.is_none());
+        assert_eq!(found.suggested, found.steepest);
+    }
+
+    #[test]
+    fn numbers_that_are_none_end_it() {
+        let found = report(|rate| if rate > 1e-2 { f64::NAN } else { 1.0 - rate });
+        assert!((1e-2..1.2e-2).contains(&found.diverged.unwrap()));
+        let mut curve = Curve::default();
+        assert!(!curve.push(1e-5, f64::NAN));
+        assert!(curve.report().is_err());
+    }
+}

@@ -1,0 +1,206 @@
+//! Checkpoints: everything needed to go on, in a directory that appears whole or not at all.
+
+use std::{
+    fs,
+    io::Write,
+    path::{Path, PathBuf},
+};
+
+use cape_model::weights::{self, Weights};
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, Result};
+use cape_data::LoaderState;
+
+const MODEL: &str = "model.safetensors";
+const GENERATOR_MOMENTUM: &str = "generator_momentum.safetensors";
+const DISCRIMINATOR_MOMENTUM: &str = "discriminator_momentum.safetensors";
+/// Averaged weights of the generator, where a run keeps them.
+const AVERAGE: &str = "generator_average.safetensors";
+const STATE: &str = "state.json";
+const PREFIX: &str = "step-";
+const PARTIAL: &str = ".partial-";
+
+/// Where a run is, beside its weights.
+///
+/// See [`Checkpoint`] for an example.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Progress {
+    /// Steps done.
+    pub step: u64,
+    /// What is drawn next.
+    pub loader: LoaderState,
+    /// Seconds spent training so far.
+    pub seconds: f64,
+    /// Over the epoch's steps so far: accuracies of the discriminator added up, and how many.
+    #[serde(default)]
+    pub judged: (f32, usize),
+    /// Validation error after the last whole epoch, millimetres.
+    pub validation: Option<f64>,
+    /// The lowest validation error so far and the step it was reached at.
+    pub best: Option<(f64, u64)>,
+}
+
+/// A run's state.
+///
+/// ```
+/// use std::collections::BTreeMap;
+///
+/// use cape_model::weights::{Array, Weights};
+/// use cape_data::LoaderState;
+/// use cape_infer::checkpoint::{self, Checkpoint, Progress};
+///
+/// let mut model = Weights::new();
+/// let bias = Array { shape: vec![2], values: vec![1., 2.] };
+/// model.insert("generator.encoder.mean.bias".into(), bias);
+/// let saved = Checkpoint {
+///     progress: Progress {
+///         step: 12,
+///         loader: LoaderState::new(1),
+///         seconds: 3.5,
+///         judged: (0.0, 0),
+///         validation: Some(6.1),
+///         best: Some((6.1, 12)),
+///     },
+///     model,
+///     generator_momentum: BTreeMap::new(),
+///     discriminator_momentum: BTreeMap::new(),
+///     average: None,
+/// };
+/// let directory = tempfile::tempdir()?;
+/// let path = saved.save(directory.path())?;
+/// assert_eq!(checkpoint::best(directory.path())?, path);
+/// let loaded = Checkpoint::load(&path)?;
+/// assert_eq!((loaded.progress, loaded.model), (saved.progress, saved.model));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct Checkpoint {
+    /// Where the run is.
+    pub progress: Progress,
+    /// The model.
+    pub model: Weights,
+    /// Moments of the generator's optimiser.
+    pub generator_momentum: Weights,
+    /// Moments of the discriminator's.
+    pub discriminator_momentum: Weights,
+    /// Averaged weights of the generator, if the run keeps them.
+    pub average: Option<Weights>,
+}
+
+impl Checkpoint {
+    /// Writes `directory/step-N` by way of a temporary directory; one already there for the same
+    /// step is replaced.
+    pub fn save(&self, directory: &Path) -> Result<PathBuf> {
+        let io = |path: &Path| {
+            let path = path.to_owned();
+            move |source| Error::io(path, source)
+        };
+        let name = format!("{PREFIX}{:08}", self.progress.step);
+        let partial = directory.join(format!("{PARTIAL}{name}"));
+        let path = directory.join(&name);
+        fs::create_dir_all(directory).map_err(io(directory))?;
+        if partial.exists() {
+            fs::remove_dir_all(&partial).map_err(io(&partial))?;
+        }
+        fs::create_dir(&partial).map_err(io(&partial))?;
+        let written = self.write_into(&partial);
+        if let Err(error) = written {
+            // What could not be completed is of no use; the error that stopped it matters more.
+            let _ = fs::remove_dir_all(&partial);
+            return Err(error);
+        }
+        if path.exists() {
+            fs::remove_dir_all(&path).map_err(io(&path))?;
+        }
+        fs::rename(&partial, &path).map_err(io(&path))?;
+        Ok(path)
+    }
+
+    fn write_into(&self, directory: &Path) -> Result<()> {
+        weights::save(&self.model, &directory.join(MODEL))?;
+        weights::save(&self.generator_momentum, &directory.join(GENERATOR_MOMENTUM))?;
+        weights::save(&self.discriminator_momentum, &directory.join(DISCRIMINATOR_MOMENTUM))?;
+        if let Some(average) = &self.average {
+            weights::save(average, &directory.join(AVERAGE))?;
+        }
+        let path = directory.join(STATE);
+        let state = serde_json::to_vec_pretty(&self.progress)
+            .map_err(|error| Error::format(&path, error.to_string()))?;
+        Ok(cape_core::write_atomically(&path, |file| file.write_all(&state))?)
+    }
+
+    /// Reads a checkpoint directory.
+    pub fn load(path: &Path) -> Result<Self> {
+        Ok(Self {
+            progress: load_progress(path)?,
+            model: weights::load(&path.join(MODEL))?,
+            generator_momentum: weights::load(&path.join(GENERATOR_MOMENTUM))?,
+            discriminator_momentum: weights::load(&path.join(DISCRIMINATOR_MOMENTUM))?,
+            average: load_average(path)?,
+        })
+    }
+}
+
+fn load_average(path: &Path) -> Result<Option<Weights>> {
+    let path = path.join(AVERAGE);
+    Ok(if path.exists() { Some(weights::load(&path)?) } else { None })
+}
+
+/// Reads where a checkpoint directory's run was.
+pub fn load_progress(path: &Path) -> Result<Progress> {
+    let path = path.join(STATE);
+    let text = fs::read(&path).map_err(|source| Error::io(&path, source))?;
+    serde_json::from_slice(&text).map_err(|error| Error::format(&path, error.to_string()))
+}
+
+/// Reads the weights of a checkpoint directory: the generator's averaged ones, where there are any.
+pub fn load_weights(path: &Path) -> Result<Weights> {
+    let mut weights = weights::load(&path.join(MODEL))?;
+    let average = load_average(path)?.unwrap_or_default();
+    weights.extend(average.into_iter().map(|(name, array)| (format!("generator.{name}"), array)));
+    Ok(weights)
+}
+
+/// The checkpoints of a run, oldest first.
+pub fn list(directory: &Path) -> Result<Vec<(u64, PathBuf)>> {
+    let entries = match fs::read_dir(directory) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(source) => return Err(Error::io(directory, source)),
+    };
+    let mut found = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(|source| Error::io(directory, source))?.path();
+        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        if let Some(step) = name.strip_prefix(PREFIX).and_then(|step| step.parse().ok()) {
+            found.push((step, path));
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// The best checkpoint by validation error, else the newest.
+pub fn best(directory: &Path) -> Result<PathBuf> {
+    let all = list(directory)?;
+    let Some((_, newest)) = all.last() else {
+        return Err(Error::data(format!("{}: no checkpoint yet", directory.display())));
+    };
+    let best = load_progress(newest)?.best.map(|(_, step)| step);
+    let path = all.iter().find(|(step, _)| Some(*step) == best).map(|(_, path)| path);
+    Ok(path.unwrap_or(newest).clone())
+}
+
+/// Removes all but the newest `keep` checkpoints and the best one.
+pub fn prune(directory: &Path, keep: usize, best: Option<u64>) -> Result<()> {
+    let all = list(directory)?;
+    let old = all.len().saturating_sub(keep.max(1));
+    for (step, path) in &all[..old] {
+        if Some(*step) != best {
+            fs::remove_dir_all(path).map_err(|source| Error::io(path, source))?;
+        }
+    }
+    Ok(())
+}

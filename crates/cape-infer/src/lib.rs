@@ -1,0 +1,35 @@
+//! Trained clothing models: a run's directory, encoding, decoding and dressing bodies, densities of
+//! latent codes, and animated glTF.
+//!
+//! ```
+//! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use burn::tensor::Device;
+//! use cape_core::Outfit;
+//! use cape_infer::{Run, Wearer};
+//!
+//! let directory = trained()?;
+//! let run = Run::open(&directory.path().join("run"), &Device::default())?;
+//! let wearer = Wearer { betas: vec![1.0], pose: [0.0; 72], outfit: Outfit::LongLong };
+//! let dressed = run.dress(&run.sample_codes(1, 7), &[wearer])?;
+//! assert_eq!(dressed[0].vertices.len(), 6890);
+//! # Ok(())
+//! # }
+//! ```
+
+pub mod checkpoint;
+mod config;
+mod error;
+mod performance;
+pub mod prior;
+mod run;
+mod wear;
+
+pub use config::{Rule, RunConfig, Schedule, TrainConfig, WarmUp};
+pub use error::{Error, Result};
+pub use performance::Performance;
+pub use run::{
+    DataIdentity, Frames, Run, RunPaths, body_and_clothing, build_graphs, normal, read_identity,
+    to_device, write_json,
+};
+pub use wear::{Wearer, directions_by_effect, interpolate_codes, registration, walk_codes};

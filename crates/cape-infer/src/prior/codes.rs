@@ -1,0 +1,95 @@
+//! Codes of training frames.
+
+use std::path::Path;
+
+use cape_core::Outfit;
+use ndarray::Array2;
+
+use crate::{Error, Result, Run};
+use cape_core::Progress;
+use cape_data::{PackedSet, Part};
+
+/// Frames encoded at a time.
+const BATCH: usize = 16;
+
+/// Posterior means of frames, with the outfits they are of.
+///
+/// See [`Prior`](super::Prior) for an example.
+#[derive(Debug, Clone)]
+pub struct Codes {
+    latent: usize,
+    rows: Vec<(Outfit, Vec<f64>)>,
+    /// Steps of training of the checkpoint that encoded them, if one did.
+    step: Option<u64>,
+}
+
+impl Codes {
+    /// Of codes of `latent` numbers each.
+    ///
+    /// # Errors
+    /// If a code has another size.
+    pub fn new(latent: usize, rows: Vec<(Outfit, Vec<f64>)>) -> Result<Self> {
+        match rows.iter().find(|(_, code)| code.len() != latent) {
+            Some((_, code)) => {
+                Err(Error::argument(format!("a code of {} numbers, expected {latent}", code.len())))
+            }
+            None => Ok(Self { latent, rows, step: None }),
+        }
+    }
+
+    /// The posterior means of at most `frames` training frames of the packed set in `data`, evenly
+    /// spaced.
+    pub fn of_training(
+        run: &Run,
+        data: &Path,
+        frames: usize,
+        progress: &mut Progress,
+    ) -> Result<Self> {
+        let set = PackedSet::open(data, Part::Train)?;
+        let rows = run.statistics().training_rows(set.frames());
+        let step = rows.len().div_ceil(frames.max(1)).max(1);
+        let rows: Vec<usize> = rows.step_by(step).collect();
+        let latent = run.config().model.latent;
+        let mut codes = Vec::with_capacity(rows.len());
+        for chunk in rows.chunks(BATCH) {
+            for (&row, mean) in chunk.iter().zip(run.encode_frames(&set, chunk)?.rows()) {
+                let code = mean.iter().map(|&x| f64::from(x)).collect();
+                codes.push((set.outfits()[row], code));
+            }
+            progress(codes.len(), rows.len());
+        }
+        Ok(Self { step: Some(run.progress().step), ..Self::new(latent, codes)? })
+    }
+
+    /// Numbers of a code.
+    pub fn latent(&self) -> usize {
+        self.latent
+    }
+
+    /// Steps of training of the checkpoint that encoded them, if one did.
+    pub fn step(&self) -> Option<u64> {
+        self.step
+    }
+
+    /// Number of codes.
+    pub fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// The codes of an outfit, or all, `[n, latent]`.
+    pub fn of(&self, outfit: Option<Outfit>) -> Array2<f64> {
+        let rows = || self.rows.iter().filter(|(worn, _)| outfit.is_none_or(|o| o == *worn));
+        let mut codes = Array2::zeros((rows().count(), self.latent));
+        for (mut to, (_, from)) in codes.rows_mut().into_iter().zip(rows()) {
+            for (to, from) in to.iter_mut().zip(from) {
+                *to = *from;
+            }
+        }
+        codes
+    }
+}

@@ -1,0 +1,314 @@
+//! Where codes are after training (Ghosh et al. 2020, as in CAPE's appendix C).
+//!
+//! A decoder is at its best where the encoder puts clothes, which is never quite the standard normal
+//! prior. A density fitted to the posterior means of the training frames, after training, is drawn
+//! from instead: a [`Mixture`] of normal distributions or a [`KernelDensity`], for all outfits
+//! together or for each by itself.
+
+mod codes;
+
+use std::{collections::BTreeMap, path::Path};
+
+use cape_core::{
+    Outfit,
+    npy::{Npz, NpzWriter},
+};
+use ndarray::{Array0, Array1, Array2, Array3, ArrayD, Axis, Dimension, concatenate};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+pub use codes::Codes;
+
+use cape_stats::density::{KernelDensity, Mixture, MixtureOptions};
+
+use crate::{Error, Result};
+
+/// The name of the group of all outfits in files.
+const JOINT: &str = "all";
+
+const STEP: &str = "step";
+
+/// What is fitted.
+///
+/// See [`Prior`] for an example.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DensityKind {
+    /// A mixture of so many normal distributions.
+    Mixture(usize),
+    /// A mixture of up to so many, as many as the Bayesian information criterion asks for.
+    MixtureUpTo(usize),
+    /// A kernel density.
+    Kernel,
+}
+
+/// A density of codes.
+///
+/// See [`Prior`] for an example.
+#[derive(Debug, Clone)]
+pub enum Density {
+    /// A mixture of normal distributions.
+    Mixture(Mixture),
+    /// A kernel density.
+    Kernel(KernelDensity),
+}
+
+/// A density for all outfits together, or one for each.
+///
+/// ```
+/// use cape_core::Outfit;
+/// use cape_infer::prior::{Codes, Density, DensityKind, Prior};
+/// use cape_stats::density::MixtureOptions;
+///
+/// // Codes that lie about (3, 0) for one outfit, and about (−3, 0) for another.
+/// let code = |x: f64, i: i32| vec![x + 0.1 * f64::from(i % 3), 0.1 * f64::from(i % 5)];
+/// let rows = (0..30).flat_map(|i| {
+///     [(Outfit::LongLong, code(3.0, i)), (Outfit::ShortShort, code(-3.0, i))]
+/// });
+/// let codes = Codes::new(2, rows.collect())?;
+/// let prior = Prior::fit(&codes, DensityKind::Mixture(1), true, &MixtureOptions::default())?;
+/// assert!(prior.groups().all(|(_, density)| matches!(density, Density::Mixture(_))));
+/// let drawn = prior.sample(Outfit::LongLong, 10, 1.0, 7);
+/// assert_eq!(drawn.dim(), (10, 2));
+/// assert!(drawn.column(0).iter().all(|x| (2.0..4.0).contains(x)));
+///
+/// let directory = tempfile::tempdir()?;
+/// prior.save(directory.path().join("prior.npz"))?;
+/// let loaded = Prior::load(directory.path().join("prior.npz"))?;
+/// assert_eq!(loaded.sample(Outfit::LongLong, 10, 1.0, 7), drawn);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct Prior {
+    latent: usize,
+    /// `None`: outfits that have none of their own.
+    groups: BTreeMap<Option<Outfit>, Density>,
+    step: Option<u64>,
+}
+
+impl Density {
+    fn fit(points: &Array2<f64>, kind: DensityKind, options: &MixtureOptions) -> Result<Self> {
+        let points = points.view();
+        Ok(match kind {
+            DensityKind::Mixture(count) => Self::Mixture(Mixture::fit(points, count, options)?),
+            DensityKind::MixtureUpTo(most) => {
+                Self::Mixture(Mixture::fit_by_bic(points, most, options)?)
+            }
+            DensityKind::Kernel => Self::Kernel(KernelDensity::fit(points)?),
+        })
+    }
+
+    /// Codes `[n, latent]`.
+    pub fn sample(&self, n: usize, temperature: f64, rng: &mut ChaCha8Rng) -> Array2<f64> {
+        match self {
+            Self::Mixture(mixture) => mixture.sample(n, temperature, rng),
+            Self::Kernel(density) => density.sample(n, temperature, rng),
+        }
+    }
+
+    fn dimensions(&self) -> usize {
+        match self {
+            Self::Mixture(mixture) => mixture.dimensions(),
+            Self::Kernel(density) => density.points().ncols(),
+        }
+    }
+}
+
+impl Prior {
+    /// Fits to codes, by outfit or to all together.
+    pub fn fit(
+        codes: &Codes,
+        kind: DensityKind,
+        by_outfit: bool,
+        options: &MixtureOptions,
+    ) -> Result<Self> {
+        let mut groups = BTreeMap::new();
+        if by_outfit {
+            for outfit in Outfit::ALL {
+                let points = codes.of(Some(outfit));
+                if points.nrows() > 0 {
+                    groups.insert(Some(outfit), Density::fit(&points, kind, options)?);
+                }
+            }
+        } else {
+            groups.insert(None, Density::fit(&codes.of(None), kind, options)?);
+        }
+        Ok(Self { latent: codes.latent(), groups, step: codes.step() })
+    }
+
+    /// Numbers of a code.
+    pub fn latent(&self) -> usize {
+        self.latent
+    }
+
+    /// Steps of training of the checkpoint that it suits, if it is known.
+    pub fn step(&self) -> Option<u64> {
+        self.step
+    }
+
+    /// The densities, with the outfit that each is for, if for one.
+    pub fn groups(&self) -> impl Iterator<Item = (Option<Outfit>, &Density)> {
+        self.groups.iter().map(|(&outfit, density)| (outfit, density))
+    }
+
+    /// Codes for an outfit, `[n, latent]`; deviations from what was seen are multiplied by
+    /// `temperature`. An outfit that no density is for has the standard normal prior.
+    pub fn sample(&self, outfit: Outfit, n: usize, temperature: f64, seed: u64) -> Array2<f32> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(outfit.index() as u64);
+        match self.groups.get(&Some(outfit)).or_else(|| self.groups.get(&None)) {
+            Some(density) => density.sample(n, temperature, &mut rng).mapv(|x| x as f32),
+            None => Array2::from_shape_simple_fn((n, self.latent), || {
+                let x: f64 = StandardNormal.sample(&mut rng);
+                (x * temperature) as f32
+            }),
+        }
+    }
+
+    /// One code for each outfit, `[4, latent]`.
+    pub fn sample_each(&self, temperature: f64, seed: u64) -> Result<Array2<f32>> {
+        let codes = Outfit::ALL.map(|outfit| self.sample(outfit, 1, temperature, seed));
+        concatenate(Axis(0), &codes.each_ref().map(|codes| codes.view()))
+            .map_err(|error| Error::argument(error.to_string()))
+    }
+
+    /// Writes an `.npz`: for `all` or each outfit `NAME.weights`, `NAME.means` and
+    /// `NAME.covariances`, or `NAME.points` and `NAME.bandwidth`; and `step`, if it is known.
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
+        let mut file = NpzWriter::create(path)?;
+        for (outfit, density) in &self.groups {
+            let name = outfit.map_or(JOINT, Outfit::name);
+            match density {
+                Density::Mixture(mixture) => {
+                    file.add(&format!("{name}.weights"), &mixture.weights())?;
+                    file.add(&format!("{name}.means"), &mixture.means())?;
+                    file.add(&format!("{name}.covariances"), &mixture.covariances())?;
+                }
+                Density::Kernel(density) => {
+                    file.add(&format!("{name}.points"), density.points())?;
+                    let bandwidth = Array0::from_elem((), density.bandwidth());
+                    file.add(&format!("{name}.bandwidth"), &bandwidth)?;
+                }
+            }
+        }
+        if let Some(step) = self.step {
+            file.add(STEP, &Array0::from_elem((), step as i64))?;
+        }
+        Ok(file.finish()?)
+    }
+
+    /// Reads what [`save`](Self::save) wrote.
+    ///
+    /// # Errors
+    /// If an array is missing or not what it should be; the error names the file.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let mut file = Npz::open(path)?;
+        let mut groups = BTreeMap::new();
+        for outfit in [None].into_iter().chain(Outfit::ALL.map(Some)) {
+            let name = outfit.map_or(JOINT, Outfit::name);
+            let density = if file.contains(&format!("{name}.weights")) {
+                let weights: Array1<f64> = read(&mut file, &format!("{name}.weights"))?;
+                let means: Array2<f64> = read(&mut file, &format!("{name}.means"))?;
+                let covariances: Array3<f64> = read(&mut file, &format!("{name}.covariances"))?;
+                Mixture::new(&weights, &means, &covariances).map(Density::Mixture)
+            } else if file.contains(&format!("{name}.points")) {
+                let points: Array2<f64> = read(&mut file, &format!("{name}.points"))?;
+                let bandwidth: Array0<f64> = read(&mut file, &format!("{name}.bandwidth"))?;
+                KernelDensity::new(points, bandwidth.into_scalar()).map(Density::Kernel)
+            } else {
+                continue;
+            };
+            let density =
+                density.map_err(|error| Error::format(path, format!("{name}: {error}")))?;
+            groups.insert(outfit, density);
+        }
+        let mut sizes = groups.values().map(Density::dimensions);
+        let Some(latent) = sizes.next() else {
+            let message = format!("holds no density: expected `{JOINT}` or an outfit");
+            return Err(Error::format(path, message));
+        };
+        if let Some(other) = sizes.find(|&other| other != latent) {
+            return Err(Error::format(path, format!("codes of {latent} and of {other} numbers")));
+        }
+        let step = if file.contains(STEP) {
+            file.i64(STEP)?.first().and_then(|&step| u64::try_from(step).ok())
+        } else {
+            None
+        };
+        Ok(Self { latent, groups, step })
+    }
+}
+
+fn read<D: Dimension>(file: &mut Npz, name: &str) -> Result<ndarray::Array<f64, D>> {
+    let array: ArrayD<f64> = file.f64(name)?;
+    let shape = array.shape().to_vec();
+    array.into_dimensionality().map_err(|_| {
+        let expected = D::NDIM.unwrap_or_default();
+        let message = format!("`{name}` has shape {shape:?}, expected {expected} axes");
+        Error::format(file.path(), message)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two outfits whose codes are around −3 and 3.
+    fn codes() -> Codes {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let rows = (0..400).map(|i| {
+            let (outfit, at) =
+                if i % 2 == 0 { (Outfit::LongLong, 3.0) } else { (Outfit::ShortShort, -3.0) };
+            let code = (0..2).map(|_| {
+                let x: f64 = StandardNormal.sample(&mut rng);
+                at + 0.5 * x
+            });
+            (outfit, code.collect())
+        });
+        Codes::new(2, rows.collect()).unwrap()
+    }
+
+    #[test]
+    fn samples_are_where_the_outfits_codes_are() {
+        let options = MixtureOptions::default();
+        for kind in [DensityKind::Mixture(1), DensityKind::MixtureUpTo(3), DensityKind::Kernel] {
+            let prior = Prior::fit(&codes(), kind, true, &options).unwrap();
+            let mean =
+                |outfit, temperature| prior.sample(outfit, 2000, temperature, 4).mean().unwrap();
+            assert!((mean(Outfit::LongLong, 1.0) - 3.0).abs() < 0.1, "{kind:?}");
+            assert!((mean(Outfit::ShortShort, 1.0) + 3.0).abs() < 0.1, "{kind:?}");
+            assert!(mean(Outfit::LongShort, 1.0).abs() < 0.1, "not seen: the standard normal");
+            let joint = Prior::fit(&codes(), kind, false, &options).unwrap();
+            assert!(joint.sample(Outfit::LongLong, 2000, 1.0, 4).mean().unwrap().abs() < 0.3);
+        }
+        let one = Prior::fit(&codes(), DensityKind::Mixture(1), true, &options).unwrap();
+        let typical = one.sample(Outfit::LongLong, 1, 0.0, 9);
+        assert!(typical.iter().all(|x| (x - 3.0).abs() < 0.15));
+        assert_eq!(one.sample_each(0.0, 9).unwrap().row(Outfit::LongLong.index()), typical.row(0));
+    }
+
+    #[test]
+    fn files_come_back_and_broken_ones_are_named() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("prior.npz");
+        for (kind, by_outfit) in [
+            (DensityKind::Mixture(2), true),
+            (DensityKind::Kernel, true),
+            (DensityKind::Kernel, false),
+        ] {
+            let prior = Prior::fit(&codes(), kind, by_outfit, &MixtureOptions::default()).unwrap();
+            prior.save(&path).unwrap();
+            let loaded = Prior::load(&path).unwrap();
+            let [a, b] = [&prior, &loaded].map(|p| p.sample(Outfit::LongLong, 50, 1.0, 2));
+            assert!((&a - &b).iter().all(|x| x.abs() < 1e-5));
+        }
+        let mut file = NpzWriter::create(&path).unwrap();
+        file.add("all.points", &Array1::<f64>::zeros(3)).unwrap();
+        file.finish().unwrap();
+        let error = Prior::load(&path).unwrap_err().to_string();
+        assert!(error.contains("prior.npz") && error.contains("all.points"), "{error}");
+        NpzWriter::create(&path).unwrap().finish().unwrap();
+        assert!(Prior::load(&path).unwrap_err().to_string().contains("no density"));
+    }
+}

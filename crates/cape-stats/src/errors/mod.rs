@@ -1,0 +1,334 @@
+//! Reconstruction errors in millimetres (Table 2 of the paper): streaming mean, standard deviation
+//! and median of per-vertex Euclidean errors.
+
+mod histogram;
+
+use std::collections::BTreeMap;
+
+use cape_core::Outfit;
+use serde::{Deserialize, Serialize};
+
+pub use histogram::Histogram;
+
+use crate::{Error, Result};
+
+/// Statistics of a set of errors.
+///
+/// See [`ErrorStats`] for an example.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// Mean, mm.
+    pub mean: f64,
+    /// Population standard deviation, mm.
+    pub std: f64,
+    /// Median, mm; to 0.0005 mm below a metre and to 1/32768 of its value above.
+    pub median: f64,
+    /// Number of errors (frames × vertices).
+    pub count: u64,
+}
+
+/// Errors in millimetres, reduced as they come.
+///
+/// Mean and deviation are combined in f64 from each push's own two-pass values; the median is read
+/// off a histogram of at most 24 MB, however many errors there are. The same pushes in the same
+/// order give the same bits.
+///
+/// ```
+/// use cape_stats::errors::{ErrorStats, vertex_errors_mm};
+///
+/// let mut stats = ErrorStats::new();
+/// stats.push(&vertex_errors_mm(&[0.003, 0.004, 0.], &[0., 0., 0.], &[0])?);
+/// stats.push(&[1.0, 3.0]);
+/// let summary = stats.summary();
+/// assert_eq!(summary.count, 3);
+/// assert!((summary.mean - 3.0).abs() < 1e-5 && (summary.median - 3.0).abs() < 1e-3);
+/// assert!((summary.std - (8f64 / 3.0).sqrt()).abs() < 1e-5);
+/// # Ok::<(), cape_core::Error>(())
+/// ```
+#[derive(Debug, Clone, Default)]
+pub struct ErrorStats {
+    count: u64,
+    mean: f64,
+    squares: f64,
+    unusable: bool,
+    histogram: Vec<u64>,
+}
+
+/// Errors below this many millimetres have bins of [`BINS_PER_MM`]; above, bins are relative.
+const LINEAR_MM: f32 = 1024.0;
+const BINS_PER_MM: f32 = 1000.0;
+/// Bits of the f32 fraction that a relative bin ignores: 14 remain.
+const TAIL_SHIFT: u32 = 9;
+const LINEAR_BINS: usize = (LINEAR_MM * BINS_PER_MM) as usize;
+
+fn bin(error: f32) -> usize {
+    if error < LINEAR_MM {
+        (error * BINS_PER_MM) as usize
+    } else {
+        LINEAR_BINS + ((error.to_bits() - LINEAR_MM.to_bits()) >> TAIL_SHIFT) as usize
+    }
+}
+
+/// The value that stands for every error in a bin: its middle.
+fn middle(bin: usize) -> f64 {
+    if bin < LINEAR_BINS {
+        (bin as f64 + 0.5) / f64::from(BINS_PER_MM)
+    } else {
+        let bits = LINEAR_MM.to_bits() + (((bin - LINEAR_BINS) as u32) << TAIL_SHIFT);
+        f64::from(f32::from_bits(bits + (1 << (TAIL_SHIFT - 1))))
+    }
+}
+
+impl ErrorStats {
+    /// No errors yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds errors in millimetres (usually one frame's). A negative, infinite or NaN error makes
+    /// every statistic NaN.
+    pub fn push(&mut self, errors: &[f32]) {
+        if errors.is_empty() {
+            return;
+        }
+        let n = errors.len() as f64;
+        let mean = errors.iter().map(|&e| f64::from(e)).sum::<f64>() / n;
+        let squares: f64 = errors.iter().map(|&e| (f64::from(e) - mean).powi(2)).sum();
+        let before = self.count as f64;
+        let delta = mean - self.mean;
+        self.squares += squares + delta * delta * before * n / (before + n);
+        self.mean += delta * n / (before + n);
+        self.count += errors.len() as u64;
+        for &error in errors {
+            if !(error.is_finite() && error >= 0.0) {
+                self.unusable = true;
+                continue;
+            }
+            let bin = bin(error);
+            if bin >= self.histogram.len() {
+                self.histogram.resize(bin + 1, 0);
+            }
+            self.histogram[bin] += 1;
+        }
+    }
+
+    /// The statistics so far; NaN where there is nothing to summarise.
+    pub fn summary(&self) -> Summary {
+        if self.count == 0 || self.unusable {
+            return Summary { mean: f64::NAN, std: f64::NAN, median: f64::NAN, count: self.count };
+        }
+        Summary {
+            mean: self.mean,
+            std: (self.squares / self.count as f64).sqrt(),
+            median: f64::midpoint(self.ranked((self.count - 1) / 2), self.ranked(self.count / 2)),
+            count: self.count,
+        }
+    }
+
+    /// Counts in `bins` bins of the given width; errors that are no lengths are left out.
+    pub fn histogram(&self, bin_mm: f64, bins: usize) -> Histogram {
+        let mut histogram = Histogram { bin_mm, ..Histogram::default() };
+        for (fine, &count) in self.histogram.iter().enumerate().filter(|(_, count)| **count > 0) {
+            let bin = (middle(fine) / bin_mm) as usize;
+            if bin >= bins {
+                histogram.beyond += count;
+                continue;
+            }
+            if bin >= histogram.counts.len() {
+                histogram.counts.resize(bin + 1, 0);
+            }
+            histogram.counts[bin] += count;
+        }
+        histogram
+    }
+
+    /// The error of the given rank, counted from 0.
+    fn ranked(&self, rank: u64) -> f64 {
+        let mut seen = 0;
+        let bin = self.histogram.iter().position(|&n| {
+            seen += n;
+            seen > rank
+        });
+        bin.map_or(f64::NAN, middle)
+    }
+}
+
+/// Errors over everything, for each outfit and for each sequence.
+///
+/// ```
+/// use cape_core::Outfit;
+/// use cape_stats::errors::GroupedErrors;
+///
+/// let mut errors = GroupedErrors::new();
+/// errors.push(Outfit::LongLong, Some("hips"), &[1.0, 3.0]);
+/// errors.push(Outfit::ShortLong, Some("hips"), &[5.0]);
+/// let summary = errors.summary();
+/// assert_eq!(summary.overall.mean, 3.0);
+/// assert_eq!(summary.outfits[&Outfit::LongLong].mean, 2.0);
+/// assert_eq!(summary.sequences["hips"].count, 3);
+/// ```
+#[derive(Debug, Clone, Default)]
+pub struct GroupedErrors {
+    overall: ErrorStats,
+    outfits: BTreeMap<Outfit, ErrorStats>,
+    sequences: BTreeMap<String, ErrorStats>,
+}
+
+/// What [`GroupedErrors`] holds, summarised.
+///
+/// See [`GroupedErrors`] for an example.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GroupedSummary {
+    /// All frames.
+    pub overall: Summary,
+    /// By outfit; only those that occur.
+    pub outfits: BTreeMap<Outfit, Summary>,
+    /// By sequence name; empty if the data does not say which frame is of which sequence.
+    pub sequences: BTreeMap<String, Summary>,
+}
+
+impl GroupedErrors {
+    /// No errors yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds one frame's errors in millimetres.
+    pub fn push(&mut self, outfit: Outfit, sequence: Option<&str>, errors: &[f32]) {
+        self.overall.push(errors);
+        self.outfits.entry(outfit).or_default().push(errors);
+        if let Some(name) = sequence {
+            if !self.sequences.contains_key(name) {
+                self.sequences.insert(name.to_owned(), ErrorStats::new());
+            }
+            if let Some(stats) = self.sequences.get_mut(name) {
+                stats.push(errors);
+            }
+        }
+    }
+
+    /// All errors.
+    pub fn overall(&self) -> &ErrorStats {
+        &self.overall
+    }
+
+    /// The statistics so far.
+    pub fn summary(&self) -> GroupedSummary {
+        GroupedSummary {
+            overall: self.overall.summary(),
+            outfits: self.outfits.iter().map(|(&k, v)| (k, v.summary())).collect(),
+            sequences: self.sequences.iter().map(|(k, v)| (k.clone(), v.summary())).collect(),
+        }
+    }
+}
+
+/// Euclidean distance in millimetres between two frames' vertices at `vertices`.
+///
+/// `predicted` and `truth` are de-normalised displacements (or positions) in metres, `[V, 3]`.
+pub fn vertex_errors_mm(predicted: &[f32], truth: &[f32], vertices: &[usize]) -> Result<Vec<f32>> {
+    if predicted.len() != truth.len() {
+        return Err(Error::argument(format!(
+            "cannot compare a frame of {} numbers with one of {}",
+            predicted.len(),
+            truth.len()
+        )));
+    }
+    let ((predicted, rest), (truth, _)) = (predicted.as_chunks::<3>(), truth.as_chunks::<3>());
+    if !rest.is_empty() {
+        return Err(Error::argument(format!("{} numbers after the last whole vertex", rest.len())));
+    }
+    let error = |&v: &usize| match (predicted.get(v), truth.get(v)) {
+        (Some(a), Some(b)) => {
+            let squares = a.iter().zip(b).map(|(&a, &b)| (f64::from(a) - f64::from(b)).powi(2));
+            Ok((1000.0 * squares.sum::<f64>().sqrt()) as f32)
+        }
+        _ => Err(Error::argument(format!(
+            "vertex {v} is to be compared, but frames have {} vertices",
+            truth.len()
+        ))),
+    };
+    vertices.iter().map(error).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    fn naive(errors: &[f32]) -> Summary {
+        let n = errors.len();
+        let mean = errors.iter().map(|&e| e as f64).sum::<f64>() / n as f64;
+        let var = errors.iter().map(|&e| (e as f64 - mean).powi(2)).sum::<f64>() / n as f64;
+        let mut sorted: Vec<f64> = errors.iter().map(|&e| e as f64).collect();
+        sorted.sort_by(f64::total_cmp);
+        let median = f64::midpoint(sorted[(n - 1) / 2], sorted[n / 2]);
+        Summary { mean, std: var.sqrt(), median, count: n as u64 }
+    }
+
+    fn check(errors: &[f32], chunk: usize) {
+        let mut stats = ErrorStats::new();
+        errors.chunks(chunk).for_each(|chunk| stats.push(chunk));
+        let (got, want) = (stats.summary(), naive(errors));
+        assert_eq!(got.count, want.count);
+        assert!((got.mean - want.mean).abs() <= 1e-12 * want.mean.max(1.0), "{got:?} {want:?}");
+        assert!((got.std - want.std).abs() <= 1e-9 * want.std.max(1.0), "{got:?} {want:?}");
+        let tolerance = (want.median / 32768.0).max(5.1e-4);
+        assert!((got.median - want.median).abs() <= tolerance, "{got:?} {want:?}");
+    }
+
+    #[test]
+    fn agrees_with_sorting() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for scale in [0.01, 6.0, 500.0, 4000.0, 1e9] {
+            for n in [1, 2, 3, 10, 10_001] {
+                let errors: Vec<f32> =
+                    (0..n).map(|_| scale * rng.random::<f32>().powi(3)).collect();
+                check(&errors, 7);
+                check(&errors, n);
+            }
+        }
+        check(&[0.0; 5], 2);
+        check(&[1023.9999, 1024.0, 1024.0001, 1024.1], 3);
+        check(&[f32::MAX; 3], 3);
+        check(&[1e6, 1e6 + 1.0, 1e6 - 1.0], 1);
+    }
+
+    #[test]
+    fn nothing_and_unusable_errors_give_nan() {
+        assert!(ErrorStats::new().summary().median.is_nan());
+        for bad in [f32::NAN, f32::INFINITY, -1.0] {
+            let mut stats = ErrorStats::new();
+            stats.push(&[1.0, bad, 2.0]);
+            let summary = stats.summary();
+            assert!(summary.mean.is_nan() && summary.std.is_nan() && summary.median.is_nan());
+            assert_eq!(summary.count, 3);
+        }
+    }
+
+    #[test]
+    fn groups_partition_the_whole() {
+        let mut errors = GroupedErrors::new();
+        errors.push(Outfit::LongLong, Some("walk"), &[1.0, 2.0]);
+        errors.push(Outfit::ShortLong, Some("walk"), &[3.0, 4.0]);
+        errors.push(Outfit::ShortLong, None, &[8.0, 6.0]);
+        let summary = errors.summary();
+        assert_eq!(summary.overall.mean, 4.0);
+        assert_eq!(summary.outfits[&Outfit::LongLong].mean, 1.5);
+        assert_eq!(summary.outfits[&Outfit::ShortLong].count, 4);
+        assert_eq!(summary.outfits.len(), 2);
+        assert_eq!(summary.sequences["walk"].mean, 2.5);
+    }
+
+    #[test]
+    fn vertex_errors_are_distances_in_millimetres() {
+        let truth = [0.0, 0.0, 0.0, 1.0, 1.0, 1.0];
+        let predicted = [0.003, 0.004, 0.0, 1.0, 1.0, 0.999];
+        let errors = vertex_errors_mm(&predicted, &truth, &[1, 0]).unwrap();
+        assert!((errors[0] - 1.0).abs() < 1e-4 && (errors[1] - 5.0).abs() < 1e-6, "{errors:?}");
+        assert!(vertex_errors_mm(&predicted, &truth, &[2]).is_err());
+        assert!(vertex_errors_mm(&predicted, &truth[..3], &[0]).is_err());
+        assert!(vertex_errors_mm(&predicted[..4], &truth[..4], &[0]).is_err());
+    }
+}

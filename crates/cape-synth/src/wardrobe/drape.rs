@@ -1,0 +1,443 @@
+//! How a garment lies on one vertex: coverage, folds, sag.
+
+use glam::DVec3;
+
+use super::{
+    bend::{Bend, Bends},
+    garment::{Garment, Shirt, Trousers},
+    hang::Hang,
+};
+use crate::regions::{LimbSite, Regions, Site, joint};
+
+/// Thickness of the cloth with the air under it at a seam, metres.
+const CLOTH: f64 = 0.002;
+/// Width over which a hem falls to the skin, metres: less than an edge of the mesh.
+const HEM: f64 = 0.004;
+
+/// How far inside its hems each garment is at a vertex, metres; negative outside.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Reach {
+    pub(super) shirt: Inside,
+    pub(super) trousers: Inside,
+}
+
+/// Distance from a vertex to the nearest hem of a garment that covers it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Inside {
+    /// Metres; negative outside.
+    pub(super) distance: f64,
+    /// Unit, towards the hem.
+    pub(super) hem: DVec3,
+    /// How far the garment covers the vertex, 0 to 1.
+    pub(super) cover: f64,
+}
+
+impl Inside {
+    const NOT: Self = Self { distance: -1.0, hem: DVec3::ZERO, cover: 0.0 };
+
+    /// The last vertices before a hem's curve and those just beyond are laid on it, so it covers
+    /// half an edge more.
+    fn new(site: &Site, hems: &[(f64, DVec3)]) -> Self {
+        let nearest = hems.iter().min_by(|a, b| a.0.total_cmp(&b.0));
+        nearest.map_or(Self::NOT, |&(distance, hem)| Self {
+            distance,
+            hem,
+            cover: smooth((distance + 0.5 * site.edge) / HEM),
+        })
+    }
+}
+
+impl Reach {
+    pub(super) fn new(regions: &Regions, site: &Site, garment: &Garment) -> Self {
+        if !site.clothed {
+            return Self { shirt: Inside::NOT, trousers: Inside::NOT };
+        }
+        let (shirt, trousers) = (&garment.shirt, &garment.trousers);
+        let joints = &regions.joints;
+        let p = site.position;
+        let waist = joints[joint::SPINE[0]].y - 0.035 + trousers.waist + 0.02 * site.angle.cos();
+        let collar = collar(joints, p) - shirt.collar;
+        if site.arm_weight > 0.5 {
+            let left = (shirt.sleeve_end[site.side] - site.arm.along) * site.arm.length;
+            let hems = [(left, site.arm.axis), (collar.max(0.03), DVec3::ZERO)];
+            return Self { shirt: Inside::new(site, &hems), trousers: Inside::NOT };
+        }
+        let above = p.y - hem(joints, site, shirt, waist);
+        let over = Inside::new(site, &[(above, DVec3::NEG_Y), (collar, -NECKLINE)]);
+        let under = (waist - p.y, DVec3::Y);
+        let trousers = if site.leg_weight > 0.3 {
+            let left = (trousers.leg_end[site.side] - site.leg.along) * site.leg.length;
+            Inside::new(site, &[under, (left, site.leg.axis)])
+        } else {
+            Inside::new(site, &[under])
+        };
+        Self { shirt: over, trousers }
+    }
+}
+
+/// Into the shirt, across the plane of its neckline, which is lower in front.
+const NECKLINE: DVec3 = DVec3::new(0.0, -0.876, -0.482);
+
+/// Distance below the plane of the neckline, which is lower in front.
+fn collar(joints: &[DVec3], p: DVec3) -> f64 {
+    let neck = joints[joint::NECK];
+    let base = neck.lerp(joints[joint::HEAD], 0.12);
+    (p - base).dot(NECKLINE)
+}
+
+/// Height of the shirt's hem at a vertex.
+fn hem(joints: &[DVec3], site: &Site, shirt: &Shirt, waist: f64) -> f64 {
+    if shirt.tucked {
+        return waist - 0.03;
+    }
+    let hips = (joints[joint::HIPS[0]] + joints[joint::HIPS[1]]) * 0.5;
+    let from = site.position - hips;
+    let [wave, phase] = shirt.hem_wave;
+    hips.y
+        + shirt.hem
+        + shirt.hem_slope[0] * from.x
+        + shirt.hem_slope[1] * from.z
+        + wave * (3.0 * site.angle + phase).sin()
+}
+
+/// What is the same at a vertex for both garments of a frame.
+pub(super) struct Frame<'a> {
+    pub(super) garment: &'a Garment,
+    pub(super) bends: &'a Bends,
+    /// Seconds.
+    pub(super) time: f64,
+}
+
+/// Displacement split into its normal part and the rest.
+#[derive(Debug, Clone, Copy, Default)]
+struct Lift {
+    normal: f64,
+    shift: DVec3,
+}
+
+impl Frame<'_> {
+    /// The clothing displacement at a vertex, metres.
+    pub(super) fn displacement(&self, site: &Site, hang: &Hang, reach: &Reach) -> DVec3 {
+        let (shirt, trousers) = (reach.shirt.cover, reach.trousers.cover);
+        if shirt + trousers <= 0.0 {
+            return DVec3::ZERO;
+        }
+        let down: DVec3 =
+            site.bones.iter().map(|&(joint, weight)| self.bends.down[joint] * weight).sum();
+        let crumple = self.crumple(site);
+        let mut upper = Lift::default();
+        let mut lower = Lift::default();
+        if shirt > 0.0 {
+            upper = self.shirt(site, hang, reach.shirt, down, crumple);
+        }
+        if trousers > 0.0 {
+            lower = self.trousers(site, hang, reach.trousers, down, crumple);
+        }
+        // Of two layers, the outer rests on the inner.
+        let tucked = self.garment.shirt.tucked;
+        let (inner, outer) = if tucked { (shirt, trousers) } else { (trousers, shirt) };
+        let (below, above) = if tucked { (upper, lower) } else { (lower, upper) };
+        let normal = outer * above.normal + inner * below.normal * (1.0 - 0.55 * outer);
+        let shift = above.shift * outer + below.shift * (inner * (1.0 - 0.7 * outer));
+        site.normal * normal.min(room(site)) + shift
+    }
+
+    fn shirt(&self, site: &Site, hang: &Hang, inside: Inside, down: DVec3, crumple: Lift) -> Lift {
+        let Garment { shirt, outfit, .. } = self.garment;
+        let side = site.side;
+        let arm = smooth((site.arm_weight - 0.2) / 0.6);
+        let hanging = (1.0 - site.height).clamp(0.0, 1.15);
+        let body_fit = if shirt.tucked {
+            // Bloused above the waistband.
+            0.25 + 0.7 * bump((site.height - 0.32) / 0.25)
+        } else {
+            0.14 + 0.7 * smooth(hanging / 0.95)
+        };
+        let end = shirt.sleeve_end[side];
+        let reached = (site.arm.along / end).clamp(0.0, 1.0);
+        let sleeve_fit = if outfit.long_sleeves() {
+            // Wide at the upper arm, gathered by the cuff.
+            0.5 * smooth(reached / 0.25) + 0.1 + 0.5 * bump((reached - 0.5) / 0.5)
+                - 0.25 * smooth((reached - 0.86) / 0.1)
+        } else {
+            0.15 + 0.95 * smooth(1.1 * reached)
+        };
+        let ease = mix(shirt.ease * body_fit, shirt.sleeve_ease * sleeve_fit, arm);
+        let facing = site.normal.dot(down);
+        let mut lift = Lift { normal: CLOTH + ease * stand_off(facing), shift: DVec3::ZERO };
+
+        // Folds that hang from chest and shoulder blades.
+        let body = 1.0 - arm;
+        let depth = (0.004 + 0.35 * shirt.ease) * body * smooth(hanging / 0.9);
+        let slanted = |[count, phase, slant]: [f64; 3]| {
+            ridge(count * site.angle + phase + slant * 4.0 * hanging + 1.2 * self.bends.waist.turn)
+        };
+        lift.normal += depth * (0.75 * slanted(shirt.folds) + 0.6 * slanted(shirt.gathers));
+        let ring = ridge(7.0 * reached + 2.0 * site.arm.angle + shirt.sleeve_phase[side]);
+        lift.normal += arm * sleeve_fit * (0.0012 + 0.3 * shirt.sleeve_ease) * ring;
+        lift.normal += crumple.normal * (0.35 + 30.0 * ease);
+
+        // Folds of the joints.
+        let loose = 0.75 + 22.0 * ease;
+        let elbow =
+            wrinkles(site, &self.bends.elbows[side], Wrinkle::ELBOW, shirt.sleeve_phase[side]);
+        let shoulder =
+            wrinkles(site, &self.bends.shoulders[side], Wrinkle::SHOULDER, shirt.folds[1]);
+        let waist = wrinkles(site, &self.bends.waist, Wrinkle::WAIST, shirt.gathers[1]);
+        let lap = wrinkles(site, &self.bends.hips[side], Wrinkle::HIP, shirt.gathers[1]);
+        lift.normal += loose * (arm * elbow + shoulder + body * (waist + 0.7 * lap));
+
+        // Shifts along the surface.
+        let spin = site.arm.around()
+            * (shirt.sleeve_twist[side] * (0.4 + 0.6 * reached)
+                + 0.006 * self.bends.elbows[side].turn.clamp(-1.0, 1.0));
+        let raised = -self.bends.shoulders[side].inside.y * self.bends.shoulders[side].angle;
+        let pull = 0.006 * (raised + 0.8) - 0.008 * self.bends.elbows[side].angle * reached;
+        let along = site.arm.axis * (shirt.sleeve_slide[side] * (0.5 + 0.5 * reached) + pull);
+        let lateral = (site.position.x.abs() / 0.15).min(1.0);
+        let lifted = 0.011 * (-raised).max(-0.6) * lateral * (1.0 - 0.35 * hanging);
+        let turned = shirt.twist * (0.25 + 0.75 * hanging) + 0.014 * self.bends.waist.turn;
+        let around = DVec3::Y.cross(DVec3::new(site.normal.x, 0.0, site.normal.z));
+        let lean = DVec3::new(shirt.lean[0], 0.0, shirt.lean[1]) * (hanging * hanging);
+        let bowed = 0.018 * self.bends.waist.angle * site.normal.dot(self.bends.waist.inside);
+        let [sway, speed] = self.garment.sway;
+        let swing = (6.0 * speed * self.time + sway).sin() * 0.0025 * hanging;
+        let trunk = around * turned
+            + DVec3::Y * (shirt.ride + 0.004 - lifted - bowed * (0.4 + 0.6 * hanging))
+            + lean
+            + DVec3::new(swing, 0.0, 0.6 * swing);
+        lift.shift = trunk * body + (along + spin) * arm + crumple.shift;
+        lift.shift += (down - site.normal * facing) * (0.3 * ease);
+        let below = smooth((1.0 - site.height) / 0.35);
+        let straight = if shirt.tucked { 0.6 * body_fit } else { below };
+        let draped = hang.body * (body * straight) + hang.sleeve * (arm * 0.7);
+        lift.shift += draped * (shirt.drape * free(facing));
+        lift.finish(site, inside)
+    }
+
+    fn trousers(
+        &self,
+        site: &Site,
+        hang: &Hang,
+        inside: Inside,
+        down: DVec3,
+        crumple: Lift,
+    ) -> Lift {
+        let Garment { trousers, outfit, .. } = self.garment;
+        let side = site.side;
+        let leg = smooth((site.leg_weight - 0.25) / 0.5);
+        let reached = (site.leg.along / trousers.leg_end[side]).clamp(0.0, 1.0);
+        let below_waist = smooth(inside.distance.min(0.16) / 0.16);
+        let ease = trousers.ease * mix(0.15 + 0.55 * below_waist, fit(trousers, reached), leg);
+        let facing = site.normal.dot(down);
+        let back = smooth(0.5 - 0.5 * site.angle.cos());
+        let mut lift = Lift {
+            normal: CLOTH
+                + ease * stand_off(facing)
+                + trousers.seat * back * below_waist * (1.0 - leg),
+            shift: DVec3::ZERO,
+        };
+        let LimbSite { length, along, angle, .. } = site.leg;
+        let hips = &self.bends.hips[side];
+        let knees = &self.bends.knees[side];
+        // Lengthwise folds, and those that stack above the shoe.
+        let slant = trousers.twist[side] * 160.0 + hips.turn;
+        let lengthwise = ridge(3.0 * angle + trousers.fold_phase[side] + slant * along * 4.0);
+        lift.normal += leg * (0.0022 + 0.3 * ease) * smooth(reached * 2.0) * lengthwise;
+        if outfit.long_legs() {
+            let above = (trousers.leg_end[side] - along) * length;
+            let straight = 1.0 - 0.6 * smooth(knees.angle / 1.2);
+            let phase = trousers.stack_phase[side];
+            let part = 0.5 + 0.5 * (angle + phase).cos();
+            let ring = part * ridge(above * 88.0 + phase + 1.6 * (angle - phase).sin());
+            lift.normal += leg * trousers.stack * straight * ring * (-(above / 0.13).powi(2)).exp();
+        }
+        lift.normal += crumple.normal * (0.35 + 34.0 * ease);
+
+        let loose = 0.75 + 22.0 * ease;
+        let knee = wrinkles(site, knees, Wrinkle::KNEE, trousers.fold_phase[side]);
+        let hip = wrinkles(site, hips, Wrinkle::HIP, trousers.fold_phase[side]);
+        lift.normal += loose * (leg * knee + hip);
+
+        // A bent knee pulls the leg up, a lifted thigh pulls the seat down.
+        let pull = -0.016 * knees.angle * smooth((reached - 0.25) / 0.6)
+            - 0.010 * hips.angle * reached.min(0.5);
+        let along = site.leg.axis * (trousers.slide[side] * (0.5 + 0.5 * reached) + 0.008 + pull);
+        let turn = trousers.twist[side] * (0.35 + 0.65 * reached) + 0.012 * hips.turn;
+        let around = site.leg.around() * turn;
+        let flexed = hips.inside.z * hips.angle;
+        let seat = DVec3::Y * (-0.009 - 0.010 * flexed * back + 0.005 * flexed * (1.0 - back));
+        let [sway, speed] = self.garment.sway;
+        let swing = (5.0 * speed * self.time + sway + 2.0 * side as f64).sin() * 0.002 * reached;
+        lift.shift = (along + around + DVec3::new(0.4 * swing, 0.0, swing)) * leg
+            + seat * (1.0 - leg)
+            + crumple.shift;
+        lift.shift += (down - site.normal * facing) * (0.3 * ease);
+        lift.shift += hang.leg * (leg * trousers.drape * free(facing));
+        lift.finish(site, inside)
+    }
+
+    /// The random pattern of dents, and the cloth dragged with them.
+    fn crumple(&self, site: &Site) -> Lift {
+        let bend = self.bends.waist.angle * self.bends.waist.inside.z;
+        let drift = 0.25 * (0.9 * self.time + self.garment.sway[0]).sin();
+        let mut lift = Lift::default();
+        for wave in &self.garment.crumple {
+            let phase = wave.vector.dot(site.position) + wave.phase + wave.follow * bend + drift;
+            let (sin, cos) = phase.sin_cos();
+            lift.normal += wave.amplitude * sin;
+            lift.shift += wave.drag * cos;
+        }
+        lift.shift -= site.normal * site.normal.dot(lift.shift);
+        lift
+    }
+}
+
+impl Lift {
+    /// Keeps the cloth off the skin, lets a hem stand out a little, and lays the last vertices
+    /// inside it on the hem's curve.
+    fn finish(self, site: &Site, inside: Inside) -> Self {
+        let above = self.normal - 0.0015;
+        let lifted = 0.0015 + 0.5 * (above + above.hypot(0.003));
+        let seam = 0.0014 * (-(inside.distance / 0.012).powi(2)).exp();
+        let beyond = (inside.distance - 0.4 * site.edge) / site.edge;
+        let snap = inside.distance * (1.0 - smooth(beyond));
+        Self { normal: lifted + seam, shift: self.shift + inside.hem * snap }
+    }
+}
+
+/// Ease of trouser legs along the leg, relative.
+fn fit(trousers: &Trousers, reached: f64) -> f64 {
+    0.7 + trousers.flare * 0.8 * reached * reached
+}
+
+/// How far cloth stands off a surface that faces down (1), sideways (0) or up (−1), relative.
+fn stand_off(facing: f64) -> f64 {
+    0.2 + 0.9 * smooth(0.45 + 0.6 * facing)
+}
+
+/// How freely cloth hangs away from such a surface, relative.
+fn free(facing: f64) -> f64 {
+    0.3 + 0.7 * smooth(0.65 + 0.7 * facing)
+}
+
+/// Room for cloth between the thighs.
+fn room(site: &Site) -> f64 {
+    let sign = if site.side == 0 { 1.0 } else { -1.0 };
+    let inward = -site.normal.x * sign * smooth(site.leg_weight * 2.0);
+    if inward > 0.1 { (0.85 * site.position.x.abs() / inward).max(0.001) } else { 0.08 }
+}
+
+/// Shape of the folds around a joint. Lengths in metres.
+struct Wrinkle {
+    /// Reach along the bone to either side.
+    extent: f64,
+    /// Reach from the joint across.
+    across: f64,
+    /// Distance between folds.
+    spacing: f64,
+    /// Height at full bend.
+    height: f64,
+    /// How far the bend presses the cloth on its outside.
+    stretch: f64,
+    /// Bend that straight cloth is cut for: folds come from the difference.
+    at_rest: f64,
+}
+
+impl Wrinkle {
+    const ELBOW: Self = Self {
+        extent: 0.095,
+        across: 0.2,
+        spacing: 0.055,
+        height: 0.0125,
+        stretch: 0.003,
+        at_rest: 0.15,
+    };
+    const SHOULDER: Self = Self {
+        extent: 0.13,
+        across: 0.2,
+        spacing: 0.068,
+        height: 0.0115,
+        stretch: 0.003,
+        at_rest: 0.25,
+    };
+    const WAIST: Self = Self {
+        extent: 0.17,
+        across: 0.5,
+        spacing: 0.078,
+        height: 0.0145,
+        stretch: 0.005,
+        at_rest: 0.05,
+    };
+    const HIP: Self = Self {
+        extent: 0.11,
+        across: 0.2,
+        spacing: 0.062,
+        height: 0.015,
+        stretch: 0.003,
+        at_rest: 0.05,
+    };
+    const KNEE: Self = Self {
+        extent: 0.11,
+        across: 0.25,
+        spacing: 0.062,
+        height: 0.0155,
+        stretch: 0.004,
+        at_rest: 0.1,
+    };
+}
+
+/// Normal offset of the folds that a bent or turned joint throws, metres.
+fn wrinkles(site: &Site, bend: &Bend, shape: Wrinkle, phase: f64) -> f64 {
+    let from = site.position - bend.centre;
+    let along = from.dot(bend.axis);
+    let across = from - bend.axis * along;
+    let near = (-(along / shape.extent).powi(2) - (across.length() / shape.across).powi(4)).exp();
+    if near < 1e-3 {
+        return 0.0;
+    }
+    let toward = across.normalize_or_zero().dot(bend.inside);
+    let bent = smooth((bend.angle - shape.at_rest) / 1.7);
+    let turned = smooth((bend.turn.abs() - 0.1) / 1.2);
+    // Folds run across on the inside of a bend and crowd together as it closes; a turned bone
+    // slants them.
+    let side = bend.axis.cross(bend.inside);
+    let slant = if side == DVec3::ZERO { 0.0 } else { across.dot(side) };
+    let crowd = std::f64::consts::TAU / shape.spacing;
+    // No fold runs all the way around: they wander, and swell and fade.
+    let around = across.dot(side).atan2(across.dot(bend.inside));
+    let wander = 1.1 * (2.0 * around + phase).sin();
+    let swell = 0.65 + 0.35 * (3.0 * around + 2.0 * phase + along * crowd * 0.5).sin();
+    let folded = swell
+        * ridge(
+            along * crowd * (1.0 + 0.22 * bent)
+                + (7.0 * bend.turn.clamp(-1.5, 1.5)) * slant
+                + wander
+                + phase
+                + 2.6 * bend.angle,
+        );
+    let inside = 0.18 + 0.82 * smooth(0.35 + 0.75 * toward);
+    let fold = shape.height * (bent * inside + 0.45 * turned) * (folded + 0.12);
+    near * (fold - shape.stretch * bent * smooth(-toward))
+}
+
+/// A wave with sharp crests and flat troughs, of mean zero and height two.
+fn ridge(phase: f64) -> f64 {
+    let wave = 0.5 + 0.5 * phase.sin();
+    2.0 * wave * wave - 0.75
+}
+
+/// 1 at zero, falling smoothly to 0 at ±1.
+fn bump(x: f64) -> f64 {
+    smooth(1.0 - x.abs())
+}
+
+/// Smooth step from 0 at 0 to 1 at 1.
+fn smooth(x: f64) -> f64 {
+    let x = x.clamp(0.0, 1.0);
+    x * x * (3.0 - 2.0 * x)
+}
+
+fn mix(a: f64, b: f64, t: f64) -> f64 {
+    a + (b - a) * t
+}

@@ -1,0 +1,153 @@
+//! How loose cloth bridges the body's hollows: it hangs from chest, shoulder blades, seat and
+//! thighs instead of following waist, spine and calf.
+
+use std::f64::consts::TAU;
+
+use glam::DVec3;
+
+use crate::regions::{LimbSite, Regions, Site, joint};
+
+/// Directions around a tube.
+const DIRECTIONS: usize = 32;
+/// Distance between cross-sections, metres.
+const STEP: f64 = 0.015;
+/// Farthest that cloth is from the skin it bridges, metres.
+const FARTHEST: f64 = 0.06;
+
+/// From a vertex to where straight-hanging cloth is, metres, for each tube of cloth it may be in.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Hang {
+    pub(super) body: DVec3,
+    pub(super) sleeve: DVec3,
+    pub(super) leg: DVec3,
+}
+
+/// The convex outline of a body part's cross-sections, each at most a little narrower than the one
+/// before, as cloth hangs.
+struct Tube {
+    first: f64,
+    /// Distance from the axis by direction, `[sections][DIRECTIONS]`.
+    radius: Vec<[f64; DIRECTIONS]>,
+}
+
+impl Tube {
+    /// `points`: distance along the axis, distance from it, and angle around it. Cloth narrows by
+    /// `taper` metres a metre.
+    fn new(points: &[[f64; 3]], [first, last]: [f64; 2], taper: f64) -> Self {
+        let sections = ((last - first) / STEP).ceil().max(1.0) as usize;
+        let angle = |direction: usize| direction as f64 / DIRECTIONS as f64 * TAU;
+        let mut support = [0.0; DIRECTIONS];
+        let radius = (0..sections)
+            .map(|section| {
+                let at = first + section as f64 * STEP;
+                for value in &mut support {
+                    *value -= taper * STEP;
+                }
+                for &[along, radius, around] in points {
+                    if (along - at).abs() < STEP {
+                        for (direction, value) in support.iter_mut().enumerate() {
+                            *value = value.max(radius * (around - angle(direction)).cos());
+                        }
+                    }
+                }
+                std::array::from_fn(|towards| {
+                    let bound = |direction: usize| {
+                        let cos = (angle(direction) - angle(towards)).cos();
+                        if cos > 0.1 { support[direction] / cos } else { f64::INFINITY }
+                    };
+                    (0..DIRECTIONS).map(bound).fold(f64::INFINITY, f64::min)
+                })
+            })
+            .collect();
+        Self { first, radius }
+    }
+
+    /// Distance from the axis, interpolated; `None` before the first section.
+    fn radius(&self, along: f64, around: f64) -> Option<f64> {
+        let row = (along - self.first) / STEP;
+        if row < 0.0 {
+            return None;
+        }
+        let last = self.radius.len() - 1;
+        let row = row.min(last as f64);
+        let (low, high) = (row as usize, (row as usize + 1).min(last));
+        let column = around.rem_euclid(TAU) / TAU * DIRECTIONS as f64;
+        let (left, fraction) = (column as usize % DIRECTIONS, column.fract());
+        let right = (left + 1) % DIRECTIONS;
+        let at = |row: usize| {
+            self.radius[row][left] * (1.0 - fraction) + self.radius[row][right] * fraction
+        };
+        Some(at(low) * (1.0 - row.fract()) + at(high) * row.fract())
+    }
+}
+
+/// The hang of every vertex.
+pub(super) fn hangs(regions: &Regions) -> Vec<Hang> {
+    let Regions { sites, joints } = regions;
+    let chest = joints[joint::SHOULDERS[0]].y.min(joints[joint::SHOULDERS[1]].y) - 0.06;
+    let bottom = joints[joint::HIPS[0]].y - 0.12;
+    let trunk = |site: &Site| {
+        let from = site.position - joints[joint::SPINE[0]];
+        [chest - site.position.y, from.x.hypot(from.z), from.x.atan2(from.z)]
+    };
+    let in_trunk = sites.iter().filter(|site| {
+        site.arm_weight < 0.35 && site.position.y > bottom && site.position.y < chest + STEP
+    });
+    let body = Tube::new(&in_trunk.map(trunk).collect::<Vec<_>>(), [0.0, chest - bottom], 0.10);
+
+    let limb = |limb: &LimbSite| [limb.along * limb.length, limb.radius, limb.angle];
+    let tubes = |of: fn(&Site) -> &LimbSite, weight: fn(&Site) -> f64, start: f64, taper: f64| {
+        [0, 1].map(|side| {
+            let part: Vec<_> = sites
+                .iter()
+                .filter(|site| site.side == side && weight(site) > 0.6 && site.clothed)
+                .map(|site| limb(of(site)))
+                .collect();
+            let end = part.iter().map(|p| p[0]).fold(start, f64::max);
+            Tube::new(&part, [start, end], taper)
+        })
+    };
+    let sleeves = tubes(|site| &site.arm, |site| site.arm_weight, 0.05, 0.07);
+    let legs = tubes(|site| &site.leg, |site| site.leg_weight, 0.12, 0.055);
+
+    let gap = |tube: &Tube, [along, radius, around]: [f64; 3]| {
+        tube.radius(along, around).map_or(0.0, |hull| (hull - radius).clamp(0.0, FARTHEST))
+    };
+    sites
+        .iter()
+        .map(|site| {
+            let [_, _, around] = trunk(site);
+            let outward = DVec3::new(around.sin(), 0.0, around.cos());
+            Hang {
+                body: outward * gap(&body, trunk(site)),
+                sleeve: site.arm.radial * gap(&sleeves[site.side], limb(&site.arm)),
+                leg: site.leg.radial * gap(&legs[site.side], limb(&site.leg)),
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tube_is_the_convex_hull_and_narrows_by_its_taper() {
+        // A square cross-section of half-width 1 at the top, a thin rod below.
+        let mut points = Vec::new();
+        for i in 0..400 {
+            let t = f64::from(i % 100) / 50.0 - 1.0;
+            let (x, y) = [(t, 1.0), (1.0, t), (t, -1.0), (-1.0, t)][i as usize / 100];
+            // Dents in the sides do not show.
+            let dent = if t.abs() < 0.5 { 0.7 } else { 1.0 };
+            points.push([0.0, x.hypot(y) * dent, x.atan2(y)]);
+        }
+        points.push([1.0, 0.1, 0.0]);
+        let tube = Tube::new(&points, [0.0, 1.0], 0.2);
+        assert!((tube.radius(0.0, 0.0).unwrap() - 1.0).abs() < 0.01);
+        assert!((tube.radius(0.0, TAU / 8.0).unwrap() - 2_f64.sqrt()).abs() < 0.02);
+        let lower = tube.radius(0.75, 0.0).unwrap();
+        assert!((lower - (1.0 - 0.2 * 0.75)).abs() < 0.02, "{lower}");
+        assert_eq!(tube.radius(-0.1, 0.0), None);
+    }
+}
