@@ -5,14 +5,12 @@
 use std::{path::Path, sync::Arc};
 
 use cape::{
-    core::synth::{Motion, Synth, SynthSpec, synthetic_body},
-    train::{
-        data::{
-            Loader, LoaderOptions, LoaderState, PackOptions, PackedSet, Part, SequenceList, Split,
-            Statistics, pack,
-        },
-        silent,
+    core::silent,
+    data::{
+        Loader, LoaderOptions, LoaderState, PackOptions, PackedSet, Part, SequenceList, Split,
+        Statistics, pack,
     },
+    synth::{Motion, Synth, SynthSpec, synthetic_body},
 };
 use criterion::{Criterion, criterion_group, criterion_main};
 

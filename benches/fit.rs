@@ -3,11 +3,11 @@
 #![allow(missing_docs)] // criterion's macro makes a public function
 
 use cape::{
-    core::synth::synthetic_body,
     fit::{
         Camera,
         silhouette::{SilhouetteEnergy, render},
     },
+    synth::synthetic_body,
 };
 use criterion::{Criterion, criterion_group, criterion_main};
 use glam::DVec3;

@@ -7,10 +7,10 @@ use std::{collections::HashMap, time::Duration};
 
 use burn::tensor::Device;
 use cape::{
-    core::synth::synthetic_body,
+    eval::bench::Workload,
     graph::{MeshPyramid, Surface, Weighting},
     model::CapeConfig,
-    train::bench::Workload,
+    synth::synthetic_body,
 };
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 

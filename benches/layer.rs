@@ -4,12 +4,10 @@
 use std::time::Instant;
 
 use cape::{
-    core::synth::synthetic_body,
-    layer::{
-        AssociateOptions, BodyFrame, StandardPose,
-        cloth::{Garment, GarmentKind},
-        geometry::{Metric, Surface},
-    },
+    cloth::{Garment, GarmentKind},
+    core::{geometry::Surface, smpl::StandardPose},
+    layer::{AssociateOptions, BodyFrame, geometry::Metric},
+    synth::synthetic_body,
 };
 use ndarray::Array2;
 

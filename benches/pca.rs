@@ -4,9 +4,9 @@
 
 use std::time::Instant;
 
-use cape::train::{
-    bench::peak_rss_mb,
-    pca::{Pca, PcaOptions},
+use cape::{
+    eval::bench::peak_rss_mb,
+    stats::pca::{Pca, PcaOptions},
 };
 
 const FRAMES: usize = 31_036;

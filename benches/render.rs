@@ -3,8 +3,8 @@
 #![allow(missing_docs)] // criterion's macro makes a public function
 
 use cape::{
-    core::synth::synthetic_body,
     render::{Bounds, Camera, Object, Projection, Style, View, render, silhouette},
+    synth::synthetic_body,
 };
 use criterion::{Criterion, criterion_group, criterion_main};
 

@@ -6,7 +6,7 @@
 use std::time::Duration;
 
 use burn::tensor::Device;
-use cape::{model::CapeConfig, train::bench::Workload};
+use cape::{eval::bench::Workload, model::CapeConfig};
 use criterion::{Criterion, criterion_group, criterion_main};
 
 const BATCH: usize = 16;

@@ -1,17 +1,17 @@
 //! Fits a density to the codes of the training set, draws one, and moves it through a walk.
 //!
 //! ```sh
-//! cargo run --release --example animate -- cape-demo/run
+//! cargo run --release --example animate -- demo/run
 //! ```
 
 use std::path::PathBuf;
 
 use cape::{
+    core::silent,
+    infer::prior::{Codes, DensityKind, Prior},
     prelude::*,
-    train::{
-        prior::{Codes, DensityKind, MixtureOptions, Prior},
-        silent,
-    },
+    stats::density::MixtureOptions,
+    synth::poses,
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -1,12 +1,17 @@
 //! Goes from one code to another, and draws the way.
 //!
 //! ```sh
-//! cargo run --release --example between -- cape-demo/run
+//! cargo run --release --example between -- demo/run
 //! ```
 
 use std::path::PathBuf;
 
-use cape::{prelude::*, train::interpolate_codes};
+use cape::{
+    infer::interpolate_codes,
+    prelude::*,
+    render::{Object, Style, Tile, View, contact_sheet, portrait},
+    synth::poses,
+};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = PathBuf::from(std::env::args().nth(1).ok_or("expected a run's directory")?);

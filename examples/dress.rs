@@ -1,12 +1,12 @@
 //! Dresses a body in clothes drawn from a trained model.
 //!
 //! ```sh
-//! cape demo && cargo run --release --example dress -- cape-demo/run
+//! cape demo && cargo run --release --example dress -- demo/run
 //! ```
 
 use std::path::PathBuf;
 
-use cape::prelude::*;
+use cape::{prelude::*, synth::poses};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = PathBuf::from(std::env::args().nth(1).ok_or("expected a run's directory")?);

@@ -5,8 +5,8 @@
 //! ```
 
 use burn::tensor::{Device, Tensor, TensorData};
-use cape::core::{
-    ClothedSmpl, ClothingMask, Outfit, Pose, Smpl, SmplInput,
+use cape::{
+    core::{ClothedSmpl, ClothingMask, Outfit, Pose, Smpl, SmplInput},
     synth::{Motion, MotionStyle, Wardrobe, synthetic_body},
 };
 

@@ -5,8 +5,9 @@
 //! ```
 
 use cape::{
-    core::{Mesh, synth::synthetic_body},
+    core::Mesh,
     graph::{MeshPyramid, Surface, Weighting},
+    synth::synthetic_body,
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

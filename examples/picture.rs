@@ -6,8 +6,11 @@
 
 use cape::{
     core::obj::Uv,
-    prelude::*,
-    render::{Bounds, Camera, Image, Projection, Texture, render, silhouette},
+    render::{
+        Bounds, Camera, Image, Object, Projection, Style, Texture, Tile, View, contact_sheet,
+        render, silhouette,
+    },
+    synth::synthetic_body,
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -1,21 +1,23 @@
 //! Encodes a held-out registration, and gives its wearer another outfit and another pose.
 //!
 //! ```sh
-//! cargo run --release --example redress -- cape-demo/run
+//! cargo run --release --example redress -- demo/run
 //! ```
 
 use std::path::PathBuf;
 
 use cape::{
+    data::{PackedSet, Part},
+    infer::registration,
     prelude::*,
-    train::data::{PackedSet, Part},
+    synth::poses,
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = PathBuf::from(std::env::args().nth(1).ok_or("expected a run's directory")?);
     let run = Run::open(&path, &Device::default())?;
     let set = PackedSet::open(&run.data()?, Part::Test)?;
-    let (displacement, seen) = set.registration(0)?;
+    let (displacement, seen) = registration(&set, 0)?;
     let code = run.encode(&displacement, std::slice::from_ref(&seen))?;
 
     let pose = poses::preset("squats").ok_or("no such pose")?;

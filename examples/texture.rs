@@ -1,12 +1,17 @@
 //! Puts one texture on a body and on the same body in clothes: every vertex keeps its place on it.
 //!
 //! ```sh
-//! cargo run --release --example texture -- cape-demo/run
+//! cargo run --release --example texture -- demo/run
 //! ```
 
 use std::path::PathBuf;
 
-use cape::{core::obj::Uv, prelude::*, render::Texture};
+use cape::{
+    core::obj::Uv,
+    prelude::*,
+    render::{Image, Object, Style, Texture, Tile, View, contact_sheet, portrait},
+    synth::poses,
+};
 
 /// Squares of the texture a metre.
 const SQUARES: f32 = 22.0;

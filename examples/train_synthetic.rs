@@ -8,16 +8,13 @@ use std::ops::ControlFlow;
 
 use burn::tensor::Device;
 use cape::{
-    core::{
-        Outfit,
-        synth::{Motion, Synth, SynthSpec, synthetic_body},
-    },
+    core::{Outfit, silent},
+    data::{PackOptions, SequenceList, Split, pack},
+    eval::{EvalOptions, evaluate},
+    infer::{Run, RunConfig, TrainConfig},
     model::CapeConfig,
-    train::{
-        EvalOptions, Event, Run, RunConfig, TrainConfig, Trainer,
-        data::{PackOptions, SequenceList, Split, pack},
-        evaluate, silent,
-    },
+    synth::{Motion, Synth, SynthSpec, synthetic_body},
+    train::{Event, Trainer},
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -5,37 +5,62 @@
 //! `T_clo = T(β, θ) + S_clo(z, θ, c)`: the body with shape β and pose θ, dressed in the outfit c by
 //! the latent code z. The crates, in the order data flow through them:
 //!
-//! - [`core`] — meshes, NumPy files, SMPL and the clothing term, outfits, the synthetic data;
+//! - [`core`] — meshes and their files, SMPL and the clothing term, outfits;
+//! - [`synth`] — a synthetic body, motions, a wardrobe and captures;
+//! - [`data`] — raw and packed data sets, splits, normalisation, loaders;
 //! - [`graph`] — mesh pyramids and graph operations on tensors;
 //! - [`model`] — the networks and losses;
-//! - [`fit`] — bodies and their clothes from keypoints and silhouettes (SMPLify, CAPE §6.3);
+//! - [`infer`] — a trained [`Run`](infer::Run): sample, encode, decode, dress, animate;
+//! - [`train`] — objective, optimisers, the [`Trainer`](train::Trainer);
+//! - [`eval`] — evaluation, comparison, table 2, benchmarks;
+//! - [`fit`] — bodies and their clothes from keypoints, silhouettes and scans (SMPLify, CAPE §6.3);
+//! - [`cloth`] — a cloth simulator;
 //! - [`layer`] — clothing of its own topology (Yang et al., ECCV 2018): association, statistics,
-//!   regression, simulation;
-//! - [`train`] — data sets, training, evaluation, and opening a trained [`Run`](train::Run);
+//!   regression;
+//! - [`stats`] — principal components, densities, error statistics, paired tests;
 //! - [`render`] — pictures.
 //!
-//! [`prelude`] has what most programs need.
+//! [`prelude`] has what most programs need. [`burn`], [`glam`] and [`ndarray`], whose types are in
+//! signatures, are re-exported.
+//!
+//! ```
+//! use cape::{core::Outfit, synth::{Wardrobe, synthetic_body}};
+//!
+//! // A synthetic body in a T-shirt and long trousers, without any trained model.
+//! let body = synthetic_body();
+//! let wardrobe = Wardrobe::new(&body, 7)?;
+//! let garment = wardrobe.fit(wardrobe.garment(0, Outfit::ShortLong, 0));
+//! let clothes = wardrobe.displacement(&garment, &[0.0; 72], 0.0, None)?;
+//! let dressed = body.pose(&[1.0, -0.5], &[0.0; 72], [0.0; 3], Some(&clothes))?;
+//! assert_eq!(dressed.vertices.dim(), (6890, 3));
+//! # Ok::<(), cape::core::Error>(())
+//! ```
 
+pub use burn;
+pub use glam;
+pub use ndarray;
+
+pub use cape_cloth as cloth;
 pub use cape_core as core;
+pub use cape_data as data;
+pub use cape_eval as eval;
 pub use cape_fit as fit;
 pub use cape_graph as graph;
+pub use cape_infer as infer;
 pub use cape_layer as layer;
 pub use cape_model as model;
 pub use cape_render as render;
+pub use cape_stats as stats;
+pub use cape_synth as synth;
 pub use cape_train as train;
 
-/// What most programs need.
+/// The names that most programs need.
 pub mod prelude {
     pub use burn::tensor::{Device, Tensor};
-    pub use cape_core::{
-        BodyPose, Mesh, Outfit, SmplModel, parse_device,
-        smpl::{ClothedSmpl, ClothingMask, Pose, Smpl, SmplInput, SmplOutput},
-    };
-    pub use cape_graph::{MeshPyramid, Weighting};
-    pub use cape_infer::{Performance, Run, RunConfig, TrainConfig, Wearer};
-    pub use cape_model::{Cape, CapeConfig, Generator, LossConfig};
-    pub use cape_render::{Image, Object, Style, Tile, View, contact_sheet, portrait};
-    pub use cape_synth::{poses, synthetic_body};
+    pub use cape_core::{BodyPose, Mesh, Outfit, SmplModel};
+    pub use cape_graph::MeshPyramid;
+    pub use cape_infer::{Performance, Run, RunConfig, Wearer};
+    pub use cape_model::CapeConfig;
     pub use cape_train::Trainer;
 }
 

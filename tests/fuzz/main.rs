@@ -23,10 +23,11 @@ use cape::{
         npy::{NpzWriter, write_npy},
         obj::{self, Uv},
         ply,
-        synth::synthetic_body,
     },
+    data::Split,
+    infer::RunConfig,
     model::weights::{self, Array},
-    train::{RunConfig, data::Split},
+    synth::synthetic_body,
 };
 use ndarray::{Array2, arr1};
 use peak_alloc::PeakAlloc;

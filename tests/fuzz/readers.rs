@@ -11,17 +11,15 @@ use cape::{
         ply,
         smpl::ClothingMask,
     },
+    data::{Split, Statistics, raw},
     graph::MeshPyramid,
+    infer::RunConfig,
     model::{
         release::{Released, infer},
         tensorflow::Checkpoint,
         weights,
     },
-    train::{
-        config::RunConfig,
-        data::{Split, Statistics, raw},
-        release::check_settings,
-    },
+    train::release::check_settings,
 };
 
 /// Kinds of files, each with the name its reader wants.

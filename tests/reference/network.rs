@@ -4,8 +4,9 @@ use std::{collections::BTreeMap, path::Path};
 
 use burn::tensor::{Device, Tensor};
 use cape::{
+    infer::Frames,
     model::{Cape, release, weights},
-    train::objective::{Frames, StepInput, evaluate},
+    train::objective::{StepInput, evaluate},
 };
 
 use crate::fixture::{Fixture, deviation, norm};

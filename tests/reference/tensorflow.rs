@@ -9,8 +9,9 @@ use cape::{
         joints::{JOINTS, PARENTS},
         npy::{NpzWriter, write_npy},
     },
+    infer::Run,
     model::{release, tensorflow::Checkpoint},
-    train::{Run, release::ImportOptions},
+    train::release::ImportOptions,
 };
 use ndarray::{Array1, Array2, Array3};
 

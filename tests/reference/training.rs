@@ -8,9 +8,12 @@ use std::{
 use burn::tensor::Device;
 use cape::{
     core::npy::Npz,
-    model::{Cape, release, weights, weights::Array},
+    infer::Rule,
+    model::{
+        Cape, release,
+        weights::{self, Array},
+    },
     train::{
-        Rule,
         objective::{Evaluation, StepInput, evaluate},
         optim::{Optimiser, global_norm},
     },

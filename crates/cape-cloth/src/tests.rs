@@ -7,9 +7,11 @@ use ndarray::Array2;
 use super::*;
 use cape_core::{
     BodyMotion,
-    geometry::{Solid, Surface},
+    geometry::{
+        Solid, Surface,
+        primitives::{grid, sphere},
+    },
 };
-use cape_layer::geometry::tests::grid;
 
 const GRAVITY: DVec3 = DVec3::new(0.0, -9.81, 0.0);
 
@@ -274,7 +276,7 @@ fn a_limit_on_strain_is_kept() {
 
 #[test]
 fn a_sheet_thrown_on_a_ball_stays_outside() {
-    let ball = cape_layer::geometry::tests::sphere(0.15, 3);
+    let ball = sphere(0.15, 3);
     let solid = Solid::new(&ball);
     let sheet = grid(19, 19, |u, v| DVec3::new(0.5 * u - 0.25, 0.2, 0.25 - 0.5 * v));
     let mut cloth = Cloth::new(&sheet, &Material::default())

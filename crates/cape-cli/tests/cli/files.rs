@@ -8,8 +8,8 @@ use cape::{
         npy::{Npz, NpzWriter},
         obj::{self, Uv},
     },
+    data::raw,
     model::weights::{self, Array},
-    train::data::raw,
 };
 use ndarray::{Array2, arr1};
 use serde_json::Value;

@@ -10,7 +10,7 @@ use std::{
 
 use cape::{
     core::{Outfit, SmplModel, joints::PARENTS, npy::write_npy},
-    train::data::{
+    data::{
         PackOptions, SequenceList, Split, pack,
         raw::{self, RawFrame},
     },
@@ -198,7 +198,7 @@ impl Packed {
         let raw = root.path().join("raw");
         write_raw(&raw, frames);
         let options = PackOptions { strict: true, ..PackOptions::default() };
-        pack(&raw, &root.path().join("packed"), &split(), options, &mut cape::train::silent)
+        pack(&raw, &root.path().join("packed"), &split(), options, &mut cape::core::silent)
             .unwrap();
         Self(root)
     }

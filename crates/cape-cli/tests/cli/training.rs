@@ -8,7 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use cape::{core::npy::write_npy, render::Image, train::RunConfig};
+use cape::{core::npy::write_npy, infer::RunConfig, render::Image};
 use serde_json::Value;
 
 use crate::support::{Packed, Ran, cape, contents};

@@ -3,10 +3,8 @@ use std::time::Instant;
 use glam::DVec3;
 
 use super::*;
-use crate::geometry::{
-    Geodesics,
-    tests::{grid, sphere},
-};
+use crate::geometry::Geodesics;
+use cape_core::geometry::primitives::{grid, sphere};
 
 /// A sphere of 10 cm and a looser one of other topology around its upper part.
 fn ball_and_hat() -> (Surface, Surface) {

@@ -12,7 +12,7 @@ use crate::{LayerSet, Sequence};
 /// let march = patch(&synthetic_body())?.0.sequences.remove(0);
 /// let walk = Sequence { name: "anna_walk".into(), ..march.clone() };
 /// let set = LayerSet::new(vec![[0, 1, 2]], vec![march, walk])?;
-/// let groups = Factor::BodyMotion.groups(&set);
+/// let groups = Factor::Motion.groups(&set);
 /// assert_eq!(groups.len(), 2);
 /// assert_eq!((groups[1].label.as_str(), groups[1].sequences.as_slice()), ("walk", &[1][..]));
 /// assert_eq!(Factor::Shape.groups(&set).len(), 1);
@@ -24,7 +24,7 @@ pub enum Factor {
     /// The body's shape coefficients.
     Shape,
     /// The movement: what follows the last `_` of a sequence's name.
-    BodyMotion,
+    Motion,
     /// Parameters other than sizes.
     Material,
     /// Sizes: parameters named length, width, sleeve or size.
@@ -46,13 +46,13 @@ const SIZES: [&str; 4] = ["length", "width", "sleeve", "size"];
 
 impl Factor {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Shape, Self::BodyMotion, Self::Material, Self::Fit];
+    pub const ALL: [Self; 4] = [Self::Shape, Self::Motion, Self::Material, Self::Fit];
 
     /// The name in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Shape => "shape",
-            Self::BodyMotion => "motion",
+            Self::Motion => "motion",
             Self::Material => "material",
             Self::Fit => "fit",
         }
@@ -93,7 +93,7 @@ impl Factor {
                     format!("β {}", betas.join(" "))
                 }
             }
-            Self::BodyMotion => {
+            Self::Motion => {
                 let name = &sequence.name;
                 name.rsplit_once('_').map_or(name.as_str(), |(_, last)| last).to_owned()
             }
@@ -132,10 +132,7 @@ mod tests {
         let groups = |factor: Factor| -> Vec<(String, Vec<usize>)> {
             factor.groups(&set).into_iter().map(|g| (g.label, g.sequences)).collect()
         };
-        assert_eq!(
-            groups(Factor::BodyMotion),
-            [("walk".into(), vec![0, 2]), ("jump".into(), vec![1])]
-        );
+        assert_eq!(groups(Factor::Motion), [("walk".into(), vec![0, 2]), ("jump".into(), vec![1])]);
         assert_eq!(groups(Factor::Shape)[1], ("β 1.00".into(), vec![2]));
         assert_eq!(groups(Factor::Fit)[1], ("length 1.200".into(), vec![1]));
         assert_eq!(groups(Factor::Material).len(), 1);

@@ -3,12 +3,16 @@
 
 use std::{f64::consts::PI, time::Instant};
 
+use cape_core::geometry::{
+    Surface,
+    primitives::{grid, sphere},
+};
 use glam::DVec3;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::{
-    Geodesics, Metric, Surface,
-    tests::{exact, grid, sphere, straight_lines},
+    Geodesics, Metric,
+    tests::{exact, straight_lines},
 };
 
 /// Distances by heat (Crane et al. 2013), with cotangent weights and a time of one squared edge.

@@ -1,6 +1,9 @@
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::PI;
 
-use cape_core::geometry::primitives::{grid, sphere};
+use cape_core::geometry::{
+    Surface,
+    primitives::{grid, sphere},
+};
 use glam::DVec3;
 
 use super::*;

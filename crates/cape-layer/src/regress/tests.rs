@@ -1,3 +1,4 @@
+use cape_core::BodyMotion;
 use ndarray::{Array2, Axis, s};
 use proptest::prelude::*;
 use rand::{Rng, SeedableRng};
