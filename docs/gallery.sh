@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
-# Makes the pictures of README and guide, in about a quarter of an hour: the README's first from the
-# demo, all others from the quick table's CAPE, which is trained for longer:
+# Makes the pictures of the README and the book's guide, in about a quarter of an hour. The first
+# picture is of the demo; all others are of the CAPE row of the quick table, which is trained longer.
 #
-#     cargo build --release --examples --bins && docs/gallery.sh [DIRECTORY]
+#     cargo build --release --workspace --examples --bins && docs/gallery.sh [DIRECTORY]
 #
-# DIRECTORY keeps the demo and all that is made of it.
+# DIRECTORY keeps the demo and everything made from it. Not made here are viewer.png, fitted.png,
+# fitting-benchmark.png, table2-report.png and the layer-*.png: see the pages that show them.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -12,15 +13,16 @@ target=${CARGO_TARGET_DIR:-target}/release
 cape=$(realpath "$target/cape")
 examples=$(realpath "$target/examples")
 work=${1:-$(mktemp -d)}
-pictures=$PWD/docs/guide/src/pictures
+pictures=$PWD/docs/book/src/pictures
 mkdir -p "$work" "$pictures"
 cd "$work"
 
 [[ -e demo ]] || "$cape" demo --out demo
 [[ -e quick ]] || "$cape" table2 --quick --rows cape --out quick
 run=quick/cape/seed-1/run
-"$cape" fit-prior "$run"
+"$cape" model prior "$run"
 
+# make DIRECTORY COMMAND ARGUMENT…: runs the command with --out DIRECTORY, anew.
 make() {
     local name=$1
     shift
@@ -34,10 +36,10 @@ make poses vary "$run" --by pose --motion squats --codes seed:4
 make shapes vary "$run" --by shape --outfit shortshort --codes mean
 make directions vary "$run" --by direction --rows 3 --columns 5
 make between vary "$run" --by between --codes frame:0,frame:300
-make effect pose-effect "$run" --pose-a a-pose --pose-b squats --scale 4
+make effect eval pose "$run" --pose-a a-pose --pose-b squats --scale 4
 make redressed redress "$run" frame:3 --pose squats
 make given redress "$run" frame:3 --to 2,-1 --to -2,1 --to frame:200
-make scanned fit-scan "$run" --scan redressed/0-registration.ply --outfit shortshort --free-displacement
+make scanned fit scan "$run" --scan redressed/0-registration.ply --outfit shortshort --free-displacement
 make squats animate "$run" --motion squats --seconds 2 --fps 12 --size 256
 "$examples/texture" "$run"
 "$examples/picture"
