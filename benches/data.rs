@@ -7,15 +7,15 @@ use std::{path::Path, sync::Arc};
 use cape::{
     core::silent,
     data::{
-        Loader, LoaderOptions, LoaderState, PackOptions, PackedSet, Part, SequenceList, Split,
-        Statistics, pack,
+        DisplacementStatistics, Loader, LoaderOptions, LoaderState, PackOptions, PackedSet,
+        SequenceList, Split, SplitSpec, pack,
     },
-    synth::{Motion, Synth, SynthSpec, synthetic_body},
+    synth::{CaptureGenerator, Motion, SynthSpec, synthetic_body},
 };
 use criterion::{Criterion, criterion_group, criterion_main};
 
 /// Captures of one synthetic person in the raw layout, and how to split them.
-fn captures(raw: &Path) -> Split {
+fn captures(raw: &Path) -> SplitSpec {
     let body = synthetic_body();
     let spec = SynthSpec {
         subjects: 1,
@@ -27,7 +27,7 @@ fn captures(raw: &Path) -> Split {
         sequences: motions.iter().map(|motion| motion.name().to_owned()).collect(),
         exclude: Vec::new(),
     };
-    let split = Split {
+    let split = SplitSpec {
         subjects: spec.subject_names(),
         outfits: spec.outfits.clone(),
         cut: 2,
@@ -35,7 +35,7 @@ fn captures(raw: &Path) -> Split {
         train: names(spec.train_motions()),
         test: names(spec.test_motions()),
     };
-    Synth::new(&body, spec).unwrap().write(raw, &mut silent).unwrap();
+    CaptureGenerator::new(&body, spec).unwrap().write(raw, &mut silent).unwrap();
     split
 }
 
@@ -55,8 +55,8 @@ fn benches(criterion: &mut Criterion) {
         });
     });
     pack(&raw, &packed, &split, PackOptions::default(), &mut silent).unwrap();
-    let statistics = Arc::new(Statistics::of_packed(&packed, &mut silent).unwrap());
-    let set = Arc::new(PackedSet::open(&packed, Part::Train).unwrap());
+    let statistics = Arc::new(DisplacementStatistics::from_packed(&packed, &mut silent).unwrap());
+    let set = Arc::new(PackedSet::open(&packed, Split::Train).unwrap());
     let rows = statistics.training_rows(set.frames());
     let options = LoaderOptions { batch: 16, ..LoaderOptions::default() };
     let mut loader = Loader::new(set, statistics, rows, options, LoaderState::new(1)).unwrap();

@@ -4,7 +4,7 @@
 
 use cape::{
     fit::{
-        Camera,
+        PinholeCamera,
         silhouette::{SilhouetteEnergy, render},
     },
     synth::synthetic_body,
@@ -18,7 +18,7 @@ fn benches(criterion: &mut Criterion) {
         let rows = body.v_template.rows().into_iter();
         rows.map(|v| DVec3::new(v[0] + right, v[1] + 0.3, v[2] - 2.6)).collect()
     };
-    let camera = Camera::new(512, 512, None).unwrap();
+    let camera = PinholeCamera::new(512, 512, None).unwrap();
     let mask = render(&placed(0.02), &body.faces, &camera).unwrap().mask().clone();
     let vertices = placed(0.0);
     let mut group = criterion.benchmark_group("silhouette, 512");
@@ -26,10 +26,10 @@ fn benches(criterion: &mut Criterion) {
     let energy = || SilhouetteEnergy::new(&camera, &mask, 512, 0.005).unwrap();
     let mut ways = vec![("distances".to_owned(), energy())];
     for softness in [0.5, 1.0, 2.0] {
-        ways.push((format!("soft, {softness} pixels"), energy().softened(softness).unwrap()));
+        ways.push((format!("soft, {softness} pixels"), energy().with_softness(softness).unwrap()));
     }
     for (name, energy) in &ways {
-        let matched = energy.matched(&vertices, &body.faces).unwrap();
+        let matched = energy.match_surface(&vertices, &body.faces).unwrap();
         group.bench_function(name, |bencher| {
             bencher.iter(|| {
                 matched.evaluate(&vertices, 1.0, &mut vec![DVec3::ZERO; vertices.len()]).total()
@@ -37,7 +37,7 @@ fn benches(criterion: &mut Criterion) {
         });
     }
     group.bench_function("matching", |bencher| {
-        bencher.iter(|| ways[0].1.matched(&vertices, &body.faces).unwrap());
+        bencher.iter(|| ways[0].1.match_surface(&vertices, &body.faces).unwrap());
     });
     group.finish();
 }

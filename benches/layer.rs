@@ -5,21 +5,21 @@ use std::time::Instant;
 
 use cape::{
     cloth::{Garment, GarmentKind},
-    core::{geometry::Surface, smpl::StandardPose},
-    layer::{AssociateOptions, BodyFrame, geometry::Metric},
+    core::{geometry::SurfaceMesh, smpl::StandardPose},
+    layer::{AssociateOptions, BodyFrame, geometry::GeodesicMetric},
     synth::synthetic_body,
 };
 use ndarray::Array2;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let model = synthetic_body();
-    let shape = model.shaped(&[])?;
-    let garment = Garment { resolution: 0.0088, ..Garment::of(GarmentKind::Dress) };
+    let shape = model.rest_shape(&[])?;
+    let garment = Garment { resolution: 0.0088, ..Garment::new(GarmentKind::Dress) };
     let start = Instant::now();
     let dress = garment.sew(&model, &shape)?.surface;
     println!("{} vertices sewn in {:.1} s", dress.vertices.len(), start.elapsed().as_secs_f64());
-    let body = Surface::of_rows("body", shape.view(), &model.faces)?;
-    for metric in [Metric::Graph, Metric::Unfolded] {
+    let body = SurfaceMesh::from_rows("body", shape.view(), &model.faces)?;
+    for metric in [GeodesicMetric::Graph, GeodesicMetric::Unfolded] {
         let options = AssociateOptions { metric, ..AssociateOptions::default() };
         let start = Instant::now();
         let association = options.associate(&body, &dress)?;

@@ -10,7 +10,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 
 fn benches(criterion: &mut Criterion) {
     let mesh = synthetic_body().mesh();
-    let bounds = Bounds::of_meshes([&mesh]).unwrap();
+    let bounds = Bounds::from_meshes([&mesh]).unwrap();
     let camera = Camera::framing(&bounds, View::ThreeQuarter, Projection::default(), 1.0);
     let mut group = criterion.benchmark_group("512×512");
     let full = Style::default();

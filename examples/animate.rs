@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use cape::{
     core::silent,
-    infer::prior::{Codes, DensityKind, Prior},
+    infer::prior::{DensityKind, LatentCodes, Prior},
     prelude::*,
     stats::density::MixtureOptions,
     synth::poses,
@@ -17,15 +17,15 @@ use cape::{
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = PathBuf::from(std::env::args().nth(1).ok_or("expected a run's directory")?);
     let run = Run::open(&path, &Device::default())?;
-    let seen = Codes::of_training(&run, &run.data()?, 256, &mut silent)?;
+    let seen = LatentCodes::from_training(&run, &run.data()?, 256, &mut silent)?;
     let prior = Prior::fit(&seen, DensityKind::Mixture(1), true, &MixtureOptions::default())?;
     let outfit = Outfit::ShortLong;
-    let performance = Performance {
+    let performance = AnimatedBody {
         name: "walk",
         code: prior.sample(outfit, 1, 1.0, 3),
         betas: &[0.5],
         outfit,
-        poses: poses::movement("walk", 2.0, 30.0)?,
+        poses: poses::motion_poses("walk", 2.0, 30.0)?,
         frames_per_second: 30.0,
         shape_targets: 0,
         colours: None,

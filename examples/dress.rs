@@ -13,8 +13,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let run = Run::open(&path, &Device::default())?;
     let code = run.sample_codes(1, 7);
     let pose = poses::preset("walk").ok_or("no such pose")?;
-    let wearer = Wearer { betas: vec![1.0, -0.5], pose, outfit: Outfit::LongLong };
+    let wearer = BodySpec { betas: vec![1.0, -0.5], pose, outfit: Outfit::LongLong };
     run.dress(&code, std::slice::from_ref(&wearer))?[0].save("dressed.obj")?;
-    Performance::still("dressed", &code, &wearer).save(&run, "dressed.glb")?;
+    AnimatedBody::from_body("dressed", &code, &wearer).save(&run, "dressed.glb")?;
     Ok(())
 }

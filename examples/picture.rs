@@ -15,7 +15,7 @@ use cape::{
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mesh = synthetic_body().mesh();
-    let bounds = Bounds::of_meshes([&mesh]).ok_or("no vertices")?;
+    let bounds = Bounds::from_meshes([&mesh]).ok_or("no vertices")?;
     let style = Style { width: 320, height: 512, ..Style::default() };
     let aspect = 320.0 / 512.0;
     let camera = Camera::framing(&bounds, View::ThreeQuarter, Projection::Orthographic, aspect);
@@ -33,8 +33,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let object = Object::new(&mesh);
     let pictures = [
         ("smooth", render(&[object], &camera, &style)?),
-        ("flat", render(&[object.flat()], &camera, &style)?),
-        ("textured", render(&[object.textured(texture)], &camera, &style)?),
+        ("flat", render(&[object.with_flat_shading()], &camera, &style)?),
+        ("textured", render(&[object.with_texture(texture)], &camera, &style)?),
         ("silhouette", silhouette(&mesh, &camera, style.width, style.height)?),
     ];
     let tiles = pictures.map(|(name, image)| Tile { image, label: name.into() });

@@ -7,7 +7,7 @@
 use std::path::PathBuf;
 
 use cape::{
-    data::{PackedSet, Part},
+    data::{PackedSet, Split},
     infer::registration,
     prelude::*,
     synth::poses,
@@ -16,13 +16,13 @@ use cape::{
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = PathBuf::from(std::env::args().nth(1).ok_or("expected a run's directory")?);
     let run = Run::open(&path, &Device::default())?;
-    let set = PackedSet::open(&run.data()?, Part::Test)?;
+    let set = PackedSet::open(&run.data()?, Split::Test)?;
     let (displacement, seen) = registration(&set, 0)?;
     let code = run.encode(&displacement, std::slice::from_ref(&seen))?;
 
     let pose = poses::preset("squats").ok_or("no such pose")?;
-    let squatting = Wearer { pose, ..seen.clone() };
-    let other = Wearer { outfit: Outfit::ShortShort, ..seen.clone() };
+    let squatting = BodySpec { pose, ..seen.clone() };
+    let other = BodySpec { outfit: Outfit::ShortShort, ..seen.clone() };
     for (name, wearer) in [("seen", seen), ("squatting", squatting), ("other", other)] {
         run.dress(&code, &[wearer])?[0].save(format!("{name}.obj"))?;
     }

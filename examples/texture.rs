@@ -20,8 +20,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = PathBuf::from(std::env::args().nth(1).ok_or("expected a run's directory")?);
     let run = Run::open(&path, &Device::default())?;
     let pose = poses::preset("a-pose").ok_or("no such pose")?;
-    let wearers = Outfit::ALL.map(|outfit| Wearer { betas: Vec::new(), pose, outfit });
-    let mut bodies = run.bare(&wearers[..1])?;
+    let wearers = Outfit::ALL.map(|outfit| BodySpec { betas: Vec::new(), pose, outfit });
+    let mut bodies = run.pose_unclothed(&wearers[..1])?;
     bodies.extend(run.dress(&run.sample_codes(4, 2), &wearers)?);
 
     // Seen from the front at rest; SMPL's own coordinates come with `obj::read`.
@@ -39,7 +39,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for (mesh, label) in
         bodies.iter().zip(["body"].into_iter().chain(Outfit::ALL.map(Outfit::name)))
     {
-        let image = portrait(Object::new(mesh).textured(texture), View::ThreeQuarter, &style)?;
+        let image = portrait(Object::new(mesh).with_texture(texture), View::ThreeQuarter, &style)?;
         tiles.push(Tile { image, label: label.to_owned() });
     }
     Ok(contact_sheet(&tiles, 5, None)?.save("texture.png")?)

@@ -9,12 +9,12 @@ use std::ops::ControlFlow;
 use burn::tensor::Device;
 use cape::{
     core::{Outfit, silent},
-    data::{PackOptions, SequenceList, Split, pack},
+    data::{PackOptions, SequenceList, SplitSpec, pack},
     eval::{EvalOptions, evaluate},
     infer::{Run, RunConfig, TrainConfig},
     model::CapeConfig,
-    synth::{Motion, Synth, SynthSpec, synthetic_body},
-    train::{Event, Trainer},
+    synth::{CaptureGenerator, Motion, SynthSpec, synthetic_body},
+    train::{TrainEvent, Trainer},
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -33,7 +33,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         sequences: motions.iter().map(|motion| motion.name().to_owned()).collect(),
         exclude: Vec::new(),
     };
-    let split = Split {
+    let split = SplitSpec {
         subjects: spec.subject_names(),
         outfits: spec.outfits.clone(),
         cut: 2,
@@ -41,7 +41,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         train: names(spec.train_motions()),
         test: names(spec.test_motions()),
     };
-    Synth::new(&body, spec)?.write(&raw, &mut silent)?;
+    CaptureGenerator::new(&body, spec)?.write(&raw, &mut silent)?;
     let report = pack(&raw, &packed, &split, PackOptions::default(), &mut silent)?;
     println!("{} training and {} test frames", report.train_frames, report.test_frames);
 
@@ -53,7 +53,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let device = Device::default();
     let mut trainer = Trainer::create(&run, &packed, None, None, config, &device)?;
     trainer.run(&mut |event| {
-        if let Event::Validation { epoch, millimetres, .. } = event {
+        if let TrainEvent::Validation { epoch, millimetres, .. } = event {
             println!("epoch {epoch}: {millimetres:.2} mm");
         }
         ControlFlow::Continue(())

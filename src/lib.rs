@@ -29,7 +29,7 @@
 //! // A synthetic body in a T-shirt and long trousers, without any trained model.
 //! let body = synthetic_body();
 //! let wardrobe = Wardrobe::new(&body, 7)?;
-//! let garment = wardrobe.fit(wardrobe.garment(0, Outfit::ShortLong, 0));
+//! let garment = wardrobe.fit(wardrobe.outfit_style(0, Outfit::ShortLong, 0));
 //! let clothes = wardrobe.displacement(&garment, &[0.0; 72], 0.0, None)?;
 //! let dressed = body.pose(&[1.0, -0.5], &[0.0; 72], [0.0; 3], Some(&clothes))?;
 //! assert_eq!(dressed.vertices.dim(), (6890, 3));
@@ -59,7 +59,7 @@ pub mod prelude {
     pub use burn::tensor::{Device, Tensor};
     pub use cape_core::{BodyPose, Mesh, Outfit, SmplModel};
     pub use cape_graph::MeshPyramid;
-    pub use cape_infer::{Performance, Run, RunConfig, Wearer};
+    pub use cape_infer::{AnimatedBody, BodySpec, Run, RunConfig};
     pub use cape_model::CapeConfig;
     pub use cape_train::Trainer;
 }

@@ -24,9 +24,9 @@ use cape::{
         obj::{self, Uv},
         ply,
     },
-    data::Split,
+    data::SplitSpec,
     infer::RunConfig,
-    model::weights::{self, Array},
+    model::weights::{self, HostArray},
     synth::synthetic_body,
 };
 use ndarray::{Array2, arr1};
@@ -76,7 +76,7 @@ fn seeds(directory: &Path) -> Vec<(&'static str, &'static str, Vec<Vec<u8>>)> {
     npz.add("pose", &ndarray::Array1::<f64>::zeros(72)).unwrap();
     npz.add("transl", &arr1(&[0.0, 1.0, 2.0])).unwrap();
     npz.finish().unwrap();
-    let array = |shape: &[usize]| Array {
+    let array = |shape: &[usize]| HostArray {
         shape: shape.to_vec(),
         values: vec![0.5; shape.iter().product()],
     };
@@ -84,7 +84,7 @@ fn seeds(directory: &Path) -> Vec<(&'static str, &'static str, Vec<Vec<u8>>)> {
     let named = named.map(|(name, array)| (name.to_owned(), array));
     weights::save(&named.into_iter().collect(), &at("1.safetensors")).unwrap();
     RunConfig::default().save(&at("1.toml")).unwrap();
-    fs::write(at("2.toml"), Split::male().to_toml().unwrap()).unwrap();
+    fs::write(at("2.toml"), SplitSpec::male().to_toml().unwrap()).unwrap();
     fs::write(at("1.yaml"), "name: a\nnz: 18\nF: [64, 64]\nlr: 8e-3\nseed: 3\n").unwrap();
     fs::write(at("2.yaml"), "# c\n\"a\": 'b'\nb: >\n  long\n  text\nc: {}\nd: &x [1, 2]\n")
         .unwrap();
@@ -94,7 +94,7 @@ fn seeds(directory: &Path) -> Vec<(&'static str, &'static str, Vec<Vec<u8>>)> {
         ("generator/encoder/fc_mean/dense/kernel/Momentum", vec![8, 2]),
         ("generator/decoder/decoder_conv1/weights", vec![8, 4]),
     ];
-    let variables: Vec<(String, Array)> =
+    let variables: Vec<(String, HostArray)> =
         variables.into_iter().map(|(name, shape)| (name.to_owned(), array(&shape))).collect();
     tf_writer::write(directory, 7, &variables);
     fs::rename(at("model-7.index"), at("1.index")).unwrap();

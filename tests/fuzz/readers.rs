@@ -11,12 +11,12 @@ use cape::{
         ply,
         smpl::ClothingMask,
     },
-    data::{Split, Statistics, raw},
+    data::{DisplacementStatistics, SplitSpec, raw},
     graph::MeshPyramid,
     infer::RunConfig,
     model::{
-        release::{Released, infer},
-        tensorflow::Checkpoint,
+        release::{ReleaseCheckpoint, infer},
+        tensorflow::TensorFlowCheckpoint,
         weights,
     },
     train::release::check_settings,
@@ -46,13 +46,17 @@ pub fn read(kind: &str, path: &Path) -> usize {
             [read_f64(path).is_ok(), objects]
         }
         "npz" => {
-            let _ = (SmplModel::load(path), Statistics::load(path), MeshPyramid::load(path));
+            let _ = (
+                SmplModel::load(path),
+                DisplacementStatistics::load(path),
+                MeshPyramid::load(path),
+            );
             [npz(path), raw::read_frame(path, None).is_ok()]
         }
         "obj" => [obj::read(path).is_ok(), false],
         "ply" => [ply::read(path).is_ok(), false],
         "safetensors" => [weights::load(path).is_ok(), false],
-        "toml" => [RunConfig::load(path).is_ok(), Split::from_file(path).is_ok()],
+        "toml" => [RunConfig::load(path).is_ok(), SplitSpec::from_file(path).is_ok()],
         "yaml" => [check_settings(path).is_ok(), false],
         _ => [tensorflow(path), false],
     };
@@ -78,9 +82,9 @@ fn pickle(pickle: &Pickle) -> bool {
 }
 
 fn tensorflow(path: &Path) -> bool {
-    let Ok(checkpoint) = Checkpoint::open(path) else { return false };
+    let Ok(checkpoint) = TensorFlowCheckpoint::open(path) else { return false };
     for variable in checkpoint.variables() {
         let _ = (checkpoint.floats(variable), checkpoint.integers(variable));
     }
-    Released::read(&checkpoint).is_ok_and(|released| infer(&released.shapes()).is_ok())
+    ReleaseCheckpoint::read(&checkpoint).is_ok_and(|released| infer(&released.shapes()).is_ok())
 }

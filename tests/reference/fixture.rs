@@ -8,7 +8,7 @@ use cape::{
     graph::{DevicePyramid, SparseMatrix, rescaled_laplacian},
     model::{
         CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, Graphs, LossConfig,
-        Reconstruction, weights::Array,
+        ReconstructionLoss, weights::HostArray,
     },
 };
 use serde::Deserialize;
@@ -33,7 +33,7 @@ pub struct Settings {
     cond_encoder: bool,
     encoder_residual: bool,
     decoder: DecoderBlock,
-    loss: Reconstruction,
+    loss: ReconstructionLoss,
     lambda_recon: f64,
     lambda_edge: f64,
     lambda_kl: f64,
@@ -47,7 +47,7 @@ pub struct Fixture {
     pub config: CapeConfig,
     pub loss: LossConfig,
     pub graphs: Graphs,
-    pub variables: Vec<(String, Array)>,
+    pub variables: Vec<(String, HostArray)>,
     pub device: Device,
 }
 
@@ -57,7 +57,7 @@ impl Fixture {
         let settings: Settings = serde_json::from_str(&text).unwrap();
         let mut npz = Npz::open(path).unwrap();
         let names = npz.names();
-        let variables: Vec<(String, Array)> = names
+        let variables: Vec<(String, HostArray)> = names
             .iter()
             .filter_map(|name| Some((name.strip_prefix("var/")?.to_owned(), array(&mut npz, name))))
             .collect();
@@ -86,7 +86,7 @@ impl Fixture {
 }
 
 impl Settings {
-    fn config(&self, variables: &[(String, Array)]) -> CapeConfig {
+    fn config(&self, variables: &[(String, HostArray)]) -> CapeConfig {
         let shape = |name: &str| {
             let found = variables.iter().find(|(found, _)| found == name);
             &found.unwrap_or_else(|| panic!("no variable {name}")).1.shape
@@ -161,9 +161,9 @@ impl Settings {
     }
 }
 
-fn array(npz: &mut Npz, name: &str) -> Array {
+fn array(npz: &mut Npz, name: &str) -> HostArray {
     let array = npz.f32(name).unwrap();
-    Array { shape: array.shape().to_vec(), values: array.iter().copied().collect() }
+    HostArray { shape: array.shape().to_vec(), values: array.iter().copied().collect() }
 }
 
 /// A matrix stored as COO triplets.

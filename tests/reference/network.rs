@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, path::Path};
 
 use burn::tensor::{Device, Tensor};
 use cape::{
-    infer::Frames,
+    infer::DeviceBatch,
     model::{Cape, release, weights},
     train::objective::{StepInput, evaluate},
 };
@@ -32,8 +32,8 @@ pub fn build(fixture: &Fixture) -> Cape {
 }
 
 /// Frames of the reference's `prefix` (`in` or `train_in/k`), for `g` or `d`.
-pub fn frames(fixture: &mut Fixture, prefix: &str, whose: &str) -> Frames {
-    Frames {
+pub fn frames(fixture: &mut Fixture, prefix: &str, whose: &str) -> DeviceBatch {
+    DeviceBatch {
         displacement: fixture.tensor(&format!("{prefix}/x_{whose}")),
         pose_feature: fixture.tensor(&format!("{prefix}/cond_{whose}")),
         outfit: fixture.tensor(&format!("{prefix}/cond2_{whose}")),

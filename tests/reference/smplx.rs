@@ -50,7 +50,7 @@ pub(crate) fn check(model_path: &Path, device: &Device, report: &mut dyn FnMut(S
         let posed = smpl.forward(input(Some(displacement.clone()))).unwrap().vertices;
         let pose = Pose::AxisAngle(pose.clone());
         let canonical = smpl.unpose(posed, betas.clone(), pose, transl.clone()).unwrap();
-        io.distance("displacement", canonical - smpl.shaped(betas.clone()).unwrap())
+        io.distance("displacement", canonical - smpl.rest_shape(betas.clone()).unwrap())
     };
     let unposed = unpose(&smpl);
     if io_device.supports_dtype(FloatDType::F64) {
@@ -93,7 +93,7 @@ fn host(model: &SmplModel, io: &mut Io) -> f64 {
         let bare = model.pose(&betas, &pose, transl, None).unwrap();
         let dressed = model.pose(&betas, &pose, transl, Some(&worn)).unwrap();
         let canonical = model.unpose(&dressed.vertices, &betas, &pose, transl).unwrap();
-        let clothes = canonical - model.shaped(&betas).unwrap();
+        let clothes = canonical - model.rest_shape(&betas).unwrap();
         most =
             most.max(largest(clothes.iter().copied(), &worn.iter().copied().collect::<Vec<_>>()));
         for (found, expected) in

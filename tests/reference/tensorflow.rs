@@ -10,7 +10,7 @@ use cape::{
         npy::{NpzWriter, write_npy},
     },
     infer::Run,
-    model::{release, tensorflow::Checkpoint},
+    model::{release, tensorflow::TensorFlowCheckpoint},
     train::release::ImportOptions,
 };
 use ndarray::{Array1, Array2, Array3};
@@ -26,7 +26,7 @@ const IMPORTED: f64 = 1e-4;
 /// Reads every variable; a checkpoint of a reference network must equal it bit for bit, have its
 /// configuration in its shapes, and give its outputs.
 pub(crate) fn check(directory: &Path, device: &Device, report: &mut dyn FnMut(String)) {
-    let checkpoint = Checkpoint::open(directory).unwrap();
+    let checkpoint = TensorFlowCheckpoint::open(directory).unwrap();
     let (mut numbers, mut integers) = (0, 0);
     for variable in checkpoint.variables() {
         if variable.element.is_float() {
@@ -49,7 +49,7 @@ pub(crate) fn check(directory: &Path, device: &Device, report: &mut dyn FnMut(St
         return;
     }
     let mut fixture = Fixture::open(&path, &device.clone().autodiff());
-    let released = release::Released::read(&checkpoint).unwrap();
+    let released = release::ReleaseCheckpoint::read(&checkpoint).unwrap();
     assert_eq!(released.variables.len(), fixture.variables.len());
     for (theirs, expected) in &fixture.variables {
         let bare = theirs.trim_end_matches(":0");

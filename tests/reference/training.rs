@@ -8,10 +8,10 @@ use std::{
 use burn::tensor::Device;
 use cape::{
     core::npy::Npz,
-    infer::Rule,
+    infer::OptimiserKind,
     model::{
         Cape, release,
-        weights::{self, Array},
+        weights::{self, HostArray},
     },
     train::{
         objective::{Evaluation, StepInput, evaluate},
@@ -62,8 +62,9 @@ pub fn check(path: &Path, device: &Device, report: &mut dyn FnMut(String)) {
     fixture.loss.regularisation = run.regularization_effective;
     let mut model = build(&fixture);
     let before = weights::collect(&model);
-    let mut generator_optimiser = Optimiser::new(Rule::Sgd, run.momentum, run.clip_norm);
-    let mut discriminator_optimiser = Optimiser::new(Rule::Sgd, run.momentum, run.clip_norm);
+    let mut generator_optimiser = Optimiser::new(OptimiserKind::Sgd, run.momentum, run.clip_norm);
+    let mut discriminator_optimiser =
+        Optimiser::new(OptimiserKind::Sgd, run.momentum, run.clip_norm);
 
     let mut worst = (0.0, String::new());
     let mut bends = BTreeSet::new();
@@ -133,13 +134,19 @@ pub fn check(path: &Path, device: &Device, report: &mut dyn FnMut(String)) {
 
     let stem = path.file_stem().unwrap().to_string_lossy();
     let mut after = Npz::open(path.with_file_name(format!("{stem}_after.npz"))).unwrap();
-    let variables: Vec<(String, Array)> = after
+    let variables: Vec<(String, HostArray)> = after
         .names()
         .into_iter()
         .map(|key| {
             let array = after.f32(&key).unwrap();
             let name = key.strip_prefix("after/").unwrap_or(&key).to_owned();
-            (name, Array { shape: array.shape().to_vec(), values: array.iter().copied().collect() })
+            (
+                name,
+                HostArray {
+                    shape: array.shape().to_vec(),
+                    values: array.iter().copied().collect(),
+                },
+            )
         })
         .collect();
     let expected = release::import(&fixture.config, &variables).unwrap();

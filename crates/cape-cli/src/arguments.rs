@@ -10,7 +10,7 @@ use crate::{commands, console::Console, error::Result};
 #[command(name = "cape", version, arg_required_else_help = true, propagate_version = true)]
 pub(crate) struct Cli {
     #[command(flatten)]
-    pub(crate) global: Global,
+    pub(crate) global: GlobalArgs,
     #[command(subcommand)]
     pub(crate) command: Command,
 }
@@ -18,7 +18,7 @@ pub(crate) struct Cli {
 /// Options that every command takes.
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Global options")]
-pub(crate) struct Global {
+pub(crate) struct GlobalArgs {
     /// Where tensors live: flex, ndarray, wgpu[:index] or cuda[:index], as far as compiled in.
     #[arg(long, global = true, default_value = default_device(), value_name = "NAME")]
     pub(crate) device: String,
@@ -38,42 +38,42 @@ pub(crate) struct Global {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    Synth(commands::synth::Synth),
-    Pack(commands::pack::Pack),
-    Pyramid(commands::pyramid::Pyramid),
-    Train(commands::train::Train),
-    Eval(commands::eval::Eval),
+    Synth(commands::synth::SynthArgs),
+    Pack(commands::pack::PackArgs),
+    Pyramid(commands::pyramid::PyramidArgs),
+    Train(commands::train::TrainArgs),
+    Eval(commands::eval::EvalArgs),
     #[command(name = "table2")]
-    Table2(commands::table2::Table2),
-    Compare(commands::compare::Compare),
-    FitPrior(commands::fit_prior::FitPrior),
-    Sample(commands::sample::Sample),
-    EvalSamples(commands::eval_samples::EvalSamples),
-    Vary(commands::vary::Vary),
-    Encode(commands::encode::Encode),
-    Redress(commands::redress::Redress),
-    Generate(commands::generate::Generate),
-    Animate(commands::animate::Animate),
-    PoseEffect(commands::pose_effect::PoseEffect),
+    Table2(commands::table2::Table2Args),
+    Compare(commands::compare::CompareArgs),
+    FitPrior(commands::fit_prior::FitPriorArgs),
+    Sample(commands::sample::SampleArgs),
+    EvalSamples(commands::eval_samples::EvalSamplesArgs),
+    Vary(commands::vary::VaryArgs),
+    Encode(commands::encode::EncodeArgs),
+    Redress(commands::redress::RedressArgs),
+    Generate(commands::generate::GenerateArgs),
+    Animate(commands::animate::AnimateArgs),
+    PoseEffect(commands::pose_effect::PoseEffectArgs),
     #[cfg(feature = "view")]
-    View(commands::view::View),
-    Fit(commands::fit::Fit),
-    FitScan(commands::fit_scan::FitScan),
-    FitBenchmark(commands::fit_benchmark::FitBenchmark),
-    ScanBenchmark(commands::scan_benchmark::ScanBenchmark),
-    FitPosePrior(commands::fit_pose_prior::FitPosePrior),
-    Layer(commands::layer::Layer),
-    Import(commands::import::Import),
-    Export(commands::export::Export),
-    Inspect(commands::inspect::Inspect),
-    Unpose(commands::unpose::Unpose),
-    Info(commands::info::Info),
-    Bench(commands::bench::Bench),
-    Demo(commands::demo::Demo),
+    View(commands::view::ViewArgs),
+    Fit(commands::fit::FitArgs),
+    FitScan(commands::fit_scan::FitScanArgs),
+    FitBenchmark(commands::fit_benchmark::FitBenchmarkArgs),
+    ScanBenchmark(commands::scan_benchmark::ScanBenchmarkArgs),
+    FitPosePrior(commands::fit_pose_prior::FitPosePriorArgs),
+    Layer(commands::layer::LayerArgs),
+    Import(commands::import::ImportArgs),
+    Export(commands::export::ExportArgs),
+    Inspect(commands::inspect::InspectArgs),
+    Unpose(commands::unpose::UnposeArgs),
+    Info(commands::info::InfoArgs),
+    Bench(commands::bench::BenchArgs),
+    Demo(commands::demo::DemoArgs),
 }
 
 impl Command {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result<ExitCode> {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result<ExitCode> {
         match self {
             Self::Synth(command) => command.run(global, console)?,
             Self::Pack(command) => command.run(console)?,

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use cape_eval::comparison::Table;
+use cape_eval::comparison::ComparisonTable;
 use cape_render::{Image, Plot, Series};
 
 use crate::{error::Result, files, table};
@@ -11,7 +11,7 @@ use crate::{error::Result, files, table};
 const SHARE: f64 = 0.99;
 
 /// The table for people.
-pub(crate) fn text(table: &Table) -> String {
+pub(crate) fn text(table: &ComparisonTable) -> String {
     let (header, rows) = table.rows();
     let mut text = table::Table::new(header);
     for row in rows {
@@ -21,7 +21,7 @@ pub(crate) fn text(table: &Table) -> String {
 }
 
 /// Writes the table as `name`.md, .csv and .tex.
-pub(crate) fn write(out: &Path, name: &str, table: &Table) -> Result {
+pub(crate) fn write(out: &Path, name: &str, table: &ComparisonTable) -> Result {
     for (extension, text) in
         [("md", table.markdown()), ("csv", table.csv()), ("tex", table.latex())]
     {
@@ -31,7 +31,7 @@ pub(crate) fn write(out: &Path, name: &str, table: &Table) -> Result {
 }
 
 /// How errors are distributed, a line a method.
-pub(crate) fn histograms(table: &Table) -> Result<Image> {
+pub(crate) fn histograms(table: &ComparisonTable) -> Result<Image> {
     let ends = table.lines.iter().map(|line| line.histogram.quantile(SHARE));
     let end = ends.fold(0.0, f64::max);
     let series = table

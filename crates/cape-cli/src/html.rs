@@ -15,13 +15,13 @@ padding:1rem;overflow-x:auto}tr.reference{background:#f0f6ff}@media(prefers-colo
 #ddd;background:#17181a}th,td{border-color:#3a3b3e}pre{background:#222326}img{filter:brightness(.85)}tr.reference{background:#1d2733}}";
 
 /// A picture of a report.
-pub(crate) struct Figure<'a> {
+pub(crate) struct HtmlFigure<'a> {
     pub(crate) title: &'a str,
     pub(crate) caption: &'a str,
     pub(crate) image: &'a Image,
 }
 
-impl Figure<'_> {
+impl HtmlFigure<'_> {
     /// The picture under its title, with its caption.
     pub(crate) fn html(&self) -> Result<String> {
         let Self { title, caption, image } = self;

@@ -3,17 +3,17 @@
 //! Results go to standard output (as JSON with `--json`), everything else to standard error.
 
 mod arguments;
-mod code_source;
 mod commands;
 mod comparison;
 mod console;
 mod dashboard;
-mod dressed;
+mod dressed_mesh;
 mod error;
 mod files;
 mod fitting;
 mod html;
 mod interrupt;
+mod latent_sampler;
 mod mesh_file;
 mod priors;
 mod registration;

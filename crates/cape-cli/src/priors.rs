@@ -30,7 +30,7 @@ impl PriorName {
 
 /// What codes are drawn from, as commands ask for it.
 #[derive(Debug, Clone, Copy, Args)]
-pub(crate) struct Drawn {
+pub(crate) struct PriorArgs {
     /// What codes are drawn from: the standard normal prior, or the mixture or kernel density that
     /// `cape fit-prior` fitted.
     #[arg(long, value_enum, default_value_t = PriorName::Normal)]
@@ -40,7 +40,7 @@ pub(crate) struct Drawn {
     pub(crate) temperature: f64,
 }
 
-impl Drawn {
+impl PriorArgs {
     pub(crate) fn temperature(&self) -> Result<f64> {
         let temperature = self.temperature;
         if temperature.is_finite() && temperature >= 0.0 {
@@ -60,7 +60,7 @@ impl Drawn {
         console: Console,
     ) -> Result<Array2<f32>> {
         let temperature = self.temperature()?;
-        let prior = fitted(run, self.prior, console)?;
+        let prior = load_prior(run, self.prior, console)?;
         let of = |&outfit: &Outfit| match &prior {
             Some(prior) => prior.sample(outfit, n, temperature, seed),
             None => run.sample_codes(n, seed) * temperature as f32,
@@ -72,7 +72,7 @@ impl Drawn {
 }
 
 /// The density that was fitted to the run's codes; none for the standard normal prior.
-pub(crate) fn fitted(run: &Run, name: PriorName, console: Console) -> Result<Option<Prior>> {
+pub(crate) fn load_prior(run: &Run, name: PriorName, console: Console) -> Result<Option<Prior>> {
     if name == PriorName::Normal {
         return Ok(None);
     }

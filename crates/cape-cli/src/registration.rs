@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use cape_core::{Outfit, npy::read_f64};
-use cape_data::{PackedSet, Part, raw};
-use cape_infer::{Run, Wearer};
+use cape_data::{PackedSet, Split, raw};
+use cape_infer::{BodySpec, Run};
 use clap::Args;
 use ndarray::{Array2, Array3, Axis, Ix2};
 
@@ -15,7 +15,7 @@ use crate::{
 
 /// What else is known of a registration.
 #[derive(Debug, Clone, Default, Args)]
-pub(crate) struct Known {
+pub(crate) struct KnownBodyArgs {
     /// What a registration wears; by default as its directory says.
     #[arg(long = "was", value_name = "OUTFIT", value_parser = outfit)]
     pub(crate) outfit_worn: Option<Outfit>,
@@ -26,25 +26,25 @@ pub(crate) struct Known {
 
 /// Clothes as they were registered.
 #[derive(Debug, Clone)]
-pub(crate) struct Registration {
+pub(crate) struct RegistrationFile {
     /// `[1, vertices, 3]`, metres.
     pub(crate) displacement: Array3<f32>,
-    pub(crate) wearer: Wearer,
+    pub(crate) wearer: BodySpec,
     /// The body under the clothes, `[vertices, 3]`; packed sets keep none.
     pub(crate) minimal: Option<Array2<f64>>,
     /// Distance of the body that the betas describe from that, millimetres.
     pub(crate) residual_mm: Option<f64>,
 }
 
-impl Registration {
+impl RegistrationFile {
     /// A frame's `.npz` with pose and `v_cano`, or `v_posed`; or `frame:K` of the run's held-out
     /// data.
-    pub(crate) fn read(run: &Run, text: &str, known: &Known) -> Result<Self> {
+    pub(crate) fn read(run: &Run, text: &str, known: &KnownBodyArgs) -> Result<Self> {
         if let Some(frame) = text.strip_prefix("frame:") {
             let frame = frame
                 .parse()
                 .map_err(|_| Error::message(format!("`{text}`: expected frame:NUMBER")))?;
-            let set = PackedSet::open(&run.data()?, Part::Test)?;
+            let set = PackedSet::open(&run.data()?, Split::Test)?;
             let (displacement, mut wearer) = cape_infer::registration(&set, frame)?;
             wearer.outfit = known.outfit_worn.unwrap_or(wearer.outfit);
             return Ok(Self { displacement, wearer, minimal: None, residual_mm: None });
@@ -77,7 +77,7 @@ impl Registration {
         let betas = fit.betas.iter().map(|&beta| beta as f32).collect();
         Ok(Self {
             displacement,
-            wearer: Wearer { betas, pose: pose.map(|angle| angle as f32), outfit },
+            wearer: BodySpec { betas, pose: pose.map(|angle| angle as f32), outfit },
             minimal: Some(minimal),
             residual_mm: Some(1000.0 * fit.rms),
         })

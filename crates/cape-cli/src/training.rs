@@ -4,7 +4,9 @@ use std::ops::ControlFlow;
 
 use cape_core::{Mesh, SmplModel};
 use cape_render::{Object, Style, Tile, View, contact_sheet, portrait};
-use cape_train::{Event, Illustrate, Outcome, Picture, Preview, Trainer, objective::Losses};
+use cape_train::{
+    Preview, PreviewFn, TensorBoardImage, TrainEvent, TrainOutcome, Trainer, objective::Losses,
+};
 use indicatif::ProgressBar;
 
 use crate::{
@@ -18,18 +20,18 @@ pub(crate) fn run(
     trainer: &mut Trainer,
     console: Console,
     mut dashboard: Option<Dashboard>,
-    mut stop: impl FnMut(&Event) -> bool,
-) -> Result<Outcome> {
+    mut stop: impl FnMut(&TrainEvent) -> bool,
+) -> Result<TrainOutcome> {
     let epochs = trainer.config().train.epochs;
-    trainer.illustrate_with(illustrator(SmplModel::load(trainer.paths().body())?.mesh()));
-    let mut watch = Watch::new(console, epochs);
+    trainer.set_preview_fn(preview_fn(SmplModel::load(trainer.paths().body())?.mesh()));
+    let mut watch = EpochDisplay::new(console, epochs);
     let outcome = trainer.run(&mut |event| {
         let mut over = stop(event);
         if let Some(dashboard) = &mut dashboard {
-            dashboard.see(event);
+            dashboard.on_event(event);
             over |= dashboard.asked_to_stop();
         } else {
-            watch.see(event);
+            watch.on_event(event);
         }
         if over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
@@ -39,7 +41,7 @@ pub(crate) fn run(
 
 /// Draws frames beside their reconstructions, on the body at rest. A picture that cannot be drawn
 /// is left out: training matters more.
-fn illustrator(body: Mesh) -> Illustrate {
+fn preview_fn(body: Mesh) -> PreviewFn {
     Box::new(move |previews| {
         let style = Style { width: 240, height: 300, ..Style::default() };
         let dressed = |displacement: &[f32]| {
@@ -64,11 +66,11 @@ fn illustrator(body: Mesh) -> Illustrate {
             return Vec::new();
         }
         let (width, height) = (sheet.width(), sheet.height());
-        vec![Picture { tag: "validation/reconstructions".into(), width, height, png }]
+        vec![TensorBoardImage { tag: "validation/reconstructions".into(), width, height, png }]
     })
 }
 
-struct Watch {
+struct EpochDisplay {
     console: Console,
     epochs: usize,
     bar: ProgressBar,
@@ -79,26 +81,30 @@ struct Watch {
     spent: f64,
 }
 
-impl Watch {
+impl EpochDisplay {
     fn new(console: Console, epochs: usize) -> Self {
         let bar = console.bar("train", "steps");
         Self { console, epochs, bar, seen: 0, reconstruction: 0.0, edge: 0.0, spent: 0.0 }
     }
 
-    fn see(&mut self, event: &Event) {
+    fn on_event(&mut self, event: &TrainEvent) {
         match event {
-            Event::Step { epoch, step, steps, losses, seconds, .. } => {
+            TrainEvent::Step { epoch, step, steps, losses, seconds, .. } => {
                 self.step(*epoch, *step, *steps, losses, *seconds);
             }
-            Event::Validation {
-                epoch, millimetres, active_units, discriminator_accuracy, ..
+            TrainEvent::Validation {
+                epoch,
+                millimetres,
+                active_units,
+                discriminator_accuracy,
+                ..
             } => {
                 let line = self.line(*epoch, Some(*millimetres));
                 let accuracy = discriminator_accuracy
                     .map_or(String::new(), |share| format!("  D right {:.0} %", 100.0 * share));
-                self.say(&format!("{line}  {active_units} active{accuracy}"));
+                self.print_line(&format!("{line}  {active_units} active{accuracy}"));
             }
-            Event::Checkpoint { .. } => {}
+            TrainEvent::Checkpoint { .. } => {}
         }
     }
 
@@ -139,7 +145,7 @@ impl Watch {
         )
     }
 
-    fn say(&self, line: &str) {
+    fn print_line(&self, line: &str) {
         if self.console.shows_bars() {
             self.bar.println(line);
         } else {

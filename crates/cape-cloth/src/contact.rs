@@ -1,15 +1,15 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use cape_core::geometry::Solid;
+use cape_core::geometry::SurfaceIndex;
 
 /// Contact of cloth with a body, at vertices and at the middles of faces.
 ///
 /// ```
-/// use cape_cloth::{Contact, Material};
+/// use cape_cloth::{Contact, ClothMaterial};
 ///
 /// // What cloth of a material keeps to, half a step on the way.
-/// let Material { friction, thickness, .. } = Material::default();
+/// let ClothMaterial { friction, thickness, .. } = ClothMaterial::default();
 /// let contact = Contact { friction, thickness, from: 0.0, now: 0.5 };
 /// assert!(contact.thickness < Contact::REACH);
 /// ```
@@ -33,7 +33,7 @@ impl Contact {
 
 /// What a point of the cloth remembers of the body, so that most steps need not look for it.
 #[derive(Debug, Clone, Copy, Default)]
-struct Memory {
+struct ContactCache {
     face: Option<u32>,
     /// The body was no closer than this, metres,
     distance: f64,
@@ -45,7 +45,7 @@ struct Memory {
 
 /// How far outside or inside a point is to be pushed, and where the body is there.
 #[derive(Debug, Clone, Copy)]
-struct Push {
+struct ContactCorrection {
     depth: f64,
     outward: DVec3,
     face: u32,
@@ -55,8 +55,8 @@ struct Push {
 /// Contacts of one piece of cloth over time.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Contacts {
-    vertices: Vec<Memory>,
-    middles: Vec<Memory>,
+    vertices: Vec<ContactCache>,
+    middles: Vec<ContactCache>,
     /// Longest way of any vertex of the body so far, metres.
     travelled: f64,
 }
@@ -64,8 +64,8 @@ pub(super) struct Contacts {
 impl Contacts {
     pub(super) fn new(vertices: usize, faces: usize) -> Self {
         Self {
-            vertices: vec![Memory::default(); vertices],
-            middles: vec![Memory::default(); faces],
+            vertices: vec![ContactCache::default(); vertices],
+            middles: vec![ContactCache::default(); faces],
             travelled: 0.0,
         }
     }
@@ -77,24 +77,24 @@ impl Contacts {
     pub(super) fn resolve(
         &mut self,
         contact: &Contact,
-        body: &Solid,
+        body: &SurfaceIndex,
         before: &[DVec3],
         positions: &mut [DVec3],
         (inverse_masses, faces): (&[f64], &[[u32; 3]]),
     ) {
-        self.travelled += body.longest_way() * (contact.now - contact.from);
+        self.travelled += body.largest_displacement() * (contact.now - contact.from);
         let travelled = self.travelled;
-        self.bring_out_faces(contact, body, positions, (inverse_masses, faces));
+        self.push_out_faces(contact, body, positions, (inverse_masses, faces));
         let moving = positions.par_iter_mut().zip(before).zip(inverse_masses);
         moving.zip(&mut self.vertices).filter(|((_, w), _)| **w > 0.0).for_each(
             |(((x, &before), _), memory)| {
                 let Some(push) = memory.push(body, *x, contact.thickness, travelled) else {
                     return;
                 };
-                let Push { depth, outward, face, barycentric } = push;
+                let ContactCorrection { depth, outward, face, barycentric } = push;
                 *x += outward * depth;
-                let carried = body.riding(face, barycentric, contact.now)
-                    - body.riding(face, barycentric, contact.from);
+                let carried = body.offset_point(face, barycentric, contact.now)
+                    - body.offset_point(face, barycentric, contact.from);
                 let slip = (*x - before) - carried;
                 let slip = slip - outward * slip.dot(outward);
                 let length = slip.length();
@@ -106,10 +106,10 @@ impl Contacts {
     }
 
     /// Each vertex goes the mean way that the faces around it that are too deep ask for.
-    fn bring_out_faces(
+    fn push_out_faces(
         &mut self,
         contact: &Contact,
-        body: &Solid,
+        body: &SurfaceIndex,
         positions: &mut [DVec3],
         (inverse_masses, faces): (&[f64], &[[u32; 3]]),
     ) {
@@ -141,8 +141,14 @@ impl Contacts {
     }
 }
 
-impl Memory {
-    fn push(&mut self, body: &Solid, x: DVec3, thickness: f64, travelled: f64) -> Option<Push> {
+impl ContactCache {
+    fn push(
+        &mut self,
+        body: &SurfaceIndex,
+        x: DVec3,
+        thickness: f64,
+        travelled: f64,
+    ) -> Option<ContactCorrection> {
         let reach = Contact::REACH.max(thickness);
         if self.distance - x.distance(self.at) - (travelled - self.travelled) > thickness {
             return None;
@@ -154,7 +160,7 @@ impl Memory {
         self.face = near.map(|near| near.face);
         let near = near?;
         let depth = thickness - near.signed_distance;
-        (depth > 0.0).then_some(Push {
+        (depth > 0.0).then_some(ContactCorrection {
             depth,
             outward: near.outward,
             face: near.face,

@@ -3,12 +3,12 @@ use glam::DVec3;
 use ndarray::{Array2, s};
 
 use super::{
-    nets::surface_nets,
-    tailor::{cut, fair},
+    isosurface::surface_nets,
+    pattern::{cut, fair},
 };
 use crate::{Error, Result};
 use cape_core::{
-    geometry::{Closest, Solid, Surface, points},
+    geometry::{ClosestPoint, SurfaceIndex, SurfaceMesh, points},
     smpl::StandardPose,
 };
 
@@ -34,13 +34,13 @@ pub enum GarmentKind {
 /// use cape_cloth::{Garment, GarmentKind};
 ///
 /// let body = synthetic_body();
-/// let skirt = Garment { resolution: 0.05, ..Garment::of(GarmentKind::Skirt) };
-/// let sewn = skirt.sew(&body, &body.shaped(&[])?)?;
+/// let skirt = Garment { resolution: 0.05, ..Garment::new(GarmentKind::Skirt) };
+/// let sewn = skirt.sew(&body, &body.rest_shape(&[])?)?;
 /// assert!(!sewn.waistband.is_empty());
 /// // A longer one has the same topology, and reaches further down.
-/// let longer = sewn.resized(&body, &Garment { length: 1.2 * skirt.length, ..skirt })?;
+/// let longer = sewn.resize(&body, &Garment { length: 1.2 * skirt.length, ..skirt })?;
 /// assert_eq!(longer.surface.faces, sewn.surface.faces);
-/// let hem = |surface: &cape_core::geometry::Surface| {
+/// let hem = |surface: &cape_core::geometry::SurfaceMesh| {
 ///     surface.vertices.iter().fold(f64::INFINITY, |low, vertex| low.min(vertex.y))
 /// };
 /// assert!(hem(&longer.surface) < hem(&sewn.surface));
@@ -65,9 +65,9 @@ pub struct Garment {
 ///
 /// See [`Garment`] for an example.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Sewn {
+pub struct GarmentMesh {
     /// The garment around the body.
-    pub surface: Surface,
+    pub surface: SurfaceMesh,
     /// Vertices of an elastic waistband, ascending; none if the garment hangs on the shoulders.
     pub waistband: Vec<u32>,
     /// The unclothed rest shape it was made for, metres, `[V, 3]`.
@@ -82,19 +82,22 @@ pub(super) fn sewing_pose(model: &SmplModel) -> Vec<f64> {
 }
 
 /// A body with the rest shape `[V, 3]` in the pose in which garments are made, and its joints.
-pub(super) fn wearer(model: &SmplModel, shape: &Array2<f64>) -> Result<(Surface, Vec<DVec3>)> {
+pub(super) fn sewing_body(
+    model: &SmplModel,
+    shape: &Array2<f64>,
+) -> Result<(SurfaceMesh, Vec<DVec3>)> {
     let posed = model.pose_shape(shape, &sewing_pose(model), [0.0; 3], None)?;
-    let body = Surface::of_rows("body", posed.vertices.view(), &model.faces)?;
+    let body = SurfaceMesh::from_rows("body", posed.vertices.view(), &model.faces)?;
     Ok((body, points(posed.joints.view())))
 }
 
-impl Sewn {
+impl GarmentMesh {
     /// The same garment, vertex for vertex, in another size: longer or shorter below the waist, with
     /// other sleeves beyond the shoulders, wider or tighter along its normals.
     ///
     /// # Errors
     /// If `size` is of another kind, or out of its domain.
-    pub fn resized(&self, model: &SmplModel, size: &Garment) -> Result<Self> {
+    pub fn resize(&self, model: &SmplModel, size: &Garment) -> Result<Self> {
         size.check(model)?;
         if size.kind != self.garment.kind {
             return Err(Error::argument(format!(
@@ -102,13 +105,13 @@ impl Sewn {
                 self.garment.kind, size.kind
             )));
         }
-        let (body, joints) = wearer(model, &self.body)?;
-        let solid = Solid::new(&body);
-        let [from, to] = [&self.garment, size].map(|cut| Cutting::new(cut, &body, &joints));
+        let (body, joints) = sewing_body(model, &self.body)?;
+        let solid = SurfaceIndex::new(&body);
+        let [from, to] = [&self.garment, size].map(|cut| GarmentOutline::new(cut, &body, &joints));
         let along = |from: f64, to: f64| if from > 0.0 { to / from } else { 1.0 };
         let longer = along(from.waist - from.hem, to.waist - to.hem);
         let sleeves = along(from.sleeve, to.sleeve);
-        let on_arms = |near: &Closest| -> f64 {
+        let on_arms = |near: &ClosestPoint| -> f64 {
             let corners = body.faces[near.face as usize].iter().zip(near.barycentric);
             corners.map(|(&v, w)| w * model.weights.slice(s![v as usize, ARMS]).sum()).sum()
         };
@@ -116,7 +119,7 @@ impl Sewn {
         let mut sewn = Self { garment: *size, ..self.clone() };
         for (p, normal) in sewn.surface.vertices.iter_mut().zip(normals) {
             let arm = solid.closest(*p, f64::INFINITY).map_or(0.0, |near| on_arms(&near));
-            let beyond = from.beyond_shoulder(*p).0.max(0.0) * arm;
+            let beyond = from.sleeve_coordinates(*p).0.max(0.0) * arm;
             let outward = DVec3::new(from.arm.x * p.x.signum(), from.arm.y, from.arm.z);
             let below = (from.waist - p.y).max(0.0);
             *p += normal * (to.ease_at(*p) - from.ease_at(*p));
@@ -129,7 +132,7 @@ impl Sewn {
 
 impl Garment {
     /// The usual cut of a kind.
-    pub fn of(kind: GarmentKind) -> Self {
+    pub fn new(kind: GarmentKind) -> Self {
         let (length, width, sleeve) = match kind {
             GarmentKind::TShirt => (1.15, 1.15, 0.6),
             GarmentKind::Shorts => (0.75, 1.12, 0.0),
@@ -147,15 +150,15 @@ impl Garment {
     /// Makes the garment for an unclothed rest shape `[V, 3]`, metres: the surface at some distance
     /// from the body, joined with a flared tube for skirts, cut at hem, waist, sleeves and neck, its
     /// triangles evened out.
-    pub fn sew(&self, model: &SmplModel, shape: &Array2<f64>) -> Result<Sewn> {
+    pub fn sew(&self, model: &SmplModel, shape: &Array2<f64>) -> Result<GarmentMesh> {
         self.check(model)?;
-        let (body, joints) = wearer(model, shape)?;
-        let cutting = Cutting::new(self, &body, &joints);
-        let solid = Solid::new(&body);
+        let (body, joints) = sewing_body(model, shape)?;
+        let cutting = GarmentOutline::new(self, &body, &joints);
+        let solid = SurfaceIndex::new(&body);
         let far = 4.0 * self.resolution + cutting.ease;
         let field = |p: DVec3| {
             let near = solid.closest(p, far).map_or(far, |near| near.signed_distance);
-            (near - cutting.ease_at(p)).min(cutting.flared(p))
+            (near - cutting.ease_at(p)).min(cutting.skirt_distance(p))
         };
         let margin = DVec3::splat(3.0 * self.resolution);
         let [low, high] = cutting.bounds();
@@ -165,12 +168,12 @@ impl Garment {
             return Err(Error::argument(format!("{self:?} leaves nothing of a garment")));
         }
         fair(&mut cut, field, |p| cutting.margin(p));
-        let surface = Surface::new("garment", cut.vertices, cut.faces)?;
+        let surface = SurfaceMesh::new("garment", cut.vertices, cut.faces)?;
         let boundary = surface.boundary();
         let high = 0.5 * (cutting.waist + cutting.hem);
         let on_band = |v: &usize| cutting.banded && boundary[*v] && surface.vertices[*v].y > high;
         let waistband = (0..boundary.len()).filter(on_band).map(|v| v as u32).collect();
-        Ok(Sewn { surface, waistband, body: shape.clone(), garment: *self })
+        Ok(GarmentMesh { surface, waistband, body: shape.clone(), garment: *self })
     }
 
     fn check(&self, model: &SmplModel) -> Result<()> {
@@ -197,7 +200,7 @@ impl Garment {
 }
 
 /// Where a garment runs around one body, metres.
-struct Cutting {
+struct GarmentOutline {
     kind: GarmentKind,
     ease: f64,
     /// Whether it is held at the waist.
@@ -236,8 +239,8 @@ const BAND: [f64; 2] = [0.005, 0.08];
 /// Radius of the torso that a width of 1 stands for, metres.
 const GIRTH: f64 = 0.14;
 
-impl Cutting {
-    fn new(garment: &Garment, body: &Surface, joints: &[DVec3]) -> Self {
+impl GarmentOutline {
+    fn new(garment: &Garment, body: &SurfaceMesh, joints: &[DVec3]) -> Self {
         let (hip, knee, neck, waist) = (joints[1], joints[4], joints[12], joints[3].y);
         let (shoulder, elbow) = (joints[16], joints[18]);
         let ease = (garment.width - 1.0) * GIRTH;
@@ -287,14 +290,14 @@ impl Cutting {
     }
 
     /// How far a place is beyond the shoulder in the direction of the upper arm, and from its axis.
-    fn beyond_shoulder(&self, p: DVec3) -> (f64, f64) {
+    fn sleeve_coordinates(&self, p: DVec3) -> (f64, f64) {
         let from = DVec3::new(p.x.abs(), p.y, p.z) - self.shoulder;
         let beyond = from.dot(self.arm);
         (beyond, (from - self.arm * beyond).length())
     }
 
     /// Roughly the distance from the tube of a skirt; infinite for other garments.
-    fn flared(&self, p: DVec3) -> f64 {
+    fn skirt_distance(&self, p: DVec3) -> f64 {
         if matches!(self.kind, GarmentKind::TShirt | GarmentKind::Shorts) {
             return f64::INFINITY;
         }
@@ -313,7 +316,7 @@ impl Cutting {
         match self.kind {
             GarmentKind::Shorts | GarmentKind::Skirt => above.min(self.waist - p.y),
             GarmentKind::TShirt | GarmentKind::Dress => {
-                let (beyond, off) = self.beyond_shoulder(p);
+                let (beyond, off) = self.sleeve_coordinates(p);
                 let sleeve = (self.sleeve - beyond).max(off - ARM - self.ease);
                 let opening = p.distance(self.neck) - NECK - self.ease;
                 above.min(sleeve).min(opening)

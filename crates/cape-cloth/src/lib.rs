@@ -9,26 +9,26 @@
 //!
 //! ```
 //! # use cape_core::BodyMotion;
-//! use cape_cloth::{Garment, GarmentKind, Material};
+//! use cape_cloth::{Garment, GarmentKind, ClothMaterial};
 //! use cape_synth::synthetic_body;
 //!
 //! let body = synthetic_body();
-//! assert!(Material::default().density > 0.0);
+//! assert!(ClothMaterial::default().density > 0.0);
 //! ```
 
 mod contact;
-mod fold;
 mod garment;
-mod nets;
+mod isosurface;
+mod pattern;
+mod self_collision;
 mod sheet;
 mod simulate;
-mod tailor;
 #[cfg(test)]
 mod tests;
 
 pub use cape_core::{Error, Result};
 
 pub use contact::Contact;
-pub use garment::{Garment, GarmentKind, Sewn};
-pub use sheet::{Cloth, Material};
-pub use simulate::{Quality, Simulated, Simulation, StepReport};
+pub use garment::{Garment, GarmentKind, GarmentMesh};
+pub use sheet::{Cloth, ClothMaterial};
+pub use simulate::{SimulatedGarment, SimulationOptions, SimulationQuality, StepReport};

@@ -5,26 +5,26 @@ use rayon::prelude::*;
 
 use super::{
     contact::{Contact, Contacts},
-    fold::{Folds, crossings},
+    self_collision::{SelfCollision, crossings},
 };
 use crate::{Error, Result};
-use cape_core::geometry::{Solid, Surface};
+use cape_core::geometry::{SurfaceIndex, SurfaceMesh};
 
 /// What a garment is made of.
 ///
 /// ```
-/// use cape_cloth::Material;
+/// use cape_cloth::ClothMaterial;
 ///
-/// let denim = Material { density: 0.1, ..Material::default() };
+/// let denim = ClothMaterial { density: 0.1, ..ClothMaterial::default() };
 /// denim.check()?;
 /// // Densities are seen on a logarithmic scale.
 /// assert_eq!(denim.numbers()[0], -1.0);
-/// let nothing = Material { density: 0.0, ..denim };
+/// let nothing = ClothMaterial { density: 0.0, ..denim };
 /// assert!(nothing.check().unwrap_err().to_string().contains("density"));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Material {
+pub struct ClothMaterial {
     /// Mass of a square metre, kg.
     pub density: f64,
     /// Compliance of the edges of triangles, metres a newton: stretch and shear; 0 is inextensible.
@@ -39,7 +39,7 @@ pub struct Material {
     pub thickness: f64,
 }
 
-impl Default for Material {
+impl Default for ClothMaterial {
     /// Cotton jersey.
     fn default() -> Self {
         Self {
@@ -53,7 +53,7 @@ impl Default for Material {
     }
 }
 
-impl Material {
+impl ClothMaterial {
     /// The parameters as numbers, for regression: decimal logarithms of density, stretch and bend,
     /// then damping and friction, `[5]`.
     pub fn numbers(&self) -> [f64; 5] {
@@ -93,7 +93,7 @@ struct Spring {
 
 /// A vertex that is led to a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Lead {
+struct Attachment {
     vertex: u32,
     to: DVec3,
     compliance: f64,
@@ -104,11 +104,11 @@ struct Lead {
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_cloth::{Cloth, Material};
+/// use cape_cloth::{Cloth, ClothMaterial};
 /// use glam::DVec3;
 ///
 /// // A sheet in free fall keeps its shape.
-/// let material = Material { damping: 0.0, ..Material::default() };
+/// let material = ClothMaterial { damping: 0.0, ..ClothMaterial::default() };
 /// let mut cloth = Cloth::new(&octahedron(0.1), &material)?;
 /// let gravity = DVec3::NEG_Y * 9.81;
 /// (0..100).for_each(|_| cloth.step(0.001, gravity, None));
@@ -128,11 +128,11 @@ pub struct Cloth {
     /// Edges of triangles, then far corners of neighbours.
     springs: Vec<Spring>,
     edges: usize,
-    leads: Vec<Lead>,
-    material: Material,
+    attachments: Vec<Attachment>,
+    material: ClothMaterial,
     faces: Vec<[u32; 3]>,
     contacts: Contacts,
-    folds: Option<Folds>,
+    folds: Option<SelfCollision>,
     /// Largest relative lengthening of an edge.
     limit: f64,
 }
@@ -140,7 +140,7 @@ pub struct Cloth {
 impl Cloth {
     /// A sheet at rest in the shape of `surface`, whose lengths it keeps. Vertices carry a third of
     /// their faces' mass.
-    pub fn new(surface: &Surface, material: &Material) -> Result<Self> {
+    pub fn new(surface: &SurfaceMesh, material: &ClothMaterial) -> Result<Self> {
         material.check()?;
         let count = surface.vertices.len();
         let mut masses = vec![0.0; count];
@@ -172,7 +172,7 @@ impl Cloth {
             inverse_masses: masses.iter().map(inverse).collect(),
             springs: stretch.chain(bend).collect(),
             edges: edge_count,
-            leads: Vec::new(),
+            attachments: Vec::new(),
             material: *material,
             faces: surface.faces.clone(),
             contacts: Contacts::new(count, surface.faces.len()),
@@ -184,8 +184,8 @@ impl Cloth {
     /// Keeps vertices `distance` metres from faces and edges from edges, unless they are closer in
     /// `rest`, the surface that the sheet was made of.
     #[must_use]
-    pub fn with_self_collision(mut self, rest: &Surface, distance: f64) -> Self {
-        self.folds = Some(Folds::new(rest, distance.max(0.0)));
+    pub fn with_self_collision(mut self, rest: &SurfaceMesh, distance: f64) -> Self {
+        self.folds = Some(SelfCollision::new(rest, distance.max(0.0)));
         self
     }
 
@@ -204,9 +204,9 @@ impl Cloth {
     }
 
     /// Leads vertices to places from now on, softly: `compliance` in metres a newton.
-    pub fn lead(&mut self, places: impl IntoIterator<Item = (u32, DVec3)>, compliance: f64) {
-        let lead = |(vertex, to)| Lead { vertex, to, compliance };
-        self.leads = places.into_iter().map(lead).collect();
+    pub fn attach(&mut self, places: impl IntoIterator<Item = (u32, DVec3)>, compliance: f64) {
+        let lead = |(vertex, to)| Attachment { vertex, to, compliance };
+        self.attachments = places.into_iter().map(lead).collect();
     }
 
     /// Mass of a vertex, kg; infinite for one that is held.
@@ -218,7 +218,7 @@ impl Cloth {
     /// is larger than the material's by `dt²` times its ends' inverse masses. `gravity`
     /// is in m/s². A body, if there is one, comes with where it was on its way before the step and
     /// is now, each 0 to 1.
-    pub fn step(&mut self, dt: f64, gravity: DVec3, body: Option<(&Solid, [f64; 2])>) {
+    pub fn step(&mut self, dt: f64, gravity: DVec3, body: Option<(&SurfaceIndex, [f64; 2])>) {
         let before = self.positions.clone();
         let slow = (-self.material.damping * dt).exp();
         // No vertex passes through a limb within one step.
@@ -245,7 +245,7 @@ impl Cloth {
         if let Some(folds) = &mut self.folds {
             folds.resolve(&before, &mut self.positions, &self.inverse_masses);
         }
-        self.shorten();
+        self.apply_strain_limits();
         for ((x, v), before) in self.positions.iter().zip(&mut self.velocities).zip(before) {
             *v = (*x - before) / dt;
         }
@@ -265,7 +265,7 @@ impl Cloth {
             self.positions[a] += push * wa;
             self.positions[b] -= push * wb;
         }
-        for &Lead { vertex, to, compliance } in &self.leads {
+        for &Attachment { vertex, to, compliance } in &self.attachments {
             let w = self.inverse_masses[vertex as usize];
             let x = &mut self.positions[vertex as usize];
             if w > 0.0 {
@@ -275,7 +275,7 @@ impl Cloth {
     }
 
     /// Brings edges that are too long back to the limit, in alternating order.
-    fn shorten(&mut self) {
+    fn apply_strain_limits(&mut self) {
         const SWEEPS: usize = 4;
         if self.limit.is_infinite() {
             return;
@@ -333,7 +333,7 @@ impl Cloth {
     }
 
     /// Depths inside the body, metres, of vertices, then of middles of faces; 0 outside.
-    pub fn depths(&self, body: &Solid) -> Vec<f64> {
+    pub fn depths(&self, body: &SurfaceIndex) -> Vec<f64> {
         let middle =
             |face: &[u32; 3]| face.iter().map(|&v| self.positions[v as usize]).sum::<DVec3>() / 3.0;
         let middles: Vec<DVec3> = self.faces.iter().map(middle).collect();

@@ -5,31 +5,31 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Cloth, Material, Sewn,
-    garment::{sewing_pose, wearer},
+    Cloth, ClothMaterial, GarmentMesh,
+    garment::{sewing_body, sewing_pose},
 };
 use crate::{Error, Result};
 use cape_core::{
     BodyMotion,
-    geometry::{Solid, Surface, points},
+    geometry::{SurfaceIndex, SurfaceMesh, points},
 };
 
 /// How garments are simulated.
 ///
 /// ```
 /// use cape_synth::synthetic_body;
-/// use cape_cloth::{Garment, GarmentKind, Material, Simulation};
+/// use cape_cloth::{Garment, GarmentKind, ClothMaterial, SimulationOptions};
 /// use cape_core::BodyMotion;
 /// use ndarray::Array2;
 ///
 /// // A coarse skirt falls onto the hips of a body that stands.
 /// let body = synthetic_body();
-/// let shape = body.shaped(&[])?;
-/// let skirt = Garment { resolution: 0.05, ..Garment::of(GarmentKind::Skirt) };
+/// let shape = body.rest_shape(&[])?;
+/// let skirt = Garment { resolution: 0.05, ..Garment::new(GarmentKind::Skirt) };
 /// let sewn = skirt.sew(&body, &shape)?;
 /// let motion = BodyMotion::new(30.0, Array2::zeros((2, 72)), Array2::zeros((2, 3)))?;
-/// let simulation = Simulation { settle: 0.1, ..Simulation::default() };
-/// let worn = (&sewn, &Material::default());
+/// let simulation = SimulationOptions { settle: 0.1, ..SimulationOptions::default() };
+/// let worn = (&sewn, &ClothMaterial::default());
 /// let simulated = simulation.run(&body, &shape, worn, &motion, &mut |_, _| {})?;
 /// assert_eq!(simulated.frames.dim(), (2, sewn.surface.vertices.len(), 3));
 /// assert_eq!(simulated.reports.len(), 2);
@@ -37,7 +37,7 @@ use cape_core::{
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Simulation {
+pub struct SimulationOptions {
     /// Steps of a frame.
     pub substeps: usize,
     /// Seconds from the pose of sewing to the first frame, and half as many more until it moves as in
@@ -53,7 +53,7 @@ pub struct Simulation {
     pub waistband: f64,
 }
 
-impl Default for Simulation {
+impl Default for SimulationOptions {
     fn default() -> Self {
         Self {
             substeps: 20,
@@ -68,7 +68,7 @@ impl Default for Simulation {
 
 /// State of the cloth after a frame.
 ///
-/// See [`Simulation`] for an example.
+/// See [`SimulationOptions`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct StepReport {
     /// Deepest that a vertex or the middle of a face is inside the body, metres.
@@ -87,9 +87,9 @@ pub struct StepReport {
 
 /// How a whole simulation went.
 ///
-/// See [`Simulation`] for an example.
+/// See [`SimulationOptions`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Quality {
+pub struct SimulationQuality {
     /// Deepest that a vertex or the middle of a face was inside the body, metres.
     pub penetration: f64,
     /// Mean depth of vertices and middles of faces, those outside counting 0, metres.
@@ -106,20 +106,20 @@ pub struct Quality {
 
 /// A garment's movement.
 ///
-/// See [`Simulation`] for an example.
+/// See [`SimulationOptions`] for an example.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Simulated {
+pub struct SimulatedGarment {
     /// Clothing vertices, metres, `[frames, vertices, 3]`.
     pub frames: Array3<f64>,
     /// State after each frame.
     pub reports: Vec<StepReport>,
 }
 
-impl Simulated {
+impl SimulatedGarment {
     /// The worst and the mean of all frames.
-    pub fn quality(&self) -> Quality {
+    pub fn quality(&self) -> SimulationQuality {
         let frames = self.reports.len().max(1) as f64;
-        let mut whole = Quality::default();
+        let mut whole = SimulationQuality::default();
         for report in &self.reports {
             whole.penetration = whole.penetration.max(report.penetration);
             whole.mean_depth += report.mean_depth / frames;
@@ -132,7 +132,7 @@ impl Simulated {
     }
 }
 
-impl Simulation {
+impl SimulationOptions {
     /// Simulates `garment` over the motion of a body with the unclothed rest shape `shape`, `[V, 3]`.
     /// Before anything is recorded the body goes from the shape and the pose in which the
     /// garment was made to its own and the first frame. `watch` is told the frames done and their number.
@@ -140,10 +140,10 @@ impl Simulation {
         &self,
         model: &SmplModel,
         shape: &Array2<f64>,
-        (garment, material): (&Sewn, &Material),
+        (garment, material): (&GarmentMesh, &ClothMaterial),
         motion: &BodyMotion,
         watch: &mut dyn FnMut(usize, usize),
-    ) -> Result<Simulated> {
+    ) -> Result<SimulatedGarment> {
         if self.substeps == 0 || !(self.settle >= 0.0 && self.settle.is_finite()) {
             return Err(Error::argument(format!(
                 "{} steps a frame and {} s to settle: expected at least 1 and 0",
@@ -151,9 +151,9 @@ impl Simulation {
             )));
         }
         let track = self.track(model, (&garment.body, shape), motion)?;
-        let rest = wearer(model, &garment.body)?.0;
+        let rest = sewing_body(model, &garment.body)?.0;
         let across = rest.neighbours();
-        let at_rest = Solid::new(&rest);
+        let at_rest = SurfaceIndex::new(&rest);
         let band: Vec<_> = garment
             .waistband
             .iter()
@@ -177,15 +177,15 @@ impl Simulation {
         let mut reports = Vec::with_capacity(recorded);
         for (index, to) in track.iter().enumerate() {
             let from = &track[index.saturating_sub(1)];
-            let surface = Surface { vertices: from.clone(), faces: model.faces.clone() };
-            let mut solid = Solid::moving(&surface, to.clone(), across.clone());
+            let surface = SurfaceMesh { vertices: from.clone(), faces: model.faces.clone() };
+            let mut solid = SurfaceIndex::moving(&surface, to.clone(), across.clone());
             for substep in 0..self.substeps {
                 let [was, now] = [substep, substep + 1].map(|s| s as f64 / self.substeps as f64);
                 solid.at(now);
                 let led = band.iter().map(|&(v, face, at, off)| {
-                    (v, solid.riding(face, at, now) + solid.axes(face) * off)
+                    (v, solid.offset_point(face, at, now) + solid.axes(face) * off)
                 });
-                cloth.lead(led, self.waistband);
+                cloth.attach(led, self.waistband);
                 cloth.step(dt, self.gravity, Some((&solid, [was, now])));
             }
             let Some(frame) = index.checked_sub(before) else { continue };
@@ -202,7 +202,7 @@ impl Simulation {
             reports.push(report(&cloth, &solid));
             watch(frame + 1, recorded);
         }
-        Ok(Simulated { frames, reports })
+        Ok(SimulatedGarment { frames, reports })
     }
 
     /// Body vertices of the way to the first frame, then of the frames.
@@ -249,7 +249,7 @@ impl Simulation {
     }
 }
 
-fn report(cloth: &Cloth, body: &Solid) -> StepReport {
+fn report(cloth: &Cloth, body: &SurfaceIndex) -> StepReport {
     let depths = cloth.depths(body);
     StepReport {
         penetration: depths.iter().copied().fold(0.0, f64::max),

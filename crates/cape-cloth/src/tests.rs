@@ -8,18 +8,25 @@ use super::*;
 use cape_core::{
     BodyMotion,
     geometry::{
-        Solid, Surface,
+        SurfaceIndex, SurfaceMesh,
         primitives::{grid, sphere},
     },
 };
 
 const GRAVITY: DVec3 = DVec3::new(0.0, -9.81, 0.0);
 
-fn bare(stretch: f64, bend: f64) -> Material {
-    Material { stretch, bend, damping: 0.0, friction: 0.0, thickness: 0.0, ..Material::default() }
+fn bare(stretch: f64, bend: f64) -> ClothMaterial {
+    ClothMaterial {
+        stretch,
+        bend,
+        damping: 0.0,
+        friction: 0.0,
+        thickness: 0.0,
+        ..ClothMaterial::default()
+    }
 }
 
-fn sheet() -> Surface {
+fn sheet() -> SurfaceMesh {
     grid(9, 11, |u, v| DVec3::new(0.4 * u, -0.5 * v, 0.0))
 }
 
@@ -41,7 +48,7 @@ fn a_pendulum_swings_in_its_time() {
     let amplitude: f64 = 0.4;
     let tip = DVec3::new(length * amplitude.sin(), -length * amplitude.cos(), 0.0);
     let hinge = [DVec3::Z * 0.1, DVec3::Z * -0.1];
-    let surface = Surface::new("test", vec![hinge[0], hinge[1], tip], vec![[0, 1, 2]]).unwrap();
+    let surface = SurfaceMesh::new("test", vec![hinge[0], hinge[1], tip], vec![[0, 1, 2]]).unwrap();
     let mut cloth = Cloth::new(&surface, &bare(0.0, 0.0)).unwrap();
     cloth.pin(0);
     cloth.pin(1);
@@ -68,7 +75,7 @@ fn a_hanging_sheet_stretches_under_its_weight() {
     // A ladder of vertices: vertical edges carry what hangs below them. With the diagonals alternating
     // the sheet is symmetric enough to stay plane; forces on the upper side add up to its weight.
     let stretch = 0.02;
-    let damped = Material { damping: 8.0, ..bare(stretch, 1e3) };
+    let damped = ClothMaterial { damping: 8.0, ..bare(stretch, 1e3) };
     let surface = sheet();
     let mut cloth = Cloth::new(&surface, &damped).unwrap();
     let top: Vec<usize> = (0..9).map(|i| i * 11).collect();
@@ -110,9 +117,9 @@ fn a_chain_lengthens_by_hooke_s_law() {
     for (k, v) in vertices.iter_mut().enumerate() {
         v.x = if k % 2 == 0 { 0.0 } else { 1e-3 };
     }
-    let surface = Surface::new("test", vertices, faces).unwrap();
+    let surface = SurfaceMesh::new("test", vertices, faces).unwrap();
     let stretch = 1.0;
-    let material = Material { damping: 8.0, ..bare(stretch, 1e9) };
+    let material = ClothMaterial { damping: 8.0, ..bare(stretch, 1e9) };
     let mut cloth = Cloth::new(&surface, &material).unwrap();
     cloth.pin(0);
     (0..100_000).for_each(|_| cloth.step(1e-4, GRAVITY, None));
@@ -155,11 +162,14 @@ fn friction_holds_on_a_slope_until_it_is_too_steep() {
         let ground = if ground.face_normals()[0].dot(up) > 0.0 {
             ground
         } else {
-            Surface { faces: ground.faces.iter().map(|&[a, b, c]| [a, c, b]).collect(), ..ground }
+            SurfaceMesh {
+                faces: ground.faces.iter().map(|&[a, b, c]| [a, c, b]).collect(),
+                ..ground
+            }
         };
-        let solid = Solid::new(&ground);
+        let solid = SurfaceIndex::new(&ground);
         let patch = grid(3, 3, |u, v| down * 0.1 * u + DVec3::Z * 0.1 * v + up * 0.003);
-        let material = Material { friction, thickness: 0.003, ..bare(1e-6, 1e-3) };
+        let material = ClothMaterial { friction, thickness: 0.003, ..bare(1e-6, 1e-3) };
         let mut cloth = Cloth::new(&patch, &material).unwrap();
         let seconds = 0.5;
         (0..1000).for_each(|_| cloth.step(seconds / 1000.0, GRAVITY, Some((&solid, [0.0, 1.0]))));
@@ -198,7 +208,7 @@ fn segments_are_closest_where_brute_force_says() {
     };
     for k in 0..200 {
         let (one, other) = ([at(4 * k), at(4 * k + 1)], [at(4 * k + 2), at(4 * k + 3)]);
-        let ([t, u], distance) = super::fold::between_segments(one, other);
+        let ([t, u], distance) = super::self_collision::between_segments(one, other);
         let places = (0..=100).map(|i| f64::from(i) / 100.0);
         let pairs = places.clone().flat_map(|t| places.clone().map(move |u| (t, u)));
         let least = pairs
@@ -221,7 +231,7 @@ fn crossings_are_counted() {
         DVec3::new(0.1, -0.5, 0.0),
         DVec3::new(0.0, 0.5, 0.0),
     ];
-    let through = Surface::new("test", vertices, vec![[0, 1, 2], [3, 4, 5]]).unwrap();
+    let through = SurfaceMesh::new("test", vertices, vec![[0, 1, 2], [3, 4, 5]]).unwrap();
     let mut cloth = Cloth::new(&through, &bare(0.0, 0.0)).unwrap();
     assert_eq!(cloth.crossings(), 2);
     cloth.positions[5].y = -0.1;
@@ -232,7 +242,7 @@ fn crossings_are_counted() {
 fn a_strip_between_two_bars_hangs_in_a_catenary() {
     let (length, span, links) = (0.8, 0.6, 24);
     let strip = grid(links + 1, 3, |u, v| DVec3::new(length * u, 0.0, 0.06 * v));
-    let material = Material { damping: 3.0, ..bare(0.0, 1e3) };
+    let material = ClothMaterial { damping: 3.0, ..bare(0.0, 1e3) };
     let mut cloth = Cloth::new(&strip, &material).unwrap();
     // From a V of the same length.
     let drop = 0.5 * (length * length - span * span).sqrt();
@@ -262,7 +272,7 @@ fn a_strip_between_two_bars_hangs_in_a_catenary() {
 
 #[test]
 fn a_limit_on_strain_is_kept() {
-    let soft = Material { damping: 4.0, ..bare(1.0, 1e3) };
+    let soft = ClothMaterial { damping: 4.0, ..bare(1.0, 1e3) };
     let hang = |limit: f64| {
         let mut cloth = Cloth::new(&sheet(), &soft).unwrap().with_strain_limit(limit);
         (0..9).for_each(|i| cloth.pin(11 * i));
@@ -277,9 +287,9 @@ fn a_limit_on_strain_is_kept() {
 #[test]
 fn a_sheet_thrown_on_a_ball_stays_outside() {
     let ball = sphere(0.15, 3);
-    let solid = Solid::new(&ball);
+    let solid = SurfaceIndex::new(&ball);
     let sheet = grid(19, 19, |u, v| DVec3::new(0.5 * u - 0.25, 0.2, 0.25 - 0.5 * v));
-    let mut cloth = Cloth::new(&sheet, &Material::default())
+    let mut cloth = Cloth::new(&sheet, &ClothMaterial::default())
         .unwrap()
         .with_self_collision(&sheet, 0.003)
         .with_strain_limit(0.3);
@@ -299,15 +309,15 @@ fn a_sheet_thrown_on_a_ball_stays_outside() {
 #[test]
 fn garments_are_sewn_around_the_body() {
     let model = synthetic_body();
-    let shape = model.shaped(&[]).unwrap();
-    let solid = Solid::new(&super::garment::wearer(&model, &shape).unwrap().0);
+    let shape = model.rest_shape(&[]).unwrap();
+    let solid = SurfaceIndex::new(&super::garment::sewing_body(&model, &shape).unwrap().0);
     for (kind, openings) in [
         (GarmentKind::TShirt, 4),
         (GarmentKind::Shorts, 3),
         (GarmentKind::Skirt, 2),
         (GarmentKind::Dress, 4),
     ] {
-        let sewn = Garment::of(kind).sew(&model, &shape).unwrap();
+        let sewn = Garment::new(kind).sew(&model, &shape).unwrap();
         let surface = &sewn.surface;
         let mesh = surface.to_mesh();
         let rings = boundary_rings(surface);
@@ -319,7 +329,11 @@ fn garments_are_sewn_around_the_body() {
             sewn.waistband.len()
         );
         assert_eq!(rings, openings, "{kind:?}");
-        assert_eq!(Cloth::new(surface, &Material::default()).unwrap().crossings(), 0, "{kind:?}");
+        assert_eq!(
+            Cloth::new(surface, &ClothMaterial::default()).unwrap().crossings(),
+            0,
+            "{kind:?}"
+        );
         for &p in &surface.vertices {
             let near = solid.closest(p, 1.0).unwrap();
             assert!(near.signed_distance > 0.003, "{kind:?} {p}");
@@ -335,7 +349,7 @@ fn garments_are_sewn_around_the_body() {
             matches!(kind, GarmentKind::TShirt | GarmentKind::Dress)
         );
     }
-    let wide = Garment { width: 1.3, ..Garment::of(GarmentKind::Skirt) };
+    let wide = Garment { width: 1.3, ..Garment::new(GarmentKind::Skirt) };
     let longer = Garment { length: 1.2, ..wide };
     let [a, b] = [wide, longer].map(|g| g.sew(&model, &shape).unwrap().surface.vertices.len());
     assert!(b > a);
@@ -344,7 +358,7 @@ fn garments_are_sewn_around_the_body() {
 }
 
 /// Number of closed curves that the boundary consists of.
-fn boundary_rings(surface: &Surface) -> usize {
+fn boundary_rings(surface: &SurfaceMesh) -> usize {
     let mut next = std::collections::HashMap::new();
     for (corners, across) in surface.faces.iter().zip(surface.neighbours()) {
         for side in (0..3).filter(|&side| across[side].is_none()) {
@@ -371,13 +385,13 @@ fn boundary_rings(surface: &Surface) -> usize {
 
 fn simulated(
     (kind, movement): (GarmentKind, Movement),
-    material: &Material,
+    material: &ClothMaterial,
     frames: usize,
-) -> (Sewn, Simulated) {
+) -> (GarmentMesh, SimulatedGarment) {
     let model = synthetic_body();
-    let shape = model.shaped(&[]).unwrap();
+    let shape = model.rest_shape(&[]).unwrap();
     let rate = 30.0;
-    let coarse = Garment { resolution: 0.035, ..Garment::of(kind) };
+    let coarse = Garment { resolution: 0.035, ..Garment::new(kind) };
     let sewn = coarse.sew(&model, &shape).unwrap();
     let style = MotionStyle::default();
     let poses = Array2::from_shape_vec(
@@ -385,7 +399,7 @@ fn simulated(
         (0..frames).flat_map(|f| movement.pose(&style, f as f64 / rate)).collect(),
     );
     let motion = BodyMotion::new(rate, poses.unwrap(), Array2::zeros((frames, 3))).unwrap();
-    let simulation = Simulation { settle: 0.6, ..Simulation::default() };
+    let simulation = SimulationOptions { settle: 0.6, ..SimulationOptions::default() };
     let garment = (&sewn, material);
     let result = simulation.run(&model, &shape, garment, &motion, &mut |_, _| {}).unwrap();
     (sewn, result)
@@ -400,7 +414,7 @@ fn every_garment_follows_a_moving_body() {
         (GarmentKind::Dress, Movement::TwistTilt, 10),
     ] {
         let start = Instant::now();
-        let (sewn, result) = simulated((kind, movement), &Material::default(), frames);
+        let (sewn, result) = simulated((kind, movement), &ClothMaterial::default(), frames);
         let seconds = start.elapsed().as_secs_f64() / (frames + 27) as f64;
         let quality = result.quality();
         println!("{kind:?} {movement}: {seconds:.3} s a frame, {quality:?}");
@@ -417,7 +431,7 @@ fn every_garment_follows_a_moving_body() {
 
 #[test]
 fn results_do_not_depend_on_threads() {
-    let run = || simulated((GarmentKind::Dress, Movement::Squats), &Material::default(), 2).1;
+    let run = || simulated((GarmentKind::Dress, Movement::Squats), &ClothMaterial::default(), 2).1;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let pools = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
     assert_eq!(pool.install(run), pools.install(run));
@@ -425,7 +439,8 @@ fn results_do_not_depend_on_threads() {
 
 #[test]
 fn the_stiffest_cloth_stays_calm_over_a_moving_body() {
-    let stiffest = Material { stretch: 0.0, bend: 0.0, damping: 0.0, ..Material::default() };
+    let stiffest =
+        ClothMaterial { stretch: 0.0, bend: 0.0, damping: 0.0, ..ClothMaterial::default() };
     let garment = (GarmentKind::Skirt, Movement::JumpingJacks);
     let (_, result) = simulated(garment, &stiffest, 60);
     for (frame, report) in result.reports.iter().enumerate() {

@@ -74,7 +74,7 @@ pub fn parse_device(name: &str) -> Result<Device> {
             )));
         }
     };
-    try_out(name, device)
+    probe_device(name, device)
 }
 
 #[cfg(any(feature = "wgpu", feature = "cuda"))]
@@ -85,9 +85,9 @@ fn number(name: &str, index: &str) -> Result<usize> {
 }
 
 /// Burn panics when a device cannot be initialised; this makes it an error.
-fn try_out(name: &str, device: Device) -> Result<Device> {
+fn probe_device(name: &str, device: Device) -> Result<Device> {
     let probe = device.clone();
-    let works = quietly(move || {
+    let works = catch_panic(move || {
         let sum = Tensor::<1>::ones([2], &probe).sum().into_scalar::<f32>();
         sum == 2.0
     });
@@ -99,7 +99,7 @@ fn try_out(name: &str, device: Device) -> Result<Device> {
 }
 
 /// Runs `f` on a thread of its own and returns the message if it panics.
-fn quietly<T: Send + 'static>(f: impl FnOnce() -> T + Send + 'static) -> Result<T, String> {
+fn catch_panic<T: Send + 'static>(f: impl FnOnce() -> T + Send + 'static) -> Result<T, String> {
     std::thread::spawn(f).join().map_err(|panic| {
         panic
             .downcast_ref::<String>()

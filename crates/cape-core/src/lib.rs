@@ -44,7 +44,7 @@ pub use joints::BodyPose;
 pub use mesh::{Mesh, MeshReport};
 pub use motion::BodyMotion;
 pub use outfit::Outfit;
-pub use progress::{Progress, silent};
+pub use progress::{ProgressFn, silent};
 pub use smpl::{
     ClothedSmpl, ClothingMask, JointSource, Pose, Smpl, SmplInput, SmplModel, SmplOutput,
 };

@@ -45,7 +45,7 @@ pub struct Obj {
 pub fn read(path: impl AsRef<Path>) -> Result<Obj> {
     let path = path.as_ref();
     parse(&read_bytes(path)?)
-        .map_err(|Fault { line, message }| Error::field(path, format!("line {line}"), message))
+        .map_err(|ParseError { line, message }| Error::field(path, format!("line {line}"), message))
 }
 
 /// Writes an OBJ file, atomically.
@@ -96,17 +96,17 @@ pub fn write_with(
     })
 }
 
-struct Fault {
+struct ParseError {
     line: usize,
     message: String,
 }
 
-fn parse(bytes: &[u8]) -> Result<Obj, Fault> {
+fn parse(bytes: &[u8]) -> Result<Obj, ParseError> {
     let mut obj = Obj::default();
     let mut uv = Uv::default();
     let mut lines = bytes.split(|&byte| byte == b'\n').enumerate();
     while let Some((index, first)) = lines.next() {
-        let at = |message: String| Fault { line: index + 1, message };
+        let at = |message: String| ParseError { line: index + 1, message };
         // Names and comments may be in any encoding; numbers are ASCII.
         let mut line = String::from_utf8_lossy(first).trim_end().to_owned();
         while line.ends_with('\\') {

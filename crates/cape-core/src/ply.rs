@@ -17,7 +17,7 @@ use crate::{Error, Mesh, Result, mesh::read_bytes, write_atomically};
 /// # std::fs::remove_file(&file)?;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-pub type WithNormals = (Mesh, Option<Vec<[f32; 3]>>);
+pub type MeshWithNormals = (Mesh, Option<Vec<[f32; 3]>>);
 
 /// Reads a PLY file. Polygons are cut into fans of triangles; everything but vertex positions and
 /// face corners is ignored.
@@ -30,7 +30,7 @@ pub fn read(path: impl AsRef<Path>) -> Result<Mesh> {
 ///
 /// # Errors
 /// If the file cannot be read, or is no PLY file.
-pub fn read_with_normals(path: impl AsRef<Path>) -> Result<WithNormals> {
+pub fn read_with_normals(path: impl AsRef<Path>) -> Result<MeshWithNormals> {
     let path = path.as_ref();
     parse_with_normals(&read_bytes(path)?).map_err(|message| Error::format(path, message))
 }
@@ -151,9 +151,9 @@ fn parse(bytes: &[u8]) -> Result<Mesh, String> {
     Ok(parse_with_normals(bytes)?.0)
 }
 
-fn parse_with_normals(bytes: &[u8]) -> Result<WithNormals, String> {
+fn parse_with_normals(bytes: &[u8]) -> Result<MeshWithNormals, String> {
     let (encoding, elements, rest) = header(bytes)?;
-    let mut body = Body { encoding, rest };
+    let mut body = Payload { encoding, rest };
     let (mut mesh, mut normals) = (Mesh::default(), None);
     let (mut vertices_seen, mut faces_seen) = (false, false);
     for element in &elements {
@@ -244,7 +244,7 @@ fn header(bytes: &[u8]) -> Result<(Encoding, Vec<Element<'_>>, &[u8]), String> {
 /// Positions, and normals where there are some.
 type Vertices = (Vec<[f32; 3]>, Option<Vec<[f32; 3]>>);
 
-fn vertices(body: &mut Body, element: &Element) -> Result<Vertices, String> {
+fn vertices(body: &mut Payload, element: &Element) -> Result<Vertices, String> {
     let position =
         |axis: &str| element.properties.iter().position(|p| p.name == axis && p.length.is_none());
     let axis = |name| position(name).ok_or_else(|| format!("vertices have no `{name}`"));
@@ -276,7 +276,7 @@ fn vertices(body: &mut Body, element: &Element) -> Result<Vertices, String> {
     Ok((vertices, normals))
 }
 
-fn faces(body: &mut Body, element: &Element) -> Result<Vec<[u32; 3]>, String> {
+fn faces(body: &mut Payload, element: &Element) -> Result<Vec<[u32; 3]>, String> {
     let is_corners = |p: &Property| ["vertex_indices", "vertex_index"].contains(&p.name);
     let corners = element.properties.iter().position(|p| is_corners(p) && p.length.is_some());
     let corners = corners.ok_or("faces have no list `vertex_indices`")?;
@@ -308,12 +308,12 @@ fn faces(body: &mut Body, element: &Element) -> Result<Vec<[u32; 3]>, String> {
 }
 
 /// The bytes after the header that are still to be read.
-struct Body<'a> {
+struct Payload<'a> {
     encoding: Encoding,
     rest: &'a [u8],
 }
 
-impl Body<'_> {
+impl Payload<'_> {
     /// Refuses counts that the bytes left cannot hold, before memory is taken for them.
     fn check_count(&self, element: &Element) -> Result<(), String> {
         let least = |property: &Property| match self.encoding {

@@ -3,9 +3,9 @@
 /// caller.
 ///
 /// ```
-/// use cape_core::{Progress, silent};
+/// use cape_core::{ProgressFn, silent};
 ///
-/// fn count_to_three(progress: &mut Progress) {
+/// fn count_to_three(progress: &mut ProgressFn) {
 ///     for done in 0..=3 {
 ///         progress(done, 3);
 ///     }
@@ -16,7 +16,7 @@
 /// assert_eq!(shown, ["0/3", "1/3", "2/3", "3/3"]);
 /// count_to_three(&mut silent);
 /// ```
-pub type Progress<'a> = dyn FnMut(usize, usize) + 'a;
+pub type ProgressFn<'a> = dyn FnMut(usize, usize) + 'a;
 
-/// The [`Progress`] that shows nothing.
+/// The [`ProgressFn`] that shows nothing.
 pub fn silent(_done: usize, _total: usize) {}

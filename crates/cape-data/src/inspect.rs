@@ -15,11 +15,11 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{
-    PackedSet, Part,
+    PackedSet, Split,
     raw::{self, BODY_FILE, CLOTHING_FILE},
 };
 use crate::{Error, Result};
-use cape_core::Progress;
+use cape_core::ProgressFn;
 
 /// What to compare data with, and how much of them to read.
 ///
@@ -86,7 +86,7 @@ pub struct Inspection {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct CaptureCount {
     /// `train` or `test`, of a packed set.
-    pub part: Option<Part>,
+    pub part: Option<Split>,
     /// The subject, if known.
     pub subject: Option<String>,
     /// What is worn.
@@ -110,13 +110,13 @@ pub struct Magnitudes {
 
 /// Lengths, added up.
 #[derive(Debug, Clone, Copy, Default)]
-struct Lengths {
+struct LengthTotals {
     sum: f64,
     count: usize,
     max: f64,
 }
 
-impl Lengths {
+impl LengthTotals {
     fn push(&mut self, length: f64) {
         self.sum += length;
         self.count += 1;
@@ -131,15 +131,15 @@ impl Lengths {
 
 /// What the frames that were read add up to.
 #[derive(Debug, Default)]
-struct Tally {
-    clothing: Lengths,
-    elsewhere: Lengths,
-    all: Lengths,
+struct InspectionTotals {
+    clothing: LengthTotals,
+    elsewhere: LengthTotals,
+    all: LengthTotals,
     rotation: Option<f64>,
     translation: Option<f64>,
 }
 
-impl Tally {
+impl InspectionTotals {
     fn displacement(&mut self, displacement: ArrayView2<f64>, mask: Option<&ClothingMask>) {
         for (vertex, row) in displacement.rows().into_iter().enumerate() {
             let length = row.dot(&row).sqrt();
@@ -168,12 +168,12 @@ impl Tally {
 pub fn inspect(
     path: &Path,
     options: &InspectOptions,
-    progress: &mut Progress,
+    progress: &mut ProgressFn,
 ) -> Result<Inspection> {
     if path.join("sequences").is_dir() {
         return inspect_raw(path, options, progress);
     }
-    let parts = [Part::Train, Part::Test].map(|part| (part, part.path(path, "disp")));
+    let parts = [Split::Train, Split::Test].map(|part| (part, part.path(path, "disp")));
     if parts.iter().any(|(_, file)| file.exists()) {
         return inspect_packed(path, options, progress);
     }
@@ -204,7 +204,7 @@ fn mask(path: &Path, options: &InspectOptions, vertices: usize) -> Result<Option
 fn inspect_raw(
     root: &Path,
     options: &InspectOptions,
-    progress: &mut Progress,
+    progress: &mut ProgressFn,
 ) -> Result<Inspection> {
     let mut found = Inspection { kind: "raw", ..Inspection::default() };
     let mut minimal = BTreeMap::new();
@@ -258,7 +258,7 @@ fn inspect_raw(
         0 => None,
         vertices => mask(root, options, vertices)?,
     };
-    let mut tally = Tally::default();
+    let mut tally = InspectionTotals::default();
     let mut unreadable = Vec::new();
     let mut posed_as_canonical = 0;
     let total = samples.len();
@@ -310,14 +310,14 @@ fn inspect_raw(
 fn inspect_packed(
     root: &Path,
     options: &InspectOptions,
-    progress: &mut Progress,
+    progress: &mut ProgressFn,
 ) -> Result<Inspection> {
     let mut found = Inspection { kind: "packed", ..Inspection::default() };
-    let mut tally = Tally::default();
-    let mut sequences: BTreeMap<Part, BTreeSet<(String, Outfit, String)>> = BTreeMap::new();
+    let mut tally = InspectionTotals::default();
+    let mut sequences: BTreeMap<Split, BTreeSet<(String, Outfit, String)>> = BTreeMap::new();
     let mut masked = false;
     let mut inconsistent = 0;
-    for part in [Part::Train, Part::Test] {
+    for part in [Split::Train, Split::Test] {
         if !part.path(root, "disp").exists() {
             found.warnings.push(format!("no {part} part"));
             continue;
@@ -379,7 +379,7 @@ fn inspect_packed(
             found.examined
         ));
     }
-    if let (Some(train), Some(test)) = (sequences.get(&Part::Train), sequences.get(&Part::Test))
+    if let (Some(train), Some(test)) = (sequences.get(&Split::Train), sequences.get(&Split::Test))
         && let Some((subject, outfit, sequence)) = train.intersection(test).next()
     {
         found.warnings.push(format!(
@@ -425,7 +425,7 @@ fn heights(minimal: &BTreeMap<String, Array2<f64>>, found: &mut Inspection) {
 }
 
 /// Takes over what was tallied, and says what is strange about it.
-fn conclude(found: &mut Inspection, tally: &Tally, masked: bool) {
+fn conclude(found: &mut Inspection, tally: &InspectionTotals, masked: bool) {
     found.displacement_mm = tally.all.millimetres();
     found.clothing_mm = tally.clothing.millimetres();
     found.elsewhere_mm = tally.elsewhere.millimetres();

@@ -5,7 +5,7 @@ use ndarray::Array1;
 
 use super::*;
 use crate::{
-    PackOptions, SequenceList, Split, pack,
+    PackOptions, SequenceList, SplitSpec, pack,
     raw::{RawFrame, write_frame, write_minimal},
 };
 use cape_core::silent;
@@ -84,7 +84,7 @@ fn sound_data_raise_no_warning() {
     assert_eq!(found.height_m, Some([1.7, 1.7]));
     assert_eq!((found.largest_rotation, found.largest_translation_m), (Some(1.0), Some(5.0)));
 
-    let split = Split {
+    let split = SplitSpec {
         subjects: vec!["a".into()],
         outfits: vec![Outfit::ShortLong, Outfit::LongLong],
         cut: 2,

@@ -10,8 +10,8 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Batch, PackedSet, Statistics,
-    shuffle::{Position, Shuffle, Stream},
+    DisplacementStatistics, HostBatch, PackedSet,
+    shuffle::{Shuffle, ShufflePosition, ShuffleStream},
 };
 use crate::{Error, Result};
 
@@ -42,9 +42,9 @@ pub struct LoaderState {
     /// Seed of both streams.
     pub seed: u64,
     /// The generator's stream.
-    pub generator: Position,
+    pub generator: ShufflePosition,
     /// The discriminator's stream.
-    pub discriminator: Position,
+    pub discriminator: ShufflePosition,
 }
 
 impl LoaderState {
@@ -58,11 +58,11 @@ impl LoaderState {
 ///
 /// See [`Loader`] for an example.
 #[derive(Debug, Clone, PartialEq)]
-pub struct StepData {
+pub struct StepBatches {
     /// The generator's batch.
-    pub generator: Batch,
+    pub generator: HostBatch,
     /// The discriminator's batch of real frames, if asked for.
-    pub discriminator: Option<Batch>,
+    pub discriminator: Option<HostBatch>,
     /// Where to go on after this step.
     pub state: LoaderState,
 }
@@ -84,12 +84,12 @@ pub fn steps_per_epoch(frames: usize, batch: usize) -> usize {
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use std::sync::Arc;
 ///
-/// use cape_data::{Loader, LoaderOptions, LoaderState, PackedSet, Part, Statistics};
+/// use cape_data::{Loader, LoaderOptions, LoaderState, PackedSet, Split, DisplacementStatistics};
 ///
 /// let directory = triangles()?;
 /// let packed = directory.path().join("packed");
-/// let set = Arc::new(PackedSet::open(&packed, Part::Train)?);
-/// let statistics = Arc::new(Statistics::of_packed(&packed, &mut cape_core::silent)?);
+/// let set = Arc::new(PackedSet::open(&packed, Split::Train)?);
+/// let statistics = Arc::new(DisplacementStatistics::from_packed(&packed, &mut cape_core::silent)?);
 /// let rows = statistics.training_rows(set.frames());
 /// let options = LoaderOptions { batch: 2, ..LoaderOptions::default() };
 /// let load = |state| Loader::new(set.clone(), statistics.clone(), rows.clone(), options, state);
@@ -105,14 +105,14 @@ pub fn steps_per_epoch(frames: usize, batch: usize) -> usize {
 /// ```
 #[derive(Debug)]
 pub struct Loader {
-    steps: Prefetch<StepData>,
+    steps: Prefetch<StepBatches>,
 }
 
 impl Loader {
-    /// Draws from the given `rows` of a set (see [`Statistics::training_rows`]), normalised.
+    /// Draws from the given `rows` of a set (see [`DisplacementStatistics::training_rows`]), normalised.
     pub fn new(
         set: Arc<PackedSet>,
-        statistics: Arc<Statistics>,
+        statistics: Arc<DisplacementStatistics>,
         rows: Range<usize>,
         options: LoaderOptions,
         state: LoaderState,
@@ -131,8 +131,9 @@ impl Loader {
         statistics.expect_vertices(set.vertices())?;
         let LoaderState { seed, generator, discriminator } = state;
         let frames = rows.len();
-        let mut generator = Shuffle::new(seed, Stream::Generator, frames, generator);
-        let mut discriminator = Shuffle::new(seed, Stream::Discriminator, frames, discriminator);
+        let mut generator = Shuffle::new(seed, ShuffleStream::Generator, frames, generator);
+        let mut discriminator =
+            Shuffle::new(seed, ShuffleStream::Discriminator, frames, discriminator);
         let read = move |shuffle: &mut Shuffle| {
             let drawn = shuffle.draw(options.batch);
             let frames: Vec<usize> = drawn.into_iter().map(|frame| rows.start + frame).collect();
@@ -141,7 +142,7 @@ impl Loader {
         let steps = Prefetch::new(options.prefetch, move || {
             let real = options.discriminator.then(|| read(&mut discriminator)).transpose();
             Some(read(&mut generator).and_then(|fitted| {
-                Ok(StepData {
+                Ok(StepBatches {
                     generator: fitted,
                     discriminator: real?,
                     state: LoaderState {
@@ -156,7 +157,7 @@ impl Loader {
     }
 
     /// The next step's data. After an error, there are no more.
-    pub fn step(&mut self) -> Result<StepData> {
+    pub fn step(&mut self) -> Result<StepBatches> {
         let stopped = || Err(Error::Data("reading training data has stopped".to_owned()));
         self.steps.next().unwrap_or_else(stopped)
     }
@@ -166,10 +167,10 @@ impl Loader {
 /// background: for validation and evaluation. The last batch may be smaller.
 pub fn sequential(
     set: Arc<PackedSet>,
-    statistics: Option<Arc<Statistics>>,
+    statistics: Option<Arc<DisplacementStatistics>>,
     rows: Range<usize>,
     batch: usize,
-) -> Result<impl Iterator<Item = Result<Batch>>> {
+) -> Result<impl Iterator<Item = Result<HostBatch>>> {
     let rows = rows.start..rows.end.min(set.frames());
     let mut next = rows.start;
     Prefetch::new(2, move || {

@@ -4,10 +4,10 @@ use cape_core::{Outfit, npy::write_npy};
 use ndarray::{Array2, Array3};
 
 use super::*;
-use crate::Part;
+use crate::Split;
 
 /// Every number of a frame's displacement is the frame's index.
-fn packed(root: &Path, frames: usize) -> (Arc<PackedSet>, Arc<Statistics>) {
+fn packed(root: &Path, frames: usize) -> (Arc<PackedSet>, Arc<DisplacementStatistics>) {
     std::fs::create_dir_all(root.join("train")).unwrap();
     let path = |what: &str| root.join(format!("train/train_{what}.npy"));
     write_npy(path("disp"), &Array3::from_shape_fn((frames, 2, 3), |(k, ..)| k as f64)).unwrap();
@@ -16,12 +16,13 @@ fn packed(root: &Path, frames: usize) -> (Arc<PackedSet>, Arc<Statistics>) {
     let hot = Outfit::LongLong.index();
     let label = Array2::from_shape_fn((frames, 4), |(_, i)| f64::from(i == hot));
     write_npy(path("clo_label"), &label).unwrap();
-    let statistics = Statistics::new(Array2::zeros((2, 3)), Array2::ones((2, 3)), 1).unwrap();
-    (Arc::new(PackedSet::open(root, Part::Train).unwrap()), Arc::new(statistics))
+    let statistics =
+        DisplacementStatistics::new(Array2::zeros((2, 3)), Array2::ones((2, 3)), 1).unwrap();
+    (Arc::new(PackedSet::open(root, Split::Train).unwrap()), Arc::new(statistics))
 }
 
 fn loader(
-    (set, statistics): &(Arc<PackedSet>, Arc<Statistics>),
+    (set, statistics): &(Arc<PackedSet>, Arc<DisplacementStatistics>),
     rows: Range<usize>,
     batch: usize,
     state: LoaderState,
@@ -35,7 +36,7 @@ fn steps_bring_the_frames_they_name_and_resume_anywhere() {
     let dir = tempfile::tempdir().unwrap();
     let data = packed(dir.path(), 12);
     let mut whole = loader(&data, 2..12, 4, LoaderState::new(5));
-    let steps: Vec<StepData> = (0..9).map(|_| whole.step().unwrap()).collect();
+    let steps: Vec<StepBatches> = (0..9).map(|_| whole.step().unwrap()).collect();
     let mut counts = [0; 12];
     for step in &steps {
         let real = step.discriminator.as_ref().unwrap();
@@ -50,7 +51,7 @@ fn steps_bring_the_frames_they_name_and_resume_anywhere() {
     // 36 draws of 10 frames: each three or four times.
     assert!(counts[..2] == [0, 0] && counts[2..].iter().all(|&n| n == 3 || n == 4));
     assert!(steps.iter().any(|s| s.generator.frames != s.discriminator.as_ref().unwrap().frames));
-    assert_eq!(steps[4].state.generator, Position { epoch: 1, drawn: 10 });
+    assert_eq!(steps[4].state.generator, ShufflePosition { epoch: 1, drawn: 10 });
     for k in 0..8 {
         let mut resumed = loader(&data, 2..12, 4, steps[k].state);
         assert_eq!(resumed.step().unwrap(), steps[k + 1]);
@@ -111,7 +112,7 @@ fn mistakes_and_bad_frames_are_errors() {
     let mut disp = Array3::<f64>::zeros((4, 2, 3));
     disp[[2, 0, 0]] = f64::NAN;
     write_npy(dir.path().join("train/train_disp.npy"), &disp).unwrap();
-    let set = Arc::new(PackedSet::open(dir.path(), Part::Train).unwrap());
+    let set = Arc::new(PackedSet::open(dir.path(), Split::Train).unwrap());
     let state = LoaderState::new(0);
     let options = LoaderOptions { batch: 4, ..LoaderOptions::default() };
     let mut loader = Loader::new(set, statistics.clone(), 0..4, options, state).unwrap();

@@ -29,14 +29,14 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{
-    Part, Split,
-    journal::{Fate, Journal, plan_hash},
-    part_writer::PartWriter,
+    Split, SplitSpec,
+    pack_log::{FrameStatus, PackLog, plan_hash},
     raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
+    split_writer::SplitWriter,
     statistics::STATISTICS_FILE,
 };
 use crate::{Error, Result};
-use cape_core::Progress;
+use cape_core::ProgressFn;
 use cape_core::StagingDirectory;
 
 /// How to pack.
@@ -44,7 +44,7 @@ use cape_core::StagingDirectory;
 /// ```
 /// use cape_core::Outfit;
 /// use cape_core::silent;
-/// use cape_data::{PackOptions, SequenceList, Split, pack, raw};
+/// use cape_data::{PackOptions, SequenceList, SplitSpec, pack, raw};
 /// use ndarray::Array2;
 ///
 /// let directory = tempfile::tempdir()?;
@@ -63,7 +63,7 @@ use cape_core::StagingDirectory;
 ///     sequences: names.iter().map(ToString::to_string).collect(),
 ///     exclude: Vec::new(),
 /// };
-/// let split = Split {
+/// let split = SplitSpec {
 ///     subjects: vec!["anna".into()],
 ///     outfits: vec![Outfit::LongLong],
 ///     cut: 0,
@@ -104,7 +104,7 @@ pub struct PackReport {
     /// Frames that could not be read, in packing order.
     pub broken: Vec<BrokenFrame>,
     /// Subjects and sequences of the split that the raw data do not have.
-    pub missing: Vec<Missing>,
+    pub missing: Vec<MissingCapture>,
     /// Frames that an interrupted packing of the same data had dealt with before.
     pub resumed: usize,
 }
@@ -124,7 +124,7 @@ pub struct BrokenFrame {
 ///
 /// See [`PackOptions`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Missing {
+pub struct MissingCapture {
     /// The subject.
     pub subject: String,
     /// The sequence; `None` if the whole subject is missing.
@@ -145,15 +145,15 @@ pub struct Missing {
 pub fn pack(
     raw: &Path,
     out: &Path,
-    split: &Split,
+    split: &SplitSpec,
     options: PackOptions,
-    progress: &mut Progress,
+    progress: &mut ProgressFn,
 ) -> Result<PackReport> {
     split.validate()?;
     let mut report = PackReport::default();
     let minimal = read_minimals(raw, split, options, &mut report)?;
     let mut plans = Vec::new();
-    for part in [Part::Train, Part::Test] {
+    for part in [Split::Train, Split::Test] {
         plans.push((part, plan(raw, split, part, &minimal, &mut report.missing)?));
     }
     if let (true, Some(missing)) = (options.strict, report.missing.first()) {
@@ -164,13 +164,13 @@ pub fn pack(
     let plan = plan_hash(raw, split, options, minimal.values(), frames())?;
 
     let mut staging = StagingDirectory::prepare(out)?;
-    let mut done = Journal::read(&staging.path, &plan);
+    let mut done = PackLog::read(&staging.path, &plan);
     done.truncate(total);
     let inside = (!options.follow_links).then_some(raw);
     // What could not be read then may be readable now.
-    let healed = frames()
-        .zip(&done)
-        .position(|(frame, fate)| *fate != Fate::Packed && read(frame, inside, &minimal).is_ok());
+    let healed = frames().zip(&done).position(|(frame, fate)| {
+        *fate != FrameStatus::Packed && read(frame, inside, &minimal).is_ok()
+    });
     done.truncate(healed.unwrap_or(total));
     if !is_whole(&staging.path, &plans, &done, report.vertices) {
         done.clear();
@@ -179,7 +179,7 @@ pub fn pack(
         staging.clear()?;
     }
     report.resumed = done.len();
-    let mut journal = Journal::start(&staging.path, &plan, &done)?;
+    let mut journal = PackLog::start(&staging.path, &plan, &done)?;
     // From here on an error leaves what was packed for the next attempt.
     staging.keep = true;
     let mut text = String::new();
@@ -198,12 +198,12 @@ pub fn pack(
                     Ok(read) => {
                         if writer.is_none() {
                             writer =
-                                Some(PartWriter::create(&staging.path, *part, report.vertices)?);
+                                Some(SplitWriter::create(&staging.path, *part, report.vertices)?);
                         }
                         if let Some(writer) = &mut writer {
                             writer.push(frame, &read)?;
                         }
-                        journal.note(&Fate::Packed);
+                        journal.note(&FrameStatus::Packed);
                     }
                     Err(error) if options.strict => {
                         staging.keep = false;
@@ -211,7 +211,7 @@ pub fn pack(
                     }
                     Err(error) => {
                         let broken = broken(raw, frame, &error);
-                        journal.note(&Fate::Broken(broken.reason.clone()));
+                        journal.note(&FrameStatus::Broken(broken.reason.clone()));
                         report.broken.push(broken);
                     }
                 }
@@ -227,13 +227,13 @@ pub fn pack(
         let Some(writer) = writer else { continue };
         describe(&mut text, *part, &writer.captures);
         match part {
-            Part::Train => {
+            Split::Train => {
                 report.train_frames = writer.rows();
                 let statistics = writer.finish()?;
                 report.validation_frames = statistics.validation();
                 statistics.save(staging.path.join(STATISTICS_FILE))?;
             }
-            Part::Test => {
+            Split::Test => {
                 report.test_frames = writer.rows();
                 writer.finish()?;
             }
@@ -241,7 +241,7 @@ pub fn pack(
     }
     if report.train_frames + report.test_frames == 0 {
         staging.keep = false;
-        return Err(nothing_left(raw, &report));
+        return Err(no_frames_error(raw, &report));
     }
     write_notes(raw, &staging.path, split, options, &report, &text)?;
     journal.finish()?;
@@ -253,33 +253,33 @@ pub fn pack(
 /// may not.
 fn is_whole(
     directory: &Path,
-    plans: &[(Part, Vec<PlannedFrame>)],
-    done: &[Fate],
+    plans: &[(Split, Vec<PlannedFrame>)],
+    done: &[FrameStatus],
     vertices: usize,
 ) -> bool {
     let mut left = done;
     plans.iter().all(|(part, frames)| {
         let (own, rest) = left.split_at(frames.len().min(left.len()));
         left = rest;
-        let rows = own.iter().filter(|fate| **fate == Fate::Packed).count();
-        rows == 0 || PartWriter::holds(directory, *part, vertices, rows)
+        let rows = own.iter().filter(|fate| **fate == FrameStatus::Packed).count();
+        rows == 0 || SplitWriter::holds(directory, *part, vertices, rows)
     })
 }
 
 /// The writer of a part whose first frames are packed already, if any of them was.
 fn resume(
     directory: &Path,
-    part: Part,
+    part: Split,
     raw: &Path,
     frames: &[PlannedFrame],
-    fates: &[Fate],
+    fates: &[FrameStatus],
     report: &mut PackReport,
-) -> Result<Option<PartWriter>> {
+) -> Result<Option<SplitWriter>> {
     let mut packed = Vec::new();
     for (frame, fate) in frames.iter().zip(fates) {
         match fate {
-            Fate::Packed => packed.push(frame),
-            Fate::Broken(reason) => report.broken.push(BrokenFrame {
+            FrameStatus::Packed => packed.push(frame),
+            FrameStatus::Broken(reason) => report.broken.push(BrokenFrame {
                 path: relative(raw, frame).to_owned(),
                 reason: reason.clone(),
             }),
@@ -288,7 +288,7 @@ fn resume(
     if packed.is_empty() {
         return Ok(None);
     }
-    PartWriter::resume(directory, part, report.vertices, &packed).map(Some)
+    SplitWriter::resume(directory, part, report.vertices, &packed).map(Some)
 }
 
 fn relative<'a>(raw: &Path, frame: &'a PlannedFrame) -> &'a Path {
@@ -311,15 +311,15 @@ pub(super) struct PackedFrame {
     pub(super) rotations: Vec<f64>,
 }
 
-type Minimals = BTreeMap<String, Array2<f64>>;
+type MinimalShapes = BTreeMap<String, Array2<f64>>;
 
 fn read_minimals(
     raw: &Path,
-    split: &Split,
+    split: &SplitSpec,
     options: PackOptions,
     report: &mut PackReport,
-) -> Result<Minimals> {
-    let mut shapes = Minimals::new();
+) -> Result<MinimalShapes> {
+    let mut shapes = MinimalShapes::new();
     for subject in &split.subjects {
         let reason = if raw.join("sequences").join(subject).is_dir() {
             let read = || {
@@ -348,21 +348,21 @@ fn read_minimals(
         } else {
             format!("no directory sequences/{subject}")
         };
-        report.missing.push(Missing { subject: subject.clone(), sequence: None, reason });
+        report.missing.push(MissingCapture { subject: subject.clone(), sequence: None, reason });
     }
     Ok(shapes)
 }
 
 fn plan<'a>(
     raw: &Path,
-    split: &'a Split,
-    part: Part,
-    minimal: &Minimals,
-    missing: &mut Vec<Missing>,
+    split: &'a SplitSpec,
+    part: Split,
+    minimal: &MinimalShapes,
+    missing: &mut Vec<MissingCapture>,
 ) -> Result<Vec<PlannedFrame<'a>>> {
     let list = match part {
-        Part::Train => &split.train,
-        Part::Test => &split.test,
+        Split::Train => &split.train,
+        Split::Test => &split.test,
     };
     let mut frames = Vec::new();
     for subject in split.subjects.iter().filter(|&subject| minimal.contains_key(subject)) {
@@ -375,7 +375,7 @@ fn plan<'a>(
             let mut found = wanted.is_empty();
             let mut miss = |reason| {
                 let (subject, sequence) = (subject.clone(), Some(sequence.clone()));
-                missing.push(Missing { subject, sequence, reason });
+                missing.push(MissingCapture { subject, sequence, reason });
             };
             for &outfit in wanted {
                 let directory = raw::capture_dir(raw, subject, outfit, sequence);
@@ -401,7 +401,11 @@ fn plan<'a>(
     Ok(frames)
 }
 
-fn read(frame: &PlannedFrame, inside: Option<&Path>, minimal: &Minimals) -> Result<PackedFrame> {
+fn read(
+    frame: &PlannedFrame,
+    inside: Option<&Path>,
+    minimal: &MinimalShapes,
+) -> Result<PackedFrame> {
     if let Some(root) = inside {
         raw::require_inside(root, &frame.path)?;
     }
@@ -427,7 +431,7 @@ fn broken(raw: &Path, frame: &PlannedFrame, error: &Error) -> BrokenFrame {
     BrokenFrame { path: path.to_owned(), reason }
 }
 
-fn nothing_left(raw: &Path, report: &PackReport) -> Error {
+fn no_frames_error(raw: &Path, report: &PackReport) -> Error {
     let why = match (report.broken.first(), report.missing.first()) {
         (Some(frame), _) => format!(
             "all {} frames are unreadable; the first, {}: {}",
@@ -449,7 +453,7 @@ fn nothing_left(raw: &Path, report: &PackReport) -> Error {
     Error::Data(format!("{}: no frame can be packed: {why}", raw.display()))
 }
 
-fn describe(text: &mut String, part: Part, captures: &[(String, usize)]) {
+fn describe(text: &mut String, part: Split, captures: &[(String, usize)]) {
     let frames: usize = captures.iter().map(|(_, frames)| frames).sum();
     // Writing to a string cannot fail.
     let _ = writeln!(text, "\n{part}: {frames} frames of {} captures", captures.len());
@@ -461,7 +465,7 @@ fn describe(text: &mut String, part: Part, captures: &[(String, usize)]) {
 fn write_notes(
     raw: &Path,
     out: &Path,
-    split: &Split,
+    split: &SplitSpec,
     options: PackOptions,
     report: &PackReport,
     captures: &str,

@@ -5,19 +5,19 @@ use ndarray::Axis;
 
 use super::*;
 use crate::{
-    MIN_STD, SequenceList, Statistics,
+    DisplacementStatistics, MIN_STD, SequenceList,
     raw::{RawFrame, write_frame, write_minimal},
 };
 use cape_core::silent;
 
 const VERTICES: usize = 5;
 
-fn split() -> Split {
+fn split() -> SplitSpec {
     let list = |names: &[&str]| SequenceList {
         sequences: names.iter().map(ToString::to_string).collect(),
         exclude: Vec::new(),
     };
-    Split {
+    SplitSpec {
         subjects: vec!["b".into(), "a".into()],
         outfits: vec![Outfit::LongShort, Outfit::ShortLong],
         cut: 1,
@@ -57,7 +57,7 @@ fn raw_tree() -> tempfile::TempDir {
     root
 }
 
-fn pack_to(root: &Path, out: &Path, split: &Split) -> Result<PackReport> {
+fn pack_to(root: &Path, out: &Path, split: &SplitSpec) -> Result<PackReport> {
     pack(root, out, split, PackOptions::default(), &mut silent)
 }
 
@@ -119,7 +119,7 @@ fn packs_the_releases_layout() {
             assert!((trace - 1.0 - 2.0 * angle.cos()).abs() < 1e-12);
         }
     }
-    let stats = Statistics::load(out.join(STATISTICS_FILE)).unwrap();
+    let stats = DisplacementStatistics::load(out.join(STATISTICS_FILE)).unwrap();
     for v in 0..VERTICES {
         for c in 0..3 {
             let values: Vec<f64> = (0..22).map(|row| disp[[row, v, c]]).collect();
@@ -136,7 +136,7 @@ fn packs_the_releases_layout() {
     assert_eq!(fs::read_to_string(out.join("broken_frames.txt")).unwrap(), "");
     let notes = fs::read_to_string(out.join("stats.txt")).unwrap();
     assert!(notes.contains("train 24\n") && notes.contains("a/longshort_soccer 3"), "{notes}");
-    assert_eq!(Split::from_file(out.join(SPLIT_FILE)).unwrap(), split());
+    assert_eq!(SplitSpec::from_file(out.join(SPLIT_FILE)).unwrap(), split());
     let test = read_f64(out.join("test/test_disp.npy")).unwrap();
     assert_eq!(test.shape(), &[12, VERTICES, 3]);
 }
@@ -197,7 +197,7 @@ fn what_is_missing_is_listed_and_fails_only_if_nothing_is_left() {
     let none = root.path().join("none");
     let message = pack_to(root.path(), &none, &wanted).unwrap_err().to_string();
     assert!(message.contains("no frame can be packed: subject nobody"), "{message}");
-    wanted = Split { cut: 3, subjects: vec!["a".into()], ..split() };
+    wanted = SplitSpec { cut: 3, subjects: vec!["a".into()], ..split() };
     let message = pack_to(root.path(), &none, &wanted).unwrap_err().to_string();
     assert!(message.contains("has 5 frames, nothing is left after cutting 3"), "{message}");
     assert!(!none.exists() && !root.path().join(".none.cape-partial").exists());
@@ -225,7 +225,7 @@ fn links_out_of_the_data_are_refused_unless_they_are_allowed() {
 #[test]
 fn exclusions_sampling_and_a_single_frame() {
     let root = raw_tree();
-    let mut wanted = Split { cut: 0, sample_rate: 2, ..split() };
+    let mut wanted = SplitSpec { cut: 0, sample_rate: 2, ..split() };
     wanted.train.exclude = vec!["walk".into(), "a/longshort_hips".into()];
     let out = root.path().join("packed");
     let report = pack_to(root.path(), &out, &wanted).unwrap();
@@ -233,7 +233,7 @@ fn exclusions_sampling_and_a_single_frame() {
     let csv = fs::read_to_string(out.join("train/train_frames.csv")).unwrap();
     assert!(csv.contains("hips.000004") && !csv.contains("000003") && !csv.contains("walk"));
 
-    wanted = Split { cut: 2, subjects: vec!["a".into()], ..wanted };
+    wanted = SplitSpec { cut: 2, subjects: vec!["a".into()], ..wanted };
     wanted.test.sequences.clear();
     let one = root.path().join("one");
     let report = pack_to(root.path(), &one, &wanted).unwrap();
@@ -299,7 +299,7 @@ fn an_interrupted_packing_goes_on_to_the_same_bytes() {
     }
     let broken = capture(root.path(), "a/shortlong_walk").join("shortlong_walk.000003.npz");
     fs::write(broken, "x").unwrap();
-    let split = Split { subjects: vec!["a".into()], cut: 0, ..split() };
+    let split = SplitSpec { subjects: vec!["a".into()], cut: 0, ..split() };
     let whole = root.path().join("whole");
     let expected = pack_to(root.path(), &whole, &split).unwrap();
     let out = root.path().join("packed");
@@ -348,7 +348,7 @@ fn an_interrupted_packing_goes_on_to_the_same_bytes() {
         })
     });
     assert!(interrupted.is_err());
-    let other = Split { sample_rate: 2, ..split };
+    let other = SplitSpec { sample_rate: 2, ..split };
     assert_eq!(pack_to(root.path(), &out, &other).unwrap().resumed, 0);
 }
 
@@ -360,7 +360,7 @@ fn long_sequences_and_any_number_of_threads() {
     for k in 0..1010 {
         write_frame(root.path(), "a", Outfit::ShortLong, "walk", k, &frame(k)).unwrap();
     }
-    let split = Split { subjects: vec!["a".into()], cut: 0, ..split() };
+    let split = SplitSpec { subjects: vec!["a".into()], cut: 0, ..split() };
     let files = |threads: usize| {
         let out = root.path().join(format!("packed{threads}"));
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -368,7 +368,8 @@ fn long_sequences_and_any_number_of_threads() {
         ["train/train_disp.npy", STATISTICS_FILE].map(|name| fs::read(out.join(name)).unwrap())
     };
     assert_eq!(files(1), files(3));
-    let stats = Statistics::load(root.path().join("packed1").join(STATISTICS_FILE)).unwrap();
+    let stats =
+        DisplacementStatistics::load(root.path().join("packed1").join(STATISTICS_FILE)).unwrap();
     assert_eq!(stats.validation(), 100);
     let values: Vec<f64> = (0..910).map(|k| vertices(k)[[4, 2]] - vertices(0)[[4, 2]]).collect();
     let mean = values.iter().sum::<f64>() / 910.0;

@@ -13,10 +13,10 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     npy_rows::RowReader,
-    statistics::{Accumulator, STATISTICS_FILE, Statistics, validation_count},
+    statistics::{Accumulator, DisplacementStatistics, STATISTICS_FILE, validation_count},
 };
 use crate::{Error, Result};
-use cape_core::Progress;
+use cape_core::ProgressFn;
 
 pub(super) const FRAMES_HEADER: &str = "subject,outfit,sequence,frame";
 
@@ -25,14 +25,14 @@ pub(super) const FRAMES_HEADER: &str = "subject,outfit,sequence,frame";
 /// See [`PackedSet`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Part {
+pub enum Split {
     /// Training frames; the last ones validate.
     Train,
     /// Test frames.
     Test,
 }
 
-impl Part {
+impl Split {
     /// Its directory's name and its files' prefix.
     pub const fn name(self) -> &'static str {
         match self {
@@ -56,7 +56,7 @@ impl Part {
     }
 }
 
-impl fmt::Display for Part {
+impl fmt::Display for Split {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
     }
@@ -66,7 +66,7 @@ impl fmt::Display for Part {
 ///
 /// See [`PackedSet`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Origin {
+pub struct FrameOrigin {
     /// The subject.
     pub subject: String,
     /// The motion sequence, without the outfit.
@@ -79,7 +79,7 @@ pub struct Origin {
 ///
 /// See [`PackedSet`] for an example.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Batch {
+pub struct HostBatch {
     /// Rows of the packed set.
     pub frames: Vec<usize>,
     /// Displacements, `[batch, V, 3]`: normalised, or in metres.
@@ -98,12 +98,12 @@ pub struct Batch {
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use cape_core::Outfit;
 /// use cape_core::silent;
-/// use cape_data::{PackedSet, Part, Statistics};
+/// use cape_data::{PackedSet, Split, DisplacementStatistics};
 ///
 /// // Five frames of a walk of a triangle, which train, and five of a kick, which test.
 /// let directory = triangles()?;
 /// let packed = directory.path().join("packed");
-/// let set = PackedSet::open(&packed, Part::Train)?;
+/// let set = PackedSet::open(&packed, Split::Train)?;
 /// assert_eq!((set.frames(), set.vertices(), set.outfits()[0]), (5, 3, Outfit::LongLong));
 /// assert_eq!(set.origins().unwrap()[0].sequence, "walk");
 /// let batch = set.batch(&[4, 0], None)?;
@@ -111,7 +111,7 @@ pub struct Batch {
 /// assert!((batch.displacement[[0, 0, 0]] - 0.04).abs() < 1e-6);
 ///
 /// // The last frame validates; 0, 1, 2 and 3 centimetres train, whose mean is 1.5.
-/// let statistics = Statistics::of_packed(&packed, &mut silent)?;
+/// let statistics = DisplacementStatistics::from_packed(&packed, &mut silent)?;
 /// assert_eq!(statistics.training_rows(set.frames()), 0..4);
 /// assert!((statistics.mean()[[0, 0]] - 0.015).abs() < 1e-6);
 /// # Ok(())
@@ -123,14 +123,14 @@ pub struct PackedSet {
     pose: RowReader,
     rotations: RowReader,
     outfits: Vec<Outfit>,
-    origins: Option<Vec<Origin>>,
+    origins: Option<Vec<FrameOrigin>>,
     /// Displacements and pose features of all frames.
     preloaded: Option<(Vec<f32>, Vec<f32>)>,
 }
 
 impl PackedSet {
     /// Opens a part of the packed set in `root` and checks that its files belong together.
-    pub fn open(root: &Path, part: Part) -> Result<Self> {
+    pub fn open(root: &Path, part: Split) -> Result<Self> {
         let open = |what, row: &[Option<usize>]| RowReader::open(part.path(root, what), row);
         let displacement = open("disp", &[None, Some(3)])?;
         let frames = displacement.rows();
@@ -172,7 +172,7 @@ impl PackedSet {
     }
 
     /// Where every frame was captured; `None` if the set does not say, as the official one.
-    pub fn origins(&self) -> Option<&[Origin]> {
+    pub fn origins(&self) -> Option<&[FrameOrigin]> {
         self.origins.as_deref()
     }
 
@@ -181,7 +181,7 @@ impl PackedSet {
         let outfit = self.outfits[frame];
         match self.origins() {
             Some(origins) => {
-                let Origin { subject, sequence, .. } = &origins[frame];
+                let FrameOrigin { subject, sequence, .. } = &origins[frame];
                 format!("{subject}/{outfit}_{sequence}")
             }
             None => outfit.to_string(),
@@ -189,7 +189,7 @@ impl PackedSet {
     }
 
     /// Reads every frame into memory, as float32.
-    pub fn preload(&mut self, progress: &mut Progress) -> Result<()> {
+    pub fn preload(&mut self, progress: &mut ProgressFn) -> Result<()> {
         let frames = self.frames();
         let mut all = (
             Vec::with_capacity(frames * 3 * self.vertices()),
@@ -207,7 +207,11 @@ impl PackedSet {
     /// the given statistics, or left in metres. The numbers do not depend on [`preload`].
     ///
     /// [`preload`]: Self::preload
-    pub fn batch(&self, frames: &[usize], normalise: Option<&Statistics>) -> Result<Batch> {
+    pub fn batch(
+        &self,
+        frames: &[usize],
+        normalise: Option<&DisplacementStatistics>,
+    ) -> Result<HostBatch> {
         let (count, vertices) = (frames.len(), self.vertices());
         let mut displacement = Vec::with_capacity(count * 3 * vertices);
         let mut pose_feature = Vec::with_capacity(count * POSE_FEATURE);
@@ -232,7 +236,7 @@ impl PackedSet {
             statistics.normalise(&mut displacement);
         }
         let shape = |e: ndarray::ShapeError| Error::argument(e.to_string());
-        Ok(Batch {
+        Ok(HostBatch {
             frames: frames.to_vec(),
             displacement: Array3::from_shape_vec((count, vertices, 3), displacement)
                 .map_err(shape)?,
@@ -288,7 +292,7 @@ fn outfit(labels: &RowReader, row: usize) -> Result<Outfit> {
     })
 }
 
-fn read_origins(path: &Path, frames: usize) -> Result<Option<Vec<Origin>>> {
+fn read_origins(path: &Path, frames: usize) -> Result<Option<Vec<FrameOrigin>>> {
     if !path.exists() {
         return Ok(None);
     }
@@ -304,7 +308,7 @@ fn read_origins(path: &Path, frames: usize) -> Result<Option<Vec<Origin>>> {
             return Err(Error::field(path, format!("line {}", number + 2), message));
         };
         let [subject, sequence, frame] = [subject, sequence, frame].map(str::to_owned);
-        Ok(Origin { subject, sequence, frame })
+        Ok(FrameOrigin { subject, sequence, frame })
     };
     let origins = lines.enumerate().map(origin).collect::<Result<Vec<_>>>()?;
     if origins.len() != frames {
@@ -314,15 +318,15 @@ fn read_origins(path: &Path, frames: usize) -> Result<Option<Vec<Origin>>> {
     Ok(Some(origins))
 }
 
-impl Statistics {
+impl DisplacementStatistics {
     /// The statistics of the packed set in `root`: its `stats.npz`, or else computed from the
     /// training frames and, if the directory can be written, kept there for the next time.
-    pub fn of_packed(root: &Path, progress: &mut Progress) -> Result<Self> {
+    pub fn from_packed(root: &Path, progress: &mut ProgressFn) -> Result<Self> {
         let path = root.join(STATISTICS_FILE);
         if path.exists() {
             return Self::load(path);
         }
-        let set = PackedSet::open(root, Part::Train)?;
+        let set = PackedSet::open(root, Split::Train)?;
         let validation = validation_count(set.frames());
         let count = set.frames() - validation;
         let mut accumulator = Accumulator::new(3 * set.vertices());

@@ -35,7 +35,7 @@ fn write<D: Dimension>(root: &tempfile::TempDir, what: &str, array: &Array<f64, 
 }
 
 fn open(root: &tempfile::TempDir) -> Result<PackedSet> {
-    PackedSet::open(root.path(), Part::Train)
+    PackedSet::open(root.path(), Split::Train)
 }
 
 #[test]
@@ -64,7 +64,7 @@ fn batches_hold_what_was_packed() {
 #[test]
 fn float32_and_preloaded_sets_give_the_same_batches() {
     let root = official(5);
-    let statistics = Statistics::of_packed(root.path(), &mut silent).unwrap();
+    let statistics = DisplacementStatistics::from_packed(root.path(), &mut silent).unwrap();
     let batch = |set: &PackedSet| set.batch(&[3, 1], Some(&statistics)).unwrap();
     let mut set = open(&root).unwrap();
     let expected = batch(&set);
@@ -79,12 +79,15 @@ fn float32_and_preloaded_sets_give_the_same_batches() {
 fn statistics_are_computed_once_and_kept() {
     let root = official(20);
     let mut calls = Vec::new();
-    let first = Statistics::of_packed(root.path(), &mut |done, all| calls.push((done, all)));
+    let first =
+        DisplacementStatistics::from_packed(root.path(), &mut |done, all| calls.push((done, all)));
     let first = first.unwrap();
     assert_eq!((calls.len(), calls.last()), (18, Some(&(18, 18))));
     assert_eq!((first.training_rows(20), first.validation_rows(20)), (0..18, 18..20));
     assert!(root.path().join(STATISTICS_FILE).is_file());
-    let again = Statistics::of_packed(root.path(), &mut |_, _| panic!("computed again")).unwrap();
+    let again =
+        DisplacementStatistics::from_packed(root.path(), &mut |_, _| panic!("computed again"))
+            .unwrap();
     assert_eq!(first, again);
     let disp = numbers((20, VERTICES, 3));
     let mean = (0..18).map(|row| disp[[row, 1, 2]]).sum::<f64>() / 18.0;
@@ -93,7 +96,8 @@ fn statistics_are_computed_once_and_kept() {
     let normalised = open(&root).unwrap().batch(&rows, Some(&first)).unwrap().displacement;
     let column = normalised.slice(s![.., 1, 2]);
     assert!(column.mean().unwrap().abs() < 1e-6 && (column.std(0.0) - 1.0).abs() < 1e-6);
-    let other = Statistics::new(Array2::zeros((9, 3)), Array2::ones((9, 3)), 0).unwrap();
+    let other =
+        DisplacementStatistics::new(Array2::zeros((9, 3)), Array2::ones((9, 3)), 0).unwrap();
     let message = open(&root).unwrap().batch(&[0], Some(&other)).unwrap_err().to_string();
     assert!(message.contains("9 vertices do not fit frames of 3"), "{message}");
 }
@@ -128,7 +132,7 @@ fn inconsistent_files_are_named() {
             &["train_clo_label.npy", "`row 3`", "one-hot"],
         );
     }
-    let test = PackedSet::open(official(6).path(), Part::Test).unwrap_err().to_string();
+    let test = PackedSet::open(official(6).path(), Split::Test).unwrap_err().to_string();
     assert!(test.contains("test_disp.npy"), "{test}");
 }
 

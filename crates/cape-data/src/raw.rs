@@ -287,7 +287,7 @@ mod tests {
         }
     }
 
-    fn written(frame: &RawFrame) -> (tempfile::TempDir, PathBuf) {
+    fn read_written(frame: &RawFrame) -> (tempfile::TempDir, PathBuf) {
         let root = tempfile::tempdir().unwrap();
         let path = write_frame(root.path(), "a", Outfit::LongLong, "walk", 7, frame).unwrap();
         (root, path)
@@ -295,7 +295,7 @@ mod tests {
 
     #[test]
     fn the_layout_is_the_releases() {
-        let (root, path) = written(&frame());
+        let (root, path) = read_written(&frame());
         assert_eq!(
             path.strip_prefix(root.path()).unwrap(),
             Path::new("sequences/a/longlong_walk/longlong_walk.000007.npz")
@@ -319,7 +319,7 @@ mod tests {
         let check = |change: &dyn Fn(&mut RawFrame), expected: &str| {
             let mut bad = frame();
             change(&mut bad);
-            let (_root, path) = written(&bad);
+            let (_root, path) = read_written(&bad);
             let message = read_frame(&path, Some(2)).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");
             assert!(message.contains("longlong_walk.000007.npz"), "{message}");
@@ -330,13 +330,13 @@ mod tests {
         check(&|f| f.transl[2] = f64::NEG_INFINITY, "`transl`: number 2");
         check(&|f| f.v_cano = Array2::zeros((3, 3)), "`v_cano`: shape [3, 3], expected [2, 3]");
         check(&|f| f.v_posed = Array2::zeros((2, 2)), "`v_posed`: shape [2, 2]");
-        let (_root, path) = written(&RawFrame { v_cano: Array2::zeros((0, 3)), ..frame() });
+        let (_root, path) = read_written(&RawFrame { v_cano: Array2::zeros((0, 3)), ..frame() });
         assert!(read_frame(&path, None).unwrap_err().to_string().contains("[vertices, 3]"));
     }
 
     #[test]
     fn missing_and_truncated_files_are_errors() {
-        let (_root, path) = written(&frame());
+        let (_root, path) = read_written(&frame());
         let bytes = fs::read(&path).unwrap();
         for length in [0, 10, bytes.len() / 2, bytes.len() - 1] {
             fs::write(&path, &bytes[..length]).unwrap();

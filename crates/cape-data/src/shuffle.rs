@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// See [`Shuffle`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stream {
+pub enum ShuffleStream {
     /// The generator's batches.
     Generator,
     /// The discriminator's real batches.
@@ -17,7 +17,7 @@ pub enum Stream {
 ///
 /// See [`Shuffle`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Position {
+pub struct ShufflePosition {
     /// Complete passes over the frames.
     pub epoch: u64,
     /// Frames drawn of the current pass.
@@ -27,33 +27,33 @@ pub struct Position {
 /// An endless stream of frames: one permutation of all of them after another.
 ///
 /// Every frame is drawn once before any is drawn twice. The permutation depends on the seed, the
-/// stream and the pass alone, so a [`Position`] is all that is needed to go on.
+/// stream and the pass alone, so a [`ShufflePosition`] is all that is needed to go on.
 ///
 /// ```
-/// use cape_data::{Position, Shuffle, Stream};
+/// use cape_data::{ShufflePosition, Shuffle, ShuffleStream};
 ///
-/// let mut shuffle = Shuffle::new(1, Stream::Generator, 5, Position::default());
+/// let mut shuffle = Shuffle::new(1, ShuffleStream::Generator, 5, ShufflePosition::default());
 /// let mut drawn = shuffle.draw(3);
 /// let there = shuffle.position();
-/// assert_eq!(there, Position { epoch: 0, drawn: 3 });
+/// assert_eq!(there, ShufflePosition { epoch: 0, drawn: 3 });
 /// drawn.extend(shuffle.draw(2));
 /// // From that position on the same frames follow, and in a pass every frame has been drawn.
-/// assert_eq!(Shuffle::new(1, Stream::Generator, 5, there).draw(2), drawn[3..]);
+/// assert_eq!(Shuffle::new(1, ShuffleStream::Generator, 5, there).draw(2), drawn[3..]);
 /// drawn.sort_unstable();
 /// assert_eq!(drawn, [0, 1, 2, 3, 4]);
 /// ```
 #[derive(Debug, Clone)]
 pub struct Shuffle {
     seed: u64,
-    stream: Stream,
-    position: Position,
+    stream: ShuffleStream,
+    position: ShufflePosition,
     order: Vec<usize>,
 }
 
 impl Shuffle {
     /// The stream of `frames` frames (at least 1) from a position on.
-    pub fn new(seed: u64, stream: Stream, frames: usize, position: Position) -> Self {
-        let position = Position { drawn: position.drawn.min(frames), ..position };
+    pub fn new(seed: u64, stream: ShuffleStream, frames: usize, position: ShufflePosition) -> Self {
+        let position = ShufflePosition { drawn: position.drawn.min(frames), ..position };
         let mut shuffle = Self { seed, stream, position, order: (0..frames.max(1)).collect() };
         shuffle.permute();
         shuffle
@@ -64,7 +64,7 @@ impl Shuffle {
         let mut frames = Vec::with_capacity(count);
         while frames.len() < count {
             if self.position.drawn >= self.order.len() {
-                self.position = Position { epoch: self.position.epoch + 1, drawn: 0 };
+                self.position = ShufflePosition { epoch: self.position.epoch + 1, drawn: 0 };
                 self.permute();
             }
             frames.push(self.order[self.position.drawn]);
@@ -74,7 +74,7 @@ impl Shuffle {
     }
 
     /// Where the next draw begins.
-    pub fn position(&self) -> Position {
+    pub fn position(&self) -> ShufflePosition {
         self.position
     }
 
@@ -92,13 +92,13 @@ impl Shuffle {
 mod tests {
     use super::*;
 
-    fn shuffle(seed: u64, stream: Stream, frames: usize) -> Shuffle {
-        Shuffle::new(seed, stream, frames, Position::default())
+    fn shuffle(seed: u64, stream: ShuffleStream, frames: usize) -> Shuffle {
+        Shuffle::new(seed, stream, frames, ShufflePosition::default())
     }
 
     #[test]
     fn every_frame_once_before_any_twice() {
-        let mut shuffle = shuffle(3, Stream::Generator, 10);
+        let mut shuffle = shuffle(3, ShuffleStream::Generator, 10);
         let drawn: Vec<usize> = (0..15).flat_map(|_| shuffle.draw(4)).collect();
         let passes: Vec<&[usize]> = drawn.chunks(10).collect();
         for pass in &passes {
@@ -112,18 +112,18 @@ mod tests {
     #[test]
     fn streams_and_seeds_differ_and_repeat() {
         let draw = |seed, stream| shuffle(seed, stream, 50).draw(50);
-        let first = draw(1, Stream::Generator);
-        assert_eq!(first, draw(1, Stream::Generator));
-        assert_ne!(first, draw(1, Stream::Discriminator));
-        assert_ne!(first, draw(2, Stream::Generator));
+        let first = draw(1, ShuffleStream::Generator);
+        assert_eq!(first, draw(1, ShuffleStream::Generator));
+        assert_ne!(first, draw(1, ShuffleStream::Discriminator));
+        assert_ne!(first, draw(2, ShuffleStream::Generator));
     }
 
     #[test]
     fn any_position_resumes() {
         for warm in 0..12 {
-            let mut whole = shuffle(9, Stream::Discriminator, 7);
+            let mut whole = shuffle(9, ShuffleStream::Discriminator, 7);
             whole.draw(warm * 3);
-            let mut resumed = Shuffle::new(9, Stream::Discriminator, 7, whole.position());
+            let mut resumed = Shuffle::new(9, ShuffleStream::Discriminator, 7, whole.position());
             assert_eq!(whole.draw(20), resumed.draw(20));
         }
     }
@@ -132,14 +132,14 @@ mod tests {
     #[test]
     fn the_order_is_pinned() {
         let draw = |stream| shuffle(1, stream, 8).draw(8);
-        assert_eq!(draw(Stream::Generator), [3, 4, 5, 2, 7, 1, 6, 0]);
-        assert_eq!(draw(Stream::Discriminator), [6, 5, 2, 3, 0, 4, 7, 1]);
+        assert_eq!(draw(ShuffleStream::Generator), [3, 4, 5, 2, 7, 1, 6, 0]);
+        assert_eq!(draw(ShuffleStream::Discriminator), [6, 5, 2, 3, 0, 4, 7, 1]);
     }
 
     #[test]
     fn one_frame_fills_a_batch() {
-        let mut shuffle = shuffle(0, Stream::Generator, 1);
+        let mut shuffle = shuffle(0, ShuffleStream::Generator, 1);
         assert_eq!(shuffle.draw(3), [0, 0, 0]);
-        assert_eq!(shuffle.position(), Position { epoch: 2, drawn: 1 });
+        assert_eq!(shuffle.position(), ShufflePosition { epoch: 2, drawn: 1 });
     }
 }

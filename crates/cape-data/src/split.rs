@@ -25,15 +25,15 @@ use crate::{Error, Result};
 ///
 /// ```
 /// use cape_core::Outfit;
-/// use cape_data::Split;
+/// use cape_data::SplitSpec;
 ///
-/// let split = Split::preset("male")?;
+/// let split = SplitSpec::preset("male")?;
 /// assert_eq!((split.subjects.len(), split.test.sequences.len()), (7, 4));
 ///
 /// let directory = tempfile::tempdir()?;
 /// let path = directory.path().join("split.toml");
 /// std::fs::write(&path, split.to_toml()?)?;
-/// assert_eq!(Split::from_file(&path)?, split);
+/// assert_eq!(SplitSpec::from_file(&path)?, split);
 ///
 /// let mut twice = split;
 /// twice.outfits = vec![Outfit::LongLong; 2];
@@ -42,7 +42,7 @@ use crate::{Error, Result};
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Split {
+pub struct SplitSpec {
     /// Subjects, in packing order.
     pub subjects: Vec<String>,
     /// Outfits, in packing order.
@@ -157,7 +157,7 @@ fn owned(names: &[&str]) -> Vec<String> {
     names.iter().map(ToString::to_string).collect()
 }
 
-impl Split {
+impl SplitSpec {
     /// The paper's male set: seven subjects, four held-out sequences.
     pub fn male() -> Self {
         let train = GROUP_1.iter().filter(|name| !GROUP_1_TEST.contains(name));
@@ -291,21 +291,21 @@ mod tests {
         )
     }
 
-    fn load(text: &str) -> Result<Split> {
+    fn load(text: &str) -> Result<SplitSpec> {
         let file = tempfile::NamedTempFile::new().unwrap();
         fs::write(file.path(), text).unwrap();
-        Split::from_file(file.path())
+        SplitSpec::from_file(file.path())
     }
 
     #[test]
     fn presets_have_the_papers_sizes_and_order() {
-        let male = Split::male();
+        let male = SplitSpec::male();
         assert_eq!(male.subjects.first().map(String::as_str), Some("03284"));
         assert_eq!((male.subjects.len(), male.train.sequences.len()), (7, 22));
         assert_eq!(male.train.sequences[..2], ["ATUsquat", "basketball"]);
         assert_eq!(male.test.sequences, ["ballerina_spin", "soccer", "pose_model", "bend_twist"]);
         assert!(male.train.excludes("00032", Outfit::LongLong, "jumping_jacks"));
-        let female = Split::female();
+        let female = SplitSpec::female();
         assert_eq!(female.subjects, ["00159", "00134", "03223", "03331"]);
         assert_eq!((female.train.sequences.len(), female.test.sequences.len()), (36, 8));
         assert_eq!(female.train.sequences[22], "athletics_trial1");
@@ -317,7 +317,7 @@ mod tests {
 
     #[test]
     fn toml_round_trip_and_defaults() {
-        let split = Split::female();
+        let split = SplitSpec::female();
         assert_eq!(load(&split.to_toml().unwrap()).unwrap(), split);
         let split = load(&minimal("")).unwrap();
         assert_eq!((split.cut, split.sample_rate, split.test.sequences.len()), (2, 1, 0));
@@ -356,7 +356,7 @@ mod tests {
             assert!(message.contains(expected), "{message}");
         }
         load(&(minimal("") + "exclude = ['walk', 'a/shortlong_walk']")).unwrap();
-        assert!(Split::from_file("/nonexistent/split.toml").is_err());
-        assert!(Split::preset("child").unwrap_err().to_string().contains("child"));
+        assert!(SplitSpec::from_file("/nonexistent/split.toml").is_err());
+        assert!(SplitSpec::preset("child").unwrap_err().to_string().contains("child"));
     }
 }

@@ -5,7 +5,7 @@ use ndarray::{Array1, Array2, Ix2};
 
 use crate::{Error, Result};
 
-/// Where a packed set keeps its [`Statistics`].
+/// Where a packed set keeps its [`DisplacementStatistics`].
 pub const STATISTICS_FILE: &str = "stats.npz";
 
 /// Smallest standard deviation, metres: a tenth of a millimetre, below a body scanner's noise (the
@@ -28,10 +28,10 @@ pub fn validation_count(frames: usize) -> usize {
 /// training frames less validation; with them, displacements are normalised for the network.
 ///
 /// ```
-/// use cape_data::{MIN_STD, Statistics};
+/// use cape_data::{MIN_STD, DisplacementStatistics};
 /// use ndarray::array;
 ///
-/// let statistics = Statistics::new(array![[0.01, 0., 0.]], array![[0.005, 0.005, 0.]], 1)?;
+/// let statistics = DisplacementStatistics::new(array![[0.01, 0., 0.]], array![[0.005, 0.005, 0.]], 1)?;
 /// // Deviations are at least those of a scanner's noise.
 /// assert_eq!(statistics.std()[[0, 2]], MIN_STD);
 /// let mut displacement = [0.02, 0., 0.];
@@ -42,13 +42,13 @@ pub fn validation_count(frames: usize) -> usize {
 /// # Ok::<(), cape_core::Error>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
-pub struct Statistics {
+pub struct DisplacementStatistics {
     mean: Array2<f64>,
     std: Array2<f64>,
     validation: usize,
 }
 
-impl Statistics {
+impl DisplacementStatistics {
     /// Statistics of `[V, 3]` displacements; deviations below [`MIN_STD`] are raised to it here, so
     /// that every user of the statistics, and every file of them, has the same.
     pub fn new(mean: Array2<f64>, std: Array2<f64>, validation: usize) -> Result<Self> {
@@ -169,14 +169,14 @@ impl Accumulator {
         }
     }
 
-    pub(super) fn finish(self, validation: usize) -> Result<Statistics> {
+    pub(super) fn finish(self, validation: usize) -> Result<DisplacementStatistics> {
         let shape = (self.mean.len() / 3, 3);
         let count = self.count.max(1) as f64;
         let std = self.squares.into_iter().map(|squares| (squares / count).sqrt()).collect();
         let array = |numbers| {
             Array2::from_shape_vec(shape, numbers).map_err(|e| Error::argument(e.to_string()))
         };
-        Statistics::new(array(self.mean)?, array(std)?, validation)
+        DisplacementStatistics::new(array(self.mean)?, array(std)?, validation)
     }
 }
 
@@ -215,7 +215,8 @@ mod tests {
     #[test]
     fn normalising_is_undone() {
         let stats =
-            Statistics::new(array![[0.01, -0.02, 0.0]], array![[0.005, 0.01, 0.0]], 1).unwrap();
+            DisplacementStatistics::new(array![[0.01, -0.02, 0.0]], array![[0.005, 0.01, 0.0]], 1)
+                .unwrap();
         let mut values = vec![0.02, -0.02, 0.0, 0.01, 0.0, 1e-4];
         stats.normalise(&mut values);
         let expected = [2.0, 0.0, 0.0, 0.0, 2.0, 1.0];
@@ -228,15 +229,17 @@ mod tests {
     fn files_round_trip_and_bad_ones_are_named() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("s.npz");
-        let stats = Statistics::new(array![[1.0, 2.0, 3.0]], array![[1.0, 0.0, 3.0]], 42).unwrap();
+        let stats =
+            DisplacementStatistics::new(array![[1.0, 2.0, 3.0]], array![[1.0, 0.0, 3.0]], 42)
+                .unwrap();
         stats.save(&path).unwrap();
-        assert_eq!(Statistics::load(&path).unwrap(), stats);
+        assert_eq!(DisplacementStatistics::load(&path).unwrap(), stats);
         let write = |std: Array2<f64>| {
             let mut file = NpzWriter::create(&path).unwrap();
             file.add("mean", stats.mean()).unwrap();
             file.add("std", &std).unwrap();
             file.finish().unwrap();
-            Statistics::load(&path)
+            DisplacementStatistics::load(&path)
         };
         assert_eq!(write(stats.std().clone()).unwrap().validation(), 100);
         for (std, expected) in [

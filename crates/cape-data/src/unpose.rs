@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::raw::{self, RawFrame};
 use crate::{Error, Result};
-use cape_core::Progress;
+use cape_core::ProgressFn;
 use cape_core::StagingDirectory;
 
 /// What was unposed.
@@ -71,7 +71,7 @@ pub fn unpose(
     out: &Path,
     body: &SmplModel,
     betas: usize,
-    progress: &mut Progress,
+    progress: &mut ProgressFn,
 ) -> Result<UnposeReport> {
     let mut report = UnposeReport::default();
     let staging = StagingDirectory::create(out)?;
@@ -162,7 +162,7 @@ fn unpose_frame(path: &Path, minimal: &Array2<f64>, body: &SmplModel) -> Result<
 
 #[cfg(test)]
 mod tests {
-    use cape_synth::{Synth, SynthSpec, synthetic_body};
+    use cape_synth::{CaptureGenerator, SynthSpec, synthetic_body};
 
     use std::fs;
 
@@ -175,7 +175,7 @@ mod tests {
         let raw_tree = root.path().join("raw");
         let body = synthetic_body();
         let spec = SynthSpec { subjects: 1, frames_per_sequence: 3, ..SynthSpec::default() };
-        Synth::new(&body, spec).unwrap().write(&raw_tree, &mut silent).unwrap();
+        CaptureGenerator::new(&body, spec).unwrap().write(&raw_tree, &mut silent).unwrap();
         let frames: Vec<PathBuf> = plan(&raw_tree).unwrap().remove(0).1;
         let expected: Vec<RawFrame> =
             frames.iter().map(|path| raw::read_frame(path, None).unwrap()).collect();

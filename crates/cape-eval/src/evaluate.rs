@@ -6,10 +6,10 @@ use serde::Serialize;
 
 use crate::{Error, Result};
 use cape_core::{
-    Progress,
+    ProgressFn,
     tensors::{host, tensor2},
 };
-use cape_data::{PackedSet, Part, sequential};
+use cape_data::{PackedSet, Split, sequential};
 use cape_infer::{Run, normal, to_device};
 use cape_stats::errors::{GroupedErrors, GroupedSummary, Histogram, vertex_errors_mm};
 use cape_train::objective::reconstruct;
@@ -35,8 +35,8 @@ pub enum PosteriorUse {
 ///
 /// use burn::tensor::Device;
 /// use cape_core::silent;
-/// use cape_data::{PackedSet, Part};
-/// use cape_eval::{EvalOptions, Gathered, PosteriorUse, evaluate, reconstruct_test};
+/// use cape_data::{PackedSet, Split};
+/// use cape_eval::{EvalOptions, ErrorSamples, PosteriorUse, evaluate, reconstruct_test};
 /// use cape_infer::Run;
 ///
 /// // A run, and four test frames.
@@ -49,8 +49,8 @@ pub enum PosteriorUse {
 /// assert_eq!(report.model.overall.count, 4 * run.clothing().len() as u64);
 ///
 /// // The same frame by frame.
-/// let set = Arc::new(PackedSet::open(&packed, Part::Test)?);
-/// let mut gathered = Gathered::new(6890, run.clothing());
+/// let set = Arc::new(PackedSet::open(&packed, Split::Test)?);
+/// let mut gathered = ErrorSamples::new(6890, run.clothing());
 /// reconstruct_test(&run, &set, options, &mut silent, &mut |row, predicted, truth| {
 ///     gathered.push(&set, row, predicted, truth)
 /// })?;
@@ -97,7 +97,7 @@ pub struct EvalReport {
 ///
 /// See [`EvalOptions`] for an example.
 #[derive(Debug, Clone)]
-pub struct Gathered {
+pub struct ErrorSamples {
     clothing: Vec<usize>,
     errors: GroupedErrors,
     vertex_sums: Vec<f64>,
@@ -115,7 +115,7 @@ pub struct FrameError {
     pub mean: f64,
 }
 
-impl Gathered {
+impl ErrorSamples {
     /// Nothing yet, of frames of `vertices` vertices compared at the clothing vertices.
     pub fn new(vertices: usize, clothing: &[usize]) -> Self {
         Self {
@@ -173,12 +173,12 @@ pub fn evaluate(
     run: &Run,
     data: &Path,
     options: EvalOptions,
-    progress: &mut Progress,
+    progress: &mut ProgressFn,
 ) -> Result<EvalReport> {
-    let set = Arc::new(PackedSet::open(data, Part::Test)?);
+    let set = Arc::new(PackedSet::open(data, Split::Test)?);
     let vertices = run.body().vertices();
     let mean: Vec<f32> = run.statistics().mean().iter().map(|&x| x as f32).collect();
-    let mut of_model = Gathered::new(vertices, run.clothing());
+    let mut of_model = ErrorSamples::new(vertices, run.clothing());
     let mut of_mean = of_model.clone();
     reconstruct_test(run, &set, options, progress, &mut |row, predicted, truth| {
         of_model.push(&set, row, predicted, truth)?;
@@ -196,7 +196,7 @@ pub fn evaluate(
 /// Takes a frame's row, its reconstruction and the truth.
 ///
 /// See [`EvalOptions`] for an example.
-pub type EachFrame<'a> = dyn FnMut(usize, &[f32], &[f32]) -> Result<()> + 'a;
+pub type FrameFn<'a> = dyn FnMut(usize, &[f32], &[f32]) -> Result<()> + 'a;
 
 /// Calls `each` with every test frame's row, reconstruction and truth: displacements in metres,
 /// `[3 V]`.
@@ -204,8 +204,8 @@ pub fn reconstruct_test(
     run: &Run,
     set: &Arc<PackedSet>,
     options: EvalOptions,
-    progress: &mut Progress,
-    each: &mut EachFrame,
+    progress: &mut ProgressFn,
+    each: &mut FrameFn,
 ) -> Result<()> {
     let frames = set.frames();
     let vertices = run.body().vertices();

@@ -3,15 +3,15 @@
 
 pub mod bench;
 pub mod comparison;
-pub mod detail;
 pub mod evaluate;
 pub mod quality;
+pub mod self_check;
+pub mod surface_detail;
 pub mod table2;
-pub mod trial;
 
 pub use cape_infer::{Error, Result};
 
 pub use evaluate::{
-    EachFrame, EvalOptions, EvalReport, FrameError, Gathered, PosteriorUse, evaluate,
+    FrameFn, EvalOptions, EvalReport, FrameError, ErrorSamples, PosteriorUse, evaluate,
     reconstruct_test,
 };

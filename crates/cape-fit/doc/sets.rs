@@ -20,7 +20,7 @@ fn square(side: f64) -> (Vec<glam::DVec3>, Vec<[u32; 3]>) {
 #[allow(dead_code)]
 fn seen(
     model: &cape_core::SmplModel,
-    camera: &cape_fit::Camera,
+    camera: &cape_fit::PinholeCamera,
 ) -> cape_fit::Result<(cape_fit::BodyParameters, cape_fit::Keypoints)> {
     use cape_synth::{Motion, MotionStyle};
     use cape_fit::{BodyParameters, Detector, Keypoint, Keypoints, Skeleton};

@@ -4,8 +4,8 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Camera, Error, PosePrior, Result, Skeleton,
-    keypoints::Sighting,
+    Error, PinholeCamera, PosePrior, Result, Skeleton,
+    keypoints::KeypointDetection,
     parameters::{BETAS_AT, POSE_AT, transl},
 };
 
@@ -98,16 +98,16 @@ pub struct BodyEnergy<'a> {
     /// What poses people take.
     pub prior: &'a PosePrior,
     /// Who looks.
-    pub camera: Camera,
+    pub camera: PinholeCamera,
     /// What was seen.
-    pub sightings: &'a [Sighting],
+    pub sightings: &'a [KeypointDetection],
     /// Metres that a pixel is wide at the person's distance: errors are measured in metres, so that
     /// weights do not depend on the size of the image.
     pub pixel: f64,
     /// Standard deviation of the detector, metres at the person's distance.
     pub deviation: f64,
     /// Size of errors from which they are rather mistakes, metres at the person's distance.
-    pub robust: f64,
+    pub robust_scale: f64,
 }
 
 impl BodyEnergy<'_> {
@@ -132,7 +132,7 @@ impl BodyEnergy<'_> {
                 let at = posed.joints()[sighting.joint];
                 let seen = glam::DVec2::new(sighting.at.x, sighting.at.y);
                 let error = (self.camera.project(at) - seen) * self.pixel;
-                let (penalty, share) = geman_mcclure(error.length_squared(), self.robust);
+                let (penalty, share) = geman_mcclure(error.length_squared(), self.robust_scale);
                 let weight = sighting.at.confidence / (2.0 * self.deviation * self.deviation);
                 terms.joints += weight * penalty;
                 let pull = error * (2.0 * share * weight * weights.joints * self.pixel);
@@ -153,7 +153,7 @@ impl BodyEnergy<'_> {
     pub(crate) fn joint_error(&self, x: &[f64], betas: usize) -> Result<f64> {
         let (pose, betas) = (&x[POSE_AT..BETAS_AT], &x[BETAS_AT..BETAS_AT + betas]);
         let posed = self.skeleton.pose(betas, pose, transl(x))?;
-        let error = |s: &Sighting| {
+        let error = |s: &KeypointDetection| {
             let at = self.camera.project(posed.joints()[s.joint]);
             s.at.confidence * (at.x - s.at.x).hypot(at.y - s.at.y)
         };
@@ -224,8 +224,8 @@ mod tests {
         )
         .unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(8);
-        let sightings: Vec<Sighting> = (0..24)
-            .map(|joint| Sighting {
+        let sightings: Vec<KeypointDetection> = (0..24)
+            .map(|joint| KeypointDetection {
                 joint,
                 at: Keypoint {
                     x: rng.random_range(100.0..400.0),
@@ -237,11 +237,11 @@ mod tests {
         let energy = BodyEnergy {
             skeleton: &skeleton,
             prior: &prior,
-            camera: Camera::new(512, 512, None).unwrap(),
+            camera: PinholeCamera::new(512, 512, None).unwrap(),
             sightings: &sightings,
             pixel: 0.004,
             deviation: 0.02,
-            robust: 0.3,
+            robust_scale: 0.3,
         };
         let mut x: Vec<f64> = (0..3 + 72 + 10).map(|_| rng.random_range(-0.5..0.5)).collect();
         x[2] -= 3.0;

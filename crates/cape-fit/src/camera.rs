@@ -15,26 +15,26 @@ const MAX_SIDE: u32 = cape_render::MAX_SIDE;
 /// rows are counted from its upper left corner.
 ///
 /// ```
-/// use cape_fit::Camera;
+/// use cape_fit::PinholeCamera;
 /// use glam::{DVec2, DVec3};
 ///
-/// let camera = Camera::new(640, 480, None)?;
+/// let camera = PinholeCamera::new(640, 480, None)?;
 /// // Without a focal length it is the image's diagonal.
 /// assert_eq!(camera.focal(), 800.0);
 /// assert_eq!(camera.project(DVec3::new(0.0, 0.0, -2.0)), DVec2::new(320.0, 240.0));
 /// // What is above the axis is in the upper half.
 /// assert_eq!(camera.project(DVec3::new(0.0, 0.5, -2.0)), DVec2::new(320.0, 40.0));
-/// assert_eq!(camera.within(320).height(), 240);
+/// assert_eq!(camera.downscaled_to(320).height(), 240);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Camera {
+pub struct PinholeCamera {
     width: u32,
     height: u32,
     focal: f64,
 }
 
-impl Camera {
+impl PinholeCamera {
     /// Of an image of `width` × `height` pixels. Without a focal length in pixels it is the image's
     /// diagonal, that of a lens with a diagonal field of view of 53°, which pictures look natural
     /// with.
@@ -73,7 +73,7 @@ impl Camera {
 
     /// The same camera with an image whose longer side has at most `side` pixels.
     #[must_use]
-    pub fn within(&self, side: u32) -> Self {
+    pub fn downscaled_to(&self, side: u32) -> Self {
         let scale = f64::from(side) / f64::from(self.width.max(self.height));
         if scale >= 1.0 {
             return *self;
@@ -134,22 +134,22 @@ mod tests {
 
     #[test]
     fn the_axes_point_right_and_up() {
-        let camera = Camera::new(640, 480, Some(500.0)).unwrap();
+        let camera = PinholeCamera::new(640, 480, Some(500.0)).unwrap();
         assert_eq!(camera.project(DVec3::new(0.0, 0.0, -3.0)), DVec2::new(320.0, 240.0));
         assert_eq!(camera.project(DVec3::new(0.3, 0.6, -3.0)), DVec2::new(370.0, 140.0));
         assert_eq!(camera.offset(370.0, 140.0), DVec2::new(50.0, 100.0));
-        let small = camera.within(320);
+        let small = camera.downscaled_to(320);
         assert_eq!((small.width(), small.height(), small.focal()), (320, 240, 250.0));
-        assert_eq!(camera.within(1000), camera);
-        assert_eq!(Camera::new(300, 400, None).unwrap().focal(), 500.0);
+        assert_eq!(camera.downscaled_to(1000), camera);
+        assert_eq!(PinholeCamera::new(300, 400, None).unwrap().focal(), 500.0);
     }
 
     #[test]
     fn impossible_cameras_are_refused() {
-        assert!(Camera::new(0, 480, None).is_err());
-        assert!(Camera::new(640, 100_000, None).is_err());
+        assert!(PinholeCamera::new(0, 480, None).is_err());
+        assert!(PinholeCamera::new(640, 100_000, None).is_err());
         for focal in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            assert!(Camera::new(640, 480, Some(focal)).is_err());
+            assert!(PinholeCamera::new(640, 480, Some(focal)).is_err());
         }
     }
 
@@ -159,7 +159,7 @@ mod tests {
             x in -2.0f64..2.0, y in -2.0f64..2.0, z in -6.0f64..-0.5,
             a in -1.0f64..1.0, b in -1.0f64..1.0,
         ) {
-            let camera = Camera::new(512, 300, None).unwrap();
+            let camera = PinholeCamera::new(512, 300, None).unwrap();
             let (point, gradient, step) = (DVec3::new(x, y, z), DVec2::new(a, b), 1e-6);
             let found = camera.pull_back(point, gradient);
             for axis in 0..3 {

@@ -5,12 +5,12 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    BodyFit, BodyParameters, BodyTerms, BodyWeights, Camera, DressedBody, Error, Keypoints,
-    LbfgsOptions, Mask, Result, Smplify,
+    BodyFit, BodyParameters, BodyTerms, BodyWeights, DressedBody, Error, Keypoints, LbfgsOptions,
+    Mask, PinholeCamera, Result, Smplify,
     body_energy::check_weight,
-    keypoints::Sighting,
+    keypoints::KeypointDetection,
     parameters::{BETAS_AT, solve},
-    silhouette::{Matched, SilhouetteEnergy, SilhouetteTerms, render},
+    silhouette::{SilhouetteEnergy, SilhouetteMatch, SilhouetteTerms, render},
 };
 
 /// Fewest pixels of a scale's longer side.
@@ -21,7 +21,7 @@ const SMALLEST: u32 = 16;
 /// See [`FitConfig`](crate::FitConfig) for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Level {
+pub struct SilhouetteLevel {
     /// Most pixels of the longer side.
     pub side: u32,
     /// How often surface and silhouette are matched anew.
@@ -52,7 +52,7 @@ pub struct ClothedConfig {
     /// Weights of the bare body's terms.
     pub body: BodyWeights,
     /// Scales, coarse to fine.
-    pub levels: Vec<Level>,
+    pub levels: Vec<SilhouetteLevel>,
     /// Intersection over union of the silhouettes below which the body is tried again with its trunk
     /// mirrored in depth, which joints alone hardly tell from one that leans the other way.
     pub doubtful: f64,
@@ -68,9 +68,9 @@ impl Default for ClothedConfig {
             code: 0.5,
             body: BodyWeights::default(),
             levels: vec![
-                Level { side: 128, rounds: 2, steps: 12 },
-                Level { side: 256, rounds: 2, steps: 10 },
-                Level { side: 512, rounds: 2, steps: 10 },
+                SilhouetteLevel { side: 128, rounds: 2, steps: 12 },
+                SilhouetteLevel { side: 256, rounds: 2, steps: 10 },
+                SilhouetteLevel { side: 512, rounds: 2, steps: 10 },
             ],
             doubtful: 0.91,
             accepted: 0.85,
@@ -146,19 +146,19 @@ pub struct ClothedFit {
 }
 
 /// What a clothed body is compared with at one scale.
-struct Scene<'a> {
+struct ClothedProblem<'a> {
     smplify: &'a Smplify,
     dressed: &'a DressedBody,
     config: &'a ClothedConfig,
-    camera: Camera,
-    sightings: &'a [Sighting],
+    camera: PinholeCamera,
+    sightings: &'a [KeypointDetection],
     pixel: f64,
     betas: usize,
 }
 
 /// What was observed.
-struct Seen<'a> {
-    camera: &'a Camera,
+struct Observations<'a> {
+    camera: &'a PinholeCamera,
     keypoints: &'a Keypoints,
     mask: &'a Mask,
     /// Metres that a pixel is wide at the person's distance.
@@ -167,15 +167,20 @@ struct Seen<'a> {
 
 /// A clothed body on its way down.
 #[derive(Debug, Clone)]
-struct Way {
+struct Descent {
     x: Vec<f64>,
     curves: Vec<Vec<f64>>,
     evaluations: usize,
 }
 
-impl Scene<'_> {
+impl ClothedProblem<'_> {
     /// The energy at the unknowns `[3 + 72 + betas + latent]`.
-    fn evaluate(&self, x: &[f64], matched: &Matched, gradient: &mut [f64]) -> Result<ClothedTerms> {
+    fn evaluate(
+        &self,
+        x: &[f64],
+        matched: &SilhouetteMatch,
+        gradient: &mut [f64],
+    ) -> Result<ClothedTerms> {
         let body = BodyParameters::from_vector(x, self.betas);
         let code = &x[BETAS_AT + self.betas..];
         let surface = self.dressed.surface(&body, code)?;
@@ -191,17 +196,26 @@ impl Scene<'_> {
         Ok(ClothedTerms { body, silhouette, code: code.iter().map(|z| z * z).sum() })
     }
 
-    fn matched<'s>(&self, x: &[f64], silhouette: &'s SilhouetteEnergy) -> Result<Matched<'s>> {
+    fn match_silhouette<'s>(
+        &self,
+        x: &[f64],
+        silhouette: &'s SilhouetteEnergy,
+    ) -> Result<SilhouetteMatch<'s>> {
         let body = BodyParameters::from_vector(x, self.betas);
         let surface = self.dressed.surface(&body, &x[BETAS_AT + self.betas..])?;
-        silhouette.matched(surface.vertices(), self.dressed.faces())
+        silhouette.match_surface(surface.vertices(), self.dressed.faces())
     }
 
     /// Goes down one level.
-    fn go(&self, way: &mut Way, silhouette: &SilhouetteEnergy, level: &Level) -> Result<()> {
+    fn descend_level(
+        &self,
+        way: &mut Descent,
+        silhouette: &SilhouetteEnergy,
+        level: &SilhouetteLevel,
+    ) -> Result<()> {
         let options = LbfgsOptions { steps: level.steps, ..self.smplify.config().optimiser };
         for _ in 0..level.rounds {
-            let matched = self.matched(&way.x, silhouette)?;
+            let matched = self.match_silhouette(&way.x, silhouette)?;
             let found = solve(
                 &way.x,
                 |_| true,
@@ -226,20 +240,20 @@ impl Smplify {
     pub fn fit_clothed(
         &self,
         dressed: &DressedBody,
-        camera: &Camera,
+        camera: &PinholeCamera,
         keypoints: &Keypoints,
         mask: &Mask,
         start: &BodyFit,
         config: &ClothedConfig,
     ) -> Result<ClothedFit> {
-        let seen = Seen { camera, keypoints, mask, pixel: start.pixel };
-        let fit = self.clothe(dressed, &seen, &start.parameters, config)?;
+        let seen = Observations { camera, keypoints, mask, pixel: start.pixel };
+        let fit = self.fit_code_and_body(dressed, &seen, &start.parameters, config)?;
         if fit.intersection_over_union >= config.doubtful {
             return Ok(fit);
         }
         let evaluations = fit.evaluations;
         let energy = |fit: &ClothedFit| fit.terms.weighted(config);
-        let best = match self.clothe(dressed, &seen, &start.leaning, config) {
+        let best = match self.fit_code_and_body(dressed, &seen, &start.leaning, config) {
             Ok(other) if energy(&other) < energy(&fit) => {
                 ClothedFit { evaluations: other.evaluations + evaluations, ..other }
             }
@@ -250,21 +264,21 @@ impl Smplify {
         Ok(best)
     }
 
-    fn clothe(
+    fn fit_code_and_body(
         &self,
         dressed: &DressedBody,
-        seen: &Seen<'_>,
+        seen: &Observations<'_>,
         start: &BodyParameters,
         config: &ClothedConfig,
     ) -> Result<ClothedFit> {
-        let &Seen { camera, keypoints, mask, pixel } = seen;
+        let &Observations { camera, keypoints, mask, pixel } = seen;
         mask.check(camera)?;
         start.check()?;
         config.check()?;
-        let sightings = self.sightings(keypoints);
+        let sightings = self.detections(keypoints);
         mask.expect_joints(&sightings)?;
         let betas = start.betas.len();
-        let scene = Scene {
+        let scene = ClothedProblem {
             smplify: self,
             dressed,
             config,
@@ -273,7 +287,7 @@ impl Smplify {
             pixel,
             betas,
         };
-        let mut way = Way {
+        let mut way = Descent {
             x: [start.to_vector(), vec![0.0; dressed.latent()]].concat(),
             curves: Vec::new(),
             evaluations: 0,
@@ -282,20 +296,20 @@ impl Smplify {
         for level in &config.levels {
             let silhouette = SilhouetteEnergy::new(camera, mask, level.side, pixel)?;
             let silhouette = match config.soft {
-                Some(softness) if last.is_some() => silhouette.softened(softness)?,
+                Some(softness) if last.is_some() => silhouette.with_softness(softness)?,
                 _ => silhouette,
             };
-            scene.go(&mut way, &silhouette, level)?;
+            scene.descend_level(&mut way, &silhouette, level)?;
             last = Some(silhouette);
         }
-        let Way { x, curves, evaluations } = way;
+        let Descent { x, curves, evaluations } = way;
         let parameters = BodyParameters::from_vector(&x, betas);
         let code = x[BETAS_AT + betas..].to_vec();
         let surface = dressed.surface(&parameters, &code)?;
         let terms = match &last {
             None => ClothedTerms::default(),
             Some(silhouette) => {
-                let matched = scene.matched(&x, silhouette)?;
+                let matched = scene.match_silhouette(&x, silhouette)?;
                 scene.evaluate(&x, &matched, &mut vec![0.0; x.len()])?
             }
         };
@@ -331,7 +345,7 @@ impl Smplify {
     pub fn fit_outfits(
         &self,
         outfits: &[DressedBody],
-        camera: &Camera,
+        camera: &PinholeCamera,
         keypoints: &Keypoints,
         mask: &Mask,
         start: &BodyFit,
@@ -362,7 +376,7 @@ mod tests {
     #[test]
     fn gradients_of_the_energy_agree_with_finite_differences() {
         let dressed = dressed(Outfit::LongShort);
-        let camera = Camera::new(192, 192, None).unwrap();
+        let camera = PinholeCamera::new(192, 192, None).unwrap();
         let (body, code) = truth();
         let keypoints = seen(&camera, &body);
         let surface = dressed.surface(&body, &code).unwrap();
@@ -370,10 +384,10 @@ mod tests {
         let prior = PosePrior::synthetic().unwrap();
         let smplify = Smplify::new(&BODY, prior, SmplifyConfig::default()).unwrap();
         let config = ClothedConfig { silhouette: 2e4, code: 3.0, ..ClothedConfig::default() };
-        let sightings = smplify.sightings(&keypoints);
+        let sightings = smplify.detections(&keypoints);
         let pixel = 3.2 / camera.focal();
         let betas = body.betas.len();
-        let scene = Scene {
+        let scene = ClothedProblem {
             smplify: &smplify,
             dressed: &dressed,
             config: &config,
@@ -388,7 +402,7 @@ mod tests {
         for (at, value) in x.iter_mut().enumerate() {
             *value += 0.03 * (1.7 * at as f64 + 0.4).sin();
         }
-        let matched = scene.matched(&x, &silhouette).unwrap();
+        let matched = scene.match_silhouette(&x, &silhouette).unwrap();
         let mut found = vec![0.0; x.len()];
         let terms = scene.evaluate(&x, &matched, &mut found).unwrap();
         let parts = [terms.body.joints, terms.silhouette.rendered, terms.silhouette.image];

@@ -1,7 +1,7 @@
 //! Clothed bodies of a model with random weights, found again from keypoints and silhouette.
 
 use cape_core::{ClothingMask, Outfit, devices};
-use cape_data::Statistics;
+use cape_data::DisplacementStatistics;
 use cape_infer::{RunConfig, build_graphs};
 use cape_model::{Cape, CapeConfig};
 use cape_synth::{Motion, MotionStyle};
@@ -11,9 +11,9 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::{
-    BodyParameters, Camera, ClothedConfig, Detector, DressedBody, Keypoint, Keypoints, Level, Mask,
-    PosePrior, Smplify, SmplifyConfig, aligned_error, dressed::Parts, silhouette::render,
-    testing::BODY,
+    BodyParameters, ClothedConfig, Detector, DressedBody, Keypoint, Keypoints, Mask, PinholeCamera,
+    PosePrior, SilhouetteLevel, Smplify, SmplifyConfig, aligned_error,
+    dressed_body::DressedBodyParts, silhouette::render, testing::BODY,
 };
 
 pub(crate) fn dressed(outfit: Outfit) -> DressedBody {
@@ -40,15 +40,15 @@ pub(crate) fn dressed(outfit: Outfit) -> DressedBody {
     });
     let mean = Array2::from(rows.collect::<Vec<_>>());
     let statistics =
-        Statistics::new(mean.clone(), Array2::from_elem(mean.dim(), 0.006), 0).unwrap();
-    let parts = Parts {
+        DisplacementStatistics::new(mean.clone(), Array2::from_elem(mean.dim(), 0.006), 0).unwrap();
+    let parts = DressedBodyParts {
         generator: &model.generator,
         config: &config,
         body: &BODY,
         clothing: &clothing,
         statistics: &statistics,
     };
-    DressedBody::of_parts(&parts, outfit, device).unwrap()
+    DressedBody::from_parts(&parts, outfit, device).unwrap()
 }
 
 pub(crate) fn truth() -> (BodyParameters, Vec<f64>) {
@@ -116,7 +116,7 @@ fn gradients_agree_with_finite_differences() {
 #[test]
 fn silhouettes_bring_clothed_bodies_closer() {
     let dressed = dressed(Outfit::LongShort);
-    let camera = Camera::new(256, 256, None).unwrap();
+    let camera = PinholeCamera::new(256, 256, None).unwrap();
     let (body, code) = truth();
     let true_surface = dressed.surface(&body, &code).unwrap();
     let mask = render(true_surface.vertices(), dressed.faces(), &camera).unwrap().mask().clone();
@@ -126,8 +126,8 @@ fn silhouettes_bring_clothed_bodies_closer() {
     let bare = smplify.fit(&camera, &keypoints, None).unwrap();
     let config = ClothedConfig {
         levels: vec![
-            Level { side: 128, rounds: 3, steps: 8 },
-            Level { side: 256, rounds: 2, steps: 8 },
+            SilhouetteLevel { side: 128, rounds: 3, steps: 8 },
+            SilhouetteLevel { side: 256, rounds: 2, steps: 8 },
         ],
         ..ClothedConfig::default()
     };
@@ -159,7 +159,7 @@ fn silhouettes_bring_clothed_bodies_closer() {
     assert!(refused.unwrap_err().to_string().contains("empty"));
 }
 
-pub(crate) fn seen(camera: &Camera, body: &BodyParameters) -> Keypoints {
+pub(crate) fn seen(camera: &PinholeCamera, body: &BodyParameters) -> Keypoints {
     let joints = BODY.pose(&body.betas, &body.pose, body.transl, None).unwrap().joints;
     let detector = Detector::Body25;
     let mut points = vec![Keypoint { x: 0.0, y: 0.0, confidence: 0.0 }; detector.points()];

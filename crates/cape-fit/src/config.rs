@@ -5,10 +5,10 @@ use crate::{ClothedConfig, Result, SmplifyConfig};
 /// Weights and stages of a whole fit.
 ///
 /// ```
-/// use cape_fit::{ClothedConfig, FitConfig, Level};
+/// use cape_fit::{ClothedConfig, FitConfig, SilhouetteLevel};
 ///
 /// // Silhouettes are compared at one scale only.
-/// let levels = vec![Level { side: 128, rounds: 4, steps: 10 }];
+/// let levels = vec![SilhouetteLevel { side: 128, rounds: 4, steps: 10 }];
 /// let config = FitConfig {
 ///     clothed: ClothedConfig { levels, ..ClothedConfig::default() },
 ///     ..FitConfig::default()

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec2, DVec3};
 
-use crate::{Camera, Error, Result, keypoints::Sighting};
+use crate::{Error, PinholeCamera, Result, keypoints::KeypointDetection};
 
 /// Shoulder and hip of each side.
 const SIDES: [[usize; 2]; 2] = [[16, 1], [17, 2]];
@@ -11,7 +11,7 @@ const FEWEST: usize = 4;
 
 /// A guess at a body's place.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Placement {
+pub(crate) struct InitialPlacement {
     /// Axis-angle of the pelvis, radians.
     pub(crate) orientation: DVec3,
     /// Metres.
@@ -27,11 +27,11 @@ pub(crate) struct Placement {
 /// # Errors
 /// If too few joints were seen, or all in one place.
 pub(crate) fn place(
-    camera: &Camera,
+    camera: &PinholeCamera,
     joints: &[DVec3],
-    sightings: &[Sighting],
+    sightings: &[KeypointDetection],
     yaw: f64,
-) -> Result<Placement> {
+) -> Result<InitialPlacement> {
     if sightings.len() < FEWEST {
         return Err(Error::Observation(format!(
             "{} joints were seen with confidence, expected at least {FEWEST}",
@@ -40,7 +40,7 @@ pub(crate) fn place(
     }
     let turn = DQuat::from_rotation_y(yaw);
     let turned = |joint: usize| turn * (joints[joint] - joints[0]);
-    let seen = |s: &Sighting| camera.offset(s.at.x, s.at.y);
+    let seen = |s: &KeypointDetection| camera.offset(s.at.x, s.at.y);
     let find = |joint: usize| sightings.iter().find(|s| s.joint == joint);
 
     // Up the torso, in space and in the image; else all joints by a similarity.
@@ -78,7 +78,7 @@ pub(crate) fn place(
     let distance = camera.focal() / scale;
     let target = (middle_seen / scale).extend(-distance);
     let turned_pelvis_to_middle = roll * middle;
-    Ok(Placement {
+    Ok(InitialPlacement {
         orientation: (roll * turn).to_scaled_axis(),
         transl: target - turned_pelvis_to_middle - joints[0],
         distance,
@@ -92,10 +92,14 @@ mod tests {
     use super::*;
     use crate::{Skeleton, keypoints::Keypoint, testing::BODY};
 
-    fn sightings(camera: &Camera, joints: &[DVec3], which: &[usize]) -> Vec<Sighting> {
+    fn detections(
+        camera: &PinholeCamera,
+        joints: &[DVec3],
+        which: &[usize],
+    ) -> Vec<KeypointDetection> {
         let sighting = |&joint: &usize| {
             let at = camera.project(joints[joint]);
-            Sighting { joint, at: Keypoint { x: at.x, y: at.y, confidence: 1.0 } }
+            KeypointDetection { joint, at: Keypoint { x: at.x, y: at.y, confidence: 1.0 } }
         };
         which.iter().map(sighting).collect()
     }
@@ -109,7 +113,7 @@ mod tests {
             roll in -3.1f64..3.1, side in any::<bool>(), x in -2.0f64..2.0, limbs in any::<bool>(),
         ) {
             let skeleton = Skeleton::new(&BODY).unwrap();
-            let camera = Camera::new(500, 400, Some(4000.0)).unwrap();
+            let camera = PinholeCamera::new(500, 400, Some(4000.0)).unwrap();
             let yaw = if side { std::f64::consts::PI } else { 0.0 };
             let turn = DQuat::from_rotation_z(roll) * DQuat::from_rotation_y(yaw);
             let rest = skeleton.rest(&[]);
@@ -118,7 +122,7 @@ mod tests {
                 rest.iter().map(|&p| turn * (p - rest[0]) + rest[0] + transl).collect();
             // Without hips there is no torso.
             let which: &[usize] = if limbs { &[4, 5, 16, 17, 20] } else { &[1, 2, 16, 17, 4] };
-            let seen = sightings(&camera, &moved, which);
+            let seen = detections(&camera, &moved, which);
             let placed = place(&camera, &rest, &seen, yaw).unwrap();
             prop_assert!((placed.transl - transl).length() < 0.6, "{placed:?}");
             let off = DQuat::from_scaled_axis(placed.orientation).angle_between(turn);
@@ -128,13 +132,14 @@ mod tests {
 
     #[test]
     fn what_says_nothing_is_refused() {
-        let camera = Camera::new(500, 400, None).unwrap();
+        let camera = PinholeCamera::new(500, 400, None).unwrap();
         let rest = Skeleton::new(&BODY).unwrap().rest(&[]);
-        let seen = sightings(&camera, &rest, &[1, 2, 16]);
+        let seen = detections(&camera, &rest, &[1, 2, 16]);
         let message = place(&camera, &rest, &seen, 0.0).unwrap_err().to_string();
         assert!(message.contains("3 joints"), "{message}");
         let at = Keypoint { x: 3.0, y: 3.0, confidence: 1.0 };
-        let same: Vec<Sighting> = (16..22).map(|joint| Sighting { joint, at }).collect();
+        let same: Vec<KeypointDetection> =
+            (16..22).map(|joint| KeypointDetection { joint, at }).collect();
         let message = place(&camera, &rest, &same, 0.0).unwrap_err().to_string();
         assert!(message.contains("one place"), "{message}");
     }

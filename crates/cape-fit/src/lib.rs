@@ -1,7 +1,7 @@
 //! Bodies fitted to images and scans.
 //!
 //! [`Smplify`] finds the bare body behind [`Keypoints`]: a pose that people take ([`PosePrior`]),
-//! whose joints a [`Camera`] sees where a detector did. [`Smplify::fit_clothed`] goes on to the body
+//! whose joints a [`PinholeCamera`] sees where a detector did. [`Smplify::fit_clothed`] goes on to the body
 //! in clothes ([`DressedBody`], of a trained model) whose [silhouette] is a given
 //! [`Mask`]. [`aligned_error`] compares outcomes with the truth. [`scan`] has what finds bodies in
 //! points and meshes.
@@ -13,11 +13,11 @@
 //! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! use cape_synth::synthetic_body;
-//! use cape_fit::{Camera, PosePrior, Smplify, SmplifyConfig};
+//! use cape_fit::{PinholeCamera, PosePrior, Smplify, SmplifyConfig};
 //!
 //! // A walking body is found again from where a camera saw its joints.
 //! let model = synthetic_body();
-//! let camera = Camera::new(512, 512, None)?;
+//! let camera = PinholeCamera::new(512, 512, None)?;
 //! let (truth, keypoints) = seen(&model, &camera)?;
 //! let smplify = Smplify::new(&model, PosePrior::synthetic()?, SmplifyConfig::default())?;
 //! let fit = smplify.fit(&camera, &keypoints, None)?;
@@ -35,9 +35,9 @@ mod clothed;
 #[cfg(test)]
 mod clothed_tests;
 mod config;
-mod dressed;
+mod depth_ambiguity;
+mod dressed_body;
 mod error;
-mod flips;
 mod initial;
 pub mod keypoints;
 mod parameters;
@@ -52,14 +52,14 @@ mod smplify_tests;
 #[cfg(test)]
 mod testing;
 
-pub use cape_core::optimise::{LbfgsOptions, Minimum, Stop};
+pub use cape_core::optimise::{LbfgsOptions, Minimum, StopReason};
 
 pub use alignment::{AlignedError, Alignment, aligned_error};
 pub use body_energy::{BodyEnergy, BodyTerms, BodyWeights};
-pub use camera::Camera;
-pub use clothed::{ClothedConfig, ClothedFit, ClothedTerms, Level};
+pub use camera::PinholeCamera;
+pub use clothed::{ClothedConfig, ClothedFit, ClothedTerms, SilhouetteLevel};
 pub use config::FitConfig;
-pub use dressed::{Clothes, DressedBody, DressedGradient, DressedSurface};
+pub use dressed_body::{DressedBody, DressedGradient, DressedSurface, FixedClothing};
 pub use error::{Error, Result};
 pub use keypoints::{Detector, Keypoint, Keypoints, read_keypoints};
 pub use parameters::BodyParameters;

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_data::{PackedSet, Part};
+use cape_data::{PackedSet, Split};
 use cape_synth::poses;
 use ndarray::Array2;
 
@@ -49,7 +49,7 @@ impl PoseCollection {
         for source in sources {
             if !source.is_dir() {
                 files.push((source.clone(), true));
-            } else if Part::Train.exists(source) {
+            } else if Split::Train.exists(source) {
                 collection.add_packed(source)?;
             } else {
                 files.extend(below(source)?.into_iter().map(|file| (file, false)));
@@ -74,7 +74,7 @@ impl PoseCollection {
     }
 
     fn add_packed(&mut self, root: &Path) -> Result<()> {
-        let set = PackedSet::open(root, Part::Train)?;
+        let set = PackedSet::open(root, Split::Train)?;
         for frame in 0..set.frames() {
             let pose = set.pose(frame)?;
             let mut values = [0.0; 72];

@@ -8,11 +8,11 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    BodyParameters, Camera, Error, Keypoints, LbfgsOptions, PosePrior, Result, Skeleton,
+    BodyParameters, Error, Keypoints, LbfgsOptions, PinholeCamera, PosePrior, Result, Skeleton,
     body_energy::{BodyEnergy, BodyTerms, BodyWeights},
-    flips::{LIMBS, WHICH, leaning, mirrored},
-    initial::{Placement, place},
-    keypoints::Sighting,
+    depth_ambiguity::{LIMBS, WHICH, mirror_limb_depths, mirror_trunk_lean},
+    initial::{InitialPlacement, place},
+    keypoints::KeypointDetection,
     parameters::{POSE_AT, solve},
 };
 
@@ -29,7 +29,7 @@ pub struct SmplifyConfig {
     /// Standard deviation of the detector, metres at the person's distance.
     pub deviation: f64,
     /// Size of errors from which they are rather mistakes, metres at the person's distance.
-    pub robust: f64,
+    pub robust_scale: f64,
     /// Weights of the terms, one stage of the optimisation after the other: priors begin strong,
     /// so that the body first finds its place, and give way.
     pub stages: Vec<BodyWeights>,
@@ -49,7 +49,7 @@ impl Default for SmplifyConfig {
             betas: 10,
             confidence: 0.1,
             deviation: 0.02,
-            robust: 0.3,
+            robust_scale: 0.3,
             stages: [100.0, 20.0, 4.0, 1.0].map(stage).to_vec(),
             facing: vec![0.0, PI, FRAC_PI_2, -FRAC_PI_2],
             optimiser: LbfgsOptions { gain: 1e-6, ..LbfgsOptions::default() },
@@ -60,7 +60,7 @@ impl Default for SmplifyConfig {
 
 impl SmplifyConfig {
     pub(crate) fn check(&self) -> Result<()> {
-        let positive = [("deviation", self.deviation), ("robust", self.robust)];
+        let positive = [("deviation", self.deviation), ("robust_scale", self.robust_scale)];
         for (field, value) in positive {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(Error::argument(format!(
@@ -107,11 +107,11 @@ pub struct BodyFit {
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use cape_synth::synthetic_body;
-/// use cape_fit::{Camera, PosePrior, Smplify, SmplifyConfig};
+/// use cape_fit::{PinholeCamera, PosePrior, Smplify, SmplifyConfig};
 ///
 /// // From a body that is nearly right, with two shape coefficients.
 /// let model = synthetic_body();
-/// let camera = Camera::new(512, 512, None)?;
+/// let camera = PinholeCamera::new(512, 512, None)?;
 /// let (truth, keypoints) = seen(&model, &camera)?;
 /// let config = SmplifyConfig { betas: 2, ..SmplifyConfig::default() };
 /// let smplify = Smplify::new(&model, PosePrior::synthetic()?, config)?;
@@ -153,8 +153,8 @@ impl Smplify {
     }
 
     /// The joints that count.
-    pub(crate) fn sightings(&self, keypoints: &Keypoints) -> Vec<Sighting> {
-        keypoints.sightings(self.config.confidence)
+    pub(crate) fn detections(&self, keypoints: &Keypoints) -> Vec<KeypointDetection> {
+        keypoints.detections(self.config.confidence)
     }
 
     /// Why a fit whose joints are so far off, metres, cannot be trusted.
@@ -171,8 +171,8 @@ impl Smplify {
     /// The energy of what was seen, where a pixel is so wide.
     pub(crate) fn energy<'a>(
         &'a self,
-        camera: &Camera,
-        sightings: &'a [Sighting],
+        camera: &PinholeCamera,
+        sightings: &'a [KeypointDetection],
         pixel: f64,
     ) -> BodyEnergy<'a> {
         BodyEnergy {
@@ -182,7 +182,7 @@ impl Smplify {
             sightings,
             pixel,
             deviation: self.config.deviation,
-            robust: self.config.robust,
+            robust_scale: self.config.robust_scale,
         }
     }
 
@@ -193,12 +193,12 @@ impl Smplify {
     /// If too few joints were seen to place a body, or `initial` is none.
     pub fn fit(
         &self,
-        camera: &Camera,
+        camera: &PinholeCamera,
         keypoints: &Keypoints,
         initial: Option<&BodyParameters>,
     ) -> Result<BodyFit> {
         let betas = self.config.betas.min(self.skeleton.betas());
-        let sightings = self.sightings(keypoints);
+        let sightings = self.detections(keypoints);
         let distance = place(camera, &self.skeleton.rest(&[]), &sightings, 0.0)?.distance;
         let pixel = distance / camera.focal();
         let energy = self.energy(camera, &sightings, pixel);
@@ -220,9 +220,10 @@ impl Smplify {
             best = other;
         }
         let last = self.config.stages.last().copied().unwrap_or_default();
-        let mut other = Attempt { x: leaning(&self.skeleton, &best.x, betas)?, ..best.clone() };
+        let mut other =
+            Candidate { x: mirror_trunk_lean(&self.skeleton, &best.x, betas)?, ..best.clone() };
         self.descend(&energy, &mut other, &last, |_| true)?;
-        let Attempt { x, curves, facing, .. } = best;
+        let Candidate { x, curves, facing, .. } = best;
         let joint_error = energy.joint_error(&x, betas)?;
         Ok(BodyFit {
             parameters: BodyParameters::from_vector(&x, betas),
@@ -237,13 +238,13 @@ impl Smplify {
     }
 
     /// What the body becomes from where bones of its limbs are mirrored in depth.
-    fn mirrored(&self, energy: &BodyEnergy<'_>, body: &Attempt) -> Result<Vec<Attempt>> {
+    fn mirrored(&self, energy: &BodyEnergy<'_>, body: &Candidate) -> Result<Vec<Candidate>> {
         let weights = self.config.stages.last().copied().unwrap_or_default();
         let mut found = Vec::new();
         for limb in LIMBS {
             for which in WHICH {
-                let x = mirrored(&self.skeleton, &body.x, body.betas, limb, which)?;
-                let mut attempt = Attempt { x, ..body.clone() };
+                let x = mirror_limb_depths(&self.skeleton, &body.x, body.betas, limb, which)?;
+                let mut attempt = Candidate { x, ..body.clone() };
                 self.descend(energy, &mut attempt, &weights, |_| true)?;
                 found.push(attempt);
             }
@@ -267,13 +268,13 @@ impl Smplify {
         &self,
         energy: &BodyEnergy<'_>,
         start: &BodyParameters,
-        placement: &Placement,
+        placement: &InitialPlacement,
         facing: f64,
-    ) -> Result<Attempt> {
+    ) -> Result<Candidate> {
         let mut body = start.clone();
         body.transl = placement.transl.to_array();
         body.pose[..3].copy_from_slice(&placement.orientation.to_array());
-        let mut attempt = Attempt {
+        let mut attempt = Candidate {
             x: body.to_vector(),
             betas: body.betas.len(),
             energy: f64::INFINITY,
@@ -291,7 +292,7 @@ impl Smplify {
     fn descend(
         &self,
         energy: &BodyEnergy<'_>,
-        attempt: &mut Attempt,
+        attempt: &mut Candidate,
         weights: &BodyWeights,
         free: impl Fn(usize) -> bool,
     ) -> Result<()> {
@@ -306,14 +307,14 @@ impl Smplify {
 }
 
 /// The body of the lowest finite energy.
-fn lowest(attempts: Vec<Attempt>) -> Option<Attempt> {
+fn lowest(attempts: Vec<Candidate>) -> Option<Candidate> {
     let finite = attempts.into_iter().filter(|attempt| attempt.energy.is_finite());
     finite.min_by(|a, b| a.energy.total_cmp(&b.energy))
 }
 
 /// A body on its way.
 #[derive(Debug, Clone)]
-struct Attempt {
+struct Candidate {
     x: Vec<f64>,
     betas: usize,
     /// By the weights of the stage it has been through.

@@ -9,12 +9,12 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::{
-    BodyFit, BodyParameters, Camera, Detector, Keypoint, Keypoints, PosePrior, Smplify,
+    BodyFit, BodyParameters, Detector, Keypoint, Keypoints, PinholeCamera, PosePrior, Smplify,
     SmplifyConfig, testing::BODY,
 };
 
-fn camera() -> Camera {
-    Camera::new(512, 512, None).unwrap()
+fn camera() -> PinholeCamera {
+    PinholeCamera::new(512, 512, None).unwrap()
 }
 
 /// A body performing `motion`, turned by `orientation`, three and a half metres away.

@@ -26,7 +26,7 @@ const PARTIAL: &str = ".partial-";
 /// See [`Checkpoint`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Progress {
+pub struct TrainState {
     /// Steps done.
     pub step: u64,
     /// What is drawn next.
@@ -34,8 +34,8 @@ pub struct Progress {
     /// Seconds spent training so far.
     pub seconds: f64,
     /// Over the epoch's steps so far: accuracies of the discriminator added up, and how many.
-    #[serde(default)]
-    pub judged: (f32, usize),
+    #[serde(default, rename = "judged")]
+    pub accuracy_sum: (f32, usize),
     /// Validation error after the last whole epoch, millimetres.
     pub validation: Option<f64>,
     /// The lowest validation error so far and the step it was reached at.
@@ -47,19 +47,19 @@ pub struct Progress {
 /// ```
 /// use std::collections::BTreeMap;
 ///
-/// use cape_model::weights::{Array, Weights};
+/// use cape_model::weights::{HostArray, Weights};
 /// use cape_data::LoaderState;
-/// use cape_infer::checkpoint::{self, Checkpoint, Progress};
+/// use cape_infer::checkpoint::{self, Checkpoint, TrainState};
 ///
 /// let mut model = Weights::new();
-/// let bias = Array { shape: vec![2], values: vec![1., 2.] };
+/// let bias = HostArray { shape: vec![2], values: vec![1., 2.] };
 /// model.insert("generator.encoder.mean.bias".into(), bias);
 /// let saved = Checkpoint {
-///     progress: Progress {
+///     progress: TrainState {
 ///         step: 12,
 ///         loader: LoaderState::new(1),
 ///         seconds: 3.5,
-///         judged: (0.0, 0),
+///         accuracy_sum: (0.0, 0),
 ///         validation: Some(6.1),
 ///         best: Some((6.1, 12)),
 ///     },
@@ -78,7 +78,7 @@ pub struct Progress {
 #[derive(Debug, Clone)]
 pub struct Checkpoint {
     /// Where the run is.
-    pub progress: Progress,
+    pub progress: TrainState,
     /// The model.
     pub model: Weights,
     /// Moments of the generator's optimiser.
@@ -149,7 +149,7 @@ fn load_average(path: &Path) -> Result<Option<Weights>> {
 }
 
 /// Reads where a checkpoint directory's run was.
-pub fn load_progress(path: &Path) -> Result<Progress> {
+pub fn load_progress(path: &Path) -> Result<TrainState> {
     let path = path.join(STATE);
     let text = fs::read(&path).map_err(|source| Error::io(&path, source))?;
     serde_json::from_slice(&text).map_err(|error| Error::format(&path, error.to_string()))

@@ -26,7 +26,7 @@ pub enum WarmUp {
 /// See [`TrainConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Rule {
+pub enum OptimiserKind {
     /// Gradient descent with momentum, as CAPE trains: `v ← μ v + g`, `w ← w − lr · v`.
     #[default]
     Sgd,
@@ -39,7 +39,7 @@ pub enum Rule {
 /// See [`TrainConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Schedule {
+pub enum RateSchedule {
     /// By a factor every few epochs.
     #[default]
     Exponential,
@@ -50,15 +50,15 @@ pub enum Schedule {
 /// Optimisation and bookkeeping of a run; the defaults are CAPE's.
 ///
 /// ```
-/// use cape_infer::{Rule, Schedule, TrainConfig, WarmUp};
+/// use cape_infer::{OptimiserKind, RateSchedule, TrainConfig, WarmUp};
 ///
 /// let config = TrainConfig {
 ///     epochs: 10,
 ///     peak_rate: 0.1,
 ///     warmup_epochs: 2.0,
 ///     warmup: WarmUp::Step,
-///     schedule: Schedule::Cosine,
-///     optimiser: Rule::Adam,
+///     schedule: RateSchedule::Cosine,
+///     optimiser: OptimiserKind::Adam,
 ///     ..TrainConfig::default()
 /// };
 /// // Of five steps an epoch, ten lead to the peak; half-way down the rest it is half of that.
@@ -84,13 +84,13 @@ pub struct TrainConfig {
     /// How the learning rate gets there.
     pub warmup: WarmUp,
     /// How it falls from there.
-    pub schedule: Schedule,
+    pub schedule: RateSchedule,
     /// Of the exponential schedule: factor on the learning rate every [`decay_epochs`](Self::decay_epochs) after the warm-up.
     pub decay: f64,
     /// Epochs between decays.
     pub decay_epochs: f64,
     /// How gradients become steps, for both optimisers.
-    pub optimiser: Rule,
+    pub optimiser: OptimiserKind,
     /// Momentum of both optimisers.
     pub momentum: f64,
     /// Gradients longer than this as a whole are shortened to it.
@@ -122,10 +122,10 @@ impl Default for TrainConfig {
             peak_rate: 8e-3,
             warmup_epochs: 4.0,
             warmup: WarmUp::Step,
-            schedule: Schedule::Exponential,
+            schedule: RateSchedule::Exponential,
             decay: 0.99,
             decay_epochs: 1.0,
-            optimiser: Rule::Sgd,
+            optimiser: OptimiserKind::Sgd,
             momentum: 0.9,
             clip: 5.0,
             discriminator_rate_scale: 0.1,
@@ -153,11 +153,11 @@ impl TrainConfig {
             return self.peak_rate * share.min(1.0);
         }
         match self.schedule {
-            Schedule::Exponential => {
+            RateSchedule::Exponential => {
                 let decays = ((done - warmup_steps) / (steps * self.decay_epochs)).floor();
                 self.peak_rate * self.decay.powf(decays)
             }
-            Schedule::Cosine => {
+            RateSchedule::Cosine => {
                 let left = self.epochs as f64 * steps - warmup_steps;
                 let share = ((done - warmup_steps) / left.max(1.0)).min(1.0);
                 self.peak_rate * 0.5 * (1.0 + (std::f64::consts::PI * share).cos())
@@ -273,7 +273,7 @@ mod tests {
         assert_eq!([0, 9, 10, 39].map(|s| paper.rate(s, 10)), [2e-3, 2e-3, 4e-3, 8e-3]);
         let none = TrainConfig { warmup_epochs: 0.0, ..TrainConfig::default() };
         assert_eq!(none.rate(0, 10), 8e-3);
-        let cosine = TrainConfig { schedule: Schedule::Cosine, epochs: 4, ..config };
+        let cosine = TrainConfig { schedule: RateSchedule::Cosine, epochs: 4, ..config };
         assert!((cosine.rate(20, 10) - 8e-3).abs() < 1e-12);
         assert!((cosine.rate(30, 10) - 4e-3).abs() < 1e-12);
         assert!(cosine.rate(39, 10) > 0.0 && cosine.rate(40, 10) < 1e-12);

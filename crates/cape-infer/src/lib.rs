@@ -6,30 +6,30 @@
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! use burn::tensor::Device;
 //! use cape_core::Outfit;
-//! use cape_infer::{Run, Wearer};
+//! use cape_infer::{Run, BodySpec};
 //!
 //! let directory = trained()?;
 //! let run = Run::open(&directory.path().join("run"), &Device::default())?;
-//! let wearer = Wearer { betas: vec![1.0], pose: [0.0; 72], outfit: Outfit::LongLong };
+//! let wearer = BodySpec { betas: vec![1.0], pose: [0.0; 72], outfit: Outfit::LongLong };
 //! let dressed = run.dress(&run.sample_codes(1, 7), &[wearer])?;
 //! assert_eq!(dressed[0].vertices.len(), 6890);
 //! # Ok(())
 //! # }
 //! ```
 
+mod animated_body;
+mod body_spec;
 pub mod checkpoint;
 mod config;
 mod error;
-mod performance;
 pub mod prior;
 mod run;
-mod wear;
 
-pub use config::{Rule, RunConfig, Schedule, TrainConfig, WarmUp};
+pub use animated_body::AnimatedBody;
+pub use body_spec::{BodySpec, directions_by_effect, interpolate_codes, registration, walk_codes};
+pub use config::{OptimiserKind, RateSchedule, RunConfig, TrainConfig, WarmUp};
 pub use error::{Error, Result};
-pub use performance::Performance;
 pub use run::{
-    DataIdentity, Frames, Run, RunPaths, body_and_clothing, build_graphs, normal, read_identity,
-    to_device, write_json,
+    DataIdentity, DeviceBatch, Run, RunPaths, body_and_clothing, build_graphs, normal,
+    read_identity, to_device, write_json,
 };
-pub use wear::{Wearer, directions_by_effect, interpolate_codes, registration, walk_codes};

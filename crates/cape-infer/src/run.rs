@@ -27,7 +27,7 @@ use sprs::TriMat;
 
 use crate::{Error, Result, RunConfig, checkpoint};
 use cape_data::{
-    Batch, PackedSet, Part, Statistics,
+    DisplacementStatistics, HostBatch, PackedSet, Split,
     raw::{BODY_FILE, CLOTHING_FILE},
 };
 
@@ -212,7 +212,7 @@ pub fn build_graphs(
 
 /// A batch of frames on a device.
 #[derive(Debug, Clone)]
-pub struct Frames {
+pub struct DeviceBatch {
     /// Normalised displacements, `[batch, vertices, 3]`.
     pub displacement: Tensor<3>,
     /// Pose features, `[batch, 126]`.
@@ -222,11 +222,11 @@ pub struct Frames {
 }
 
 /// Moves a batch to a device.
-pub fn to_device(batch: Batch, device: &Device) -> Frames {
-    let Batch { displacement, pose_feature, outfit, .. } = batch;
+pub fn to_device(batch: HostBatch, device: &Device) -> DeviceBatch {
+    let HostBatch { displacement, pose_feature, outfit, .. } = batch;
     let [count, vertices, _] = [displacement.dim().0, displacement.dim().1, 3];
     let (values, _) = displacement.into_raw_vec_and_offset();
-    Frames {
+    DeviceBatch {
         displacement: Tensor::from_data(TensorData::new(values, [count, vertices, 3]), device),
         pose_feature: tensor2(pose_feature, device),
         outfit: tensor2(outfit, device),
@@ -247,20 +247,20 @@ pub fn normal(seed: u64, stream: u64, rows: usize, columns: usize) -> Array2<f32
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use burn::tensor::Device;
 /// use cape_core::Outfit;
-/// use cape_infer::{Performance, Run, Wearer};
+/// use cape_infer::{AnimatedBody, Run, BodySpec};
 ///
 /// let directory = trained()?;
 /// let run = Run::open(&directory.path().join("run"), &Device::default())?;
 /// let codes = run.sample_codes(2, 7);
-/// let wearer = Wearer { betas: vec![1.0, -0.5], pose: [0.0; 72], outfit: Outfit::LongLong };
+/// let wearer = BodySpec { betas: vec![1.0, -0.5], pose: [0.0; 72], outfit: Outfit::LongLong };
 /// let wearers = [wearer.clone(), wearer];
-/// let clothes = run.clothes(&codes, &wearers)?;
+/// let clothes = run.decode_displacements(&codes, &wearers)?;
 /// assert_eq!(clothes.dim(), (2, 6890, 3));
-/// assert_eq!(run.dress(&codes, &wearers)?, run.wear(&clothes, &wearers)?);
+/// assert_eq!(run.dress(&codes, &wearers)?, run.pose_clothed(&clothes, &wearers)?);
 /// assert_eq!(run.encode(&clothes, &wearers)?.dim(), codes.dim());
 ///
 /// let first = codes.slice(ndarray::s![..1, ..]).to_owned();
-/// let file = Performance::still("dressed", &first, &wearers[0]).encode(&run)?;
+/// let file = AnimatedBody::from_body("dressed", &first, &wearers[0]).encode(&run)?;
 /// assert_eq!(&file[..4], b"glTF");
 /// # Ok(())
 /// # }
@@ -272,9 +272,9 @@ pub struct Run {
     body: SmplModel,
     clothing: Vec<usize>,
     clothed: ClothedSmpl,
-    statistics: Statistics,
+    statistics: DisplacementStatistics,
     checkpoint: PathBuf,
-    progress: checkpoint::Progress,
+    progress: checkpoint::TrainState,
     generator: Generator,
     graphs: Graphs,
     device: Device,
@@ -295,7 +295,7 @@ impl Run {
         let model = weights::apply(model, &weights).map_err(|error| {
             Error::format(&checkpoint, format!("does not suit {CONFIG}: {error}"))
         })?;
-        let statistics = Statistics::load(paths.statistics())?;
+        let statistics = DisplacementStatistics::load(paths.statistics())?;
         statistics.expect_vertices(body.vertices())?;
         let mask = ClothingMask::load(paths.clothing(), body.vertices())?;
         Ok(Self {
@@ -338,7 +338,7 @@ impl Run {
         // Seen from a directory that the run is in, if it is the same set.
         let root = fs::canonicalize(self.paths.root()).unwrap_or_default();
         let same = |place: &PathBuf| {
-            PackedSet::open(place, Part::Train).is_ok_and(|set| {
+            PackedSet::open(place, Split::Train).is_ok_and(|set| {
                 (set.frames(), set.vertices()) == (identity.frames, identity.vertices)
             })
         };
@@ -372,7 +372,7 @@ impl Run {
     }
 
     /// Normalisation of displacements.
-    pub fn statistics(&self) -> &Statistics {
+    pub fn statistics(&self) -> &DisplacementStatistics {
         &self.statistics
     }
 
@@ -382,7 +382,7 @@ impl Run {
     }
 
     /// Where the run was at that checkpoint.
-    pub fn progress(&self) -> &checkpoint::Progress {
+    pub fn progress(&self) -> &checkpoint::TrainState {
         &self.progress
     }
 

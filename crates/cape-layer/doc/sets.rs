@@ -2,11 +2,11 @@
 
 /// An octahedron whose corners are on the axes, `size` metres from the origin.
 #[allow(dead_code)]
-fn octahedron(size: f64) -> cape_core::geometry::Surface {
+fn octahedron(size: f64) -> cape_core::geometry::SurfaceMesh {
     use glam::DVec3;
 
     let axes = [DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z];
-    cape_core::geometry::Surface {
+    cape_core::geometry::SurfaceMesh {
         vertices: axes.map(|axis| size * axis).to_vec(),
         faces: vec![
             [0, 2, 4],
@@ -38,7 +38,7 @@ fn patch(
         row.iter_mut().zip(pose).for_each(|(to, angle)| *to = angle);
     }
     let skin = [100, 101, 102];
-    let shape = body.shaped(&[])?;
+    let shape = body.rest_shape(&[])?;
     let mut clothing = Array3::zeros((frames, 3, 3));
     for frame in 0..frames {
         let (pose, standard) = (poses.row(frame).to_vec(), StandardPose::default());

@@ -8,7 +8,7 @@ use ndarray::{Array1, Array2, ArrayD, Axis, Dimension, arr1};
 
 use crate::{
     Association, BodyFrame, Error, LayerPca, Result,
-    regress::{Arrived, FeatureStream, Features, Regressor, Semantics},
+    regress::{FeatureOptions, FeatureStream, Regressor, SemanticParameters, StreamedFrame},
 };
 use cape_core::expect_finite;
 use cape_core::{BodyMotion, smpl::StandardPose};
@@ -20,15 +20,15 @@ use cape_core::{BodyMotion, smpl::StandardPose};
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use cape_synth::synthetic_body;
 /// use cape_core::smpl::StandardPose;
-/// use cape_layer::{Layer, experiment::{Learning, Unposed}, regress::Training};
+/// use cape_layer::{Layer, experiment::{LearningOptions, UnposedSet}, regress::TrainingOptions};
 ///
 /// // What is learned of a patch on the skin of a body that marches ...
 /// let body = synthetic_body();
 /// let (set, association) = patch(&body)?;
 /// let standard = StandardPose::default();
-/// let unposed = Unposed::new(&body, &set, &association, &standard)?;
-/// let training = Training { hidden: vec![4], patience: 10, ..Training::default() };
-/// let learning = Learning { components: 1, training, ..Learning::default() };
+/// let unposed = UnposedSet::new(&body, &set, &association, &standard)?;
+/// let training = TrainingOptions { hidden: vec![4], patience: 10, ..TrainingOptions::default() };
+/// let learning = LearningOptions { components: 1, training, ..LearningOptions::default() };
 /// let learnt = unposed.regression(&[0], &learning, &mut |_| {})?.learnt;
 /// // ... makes a layer,
 /// let layer = Layer {
@@ -41,7 +41,7 @@ use cape_core::{BodyMotion, smpl::StandardPose};
 ///     regressor: learnt.outcome.regressor,
 /// };
 /// // which dresses bodies frame by frame, each as soon as its speeds are known.
-/// let shape = body.shaped(&[])?;
+/// let shape = body.rest_shape(&[])?;
 /// let mut stream = layer.stream(&body, &shape, 30.0, &[0.85])?;
 /// assert!(stream.push(&[0.0; 72], [0.0; 3])?.is_none());
 /// let first = stream.push(&[0.0; 72], [0.0; 3])?.ok_or("no frame")?;
@@ -60,9 +60,9 @@ pub struct Layer {
     /// The space of offsets.
     pub pca: LayerPca,
     /// What the regression sees of the motion.
-    pub features: Features,
+    pub features: FeatureOptions,
     /// The sizes and materials that it sees besides.
-    pub semantics: Semantics,
+    pub semantics: SemanticParameters,
     /// From motion and parameters to the space's coordinates.
     pub regressor: Regressor,
 }
@@ -71,7 +71,7 @@ pub struct Layer {
 ///
 /// See [`Layer`] for an example.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Predicted {
+pub struct PredictedFrame {
     /// The frame's number, from 0.
     pub frame: usize,
     /// The body in the frame.
@@ -98,18 +98,18 @@ impl LayerStream<'_> {
     ///
     /// # Errors
     /// If numbers are not finite, or not of as many joints as the layer learned from.
-    pub fn push(&mut self, pose: &[f64], transl: [f64; 3]) -> Result<Option<Predicted>> {
+    pub fn push(&mut self, pose: &[f64], transl: [f64; 3]) -> Result<Option<PredictedFrame>> {
         let arrived = self.features.push(pose, transl)?;
         arrived.map(|arrived| self.dress(&arrived)).transpose()
     }
 
     /// The next of the frames that are left when no more come; none at last.
-    pub fn finish(&mut self) -> Result<Option<Predicted>> {
+    pub fn finish(&mut self) -> Result<Option<PredictedFrame>> {
         let arrived = self.features.finish()?;
         arrived.map(|arrived| self.dress(&arrived)).transpose()
     }
 
-    fn dress(&self, arrived: &Arrived) -> Result<Predicted> {
+    fn dress(&self, arrived: &StreamedFrame) -> Result<PredictedFrame> {
         let Layer { association, pca, regressor, standard, .. } = self.layer;
         let input = Array1::from_iter(arrived.row.iter().chain(&self.semantics).copied());
         let code = regressor.predict(input.view().insert_axis(Axis(0)))?;
@@ -121,7 +121,7 @@ impl LayerStream<'_> {
         let body =
             BodyFrame::new(self.model, &self.shape, &arrived.pose, arrived.transl, standard)?;
         let clothing = association.dress(&body, offsets.view())?;
-        Ok(Predicted { frame: arrived.frame, body, clothing })
+        Ok(PredictedFrame { frame: arrived.frame, body, clothing })
     }
 }
 
@@ -148,7 +148,7 @@ impl Layer {
         shape: &Array2<f64>,
         motion: &BodyMotion,
         parameters: &[f64],
-        each: &mut dyn FnMut(Predicted) -> Result<()>,
+        each: &mut dyn FnMut(PredictedFrame) -> Result<()>,
     ) -> Result<()> {
         let mut stream = self.stream(model, shape, motion.frame_rate, parameters)?;
         for frame in 0..motion.frames() {
@@ -167,7 +167,7 @@ impl Layer {
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let corners: Array1<i64> = self.faces.iter().flatten().map(|&v| i64::from(v)).collect();
         let joints = cape_core::joints::JOINTS;
-        let Features { speed, angles, angular_speeds, smoothing } = self.features;
+        let FeatureOptions { speed, angles, angular_speeds, smoothing } = self.features;
         let flag = |on: bool| f64::from(u8::from(on));
         let mut file = NpzWriter::create(path)?;
         file.add("faces", &corners)?;
@@ -214,9 +214,13 @@ impl Layer {
         file.expect_shape("explained_variance", pca.variances.shape(), &[Some(pca.len())])?;
         let numbers = vector(file, "features", Some(4))?;
         let on = |k: usize| numbers[k] != 0.0;
-        let features =
-            Features { speed: on(0), angles: on(1), angular_speeds: on(2), smoothing: numbers[3] };
-        let semantics = Semantics::read(file)?;
+        let features = FeatureOptions {
+            speed: on(0),
+            angles: on(1),
+            angular_speeds: on(2),
+            smoothing: numbers[3],
+        };
+        let semantics = SemanticParameters::read(file)?;
         let regressor = Regressor::read(file)?;
         if regressor.network().sizes().last() != Some(&pca.len()) {
             let message = format!("does not end in {} components", pca.len());

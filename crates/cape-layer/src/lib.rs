@@ -11,14 +11,14 @@
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! use cape_synth::synthetic_body;
 //! use cape_core::smpl::StandardPose;
-//! use cape_layer::{Keep, LayerPca, experiment::Unposed};
+//! use cape_layer::{ComponentSelection, LayerPca, experiment::UnposedSet};
 //!
 //! // A patch on the skin of a body that marches, and the body vertices that it follows.
 //! let body = synthetic_body();
 //! let (set, association) = patch(&body)?;
 //! // Freed from the poses it only rises and falls: one component holds all of that.
-//! let unposed = Unposed::new(&body, &set, &association, &StandardPose::default())?;
-//! let pca = LayerPca::fit(unposed.rows.view(), Keep::Components(1))?;
+//! let unposed = UnposedSet::new(&body, &set, &association, &StandardPose::default())?;
+//! let pca = LayerPca::fit(unposed.rows.view(), ComponentSelection::Components(1))?;
 //! assert!(pca.explained() > 1.0 - 1e-9);
 //! # Ok(())
 //! # }
@@ -37,7 +37,7 @@ pub mod synth;
 
 pub use associate::{AssociateOptions, Association};
 pub use error::{Error, Result};
-pub use layer::{Layer, LayerStream, Predicted};
-pub use offsets::{BodyFrame, Carrier};
-pub use pca::{Keep, LayerPca};
+pub use layer::{Layer, LayerStream, PredictedFrame};
+pub use offsets::{BodyFrame, OffsetFrame};
+pub use pca::{ComponentSelection, LayerPca};
 pub use sequence::{LayerSet, Sequence, import, import_motion};

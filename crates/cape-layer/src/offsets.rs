@@ -22,7 +22,7 @@ const NEARLY_SINGULAR: f64 = 1e-3;
 ///
 /// // A body in its standard pose, 1 m up.
 /// let body = synthetic_body();
-/// let (shape, standard) = (body.shaped(&[])?, StandardPose::T);
+/// let (shape, standard) = (body.rest_shape(&[])?, StandardPose::T);
 /// let frame = BodyFrame::new(&body, &shape, &[0.0; 72], [0.0, 1.0, 0.0], &standard)?;
 /// assert!((frame.posed[0] - frame.standard[0] - glam::DVec3::Y).length() < 1e-9);
 /// // Clothing comes back from its offsets.
@@ -137,14 +137,14 @@ impl Association {
     }
 
     /// What of a body is needed to [`dress`](Self::dress) it, for doing so more than once.
-    pub fn carry(&self, body: &BodyFrame) -> Result<Carrier> {
+    pub fn carry(&self, body: &BodyFrame) -> Result<OffsetFrame> {
         let blends = self.blends(body)?;
         let rows = self.indices.rows().into_iter().zip(self.weights.rows());
         let middle = |(indices, weights): (ArrayView1<'_, u32>, ArrayView1<'_, f64>)| {
             let near = indices.iter().map(|&index| body.standard[index as usize]);
             near.zip(weights).map(|(at, &weight)| at * weight).sum()
         };
-        Ok(Carrier { middles: rows.map(middle).collect(), blends })
+        Ok(OffsetFrame { middles: rows.map(middle).collect(), blends })
     }
 
     fn check_body(&self, body: &BodyFrame) -> Result<()> {
@@ -171,7 +171,7 @@ impl Association {
 ///
 /// See [`BodyFrame`] for an example.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Carrier {
+pub struct OffsetFrame {
     /// Weighted means of the body vertices that each clothing vertex follows, in the standard pose,
     /// metres, `[n_v]`.
     middles: Vec<DVec3>,
@@ -179,7 +179,7 @@ pub struct Carrier {
     blends: Vec<DAffine3>,
 }
 
-impl Carrier {
+impl OffsetFrame {
     /// Clothing of offsets `[n_v, n_f, 3]`: metres, `[n_v, 3]` (eq. 4).
     pub fn dress(
         &self,

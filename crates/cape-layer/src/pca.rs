@@ -14,7 +14,7 @@ const NOTHING: f64 = 1e-14;
 ///
 /// See [`LayerPca`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Keep {
+pub enum ComponentSelection {
     /// So many.
     Components(usize),
     /// As few as hold this share of the variance, 0 to 1.
@@ -26,12 +26,12 @@ pub enum Keep {
 /// A linear space around a mean.
 ///
 /// ```
-/// use cape_layer::{Keep, LayerPca};
+/// use cape_layer::{ComponentSelection, LayerPca};
 /// use ndarray::arr2;
 ///
 /// // Three frames on a line, 5 apart.
 /// let frames = arr2(&[[0.0, 0.0], [3.0, 4.0], [6.0, 8.0]]);
-/// let pca = LayerPca::fit(frames.view(), Keep::Energy(0.99))?;
+/// let pca = LayerPca::fit(frames.view(), ComponentSelection::Energy(0.99))?;
 /// assert_eq!(pca.len(), 1);
 /// assert!((pca.variances[0] - 50.0 / 3.0).abs() < 1e-9);
 /// let codes = pca.encode(frames.view())?;
@@ -60,7 +60,7 @@ impl LayerPca {
     /// # Errors
     /// If there are fewer than two frames, numbers are not finite, or more components are asked
     /// for than frames less one.
-    pub fn fit(frames: ArrayView2<'_, f64>, keep: Keep) -> Result<Self> {
+    pub fn fit(frames: ArrayView2<'_, f64>, keep: ComponentSelection) -> Result<Self> {
         let (count, numbers) = frames.dim();
         let most = numbers.min(count.saturating_sub(1));
         if most == 0 {
@@ -69,12 +69,12 @@ impl LayerPca {
             )));
         }
         match keep {
-            Keep::Components(wanted) if wanted == 0 || wanted > most => {
+            ComponentSelection::Components(wanted) if wanted == 0 || wanted > most => {
                 return Err(Error::argument(format!(
                     "{wanted} principal components of {count} frames: expected 1 to {most}"
                 )));
             }
-            Keep::Energy(share) if !(share > 0.0 && share <= 1.0) => {
+            ComponentSelection::Energy(share) if !(share > 0.0 && share <= 1.0) => {
                 return Err(Error::argument(format!(
                     "energy {share}: expected more than 0, at most 1"
                 )));
@@ -92,10 +92,10 @@ impl LayerPca {
         let largest = eigenvalues[order[0]].max(0.0);
         let real = order.iter().take_while(|&&k| eigenvalues[k] > NOTHING * largest).count();
         order.truncate(real.min(most).max(1));
-        if let Keep::Components(wanted) = keep {
+        if let ComponentSelection::Components(wanted) = keep {
             order.truncate(wanted);
         }
-        if let Keep::Energy(share) = keep {
+        if let ComponentSelection::Energy(share) = keep {
             let mut held = 0.0;
             let enough = order.iter().position(|&k| {
                 held += eigenvalues[k] / count as f64;
@@ -208,7 +208,7 @@ mod tests {
             [(60, 30, 0.2, 12), (30, 90, 0.05, 20), (9, 400, 0.1, 8), (40, 12, 0.5, 12)]
         {
             let data = data(count, numbers, decay);
-            let pca = LayerPca::fit(data.view(), Keep::Components(wanted)).unwrap();
+            let pca = LayerPca::fit(data.view(), ComponentSelection::Components(wanted)).unwrap();
             let centred = &data - &data.mean_axis(Axis(0)).unwrap();
             let matrix = DMatrix::from_row_iterator(count, numbers, centred.iter().copied());
             let svd = matrix.svd(false, true);
@@ -229,19 +229,19 @@ mod tests {
     #[test]
     fn all_components_give_the_frames_back() {
         let data = data(20, 300, 0.02);
-        let pca = LayerPca::fit(data.view(), Keep::All).unwrap();
+        let pca = LayerPca::fit(data.view(), ComponentSelection::All).unwrap();
         assert_eq!(pca.len(), 19);
         let back = pca.decode(pca.encode(data.view()).unwrap().view()).unwrap();
         assert!((back - &data).iter().all(|d| d.abs() < 1e-11));
         assert!((pca.explained() - 1.0).abs() < 1e-12);
-        let few = LayerPca::fit(data.view(), Keep::Components(5)).unwrap();
+        let few = LayerPca::fit(data.view(), ComponentSelection::Components(5)).unwrap();
         assert!((&few.components - &pca.truncated(5).components).iter().all(|d| d.abs() < 1e-12));
     }
 
     #[test]
     fn energy_takes_as_few_as_it_needs() {
         let data = data(80, 30, 0.4);
-        let pca = LayerPca::fit(data.view(), Keep::Energy(0.9)).unwrap();
+        let pca = LayerPca::fit(data.view(), ComponentSelection::Energy(0.9)).unwrap();
         assert!(pca.explained() >= 0.9 && pca.truncated(pca.len() - 1).explained() < 0.9);
     }
 
@@ -249,16 +249,16 @@ mod tests {
     fn what_cannot_be_fitted_is_said() {
         let data = data(5, 30, 0.1);
         let fit = |keep| LayerPca::fit(data.view(), keep).unwrap_err().to_string();
-        assert!(fit(Keep::Components(5)).contains("expected 1 to 4"));
-        assert!(fit(Keep::Energy(1.5)).contains("energy"));
+        assert!(fit(ComponentSelection::Components(5)).contains("expected 1 to 4"));
+        assert!(fit(ComponentSelection::Energy(1.5)).contains("energy"));
         let one = data.slice(ndarray::s![..1, ..]);
-        assert!(LayerPca::fit(one, Keep::All).is_err());
+        assert!(LayerPca::fit(one, ComponentSelection::All).is_err());
         let same = Array2::from_elem((4, 6), 0.3);
-        let flat = LayerPca::fit(same.view(), Keep::All).unwrap();
+        let flat = LayerPca::fit(same.view(), ComponentSelection::All).unwrap();
         assert_eq!(flat.variances.sum(), 0.0);
         assert!(flat.components.iter().all(|x| x.is_finite()));
         let mut broken = data.clone();
         broken[(2, 2)] = f64::INFINITY;
-        assert!(LayerPca::fit(broken.view(), Keep::All).is_err());
+        assert!(LayerPca::fit(broken.view(), ComponentSelection::All).is_err());
     }
 }

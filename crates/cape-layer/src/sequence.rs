@@ -17,7 +17,7 @@ use crate::{BodyFrame, Error, Result};
 use cape_core::expect_finite;
 use cape_core::{
     BodyMotion,
-    geometry::{Surface, points},
+    geometry::{SurfaceMesh, points},
     smpl::StandardPose,
 };
 
@@ -46,7 +46,7 @@ impl Sequence {
 
     /// The unclothed rest shape, metres, `[V, 3]`.
     pub fn shape(&self, model: &SmplModel) -> Result<Array2<f64>> {
-        Ok(model.shaped(&self.betas)?)
+        Ok(model.rest_shape(&self.betas)?)
     }
 
     /// The body in one frame.
@@ -166,13 +166,13 @@ impl LayerSet {
     }
 
     /// The clothing mesh of a frame.
-    pub fn clothing(&self, sequence: usize, frame: usize) -> Result<Surface> {
+    pub fn clothing(&self, sequence: usize, frame: usize) -> Result<SurfaceMesh> {
         let clothing = self.sequences.get(sequence).filter(|s| frame < s.frames());
         let Some(clothing) = clothing else {
             return Err(Error::argument(format!("no frame {frame} of sequence {sequence}")));
         };
         let clothing = clothing.clothing.index_axis(Axis(0), frame);
-        Ok(Surface::new("clothing", points(clothing), self.faces.clone())?)
+        Ok(SurfaceMesh::new("clothing", points(clothing), self.faces.clone())?)
     }
 
     /// A number that tells sets apart: equal sets have the same, in whatever process.
@@ -201,7 +201,7 @@ impl LayerSet {
         for sequence in &self.sequences {
             write(directory, &self.faces, sequence)?;
         }
-        write_index(directory, &self.sequences.iter().map(Entry::of).collect::<Vec<_>>())
+        write_index(directory, &self.sequences.iter().map(Entry::from_sequence).collect::<Vec<_>>())
     }
 
     /// Adds a sequence, in place of one of its name, to the set that a directory holds, or begins
@@ -212,7 +212,7 @@ impl LayerSet {
             if directory.join(INDEX).exists() { read_index(directory)? } else { Vec::new() };
         write(directory, faces, sequence)?;
         index.retain(|entry| entry.name != sequence.name);
-        index.push(Entry::of(sequence));
+        index.push(Entry::from_sequence(sequence));
         write_index(directory, &index)
     }
 
@@ -237,7 +237,7 @@ impl LayerSet {
 }
 
 impl Entry {
-    fn of(sequence: &Sequence) -> Self {
+    fn from_sequence(sequence: &Sequence) -> Self {
         Self {
             name: sequence.name.clone(),
             frame_rate: sequence.motion.frame_rate,
@@ -452,7 +452,7 @@ mod tests {
         let wanted = sequence("own");
         for (frame, clothing) in wanted.clothing.outer_iter().enumerate() {
             let vertices = points(clothing);
-            let mesh = Surface::new("clothing", vertices, FACES.to_vec()).unwrap().to_mesh();
+            let mesh = SurfaceMesh::new("clothing", vertices, FACES.to_vec()).unwrap().to_mesh();
             mesh.save(meshes.join(format!("{frame:04}.ply"))).unwrap();
         }
         let archive = directory.path().join("smpl.npz");

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, LayerSet, Result, Sequence};
-use cape_cloth::{Garment, Material, Quality, Sewn, Simulation};
+use cape_cloth::{ClothMaterial, Garment, GarmentMesh, SimulationOptions, SimulationQuality};
 use cape_core::BodyMotion;
 
 /// What a subject does.
@@ -18,7 +18,7 @@ use cape_core::BodyMotion;
 ///
 /// // Half a second of a walk at 1.2 m/s.
 /// let body = synthetic_body();
-/// let motion = Exercise::Walk.motion(&body, &body.shaped(&[])?, 16, 30.0)?;
+/// let motion = Exercise::Walk.motion(&body, &body.rest_shape(&[])?, 16, 30.0)?;
 /// assert_eq!(motion.poses.dim(), (16, 72));
 /// let way = motion.translations[(15, 2)] - motion.translations[(0, 2)];
 /// assert!((way - 0.6).abs() < 0.05);
@@ -103,13 +103,13 @@ impl Exercise {
 /// use cape_cloth::{Garment, GarmentKind};
 /// use cape_layer::synth::{Design, Exercise};
 ///
-/// let skirt = Garment::of(GarmentKind::Skirt);
+/// let skirt = Garment::new(GarmentKind::Skirt);
 /// let design = Design {
 ///     sizes: vec![skirt, Garment { length: 1.2 * skirt.length, ..skirt }],
 ///     exercises: vec![Exercise::Walk, Exercise::Squat],
-///     ..Design::of(skirt)
+///     ..Design::new(skirt)
 /// };
-/// let names: Vec<String> = design.takes().iter().map(|take| take.name()).collect();
+/// let names: Vec<String> = design.cells().iter().map(|take| take.name()).collect();
 /// assert_eq!(names.len(), 4);
 /// assert_eq!(names[3], "s00_z01_m00_squat");
 /// ```
@@ -120,7 +120,7 @@ pub struct Design {
     /// Sizes of one garment; the first is made for the mean body, the others resized from it.
     pub sizes: Vec<Garment>,
     /// Materials.
-    pub materials: Vec<Material>,
+    pub materials: Vec<ClothMaterial>,
     /// What is done.
     pub exercises: Vec<Exercise>,
     /// Frames of every sequence.
@@ -128,14 +128,14 @@ pub struct Design {
     /// Frames a second.
     pub frame_rate: f64,
     /// How it is simulated.
-    pub simulation: Simulation,
+    pub simulation: SimulationOptions,
 }
 
 /// One cell of a [`Design`], by index.
 ///
 /// See [`Design`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Take {
+pub struct DesignCell {
     /// The subject.
     pub subject: usize,
     /// The size.
@@ -146,7 +146,7 @@ pub struct Take {
     pub exercise: Exercise,
 }
 
-impl Take {
+impl DesignCell {
     /// The name of its sequence.
     pub fn name(&self) -> String {
         let Self { subject, size, material, exercise } = self;
@@ -160,26 +160,26 @@ pub const PARAMETERS: [&str; 8] =
 
 impl Design {
     /// One subject of mean shape in one garment of usual cut and material, all exercises.
-    pub fn of(garment: Garment) -> Self {
+    pub fn new(garment: Garment) -> Self {
         Self {
             subjects: vec![vec![]],
             sizes: vec![garment],
-            materials: vec![Material::default()],
+            materials: vec![ClothMaterial::default()],
             exercises: Exercise::ALL.to_vec(),
             frames: 100,
             frame_rate: 30.0,
-            simulation: Simulation::default(),
+            simulation: SimulationOptions::default(),
         }
     }
 
     /// All cells of the grid.
-    pub fn takes(&self) -> Vec<Take> {
+    pub fn cells(&self) -> Vec<DesignCell> {
         let mut takes = Vec::new();
         for subject in 0..self.subjects.len() {
             for size in 0..self.sizes.len() {
                 for material in 0..self.materials.len() {
                     for &exercise in &self.exercises {
-                        takes.push(Take { subject, size, material, exercise });
+                        takes.push(DesignCell { subject, size, material, exercise });
                     }
                 }
             }
@@ -188,25 +188,25 @@ impl Design {
     }
 
     /// The garment for the mean body, of the first size.
-    pub fn sew(&self, model: &SmplModel) -> Result<Sewn> {
+    pub fn sew(&self, model: &SmplModel) -> Result<GarmentMesh> {
         let first = self.sizes.first().ok_or_else(|| Error::argument("a design without sizes"))?;
-        Ok(first.sew(model, &model.shaped(&[])?)?)
+        Ok(first.sew(model, &model.rest_shape(&[])?)?)
     }
 
     /// Simulates one cell; tells with it how that went.
     pub fn simulate(
         &self,
         model: &SmplModel,
-        sewn: &Sewn,
-        take: Take,
-    ) -> Result<(Sequence, Quality)> {
+        sewn: &GarmentMesh,
+        take: DesignCell,
+    ) -> Result<(Sequence, SimulationQuality)> {
         let missing = || Error::argument(format!("{take:?} is not in the design"));
         let betas = self.subjects.get(take.subject).ok_or_else(missing)?;
         let size = self.sizes.get(take.size).ok_or_else(missing)?;
         let material = self.materials.get(take.material).ok_or_else(missing)?;
-        let shape = model.shaped(betas)?;
+        let shape = model.rest_shape(betas)?;
         let motion = take.exercise.motion(model, &shape, self.frames, self.frame_rate)?;
-        let sewn = sewn.resized(model, size)?;
+        let sewn = sewn.resize(model, size)?;
         let result =
             self.simulation.run(model, &shape, (&sewn, material), &motion, &mut |_, _| {})?;
         let numbers = size.numbers().into_iter().chain(material.numbers());
@@ -229,7 +229,7 @@ impl Design {
         watch: &(dyn Fn(usize, usize) + Sync),
     ) -> Result<LayerSet> {
         let sewn = self.sew(model)?;
-        let takes = self.takes();
+        let takes = self.cells();
         let done = std::sync::atomic::AtomicUsize::new(0);
         let sequences = takes
             .par_iter()
@@ -246,7 +246,7 @@ impl Design {
 
 /// A sequence's clothing with the body's own vertices after it, and the faces of both: for layers
 /// that are to include the body.
-pub fn with_body(
+pub fn append_body(
     model: &SmplModel,
     faces: &[[u32; 3]],
     sequence: &Sequence,
@@ -278,7 +278,7 @@ mod tests {
     #[test]
     fn exercises_stand_on_the_floor() {
         let model = synthetic_body();
-        let shape = model.shaped(&[]).unwrap();
+        let shape = model.rest_shape(&[]).unwrap();
         let lowest = |exercise: Exercise| -> Vec<f64> {
             let motion = exercise.motion(&model, &shape, 54, 30.0).unwrap();
             (0..54)
@@ -301,13 +301,13 @@ mod tests {
     #[test]
     fn a_design_is_one_topology_over_all_its_cells() {
         let model = synthetic_body();
-        let skirt = Garment { resolution: 0.035, ..Garment::of(GarmentKind::Skirt) };
+        let skirt = Garment { resolution: 0.035, ..Garment::new(GarmentKind::Skirt) };
         let design = Design {
             subjects: vec![vec![], vec![1.5, -1.0]],
             sizes: vec![skirt, Garment { length: 1.1, width: 1.25, ..skirt }],
             exercises: vec![Exercise::March],
             frames: 4,
-            ..Design::of(skirt)
+            ..Design::new(skirt)
         };
         let set = design.set(&model, &|_, _| {}).unwrap();
         assert_eq!((set.sequences.len(), set.frames()), (4, 16));
@@ -316,7 +316,7 @@ mod tests {
             last.column(1).iter().copied().fold(f64::INFINITY, f64::min)
         };
         assert!(hem(1) < hem(0) - 0.05, "the longer skirt reaches further: {} {}", hem(0), hem(1));
-        let (faces, whole) = with_body(&model, &set.faces, &set.sequences[2]).unwrap();
+        let (faces, whole) = append_body(&model, &set.faces, &set.sequences[2]).unwrap();
         assert_eq!(whole.clothing.len_of(Axis(1)), set.vertices() + model.vertices());
         LayerSet::new(faces, vec![whole]).unwrap();
     }

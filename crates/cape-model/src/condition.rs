@@ -4,7 +4,7 @@ use burn::{
 };
 
 use crate::{
-    CapeConfig, Init,
+    CapeConfig, Initialiser,
     config::{LEAKY_SLOPE, OUTFITS, POSE_FEATURE},
     layers::Linear,
 };
@@ -21,7 +21,7 @@ pub struct ConditionNet {
 }
 
 impl ConditionNet {
-    fn new(input: usize, output: usize, layers: usize, init: &mut Init) -> Self {
+    fn new(input: usize, output: usize, layers: usize, init: &mut Initialiser) -> Self {
         if layers < 2 {
             return Self { hidden: None, output: Linear::new(input, output, init) };
         }
@@ -54,11 +54,11 @@ pub(crate) fn hidden_width(input: usize, output: usize) -> usize {
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
-/// use cape_model::{CapeConfig, ConditionNets, Init};
+/// use cape_model::{CapeConfig, ConditionNets, Initialiser};
 ///
 /// let config = CapeConfig::paper();
 /// let device = Device::default();
-/// let nets = ConditionNets::new(&config, &mut Init::new(1, config.deviation, &device));
+/// let nets = ConditionNets::new(&config, &mut Initialiser::new(1, config.deviation, &device));
 /// let (pose, outfit) = (Tensor::zeros([3, 126], &device), Tensor::zeros([3, 4], &device));
 /// let embedding = nets.forward(pose, outfit).unwrap();
 /// assert_eq!(embedding.dims(), [3, 24 + 8]);
@@ -76,7 +76,7 @@ pub struct ConditionNets {
 
 impl ConditionNets {
     /// As the configuration says; a size of 0 leaves that net out.
-    pub fn new(config: &CapeConfig, init: &mut Init) -> Self {
+    pub fn new(config: &CapeConfig, init: &mut Initialiser) -> Self {
         let mut net = |input, output, layers| {
             (output > 0).then(|| ConditionNet::new(input, output, layers, init))
         };

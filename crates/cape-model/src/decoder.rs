@@ -5,10 +5,11 @@ use burn::{
 use cape_graph::DevicePyramid;
 
 use crate::{
-    CapeConfig, DecoderBlock, DecoderConditions, Init,
+    CapeConfig, DecoderBlock, DecoderConditions, Initialiser,
     config::LEAKY_SLOPE,
     layers::{
-        AffineBlock, ChebConv, ConvLayer, Linear, Product, ResidualBlock, append_unless_preserved,
+        AffineBlock, ChebConv, ConvLayer, FactoredFeatures, Linear, ResidualBlock,
+        append_unless_preserved,
     },
 };
 
@@ -30,7 +31,7 @@ impl DecoderLayer {
     fn forward(
         &self,
         x: Tensor<3>,
-        origin: Option<Product>,
+        origin: Option<FactoredFeatures>,
         condition: Option<&Tensor<2>>,
         graph: &DevicePyramid,
         level: usize,
@@ -51,14 +52,14 @@ impl DecoderLayer {
 /// ```
 /// use burn::tensor::{Device, Tensor};
 /// use cape_graph::{DevicePyramid, sparse_from_triplets};
-/// use cape_model::{CapeConfig, Decoder, DecoderLayer, Init};
+/// use cape_model::{CapeConfig, Decoder, DecoderLayer, Initialiser};
 ///
 /// let triangle = sparse_from_triplets(
 ///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
 /// let device = Device::default();
 /// let graph = DevicePyramid::new(&vec![triangle; 3], &[None, None], &[None, None], &device);
 /// let config = CapeConfig { filters: vec![4, 8], factors: vec![1, 1], ..CapeConfig::tiny() };
-/// let decoder = Decoder::new(&config, 3, 3, &mut Init::new(1, 0.1, &device));
+/// let decoder = Decoder::new(&config, 3, 3, &mut Initialiser::new(1, 0.1, &device));
 /// assert!(matches!(decoder.blocks[..], [DecoderLayer::Residual(_), DecoderLayer::Residual(_)]));
 /// let condition = Tensor::zeros([2, config.condition_size()], &device);
 /// let clothes = decoder.forward(Tensor::zeros([2, 6], &device), Some(&condition), &graph);
@@ -83,7 +84,12 @@ pub struct Decoder {
 
 impl Decoder {
     /// For meshes of `vertices` whose coarsest level has `coarse`.
-    pub fn new(config: &CapeConfig, vertices: usize, coarse: usize, init: &mut Init) -> Self {
+    pub fn new(
+        config: &CapeConfig,
+        vertices: usize,
+        coarse: usize,
+        init: &mut Initialiser,
+    ) -> Self {
         let code_conditioned = config.decoder_conditions != DecoderConditions::None;
         let extra = config.block_conditions();
         let mut width = config.filters.last().copied().unwrap_or_default();
@@ -151,7 +157,7 @@ impl Decoder {
         let mut x = x.reshape([batch, coarse, flat / coarse]);
         let mut origin = None;
         if let Some(expand) = &self.expand {
-            origin = Some(Product { features: x.clone(), weight: expand.weight.val() });
+            origin = Some(FactoredFeatures { features: x.clone(), weight: expand.weight.val() });
             x = expand.forward(x, None, graph.graph(levels));
         }
         for (i, block) in self.blocks.iter().enumerate() {

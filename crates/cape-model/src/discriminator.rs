@@ -2,7 +2,7 @@ use burn::{module::Module, tensor::Tensor};
 use cape_graph::DevicePyramid;
 
 use crate::{
-    DiscriminatorConfig, Init,
+    DiscriminatorConfig, Initialiser,
     layers::{ChebConv, ConvLayer},
 };
 
@@ -11,14 +11,14 @@ use crate::{
 /// ```
 /// use burn::tensor::{Device, Tensor};
 /// use cape_graph::{DevicePyramid, sparse_from_triplets};
-/// use cape_model::{Discriminator, DiscriminatorConfig, Init};
+/// use cape_model::{Discriminator, DiscriminatorConfig, Initialiser};
 ///
 /// let triangle = sparse_from_triplets(
 ///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
 /// let device = Device::default();
 /// let graph = DevicePyramid::new(&vec![triangle; 2], &[None], &[None], &device);
 /// let config = DiscriminatorConfig { filters: vec![4], factors: vec![1], ..Default::default() };
-/// let discriminator = Discriminator::new(&config, 8, &mut Init::new(1, 0.1, &device));
+/// let discriminator = Discriminator::new(&config, 8, &mut Initialiser::new(1, 0.1, &device));
 /// let condition = Tensor::zeros([2, 8], &device);
 /// let logits = discriminator.forward(Tensor::ones([2, 3, 3], &device), Some(&condition), &graph);
 /// assert_eq!(logits.dims(), [2, 3, 1]);
@@ -34,7 +34,7 @@ pub struct Discriminator {
 
 impl Discriminator {
     /// For conditions of `condition` numbers.
-    pub fn new(config: &DiscriminatorConfig, condition: usize, init: &mut Init) -> Self {
+    pub fn new(config: &DiscriminatorConfig, condition: usize, init: &mut Initialiser) -> Self {
         let mut input = 3 + condition;
         let mut layers = Vec::new();
         for &filters in &config.filters {

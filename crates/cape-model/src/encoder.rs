@@ -2,7 +2,7 @@ use burn::{module::Module, tensor::Tensor};
 use cape_graph::DevicePyramid;
 
 use crate::{
-    CapeConfig, Init,
+    CapeConfig, Initialiser,
     layers::{ChebConv, ConvLayer, EncoderResidual, Linear, append},
 };
 
@@ -74,14 +74,14 @@ impl Posterior {
 /// ```
 /// use burn::tensor::{Device, Tensor};
 /// use cape_graph::{DevicePyramid, sparse_from_triplets};
-/// use cape_model::{CapeConfig, Encoder, EncoderBlock, Init};
+/// use cape_model::{CapeConfig, Encoder, EncoderBlock, Initialiser};
 ///
 /// let triangle = sparse_from_triplets(
 ///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
 /// let device = Device::default();
 /// let graph = DevicePyramid::new(&vec![triangle; 3], &[None, None], &[None, None], &device);
 /// let config = CapeConfig { filters: vec![4, 8], factors: vec![1, 1], ..CapeConfig::tiny() };
-/// let encoder = Encoder::new(&config, 3, &mut Init::new(1, 0.1, &device));
+/// let encoder = Encoder::new(&config, 3, &mut Initialiser::new(1, 0.1, &device));
 /// assert!(matches!(encoder.blocks[..], [EncoderBlock::Conv(_), EncoderBlock::Conv(_)]));
 /// let posterior = encoder.forward(Tensor::ones([2, 3, 3], &device), None, &graph);
 /// assert_eq!(posterior.mean.dims(), [2, 6]);
@@ -103,7 +103,7 @@ pub struct Encoder {
 
 impl Encoder {
     /// For meshes whose coarsest level has `coarse` vertices.
-    pub fn new(config: &CapeConfig, coarse: usize, init: &mut Init) -> Self {
+    pub fn new(config: &CapeConfig, coarse: usize, init: &mut Initialiser) -> Self {
         let extra = if config.encoder_conditions { config.condition_size() } else { 0 };
         let mut input = 3 + extra;
         let mut blocks = Vec::new();

@@ -10,20 +10,20 @@ use rand_distr::StandardNormal;
 ///
 /// ```
 /// use burn::tensor::Device;
-/// use cape_model::{Init, layers::Linear, weights::collect};
+/// use cape_model::{Initialiser, layers::Linear, weights::collect};
 ///
-/// let draw = |seed| collect(&Linear::new(2, 3, &mut Init::new(seed, 0.1, &Device::default())));
+/// let draw = |seed| collect(&Linear::new(2, 3, &mut Initialiser::new(seed, 0.1, &Device::default())));
 /// assert_eq!(draw(7), draw(7));
 /// assert_ne!(draw(7), draw(8));
 /// ```
 #[derive(Debug)]
-pub struct Init {
+pub struct Initialiser {
     rng: ChaCha8Rng,
     deviation: f32,
     device: Device,
 }
 
-impl Init {
+impl Initialiser {
     /// A source of weights for `device`, with the given standard deviation of convolutions.
     pub fn new(seed: u64, deviation: f64, device: &Device) -> Self {
         Self {
@@ -39,11 +39,13 @@ impl Init {
 
     /// Normal, cut at two deviations.
     pub(crate) fn truncated_normal(&mut self, shape: [usize; 2]) -> Param<Tensor<2>> {
-        let values = (0..shape[0] * shape[1]).map(|_| self.deviation * self.within_two()).collect();
+        let values = (0..shape[0] * shape[1])
+            .map(|_| self.deviation * self.truncated_standard_normal())
+            .collect();
         self.param(values, shape)
     }
 
-    fn within_two(&mut self) -> f32 {
+    fn truncated_standard_normal(&mut self) -> f32 {
         loop {
             let value: f32 = self.rng.sample(StandardNormal);
             if value.abs() <= 2.0 {

@@ -65,6 +65,6 @@ pub use decoder::{Decoder, DecoderLayer};
 pub use discriminator::Discriminator;
 pub use encoder::{Encoder, EncoderBlock, Posterior};
 pub use error::{Error, Result};
-pub use init::Init;
-pub use losses::{Adversary, LossConfig, Reconstruction};
+pub use init::Initialiser;
+pub use losses::{AdversarialLoss, LossConfig, ReconstructionLoss};
 pub use model::{Cape, Generator, Graphs};

@@ -14,7 +14,7 @@ use crate::{Error, Posterior, Result};
 /// See [`LossConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Reconstruction {
+pub enum ReconstructionLoss {
     /// Mean absolute difference.
     L1,
     /// Mean squared difference.
@@ -30,7 +30,7 @@ const HUBER_DELTA: f64 = 0.1;
 /// See [`LossConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Adversary {
+pub enum AdversarialLoss {
     /// Binary cross-entropy on logits with smoothed labels, as in CAPE.
     #[default]
     Bce,
@@ -42,11 +42,11 @@ pub enum Adversary {
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
-/// use cape_model::{Adversary, LossConfig, Reconstruction, losses};
+/// use cape_model::{AdversarialLoss, LossConfig, ReconstructionLoss, losses};
 ///
 /// let config = LossConfig {
-///     kind: Reconstruction::L1,
-///     adversary: Adversary::Bce,
+///     kind: ReconstructionLoss::L1,
+///     adversary: AdversarialLoss::Bce,
 ///     ..LossConfig::default()
 /// };
 /// config.validate()?;
@@ -65,7 +65,7 @@ pub enum Adversary {
 #[serde(default, deny_unknown_fields)]
 pub struct LossConfig {
     /// Kind of the reconstruction term.
-    pub kind: Reconstruction,
+    pub kind: ReconstructionLoss,
     /// Weight of the reconstruction term.
     pub reconstruction: f64,
     /// Weight of the edge term.
@@ -75,7 +75,7 @@ pub struct LossConfig {
     /// Weight of the adversarial terms, the generator's and the discriminator's.
     pub gan: f64,
     /// Kind of the adversarial terms.
-    pub adversary: Adversary,
+    pub adversary: AdversarialLoss,
     /// How far adversarial labels are moved from 0 and 1 towards each other.
     pub label_smoothing: f64,
     /// Strength of ½‖W‖² on the fully connected kernels. The paper's 2e-3 is applied twice by its
@@ -86,12 +86,12 @@ pub struct LossConfig {
 impl Default for LossConfig {
     fn default() -> Self {
         Self {
-            kind: Reconstruction::L1,
+            kind: ReconstructionLoss::L1,
             reconstruction: 1.0,
             edge: 1.0,
             kl: 8e-4,
             gan: 0.1,
-            adversary: Adversary::Bce,
+            adversary: AdversarialLoss::Bce,
             label_smoothing: 0.1,
             regularisation: 4e-6,
         }
@@ -131,16 +131,16 @@ impl LossConfig {
 /// `predicted`, `target`: `[batch, vertices, 3]`; `vertex_weights`: `[vertices]`, multiplied into
 /// each vertex's error.
 pub fn reconstruction(
-    kind: Reconstruction,
+    kind: ReconstructionLoss,
     predicted: Tensor<3>,
     target: Tensor<3>,
     vertex_weights: Option<Tensor<1>>,
 ) -> Tensor<1> {
     let difference = predicted - target;
     let error = match kind {
-        Reconstruction::L1 => difference.abs(),
-        Reconstruction::L2 => difference.clone() * difference,
-        Reconstruction::Huber => {
+        ReconstructionLoss::L1 => difference.abs(),
+        ReconstructionLoss::L2 => difference.clone() * difference,
+        ReconstructionLoss::Huber => {
             let size = difference.abs();
             let quadratic = size.clone().clamp_max(HUBER_DELTA);
             let linear = size - quadratic.clone();
@@ -177,8 +177,8 @@ pub fn kl(posterior: &Posterior) -> Tensor<1> {
 /// What the generator minimises, of the logits of its own samples.
 pub fn generator_adversarial(config: &LossConfig, fake: Tensor<3>) -> Tensor<1> {
     match config.adversary {
-        Adversary::Bce => cross_entropy(fake, 1.0 - config.label_smoothing),
-        Adversary::Hinge => -fake.mean(),
+        AdversarialLoss::Bce => cross_entropy(fake, 1.0 - config.label_smoothing),
+        AdversarialLoss::Hinge => -fake.mean(),
     }
 }
 
@@ -189,11 +189,11 @@ pub fn discriminator_adversarial(
     fake: Tensor<3>,
 ) -> Tensor<1> {
     match config.adversary {
-        Adversary::Bce => {
+        AdversarialLoss::Bce => {
             cross_entropy(real, 1.0 - config.label_smoothing)
                 + cross_entropy(fake, config.label_smoothing)
         }
-        Adversary::Hinge => relu(-real + 1.0).mean() + relu(fake + 1.0).mean(),
+        AdversarialLoss::Hinge => relu(-real + 1.0).mean() + relu(fake + 1.0).mean(),
     }
 }
 
@@ -230,10 +230,10 @@ mod tests {
         let x = tensor(&[0.05, -0.3, 1.0], [1, 1, 3]);
         let y = tensor(&[0.0, 0.0, 0.0], [1, 1, 3]);
         let of = |kind| value(reconstruction(kind, x.clone(), y.clone(), None));
-        assert!((of(Reconstruction::L1) - 0.45).abs() < 1e-6);
-        assert!((of(Reconstruction::L2) - (0.0025 + 0.09 + 1.0) / 3.0).abs() < 1e-6);
+        assert!((of(ReconstructionLoss::L1) - 0.45).abs() < 1e-6);
+        assert!((of(ReconstructionLoss::L2) - (0.0025 + 0.09 + 1.0) / 3.0).abs() < 1e-6);
         let huber = (0.5 * 0.0025 + (0.03 - 0.005) + (0.1 - 0.005)) / 3.0;
-        assert!((of(Reconstruction::Huber) - huber).abs() < 1e-6);
+        assert!((of(ReconstructionLoss::Huber) - huber).abs() < 1e-6);
     }
 
     #[test]
@@ -241,7 +241,7 @@ mod tests {
         let x = tensor(&[1.0, 1.0, 1.0, 1.0, 1.0, 1.0], [1, 2, 3]);
         let y = tensor(&[0.0; 6], [1, 2, 3]);
         let weights = tensor(&[2.0, 0.0], [2]);
-        assert_eq!(value(reconstruction(Reconstruction::L1, x, y, Some(weights))), 1.0);
+        assert_eq!(value(reconstruction(ReconstructionLoss::L1, x, y, Some(weights))), 1.0);
     }
 
     #[test]
@@ -271,7 +271,7 @@ mod tests {
 
     #[test]
     fn hinges_match_their_closed_forms() {
-        let config = LossConfig { adversary: Adversary::Hinge, ..LossConfig::default() };
+        let config = LossConfig { adversary: AdversarialLoss::Hinge, ..LossConfig::default() };
         let (real, fake) = ([0.5f32, 2.0], [-0.25f32, -3.0]);
         let [real, fake] = [real, fake].map(|values| tensor(&values, [1, 2, 1]));
         assert!((value(generator_adversarial(&config, fake.clone())) - 1.625).abs() < 1e-6);

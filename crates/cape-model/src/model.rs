@@ -5,7 +5,7 @@ use burn::{
 use cape_graph::{DevicePyramid, SparseMatrix};
 
 use crate::{
-    CapeConfig, Error, Init, Result, condition::ConditionNets, decoder::Decoder,
+    CapeConfig, Error, Initialiser, Result, condition::ConditionNets, decoder::Decoder,
     discriminator::Discriminator, encoder::Encoder,
 };
 
@@ -88,7 +88,7 @@ impl Cape {
         config.validate()?;
         let layers = config.filters.len();
         check_transitions("the generator", &graphs.generator, layers)?;
-        let mut init = Init::new(seed, config.deviation, device);
+        let mut init = Initialiser::new(seed, config.deviation, device);
         let vertices = graphs.generator.vertices();
         let (fine, coarse) = (vertices[0], vertices[layers]);
         let generator = Generator {

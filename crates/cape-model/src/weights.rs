@@ -18,7 +18,7 @@ use crate::{Error, Result};
 ///
 /// See [`Weights`] for an example.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Array {
+pub struct HostArray {
     /// Extents, row-major.
     pub shape: Vec<usize>,
     /// Values.
@@ -29,12 +29,12 @@ pub struct Array {
 ///
 /// ```
 /// use burn::tensor::Device;
-/// use cape_model::{Init, layers::Linear, weights::{self, Array}};
+/// use cape_model::{Initialiser, layers::Linear, weights::{self, HostArray}};
 ///
-/// let mut init = Init::new(1, 0.1, &Device::default());
+/// let mut init = Initialiser::new(1, 0.1, &Device::default());
 /// let layer = Linear::new(2, 3, &mut init);
 /// let saved = weights::collect(&layer);
-/// assert_eq!(saved["bias"], Array { shape: vec![3], values: vec![0.0; 3] });
+/// assert_eq!(saved["bias"], HostArray { shape: vec![3], values: vec![0.0; 3] });
 ///
 /// let directory = tempfile::tempdir()?;
 /// let path = directory.path().join("layer.safetensors");
@@ -43,26 +43,26 @@ pub struct Array {
 /// assert_eq!(weights::collect(&other), saved);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-pub type Weights = BTreeMap<String, Array>;
+pub type Weights = BTreeMap<String, HostArray>;
 
 /// Path of the parameter being visited; the names of enum variants are not part of it.
 ///
 /// ```
-/// use cape_model::weights::Trail;
+/// use cape_model::weights::ParamPath;
 ///
-/// let mut trail = Trail::default();
-/// trail.enter("decoder", "Struct:Decoder");
-/// trail.enter("blocks", "Vec");
-/// trail.enter("0", "Enum:DecoderLayer");
-/// trail.enter("bias", "Struct:ConvLayer");
-/// assert_eq!(trail.path(), "decoder.blocks.bias");
-/// trail.exit();
-/// assert_eq!(trail.path(), "decoder.blocks");
+/// let mut path = ParamPath::default();
+/// path.enter("decoder", "Struct:Decoder");
+/// path.enter("blocks", "Vec");
+/// path.enter("0", "Enum:DecoderLayer");
+/// path.enter("bias", "Struct:ConvLayer");
+/// assert_eq!(path.path(), "decoder.blocks.bias");
+/// path.exit();
+/// assert_eq!(path.path(), "decoder.blocks");
 /// ```
 #[derive(Debug, Default)]
-pub struct Trail(Vec<Option<String>>);
+pub struct ParamPath(Vec<Option<String>>);
 
-impl Trail {
+impl ParamPath {
     /// For a visitor's or mapper's `enter_module`.
     pub fn enter(&mut self, name: &str, container: &str) {
         self.0.push((!container.starts_with("Enum:")).then(|| name.to_owned()));
@@ -80,38 +80,38 @@ impl Trail {
 }
 
 /// Calls `f` with the path and the value of every float parameter.
-pub fn for_each_parameter<M: Module>(module: &M, f: impl FnMut(&str, ParameterRef)) {
-    struct Visitor<F> {
-        trail: Trail,
+pub fn for_each_parameter<M: Module>(module: &M, f: impl FnMut(&str, ParamRef)) {
+    struct ReadVisitor<F> {
+        path: ParamPath,
         f: F,
     }
-    impl<F: FnMut(&str, ParameterRef)> ModuleVisitor for Visitor<F> {
+    impl<F: FnMut(&str, ParamRef)> ModuleVisitor for ReadVisitor<F> {
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
             let tensor = param.val();
             let shape = tensor.dims().to_vec();
             let read = || values(tensor.clone());
             (self.f)(
-                &self.trail.path(),
-                ParameterRef { shape: &shape, device: tensor.device(), read: &read },
+                &self.path.path(),
+                ParamRef { shape: &shape, device: tensor.device(), read: &read },
             );
         }
         fn enter_module(&mut self, name: &str, container: &str) {
-            self.trail.enter(name, container);
+            self.path.enter(name, container);
         }
         fn exit_module(&mut self, _: &str, _: &str) {
-            self.trail.exit();
+            self.path.exit();
         }
     }
-    module.visit(&mut Visitor { trail: Trail::default(), f });
+    module.visit(&mut ReadVisitor { path: ParamPath::default(), f });
 }
 
 /// A parameter seen by [`for_each_parameter`].
 ///
 /// ```
 /// use burn::tensor::Device;
-/// use cape_model::{Init, layers::Linear, weights::for_each_parameter};
+/// use cape_model::{Initialiser, layers::Linear, weights::for_each_parameter};
 ///
-/// let layer = Linear::new(2, 3, &mut Init::new(1, 0.1, &Device::default()));
+/// let layer = Linear::new(2, 3, &mut Initialiser::new(1, 0.1, &Device::default()));
 /// let mut numbers = 0;
 /// for_each_parameter(&layer, |path, parameter| {
 ///     assert!(["weight", "bias"].contains(&path));
@@ -120,14 +120,14 @@ pub fn for_each_parameter<M: Module>(module: &M, f: impl FnMut(&str, ParameterRe
 /// });
 /// assert_eq!(numbers, 2 * 3 + 3);
 /// ```
-pub struct ParameterRef<'a> {
+pub struct ParamRef<'a> {
     /// Its extents.
     pub shape: &'a [usize],
     device: Device,
     read: &'a dyn Fn() -> Vec<f32>,
 }
 
-impl ParameterRef<'_> {
+impl ParamRef<'_> {
     /// The device it is on.
     pub fn device(&self) -> Device {
         self.device.clone()
@@ -148,7 +148,7 @@ fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
 pub fn collect<M: Module>(module: &M) -> Weights {
     let mut weights = Weights::new();
     for_each_parameter(module, |path, parameter| {
-        let array = Array { shape: parameter.shape.to_vec(), values: parameter.read() };
+        let array = HostArray { shape: parameter.shape.to_vec(), values: parameter.read() };
         weights.insert(path.to_owned(), array);
     });
     weights
@@ -177,16 +177,16 @@ pub fn apply<M: Module>(module: M, weights: &Weights) -> Result<M> {
         return error(name, "is not a parameter of this configuration".into());
     }
 
-    Ok(module.map(&mut Mapper { trail: Trail::default(), weights }))
+    Ok(module.map(&mut WriteMapper { path: ParamPath::default(), weights }))
 }
 
-struct Mapper<'a> {
-    trail: Trail,
+struct WriteMapper<'a> {
+    path: ParamPath,
     weights: &'a Weights,
 }
-impl ModuleMapper for Mapper<'_> {
+impl ModuleMapper for WriteMapper<'_> {
     fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-        let array = &self.weights[&self.trail.path()];
+        let array = &self.weights[&self.path.path()];
         let data = TensorData::new(array.values.clone(), array.shape.clone());
         param.map(|old| {
             let trained = old.is_require_grad();
@@ -195,10 +195,10 @@ impl ModuleMapper for Mapper<'_> {
         })
     }
     fn enter_module(&mut self, name: &str, container: &str) {
-        self.trail.enter(name, container);
+        self.path.enter(name, container);
     }
     fn exit_module(&mut self, _: &str, _: &str) {
-        self.trail.exit();
+        self.path.exit();
     }
 }
 
@@ -244,7 +244,7 @@ pub fn load(path: &Path) -> Result<Weights> {
                 .chunks_exact(4)
                 .map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
                 .collect();
-            Ok((name, Array { shape: view.shape().to_vec(), values }))
+            Ok((name, HostArray { shape: view.shape().to_vec(), values }))
         })
         .collect()
 }

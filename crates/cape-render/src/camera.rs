@@ -54,10 +54,10 @@ impl View {
 /// ```
 /// use cape_render::Bounds;
 ///
-/// let bounds = Bounds::of(&[[0., 0., 0.], [2., 4., 4.], [1., f32::NAN, 9.]]).unwrap();
+/// let bounds = Bounds::from_points(&[[0., 0., 0.], [2., 4., 4.], [1., f32::NAN, 9.]]).unwrap();
 /// assert_eq!(bounds.centre().to_array(), [1., 2., 2.]);
 /// assert_eq!(bounds.radius(), 3.0);
-/// assert!(Bounds::of(&[]).is_none());
+/// assert!(Bounds::from_points(&[]).is_none());
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
@@ -69,7 +69,7 @@ pub struct Bounds {
 
 impl Bounds {
     /// The box around the finite ones of `points`; `None` if there are none.
-    pub fn of<'a>(points: impl IntoIterator<Item = &'a [f32; 3]>) -> Option<Self> {
+    pub fn from_points<'a>(points: impl IntoIterator<Item = &'a [f32; 3]>) -> Option<Self> {
         let mut points = points.into_iter().map(|&p| Vec3::from(p)).filter(|p| p.is_finite());
         let first = points.next()?;
         Some(points.fold(Self { min: first, max: first }, |bounds, p| Self {
@@ -79,8 +79,8 @@ impl Bounds {
     }
 
     /// The box around all vertices of `meshes`; `None` if there are none.
-    pub fn of_meshes<'a>(meshes: impl IntoIterator<Item = &'a Mesh>) -> Option<Self> {
-        Self::of(meshes.into_iter().flat_map(|mesh| &mesh.vertices))
+    pub fn from_meshes<'a>(meshes: impl IntoIterator<Item = &'a Mesh>) -> Option<Self> {
+        Self::from_points(meshes.into_iter().flat_map(|mesh| &mesh.vertices))
     }
 
     /// The middle.
@@ -112,7 +112,7 @@ impl Bounds {
 /// use cape_render::{Bounds, Camera, Projection, Result, View, silhouette};
 ///
 /// let body = synthetic_body().mesh();
-/// let bounds = Bounds::of_meshes([&body]).unwrap();
+/// let bounds = Bounds::from_meshes([&body]).unwrap();
 /// let covered = |view| -> Result<usize> {
 ///     let camera = Camera::framing(&bounds, view, Projection::Orthographic, 1.0);
 ///     let picture = silhouette(&body, &camera, 64, 64)?;

@@ -16,7 +16,7 @@ const VIRIDIS: [[f32; 3]; 9] = [
 
 /// The colour, sRGB from 0 to 1, of a number from 0 to 1: dark blue, green, yellow. Numbers outside
 /// get the colour of the end they are beyond, and what is not a number is grey.
-pub fn colour_of(value: f32) -> [f32; 3] {
+pub fn colormap(value: f32) -> [f32; 3] {
     if value.is_nan() {
         return [0.5; 3];
     }
@@ -33,13 +33,13 @@ mod tests {
 
     #[test]
     fn ends_middle_and_beyond() {
-        assert_eq!(colour_of(-1.0), VIRIDIS[0]);
-        assert_eq!(colour_of(2.0), VIRIDIS[8]);
-        assert_eq!(colour_of(0.5), VIRIDIS[4]);
-        assert_eq!(colour_of(f32::NAN), [0.5; 3]);
+        assert_eq!(colormap(-1.0), VIRIDIS[0]);
+        assert_eq!(colormap(2.0), VIRIDIS[8]);
+        assert_eq!(colormap(0.5), VIRIDIS[4]);
+        assert_eq!(colormap(f32::NAN), [0.5; 3]);
         // Brightness rises all the way.
         let brightness = |value: f32| {
-            let [r, g, b] = colour_of(value);
+            let [r, g, b] = colormap(value);
             0.2126 * r + 0.7152 * g + 0.0722 * b
         };
         assert!(

@@ -35,7 +35,7 @@ mod visible;
 
 pub use animation::save_animation;
 pub use camera::{Bounds, Camera, Projection, View};
-pub use colour::colour_of;
+pub use colour::colormap;
 pub use error::{Error, Result};
 pub use image::{Image, MAX_SIDE};
 pub use plot::{Plot, Series};

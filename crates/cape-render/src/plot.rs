@@ -224,19 +224,19 @@ impl Plot {
 }
 
 /// How the lines of a plot look, in turn: every colour, then every colour dashed.
-fn looks() -> impl Iterator<Item = Look> {
-    let of = |dashed| COLOURS.map(|colour| Look { colour, dashed });
+fn looks() -> impl Iterator<Item = LineStyle> {
+    let of = |dashed| COLOURS.map(|colour| LineStyle { colour, dashed });
     [of(false), of(true)].into_iter().flatten().cycle()
 }
 
 /// How a line looks.
 #[derive(Debug, Clone, Copy)]
-struct Look {
+struct LineStyle {
     colour: [u8; 3],
     dashed: bool,
 }
 
-impl Look {
+impl LineStyle {
     fn stroke(self, image: &mut Image, line: Vec<Option<(f64, f64)>>, width: f64) {
         let line = if self.dashed { dashes(&line) } else { line };
         stroke(image, &line, width, self.colour);
@@ -359,7 +359,7 @@ mod tests {
             None,
         ];
         assert_eq!(cut, expected);
-        let looks: Vec<Look> = looks().take(2 * COLOURS.len() + 1).collect();
+        let looks: Vec<LineStyle> = looks().take(2 * COLOURS.len() + 1).collect();
         assert!(!looks[COLOURS.len() - 1].dashed && looks[COLOURS.len()].dashed);
         assert!(!looks[2 * COLOURS.len()].dashed);
     }

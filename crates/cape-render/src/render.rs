@@ -5,7 +5,9 @@ use rayon::prelude::*;
 use crate::{
     Bounds, Camera, Error, Image, Material, Projection, Result, Texture, View,
     raster::{BAND, Bands, EMPTY, Point, barycentric},
-    shade::{ContactShadow, Lights, Surface, sky_visibility, to_linear, to_srgb, vertex_normals},
+    shade::{
+        ContactShadow, Lights, ShadingPoint, sky_visibility, to_linear, to_srgb, vertex_normals,
+    },
 };
 
 /// Samples of a pixel.
@@ -32,12 +34,12 @@ pub enum Shading {
 /// let body = synthetic_body().mesh();
 /// let style = Style { width: 32, height: 32, ..Style::default() };
 /// let red = Material { colour: [0.8, 0.1, 0.1], gloss: 0.0 };
-/// let faceted = Object { material: red, ..Object::new(&body).flat() };
+/// let faceted = Object { material: red, ..Object::new(&body).with_flat_shading() };
 /// let [r, g, ..] = portrait(faceted, View::Front, &style)?.get(16, 16).unwrap();
 /// assert!(r > g);
 ///
 /// let green = vec![[0.1, 0.8, 0.1]; body.vertices.len()];
-/// let painted = Object::new(&body).coloured(&green);
+/// let painted = Object::new(&body).with_colours(&green);
 /// let [r, g, ..] = portrait(painted, View::Front, &style)?.get(16, 16).unwrap();
 /// assert!(g > r);
 /// # Ok::<(), cape_render::Error>(())
@@ -70,19 +72,19 @@ impl<'a> Object<'a> {
 
     /// The same with a colour for each vertex.
     #[must_use]
-    pub fn coloured(self, colours: &'a [[f32; 3]]) -> Self {
+    pub fn with_colours(self, colours: &'a [[f32; 3]]) -> Self {
         Self { colours: Some(colours), ..self }
     }
 
     /// The same with a picture on it.
     #[must_use]
-    pub fn textured(self, texture: Texture<'a>) -> Self {
+    pub fn with_texture(self, texture: Texture<'a>) -> Self {
         Self { texture: Some(texture), ..self }
     }
 
     /// The same with its triangles to be seen.
     #[must_use]
-    pub fn flat(self) -> Self {
+    pub fn with_flat_shading(self) -> Self {
         Self { shading: Shading::Flat, ..self }
     }
 }
@@ -147,7 +149,7 @@ impl Default for Style {
 }
 
 /// What the faces of an object have in common.
-struct Look<'a> {
+struct Appearance<'a> {
     first_face: u32,
     gloss: f32,
     texture: Option<Texture<'a>>,
@@ -163,14 +165,14 @@ struct Scene<'a> {
     sky: Option<Vec<f32>>,
     faces: Vec<[u32; 3]>,
     /// Of each object, in the order of their faces.
-    looks: Vec<Look<'a>>,
+    looks: Vec<Appearance<'a>>,
     bounds: Bounds,
 }
 
 impl<'a> Scene<'a> {
     fn new(objects: &[Object<'a>]) -> Result<Self> {
         let bounds =
-            Bounds::of_meshes(objects.iter().map(|object| object.mesh)).ok_or_else(|| {
+            Bounds::from_meshes(objects.iter().map(|object| object.mesh)).ok_or_else(|| {
                 Error::Argument("nothing to draw: the meshes have no vertices".into())
             })?;
         let mut scene = Self {
@@ -214,18 +216,18 @@ impl<'a> Scene<'a> {
         }
         let offset = self.vertices.len() as u32;
         let first_face = self.faces.len() as u32;
-        self.looks.push(Look { first_face, gloss: material.gloss, texture, shading });
+        self.looks.push(Appearance { first_face, gloss: material.gloss, texture, shading });
         self.vertices.extend(mesh.vertices.iter().map(|&v| Vec3::from(v)));
         self.faces.extend(mesh.faces.iter().map(|face| face.map(|i| i + offset)));
         self.normals.extend(vertex_normals(mesh));
         Ok(())
     }
 
-    fn look_of(&self, face: u32) -> &Look<'a> {
+    fn look_of(&self, face: u32) -> &Appearance<'a> {
         &self.looks[self.looks.partition_point(|look| look.first_face <= face) - 1]
     }
 
-    fn surface(&self, camera: &Camera, face: u32, weights: [f32; 3]) -> Surface {
+    fn surface(&self, camera: &Camera, face: u32, weights: [f32; 3]) -> ShadingPoint {
         let corners = self.faces[face as usize].map(|i| i as usize);
         let blend = |of: &[Vec3]| {
             of[corners[0]] * weights[0] + of[corners[1]] * weights[1] + of[corners[2]] * weights[2]
@@ -240,7 +242,7 @@ impl<'a> Scene<'a> {
             Shading::Smooth => blend(&self.normals).normalize_or(eye),
             Shading::Flat => flat.normalize_or(eye),
         };
-        Surface {
+        ShadingPoint {
             position,
             normal: if flipped { -normal } else { normal },
             eye,
@@ -324,7 +326,7 @@ pub fn render(objects: &[Object<'_>], camera: &Camera, style: &Style) -> Result<
 
 /// Draws one object from a standard view, framed.
 pub fn portrait(object: Object<'_>, view: View, style: &Style) -> Result<Image> {
-    let bounds = Bounds::of_meshes([object.mesh])
+    let bounds = Bounds::from_meshes([object.mesh])
         .ok_or_else(|| Error::Argument("nothing to draw: the mesh has no vertices".into()))?;
     let aspect = style.width as f32 / style.height.max(1) as f32;
     let camera = Camera::framing(&bounds, view, Projection::default(), aspect);

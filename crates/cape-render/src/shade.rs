@@ -156,7 +156,7 @@ pub(crate) struct Lights {
 }
 
 /// What shading knows of one point of a surface.
-pub(crate) struct Surface {
+pub(crate) struct ShadingPoint {
     pub(crate) position: Vec3,
     /// Unit, towards the camera's side.
     pub(crate) normal: Vec3,
@@ -185,13 +185,13 @@ impl Lights {
     }
 
     /// Linear radiance of `surface` towards the camera.
-    pub(crate) fn shade(&self, surface: &Surface) -> Vec3 {
+    pub(crate) fn shade(&self, surface: &ShadingPoint) -> Vec3 {
         const KEY: Vec3 = Vec3::new(1.32, 1.25, 1.16);
         const FILL: Vec3 = Vec3::new(0.20, 0.25, 0.33);
         const RIM: Vec3 = Vec3::new(0.85, 0.90, 1.0);
         const SKY: Vec3 = Vec3::new(0.30, 0.33, 0.385);
         const GROUND: Vec3 = Vec3::new(0.16, 0.14, 0.13);
-        let Surface { position, normal, eye, albedo, sky, gloss } = *surface;
+        let ShadingPoint { position, normal, eye, albedo, sky, gloss } = *surface;
         let facing = normal.dot(self.key);
         let key = match &self.shadow {
             Some(map) if facing > 0.0 => {

@@ -16,7 +16,7 @@ use crate::{Error, Image, Result, shade::to_linear};
 /// let coordinates = square.vertices.iter().map(|&[x, y, _]| [x, y]).collect();
 /// let uv = Uv { coordinates, faces: square.faces.clone() };
 /// let image = Image::new(2, 2, [20, 20, 220, 255])?;
-/// let object = Object::new(&square).textured(Texture { uv: &uv, image: &image });
+/// let object = Object::new(&square).with_texture(Texture { uv: &uv, image: &image });
 /// let style = Style { width: 16, height: 16, ..Style::default() };
 /// let [red, _, blue, _] = portrait(object, View::Front, &style)?.get(8, 8).unwrap();
 /// assert!(blue > red);

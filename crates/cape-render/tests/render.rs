@@ -44,7 +44,7 @@ fn plain(side: u32) -> Style {
 }
 
 fn camera(objects: &[&Mesh], view: View) -> Camera {
-    let bounds = Bounds::of_meshes(objects.iter().copied()).unwrap();
+    let bounds = Bounds::from_meshes(objects.iter().copied()).unwrap();
     Camera::framing(&bounds, view, Projection::default(), 1.0)
 }
 
@@ -52,7 +52,7 @@ fn camera(objects: &[&Mesh], view: View) -> Camera {
 fn the_nearer_object_hides_the_farther_one_in_any_order() {
     let (near, far) = (square(0.5, 0.3), square(-0.5, 0.8));
     let (red, blue) = ([[1.0, 0.0, 0.0]; 4], [[0.0, 0.0, 1.0]; 4]);
-    let objects = [Object::new(&near).coloured(&red), Object::new(&far).coloured(&blue)];
+    let objects = [Object::new(&near).with_colours(&red), Object::new(&far).with_colours(&blue)];
     let camera = camera(&[&near, &far], View::Front);
     let first = render(&objects, &camera, &plain(64)).unwrap();
     let second = render(&[objects[1], objects[0]], &camera, &plain(64)).unwrap();
@@ -177,7 +177,8 @@ fn flat_shading_is_the_same_all_over_a_face() {
         pixels.len()
     };
     // The highlight follows the eye, so that a face's pixels differ a little.
-    let (smooth, flat) = (colours(Object::new(&mesh)), colours(Object::new(&mesh).flat()));
+    let (smooth, flat) =
+        (colours(Object::new(&mesh)), colours(Object::new(&mesh).with_flat_shading()));
     assert!(3 * flat < smooth, "{flat} colours flat, {smooth} smooth");
 }
 
@@ -203,7 +204,7 @@ fn a_texture_lies_on_the_surface_the_right_way_up() {
         1.0,
         [1.0, 9.0],
     );
-    let picture = render(&[Object::new(&mesh).textured(texture)], &camera, &plain(64)).unwrap();
+    let picture = render(&[Object::new(&mesh).with_texture(texture)], &camera, &plain(64)).unwrap();
     let strongest = |x: u32, y: u32| {
         let [r, g, b, _] = picture.get(x, y).unwrap();
         [r, g, b].map(|c| c > 128)
@@ -215,7 +216,7 @@ fn a_texture_lies_on_the_surface_the_right_way_up() {
 
     let short = Uv { faces: uv.faces[..1].to_vec(), ..uv.clone() };
     let wrong = Texture { uv: &short, image: &image };
-    assert!(render(&[Object::new(&mesh).textured(wrong)], &camera, &plain(8)).is_err());
+    assert!(render(&[Object::new(&mesh).with_texture(wrong)], &camera, &plain(8)).is_err());
 }
 
 #[test]

@@ -3,10 +3,10 @@
 
 pub mod density;
 pub mod errors;
-mod paired;
+mod paired_comparison;
 pub mod pca;
 pub mod resample;
 
 pub use cape_core::{Error, Result};
 
-pub use paired::Paired;
+pub use paired_comparison::PairedComparison;

@@ -37,9 +37,9 @@ pub fn clusters<'a>(frames: impl Iterator<Item = (&'a str, f64)>) -> BTreeMap<&'
 
 /// An interval that contains the mean in 95 of 100 such data sets.
 ///
-/// See [`Table`](super::Table) for an example.
+/// See [`ComparisonTable`](super::ComparisonTable) for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Interval {
+pub struct ConfidenceInterval {
     /// Its lower end.
     pub low: f64,
     /// Its upper end.
@@ -52,7 +52,7 @@ fn mean_of(clusters: impl Iterator<Item = Cluster>) -> f64 {
 }
 
 /// Percentile bootstrap of the mean over frames, by captures; none for fewer than two.
-pub fn interval(clusters: &[Cluster]) -> Option<Interval> {
+pub fn interval(clusters: &[Cluster]) -> Option<ConfidenceInterval> {
     if clusters.len() < 2 {
         return None;
     }
@@ -65,7 +65,7 @@ pub fn interval(clusters: &[Cluster]) -> Option<Interval> {
         .collect();
     means.sort_by(f64::total_cmp);
     let at = |share: f64| means[((RESAMPLES - 1) as f64 * share).round() as usize];
-    Some(Interval { low: at(0.025), high: at(0.975) })
+    Some(ConfidenceInterval { low: at(0.025), high: at(0.975) })
 }
 
 /// Probability of a difference of means at least as large if none of the two methods were better:
@@ -133,7 +133,7 @@ mod tests {
         assert_eq!(sign_test(&one_sided[..1]), None);
         assert_eq!(interval(&one_sided[..1]), None);
         let same = [cluster(2.0); 5];
-        assert_eq!(interval(&same), Some(Interval { low: 2.0, high: 2.0 }));
+        assert_eq!(interval(&same), Some(ConfidenceInterval { low: 2.0, high: 2.0 }));
     }
 
     #[test]

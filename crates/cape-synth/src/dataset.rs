@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use super::{
     Motion, MotionStyle, Wardrobe,
-    wardrobe::{Fitting, mix_seed},
+    wardrobe::{FittedOutfit, mix_seed},
 };
 use crate::{Error, Result};
 use cape_core::{
@@ -33,7 +33,7 @@ use cape_core::{
 ///     motions: vec![Motion::Squats, Motion::Soccer],
 ///     ..SynthSpec::default()
 /// };
-/// assert_eq!(spec.takes().len(), 2 * 2);
+/// assert_eq!(spec.sequences().len(), 2 * 2);
 /// assert_eq!(spec.train_motions(), [Motion::Squats]);
 /// assert_eq!(spec.test_motions(), [Motion::Soccer]);
 /// ```
@@ -83,11 +83,15 @@ impl SynthSpec {
     }
 
     /// All takes: for each subject, each outfit, each movement.
-    pub fn takes(&self) -> Vec<Take> {
+    pub fn sequences(&self) -> Vec<SynthSequence> {
         (0..self.subjects)
             .flat_map(|subject| {
                 self.outfits.iter().flat_map(move |&outfit| {
-                    self.motions.iter().map(move |&motion| Take { subject, outfit, motion })
+                    self.motions.iter().map(move |&motion| SynthSequence {
+                        subject,
+                        outfit,
+                        motion,
+                    })
                 })
             })
             .collect()
@@ -117,13 +121,13 @@ impl SynthSpec {
 ///
 /// ```
 /// use cape_core::Outfit;
-/// use cape_synth::{Motion, Take};
+/// use cape_synth::{Motion, SynthSequence};
 ///
-/// let take = Take { subject: 0, outfit: Outfit::LongLong, motion: Motion::Hips };
+/// let take = SynthSequence { subject: 0, outfit: Outfit::LongLong, motion: Motion::Hips };
 /// assert_eq!(take.name(), "longlong_hips");
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Take {
+pub struct SynthSequence {
     /// Number of the subject, from 0.
     pub subject: usize,
     /// What is worn.
@@ -132,7 +136,7 @@ pub struct Take {
     pub motion: Motion,
 }
 
-impl Take {
+impl SynthSequence {
     /// The subject's name in files.
     pub fn subject_name(&self) -> String {
         subject_name(self.subject)
@@ -150,7 +154,7 @@ fn subject_name(subject: usize) -> String {
 
 /// One frame of a take.
 ///
-/// See [`Synth`] for an example.
+/// See [`CaptureGenerator`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SynthFrame {
     /// Clothed vertices in canonical space: minimal body plus displacement, metres, `[V, 3]`.
@@ -166,11 +170,11 @@ pub struct SynthFrame {
 /// A generator of synthetic frames for a body.
 ///
 /// ```
-/// use cape_synth::{Synth, SynthSpec, synthetic_body};
+/// use cape_synth::{CaptureGenerator, SynthSpec, synthetic_body};
 ///
 /// let body = synthetic_body();
-/// let synth = Synth::new(&body, SynthSpec::default())?;
-/// let session = synth.session(synth.spec().takes()[0])?;
+/// let synth = CaptureGenerator::new(&body, SynthSpec::default())?;
+/// let session = synth.prepare(synth.spec().sequences()[0])?;
 /// let frame = synth.frame(&session, 3)?;
 /// assert_eq!((frame.v_posed.dim(), frame.pose.len()), ((6890, 3), 72));
 /// // The lowest vertex is on the floor.
@@ -183,7 +187,7 @@ pub struct SynthFrame {
 /// # Ok::<(), cape_core::Error>(())
 /// ```
 #[derive(Debug, Clone)]
-pub struct Synth<'a> {
+pub struct CaptureGenerator<'a> {
     model: &'a SmplModel,
     wardrobe: Wardrobe<'a>,
     spec: SynthSpec,
@@ -191,23 +195,23 @@ pub struct Synth<'a> {
 
 /// A take with all that its frames share.
 ///
-/// See [`Synth`] for an example.
+/// See [`CaptureGenerator`] for an example.
 #[derive(Debug, Clone)]
-pub struct Session {
-    take: Take,
+pub struct SequenceGenerator {
+    take: SynthSequence,
     style: MotionStyle,
-    fitting: Fitting,
+    fitting: FittedOutfit,
     minimal: Array2<f64>,
 }
 
-impl Session {
+impl SequenceGenerator {
     /// Who, in what, doing what.
-    pub fn take(&self) -> Take {
+    pub fn sequence(&self) -> SynthSequence {
         self.take
     }
 
     /// What is worn, laid out on the body.
-    pub fn fitting(&self) -> &Fitting {
+    pub fn fitted_outfit(&self) -> &FittedOutfit {
         &self.fitting
     }
 
@@ -217,7 +221,7 @@ impl Session {
     }
 }
 
-impl<'a> Synth<'a> {
+impl<'a> CaptureGenerator<'a> {
     /// A generator for `model`, which must have SMPL's 24 joints.
     pub fn new(model: &'a SmplModel, spec: SynthSpec) -> Result<Self> {
         spec.check()?;
@@ -236,17 +240,17 @@ impl<'a> Synth<'a> {
 
     /// A subject's unclothed rest vertices, metres, `[V, 3]`.
     pub fn minimal(&self, subject: usize) -> Result<Array2<f64>> {
-        self.model.shaped(&self.wardrobe.betas(subject))
+        self.model.rest_shape(&self.wardrobe.betas(subject))
     }
 
     /// Prepares a take.
-    pub fn session(&self, take: Take) -> Result<Session> {
-        let Take { subject, outfit, motion } = take;
+    pub fn prepare(&self, take: SynthSequence) -> Result<SequenceGenerator> {
+        let SynthSequence { subject, outfit, motion } = take;
         let path = [4, subject as u64, outfit.index() as u64, motion as u64];
         let style =
             MotionStyle::random(&mut ChaCha8Rng::seed_from_u64(mix_seed(self.spec.seed, &path)));
-        let garment = self.wardrobe.garment(subject, outfit, motion as usize);
-        Ok(Session {
+        let garment = self.wardrobe.outfit_style(subject, outfit, motion as usize);
+        Ok(SequenceGenerator {
             take,
             style,
             fitting: self.wardrobe.fit(garment),
@@ -255,19 +259,19 @@ impl<'a> Synth<'a> {
     }
 
     /// The pose of a frame, `[72]`.
-    pub fn pose(&self, session: &Session, frame: usize) -> [f64; 72] {
+    pub fn pose(&self, session: &SequenceGenerator, frame: usize) -> [f64; 72] {
         session.take.motion.pose(&session.style, self.time(frame))
     }
 
     /// The clothing displacement of a frame with scan noise, metres, `[V, 3]`.
-    pub fn displacement(&self, session: &Session, frame: usize) -> Result<Array2<f64>> {
+    pub fn displacement(&self, session: &SequenceGenerator, frame: usize) -> Result<Array2<f64>> {
         let pose = self.pose(session, frame);
         let noise = Some(frame as u64);
         self.wardrobe.displacement(&session.fitting, &pose, self.time(frame), noise)
     }
 
     /// One frame of a take.
-    pub fn frame(&self, session: &Session, frame: usize) -> Result<SynthFrame> {
+    pub fn frame(&self, session: &SequenceGenerator, frame: usize) -> Result<SynthFrame> {
         let pose = self.pose(session, frame);
         let displacement = self.displacement(session, frame)?;
         let minimal = &session.minimal;
@@ -283,8 +287,8 @@ impl<'a> Synth<'a> {
     }
 
     /// All frames of a take, computed in parallel.
-    pub fn frames(&self, take: Take) -> Result<Vec<SynthFrame>> {
-        let session = self.session(take)?;
+    pub fn frames(&self, take: SynthSequence) -> Result<Vec<SynthFrame>> {
+        let session = self.prepare(take)?;
         let frames = 0..self.spec.frames_per_sequence;
         frames.into_par_iter().map(|frame| self.frame(&session, frame)).collect()
     }
@@ -312,14 +316,14 @@ impl<'a> Synth<'a> {
             create(&directory)?;
             write_npy(directory.join(format!("{name}_minimal.npy")), &self.minimal(subject)?)?;
         }
-        let takes = self.spec.takes();
+        let takes = self.spec.sequences();
         let total = takes.len() * self.spec.frames_per_sequence;
         progress(0, total);
         for (done, &take) in takes.iter().enumerate() {
             let name = take.name();
             let directory = root.join("sequences").join(take.subject_name()).join(&name);
             create(&directory)?;
-            let session = self.session(take)?;
+            let session = self.prepare(take)?;
             (0..self.spec.frames_per_sequence).into_par_iter().try_for_each(|frame| {
                 let path = directory.join(format!("{name}.{:06}.npz", frame + 1));
                 write_frame(path, &self.frame(&session, frame)?)

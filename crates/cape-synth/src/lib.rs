@@ -7,7 +7,7 @@
 //!
 //! let body = synthetic_body();
 //! let wardrobe = Wardrobe::new(&body, 7)?;
-//! let worn = wardrobe.fit(wardrobe.garment(0, Outfit::ShortLong, 0));
+//! let worn = wardrobe.fit(wardrobe.outfit_style(0, Outfit::ShortLong, 0));
 //! let pose = [0.0; 72];
 //! let clothes = wardrobe.displacement(&worn, &pose, 0.0, None)?;
 //! let dressed = body.pose(&[1.0, -0.5], &pose, [0.0; 3], Some(&clothes))?;
@@ -25,6 +25,6 @@ mod wardrobe;
 pub use cape_core::{Error, Result};
 
 pub use body::{FACES as BODY_FACES, VERTICES as BODY_VERTICES, synthetic_body};
-pub use dataset::{Session, Synth, SynthFrame, SynthSpec, Take};
+pub use dataset::{CaptureGenerator, SequenceGenerator, SynthFrame, SynthSequence, SynthSpec};
 pub use motion::{Motion, MotionStyle};
-pub use wardrobe::{Fitting, Garment, Wardrobe};
+pub use wardrobe::{FittedOutfit, OutfitStyle, Wardrobe};

@@ -126,12 +126,12 @@ impl Motion {
     /// The pose `[72]` (24 axis-angles, radians) at `time` seconds.
     pub fn pose(self, style: &MotionStyle, time: f64) -> [f64; 72] {
         let t = TAU * time * style.tempo / self.period() + style.phase;
-        let mut figure = Figure::standing(style, time);
+        let mut figure = PoseBuilder::standing(style, time);
         self.perform(&mut figure, t, style);
         figure.axis_angles()
     }
 
-    fn perform(self, f: &mut Figure, t: f64, style: &MotionStyle) {
+    fn perform(self, f: &mut PoseBuilder, t: f64, style: &MotionStyle) {
         let a = style.amplitude;
         let (s, c) = t.sin_cos();
         // From 0 through 1 and back, once a repetition.
@@ -343,14 +343,14 @@ impl MotionStyle {
 const HANG: f64 = -1.3;
 
 /// Local rotations of all joints under construction.
-struct Figure {
+struct PoseBuilder {
     rotations: [DQuat; joint::COUNT],
     /// How far the pelvis leans forward, and each shin relative to it, radians.
     lean: f64,
     shins: [f64; 2],
 }
 
-impl Figure {
+impl PoseBuilder {
     /// Upright, arms hanging, breathing.
     fn standing(style: &MotionStyle, time: f64) -> Self {
         let rotations = [DQuat::IDENTITY; joint::COUNT];
@@ -483,7 +483,7 @@ mod tests {
     #[test]
     fn bending_goes_the_human_way() {
         // A raised left arm points up, a bent elbow forward, a bent knee back.
-        let mut figure = Figure::standing(&MotionStyle::default(), 0.0);
+        let mut figure = PoseBuilder::standing(&MotionStyle::default(), 0.0);
         figure.arm(0, 1.0, 0.0, 0.0, 1.0);
         let arm = figure.rotations[joint::COLLARS[0]] * figure.rotations[joint::SHOULDERS[0]];
         assert!((arm * DVec3::X).y > 0.8);

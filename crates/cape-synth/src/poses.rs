@@ -47,7 +47,7 @@ pub fn poses(text: &str) -> Result<Vec<(String, BodyPose)>> {
 ///
 /// # Errors
 /// As of [`poses`].
-pub fn movement(text: &str, seconds: f64, frames_per_second: f64) -> Result<Vec<BodyPose>> {
+pub fn motion_poses(text: &str, seconds: f64, frames_per_second: f64) -> Result<Vec<BodyPose>> {
     let name = if text == "walk" { Motion::WalkMarch.name() } else { text };
     if let Some(motion) = Motion::ALL.into_iter().find(|motion| motion.name() == name) {
         let frames = (seconds * frames_per_second).round().max(1.0) as usize;

@@ -78,7 +78,7 @@ impl LimbSite {
 
 /// All that clothing needs to know about a vertex of the rest body.
 #[derive(Debug, Clone)]
-pub(super) struct Site {
+pub(super) struct VertexSite {
     pub(super) position: DVec3,
     pub(super) normal: DVec3,
     /// 0 for the body's left (+x), 1 for its right.
@@ -103,7 +103,7 @@ pub(super) struct Site {
 /// The sites of all vertices, and the rest joints.
 #[derive(Debug, Clone)]
 pub(super) struct Regions {
-    pub(super) sites: Vec<Site>,
+    pub(super) sites: Vec<VertexSite>,
     pub(super) joints: Vec<DVec3>,
 }
 
@@ -138,7 +138,13 @@ impl Regions {
     }
 }
 
-fn site(position: DVec3, normal: DVec3, edge: f64, weights: &[f64], joints: &[DVec3]) -> Site {
+fn site(
+    position: DVec3,
+    normal: DVec3,
+    edge: f64,
+    weights: &[f64],
+    joints: &[DVec3],
+) -> VertexSite {
     let side = usize::from(position.x < joints[joint::PELVIS].x);
     let limb =
         |names: [[usize; 2]; 3]| LimbSite::new(position, names.map(|name| joints[name[side]]));
@@ -164,7 +170,7 @@ fn site(position: DVec3, normal: DVec3, edge: f64, weights: &[f64], joints: &[DV
     let mut bones: Vec<(usize, f64)> = weights.iter().copied().enumerate().collect();
     bones.sort_by(|a, b| b.1.total_cmp(&a.1));
     let bones = std::array::from_fn(|i| bones[i]);
-    Site {
+    VertexSite {
         position,
         normal,
         side,

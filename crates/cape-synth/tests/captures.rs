@@ -6,7 +6,9 @@ use cape_core::{
     Outfit, SmplModel,
     npy::{Npz, read_f64, read_i64},
 };
-use cape_synth::{Motion, MotionStyle, Synth, SynthSpec, Take, Wardrobe, synthetic_body};
+use cape_synth::{
+    CaptureGenerator, Motion, MotionStyle, SynthSequence, SynthSpec, Wardrobe, synthetic_body,
+};
 use ndarray::{Array1, Array2, Axis, s};
 use rayon::prelude::*;
 
@@ -26,14 +28,14 @@ fn distance(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
 }
 
 /// Displacements on clothing vertices, millimetres, one row a frame, of training or test motions.
-fn displacements(synth: &Synth<'_>, clothing: &[usize], test: bool) -> Array2<f64> {
+fn displacements(synth: &CaptureGenerator<'_>, clothing: &[usize], test: bool) -> Array2<f64> {
     let spec = synth.spec();
     let takes: Vec<_> =
-        spec.takes().into_iter().filter(|take| take.motion.is_test() == test).collect();
+        spec.sequences().into_iter().filter(|take| take.motion.is_test() == test).collect();
     let rows: Vec<Vec<f64>> = takes
         .par_iter()
         .flat_map_iter(|&take| {
-            let session = synth.session(take).unwrap();
+            let session = synth.prepare(take).unwrap();
             (0..spec.frames_per_sequence).map(move |frame| {
                 let displacement = synth.displacement(&session, frame).unwrap();
                 let rows = clothing.iter().flat_map(|&v| displacement.row(v).to_vec());
@@ -113,7 +115,7 @@ fn mean_length(rows: &Array2<f64>) -> f64 {
 fn statistics_are_near_the_real_ones_and_no_linear_model_of_18_explains_them() {
     let spec =
         SynthSpec { subjects: 4, frames_per_sequence: 4, frame_rate: 2.1, ..SynthSpec::default() };
-    let synth = Synth::new(body(), spec).unwrap();
+    let synth = CaptureGenerator::new(body(), spec).unwrap();
     let clothing = synth.wardrobe().clothing_vertices();
     assert!((3100..=4200).contains(&clothing.len()), "{}", clothing.len());
 
@@ -158,7 +160,7 @@ fn head_hands_and_feet_are_bare() {
         assert_eq!(dressed, 0, "{joint}");
     }
     for outfit in Outfit::ALL {
-        let fitting = wardrobe.fit(wardrobe.garment(0, outfit, 3));
+        let fitting = wardrobe.fit(wardrobe.outfit_style(0, outfit, 3));
         let pose = Motion::PoseModel.pose(&MotionStyle::default(), 2.0);
         let displacement = wardrobe.displacement(&fitting, &pose, 2.0, None).unwrap();
         let coverage = fitting.coverage();
@@ -175,7 +177,7 @@ fn head_hands_and_feet_are_bare() {
 fn sleeves_and_legs_are_as_long_as_the_outfit_says() {
     let wardrobe = Wardrobe::new(body(), 2).unwrap();
     let part = |joints: [usize; 2], garment: usize, outfit: Outfit, sequence: usize| {
-        let coverage = wardrobe.fit(wardrobe.garment(1, outfit, sequence)).coverage();
+        let coverage = wardrobe.fit(wardrobe.outfit_style(1, outfit, sequence)).coverage();
         let bound = joints.map(|joint| body().weights.column(joint));
         let (mut all, mut covered) = (0, 0);
         for vertex in wardrobe.clothing_vertices() {
@@ -201,7 +203,7 @@ fn sleeves_and_legs_are_as_long_as_the_outfit_says() {
 #[test]
 fn hems_are_steps_within_one_edge() {
     let wardrobe = Wardrobe::new(body(), 9).unwrap();
-    let fitting = wardrobe.fit(wardrobe.garment(0, Outfit::ShortShort, 0));
+    let fitting = wardrobe.fit(wardrobe.outfit_style(0, Outfit::ShortShort, 0));
     let displacement = wardrobe.displacement(&fitting, &[0.0; 72], 0.0, None).unwrap();
     let dressed: Vec<bool> = fitting.coverage().iter().map(|c| *c != [false; 2]).collect();
     let length = |v: usize| displacement.row(v).dot(&displacement.row(v)).sqrt();
@@ -223,7 +225,7 @@ fn hems_are_steps_within_one_edge() {
 fn garments_last_a_sequence_and_are_not_a_function_of_the_pose() {
     let wardrobe = Wardrobe::new(body(), 4).unwrap();
     let wear = |sequence: usize, motion: Motion, noise: Option<u64>| {
-        let fitting = wardrobe.fit(wardrobe.garment(0, Outfit::LongLong, sequence));
+        let fitting = wardrobe.fit(wardrobe.outfit_style(0, Outfit::LongLong, sequence));
         let pose = motion.pose(&MotionStyle::default(), 1.0);
         wardrobe.displacement(&fitting, &pose, 0.0, noise).unwrap()
     };
@@ -250,7 +252,7 @@ fn files_follow_the_release_whatever_the_number_of_threads() {
         motions: vec![Motion::Squats, Motion::Soccer],
         ..SynthSpec::default()
     };
-    let synth = Synth::new(body(), spec).unwrap();
+    let synth = CaptureGenerator::new(body(), spec).unwrap();
     let write = |threads: usize| {
         let directory = tempfile::tempdir().unwrap();
         let mut seen = Vec::new();
@@ -258,7 +260,7 @@ fn files_follow_the_release_whatever_the_number_of_threads() {
         let mut progress = |done, total| seen.push((done, total));
         let frames: Vec<_> = pool.install(|| {
             synth.write(directory.path(), &mut progress).unwrap();
-            synth.spec().takes().iter().map(|&take| synth.frames(take).unwrap()).collect()
+            synth.spec().sequences().iter().map(|&take| synth.frames(take).unwrap()).collect()
         });
         assert_eq!(seen, [(0, 6), (3, 6), (6, 6)]);
         (directory, frames)
@@ -282,8 +284,8 @@ fn files_follow_the_release_whatever_the_number_of_threads() {
     let (cano, posed) = (get(&mut frame, "v_cano"), get(&mut frame, "v_posed"));
     let pose = frame.f64("pose").unwrap();
     let transl = frame.f64("transl").unwrap();
-    let take = Take { subject: 0, outfit: Outfit::LongShort, motion: Motion::Squats };
-    let session = synth.session(take).unwrap();
+    let take = SynthSequence { subject: 0, outfit: Outfit::LongShort, motion: Motion::Squats };
+    let session = synth.prepare(take).unwrap();
     let displacement = synth.displacement(&session, 1).unwrap();
     assert!(distance(&(&cano - &minimal), &displacement) < 1e-4);
     let unposed = body()
@@ -296,13 +298,13 @@ fn files_follow_the_release_whatever_the_number_of_threads() {
 
 #[test]
 fn unusable_requests_are_errors() {
-    let message = |spec: SynthSpec| Synth::new(body(), spec).unwrap_err().to_string();
+    let message = |spec: SynthSpec| CaptureGenerator::new(body(), spec).unwrap_err().to_string();
     let spec = SynthSpec::default;
     assert!(message(SynthSpec { subjects: 0, ..spec() }).contains("subjects"));
     assert!(message(SynthSpec { frames_per_sequence: 0, ..spec() }).contains("frames"));
     assert!(message(SynthSpec { frame_rate: f64::NAN, ..spec() }).contains("rate"));
     let wardrobe = Wardrobe::new(body(), 1).unwrap();
-    let fitting = wardrobe.fit(wardrobe.garment(0, Outfit::LongLong, 0));
+    let fitting = wardrobe.fit(wardrobe.outfit_style(0, Outfit::LongLong, 0));
     let failed = wardrobe.displacement(&fitting, &[0.0; 71], 0.0, None).unwrap_err();
     assert!(failed.to_string().contains("71"));
     let mut short = body().clone();

@@ -4,7 +4,7 @@
 #[allow(dead_code)]
 fn triangles() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
     use cape_core::Outfit;
-    use cape_data::{PackOptions, SequenceList, Split, pack, raw};
+    use cape_data::{PackOptions, SequenceList, SplitSpec, pack, raw};
 
     let directory = tempfile::tempdir()?;
     let [raw, packed] = ["raw", "packed"].map(|name| directory.path().join(name));
@@ -22,7 +22,7 @@ fn triangles() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
         }
     }
     let list = |name: &str| SequenceList { sequences: vec![name.into()], exclude: Vec::new() };
-    let split = Split {
+    let split = SplitSpec {
         subjects: vec!["anna".into()],
         outfits: vec![Outfit::LongLong],
         cut: 0,
@@ -39,8 +39,8 @@ fn triangles() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
 #[allow(dead_code)]
 fn captures() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
     use cape_core::Outfit;
-    use cape_synth::{Motion, Synth, SynthSpec, synthetic_body};
-    use cape_data::{PackOptions, SequenceList, Split, pack};
+    use cape_synth::{Motion, CaptureGenerator, SynthSpec, synthetic_body};
+    use cape_data::{PackOptions, SequenceList, SplitSpec, pack};
 
     let directory = tempfile::tempdir()?;
     let [raw, packed] = ["raw", "packed"].map(|name| directory.path().join(name));
@@ -53,7 +53,7 @@ fn captures() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
     };
     let list =
         |motion: Motion| SequenceList { sequences: vec![motion.to_string()], exclude: Vec::new() };
-    let split = Split {
+    let split = SplitSpec {
         subjects: spec.subject_names(),
         outfits: spec.outfits.clone(),
         cut: 0,
@@ -61,7 +61,7 @@ fn captures() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
         train: list(Motion::Squats),
         test: list(Motion::Soccer),
     };
-    Synth::new(&synthetic_body(), spec)?.write(&raw, &mut cape_core::silent)?;
+    CaptureGenerator::new(&synthetic_body(), spec)?.write(&raw, &mut cape_core::silent)?;
     pack(&raw, &packed, &split, PackOptions::default(), &mut cape_core::silent)?;
     Ok(directory)
 }

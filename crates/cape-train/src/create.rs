@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use cape_data::{PackedSet, Part, Statistics};
+use cape_data::{DisplacementStatistics, PackedSet, Split};
 use cape_infer::{DataIdentity, RunConfig, RunPaths, body_and_clothing, write_json};
 
 use crate::{Error, Result};
@@ -23,8 +23,8 @@ pub(crate) fn create(
             root.display()
         )));
     }
-    let set = PackedSet::open(data, Part::Train)?;
-    let statistics = Statistics::of_packed(data, &mut cape_core::silent)?;
+    let set = PackedSet::open(data, Split::Train)?;
+    let statistics = DisplacementStatistics::from_packed(data, &mut cape_core::silent)?;
     let (model, mask) = body_and_clothing(data, &set, body, clothing)?;
 
     let paths = RunPaths::new(root);

@@ -5,13 +5,13 @@ use cape_model::{Cape, Generator, Graphs, LossConfig, weights};
 
 use crate::{
     Result,
-    average::Average,
     objective::{Losses, StepInput, evaluate},
     optim::{Optimiser, global_norm},
+    parameter_average::ParameterAverage,
 };
 use cape_infer::{
     RunConfig,
-    checkpoint::{Checkpoint, Progress},
+    checkpoint::{Checkpoint, TrainState},
 };
 
 /// A model being trained: networks, optimisers and, if asked for, averaged weights.
@@ -22,8 +22,8 @@ use cape_infer::{
 /// use burn::tensor::{Device, Tensor};
 /// use cape_core::Mesh;
 /// use cape_model::CapeConfig;
-/// use cape_infer::{Frames, RunConfig, build_graphs};
-/// use cape_train::{learner::{Learner, Pace}, objective::StepInput};
+/// use cape_infer::{DeviceBatch, RunConfig, build_graphs};
+/// use cape_train::{learner::{Learner, UpdateOptions}, objective::StepInput};
 ///
 /// let tetrahedron = Mesh {
 ///     vertices: vec![[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., 0., 1.]],
@@ -41,13 +41,13 @@ use cape_infer::{
 /// let device = Device::default().autodiff();
 /// let graphs = build_graphs(&config, &tetrahedron, &device)?;
 /// let mut learner = Learner::new(&config, graphs, &device)?;
-/// let frames = Frames {
+/// let frames = DeviceBatch {
 ///     displacement: Tensor::ones([2, 4, 3], &device),
 ///     pose_feature: Tensor::zeros([2, 126], &device),
 ///     outfit: Tensor::zeros([2, 4], &device),
 /// };
 /// let input = StepInput { frames, epsilon: None, real: None };
-/// let pace = Pace { rate: 0.01, kl_share: 1.0, detailed: false };
+/// let pace = UpdateOptions { rate: 0.01, kl_share: 1.0, detailed: false };
 /// let first = learner.update(&input, pace)?.losses;
 /// for _ in 0..20 {
 ///     learner.update(&input, pace)?;
@@ -63,7 +63,7 @@ pub struct Learner {
     generator: Optimiser,
     discriminator: Optimiser,
     discriminator_rate_scale: f64,
-    average: Option<Average>,
+    average: Option<ParameterAverage>,
     steps: u64,
 }
 
@@ -71,7 +71,7 @@ pub struct Learner {
 ///
 /// See [`Learner`] for an example.
 #[derive(Debug, Clone, Copy)]
-pub struct Update {
+pub struct UpdateReport {
     /// Losses before it.
     pub losses: Losses,
     /// Length of the generator's gradient before clipping.
@@ -87,7 +87,7 @@ pub struct Update {
 ///
 /// See [`Learner`] for an example.
 #[derive(Debug, Clone, Copy)]
-pub struct Pace {
+pub struct UpdateOptions {
     /// The generator's learning rate.
     pub rate: f64,
     /// Share of the Kullback–Leibler term's weight that counts.
@@ -109,7 +109,7 @@ impl Learner {
             generator: optimiser(),
             discriminator: optimiser(),
             discriminator_rate_scale: train.discriminator_rate_scale,
-            average: (train.ema > 0.0).then(|| Average::new(train.ema)),
+            average: (train.ema > 0.0).then(|| ParameterAverage::new(train.ema)),
             steps: 0,
         })
     }
@@ -136,7 +136,11 @@ impl Learner {
     ///
     /// # Errors
     /// The name of what is not a finite number; nothing is updated then.
-    pub fn update(&mut self, input: &StepInput, pace: Pace) -> Result<Update, &'static str> {
+    pub fn update(
+        &mut self,
+        input: &StepInput,
+        pace: UpdateOptions,
+    ) -> Result<UpdateReport, &'static str> {
         let loss = LossConfig { kl: self.loss.kl * pace.kl_share, ..self.loss.clone() };
         let evaluation = evaluate(&self.model, &self.graphs, &loss, input);
         let Cape { generator, discriminator } = &self.model;
@@ -172,17 +176,17 @@ impl Learner {
             average.update(&self.model.generator, self.steps);
         }
         let losses = evaluation.losses;
-        Ok(Update { losses, generator_norm, discriminator_norm, condition_norms })
+        Ok(UpdateReport { losses, generator_norm, discriminator_norm, condition_norms })
     }
 
     /// The state, for a checkpoint of a run that is at `progress`.
-    pub fn checkpoint(&self, progress: Progress) -> Checkpoint {
+    pub fn checkpoint(&self, progress: TrainState) -> Checkpoint {
         Checkpoint {
             progress,
             model: weights::collect(&self.model),
             generator_momentum: self.generator.state(),
             discriminator_momentum: self.discriminator.state(),
-            average: self.average.as_ref().map(Average::state),
+            average: self.average.as_ref().map(ParameterAverage::state),
         }
     }
 

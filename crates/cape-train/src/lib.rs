@@ -12,11 +12,11 @@
 //!
 //! use burn::tensor::Device;
 //! use cape_core::Outfit;
-//! use cape_synth::{Motion, Synth, SynthSpec, synthetic_body};
+//! use cape_synth::{Motion, CaptureGenerator, SynthSpec, synthetic_body};
 //! use cape_model::CapeConfig;
 //! use cape_core::silent;
-//! use cape_data::{PackOptions, SequenceList, Split, pack};
-//! use cape_infer::{Run, RunConfig, TrainConfig, Wearer};
+//! use cape_data::{PackOptions, SequenceList, SplitSpec, pack};
+//! use cape_infer::{Run, RunConfig, TrainConfig, BodySpec};
 //! use cape_train::Trainer;
 //!
 //! let directory = tempfile::tempdir()?;
@@ -30,7 +30,7 @@
 //!     motions: vec![Motion::Squats],
 //!     ..SynthSpec::default()
 //! };
-//! let split = Split {
+//! let split = SplitSpec {
 //!     subjects: spec.subject_names(),
 //!     outfits: spec.outfits.clone(),
 //!     cut: 0,
@@ -38,7 +38,7 @@
 //!     train: SequenceList { sequences: vec!["squats".into()], exclude: Vec::new() },
 //!     test: SequenceList::default(),
 //! };
-//! Synth::new(&synthetic_body(), spec)?.write(&raw, &mut silent)?;
+//! CaptureGenerator::new(&synthetic_body(), spec)?.write(&raw, &mut silent)?;
 //! pack(&raw, &packed, &split, PackOptions::default(), &mut silent)?;
 //!
 //! let config = RunConfig {
@@ -56,7 +56,7 @@
 //! assert!(trainer.run(&mut |_| ControlFlow::Continue(()))?.finished);
 //!
 //! let run = Run::open(&run, &device)?;
-//! let wearer = Wearer { betas: vec![1.0], pose: [0.0; 72], outfit: Outfit::LongLong };
+//! let wearer = BodySpec { betas: vec![1.0], pose: [0.0; 72], outfit: Outfit::LongLong };
 //! let dressed = run.dress(&run.sample_codes(1, 7), &[wearer])?;
 //! assert_eq!(dressed[0].vertices.len(), 6890);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -65,12 +65,12 @@
 //! Further examples start from such captures, `captures()` or the smaller `triangles()`, from the
 //! configuration `small_config()`, and from the run `trained()`: `doc/sets.rs` has these functions.
 
-mod average;
 mod create;
 pub mod learner;
 mod log;
 pub mod objective;
 pub mod optim;
+mod parameter_average;
 pub mod release;
 pub mod tensorboard;
 mod trainer;
@@ -78,5 +78,5 @@ mod validate;
 
 pub use cape_infer::{Error, Result};
 
-pub use trainer::{Event, Outcome, Trainer};
-pub use validate::{Illustrate, Picture, Preview, active_units};
+pub use trainer::{TrainEvent, TrainOutcome, Trainer};
+pub use validate::{Preview, PreviewFn, TensorBoardImage, active_units};

@@ -12,19 +12,19 @@ use serde_json::json;
 
 use crate::{
     Error, Result,
-    learner::Update,
+    learner::UpdateReport,
     tensorboard::EventWriter,
-    validate::{Picture, Validation},
+    validate::{TensorBoardImage, ValidationResult},
 };
 use cape_infer::RunPaths;
 
-pub(crate) struct Log {
+pub(crate) struct TrainLog {
     path: PathBuf,
     metrics: fs::File,
     events: EventWriter,
 }
 
-impl Log {
+impl TrainLog {
     pub(crate) fn open(paths: &RunPaths) -> Result<Self> {
         let path = paths.metrics();
         let metrics = OpenOptions::new()
@@ -47,12 +47,12 @@ impl Log {
         &mut self,
         step: u64,
         epoch: usize,
-        update: &Update,
+        update: &UpdateReport,
         rate: f64,
         seconds: f64,
     ) -> Result<()> {
-        let Update { losses, generator_norm, discriminator_norm, condition_norms } = update;
-        for (name, value) in losses.named() {
+        let UpdateReport { losses, generator_norm, discriminator_norm, condition_norms } = update;
+        for (name, value) in losses.named_values() {
             self.events.scalar(&format!("train/{name}"), step, value as f32)?;
         }
         self.events.scalar("train/rate", step, rate as f32)?;
@@ -78,10 +78,10 @@ impl Log {
         &mut self,
         step: u64,
         epoch: usize,
-        found: &Validation,
+        found: &ValidationResult,
         discriminator_accuracy: Option<f64>,
     ) -> Result<()> {
-        let Validation { losses, errors, active_units, .. } = found;
+        let ValidationResult { losses, errors, active_units, .. } = found;
         let mut scalar = |name: &str, value: f64| {
             self.events.scalar(&format!("validation/{name}"), step, value as f32)
         };
@@ -105,7 +105,7 @@ impl Log {
         &mut self,
         step: u64,
         model: &M,
-        found: &Validation,
+        found: &ValidationResult,
     ) -> Result<()> {
         self.events.histogram("validation/error_mm", step, &found.sample_errors)?;
         self.events.histogram("validation/code", step, &found.codes)?;
@@ -119,8 +119,8 @@ impl Log {
         outcome
     }
 
-    pub(crate) fn picture(&mut self, step: u64, picture: &Picture) -> Result<()> {
-        let Picture { tag, width, height, png } = picture;
+    pub(crate) fn picture(&mut self, step: u64, picture: &TensorBoardImage) -> Result<()> {
+        let TensorBoardImage { tag, width, height, png } = picture;
         self.events.image(tag, step, [*width, *height], png)
     }
 

@@ -1,7 +1,7 @@
 //! One evaluation of CAPE's objective (§4.3) and its gradients.
 
 use burn::tensor::{Gradients, Tensor};
-use cape_infer::Frames;
+use cape_infer::DeviceBatch;
 use cape_model::{
     Cape, Discriminator, Generator, Graphs, LossConfig, Posterior,
     losses::{discriminator_adversarial, edge, generator_adversarial, kl, reconstruction},
@@ -64,7 +64,7 @@ impl Losses {
     }
 
     /// The terms with their names, as they are logged.
-    pub fn named(&self) -> [(&'static str, f64); Self::COUNT] {
+    pub fn named_values(&self) -> [(&'static str, f64); Self::COUNT] {
         [
             ("reconstruction", self.reconstruction),
             ("kl", self.kl),
@@ -80,7 +80,7 @@ impl Losses {
 
     /// The first term that is not finite.
     pub fn non_finite(&self) -> Option<&'static str> {
-        self.named().into_iter().find(|(_, value)| !value.is_finite()).map(|(name, _)| name)
+        self.named_values().into_iter().find(|(_, value)| !value.is_finite()).map(|(name, _)| name)
     }
 }
 
@@ -90,7 +90,7 @@ impl Losses {
 /// # use cape_core::Mesh;
 /// use burn::tensor::{Device, Tensor};
 /// use cape_model::{Cape, CapeConfig, LossConfig};
-/// use cape_infer::{Frames, RunConfig, build_graphs};
+/// use cape_infer::{DeviceBatch, RunConfig, build_graphs};
 /// use cape_train::{objective::{StepInput, evaluate, reconstruct, reconstruction_terms}, optim::global_norm};
 ///
 /// # let mesh = Mesh {
@@ -108,7 +108,7 @@ impl Losses {
 /// let device = Device::default().autodiff();
 /// let graphs = build_graphs(&config, &mesh, &device)?;
 /// let model = Cape::new(&config.model, &graphs, 1, &device)?;
-/// let frames = Frames {
+/// let frames = DeviceBatch {
 ///     displacement: Tensor::ones([2, 4, 3], &device),
 ///     pose_feature: Tensor::zeros([2, 126], &device),
 ///     outfit: Tensor::zeros([2, 4], &device),
@@ -141,17 +141,17 @@ pub struct Evaluation {
 #[derive(Debug, Clone)]
 pub struct StepInput {
     /// The generator's frames.
-    pub frames: Frames,
+    pub frames: DeviceBatch,
     /// Standard normal noise of the posterior's sample, `[batch, latent]`; none for the mean.
     pub epsilon: Option<Tensor<2>>,
     /// The discriminator's real frames; none without a discriminator.
-    pub real: Option<Frames>,
+    pub real: Option<DeviceBatch>,
 }
 
 /// What the generator makes of a batch.
 ///
 /// See [`Evaluation`] for an example.
-pub struct Reconstructed {
+pub struct GeneratorOutput {
     /// `q(z|x)`.
     pub posterior: Posterior,
     /// Embedded conditions, `[batch, embedding]`.
@@ -164,9 +164,9 @@ pub struct Reconstructed {
 pub fn reconstruct(
     generator: &Generator,
     graphs: &Graphs,
-    frames: &Frames,
+    frames: &DeviceBatch,
     epsilon: Option<Tensor<2>>,
-) -> Reconstructed {
+) -> GeneratorOutput {
     let condition = generator.condition.forward(frames.pose_feature.clone(), frames.outfit.clone());
     let posterior = generator.encoder.forward(
         frames.displacement.clone(),
@@ -178,15 +178,15 @@ pub fn reconstruct(
         None => posterior.mean.clone(),
     };
     let displacement = generator.decoder.forward(z, condition.as_ref(), &graphs.generator);
-    Reconstructed { posterior, condition, displacement }
+    GeneratorOutput { posterior, condition, displacement }
 }
 
 /// The terms that need no gradient and no discriminator: for validation.
 pub fn reconstruction_terms(
     config: &LossConfig,
     graphs: &Graphs,
-    result: &Reconstructed,
-    frames: &Frames,
+    result: &GeneratorOutput,
+    frames: &DeviceBatch,
 ) -> Losses {
     let (predicted, target) = (&result.displacement, &frames.displacement);
     let value = |loss: Tensor<1>| f64::from(loss.into_scalar::<f32>());
@@ -235,7 +235,8 @@ pub fn evaluate(
     let mut accuracy = zero();
     let mut discriminator_gradients = None;
     if let (Some((discriminator, _)), Some(real)) = (adversary, &input.real) {
-        let [on_real, on_fake] = judged(discriminator, &model.generator, graphs, real, &fake);
+        let [on_real, on_fake] =
+            discriminator_logits(discriminator, &model.generator, graphs, real, &fake);
         let right = on_real.clone().detach().greater_elem(0).float().mean()
             + on_fake.clone().detach().lower_elem(0).float().mean();
         accuracy = right * 0.5;
@@ -272,12 +273,12 @@ pub fn evaluate(
 }
 
 /// The discriminator's logits on real frames and on detached samples.
-fn judged(
+fn discriminator_logits(
     discriminator: &Discriminator,
     generator: &Generator,
     graphs: &Graphs,
-    real: &Frames,
-    fake: &Reconstructed,
+    real: &DeviceBatch,
+    fake: &GeneratorOutput,
 ) -> [Tensor<3>; 2] {
     let Some(graph) = &graphs.discriminator else {
         unreachable!("checked by the caller");

@@ -6,11 +6,11 @@ use burn::{
     module::{Module, ModuleMapper, ModuleVisitor, Param},
     tensor::{Gradients, Tensor, TensorData},
 };
-use cape_model::weights::{Array, Trail, Weights};
+use cape_model::weights::{HostArray, ParamPath, Weights};
 
 use crate::{Error, Result};
 use cape_core::tensors::host;
-use cape_infer::Rule;
+use cape_infer::OptimiserKind;
 
 /// Added to the names of second moments in [`Optimiser::state`].
 const SECOND: &str = ".second_moment";
@@ -24,17 +24,17 @@ const EPSILON: f64 = 1e-8;
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
-/// use cape_model::{Init, layers::Linear, weights::collect};
-/// use cape_infer::Rule;
+/// use cape_model::{Initialiser, layers::Linear, weights::collect};
+/// use cape_infer::OptimiserKind;
 /// use cape_train::optim::{Optimiser, global_norm};
 ///
 /// let device = Device::default().autodiff();
-/// let layer = Linear::new(1, 1, &mut Init::new(1, 0.1, &device));
+/// let layer = Linear::new(1, 1, &mut Initialiser::new(1, 0.1, &device));
 /// // w x + b at x = 1 has the gradient (1, 1).
 /// let gradients = layer.forward(Tensor::ones([1, 1], &device)).sum().backward();
 /// let norm = global_norm(&layer, &gradients);
 /// assert!((norm - 2f64.sqrt()).abs() < 1e-6);
-/// let mut optimiser = Optimiser::new(Rule::Sgd, 0.9, 5.0);
+/// let mut optimiser = Optimiser::new(OptimiserKind::Sgd, 0.9, 5.0);
 /// let layer = optimiser.step(layer, &gradients, norm, 0.25);
 /// assert_eq!(collect(&layer)["bias"].values, [-0.25]);
 /// // The momentum, for a checkpoint.
@@ -43,7 +43,7 @@ const EPSILON: f64 = 1e-8;
 /// ```
 #[derive(Debug, Clone)]
 pub struct Optimiser {
-    rule: Rule,
+    kind: OptimiserKind,
     momentum: f64,
     clip: f64,
     steps: u64,
@@ -59,8 +59,8 @@ struct Moments {
 
 impl Optimiser {
     /// At rest; gradients longer than `clip` as a whole are shortened to it.
-    pub fn new(rule: Rule, momentum: f64, clip: f64) -> Self {
-        Self { rule, momentum, clip, steps: 0, moments: BTreeMap::new() }
+    pub fn new(kind: OptimiserKind, momentum: f64, clip: f64) -> Self {
+        Self { kind, momentum, clip, steps: 0, moments: BTreeMap::new() }
     }
 
     /// Moves every parameter of `module` that has a gradient; `norm` is the [`global_norm`] of the
@@ -69,7 +69,7 @@ impl Optimiser {
         let scale = if norm > self.clip { self.clip / norm } else { 1.0 };
         self.steps += 1;
         module.map(&mut Stepper {
-            trail: Trail::default(),
+            path: ParamPath::default(),
             optimiser: self,
             gradients,
             rate,
@@ -85,7 +85,7 @@ impl Optimiser {
         shape: Vec<usize>,
     ) -> (Moments, Tensor<1>) {
         let (first, second) = before.map_or((None, None), |m| (Some(m.first), m.second));
-        if self.rule == Rule::Sgd {
+        if self.kind == OptimiserKind::Sgd {
             let first = match first {
                 Some(first) => first * self.momentum + gradient,
                 None => gradient,
@@ -106,7 +106,7 @@ impl Optimiser {
 
     /// The moments, for a checkpoint.
     pub fn state(&self) -> Weights {
-        let array = |shape: &[usize], flat: &Tensor<1>| Array {
+        let array = |shape: &[usize], flat: &Tensor<1>| HostArray {
             shape: shape.to_vec(),
             values: host(flat.clone()),
         };
@@ -117,8 +117,8 @@ impl Optimiser {
                 state.insert(format!("{name}{SECOND}"), array(shape, second));
             }
         }
-        if self.rule == Rule::Adam {
-            let steps = Array { shape: vec![1], values: vec![self.steps as f32] };
+        if self.kind == OptimiserKind::Adam {
+            let steps = HostArray { shape: vec![1], values: vec![self.steps as f32] };
             state.insert(STEPS.to_owned(), steps);
         }
         state
@@ -138,7 +138,7 @@ impl Optimiser {
         });
         let Some(device) = device else { return Ok(()) };
         let device = device.inner();
-        let tensor = |array: &Array| {
+        let tensor = |array: &HostArray| {
             let data = TensorData::new(array.values.clone(), [array.values.len()]);
             Tensor::<1>::from_data(data, &device)
         };
@@ -158,7 +158,7 @@ impl Optimiser {
         }
         self.moments.clear();
         self.steps = 0;
-        if self.rule == Rule::Adam {
+        if self.kind == OptimiserKind::Adam {
             let steps = state.get(STEPS).and_then(|steps| steps.values.first());
             let Some(&steps) = steps else { return Ok(()) };
             self.steps = steps as u64;
@@ -168,7 +168,7 @@ impl Optimiser {
             let moments = Moments {
                 shape: array.shape.clone(),
                 first: tensor(array),
-                second: second.filter(|_| self.rule == Rule::Adam).map(tensor),
+                second: second.filter(|_| self.kind == OptimiserKind::Adam).map(tensor),
             };
             self.moments.insert(name.clone(), moments);
         }
@@ -178,18 +178,18 @@ impl Optimiser {
 
 /// Euclidean norm of all gradients of `module` together.
 pub fn global_norm<M: Module>(module: &M, gradients: &Gradients) -> f64 {
-    struct Squares<'a> {
+    struct SquaredNorms<'a> {
         gradients: &'a Gradients,
         sums: Vec<Tensor<1>>,
     }
-    impl ModuleVisitor for Squares<'_> {
+    impl ModuleVisitor for SquaredNorms<'_> {
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
             if let Some(gradient) = param.val().grad(self.gradients) {
                 self.sums.push((gradient.clone() * gradient).sum());
             }
         }
     }
-    let mut squares = Squares { gradients, sums: Vec::new() };
+    let mut squares = SquaredNorms { gradients, sums: Vec::new() };
     module.visit(&mut squares);
     if squares.sums.is_empty() {
         return 0.0;
@@ -204,7 +204,7 @@ pub fn global_norm<M: Module>(module: &M, gradients: &Gradients) -> f64 {
 /// Copies every parameter's gradient to the host, by the parameter's path.
 pub fn collect_gradients<M: Module>(module: &M, gradients: &Gradients) -> Weights {
     struct Collector<'a> {
-        trail: Trail,
+        path: ParamPath,
         gradients: &'a Gradients,
         found: Weights,
     }
@@ -213,23 +213,23 @@ pub fn collect_gradients<M: Module>(module: &M, gradients: &Gradients) -> Weight
             if let Some(gradient) = param.val().grad(self.gradients) {
                 let shape = gradient.dims().to_vec();
                 let values = host(gradient);
-                self.found.insert(self.trail.path(), Array { shape, values });
+                self.found.insert(self.path.path(), HostArray { shape, values });
             }
         }
         fn enter_module(&mut self, name: &str, container: &str) {
-            self.trail.enter(name, container);
+            self.path.enter(name, container);
         }
         fn exit_module(&mut self, _: &str, _: &str) {
-            self.trail.exit();
+            self.path.exit();
         }
     }
-    let mut collector = Collector { trail: Trail::default(), gradients, found: Weights::new() };
+    let mut collector = Collector { path: ParamPath::default(), gradients, found: Weights::new() };
     module.visit(&mut collector);
     collector.found
 }
 
 struct Stepper<'a> {
-    trail: Trail,
+    path: ParamPath,
     optimiser: &'a mut Optimiser,
     gradients: &'a Gradients,
     rate: f64,
@@ -241,7 +241,7 @@ impl ModuleMapper for Stepper<'_> {
         let Some(gradient) = param.val().grad(self.gradients) else { return param };
         let shape = gradient.dims();
         let gradient = gradient.reshape([-1]) * self.scale;
-        let path = self.trail.path();
+        let path = self.path.path();
         let before = self.optimiser.moments.remove(&path);
         let (moments, direction) = self.optimiser.advance(before, gradient, shape.to_vec());
         self.optimiser.moments.insert(path, moments);
@@ -252,11 +252,11 @@ impl ModuleMapper for Stepper<'_> {
     }
 
     fn enter_module(&mut self, name: &str, container: &str) {
-        self.trail.enter(name, container);
+        self.path.enter(name, container);
     }
 
     fn exit_module(&mut self, _: &str, _: &str) {
-        self.trail.exit();
+        self.path.exit();
     }
 }
 
@@ -295,17 +295,17 @@ mod tests {
     }
 
     /// Both rules written out for each coordinate in f64.
-    fn by_hand(rule: Rule, steps: i32) -> [f64; 2] {
+    fn by_hand(kind: OptimiserKind, steps: i32) -> [f64; 2] {
         let (mut x, mut m, mut v) = ([3.0f64, -2.0], [0.0; 2], [0.0; 2]);
         for step in 1..=steps {
             for (i, stiffness) in [1.0, 10.0].into_iter().enumerate() {
                 let g = stiffness * x[i];
-                x[i] -= match rule {
-                    Rule::Sgd => {
+                x[i] -= match kind {
+                    OptimiserKind::Sgd => {
                         m[i] = 0.9 * m[i] + g;
                         0.05 * m[i]
                     }
-                    Rule::Adam => {
+                    OptimiserKind::Adam => {
                         m[i] = 0.9 * m[i] + 0.1 * g;
                         v[i] = 0.999 * v[i] + 0.001 * g * g;
                         let unbiased = (v[i] / (1.0 - 0.999f64.powi(step))).sqrt();
@@ -319,29 +319,29 @@ mod tests {
 
     #[test]
     fn both_rules_follow_their_definitions_also_after_a_restart() {
-        for rule in [Rule::Sgd, Rule::Adam] {
-            let mut optimiser = Optimiser::new(rule, 0.9, 1e9);
+        for kind in [OptimiserKind::Sgd, OptimiserKind::Adam] {
+            let mut optimiser = Optimiser::new(kind, 0.9, 1e9);
             let halfway = descend(&mut optimiser, start(), 5);
-            let mut resumed = Optimiser::new(rule, 0.9, 1e9);
+            let mut resumed = Optimiser::new(kind, 0.9, 1e9);
             resumed.restore(&halfway, &optimiser.state()).unwrap();
             let whole = descend(&mut optimiser, halfway.clone(), 5);
             assert_eq!(values(&whole), values(&descend(&mut resumed, halfway, 5)));
-            for (found, expected) in values(&whole).into_iter().zip(by_hand(rule, 10)) {
-                assert!((f64::from(found) - expected).abs() < 1e-5, "{rule:?}: {found} {expected}");
+            for (found, expected) in values(&whole).into_iter().zip(by_hand(kind, 10)) {
+                assert!((f64::from(found) - expected).abs() < 1e-5, "{kind:?}: {found} {expected}");
             }
         }
     }
 
     #[test]
     fn moments_of_the_other_rule_do_no_harm() {
-        let mut sgd = Optimiser::new(Rule::Sgd, 0.9, 1e9);
+        let mut sgd = Optimiser::new(OptimiserKind::Sgd, 0.9, 1e9);
         let point = descend(&mut sgd, start(), 5);
-        let mut adam = Optimiser::new(Rule::Adam, 0.9, 1e9);
+        let mut adam = Optimiser::new(OptimiserKind::Adam, 0.9, 1e9);
         adam.restore(&point, &sgd.state()).unwrap();
-        let mut fresh = Optimiser::new(Rule::Adam, 0.9, 1e9);
+        let mut fresh = Optimiser::new(OptimiserKind::Adam, 0.9, 1e9);
         let expected = values(&descend(&mut fresh, point.clone(), 3));
         assert_eq!(values(&descend(&mut adam, point.clone(), 3)), expected);
-        let mut back = Optimiser::new(Rule::Sgd, 0.9, 1e9);
+        let mut back = Optimiser::new(OptimiserKind::Sgd, 0.9, 1e9);
         back.restore(&point, &adam.state()).unwrap();
         assert!(values(&descend(&mut back, point, 3)).iter().all(|x| x.is_finite()));
     }

@@ -17,18 +17,19 @@ use serde::Serialize;
 use crate::{
     Error, Result,
     create::create,
-    learner::{Learner, Pace},
-    log::Log,
+    learner::{Learner, UpdateOptions},
+    log::TrainLog,
     objective::{Losses, StepInput},
-    validate::{Illustrate, Validation, Validator},
+    validate::{PreviewFn, ValidationResult, Validator},
 };
 use cape_core::tensors::tensor2;
 use cape_data::{
-    Loader, LoaderOptions, LoaderState, PackedSet, Part, Statistics, StepData, steps_per_epoch,
+    DisplacementStatistics, Loader, LoaderOptions, LoaderState, PackedSet, Split, StepBatches,
+    steps_per_epoch,
 };
 use cape_infer::{
     RunConfig, RunPaths, build_graphs,
-    checkpoint::{self, Checkpoint, Progress},
+    checkpoint::{self, Checkpoint, TrainState},
     normal, read_identity, to_device,
 };
 
@@ -36,7 +37,7 @@ use cape_infer::{
 ///
 /// See [`Trainer`] for an example.
 #[derive(Debug, Clone)]
-pub enum Event {
+pub enum TrainEvent {
     /// A step was done.
     Step {
         /// Epoch, from 1.
@@ -78,7 +79,7 @@ pub enum Event {
 ///
 /// See [`Trainer`] for an example.
 #[derive(Debug, Clone, Serialize)]
-pub struct Outcome {
+pub struct TrainOutcome {
     /// Whether every epoch was done; otherwise the run can be resumed.
     pub finished: bool,
     /// Whole epochs done.
@@ -99,7 +100,7 @@ pub struct Outcome {
 /// use std::ops::ControlFlow;
 ///
 /// use burn::tensor::Device;
-/// use cape_train::{Event, Picture, Preview, Trainer};
+/// use cape_train::{TrainEvent, TensorBoardImage, Preview, Trainer};
 ///
 /// // A packed set of four training frames, and an epoch in batches of two.
 /// let directory = captures()?;
@@ -107,15 +108,15 @@ pub struct Outcome {
 /// let device = Device::default();
 /// let mut trainer = Trainer::create(&run, &packed, None, None, small_config(), &device)?;
 /// let outcome = trainer.run(&mut |event| match event {
-///     Event::Step { losses, .. } if losses.non_finite().is_none() => ControlFlow::Break(()),
+///     TrainEvent::Step { losses, .. } if losses.non_finite().is_none() => ControlFlow::Break(()),
 ///     _ => ControlFlow::Continue(()),
 /// })?;
 /// assert_eq!((outcome.finished, outcome.steps), (false, 1));
 ///
 /// // Another day, with pictures for TensorBoard.
 /// let mut trainer = Trainer::resume(&run, None, &device)?;
-/// trainer.illustrate_with(Box::new(|previews: &[Preview]| {
-///     let draw = |preview: &Preview| Picture {
+/// trainer.set_preview_fn(Box::new(|previews: &[Preview]| {
+///     let draw = |preview: &Preview| TensorBoardImage {
 ///         tag: preview.outfit.to_string(),
 ///         width: 1,
 ///         height: 1,
@@ -133,11 +134,11 @@ pub struct Trainer {
     paths: RunPaths,
     config: RunConfig,
     set: Arc<PackedSet>,
-    statistics: Arc<Statistics>,
+    statistics: Arc<DisplacementStatistics>,
     clothing: Vec<usize>,
     learner: Learner,
-    illustrate: Option<Illustrate>,
-    progress: Progress,
+    preview_fn: Option<PreviewFn>,
+    progress: TrainState,
     device: Device,
 }
 
@@ -155,11 +156,11 @@ impl Trainer {
         device: &Device,
     ) -> Result<Self> {
         let paths = create(root, data, body, clothing, &config)?;
-        let progress = Progress {
+        let progress = TrainState {
             step: 0,
             loader: LoaderState::new(config.train.seed),
             seconds: 0.0,
-            judged: (0.0, 0),
+            accuracy_sum: (0.0, 0),
             validation: None,
             best: None,
         };
@@ -203,7 +204,9 @@ impl Trainer {
             )));
         }
         trainer.statistics.expect_vertices(found.1)?;
-        if !Statistics::of_packed(data, &mut cape_core::silent)?.is_close(&trainer.statistics) {
+        if !DisplacementStatistics::from_packed(data, &mut cape_core::silent)?
+            .is_close(&trainer.statistics)
+        {
             return Err(Error::data(format!(
                 "{}: its displacements have another mean and deviation than those the run was \
                  trained on: it is another data set",
@@ -222,14 +225,14 @@ impl Trainer {
         paths: RunPaths,
         data: &Path,
         config: RunConfig,
-        progress: Progress,
+        progress: TrainState,
         device: &Device,
     ) -> Result<Self> {
-        let mut set = PackedSet::open(data, Part::Train)?;
+        let mut set = PackedSet::open(data, Split::Train)?;
         if config.train.preload {
             set.preload(&mut cape_core::silent)?;
         }
-        let statistics = Statistics::load(paths.statistics())?;
+        let statistics = DisplacementStatistics::load(paths.statistics())?;
         let body = SmplModel::load(paths.body())?;
         let mask = ClothingMask::load(paths.clothing(), body.vertices())?;
         let device = device.clone().autodiff();
@@ -240,7 +243,7 @@ impl Trainer {
             statistics: Arc::new(statistics),
             clothing: mask.indices().collect(),
             learner,
-            illustrate: None,
+            preview_fn: None,
             paths,
             config,
             progress,
@@ -269,8 +272,8 @@ impl Trainer {
     }
 
     /// Has a few validation frames drawn after every epoch, for TensorBoard.
-    pub fn illustrate_with(&mut self, illustrate: Illustrate) {
-        self.illustrate = Some(illustrate);
+    pub fn set_preview_fn(&mut self, preview_fn: PreviewFn) {
+        self.preview_fn = Some(preview_fn);
     }
 
     /// Where things are.
@@ -287,7 +290,10 @@ impl Trainer {
     /// # Errors
     /// Besides those of reading and writing: a loss or gradient that is not finite. The update is
     /// not made, the error names the step and its frames, and the last checkpoint is kept.
-    pub fn run(&mut self, report: &mut dyn FnMut(&Event) -> ControlFlow<()>) -> Result<Outcome> {
+    pub fn run(
+        &mut self,
+        report: &mut dyn FnMut(&TrainEvent) -> ControlFlow<()>,
+    ) -> Result<TrainOutcome> {
         let steps = self.steps_per_epoch();
         let last = (self.config.train.epochs * steps) as u64;
         let options = LoaderOptions {
@@ -295,7 +301,7 @@ impl Trainer {
             discriminator: self.config.model.discriminator.is_some(),
             ..LoaderOptions::default()
         };
-        let mut log = Log::open(&self.paths)?;
+        let mut log = TrainLog::open(&self.paths)?;
         if self.progress.step < last {
             let mut loader = Loader::new(
                 self.set.clone(),
@@ -321,14 +327,14 @@ impl Trainer {
                     }
                     log.flush()?;
                     // A reader of the report may break again; training is about to stop anyway.
-                    let _ = report(&Event::Checkpoint { path });
+                    let _ = report(&TrainEvent::Checkpoint { path });
                 }
                 if stop {
                     break;
                 }
             }
         }
-        Ok(Outcome {
+        Ok(TrainOutcome {
             finished: self.progress.step >= last,
             epochs: (self.progress.step / steps as u64) as usize,
             steps: self.progress.step,
@@ -341,15 +347,15 @@ impl Trainer {
     fn one_step(
         &mut self,
         loader: &mut Loader,
-        log: &mut Log,
+        log: &mut TrainLog,
         steps: usize,
-        report: &mut dyn FnMut(&Event) -> ControlFlow<()>,
+        report: &mut dyn FnMut(&TrainEvent) -> ControlFlow<()>,
     ) -> Result<bool> {
         let start = Instant::now();
         let step = self.progress.step;
         let train = &self.config.train;
         let rate = train.rate(step, steps);
-        let StepData { generator, discriminator, state } = loader.step()?;
+        let StepBatches { generator, discriminator, state } = loader.step()?;
         let frames = generator.frames.clone();
         let epsilon = self.config.model.variational.then(|| {
             let latent = self.config.model.latent;
@@ -362,14 +368,14 @@ impl Trainer {
             real: discriminator.map(|batch| to_device(batch, &self.device)),
         };
         let logged = (step + 1).is_multiple_of(train.log_steps as u64);
-        let pace = Pace { rate, kl_share: train.kl_share(step, steps), detailed: logged };
+        let pace = UpdateOptions { rate, kl_share: train.kl_share(step, steps), detailed: logged };
         let update = match self.learner.update(&input, pace) {
             Ok(update) => update,
             Err(what) => return Err(self.not_finite(what, &frames)?),
         };
         let losses = update.losses;
-        self.progress.judged.0 += losses.discriminator_accuracy as f32;
-        self.progress.judged.1 += 1;
+        self.progress.accuracy_sum.0 += losses.discriminator_accuracy as f32;
+        self.progress.accuracy_sum.1 += 1;
         self.progress.step += 1;
         self.progress.loader = state;
 
@@ -381,7 +387,7 @@ impl Trainer {
             log.step(self.progress.step, epoch, &update, rate, seconds)?;
         }
         let total_step = self.progress.step;
-        let event = Event::Step { epoch, step, steps, total_step, losses, rate, seconds };
+        let event = TrainEvent::Step { epoch, step, steps, total_step, losses, rate, seconds };
         Ok(report(&event).is_break())
     }
 
@@ -403,10 +409,10 @@ impl Trainer {
     fn validate(
         &mut self,
         epoch: usize,
-        log: &mut Log,
-        report: &mut dyn FnMut(&Event) -> ControlFlow<()>,
-    ) -> Result<Option<Validation>> {
-        let (sum, count) = std::mem::take(&mut self.progress.judged);
+        log: &mut TrainLog,
+        report: &mut dyn FnMut(&TrainEvent) -> ControlFlow<()>,
+    ) -> Result<Option<ValidationResult>> {
+        let (sum, count) = std::mem::take(&mut self.progress.accuracy_sum);
         let judged = self.config.model.discriminator.is_some() && count > 0;
         let discriminator_accuracy = judged.then(|| f64::from(sum) / count as f64);
         let step = self.progress.step;
@@ -429,7 +435,7 @@ impl Trainer {
         }
         log.validation(step, epoch, &found, discriminator_accuracy)?;
         // Stopping between epochs is the next step's business.
-        let _ = report(&Event::Validation {
+        let _ = report(&TrainEvent::Validation {
             epoch,
             losses: found.losses,
             millimetres,
@@ -440,11 +446,11 @@ impl Trainer {
     }
 
     /// Histograms and pictures, which are large: after the checkpoint, should the disk be full.
-    fn show(&mut self, found: &Validation, log: &mut Log) -> Result<()> {
+    fn show(&mut self, found: &ValidationResult, log: &mut TrainLog) -> Result<()> {
         let step = self.progress.step;
         log.histograms(step, self.learner.model(), found)?;
-        if let Some(illustrate) = &mut self.illustrate {
-            for picture in illustrate(&found.previews) {
+        if let Some(preview_fn) = &mut self.preview_fn {
+            for picture in preview_fn(&found.previews) {
                 log.picture(step, &picture)?;
             }
         }

@@ -11,9 +11,9 @@ use crate::{
     objective::{Losses, reconstruct, reconstruction_terms},
 };
 use cape_core::tensors::host;
-use cape_data::{Batch, PackedSet, Statistics, sequential};
+use cape_data::{DisplacementStatistics, HostBatch, PackedSet, sequential};
 use cape_infer::to_device;
-use cape_stats::errors::{ErrorStats, Summary, vertex_errors_mm};
+use cape_stats::errors::{ErrorStats, ErrorSummary, vertex_errors_mm};
 
 /// Frames that are shown.
 const PREVIEWS: usize = 4;
@@ -40,7 +40,7 @@ pub struct Preview {
 ///
 /// See [`Trainer`](crate::Trainer) for an example.
 #[derive(Debug, Clone)]
-pub struct Picture {
+pub struct TensorBoardImage {
     /// Its name.
     pub tag: String,
     /// Pixels.
@@ -54,13 +54,13 @@ pub struct Picture {
 /// Draws previews.
 ///
 /// See [`Trainer`](crate::Trainer) for an example.
-pub type Illustrate = Box<dyn FnMut(&[Preview]) -> Vec<Picture> + Send>;
+pub type PreviewFn = Box<dyn FnMut(&[Preview]) -> Vec<TensorBoardImage> + Send>;
 
 /// What the validation frames came to.
-pub(crate) struct Validation {
+pub(crate) struct ValidationResult {
     /// Reconstruction, edge and KL terms; the others are zero.
     pub(crate) losses: Losses,
-    pub(crate) errors: Summary,
+    pub(crate) errors: ErrorSummary,
     /// Some of the errors, millimetres.
     pub(crate) sample_errors: Vec<f32>,
     /// Posterior means, `[frames × latent]`.
@@ -75,7 +75,7 @@ pub(crate) struct Validator<'a> {
     pub(crate) graphs: &'a Graphs,
     pub(crate) loss: &'a LossConfig,
     pub(crate) set: &'a Arc<PackedSet>,
-    pub(crate) statistics: &'a Arc<Statistics>,
+    pub(crate) statistics: &'a Arc<DisplacementStatistics>,
     pub(crate) clothing: &'a [usize],
     pub(crate) batch: usize,
     pub(crate) device: Device,
@@ -83,7 +83,7 @@ pub(crate) struct Validator<'a> {
 
 impl Validator<'_> {
     /// Nothing if there are no validation frames.
-    pub(crate) fn run(&self) -> Result<Option<Validation>> {
+    pub(crate) fn run(&self) -> Result<Option<ValidationResult>> {
         let rows = self.statistics.validation_rows(self.set.frames());
         if rows.is_empty() {
             return Ok(None);
@@ -99,7 +99,7 @@ impl Validator<'_> {
         let mut losses = Losses::default();
         let (mut sample_errors, mut codes, mut previews) = (Vec::new(), Vec::new(), Vec::new());
         for batch in sequential(set, Some(statistics), rows, self.batch)? {
-            let batch: Batch = batch?;
+            let batch: HostBatch = batch?;
             let weight = batch.frames.len() as f64 / count as f64;
             let numbers = batch.frames.clone();
             let frames = to_device(batch, &self.device);
@@ -128,7 +128,7 @@ impl Validator<'_> {
                 }
             }
         }
-        Ok(Some(Validation {
+        Ok(Some(ValidationResult {
             losses,
             errors: errors.summary(),
             active_units: active_units(&codes, latent),

@@ -3,9 +3,10 @@
 
 use burn::tensor::{Tensor, TensorData};
 use cape_graph::Surface;
-use cape_infer::{Frames, RunConfig, build_graphs};
+use cape_infer::{DeviceBatch, RunConfig, build_graphs};
 use cape_model::{
-    Cape, CapeConfig, DecoderBlock, DecoderConditions, Graphs, LossConfig, Reconstruction, release,
+    Cape, CapeConfig, DecoderBlock, DecoderConditions, Graphs, LossConfig, ReconstructionLoss,
+    release,
     weights::{self, Weights},
 };
 use cape_train::{
@@ -56,7 +57,7 @@ impl Case {
             let values: Vec<f32> = (0..count).map(|_| rng.random_range(-1.5..1.5)).collect();
             TensorData::new(values, shape)
         };
-        let mut frames = || Frames {
+        let mut frames = || DeviceBatch {
             displacement: Tensor::from_data(random(vec![2, vertices, 3]), &device),
             pose_feature: Tensor::from_data(random(vec![2, 126]), &device),
             outfit: Tensor::from_data(random(vec![2, 4]), &device),
@@ -178,7 +179,7 @@ fn every_switch_goes_by_the_releases_names_and_back() {
 
 #[test]
 fn gradients_follow_every_reconstruction_loss() {
-    for kind in [Reconstruction::L1, Reconstruction::L2, Reconstruction::Huber] {
+    for kind in [ReconstructionLoss::L1, ReconstructionLoss::L2, ReconstructionLoss::Huber] {
         let loss = LossConfig { kind, edge: 0.0, gan: 0.0, ..LossConfig::default() };
         Case::new(CapeConfig::tiny(), loss).check(&format!("{kind:?}"));
     }

@@ -1,21 +1,21 @@
 use std::path::PathBuf;
 
 use cape_core::{BodyPose, Outfit, obj, parse_device, ply};
-use cape_infer::{Performance, Run, Wearer, write_json};
+use cape_infer::{AnimatedBody, BodySpec, Run, write_json};
 use cape_render::{Bounds, Camera, Image, Object, Projection, Style, View, render, save_animation};
-use cape_synth::poses::movement;
+use cape_synth::poses::motion_poses;
 use clap::{Args, ValueEnum};
 use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, concatenate, s};
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, outfit},
-    code_source::Draw,
+    arguments::{GlobalArgs, outfit},
     console::Console,
-    dressed::{Dressed, Painter},
+    dressed_mesh::{DressedMesh, DressedRenderer},
     error::{Error, Result},
     files,
-    priors::Drawn,
+    latent_sampler::LatentSampler,
+    priors::PriorArgs,
 };
 
 /// Frames decoded and posed at a time.
@@ -29,7 +29,7 @@ const BATCH: usize = 16;
     after_help = "Examples:\n  cape animate run --motion squats --format png --out squats\n  \
                         cape animate run --motion amass.npz --outfit shortlong --format glb --out walk"
 )]
-pub(crate) struct Animate {
+pub(crate) struct AnimateArgs {
     /// A training run.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -57,7 +57,7 @@ pub(crate) struct Animate {
     #[arg(long, value_name = "CODE")]
     code: Option<String>,
     #[command(flatten)]
-    drawn: Drawn,
+    drawn: PriorArgs,
     /// What is written: pictures with an animated PNG, meshes, or one glTF file.
     #[arg(long, value_enum, default_value_t = Format::Png)]
     format: Format,
@@ -87,8 +87,8 @@ struct Report {
     acceleration: f64,
 }
 
-impl Animate {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl AnimateArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         if !(self.seconds.is_finite() && self.seconds > 0.0) {
             return Err(Error::message(format!(
@@ -96,7 +96,7 @@ impl Animate {
                 self.seconds
             )));
         }
-        let poses = movement(&self.motion, self.seconds, f64::from(self.fps))?;
+        let poses = motion_poses(&self.motion, self.seconds, f64::from(self.fps))?;
         files::require_empty(&self.out)?;
         let run = Run::open(&self.run, &device)?;
         if self.betas.len() > run.body().betas() || self.betas.iter().any(|b| !b.is_finite()) {
@@ -106,7 +106,8 @@ impl Animate {
         let seed = global.seed.unwrap_or(1);
         let code = match &self.code {
             Some(name) => {
-                let draw = Draw { run: &run, drawn: self.drawn, outfit: self.outfit, console };
+                let draw =
+                    LatentSampler { run: &run, drawn: self.drawn, outfit: self.outfit, console };
                 Array1::from(draw.code(name)?).insert_axis(Axis(0))
             }
             None => self.drawn.codes(&run, &[self.outfit], 1, seed, console)?,
@@ -153,9 +154,10 @@ impl Animate {
     }
 
     fn write_glb(&self, run: &Run, code: &Array2<f32>, poses: &[BodyPose]) -> Result {
-        let first = self.wearers(&poses[..1]);
-        let dressed = Painter::new(run).wear(&run.clothes(code, &first)?, &first)?;
-        let performance = Performance {
+        let first = self.body_specs(&poses[..1]);
+        let dressed = DressedRenderer::new(run)
+            .pose_clothed(&run.decode_displacements(code, &first)?, &first)?;
+        let performance = AnimatedBody {
             name: "animation",
             code: code.clone(),
             betas: &self.betas,
@@ -169,9 +171,9 @@ impl Animate {
         Ok(performance.save(run, self.out.join("animation.glb"))?)
     }
 
-    fn wearers(&self, poses: &[BodyPose]) -> Vec<Wearer> {
+    fn body_specs(&self, poses: &[BodyPose]) -> Vec<BodySpec> {
         let outfit = self.outfit;
-        poses.iter().map(|&pose| Wearer { betas: self.betas.clone(), pose, outfit }).collect()
+        poses.iter().map(|&pose| BodySpec { betas: self.betas.clone(), pose, outfit }).collect()
     }
 
     fn write_frames(
@@ -181,14 +183,14 @@ impl Animate {
         displacement: &Array3<f32>,
         console: Console,
     ) -> Result {
-        let painter = Painter::new(run);
+        let painter = DressedRenderer::new(run);
         let mut camera = None;
         let mut pictures = Vec::new();
         console.while_showing("write", "frames", |progress| {
             for (index, chunk) in poses.chunks(BATCH).enumerate() {
                 let first = index * BATCH;
                 let worn = displacement.slice(s![first..first + chunk.len(), .., ..]).to_owned();
-                let bodies = painter.wear(&worn, &self.wearers(chunk))?;
+                let bodies = painter.pose_clothed(&worn, &self.body_specs(chunk))?;
                 if camera.is_none() {
                     camera = view_of(&bodies);
                 }
@@ -218,15 +220,15 @@ impl Animate {
         Ok(())
     }
 
-    fn picture(&self, body: &Dressed, camera: &Camera) -> Result<Image> {
+    fn picture(&self, body: &DressedMesh, camera: &Camera) -> Result<Image> {
         let style = Style { width: self.size, height: self.size, ..Style::default() };
-        Ok(render(&[Object::new(&body.mesh).coloured(&body.colours)], camera, &style)?)
+        Ok(render(&[Object::new(&body.mesh).with_colours(&body.colours)], camera, &style)?)
     }
 }
 
 /// One camera for all frames: around the first ones, with room to move.
-fn view_of(bodies: &[Dressed]) -> Option<Camera> {
-    let bounds = Bounds::of_meshes(bodies.iter().map(|body| &body.mesh))?;
+fn view_of(bodies: &[DressedMesh]) -> Option<Camera> {
+    let bounds = Bounds::from_meshes(bodies.iter().map(|body| &body.mesh))?;
     Some(Camera::framing(&bounds, View::ThreeQuarter, Projection::Perspective(0.42), 1.0))
 }
 

@@ -5,7 +5,7 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, at_least_one},
+    arguments::{GlobalArgs, at_least_one},
     console::Console,
     error::Result,
     table::Table,
@@ -22,7 +22,7 @@ const TOO_MANY: usize = 4096;
 /// compared with what this processor's threads reach in their registers.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape bench --threads 4 --json")]
-pub(crate) struct Bench {
+pub(crate) struct BenchArgs {
     /// Frames of a batch in an update.
     #[arg(long, default_value_t = 16, value_name = "N", value_parser = batch_size)]
     batch: usize,
@@ -48,8 +48,8 @@ struct Report {
     found: BenchReport,
 }
 
-impl Bench {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl BenchArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         let config = CapeConfig::preset(&self.preset)?;
         let seed = global.seed.unwrap_or(1);

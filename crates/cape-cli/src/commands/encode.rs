@@ -1,18 +1,18 @@
 use std::path::PathBuf;
 
 use cape_core::{Outfit, npy::write_npy, parse_device, ply};
-use cape_infer::{Run, Wearer, write_json};
+use cape_infer::{BodySpec, Run, write_json};
 use clap::Args;
 use ndarray::{Array3, Axis, concatenate};
 use serde::Serialize;
 
 use crate::{
-    arguments::Global,
+    arguments::GlobalArgs,
     console::Console,
-    dressed::Painter,
+    dressed_mesh::DressedRenderer,
     error::{Error, Result},
     files,
-    registration::{Known, Registration, mean_error},
+    registration::{KnownBodyArgs, RegistrationFile, mean_error},
     table::Table,
 };
 
@@ -26,7 +26,7 @@ use crate::{
     after_help = "Examples:\n  cape encode run raw/sequences/00032/shortlong_hips/*.npz --out codes\n  \
                   cape encode run frame:0 frame:40 --decode --out codes"
 )]
-pub(crate) struct Encode {
+pub(crate) struct EncodeArgs {
     /// A training run.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -37,7 +37,7 @@ pub(crate) struct Encode {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     #[command(flatten)]
-    known: Known,
+    known: KnownBodyArgs,
     /// Write what the codes are decoded to.
     #[arg(long)]
     decode: bool,
@@ -48,11 +48,11 @@ struct Report {
     out: PathBuf,
     /// Mean error at clothing vertices.
     error_mm: f64,
-    encoded: Vec<Encoded>,
+    encoded: Vec<EncodedRegistration>,
 }
 
 #[derive(Debug, Serialize)]
-struct Encoded {
+struct EncodedRegistration {
     registration: String,
     outfit: Outfit,
     code: Vec<f32>,
@@ -64,45 +64,47 @@ struct Encoded {
     mesh: Option<String>,
 }
 
-impl Encode {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl EncodeArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         files::require_empty(&self.out)?;
         let run = Run::open(&self.run, &device)?;
         let total = self.registrations.len();
-        let read: Vec<Registration> =
+        let read: Vec<RegistrationFile> =
             console.while_showing("read", "registrations", |progress| {
                 let each = self.registrations.iter().enumerate();
                 each.map(|(index, text)| {
-                    let registration = Registration::read(&run, text, &self.known)?;
+                    let registration = RegistrationFile::read(&run, text, &self.known)?;
                     progress(index + 1, total);
                     Ok(registration)
                 })
                 .collect::<Result<_>>()
             })?;
-        let wearers: Vec<Wearer> = read.iter().map(|one| one.wearer.clone()).collect();
+        let wearers: Vec<BodySpec> = read.iter().map(|one| one.wearer.clone()).collect();
         let worn: Vec<_> = read.iter().map(|one| one.displacement.view()).collect();
         let worn: Array3<f32> =
             concatenate(Axis(0), &worn).map_err(|error| Error::message(error.to_string()))?;
         let codes = run.encode(&worn, &wearers)?;
-        let decoded = run.clothes(&codes, &wearers)?;
+        let decoded = run.decode_displacements(&codes, &wearers)?;
 
         files::create_dir(&self.out)?;
         write_npy(self.out.join("codes.npy"), &codes)?;
         let mut meshes = vec![None; total];
         if self.decode {
-            for (index, body) in Painter::new(&run).wear(&decoded, &wearers)?.iter().enumerate() {
+            for (index, body) in
+                DressedRenderer::new(&run).pose_clothed(&decoded, &wearers)?.iter().enumerate()
+            {
                 let name = format!("{index:04}.ply");
                 ply::write(self.out.join(&name), &body.mesh, Some(&body.colours_8_bit()))?;
                 meshes[index] = Some(name);
             }
         }
-        let encoded: Vec<Encoded> = read
+        let encoded: Vec<EncodedRegistration> = read
             .into_iter()
             .zip(self.registrations)
             .zip(meshes)
             .enumerate()
-            .map(|(row, ((one, registration), mesh))| Encoded {
+            .map(|(row, ((one, registration), mesh))| EncodedRegistration {
                 registration,
                 outfit: one.wearer.outfit,
                 code: codes.row(row).to_vec(),

@@ -3,14 +3,14 @@ use std::path::PathBuf;
 use cape_core::{parse_device, ply};
 use cape_eval::{EvalOptions, EvalReport, PosteriorUse, evaluate};
 use cape_infer::{Run, write_json};
-use cape_render::colour_of;
-use cape_stats::errors::{GroupedSummary, Summary};
+use cape_render::colormap;
+use cape_stats::errors::{ErrorSummary, GroupedSummary};
 use clap::{Args, ValueEnum};
 
 use crate::{
-    arguments::{Global, at_least_one},
+    arguments::{GlobalArgs, at_least_one},
     console::Console,
-    dressed::eight_bit,
+    dressed_mesh::eight_bit,
     error::Result,
     table::Table,
 };
@@ -21,7 +21,7 @@ use crate::{
 /// always answering with the mean training displacement. Also written to RUN/eval.json.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape eval run --data packed --posterior mean")]
-pub(crate) struct Eval {
+pub(crate) struct EvalArgs {
     /// A training run.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -57,8 +57,8 @@ impl From<PosteriorName> for PosteriorUse {
     }
 }
 
-impl Eval {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl EvalArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         let run = Run::open(&self.run, &device)?;
         let options = EvalOptions {
@@ -71,11 +71,8 @@ impl Eval {
         })?;
         write_json(&run.paths().evaluation(), &report)?;
         if let Some(path) = &self.map {
-            let colours: Vec<[u8; 3]> = report
-                .vertex_means
-                .iter()
-                .map(|mm| eight_bit(colour_of(mm / self.scale)))
-                .collect();
+            let colours: Vec<[u8; 3]> =
+                report.vertex_means.iter().map(|mm| eight_bit(colormap(mm / self.scale))).collect();
             ply::write(path, &run.body().mesh(), Some(&colours))?;
         }
         console.result(&report, || text(&report))
@@ -97,8 +94,8 @@ pub(crate) fn text(report: &EvalReport) -> String {
     format!("{}\n\nmillimetres at clothing vertices, {} test frames", table.text(), report.frames)
 }
 
-fn row(table: &mut Table, name: &str, model: &Summary, base: Option<&Summary>) {
-    let spread = |s: &Summary| format!("{:.2} ± {:.2}", s.mean, s.std);
+fn row(table: &mut Table, name: &str, model: &ErrorSummary, base: Option<&ErrorSummary>) {
+    let spread = |s: &ErrorSummary| format!("{:.2} ± {:.2}", s.mean, s.std);
     let dash = || "–".to_owned();
     table.row([
         name.to_owned(),
@@ -111,6 +108,6 @@ fn row(table: &mut Table, name: &str, model: &Summary, base: Option<&Summary>) {
 }
 
 /// By how much of the baseline's mean error the model's is smaller.
-pub(crate) fn improvement(model: &Summary, base: &Summary) -> f64 {
+pub(crate) fn improvement(model: &ErrorSummary, base: &ErrorSummary) -> f64 {
     1.0 - model.mean / base.mean
 }

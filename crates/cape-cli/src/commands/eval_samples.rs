@@ -7,10 +7,10 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, at_least_one},
+    arguments::{GlobalArgs, at_least_one},
     console::Console,
     error::Result,
-    priors::{Drawn, fitted},
+    priors::{PriorArgs, load_prior},
     table::Table,
 };
 
@@ -20,7 +20,7 @@ use crate::{
 /// the run's samples.json.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape eval-samples run --prior gmm")]
-pub(crate) struct EvalSamples {
+pub(crate) struct EvalSamplesArgs {
     /// A training run.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -28,7 +28,7 @@ pub(crate) struct EvalSamples {
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     #[command(flatten)]
-    drawn: Drawn,
+    drawn: PriorArgs,
     /// Most held-out frames to compare with, evenly spaced.
     #[arg(long, default_value_t = 200, value_name = "N", value_parser = at_least_one)]
     frames: usize,
@@ -42,8 +42,8 @@ struct Report {
     quality: QualityReport,
 }
 
-impl EvalSamples {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl EvalSamplesArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         let run = Run::open(&self.run, &device)?;
         let data = match self.data {
@@ -53,7 +53,7 @@ impl EvalSamples {
         let seed = global.seed.unwrap_or(1);
         let temperature = self.drawn.temperature()?;
         let options = QualityOptions { frames: self.frames, seed, ..QualityOptions::default() };
-        let prior = fitted(&run, self.drawn.prior, console)?;
+        let prior = load_prior(&run, self.drawn.prior, console)?;
         let normal = standard_normal(run.config().model.latent, temperature, seed);
         let found = console.while_showing("measure", "parts", |progress| match &prior {
             None => quality(&run, &data, &normal, options, progress),

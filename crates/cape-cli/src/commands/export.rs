@@ -20,7 +20,7 @@ use crate::{
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape export run --npz weights.npz --safetensors \
                         weights.safetensors")]
-pub(crate) struct Export {
+pub(crate) struct ExportArgs {
     /// A training run.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -40,7 +40,7 @@ struct Report {
     files: Vec<PathBuf>,
 }
 
-impl Export {
+impl ExportArgs {
     pub(crate) fn run(self, console: Console) -> Result {
         let paths = RunPaths::new(&self.run);
         let config = RunConfig::load(&paths.config())?;

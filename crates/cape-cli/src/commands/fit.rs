@@ -2,10 +2,10 @@ use std::{path::PathBuf, time::Instant};
 
 use cape_core::{Outfit, npy::write_npy, parse_device, ply};
 use cape_fit::{
-    BodyFit, Camera, ClothedConfig, ClothedFit, DressedBody, DressedSurface, Keypoints, Mask,
-    read_keypoints, silhouette::render,
+    BodyFit, ClothedConfig, ClothedFit, DressedBody, DressedSurface, Keypoints, Mask,
+    PinholeCamera, read_keypoints, silhouette::render,
 };
-use cape_infer::{Performance, Run, Wearer, write_json};
+use cape_infer::{AnimatedBody, BodySpec, Run, write_json};
 use cape_render::{Image, Tile, contact_sheet};
 use clap::Args;
 use glam::DVec3;
@@ -13,12 +13,12 @@ use ndarray::{Array1, Array2};
 use serde::Serialize;
 
 use crate::{
-    arguments::Global,
+    arguments::GlobalArgs,
     console::Console,
-    dressed::{Dressed, Painter},
+    dressed_mesh::{DressedMesh, DressedRenderer},
     error::{Context, Error, Result},
     files,
-    fitting::{self, Method},
+    fitting::{self, FitMethodArgs},
     table::Table,
 };
 
@@ -31,7 +31,7 @@ use crate::{
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape fit run person_keypoints.json --mask person.png \
                         --outfit auto --out fitted")]
-pub(crate) struct Fit {
+pub(crate) struct FitArgs {
     /// A training run.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -60,12 +60,12 @@ pub(crate) struct Fit {
     #[arg(long, value_name = "IMAGE.png")]
     image: Option<PathBuf>,
     #[command(flatten)]
-    method: Method,
+    method: FitMethodArgs,
 }
 
 /// How well one outfit explains the image.
 #[derive(Debug, Clone, Serialize)]
-struct Tried {
+struct OutfitFit {
     outfit: Outfit,
     /// Of the whole fit, by its last weights.
     energy: f64,
@@ -80,20 +80,20 @@ struct Report {
     bare: BodyFit,
     clothed: ClothedFit,
     /// All outfits that were fitted, best first.
-    outfits: Vec<Tried>,
+    outfits: Vec<OutfitFit>,
     seconds: f64,
 }
 
 /// What was observed.
-struct Observed {
-    camera: Camera,
+struct FitInput {
+    camera: PinholeCamera,
     mask: Mask,
     keypoints: Keypoints,
     image: Image,
 }
 
-impl Fit {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl FitArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         files::require_empty(&self.out)?;
         let chosen = match self.outfit.as_str() {
@@ -101,7 +101,7 @@ impl Fit {
             name => Some(name.parse::<Outfit>()?),
         };
         let config = self.method.config()?;
-        let observed = self.observed()?;
+        let observed = self.read_input()?;
         let run = Run::open(&self.run, &device)?;
         let smplify = self.method.smplify(run.body(), &config)?;
 
@@ -111,7 +111,7 @@ impl Fit {
             _ => Outfit::ALL.to_vec(),
         };
         let stages = 1 + outfits.len();
-        let Observed { camera, mask, keypoints, .. } = &observed;
+        let FitInput { camera, mask, keypoints, .. } = &observed;
         let (bare, mut fits) = console.while_showing("fit", "stages", |progress| {
             let bare = smplify.fit(camera, keypoints, None)?;
             progress(1, stages);
@@ -127,7 +127,8 @@ impl Fit {
         })?;
         let energy = |fit: &ClothedFit| fit.terms.weighted(&config.clothed);
         fits.sort_by(|a, b| energy(a).total_cmp(&energy(b)));
-        let tried: Vec<Tried> = fits.iter().map(|fit| Tried::of(fit, &config.clothed)).collect();
+        let tried: Vec<OutfitFit> =
+            fits.iter().map(|fit| OutfitFit::from_fit(fit, &config.clothed)).collect();
         let worn = |fit: &ClothedFit| chosen.is_none_or(|outfit| fit.outfit == outfit);
         let clothed = fits.into_iter().find(worn);
         let clothed = clothed.ok_or_else(|| Error::message("no outfit to fit"))?;
@@ -154,9 +155,9 @@ impl Fit {
         console.result(&report, || report.text())
     }
 
-    fn observed(&self) -> Result<Observed> {
+    fn read_input(&self) -> Result<FitInput> {
         let mask = Mask::load(&self.mask)?;
-        let camera = Camera::new(mask.width(), mask.height(), self.focal)?;
+        let camera = PinholeCamera::new(mask.width(), mask.height(), self.focal)?;
         mask.check(&camera).doing(|| format!("reading {}", self.mask.display()))?;
         let keypoints = read_keypoints(&self.keypoints)?
             .choose(self.person)
@@ -174,12 +175,12 @@ impl Fit {
                 mask.height()
             )));
         }
-        Ok(Observed { camera, mask, keypoints, image })
+        Ok(FitInput { camera, mask, keypoints, image })
     }
 }
 
-impl Tried {
-    fn of(fit: &ClothedFit, config: &ClothedConfig) -> Self {
+impl OutfitFit {
+    fn from_fit(fit: &ClothedFit, config: &ClothedConfig) -> Self {
         Self {
             outfit: fit.outfit,
             energy: fit.terms.weighted(config),
@@ -201,7 +202,7 @@ impl Report {
     }
 
     /// Every file but the one with the numbers comes first.
-    fn write(&self, run: &Run, observed: &Observed) -> Result {
+    fn write(&self, run: &Run, observed: &FitInput) -> Result {
         files::create_dir(&self.out)?;
         let Self { bare, clothed, .. } = self;
         let at = |name: &str| self.out.join(name);
@@ -213,16 +214,16 @@ impl Report {
         let pose = Array1::from_iter(clothed.parameters.pose.iter().map(|&x| x as f32));
         write_npy(at("code.npy"), &code)?;
         write_npy(at("pose.npy"), &pose)?;
-        let wearer = wearer(clothed)?;
+        let wearer = body_spec(clothed)?;
         let codes = code.insert_axis(ndarray::Axis(0));
         let dressed = dressed(run, &codes, &wearer)?;
         let surface =
             DressedBody::new(run, clothed.outfit)?.surface(&clothed.parameters, &clothed.code)?;
         let mesh = fitting::mesh(surface.vertices(), &run.body().faces);
         ply::write(at("clothed.ply"), &mesh, Some(&dressed.colours_8_bit()))?;
-        let performance = Performance {
+        let performance = AnimatedBody {
             colours: Some(&dressed.colours),
-            ..Performance::still("fitted", &codes, &wearer)
+            ..AnimatedBody::from_body("fitted", &codes, &wearer)
         };
         performance.save(run, at("clothed.glb"))?;
         overlay(observed, &surface, run, &dressed)?.save(at("overlay.png"))?;
@@ -243,7 +244,7 @@ impl Report {
             return line;
         }
         let mut table = Table::new(["outfit", "energy", "silhouette, mm", "agree"]);
-        for Tried { outfit, energy, silhouette_mm, intersection_over_union } in &self.outfits {
+        for OutfitFit { outfit, energy, silhouette_mm, intersection_over_union } in &self.outfits {
             table.row([
                 outfit.to_string(),
                 format!("{energy:.1}"),
@@ -256,29 +257,30 @@ impl Report {
 }
 
 /// Who was found.
-fn wearer(clothed: &ClothedFit) -> Result<Wearer> {
+fn body_spec(clothed: &ClothedFit) -> Result<BodySpec> {
     let pose: Vec<f32> = clothed.parameters.pose.iter().map(|&x| x as f32).collect();
     let numbers = pose.len();
     let pose = pose.try_into();
     let pose = pose.map_err(|_| Error::message(format!("a pose of {numbers} numbers")))?;
     let betas = clothed.parameters.betas.iter().map(|&x| x as f32).collect();
-    Ok(Wearer { betas, pose, outfit: clothed.outfit })
+    Ok(BodySpec { betas, pose, outfit: clothed.outfit })
 }
 
-fn dressed(run: &Run, codes: &Array2<f32>, wearer: &Wearer) -> Result<Dressed> {
+fn dressed(run: &Run, codes: &Array2<f32>, wearer: &BodySpec) -> Result<DressedMesh> {
     let wearers = std::slice::from_ref(wearer);
-    let mut bodies = Painter::new(run).wear(&run.clothes(codes, wearers)?, wearers)?;
+    let mut bodies = DressedRenderer::new(run)
+        .pose_clothed(&run.decode_displacements(codes, wearers)?, wearers)?;
     bodies.pop().ok_or_else(|| Error::message("nobody was dressed"))
 }
 
 /// The image with its keypoints, the silhouettes' difference, and the fitted body over the image.
 fn overlay(
-    observed: &Observed,
+    observed: &FitInput,
     surface: &DressedSurface,
     run: &Run,
-    dressed: &Dressed,
+    dressed: &DressedMesh,
 ) -> Result<Image> {
-    let Observed { camera, mask, keypoints, image } = observed;
+    let FitInput { camera, mask, keypoints, image } = observed;
     let vertices: &[DVec3] = surface.vertices();
     let faces = &run.body().faces;
     let mut seen = image.clone();

@@ -7,7 +7,7 @@ use ndarray::Array2;
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, at_least_one},
+    arguments::{GlobalArgs, at_least_one},
     console::Console,
     error::{Error, Result},
     table::Table,
@@ -23,7 +23,7 @@ use crate::{
     after_help = "Example:\n  cape fit-pose-prior AMASS/CMU --components 8 --out prior.npz\n  \
                         cape fit run keypoints.json --mask mask.png --pose-prior prior.npz --out fit"
 )]
-pub(crate) struct FitPosePrior {
+pub(crate) struct FitPosePriorArgs {
     /// Files and directories.
     #[arg(value_name = "FILE|DIR", required = true)]
     sources: Vec<PathBuf>,
@@ -57,8 +57,8 @@ struct Report {
     held_out_energy: Option<f64>,
 }
 
-impl FitPosePrior {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl FitPosePriorArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         if !self.out.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("npz")) {
             return Err(Error::message(format!("--out {}: expected .npz", self.out.display())));
         }

@@ -3,14 +3,14 @@ use std::path::{Path, PathBuf};
 use cape_core::{Outfit, parse_device};
 use cape_infer::{
     Run,
-    prior::{Codes, Density, DensityKind, Prior},
+    prior::{Density, DensityKind, LatentCodes, Prior},
 };
 use cape_stats::density::MixtureOptions;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, at_least_one},
+    arguments::{GlobalArgs, at_least_one},
     console::Console,
     error::{Error, Result},
     table::Table,
@@ -26,7 +26,7 @@ const MOST_COMPONENTS: usize = 12;
 /// from it.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  cape fit-prior run\n  cape fit-prior run --kind kde --joint")]
-pub(crate) struct FitPrior {
+pub(crate) struct FitPriorArgs {
     /// A training run; the density is kept in it.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -34,8 +34,8 @@ pub(crate) struct FitPrior {
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     /// What is fitted: a Gaussian mixture or a kernel density.
-    #[arg(long, value_enum, default_value_t = Kind::Gmm)]
-    kind: Kind,
+    #[arg(long, value_enum, default_value_t = DensityName::Gmm)]
+    kind: DensityName,
     /// Components of the mixture; by default as many as the Bayesian information criterion asks for.
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     components: Option<usize>,
@@ -49,12 +49,12 @@ pub(crate) struct FitPrior {
 
 /// Kinds of densities, as files are named.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Kind {
+enum DensityName {
     Gmm,
     Kde,
 }
 
-impl Kind {
+impl DensityName {
     const fn name(self) -> &'static str {
         match self {
             Self::Gmm => "gmm",
@@ -67,19 +67,19 @@ impl Kind {
 struct Report {
     file: PathBuf,
     codes: usize,
-    groups: Vec<Group>,
+    groups: Vec<DensityGroup>,
 }
 
 #[derive(Debug, Serialize)]
-struct Group {
+struct DensityGroup {
     outfit: Option<Outfit>,
     components: Option<usize>,
     bandwidth: Option<f64>,
 }
 
-impl FitPrior {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
-        if self.components.is_some() && self.kind == Kind::Kde {
+impl FitPriorArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
+        if self.components.is_some() && self.kind == DensityName::Kde {
             return Err(Error::message("--components: a kernel density has none"));
         }
         let device = parse_device(&global.device)?;
@@ -89,12 +89,12 @@ impl FitPrior {
             None => run.data()?,
         };
         let codes = console.while_showing("encode", "frames", |progress| {
-            Codes::of_training(&run, &data, self.frames, progress)
+            LatentCodes::from_training(&run, &data, self.frames, progress)
         })?;
         let kind = match (self.kind, self.components) {
-            (Kind::Kde, _) => DensityKind::Kernel,
-            (Kind::Gmm, Some(components)) => DensityKind::Mixture(components),
-            (Kind::Gmm, None) => DensityKind::MixtureUpTo(MOST_COMPONENTS),
+            (DensityName::Kde, _) => DensityKind::Kernel,
+            (DensityName::Gmm, Some(components)) => DensityKind::Mixture(components),
+            (DensityName::Gmm, None) => DensityKind::MixtureUpTo(MOST_COMPONENTS),
         };
         let options =
             MixtureOptions { seed: global.seed.unwrap_or(1), ..MixtureOptions::default() };
@@ -106,20 +106,20 @@ impl FitPrior {
     }
 }
 
-fn groups(prior: &Prior) -> Vec<Group> {
+fn groups(prior: &Prior) -> Vec<DensityGroup> {
     let groups = prior.groups().map(|(outfit, density)| match density {
         Density::Mixture(mixture) => {
-            Group { outfit, components: Some(mixture.components()), bandwidth: None }
+            DensityGroup { outfit, components: Some(mixture.components()), bandwidth: None }
         }
         Density::Kernel(density) => {
-            Group { outfit, components: None, bandwidth: Some(density.bandwidth()) }
+            DensityGroup { outfit, components: None, bandwidth: Some(density.bandwidth()) }
         }
     });
     groups.collect()
 }
 
 impl Report {
-    fn text(&self, run: &Path, kind: Kind) -> String {
+    fn text(&self, run: &Path, kind: DensityName) -> String {
         let mut table = Table::new(["outfit", "density"]);
         for group in &self.groups {
             let outfit = group.outfit.map_or("all".to_owned(), |outfit| outfit.to_string());

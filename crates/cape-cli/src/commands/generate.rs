@@ -8,7 +8,7 @@ use cape_core::{
     npy::{NpzWriter, write_npy},
     obj, parse_device, ply,
 };
-use cape_infer::{Run, Wearer, prior::Prior, write_json};
+use cape_infer::{BodySpec, Run, prior::Prior, write_json};
 use cape_synth::{Motion, MotionStyle, poses::poses};
 use clap::{Args, ValueEnum};
 use ndarray::{Array2, Array3};
@@ -19,11 +19,11 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    arguments::{Global, at_least_one, outfit},
+    arguments::{GlobalArgs, at_least_one, outfit},
     console::Console,
     error::{Error, Result},
     files,
-    priors::{Drawn, fitted},
+    priors::{PriorArgs, load_prior},
 };
 
 /// Bodies in a part: what is decoded, written and resumed together.
@@ -43,7 +43,7 @@ const INDEX: &str = "index.jsonl";
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  cape generate run --n 5000 --out bodies\n  \
                         cape generate run --n 200 --poses amass.npz --prior gmm --format ply --out bodies")]
-pub(crate) struct Generate {
+pub(crate) struct GenerateArgs {
     /// A training run.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -63,7 +63,7 @@ pub(crate) struct Generate {
     #[arg(long, default_value_t = 1.0, value_name = "S")]
     shape_deviation: f32,
     #[command(flatten)]
-    drawn: Drawn,
+    drawn: PriorArgs,
     /// Arrays of 64 bodies, `vertices` [n, vertices, 3], or a mesh file for each body.
     #[arg(long, value_enum, default_value_t = Format::Npz)]
     format: Format,
@@ -79,7 +79,7 @@ enum Format {
 
 /// What makes two invocations the same.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-struct Plan {
+struct GenerationPlan {
     checkpoint_step: u64,
     poses: Option<String>,
     outfits: Vec<Outfit>,
@@ -92,7 +92,7 @@ struct Plan {
 
 /// A line of the index.
 #[derive(Debug, Serialize)]
-struct Line {
+struct IndexLine {
     file: String,
     /// Place in the file.
     row: usize,
@@ -112,8 +112,8 @@ struct Report {
     bodies_per_second: f64,
 }
 
-impl Generate {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl GenerateArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         let temperature = self.drawn.temperature()?;
         if !(self.shape_deviation.is_finite() && self.shape_deviation >= 0.0) {
@@ -129,7 +129,7 @@ impl Generate {
         let run = Run::open(&self.run, &device)?;
         let outfits =
             if self.outfit.is_empty() { Outfit::ALL.to_vec() } else { self.outfit.clone() };
-        let plan = Plan {
+        let plan = GenerationPlan {
             checkpoint_step: run.progress().step,
             poses: self.poses.clone(),
             outfits: outfits.clone(),
@@ -140,19 +140,20 @@ impl Generate {
             seed: global.seed.unwrap_or(1),
         };
         self.begin(&plan, &run)?;
-        let prior = fitted(&run, self.drawn.prior, console)?;
-        let dice = Dice { plan: &plan, run: &run, poses: &poses, prior: prior.as_ref() };
+        let prior = load_prior(&run, self.drawn.prior, console)?;
+        let dice = BodySampler { plan: &plan, run: &run, poses: &poses, prior: prior.as_ref() };
 
         let (start, mut made) = (Instant::now(), 0);
         let mut index = Vec::with_capacity(self.n);
         console.while_showing("generate", "bodies", |progress| {
             for first in (0..self.n).step_by(PART) {
                 let count = PART.min(self.n - first);
-                let drawn: Vec<(Wearer, Vec<f32>)> =
+                let drawn: Vec<(BodySpec, Vec<f32>)> =
                     (first..first + count).map(|sample| dice.draw(sample)).collect();
                 let lines = self.lines(first, &drawn, plan.seed);
                 if !lines.iter().all(|line| self.is_there(line, count, run.body().vertices())) {
-                    let (wearers, codes): (Vec<Wearer>, Vec<Vec<f32>>) = drawn.into_iter().unzip();
+                    let (wearers, codes): (Vec<BodySpec>, Vec<Vec<f32>>) =
+                        drawn.into_iter().unzip();
                     let codes =
                         Array2::from_shape_vec((count, run.config().model.latent), codes.concat())
                             .map_err(|error| Error::message(error.to_string()))?;
@@ -183,11 +184,11 @@ impl Generate {
     }
 
     /// Makes the directory, or sees whether what is there is of the same plan.
-    fn begin(&self, plan: &Plan, run: &Run) -> Result {
+    fn begin(&self, plan: &GenerationPlan, run: &Run) -> Result {
         let path = self.out.join(PLAN);
         if path.exists() {
             let text = std::fs::read(&path).map_err(|error| Error::io(&path, error))?;
-            let there: Plan = serde_json::from_slice(&text)
+            let there: GenerationPlan = serde_json::from_slice(&text)
                 .map_err(|error| cape_core::Error::format(&path, error.to_string()))?;
             if there != *plan {
                 return Err(Error::message(format!(
@@ -207,7 +208,7 @@ impl Generate {
     }
 
     /// Whether a body's file is there, with all `count` bodies of its part.
-    fn is_there(&self, line: &Line, count: usize, vertices: usize) -> bool {
+    fn is_there(&self, line: &IndexLine, count: usize, vertices: usize) -> bool {
         let least = match self.format {
             Format::Npz => (count * vertices * 3 * size_of::<f32>()) as u64,
             Format::Ply | Format::Obj => 0,
@@ -215,15 +216,15 @@ impl Generate {
         std::fs::metadata(self.out.join(&line.file)).is_ok_and(|file| file.len() >= least)
     }
 
-    fn lines(&self, first: usize, drawn: &[(Wearer, Vec<f32>)], seed: u64) -> Vec<Line> {
-        let of = |(row, (wearer, code)): (usize, &(Wearer, Vec<f32>))| {
+    fn lines(&self, first: usize, drawn: &[(BodySpec, Vec<f32>)], seed: u64) -> Vec<IndexLine> {
+        let of = |(row, (wearer, code)): (usize, &(BodySpec, Vec<f32>))| {
             let sample = first + row;
             let (file, row) = match self.format {
                 Format::Npz => (format!("bodies-{:06}.npz", first / PART), row),
                 Format::Ply => (format!("body-{sample:06}.ply"), 0),
                 Format::Obj => (format!("body-{sample:06}.obj"), 0),
             };
-            Line {
+            IndexLine {
                 file,
                 row,
                 outfit: wearer.outfit,
@@ -237,8 +238,8 @@ impl Generate {
         drawn.iter().enumerate().map(of).collect()
     }
 
-    fn write(&self, meshes: &[Mesh], lines: &[Line]) -> Result {
-        let path = |line: &Line| self.out.join(&line.file);
+    fn write(&self, meshes: &[Mesh], lines: &[IndexLine]) -> Result {
+        let path = |line: &IndexLine| self.out.join(&line.file);
         match self.format {
             Format::Npz => match lines.first() {
                 Some(line) => write_part(&path(line), meshes),
@@ -268,16 +269,16 @@ fn write_part(path: &Path, meshes: &[Mesh]) -> Result {
 }
 
 /// Draws bodies, each from its own stream of random numbers.
-struct Dice<'a> {
-    plan: &'a Plan,
+struct BodySampler<'a> {
+    plan: &'a GenerationPlan,
     run: &'a Run,
     poses: &'a [BodyPose],
     prior: Option<&'a Prior>,
 }
 
-impl Dice<'_> {
-    fn draw(&self, sample: usize) -> (Wearer, Vec<f32>) {
-        let Plan { seed, temperature, shape_deviation, outfits, .. } = self.plan;
+impl BodySampler<'_> {
+    fn draw(&self, sample: usize) -> (BodySpec, Vec<f32>) {
+        let GenerationPlan { seed, temperature, shape_deviation, outfits, .. } = self.plan;
         let mut rng = ChaCha8Rng::seed_from_u64(*seed);
         rng.set_stream(sample as u64 + 1);
         let outfit = outfits.choose(&mut rng).copied().unwrap_or(Outfit::LongLong);
@@ -293,7 +294,7 @@ impl Dice<'_> {
             Some(prior) => prior.sample(outfit, 1, *temperature, code_seed),
             None => self.run.sample_codes(1, code_seed) * *temperature as f32,
         };
-        (Wearer { betas, pose, outfit }, code.row(0).to_vec())
+        (BodySpec { betas, pose, outfit }, code.row(0).to_vec())
     }
 }
 

@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::{
-    arguments::Global,
+    arguments::GlobalArgs,
     console::Console,
     error::{Error, Result},
     table::Table,
@@ -21,7 +21,7 @@ use crate::{
 #[command(after_help = "Example:\n  cape import --tf-checkpoint checkpoints/CAPE_male --stats \
                         trainset_stats.npz --body SMPL_MALE.pkl --clothing clothing_verts_idx.npy \
                         --out run")]
-pub(crate) struct Import {
+pub(crate) struct ImportArgs {
     /// Directory of the checkpoint, or its path without `.index`.
     #[arg(long, value_name = "DIR")]
     tf_checkpoint: PathBuf,
@@ -55,8 +55,8 @@ struct Report {
     imported: ImportReport,
 }
 
-impl Import {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl ImportArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         let options = ImportOptions {
             body: self.body,

@@ -18,7 +18,7 @@ use crate::{arguments::at_least_one, console::Console, error::Result, table::Tab
     after_help = "Examples:\n  cape inspect cape_release --clothing clothing_verts_idx.npy\n  \
                         cape inspect packed --frames 10"
 )]
-pub(crate) struct Inspect {
+pub(crate) struct InspectArgs {
     /// Raw data (sequences/, minimal_body_shape/) or a packed set.
     #[arg(value_name = "PATH")]
     path: PathBuf,
@@ -33,7 +33,7 @@ pub(crate) struct Inspect {
     body: Option<PathBuf>,
 }
 
-impl Inspect {
+impl InspectArgs {
     pub(crate) fn run(self, console: Console) -> Result {
         let options =
             InspectOptions { frames: self.frames, clothing: self.clothing, body: self.body };

@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use cape_data::{self, PackOptions, PackReport, Split, raw::SPLIT_FILE};
+use cape_data::{self, PackOptions, PackReport, SplitSpec, raw::SPLIT_FILE};
 use clap::Args;
 use serde::Serialize;
 
@@ -23,7 +23,7 @@ const SHOWN: usize = 20;
     after_help = "Examples:\n  cape pack raw --out packed\n  cape pack cape_release --preset \
                         male --out packed"
 )]
-pub(crate) struct Pack {
+pub(crate) struct PackArgs {
     /// Raw data, with sequences/ and minimal_body_shape/.
     #[arg(value_name = "RAW")]
     raw: PathBuf,
@@ -51,7 +51,7 @@ struct Report {
     packed: PackReport,
 }
 
-impl Pack {
+impl PackArgs {
     pub(crate) fn run(self, console: Console) -> Result {
         let split = self.split()?;
         let options = PackOptions { strict: self.strict, follow_links: self.follow_links };
@@ -75,12 +75,12 @@ impl Pack {
         console.result(&report, || report.text())
     }
 
-    fn split(&self) -> Result<Split> {
+    fn split(&self) -> Result<SplitSpec> {
         if let Some(preset) = &self.preset {
-            return Ok(Split::preset(preset)?);
+            return Ok(SplitSpec::preset(preset)?);
         }
         if let Some(path) = &self.split {
-            return Ok(Split::from_file(path)?);
+            return Ok(SplitSpec::from_file(path)?);
         }
         let path = self.raw.join(SPLIT_FILE);
         if self.raw.is_dir() && !path.exists() {
@@ -90,7 +90,7 @@ impl Pack {
                 self.raw.display()
             )));
         }
-        Ok(Split::from_file(path)?)
+        Ok(SplitSpec::from_file(path)?)
     }
 }
 

@@ -1,9 +1,9 @@
 use std::path::PathBuf;
 
 use cape_core::{BodyPose, Outfit, joints::JOINT_NAMES, parse_device, ply};
-use cape_infer::{Run, Wearer, write_json};
+use cape_infer::{BodySpec, Run, write_json};
 use cape_render::{
-    Bounds, Camera, Object, Projection, Style, Tile, View, colour_of, contact_sheet, portrait,
+    Bounds, Camera, Object, Projection, Style, Tile, View, colormap, contact_sheet, portrait,
     render,
 };
 use cape_synth::poses::poses;
@@ -12,12 +12,12 @@ use ndarray::{Array3, Axis, concatenate};
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, outfit},
+    arguments::{GlobalArgs, outfit},
     console::Console,
-    dressed::{Dressed, Painter, eight_bit},
+    dressed_mesh::{DressedMesh, DressedRenderer, eight_bit},
     error::{Error, Result},
     files,
-    priors::Drawn,
+    priors::PriorArgs,
     table::Table,
 };
 
@@ -33,7 +33,7 @@ const PARTS: usize = 8;
 #[command(
     after_help = "Example:\n  cape pose-effect run --pose-a a-pose --pose-b squats --out effect"
 )]
-pub(crate) struct PoseEffect {
+pub(crate) struct PoseEffectArgs {
     /// A training run.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -50,7 +50,7 @@ pub(crate) struct PoseEffect {
     #[arg(long, default_value = "longlong", value_name = "OUTFIT", value_parser = outfit)]
     outfit: Outfit,
     #[command(flatten)]
-    drawn: Drawn,
+    drawn: PriorArgs,
     /// Change that gets the brightest colour, millimetres.
     #[arg(long, default_value_t = 20.0, value_name = "MM")]
     scale: f32,
@@ -68,8 +68,8 @@ struct Report {
     parts: Vec<(String, f64)>,
 }
 
-impl PoseEffect {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl PoseEffectArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         let [a, b] = [first(&self.pose_a)?, first(&self.pose_b)?];
         if !(self.scale.is_finite() && self.scale > 0.0) {
@@ -82,13 +82,13 @@ impl PoseEffect {
         let code = self.drawn.codes(&run, &[outfit], 1, seed, console)?;
         let both = concatenate(Axis(0), &[code.view(), code.view()])
             .map_err(|error| Error::message(error.to_string()))?;
-        let wearers = [a, b].map(|pose| Wearer { betas: Vec::new(), pose, outfit });
-        let worn = run.clothes(&both, &wearers)?;
+        let wearers = [a, b].map(|pose| BodySpec { betas: Vec::new(), pose, outfit });
+        let worn = run.decode_displacements(&both, &wearers)?;
         let fixed = worn.select(Axis(0), &[0, 0]);
 
-        let painter = Painter::new(&run);
-        let following = painter.wear(&worn, &wearers)?;
-        let rigid = painter.wear(&fixed, &wearers)?;
+        let painter = DressedRenderer::new(&run);
+        let following = painter.pose_clothed(&worn, &wearers)?;
+        let rigid = painter.pose_clothed(&fixed, &wearers)?;
         let [in_a, in_b] = &following[..] else {
             return Err(Error::message("the model dressed no body"));
         };
@@ -114,21 +114,21 @@ impl PoseEffect {
         }
         let mut colours = vec![[0.75; 3]; changes.len()];
         for &vertex in clothing {
-            colours[vertex] = colour_of(changes[vertex] as f32 / self.scale);
+            colours[vertex] = colormap(changes[vertex] as f32 / self.scale);
         }
         files::create_dir(&self.out)?;
         let eight: Vec<[u8; 3]> = colours.iter().copied().map(eight_bit).collect();
         ply::write(self.out.join("change.ply"), &canonical, Some(&eight))?;
         let style = Style { width: 300, height: 460, ..Style::default() };
-        let change = portrait(Object::new(&canonical).coloured(&colours), View::Front, &style)?;
+        let change = portrait(Object::new(&canonical).with_colours(&colours), View::Front, &style)?;
         // One camera, so that sizes can be compared.
         let shown = [in_a, &rigid[1], in_b];
-        let bounds = Bounds::of_meshes(shown.map(|dressed| &dressed.mesh))
+        let bounds = Bounds::from_meshes(shown.map(|dressed| &dressed.mesh))
             .ok_or_else(|| Error::message("the body has no vertices"))?;
         let aspect = style.width as f32 / style.height as f32;
         let camera = Camera::framing(&bounds, View::Front, Projection::default(), aspect);
-        let picture = |dressed: &Dressed| {
-            render(&[Object::new(&dressed.mesh).coloured(&dressed.colours)], &camera, &style)
+        let picture = |dressed: &DressedMesh| {
+            render(&[Object::new(&dressed.mesh).with_colours(&dressed.colours)], &camera, &style)
         };
         let tiles = [
             (picture(in_a)?, self.pose_a.clone()),

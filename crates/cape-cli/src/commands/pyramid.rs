@@ -17,7 +17,7 @@ use crate::{
 /// i + 1 from those of level i, U_i.npz interpolates back. Read them with scipy.sparse.load_npz.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape pyramid body.npz --factors 2,2,2,2 --out levels")]
-pub(crate) struct Pyramid {
+pub(crate) struct PyramidArgs {
     /// Mesh (.obj or .ply), or SMPL's body (.pkl, .npz).
     #[arg(value_name = "MESH")]
     mesh: PathBuf,
@@ -64,7 +64,7 @@ pub(crate) struct LevelReport {
     non_manifold_edges: usize,
 }
 
-impl Pyramid {
+impl PyramidArgs {
     pub(crate) fn run(self, console: Console) -> Result {
         let surface: Surface = read_surface(&self.mesh)?;
         let start = Instant::now();

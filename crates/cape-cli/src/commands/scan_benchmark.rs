@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use cape_core::parse_device;
-use cape_data::{PackedSet, Part};
+use cape_data::{PackedSet, Split};
 use cape_fit::scan::{
     ScanConfig,
     benchmark::{ScanBenchmarkOptions, ScanCase, ScanError, scan_benchmark},
@@ -11,7 +11,7 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, at_least_one},
+    arguments::{GlobalArgs, at_least_one},
     console::Console,
     error::{Error, Result},
     files,
@@ -28,7 +28,7 @@ use crate::{
     after_help = "Example:\n  cape scan-benchmark run --frames 8 --noise 0,2,5 --holes 0,0.2 \
                         --out scans"
 )]
-pub(crate) struct ScanBenchmark {
+pub(crate) struct ScanBenchmarkArgs {
     /// A training run.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -59,13 +59,13 @@ pub(crate) struct ScanBenchmark {
 struct Report {
     out: PathBuf,
     frames: usize,
-    levels: Vec<Level>,
+    levels: Vec<NoiseLevel>,
     cases: Vec<ScanCase>,
 }
 
 /// Means over the scans of one level.
 #[derive(Debug, Serialize)]
-struct Level {
+struct NoiseLevel {
     noise_mm: f64,
     hole: f64,
     error: ScanError,
@@ -73,8 +73,8 @@ struct Level {
     failed: usize,
 }
 
-impl ScanBenchmark {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl ScanBenchmarkArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         if let Some(hole) = self.holes.iter().find(|hole| !(0.0..=0.9).contains(*hole)) {
             return Err(Error::message(format!("--holes {hole}: expected 0 to 0.9")));
@@ -88,7 +88,7 @@ impl ScanBenchmark {
             Some(data) => data.clone(),
             None => run.data()?,
         };
-        let set = PackedSet::open(&data, Part::Test)?;
+        let set = PackedSet::open(&data, Split::Test)?;
         let options = ScanBenchmarkOptions {
             frames: self.frames,
             points: self.points,
@@ -110,7 +110,11 @@ impl ScanBenchmark {
         for &noise in &options.noises {
             for &hole in &options.holes {
                 let of = |case: &&ScanCase| (case.noise, case.hole) == (noise, hole);
-                levels.push(Level::of(&cases.iter().filter(of).collect::<Vec<_>>(), noise, hole));
+                levels.push(NoiseLevel::from_cases(
+                    &cases.iter().filter(of).collect::<Vec<_>>(),
+                    noise,
+                    hole,
+                ));
             }
         }
         files::create_dir(&self.out)?;
@@ -120,8 +124,8 @@ impl ScanBenchmark {
     }
 }
 
-impl Level {
-    fn of(cases: &[&ScanCase], noise: f64, hole: f64) -> Self {
+impl NoiseLevel {
+    fn from_cases(cases: &[&ScanCase], noise: f64, hole: f64) -> Self {
         let mean = |part: fn(&ScanError) -> f64| {
             cases.iter().map(|case| part(&case.error)).sum::<f64>() / cases.len().max(1) as f64
         };

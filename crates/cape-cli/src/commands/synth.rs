@@ -2,14 +2,14 @@ use std::path::PathBuf;
 
 use cape_core::SmplModel;
 use cape_data::{
-    SequenceList, Split,
+    SequenceList, SplitSpec,
     raw::{BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
 };
 use clap::Args;
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, at_least_one},
+    arguments::{GlobalArgs, at_least_one},
     console::{Console, seconds},
     error::{Context, Result},
     files,
@@ -25,7 +25,7 @@ use crate::{
 #[command(
     after_help = "Example:\n  cape synth --out raw --subjects 4 --frames-per-sequence 60 --seed 1"
 )]
-pub(crate) struct Synth {
+pub(crate) struct SynthArgs {
     /// Directory to write; it must be empty or missing.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -51,8 +51,8 @@ struct Report {
     seconds: f64,
 }
 
-impl Synth {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl SynthArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let start = std::time::Instant::now();
         let body = match &self.body {
             Some(path) => SmplModel::load(path)?,
@@ -66,8 +66,8 @@ impl Synth {
         };
         files::require_empty(&self.out)?;
         let split = split_of(&spec);
-        let (sequences, vertices) = (spec.takes().len(), body.vertices());
-        let synth = cape_synth::Synth::new(&body, spec).doing(|| "dressing the body".into())?;
+        let (sequences, vertices) = (spec.sequences().len(), body.vertices());
+        let synth = cape_synth::CaptureGenerator::new(&body, spec).doing(|| "dressing the body".into())?;
         console.while_showing("synth", "frames", |progress| synth.write(&self.out, progress))?;
         files::write_text(&self.out.join(SPLIT_FILE), &split.to_toml()?)?;
         let report = Report {
@@ -84,12 +84,12 @@ impl Synth {
 }
 
 /// The split that the movements of `spec` are meant for.
-pub(crate) fn split_of(spec: &cape_synth::SynthSpec) -> Split {
+pub(crate) fn split_of(spec: &cape_synth::SynthSpec) -> SplitSpec {
     let names = |motions: Vec<cape_synth::Motion>| SequenceList {
         sequences: motions.into_iter().map(|motion| motion.name().to_owned()).collect(),
         exclude: Vec::new(),
     };
-    Split {
+    SplitSpec {
         subjects: spec.subject_names(),
         outfits: spec.outfits.clone(),
         cut: 2,

@@ -14,7 +14,7 @@ use crate::{arguments::at_least_one, console::Console, error::Result, table::Tab
 /// what they leave.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape unpose scans --body SMPL_MALE.pkl --out raw")]
-pub(crate) struct Unpose {
+pub(crate) struct UnposeArgs {
     /// Raw data: sequences/SUBJECT/OUTFIT_SEQUENCE/*.npz and
     /// minimal_body_shape/SUBJECT/SUBJECT_minimal.npy.
     #[arg(value_name = "RAW")]
@@ -37,7 +37,7 @@ struct Report {
     unposed: UnposeReport,
 }
 
-impl Unpose {
+impl UnposeArgs {
     pub(crate) fn run(self, console: Console) -> Result {
         let body = SmplModel::load(&self.body)?;
         let unposed = console.while_showing("unpose", "frames", |progress| {

@@ -1,23 +1,23 @@
 use std::path::PathBuf;
 
 use cape_core::{Outfit, parse_device, ply};
-use cape_infer::{Run, Wearer, directions_by_effect, interpolate_codes, walk_codes};
+use cape_infer::{BodySpec, Run, directions_by_effect, interpolate_codes, walk_codes};
 use cape_render::{
     Bounds, Camera, Object, Projection, Style, Tile, View, contact_sheet, render, save_animation,
 };
-use cape_synth::poses::{movement, poses};
+use cape_synth::poses::{motion_poses, poses};
 use clap::{Args, ValueEnum};
 use ndarray::Array2;
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, at_least_one, outfit},
-    code_source::Draw,
+    arguments::{GlobalArgs, at_least_one, outfit},
     console::Console,
-    dressed::{Dressed, dress},
+    dressed_mesh::{DressedMesh, dress},
     error::{Error, Result},
     files,
-    priors::Drawn,
+    latent_sampler::LatentSampler,
+    priors::PriorArgs,
 };
 
 /// Change one of code, pose, outfit and shape, the rest being fixed (the paper's figures 1, 5 and 6).
@@ -28,7 +28,7 @@ use crate::{
 #[command(after_help = "Examples:\n  cape vary run --by outfit --rows 3 --out outfits\n  \
                         cape vary run --by between --codes seed:1,frame:20 --out between\n  \
                         cape vary run --by sum --sum \"frame:3 - frame:10 + seed:1\" --out sum")]
-pub(crate) struct Vary {
+pub(crate) struct VaryArgs {
     /// A training run.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -36,8 +36,8 @@ pub(crate) struct Vary {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// What changes from left to right.
-    #[arg(long, value_enum, default_value_t = By::Code)]
-    by: By,
+    #[arg(long, value_enum, default_value_t = VariationKind::Code)]
+    by: VariationKind,
     /// Bodies in a row, or frames of a walk.
     #[arg(long, default_value_t = 6, value_name = "N", value_parser = at_least_one)]
     columns: usize,
@@ -64,14 +64,14 @@ pub(crate) struct Vary {
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "B,B,…")]
     betas: Vec<f32>,
     #[command(flatten)]
-    drawn: Drawn,
+    drawn: PriorArgs,
     /// Write the picture only.
     #[arg(long)]
     no_meshes: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum By {
+enum VariationKind {
     /// Codes.
     Code,
     /// Moments of a movement.
@@ -92,7 +92,7 @@ enum By {
 
 /// One body, and a line of variations.jsonl.
 #[derive(Debug, Clone, Serialize)]
-struct Cell {
+struct VariationCell {
     label: String,
     file: Option<String>,
     outfit: Outfit,
@@ -108,12 +108,12 @@ struct Report {
     picture: PathBuf,
 }
 
-impl Vary {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl VaryArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         files::require_empty(&self.out)?;
         let run = Run::open(&self.run, &device)?;
-        let draw = Draw { run: &run, drawn: self.drawn, outfit: self.outfit, console };
+        let draw = LatentSampler { run: &run, drawn: self.drawn, outfit: self.outfit, console };
         let (mut cells, columns) = self.cells(&draw, global.seed.unwrap_or(1))?;
         if !self.no_meshes {
             for (index, cell) in cells.iter_mut().enumerate() {
@@ -123,7 +123,7 @@ impl Vary {
         let codes: Vec<f32> = cells.iter().flat_map(|cell| cell.code.clone()).collect();
         let codes = Array2::from_shape_vec((cells.len(), run.config().model.latent), codes)
             .map_err(|error| Error::message(error.to_string()))?;
-        let wearers: Vec<Wearer> = cells.iter().map(Cell::wearer).collect();
+        let wearers: Vec<BodySpec> = cells.iter().map(VariationCell::body_spec).collect();
         files::create_dir(&self.out)?;
         let mut bodies = Vec::with_capacity(cells.len());
         console.while_showing("dress", "bodies", |progress| {
@@ -144,10 +144,10 @@ impl Vary {
     }
 
     /// All bodies, row by row, and how many are in a row.
-    fn cells(&self, draw: &Draw, seed: u64) -> Result<(Vec<Cell>, usize)> {
+    fn cells(&self, draw: &LatentSampler, seed: u64) -> Result<(Vec<VariationCell>, usize)> {
         let all = poses(&self.pose)?;
         let pose = all.first().map_or([0.0; 72], |(_, pose)| *pose);
-        let fixed = Cell {
+        let fixed = VariationCell {
             label: String::new(),
             file: None,
             outfit: self.outfit,
@@ -158,57 +158,57 @@ impl Vary {
         let columns = self.columns;
         let mut cells = Vec::new();
         match self.by {
-            By::Code => {
+            VariationKind::Code => {
                 for (label, code) in self.rows_of_codes(draw, self.rows * columns, seed)? {
-                    cells.push(Cell { label, code, ..fixed.clone() });
+                    cells.push(VariationCell { label, code, ..fixed.clone() });
                 }
             }
-            By::Pose => {
-                let moments = movement(&self.motion, 1.0, columns as f64)?;
+            VariationKind::Pose => {
+                let moments = motion_poses(&self.motion, 1.0, columns as f64)?;
                 let step = moments.len().div_ceil(columns).max(1);
                 let moments: Vec<_> = moments.into_iter().step_by(step).take(columns).collect();
                 for (label, code) in self.rows_of_codes(draw, self.rows, seed)? {
                     cells.extend(moments.iter().map(|pose| {
                         let (label, code) = (label.clone(), code.clone());
-                        Cell { label, code, pose: pose.to_vec(), ..fixed.clone() }
+                        VariationCell { label, code, pose: pose.to_vec(), ..fixed.clone() }
                     }));
                 }
                 return Ok((cells, moments.len()));
             }
-            By::Outfit => {
+            VariationKind::Outfit => {
                 for (_, code) in self.rows_of_codes(draw, self.rows, seed)? {
                     cells.extend(Outfit::ALL.map(|outfit| {
                         let label = outfit.name().to_owned();
-                        Cell { label, code: code.clone(), outfit, ..fixed.clone() }
+                        VariationCell { label, code: code.clone(), outfit, ..fixed.clone() }
                     }));
                 }
                 return Ok((cells, Outfit::ALL.len()));
             }
-            By::Shape => {
+            VariationKind::Shape => {
                 for (_, code) in self.rows_of_codes(draw, self.rows, seed)? {
                     cells.extend(spread(columns).map(|beta| {
                         let mut betas = self.betas.clone();
                         betas.resize(betas.len().max(1), 0.0);
                         betas[0] = beta;
                         let label = format!("beta {beta:+.1}");
-                        Cell { label, betas, code: code.clone(), ..fixed.clone() }
+                        VariationCell { label, betas, code: code.clone(), ..fixed.clone() }
                     }));
                 }
             }
-            By::Direction => {
+            VariationKind::Direction => {
                 let base = self.rows_of_codes(draw, 1, seed)?.remove(0).1;
-                let (order, effects) = directions_by_effect(draw.run, &fixed.wearer())?;
+                let (order, effects) = directions_by_effect(draw.run, &fixed.body_spec())?;
                 for &direction in order.iter().take(self.rows) {
                     cells.extend(spread(columns).map(|step| {
                         let mut code = base.clone();
                         code[direction] += step;
                         let effect = effects[direction];
                         let label = format!("z{direction} {step:+.1} ({effect:.1} mm)");
-                        Cell { label, code, ..fixed.clone() }
+                        VariationCell { label, code, ..fixed.clone() }
                     }));
                 }
             }
-            By::Between => {
+            VariationKind::Between => {
                 let ends = self.rows_of_codes(draw, 2, seed)?;
                 let [(from, a), (to, b)] = &ends[..] else {
                     return Err(Error::message("--by between: expected two codes"));
@@ -220,24 +220,24 @@ impl Vary {
                         index if index + 1 == columns => to.clone(),
                         _ => String::new(),
                     };
-                    cells.push(Cell { label, code: code.to_vec(), ..fixed.clone() });
+                    cells.push(VariationCell { label, code: code.to_vec(), ..fixed.clone() });
                 }
             }
-            By::Walk => {
+            VariationKind::Walk => {
                 let stops = self.rows_of_codes(draw, self.codes.len().max(4), seed)?;
                 let latent = draw.run.config().model.latent;
                 let flat: Vec<f32> = stops.iter().flat_map(|(_, code)| code.clone()).collect();
                 let stops = Array2::from_shape_vec((stops.len(), latent), flat)
                     .map_err(|error| Error::message(error.to_string()))?;
                 for code in walk_codes(&stops, columns).rows() {
-                    cells.push(Cell { code: code.to_vec(), ..fixed.clone() });
+                    cells.push(VariationCell { code: code.to_vec(), ..fixed.clone() });
                 }
             }
-            By::Sum => {
+            VariationKind::Sum => {
                 let (sum, terms) = draw.sum(self.sum.as_deref().unwrap_or_default())?;
                 let result = ("sum".to_owned(), sum);
                 for (label, code) in terms.into_iter().chain([result]) {
-                    cells.push(Cell { label, code, ..fixed.clone() });
+                    cells.push(VariationCell { label, code, ..fixed.clone() });
                 }
                 let columns = cells.len();
                 return Ok((cells, columns));
@@ -247,9 +247,14 @@ impl Vary {
     }
 
     /// As many codes, with labels: those given, or else drawn ones.
-    fn rows_of_codes(&self, draw: &Draw, n: usize, seed: u64) -> Result<Vec<(String, Vec<f32>)>> {
+    fn rows_of_codes(
+        &self,
+        draw: &LatentSampler,
+        n: usize,
+        seed: u64,
+    ) -> Result<Vec<(String, Vec<f32>)>> {
         if self.codes.is_empty() {
-            let &Draw { run, drawn, outfit, console } = draw;
+            let &LatentSampler { run, drawn, outfit, console } = draw;
             let drawn = drawn.codes(run, &[outfit], n, seed, console)?;
             let rows = drawn.rows().into_iter().enumerate();
             return Ok(rows.map(|(i, row)| (format!("sample {}", i + 1), row.to_vec())).collect());
@@ -265,27 +270,27 @@ impl Vary {
 
     fn picture(
         &self,
-        bodies: &[Dressed],
-        cells: &[Cell],
+        bodies: &[DressedMesh],
+        cells: &[VariationCell],
         columns: usize,
         console: Console,
     ) -> Result<PathBuf> {
         let style = Style { width: 240, height: 352, ..Style::default() };
         let aspect = style.width as f32 / style.height as f32;
         // One camera, so that sizes can be compared.
-        let bounds = Bounds::of_meshes(bodies.iter().map(|body| &body.mesh))
+        let bounds = Bounds::from_meshes(bodies.iter().map(|body| &body.mesh))
             .ok_or_else(|| Error::message("the body has no vertices"))?;
         let camera = Camera::framing(&bounds, View::ThreeQuarter, Projection::default(), aspect);
         let mut pictures = Vec::with_capacity(bodies.len());
         console.while_showing("draw", "bodies", |progress| {
             for (index, body) in bodies.iter().enumerate() {
-                let object = Object::new(&body.mesh).coloured(&body.colours);
+                let object = Object::new(&body.mesh).with_colours(&body.colours);
                 pictures.push(render(&[object], &camera, &style)?);
                 progress(index + 1, bodies.len());
             }
             Ok::<_, Error>(())
         })?;
-        if self.by == By::Walk {
+        if self.by == VariationKind::Walk {
             let path = self.out.join("walk.png");
             save_animation(&path, &pictures, 15)?;
             return Ok(path);
@@ -304,10 +309,10 @@ fn spread(n: usize) -> impl Iterator<Item = f32> {
     (0..n).map(move |i| if n == 1 { 0.0 } else { -2.0 + 4.0 * i as f32 / (n - 1) as f32 })
 }
 
-impl Cell {
-    fn wearer(&self) -> Wearer {
+impl VariationCell {
+    fn body_spec(&self) -> BodySpec {
         let mut pose = [0.0; 72];
         pose.copy_from_slice(&self.pose);
-        Wearer { betas: self.betas.clone(), pose, outfit: self.outfit }
+        BodySpec { betas: self.betas.clone(), pose, outfit: self.outfit }
     }
 }

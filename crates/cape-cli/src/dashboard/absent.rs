@@ -1,4 +1,4 @@
-use cape_train::Event;
+use cape_train::TrainEvent;
 
 use crate::error::{Error, Result};
 
@@ -15,7 +15,7 @@ impl Dashboard {
         Err(absent())
     }
 
-    pub(crate) fn see(&mut self, _event: &Event) {
+    pub(crate) fn on_event(&mut self, _event: &TrainEvent) {
         match *self {}
     }
 

@@ -9,7 +9,7 @@ use ratatui::{
     widgets::{Axis, Block, Chart, Dataset, Gauge, GraphType, Paragraph},
 };
 
-use super::{curve::Curve, state::State};
+use super::{curve::Curve, state::DashboardState};
 use crate::console::seconds;
 
 const FAINT: Style = Style::new().fg(Color::DarkGray);
@@ -21,7 +21,7 @@ const CHART_WIDTH: u16 = 22;
 const CHART_HEIGHT: u16 = 7;
 
 /// Draws everything that there is room for: progress first, then numbers, then curves.
-pub(super) fn draw(frame: &mut Frame, state: &State) {
+pub(super) fn draw(frame: &mut Frame, state: &DashboardState) {
     let area = frame.area();
     let numbers = flowed(&numbers(state), area.width);
     let [title, bars, text, charts, keys] = Layout::vertical([
@@ -39,7 +39,7 @@ pub(super) fn draw(frame: &mut Frame, state: &State) {
     frame.render_widget(footer(state), keys);
 }
 
-fn heading(state: &State) -> Line<'_> {
+fn heading(state: &DashboardState) -> Line<'_> {
     Line::from(vec![
         Span::styled("cape train ", FAINT),
         Span::styled(&*state.title, BRIGHT.fg(ACCENT)),
@@ -47,7 +47,7 @@ fn heading(state: &State) -> Line<'_> {
     ])
 }
 
-fn footer(state: &State) -> Line<'_> {
+fn footer(state: &DashboardState) -> Line<'_> {
     if state.stopping {
         let text = "finishing the step and saving; Ctrl-C to stop at once";
         return Line::styled(text, BRIGHT.fg(SECOND));
@@ -58,7 +58,7 @@ fn footer(state: &State) -> Line<'_> {
     Line::styled(format!("q stop and save · l {scale} scale{saved}"), FAINT)
 }
 
-fn draw_progress(frame: &mut Frame, area: Rect, state: &State) {
+fn draw_progress(frame: &mut Frame, area: Rect, state: &DashboardState) {
     let Some(now) = &state.now else {
         frame.render_widget(Line::styled("waiting for the first step", FAINT), area);
         return;
@@ -88,7 +88,7 @@ fn draw_progress(frame: &mut Frame, area: Rect, state: &State) {
 }
 
 /// What is known now, as names and values.
-fn numbers(state: &State) -> Vec<(&'static str, String)> {
+fn numbers(state: &DashboardState) -> Vec<(&'static str, String)> {
     let mut numbers = Vec::new();
     if let Some(now) = &state.now {
         let losses = &now.losses;
@@ -155,7 +155,7 @@ struct Panel<'a> {
     share: u16,
 }
 
-fn draw_charts(frame: &mut Frame, area: Rect, state: &State) {
+fn draw_charts(frame: &mut Frame, area: Rect, state: &DashboardState) {
     let curves = &state.curves;
     let panel = |name, curve, along, share| Panel {
         curves: vec![(name, curve)],
@@ -295,7 +295,7 @@ mod tests {
     use crate::dashboard::state::tests::busy;
 
     /// What is on a terminal of this size, a string a line.
-    fn screen(state: &State, width: u16, height: u16) -> Vec<String> {
+    fn screen(state: &DashboardState, width: u16, height: u16) -> Vec<String> {
         let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
         terminal.draw(|frame| draw(frame, state)).unwrap();
         let buffer = terminal.backend().buffer();
@@ -394,7 +394,7 @@ mod tests {
 
     #[test]
     fn before_the_first_step_and_after_the_wish_to_stop_it_says_so() {
-        let mut state = State::new("run", 3);
+        let mut state = DashboardState::new("run", 3);
         assert_eq!(screen(&state, 60, 20)[1], "waiting for the first step");
         state.stopping = true;
         assert!(screen(&state, 60, 20)[19].starts_with("finishing the step and saving"));

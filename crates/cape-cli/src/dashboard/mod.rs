@@ -1,6 +1,6 @@
 //! The dashboard of `cape train --tui`: progress, losses and their curves on the whole terminal.
 //!
-//! [`State`](state::State) gathers what training reports and [`draw`](draw::draw) lays it out;
+//! [`DashboardState`](state::DashboardState) gathers what training reports and [`draw`](draw::draw) lays it out;
 //! neither touches the terminal. [`Dashboard`] does, in a thread of its own, so that keys and the
 //! clock work during a step of minutes.
 //!

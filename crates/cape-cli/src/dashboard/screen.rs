@@ -12,7 +12,7 @@ use std::{
 };
 
 use cape_eval::bench::rss_mb;
-use cape_train::Event;
+use cape_train::TrainEvent;
 use ratatui::{
     Terminal,
     backend::CrosstermBackend,
@@ -24,7 +24,7 @@ use ratatui::{
     },
 };
 
-use super::{draw::draw, state::State};
+use super::{draw::draw, state::DashboardState};
 use crate::error::{Error, Result};
 
 /// Between two pictures.
@@ -43,7 +43,7 @@ static DRAWING: Mutex<()> = Mutex::new(());
 /// The terminal taken over; dropping it gives the terminal back.
 #[derive(Debug)]
 pub(crate) struct Dashboard {
-    state: Arc<Mutex<State>>,
+    state: Arc<Mutex<DashboardState>>,
     start: Instant,
     thread: Option<JoinHandle<()>>,
 }
@@ -60,19 +60,19 @@ impl Dashboard {
     /// Takes over the terminal at standard error; standard output is left to the result.
     pub(crate) fn start(title: &str, epochs: usize) -> Result<Self> {
         Self::check()?;
-        let terminal = take_over()
+        let terminal = enter_screen()
             .map_err(|error| Error::message(format!("--tui: the terminal says: {error}")))?;
-        let state = Arc::new(Mutex::new(State::new(title, epochs)));
+        let state = Arc::new(Mutex::new(DashboardState::new(title, epochs)));
         let (start, seen) = (Instant::now(), state.clone());
         let thread = thread::spawn(move || show(terminal, &seen, start));
         Ok(Self { state, start, thread: Some(thread) })
     }
 
     /// Takes note of what training reports.
-    pub(crate) fn see(&mut self, event: &Event) {
+    pub(crate) fn on_event(&mut self, event: &TrainEvent) {
         let mut state = locked(&self.state);
         state.elapsed = self.start.elapsed();
-        state.see(event);
+        state.on_event(event);
     }
 
     /// Whether the user asked to stop after this step.
@@ -115,10 +115,10 @@ pub(crate) fn restore() {
         sleep(FRAME / 10);
         guard = DRAWING.try_lock();
     }
-    give_back();
+    leave_screen();
 }
 
-fn give_back() {
+fn leave_screen() {
     // Nothing can be done about a terminal that is gone.
     let _ = disable_raw_mode();
     let _ = execute!(io::stderr(), LeaveAlternateScreen, Show);
@@ -126,7 +126,7 @@ fn give_back() {
 
 type Screen = Terminal<CrosstermBackend<BufWriter<Stderr>>>;
 
-fn take_over() -> io::Result<Screen> {
+fn enter_screen() -> io::Result<Screen> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
         let previous = panic::take_hook();
@@ -141,13 +141,13 @@ fn take_over() -> io::Result<Screen> {
         .and_then(|()| Terminal::new(CrosstermBackend::new(BufWriter::new(io::stderr()))));
     match screen {
         Ok(_) => SHOWN.store(true, Ordering::SeqCst),
-        Err(_) => give_back(),
+        Err(_) => leave_screen(),
     }
     screen
 }
 
 /// Draws and listens to keys until the terminal is given back.
-fn show(mut screen: Screen, state: &Mutex<State>, start: Instant) {
+fn show(mut screen: Screen, state: &Mutex<DashboardState>, start: Instant) {
     let mut drawn = None::<(Instant, Option<u64>, bool)>;
     while SHOWN.load(Ordering::SeqCst) {
         // A copy: training must not wait for a slow terminal.
@@ -163,7 +163,7 @@ fn show(mut screen: Screen, state: &Mutex<State>, start: Instant) {
         });
         if due {
             if let Some(megabytes) = rss_mb() {
-                locked(state).see_memory(megabytes);
+                locked(state).record_memory(megabytes);
             }
             let _guard = DRAWING.lock();
             if !SHOWN.load(Ordering::SeqCst) || screen.draw(|frame| draw(frame, &now)).is_err() {
@@ -189,7 +189,7 @@ fn show(mut screen: Screen, state: &Mutex<State>, start: Instant) {
 }
 
 /// What a key does.
-fn press(key: KeyEvent, state: &mut State) {
+fn press(key: KeyEvent, state: &mut DashboardState) {
     match key.code {
         KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => {
             let asked_before = STOP.swap(true, Ordering::SeqCst);
@@ -204,7 +204,7 @@ fn press(key: KeyEvent, state: &mut State) {
     }
 }
 
-fn locked(state: &Mutex<State>) -> MutexGuard<'_, State> {
+fn locked(state: &Mutex<DashboardState>) -> MutexGuard<'_, DashboardState> {
     state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -214,7 +214,7 @@ mod tests {
 
     #[test]
     fn keys_ask_to_stop_and_change_the_scale() {
-        let mut state = State::new("run", 1);
+        let mut state = DashboardState::new("run", 1);
         press(KeyCode::Char('l').into(), &mut state);
         assert!(state.logarithmic);
         press(KeyCode::Char('x').into(), &mut state);

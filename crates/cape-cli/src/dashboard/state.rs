@@ -2,7 +2,7 @@
 
 use std::{path::PathBuf, time::Duration};
 
-use cape_train::{Event, objective::Losses};
+use cape_train::{TrainEvent, objective::Losses};
 
 use super::curve::Curve;
 
@@ -11,7 +11,7 @@ const WINDOW: f64 = 20.0;
 
 /// Everything that is shown.
 #[derive(Debug, Clone)]
-pub(super) struct State {
+pub(super) struct DashboardState {
     pub(super) title: String,
     pub(super) epochs: usize,
     /// Since the dashboard was started.
@@ -20,8 +20,8 @@ pub(super) struct State {
     pub(super) logarithmic: bool,
     /// Whether training stops after its current step.
     pub(super) stopping: bool,
-    pub(super) now: Option<Now>,
-    pub(super) validation: Option<Validation>,
+    pub(super) now: Option<CurrentStep>,
+    pub(super) validation: Option<ValidationState>,
     pub(super) checkpoint: Option<PathBuf>,
     /// Resident, megabytes: now and at most.
     pub(super) memory: Option<(f64, f64)>,
@@ -34,7 +34,7 @@ pub(super) struct State {
 
 /// The newest step.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Now {
+pub(super) struct CurrentStep {
     pub(super) epoch: usize,
     pub(super) step: usize,
     pub(super) steps: usize,
@@ -45,7 +45,7 @@ pub(super) struct Now {
 
 /// The newest validation, and the best.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Validation {
+pub(super) struct ValidationState {
     pub(super) millimetres: f64,
     pub(super) active_units: usize,
     /// Millimetres and epoch.
@@ -66,7 +66,7 @@ pub(super) struct Curves {
     pub(super) memory: Curve,
 }
 
-impl State {
+impl DashboardState {
     pub(super) fn new(title: &str, epochs: usize) -> Self {
         let smoothed = || Curve::smoothed(WINDOW);
         let plain = || Curve::smoothed(1.0);
@@ -96,13 +96,13 @@ impl State {
         }
     }
 
-    pub(super) fn see(&mut self, event: &Event) {
+    pub(super) fn on_event(&mut self, event: &TrainEvent) {
         match *event {
-            Event::Step { epoch, step, steps, total_step, losses, rate, seconds } => {
+            TrainEvent::Step { epoch, step, steps, total_step, losses, rate, seconds } => {
                 self.first.get_or_insert((total_step, self.elapsed));
                 self.adversarial |=
                     losses.gan_discriminator != 0.0 || losses.discriminator_accuracy > 0.0;
-                self.now = Some(Now { epoch, step, steps, total_step, losses, rate });
+                self.now = Some(CurrentStep { epoch, step, steps, total_step, losses, rate });
                 let x = total_step as f64;
                 let curves = &mut self.curves;
                 for (curve, value) in [
@@ -117,18 +117,18 @@ impl State {
                     curve.push(x, value);
                 }
             }
-            Event::Validation { epoch, millimetres, active_units, .. } => {
+            TrainEvent::Validation { epoch, millimetres, active_units, .. } => {
                 let best = self.validation.map(|v| v.best).filter(|(best, _)| *best <= millimetres);
                 let best = best.unwrap_or((millimetres, epoch));
-                self.validation = Some(Validation { millimetres, active_units, best });
+                self.validation = Some(ValidationState { millimetres, active_units, best });
                 self.curves.validation.push(epoch as f64, millimetres);
             }
-            Event::Checkpoint { ref path } => self.checkpoint = Some(path.clone()),
+            TrainEvent::Checkpoint { ref path } => self.checkpoint = Some(path.clone()),
         }
     }
 
     /// Takes note of the memory in use.
-    pub(super) fn see_memory(&mut self, megabytes: f64) {
+    pub(super) fn record_memory(&mut self, megabytes: f64) {
         let most = self.memory.map_or(megabytes, |(_, most)| most.max(megabytes));
         self.memory = Some((megabytes, most));
         self.curves.memory.push(self.elapsed.as_secs_f64(), megabytes);
@@ -164,15 +164,15 @@ pub(super) mod tests {
     use super::*;
 
     /// A training in its third epoch of 60.
-    pub(in crate::dashboard) fn busy() -> State {
-        let mut state = State::new("runs/male", 60);
+    pub(in crate::dashboard) fn busy() -> DashboardState {
+        let mut state = DashboardState::new("runs/male", 60);
         let steps = 50;
         for total_step in 1..=120 {
             let x = total_step as f64;
             state.elapsed = Duration::from_millis(500 * total_step);
             let epoch = (total_step as usize - 1) / steps + 1;
             let step = (total_step as usize - 1) % steps + 1;
-            state.see(&Event::Step {
+            state.on_event(&TrainEvent::Step {
                 epoch,
                 step,
                 steps,
@@ -189,19 +189,19 @@ pub(super) mod tests {
                 rate: 8e-3 * (x / 200.0).min(1.0),
                 seconds: 0.5,
             });
-            state.see_memory(800.0 + x);
+            state.record_memory(800.0 + x);
             if step == steps {
                 let (millimetres, active_units) = (20.0 / epoch as f64, 7);
                 let losses = Losses::default();
                 let discriminator_accuracy = Some(0.6);
-                state.see(&Event::Validation {
+                state.on_event(&TrainEvent::Validation {
                     epoch,
                     losses,
                     millimetres,
                     active_units,
                     discriminator_accuracy,
                 });
-                state.see(&Event::Checkpoint {
+                state.on_event(&TrainEvent::Checkpoint {
                     path: PathBuf::from(format!("runs/male/checkpoints/step-{total_step:08}")),
                 });
             }
@@ -216,30 +216,30 @@ pub(super) mod tests {
         assert_eq!((all, epoch), (120.0 / 3000.0, 20.0 / 50.0));
         let (all, epoch) = state.left().unwrap();
         assert!((all - 2880.0 * 0.5).abs() < 1e-6 && (epoch - 15.0).abs() < 1e-6, "{all} {epoch}");
-        assert_eq!(State::new("run", 3).left(), None);
+        assert_eq!(DashboardState::new("run", 3).left(), None);
     }
 
     #[test]
     fn the_best_validation_is_kept() {
         let mut state = busy();
         assert_eq!(state.validation.unwrap().best, (10.0, 2));
-        state.see(&Event::Validation {
+        state.on_event(&TrainEvent::Validation {
             epoch: 3,
             losses: Losses::default(),
             millimetres: 11.0,
             active_units: 6,
             discriminator_accuracy: None,
         });
-        let Validation { millimetres, active_units, best } = state.validation.unwrap();
+        let ValidationState { millimetres, active_units, best } = state.validation.unwrap();
         assert_eq!((millimetres, active_units, best), (11.0, 6, (10.0, 2)));
     }
 
     #[test]
     fn a_resumed_run_counts_time_from_where_it_goes_on() {
-        let mut state = State::new("run", 10);
+        let mut state = DashboardState::new("run", 10);
         for total_step in 901..=905 {
             state.elapsed = Duration::from_secs(total_step - 901);
-            state.see(&Event::Step {
+            state.on_event(&TrainEvent::Step {
                 epoch: 10,
                 step: total_step as usize - 900,
                 steps: 100,

@@ -19,14 +19,14 @@ const SOFTNESS: f64 = 0.5;
 
 /// How silhouettes are compared.
 #[derive(Debug, Clone, Copy, ValueEnum)]
-pub(crate) enum Silhouettes {
+pub(crate) enum SilhouetteComparison {
     Distance,
     Soft,
 }
 
 /// How bodies are fitted.
 #[derive(Debug, Clone, Args)]
-pub(crate) struct Method {
+pub(crate) struct FitMethodArgs {
     /// Weights and stages as a TOML file, `[smplify]` and `[clothed]`; what it leaves out keeps its
     /// default.
     #[arg(long, value_name = "FILE.toml")]
@@ -38,15 +38,15 @@ pub(crate) struct Method {
     /// How silhouettes are compared: by distances, or finely by what soft edges cover; by default as
     /// --config says, or by distances.
     #[arg(long, value_enum, value_name = "WAY")]
-    pub(crate) silhouette: Option<Silhouettes>,
+    pub(crate) silhouette: Option<SilhouetteComparison>,
 }
 
-impl Method {
+impl FitMethodArgs {
     pub(crate) fn config(&self) -> Result<FitConfig> {
         let mut config = self.read_config()?;
         match self.silhouette {
-            Some(Silhouettes::Distance) => config.clothed.soft = None,
-            Some(Silhouettes::Soft) => config.clothed.soft = Some(SOFTNESS),
+            Some(SilhouetteComparison::Distance) => config.clothed.soft = None,
+            Some(SilhouetteComparison::Soft) => config.clothed.soft = Some(SOFTNESS),
             None => {}
         }
         Ok(config)

@@ -1,7 +1,7 @@
 //! Pictures of fits: as the image's camera sees them.
 
 use cape_core::Mesh;
-use cape_fit::{Camera, Keypoints, Mask, keypoints::Keypoint};
+use cape_fit::{Keypoints, Mask, PinholeCamera, keypoints::Keypoint};
 use cape_render::{Background, Image, Material, Object, Style};
 use glam::DVec3;
 
@@ -14,7 +14,7 @@ const MARK: f64 = 2.5;
 const MARKED: f64 = 512.0;
 
 /// An empty picture as large as the camera's.
-pub(crate) fn paper(camera: &Camera) -> Result<Image> {
+pub(crate) fn paper(camera: &PinholeCamera) -> Result<Image> {
     Ok(Image::new(camera.width(), camera.height(), PAPER)?)
 }
 
@@ -24,7 +24,7 @@ pub(crate) fn body(
     vertices: &[DVec3],
     faces: &[[u32; 3]],
     colours: Option<&[[f32; 3]]>,
-    camera: &Camera,
+    camera: &PinholeCamera,
 ) -> Result {
     let mesh = mesh(vertices, faces);
     let depths = || vertices.iter().map(|vertex| -vertex.z);

@@ -91,7 +91,7 @@ fn runs_of_another_configuration_are_not_resumed() {
 
 #[test]
 fn runs_on_other_data_are_not_resumed_or_evaluated() {
-    let other = Packed::of(9);
+    let other = Packed::with_frames(9);
     let run = trained().at("run");
     run_line(&format!(
         "train --out {} --resume --data {}/packed",

@@ -9,7 +9,7 @@ use cape::{
         obj::{self, Uv},
     },
     data::raw,
-    model::weights::{self, Array},
+    model::weights::{self, HostArray},
 };
 use ndarray::{Array2, arr1};
 use serde_json::Value;
@@ -21,7 +21,7 @@ use crate::{
 
 /// A run whose pyramid has the release's up-sampling weights, its weights as a checkpoint of the
 /// release, and what else an import needs.
-fn released() -> (Packed, Vec<(String, Array)>) {
+fn released() -> (Packed, Vec<(String, HostArray)>) {
     let data = Packed::new();
     data.run(
         "train --data @/packed --out @/run --preset tiny --epochs 1 --batch 4 --weighting release",
@@ -29,14 +29,14 @@ fn released() -> (Packed, Vec<(String, Array)>) {
     .succeeded();
     data.run("export @/run --npz @/weights.npz --safetensors @/weights.safetensors").succeeded();
     let mut npz = Npz::open(data.at("weights.npz")).unwrap();
-    let variables: Vec<(String, Array)> = npz
+    let variables: Vec<(String, HostArray)> = npz
         .names()
         .into_iter()
         .map(|name| {
             let array = npz.f32(&name).unwrap();
             let shape = array.shape().to_vec();
             let name = name.trim_end_matches(":0").to_owned();
-            (name, Array { shape, values: array.iter().copied().collect() })
+            (name, HostArray { shape, values: array.iter().copied().collect() })
         })
         .collect();
     (data, variables)
@@ -54,11 +54,13 @@ fn an_official_checkpoint_becomes_the_same_run() {
     let mut saved = variables.clone();
     for (name, array) in &variables {
         let values = array.values.iter().map(|x| 0.5 * x).collect();
-        let velocity = Array { shape: array.shape.clone(), values };
+        let velocity = HostArray { shape: array.shape.clone(), values };
         saved.push((format!("{name}/Momentum"), velocity));
     }
-    saved
-        .push(("loss/ExponentialMovingAverage".into(), Array { shape: vec![], values: vec![1.0] }));
+    saved.push((
+        "loss/ExponentialMovingAverage".into(),
+        HostArray { shape: vec![], values: vec![1.0] },
+    ));
     tf_writer::write(&data.at("tf"), 4, &saved);
     fs::write(data.at("cape.yaml"), "name: test\nnz: 6\nlr: 0.002\nlambda_gan: 0.2\n").unwrap();
 
@@ -97,24 +99,25 @@ fn an_official_checkpoint_becomes_the_same_run() {
 #[test]
 fn checkpoints_that_do_not_fit_are_named() {
     let (data, variables) = released();
-    let import = |variables: &[(String, Array)], parts: &[&str]| {
+    let import = |variables: &[(String, HostArray)], parts: &[&str]| {
         let _ = fs::remove_dir_all(data.at("tf"));
         tf_writer::write(&data.at("tf"), 4, variables);
         data.run(&format!("{IMPORT} --out @/imported")).failed_saying(parts);
         assert!(!data.at("imported").exists());
     };
-    let without = |name: &str| -> Vec<(String, Array)> {
+    let without = |name: &str| -> Vec<(String, HostArray)> {
         variables.iter().filter(|(found, _)| found != name).cloned().collect()
     };
     let name = "generator/encoder/fc_var/dense/bias";
     import(&without(name), &[name, "missing", "model-4"]);
     let mut changed = variables.clone();
-    changed.push(("generator/encoder/extra".into(), Array { shape: vec![1], values: vec![0.0] }));
+    changed
+        .push(("generator/encoder/extra".into(), HostArray { shape: vec![1], values: vec![0.0] }));
     import(&changed, &["generator/encoder/extra", "not a variable of this configuration"]);
     let mut changed = without(name);
-    changed.push((name.into(), Array { shape: vec![5], values: vec![0.0; 5] }));
+    changed.push((name.into(), HostArray { shape: vec![5], values: vec![0.0; 5] }));
     import(&changed, &[name, "log_variance.bias", "[5]"]);
-    let stranger = Array { shape: vec![2], values: vec![0.0; 2] };
+    let stranger = HostArray { shape: vec![2], values: vec![0.0; 2] };
     import(&[("encoder/conv1/weights".into(), stranger)], &["no variable of a CAPE model"]);
 
     tf_writer::write(&data.at("tf"), 4, &variables);

@@ -11,7 +11,7 @@ use std::{
 use cape::{
     core::{Outfit, SmplModel, joints::PARENTS, npy::write_npy},
     data::{
-        PackOptions, SequenceList, Split, pack,
+        PackOptions, SequenceList, SplitSpec, pack,
         raw::{self, RawFrame},
     },
 };
@@ -150,12 +150,12 @@ fn frame(body: &SmplModel, outfit: Outfit, sequence: usize, number: usize) -> Ra
     RawFrame { v_posed: v_cano.clone(), v_cano, pose, transl: [0.0; 3] }
 }
 
-pub(crate) fn split() -> Split {
+pub(crate) fn split() -> SplitSpec {
     let sequences = |names: &[&str]| SequenceList {
         sequences: names.iter().map(ToString::to_string).collect(),
         exclude: Vec::new(),
     };
-    Split {
+    SplitSpec {
         subjects: vec!["ann".into()],
         outfits: Outfit::ALL.to_vec(),
         cut: 2,
@@ -189,11 +189,11 @@ pub(crate) struct Packed(TempDir);
 
 impl Packed {
     pub(crate) fn new() -> Self {
-        Self::of(8)
+        Self::with_frames(8)
     }
 
     /// From sequences of `frames` frames, four of which are cut off.
-    pub(crate) fn of(frames: usize) -> Self {
+    pub(crate) fn with_frames(frames: usize) -> Self {
         let root = tempfile::tempdir().unwrap();
         let raw = root.path().join("raw");
         write_raw(&raw, frames);

@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use cape::model::{tensorflow::masked_crc32c, weights::Array};
+use cape::model::{tensorflow::masked_crc32c, weights::HostArray};
 
 fn varint(out: &mut Vec<u8>, mut value: u64) {
     while value >= 0x80 {
@@ -56,7 +56,7 @@ fn block(file: &mut Vec<u8>, entries: &[(Vec<u8>, Vec<u8>)]) -> Vec<u8> {
 }
 
 /// Writes `model-<step>.index` and its data, and the `checkpoint` file.
-pub(crate) fn write(directory: &Path, step: i64, variables: &[(String, Array)]) {
+pub(crate) fn write(directory: &Path, step: i64, variables: &[(String, HostArray)]) {
     let mut data: Vec<u8> = Vec::new();
     let mut entries = vec![(Vec::new(), {
         let mut header = Vec::new();
@@ -80,7 +80,7 @@ pub(crate) fn write(directory: &Path, step: i64, variables: &[(String, Array)]) 
         data.extend(bytes);
         entries.push((name.as_bytes().to_vec(), entry));
     };
-    for (name, Array { shape, values }) in variables {
+    for (name, HostArray { shape, values }) in variables {
         let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         add(name, 1, shape, &bytes);
     }

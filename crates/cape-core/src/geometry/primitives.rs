@@ -2,12 +2,12 @@
 
 use glam::DVec3;
 
-use super::Surface;
+use super::SurfaceMesh;
 
 /// A grid of `n × m` vertices in a map of (u, v) in the unit square, triangles alternating.
-pub fn grid(n: usize, m: usize, place: impl Fn(f64, f64) -> DVec3) -> Surface {
+pub fn grid(n: usize, m: usize, place: impl Fn(f64, f64) -> DVec3) -> SurfaceMesh {
     let at = |i: usize, j: usize| (i * m + j) as u32;
-    let mut surface = Surface::default();
+    let mut surface = SurfaceMesh::default();
     for i in 0..n {
         for j in 0..m {
             let (u, v) = (i as f64 / (n - 1) as f64, j as f64 / (m - 1) as f64);
@@ -28,7 +28,7 @@ pub fn grid(n: usize, m: usize, place: impl Fn(f64, f64) -> DVec3) -> Surface {
 }
 
 /// A closed sphere around the origin, outward: an octahedron whose faces are split `splits` times.
-pub fn sphere(radius: f64, splits: usize) -> Surface {
+pub fn sphere(radius: f64, splits: usize) -> SurfaceMesh {
     let mut vertices = vec![DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Y, -DVec3::Z];
     let mut faces: Vec<[u32; 3]> = vec![
         [0, 1, 2],
@@ -56,5 +56,5 @@ pub fn sphere(radius: f64, splits: usize) -> Surface {
             })
             .collect();
     }
-    Surface { vertices: vertices.into_iter().map(|v| v * radius).collect(), faces }
+    SurfaceMesh { vertices: vertices.into_iter().map(|v| v * radius).collect(), faces }
 }

@@ -10,7 +10,7 @@ use crate::{Error, Mesh, Result, expect_finite};
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_core::geometry::Surface;
+/// use cape_core::geometry::SurfaceMesh;
 ///
 /// let surface = octahedron(1.0);
 /// assert_eq!((surface.face_normals().len(), surface.edges().len()), (8, 12));
@@ -18,19 +18,19 @@ use crate::{Error, Mesh, Result, expect_finite};
 /// assert!((surface.mean_edge() - 2f64.sqrt()).abs() < 1e-12);
 /// assert!(surface.boundary().iter().all(|&open| !open));
 /// // Faces must be of vertices that are there.
-/// assert!(Surface::new("clothing", surface.vertices, vec![[0, 1, 6]]).is_err());
+/// assert!(SurfaceMesh::new("clothing", surface.vertices, vec![[0, 1, 6]]).is_err());
 /// # Ok(())
 /// # }
 /// ```
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Surface {
+pub struct SurfaceMesh {
     /// Positions, metres, `[vertices]`.
     pub vertices: Vec<DVec3>,
     /// Vertex indices of each triangle, counter-clockwise seen from outside, `[faces, 3]`.
     pub faces: Vec<[u32; 3]>,
 }
 
-impl Surface {
+impl SurfaceMesh {
     /// A checked surface: every face refers to vertices that are there, all numbers are finite.
     /// `mesh` names it in errors.
     pub fn new(mesh: &'static str, vertices: Vec<DVec3>, faces: Vec<[u32; 3]>) -> Result<Self> {
@@ -49,7 +49,7 @@ impl Surface {
     }
 
     /// From positions `[vertices, 3]`, metres.
-    pub fn of_rows(
+    pub fn from_rows(
         mesh: &'static str,
         vertices: ArrayView2<'_, f64>,
         faces: &[[u32; 3]],
@@ -62,7 +62,7 @@ impl Surface {
     }
 
     /// From a mesh of `f32`.
-    pub fn of_mesh(mesh: &'static str, from: &Mesh) -> Result<Self> {
+    pub fn from_mesh(mesh: &'static str, from: &Mesh) -> Result<Self> {
         let vertices = from.vertices.iter().map(|v| DVec3::from(v.map(f64::from))).collect();
         Self::new(mesh, vertices, from.faces.clone())
     }

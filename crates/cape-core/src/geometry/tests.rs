@@ -20,22 +20,22 @@ fn a_sphere_is_closed_and_outward() {
 fn a_moving_solid_is_where_it_is_said_to_be() {
     let ball = sphere(1.0, 3);
     let to: Vec<DVec3> = ball.vertices.iter().map(|&v| v * 2.0 + DVec3::X).collect();
-    let mut moving = Solid::moving(&ball, to, ball.neighbours());
+    let mut moving = SurfaceIndex::moving(&ball, to, ball.neighbours());
     moving.at(0.5);
-    let still = Solid::new(moving.surface());
+    let still = SurfaceIndex::new(moving.surface());
     for k in 0..40 {
         let p =
             DVec3::new((f64::from(k)).sin(), (f64::from(k) * 2.3).cos(), 0.1 * f64::from(k) - 2.0);
         let (a, b) = (moving.closest(p, 10.0).unwrap(), still.closest(p, 10.0).unwrap());
         assert!((a.signed_distance - b.signed_distance).abs() < 1e-12);
-        assert!(moving.riding(a.face, a.barycentric, 0.5).distance(a.point) < 1e-12);
+        assert!(moving.offset_point(a.face, a.barycentric, 0.5).distance(a.point) < 1e-12);
     }
     assert!(moving.closest(DVec3::X * 10.0, 1.0).is_none());
 }
 
 #[test]
 fn unusable_meshes_are_refused() {
-    let text = |v: Vec<DVec3>, f| Surface::new("clothing", v, f).unwrap_err().to_string();
+    let text = |v: Vec<DVec3>, f| SurfaceMesh::new("clothing", v, f).unwrap_err().to_string();
     assert!(text(vec![DVec3::ZERO], vec![]).contains("no faces"));
     assert!(text(vec![DVec3::ZERO], vec![[0, 0, 7]]).contains("face 0"));
     assert!(text(vec![DVec3::NAN; 3], vec![[0, 1, 2]]).contains("not finite"));
@@ -59,7 +59,7 @@ proptest! {
             .filter_map(|face| by_plane(origin, direction, ball.corners(face)))
             .filter(|&t| t <= reach)
             .fold(f64::INFINITY, f64::min);
-        let found = Solid::new(&ball).cast(origin, direction, reach);
+        let found = SurfaceIndex::new(&ball).cast(origin, direction, reach);
         match found {
             Some(hit) => prop_assert!((hit.distance - brute).abs() < 1e-9, "{} {brute}", hit.distance),
             None => prop_assert!(brute.is_infinite(), "{brute}"),
@@ -76,7 +76,7 @@ proptest! {
                 near.distance(p)
             })
             .fold(f64::INFINITY, f64::min);
-        let found = Solid::new(&ball).closest(p, f64::INFINITY).unwrap();
+        let found = SurfaceIndex::new(&ball).closest(p, f64::INFINITY).unwrap();
         prop_assert!((found.signed_distance.abs() - brute).abs() < 1e-12);
         // Inside where every face is in front.
         let normals = ball.face_normals();
@@ -84,7 +84,7 @@ proptest! {
             .all(|face| (p - ball.corners(face)[0]).dot(normals[face]) < 0.0);
         prop_assert_eq!(found.signed_distance < 0.0, inside);
         let step = p + found.outward * 1e-6;
-        let beyond = Solid::new(&ball).closest(step, f64::INFINITY).unwrap();
+        let beyond = SurfaceIndex::new(&ball).closest(step, f64::INFINITY).unwrap();
         prop_assert!(beyond.signed_distance > found.signed_distance);
     }
 

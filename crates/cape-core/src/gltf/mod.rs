@@ -1,6 +1,6 @@
 //! glTF 2.0 binary files (`.glb`) of skinned, animated bodies, for Blender, three.js and the like.
 //!
-//! A [`Figure`] is a body in clothes with SMPL's skeleton and blend weights; [`Keyframe`]s turn its
+//! A [`SkinnedMesh`] is a body in clothes with SMPL's skeleton and blend weights; [`Keyframe`]s turn its
 //! joints. What skinning alone cannot do, pose blend shapes and clothes that change with the pose,
 //! is stored beside it as one morph target a keyframe, so that every keyframe shows exactly the
 //! vertices that this library computes for it. Units are metres, seconds and radians; y points up.
@@ -26,12 +26,12 @@ const BINARY_CHUNK: u32 = 0x004e_4942;
 /// A body in clothes, at rest.
 ///
 /// ```
-/// use cape_core::gltf::{self, Figure, Keyframe};
+/// use cape_core::gltf::{self, SkinnedMesh, Keyframe};
 /// use cape_synth::synthetic_body;
 ///
 /// let body = synthetic_body();
-/// let rest = body.shaped(&[1.0])?;
-/// let figure = Figure {
+/// let rest = body.rest_shape(&[1.0])?;
+/// let figure = SkinnedMesh {
 ///     name: "waving",
 ///     body: &body,
 ///     joints: body.rest_joints(&rest)?,
@@ -53,7 +53,7 @@ const BINARY_CHUNK: u32 = 0x004e_4942;
 /// # Ok::<(), cape_core::Error>(())
 /// ```
 #[derive(Debug, Clone)]
-pub struct Figure<'a> {
+pub struct SkinnedMesh<'a> {
     /// Its name in the file.
     pub name: &'a str,
     /// Skeleton, blend weights and triangles.
@@ -65,7 +65,7 @@ pub struct Figure<'a> {
     /// sRGB from 0 to 1, `[V, 3]`.
     pub colours: Option<&'a [[f32; 3]]>,
     /// Where the texture goes.
-    pub texture: Option<Texture<'a>>,
+    pub texture: Option<GltfTexture<'a>>,
     /// Further morph targets with their names, such as shape directions: offsets of rest vertices,
     /// metres, `[V, 3]`, weight 0 at first.
     pub targets: Vec<(String, Array2<f64>)>,
@@ -74,18 +74,18 @@ pub struct Figure<'a> {
 /// A picture and its coordinates on the body.
 ///
 /// ```
-/// use cape_core::{gltf::{self, Figure, Texture}, obj::Uv};
+/// use cape_core::{gltf::{self, SkinnedMesh, GltfTexture}, obj::Uv};
 /// use cape_synth::synthetic_body;
 ///
 /// let body = synthetic_body();
 /// let uv = Uv { coordinates: vec![[0.5, 0.5]], faces: vec![[0; 3]; body.faces.len()] };
-/// let figure = Figure {
+/// let figure = SkinnedMesh {
 ///     name: "textured",
 ///     body: &body,
 ///     rest: body.v_template.clone(),
 ///     joints: body.rest_joints(&body.v_template)?,
 ///     colours: None,
-///     texture: Some(Texture { uv: &uv, image: None }),
+///     texture: Some(GltfTexture { uv: &uv, image: None }),
 ///     targets: Vec::new(),
 /// };
 /// let file = gltf::encode(&figure, &[])?;
@@ -93,7 +93,7 @@ pub struct Figure<'a> {
 /// # Ok::<(), cape_core::Error>(())
 /// ```
 #[derive(Debug, Clone, Copy)]
-pub struct Texture<'a> {
+pub struct GltfTexture<'a> {
     /// Coordinates of the corners of the body's faces.
     pub uv: &'a Uv,
     /// The contents of a PNG or JPEG file, if there is one.
@@ -102,7 +102,7 @@ pub struct Texture<'a> {
 
 /// A moment of an animation.
 ///
-/// See [`Figure`] for an example.
+/// See [`SkinnedMesh`] for an example.
 #[derive(Debug, Clone)]
 pub struct Keyframe {
     /// When, seconds.
@@ -121,7 +121,7 @@ pub struct Keyframe {
 ///
 /// # Errors
 /// If shapes do not fit the body, if times do not rise, or if the file cannot be written.
-pub fn write(path: impl AsRef<Path>, figure: &Figure, keyframes: &[Keyframe]) -> Result<()> {
+pub fn write(path: impl AsRef<Path>, figure: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<()> {
     let path = path.as_ref();
     let bytes = encode(figure, keyframes)?;
     write_atomically(path, |file| file.write_all(&bytes))
@@ -131,11 +131,11 @@ pub fn write(path: impl AsRef<Path>, figure: &Figure, keyframes: &[Keyframe]) ->
 ///
 /// # Errors
 /// As [`write()`].
-pub fn encode(figure: &Figure, keyframes: &[Keyframe]) -> Result<Vec<u8>> {
+pub fn encode(figure: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<Vec<u8>> {
     check(figure, keyframes)?;
     let joint_count = figure.body.joints();
     let mut buffer = Buffer::default();
-    let corners = Corners::new(figure);
+    let corners = UvVertices::new(figure);
 
     let mesh = mesh(figure, keyframes, &corners, &mut buffer);
     let inverse_bind = inverse_bind(figure, &mut buffer);
@@ -197,7 +197,7 @@ fn assemble(document: &Value, mut binary: Vec<u8>) -> Result<Vec<u8>> {
     Ok(file)
 }
 
-fn check(figure: &Figure, keyframes: &[Keyframe]) -> Result<()> {
+fn check(figure: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<()> {
     let (v, j) = (figure.body.vertices(), figure.body.joints());
     let expect = |what: &str, found: &[usize], expected: &[usize]| {
         if found == expected {
@@ -245,17 +245,17 @@ fn mime_type(image: &[u8]) -> Result<&'static str> {
 }
 
 /// Vertices as glTF has them: one for each pair of a vertex and a texture point.
-struct Corners {
+struct UvVertices {
     /// The body's vertex of each.
     vertex: Vec<u32>,
     uv: Option<Vec<[f32; 2]>>,
     indices: Vec<u32>,
 }
 
-impl Corners {
-    fn new(figure: &Figure) -> Self {
+impl UvVertices {
+    fn new(figure: &SkinnedMesh) -> Self {
         let faces = figure.body.faces.as_flattened();
-        let Some(Texture { uv, .. }) = &figure.texture else {
+        let Some(GltfTexture { uv, .. }) = &figure.texture else {
             let vertex = (0..figure.body.vertices() as u32).collect();
             return Self { vertex, uv: None, indices: faces.to_vec() };
         };
@@ -281,12 +281,17 @@ impl Corners {
         self.vertex.iter().map(row).collect()
     }
 
-    fn of<T: Copy>(&self, values: &[T]) -> Vec<T> {
+    fn gather<T: Copy>(&self, values: &[T]) -> Vec<T> {
         self.vertex.iter().map(|&vertex| values[vertex as usize]).collect()
     }
 }
 
-fn mesh(figure: &Figure, keyframes: &[Keyframe], corners: &Corners, buffer: &mut Buffer) -> Value {
+fn mesh(
+    figure: &SkinnedMesh,
+    keyframes: &[Keyframe],
+    corners: &UvVertices,
+    buffer: &mut Buffer,
+) -> Value {
     let rest: Vec<[f32; 3]> =
         figure.rest.rows().into_iter().map(|v| [v[0] as f32, v[1] as f32, v[2] as f32]).collect();
     let surface = Mesh { vertices: rest, faces: figure.body.faces.clone() };
@@ -297,21 +302,22 @@ fn mesh(figure: &Figure, keyframes: &[Keyframe], corners: &Corners, buffer: &mut
         .map(|n| if n.iter().any(|&x| x != 0.0) { n } else { [0.0, 1.0, 0.0] })
         .collect();
     let mut attributes = json!({
-        "POSITION": buffer.vec3(&corners.of(&surface.vertices), Target::Vertices, true),
-        "NORMAL": buffer.vec3(&corners.of(&normals), Target::Vertices, false),
+        "POSITION": buffer.vec3(&corners.gather(&surface.vertices), Target::Vertices, true),
+        "NORMAL": buffer.vec3(&corners.gather(&normals), Target::Vertices, false),
     });
     if let Some(points) = &corners.uv {
         attributes["TEXCOORD_0"] = json!(buffer.vec2(points));
     }
     if let Some(colours) = figure.colours {
         let linear: Vec<[f32; 3]> = colours.iter().map(|colour| colour.map(linear)).collect();
-        attributes["COLOR_0"] = json!(buffer.vec3(&corners.of(&linear), Target::Vertices, false));
+        attributes["COLOR_0"] =
+            json!(buffer.vec3(&corners.gather(&linear), Target::Vertices, false));
     }
     for (set, influences) in skin::influences(figure.body).into_iter().enumerate() {
         let joints: Vec<[u8; 4]> = influences.iter().map(|four| four.map(|(j, _)| j)).collect();
         let weights: Vec<[f32; 4]> = influences.iter().map(|four| four.map(|(_, w)| w)).collect();
-        attributes[format!("JOINTS_{set}")] = json!(buffer.joints(&corners.of(&joints)));
-        attributes[format!("WEIGHTS_{set}")] = json!(buffer.vec4(&corners.of(&weights)));
+        attributes[format!("JOINTS_{set}")] = json!(buffer.joints(&corners.gather(&joints)));
+        attributes[format!("WEIGHTS_{set}")] = json!(buffer.vec4(&corners.gather(&weights)));
     }
     let indices = buffer.indices(&corners.indices);
     let mut primitive = json!({ "attributes": attributes, "indices": indices, "material": 0 });
@@ -345,7 +351,7 @@ fn linear(x: f32) -> f32 {
 }
 
 /// Where a joint is relative to its parent.
-fn local(figure: &Figure, joint: usize) -> DVec3 {
+fn local(figure: &SkinnedMesh, joint: usize) -> DVec3 {
     let at = |joint: usize| DVec3::from_array([0, 1, 2].map(|axis| figure.joints[[joint, axis]]));
     figure.body.parents[joint].map_or_else(|| at(joint), |parent| at(joint) - at(parent))
 }
@@ -355,7 +361,7 @@ fn rotation(frame: &Keyframe, joint: usize) -> [f32; 4] {
     DQuat::from_scaled_axis(DVec3::from_array(axis_angle)).as_quat().to_array()
 }
 
-fn joint_node(figure: &Figure, joint: usize, frame: Option<&Keyframe>) -> Value {
+fn joint_node(figure: &SkinnedMesh, joint: usize, frame: Option<&Keyframe>) -> Value {
     let name = joints::JOINT_NAMES
         .get(joint)
         .map_or_else(|| format!("joint {joint}"), ToString::to_string);
@@ -376,7 +382,7 @@ fn joint_node(figure: &Figure, joint: usize, frame: Option<&Keyframe>) -> Value 
     node
 }
 
-fn inverse_bind(figure: &Figure, buffer: &mut Buffer) -> usize {
+fn inverse_bind(figure: &SkinnedMesh, buffer: &mut Buffer) -> usize {
     let matrices: Vec<[f32; 16]> = figure
         .joints
         .rows()
@@ -390,7 +396,7 @@ fn inverse_bind(figure: &Figure, buffer: &mut Buffer) -> usize {
 }
 
 fn animation(
-    figure: &Figure,
+    figure: &SkinnedMesh,
     keyframes: &[Keyframe],
     mesh_node: usize,
     buffer: &mut Buffer,

@@ -8,11 +8,11 @@ const NEGLIGIBLE: f64 = 1e-5;
 const MOST_SETS: usize = 4;
 
 /// A joint and its weight, four times.
-pub(super) type Four = [(u8, f32); 4];
+pub(super) type JointInfluences = [(u8, f32); 4];
 
 /// For each set, the joints and weights of every vertex, the heaviest first; weights of a vertex
 /// sum to 1 over all sets. SMPL's own weights fit into one set.
-pub(super) fn influences(body: &SmplModel) -> Vec<Vec<Four>> {
+pub(super) fn influences(body: &SmplModel) -> Vec<Vec<JointInfluences>> {
     let vertices: Vec<Vec<(u8, f32)>> = body
         .weights
         .rows()

@@ -131,7 +131,7 @@ struct Scene {
 fn scene() -> Scene {
     let body = random_model();
     let betas = vec![0.3; body.betas()];
-    let shape = body.shaped(&betas).unwrap();
+    let shape = body.rest_shape(&betas).unwrap();
     let displacement =
         Array2::from_shape_fn(shape.dim(), |(v, axis)| ((3 * v + axis) as f64).sin() * 0.03);
     Scene {
@@ -143,8 +143,8 @@ fn scene() -> Scene {
 }
 
 impl Scene {
-    fn figure(&self) -> Figure<'_> {
-        Figure {
+    fn figure(&self) -> SkinnedMesh<'_> {
+        SkinnedMesh {
             name: "test",
             body: &self.body,
             rest: self.rest.clone(),
@@ -208,8 +208,10 @@ fn a_single_pose_is_posed_as_here() {
 fn every_keyframe_of_an_animation_is_posed_as_here() {
     let scene = scene();
     let keyframes = scene.keyframes();
-    let figure =
-        Figure { targets: vec![("beta 0".into(), scene.displacement.clone())], ..scene.figure() };
+    let figure = SkinnedMesh {
+        targets: vec![("beta 0".into(), scene.displacement.clone())],
+        ..scene.figure()
+    };
     let glb = Glb::parse(&encode(&figure, &keyframes).unwrap());
     let animation = &glb.json["animations"][0];
     let joints = scene.body.joints();
@@ -258,8 +260,8 @@ fn textures_split_vertices_at_seams() {
     };
     let image = b"\x89PNG not really".as_slice();
     let colours: Vec<[f32; 3]> = vec![[1.0, 0.5, 0.0]; scene.body.vertices()];
-    let figure = Figure {
-        texture: Some(Texture { uv: &uv, image: Some(image) }),
+    let figure = SkinnedMesh {
+        texture: Some(GltfTexture { uv: &uv, image: Some(image) }),
         colours: Some(&colours),
         ..scene.figure()
     };
@@ -316,7 +318,7 @@ fn rotations_are_those_of_the_axis_angles() {
 #[test]
 fn what_does_not_fit_is_named() {
     let scene = scene();
-    let says = |figure: &Figure, keyframes: &[Keyframe], expected: &str| {
+    let says = |figure: &SkinnedMesh, keyframes: &[Keyframe], expected: &str| {
         let message = encode(figure, keyframes).unwrap_err().to_string();
         assert!(message.contains(expected), "{message}");
     };
@@ -326,12 +328,13 @@ fn what_does_not_fit_is_named() {
     let mut keyframes = scene.keyframes();
     keyframes[1].pose.pop();
     says(&scene.figure(), &keyframes, "pose of keyframe 1");
-    let figure = Figure { rest: Array2::zeros((1, 3)), ..scene.figure() };
+    let figure = SkinnedMesh { rest: Array2::zeros((1, 3)), ..scene.figure() };
     says(&figure, &[], "rest vertices of shape [1, 3]");
     let uv = Uv { coordinates: Vec::new(), faces: vec![[0, 0, 0]; scene.body.faces.len()] };
-    let figure = Figure { texture: Some(Texture { uv: &uv, image: None }), ..scene.figure() };
+    let figure =
+        SkinnedMesh { texture: Some(GltfTexture { uv: &uv, image: None }), ..scene.figure() };
     says(&figure, &[], "no texture point");
     let uv = Uv { coordinates: vec![[0.0; 2]], ..uv };
-    let texture = Some(Texture { uv: &uv, image: Some(b"GIF89a") });
-    says(&Figure { texture, ..scene.figure() }, &[], "PNG or a JPEG");
+    let texture = Some(GltfTexture { uv: &uv, image: Some(b"GIF89a") });
+    says(&SkinnedMesh { texture, ..scene.figure() }, &[], "PNG or a JPEG");
 }

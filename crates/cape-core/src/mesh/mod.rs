@@ -38,7 +38,7 @@ pub struct Mesh {
 impl Mesh {
     /// Reads an `.obj` or `.ply` file, by its extension.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
-        match MeshFormat::of(path.as_ref())? {
+        match MeshFormat::from_path(path.as_ref())? {
             MeshFormat::Obj => Ok(obj::read(path)?.mesh),
             MeshFormat::Ply => ply::read(path),
         }
@@ -46,7 +46,7 @@ impl Mesh {
 
     /// Writes an `.obj` or binary `.ply` file, by its extension.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
-        match MeshFormat::of(path.as_ref())? {
+        match MeshFormat::from_path(path.as_ref())? {
             MeshFormat::Obj => obj::write(path, self, None),
             MeshFormat::Ply => ply::write(path, self, None),
         }
@@ -109,7 +109,7 @@ impl Mesh {
 
     /// Everything unusual about the mesh.
     pub fn validate(&self) -> MeshReport {
-        MeshReport::of(self)
+        MeshReport::from_mesh(self)
     }
 }
 
@@ -124,7 +124,7 @@ enum MeshFormat {
 }
 
 impl MeshFormat {
-    fn of(path: &Path) -> Result<Self> {
+    fn from_path(path: &Path) -> Result<Self> {
         let extension = path.extension().and_then(|extension| extension.to_str());
         match extension.map(str::to_ascii_lowercase).as_deref() {
             Some("obj") => Ok(Self::Obj),

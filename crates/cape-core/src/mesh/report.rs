@@ -39,7 +39,7 @@ pub struct MeshReport {
 }
 
 impl MeshReport {
-    pub(super) fn of(mesh: &Mesh) -> Self {
+    pub(super) fn from_mesh(mesh: &Mesh) -> Self {
         let mut report = Self::default();
         let mut used = vec![false; mesh.vertices.len()];
         let mut seen = HashSet::new();

@@ -17,7 +17,7 @@ use line_search::{Point, search};
 /// ```
 /// use std::convert::Infallible;
 ///
-/// use cape_core::optimise::{LbfgsOptions, Stop, minimise};
+/// use cape_core::optimise::{LbfgsOptions, StopReason, minimise};
 ///
 /// // Rosenbrock's valley, whose lowest point is (1, 1).
 /// let options = LbfgsOptions { gain: 0.0, ..LbfgsOptions::default() };
@@ -26,7 +26,7 @@ use line_search::{Point, search};
 ///     gradient.copy_from_slice(&[-2.0 * a - 400.0 * x[0] * b, 200.0 * b]);
 ///     Ok::<_, Infallible>(a * a + 100.0 * b * b)
 /// })?;
-/// assert_eq!(minimum.stop, Stop::Gradient);
+/// assert_eq!(minimum.stop, StopReason::Gradient);
 /// assert!(minimum.x.iter().all(|x| (x - 1.0).abs() < 1e-5));
 /// assert!(minimum.curve.is_sorted_by(|before, after| before >= after));
 /// # Ok::<(), Infallible>(())
@@ -54,17 +54,17 @@ impl Default for LbfgsOptions {
 ///
 /// See [`LbfgsOptions`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stop {
+pub enum StopReason {
     /// The gradient vanished.
     Gradient,
     /// Steps gained nothing any more.
     Gain,
     /// The line search found no lower point.
-    Line,
+    LineSearchFailed,
     /// All steps were made.
     Steps,
     /// Who watched had seen enough.
-    Enough,
+    Callback,
 }
 
 /// What a minimisation came to.
@@ -81,7 +81,7 @@ pub struct Minimum {
     /// How often the function was evaluated.
     pub evaluations: usize,
     /// Why it ended.
-    pub stop: Stop,
+    pub stop: StopReason,
 }
 
 /// Minimises from `x`. The function writes its gradient and returns its value; where the value is
@@ -118,15 +118,18 @@ pub fn minimise_while<E>(
         Ok(Point { step, value: if finite { value } else { f64::INFINITY }, slope, gradient })
     };
     let mut x = x;
-    let mut memory = Memory { pairs: VecDeque::new(), most: options.history.max(1) };
+    let mut memory = LbfgsHistory { pairs: VecDeque::new(), most: options.history.max(1) };
     let mut now = evaluate(&x, &vec![0.0; x.len()], 0.0)?;
     let mut curve = vec![now.value];
-    let (steps, mut stop) =
-        if now.value.is_finite() { (options.steps, Stop::Steps) } else { (0, Stop::Line) };
+    let (steps, mut stop) = if now.value.is_finite() {
+        (options.steps, StopReason::Steps)
+    } else {
+        (0, StopReason::LineSearchFailed)
+    };
     for _ in 0..steps {
         let steepest = now.gradient.iter().fold(0.0f64, |most, g| most.max(g.abs()));
         if steepest <= options.gradient {
-            stop = Stop::Gradient;
+            stop = StopReason::Gradient;
             break;
         }
         let mut direction = memory.direction(&now.gradient);
@@ -140,7 +143,7 @@ pub fn minimise_while<E>(
         now.step = 0.0;
         let Some(next) = search(&now, first, |step| evaluate(&x, &direction, step))? else {
             if memory.pairs.is_empty() {
-                stop = Stop::Line;
+                stop = StopReason::LineSearchFailed;
                 break;
             }
             // What is remembered may mislead: once more downhill.
@@ -155,11 +158,11 @@ pub fn minimise_while<E>(
         now = next;
         curve.push(now.value);
         if !go_on(&x, now.value) {
-            stop = Stop::Enough;
+            stop = StopReason::Callback;
             break;
         }
         if gain <= options.gain * now.value.abs().max(1e-12) {
-            stop = Stop::Gain;
+            stop = StopReason::Gain;
             break;
         }
     }
@@ -167,12 +170,12 @@ pub fn minimise_while<E>(
 }
 
 /// Changes of point and gradient, newest last.
-struct Memory {
+struct LbfgsHistory {
     pairs: VecDeque<(Vec<f64>, Vec<f64>)>,
     most: usize,
 }
 
-impl Memory {
+impl LbfgsHistory {
     /// Pairs without positive curvature are of no use.
     fn push(&mut self, change: Vec<f64>, bend: Vec<f64>) {
         let curvature = dot(&change, &bend);
@@ -257,7 +260,7 @@ mod tests {
         });
         assert!((found.x[0] - 1.0).abs() < 1e-6, "{found:?}");
         let nowhere = run(vec![1.0], |_, _| f64::NAN);
-        assert_eq!(nowhere.stop, Stop::Line);
+        assert_eq!(nowhere.stop, StopReason::LineSearchFailed);
         let failed = minimise(vec![1.0], &LbfgsOptions::default(), |_, _| Err("broken"));
         assert_eq!(failed.unwrap_err(), "broken");
     }
@@ -277,13 +280,13 @@ mod tests {
             Ok::<_, Infallible>(sum)
         };
         let found = minimise(vec![0.0; 30], &options, function).unwrap();
-        assert_eq!(found.stop, Stop::Gradient, "{found:?}");
+        assert_eq!(found.stop, StopReason::Gradient, "{found:?}");
         assert!(found.x.iter().zip(&centre).all(|(x, c)| (x - c).abs() < 1e-5));
         assert!(found.evaluations < 400, "{}", found.evaluations);
 
         let some = minimise_while(vec![0.0; 30], &options, function, |_, value| value > 1.0);
         let some = some.unwrap();
-        assert_eq!(some.stop, Stop::Enough);
+        assert_eq!(some.stop, StopReason::Callback);
         assert!(some.value <= 1.0 && some.curve[some.curve.len() - 2] > 1.0);
     }
 
@@ -296,7 +299,7 @@ mod tests {
             Ok::<_, Infallible>(a * a + 100.0 * b * b)
         })
         .unwrap();
-        assert!(found.stop == Stop::Gradient && found.curve.len() <= 60, "{found:?}");
+        assert!(found.stop == StopReason::Gradient && found.curve.len() <= 60, "{found:?}");
         assert!(found.x.iter().all(|x| (x - 1.0).abs() < 1e-7));
         assert!(found.curve.windows(2).all(|pair| pair[1] < pair[0]));
     }

@@ -3,7 +3,7 @@
 use ndarray::{ArrayD, IxDyn};
 
 use super::{
-    class::Kind,
+    class::ClassKind,
     node::{Item, Node, Object},
     value::Value,
 };
@@ -18,7 +18,7 @@ pub(super) const MAX_DEPTH: usize = 32;
 const VISIT: usize = 32;
 
 /// An array as it was stored.
-pub(super) enum Stored<'a> {
+pub(super) enum StoredArray<'a> {
     Numbers {
         dtype: NpyType,
         shape: Vec<usize>,
@@ -49,9 +49,9 @@ impl<'a> Value<'a> {
         self.charge(VISIT)?;
         if let Some((class, object)) = self.object() {
             return match class.kind {
-                Kind::NdArray | Kind::FromBuffer => self.numpy(depth),
-                Kind::Scalar => self.scalar(object),
-                Kind::Chumpy => self.chumpy(depth),
+                ClassKind::NdArray | ClassKind::FromBuffer => self.numpy(depth),
+                ClassKind::Scalar => self.scalar(object),
+                ClassKind::Chumpy => self.chumpy(depth),
                 _ => Err(self.error(format!("is {}, expected numbers", self.describe()))),
             };
         }
@@ -97,7 +97,7 @@ impl<'a> Value<'a> {
 
     fn numpy<T: NpyElement>(&self, depth: usize) -> Result<ArrayD<T>> {
         match self.stored()? {
-            Stored::Numbers { dtype, shape, fortran, axes, bytes } => {
+            StoredArray::Numbers { dtype, shape, fortran, axes, bytes } => {
                 let bytes = bytes.bytes()?;
                 let header = NpyHeader { dtype, fortran, shape, data_offset: 0 };
                 let count = header.elements_and_bytes().map_or(usize::MAX, |(count, _)| count);
@@ -108,33 +108,35 @@ impl<'a> Value<'a> {
                     Some(axes) => array.permuted_axes(axes).as_standard_layout().into_owned(),
                 })
             }
-            Stored::Objects { shape, fortran, elements } => match (&shape[..], &elements[..]) {
-                ([], [one]) => one.array_within(depth),
-                _ if fortran => Err(self.error("is an array of objects in Fortran order")),
-                _ => {
-                    let flat: ArrayD<T> = self.stack(elements.into_iter(), depth)?;
-                    let shape = [&shape, &flat.shape()[1..]].concat();
-                    flat.into_shape_with_order(shape).map_err(|e| self.error(e.to_string()))
+            StoredArray::Objects { shape, fortran, elements } => {
+                match (&shape[..], &elements[..]) {
+                    ([], [one]) => one.array_within(depth),
+                    _ if fortran => Err(self.error("is an array of objects in Fortran order")),
+                    _ => {
+                        let flat: ArrayD<T> = self.stack(elements.into_iter(), depth)?;
+                        let shape = [&shape, &flat.shape()[1..]].concat();
+                        flat.into_shape_with_order(shape).map_err(|e| self.error(e.to_string()))
+                    }
                 }
-            },
+            }
         }
     }
 
     /// The elements of an array of objects, in its order, with its shape.
     pub fn objects(&self) -> Result<(Vec<usize>, Vec<Self>)> {
         match self.stored()? {
-            Stored::Objects { shape, elements, .. } => Ok((shape, elements)),
-            Stored::Numbers { dtype, .. } => {
+            StoredArray::Objects { shape, elements, .. } => Ok((shape, elements)),
+            StoredArray::Numbers { dtype, .. } => {
                 Err(self.error(format!("holds `{dtype}`, expected objects")))
             }
         }
     }
 
     /// An object array of no dimensions stands for what it holds.
-    pub(super) fn unwrapped(&self) -> Result<Self> {
+    pub(super) fn unwrap_scalar(&self) -> Result<Self> {
         match self.object() {
-            Some((class, _)) if class.kind == Kind::NdArray => match self.stored()? {
-                Stored::Objects { shape, mut elements, .. } if shape.is_empty() => {
+            Some((class, _)) if class.kind == ClassKind::NdArray => match self.stored()? {
+                StoredArray::Objects { shape, mut elements, .. } if shape.is_empty() => {
                     elements.pop().ok_or_else(|| self.error("is an empty array"))
                 }
                 _ => Ok(self.clone()),
@@ -143,10 +145,10 @@ impl<'a> Value<'a> {
         }
     }
 
-    fn stored(&self) -> Result<Stored<'a>> {
+    fn stored(&self) -> Result<StoredArray<'a>> {
         match self.object() {
             // __setstate__(version, shape, dtype, Fortran order, data); the version may be missing.
-            Some((class, object)) if class.kind == Kind::NdArray => {
+            Some((class, object)) if class.kind == ClassKind::NdArray => {
                 let state = self.part(object.state, "state").elements();
                 let state = state.ok_or_else(|| self.error("is an array without a state"))?;
                 let ([_, shape, dtype, fortran, data] | [shape, dtype, fortran, data]) = &state[..]
@@ -156,7 +158,7 @@ impl<'a> Value<'a> {
                 self.assemble(shape, dtype, fortran.int()? != 0, data)
             }
             // _frombuffer(data, dtype, shape, order)
-            Some((class, object)) if class.kind == Kind::FromBuffer => {
+            Some((class, object)) if class.kind == ClassKind::FromBuffer => {
                 let arguments = self.part(object.arguments, "arguments").elements();
                 match arguments.as_deref() {
                     Some([data, dtype, shape, order]) => {
@@ -165,9 +167,15 @@ impl<'a> Value<'a> {
                     // Permuted: laid out in C order, with the axes in another.
                     Some([data, dtype, shape, _, axes]) => {
                         match self.assemble(shape, dtype, false, data)? {
-                            Stored::Numbers { dtype, shape, bytes, .. } if !axes.is_none() => {
+                            StoredArray::Numbers { dtype, shape, bytes, .. } if !axes.is_none() => {
                                 let axes = Some(self.permutation(axes, shape.len())?);
-                                Ok(Stored::Numbers { dtype, shape, fortran: false, axes, bytes })
+                                Ok(StoredArray::Numbers {
+                                    dtype,
+                                    shape,
+                                    fortran: false,
+                                    axes,
+                                    bytes,
+                                })
                             }
                             stored => Ok(stored),
                         }
@@ -185,12 +193,12 @@ impl<'a> Value<'a> {
         dtype: &Self,
         fortran: bool,
         data: &Self,
-    ) -> Result<Stored<'a>> {
+    ) -> Result<StoredArray<'a>> {
         let shape = self.shape(shape)?;
         let dtype = self.dtype(dtype)?;
         if !dtype.is_object() {
             let bytes = self.part(data.item, "data");
-            return Ok(Stored::Numbers { dtype, shape, fortran, axes: None, bytes });
+            return Ok(StoredArray::Numbers { dtype, shape, fortran, axes: None, bytes });
         }
         let elements = match data.node() {
             Some(Node::List(items)) => {
@@ -204,7 +212,7 @@ impl<'a> Value<'a> {
             let message = format!("claims shape {shape:?}, but has {} objects", elements.len());
             return Err(self.error(message));
         }
-        Ok(Stored::Objects { shape, fortran, elements })
+        Ok(StoredArray::Objects { shape, fortran, elements })
     }
 
     /// An order of `count` axes.
@@ -220,7 +228,7 @@ impl<'a> Value<'a> {
 
     /// Whether this is an array of booleans.
     pub(super) fn is_mask(&self) -> bool {
-        matches!(self.stored(), Ok(Stored::Numbers { dtype, .. }) if dtype.kind == NpyKind::Bool)
+        matches!(self.stored(), Ok(StoredArray::Numbers { dtype, .. }) if dtype.kind == NpyKind::Bool)
     }
 
     pub(super) fn shape(&self, shape: &Self) -> Result<Vec<usize>> {
@@ -256,7 +264,7 @@ impl<'a> Value<'a> {
     fn dtype(&self, dtype: &Self) -> Result<NpyType> {
         let fault = || self.error("has no usable element type");
         let (class, object) = dtype.object().ok_or_else(fault)?;
-        if class.kind != Kind::DType {
+        if class.kind != ClassKind::DType {
             return Err(fault());
         }
         let code = self.part(object.arguments, "dtype").elements().ok_or_else(fault)?;

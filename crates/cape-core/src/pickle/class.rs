@@ -3,13 +3,13 @@
 /// A class or function that a pickle names.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Class {
-    pub(super) kind: Kind,
+    pub(super) kind: ClassKind,
     /// Module and name, with a dot between.
     pub(super) name: String,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum ClassKind {
     /// `numpy.core.multiarray._reconstruct`, `copy_reg._reconstructor`: an empty instance of the
     /// class that is their first argument.
     Empty,
@@ -46,45 +46,45 @@ impl Class {
     }
 }
 
-fn kind(module: &str, name: &str) -> Option<Kind> {
+fn kind(module: &str, name: &str) -> Option<ClassKind> {
     let top = module.split('.').next()?;
     Some(match (top, name) {
-        ("copy_reg" | "copyreg", "_reconstructor") if module == top => Kind::Empty,
+        ("copy_reg" | "copyreg", "_reconstructor") if module == top => ClassKind::Empty,
         ("__builtin__" | "builtins", _) if module == top => match name {
-            "object" => Kind::Record,
-            "set" | "frozenset" | "list" | "tuple" => Kind::Sequence,
-            "dict" => Kind::Dict,
-            "bytes" | "bytearray" => Kind::Bytes,
+            "object" => ClassKind::Record,
+            "set" | "frozenset" | "list" | "tuple" => ClassKind::Sequence,
+            "dict" => ClassKind::Dict,
+            "bytes" | "bytearray" => ClassKind::Bytes,
             _ => return None,
         },
-        ("collections", "OrderedDict") if module == top => Kind::Dict,
-        ("_codecs", "encode") if module == top => Kind::Encode,
+        ("collections", "OrderedDict") if module == top => ClassKind::Dict,
+        ("_codecs", "encode") if module == top => ClassKind::Encode,
         ("numpy", _) => numpy(module, name)?,
         ("scipy", _) if module.starts_with("scipy.sparse") => match name {
-            "csc_matrix" | "csc_array" => Kind::Csc,
-            "csr_matrix" | "csr_array" => Kind::Csr,
-            "coo_matrix" | "coo_array" => Kind::Coo,
+            "csc_matrix" | "csc_array" => ClassKind::Csc,
+            "csr_matrix" | "csr_array" => ClassKind::Csr,
+            "coo_matrix" | "coo_array" => ClassKind::Coo,
             _ => return None,
         },
-        ("chumpy", _) => Kind::Chumpy,
+        ("chumpy", _) => ClassKind::Chumpy,
         ("sklearn", "GMM" | "DPGMM" | "VBGMM" | "GaussianMixture" | "BayesianGaussianMixture")
             if module.starts_with("sklearn.mixture") =>
         {
-            Kind::Record
+            ClassKind::Record
         }
         _ => return None,
     })
 }
 
-fn numpy(module: &str, name: &str) -> Option<Kind> {
+fn numpy(module: &str, name: &str) -> Option<ClassKind> {
     Some(match (module, name) {
-        ("numpy.core.multiarray" | "numpy._core.multiarray", "_reconstruct") => Kind::Empty,
-        ("numpy.core.multiarray" | "numpy._core.multiarray", "scalar") => Kind::Scalar,
-        ("numpy.core.numeric" | "numpy._core.numeric", "_frombuffer") => Kind::FromBuffer,
-        ("numpy", "dtype") => Kind::DType,
+        ("numpy.core.multiarray" | "numpy._core.multiarray", "_reconstruct") => ClassKind::Empty,
+        ("numpy.core.multiarray" | "numpy._core.multiarray", "scalar") => ClassKind::Scalar,
+        ("numpy.core.numeric" | "numpy._core.numeric", "_frombuffer") => ClassKind::FromBuffer,
+        ("numpy", "dtype") => ClassKind::DType,
         ("numpy", "ndarray" | "matrix" | "memmap")
         | ("numpy.matrixlib.defmatrix", "matrix")
-        | ("numpy.core.memmap" | "numpy._core.memmap", "memmap") => Kind::NdArray,
+        | ("numpy.core.memmap" | "numpy._core.memmap", "memmap") => ClassKind::NdArray,
         // The state of a random generator that an estimator was made with.
         _ if module.starts_with("numpy.random") => match name {
             "RandomState"
@@ -94,7 +94,7 @@ fn numpy(module: &str, name: &str) -> Option<Kind> {
             | "__RandomState_ctor"
             | "__randomstate_ctor"
             | "__generator_ctor"
-            | "__bit_generator_ctor" => Kind::Record,
+            | "__bit_generator_ctor" => ClassKind::Record,
             _ => return None,
         },
         _ => return None,
@@ -126,12 +126,12 @@ mod tests {
             assert_eq!(Class::find(module, name), None, "{module}.{name}");
         }
         for (module, name, kind) in [
-            ("numpy.core.multiarray", "_reconstruct", Kind::Empty),
-            ("numpy", "ndarray", Kind::NdArray),
-            ("scipy.sparse.csc", "csc_matrix", Kind::Csc),
-            ("scipy.sparse._coo", "coo_array", Kind::Coo),
-            ("chumpy.reordering", "Select", Kind::Chumpy),
-            ("sklearn.mixture._gaussian_mixture", "GaussianMixture", Kind::Record),
+            ("numpy.core.multiarray", "_reconstruct", ClassKind::Empty),
+            ("numpy", "ndarray", ClassKind::NdArray),
+            ("scipy.sparse.csc", "csc_matrix", ClassKind::Csc),
+            ("scipy.sparse._coo", "coo_array", ClassKind::Coo),
+            ("chumpy.reordering", "Select", ClassKind::Chumpy),
+            ("sklearn.mixture._gaussian_mixture", "GaussianMixture", ClassKind::Record),
         ] {
             assert_eq!(Class::find(module, name).unwrap().kind, kind, "{module}.{name}");
         }

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use super::{
-    class::{Class, Kind},
+    class::{Class, ClassKind},
     node::{Bytes, Item, Node, Object},
     text::{raw_unicode, string_literal},
 };
@@ -20,14 +20,14 @@ const SPARE_MEMOS: usize = 1 << 10;
 type Result<T, E = String> = std::result::Result<T, E>;
 
 /// What a program built.
-pub(super) struct Built {
+pub(super) struct ObjectGraph {
     pub(super) nodes: Vec<Node>,
     pub(super) classes: Vec<Class>,
     pub(super) root: Item,
 }
 
 /// Runs the pickle in `source`.
-pub(super) fn run(source: &[u8]) -> Result<Built> {
+pub(super) fn run(source: &[u8]) -> Result<ObjectGraph> {
     let mut machine = Machine {
         source,
         at: 0,
@@ -45,7 +45,7 @@ pub(super) fn run(source: &[u8]) -> Result<Built> {
             Ok(None) => {}
             Ok(Some(root)) => {
                 let Machine { nodes, classes, .. } = machine;
-                return Ok(Built { nodes, classes, root });
+                return Ok(ObjectGraph { nodes, classes, root });
             }
             Err(message) => return Err(format!("{message} (at byte {start})")),
         }
@@ -484,7 +484,7 @@ impl<'a> Machine<'a> {
 
     fn object(&mut self, callable: Item, arguments: Item) -> Result<()> {
         let mut class = self.class_of(callable)?;
-        if self.classes[class as usize].kind == Kind::Empty {
+        if self.classes[class as usize].kind == ClassKind::Empty {
             class = match self.node(arguments) {
                 Some(Node::Tuple(arguments)) if !arguments.is_empty() => {
                     self.class_of(arguments[0])?

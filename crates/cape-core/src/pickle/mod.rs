@@ -86,7 +86,7 @@ impl Pickle {
     pub fn parse(path: impl AsRef<Path>, source: Vec<u8>) -> Result<Self> {
         let path = path.as_ref();
         let allowance = (source.len() as u64).saturating_mul(MAX_EXPANSION).saturating_add(1 << 20);
-        let machine::Built { nodes, classes, root } = machine::run(&source)
+        let machine::ObjectGraph { nodes, classes, root } = machine::run(&source)
             .map_err(|message| Error::format(path, format!("pickle: {message}")))?;
         let allowance = Cell::new(allowance);
         Ok(Self { path: path.to_owned(), source, nodes, classes, root, allowance })

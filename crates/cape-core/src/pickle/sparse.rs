@@ -2,7 +2,7 @@
 
 use ndarray::{Array2, ArrayD};
 
-use super::{class::Kind, value::Value};
+use super::{class::ClassKind, value::Value};
 use crate::{Result, npy::NpyElement};
 
 /// A sparse matrix by its entries; entries at one place add up.
@@ -96,15 +96,17 @@ impl Value<'_> {
     /// Whether this is one of SciPy's sparse matrices (compressed columns or rows, coordinates), or
     /// an array of no dimensions that holds one.
     pub fn is_sparse(&self) -> bool {
-        let kind = self.unwrapped().ok().and_then(|value| Some(value.object()?.0.kind));
-        matches!(kind, Some(Kind::Csc | Kind::Csr | Kind::Coo))
+        let kind = self.unwrap_scalar().ok().and_then(|value| Some(value.object()?.0.kind));
+        matches!(kind, Some(ClassKind::Csc | ClassKind::Csr | ClassKind::Coo))
     }
 
     /// The entries of a sparse matrix.
     pub fn sparse(&self) -> Result<Triplets> {
-        let matrix = self.unwrapped()?;
+        let matrix = self.unwrap_scalar()?;
         let kind = match matrix.object() {
-            Some((class, _)) if matches!(class.kind, Kind::Csc | Kind::Csr | Kind::Coo) => {
+            Some((class, _))
+                if matches!(class.kind, ClassKind::Csc | ClassKind::Csr | ClassKind::Coo) =>
+            {
                 class.kind
             }
             _ => {
@@ -124,7 +126,7 @@ impl Value<'_> {
             Ok(part) => part.error(message),
             Err(missing) => missing,
         };
-        if kind == Kind::Coo {
+        if kind == ClassKind::Coo {
             let (r, c) = match matrix.get("coords") {
                 Some(coordinates) => match coordinates.elements().as_deref() {
                     Some([r, c]) => {
@@ -139,7 +141,7 @@ impl Value<'_> {
             return Ok(Triplets { shape: [rows, columns], rows: r, columns: c, values });
         }
         let (starts, indices) = (matrix.flat::<i64>("indptr")?, matrix.flat::<i64>("indices")?);
-        if kind == Kind::Csr {
+        if kind == ClassKind::Csr {
             Triplets::from_compressed([rows, columns], &starts, &indices, values).map_err(fault)
         } else {
             Triplets::from_compressed([columns, rows], &starts, &indices, values)

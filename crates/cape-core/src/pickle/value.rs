@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use super::{
     Pickle,
-    class::{Class, Kind},
+    class::{Class, ClassKind},
     node::{Bytes, Item, Node, Object},
 };
 use crate::{Error, Result};
@@ -97,7 +97,7 @@ impl<'a> Value<'a> {
         match self.node()? {
             Node::Dict(entries) => Some(entries),
             Node::Object(object) => match self.pickle.classes[object.class as usize].kind {
-                Kind::Dict => Some(&object.entries),
+                ClassKind::Dict => Some(&object.entries),
                 _ => match self.part(object.state, "state").node()? {
                     Node::Dict(entries) => Some(entries),
                     // The state of classes with slots: a dictionary and the slots.
@@ -168,19 +168,19 @@ impl<'a> Value<'a> {
             let first = arguments.and_then(|arguments| arguments.into_iter().next());
             match (class.kind, first) {
                 // Python 3 writes bytes for protocols 0 to 2 as texts, to be encoded again.
-                (Kind::Encode | Kind::Bytes, Some(first)) => match first.node() {
+                (ClassKind::Encode | ClassKind::Bytes, Some(first)) => match first.node() {
                     Some(Node::Bytes(bytes)) => return Ok(Cow::Borrowed(self.slice(bytes))),
                     Some(Node::Text(_)) => return first.latin1(),
-                    Some(Node::Object(inner)) if class.kind == Kind::Bytes => {
+                    Some(Node::Object(inner)) if class.kind == ClassKind::Bytes => {
                         let is_encode =
-                            self.pickle.classes[inner.class as usize].kind == Kind::Encode;
+                            self.pickle.classes[inner.class as usize].kind == ClassKind::Encode;
                         if is_encode {
                             return first.bytes();
                         }
                     }
                     _ => {}
                 },
-                (Kind::Bytes, None) => return Ok(Cow::Borrowed(&[])),
+                (ClassKind::Bytes, None) => return Ok(Cow::Borrowed(&[])),
                 _ => {}
             }
         }

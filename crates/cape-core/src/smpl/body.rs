@@ -55,7 +55,7 @@ pub struct SmplOutput {
 
 /// The joints at one depth of the kinematic tree.
 #[derive(Debug, Clone)]
-struct Depth {
+struct JointLevel {
     joints: Tensor<1, Int>,
     /// Position of each joint's parent within the depth above.
     parents: Tensor<1, Int>,
@@ -106,7 +106,7 @@ pub struct Smpl {
     /// Transposed blend weights, `[J, V]`.
     weights: Tensor<2>,
     /// Below the root.
-    depths: Vec<Depth>,
+    depths: Vec<JointLevel>,
     /// Each joint's parent (the root its own), and each joint's place in the order of depths.
     parents: Tensor<1, Int>,
     order: Tensor<1, Int>,
@@ -190,8 +190,8 @@ impl Smpl {
     }
 
     /// The unclothed rest shape `T̄ + B_S(β)`: `[n, b]` → `[n, V, 3]`.
-    pub fn shaped(&self, betas: Tensor<2>) -> Result<Tensor<3>> {
-        Ok(self.shaped_planes(betas)?.swap_dims(1, 2))
+    pub fn rest_shape(&self, betas: Tensor<2>) -> Result<Tensor<3>> {
+        Ok(self.rest_shape_planes(betas)?.swap_dims(1, 2))
     }
 
     /// The body's rest joints `J(β)`: `[n, b]` → `[n, J, 3]`.
@@ -241,9 +241,9 @@ impl Smpl {
     }
 
     /// The unposed body `T(β, θ)` (CAPE eq. 1), `[n, V, 3]`.
-    pub fn unposed(&self, betas: Tensor<2>, pose: Pose) -> Result<Tensor<3>> {
+    pub fn unposed_template(&self, betas: Tensor<2>, pose: Pose) -> Result<Tensor<3>> {
         let rotations = self.rotations(pose)?;
-        let shape = self.shaped_planes(betas)?;
+        let shape = self.rest_shape_planes(betas)?;
         same_batch("pose", rotations.dims()[0], shape.dims()[0])?;
         Ok((shape + self.pose_planes(rotations)).swap_dims(1, 2))
     }
@@ -293,7 +293,7 @@ impl Smpl {
 
     /// Undoes [`forward`](Self::forward): posed, possibly clothed vertices `[n, V, 3]` back to the
     /// canonical space of the rest shape, `T̄ + B_S(β) + S_clo` (pose blend shapes removed), so that
-    /// `unpose(…) − shaped(β)` is the clothing displacement.
+    /// `unpose(…) − rest_shape(β)` is the clothing displacement.
     pub fn unpose(
         &self,
         vertices: Tensor<3>,
@@ -307,7 +307,7 @@ impl Smpl {
         Ok(rest - self.pose_planes(rotations).swap_dims(1, 2))
     }
 
-    pub(super) fn shaped_planes(&self, betas: Tensor<2>) -> Result<Tensor<3>> {
+    pub(super) fn rest_shape_planes(&self, betas: Tensor<2>) -> Result<Tensor<3>> {
         let [n, b] = self.check_betas(&betas)?;
         let shape = match b {
             0 => self.template.clone().repeat_dim(0, n),
@@ -359,7 +359,7 @@ impl Smpl {
         let local = Tensor::cat(vec![rotations.clone(), offsets], 3);
         let root = Tensor::cat(vec![rotations.narrow(1, 0, 1), rest.narrow(1, 0, 1)], 3);
         let mut global = vec![root];
-        for Depth { joints, parents } in &self.depths {
+        for JointLevel { joints, parents } in &self.depths {
             let Some(above) = global.last() else { break };
             let parent = above.clone().select(1, parents.clone());
             let child = local.clone().select(1, joints.clone());
@@ -430,7 +430,7 @@ fn indices(values: &[usize], device: &Device) -> Tensor<1, Int> {
 }
 
 /// The tree below its root, by depth, and each joint's place in the concatenation of all depths.
-fn depths(parents: &[Option<usize>], device: &Device) -> (Vec<Depth>, Tensor<1, Int>) {
+fn depths(parents: &[Option<usize>], device: &Device) -> (Vec<JointLevel>, Tensor<1, Int>) {
     let mut depth_of = vec![0; parents.len()];
     for (joint, parent) in parents.iter().enumerate() {
         depth_of[joint] = parent.map_or(0, |parent| depth_of[parent] + 1);
@@ -449,7 +449,7 @@ fn depths(parents: &[Option<usize>], device: &Device) -> (Vec<Depth>, Tensor<1, 
             .iter()
             .map(|&joint| parents[joint].map_or(0, |parent| place[parent] - place[pair[0][0]]))
             .collect();
-        Depth { joints: indices(&pair[1], device), parents: indices(&parent_places, device) }
+        JointLevel { joints: indices(&pair[1], device), parents: indices(&parent_places, device) }
     });
     (below_root.collect(), indices(&place, device))
 }

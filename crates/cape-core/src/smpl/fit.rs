@@ -15,7 +15,7 @@ const RIDGE: f64 = 1e-10;
 /// use cape_synth::synthetic_body;
 ///
 /// let body = synthetic_body();
-/// let fit = body.fit_betas(&body.shaped(&[1.5, -0.5])?, 4)?;
+/// let fit = body.fit_betas(&body.rest_shape(&[1.5, -0.5])?, 4)?;
 /// assert_eq!(fit.betas.len(), 4);
 /// assert!((fit.betas[0] - 1.5).abs() < 1e-6 && fit.betas[3].abs() < 1e-6);
 /// assert!(fit.rms < 1e-6);
@@ -110,7 +110,7 @@ mod tests {
     fn the_betas_of_a_body_are_found() {
         let body = random_model();
         let betas: Vec<f64> = (0..body.betas()).map(|k| 1.5 - k as f64).collect();
-        let fit = body.fit_betas(&body.shaped(&betas).unwrap(), 300).unwrap();
+        let fit = body.fit_betas(&body.rest_shape(&betas).unwrap(), 300).unwrap();
         assert!(fit.betas.iter().zip(&betas).all(|(a, b)| (a - b).abs() < 1e-6), "{fit:?}");
         assert!(fit.rms < 1e-6 && fit.largest < 1e-6);
     }
@@ -122,7 +122,7 @@ mod tests {
         let shape =
             Array2::from_shape_fn((body.vertices(), 3), |(v, c)| ((3 * v + c) as f64).cos());
         let fit = body.fit_betas(&shape, body.betas()).unwrap();
-        let left = shape - body.shaped(&fit.betas).unwrap();
+        let left = shape - body.rest_shape(&fit.betas).unwrap();
         for direction in body.shapedirs.axis_iter(ndarray::Axis(2)) {
             assert!((&direction * &left).sum().abs() < 1e-6);
         }
@@ -136,7 +136,7 @@ mod tests {
     fn directions_of_no_use_get_no_weight() {
         let mut body = random_model();
         body.shapedirs.slice_mut(s![.., .., 1]).fill(0.0);
-        let fit = body.fit_betas(&body.shaped(&vec![1.0; body.betas()]).unwrap(), 300).unwrap();
+        let fit = body.fit_betas(&body.rest_shape(&vec![1.0; body.betas()]).unwrap(), 300).unwrap();
         assert!((fit.betas[0] - 1.0).abs() < 1e-6 && fit.betas[1].abs() < 1e-6);
         assert!(body.fit_betas(&Array2::zeros((2, 3)), 10).is_err());
         assert!(body.fit_betas(&Array2::from_elem((body.vertices(), 3), f64::NAN), 10).is_err());

@@ -5,7 +5,7 @@ use burn::tensor::{DType, Tensor, TensorData};
 use super::{
     Pose, Smpl, SmplInput, SmplOutput,
     body::{check, failed, same_batch},
-    cpu::{Batch, CpuBody, Turns},
+    cpu::{BodyBatch, CpuBody, JointRotations},
 };
 use crate::Result;
 
@@ -43,7 +43,7 @@ impl Smpl {
         let SmplInput { betas, pose, transl, displacement } = input;
         let rest_joints = rest_joints.map_or_else(|| self.rest_joints(betas.clone()), Ok)?;
         let rotations = self.rotations(pose)?;
-        let mut rest = self.shaped_planes(betas)? + self.pose_planes(rotations.clone());
+        let mut rest = self.rest_shape_planes(betas)? + self.pose_planes(rotations.clone());
         if let Some(displacement) = displacement {
             rest = rest + self.convert(displacement).swap_dims(1, 2);
         }
@@ -69,9 +69,13 @@ impl Smpl {
         let displacement = input.displacement.map(|clothes| self.read(clothes)).transpose()?;
         let rest_joints = rest_joints.map(|joints| self.read(joints)).transpose()?;
         let pose = numbers(&pose)?;
-        let (vertices, joints) = body.pose(Batch {
+        let (vertices, joints) = body.pose(BodyBatch {
             betas: numbers(&betas)?,
-            turns: if by_angle { Turns::AxisAngles(pose) } else { Turns::Rotations(pose) },
+            turns: if by_angle {
+                JointRotations::AxisAngles(pose)
+            } else {
+                JointRotations::Rotations(pose)
+            },
             transl: numbers(&transl)?,
             displacement: displacement.as_ref().map(numbers).transpose()?,
             rest_joints: rest_joints.as_ref().map(numbers).transpose()?,

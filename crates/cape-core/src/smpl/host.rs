@@ -10,7 +10,7 @@ use crate::{Error, Result, joints::rotation};
 ///
 /// See [`SmplModel`] for an example.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Posed {
+pub struct PosedBody {
     /// `[V, 3]`, metres.
     pub vertices: Array2<f64>,
     /// `[J, 3]`, metres.
@@ -19,7 +19,7 @@ pub struct Posed {
 
 impl SmplModel {
     /// The unclothed rest shape `T̄ + B_S(β)`, `[V, 3]`. Missing betas are zero.
-    pub fn shaped(&self, betas: &[f64]) -> Result<Array2<f64>> {
+    pub fn rest_shape(&self, betas: &[f64]) -> Result<Array2<f64>> {
         if betas.len() > self.betas() {
             return Err(Error::Argument(format!(
                 "{} betas, but the body has {}",
@@ -46,8 +46,8 @@ impl SmplModel {
     }
 
     /// The unposed body `T(β, θ)` (CAPE eq. 1), `[V, 3]`.
-    pub fn unposed(&self, betas: &[f64], pose: &[f64]) -> Result<Array2<f64>> {
-        Ok(self.shaped(betas)? + self.pose_offsets(pose)?)
+    pub fn unposed_template(&self, betas: &[f64], pose: &[f64]) -> Result<Array2<f64>> {
+        Ok(self.rest_shape(betas)? + self.pose_offsets(pose)?)
     }
 
     /// The posed body (CAPE eq. 2), clothed where `displacement` `[V, 3]` is given (eq. 3–4);
@@ -58,8 +58,8 @@ impl SmplModel {
         pose: &[f64],
         transl: [f64; 3],
         displacement: Option<&Array2<f64>>,
-    ) -> Result<Posed> {
-        self.pose_shape(&self.shaped(betas)?, pose, transl, displacement)
+    ) -> Result<PosedBody> {
+        self.pose_shape(&self.rest_shape(betas)?, pose, transl, displacement)
     }
 
     /// [`pose`](Self::pose) for a body given by its unclothed rest shape `[V, 3]`, such as a
@@ -70,7 +70,7 @@ impl SmplModel {
         pose: &[f64],
         transl: [f64; 3],
         displacement: Option<&Array2<f64>>,
-    ) -> Result<Posed> {
+    ) -> Result<PosedBody> {
         let rest_joints = self.rest_joints(shape)?;
         let rotations = self.rotations(pose)?;
         let mut vertices = shape + &self.offsets(&rotations);
@@ -90,12 +90,12 @@ impl SmplModel {
         let joints = joints
             .into_shape_with_order((self.joints(), 3))
             .map_err(|source| Error::Argument(source.to_string()))?;
-        Ok(Posed { vertices, joints })
+        Ok(PosedBody { vertices, joints })
     }
 
     /// Undoes [`pose`](Self::pose): posed, possibly clothed vertices `[V, 3]` back to the canonical
     /// space of the rest shape, `T̄ + B_S(β) + S_clo` (pose blend shapes removed), so that
-    /// `unpose(…) − shaped(β)` is the clothing displacement.
+    /// `unpose(…) − rest_shape(β)` is the clothing displacement.
     pub fn unpose(
         &self,
         vertices: &Array2<f64>,
@@ -103,7 +103,7 @@ impl SmplModel {
         pose: &[f64],
         transl: [f64; 3],
     ) -> Result<Array2<f64>> {
-        self.unpose_shape(vertices, &self.shaped(betas)?, pose, transl)
+        self.unpose_shape(vertices, &self.rest_shape(betas)?, pose, transl)
     }
 
     /// [`unpose`](Self::unpose) for a body given by its unclothed rest shape `[V, 3]`.
@@ -254,10 +254,10 @@ mod tests {
     fn rest_pose_is_the_shape() {
         let model = random_model();
         let posed = model.pose(&[0.3, -1.0], &[0.0; 12], [0.0; 3], None).unwrap();
-        let shape = model.shaped(&[0.3, -1.0]).unwrap();
+        let shape = model.rest_shape(&[0.3, -1.0]).unwrap();
         assert!(distance(&posed.vertices, &shape) < 1e-14);
         assert!(distance(&posed.joints, &model.rest_joints(&shape).unwrap()) < 1e-14);
-        assert_eq!(model.shaped(&[0.3]).unwrap(), model.shaped(&[0.3, 0.0]).unwrap());
+        assert_eq!(model.rest_shape(&[0.3]).unwrap(), model.rest_shape(&[0.3, 0.0]).unwrap());
     }
 
     #[test]
@@ -266,7 +266,7 @@ mod tests {
         model.posedirs.fill(0.0);
         let mut pose = [0.0; 12];
         pose[1] = PI / 2.0;
-        let shape = model.shaped(&[]).unwrap();
+        let shape = model.rest_shape(&[]).unwrap();
         let root = model.rest_joints(&shape).unwrap().row(0).to_owned();
         let posed = model.pose(&[], &pose, [1.0, 2.0, 3.0], None).unwrap();
         for (rest, moved) in shape.rows().into_iter().zip(posed.vertices.rows()) {
@@ -300,7 +300,7 @@ mod tests {
     #[test]
     fn bad_arguments_are_named() {
         let model = random_model();
-        let message = |result: Result<Posed>| result.unwrap_err().to_string();
+        let message = |result: Result<PosedBody>| result.unwrap_err().to_string();
         let pose = [0.0; 12];
         assert!(message(model.pose(&[0.0; 3], &pose, [0.0; 3], None)).contains("3 betas"));
         assert!(message(model.pose(&[], &pose[1..], [0.0; 3], None)).contains("expected 12"));
@@ -313,9 +313,9 @@ mod tests {
     fn vertex_transforms_pose_the_unposed_body() {
         let model = random_model();
         let pose: Vec<f64> = (0..12).map(|k| (f64::from(k) * 1.7).sin()).collect();
-        let shape = model.shaped(&[0.4, -0.3]).unwrap();
+        let shape = model.rest_shape(&[0.4, -0.3]).unwrap();
         let transforms = model.vertex_transforms(&shape, &pose, [1.0, 2.0, 3.0]).unwrap();
-        let unposed = model.unposed(&[0.4, -0.3], &pose).unwrap();
+        let unposed = model.unposed_template(&[0.4, -0.3], &pose).unwrap();
         let posed = model.pose(&[0.4, -0.3], &pose, [1.0, 2.0, 3.0], None).unwrap().vertices;
         for ((transform, rest), posed) in transforms.iter().zip(unposed.rows()).zip(posed.rows()) {
             assert!(transform.transform_point3(point(rest)).abs_diff_eq(point(posed), 1e-12));
@@ -345,7 +345,7 @@ mod tests {
             let transl = [0.3, -0.2, 5.0];
             let posed = model.pose(&betas, &pose, transl, Some(&clothes)).unwrap();
             if let Ok(canonical) = model.unpose(&posed.vertices, &betas, &pose, transl) {
-                let found = canonical - model.shaped(&betas).unwrap();
+                let found = canonical - model.rest_shape(&betas).unwrap();
                 prop_assert!(distance(&found, &clothes) < 1e-7);
             }
         }

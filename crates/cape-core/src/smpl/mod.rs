@@ -18,7 +18,7 @@ mod standard_pose;
 pub use body::{Pose, Smpl, SmplInput, SmplOutput};
 pub use clothed::{ClothedSmpl, JointSource};
 pub use fit::ShapeFit;
-pub use host::Posed;
+pub use host::PosedBody;
 pub use mask::ClothingMask;
 pub use model::SmplModel;
 pub use rodrigues::rodrigues;

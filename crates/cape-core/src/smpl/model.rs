@@ -24,7 +24,7 @@ use crate::{Error, Mesh, Result};
 /// let betas = [1.0, -0.5];
 /// let posed = body.pose(&betas, &pose, [0., 1., 0.], None)?;
 /// let rest = body.unpose(&posed.vertices, &betas, &pose, [0., 1., 0.])?;
-/// let difference = rest - body.shaped(&betas)?;
+/// let difference = rest - body.rest_shape(&betas)?;
 /// assert!(difference.iter().all(|x| x.abs() < 1e-9));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -47,7 +47,7 @@ pub struct SmplModel {
 }
 
 /// What is wrong with one array of a body.
-pub(super) struct Fault {
+pub(super) struct FieldError {
     /// The array, by its name in body files.
     pub(super) field: &'static str,
     /// What was found, and what was expected.
@@ -90,21 +90,21 @@ impl SmplModel {
     /// Checks that the arrays fit together: shapes, the order of joints, faces in range, finite
     /// numbers. A body read by [`load`](Self::load) has passed.
     pub fn validate(&self) -> Result<()> {
-        self.check().map_err(|Fault { field, message }| {
+        self.check().map_err(|FieldError { field, message }| {
             Error::Argument(format!("body: `{field}`: {message}"))
         })
     }
 
-    pub(super) fn check(&self) -> Result<(), Fault> {
+    pub(super) fn check(&self) -> Result<(), FieldError> {
         let (v, j) = (self.vertices(), self.joints());
         let shape = |field, found: &[usize], expected: &[usize]| {
             if found == expected {
                 return Ok(());
             }
-            Err(Fault { field, message: format!("shape {found:?}, expected {expected:?}") })
+            Err(FieldError { field, message: format!("shape {found:?}, expected {expected:?}") })
         };
         let require = |holds: bool, field, message: String| {
-            if holds { Ok(()) } else { Err(Fault { field, message }) }
+            if holds { Ok(()) } else { Err(FieldError { field, message }) }
         };
         require(v > 0, "v_template", "no vertices".into())?;
         shape("v_template", self.v_template.shape(), &[v, 3])?;
@@ -143,9 +143,12 @@ impl SmplModel {
     }
 }
 
-fn finite<'a>(field: &'static str, mut values: impl Iterator<Item = &'a f64>) -> Result<(), Fault> {
+fn finite<'a>(
+    field: &'static str,
+    mut values: impl Iterator<Item = &'a f64>,
+) -> Result<(), FieldError> {
     match values.position(|value| !value.is_finite()) {
         None => Ok(()),
-        Some(at) => Err(Fault { field, message: format!("number {at} is not finite") }),
+        Some(at) => Err(FieldError { field, message: format!("number {at} is not finite") }),
     }
 }

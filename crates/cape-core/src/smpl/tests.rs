@@ -71,7 +71,7 @@ impl Inputs {
         [self.transl[[row, 0]], self.transl[[row, 1]], self.transl[[row, 2]]]
     }
 
-    fn posed(&self, model: &SmplModel, row: usize) -> Posed {
+    fn posed(&self, model: &SmplModel, row: usize) -> PosedBody {
         let clothes = self.displacement.slice(s![row, .., ..]).to_owned();
         let (betas, pose) = (self.betas.row(row).to_vec(), self.pose.row(row).to_vec());
         model.pose(&betas, &pose, self.transl(row), Some(&clothes)).unwrap()
@@ -155,8 +155,8 @@ fn stages_agree_with_the_host_and_missing_betas_are_zero() {
                 0 => Tensor::<2>::zeros([1, 0], &device),
                 _ => tensor(&betas, &device),
             };
-            let shape = model.shaped(&b).unwrap();
-            assert_close("shape", &numbers(smpl.shaped(betas.clone()).unwrap()), &shape, 1e-6);
+            let shape = model.rest_shape(&b).unwrap();
+            assert_close("shape", &numbers(smpl.rest_shape(betas.clone()).unwrap()), &shape, 1e-6);
             let joints = smpl.rest_joints(betas.clone()).unwrap();
             assert_close("joints", &numbers(joints), &model.rest_joints(&shape).unwrap(), 1e-6);
             let joints =
@@ -167,8 +167,14 @@ fn stages_agree_with_the_host_and_missing_betas_are_zero() {
                 &model.rest_joints(&shape).unwrap(),
                 1e-6,
             );
-            let unposed = smpl.unposed(betas, Pose::AxisAngle(tensor(&pose, &device))).unwrap();
-            assert_close("unposed", &numbers(unposed), &model.unposed(&b, &p).unwrap(), 1e-6);
+            let unposed =
+                smpl.unposed_template(betas, Pose::AxisAngle(tensor(&pose, &device))).unwrap();
+            assert_close(
+                "unposed",
+                &numbers(unposed),
+                &model.unposed_template(&b, &p).unwrap(),
+                1e-6,
+            );
         }
     }
 }
@@ -245,7 +251,7 @@ fn unposing_undoes_posing_and_its_gradient_agrees() {
                 tensor(&inputs.transl.slice(s![row..=row, ..]).to_owned(), &device),
             )
             .unwrap();
-        let expected = model.shaped(&betas).unwrap() + &clothes;
+        let expected = model.rest_shape(&betas).unwrap() + &clothes;
         assert_close("canonical", &numbers(rest.clone().inner()), &expected, 1e-5);
         let grads = (rest * tensor(&batch(&weights), &device)).sum().backward();
         for (name, found, expected) in [
@@ -264,7 +270,8 @@ fn clothes_follow_the_mask_and_the_joint_source() {
     let mask = ClothingMask::from_indices(12, &[0, 1, 2, 3, 4]).unwrap();
     for device in devices() {
         let clothed = ClothedSmpl::new(Smpl::new(&model, &device).unwrap());
-        let bare_joints = model.rest_joints(&model.shaped(&inputs.betas.row(0).to_vec()).unwrap());
+        let bare_joints =
+            model.rest_joints(&model.rest_shape(&inputs.betas.row(0).to_vec()).unwrap());
         let masked =
             clothed.clone().with_mask(&mask).unwrap().forward(inputs.input(&device)).unwrap();
         for row in 0..BATCH {
@@ -280,7 +287,7 @@ fn clothes_follow_the_mask_and_the_joint_source() {
         let output = release.forward(inputs.input(&device)).unwrap();
         for row in 0..BATCH {
             let clothes = inputs.displacement.slice(s![row, .., ..]);
-            let shape = model.shaped(&inputs.betas.row(row).to_vec()).unwrap() + clothes;
+            let shape = model.rest_shape(&inputs.betas.row(row).to_vec()).unwrap() + clothes;
             let pose = inputs.pose.row(row).to_vec();
             let expected = model.pose_shape(&shape, &pose, inputs.transl(row), None).unwrap();
             let found = numbers(output.vertices.clone().narrow(0, row, 1));
@@ -383,7 +390,7 @@ fn double_precision_unposes_exactly() {
             })
             .unwrap();
         let canonical = smpl.unpose(posed.vertices, betas.clone(), pose, transl).unwrap();
-        let lost = canonical - smpl.shaped(betas).unwrap() - clothes;
+        let lost = canonical - smpl.rest_shape(betas).unwrap() - clothes;
         let lost = lost.abs().max().into_scalar::<f64>();
         assert!(lost < 1e-12, "{lost:e}");
     }

@@ -13,17 +13,18 @@ use cape_model::{CapeConfig, update_flops};
 use serde::Serialize;
 
 use crate::Result;
-use cape_core::Progress;
-use timing::Effort;
+use cape_core::ProgressFn;
+use timing::TimingOptions;
 
 pub use memory::{peak_rss_mb, rss_mb};
-pub use workload::{Inference, Workload};
+pub use workload::{InferenceWorkload, Workload};
 
 /// Updates, which may take seconds each.
-const UPDATES: Effort = Effort { warm_up: 2, most: 10, least: 3, budget: Duration::from_secs(40) };
+const UPDATES: TimingOptions =
+    TimingOptions { warm_up: 2, most: 10, least: 3, budget: Duration::from_secs(40) };
 /// Decoding or encoding.
-const INFERENCES: Effort =
-    Effort { warm_up: 2, most: 20, least: 3, budget: Duration::from_secs(5) };
+const INFERENCES: TimingOptions =
+    TimingOptions { warm_up: 2, most: 20, least: 3, budget: Duration::from_secs(5) };
 /// Examples of a batch that is decoded or encoded.
 const INFERENCE_BATCH: usize = 16;
 
@@ -81,24 +82,24 @@ pub fn bench(
     batch: usize,
     seed: u64,
     device: &Device,
-    progress: &mut Progress,
+    progress: &mut ProgressFn,
 ) -> Result<BenchReport> {
     let total = 2 + UPDATES.runs() + 3 * INFERENCES.runs();
-    let mut steps = Steps { done: 0, total, progress };
+    let mut steps = StepCounter { done: 0, total, progress };
     let mut workload = Workload::new(config, batch, seed, device)?;
     steps.to(1);
     let peak = cape_core::devices().contains(device).then(peak_gflops);
     steps.to(2);
     let update = UPDATES.time(|| workload.update(), || steps.next())?;
-    let mut inference = |stage: usize, batch: usize, work: fn(&Inference) -> Result<()>| {
+    let mut inference = |stage: usize, batch: usize, work: fn(&InferenceWorkload) -> Result<()>| {
         steps.to(2 + UPDATES.runs() + stage * INFERENCES.runs());
         let model = workload.inference(batch);
         let timing = INFERENCES.time(|| work(&model), || steps.next())?;
         Ok::<_, crate::Error>(1e3 * timing.seconds)
     };
-    let decode_ms_batch1 = inference(0, 1, Inference::decode)?;
-    let decode_ms_batch16 = inference(1, INFERENCE_BATCH, Inference::decode)?;
-    let encode_ms_batch16 = inference(2, INFERENCE_BATCH, Inference::encode)?;
+    let decode_ms_batch1 = inference(0, 1, InferenceWorkload::decode)?;
+    let decode_ms_batch16 = inference(1, INFERENCE_BATCH, InferenceWorkload::decode)?;
+    let encode_ms_batch16 = inference(2, INFERENCE_BATCH, InferenceWorkload::encode)?;
     steps.to(total);
 
     let graphs = workload.graphs();
@@ -124,13 +125,13 @@ pub fn bench(
 }
 
 /// Where a benchmark is.
-struct Steps<'a, 'b> {
+struct StepCounter<'a, 'b> {
     done: usize,
     total: usize,
-    progress: &'a mut Progress<'b>,
+    progress: &'a mut ProgressFn<'b>,
 }
 
-impl Steps<'_, '_> {
+impl StepCounter<'_, '_> {
     fn next(&mut self) {
         self.to(self.done + 1);
     }

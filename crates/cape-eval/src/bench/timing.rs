@@ -4,7 +4,7 @@ use crate::Result;
 
 /// How often something is done to time it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Effort {
+pub(super) struct TimingOptions {
     /// Times before the clock starts.
     pub warm_up: usize,
     /// Timed runs, if the budget allows.
@@ -15,7 +15,7 @@ pub(super) struct Effort {
     pub budget: Duration,
 }
 
-impl Effort {
+impl TimingOptions {
     /// Runs at most.
     pub(super) fn runs(&self) -> usize {
         self.warm_up + self.most
@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn the_budget_ends_runs_but_not_before_the_least() {
-        let effort = |seconds| Effort {
+        let effort = |seconds| TimingOptions {
             warm_up: 2,
             most: 5,
             least: 3,

@@ -11,9 +11,9 @@ use cape_synth::synthetic_body;
 
 use crate::{Error, Result};
 use cape_core::tensors::tensor2;
-use cape_infer::{Frames, RunConfig, build_graphs, normal};
+use cape_infer::{DeviceBatch, RunConfig, build_graphs, normal};
 use cape_train::{
-    learner::{Learner, Pace},
+    learner::{Learner, UpdateOptions},
     objective::StepInput,
 };
 
@@ -94,7 +94,7 @@ impl Workload {
 
     /// Updates generator and discriminator once, to the end of the device's work.
     pub fn update(&mut self) -> Result<()> {
-        let pace = Pace { rate: RATE, kl_share: 1.0, detailed: false };
+        let pace = UpdateOptions { rate: RATE, kl_share: 1.0, detailed: false };
         self.learner
             .update(&self.input, pace)
             .map_err(|what| Error::data(format!("{what} is not a finite number")))?;
@@ -102,10 +102,10 @@ impl Workload {
     }
 
     /// The model in use, on `batch` examples at a time.
-    pub fn inference(&self, batch: usize) -> Inference {
+    pub fn inference(&self, batch: usize) -> InferenceWorkload {
         let device = self.device.clone().inner();
         let (model, graphs) = (self.learner.model(), self.learner.graphs());
-        Inference {
+        InferenceWorkload {
             generator: model.generator.valid(),
             discriminator: model.discriminator.as_ref().map(Module::valid),
             graphs: graphs.clone(),
@@ -119,26 +119,26 @@ impl Workload {
 /// A model in use: no gradients.
 ///
 /// See [`Workload`] for an example.
-pub struct Inference {
+pub struct InferenceWorkload {
     generator: Generator,
     discriminator: Option<Discriminator>,
     graphs: Graphs,
-    frames: Frames,
+    frames: DeviceBatch,
     code: Tensor<2>,
     device: Device,
 }
 
-impl Inference {
+impl InferenceWorkload {
     /// From codes and conditions to displacements, to the end of the device's work.
     pub fn decode(&self) -> Result<()> {
-        let Frames { pose_feature, outfit, .. } = self.frames.clone();
+        let DeviceBatch { pose_feature, outfit, .. } = self.frames.clone();
         self.generator.decode(self.code.clone(), pose_feature, outfit, &self.graphs);
         synchronise(&self.device)
     }
 
     /// From displacements to the posterior, to the end of the device's work.
     pub fn encode(&self) -> Result<()> {
-        let Frames { displacement, pose_feature, outfit } = self.frames.clone();
+        let DeviceBatch { displacement, pose_feature, outfit } = self.frames.clone();
         let condition = self.generator.condition.forward(pose_feature, outfit);
         let graph = &self.graphs.generator;
         self.generator.encoder.forward(displacement, condition.as_ref(), graph);
@@ -146,11 +146,11 @@ impl Inference {
     }
 }
 
-impl Inference {
+impl InferenceWorkload {
     /// From displacements and conditions to the discriminator's logits, to the end of the device's
     /// work; nothing without a discriminator.
     pub fn discriminate(&self) -> Result<()> {
-        let Frames { displacement, pose_feature, outfit } = self.frames.clone();
+        let DeviceBatch { displacement, pose_feature, outfit } = self.frames.clone();
         if let (Some(discriminator), Some(graph)) =
             (&self.discriminator, &self.graphs.discriminator)
         {
@@ -162,9 +162,9 @@ impl Inference {
 }
 
 /// Random frames, from two streams of the seed.
-fn frames(batch: usize, vertices: usize, seed: u64, stream: u64, device: &Device) -> Frames {
+fn frames(batch: usize, vertices: usize, seed: u64, stream: u64, device: &Device) -> DeviceBatch {
     let displacement = tensor2(normal(seed, stream, batch, vertices * 3), device);
-    Frames {
+    DeviceBatch {
         displacement: displacement.reshape([batch, vertices, 3]),
         pose_feature: tensor2(normal(seed, stream + 1, batch, POSE_FEATURE), device),
         outfit: Tensor::ones([batch, 4], device) * 0.25,

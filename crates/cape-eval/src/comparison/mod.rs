@@ -1,7 +1,7 @@
 //! Methods side by side on the same test frames.
 //!
-//! [`measure_run`] reconstructs every test frame with a trained run; [`Meter`] does the measuring for
-//! methods of any kind. [`Table`] puts what they came to side by side, with intervals and tests that
+//! [`measure_run`] reconstructs every test frame with a trained run; [`RunErrorMeter`] does the measuring for
+//! methods of any kind. [`ComparisonTable`] puts what they came to side by side, with intervals and tests that
 //! take frames of one capture for what they are: not independent.
 
 mod runs;
@@ -13,16 +13,15 @@ use std::sync::Arc;
 use cape_core::SmplModel;
 use serde::{Deserialize, Serialize};
 
-pub use cape_stats::resample::Interval;
-pub use runs::{common_data, expect_alike, training_seconds};
-pub use table::{Line, Table};
+pub use cape_stats::resample::ConfidenceInterval;
+pub use runs::{check_comparable, common_data, training_seconds};
+pub use table::{ComparisonRow, ComparisonTable};
 
 use crate::{
-    EachFrame, EvalOptions, Gathered, PosteriorUse, Result,
-    detail::{Detail, DetailMeter},
-    reconstruct_test,
+    ErrorSamples, EvalOptions, FrameFn, PosteriorUse, Result, reconstruct_test,
+    surface_detail::{SurfaceDetail, SurfaceDetailMeter},
 };
-use cape_core::Progress;
+use cape_core::ProgressFn;
 use cape_data::PackedSet;
 use cape_infer::Run;
 use cape_stats::errors::{GroupedSummary, Histogram};
@@ -34,15 +33,15 @@ const BINS: usize = 200;
 
 /// What a method came to on the test frames.
 ///
-/// See [`Table`] for an example.
+/// See [`ComparisonTable`] for an example.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct Measured {
+pub struct RunErrors {
     /// Errors of a sample of the posterior, as the paper's table has them.
     pub sampled: GroupedSummary,
     /// Errors of the posterior's mean.
     pub mean: GroupedSummary,
     /// Wrinkles, for the posterior's mean.
-    pub detail: Detail,
+    pub detail: SurfaceDetail,
     /// Mean error of every test frame's sampled reconstruction, millimetres, by capture.
     captures: Vec<(String, Vec<f32>)>,
     /// Mean error of the sampled reconstruction at every vertex, millimetres.
@@ -53,39 +52,43 @@ pub struct Measured {
 
 /// A method with all its results.
 ///
-/// See [`Table`] for an example.
+/// See [`ComparisonTable`] for an example.
 #[derive(Debug, Clone)]
-pub struct Method<'a> {
+pub struct MethodResults<'a> {
     /// Its name for programs.
     pub name: String,
     /// Its name for people.
     pub label: String,
     /// Results, one a seed, at least one.
-    pub results: Vec<&'a Measured>,
+    pub results: Vec<&'a RunErrors>,
     /// Seconds of training, all seeds together.
     pub seconds: f64,
 }
 
 /// Measures reconstructions of test frames as they come.
 ///
-/// See [`Table`] for an example.
+/// See [`ComparisonTable`] for an example.
 #[derive(Debug, Clone)]
-pub struct Meter {
-    sampled: Gathered,
-    mean: Gathered,
-    detail: DetailMeter,
+pub struct RunErrorMeter {
+    sampled: ErrorSamples,
+    mean: ErrorSamples,
+    detail: SurfaceDetailMeter,
 }
 
-impl Meter {
+impl RunErrorMeter {
     /// For displacements of `body` compared at the clothing vertices.
     pub fn new(body: &SmplModel, clothing: &[usize]) -> Self {
-        let gathered = Gathered::new(body.vertices(), clothing);
-        Self { sampled: gathered.clone(), mean: gathered, detail: DetailMeter::new(body, clothing) }
+        let gathered = ErrorSamples::new(body.vertices(), clothing);
+        Self {
+            sampled: gathered.clone(),
+            mean: gathered,
+            detail: SurfaceDetailMeter::new(body, clothing),
+        }
     }
 
     /// Adds frame `row` of `set`, decoded from a sample of the posterior: displacements in metres,
     /// `[3 V]`.
-    pub fn sampled(
+    pub fn push_sampled(
         &mut self,
         set: &PackedSet,
         row: usize,
@@ -96,7 +99,7 @@ impl Meter {
     }
 
     /// The same, decoded from the posterior's mean.
-    pub fn mean(
+    pub fn push_mean(
         &mut self,
         set: &PackedSet,
         row: usize,
@@ -108,7 +111,7 @@ impl Meter {
     }
 
     /// What the frames so far came to.
-    pub fn measured(&self) -> Measured {
+    pub fn errors(&self) -> RunErrors {
         let mut captures: Vec<(String, Vec<f32>)> = Vec::new();
         for frame in self.sampled.frames() {
             match captures.last_mut() {
@@ -116,7 +119,7 @@ impl Meter {
                 _ => captures.push((frame.capture.clone(), vec![frame.mean as f32])),
             }
         }
-        Measured {
+        RunErrors {
             sampled: self.sampled.summary(),
             mean: self.mean.summary(),
             detail: self.detail.detail(),
@@ -133,10 +136,10 @@ pub fn measure_run(
     run: &Run,
     set: &Arc<PackedSet>,
     seed: u64,
-    progress: &mut Progress,
-    each: &mut EachFrame,
-) -> Result<Measured> {
-    let mut meter = Meter::new(run.body(), run.clothing());
+    progress: &mut ProgressFn,
+    each: &mut FrameFn,
+) -> Result<RunErrors> {
+    let mut meter = RunErrorMeter::new(run.body(), run.clothing());
     // An auto-encoder's code is its mean.
     let variational = run.config().model.variational;
     let options = |posterior| EvalOptions { posterior, seed, ..EvalOptions::default() };
@@ -146,9 +149,9 @@ pub fn measure_run(
         options(PosteriorUse::Mean),
         progress,
         &mut |row, predicted, truth| {
-            meter.mean(set, row, predicted, truth)?;
+            meter.push_mean(set, row, predicted, truth)?;
             if !variational {
-                meter.sampled(set, row, predicted, truth)?;
+                meter.push_sampled(set, row, predicted, truth)?;
             }
             each(row, predicted, truth)
         },
@@ -159,8 +162,8 @@ pub fn measure_run(
             set,
             options(PosteriorUse::Sample),
             progress,
-            &mut |row, predicted, truth| meter.sampled(set, row, predicted, truth),
+            &mut |row, predicted, truth| meter.push_sampled(set, row, predicted, truth),
         )?;
     }
-    Ok(meter.measured())
+    Ok(meter.errors())
 }

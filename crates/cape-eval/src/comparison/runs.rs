@@ -48,7 +48,7 @@ pub fn common_data(runs: &[PathBuf]) -> Result<PathBuf> {
 
 /// Checks that all runs are trained and reconstruct frames like those of `set` at the same clothing
 /// vertices, so that none fails when others are measured already.
-pub fn expect_alike(runs: &[PathBuf], set: &PackedSet) -> Result<()> {
+pub fn check_comparable(runs: &[PathBuf], set: &PackedSet) -> Result<()> {
     let mut first: Option<(&PathBuf, ClothingMask)> = None;
     for root in runs {
         let paths = RunPaths::new(root);

@@ -2,10 +2,10 @@
 
 use serde::Serialize;
 
-use cape_stats::resample::{Cluster, Interval, clusters, interval, sign_test};
+use cape_stats::resample::{Cluster, ConfidenceInterval, clusters, interval, sign_test};
 
-use super::{Measured, Method};
-use crate::detail::Detail;
+use super::{MethodResults, RunErrors};
+use crate::surface_detail::SurfaceDetail;
 use cape_stats::errors::{GroupedSummary, Histogram};
 
 /// Methods side by side.
@@ -14,32 +14,32 @@ use cape_stats::errors::{GroupedSummary, Histogram};
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use cape_synth::synthetic_body;
-/// use cape_data::{PackedSet, Part};
-/// use cape_eval::comparison::{Meter, Method, Table};
+/// use cape_data::{PackedSet, Split};
+/// use cape_eval::comparison::{RunErrorMeter, MethodResults, ComparisonTable};
 ///
 /// // Two methods: one has every displacement right, the other misses it by a millimetre.
 /// let directory = captures()?;
-/// let set = PackedSet::open(&directory.path().join("packed"), Part::Test)?;
+/// let set = PackedSet::open(&directory.path().join("packed"), Split::Test)?;
 /// let clothing = [3000, 3001, 3002];
 /// let measure = |miss: f32| -> cape_train::Result<_> {
-///     let mut meter = Meter::new(&synthetic_body(), &clothing);
+///     let mut meter = RunErrorMeter::new(&synthetic_body(), &clothing);
 ///     for row in 0..set.frames() {
 ///         let truth: Vec<f32> = set.displacement_row(row)?.iter().map(|&x| x as f32).collect();
 ///         let mut predicted = truth.clone();
 ///         predicted.iter_mut().step_by(3).for_each(|x| *x += miss);
-///         meter.sampled(&set, row, &predicted, &truth)?;
-///         meter.mean(&set, row, &predicted, &truth)?;
+///         meter.push_sampled(&set, row, &predicted, &truth)?;
+///         meter.push_mean(&set, row, &predicted, &truth)?;
 ///     }
-///     Ok(meter.measured())
+///     Ok(meter.errors())
 /// };
 /// let (right, near) = (measure(0.0)?, measure(0.001)?);
-/// let method = |name: &str, result| Method {
+/// let method = |name: &str, result| MethodResults {
 ///     name: name.to_lowercase(),
 ///     label: name.to_owned(),
 ///     results: vec![result],
 ///     seconds: 1.0,
 /// };
-/// let table = Table::new(&[method("Right", &right), method("Near", &near)], Some(0));
+/// let table = ComparisonTable::new(&[method("Right", &right), method("Near", &near)], Some(0));
 /// assert_eq!((table.frames, table.captures), (4, 1));
 /// assert!((table.lines[1].mean - 1.0).abs() < 1e-3);
 /// assert!(table.markdown().contains("Near"));
@@ -47,9 +47,9 @@ use cape_stats::errors::{GroupedSummary, Histogram};
 /// # }
 /// ```
 #[derive(Debug, Clone, Serialize)]
-pub struct Table {
+pub struct ComparisonTable {
     /// One a method.
-    pub lines: Vec<Line>,
+    pub lines: Vec<ComparisonRow>,
     /// Name of the method that the others are compared with.
     pub reference: Option<String>,
     /// Test frames.
@@ -60,9 +60,9 @@ pub struct Table {
 
 /// A method's line of the table, over all its seeds.
 ///
-/// See [`Table`] for an example.
+/// See [`ComparisonTable`] for an example.
 #[derive(Debug, Clone, Serialize)]
-pub struct Line {
+pub struct ComparisonRow {
     /// The method's name.
     #[serde(rename = "row")]
     pub name: String,
@@ -80,11 +80,11 @@ pub struct Line {
     /// Standard deviation of the mean over seeds.
     pub between_seeds: Option<f64>,
     /// 95 % interval of the mean, by bootstrap over captures.
-    pub interval: Option<Interval>,
+    pub interval: Option<ConfidenceInterval>,
     /// Mean error of the posterior's mean.
     pub posterior_mean: f64,
     /// Wrinkles.
-    pub detail: Detail,
+    pub detail: SurfaceDetail,
     /// Mean error minus the reference's, and how likely a difference as large is by chance.
     pub against: Option<(f64, Option<f64>)>,
     /// Seconds of training, all seeds together.
@@ -97,10 +97,10 @@ pub struct Line {
     pub histogram: Histogram,
 }
 
-impl Table {
+impl ComparisonTable {
     /// Of methods, in this order; `reference` is the place of the one that the others are compared
     /// with.
-    pub fn new(methods: &[Method], reference: Option<usize>) -> Self {
+    pub fn new(methods: &[MethodResults], reference: Option<usize>) -> Self {
         let reference = reference
             .and_then(|place| methods.get(place))
             .filter(|method| !method.results.is_empty());
@@ -109,7 +109,7 @@ impl Table {
             .filter(|method| !method.results.is_empty())
             .map(|method| {
                 let other = reference.filter(|other| other.name != method.name);
-                Line::new(method, other.map_or(&[][..], |other| &other.results))
+                ComparisonRow::new(method, other.map_or(&[][..], |other| &other.results))
             })
             .collect();
         let first = methods.iter().find_map(|method| method.results.first());
@@ -120,7 +120,7 @@ impl Table {
     }
 }
 
-impl Measured {
+impl RunErrors {
     fn clusters(&self) -> Vec<(String, Cluster)> {
         let frames = self.captures.iter().flat_map(|(capture, errors)| {
             errors.iter().map(move |&error| (capture.as_str(), f64::from(error)))
@@ -131,7 +131,7 @@ impl Measured {
 }
 
 /// Clusters of several seeds, averaged.
-fn averaged(results: &[&Measured]) -> Vec<Cluster> {
+fn averaged(results: &[&RunErrors]) -> Vec<Cluster> {
     let mut sum: Vec<Cluster> = Vec::new();
     for result in results {
         let own = result.clusters();
@@ -149,17 +149,17 @@ fn mean_of(values: impl Iterator<Item = f64>) -> f64 {
     sum / count
 }
 
-impl Line {
-    fn new(method: &Method, reference: &[&Measured]) -> Self {
+impl ComparisonRow {
+    fn new(method: &MethodResults, reference: &[&RunErrors]) -> Self {
         let results = &method.results;
-        let over = |f: &dyn Fn(&Measured) -> f64| mean_of(results.iter().map(|result| f(result)));
+        let over = |f: &dyn Fn(&RunErrors) -> f64| mean_of(results.iter().map(|result| f(result)));
         let mean = over(&|r| r.sampled.overall.mean);
         let between_seeds = (results.len() > 1).then(|| {
             let squares = results.iter().map(|r| (r.sampled.overall.mean - mean).powi(2));
             (squares.sum::<f64>() / (results.len() - 1) as f64).sqrt()
         });
         let own = averaged(results);
-        let names = |result: &Measured| -> Vec<String> {
+        let names = |result: &RunErrors| -> Vec<String> {
             result.clusters().into_iter().map(|(name, _)| name).collect()
         };
         let comparable = reference.first().is_some_and(|other| names(other) == names(results[0]));
@@ -179,7 +179,7 @@ impl Line {
             names
                 .into_iter()
                 .map(|(name, _)| {
-                    let found = |r: &&Measured| {
+                    let found = |r: &&RunErrors| {
                         of(&r.sampled).into_iter().find(|(n, _)| *n == name).map(|(_, x)| x)
                     };
                     let mean = mean_of(results.iter().filter_map(found));
@@ -201,7 +201,7 @@ impl Line {
             between_seeds,
             interval: interval(&own),
             posterior_mean: over(&|r| r.mean.overall.mean),
-            detail: Detail {
+            detail: SurfaceDetail {
                 edge_mm: over(&|r| r.detail.edge_mm),
                 normal_degrees: over(&|r| r.detail.normal_degrees),
                 high_energy: over(&|r| r.detail.high_energy),
@@ -223,26 +223,26 @@ mod tests {
     use cape_stats::errors::GroupedErrors;
 
     /// A method with these errors in frames of captures `a` and `b`.
-    fn measured(frames: &[(&str, f32)]) -> Measured {
+    fn measured(frames: &[(&str, f32)]) -> RunErrors {
         let mut errors = GroupedErrors::new();
         let mut captures: Vec<(String, Vec<f32>)> = Vec::new();
         for &(capture, error) in frames {
             errors.push(Outfit::LongLong, Some(capture), &[error]);
             captures.push((capture.to_owned(), vec![error]));
         }
-        Measured {
+        RunErrors {
             sampled: errors.summary(),
             mean: errors.summary(),
-            detail: Detail::default(),
+            detail: SurfaceDetail::default(),
             captures,
             vertex_means: vec![0.0],
             histogram: errors.overall().histogram(0.25, 200),
         }
     }
 
-    fn method<'a>(name: &str, results: &[&'a Measured]) -> Method<'a> {
+    fn method<'a>(name: &str, results: &[&'a RunErrors]) -> MethodResults<'a> {
         let label = name.to_uppercase();
-        Method { name: name.to_owned(), label, results: results.to_vec(), seconds: 1.0 }
+        MethodResults { name: name.to_owned(), label, results: results.to_vec(), seconds: 1.0 }
     }
 
     #[test]
@@ -251,19 +251,21 @@ mod tests {
         let two = measured(&[("a", 2.0), ("b", 4.0), ("a", 3.0)]);
         let elsewhere = measured(&[("c", 2.0)]);
         let methods = [method("x", &[&two]), method("y", &[&one]), method("z", &[&elsewhere])];
-        let table = Table::new(&methods, Some(1));
+        let table = ComparisonTable::new(&methods, Some(1));
         assert_eq!((table.frames, table.captures), (3, 2));
         assert_eq!(table.reference.as_deref(), Some("y"));
         let [x, y, z] = &table.lines[..] else { panic!("{table:?}") };
         assert_eq!(x.against, Some((1.0, Some(0.5))));
         assert_eq!((y.against, z.against), (None, None));
-        assert!(Table::new(&methods, None).lines.iter().all(|line| line.against.is_none()));
+        assert!(
+            ComparisonTable::new(&methods, None).lines.iter().all(|line| line.against.is_none())
+        );
     }
 
     #[test]
     fn seeds_are_averaged_and_counted_together() {
         let results = [measured(&[("a", 1.0), ("b", 3.0)]), measured(&[("a", 2.0), ("b", 4.0)])];
-        let table = Table::new(&[method("x", &[&results[0], &results[1]])], None);
+        let table = ComparisonTable::new(&[method("x", &[&results[0], &results[1]])], None);
         let line = &table.lines[0];
         assert_eq!((line.seeds, line.mean), (2, 2.5));
         assert!((line.between_seeds.unwrap() - 0.5_f64.sqrt()).abs() < 1e-12);

@@ -2,12 +2,12 @@
 
 use std::fmt::Write as _;
 
-use super::{Interval, Line, Table};
+use super::{ComparisonRow, ComparisonTable, ConfidenceInterval};
 
-impl Line {
+impl ComparisonRow {
     fn cells(&self) -> [String; 9] {
         let interval = match self.interval {
-            Some(Interval { low, high }) => format!("{low:.2} to {high:.2}"),
+            Some(ConfidenceInterval { low, high }) => format!("{low:.2} to {high:.2}"),
             None => "–".into(),
         };
         let against = match self.against {
@@ -34,7 +34,7 @@ impl Line {
     }
 }
 
-impl Table {
+impl ComparisonTable {
     /// Header and cells, for people.
     pub fn rows(&self) -> ([String; 9], Vec<[String; 9]>) {
         let reference = self.lines.iter().find(|line| self.is_reference(line));
@@ -53,11 +53,11 @@ impl Table {
             "normals, °",
             "fine energy",
         ];
-        (header.map(str::to_owned), self.lines.iter().map(Line::cells).collect())
+        (header.map(str::to_owned), self.lines.iter().map(ComparisonRow::cells).collect())
     }
 
     /// Whether the others are compared with this line.
-    pub fn is_reference(&self, line: &Line) -> bool {
+    pub fn is_reference(&self, line: &ComparisonRow) -> bool {
         self.reference.as_ref() == Some(&line.name)
     }
 
@@ -89,8 +89,11 @@ impl Table {
         }
         let _ = writeln!(text, "\n{}", self.caption());
         for (what, of) in [
-            ("outfit", (|line: &Line| &line.outfits) as fn(&Line) -> &Vec<(String, f64)>),
-            ("sequence", |line: &Line| &line.sequences),
+            (
+                "outfit",
+                (|line: &ComparisonRow| &line.outfits) as fn(&ComparisonRow) -> &Vec<(String, f64)>,
+            ),
+            ("sequence", |line: &ComparisonRow| &line.sequences),
         ] {
             let Some(first) = self.lines.first().filter(|line| !of(line).is_empty()) else {
                 continue;

@@ -5,19 +5,19 @@ use std::{collections::BTreeMap, path::Path};
 use cape_core::Outfit;
 
 use crate::{Error, Result};
-use cape_data::{PackedSet, Part};
+use cape_data::{PackedSet, Split};
 use cape_infer::Run;
 
 /// The mean length of displacement at every clothing vertex, for each outfit: where cloth ends shows
 /// in it.
-pub(super) struct Centroids {
+pub(super) struct OutfitCentroids {
     outfits: BTreeMap<Outfit, Vec<f64>>,
 }
 
-impl Centroids {
+impl OutfitCentroids {
     /// Of at most `frames` training frames, evenly spaced.
-    pub(super) fn of_training(run: &Run, data: &Path, frames: usize) -> Result<Self> {
-        let set = PackedSet::open(data, Part::Train)?;
+    pub(super) fn from_training(run: &Run, data: &Path, frames: usize) -> Result<Self> {
+        let set = PackedSet::open(data, Split::Train)?;
         let (found, expected) = (set.vertices(), run.body().vertices());
         if found != expected {
             return Err(Error::data(format!(
@@ -77,7 +77,7 @@ mod tests {
             (Outfit::LongLong, vec![2.2, 1.8]),
             (Outfit::ShortShort, vec![0.0, 1.0]),
         ];
-        let centroids = Centroids::new(&lengths);
+        let centroids = OutfitCentroids::new(&lengths);
         let of = |a: f32, b: f32| centroids.classify(&[[a, 0.0, 0.0], [0.0, -b, 0.0]]);
         assert_eq!(of(2.0, 2.0), Outfit::LongLong);
         assert_eq!(of(0.1, 1.2), Outfit::ShortShort);

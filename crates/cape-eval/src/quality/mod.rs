@@ -15,9 +15,9 @@ use serde::Serialize;
 
 pub use sets::SetDistances;
 
-use crate::{Error, Result, quality::classify::Centroids};
-use cape_core::Progress;
-use cape_data::{PackedSet, Part};
+use crate::{Error, Result, quality::classify::OutfitCentroids};
+use cape_core::ProgressFn;
+use cape_data::{PackedSet, Split};
 use cape_infer::Run;
 
 /// How much is sampled.
@@ -102,9 +102,9 @@ pub fn quality(
     data: &Path,
     codes: &dyn Fn(Outfit, usize, u64) -> Array2<f32>,
     options: QualityOptions,
-    progress: &mut Progress,
+    progress: &mut ProgressFn,
 ) -> Result<QualityReport> {
-    let set = PackedSet::open(data, Part::Test)?;
+    let set = PackedSet::open(data, Split::Test)?;
     let (vertices, found) = (run.body().vertices(), set.vertices());
     if found != vertices {
         return Err(Error::data(format!(
@@ -137,7 +137,7 @@ pub fn quality(
     let distances = SetDistances::between(&truth_points, &sample_points);
     progress(2, steps);
 
-    let classifier = Centroids::of_training(run, data, options.training_frames)?;
+    let classifier = OutfitCentroids::from_training(run, data, options.training_frames)?;
     let consistent = |points: &[Vec<[f32; 3]>]| {
         let right = points.iter().zip(&outfits).filter(|(p, o)| classifier.classify(p) == **o);
         right.count() as f64 / points.len().max(1) as f64

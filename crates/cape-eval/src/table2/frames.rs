@@ -9,18 +9,18 @@ use cape_core::{
 use ndarray::{Array1, Array3, Ix3};
 
 use crate::{Error, Result};
-use cape_data::{PackedSet, Part};
+use cape_data::{PackedSet, Split};
 
 /// How many frames are shown.
 const SHOWN: usize = 4;
 
 /// What is worn, who wears it, and the movement, as far as the set says.
-type Take = (Outfit, String, String);
+type SequenceKey = (Outfit, String, String);
 
 /// The test frames of the packed set in `data` that are shown: of different outfits, movements and
 /// subjects as far as there are any, from the middle of each capture.
-pub fn shown_frames(data: &Path) -> Result<Vec<usize>> {
-    let set = PackedSet::open(data, Part::Test)?;
+pub fn select_frames(data: &Path) -> Result<Vec<usize>> {
+    let set = PackedSet::open(data, Split::Test)?;
     let take = |frame: usize| {
         let (subject, sequence) = set.origins().map_or_else(Default::default, |origins| {
             (origins[frame].subject.clone(), origins[frame].sequence.clone())
@@ -30,8 +30,8 @@ pub fn shown_frames(data: &Path) -> Result<Vec<usize>> {
     Ok(spread((0..set.frames()).map(take)))
 }
 
-fn spread(takes: impl Iterator<Item = Take>) -> Vec<usize> {
-    let mut captures: Vec<(Take, Vec<usize>)> = Vec::new();
+fn spread(takes: impl Iterator<Item = SequenceKey>) -> Vec<usize> {
+    let mut captures: Vec<(SequenceKey, Vec<usize>)> = Vec::new();
     for (frame, take) in takes.enumerate() {
         match captures.iter_mut().rfind(|(other, _)| *other == take) {
             Some((_, frames)) => frames.push(frame),
@@ -78,32 +78,32 @@ fn spread(takes: impl Iterator<Item = Take>) -> Vec<usize> {
 /// Reconstructions of the frames shown, from the posterior's mean.
 ///
 /// ```
-/// use cape_eval::table2::Frames;
+/// use cape_eval::table2::FigureFrames;
 /// use ndarray::Array3;
 ///
-/// let frames = Frames { rows: vec![2, 5], displacement: Array3::zeros((2, 10, 3)) };
+/// let frames = FigureFrames { rows: vec![2, 5], displacement: Array3::zeros((2, 10, 3)) };
 /// let directory = tempfile::tempdir()?;
 /// let path = directory.path().join("frames.npz");
 /// frames.save(&path)?;
-/// assert_eq!(Frames::load(&path)?, frames);
+/// assert_eq!(FigureFrames::load(&path)?, frames);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
-pub struct Frames {
+pub struct FigureFrames {
     /// Rows of the test frames.
     pub rows: Vec<usize>,
     /// Their displacements, metres, `[rows, V, 3]`.
     pub displacement: Array3<f32>,
 }
 
-impl Frames {
+impl FigureFrames {
     /// Of frames that are still to come.
     pub(super) fn new(rows: &[usize], vertices: usize) -> Self {
         Self { rows: rows.to_vec(), displacement: Array3::zeros((rows.len(), vertices, 3)) }
     }
 
     /// Keeps a frame's displacements `[3 V]` if it is one of those shown.
-    pub(super) fn see(&mut self, row: usize, predicted: &[f32]) {
+    pub(super) fn push(&mut self, row: usize, predicted: &[f32]) {
         if let Some(index) = self.rows.iter().position(|&shown| shown == row) {
             let frame = self.displacement.index_axis_mut(ndarray::Axis(0), index);
             for (kept, &value) in frame.into_iter().zip(predicted) {
@@ -180,19 +180,19 @@ mod tests {
     fn frames_are_kept_and_checked() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("frames.npz");
-        let mut frames = Frames::new(&[4, 1], 2);
+        let mut frames = FigureFrames::new(&[4, 1], 2);
         for row in 0..6 {
-            frames.see(row, &[row as f32; 6]);
+            frames.push(row, &[row as f32; 6]);
         }
         assert_eq!(frames.displacement[[0, 1, 2]], 4.0);
         assert_eq!(frames.displacement[[1, 0, 0]], 1.0);
         frames.save(&path).unwrap();
-        assert_eq!(Frames::load(&path).unwrap(), frames);
-        frames.see(1, &[f32::NAN; 6]);
+        assert_eq!(FigureFrames::load(&path).unwrap(), frames);
+        frames.push(1, &[f32::NAN; 6]);
         frames.save(&path).unwrap();
-        assert!(Frames::load(&path).unwrap_err().to_string().contains("displacement"));
+        assert!(FigureFrames::load(&path).unwrap_err().to_string().contains("displacement"));
         frames.rows.pop();
         frames.save(&path).unwrap();
-        assert!(Frames::load(&path).is_err());
+        assert!(FigureFrames::load(&path).is_err());
     }
 }

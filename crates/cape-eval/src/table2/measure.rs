@@ -5,35 +5,35 @@ use std::{fs, path::Path, sync::Arc, time::Instant};
 use burn::tensor::Device;
 use ndarray::{Array2, Axis};
 
-use super::{FRAMES, Frames, Grid, Job, RESULT, Row, RowResult};
+use super::{FRAMES, FigureFrames, RESULT, RowResult, Table2Job, Table2Options, Table2Row};
 use crate::{
     Error, Result,
-    comparison::{Measured, Meter, measure_run},
+    comparison::{RunErrorMeter, RunErrors, measure_run},
 };
-use cape_core::Progress;
-use cape_data::{PackedSet, Part, Statistics, principal_components};
+use cape_core::ProgressFn;
+use cape_data::{DisplacementStatistics, PackedSet, Split, principal_components};
 use cape_infer::{Run, write_json};
 use cape_stats::pca::PcaOptions;
 
 const PCA: &str = "pca.npz";
 
-impl Job {
+impl Table2Job {
     /// Measures the row on the test frames and keeps the result; `seconds` is what its training
     /// took. Rows that are not trained are fitted here.
     pub fn measure(
         &self,
-        grid: &Grid,
+        grid: &Table2Options,
         seconds: f64,
         device: &Device,
-        progress: &mut Progress,
+        progress: &mut ProgressFn,
     ) -> Result<RowResult> {
         let start = Instant::now();
-        let set = Arc::new(PackedSet::open(&grid.data, Part::Test)?);
-        let mut frames = Frames::new(&self.shown, set.vertices());
+        let set = Arc::new(PackedSet::open(&grid.data, Split::Test)?);
+        let mut frames = FigureFrames::new(&self.shown, set.vertices());
         let measured = if self.row.is_trained() {
             let run = Run::open(&self.run_directory(), device)?;
             measure_run(&run, &set, self.seed, progress, &mut |row, predicted, _| {
-                frames.see(row, predicted);
+                frames.push(row, predicted);
                 Ok(())
             })?
         } else {
@@ -60,42 +60,42 @@ impl Job {
 
     fn measure_fitted(
         &self,
-        grid: &Grid,
+        grid: &Table2Options,
         set: &PackedSet,
-        frames: &mut Frames,
-        progress: &mut Progress,
-    ) -> Result<Measured> {
+        frames: &mut FigureFrames,
+        progress: &mut ProgressFn,
+    ) -> Result<RunErrors> {
         let (body, mask) = grid.body(set)?;
         let clothing: Vec<usize> = mask.indices().collect();
-        let mut meter = Meter::new(&body, &clothing);
-        let reconstruct = self.fitted(grid, progress)?;
+        let mut meter = RunErrorMeter::new(&body, &clothing);
+        let reconstruct = self.fit_row(grid, progress)?;
         for row in 0..set.frames() {
             let truth = set.displacement_row(row)?;
             let predicted = reconstruct(&truth)?;
             let [predicted, truth] = [predicted, truth]
                 .map(|values| values.iter().map(|&x| x as f32).collect::<Vec<_>>());
-            meter.sampled(set, row, &predicted, &truth)?;
-            meter.mean(set, row, &predicted, &truth)?;
-            frames.see(row, &predicted);
+            meter.push_sampled(set, row, &predicted, &truth)?;
+            meter.push_mean(set, row, &predicted, &truth)?;
+            frames.push(row, &predicted);
             progress(row + 1, set.frames());
         }
-        Ok(meter.measured())
+        Ok(meter.errors())
     }
 
     /// The reconstruction of a row that is fitted, not trained.
     #[allow(clippy::type_complexity)]
-    fn fitted(
+    fn fit_row(
         &self,
-        grid: &Grid,
-        progress: &mut Progress,
+        grid: &Table2Options,
+        progress: &mut ProgressFn,
     ) -> Result<Box<dyn Fn(&[f64]) -> Result<Vec<f64>>>> {
-        if self.row == Row::Mean {
-            let statistics = Statistics::of_packed(&grid.data, progress)?;
+        if self.row == Table2Row::Mean {
+            let statistics = DisplacementStatistics::from_packed(&grid.data, progress)?;
             let mean: Vec<f64> = statistics.mean().iter().copied().collect();
             return Ok(Box::new(move |_| Ok(mean.clone())));
         }
-        let set = PackedSet::open(&grid.data, Part::Train)?;
-        let statistics = Statistics::of_packed(&grid.data, &mut cape_core::silent)?;
+        let set = PackedSet::open(&grid.data, Split::Train)?;
+        let statistics = DisplacementStatistics::from_packed(&grid.data, &mut cape_core::silent)?;
         let rows = statistics.training_rows(set.frames()).len();
         // A small set has fewer directions than the paper's 18.
         let components = self.config.model.latent.min(rows.saturating_sub(1));

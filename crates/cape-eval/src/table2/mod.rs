@@ -1,9 +1,9 @@
 //! CAPE's table 2: every method under one protocol.
 //!
-//! A [`Job`] is one row with one seed in a directory of its own: it is trained (or fitted), measured
+//! A [`Table2Job`] is one row with one seed in a directory of its own: it is trained (or fitted), measured
 //! on the test frames, and leaves a `result.json` with a key of its configuration and data, so that
-//! it is not done again unless either changed, and the [`Frames`] that pictures show. [`methods`]
-//! are what a [`Table`](crate::comparison::Table) puts side by side.
+//! it is not done again unless either changed, and the [`FigureFrames`] that pictures show. [`methods`]
+//! are what a [`ComparisonTable`](crate::comparison::ComparisonTable) puts side by side.
 
 mod frames;
 mod measure;
@@ -20,14 +20,14 @@ use cape_core::{SmplModel, smpl::ClothingMask};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-pub use frames::{Frames, shown_frames};
-pub use rows::Row;
+pub use frames::{FigureFrames, select_frames};
+pub use rows::Table2Row;
 
 use crate::{
     Error, Result,
-    comparison::{Measured, Method},
+    comparison::{MethodResults, RunErrors},
 };
-use cape_data::{PackedSet, Part};
+use cape_data::{PackedSet, Split};
 use cape_infer::{RunConfig, RunPaths, body_and_clothing, checkpoint};
 use cape_train::Trainer;
 
@@ -41,26 +41,26 @@ const FRAMES: &str = "frames.npz";
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use burn::tensor::Device;
 /// use cape_core::silent;
-/// use cape_eval::table2::{Grid, Row, hash_of, methods, shown_frames};
+/// use cape_eval::table2::{Table2Options, Table2Row, hash_of, methods, select_frames};
 ///
 /// let directory = captures()?;
 /// let data = directory.path().join("packed");
-/// let grid = Grid {
+/// let grid = Table2Options {
 ///     out: directory.path().join("table2"),
 ///     body: None,
 ///     clothing: None,
 ///     config: small_config(),
 ///     data_hash: hash_of(&data)?,
-///     shown: shown_frames(&data)?,
+///     shown: select_frames(&data)?,
 ///     data,
 /// };
 /// // Two seeds of CAPE, and one of what is not trained.
-/// let jobs = grid.jobs(&[Row::Mean, Row::Cape], 2)?;
-/// let rows: Vec<Row> = jobs.iter().map(|job| job.row).collect();
-/// assert_eq!(rows, [Row::Mean, Row::Cape, Row::Cape]);
+/// let jobs = grid.jobs(&[Table2Row::Mean, Table2Row::Cape], 2)?;
+/// let rows: Vec<Table2Row> = jobs.iter().map(|job| job.row).collect();
+/// assert_eq!(rows, [Table2Row::Mean, Table2Row::Cape, Table2Row::Cape]);
 /// assert!(jobs[0].result().is_none());
 /// let result = jobs[0].measure(&grid, 0.0, &Device::default(), &mut silent)?;
-/// assert_eq!(result.row, Row::Mean);
+/// assert_eq!(result.row, Table2Row::Mean);
 /// assert!(result.measured.sampled.overall.mean > 0.0);
 /// // Done once, it is kept, with its reconstructions of the frames to be shown.
 /// assert!(jobs[0].result().is_some());
@@ -70,7 +70,7 @@ const FRAMES: &str = "frames.npz";
 /// # }
 /// ```
 #[derive(Debug, Clone)]
-pub struct Grid {
+pub struct Table2Options {
     /// The packed set.
     pub data: PathBuf,
     /// Where rows are kept.
@@ -83,17 +83,17 @@ pub struct Grid {
     pub config: RunConfig,
     /// The packed set's [`hash_of`].
     pub data_hash: String,
-    /// Its [`shown_frames`].
+    /// Its [`select_frames`].
     pub shown: Vec<usize>,
 }
 
 /// One row with one seed.
 ///
-/// See [`Grid`] for an example.
+/// See [`Table2Options`] for an example.
 #[derive(Debug, Clone)]
-pub struct Job {
+pub struct Table2Job {
     /// The row.
-    pub row: Row,
+    pub row: Table2Row,
     /// Fixes weights, shuffles, noise and samples.
     pub seed: u64,
     /// Where it is kept.
@@ -105,11 +105,11 @@ pub struct Job {
 
 /// What a job came to.
 ///
-/// See [`Grid`] for an example.
+/// See [`Table2Options`] for an example.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct RowResult {
     /// The row.
-    pub row: Row,
+    pub row: Table2Row,
     /// Its seed.
     pub seed: u64,
     /// Of its configuration and data.
@@ -118,22 +118,22 @@ pub struct RowResult {
     pub seconds: f64,
     /// What it came to on the test frames.
     #[serde(flatten)]
-    pub measured: Measured,
+    pub measured: RunErrors,
 }
 
 /// The rows that there are results of, in the table's order, and the place of CAPE's among them.
-pub fn methods(results: &[RowResult]) -> (Vec<Method<'_>>, Option<usize>) {
+pub fn methods(results: &[RowResult]) -> (Vec<MethodResults<'_>>, Option<usize>) {
     let mut methods = Vec::new();
     let mut cape = None;
-    for row in Row::ALL {
+    for row in Table2Row::ALL {
         let of = || results.iter().filter(|result| result.row == row);
         if of().next().is_none() {
             continue;
         }
-        if row == Row::Cape {
+        if row == Table2Row::Cape {
             cape = Some(methods.len());
         }
-        methods.push(Method {
+        methods.push(MethodResults {
             name: row.name().to_owned(),
             label: row.label().to_owned(),
             results: of().map(|result| &result.measured).collect(),
@@ -143,9 +143,9 @@ pub fn methods(results: &[RowResult]) -> (Vec<Method<'_>>, Option<usize>) {
     (methods, cape)
 }
 
-impl Grid {
+impl Table2Options {
     /// The jobs of these rows, every trained one with `seeds` seeds.
-    pub fn jobs(&self, rows: &[Row], seeds: u64) -> Result<Vec<Job>> {
+    pub fn jobs(&self, rows: &[Table2Row], seeds: u64) -> Result<Vec<Table2Job>> {
         let mut jobs = Vec::new();
         for &row in rows {
             for seed in 0..if row.is_trained() { seeds } else { 1 } {
@@ -159,7 +159,7 @@ impl Grid {
                     hash.update(part);
                     hash.update("\0");
                 }
-                jobs.push(Job {
+                jobs.push(Table2Job {
                     row,
                     seed: config.train.seed,
                     directory: self
@@ -185,7 +185,7 @@ impl Grid {
 pub fn hash_of(data: &Path) -> Result<String> {
     let mut hash = Sha256::new();
     let mut buffer = vec![0; 1 << 20];
-    for part in [Part::Train, Part::Test] {
+    for part in [Split::Train, Split::Test] {
         for what in ["disp", "rot", "clo_label"] {
             let path = part.path(data, what);
             let mut file = fs::File::open(&path).map_err(|source| Error::io(&path, source))?;
@@ -201,7 +201,7 @@ pub fn hash_of(data: &Path) -> Result<String> {
     Ok(format!("{:x}", hash.finalize()))
 }
 
-impl Job {
+impl Table2Job {
     /// What it came to, if it is done and neither its configuration nor its data changed since.
     pub fn result(&self) -> Option<RowResult> {
         let text = fs::read(self.directory.join(RESULT)).ok()?;
@@ -211,8 +211,8 @@ impl Job {
     }
 
     /// Reconstructions of the frames shown, once it is done.
-    pub fn frames(&self) -> Result<Frames> {
-        Frames::load(self.directory.join(FRAMES))
+    pub fn frames(&self) -> Result<FigureFrames> {
+        FigureFrames::load(self.directory.join(FRAMES))
     }
 
     fn run_directory(&self) -> PathBuf {
@@ -221,7 +221,7 @@ impl Job {
 
     /// The trainer that goes on with it; none for rows that are not trained. A run of another
     /// configuration or other data in its place is removed.
-    pub fn trainer(&self, grid: &Grid, device: &Device) -> Result<Option<Trainer>> {
+    pub fn trainer(&self, grid: &Table2Options, device: &Device) -> Result<Option<Trainer>> {
         if !self.row.is_trained() {
             return Ok(None);
         }

@@ -9,18 +9,18 @@ use cape_infer::RunConfig;
 /// A row of the table.
 ///
 /// ```
-/// use cape_eval::table2::Row;
+/// use cape_eval::table2::Table2Row;
 /// use cape_infer::RunConfig;
 ///
-/// let row: Row = "no-discriminator".parse()?;
+/// let row: Table2Row = "no-discriminator".parse()?;
 /// let config = row.configure(&RunConfig::default());
 /// assert!(config.model.discriminator.is_none());
-/// assert!(row.is_trained() && !Row::Mean.is_trained());
+/// assert!(row.is_trained() && !Table2Row::Mean.is_trained());
 /// # Ok::<(), cape_train::Error>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Row {
+pub enum Table2Row {
     /// The mean training displacement in place of every frame.
     Mean,
     /// Principal components.
@@ -43,7 +43,7 @@ pub enum Row {
     NoEdge,
 }
 
-impl Row {
+impl Table2Row {
     /// All rows, in the table's order.
     pub const ALL: [Self; 9] = [
         Self::Mean,
@@ -128,7 +128,7 @@ impl Row {
     }
 }
 
-impl std::str::FromStr for Row {
+impl std::str::FromStr for Table2Row {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
@@ -148,19 +148,23 @@ mod tests {
     #[test]
     fn every_row_is_a_valid_configuration_and_differs_by_its_switch() {
         let cape = RunConfig::default();
-        for row in Row::ALL {
+        for row in Table2Row::ALL {
             let config = row.configure(&cape);
             config.validate().unwrap();
             assert_eq!(config.train, cape.train);
-            assert_eq!(config == cape, matches!(row, Row::Cape | Row::Mean | Row::Pca), "{row:?}");
-            assert_eq!(row.name().parse::<Row>().unwrap(), row);
+            assert_eq!(
+                config == cape,
+                matches!(row, Table2Row::Cape | Table2Row::Mean | Table2Row::Pca),
+                "{row:?}"
+            );
+            assert_eq!(row.name().parse::<Table2Row>().unwrap(), row);
             assert_eq!(serde_json::to_string(&row).unwrap(), format!("\"{}\"", row.name()));
         }
-        assert!("kilt".parse::<Row>().unwrap_err().to_string().contains("coma-4"));
-        let of = |row: Row| row.configure(&cape).model;
-        assert_eq!(of(Row::Coma4).factors, [1, 4, 1, 4, 1, 4, 1, 4]);
-        assert_eq!(of(Row::Coma1).factors, [1; 8]);
-        assert_eq!(of(Row::Coma1).latent, CapeConfig::paper().latent);
-        assert_eq!(of(Row::Coma4).filters, CapeConfig::paper().filters);
+        assert!("kilt".parse::<Table2Row>().unwrap_err().to_string().contains("coma-4"));
+        let of = |row: Table2Row| row.configure(&cape).model;
+        assert_eq!(of(Table2Row::Coma4).factors, [1, 4, 1, 4, 1, 4, 1, 4]);
+        assert_eq!(of(Table2Row::Coma1).factors, [1; 8]);
+        assert_eq!(of(Table2Row::Coma1).latent, CapeConfig::paper().latent);
+        assert_eq!(of(Table2Row::Coma4).filters, CapeConfig::paper().filters);
     }
 }

@@ -13,7 +13,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 pub use scene::Scene;
-pub use summary::{OutfitSummary, Score, Spread, Summary};
+pub use summary::{BenchmarkSummary, MethodScores, OutfitSummary, ValueSummary};
 
 use crate::{
     BodyFit, BodyParameters, ClothedConfig, ClothedFit, DressedBody, Error, Result, Smplify,
@@ -48,7 +48,7 @@ impl Default for BenchmarkOptions {
 
 /// Errors after scale and translation are taken out (eq. 12–13), at clothing vertices.
 ///
-/// See [`Summary`] for an example.
+/// See [`BenchmarkSummary`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FitError {
     /// Mean squared distance, m².
@@ -63,9 +63,9 @@ pub struct FitError {
 
 /// One frame of the benchmark, and what was found.
 ///
-/// See [`Summary`] for an example.
+/// See [`BenchmarkSummary`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Case {
+pub struct BenchmarkCase {
     /// Number of the held-out frame.
     pub frame: usize,
     /// Subject and sequence.
@@ -92,13 +92,13 @@ pub struct Case {
 /// use burn::tensor::Device;
 /// use cape_fit::{
 ///     ClothedConfig, PosePrior, Smplify, SmplifyConfig,
-///     benchmark::{Benchmark, BenchmarkOptions, Summary},
+///     benchmark::{Benchmark, BenchmarkOptions, BenchmarkSummary},
 /// };
-/// use cape_data::{PackedSet, Part};
+/// use cape_data::{PackedSet, Split};
 /// use cape_infer::Run;
 ///
 /// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
-/// let set = PackedSet::open("data/packed".as_ref(), Part::Test)?;
+/// let set = PackedSet::open("data/packed".as_ref(), Split::Test)?;
 /// let smplify = Smplify::new(run.body(), PosePrior::synthetic()?, SmplifyConfig::default())?;
 /// let config = ClothedConfig::default();
 /// let options = BenchmarkOptions { frames: 8, ..BenchmarkOptions::default() };
@@ -109,7 +109,7 @@ pub struct Case {
 ///     println!("{} pixels", scene.mask.area());
 ///     cases.push(benchmark.case(frame)?);
 /// }
-/// println!("{:.1} mm", Summary::of(&cases, 1)?.clothed.distance_mm.mean);
+/// println!("{:.1} mm", BenchmarkSummary::from_cases(&cases, 1)?.clothed.distance_mm.mean);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
@@ -164,7 +164,7 @@ impl<'a> Benchmark<'a> {
     ///
     /// # Errors
     /// If the frame cannot be read, or shows too little to place a body at all.
-    pub fn case(&self, frame: usize) -> Result<Case> {
+    pub fn case(&self, frame: usize) -> Result<BenchmarkCase> {
         let Scene { camera, keypoints, mask, truth } = &self.scene(frame)?;
         let outfit = self.set.outfits()[frame];
         let dressed = &self.bodies[outfit.index()];
@@ -189,8 +189,8 @@ impl<'a> Benchmark<'a> {
                 seconds,
             })
         };
-        let bare_error = error(&self.bare(&bare.parameters)?, bare_seconds)?;
-        let case = Case {
+        let bare_error = error(&self.unclothed(&bare.parameters)?, bare_seconds)?;
+        let case = BenchmarkCase {
             frame,
             capture: self.set.capture(frame),
             outfit,
@@ -202,8 +202,8 @@ impl<'a> Benchmark<'a> {
             code: Vec::new(),
         };
         match fit {
-            Err(reason) => Ok(Case { problem: Some(reason), ..case }),
-            Ok(fit) => Ok(Case {
+            Err(reason) => Ok(BenchmarkCase { problem: Some(reason), ..case }),
+            Ok(fit) => Ok(BenchmarkCase {
                 clothed: error(
                     dressed.surface(&fit.parameters, &fit.code)?.vertices(),
                     clothed_seconds,
@@ -220,8 +220,8 @@ impl<'a> Benchmark<'a> {
     ///
     /// # Errors
     /// If the case is of another model.
-    pub fn surfaces(&self, case: &Case) -> Result<[Vec<DVec3>; 2]> {
-        let bare = self.bare(&case.bare_body)?;
+    pub fn surfaces(&self, case: &BenchmarkCase) -> Result<[Vec<DVec3>; 2]> {
+        let bare = self.unclothed(&case.bare_body)?;
         if case.code.is_empty() {
             return Ok([bare.clone(), bare]);
         }
@@ -236,7 +236,7 @@ impl<'a> Benchmark<'a> {
     }
 
     /// Unclothed vertices, metres.
-    fn bare(&self, body: &BodyParameters) -> Result<Vec<DVec3>> {
+    fn unclothed(&self, body: &BodyParameters) -> Result<Vec<DVec3>> {
         let posed = self.run.body().pose(&body.betas, &body.pose, body.transl, None)?;
         Ok(posed.vertices.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2])).collect())
     }

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use super::BenchmarkOptions;
-use crate::{Camera, Detector, Keypoint, Keypoints, Mask, Result, silhouette::render};
+use crate::{Detector, Keypoint, Keypoints, Mask, PinholeCamera, Result, silhouette::render};
 
 /// Where bodies stand, metres in front of the camera.
 const PLACE: DVec3 = DVec3::new(0.0, 0.15, -3.3);
@@ -19,7 +19,7 @@ const SHAPES: usize = 4;
 #[derive(Debug, Clone)]
 pub struct Scene {
     /// The camera.
-    pub camera: Camera,
+    pub camera: PinholeCamera,
     /// What the detector saw.
     pub keypoints: Keypoints,
     /// The silhouette.
@@ -38,11 +38,11 @@ impl Scene {
     ) -> Result<Self> {
         let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
         rng.set_stream(frame as u64);
-        let camera = Camera::new(options.side, options.side, None)?;
+        let camera = PinholeCamera::new(options.side, options.side, None)?;
         let (displacement, mut wearer) = cape_infer::registration(set, frame)?;
         let shapes = SHAPES.min(run.body().betas());
         wearer.betas = (0..shapes).map(|_| rng.sample(StandardNormal)).collect();
-        let mesh = run.wear(&displacement, std::slice::from_ref(&wearer))?.remove(0);
+        let mesh = run.pose_clothed(&displacement, std::slice::from_ref(&wearer))?.remove(0);
         let vertices = mesh.vertices.iter();
         let truth: Vec<DVec3> =
             vertices.map(|&[x, y, z]| DVec3::new(x.into(), y.into(), z.into()) + PLACE).collect();
@@ -61,13 +61,13 @@ impl Scene {
             }
         }
         let mask = render(&truth, &run.body().faces, &camera)?.mask().clone();
-        let mask = ragged(&mask, options.ragged, &mut rng)?;
+        let mask = perturb_outline(&mask, options.ragged, &mut rng)?;
         Ok(Self { camera, keypoints: Keypoints::new(detector, points)?, mask, truth })
     }
 }
 
 /// The mask with some of the pixels beside its edge on the other side of it.
-fn ragged(mask: &Mask, share: f64, rng: &mut ChaCha8Rng) -> Result<Mask> {
+fn perturb_outline(mask: &Mask, share: f64, rng: &mut ChaCha8Rng) -> Result<Mask> {
     let (width, height) = (mask.width() as usize, mask.height() as usize);
     let inside = mask.covered();
     let mut covered = inside.to_vec();
@@ -96,8 +96,8 @@ mod tests {
         let covered = (0..40 * 40).map(|at| (10..30).contains(&(at % 40)));
         let mask = Mask::new(40, 40, covered.collect()).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(3);
-        assert_eq!(ragged(&mask, 0.0, &mut rng).unwrap(), mask);
-        let torn = ragged(&mask, 0.5, &mut rng).unwrap();
+        assert_eq!(perturb_outline(&mask, 0.0, &mut rng).unwrap(), mask);
+        let torn = perturb_outline(&mask, 0.5, &mut rng).unwrap();
         let changed = mask.covered().iter().zip(torn.covered()).enumerate();
         let changed: Vec<usize> =
             changed.filter(|(_, (a, b))| a != b).map(|(at, _)| at % 40).collect();

@@ -1,15 +1,15 @@
 use cape_core::Outfit;
 use serde::{Deserialize, Serialize};
 
-use super::{Case, FitError};
+use super::{BenchmarkCase, FitError};
 use crate::Result;
-use cape_stats::Paired;
+use cape_stats::PairedComparison;
 
 /// Mean and median of the cases' values.
 ///
-/// See [`Summary`] for an example.
+/// See [`BenchmarkSummary`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Spread {
+pub struct ValueSummary {
     /// Mean.
     pub mean: f64,
     /// Median.
@@ -20,22 +20,22 @@ pub struct Spread {
 
 /// How well one method did.
 ///
-/// See [`Summary`] for an example.
+/// See [`BenchmarkSummary`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Score {
+pub struct MethodScores {
     /// Mean squared distance at clothing vertices, m².
-    pub squared: Spread,
+    pub squared: ValueSummary,
     /// Mean distance there, millimetres.
-    pub distance_mm: Spread,
+    pub distance_mm: ValueSummary,
     /// Of the silhouettes.
-    pub intersection_over_union: Spread,
+    pub intersection_over_union: ValueSummary,
     /// Seconds for an image.
-    pub seconds: Spread,
+    pub seconds: ValueSummary,
 }
 
 /// The cases in one outfit.
 ///
-/// See [`Summary`] for an example.
+/// See [`BenchmarkSummary`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct OutfitSummary {
     /// What is worn.
@@ -43,9 +43,9 @@ pub struct OutfitSummary {
     /// Images.
     pub images: usize,
     /// Of SMPLify alone.
-    pub bare: Score,
+    pub bare: MethodScores,
     /// Of CAPE's clothed body.
-    pub clothed: Score,
+    pub clothed: MethodScores,
 }
 
 /// What a benchmark came to.
@@ -54,7 +54,7 @@ pub struct OutfitSummary {
 /// use cape_core::Outfit;
 /// use cape_fit::{
 ///     BodyParameters,
-///     benchmark::{Case, FitError, Summary},
+///     benchmark::{BenchmarkCase, FitError, BenchmarkSummary},
 /// };
 ///
 /// // Three images where clothes bring the error from 20 mm to 10 mm.
@@ -65,7 +65,7 @@ pub struct OutfitSummary {
 ///     seconds: 1.0,
 /// };
 /// let body = BodyParameters::new(vec![0.0; 72], Vec::new())?;
-/// let cases = [0, 1, 2].map(|frame| Case {
+/// let cases = [0, 1, 2].map(|frame| BenchmarkCase {
 ///     frame,
 ///     capture: "anna".into(),
 ///     outfit: Outfit::LongLong,
@@ -76,44 +76,46 @@ pub struct OutfitSummary {
 ///     clothed_body: body.clone(),
 ///     code: vec![0.0],
 /// });
-/// let summary = Summary::of(&cases, 1)?;
+/// let summary = BenchmarkSummary::from_cases(&cases, 1)?;
 /// assert_eq!((summary.images, summary.captures, summary.failed), (3, 1, 0));
 /// assert_eq!((summary.bare.distance_mm.mean, summary.clothed.distance_mm.median), (20.0, 10.0));
 /// assert_eq!((summary.distance_mm.wins, summary.outfits[0].images), (3, 3));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Summary {
+pub struct BenchmarkSummary {
     /// Images.
     pub images: usize,
     /// Different captures among them.
     pub captures: usize,
     /// Of SMPLify alone.
-    pub bare: Score,
+    pub bare: MethodScores,
     /// Of CAPE's clothed body.
-    pub clothed: Score,
+    pub clothed: MethodScores,
     /// Of the squared distances, CAPE against SMPLify alone.
-    pub squared: Paired,
+    pub squared: PairedComparison,
     /// Of the distances, millimetres.
-    pub distance_mm: Paired,
+    pub distance_mm: PairedComparison,
     /// Fits that say that they cannot be trusted.
     pub failed: usize,
     /// Of the squared distances of the others; nothing, if all have failed.
-    pub squared_of_trusted: Option<Paired>,
+    pub squared_of_trusted: Option<PairedComparison>,
     /// Outfit by outfit.
     pub outfits: Vec<OutfitSummary>,
 }
 
-impl Summary {
+impl BenchmarkSummary {
     /// Of all cases; `seed` fixes the bootstrap.
     ///
     /// # Errors
     /// If there is no case.
-    pub fn of(cases: &[Case], seed: u64) -> Result<Self> {
-        let all: Vec<&Case> = cases.iter().collect();
-        let trusted: Vec<&Case> = cases.iter().filter(|case| case.problem.is_none()).collect();
+    pub fn from_cases(cases: &[BenchmarkCase], seed: u64) -> Result<Self> {
+        let all: Vec<&BenchmarkCase> = cases.iter().collect();
+        let trusted: Vec<&BenchmarkCase> =
+            cases.iter().filter(|case| case.problem.is_none()).collect();
         let of_outfit = |outfit| {
-            let worn: Vec<&Case> = cases.iter().filter(|case| case.outfit == outfit).collect();
+            let worn: Vec<&BenchmarkCase> =
+                cases.iter().filter(|case| case.outfit == outfit).collect();
             (!worn.is_empty()).then(|| OutfitSummary {
                 outfit,
                 images: worn.len(),
@@ -130,37 +132,42 @@ impl Summary {
             captures: captures.len(),
             bare: score(&all, |case| &case.bare),
             clothed: score(&all, |case| &case.clothed),
-            squared: paired(&all, seed, squared)?,
-            distance_mm: paired(&all, seed, |error| error.distance_mm)?,
+            squared: compare_paired(&all, seed, squared)?,
+            distance_mm: compare_paired(&all, seed, |error| error.distance_mm)?,
             failed: cases.len() - trusted.len(),
             squared_of_trusted: match trusted.as_slice() {
                 [] => None,
-                trusted => Some(paired(trusted, seed, squared)?),
+                trusted => Some(compare_paired(trusted, seed, squared)?),
             },
             outfits: Outfit::ALL.into_iter().filter_map(of_outfit).collect(),
         })
     }
 }
 
-fn paired(cases: &[&Case], seed: u64, of: fn(&FitError) -> f64) -> Result<Paired> {
-    let [bare, clothed]: [Vec<f64>; 2] = [|case: &Case| case.bare, |case: &Case| case.clothed]
-        .map(|method| cases.iter().map(|case| of(&method(case))).collect());
-    Ok(Paired::of(&bare, &clothed, seed)?)
+fn compare_paired(
+    cases: &[&BenchmarkCase],
+    seed: u64,
+    of: fn(&FitError) -> f64,
+) -> Result<PairedComparison> {
+    let [bare, clothed]: [Vec<f64>; 2] =
+        [|case: &BenchmarkCase| case.bare, |case: &BenchmarkCase| case.clothed]
+            .map(|method| cases.iter().map(|case| of(&method(case))).collect());
+    Ok(PairedComparison::new(&bare, &clothed, seed)?)
 }
 
-fn score(cases: &[&Case], method: fn(&Case) -> &FitError) -> Score {
+fn score(cases: &[&BenchmarkCase], method: fn(&BenchmarkCase) -> &FitError) -> MethodScores {
     let spread = |of: fn(&FitError) -> f64| {
         let mut values: Vec<f64> = cases.iter().map(|case| of(method(case))).collect();
         values.sort_by(f64::total_cmp);
         let at = |index: usize| values.get(index).copied().unwrap_or(0.0);
         let count = values.len();
-        Spread {
+        ValueSummary {
             mean: values.iter().sum::<f64>() / count.max(1) as f64,
             median: 0.5 * (at(count / 2) + at(count.saturating_sub(1) / 2)),
             most: at(count.saturating_sub(1)),
         }
     };
-    Score {
+    MethodScores {
         squared: spread(|error| error.squared),
         distance_mm: spread(|error| error.distance_mm),
         intersection_over_union: spread(|error| error.intersection_over_union),
@@ -173,7 +180,7 @@ mod tests {
     use super::*;
     use crate::BodyParameters;
 
-    fn case(frame: usize, squared: [f64; 2], problem: Option<&str>) -> Case {
+    fn case(frame: usize, squared: [f64; 2], problem: Option<&str>) -> BenchmarkCase {
         let error = |squared: f64| FitError {
             squared,
             distance_mm: 1000.0 * squared.sqrt(),
@@ -181,7 +188,7 @@ mod tests {
             seconds: frame as f64,
         };
         let body = BodyParameters::new(vec![0.0; 72], Vec::new()).unwrap();
-        Case {
+        BenchmarkCase {
             frame,
             capture: format!("capture {}", frame / 2),
             outfit: Outfit::ALL[frame % 2],
@@ -202,9 +209,9 @@ mod tests {
             case(2, [1.0, 4.0], Some("lost")),
             case(3, [2.0, 1.0], None),
         ];
-        let summary = Summary::of(&cases, 1).unwrap();
+        let summary = BenchmarkSummary::from_cases(&cases, 1).unwrap();
         assert_eq!((summary.images, summary.captures, summary.failed), (4, 2, 1));
-        assert_eq!(summary.bare.squared, Spread { mean: 2.0, median: 1.5, most: 4.0 });
+        assert_eq!(summary.bare.squared, ValueSummary { mean: 2.0, median: 1.5, most: 4.0 });
         assert_eq!(summary.clothed.squared.median, 1.0);
         assert_eq!((summary.squared.wins, summary.squared.difference), (2, -0.25));
         let trusted = summary.squared_of_trusted.unwrap();
@@ -212,8 +219,8 @@ mod tests {
         let outfits: Vec<usize> = summary.outfits.iter().map(|outfit| outfit.images).collect();
         assert_eq!(outfits, [2, 2]);
         assert_eq!(summary.outfits[1].bare.seconds.mean, 2.0);
-        let lost = Summary::of(&cases[2..3], 1).unwrap();
+        let lost = BenchmarkSummary::from_cases(&cases[2..3], 1).unwrap();
         assert_eq!(lost.squared_of_trusted, None);
-        assert!(Summary::of(&[], 1).is_err());
+        assert!(BenchmarkSummary::from_cases(&[], 1).is_err());
     }
 }

@@ -5,8 +5,8 @@ use std::fmt;
 /// ```
 /// use cape_fit::Detector;
 ///
-/// assert_eq!(Detector::of_points(17), Some(Detector::Coco17));
-/// assert_eq!(Detector::of_points(5), None);
+/// assert_eq!(Detector::from_point_count(17), Some(Detector::Coco17));
+/// assert_eq!(Detector::from_point_count(5), None);
 /// // BODY_25 has a point between the hips, which stands for the pelvis.
 /// assert!(Detector::Body25.joints().contains(&(8, 0)));
 /// ```
@@ -118,7 +118,7 @@ impl Detector {
     }
 
     /// The layout of so many points.
-    pub fn of_points(points: usize) -> Option<Self> {
+    pub fn from_point_count(points: usize) -> Option<Self> {
         Self::ALL.into_iter().find(|detector| detector.points() == points)
     }
 
@@ -166,9 +166,9 @@ mod tests {
                     assert!(joints.contains(&other.unwrap()), "{detector} {limb}");
                 }
             }
-            assert_eq!(Detector::of_points(detector.points()), Some(detector));
+            assert_eq!(Detector::from_point_count(detector.points()), Some(detector));
         }
-        assert_eq!(Detector::of_points(21), None);
+        assert_eq!(Detector::from_point_count(21), None);
     }
 
     #[test]

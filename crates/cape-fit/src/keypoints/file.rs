@@ -15,10 +15,10 @@ use crate::{Error, Result};
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use cape_synth::synthetic_body;
-/// use cape_fit::{Camera, read_keypoints};
+/// use cape_fit::{PinholeCamera, read_keypoints};
 ///
 /// // Keypoints as OpenPose writes them, read back.
-/// let (_, keypoints) = seen(&synthetic_body(), &Camera::new(512, 512, None)?)?;
+/// let (_, keypoints) = seen(&synthetic_body(), &PinholeCamera::new(512, 512, None)?)?;
 /// let directory = tempfile::tempdir()?;
 /// let archive = directory.path().join("keypoints.npz");
 /// let points = keypoints.points();
@@ -168,7 +168,8 @@ fn numbers(path: &Path, field: &str, value: Option<&Value>) -> Result<Vec<f64>> 
 /// Of x, y and confidence for each point.
 fn keypoints(path: &Path, field: &str, numbers: &[f64]) -> Result<Keypoints> {
     let (points, rest) = numbers.as_chunks::<3>();
-    let Some(detector) = Detector::of_points(points.len()).filter(|_| rest.is_empty()) else {
+    let Some(detector) = Detector::from_point_count(points.len()).filter(|_| rest.is_empty())
+    else {
         let layouts: Vec<String> =
             Detector::ALL.iter().map(|d| format!("{} ({d})", 3 * d.points())).collect();
         return Err(Error::field(

@@ -30,7 +30,7 @@ pub struct Keypoint {
 /// let mut points = vec![Keypoint { x: 0.0, y: 0.0, confidence: 0.0 }; 25];
 /// points[8] = Keypoint { x: 100.0, y: 200.0, confidence: 0.9 };
 /// let keypoints = Keypoints::new(Detector::Body25, points)?;
-/// let sightings = keypoints.sightings(0.5);
+/// let sightings = keypoints.detections(0.5);
 /// assert_eq!((sightings.len(), sightings[0].joint, sightings[0].at.x), (1, 0, 100.0));
 /// // In an image of half the size.
 /// assert_eq!(keypoints.scaled(0.5).points()[8].y, 100.0);
@@ -46,7 +46,7 @@ pub struct Keypoints {
 ///
 /// See [`Keypoints`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sighting {
+pub struct KeypointDetection {
     /// The joint's number.
     pub joint: usize,
     /// Where it was seen, and how surely.
@@ -105,9 +105,9 @@ impl Keypoints {
     }
 
     /// The joints of SMPL that were seen with at least that confidence.
-    pub fn sightings(&self, confidence: f64) -> Vec<Sighting> {
+    pub fn detections(&self, confidence: f64) -> Vec<KeypointDetection> {
         let table = self.detector.joints().iter();
-        let seen = table.map(|&(point, joint)| Sighting { joint, at: self.points[point] });
+        let seen = table.map(|&(point, joint)| KeypointDetection { joint, at: self.points[point] });
         seen.filter(|s| s.at.confidence > 0.0 && s.at.confidence >= confidence).collect()
     }
 }
@@ -124,11 +124,11 @@ mod tests {
         points[0].confidence = 1.0;
         let keypoints = Keypoints::new(Detector::Body25, points.clone()).unwrap();
         let joints = |confidence: f64| -> Vec<usize> {
-            keypoints.sightings(confidence).iter().map(|s| s.joint).collect()
+            keypoints.detections(confidence).iter().map(|s| s.joint).collect()
         };
         assert_eq!(joints(0.0), [21, 20]);
         assert_eq!(joints(0.5), [21]);
-        assert_eq!(keypoints.sightings(0.5)[0].at.confidence, 1.0);
+        assert_eq!(keypoints.detections(0.5)[0].at.confidence, 1.0);
         assert!(Keypoints::new(Detector::Coco17, points.clone()).is_err());
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("person.json");

@@ -12,8 +12,8 @@ use rand_distr::StandardNormal;
 use serde::Serialize;
 
 use super::{
-    FreeConfig, Scan, ScanConfig, ScanFit, ScanFitter, ScanStart, Unit, Up,
-    energy::surface_distance, free_displacement, sample::of_faces,
+    FreeFormConfig, Scan, ScanConfig, ScanFit, ScanFitter, ScanInit, Unit, UpAxis,
+    energy::surface_distance, free_displacement, sample::sample_faces,
 };
 use crate::{Error, PosePrior, Result};
 
@@ -29,12 +29,12 @@ const FAR: f64 = 2.0;
 /// ```no_run
 /// use burn::tensor::Device;
 /// use cape_fit::scan::{ScanConfig, benchmark::{ScanBenchmarkOptions, scan_benchmark}};
-/// use cape_data::{PackedSet, Part};
+/// use cape_data::{PackedSet, Split};
 /// use cape_infer::Run;
 ///
 /// // Two scans of each of four frames: whole, and with a tenth missing.
 /// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
-/// let set = PackedSet::open("data/packed".as_ref(), Part::Test)?;
+/// let set = PackedSet::open("data/packed".as_ref(), Split::Test)?;
 /// let options = ScanBenchmarkOptions {
 ///     frames: 4,
 ///     points: 20_000,
@@ -109,7 +109,7 @@ pub struct ScanCase {
 }
 
 /// A true surface and the body under it, metres, `[vertices]`.
-struct Truth {
+struct GroundTruth {
     surface: Vec<DVec3>,
     bare: Vec<DVec3>,
     /// The surface in what the true clothes' code is decoded to.
@@ -136,7 +136,7 @@ pub fn scan_benchmark(
         )));
     }
     let prior = PosePrior::synthetic()?;
-    let start = ScanStart::usual(&prior);
+    let start = ScanInit::default_poses(&prior);
     let fitter =
         |&outfit: &Outfit| ScanFitter::new(run, &[outfit], None, prior.clone(), config.clone());
     let fitters: Vec<ScanFitter> = Outfit::ALL.iter().map(fitter).collect::<Result<_>>()?;
@@ -150,10 +150,10 @@ pub fn scan_benchmark(
                 let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
                 rng.set_stream(frame as u64);
                 let truth = truth(run, set, frame, &mut rng)?;
-                let scan = scanned(run, &truth, options.points, noise, hole, &mut rng)?;
+                let scan = simulate_scan(run, &truth, options.points, noise, hole, &mut rng)?;
                 let fitter = &fitters[outfit.index()];
                 let clock = Instant::now();
-                let fit = fitter.fit(&scan, &start, Up::Y, &mut |_, _| {})?;
+                let fit = fitter.fit(&scan, &start, UpAxis::Y, &mut |_, _| {})?;
                 let seconds = clock.elapsed().as_secs_f64();
                 each(ScanCase {
                     frame,
@@ -171,7 +171,7 @@ pub fn scan_benchmark(
 }
 
 /// A held-out frame on a body of random shape, somewhere, facing anywhere.
-fn truth(run: &Run, set: &PackedSet, frame: usize, rng: &mut ChaCha8Rng) -> Result<Truth> {
+fn truth(run: &Run, set: &PackedSet, frame: usize, rng: &mut ChaCha8Rng) -> Result<GroundTruth> {
     let (displacement, mut wearer) = cape_infer::registration(set, frame)?;
     let shapes = SHAPES.min(run.body().betas());
     wearer.betas = (0..shapes).map(|_| rng.sample(StandardNormal)).collect();
@@ -183,24 +183,24 @@ fn truth(run: &Run, set: &PackedSet, frame: usize, rng: &mut ChaCha8Rng) -> Resu
         vertices.map(|v| turn * DVec3::from_array(v.map(f64::from)) + shift).collect()
     };
     let wearers = std::slice::from_ref(&wearer);
-    let decoded = run.clothes(&run.encode(&displacement, wearers)?, wearers)?;
-    Ok(Truth {
-        encoded: placed(run.wear(&decoded, wearers)?.remove(0)),
-        surface: placed(run.wear(&displacement, wearers)?.remove(0)),
-        bare: placed(run.bare(wearers)?.remove(0)),
+    let decoded = run.decode_displacements(&run.encode(&displacement, wearers)?, wearers)?;
+    Ok(GroundTruth {
+        encoded: placed(run.pose_clothed(&decoded, wearers)?.remove(0)),
+        surface: placed(run.pose_clothed(&displacement, wearers)?.remove(0)),
+        bare: placed(run.pose_unclothed(wearers)?.remove(0)),
     })
 }
 
 /// Points of the surface, with noise, but for those in holes.
-fn scanned(
+fn simulate_scan(
     run: &Run,
-    truth: &Truth,
+    truth: &GroundTruth,
     count: usize,
     noise: f64,
     hole: f64,
     rng: &mut ChaCha8Rng,
 ) -> Result<Scan> {
-    let samples = of_faces(&truth.surface, &run.body().faces, count, rng);
+    let samples = sample_faces(&truth.surface, &run.body().faces, count, rng);
     let samples = samples.ok_or_else(|| Error::argument("the body's faces have no area"))?;
     let mut points: Vec<DVec3> = samples.into_iter().map(|sample| sample.at).collect();
     let wanted = ((1.0 - hole) * points.len() as f64) as usize;
@@ -223,7 +223,7 @@ fn scanned(
 fn error(
     run: &Run,
     fitter: &ScanFitter,
-    truth: &Truth,
+    truth: &GroundTruth,
     scan: &Scan,
     fit: &ScanFit,
     seconds: f64,
@@ -236,15 +236,20 @@ fn error(
     let surface = fitter.surface(fit)?;
     let clock = Instant::now();
     let faces = &run.body().faces;
-    let free = free_displacement(scan, &surface, faces, &FreeConfig::default(), &mut |_, _| {})?;
+    let free =
+        free_displacement(scan, &surface, faces, &FreeFormConfig::default(), &mut |_, _| {})?;
     let displacement_seconds = clock.elapsed().as_secs_f64();
     let clothing = run.clothing();
     Ok(ScanError {
-        mean_clothes: off(&fitter.in_mean_clothes(&fit.before_clothes)?, &truth.surface, clothing),
+        mean_clothes: off(
+            &fitter.with_mean_clothing(&fit.before_clothes)?,
+            &truth.surface,
+            clothing,
+        ),
         clothed: off(&surface, &truth.surface, clothing),
         encoded: off(&truth.encoded, &truth.surface, clothing),
         displaced: off(&free.vertices, &truth.surface, clothing),
-        bare: off(&fitter.bare(&fit.parameters)?, &truth.bare, &all),
+        bare: off(&fitter.unclothed(&fit.parameters)?, &truth.bare, &all),
         surface: surface_distance(&truth.surface, &surface, faces),
         displaced_surface: surface_distance(&truth.surface, &free.vertices, faces),
         seconds,

@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Scan,
-    nearest::{Nearest, Tree},
-    sample::{Sample, of_scan, vertex_frames},
+    nearest::{NearestPoint, SurfaceTree},
+    sample::{SurfaceSample, sample_scan, vertex_frames},
 };
 use crate::body_energy::geman_mcclure;
 
@@ -31,39 +31,43 @@ const INSIDE_OUT: f64 = 0.35;
 
 /// A scan, ready to be compared with.
 #[derive(Debug, Clone)]
-pub(crate) struct Target<'a> {
-    samples: Vec<Sample>,
-    tree: Tree<'a>,
+pub(crate) struct ScanTarget<'a> {
+    samples: Vec<SurfaceSample>,
+    tree: SurfaceTree<'a>,
     /// Between points, metres; 0 with triangles between.
     spacing: f64,
 }
 
-impl<'a> Target<'a> {
+impl<'a> ScanTarget<'a> {
     /// Of at most `count` points of the scan.
     pub(crate) fn new(scan: &'a Scan, count: usize, seed: u64) -> Self {
-        let samples = of_scan(scan, count, &mut ChaCha8Rng::seed_from_u64(seed));
+        let samples = sample_scan(scan, count, &mut ChaCha8Rng::seed_from_u64(seed));
         if scan.faces().is_empty() {
             let normals = scan.normals().unwrap_or_default().to_vec();
             let spacing = (SURFACE / scan.points().len() as f64).sqrt();
-            return Self { samples, tree: Tree::of_points(scan.points(), normals), spacing };
+            return Self {
+                samples,
+                tree: SurfaceTree::from_points(scan.points(), normals),
+                spacing,
+            };
         }
-        Self { samples, tree: Tree::of_faces(scan.points(), scan.faces()), spacing: 0.0 }
+        Self { samples, tree: SurfaceTree::from_faces(scan.points(), scan.faces()), spacing: 0.0 }
     }
 
     /// The points to compare with.
-    pub(crate) fn samples(&self) -> &[Sample] {
+    pub(crate) fn samples(&self) -> &[SurfaceSample] {
         &self.samples
     }
 
     /// The scan itself.
-    pub(crate) fn tree(&self) -> &Tree<'a> {
+    pub(crate) fn tree(&self) -> &SurfaceTree<'a> {
         &self.tree
     }
 
     /// Turns the scan's normals, or forgets them, if they do not agree with those of a body that is
     /// roughly in place; whether they were of use as they are.
     pub(crate) fn orient(&mut self, vertices: &[DVec3], faces: &[[u32; 3]]) -> bool {
-        let tree = Tree::of_faces(vertices, faces);
+        let tree = SurfaceTree::from_faces(vertices, faces);
         let with: Vec<f64> = self
             .samples
             .par_iter()
@@ -103,27 +107,27 @@ pub struct ScanTerms {
 
 /// What a body is compared with in one stage.
 #[derive(Debug, Clone)]
-pub(crate) struct Distances<'a> {
-    target: &'a Target<'a>,
+pub(crate) struct ScanEnergy<'a> {
+    target: &'a ScanTarget<'a>,
     faces: &'a [[u32; 3]],
     /// Of the surface around each vertex; 0 where the scan has a hole.
     shares: Vec<f64>,
     samples: usize,
     /// Size of errors that are rather mistakes, metres.
-    robust: f64,
+    robust_scale: f64,
     /// Weight of the way from the body to the scan.
     back: f64,
 }
 
-impl<'a> Distances<'a> {
+impl<'a> ScanEnergy<'a> {
     /// From at most `samples` points of the scan to a surface that is now at `vertices`, and back
     /// with the weight `back`, from where the scan has no holes.
     pub(crate) fn new(
-        target: &'a Target<'a>,
+        target: &'a ScanTarget<'a>,
         vertices: &[DVec3],
         faces: &'a [[u32; 3]],
         samples: usize,
-        robust: f64,
+        robust_scale: f64,
         back: f64,
     ) -> Self {
         let (normals, mut shares) = vertex_frames(vertices, faces);
@@ -132,7 +136,7 @@ impl<'a> Distances<'a> {
                 return None;
             }
             // Over a hole the scan is nearest sideways.
-            let (_, nearest) = target.tree.nearest(vertex, normal, REACH * robust)?;
+            let (_, nearest) = target.tree.nearest(vertex, normal, REACH * robust_scale)?;
             let off = nearest.at - vertex;
             let sideways = off.reject_from_normalized(normal.try_normalize()?).length();
             Some(sideways <= (0.5 * off.length()).max(SIDEWAYS * target.spacing))
@@ -142,7 +146,7 @@ impl<'a> Distances<'a> {
         let wanted = shares.iter_mut().zip(there).filter(|(_, there)| !there);
         wanted.for_each(|(share, _)| *share = 0.0);
         let samples = samples.min(target.samples.len());
-        Self { target, faces, shares, samples, robust, back }
+        Self { target, faces, shares, samples, robust_scale, back }
     }
 
     /// The terms of a surface; the gradient of `scale · E_D` is added to `forces`.
@@ -152,13 +156,13 @@ impl<'a> Distances<'a> {
         scale: f64,
         forces: &mut [DVec3],
     ) -> ScanTerms {
-        let reach = REACH * self.robust;
+        let reach = REACH * self.robust_scale;
         let samples = &self.target.samples[..self.samples];
-        let body = Tree::of_faces(vertices, self.faces);
-        let on_body: Vec<Option<(usize, Nearest)>> =
+        let body = SurfaceTree::from_faces(vertices, self.faces);
+        let on_body: Vec<Option<(usize, NearestPoint)>> =
             samples.par_iter().map(|s| body.nearest(s.at, s.normal, reach)).collect();
         let (normals, _) = vertex_frames(vertices, self.faces);
-        let on_scan: Vec<Option<(usize, Nearest)>> = vertices
+        let on_scan: Vec<Option<(usize, NearestPoint)>> = vertices
             .par_iter()
             .zip(&normals)
             .zip(&self.shares)
@@ -166,27 +170,27 @@ impl<'a> Distances<'a> {
                 (share > 0.0).then(|| self.target.tree.nearest(at, normal, reach)).flatten()
             })
             .collect();
-        let (lost, _) = geman_mcclure(reach * reach, self.robust);
+        let (lost, _) = geman_mcclure(reach * reach, self.robust_scale);
         let mut terms = ScanTerms::default();
         let each = 1.0 / samples.len().max(1) as f64;
         for (sample, nearest) in samples.iter().zip(on_body) {
-            let Some((_, Nearest { on, at })) = nearest else {
+            let Some((_, NearestPoint { on, at })) = nearest else {
                 terms.to_body += each * lost;
                 continue;
             };
             let off = at - sample.at;
-            let (penalty, slope) = geman_mcclure(off.length_squared(), self.robust);
+            let (penalty, slope) = geman_mcclure(off.length_squared(), self.robust_scale);
             terms.to_body += each * penalty;
             on.pull_back(off * (2.0 * scale * each * slope), forces);
         }
         for (vertex, nearest) in on_scan.into_iter().enumerate() {
             let share = self.shares[vertex];
-            let Some((_, Nearest { at, .. })) = nearest else {
+            let Some((_, NearestPoint { at, .. })) = nearest else {
                 terms.to_scan += share * lost;
                 continue;
             };
             let off = vertices[vertex] - at;
-            let (penalty, slope) = geman_mcclure(off.length_squared(), self.robust);
+            let (penalty, slope) = geman_mcclure(off.length_squared(), self.robust_scale);
             terms.to_scan += share * penalty;
             forces[vertex] += off * (2.0 * scale * self.back * share * slope);
         }
@@ -201,7 +205,7 @@ impl<'a> Distances<'a> {
 
 /// Distance of each of `points` from a scan, metres.
 pub fn distances_to(scan: &Scan, points: &[DVec3]) -> Vec<f64> {
-    let target = Target::new(scan, 0, 0);
+    let target = ScanTarget::new(scan, 0, 0);
     let off = |&point: &DVec3| {
         let nearest = target.tree.nearest(point, DVec3::ZERO, f64::MAX);
         nearest.map_or(f64::INFINITY, |(_, nearest)| nearest.at.distance(point))
@@ -211,7 +215,7 @@ pub fn distances_to(scan: &Scan, points: &[DVec3]) -> Vec<f64> {
 
 /// Mean distance of points from a surface, millimetres.
 pub(crate) fn surface_distance(points: &[DVec3], vertices: &[DVec3], faces: &[[u32; 3]]) -> f64 {
-    let tree = Tree::of_faces(vertices, faces);
+    let tree = SurfaceTree::from_faces(vertices, faces);
     let off = |&point: &DVec3| {
         let nearest = tree.nearest(point, DVec3::ZERO, f64::MAX);
         nearest.map_or(f64::INFINITY, |(_, nearest)| nearest.at.distance(point))
@@ -222,7 +226,7 @@ pub(crate) fn surface_distance(points: &[DVec3], vertices: &[DVec3], faces: &[[u
 
 /// How far a surface is from a scan, millimetres.
 ///
-/// See [`FreeSurface`](super::FreeSurface) for an example.
+/// See [`FreeFormSurface`](super::FreeFormSurface) for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScanDistance {
     /// Half of the scan's points are nearer to the surface.
@@ -237,19 +241,19 @@ pub struct ScanDistance {
 
 /// The distances of the scan's samples from a surface.
 pub(crate) fn distance(
-    target: &Target<'_>,
+    target: &ScanTarget<'_>,
     vertices: &[DVec3],
     faces: &[[u32; 3]],
 ) -> ScanDistance {
-    let tree = Tree::of_faces(vertices, faces);
-    let off = |sample: &Sample| {
+    let tree = SurfaceTree::from_faces(vertices, faces);
+    let off = |sample: &SurfaceSample| {
         let nearest = tree.nearest(sample.at, sample.normal, f64::MAX);
         nearest.map_or(f64::INFINITY, |(_, nearest)| 1000.0 * nearest.at.distance(sample.at))
     };
     let mut all: Vec<f64> = target.samples.par_iter().map(off).collect();
     all.sort_unstable_by(f64::total_cmp);
     let at = |share: f64| all.get((share * all.len() as f64) as usize).copied().unwrap_or(0.0);
-    let seen = Distances::new(target, vertices, faces, 0, 0.02, 1.0).shares;
+    let seen = ScanEnergy::new(target, vertices, faces, 0, 0.02, 1.0).shares;
     ScanDistance {
         median: at(0.5),
         mean: all.iter().sum::<f64>() / all.len().max(1) as f64,
@@ -282,9 +286,9 @@ mod tests {
     fn the_gradient_agrees_with_finite_differences() {
         for with_faces in [true, false] {
             let scan = scan(1.06, with_faces);
-            let target = Target::new(&scan, 1500, 3);
+            let target = ScanTarget::new(&scan, 1500, 3);
             let (vertices, faces) = body(1.0);
-            let distances = Distances::new(&target, &vertices, &faces, 1500, 0.03, 0.7);
+            let distances = ScanEnergy::new(&target, &vertices, &faces, 1500, 0.03, 0.7);
             let mode = |which: usize, vertex: usize| {
                 let phase = vertices[vertex].dot(DVec3::new(3.1, 4.7, 2.3)) + which as f64;
                 DVec3::new(phase.sin(), (1.3 * phase).cos(), (0.7 * phase).sin())
@@ -310,7 +314,7 @@ mod tests {
     #[test]
     fn the_same_surface_is_at_no_distance() {
         let scan = scan(1.0, true);
-        let mut target = Target::new(&scan, 2000, 1);
+        let mut target = ScanTarget::new(&scan, 2000, 1);
         let (vertices, faces) = body(1.0);
         assert!(target.orient(&vertices, &faces));
         let found = distance(&target, &vertices, &faces);
@@ -326,7 +330,7 @@ mod tests {
             face.swap(0, 1);
         }
         let scan = Scan::new(vertices.clone(), None, faces, Unit::M).unwrap();
-        let mut target = Target::new(&scan, 1000, 1);
+        let mut target = ScanTarget::new(&scan, 1000, 1);
         assert!(!target.orient(&vertices, &BODY.faces));
         assert!(distance(&target, &vertices, &BODY.faces).mean < 1e-6);
     }
@@ -337,8 +341,8 @@ mod tests {
         let front = |&v: &u32| vertices[v as usize].distance(DVec3::new(0.0, 0.0, 0.15)) < 0.1;
         let holed = faces.iter().filter(|face| !face.iter().any(front)).copied().collect();
         let scan = Scan::new(vertices.clone(), None, holed, Unit::M).unwrap();
-        let target = Target::new(&scan, 1000, 1);
-        let distances = Distances::new(&target, &vertices, &faces, 1000, 0.05, 1.0);
+        let target = ScanTarget::new(&scan, 1000, 1);
+        let distances = ScanEnergy::new(&target, &vertices, &faces, 1000, 0.05, 1.0);
         let mut forces = vec![DVec3::ZERO; vertices.len()];
         let terms = distances.evaluate(&vertices, 1.0, &mut forces);
         assert!(terms.to_scan < 1e-12, "{terms:?}");

@@ -8,14 +8,14 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Scan, ScanDistance, ScanTerms,
-    energy::{Distances, Target, distance},
+    energy::{ScanEnergy, ScanTarget, distance},
+    init::{ScanInit, ScanSubject, UpAxis, initial_bodies},
     stage::{ScanConfig, ScanStage, Unknowns},
-    start::{Kind, ScanStart, Up, starts},
 };
 use crate::{
     BodyParameters, BodyTerms, DressedBody, Error, LbfgsOptions, PosePrior, Result, Skeleton,
     body_energy::prior_terms,
-    dressed::{Clothes, DressedSurface},
+    dressed_body::{DressedSurface, FixedClothing},
     parameters::{BETAS_AT, solve},
 };
 
@@ -64,23 +64,23 @@ pub struct ScanFit {
 /// Steps that were made, of how many at most.
 ///
 /// See [`ScanFitter`] for an example.
-pub type ScanProgress<'a> = dyn FnMut(usize, usize) + 'a;
+pub type ScanProgressFn<'a> = dyn FnMut(usize, usize) + 'a;
 
 /// Fits a run's clothed bodies to scans.
 ///
 /// ```no_run
 /// use burn::tensor::Device;
 /// use cape_core::Outfit;
-/// use cape_fit::{PosePrior, scan::{Scan, ScanConfig, ScanFitter, ScanStart, Unit, Up}};
+/// use cape_fit::{PosePrior, scan::{Scan, ScanConfig, ScanFitter, ScanInit, Unit, UpAxis}};
 /// use cape_infer::Run;
 ///
 /// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
 /// let prior = PosePrior::synthetic()?;
-/// let start = ScanStart::usual(&prior);
+/// let start = ScanInit::default_poses(&prior);
 /// let fitter = ScanFitter::new(&run, &Outfit::ALL, None, prior, ScanConfig::default())?;
 /// let scan = Scan::load("scan.ply", Unit::M)?;
 /// let mut progress = |done, total| eprintln!("{done} of {total}");
-/// let fit = fitter.fit(&scan, &start, Up::Y, &mut progress)?;
+/// let fit = fitter.fit(&scan, &start, UpAxis::Y, &mut progress)?;
 /// println!("{:?}, {:.1} mm from the scan", fit.outfit, fit.distance.mean);
 /// println!("both ways: {:?}", fit.terms.distance);
 /// let vertices = fitter.surface(&fit)?;
@@ -127,7 +127,7 @@ impl ScanFitter {
             body.v_template.assign(minimal);
         }
         let dressed = |&outfit: &Outfit| match minimal {
-            Some(minimal) => DressedBody::of_subject(run, outfit, minimal),
+            Some(minimal) => DressedBody::from_subject(run, outfit, minimal),
             None => DressedBody::new(run, outfit),
         };
         let mut mean_clothes = Array2::zeros(body.v_template.dim());
@@ -155,26 +155,30 @@ impl ScanFitter {
     /// # Errors
     /// If the body has too many shape coefficients.
     pub fn minimal(&self, fit: &ScanFit) -> Result<Array2<f64>> {
-        Ok(self.body.shaped(&fit.parameters.betas)?)
+        Ok(self.body.rest_shape(&fit.parameters.betas)?)
     }
 
     /// The body without clothes, metres, `[V]`.
     ///
     /// # Errors
     /// If sizes do not suit the body.
-    pub fn bare(&self, body: &BodyParameters) -> Result<Vec<DVec3>> {
-        self.posed(body, None)
+    pub fn unclothed(&self, body: &BodyParameters) -> Result<Vec<DVec3>> {
+        self.pose_surface(body, None)
     }
 
     /// The body in the clothes that people wear on average, metres, `[V]`.
     ///
     /// # Errors
     /// If sizes do not suit the body.
-    pub fn in_mean_clothes(&self, body: &BodyParameters) -> Result<Vec<DVec3>> {
-        self.posed(body, Some(&self.mean_clothes))
+    pub fn with_mean_clothing(&self, body: &BodyParameters) -> Result<Vec<DVec3>> {
+        self.pose_surface(body, Some(&self.mean_clothes))
     }
 
-    fn posed(&self, body: &BodyParameters, worn: Option<&Array2<f64>>) -> Result<Vec<DVec3>> {
+    fn pose_surface(
+        &self,
+        body: &BodyParameters,
+        worn: Option<&Array2<f64>>,
+    ) -> Result<Vec<DVec3>> {
         let posed = self.body.pose(&body.betas, &body.pose, body.transl, worn)?;
         Ok(posed.vertices.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2])).collect())
     }
@@ -196,14 +200,14 @@ impl ScanFitter {
     pub fn fit(
         &self,
         scan: &Scan,
-        start: &ScanStart,
-        up: Up,
-        progress: &mut ScanProgress<'_>,
+        start: &ScanInit,
+        up: UpAxis,
+        progress: &mut ScanProgressFn<'_>,
     ) -> Result<ScanFit> {
         let config = &self.config;
-        let mut target = Target::new(scan, config.samples(), config.seed);
+        let mut target = ScanTarget::new(scan, config.samples(), config.seed);
         let betas = if self.shape_is_known { 0 } else { config.betas.min(self.body.betas()) };
-        let kind = Kind {
+        let kind = ScanSubject {
             body: &self.body,
             skeleton: &self.skeleton,
             prior: &self.prior,
@@ -213,15 +217,16 @@ impl ScanFitter {
         let (bare, clothed): (Vec<ScanStage>, Vec<ScanStage>) =
             config.stages.iter().partition(|stage| stage.unknowns != Unknowns::Clothes);
         let [count, placings] = start.count(config.starts);
-        let mut counter = Counter::new(&bare, &clothed, count, self.outfits.len(), progress);
+        let mut counter = StepCounter::new(&bare, &clothed, count, self.outfits.len(), progress);
         counter.total += placings;
-        let bodies = starts(&kind, &target, start, up, config.starts, &mut || counter.moved_on(1))?;
+        let bodies =
+            initial_bodies(&kind, &target, start, up, config.starts, &mut || counter.advance(1))?;
         let first = &self.outfits[0];
-        let clothes = first.mean_clothes();
-        let surface = first.surface_in(&clothes, &padded(&bodies[0]))?;
+        let clothes = first.mean_clothing();
+        let surface = first.surface_in(&clothes, &pad_betas(&bodies[0]))?;
         let normals_as_given = target.orient(surface.vertices(), first.faces());
 
-        let scene = |dressed, clothes| Scene {
+        let scene = |dressed, clothes| ScanProblem {
             fitter: self,
             dressed,
             clothes,
@@ -231,11 +236,11 @@ impl ScanFitter {
         };
 
         let in_mean = scene(first, Some(&clothes));
-        let mut best: Option<Attempt> = None;
+        let mut best: Option<Candidate> = None;
         let (tried, refined) = bare.split_at(bare.len().min(1));
         for body in &bodies {
             let x = [body.to_vector(), vec![0.0; first.latent()]].concat();
-            let attempt = in_mean.descend(Attempt::at(x), tried, &mut counter)?;
+            let attempt = in_mean.descend(Candidate::at(x), tried, &mut counter)?;
             if best.as_ref().is_none_or(|best| attempt.value < best.value) {
                 best = Some(attempt);
             }
@@ -244,7 +249,7 @@ impl ScanFitter {
         let bare = in_mean.descend(best, refined, &mut counter)?;
 
         let (tried, refined) = clothed.split_at(1);
-        let (mut best, mut outfits): (Option<(Attempt, &DressedBody)>, _) = (None, Vec::new());
+        let (mut best, mut outfits): (Option<(Candidate, &DressedBody)>, _) = (None, Vec::new());
         for dressed in &self.outfits {
             let attempt = scene(dressed, None).descend(bare.clone(), tried, &mut counter)?;
             outfits.push((dressed.outfit(), attempt.value));
@@ -265,7 +270,7 @@ impl ScanFitter {
 }
 
 /// Devices want no tensors without numbers.
-fn padded(body: &BodyParameters) -> BodyParameters {
+fn pad_betas(body: &BodyParameters) -> BodyParameters {
     let mut body = body.clone();
     if body.betas.is_empty() {
         body.betas.push(0.0);
@@ -275,33 +280,33 @@ fn padded(body: &BodyParameters) -> BodyParameters {
 
 /// A body on its way: unknowns `[3 + 72 + betas + latent]`.
 #[derive(Debug, Clone)]
-struct Attempt {
+struct Candidate {
     x: Vec<f64>,
     value: f64,
     curves: Vec<Vec<f64>>,
 }
 
-impl Attempt {
+impl Candidate {
     fn at(x: Vec<f64>) -> Self {
         Self { x, value: 0.0, curves: Vec::new() }
     }
 }
 
 /// Steps made and to be made.
-struct Counter<'p, 'a> {
+struct StepCounter<'p, 'a> {
     done: usize,
     total: usize,
     evaluations: usize,
-    progress: &'p mut ScanProgress<'a>,
+    progress: &'p mut ScanProgressFn<'a>,
 }
 
-impl<'p, 'a> Counter<'p, 'a> {
+impl<'p, 'a> StepCounter<'p, 'a> {
     fn new(
         bare: &[ScanStage],
         clothed: &[ScanStage],
         starts: usize,
         outfits: usize,
-        progress: &'p mut ScanProgress<'a>,
+        progress: &'p mut ScanProgressFn<'a>,
     ) -> Self {
         let steps = |stages: &[ScanStage], times: usize| -> usize {
             let each = stages.iter().enumerate();
@@ -311,13 +316,13 @@ impl<'p, 'a> Counter<'p, 'a> {
         Self { done: 0, total, evaluations: 0, progress }
     }
 
-    fn moved_on(&mut self, steps: usize) {
+    fn advance(&mut self, steps: usize) {
         self.done += steps;
         (self.progress)(self.done.min(self.total), self.total);
     }
 
     /// An evaluation in a stage: about one a step.
-    fn evaluated(&mut self, within: usize) {
+    fn count_evaluation(&mut self, within: usize) {
         self.evaluations += 1;
         (self.progress)((self.done + within).min(self.total), self.total);
     }
@@ -325,36 +330,36 @@ impl<'p, 'a> Counter<'p, 'a> {
 
 /// What bodies are compared with.
 #[derive(Clone, Copy)]
-struct Scene<'a> {
+struct ScanProblem<'a> {
     fitter: &'a ScanFitter,
     dressed: &'a DressedBody,
     /// If they are not to be solved for.
-    clothes: Option<&'a Clothes>,
-    target: &'a Target<'a>,
-    start: &'a ScanStart,
+    clothes: Option<&'a FixedClothing>,
+    target: &'a ScanTarget<'a>,
+    start: &'a ScanInit,
     betas: usize,
 }
 
-impl Scene<'_> {
+impl ScanProblem<'_> {
     fn surface(&self, x: &[f64]) -> Result<DressedSurface> {
-        let body = padded(&BodyParameters::from_vector(x, self.betas));
+        let body = pad_betas(&BodyParameters::from_vector(x, self.betas));
         match self.clothes {
             Some(clothes) => self.dressed.surface_in(clothes, &body),
             None => self.dressed.surface(&body, &x[BETAS_AT + self.betas..]),
         }
     }
 
-    fn distances(&self, x: &[f64], stage: &ScanStage) -> Result<Distances<'_>> {
+    fn distances(&self, x: &[f64], stage: &ScanStage) -> Result<ScanEnergy<'_>> {
         let surface = self.surface(x)?;
         let (faces, back) = (self.dressed.faces(), self.fitter.config.back);
         let vertices = surface.vertices();
-        Ok(Distances::new(self.target, vertices, faces, stage.samples, stage.robust, back))
+        Ok(ScanEnergy::new(self.target, vertices, faces, stage.samples, stage.robust_scale, back))
     }
 
     fn evaluate(
         &self,
         x: &[f64],
-        distances: &Distances<'_>,
+        distances: &ScanEnergy<'_>,
         scale: f64,
         gradient: &mut [f64],
     ) -> Result<ScanFitTerms> {
@@ -368,7 +373,7 @@ impl Scene<'_> {
         gradient.iter_mut().zip(parts).for_each(|(g, part)| *g += part);
         let weights = &config.body;
         let mut body = prior_terms(&self.fitter.prior, x, self.betas, weights, gradient);
-        if let ScanStart::Joints(joints) = self.start {
+        if let ScanInit::Joints(joints) = self.start {
             let (skeleton, deviation) = (&self.fitter.skeleton, config.joint_deviation);
             body.joints =
                 joints.energy(skeleton, x, self.betas, deviation, weights.joints, gradient)?;
@@ -382,10 +387,10 @@ impl Scene<'_> {
     /// Through stages, one after the other.
     fn descend(
         &self,
-        mut attempt: Attempt,
+        mut attempt: Candidate,
         stages: &[ScanStage],
-        counter: &mut Counter<'_, '_>,
-    ) -> Result<Attempt> {
+        counter: &mut StepCounter<'_, '_>,
+    ) -> Result<Candidate> {
         let config = &self.fitter.config;
         for stage in stages {
             let distances = self.distances(&attempt.x, stage)?;
@@ -398,20 +403,20 @@ impl Scene<'_> {
             let mut within = 0;
             let found = solve(&attempt.x, free, &options, |x, gradient| {
                 within += 1;
-                counter.evaluated(within.min(stage.steps));
+                counter.count_evaluation(within.min(stage.steps));
                 let terms = self.evaluate(x, &distances, stage.distance, gradient)?;
                 Ok(terms.body.weighted(&config.body)
                     + stage.distance * distances.total(&terms.distance)
                     + config.code * terms.code)
             })?;
-            counter.moved_on(stage.steps);
+            counter.advance(stage.steps);
             (attempt.x, attempt.value) = (found.x, found.value);
             attempt.curves.push(found.curve);
         }
         Ok(attempt)
     }
 
-    fn outcome(&self, found: &Attempt, last: ScanStage) -> Result<ScanFit> {
+    fn outcome(&self, found: &Candidate, last: ScanStage) -> Result<ScanFit> {
         let config = &self.fitter.config;
         let distances = self.distances(&found.x, &last)?;
         let terms = self.evaluate(&found.x, &distances, 0.0, &mut vec![0.0; found.x.len()])?;

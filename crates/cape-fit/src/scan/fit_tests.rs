@@ -30,11 +30,11 @@ fn scan(fitter: &ScanFitter) -> (Scan, Vec<DVec3>) {
 fn gradients_of_the_energy_agree_with_finite_differences() {
     let fitter = fitter(ScanConfig::default());
     let (scan, _) = scan(&fitter);
-    let target = Target::new(&scan, 1500, 1);
-    let start = ScanStart::Poses(Vec::new());
+    let target = ScanTarget::new(&scan, 1500, 1);
+    let start = ScanInit::Poses(Vec::new());
     let (body, code) = truth();
     let betas = body.betas.len();
-    let scene = Scene {
+    let scene = ScanProblem {
         fitter: &fitter,
         dressed: &fitter.outfits[0],
         clothes: None,
@@ -46,7 +46,7 @@ fn gradients_of_the_energy_agree_with_finite_differences() {
     for (at, value) in x.iter_mut().enumerate() {
         *value += 0.02 * (1.7 * at as f64 + 0.4).sin();
     }
-    let stage = ScanStage { samples: 1500, robust: 0.1, ..fitter.config.stages[3] };
+    let stage = ScanStage { samples: 1500, robust_scale: 0.1, ..fitter.config.stages[3] };
     let distances = scene.distances(&x, &stage).unwrap();
     let total = |x: &[f64], gradient: &mut [f64]| {
         let terms = scene.evaluate(x, &distances, stage.distance, gradient).unwrap();
@@ -82,19 +82,19 @@ fn gradients_of_the_energy_agree_with_finite_differences() {
 fn a_clothed_body_is_found_in_its_points() {
     let fitter = fitter(ScanConfig {
         stages: vec![
-            ScanStage::of(Unknowns::Pose, 0.2, 500, 12, 1e5),
-            ScanStage::of(Unknowns::Shape, 0.1, 500, 12, 1e6),
-            ScanStage::of(Unknowns::Clothes, 0.03, 2000, 15, 3e6),
+            ScanStage::new(Unknowns::Pose, 0.2, 500, 12, 1e5),
+            ScanStage::new(Unknowns::Shape, 0.1, 500, 12, 1e6),
+            ScanStage::new(Unknowns::Clothes, 0.03, 2000, 15, 3e6),
         ],
         starts: 1,
         betas: 2,
         ..ScanConfig::default()
     });
     let (scan, truth) = scan(&fitter);
-    let start = ScanStart::usual(&fitter.prior);
+    let start = ScanInit::default_poses(&fitter.prior);
     let mut heard = Vec::new();
     let fit =
-        fitter.fit(&scan, &start, Up::Y, &mut |done, total| heard.push((done, total))).unwrap();
+        fitter.fit(&scan, &start, UpAxis::Y, &mut |done, total| heard.push((done, total))).unwrap();
     assert!(fit.problem.is_none(), "{:?}", fit.problem);
     assert!(fit.distance.mean < 12.0, "{:?}", fit.distance);
     let surface = fitter.surface(&fit).unwrap();

@@ -97,7 +97,7 @@ impl KnownJoints {
     }
 
     /// Numbers and places.
-    pub(crate) fn known(&self) -> &[(usize, DVec3)] {
+    pub(crate) fn positions(&self) -> &[(usize, DVec3)] {
         &self.0
     }
 
@@ -170,9 +170,9 @@ mod tests {
             KnownJoints::load(&path)
         };
         let rows = |count: usize, row: &str| format!("[{}]", vec![row; count].join(","));
-        assert_eq!(load(rows(24, "[1,2,3]")).unwrap().known().len(), 24);
+        assert_eq!(load(rows(24, "[1,2,3]")).unwrap().positions().len(), 24);
         let some = rows(24, "[1,2,3]").replacen("[1,2,3]", "[null,2,3]", 3);
-        assert_eq!(load(some).unwrap().known().len(), 21);
+        assert_eq!(load(some).unwrap().positions().len(), 21);
         let message = |text| load(text).unwrap_err().to_string();
         assert!(message(rows(23, "[1,2,3]")).contains("23 joints"));
         assert!(message(rows(24, "[1,2]")).contains("joint 0"));
@@ -181,6 +181,6 @@ mod tests {
         let path = directory.path().join("joints.npy");
         cape_core::npy::write_npy(&path, &ndarray::Array2::<f64>::ones((24, 3))).unwrap();
         let loaded = KnownJoints::load(&path).unwrap().scaled(0.5);
-        assert_eq!(loaded.known()[3], (3, DVec3::splat(0.5)));
+        assert_eq!(loaded.positions()[3], (3, DVec3::splat(0.5)));
     }
 }

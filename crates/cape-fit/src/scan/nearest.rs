@@ -11,7 +11,7 @@ use crate::silhouette::SurfacePoint;
 
 /// The point of a surface that is nearest to another.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Nearest {
+pub(crate) struct NearestPoint {
     /// Where it lies on the surface.
     pub(crate) on: SurfacePoint,
     /// Where that is, metres.
@@ -20,7 +20,7 @@ pub(crate) struct Nearest {
 
 /// Triangles, or else points alone, in a bounding-volume tree.
 #[derive(Debug, Clone)]
-pub(crate) struct Tree<'a> {
+pub(crate) struct SurfaceTree<'a> {
     vertices: &'a [DVec3],
     faces: &'a [[u32; 3]],
     /// Of faces or, where there are none, of points; empty if unknown.
@@ -28,9 +28,9 @@ pub(crate) struct Tree<'a> {
     boxes: Bvh,
 }
 
-impl<'a> Tree<'a> {
+impl<'a> SurfaceTree<'a> {
     /// Of triangles, which must name vertices that are there.
-    pub(crate) fn of_faces(vertices: &'a [DVec3], faces: &'a [[u32; 3]]) -> Self {
+    pub(crate) fn from_faces(vertices: &'a [DVec3], faces: &'a [[u32; 3]]) -> Self {
         let corners = |face: &[u32; 3]| face.map(|corner| vertices[corner as usize]);
         let boxes = faces.iter().map(corners).enumerate().map(|(index, [a, b, c])| {
             (index, Aabb::new(vector(a.min(b).min(c)), vector(a.max(b).max(c))))
@@ -42,7 +42,7 @@ impl<'a> Tree<'a> {
     }
 
     /// Of points, with their normals or none.
-    pub(crate) fn of_points(vertices: &'a [DVec3], normals: Vec<DVec3>) -> Self {
+    pub(crate) fn from_points(vertices: &'a [DVec3], normals: Vec<DVec3>) -> Self {
         let boxes = vertices.iter().enumerate().map(|(index, &at)| {
             let at = vector(at);
             (index, Aabb::new(at, at))
@@ -73,7 +73,7 @@ impl<'a> Tree<'a> {
         point: DVec3,
         normal: DVec3,
         reach: f64,
-    ) -> Option<(usize, Nearest)> {
+    ) -> Option<(usize, NearestPoint)> {
         let from = vector(point);
         let (element, _) = self.boxes.find_best(
             reach,
@@ -87,11 +87,11 @@ impl<'a> Tree<'a> {
         Some((element as usize, self.on(element as usize, point)))
     }
 
-    fn on(&self, element: usize, point: DVec3) -> Nearest {
+    fn on(&self, element: usize, point: DVec3) -> NearestPoint {
         let Some(&corners) = self.faces.get(element) else {
             let corner = element as u32;
             let on = SurfacePoint { corners: [corner; 3], weights: [1.0, 0.0, 0.0] };
-            return Nearest { on, at: self.vertices[element] };
+            return NearestPoint { on, at: self.vertices[element] };
         };
         let [a, b, c] = corners.map(|corner| self.vertices[corner as usize]);
         let triangle = Triangle::new(vector(a), vector(b), vector(c));
@@ -99,7 +99,7 @@ impl<'a> Tree<'a> {
         // In a triangle's own plane there is no other answer than weights.
         let weights = location.barycentric_coordinates().unwrap_or([1.0, 0.0, 0.0]);
         let on = SurfacePoint { corners, weights };
-        Nearest { on, at: on.at(self.vertices) }
+        NearestPoint { on, at: on.at(self.vertices) }
     }
 }
 
@@ -141,7 +141,7 @@ mod tests {
             let vertices = points(&numbers);
             let faces = [[0u32, 1, 2], [3, 4, 5], [6, 7, 8]];
             let point = DVec3::new(x, y, z);
-            let tree = Tree::of_faces(&vertices, &faces);
+            let tree = SurfaceTree::from_faces(&vertices, &faces);
             let (element, found) = tree.nearest(point, DVec3::ZERO, 100.0).unwrap();
             let all = faces.map(|face| brute(point, face.map(|corner| vertices[corner as usize])));
             let least = all.iter().copied().fold(f64::INFINITY, f64::min);
@@ -150,7 +150,7 @@ mod tests {
             prop_assert!(all[element] < least + 0.02);
             prop_assert!(found.on.at(&vertices).distance(found.at) < 1e-12);
 
-            let cloud = Tree::of_points(&vertices, Vec::new());
+            let cloud = SurfaceTree::from_points(&vertices, Vec::new());
             let (index, found) = cloud.nearest(point, DVec3::ZERO, 100.0).unwrap();
             let least = vertices.iter().map(|v| v.distance(point)).fold(f64::INFINITY, f64::min);
             prop_assert_eq!(found.at.distance(point), least);
@@ -166,7 +166,7 @@ mod tests {
         let vertices =
             [0.0, 0.1].map(|z| [corner(-1.0, -1.0, z), corner(1.0, -1.0, z), corner(0.0, 2.0, z)]);
         let faces = [[0, 2, 1], [3, 4, 5]];
-        let tree = Tree::of_faces(vertices.as_flattened(), &faces);
+        let tree = SurfaceTree::from_faces(vertices.as_flattened(), &faces);
         let point = DVec3::new(0.0, 0.0, -0.1);
         let face = |normal| tree.nearest(point, normal, 1.0).unwrap().0;
         assert_eq!((face(DVec3::ZERO), face(DVec3::NEG_Z), face(DVec3::Z)), (0, 0, 1));

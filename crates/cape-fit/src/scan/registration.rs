@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use cape_core::{ClothingMask, Outfit, SmplModel};
 use cape_data::{
-    SequenceList, Split,
+    SequenceList, SplitSpec,
     raw::{self, BODY_FILE, CLOTHING_FILE, RawFrame, SPLIT_FILE},
 };
 use glam::DVec3;
@@ -19,7 +19,7 @@ const SAME: f64 = 1e-5;
 ///
 /// See [`Registration`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Place {
+pub struct FrameLocation {
     /// The subject.
     pub subject: String,
     /// What is worn.
@@ -35,12 +35,12 @@ pub struct Place {
 /// ```
 /// use cape_core::Outfit;
 /// use cape_synth::synthetic_body;
-/// use cape_fit::{BodyParameters, scan::{Place, Registration}};
+/// use cape_fit::{BodyParameters, scan::{FrameLocation, Registration}};
 /// use glam::DVec3;
 ///
 /// // A bare body in its rest pose, 1 m up.
 /// let body = synthetic_body();
-/// let minimal = body.shaped(&[])?;
+/// let minimal = body.rest_shape(&[])?;
 /// let mut parameters = BodyParameters::new(vec![0.0; 72], Vec::new())?;
 /// parameters.transl = [0.0, 1.0, 0.0];
 /// let rest = minimal.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2]) + DVec3::Y);
@@ -51,7 +51,7 @@ pub struct Place {
 /// assert!((&unposed - minimal).iter().all(|gap| gap.abs() < 1e-9));
 /// // It becomes a frame of a raw tree.
 /// let (root, subject, sequence) = (tempfile::tempdir()?, "anna".into(), "scan".into());
-/// let place = Place { subject, outfit: Outfit::LongLong, sequence, number: 1 };
+/// let place = FrameLocation { subject, outfit: Outfit::LongLong, sequence, number: 1 };
 /// assert!(registration.write(&root.path().join("raw"), &place, &[100, 101])?.exists());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -88,8 +88,8 @@ impl Registration<'_> {
     ///
     /// # Errors
     /// If the tree has that subject with another shape, or a file cannot be read or written.
-    pub fn write(&self, root: &Path, place: &Place, clothing: &[usize]) -> Result<PathBuf> {
-        let Place { subject, outfit, sequence, number } = place;
+    pub fn write(&self, root: &Path, place: &FrameLocation, clothing: &[usize]) -> Result<PathBuf> {
+        let FrameLocation { subject, outfit, sequence, number } = place;
         for (what, name) in [("subject", subject), ("sequence", sequence)] {
             let plain = |c: char| c.is_ascii_alphanumeric() || "_-".contains(c);
             if name.is_empty() || !name.chars().all(plain) {
@@ -126,11 +126,11 @@ impl Registration<'_> {
     }
 }
 
-fn add_to_split(path: &Path, place: &Place) -> Result<()> {
+fn add_to_split(path: &Path, place: &FrameLocation) -> Result<()> {
     let mut split = if path.exists() {
-        Split::from_file(path)?
+        SplitSpec::from_file(path)?
     } else {
-        Split {
+        SplitSpec {
             subjects: Vec::new(),
             outfits: Outfit::ALL.to_vec(),
             cut: 0,
@@ -156,7 +156,7 @@ fn add_to_split(path: &Path, place: &Place) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use cape_data::{PackOptions, PackedSet, Part, pack};
+    use cape_data::{PackOptions, PackedSet, Split, pack};
 
     use super::*;
     use crate::testing::BODY;
@@ -166,7 +166,7 @@ mod tests {
         let pose = cape_synth::poses::preset("walk").unwrap().map(f64::from).to_vec();
         let mut parameters = BodyParameters::new(pose, vec![0.5, -1.0]).unwrap();
         parameters.transl = [0.3, 1.0, -2.0];
-        let minimal = BODY.shaped(&parameters.betas).unwrap();
+        let minimal = BODY.rest_shape(&parameters.betas).unwrap();
         let worn = Array2::from_shape_fn(minimal.dim(), |(v, axis)| {
             0.01 * ((v + 5 * axis) as f64 * 0.1).sin()
         });
@@ -182,7 +182,7 @@ mod tests {
         };
         let root = tempfile::tempdir().unwrap();
         let tree = root.path().join("raw");
-        let mut place = Place {
+        let mut place = FrameLocation {
             subject: "ann".into(),
             outfit: Outfit::LongShort,
             sequence: "scan".into(),
@@ -192,17 +192,17 @@ mod tests {
             place.number = number;
             registration.write(&tree, &place, &[1, 2, 3]).unwrap();
         }
-        let split = Split::from_file(tree.join(SPLIT_FILE)).unwrap();
+        let split = SplitSpec::from_file(tree.join(SPLIT_FILE)).unwrap();
         let packed = root.path().join("packed");
         let options = PackOptions { strict: true, ..<_>::default() };
         pack(&tree, &packed, &split, options, &mut |_, _| {}).unwrap();
-        let set = PackedSet::open(&packed, Part::Train).unwrap();
+        let set = PackedSet::open(&packed, Split::Train).unwrap();
         assert_eq!(set.frames(), 3);
         let (displacement, packed_pose, _) = set.frame(0).unwrap();
         assert!((&displacement - &worn).iter().all(|d| d.abs() < 1e-9));
         assert_eq!(&packed_pose, pose);
 
-        let other = BODY.shaped(&[1.0]).unwrap();
+        let other = BODY.rest_shape(&[1.0]).unwrap();
         let refused = Registration { minimal: &other, ..registration }.write(&tree, &place, &[1]);
         assert!(refused.unwrap_err().to_string().contains("another body"));
         place.subject = "../up".into();

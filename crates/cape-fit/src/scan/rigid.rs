@@ -6,7 +6,7 @@ use glam::{DMat3, DQuat, DVec3};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-use super::{energy::Target, nearest::Tree};
+use super::{energy::ScanTarget, nearest::SurfaceTree};
 use crate::body_energy::geman_mcclure;
 
 /// Sizes of errors that are rather mistakes, metres, from the first matching to the last.
@@ -20,18 +20,18 @@ const FACINGS: usize = 4;
 
 /// A rigid movement `x ↦ R x + t`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Rigid {
-    pub(crate) turn: DMat3,
-    pub(crate) shift: DVec3,
+pub(crate) struct RigidTransform {
+    pub(crate) rotation: DMat3,
+    pub(crate) translation: DVec3,
 }
 
-impl Rigid {
+impl RigidTransform {
     pub(crate) fn apply(&self, point: DVec3) -> DVec3 {
-        self.turn * point + self.shift
+        self.rotation * point + self.translation
     }
 
     fn undo(&self, point: DVec3) -> DVec3 {
-        self.turn.transpose() * (point - self.shift)
+        self.rotation.transpose() * (point - self.translation)
     }
 
     /// The one that minimises `Σ w ‖R x + t − y‖²` over pairs `(x, y, w)` (Kabsch 1976).
@@ -51,45 +51,50 @@ impl Rigid {
         let (u, v_t) = (svd.u?, svd.v_t?);
         let mut keep_hands = Matrix3::identity();
         keep_hands[(2, 2)] = (u * v_t).determinant().signum();
-        let turn = u * keep_hands * v_t;
-        let turn = DMat3::from_cols_slice(turn.as_slice());
-        Some(Self { turn, shift: to - turn * from })
+        let rotation = u * keep_hands * v_t;
+        let rotation = DMat3::from_cols_slice(rotation.as_slice());
+        Some(Self { rotation, translation: to - rotation * from })
     }
 }
 
 /// A rigid movement of a body onto a scan and what remains, m².
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Placing {
-    pub(crate) rigid: Rigid,
+pub(crate) struct RigidAlignment {
+    pub(crate) rigid: RigidTransform,
     pub(crate) energy: f64,
 }
 
 /// Places a body, upright along `up` in the scan, facing each of several sides; the best.
 pub(crate) fn place(
-    target: &Target<'_>,
+    target: &ScanTarget<'_>,
     vertices: &[DVec3],
     faces: &[[u32; 3]],
     up: DVec3,
-) -> Option<Placing> {
-    let body = Tree::of_faces(vertices, faces);
+) -> Option<RigidAlignment> {
+    let body = SurfaceTree::from_faces(vertices, faces);
     let starts: Vec<DMat3> = (0..FACINGS)
         .map(|facing| TAU * facing as f64 / FACINGS as f64)
         .map(|yaw| DQuat::from_rotation_arc(DVec3::Y, up) * DQuat::from_rotation_y(yaw))
         .map(DMat3::from_quat)
         .collect();
-    let placings: Vec<Placing> = starts
+    let placings: Vec<RigidAlignment> = starts
         .par_iter()
-        .map(|&turn| {
+        .map(|&rotation| {
             let middle = target.samples().iter().map(|sample| sample.at);
             let middle = median(middle);
-            let shift = middle - turn * median(vertices.iter().copied());
-            iterate(target, &body, vertices, Rigid { turn, shift })
+            let translation = middle - rotation * median(vertices.iter().copied());
+            iterate(target, &body, vertices, RigidTransform { rotation, translation })
         })
         .collect();
     placings.into_iter().min_by(|a, b| a.energy.total_cmp(&b.energy))
 }
 
-fn iterate(target: &Target<'_>, body: &Tree<'_>, vertices: &[DVec3], start: Rigid) -> Placing {
+fn iterate(
+    target: &ScanTarget<'_>,
+    body: &SurfaceTree<'_>,
+    vertices: &[DVec3],
+    start: RigidTransform,
+) -> RigidAlignment {
     let mut rigid = start;
     let steps = vertices.len().div_ceil(POINTS).max(1);
     let mut energy = f64::INFINITY;
@@ -98,7 +103,7 @@ fn iterate(target: &Target<'_>, body: &Tree<'_>, vertices: &[DVec3], start: Rigi
         let robust = ROBUST[0] * (ROBUST[1] / ROBUST[0]).powf(along);
         let mut pairs = Vec::with_capacity(2 * POINTS);
         energy = 0.0;
-        let mut pair = |x: DVec3, y: DVec3, share: f64, rigid: &Rigid| {
+        let mut pair = |x: DVec3, y: DVec3, share: f64, rigid: &RigidTransform| {
             let (penalty, slope) = geman_mcclure(rigid.apply(x).distance_squared(y), robust);
             energy += share * penalty;
             pairs.push((x, y, share * slope));
@@ -118,10 +123,10 @@ fn iterate(target: &Target<'_>, body: &Tree<'_>, vertices: &[DVec3], start: Rigi
             }
         }
         if matching < MATCHINGS {
-            rigid = Rigid::between(&pairs).unwrap_or(rigid);
+            rigid = RigidTransform::between(&pairs).unwrap_or(rigid);
         }
     }
-    Placing { rigid, energy }
+    RigidAlignment { rigid, energy }
 }
 
 /// Of each coordinate.
@@ -153,13 +158,13 @@ mod tests {
             numbers in prop::collection::vec(-1.0f64..1.0, 24),
             w in prop::collection::vec(0.1f64..1.0, 8), x in -3.0f64..3.0, y in -3.0f64..3.0,
         ) {
-            let turn = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(x, y, 0.5)));
-            let rigid = Rigid { turn, shift: DVec3::new(y, x, 2.0) };
+            let rotation = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(x, y, 0.5)));
+            let rigid = RigidTransform { rotation, translation: DVec3::new(y, x, 2.0) };
             let points = numbers.as_chunks::<3>().0.iter().map(|&p| DVec3::from_array(p));
             let pairs: Vec<_> = points.zip(w).map(|(p, w)| (p, rigid.apply(p), w)).collect();
-            let found = Rigid::between(&pairs).unwrap();
-            prop_assert!(found.turn.abs_diff_eq(rigid.turn, 1e-9), "{found:?}");
-            prop_assert!(found.shift.abs_diff_eq(rigid.shift, 1e-9));
+            let found = RigidTransform::between(&pairs).unwrap();
+            prop_assert!(found.rotation.abs_diff_eq(rigid.rotation, 1e-9), "{found:?}");
+            prop_assert!(found.translation.abs_diff_eq(rigid.translation, 1e-9));
             prop_assert!(found.undo(found.apply(pairs[0].0)).abs_diff_eq(pairs[0].0, 1e-9));
         }
     }
@@ -169,11 +174,11 @@ mod tests {
         let rows = BODY.v_template.rows().into_iter();
         let vertices: Vec<DVec3> = rows.map(|v| DVec3::new(v[0], v[1], v[2])).collect();
         for yaw in [0.6, 2.9] {
-            let turn = DMat3::from_rotation_y(yaw) * DMat3::from_rotation_x(0.15);
-            let rigid = Rigid { turn, shift: DVec3::new(3.0, 0.8, -1.0) };
+            let rotation = DMat3::from_rotation_y(yaw) * DMat3::from_rotation_x(0.15);
+            let rigid = RigidTransform { rotation, translation: DVec3::new(3.0, 0.8, -1.0) };
             let moved: Vec<DVec3> = vertices.iter().map(|&v| rigid.apply(v)).collect();
             let scan = Scan::new(moved, None, Vec::new(), Unit::M).unwrap();
-            let target = Target::new(&scan, 1000, 1);
+            let target = ScanTarget::new(&scan, 1000, 1);
             let upright = place(&target, &vertices, &BODY.faces, DVec3::Y).unwrap();
             let off = vertices.iter().map(|&v| upright.rigid.apply(v).distance(rigid.apply(v)));
             let off = off.fold(0.0, f64::max);

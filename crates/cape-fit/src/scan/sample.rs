@@ -8,7 +8,7 @@ use super::Scan;
 
 /// A point with the direction that is outside, zero if that is unknown.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Sample {
+pub(crate) struct SurfaceSample {
     pub(crate) at: DVec3,
     pub(crate) normal: DVec3,
 }
@@ -29,24 +29,24 @@ pub(crate) fn spread(points: &[DVec3], share: f64) -> DVec3 {
 
 /// `count` points of a scan in random order: of its triangles by their area, or else of its points,
 /// of which there may be fewer.
-pub(crate) fn of_scan(scan: &Scan, count: usize, rng: &mut ChaCha8Rng) -> Vec<Sample> {
-    if let Some(samples) = of_faces(scan.points(), scan.faces(), count, rng) {
+pub(crate) fn sample_scan(scan: &Scan, count: usize, rng: &mut ChaCha8Rng) -> Vec<SurfaceSample> {
+    if let Some(samples) = sample_faces(scan.points(), scan.faces(), count, rng) {
         return samples;
     }
     let mut order: Vec<usize> = (0..scan.points().len()).collect();
     order.shuffle(rng);
     let normal = |at: usize| scan.normals().map_or(DVec3::ZERO, |normals| normals[at]);
-    let sample = |at: usize| Sample { at: scan.points()[at], normal: normal(at) };
+    let sample = |at: usize| SurfaceSample { at: scan.points()[at], normal: normal(at) };
     order.into_iter().take(count).map(sample).collect()
 }
 
 /// `count` points of triangles, evenly over their area; `None` if they have none.
-pub(crate) fn of_faces(
+pub(crate) fn sample_faces(
     vertices: &[DVec3],
     faces: &[[u32; 3]],
     count: usize,
     rng: &mut ChaCha8Rng,
-) -> Option<Vec<Sample>> {
+) -> Option<Vec<SurfaceSample>> {
     let mut area = 0.0;
     let areas: Vec<f64> = faces
         .iter()
@@ -67,7 +67,7 @@ pub(crate) fn of_faces(
             (u, v) = (1.0 - u, 1.0 - v);
         }
         let normal = across(vertices, face).normalize_or_zero();
-        Sample { at: a + (b - a) * u + (c - a) * v, normal }
+        SurfaceSample { at: a + (b - a) * u + (c - a) * v, normal }
     };
     Some((0..count).map(sample).collect())
 }
@@ -110,11 +110,11 @@ mod tests {
         let vertices = vertices.map(|[x, y]| DVec3::new(x, y, 1.0));
         let faces = [[0, 1, 2], [2, 2, 2], [2, 3, 4], [4, 3, 0]];
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let samples = of_faces(&vertices, &faces, 4000, &mut rng).unwrap();
+        let samples = sample_faces(&vertices, &faces, 4000, &mut rng).unwrap();
         let quarter = samples.iter().filter(|s| s.at.x < 1.0 && s.at.y < 1.0).count();
         assert!((900..1100).contains(&quarter), "{quarter}");
         assert!(samples.iter().all(|s| s.normal == DVec3::Z && (s.at.z - 1.0).abs() < 1e-12));
-        assert!(of_faces(&vertices, &faces[1..2], 10, &mut rng).is_none());
+        assert!(sample_faces(&vertices, &faces[1..2], 10, &mut rng).is_none());
         let (normals, shares) = vertex_frames(&vertices, &faces);
         assert!(normals.iter().all(|normal| *normal == DVec3::Z));
         assert!((shares.iter().sum::<f64>() - 1.0).abs() < 1e-12);

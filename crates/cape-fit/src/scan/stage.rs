@@ -27,7 +27,7 @@ pub struct ScanStage {
     /// What is solved for.
     pub unknowns: Unknowns,
     /// Size of errors that are rather mistakes, metres.
-    pub robust: f64,
+    pub robust_scale: f64,
     /// Points of the scan.
     pub samples: usize,
     /// Most steps of the optimiser.
@@ -37,14 +37,14 @@ pub struct ScanStage {
 }
 
 impl ScanStage {
-    pub(super) const fn of(
+    pub(super) const fn new(
         unknowns: Unknowns,
-        robust: f64,
+        robust_scale: f64,
         samples: usize,
         steps: usize,
         distance: f64,
     ) -> Self {
-        Self { unknowns, robust, samples, steps, distance }
+        Self { unknowns, robust_scale, samples, steps, distance }
     }
 }
 
@@ -56,7 +56,7 @@ impl ScanStage {
 /// // Coarse to fine: every stage solves for as much as the last one, and is less robust.
 /// let stages = ScanConfig::default().stages;
 /// assert!(stages.is_sorted_by_key(|stage| stage.unknowns));
-/// assert!(stages.is_sorted_by(|first, second| first.robust >= second.robust));
+/// assert!(stages.is_sorted_by(|first, second| first.robust_scale >= second.robust_scale));
 /// assert_eq!(stages[0].unknowns, Unknowns::Pose);
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -89,11 +89,11 @@ impl Default for ScanConfig {
         Self {
             betas: 10,
             stages: vec![
-                ScanStage::of(Unknowns::Pose, 0.2, 1000, 30, 1e5),
-                ScanStage::of(Unknowns::Shape, 0.1, 1500, 30, 3e5),
-                ScanStage::of(Unknowns::Shape, 0.05, 2000, 20, 1e6),
-                ScanStage::of(Unknowns::Clothes, 0.05, 2500, 20, 1e6),
-                ScanStage::of(Unknowns::Clothes, 0.02, 6000, 30, 3e6),
+                ScanStage::new(Unknowns::Pose, 0.2, 1000, 30, 1e5),
+                ScanStage::new(Unknowns::Shape, 0.1, 1500, 30, 3e5),
+                ScanStage::new(Unknowns::Shape, 0.05, 2000, 20, 1e6),
+                ScanStage::new(Unknowns::Clothes, 0.05, 2500, 20, 1e6),
+                ScanStage::new(Unknowns::Clothes, 0.02, 6000, 30, 3e6),
             ],
             starts: 3,
             back: 0.5,
@@ -114,7 +114,7 @@ impl ScanConfig {
         let weights = [("back", self.back), ("code", self.code)];
         weights.iter().try_for_each(|&(field, weight)| check_weight(field, weight))?;
         let positive = self.stages.iter().flat_map(|stage| {
-            [("stages.robust", stage.robust), ("stages.distance", stage.distance)]
+            [("stages.robust_scale", stage.robust_scale), ("stages.distance", stage.distance)]
         });
         for (field, value) in positive.chain([("joint_deviation", self.joint_deviation)]) {
             if !(value > 0.0 && value.is_finite()) {
@@ -159,7 +159,7 @@ mod tests {
         assert!(refused(|config| config.stages.reverse()).contains("in order"));
         assert!(refused(|config| config.stages.truncate(2)).contains("clothes"));
         assert!(refused(|config| config.starts = 0).contains("starts"));
-        assert!(refused(|config| config.stages[0].robust = 0.0).contains("robust"));
+        assert!(refused(|config| config.stages[0].robust_scale = 0.0).contains("robust_scale"));
         assert!(refused(|config| config.code = f64::NAN).contains("code"));
     }
 }

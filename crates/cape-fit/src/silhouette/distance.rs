@@ -19,13 +19,13 @@ use super::Mask;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
-pub struct Nearest {
+pub struct DistanceField {
     width: usize,
     distance: Vec<f64>,
     site: Vec<u32>,
 }
 
-impl Nearest {
+impl DistanceField {
     /// Distances, pixels, `[height · width]`; infinite where nothing is covered at all.
     pub fn distance(&self) -> &[f64] {
         &self.distance
@@ -43,8 +43,8 @@ impl Nearest {
     /// from it.
     pub fn sample(&self, x: f64, y: f64) -> (f64, [f64; 2]) {
         let height = self.distance.len() / self.width;
-        let (columns, beyond_x) = Taps::of(x - 0.5, self.width);
-        let (rows, beyond_y) = Taps::of(y - 0.5, height);
+        let (columns, beyond_x) = InterpolationTaps::new(x - 0.5, self.width);
+        let (rows, beyond_y) = InterpolationTaps::new(y - 0.5, height);
         let (mut value, mut slope_x, mut slope_y) = (0.0, 0.0, 0.0);
         for i in 0..4 {
             let row = &self.distance[rows.at[i] * self.width..][..self.width];
@@ -63,15 +63,15 @@ impl Nearest {
 }
 
 /// The four centres around a coordinate, their weights, and the derivatives of these.
-struct Taps {
+struct InterpolationTaps {
     at: [usize; 4],
     weights: [f64; 4],
     slopes: [f64; 4],
 }
 
-impl Taps {
+impl InterpolationTaps {
     /// And how far the coordinate is beyond the first or last centre.
-    fn of(at: f64, count: usize) -> (Self, f64) {
+    fn new(at: f64, count: usize) -> (Self, f64) {
         let inside = at.clamp(0.0, (count - 1) as f64);
         let cell = inside.floor();
         let t = inside - cell;
@@ -96,12 +96,12 @@ impl Taps {
 }
 
 /// Euclidean distances to the covered pixels of a mask.
-pub fn euclidean(mask: &Mask) -> Nearest {
+pub fn euclidean(mask: &Mask) -> DistanceField {
     let columns = down_columns(mask);
     let width = mask.width() as usize;
     let mut distance = Vec::with_capacity(columns.len());
     let mut site = Vec::with_capacity(columns.len());
-    let mut envelope = Envelope::default();
+    let mut envelope = LowerEnvelope::default();
     for row in columns.chunks_exact(width) {
         envelope.build(row);
         for x in 0..width {
@@ -110,18 +110,18 @@ pub fn euclidean(mask: &Mask) -> Nearest {
             site.push(at);
         }
     }
-    Nearest { width, distance, site }
+    DistanceField { width, distance, site }
 }
 
 /// Manhattan (L1) distances to the covered pixels of a mask, as CAPE compares silhouettes by.
-pub fn manhattan(mask: &Mask) -> Nearest {
+pub fn manhattan(mask: &Mask) -> DistanceField {
     let mut all = down_columns(mask);
     let width = mask.width() as usize;
     for row in all.chunks_exact_mut(width) {
         spread(row, 0..width);
         spread(row, (0..width).rev());
     }
-    Nearest {
+    DistanceField {
         width,
         distance: all.iter().map(|site| site.distance).collect(),
         site: all.iter().map(|site| site.at).collect(),
@@ -130,19 +130,19 @@ pub fn manhattan(mask: &Mask) -> Nearest {
 
 /// The nearest covered pixel so far.
 #[derive(Debug, Clone, Copy)]
-struct Site {
+struct NearestPixel {
     distance: f64,
     at: u32,
 }
 
 /// Each pixel's nearest covered pixel in its column.
-fn down_columns(mask: &Mask) -> Vec<Site> {
+fn down_columns(mask: &Mask) -> Vec<NearestPixel> {
     let (width, height) = (mask.width() as usize, mask.height() as usize);
-    let own = |(at, &covered): (usize, &bool)| Site {
+    let own = |(at, &covered): (usize, &bool)| NearestPixel {
         distance: if covered { 0.0 } else { f64::INFINITY },
         at: at as u32,
     };
-    let mut sites: Vec<Site> = mask.covered().iter().enumerate().map(own).collect();
+    let mut sites: Vec<NearestPixel> = mask.covered().iter().enumerate().map(own).collect();
     for column in 0..width {
         for row in 1..height {
             pass(&mut sites, (row - 1) * width + column, row * width + column);
@@ -154,7 +154,7 @@ fn down_columns(mask: &Mask) -> Vec<Site> {
     sites
 }
 
-fn spread(row: &mut [Site], order: impl Iterator<Item = usize>) {
+fn spread(row: &mut [NearestPixel], order: impl Iterator<Item = usize>) {
     let mut before = None;
     for at in order {
         if let Some(before) = before {
@@ -165,23 +165,23 @@ fn spread(row: &mut [Site], order: impl Iterator<Item = usize>) {
 }
 
 /// One pixel farther than the neighbour's.
-fn pass(sites: &mut [Site], from: usize, to: usize) {
+fn pass(sites: &mut [NearestPixel], from: usize, to: usize) {
     if sites[from].distance + 1.0 < sites[to].distance {
-        sites[to] = Site { distance: sites[from].distance + 1.0, ..sites[from] };
+        sites[to] = NearestPixel { distance: sites[from].distance + 1.0, ..sites[from] };
     }
 }
 
 /// The lower envelope of one parabola for each column.
 #[derive(Debug, Default)]
-struct Envelope {
+struct LowerEnvelope {
     /// Column, height at its apex, site; and from where on it is the lowest.
     parabolas: Vec<(f64, f64, u32, f64)>,
     /// The parabola at the last column asked for.
     now: usize,
 }
 
-impl Envelope {
-    fn build(&mut self, row: &[Site]) {
+impl LowerEnvelope {
+    fn build(&mut self, row: &[NearestPixel]) {
         self.parabolas.clear();
         self.now = 0;
         for (column, site) in row.iter().enumerate().filter(|(_, site)| site.distance.is_finite()) {
@@ -220,7 +220,7 @@ mod tests {
     use super::*;
     use crate::testing::assert_gradient;
 
-    type Metric = fn(f64, f64) -> f64;
+    type DistanceFn = fn(f64, f64) -> f64;
 
     fn masks() -> impl Strategy<Value = Mask> {
         (1u32..24, 1u32..24, 0.0f64..0.5).prop_flat_map(|(width, height, share)| {
@@ -230,7 +230,7 @@ mod tests {
         })
     }
 
-    fn brute(mask: &Mask, metric: Metric) -> Vec<f64> {
+    fn brute(mask: &Mask, metric: DistanceFn) -> Vec<f64> {
         let width = mask.width() as usize;
         let covered: Vec<usize> =
             (0..mask.covered().len()).filter(|&at| mask.covered()[at]).collect();
@@ -242,15 +242,15 @@ mod tests {
             .collect()
     }
 
-    fn between(a: usize, b: usize, width: usize, metric: Metric) -> f64 {
+    fn between(a: usize, b: usize, width: usize, metric: DistanceFn) -> f64 {
         metric((a % width).abs_diff(b % width) as f64, (a / width).abs_diff(b / width) as f64)
     }
 
     proptest! {
         #[test]
         fn distances_are_those_of_brute_force(mask in masks()) {
-            let l2: Metric = |x, y| (x * x + y * y).sqrt();
-            let l1: Metric = |x, y| x + y;
+            let l2: DistanceFn = |x, y| (x * x + y * y).sqrt();
+            let l1: DistanceFn = |x, y| x + y;
             for (found, metric) in [(euclidean(&mask), l2), (manhattan(&mask), l1)] {
                 let expected = brute(&mask, metric);
                 prop_assert_eq!(found.distance(), &expected[..]);

@@ -10,7 +10,7 @@
 //! growth of the area that a point stands for, small while silhouettes are close. Surfaces that
 //! have moved far are matched anew.
 //!
-//! [`SilhouetteEnergy::softened`] compares what surfaces cover [softly](super::render_softly) instead: exact,
+//! [`SilhouetteEnergy::with_softness`] compares what surfaces cover [softly](super::render_softly) instead: exact,
 //! with no matching, but blind to what is further off than a few pixels.
 
 use glam::{DVec2, DVec3};
@@ -18,11 +18,11 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Mask, SurfacePoint,
-    distance::{Nearest, manhattan},
+    distance::{DistanceField, manhattan},
     soft::{check_softness, draw},
     surface::render,
 };
-use crate::{Camera, Error, Result};
+use crate::{Error, PinholeCamera, Result};
 
 /// Distances in a coordinate below which their size is rounded off, pixels: the derivative of |d|
 /// jumps at 0.
@@ -33,28 +33,28 @@ const ROUNDING: f64 = 0.5;
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_fit::{Camera, silhouette::{SilhouetteEnergy, render}};
+/// use cape_fit::{PinholeCamera, silhouette::{SilhouetteEnergy, render}};
 /// use glam::DVec3;
 ///
 /// // A surface matches its own silhouette; its neighbour costs something.
-/// let camera = Camera::new(100, 100, Some(100.0))?;
+/// let camera = PinholeCamera::new(100, 100, Some(100.0))?;
 /// let (vertices, faces) = square(1.0);
 /// let mask = render(&vertices, &faces, &camera)?.mask().clone();
 /// let energy = SilhouetteEnergy::new(&camera, &mask, 100, 0.02)?;
 /// let mut gradient = vec![DVec3::ZERO; 4];
-/// let terms = energy.matched(&vertices, &faces)?.evaluate(&vertices, 1.0, &mut gradient);
+/// let terms = energy.match_surface(&vertices, &faces)?.evaluate(&vertices, 1.0, &mut gradient);
 /// assert!(terms.total() < 1e-6);
 /// let moved: Vec<DVec3> = vertices.iter().map(|&vertex| vertex + 0.2 * DVec3::X).collect();
-/// let terms = energy.matched(&moved, &faces)?.evaluate(&moved, 1.0, &mut gradient);
+/// let terms = energy.match_surface(&moved, &faces)?.evaluate(&moved, 1.0, &mut gradient);
 /// assert!(terms.rendered > 1e-3 && terms.image > 1e-3);
 /// # Ok(())
 /// # }
 /// ```
 #[derive(Debug, Clone)]
 pub struct SilhouetteEnergy {
-    camera: Camera,
+    camera: PinholeCamera,
     target: Mask,
-    field: Nearest,
+    field: DistanceField,
     /// Metres per pixel at the person, over the silhouette's area.
     scale: f64,
     /// Width of soft edges, pixels, if coverage is compared.
@@ -83,7 +83,7 @@ impl SilhouetteTerms {
 ///
 /// See [`SilhouetteEnergy`] for an example.
 #[derive(Debug, Clone)]
-pub struct Matched<'a> {
+pub struct SilhouetteMatch<'a> {
     energy: &'a SilhouetteEnergy,
     /// Where the surface is seen.
     rendered: Vec<SurfacePoint>,
@@ -99,10 +99,10 @@ impl SilhouetteEnergy {
     ///
     /// # Errors
     /// If the mask is not of the camera's image, or covers nothing or everything, even at that size.
-    pub fn new(camera: &Camera, mask: &Mask, side: u32, pixel: f64) -> Result<Self> {
+    pub fn new(camera: &PinholeCamera, mask: &Mask, side: u32, pixel: f64) -> Result<Self> {
         mask.check(camera)?;
-        let small = camera.within(side);
-        let target = mask.resized(small.width(), small.height());
+        let small = camera.downscaled_to(side);
+        let target = mask.resize(small.width(), small.height());
         target.check(&small)?;
         let pixel = pixel * camera.focal() / small.focal();
         let scale = pixel / target.area() as f64;
@@ -115,7 +115,7 @@ impl SilhouetteEnergy {
     ///
     /// # Errors
     /// If the softness is not positive.
-    pub fn softened(self, softness: f64) -> Result<Self> {
+    pub fn with_softness(self, softness: f64) -> Result<Self> {
         check_softness(softness)?;
         Ok(Self { softness: Some(softness), ..self })
     }
@@ -126,7 +126,7 @@ impl SilhouetteEnergy {
     }
 
     /// The camera of the comparison.
-    pub fn camera(&self) -> &Camera {
+    pub fn camera(&self) -> &PinholeCamera {
         &self.camera
     }
 
@@ -134,14 +134,18 @@ impl SilhouetteEnergy {
     ///
     /// # Errors
     /// If nothing of the surface is in the image.
-    pub fn matched(&self, vertices: &[DVec3], faces: &[[u32; 3]]) -> Result<Matched<'_>> {
+    pub fn match_surface(
+        &self,
+        vertices: &[DVec3],
+        faces: &[[u32; 3]],
+    ) -> Result<SilhouetteMatch<'_>> {
         let rendering = render(vertices, faces, &self.camera)?;
         if rendering.mask().area() == 0 {
             return Err(Error::Failed("the body has left the image".into()));
         }
         if self.softness.is_some() {
             let (rendered, image) = (Vec::new(), Vec::new());
-            return Ok(Matched { energy: self, rendered, image, faces: faces.to_vec() });
+            return Ok(SilhouetteMatch { energy: self, rendered, image, faces: faces.to_vec() });
         }
         let nearest = manhattan(rendering.mask());
         let point = |pixel: usize| rendering.point(pixel, vertices, faces);
@@ -152,7 +156,7 @@ impl SilhouetteEnergy {
             let outside = self.target.covered()[pixel] && nearest.distance()[pixel] > 0.0;
             outside.then(|| Some((centre, point(nearest.site()[pixel] as usize)?))).flatten()
         };
-        Ok(Matched {
+        Ok(SilhouetteMatch {
             energy: self,
             rendered: (0..count).filter_map(point).collect(),
             image: (0..count).filter_map(pulled).collect(),
@@ -161,7 +165,7 @@ impl SilhouetteEnergy {
     }
 }
 
-impl Matched<'_> {
+impl SilhouetteMatch<'_> {
     /// The terms for the surface at `vertices`; `weight` times the gradient is added to `gradient`.
     pub fn evaluate(
         &self,
@@ -240,8 +244,8 @@ mod tests {
         (vertices.collect(), body.faces.clone())
     }
 
-    fn camera() -> Camera {
-        Camera::new(160, 160, None).unwrap()
+    fn camera() -> PinholeCamera {
+        PinholeCamera::new(160, 160, None).unwrap()
     }
 
     fn energy(vertices: &[DVec3], faces: &[[u32; 3]]) -> SilhouetteEnergy {
@@ -276,7 +280,7 @@ mod tests {
         let energy = energy(&truth, &faces);
         for (width, shift) in [(1.1, 0.0), (0.9, 0.0), (1.0, 0.15), (0.8, -0.2)] {
             let (vertices, _) = body(width, shift);
-            let matched = energy.matched(&vertices, &faces).unwrap();
+            let matched = energy.match_surface(&vertices, &faces).unwrap();
             let terms = matched.evaluate(&vertices, 0.0, &mut vec![DVec3::ZERO; vertices.len()]);
             let expected = sums(&energy, &vertices, &faces);
             assert!((terms.rendered - expected[0]).abs() < 0.03 * expected[0] + 1e-6, "{terms:?}");
@@ -285,7 +289,7 @@ mod tests {
             assert!(terms.image <= 1.001 * expected[1] + 1e-6, "{terms:?} {expected:?}");
             assert!(terms.image >= expected[1] - taken, "{terms:?} {expected:?}");
         }
-        let perfect = energy.matched(&truth, &faces).unwrap();
+        let perfect = energy.match_surface(&truth, &faces).unwrap();
         let terms = perfect.evaluate(&truth, 0.0, &mut vec![DVec3::ZERO; truth.len()]);
         assert!(terms.total() < 1e-5, "{terms:?}");
     }
@@ -295,7 +299,7 @@ mod tests {
         let (truth, faces) = body(1.0, 0.0);
         let energy = energy(&truth, &faces);
         let (vertices, _) = body(1.05, 0.13);
-        let matched = energy.matched(&vertices, &faces).unwrap();
+        let matched = energy.match_surface(&vertices, &faces).unwrap();
         // Directions: every vertex by its own random vector.
         let mode = |which: usize, i: usize| {
             let phase = (i * (which + 3)) as f64 * 0.7;
@@ -335,7 +339,7 @@ mod tests {
             let total = |v: &[DVec3]| sums(&energy, v, &faces).iter().sum::<f64>();
             let expected = (total(&after) - total(&before)) / (2.0 * step);
             let mut gradient = vec![DVec3::ZERO; now.len()];
-            energy.matched(&now, &faces).unwrap().evaluate(&now, 1.0, &mut gradient);
+            energy.match_surface(&now, &faces).unwrap().evaluate(&now, 1.0, &mut gradient);
             let moved = after.iter().zip(&before).map(|(a, b)| (*a - *b) / (2.0 * step));
             let found: f64 = gradient.iter().zip(moved).map(|(g, d)| g.dot(d)).sum();
             assert!((found - expected).abs() < 0.25 * expected.abs(), "{name}: {found} {expected}");
@@ -345,9 +349,9 @@ mod tests {
     #[test]
     fn soft_energies_have_the_gradient_of_differences() {
         let (truth, faces) = body(1.1, 0.03);
-        let energy = energy(&truth, &faces).softened(1.5).unwrap();
+        let energy = energy(&truth, &faces).with_softness(1.5).unwrap();
         let at = |x: &[f64]| body(1.0 + x[0], x[1]).0;
-        let matched = energy.matched(&at(&[0.0, 0.0]), &faces).unwrap();
+        let matched = energy.match_surface(&at(&[0.0, 0.0]), &faces).unwrap();
         let value = |x: &[f64]| {
             let vertices = at(x);
             3.0 * matched.evaluate(&vertices, 3.0, &mut vec![DVec3::ZERO; vertices.len()]).total()
@@ -360,7 +364,7 @@ mod tests {
         let gradient = [wider, forces.iter().map(|f| f.x).sum::<f64>()];
         assert_gradient(&x, &gradient, 5e-3, value);
         assert!(gradient[1] < 0.0, "{gradient:?}");
-        assert!(energy.softened(0.0).is_err());
+        assert!(energy.with_softness(0.0).is_err());
     }
 
     #[test]
@@ -368,7 +372,9 @@ mod tests {
         let (truth, faces) = body(1.0, 0.0);
         let energy = energy(&truth, &faces);
         let (gone, _) = body(1.0, 50.0);
-        assert!(energy.matched(&gone, &faces).unwrap_err().to_string().contains("left the image"));
+        assert!(
+            energy.match_surface(&gone, &faces).unwrap_err().to_string().contains("left the image")
+        );
         let empty = Mask::new(160, 160, vec![false; 160 * 160]).unwrap();
         assert!(SilhouetteEnergy::new(&camera(), &empty, 80, 0.01).is_err());
     }

@@ -3,7 +3,7 @@ use std::path::Path;
 use cape_render::Image;
 
 use super::distance::manhattan;
-use crate::{Camera, Error, Result, keypoints::Sighting};
+use crate::{Error, PinholeCamera, Result, keypoints::KeypointDetection};
 
 /// Distance within which a joint counts as on the mask, of the image's longer side.
 const NEAR: f64 = 0.02;
@@ -18,7 +18,7 @@ const NEAR: f64 = 0.02;
 /// let upper = Mask::new(4, 4, (0..16).map(|pixel| pixel < 8).collect())?;
 /// assert_eq!(left.area(), 8);
 /// assert!((left.intersection_over_union(&upper)? - 4.0 / 12.0).abs() < 1e-12);
-/// assert_eq!(left.resized(2, 2).covered(), [true, false, true, false]);
+/// assert_eq!(left.resize(2, 2).covered(), [true, false, true, false]);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -44,7 +44,7 @@ impl Mask {
     }
 
     /// The pixels of a picture that are light and opaque.
-    pub fn of_image(image: &Image) -> Self {
+    pub fn from_image(image: &Image) -> Self {
         let light = |&[r, g, b, a]: &[u8; 4]| a > 127 && u16::from(r.max(g).max(b)) > 127;
         Self {
             width: image.width(),
@@ -58,7 +58,7 @@ impl Mask {
     /// # Errors
     /// If the file is no PNG.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
-        Ok(Self::of_image(&Image::load(path)?))
+        Ok(Self::from_image(&Image::load(path)?))
     }
 
     /// The mask as a picture, white on black.
@@ -99,7 +99,7 @@ impl Mask {
     ///
     /// # Errors
     /// If it has another size than the image, or covers nothing or everything.
-    pub fn check(&self, camera: &Camera) -> Result<()> {
+    pub fn check(&self, camera: &PinholeCamera) -> Result<()> {
         let refuse = |message: String| Err(Error::Observation(message));
         if (self.width, self.height) != (camera.width(), camera.height()) {
             return refuse(format!(
@@ -124,10 +124,10 @@ impl Mask {
     ///
     /// # Errors
     /// Saying how many are.
-    pub(crate) fn expect_joints(&self, sightings: &[Sighting]) -> Result<()> {
+    pub(crate) fn expect_joints(&self, sightings: &[KeypointDetection]) -> Result<()> {
         let nearest = manhattan(self);
         let near = NEAR * f64::from(self.width.max(self.height));
-        let on = |s: &&Sighting| nearest.sample(s.at.x, s.at.y).0 <= near;
+        let on = |s: &&KeypointDetection| nearest.sample(s.at.x, s.at.y).0 <= near;
         let (count, found) = (sightings.len(), sightings.iter().filter(on).count());
         if 2 * found >= count {
             return Ok(());
@@ -140,7 +140,7 @@ impl Mask {
 
     /// The mask on a picture of another size: a pixel is covered where more than half of it was.
     #[must_use]
-    pub fn resized(&self, width: u32, height: u32) -> Self {
+    pub fn resize(&self, width: u32, height: u32) -> Self {
         if (width, height) == (self.width, self.height) {
             return self.clone();
         }
@@ -211,18 +211,18 @@ mod tests {
     fn a_disc_stays_a_disc_at_any_size() {
         for side in [32, 50, 100] {
             let expected = disc(side);
-            let overlap = disc(200).resized(side, side).intersection_over_union(&expected);
+            let overlap = disc(200).resize(side, side).intersection_over_union(&expected);
             assert!(overlap.unwrap() > 0.98);
         }
-        assert_eq!(disc(64).resized(64, 64), disc(64));
-        let wide = disc(30).resized(60, 15);
+        assert_eq!(disc(64).resize(64, 64), disc(64));
+        let wide = disc(30).resize(60, 15);
         assert_eq!((wide.width(), wide.height()), (60, 15));
     }
 
     #[test]
     fn pictures_and_masks_are_the_same() {
         let mask = disc(20);
-        assert_eq!(Mask::of_image(&mask.to_image().unwrap()), mask);
+        assert_eq!(Mask::from_image(&mask.to_image().unwrap()), mask);
         let shifted = Mask::new(2, 1, vec![true, false]).unwrap();
         let other = Mask::new(2, 1, vec![true, true]).unwrap();
         assert_eq!(shifted.intersection_over_union(&other).unwrap(), 0.5);
@@ -232,9 +232,9 @@ mod tests {
     #[test]
     fn masks_of_others_are_refused() {
         let mask = disc(100);
-        let joints = |places: &[(f64, f64)]| -> Vec<Sighting> {
+        let joints = |places: &[(f64, f64)]| -> Vec<KeypointDetection> {
             let at = |&(x, y): &(f64, f64)| Keypoint { x, y, confidence: 1.0 };
-            places.iter().map(|p| Sighting { joint: 0, at: at(p) }).collect()
+            places.iter().map(|p| KeypointDetection { joint: 0, at: at(p) }).collect()
         };
         assert!(mask.expect_joints(&joints(&[(50.0, 50.0), (50.0, 84.0), (2.0, 2.0)])).is_ok());
         let elsewhere = joints(&[(50.0, 50.0), (250.0, 84.0), (2.0, 2.0)]);
@@ -244,7 +244,7 @@ mod tests {
 
     #[test]
     fn masks_of_nobody_are_refused() {
-        let camera = Camera::new(20, 20, None).unwrap();
+        let camera = PinholeCamera::new(20, 20, None).unwrap();
         let message = |mask: Mask| mask.check(&camera).unwrap_err().to_string();
         assert!(disc(20).check(&camera).is_ok());
         assert!(message(disc(21)).contains("21×21"));

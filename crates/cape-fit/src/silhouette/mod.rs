@@ -6,8 +6,8 @@ mod mask;
 mod soft;
 mod surface;
 
-pub use distance::{Nearest, euclidean, manhattan};
-pub use energy::{Matched, SilhouetteEnergy, SilhouetteTerms};
+pub use distance::{DistanceField, euclidean, manhattan};
+pub use energy::{SilhouetteEnergy, SilhouetteMatch, SilhouetteTerms};
 pub use mask::Mask;
 pub use soft::{SoftRendering, render_softly};
 pub use surface::{Rendering, SurfacePoint, render};

@@ -14,7 +14,7 @@
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use crate::{Camera, Error, Result, camera::depth};
+use crate::{Error, PinholeCamera, Result, camera::depth};
 
 /// Rows of a band.
 const BAND: usize = 16;
@@ -29,11 +29,11 @@ const NEAREST: f64 = 0.05;
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_fit::{Camera, silhouette::render_softly};
+/// use cape_fit::{PinholeCamera, silhouette::render_softly};
 /// use glam::DVec3;
 ///
 /// // A square of 50 pixels.
-/// let camera = Camera::new(100, 100, Some(100.0))?;
+/// let camera = PinholeCamera::new(100, 100, Some(100.0))?;
 /// let (vertices, faces) = square(1.0);
 /// let soft = render_softly(&vertices, &faces, &camera, 0.5)?;
 /// let area: f64 = soft.coverage().iter().sum();
@@ -47,7 +47,7 @@ const NEAREST: f64 = 0.05;
 /// ```
 #[derive(Debug, Clone)]
 pub struct SoftRendering<'a> {
-    camera: Camera,
+    camera: PinholeCamera,
     faces: &'a [[u32; 3]],
     softness: f64,
     /// Vertices in the image.
@@ -65,7 +65,7 @@ pub struct SoftRendering<'a> {
 pub fn render_softly<'a>(
     vertices: &[DVec3],
     faces: &'a [[u32; 3]],
-    camera: &Camera,
+    camera: &PinholeCamera,
     softness: f64,
 ) -> Result<SoftRendering<'a>> {
     check_softness(softness)?;
@@ -88,7 +88,7 @@ pub(super) fn check_softness(softness: f64) -> Result<()> {
 pub(super) fn draw<'a>(
     vertices: &[DVec3],
     faces: &'a [[u32; 3]],
-    camera: &Camera,
+    camera: &PinholeCamera,
     softness: f64,
 ) -> SoftRendering<'a> {
     let pixels: Vec<DVec2> = vertices.iter().map(|&vertex| camera.project(vertex)).collect();
@@ -160,7 +160,7 @@ impl SoftRendering<'_> {
 
     /// Every pixel of a band, counted from its first, with every triangle that covers some of it, in
     /// order.
-    fn each(&self, band: usize, mut with: impl FnMut(usize, Touch)) {
+    fn each(&self, band: usize, mut with: impl FnMut(usize, Fragment)) {
         let (width, height) = (self.camera.width() as usize, self.camera.height() as usize);
         let reach = self.softness * FAINT.sqrt();
         let (first, end) = (band * BAND, ((band + 1) * BAND).min(height));
@@ -172,7 +172,7 @@ impl SoftRendering<'_> {
             for row in rows.start.max(first)..rows.end.min(end) {
                 for column in columns.clone() {
                     let centre = DVec2::new(column as f64 + 0.5, row as f64 + 0.5);
-                    let touch = Touch::of(centre, corners, at, self.softness);
+                    let touch = Fragment::new(centre, corners, at, self.softness);
                     if touch.t > -FAINT {
                         with((row - first) * width + column, touch);
                     }
@@ -193,7 +193,7 @@ fn add(sums: &mut Vec<(u32, DVec2)>, vertex: u32, by: DVec2) {
 
 /// A pixel and a triangle.
 #[derive(Debug, Clone, Copy)]
-struct Touch {
+struct Fragment {
     /// `±d² / σ²`, positive inside.
     t: f64,
     /// Ends of the side that is nearest, and where on it the nearest point is, 0 to 1.
@@ -203,8 +203,8 @@ struct Touch {
     pull: DVec2,
 }
 
-impl Touch {
-    fn of(centre: DVec2, corners: [u32; 3], at: [DVec2; 3], softness: f64) -> Self {
+impl Fragment {
+    fn new(centre: DVec2, corners: [u32; 3], at: [DVec2; 3], softness: f64) -> Self {
         let (mut nearest, mut least) = ((0, 0.0, DVec2::ZERO), f64::INFINITY);
         let mut turns = [0.0; 3];
         for side in 0..3 {
@@ -278,7 +278,7 @@ mod tests {
     #[test]
     fn the_gradient_agrees_with_finite_differences() {
         let (vertices, faces) = few();
-        let camera = Camera::new(40, 37, None).unwrap();
+        let camera = PinholeCamera::new(40, 37, None).unwrap();
         let weights: Vec<f64> = (0..40 * 37).map(|i| (f64::from(i) * 0.37).sin()).collect();
         let at = |x: &[f64]| -> Vec<DVec3> {
             x.as_chunks::<3>().0.iter().map(|&v| DVec3::from_array(v)).collect()
@@ -300,7 +300,7 @@ mod tests {
     fn without_softness_it_is_what_a_renderer_covers() {
         let vertices = body(1.0, 0.0);
         let faces = &BODY.faces;
-        let camera = Camera::new(96, 96, None).unwrap();
+        let camera = PinholeCamera::new(96, 96, None).unwrap();
         let hard = render(&vertices, faces, &camera).unwrap();
         let soft = render_softly(&vertices, faces, &camera, 1e-3).unwrap();
         let pairs = || soft.coverage().iter().zip(hard.mask().covered());
@@ -308,7 +308,7 @@ mod tests {
         assert!(off <= 12, "{off} pixels");
 
         // Supersampled four times in either direction, against as many soft pixels.
-        let fine = Camera::new(384, 384, None).unwrap();
+        let fine = PinholeCamera::new(384, 384, None).unwrap();
         let covered = render(&vertices, faces, &fine).unwrap().mask().clone();
         let soft = render_softly(&vertices, faces, &fine, 1e-3).unwrap();
         let mean = |at: usize, of: &dyn Fn(usize) -> f64| {
@@ -324,7 +324,7 @@ mod tests {
 
     #[test]
     fn threads_do_not_change_a_bit() {
-        let camera = Camera::new(128, 120, None).unwrap();
+        let camera = PinholeCamera::new(128, 120, None).unwrap();
         let vertices = body(1.0, 0.0);
         let gradient = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

@@ -4,7 +4,7 @@ use cape_render::visible_faces;
 use glam::{DVec2, DVec3};
 
 use super::Mask;
-use crate::{Camera, Result, camera::depth};
+use crate::{PinholeCamera, Result, camera::depth};
 
 /// A point that stays on its triangle when the surface moves.
 ///
@@ -37,11 +37,11 @@ impl SurfacePoint {
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_fit::{Camera, silhouette::render};
+/// use cape_fit::{PinholeCamera, silhouette::render};
 /// use glam::DVec3;
 ///
 /// // A square of 50 pixels, and what is seen of it beside the middle.
-/// let camera = Camera::new(100, 100, Some(100.0))?;
+/// let camera = PinholeCamera::new(100, 100, Some(100.0))?;
 /// let (vertices, faces) = square(1.0);
 /// let rendering = render(&vertices, &faces, &camera)?;
 /// assert!(rendering.mask().area().abs_diff(2500) < 110);
@@ -62,7 +62,7 @@ pub struct Rendering {
 ///
 /// # Errors
 /// If a face names a vertex that is not there.
-pub fn render(vertices: &[DVec3], faces: &[[u32; 3]], camera: &Camera) -> Result<Rendering> {
+pub fn render(vertices: &[DVec3], faces: &[[u32; 3]], camera: &PinholeCamera) -> Result<Rendering> {
     let pixels: Vec<DVec2> = vertices.iter().map(|&vertex| camera.project(vertex)).collect();
     let points: Vec<[f64; 3]> =
         vertices.iter().zip(&pixels).map(|(vertex, p)| [p.x, p.y, -vertex.z]).collect();
@@ -105,7 +105,7 @@ mod tests {
     #[test]
     fn surface_points_are_at_their_pixels() {
         let body = &*BODY;
-        let camera = Camera::new(120, 90, None).unwrap();
+        let camera = PinholeCamera::new(120, 90, None).unwrap();
         let rows = body.v_template.rows().into_iter();
         let vertices: Vec<DVec3> = rows.map(|v| DVec3::new(v[0], v[1] + 0.3, v[2] - 2.5)).collect();
         let rendering = render(&vertices, &body.faces, &camera).unwrap();
@@ -126,7 +126,7 @@ mod tests {
 
     #[test]
     fn pictures_of_the_same_camera_agree() {
-        let camera = Camera::new(200, 160, Some(230.0)).unwrap();
+        let camera = PinholeCamera::new(200, 160, Some(230.0)).unwrap();
         let place = |v: [f64; 3]| DVec3::new(v[0] + 0.2, v[1] + 0.3, v[2] - 3.0);
         let rows = BODY.v_template.rows().into_iter();
         let vertices: Vec<DVec3> = rows.map(|v| place([v[0], v[1], v[2]])).collect();
@@ -137,7 +137,8 @@ mod tests {
         let picture =
             cape_render::silhouette(&mesh, &camera.to_render([0.1, 10.0]), 200, 160).unwrap();
         let rendering = render(&vertices, &BODY.faces, &camera).unwrap();
-        let overlap = rendering.mask().intersection_over_union(&Mask::of_image(&picture)).unwrap();
+        let overlap =
+            rendering.mask().intersection_over_union(&Mask::from_image(&picture)).unwrap();
         assert!(overlap > 0.995, "{overlap}");
     }
 }

@@ -6,8 +6,8 @@ use cape_core::Outfit;
 use ndarray::Array2;
 
 use crate::{Error, Result, Run};
-use cape_core::Progress;
-use cape_data::{PackedSet, Part};
+use cape_core::ProgressFn;
+use cape_data::{PackedSet, Split};
 
 /// Frames encoded at a time.
 const BATCH: usize = 16;
@@ -16,14 +16,14 @@ const BATCH: usize = 16;
 ///
 /// See [`Prior`](super::Prior) for an example.
 #[derive(Debug, Clone)]
-pub struct Codes {
+pub struct LatentCodes {
     latent: usize,
     rows: Vec<(Outfit, Vec<f64>)>,
     /// Steps of training of the checkpoint that encoded them, if one did.
     step: Option<u64>,
 }
 
-impl Codes {
+impl LatentCodes {
     /// Of codes of `latent` numbers each.
     ///
     /// # Errors
@@ -39,13 +39,13 @@ impl Codes {
 
     /// The posterior means of at most `frames` training frames of the packed set in `data`, evenly
     /// spaced.
-    pub fn of_training(
+    pub fn from_training(
         run: &Run,
         data: &Path,
         frames: usize,
-        progress: &mut Progress,
+        progress: &mut ProgressFn,
     ) -> Result<Self> {
-        let set = PackedSet::open(data, Part::Train)?;
+        let set = PackedSet::open(data, Split::Train)?;
         let rows = run.statistics().training_rows(set.frames());
         let step = rows.len().div_ceil(frames.max(1)).max(1);
         let rows: Vec<usize> = rows.step_by(step).collect();
@@ -82,7 +82,7 @@ impl Codes {
     }
 
     /// The codes of an outfit, or all, `[n, latent]`.
-    pub fn of(&self, outfit: Option<Outfit>) -> Array2<f64> {
+    pub fn for_outfit(&self, outfit: Option<Outfit>) -> Array2<f64> {
         let rows = || self.rows.iter().filter(|(worn, _)| outfit.is_none_or(|o| o == *worn));
         let mut codes = Array2::zeros((rows().count(), self.latent));
         for (mut to, (_, from)) in codes.rows_mut().into_iter().zip(rows()) {

@@ -18,7 +18,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-pub use codes::Codes;
+pub use codes::LatentCodes;
 
 use cape_stats::density::{KernelDensity, Mixture, MixtureOptions};
 
@@ -57,7 +57,7 @@ pub enum Density {
 ///
 /// ```
 /// use cape_core::Outfit;
-/// use cape_infer::prior::{Codes, Density, DensityKind, Prior};
+/// use cape_infer::prior::{LatentCodes, Density, DensityKind, Prior};
 /// use cape_stats::density::MixtureOptions;
 ///
 /// // Codes that lie about (3, 0) for one outfit, and about (−3, 0) for another.
@@ -65,7 +65,7 @@ pub enum Density {
 /// let rows = (0..30).flat_map(|i| {
 ///     [(Outfit::LongLong, code(3.0, i)), (Outfit::ShortShort, code(-3.0, i))]
 /// });
-/// let codes = Codes::new(2, rows.collect())?;
+/// let codes = LatentCodes::new(2, rows.collect())?;
 /// let prior = Prior::fit(&codes, DensityKind::Mixture(1), true, &MixtureOptions::default())?;
 /// assert!(prior.groups().all(|(_, density)| matches!(density, Density::Mixture(_))));
 /// let drawn = prior.sample(Outfit::LongLong, 10, 1.0, 7);
@@ -117,7 +117,7 @@ impl Density {
 impl Prior {
     /// Fits to codes, by outfit or to all together.
     pub fn fit(
-        codes: &Codes,
+        codes: &LatentCodes,
         kind: DensityKind,
         by_outfit: bool,
         options: &MixtureOptions,
@@ -125,13 +125,13 @@ impl Prior {
         let mut groups = BTreeMap::new();
         if by_outfit {
             for outfit in Outfit::ALL {
-                let points = codes.of(Some(outfit));
+                let points = codes.for_outfit(Some(outfit));
                 if points.nrows() > 0 {
                     groups.insert(Some(outfit), Density::fit(&points, kind, options)?);
                 }
             }
         } else {
-            groups.insert(None, Density::fit(&codes.of(None), kind, options)?);
+            groups.insert(None, Density::fit(&codes.for_outfit(None), kind, options)?);
         }
         Ok(Self { latent: codes.latent(), groups, step: codes.step() })
     }
@@ -255,7 +255,7 @@ mod tests {
     use super::*;
 
     /// Two outfits whose codes are around −3 and 3.
-    fn codes() -> Codes {
+    fn codes() -> LatentCodes {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let rows = (0..400).map(|i| {
             let (outfit, at) =
@@ -266,7 +266,7 @@ mod tests {
             });
             (outfit, code.collect())
         });
-        Codes::new(2, rows.collect()).unwrap()
+        LatentCodes::new(2, rows.collect()).unwrap()
     }
 
     #[test]

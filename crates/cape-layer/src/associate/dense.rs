@@ -3,10 +3,10 @@ use std::collections::{BTreeMap, HashMap};
 use ndarray::Array2;
 use rayon::prelude::*;
 
-use super::{AssociateOptions, Pairs, RayStatistics};
+use super::{AssociateOptions, RayStatistics, SparseCorrespondences};
 use crate::{Error, Result, geometry::Geodesics};
 use cape_core::expect_finite;
-use cape_core::geometry::Surface;
+use cape_core::geometry::SurfaceMesh;
 
 /// Votes that a vertex outside the plain support passes on.
 const PASSED_ON: usize = 64;
@@ -122,12 +122,12 @@ impl Association {
     /// takes those of its neighbours that have some, each divided by the length of the edge between
     /// them. A part of the clothing without any pair follows the pair nearest in space.
     pub(super) fn spread(
-        body: &Surface,
-        clothing: &Surface,
-        pairs: Pairs,
+        body: &SurfaceMesh,
+        clothing: &SurfaceMesh,
+        pairs: SparseCorrespondences,
         options: &AssociateOptions,
     ) -> Self {
-        let Pairs { pairs, statistics } = pairs;
+        let SparseCorrespondences { pairs, statistics } = pairs;
         let on_body = Geodesics::new(body, options.metric);
         let on_clothing = Geodesics::new(clothing, options.metric);
         let kernel = |r: f64, sigma: f64| (-(r / sigma).powi(2)).exp();
@@ -196,7 +196,7 @@ fn most_probable(mut votes: Votes, count: usize) -> Votes {
 }
 
 /// Neighbours of each vertex and the lengths of the edges to them, metres.
-fn adjacency(surface: &Surface) -> Vec<Vec<(u32, f64)>> {
+fn adjacency(surface: &SurfaceMesh) -> Vec<Vec<(u32, f64)>> {
     let mut neighbours = vec![Vec::new(); surface.vertices.len()];
     for [a, b] in surface.edges() {
         let length = surface.vertices[a as usize].distance(surface.vertices[b as usize]);

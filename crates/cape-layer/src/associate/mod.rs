@@ -1,6 +1,6 @@
 //! Which body vertices a clothing vertex follows (Yang et al. 2018, §3.1).
 //!
-//! One frame decides: rays from the body find [`sparse`](Pairs) pairs, and pairs vote for their
+//! One frame decides: rays from the body find [`sparse`](SparseCorrespondences) pairs, and pairs vote for their
 //! surroundings on both meshes, which gives every clothing vertex the [`Association`]'s weights
 //! over `n_f` body vertices.
 
@@ -10,10 +10,10 @@ mod sparse;
 mod tests;
 
 pub use dense::{Association, Completion};
-pub use sparse::{Pair, Pairs, RayStatistics};
+pub use sparse::{Correspondence, RayStatistics, SparseCorrespondences};
 
-use crate::{Error, Result, geometry::Metric};
-use cape_core::geometry::Surface;
+use crate::{Error, Result, geometry::GeodesicMetric};
+use cape_core::geometry::SurfaceMesh;
 
 /// How clothing vertices are tied to body vertices.
 ///
@@ -29,12 +29,18 @@ pub struct AssociateOptions {
     /// Body vertices for each clothing vertex, `n_f`.
     pub neighbours: usize,
     /// How distances over the meshes are measured.
-    pub metric: Metric,
+    pub metric: GeodesicMetric,
 }
 
 impl Default for AssociateOptions {
     fn default() -> Self {
-        Self { reach: 0.15, sigma: 0.01, support: 0.03, neighbours: 4, metric: Metric::default() }
+        Self {
+            reach: 0.15,
+            sigma: 0.01,
+            support: 0.03,
+            neighbours: 4,
+            metric: GeodesicMetric::default(),
+        }
     }
 }
 
@@ -43,13 +49,13 @@ impl AssociateOptions {
     ///
     /// # Errors
     /// If an option is out of its domain, no ray meets the clothing, or the body is inside out.
-    pub fn associate(&self, body: &Surface, clothing: &Surface) -> Result<Association> {
+    pub fn associate(&self, body: &SurfaceMesh, clothing: &SurfaceMesh) -> Result<Association> {
         self.check(body)?;
-        let pairs = Pairs::find(body, clothing, self.reach)?;
+        let pairs = SparseCorrespondences::find(body, clothing, self.reach)?;
         Ok(Association::spread(body, clothing, pairs, self))
     }
 
-    fn check(&self, body: &Surface) -> Result<()> {
+    fn check(&self, body: &SurfaceMesh) -> Result<()> {
         for (name, value) in
             [("reach", self.reach), ("sigma", self.sigma), ("support", self.support)]
         {

@@ -1,13 +1,13 @@
 use rayon::prelude::*;
 
 use crate::{Error, Result};
-use cape_core::geometry::{Solid, Surface};
+use cape_core::geometry::{SurfaceIndex, SurfaceMesh};
 
 /// A clothing vertex and the body vertex whose ray found it.
 ///
-/// See [`Pairs`] for an example.
+/// See [`SparseCorrespondences`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pair {
+pub struct Correspondence {
     /// The clothing vertex.
     pub clothing: u32,
     /// The body vertex.
@@ -18,7 +18,7 @@ pub struct Pair {
 
 /// What the rays met; tells flipped normals and misplaced meshes.
 ///
-/// See [`Pairs`] for an example.
+/// See [`SparseCorrespondences`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct RayStatistics {
     /// Rays cast: one for each body vertex that has a normal.
@@ -48,8 +48,8 @@ const OFF_THE_SKIN: f64 = 1e-3;
 
 /// A pair that a ray found.
 #[derive(Debug, Clone, Copy)]
-struct Met {
-    pair: Pair,
+struct RayPair {
+    pair: Correspondence,
     on_outer_side: bool,
     blocked: bool,
 }
@@ -59,9 +59,9 @@ struct Met {
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_layer::associate::Pairs;
+/// use cape_layer::associate::SparseCorrespondences;
 ///
-/// let found = Pairs::find(&octahedron(0.1), &octahedron(0.12), 0.15)?;
+/// let found = SparseCorrespondences::find(&octahedron(0.1), &octahedron(0.12), 0.15)?;
 /// assert_eq!((found.statistics.rays, found.pairs.len()), (6, 6));
 /// for pair in &found.pairs {
 ///     assert_eq!(pair.body, pair.clothing);
@@ -72,24 +72,24 @@ struct Met {
 /// # }
 /// ```
 #[derive(Debug, Clone, PartialEq)]
-pub struct Pairs {
+pub struct SparseCorrespondences {
     /// By ascending clothing vertex.
-    pub pairs: Vec<Pair>,
+    pub pairs: Vec<Correspondence>,
     /// What the rays met.
     pub statistics: RayStatistics,
 }
 
-impl Pairs {
+impl SparseCorrespondences {
     /// Casts a ray of `reach` metres along the outward normal of every body vertex; where it first
     /// meets the clothing, the closest corner of the face it meets is the body vertex's. Left out are
     /// rays that meet the clothing from the other side than most do, as a hand's beside a skirt, and
     /// rays that another part of the body is in the way of. Of several body vertices that claim one
     /// clothing vertex, the one with the shortest ray keeps it; of equal ones, the first.
-    pub fn find(body: &Surface, clothing: &Surface, reach: f64) -> Result<Self> {
-        let (solid, flesh) = (Solid::new(clothing), Solid::new(body));
+    pub fn find(body: &SurfaceMesh, clothing: &SurfaceMesh, reach: f64) -> Result<Self> {
+        let (solid, flesh) = (SurfaceIndex::new(clothing), SurfaceIndex::new(body));
         let sides = clothing.face_normals();
         let normals = body.vertex_normals();
-        let seen: Vec<Option<(Option<Met>, bool)>> = (0..body.vertices.len())
+        let seen: Vec<Option<(Option<RayPair>, bool)>> = (0..body.vertices.len())
             .into_par_iter()
             .map(|vertex| {
                 let (origin, normal) = (body.vertices[vertex], normals[vertex]);
@@ -105,9 +105,12 @@ impl Pairs {
                         .fold(a, |best, v| if far(v) < far(best) { v } else { best });
                     let start = OFF_THE_SKIN.min(0.5 * hit.distance);
                     let way = hit.distance - start;
-                    let pair =
-                        Pair { clothing: closest, body: vertex as u32, distance: hit.distance };
-                    Met {
+                    let pair = Correspondence {
+                        clothing: closest,
+                        body: vertex as u32,
+                        distance: hit.distance,
+                    };
+                    RayPair {
                         pair,
                         on_outer_side: sides[hit.face as usize].dot(normal) < 0.0,
                         blocked: flesh.cast(origin + normal * start, normal, way).is_some(),
@@ -128,8 +131,8 @@ impl Pairs {
             }
         }
         let usual = statistics.clothing_is_flipped();
-        let mut kept: Vec<Option<Pair>> = vec![None; clothing.vertices.len()];
-        for Met { pair, on_outer_side, blocked } in
+        let mut kept: Vec<Option<Correspondence>> = vec![None; clothing.vertices.len()];
+        for RayPair { pair, on_outer_side, blocked } in
             seen.into_iter().flatten().filter_map(|(met, _)| met)
         {
             let place = &mut kept[pair.clothing as usize];
@@ -147,7 +150,7 @@ impl Pairs {
         if behind > hits {
             return Err(Error::FlippedBody { ahead: hits, behind });
         }
-        let pairs: Vec<Pair> = kept.into_iter().flatten().collect();
+        let pairs: Vec<Correspondence> = kept.into_iter().flatten().collect();
         if pairs.is_empty() {
             return Err(Error::NoHits { rays, reach });
         }
@@ -156,7 +159,7 @@ impl Pairs {
 }
 
 /// Clothing vertices inside the body.
-fn inside(body: &Solid, clothing: &Surface) -> usize {
+fn inside(body: &SurfaceIndex, clothing: &SurfaceMesh) -> usize {
     let within = |p| body.closest(p, f64::INFINITY).is_some_and(|near| near.signed_distance < 0.0);
     clothing.vertices.par_iter().filter(|&&p| within(p)).count()
 }

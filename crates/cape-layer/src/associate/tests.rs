@@ -7,7 +7,7 @@ use crate::geometry::Geodesics;
 use cape_core::geometry::primitives::{grid, sphere};
 
 /// A sphere of 10 cm and a looser one of other topology around its upper part.
-fn ball_and_hat() -> (Surface, Surface) {
+fn ball_and_hat() -> (SurfaceMesh, SurfaceMesh) {
     let body = sphere(0.1, 4);
     let hat = grid(40, 12, |u, v| {
         let (turn, down) = (0.123 - std::f64::consts::TAU * u, 0.2 + 1.2 * v);
@@ -19,9 +19,9 @@ fn ball_and_hat() -> (Surface, Surface) {
 #[test]
 fn pairs_agree_with_brute_force_rays() {
     let (body, hat) = ball_and_hat();
-    let found = Pairs::find(&body, &hat, 0.15).unwrap();
+    let found = SparseCorrespondences::find(&body, &hat, 0.15).unwrap();
     let normals = body.vertex_normals();
-    let mut kept: Vec<Option<Pair>> = vec![None; hat.vertices.len()];
+    let mut kept: Vec<Option<Correspondence>> = vec![None; hat.vertices.len()];
     let mut hits = 0;
     for (vertex, &origin) in body.vertices.iter().enumerate() {
         let first = (0..hat.faces.len())
@@ -42,10 +42,10 @@ fn pairs_agree_with_brute_force_rays() {
         let clothing = *corners.iter().min_by(|v, w| far(v).total_cmp(&far(w))).unwrap();
         let place = &mut kept[clothing as usize];
         if place.is_none_or(|held| distance < held.distance - 1e-15) {
-            *place = Some(Pair { clothing, body: vertex as u32, distance });
+            *place = Some(Correspondence { clothing, body: vertex as u32, distance });
         }
     }
-    let expected: Vec<Pair> = kept.into_iter().flatten().collect();
+    let expected: Vec<Correspondence> = kept.into_iter().flatten().collect();
     assert_eq!(found.statistics.hits, hits);
     assert_eq!(found.pairs.len(), expected.len());
     for (found, expected) in found.pairs.iter().zip(&expected) {
@@ -59,13 +59,13 @@ fn pairs_agree_with_brute_force_rays() {
 #[test]
 fn rays_that_other_parts_of_the_body_block_or_send_are_left_out() {
     // Two legs in a tube that the hand, a smaller ball outside of it, nearly touches.
-    let ball = |radius: f64, at: DVec3| Surface {
+    let ball = |radius: f64, at: DVec3| SurfaceMesh {
         vertices: sphere(radius, 3).vertices.into_iter().map(|v| v + at).collect(),
         faces: sphere(radius, 3).faces,
     };
     let parts =
         [ball(0.05, DVec3::X * -0.055), ball(0.05, DVec3::X * 0.055), ball(0.03, DVec3::X * 0.19)];
-    let mut body = Surface::default();
+    let mut body = SurfaceMesh::default();
     let mut starts = Vec::new();
     for part in parts {
         let first = body.vertices.len() as u32;
@@ -77,7 +77,7 @@ fn rays_that_other_parts_of_the_body_block_or_send_are_left_out() {
         let turn = -std::f64::consts::TAU * u;
         DVec3::new(0.13 * turn.cos(), 0.08 * turn.sin(), 0.1 - 0.2 * v)
     });
-    let found = Pairs::find(&body, &tube, 0.15).unwrap();
+    let found = SparseCorrespondences::find(&body, &tube, 0.15).unwrap();
     assert!(!found.statistics.clothing_is_flipped());
     let RayStatistics { on_outer_side, blocked, .. } = found.statistics;
     assert!(on_outer_side > 20 && blocked > 10, "{:?}", found.statistics);
@@ -91,11 +91,11 @@ fn rays_that_other_parts_of_the_body_block_or_send_are_left_out() {
         let closest = along.dot(other - at).clamp(0.0, pair.distance);
         assert!((at + along * closest).distance(other) > 0.048, "{pair:?} crosses a leg");
     }
-    let turned = Surface {
+    let turned = SurfaceMesh {
         faces: tube.faces.iter().map(|&[a, b, c]| [a, c, b]).collect(),
         vertices: tube.vertices.clone(),
     };
-    let again = Pairs::find(&body, &turned, 0.15).unwrap();
+    let again = SparseCorrespondences::find(&body, &turned, 0.15).unwrap();
     assert!(again.statistics.clothing_is_flipped());
     let RayStatistics { hits, .. } = found.statistics;
     assert_eq!((again.statistics.hits, again.statistics.blocked), (hits, blocked));
@@ -108,8 +108,8 @@ fn weights_agree_with_the_formula() {
     let (body, hat) = ball_and_hat();
     let options = AssociateOptions { neighbours: 5, ..AssociateOptions::default() };
     let found = options.associate(&body, &hat).unwrap();
-    let pairs = Pairs::find(&body, &hat, options.reach).unwrap().pairs;
-    let all = |surface: &Surface, v: u32| {
+    let pairs = SparseCorrespondences::find(&body, &hat, options.reach).unwrap().pairs;
+    let all = |surface: &SurfaceMesh, v: u32| {
         let mut distances = vec![f64::INFINITY; surface.vertices.len()];
         for (at, d) in Geodesics::new(surface, options.metric).within(v, options.support) {
             distances[at as usize] = d;
@@ -170,11 +170,11 @@ fn what_rays_miss_is_completed_and_counted() {
 fn unusable_pairs_of_meshes_are_told_apart() {
     let (body, hat) = ball_and_hat();
     let options = AssociateOptions::default();
-    let away = |surface: &Surface, by: DVec3| Surface {
+    let away = |surface: &SurfaceMesh, by: DVec3| SurfaceMesh {
         vertices: surface.vertices.iter().map(|&v| v + by).collect(),
         faces: surface.faces.clone(),
     };
-    let turned = |surface: &Surface| Surface {
+    let turned = |surface: &SurfaceMesh| SurfaceMesh {
         vertices: surface.vertices.clone(),
         faces: surface.faces.iter().map(|&[a, b, c]| [a, c, b]).collect(),
     };

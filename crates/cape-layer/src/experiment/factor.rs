@@ -35,7 +35,7 @@ pub enum Factor {
 ///
 /// See [`Factor`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Group {
+pub struct SequenceGroup {
     /// What they have in common, for people.
     pub label: String,
     /// Their numbers in the set, ascending.
@@ -60,13 +60,13 @@ impl Factor {
 
     /// Sequences of the set by this factor, in the order of their first ones. There is one group if
     /// they do not differ in it.
-    pub fn groups(self, set: &LayerSet) -> Vec<Group> {
-        let mut groups: Vec<Group> = Vec::new();
+    pub fn groups(self, set: &LayerSet) -> Vec<SequenceGroup> {
+        let mut groups: Vec<SequenceGroup> = Vec::new();
         for (index, sequence) in set.sequences.iter().enumerate() {
             let label = self.label(set, sequence);
             match groups.iter_mut().find(|group| group.label == label) {
                 Some(group) => group.sequences.push(index),
-                None => groups.push(Group { label, sequences: vec![index] }),
+                None => groups.push(SequenceGroup { label, sequences: vec![index] }),
             }
         }
         groups

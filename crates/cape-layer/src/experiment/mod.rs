@@ -8,12 +8,12 @@ mod unposed;
 
 use ndarray::{Array2, ArrayView2, Axis};
 
-pub use factor::{Factor, Group};
-pub use unposed::Unposed;
+pub use factor::{Factor, SequenceGroup};
+pub use unposed::UnposedSet;
 
 use crate::{
     LayerPca,
-    regress::{Features, Outcome, Semantics, Training},
+    regress::{FeatureOptions, SemanticParameters, TrainedRegressor, TrainingOptions},
 };
 
 /// Distances between clothing vertices and their true places, millimetres.
@@ -59,50 +59,50 @@ pub fn distances(found: ArrayView2<'_, f64>, truth: ArrayView2<'_, f64>) -> Vec<
 
 /// What is learned, and how.
 ///
-/// See [`Unposed`] for an example.
+/// See [`UnposedSet`] for an example.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Learning {
+pub struct LearningOptions {
     /// Principal components that are predicted; the paper's 40.
     pub components: usize,
     /// What is seen of the motion.
-    pub features: Features,
+    pub features: FeatureOptions,
     /// Numbers that more semantic parameters are reduced to; the paper's 4 for a material.
     pub semantics: Option<usize>,
     /// How the network is trained.
-    pub training: Training,
+    pub training: TrainingOptions,
 }
 
-impl Default for Learning {
+impl Default for LearningOptions {
     fn default() -> Self {
         Self {
             components: 40,
-            features: Features::default(),
+            features: FeatureOptions::default(),
             semantics: Some(4),
-            training: Training::default(),
+            training: TrainingOptions::default(),
         }
     }
 }
 
 /// A space of offsets and the way into it.
 ///
-/// See [`Unposed`] for an example.
+/// See [`UnposedSet`] for an example.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Learnt {
+pub struct TrainedModel {
     /// The space, of frames that trained.
     pub pca: LayerPca,
     /// What is seen of semantic parameters.
-    pub semantics: Semantics,
+    pub semantics: SemanticParameters,
     /// The regressor and its course. Frames are numbered among those that were learned from.
-    pub outcome: Outcome,
+    pub outcome: TrainedRegressor,
 }
 
 /// What was learned and its errors.
 ///
-/// See [`Unposed`] for an example.
+/// See [`UnposedSet`] for an example.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Regression {
+pub struct RegressionReport {
     /// What was learned.
-    pub learnt: Learnt,
+    pub trained_model: TrainedModel,
     /// Over frames that trained, `E_train`.
     pub train: LayerError,
     /// Over frames that did not, `E_pred`.
@@ -111,5 +111,5 @@ pub struct Regression {
     /// alone costs.
     pub space: LayerError,
     /// Over those, of the mean of the frames that trained: what knowing nothing costs.
-    pub nothing: LayerError,
+    pub mean_baseline: LayerError,
 }

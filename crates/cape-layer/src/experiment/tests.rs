@@ -5,7 +5,7 @@ use ndarray::Array3;
 use super::*;
 use crate::{AssociateOptions, Layer, LayerSet, sequence::Sequence};
 use cape_cloth::{Garment, GarmentKind};
-use cape_core::{BodyMotion, geometry::Surface, smpl::StandardPose};
+use cape_core::{BodyMotion, geometry::SurfaceMesh, smpl::StandardPose};
 
 /// A skirt that follows the hips and swings with the knees, in 60 frames of a march.
 fn set(model: &SmplModel) -> LayerSet {
@@ -15,8 +15,8 @@ fn set(model: &SmplModel) -> LayerSet {
         (0..frames).flat_map(|f| Movement::WalkMarch.pose(&style, f as f64 / rate)).collect();
     let poses = Array2::from_shape_vec((frames, 72), poses).unwrap();
     let motion = BodyMotion::new(rate, poses, Array2::zeros((frames, 3))).unwrap();
-    let shape = model.shaped(&[]).unwrap();
-    let skirt = Garment::of(GarmentKind::Skirt).sew(model, &shape).unwrap().surface;
+    let shape = model.rest_shape(&[]).unwrap();
+    let skirt = Garment::new(GarmentKind::Skirt).sew(model, &shape).unwrap().surface;
     let clothing = Array3::from_shape_fn((frames, skirt.vertices.len(), 3), |(f, v, axis)| {
         let p = skirt.vertices[v];
         let knees = motion.poses[(f, 12)] - motion.poses[(f, 15)];
@@ -38,10 +38,10 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
     let set = set(&model);
     let standard = StandardPose::default();
     let body = set.sequences[0].body(&model, 0, &standard).unwrap();
-    let body = Surface::new("body", body.posed, model.faces.clone()).unwrap();
+    let body = SurfaceMesh::new("body", body.posed, model.faces.clone()).unwrap();
     let clothing = set.clothing(0, 0).unwrap();
     let association = AssociateOptions::default().associate(&body, &clothing).unwrap();
-    let unposed = Unposed::new(&model, &set, &association, &standard).unwrap();
+    let unposed = UnposedSet::new(&model, &set, &association, &standard).unwrap();
     let frames: Vec<usize> = (0..set.frames()).collect();
     let exact = unposed.errors(&frames, unposed.rows.view()).unwrap();
     assert!(exact.iter().all(|e| e.largest < 1e-6), "{exact:?}");
@@ -49,26 +49,26 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
     let means: Vec<f64> = table[0].iter().map(|e| e.mean).collect();
     println!("reconstruction with 1, 5, 20 and all components: {means:?} mm");
     assert!(means.windows(2).all(|pair| pair[1] <= pair[0]) && means[3] < 1e-3, "{means:?}");
-    let learning = Learning {
+    let learning = LearningOptions {
         components: 10,
-        training: Training { patience: 30, ..Training::default() },
-        ..Learning::default()
+        training: TrainingOptions { patience: 30, ..TrainingOptions::default() },
+        ..LearningOptions::default()
     };
     let regression = unposed.regression(&[0], &learning, &mut |_| {}).unwrap();
     println!("regression: {:?} {:?}", regression.train, regression.predict);
     assert!(regression.train.mean < 5.0 && regression.predict.mean < 20.0);
     assert!(regression.space.mean <= regression.predict.mean);
-    assert!(regression.predict.mean < regression.nothing.mean);
+    assert!(regression.predict.mean < regression.mean_baseline.mean);
 
     let mut two = set.clone();
     two.sequences.push(Sequence { name: "again".into(), ..set.sequences[0].clone() });
-    let both = Unposed::new(&model, &two, &association, &standard).unwrap();
+    let both = UnposedSet::new(&model, &two, &association, &standard).unwrap();
     let same = both.transfer(&[1], &learning, &mut |_| {}).unwrap();
-    assert_eq!(same.learnt, regression.learnt, "the held-out sequence plays no part");
+    assert_eq!(same.trained_model, regression.trained_model, "the held-out sequence plays no part");
     let worst = regression.train.mean.max(regression.predict.mean);
     assert!(same.predict.mean < worst, "{:?}", same.predict);
     assert!(both.transfer(&[], &learning, &mut |_| {}).is_err());
-    let many = Learning { components: 60, ..learning };
+    let many = LearningOptions { components: 60, ..learning };
     let error = unposed.regression(&[0], &many, &mut |_| {}).unwrap_err().to_string();
     assert!(error.contains("60 principal components of 48 frames"), "{error}");
 
@@ -76,10 +76,10 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
         faces: set.faces.clone(),
         association: association.clone(),
         standard: StandardPose::Other(StandardPose::A.angles(24)),
-        pca: regression.learnt.pca.clone(),
-        features: Features::default(),
-        semantics: regression.learnt.semantics.clone(),
-        regressor: regression.learnt.outcome.regressor.clone(),
+        pca: regression.trained_model.pca.clone(),
+        features: FeatureOptions::default(),
+        semantics: regression.trained_model.semantics.clone(),
+        regressor: regression.trained_model.outcome.regressor.clone(),
     };
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("layer.npz");
@@ -100,8 +100,13 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
     })
     .unwrap();
     assert_eq!(errors.len(), 60);
-    let held =
-        regression.learnt.outcome.training_frames.iter().map(|&f| errors[f]).collect::<Vec<_>>();
+    let held = regression
+        .trained_model
+        .outcome
+        .training_frames
+        .iter()
+        .map(|&f| errors[f])
+        .collect::<Vec<_>>();
     assert!((LayerError::over(&held).mean - regression.train.mean).abs() < 1e-9);
     let none = back.predict(&model, &shape, &sequence.motion, &[], &mut |_| Ok(()));
     assert!(none.unwrap_err().to_string().contains("expected 1: length"));

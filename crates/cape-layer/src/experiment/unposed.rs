@@ -2,11 +2,11 @@ use cape_core::SmplModel;
 use ndarray::{Array2, ArrayView2, Axis};
 use rayon::prelude::*;
 
-use super::{LayerError, Learning, Learnt, Regression};
+use super::{LayerError, LearningOptions, RegressionReport, TrainedModel};
 use crate::{
-    Association, Error, Keep, LayerPca, Result,
-    offsets::Carrier,
-    regress::{Epoch, Features, Semantics},
+    Association, ComponentSelection, Error, LayerPca, Result,
+    offsets::OffsetFrame,
+    regress::{Epoch, FeatureOptions, SemanticParameters},
     sequence::LayerSet,
 };
 use cape_core::smpl::StandardPose;
@@ -18,34 +18,34 @@ use cape_core::smpl::StandardPose;
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use cape_synth::synthetic_body;
 /// use cape_core::smpl::StandardPose;
-/// use cape_layer::{experiment::{Learning, Unposed}, regress::Training};
+/// use cape_layer::{experiment::{LearningOptions, UnposedSet}, regress::TrainingOptions};
 ///
 /// // A patch that rises and falls as its wearer marches.
 /// let body = synthetic_body();
 /// let (set, association) = patch(&body)?;
-/// let unposed = Unposed::new(&body, &set, &association, &StandardPose::default())?;
+/// let unposed = UnposedSet::new(&body, &set, &association, &StandardPose::default())?;
 /// assert_eq!(unposed.rows.dim(), (30, 9));
 /// // One component reconstructs it; a small network predicts it better than its mean does.
 /// assert!(unposed.reconstruction(&[1])?[0][0].largest < 1e-6);
-/// let training = Training { hidden: vec![4], patience: 10, ..Training::default() };
-/// let learning = Learning { components: 1, training, ..Learning::default() };
+/// let training = TrainingOptions { hidden: vec![4], patience: 10, ..TrainingOptions::default() };
+/// let learning = LearningOptions { components: 1, training, ..LearningOptions::default() };
 /// let regression = unposed.regression(&[0], &learning, &mut |_| {})?;
-/// assert_eq!(regression.learnt.pca.len(), 1);
-/// assert!(regression.predict.mean < regression.nothing.mean);
+/// assert_eq!(regression.trained_model.pca.len(), 1);
+/// assert!(regression.predict.mean < regression.mean_baseline.mean);
 /// # Ok(())
 /// # }
 /// ```
 #[derive(Debug, Clone)]
-pub struct Unposed<'a> {
+pub struct UnposedSet<'a> {
     set: &'a LayerSet,
     association: &'a Association,
     /// What carries the clothing in each frame.
-    carriers: Vec<Carrier>,
+    offset_frames: Vec<OffsetFrame>,
     /// Offsets, a row for each frame of [`LayerSet::each_frame`], metres, `[frames, 3 · n_v · n_f]`.
     pub rows: Array2<f64>,
 }
 
-impl<'a> Unposed<'a> {
+impl<'a> UnposedSet<'a> {
     /// Takes the poses out of all frames.
     pub fn new(
         model: &SmplModel,
@@ -55,7 +55,7 @@ impl<'a> Unposed<'a> {
     ) -> Result<Self> {
         let frames = set.each_frame();
         let numbers = 3 * association.clothing_vertices() * association.neighbours();
-        let (rows, carriers): (Vec<Vec<f64>>, Vec<Carrier>) = frames
+        let (rows, offset_frames): (Vec<Vec<f64>>, Vec<OffsetFrame>) = frames
             .par_iter()
             .map(|&(sequence, frame)| {
                 let sequence = &set.sequences[sequence];
@@ -69,7 +69,7 @@ impl<'a> Unposed<'a> {
             .unzip();
         let rows = Array2::from_shape_vec((frames.len(), numbers), rows.concat())
             .map_err(|error| Error::argument(error.to_string()))?;
-        Ok(Self { set, association, carriers, rows })
+        Ok(Self { set, association, offset_frames, rows })
     }
 
     /// Frames of the sequences numbered `sequences`, and the others, in order.
@@ -80,7 +80,7 @@ impl<'a> Unposed<'a> {
 
     /// Clothing of offsets `[n, 3 · n_v · n_f]` on the bodies of the frames numbered `frames`, in
     /// order: metres, `[n_v, 3]` each.
-    pub fn dressed(
+    pub fn posed_clothing(
         &self,
         frames: &[usize],
         offsets: ArrayView2<'_, f64>,
@@ -98,7 +98,7 @@ impl<'a> Unposed<'a> {
             .zip(offsets.axis_iter(Axis(0)).into_par_iter())
             .map(|(&index, offsets)| {
                 let carrier = self
-                    .carriers
+                    .offset_frames
                     .get(index)
                     .ok_or_else(|| Error::argument(format!("no frame {index} in the set")))?;
                 let offsets = offsets
@@ -115,7 +115,7 @@ impl<'a> Unposed<'a> {
         frames: &[usize],
         offsets: ArrayView2<'_, f64>,
     ) -> Result<Vec<LayerError>> {
-        let found = self.dressed(frames, offsets)?;
+        let found = self.posed_clothing(frames, offsets)?;
         let each = self.set.each_frame();
         let of = |(found, &index): (Array2<f64>, &usize)| {
             let (sequence, frame) = each[index];
@@ -136,7 +136,7 @@ impl<'a> Unposed<'a> {
     pub fn reconstruction_of(&self, sequence: usize, counts: &[usize]) -> Result<Vec<LayerError>> {
         let (frames, _) = self.frames_of(&[sequence]);
         let rows = self.rows.select(Axis(0), &frames);
-        let all = LayerPca::fit(rows.view(), Keep::All)?;
+        let all = LayerPca::fit(rows.view(), ComponentSelection::All)?;
         let codes = all.encode(rows.view())?;
         let kept = counts.iter().copied().chain([all.len()]);
         kept.map(|count| {
@@ -150,8 +150,8 @@ impl<'a> Unposed<'a> {
     /// Inputs of the regression, `[frames, inputs]`, and which of them are semantic parameters.
     pub fn inputs(
         &self,
-        features: &Features,
-        semantics: &Semantics,
+        features: &FeatureOptions,
+        semantics: &SemanticParameters,
     ) -> Result<(Array2<f64>, Vec<bool>)> {
         let mut rows: Vec<f64> = Vec::new();
         let mut noisy = Vec::new();
@@ -176,14 +176,14 @@ impl<'a> Unposed<'a> {
     pub fn regression(
         &self,
         sequences: &[usize],
-        learning: &Learning,
+        learning: &LearningOptions,
         watch: &mut dyn FnMut(Epoch),
-    ) -> Result<Regression> {
+    ) -> Result<RegressionReport> {
         let (frames, _) = self.frames_of(sequences);
-        let learnt = self.learn(&frames, learning, watch)?;
+        let trained_model = self.learn(&frames, learning, watch)?;
         let held: Vec<usize> =
-            learnt.outcome.validation_frames.iter().map(|&k| frames[k]).collect();
-        self.measured(learnt, &frames, &held, learning)
+            trained_model.outcome.validation_frames.iter().map(|&k| frames[k]).collect();
+        self.measure_errors(trained_model, &frames, &held, learning)
     }
 
     /// Regression of all sequences but those numbered `held`, whose error is the prediction's: new
@@ -191,9 +191,9 @@ impl<'a> Unposed<'a> {
     pub fn transfer(
         &self,
         held: &[usize],
-        learning: &Learning,
+        learning: &LearningOptions,
         watch: &mut dyn FnMut(Epoch),
-    ) -> Result<Regression> {
+    ) -> Result<RegressionReport> {
         let (new, known) = self.frames_of(held);
         if new.is_empty() || known.is_empty() {
             return Err(Error::argument(format!(
@@ -202,52 +202,52 @@ impl<'a> Unposed<'a> {
                 new.len() + known.len()
             )));
         }
-        let learnt = self.learn(&known, learning, watch)?;
-        self.measured(learnt, &known, &new, learning)
+        let trained_model = self.learn(&known, learning, watch)?;
+        self.measure_errors(trained_model, &known, &new, learning)
     }
 
     /// Clothing that is predicted for the frames numbered `frames`, in order: metres, `[n_v, 3]`
     /// each.
-    pub fn predicted(
+    pub fn predict(
         &self,
-        learnt: &Learnt,
-        features: &Features,
+        trained_model: &TrainedModel,
+        features: &FeatureOptions,
         frames: &[usize],
     ) -> Result<Vec<Array2<f64>>> {
-        self.dressed(frames, self.predicted_offsets(learnt, features, frames)?.view())
+        self.posed_clothing(frames, self.predicted_offsets(trained_model, features, frames)?.view())
     }
 
     fn predicted_offsets(
         &self,
-        learnt: &Learnt,
-        features: &Features,
+        trained_model: &TrainedModel,
+        features: &FeatureOptions,
         frames: &[usize],
     ) -> Result<Array2<f64>> {
-        let inputs = self.inputs(features, &learnt.semantics)?.0.select(Axis(0), frames);
-        learnt.pca.decode(learnt.outcome.regressor.predict(inputs.view())?.view())
+        let inputs = self.inputs(features, &trained_model.semantics)?.0.select(Axis(0), frames);
+        trained_model.pca.decode(trained_model.outcome.regressor.predict(inputs.view())?.view())
     }
 
     fn learn(
         &self,
         frames: &[usize],
-        learning: &Learning,
+        learning: &LearningOptions,
         watch: &mut dyn FnMut(Epoch),
-    ) -> Result<Learnt> {
-        let Learning { components, features, semantics, training } = learning;
+    ) -> Result<TrainedModel> {
+        let LearningOptions { components, features, semantics, training } = learning;
         let semantics = self.semantics(frames, *semantics)?;
         let (inputs, noisy) = self.inputs(features, &semantics)?;
         let rows = self.rows.select(Axis(0), frames);
         // Held-out frames play no part in the space.
         let fitted = rows.select(Axis(0), &training.split(frames.len()).0);
-        let pca = LayerPca::fit(fitted.view(), Keep::Components(*components))?;
+        let pca = LayerPca::fit(fitted.view(), ComponentSelection::Components(*components))?;
         let codes = pca.encode(rows.view())?;
         let inputs = inputs.select(Axis(0), frames);
         let outcome = training.train(inputs.view(), codes.view(), &noisy, watch)?;
-        Ok(Learnt { pca, semantics, outcome })
+        Ok(TrainedModel { pca, semantics, outcome })
     }
 
     /// Of the sequences that `frames` are of.
-    fn semantics(&self, frames: &[usize], most: Option<usize>) -> Result<Semantics> {
+    fn semantics(&self, frames: &[usize], most: Option<usize>) -> Result<SemanticParameters> {
         let each = self.set.each_frame();
         let mut sequences: Vec<usize> = frames.iter().map(|&frame| each[frame].0).collect();
         sequences.dedup();
@@ -258,27 +258,35 @@ impl<'a> Unposed<'a> {
         let rows = Array2::from_shape_fn((sequences.len(), names.len()), |(k, p)| {
             self.set.sequences[sequences[k]].parameters[p].1
         });
-        Semantics::of(names, rows.view(), most)
+        SemanticParameters::from_rows(names, rows.view(), most)
     }
 
-    fn measured(
+    fn measure_errors(
         &self,
-        learnt: Learnt,
+        trained_model: TrainedModel,
         known: &[usize],
         held: &[usize],
-        learning: &Learning,
-    ) -> Result<Regression> {
+        learning: &LearningOptions,
+    ) -> Result<RegressionReport> {
         let trained: Vec<usize> =
-            learnt.outcome.training_frames.iter().map(|&k| known[k]).collect();
+            trained_model.outcome.training_frames.iter().map(|&k| known[k]).collect();
         let error = |frames: &[usize], offsets: &Array2<f64>| -> Result<LayerError> {
             Ok(LayerError::over(&self.errors(frames, offsets.view())?))
         };
         let features = &learning.features;
-        let [train, predict] = [&trained[..], held]
-            .map(|frames| error(frames, &self.predicted_offsets(&learnt, features, frames)?));
-        let codes = learnt.pca.encode(self.rows.select(Axis(0), held).view())?;
-        let space = error(held, &learnt.pca.decode(codes.view())?)?;
-        let nothing = error(held, &learnt.pca.decode(Array2::zeros(codes.dim()).view())?)?;
-        Ok(Regression { train: train?, predict: predict?, space, nothing, learnt })
+        let [train, predict] = [&trained[..], held].map(|frames| {
+            error(frames, &self.predicted_offsets(&trained_model, features, frames)?)
+        });
+        let codes = trained_model.pca.encode(self.rows.select(Axis(0), held).view())?;
+        let space = error(held, &trained_model.pca.decode(codes.view())?)?;
+        let mean_baseline =
+            error(held, &trained_model.pca.decode(Array2::zeros(codes.dim()).view())?)?;
+        Ok(RegressionReport {
+            train: train?,
+            predict: predict?,
+            space,
+            mean_baseline,
+            trained_model,
+        })
     }
 }

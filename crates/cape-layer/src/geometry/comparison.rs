@@ -4,26 +4,26 @@
 use std::{f64::consts::PI, time::Instant};
 
 use cape_core::geometry::{
-    Surface,
+    SurfaceMesh,
     primitives::{grid, sphere},
 };
 use glam::DVec3;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::{
-    Geodesics, Metric,
+    GeodesicMetric, Geodesics,
     tests::{exact, straight_lines},
 };
 
 /// Distances by heat (Crane et al. 2013), with cotangent weights and a time of one squared edge.
-struct Heat<'a> {
-    surface: &'a Surface,
+struct HeatMethod<'a> {
+    surface: &'a SurfaceMesh,
     diffusion: Cholesky<f64, Dyn>,
     poisson: Cholesky<f64, Dyn>,
 }
 
-impl<'a> Heat<'a> {
-    fn new(surface: &'a Surface) -> Self {
+impl<'a> HeatMethod<'a> {
+    fn new(surface: &'a SurfaceMesh) -> Self {
         let count = surface.vertices.len();
         let mut laplacian = DMatrix::<f64>::zeros(count, count);
         let mut mass = DVector::<f64>::zeros(count);
@@ -83,7 +83,7 @@ impl<'a> Heat<'a> {
 }
 
 /// Mean and largest relative error, and microseconds a source.
-struct Line {
+struct ComparisonLine {
     mean: f64,
     largest: f64,
     micros: f64,
@@ -94,7 +94,7 @@ fn measure(
     reach: f64,
     truth: &[Vec<f64>],
     distances: impl Fn(u32) -> Vec<f64>,
-) -> Line {
+) -> ComparisonLine {
     let start = Instant::now();
     let found: Vec<Vec<f64>> = sources.iter().map(|&source| distances(source)).collect();
     let micros = 1e6 * start.elapsed().as_secs_f64() / sources.len() as f64;
@@ -102,11 +102,11 @@ fn measure(
     let errors: Vec<f64> =
         pairs.filter(|&(&t, _)| t > 0.0 && t < reach).map(|(t, d)| (d - t).abs() / t).collect();
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-    Line { mean, largest: errors.into_iter().fold(0.0, f64::max), micros }
+    ComparisonLine { mean, largest: errors.into_iter().fold(0.0, f64::max), micros }
 }
 
 /// Meshes of the association's size: edges of about 1.5 cm, distances of up to 3 cm.
-fn meshes() -> [(&'static str, Surface); 4] {
+fn meshes() -> [(&'static str, SurfaceMesh); 4] {
     let uneven = grid(13, 13, |u, v| {
         let inner = (PI * u).sin() * (PI * v).sin();
         let (x, y) = (0.06 * inner * (29.0 * v).sin(), 0.06 * inner * (23.0 * u).sin());
@@ -129,7 +129,7 @@ fn methods_are_compared_within_the_support() {
         let sources: Vec<u32> = (0..count).step_by(23).collect();
         let lines = straight_lines(&mesh, reach);
         let truth: Vec<Vec<f64>> = sources.iter().map(|&source| exact(&lines, source)).collect();
-        let local = |metric: Metric| {
+        let local = |metric: GeodesicMetric| {
             let geodesics = Geodesics::new(&mesh, metric);
             measure(&sources, reach, &truth, |source| {
                 let mut all = vec![f64::INFINITY; mesh.vertices.len()];
@@ -140,9 +140,9 @@ fn methods_are_compared_within_the_support() {
                 all
             })
         };
-        let heat = Heat::new(&mesh);
+        let heat = HeatMethod::new(&mesh);
         let heat = measure(&sources, reach, &truth, |source| heat.distances(source as usize));
-        let (graph, unfolded) = (local(Metric::Graph), local(Metric::Unfolded));
+        let (graph, unfolded) = (local(GeodesicMetric::Graph), local(GeodesicMetric::Unfolded));
         for (method, line) in [("edges", &graph), ("heat", &heat), ("unfolded", &unfolded)] {
             println!(
                 "| {name} | {method} | {:.2} % | {:.1} % | {:.0} µs |",

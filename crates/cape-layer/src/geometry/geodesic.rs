@@ -2,13 +2,13 @@ use std::{cmp::Ordering, collections::BinaryHeap, collections::HashMap};
 
 use glam::DVec3;
 
-use cape_core::geometry::Surface;
+use cape_core::geometry::SurfaceMesh;
 
 /// How lengths over a surface are measured.
 ///
 /// See [`Geodesics`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Metric {
+pub enum GeodesicMetric {
     /// Along edges (Dijkstra): never too short, up to 15 % too long on regular triangles, whatever
     /// their size.
     Graph,
@@ -27,16 +27,16 @@ pub enum Metric {
 /// local, takes microseconds, and is exact where the surface is flat.
 ///
 /// ```
-/// use cape_core::geometry::Surface;
-/// use cape_layer::geometry::{Geodesics, Metric};
+/// use cape_core::geometry::SurfaceMesh;
+/// use cape_layer::geometry::{Geodesics, GeodesicMetric};
 /// use glam::DVec3;
 ///
 /// // From corner to corner of a square of two triangles, across the other diagonal.
 /// let corners = vec![DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y];
-/// let square = Surface::new("square", corners, vec![[0, 1, 2], [0, 2, 3]])?;
+/// let square = SurfaceMesh::new("square", corners, vec![[0, 1, 2], [0, 2, 3]])?;
 /// let across = |metric| Geodesics::new(&square, metric).within(1, 3.0)[3].1;
-/// assert_eq!(across(Metric::Graph), 2.0);
-/// assert!((across(Metric::Unfolded) - 2f64.sqrt()).abs() < 1e-12);
+/// assert_eq!(across(GeodesicMetric::Graph), 2.0);
+/// assert!((across(GeodesicMetric::Unfolded) - 2f64.sqrt()).abs() < 1e-12);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone)]
@@ -44,12 +44,12 @@ pub struct Geodesics {
     vertices: Vec<DVec3>,
     faces: Vec<[u32; 3]>,
     around: Vec<Vec<u32>>,
-    metric: Metric,
+    metric: GeodesicMetric,
 }
 
 impl Geodesics {
     /// Prepares a surface.
-    pub fn new(surface: &Surface, metric: Metric) -> Self {
+    pub fn new(surface: &SurfaceMesh, metric: GeodesicMetric) -> Self {
         Self {
             vertices: surface.vertices.clone(),
             faces: surface.faces.clone(),
@@ -61,8 +61,8 @@ impl Geodesics {
     /// Vertices within `reach` metres of `source` and their distances, by ascending vertex.
     pub fn within(&self, source: u32, reach: f64) -> Vec<(u32, f64)> {
         let mut distances: HashMap<u32, f64> = HashMap::from([(source, 0.0)]);
-        let mut front = BinaryHeap::from([Reached { distance: 0.0, vertex: source }]);
-        while let Some(Reached { distance, vertex }) = front.pop() {
+        let mut front = BinaryHeap::from([HeapEntry { distance: 0.0, vertex: source }]);
+        while let Some(HeapEntry { distance, vertex }) = front.pop() {
             if distance > distances[&vertex] {
                 continue;
             }
@@ -74,7 +74,7 @@ impl Geodesics {
                     let before = distances.get(&target).copied().unwrap_or(f64::INFINITY);
                     if found <= reach && found < before - 1e-12 {
                         distances.insert(target, found);
-                        front.push(Reached { distance: found, vertex: target });
+                        front.push(HeapEntry { distance: found, vertex: target });
                     }
                 }
             }
@@ -89,7 +89,7 @@ impl Geodesics {
         let at = |v: u32| self.vertices[v as usize];
         let along = distance + at(vertex).distance(at(target));
         match (self.metric, third) {
-            (Metric::Unfolded, Some((other, third))) => {
+            (GeodesicMetric::Unfolded, Some((other, third))) => {
                 unfold([at(vertex), at(third), at(target)], [distance, other])
                     .map_or(along, |across| across.min(along))
             }
@@ -135,21 +135,21 @@ fn others([a, b, c]: [u32; 3], vertex: u32) -> [u32; 2] {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Reached {
+struct HeapEntry {
     distance: f64,
     vertex: u32,
 }
 
-impl Eq for Reached {}
+impl Eq for HeapEntry {}
 
-impl Ord for Reached {
+impl Ord for HeapEntry {
     /// The nearest is the greatest: `BinaryHeap` pops it first.
     fn cmp(&self, other: &Self) -> Ordering {
         other.distance.total_cmp(&self.distance).then(other.vertex.cmp(&self.vertex))
     }
 }
 
-impl PartialOrd for Reached {
+impl PartialOrd for HeapEntry {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }

@@ -6,4 +6,4 @@ mod geodesic;
 #[cfg(test)]
 mod tests;
 
-pub use geodesic::{Geodesics, Metric};
+pub use geodesic::{GeodesicMetric, Geodesics};

@@ -1,7 +1,7 @@
 use std::f64::consts::PI;
 
 use cape_core::geometry::{
-    Surface,
+    SurfaceMesh,
     primitives::{grid, sphere},
 };
 use glam::DVec3;
@@ -10,8 +10,8 @@ use super::*;
 
 /// Largest relative error from vertex `source`, against `exact`, over vertices further than `near`.
 fn error(
-    surface: &Surface,
-    metric: Metric,
+    surface: &SurfaceMesh,
+    metric: GeodesicMetric,
     source: u32,
     near: f64,
     exact: impl Fn(DVec3, DVec3) -> f64,
@@ -37,8 +37,8 @@ fn geodesics_of_a_plane_are_straight() {
     });
     for source in [0, 40, 58] {
         let straight = |a: DVec3, b: DVec3| a.distance(b);
-        assert!(error(&plane, Metric::Unfolded, source, 0.0, straight) < 1e-9);
-        assert!(error(&plane, Metric::Graph, source, 0.0, straight) > 0.04);
+        assert!(error(&plane, GeodesicMetric::Unfolded, source, 0.0, straight) < 1e-9);
+        assert!(error(&plane, GeodesicMetric::Graph, source, 0.0, straight) > 0.04);
     }
 }
 
@@ -49,23 +49,24 @@ fn geodesics_of_a_cylinder_unroll() {
     let angle = |p: DVec3| p.z.atan2(p.x);
     let chord = 24.0 * 2.0 * (PI / 48.0).sin() / PI;
     let exact = |a: DVec3, b: DVec3| ((angle(a) - angle(b)) * chord).hypot(a.y - b.y);
-    assert!(error(&rolled, Metric::Unfolded, 0, 0.0, exact) < 1e-9);
-    assert!(error(&rolled, Metric::Graph, 0, 0.0, exact) > 0.04);
+    assert!(error(&rolled, GeodesicMetric::Unfolded, 0, 0.0, exact) < 1e-9);
+    assert!(error(&rolled, GeodesicMetric::Graph, 0, 0.0, exact) > 0.04);
 }
 
 #[test]
 fn geodesics_of_a_sphere_are_great_circles() {
     let exact = |a: DVec3, b: DVec3| a.angle_between(b);
     let [coarse, fine] = [3, 5].map(|splits| sphere(1.0, splits));
-    let [first, second] = [&coarse, &fine].map(|s| error(s, Metric::Unfolded, 0, 0.3, exact));
-    let edges = error(&fine, Metric::Graph, 0, 0.3, exact);
+    let [first, second] =
+        [&coarse, &fine].map(|s| error(s, GeodesicMetric::Unfolded, 0, 0.3, exact));
+    let edges = error(&fine, GeodesicMetric::Graph, 0, 0.3, exact);
     assert!(first < 0.05 && second < 0.015, "{first} {second}");
     assert!(edges > 0.05, "refining does not help Dijkstra: {edges}");
 }
 
 /// Lengths of all straight lines between vertices of a polyhedron through all sequences of faces
 /// within `reach`, by brute force.
-pub(super) fn straight_lines(surface: &Surface, reach: f64) -> Vec<Vec<f64>> {
+pub(super) fn straight_lines(surface: &SurfaceMesh, reach: f64) -> Vec<Vec<f64>> {
     let across = surface.neighbours();
     let count = surface.vertices.len();
     let mut lines = vec![vec![f64::INFINITY; count]; count];
@@ -118,7 +119,7 @@ struct Window {
 impl Window {
     fn spread(
         &self,
-        surface: &Surface,
+        surface: &SurfaceMesh,
         across: &[[Option<u32>; 3]],
         reach: f64,
         lines: &mut [f64],
@@ -183,8 +184,8 @@ fn unfolding_agrees_with_exact_geodesics_of_a_bumpy_mesh() {
     let bumpy = grid(7, 7, |u, v| DVec3::new(u, v, 0.12 * (5.0 * u).sin() * (4.0 * v).cos()));
     let (source, reach) = (24, 0.45);
     let exact = exact(&straight_lines(&bumpy, reach), source);
-    let found = Geodesics::new(&bumpy, Metric::Unfolded).within(source, reach);
-    let edges = Geodesics::new(&bumpy, Metric::Graph).within(source, f64::INFINITY);
+    let found = Geodesics::new(&bumpy, GeodesicMetric::Unfolded).within(source, reach);
+    let edges = Geodesics::new(&bumpy, GeodesicMetric::Graph).within(source, f64::INFINITY);
     let off = |found: &[(u32, f64)]| {
         let near = found.iter().filter(|&&(v, _)| v != source && exact[v as usize] < reach);
         near.map(|&(v, d)| (d - exact[v as usize]) / exact[v as usize])

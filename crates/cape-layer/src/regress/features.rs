@@ -7,20 +7,20 @@ use cape_core::BodyMotion;
 ///
 /// ```
 /// use cape_core::BodyMotion;
-/// use cape_layer::regress::Features;
+/// use cape_layer::regress::FeatureOptions;
 /// use ndarray::Array2;
 ///
 /// // A body that moves 10 cm forward in each tenth of a second.
 /// let way = Array2::from_shape_fn((5, 3), |(frame, axis)| 0.1 * frame as f64 * [0.0, 0.0, 1.0][axis]);
 /// let motion = BodyMotion::new(10.0, Array2::zeros((5, 72)), way)?;
-/// let features = Features { angles: false, angular_speeds: false, ..Features::default() };
+/// let features = FeatureOptions { angles: false, angular_speeds: false, ..FeatureOptions::default() };
 /// let rows = features.rows(&motion);
 /// assert_eq!(rows.dim(), (5, features.len(24)));
 /// assert!(rows.rows().into_iter().all(|row| (row[2] - 1.0).abs() < 1e-9));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Features {
+pub struct FeatureOptions {
     /// Whether the global speed is used: of the root, in the body's own directions, m/s.
     pub speed: bool,
     /// Whether the joints' angles are used: axis-angles without the root's, radians. Of the root
@@ -33,13 +33,13 @@ pub struct Features {
     pub smoothing: f64,
 }
 
-impl Default for Features {
+impl Default for FeatureOptions {
     fn default() -> Self {
         Self { speed: true, angles: true, angular_speeds: true, smoothing: 0.0 }
     }
 }
 
-impl Features {
+impl FeatureOptions {
     /// How many numbers describe a frame of a body of `joints` joints, without semantic parameters.
     pub fn len(&self, joints: usize) -> usize {
         let turned = 3 * joints.saturating_sub(1);

@@ -1,7 +1,7 @@
 //! Regression of clothing from motion, size and material (Yang et al. 2018, §3.3).
 //!
-//! [`Features`] turn a sequence of poses, and [`Semantics`] sizes and materials, into rows of numbers; a
-//! [`Network`] trained by [`Training`] maps them to coordinates in the space of principal
+//! [`FeatureOptions`] turn a sequence of poses, and [`SemanticParameters`] sizes and materials, into rows of numbers; a
+//! [`Network`] trained by [`TrainingOptions`] maps them to coordinates in the space of principal
 //! components; a [`Regressor`] holds both ends' scales and is one file.
 
 mod features;
@@ -13,9 +13,9 @@ mod stream;
 mod tests;
 mod training;
 
-pub use features::Features;
+pub use features::FeatureOptions;
 pub use network::Network;
 pub use regressor::Regressor;
-pub use semantics::Semantics;
-pub use stream::{Arrived, FeatureStream};
-pub use training::{Epoch, Outcome, Training};
+pub use semantics::SemanticParameters;
+pub use stream::{FeatureStream, StreamedFrame};
+pub use training::{Epoch, TrainedRegressor, TrainingOptions};

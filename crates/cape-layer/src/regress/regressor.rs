@@ -12,14 +12,14 @@ const FURTHEST: f64 = 3.0;
 
 /// Means and standard deviations of columns.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Scale {
+pub(super) struct Standardiser {
     mean: Array1<f64>,
     deviation: Array1<f64>,
 }
 
-impl Scale {
+impl Standardiser {
     /// Of rows `[n, numbers]`; a column that never changes has deviation 1.
-    pub(super) fn of(rows: ArrayView2<'_, f64>) -> Self {
+    pub(super) fn from_rows(rows: ArrayView2<'_, f64>) -> Self {
         let count = rows.nrows().max(1) as f64;
         let mean = rows.sum_axis(Axis(0)) / count;
         let off = &rows - &mean;
@@ -65,16 +65,20 @@ impl Scale {
 
 /// A trained network between standardised inputs and targets.
 ///
-/// See [`Training`](super::Training) for an example.
+/// See [`TrainingOptions`](super::TrainingOptions) for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Regressor {
-    inputs: Scale,
+    inputs: Standardiser,
     network: Network,
-    targets: Scale,
+    targets: Standardiser,
 }
 
 impl Regressor {
-    pub(super) fn new(inputs: Scale, network: Network, targets: Scale) -> Result<Self> {
+    pub(super) fn new(
+        inputs: Standardiser,
+        network: Network,
+        targets: Standardiser,
+    ) -> Result<Self> {
         let sizes = network.sizes();
         let ends = (sizes.first().copied(), sizes.last().copied());
         if ends != (Some(inputs.mean.len()), Some(targets.mean.len()))
@@ -144,7 +148,8 @@ impl Regressor {
             .map(|&n| usize::try_from(n).map_err(|error| fault("sizes", error.to_string())))
             .collect::<Result<_, _>>()?;
         let network = Network::new(&sizes, vector(file, "parameters")?)?;
-        let (inputs, targets) = (Scale::read(file, "input")?, Scale::read(file, "target")?);
+        let (inputs, targets) =
+            (Standardiser::read(file, "input")?, Standardiser::read(file, "target")?);
         Self::new(inputs, network, targets)
     }
 }

@@ -1,8 +1,8 @@
 use cape_core::npy::{Npz, NpzWriter};
 use ndarray::{Array1, Array2, ArrayView2, Axis};
 
-use super::regressor::Scale;
-use crate::{Error, Keep, LayerPca, Result};
+use super::regressor::Standardiser;
+use crate::{ComponentSelection, Error, LayerPca, Result};
 use cape_core::expect_finite;
 
 /// Semantic parameters of sequences, sizes and materials, and what the regression sees of them:
@@ -10,12 +10,12 @@ use cape_core::expect_finite;
 /// paper reduces a material to 4).
 ///
 /// ```
-/// use cape_layer::regress::Semantics;
+/// use cape_layer::regress::SemanticParameters;
 /// use ndarray::arr2;
 ///
 /// // Two sequences, of different length and of one width.
 /// let names = vec!["length".to_owned(), "width".to_owned()];
-/// let semantics = Semantics::of(names, arr2(&[[0.8, 1.1], [1.2, 1.1]]).view(), None)?;
+/// let semantics = SemanticParameters::from_rows(names, arr2(&[[0.8, 1.1], [1.2, 1.1]]).view(), None)?;
 /// // What is not named is as in the mean, which the regression sees as zeros.
 /// let parameters = semantics.with(&[("length".into(), 1.0)])?;
 /// assert!((parameters[1] - 1.1).abs() < 1e-9);
@@ -23,17 +23,17 @@ use cape_core::expect_finite;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
-pub struct Semantics {
+pub struct SemanticParameters {
     names: Vec<String>,
-    scale: Scale,
+    scale: Standardiser,
     /// Directions in standardised parameters, `[numbers, parameters]`.
     components: Array2<f64>,
 }
 
-impl Semantics {
+impl SemanticParameters {
     /// Of sequences with these parameters, `[sequences, names]`. If more than `most` of them vary,
     /// they are reduced to that many numbers.
-    pub fn of(
+    pub fn from_rows(
         names: Vec<String>,
         sequences: ArrayView2<'_, f64>,
         most: Option<usize>,
@@ -46,13 +46,13 @@ impl Semantics {
             )));
         }
         expect_finite("semantic parameters", sequences)?;
-        let scale = Scale::of(sequences);
+        let scale = Standardiser::from_rows(sequences);
         let standardised = scale.apply(sequences);
         let varied = standardised.columns().into_iter().filter(|c| c.iter().any(|&x| x != 0.0));
         let components = match most {
             Some(most) if varied.count() > most => {
                 let most = most.min(sequences.nrows() - 1);
-                LayerPca::fit(standardised.view(), Keep::Components(most))?.components
+                LayerPca::fit(standardised.view(), ComponentSelection::Components(most))?.components
             }
             _ => Array2::eye(names.len()),
         };
@@ -124,7 +124,7 @@ impl Semantics {
             .collect::<Result<_, _>>()?;
         let text = String::from_utf8(bytes).map_err(|e| fault("semantic_names", e.to_string()))?;
         let names: Vec<String> = text.lines().map(str::to_owned).collect();
-        let scale = Scale::read(file, "semantic")?;
+        let scale = Standardiser::read(file, "semantic")?;
         let components = file.f64("semantic_components")?;
         let (of, count) = ("semantic_components", names.len());
         file.expect_shape(of, components.shape(), &[None, Some(count)])?;
@@ -148,12 +148,12 @@ mod tests {
     #[test]
     fn few_parameters_are_standardised_and_many_reduced() {
         let rows = arr2(&[[1.0, 5.0, 0.0], [3.0, 5.0, 4.0], [5.0, 5.0, 8.0], [7.0, 5.0, 12.0]]);
-        let plain = Semantics::of(names(3), rows.view(), Some(2)).unwrap();
+        let plain = SemanticParameters::from_rows(names(3), rows.view(), Some(2)).unwrap();
         assert_eq!(plain.len(), 3, "only two vary");
         let seen = plain.reduced(&[4.0, 5.0, 6.0]).unwrap();
         assert!(seen.iter().all(|x| x.abs() < 1e-12), "the mean: {seen:?}");
         // Two parameters that say the same are one number.
-        let reduced = Semantics::of(names(3), rows.view(), Some(1)).unwrap();
+        let reduced = SemanticParameters::from_rows(names(3), rows.view(), Some(1)).unwrap();
         assert_eq!(reduced.len(), 1);
         let [a, b] = [[1.0, 5.0, 0.0], [7.0, 5.0, 12.0]].map(|p| reduced.reduced(&p).unwrap()[0]);
         assert!((a + b).abs() < 1e-9 && (a.abs() - 1.8f64.sqrt() * 2f64.sqrt()).abs() < 1e-9);
@@ -162,12 +162,12 @@ mod tests {
     #[test]
     fn parameters_are_named() {
         let rows = arr2(&[[1.0, 2.0], [3.0, 4.0]]);
-        let semantics = Semantics::of(names(2), rows.view(), None).unwrap();
+        let semantics = SemanticParameters::from_rows(names(2), rows.view(), None).unwrap();
         assert_eq!(semantics.with(&[("p1".into(), 9.0)]).unwrap(), [2.0, 9.0]);
         let unknown = semantics.with(&[("q".into(), 1.0)]).unwrap_err().to_string();
         assert!(unknown.contains("`q`") && unknown.contains("p0, p1"), "{unknown}");
         assert!(semantics.reduced(&[1.0]).unwrap_err().to_string().contains("expected 2: p0, p1"));
         assert!(semantics.reduced(&[1.0, f64::NAN]).is_err());
-        assert!(Semantics::of(names(1), rows.view(), None).is_err());
+        assert!(SemanticParameters::from_rows(names(1), rows.view(), None).is_err());
     }
 }

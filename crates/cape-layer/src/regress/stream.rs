@@ -4,14 +4,14 @@ use ndarray::Array2;
 
 use cape_core::BodyMotion;
 
-use super::Features;
+use super::FeatureOptions;
 use crate::Result;
 
 /// A frame whose features are known.
 ///
 /// See [`FeatureStream`] for an example.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Arrived {
+pub struct StreamedFrame {
     /// Its number, from 0.
     pub frame: usize,
     /// Axis-angles, radians, `[3 · joints]`.
@@ -22,25 +22,25 @@ pub struct Arrived {
     pub row: Vec<f64>,
 }
 
-/// The rows of [`Features::rows`], the same numbers, of a motion that arrives frame by frame. A row
+/// The rows of [`FeatureOptions::rows`], the same numbers, of a motion that arrives frame by frame. A row
 /// comes as soon as the frames that its speeds depend on have: one frame later, or, if speeds are
 /// smoothed, as many as the Gaussian is cut off at.
 ///
 /// ```
-/// use cape_layer::regress::{FeatureStream, Features};
+/// use cape_layer::regress::{FeatureStream, FeatureOptions};
 ///
 /// // A frame's speeds are known when the next frame is.
-/// let mut stream = FeatureStream::new(Features::default(), 30.0);
+/// let mut stream = FeatureStream::new(FeatureOptions::default(), 30.0);
 /// assert!(stream.push(&[0.0; 72], [0.0; 3])?.is_none());
 /// let first = stream.push(&[0.0; 72], [0.0, 0.0, 0.1])?.ok_or("no frame")?;
-/// assert_eq!((first.frame, first.row.len()), (0, Features::default().len(24)));
+/// assert_eq!((first.frame, first.row.len()), (0, FeatureOptions::default().len(24)));
 /// assert_eq!(stream.finish()?.ok_or("no frame")?.frame, 1);
 /// assert!(stream.finish()?.is_none());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone)]
 pub struct FeatureStream {
-    features: Features,
+    features: FeatureOptions,
     frame_rate: f64,
     reach: usize,
     /// Frames that rows still depend on; the first is number `first`.
@@ -51,7 +51,7 @@ pub struct FeatureStream {
 
 impl FeatureStream {
     /// Of a motion of so many frames a second.
-    pub fn new(features: Features, frame_rate: f64) -> Self {
+    pub fn new(features: FeatureOptions, frame_rate: f64) -> Self {
         let sigma = (features.smoothing * frame_rate).max(0.0);
         let reach = 1 + (3.0 * sigma).ceil() as usize;
         Self { features, frame_rate, reach, window: VecDeque::new(), first: 0, next: 0 }
@@ -61,7 +61,7 @@ impl FeatureStream {
     ///
     /// # Errors
     /// If the frame has another number of joints than those before, or is not finite.
-    pub fn push(&mut self, pose: &[f64], transl: [f64; 3]) -> Result<Option<Arrived>> {
+    pub fn push(&mut self, pose: &[f64], transl: [f64; 3]) -> Result<Option<StreamedFrame>> {
         self.window.push_back((pose.to_vec(), transl));
         let seen = self.first + self.window.len();
         if seen <= self.next + self.reach {
@@ -71,14 +71,14 @@ impl FeatureStream {
     }
 
     /// The next of the frames that are left when no more come; none at last.
-    pub fn finish(&mut self) -> Result<Option<Arrived>> {
+    pub fn finish(&mut self) -> Result<Option<StreamedFrame>> {
         if self.next == self.first + self.window.len() {
             return Ok(None);
         }
         self.emit().map(Some)
     }
 
-    fn emit(&mut self) -> Result<Arrived> {
+    fn emit(&mut self) -> Result<StreamedFrame> {
         let at = self.next - self.first;
         let count = self.window.len().min(at + self.reach + 1);
         let joints = self.window[0].0.len();
@@ -95,7 +95,7 @@ impl FeatureStream {
             self.window.pop_front();
             self.first += 1;
         }
-        Ok(Arrived { frame, pose, transl, row })
+        Ok(StreamedFrame { frame, pose, transl, row })
     }
 }
 
@@ -111,7 +111,7 @@ mod tests {
             let moves =
                 Array2::from_shape_fn((frames, 3), |(f, k)| (0.1 * f as f64).powi(k as i32));
             let motion = BodyMotion::new(30.0, poses, moves).unwrap();
-            let features = Features { smoothing, ..Features::default() };
+            let features = FeatureOptions { smoothing, ..FeatureOptions::default() };
             let expected = features.rows(&motion);
             let mut stream = FeatureStream::new(features, 30.0);
             let mut found = Vec::new();
@@ -133,7 +133,7 @@ mod tests {
 
     #[test]
     fn bad_frames_are_refused() {
-        let stream = || FeatureStream::new(Features::default(), 30.0);
+        let stream = || FeatureStream::new(FeatureOptions::default(), 30.0);
         let mut ragged = stream();
         ragged.push(&[0.0; 9], [0.0; 3]).unwrap();
         assert!(ragged.push(&[0.0; 6], [0.0; 3]).is_err());

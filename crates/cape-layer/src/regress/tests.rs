@@ -47,7 +47,7 @@ fn smooth_data(rows: usize, seed: u64) -> (Array2<f64>, Array2<f64>) {
 #[test]
 fn a_smooth_function_is_learned_and_generalises() {
     let (x, y) = smooth_data(900, 5);
-    let training = Training { patience: 20, ..Training::default() };
+    let training = TrainingOptions { patience: 20, ..TrainingOptions::default() };
     let noisy = [false; 4];
     let outcome = training.train(x.view(), y.view(), &noisy, &mut |_| {}).unwrap();
     assert_eq!(outcome.validation_frames.len(), 180);
@@ -66,7 +66,7 @@ fn a_smooth_function_is_learned_and_generalises() {
 #[test]
 fn inputs_far_from_all_seen_count_no_further() {
     let (x, y) = smooth_data(60, 3);
-    let training = Training { hidden: vec![4], ..Training::default() };
+    let training = TrainingOptions { hidden: vec![4], ..TrainingOptions::default() };
     let none = vec![false; x.ncols()];
     let outcome = training.train(x.view(), y.view(), &none, &mut |_| {}).unwrap();
     let at = |value: f64| {
@@ -83,7 +83,7 @@ fn training_stops_when_validation_rises() {
     // Pure noise: there is nothing to learn but the frames themselves.
     let (x, y) = (random(60, 5, 1), random(60, 2, 2));
     let noisy = [true; 5];
-    let training = Training { copies: 2, ..Training::default() };
+    let training = TrainingOptions { copies: 2, ..TrainingOptions::default() };
     let outcome = training.train(x.view(), y.view(), &noisy, &mut |_| {}).unwrap();
     let errors: Vec<f64> = outcome.epochs.iter().map(|e| e.validation).collect();
     let (last, before) = errors.split_last().unwrap();
@@ -94,7 +94,7 @@ fn training_stops_when_validation_rises() {
 #[test]
 fn a_regressor_is_one_file() {
     let (x, y) = smooth_data(60, 9);
-    let training = Training { hidden: vec![5], ..Training::default() };
+    let training = TrainingOptions { hidden: vec![5], ..TrainingOptions::default() };
     let regressor = training.train(x.view(), y.view(), &[false; 4], &mut |_| {}).unwrap().regressor;
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("regressor.npz");
@@ -111,15 +111,15 @@ fn a_regressor_is_one_file() {
 #[test]
 fn bad_frames_are_refused() {
     let (x, mut y) = smooth_data(20, 3);
-    let train = |x: &Array2<f64>, y: &Array2<f64>, training: Training| {
+    let train = |x: &Array2<f64>, y: &Array2<f64>, training: TrainingOptions| {
         training
             .train(x.view(), y.view(), &vec![false; x.ncols()], &mut |_| {})
             .unwrap_err()
             .to_string()
     };
-    let default = Training::default;
+    let default = TrainingOptions::default;
     assert!(train(&random(3, 4, 1), &y, default()).contains("3 rows"));
-    assert!(train(&x, &y, Training { validation: 1.0, ..default() }).contains("share"));
+    assert!(train(&x, &y, TrainingOptions { validation: 1.0, ..default() }).contains("share"));
     y[(3, 1)] = f64::NAN;
     assert!(train(&x, &y, default()).contains("not finite"));
 }
@@ -141,7 +141,7 @@ fn features_are_angles_and_their_rates() {
             },
         );
     let motion = BodyMotion::new(rate, poses, translations).unwrap();
-    let features = Features { smoothing: 0.05, ..Features::default() };
+    let features = FeatureOptions { smoothing: 0.05, ..FeatureOptions::default() };
     let rows = features.rows(&motion);
     assert_eq!(rows.dim(), (frames, features.len(2)));
     for (frame, row) in rows.rows().into_iter().enumerate() {

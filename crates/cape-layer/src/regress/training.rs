@@ -6,20 +6,20 @@ use rand::{Rng, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::{Network, Regressor, regressor::Scale};
+use super::{Network, Regressor, regressor::Standardiser};
 use crate::{Error, Result};
 use cape_core::expect_finite;
 
 /// How a regressor is trained.
 ///
 /// ```
-/// use cape_layer::regress::Training;
+/// use cape_layer::regress::TrainingOptions;
 /// use ndarray::Array2;
 ///
 /// // A straight line is learned from 40 points of it.
 /// let x = Array2::from_shape_fn((40, 1), |(row, _)| row as f64);
 /// let y = x.mapv(|x| 2.0 * x + 1.0);
-/// let training = Training { hidden: vec![4], patience: 20, ..Training::default() };
+/// let training = TrainingOptions { hidden: vec![4], patience: 20, ..TrainingOptions::default() };
 /// let mut iterations = 0;
 /// let outcome = training.train(x.view(), y.view(), &[false], &mut |_| iterations += 1)?;
 /// assert_eq!((outcome.training_frames.len(), outcome.validation_frames.len()), (32, 8));
@@ -29,7 +29,7 @@ use cape_core::expect_finite;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
-pub struct Training {
+pub struct TrainingOptions {
     /// Units of the hidden layers; the paper's 60 and 80.
     pub hidden: Vec<usize>,
     /// Share of the frames that validate; the paper's 20 %.
@@ -46,7 +46,7 @@ pub struct Training {
     pub seed: u64,
 }
 
-impl Default for Training {
+impl Default for TrainingOptions {
     fn default() -> Self {
         Self {
             hidden: vec![60, 80],
@@ -67,7 +67,7 @@ impl Default for Training {
 
 /// One iteration, for a progress display. Errors are means of squares of standardised targets.
 ///
-/// See [`Training`] for an example.
+/// See [`TrainingOptions`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Epoch {
     /// Counted from 1.
@@ -80,9 +80,9 @@ pub struct Epoch {
 
 /// A trained regressor and how it got there.
 ///
-/// See [`Training`] for an example.
+/// See [`TrainingOptions`] for an example.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Outcome {
+pub struct TrainedRegressor {
     /// The weights of the lowest validation error.
     pub regressor: Regressor,
     /// Every iteration.
@@ -93,7 +93,7 @@ pub struct Outcome {
     pub validation_frames: Vec<usize>,
 }
 
-impl Training {
+impl TrainingOptions {
     /// Which of `frames` frames train and which validate, both ascending; fixed by the seed.
     pub fn split(&self, frames: usize) -> (Vec<usize>, Vec<usize>) {
         let mut order: Vec<usize> = (0..frames).collect();
@@ -118,7 +118,7 @@ impl Training {
         targets: ArrayView2<'_, f64>,
         noisy: &[bool],
         watch: &mut dyn FnMut(Epoch),
-    ) -> Result<Outcome> {
+    ) -> Result<TrainedRegressor> {
         let frames = inputs.nrows();
         self.check(inputs, targets, noisy)?;
         let (training_frames, validation_frames) = self.split(frames);
@@ -127,7 +127,8 @@ impl Training {
         let pick = |rows: ArrayView2<'_, f64>, frames: &[usize]| rows.select(Axis(0), frames);
         let plain = pick(inputs, &training_frames);
         let wanted = pick(targets, &training_frames);
-        let (of_inputs, of_targets) = (Scale::of(plain.view()), Scale::of(wanted.view()));
+        let (of_inputs, of_targets) =
+            (Standardiser::from_rows(plain.view()), Standardiser::from_rows(wanted.view()));
         let (plain, wanted) = (of_inputs.bounded(plain.view()), of_targets.apply(wanted.view()));
         let (x, y) = self.augmented(&plain, &wanted, noisy, &mut rng)?;
         let held_x = of_inputs.bounded(pick(inputs, &validation_frames).view());
@@ -169,7 +170,7 @@ impl Training {
         let Ok(_) = minimised;
         network.set_parameters(best.1);
         let regressor = Regressor::new(of_inputs, network, of_targets)?;
-        Ok(Outcome { regressor, epochs, training_frames, validation_frames })
+        Ok(TrainedRegressor { regressor, epochs, training_frames, validation_frames })
     }
 
     fn augmented(

@@ -5,20 +5,20 @@ use burn::{
 use cape_graph::DevicePyramid;
 
 use super::{ChebConv, append_unless_preserved};
-use crate::Init;
+use crate::Initialiser;
 
 /// The block of "CAPE-affine": `relu(cheb(x)) + linear(x)`.
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
 /// use cape_graph::{DevicePyramid, sparse_from_triplets};
-/// use cape_model::{Init, layers::AffineBlock};
+/// use cape_model::{Initialiser, layers::AffineBlock};
 ///
 /// let triangle = sparse_from_triplets(
 ///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
 /// let device = Device::default();
 /// let pyramid = DevicePyramid::new(&vec![triangle; 2], &[None], &[None], &device);
-/// let block = AffineBlock::new(4, 8, 2, &mut Init::new(1, 0.1, &device));
+/// let block = AffineBlock::new(4, 8, 2, &mut Initialiser::new(1, 0.1, &device));
 /// let y = block.forward(Tensor::ones([1, 3, 4], &device), None, &pyramid, 0);
 /// assert_eq!(y.dims(), [1, 3, 8]);
 /// # Ok::<(), cape_graph::Error>(())
@@ -33,7 +33,7 @@ pub struct AffineBlock {
 
 impl AffineBlock {
     /// From `input` to `output` channels.
-    pub fn new(input: usize, output: usize, order: usize, init: &mut Init) -> Self {
+    pub fn new(input: usize, output: usize, order: usize, init: &mut Initialiser) -> Self {
         Self {
             conv: ChebConv::new(input, output, order, init),
             linear: ChebConv::new(input, output, 1, init),

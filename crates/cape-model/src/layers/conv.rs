@@ -4,20 +4,20 @@ use burn::{
 };
 use cape_graph::{ConvEnd, ConvGraph, cheb_conv};
 
-use crate::{Init, config::LEAKY_SLOPE};
+use crate::{Initialiser, config::LEAKY_SLOPE};
 
 /// Chebyshev graph convolution without bias: `[T_0(L̃)x, …, T_{K−1}(L̃)x] · W`.
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
 /// use cape_graph::{ConvGraph, sparse_from_triplets};
-/// use cape_model::{Init, layers::ChebConv};
+/// use cape_model::{Initialiser, layers::ChebConv};
 ///
 /// let triangle = sparse_from_triplets(
 ///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
 /// let device = Device::default();
 /// let graph = ConvGraph::new(&triangle, None, &device);
-/// let conv = ChebConv::new(4, 8, 2, &mut Init::new(1, 0.1, &device)).with_spectral_norm(false);
+/// let conv = ChebConv::new(4, 8, 2, &mut Initialiser::new(1, 0.1, &device)).with_spectral_norm(false);
 /// assert_eq!(conv.weight.val().dims(), [4 * 2, 8]);
 /// let y = conv.forward(Tensor::ones([1, 3, 4], &device), None, &graph);
 /// assert_eq!(y.dims(), [1, 3, 8]);
@@ -33,7 +33,7 @@ pub struct ChebConv {
 
 impl ChebConv {
     /// Truncated-normal weights for `order` Chebyshev terms.
-    pub fn new(input: usize, output: usize, order: usize, init: &mut Init) -> Self {
+    pub fn new(input: usize, output: usize, order: usize, init: &mut Initialiser) -> Self {
         Self { weight: init.truncated_normal([input * order, output]), order, spectral: false }
     }
 
@@ -104,13 +104,13 @@ fn spectral_norm(weight: Tensor<2>) -> Tensor<2> {
 /// ```
 /// use burn::tensor::{Device, Tensor};
 /// use cape_graph::{ConvGraph, sparse_from_triplets};
-/// use cape_model::{Init, layers::ConvLayer};
+/// use cape_model::{Initialiser, layers::ConvLayer};
 ///
 /// let triangle = sparse_from_triplets(
 ///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
 /// let device = Device::default();
 /// let graph = ConvGraph::new(&triangle, None, &device);
-/// let layer = ConvLayer::new(4, 8, 2, &mut Init::new(1, 0.1, &device));
+/// let layer = ConvLayer::new(4, 8, 2, &mut Initialiser::new(1, 0.1, &device));
 /// // Of nothing, the initial bias is left.
 /// let y = layer.forward(Tensor::zeros([1, 3, 4], &device), None, &graph);
 /// let error: f32 = (y - 0.1).abs().max().into_scalar();
@@ -127,7 +127,7 @@ pub struct ConvLayer {
 
 impl ConvLayer {
     /// Truncated-normal weights, biases 0.1.
-    pub fn new(input: usize, output: usize, order: usize, init: &mut Init) -> Self {
+    pub fn new(input: usize, output: usize, order: usize, init: &mut Initialiser) -> Self {
         Self { conv: ChebConv::new(input, output, order, init), bias: init.constant(0.1, [output]) }
     }
 

@@ -5,7 +5,7 @@ use burn::{
 use cape_graph::{ConvGraph, bias_leaky_relu};
 
 use super::{ChebConv, ConvLayer};
-use crate::{Init, config::LEAKY_SLOPE};
+use crate::{Initialiser, config::LEAKY_SLOPE};
 
 /// The encoder's optional residual block: two convolutions, the input added before the last bias
 /// and leaky ReLU.
@@ -13,13 +13,13 @@ use crate::{Init, config::LEAKY_SLOPE};
 /// ```
 /// use burn::tensor::{Device, Tensor};
 /// use cape_graph::{ConvGraph, sparse_from_triplets};
-/// use cape_model::{Init, layers::EncoderResidual};
+/// use cape_model::{Initialiser, layers::EncoderResidual};
 ///
 /// let triangle = sparse_from_triplets(
 ///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
 /// let device = Device::default();
 /// let graph = ConvGraph::new(&triangle, None, &device);
-/// let block = EncoderResidual::new(4, 8, 2, &mut Init::new(1, 0.1, &device));
+/// let block = EncoderResidual::new(4, 8, 2, &mut Initialiser::new(1, 0.1, &device));
 /// assert!(block.skip.is_some());
 /// let y = block.forward(Tensor::ones([1, 3, 4], &device), &graph);
 /// assert_eq!(y.dims(), [1, 3, 8]);
@@ -39,7 +39,7 @@ pub struct EncoderResidual {
 
 impl EncoderResidual {
     /// From `input` to `output` channels.
-    pub fn new(input: usize, output: usize, order: usize, init: &mut Init) -> Self {
+    pub fn new(input: usize, output: usize, order: usize, init: &mut Initialiser) -> Self {
         Self {
             layer: ConvLayer::new(input, output, order, init),
             conv: ChebConv::new(output, output, order, init),

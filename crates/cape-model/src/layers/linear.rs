@@ -3,16 +3,16 @@ use burn::{
     tensor::Tensor,
 };
 
-use crate::Init;
+use crate::Initialiser;
 
 /// Fully connected layer `x W + b`.
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
-/// use cape_model::{Init, layers::Linear};
+/// use cape_model::{Initialiser, layers::Linear};
 ///
 /// let device = Device::default();
-/// let layer = Linear::new(2, 3, &mut Init::new(1, 0.1, &device));
+/// let layer = Linear::new(2, 3, &mut Initialiser::new(1, 0.1, &device));
 /// let y = layer.forward(Tensor::zeros([4, 2], &device));
 /// assert_eq!(y.dims(), [4, 3]);
 /// let largest: f32 = y.abs().max().into_scalar();
@@ -28,7 +28,7 @@ pub struct Linear {
 
 impl Linear {
     /// Glorot-uniform weights, zero bias.
-    pub fn new(input: usize, output: usize, init: &mut Init) -> Self {
+    pub fn new(input: usize, output: usize, init: &mut Initialiser) -> Self {
         Self { weight: init.glorot([input, output]), bias: init.constant(0.0, [output]) }
     }
 

@@ -10,7 +10,7 @@ pub use affine::AffineBlock;
 pub use conv::{ChebConv, ConvLayer};
 pub use encoder_residual::EncoderResidual;
 pub use linear::Linear;
-pub use residual::{GroupNormRelu, Product, ResidualBlock};
+pub use residual::{FactoredFeatures, GroupNormRelu, ResidualBlock};
 
 use burn::tensor::Tensor;
 use cape_graph::DevicePyramid;

@@ -5,7 +5,7 @@ use burn::{
 use cape_graph::{ConvEnd, ConvGraph, DevicePyramid, GroupNorm, cheb_conv, norm_conv};
 
 use super::{ChebConv, append, append_unless_preserved};
-use crate::{Init, config::MAX_GROUPS};
+use crate::{Initialiser, config::MAX_GROUPS};
 
 const EPSILON: f64 = 1e-5;
 
@@ -23,7 +23,7 @@ pub struct GroupNormRelu {
 
 impl GroupNormRelu {
     /// `min(32, channels)` groups, scale 1, shift 0.
-    pub fn new(channels: usize, init: &mut Init) -> Self {
+    pub fn new(channels: usize, init: &mut Initialiser) -> Self {
         Self {
             gamma: init.constant(1.0, [channels]),
             beta: init.constant(0.0, [channels]),
@@ -50,7 +50,7 @@ impl GroupNormRelu {
 ///
 /// See [`ResidualBlock`] for an example.
 #[derive(Debug, Clone)]
-pub struct Product {
+pub struct FactoredFeatures {
     /// `[batch, vertices, inner]`.
     pub features: Tensor<3>,
     /// `[inner, channels]`.
@@ -63,13 +63,13 @@ pub struct Product {
 /// ```
 /// use burn::tensor::{Device, Tensor};
 /// use cape_graph::{DevicePyramid, sparse_from_triplets};
-/// use cape_model::{Init, layers::{Product, ResidualBlock}};
+/// use cape_model::{Initialiser, layers::{FactoredFeatures, ResidualBlock}};
 ///
 /// let triangle = sparse_from_triplets(
 ///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
 /// let device = Device::default();
 /// let pyramid = DevicePyramid::new(&vec![triangle; 2], &[None], &[None], &device);
-/// let block = ResidualBlock::new(4, 8, 2, &mut Init::new(1, 0.1, &device));
+/// let block = ResidualBlock::new(4, 8, 2, &mut Initialiser::new(1, 0.1, &device));
 /// assert_eq!(block.norm_1.gamma.val().dims(), [4]);
 ///
 /// let features = Tensor::<3>::ones([1, 3, 2], &device);
@@ -78,7 +78,7 @@ pub struct Product {
 /// let y = block.forward(x.clone(), None, None, &pyramid, 0);
 /// assert_eq!(y.dims(), [1, 3, 8]);
 /// // Knowing what the features are the product of saves work, and changes nothing.
-/// let same = block.forward(x, Some(Product { features, weight }), None, &pyramid, 0);
+/// let same = block.forward(x, Some(FactoredFeatures { features, weight }), None, &pyramid, 0);
 /// let error: f32 = (y - same).abs().max().into_scalar();
 /// assert!(error < 1e-5);
 /// # Ok::<(), cape_graph::Error>(())
@@ -103,7 +103,7 @@ pub struct ResidualBlock {
 
 impl ResidualBlock {
     /// From `input` to `output` channels.
-    pub fn new(input: usize, output: usize, order: usize, init: &mut Init) -> Self {
+    pub fn new(input: usize, output: usize, order: usize, init: &mut Initialiser) -> Self {
         let half = output / 2;
         Self {
             norm_1: GroupNormRelu::new(input, init),
@@ -122,7 +122,7 @@ impl ResidualBlock {
     pub fn forward(
         &self,
         x: Tensor<3>,
-        origin: Option<Product>,
+        origin: Option<FactoredFeatures>,
         condition: Option<&Tensor<2>>,
         pyramid: &DevicePyramid,
         level: usize,
@@ -140,7 +140,7 @@ impl ResidualBlock {
     fn skip(
         &self,
         x: &Tensor<3>,
-        origin: Option<Product>,
+        origin: Option<FactoredFeatures>,
         condition: Option<&Tensor<2>>,
         graph: &ConvGraph,
     ) -> Tensor<3> {
@@ -148,7 +148,7 @@ impl ResidualBlock {
         let [_, _, channels] = x.dims();
         let (weight, rows) = skip.split(channels, condition);
         let (x, weight) = match origin {
-            Some(Product { features, weight: first }) if first.dims()[1] == channels => {
+            Some(FactoredFeatures { features, weight: first }) if first.dims()[1] == channels => {
                 (features, first.matmul(weight))
             }
             _ => (x.clone(), weight),

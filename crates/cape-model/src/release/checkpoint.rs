@@ -3,8 +3,8 @@
 use super::{bare, import, name_map, without_leading_ones};
 use crate::{
     CapeConfig, Error, Result,
-    tensorflow::{Checkpoint, Variable},
-    weights::{Array, Weights},
+    tensorflow::{TensorFlowCheckpoint, Variable},
+    weights::{HostArray, Weights},
 };
 
 /// Scopes of a model's variables.
@@ -19,9 +19,9 @@ const STEP: &str = "global_step";
 /// What a checkpoint of the release holds.
 ///
 /// ```
-/// use cape_model::{release::Released, tensorflow::Checkpoint};
+/// use cape_model::{release::ReleaseCheckpoint, tensorflow::TensorFlowCheckpoint};
 ///
-/// let released = Released::read(&Checkpoint::open("fixtures/checkpoint")?)?;
+/// let released = ReleaseCheckpoint::read(&TensorFlowCheckpoint::open("fixtures/checkpoint")?)?;
 /// assert_eq!(released.step, Some(7));
 /// assert_eq!(released.shapes(), [("generator/encoder/1x1-conv/weights".to_owned(), vec![3, 2])]);
 /// assert!(released.ignored.is_empty());
@@ -31,30 +31,30 @@ const STEP: &str = "global_step";
 /// For a checkpoint that has all of a model:
 ///
 /// ```no_run
-/// # use cape_model::{release::{Released, infer}, tensorflow::Checkpoint};
-/// let released = Released::read(&Checkpoint::open("checkpoints/CAPE_male")?)?;
+/// # use cape_model::{release::{ReleaseCheckpoint, infer}, tensorflow::TensorFlowCheckpoint};
+/// let released = ReleaseCheckpoint::read(&TensorFlowCheckpoint::open("checkpoints/CAPE_male")?)?;
 /// let config = infer(&released.shapes())?;
 /// let weights = released.weights(&config)?;
 /// # Ok::<(), cape_model::Error>(())
 /// ```
 #[derive(Debug)]
-pub struct Released {
+pub struct ReleaseCheckpoint {
     /// The model's variables by TensorFlow's names.
-    pub variables: Vec<(String, Array)>,
+    pub variables: Vec<(String, HostArray)>,
     /// The optimisers' velocities, by the variables' names.
-    momentum: Vec<(String, Array)>,
+    momentum: Vec<(String, HostArray)>,
     /// Training steps done, if it says.
     pub step: Option<u64>,
     /// Variables that belong to neither: moving averages, counters.
     pub ignored: Vec<String>,
 }
 
-impl Released {
+impl ReleaseCheckpoint {
     /// Reads a checkpoint.
     ///
     /// # Errors
     /// If it has no variables of a CAPE model, or a variable is damaged.
-    pub fn read(checkpoint: &Checkpoint) -> Result<Self> {
+    pub fn read(checkpoint: &TensorFlowCheckpoint) -> Result<Self> {
         let mut read =
             Self { variables: Vec::new(), momentum: Vec::new(), step: None, ignored: Vec::new() };
         for variable in checkpoint.variables() {
@@ -86,7 +86,7 @@ impl Released {
             .into_iter()
             .partition(|(owner, _)| read.variables.iter().any(|(name, _)| name == owner));
         read.momentum = owned;
-        let alone: Vec<(String, Array)> = alone;
+        let alone: Vec<(String, HostArray)> = alone;
         read.ignored.extend(alone.into_iter().map(|(owner, _)| owner + MOMENTUM));
         Ok(read)
     }
@@ -137,7 +137,7 @@ impl Released {
     }
 }
 
-fn step(checkpoint: &Checkpoint, variable: &Variable) -> Result<Option<u64>> {
+fn step(checkpoint: &TensorFlowCheckpoint, variable: &Variable) -> Result<Option<u64>> {
     let step = checkpoint.integers(variable)?.first().copied();
     Ok(step.and_then(|step| u64::try_from(step).ok()))
 }

@@ -25,13 +25,13 @@ mod names;
 
 use std::collections::BTreeMap;
 
-pub use checkpoint::Released;
+pub use checkpoint::ReleaseCheckpoint;
 pub use infer::{check_vertices, infer};
 pub use names::export;
 
 use crate::{
     CapeConfig, DecoderBlock, Error, Result,
-    weights::{Array, Weights},
+    weights::{HostArray, Weights},
 };
 
 /// Each of our parameter names with the release's name for it.
@@ -80,7 +80,7 @@ pub type NameMap = BTreeMap<String, String>;
 /// # Errors
 /// If a variable the configuration needs is missing, or one is left over; it is named.
 pub fn name_map(config: &CapeConfig, shapes: &[(String, Vec<usize>)]) -> Result<NameMap> {
-    let mut map = Mapping { shapes, taken: vec![false; shapes.len()], names: NameMap::new() };
+    let mut map = NameMatcher { shapes, taken: vec![false; shapes.len()], names: NameMap::new() };
 
     for (ours, theirs, size, layers) in [
         ("pose", "condition_pose", config.pose_embedding, config.pose_layers),
@@ -147,10 +147,10 @@ pub fn name_map(config: &CapeConfig, shapes: &[(String, Vec<usize>)]) -> Result<
 ///
 /// # Errors
 /// As [`name_map`]; shapes are checked when the weights are applied to a model.
-pub fn import(config: &CapeConfig, variables: &[(String, Array)]) -> Result<Weights> {
+pub fn import(config: &CapeConfig, variables: &[(String, HostArray)]) -> Result<Weights> {
     let shapes: Vec<_> =
         variables.iter().map(|(name, array)| (name.clone(), array.shape.clone())).collect();
-    let by_name: BTreeMap<&str, &Array> =
+    let by_name: BTreeMap<&str, &HostArray> =
         variables.iter().map(|(name, array)| (name.as_str(), array)).collect();
     let map = name_map(config, &shapes)?;
     Ok(map
@@ -160,27 +160,27 @@ pub fn import(config: &CapeConfig, variables: &[(String, Array)]) -> Result<Weig
 }
 
 /// Biases are stored as `[1, 1, channels]` and `[1, vertices, 3]`.
-fn without_leading_ones(array: &Array, name: &str) -> Array {
+fn without_leading_ones(array: &HostArray, name: &str) -> HostArray {
     let mut shape = array.shape.as_slice();
     if bare(name).ends_with("/bias") {
         while shape.len() > 1 && shape[0] == 1 {
             shape = &shape[1..];
         }
     }
-    Array { shape: shape.to_vec(), values: array.values.clone() }
+    HostArray { shape: shape.to_vec(), values: array.values.clone() }
 }
 
 fn bare(name: &str) -> &str {
     name.strip_suffix(":0").unwrap_or(name)
 }
 
-struct Mapping<'a> {
+struct NameMatcher<'a> {
     shapes: &'a [(String, Vec<usize>)],
     taken: Vec<bool>,
     names: NameMap,
 }
 
-impl Mapping<'_> {
+impl NameMatcher<'_> {
     fn claim(&mut self, ours: &str, index: usize) {
         self.taken[index] = true;
         self.names.insert(ours.to_owned(), self.shapes[index].0.clone());

@@ -2,7 +2,7 @@
 
 use crate::{
     CapeConfig, DecoderBlock, Error, Result,
-    weights::{Array, Weights},
+    weights::{HostArray, Weights},
 };
 
 /// A model's weights by the release's names, each with `:0`, with the release's shapes.
@@ -12,7 +12,7 @@ use crate::{
 ///
 /// # Errors
 /// If a weight is not a parameter of the configuration; it is named.
-pub fn export(config: &CapeConfig, weights: &Weights) -> Result<Vec<(String, Array)>> {
+pub fn export(config: &CapeConfig, weights: &Weights) -> Result<Vec<(String, HostArray)>> {
     if config.discriminator.as_ref().is_some_and(|discriminator| discriminator.spectral_norm) {
         return Err(Error::Config {
             field: "model.discriminator.spectral_norm".into(),
@@ -31,7 +31,7 @@ pub fn export(config: &CapeConfig, weights: &Weights) -> Result<Vec<(String, Arr
                 shape.insert(0, 1);
             }
         }
-        Ok((format!("{theirs}:0"), Array { shape, values: array.values.clone() }))
+        Ok((format!("{theirs}:0"), HostArray { shape, values: array.values.clone() }))
     });
     named.collect()
 }

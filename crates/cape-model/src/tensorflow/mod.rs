@@ -18,7 +18,7 @@ use std::{
 
 use proto::{Entry, Header};
 
-use crate::{Error, Result, weights::Array};
+use crate::{Error, Result, weights::HostArray};
 
 /// Largest index read, bytes: a few hundred for each variable.
 const MAX_INDEX: u64 = 64 << 20;
@@ -34,7 +34,7 @@ fn mask(crc: u32) -> u32 {
 
 /// What the elements of a variable are.
 ///
-/// See [`Checkpoint`] for an example.
+/// See [`TensorFlowCheckpoint`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ElementType {
     /// 32-bit floats.
@@ -50,7 +50,7 @@ pub enum ElementType {
 }
 
 impl ElementType {
-    fn of(number: u64) -> Self {
+    fn from_number(number: u64) -> Self {
         match number {
             1 => Self::F32,
             2 => Self::F64,
@@ -76,7 +76,7 @@ impl ElementType {
 
 /// A variable of a checkpoint.
 ///
-/// See [`Checkpoint`] for an example.
+/// See [`TensorFlowCheckpoint`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Variable {
     /// TensorFlow's name, without `:0`.
@@ -85,11 +85,11 @@ pub struct Variable {
     pub element: ElementType,
     /// Its extents.
     pub shape: Vec<usize>,
-    place: Place,
+    place: DataLocation,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Place {
+struct DataLocation {
     shard: usize,
     offset: u64,
     size: u64,
@@ -99,9 +99,9 @@ struct Place {
 /// An open checkpoint.
 ///
 /// ```
-/// use cape_model::tensorflow::{Checkpoint, ElementType};
+/// use cape_model::tensorflow::{TensorFlowCheckpoint, ElementType};
 ///
-/// let checkpoint = Checkpoint::open("fixtures/checkpoint")?;
+/// let checkpoint = TensorFlowCheckpoint::open("fixtures/checkpoint")?;
 /// let names: Vec<_> = checkpoint.variables().iter().map(|v| v.name.as_str()).collect();
 /// assert_eq!(names[2], "global_step");
 /// let step = checkpoint.variable("global_step").unwrap();
@@ -115,14 +115,14 @@ struct Place {
 /// # Ok::<(), cape_model::Error>(())
 /// ```
 #[derive(Debug)]
-pub struct Checkpoint {
+pub struct TensorFlowCheckpoint {
     prefix: PathBuf,
     index: PathBuf,
     shards: usize,
     variables: Vec<Variable>,
 }
 
-impl Checkpoint {
+impl TensorFlowCheckpoint {
     /// Opens a checkpoint by its prefix (`…/model-1234`), its `.index` file, one of its `.data`
     /// files, or the directory it is in; of several in a directory, the one that the directory's
     /// `checkpoint` file names.
@@ -180,7 +180,7 @@ impl Checkpoint {
     ///
     /// # Errors
     /// If it holds something else, or its bytes do not agree with their checksum.
-    pub fn floats(&self, variable: &Variable) -> Result<Array> {
+    pub fn floats(&self, variable: &Variable) -> Result<HostArray> {
         let bytes = self.bytes(variable)?;
         let values: Vec<f32> = match variable.element {
             ElementType::F32 => chunks(&bytes, f32::from_le_bytes),
@@ -189,7 +189,7 @@ impl Checkpoint {
                 return Err(self.fault(variable, format!("holds {other:?}, expected floats")));
             }
         };
-        Ok(Array { shape: variable.shape.clone(), values })
+        Ok(HostArray { shape: variable.shape.clone(), values })
     }
 
     /// Reads a variable of integers.
@@ -208,7 +208,7 @@ impl Checkpoint {
     }
 
     fn bytes(&self, variable: &Variable) -> Result<Vec<u8>> {
-        let Place { shard, offset, size, crc } = variable.place;
+        let DataLocation { shard, offset, size, crc } = variable.place;
         let path = self.shard_path(shard);
         let io = |source| Error::Io { path: path.clone(), source };
         let mut file = File::open(&path).map_err(io)?;
@@ -239,7 +239,7 @@ impl Checkpoint {
         let mut lengths: Vec<Option<u64>> = Vec::new();
         let mut claimed: Vec<u64> = Vec::new();
         for variable in &self.variables {
-            let Place { shard, offset, size, .. } = variable.place;
+            let DataLocation { shard, offset, size, .. } = variable.place;
             if shard >= self.shards {
                 let message = format!("is in file {shard} of {}", self.shards);
                 return Err(self.fault(variable, message));
@@ -287,9 +287,14 @@ fn variable(name: String, entry: Entry) -> Result<Variable, String> {
     }
     Ok(Variable {
         name,
-        element: ElementType::of(entry.element),
+        element: ElementType::from_number(entry.element),
         shape: entry.shape,
-        place: Place { shard: entry.shard, offset: entry.offset, size: entry.size, crc: entry.crc },
+        place: DataLocation {
+            shard: entry.shard,
+            offset: entry.offset,
+            size: entry.size,
+            crc: entry.crc,
+        },
     })
 }
 

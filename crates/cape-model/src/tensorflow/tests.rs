@@ -62,11 +62,11 @@ fn variables_are_read_by_every_name_of_the_checkpoint() {
     for compressed in [false, true] {
         write(directory.path(), compressed);
         for name in ["", "model-7", "model-7.index", "model-7.data-00000-of-00001"] {
-            let checkpoint = Checkpoint::open(directory.path().join(name)).unwrap();
+            let checkpoint = TensorFlowCheckpoint::open(directory.path().join(name)).unwrap();
             let names: Vec<_> = checkpoint.variables().iter().map(|v| v.name.as_str()).collect();
             assert_eq!(names, ["a", "a/step"]);
             let a = checkpoint.variable("a").unwrap();
-            let expected = Array { shape: vec![2, 2], values: vec![1.0, -2.5, 3.0, 4.25] };
+            let expected = HostArray { shape: vec![2, 2], values: vec![1.0, -2.5, 3.0, 4.25] };
             assert_eq!(checkpoint.floats(a).unwrap(), expected);
             let step = checkpoint.variable("a/step").unwrap();
             assert_eq!(checkpoint.integers(step).unwrap(), [7]);
@@ -82,15 +82,17 @@ fn of_several_checkpoints_the_latest_is_opened() {
     let (index, data) = write(directory.path(), false);
     fs::write(directory.path().join("model-9.index"), index).unwrap();
     fs::write(directory.path().join("model-9.data-00000-of-00001"), data).unwrap();
-    let message = Checkpoint::open(directory.path()).unwrap_err().to_string();
+    let message = TensorFlowCheckpoint::open(directory.path()).unwrap_err().to_string();
     assert!(message.contains("model-7, model-9"), "{message}");
     let text = "model_checkpoint_path: \"/home/somebody/else/model-9\"\n";
     fs::write(directory.path().join("checkpoint"), text).unwrap();
-    let checkpoint = Checkpoint::open(directory.path()).unwrap();
+    let checkpoint = TensorFlowCheckpoint::open(directory.path()).unwrap();
     assert_eq!(checkpoint.prefix().file_name().unwrap(), "model-9");
     let empty = tempfile::tempdir().unwrap();
-    assert!(Checkpoint::open(empty.path()).unwrap_err().to_string().contains("no `.index`"));
-    assert!(Checkpoint::open(empty.path().join("model")).is_err());
+    assert!(
+        TensorFlowCheckpoint::open(empty.path()).unwrap_err().to_string().contains("no `.index`")
+    );
+    assert!(TensorFlowCheckpoint::open(empty.path().join("model")).is_err());
 }
 
 #[test]
@@ -98,7 +100,7 @@ fn every_changed_byte_is_noticed() {
     let directory = tempfile::tempdir().unwrap();
     let (index, data) = write(directory.path(), true);
     let read_all = || -> Result<()> {
-        let checkpoint = Checkpoint::open(directory.path())?;
+        let checkpoint = TensorFlowCheckpoint::open(directory.path())?;
         for variable in checkpoint.variables() {
             if variable.element.is_float() {
                 drop(checkpoint.floats(variable)?);

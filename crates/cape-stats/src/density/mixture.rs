@@ -129,7 +129,8 @@ impl Mixture {
         for start in 0..options.starts.max(1) as u64 {
             let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
             rng.set_stream(start);
-            let found = Fit::new(&points, components.min(n), options, &mut rng).run(options);
+            let found = ExpectationMaximisation::new(&points, components.min(n), options, &mut rng)
+                .run(options);
             if best.as_ref().is_none_or(|(likelihood, _)| found.0 > *likelihood) {
                 best = Some(found);
             }
@@ -228,7 +229,7 @@ impl Mixture {
         let d = self.dimensions();
         let mut points = Array2::zeros((n, d));
         for mut row in points.rows_mut() {
-            let component = drawn(&self.weights, rng);
+            let component = sample_index(&self.weights, rng);
             let noise = DVector::from_fn(d, |_, _| rng.sample::<f64, _>(StandardNormal));
             let point = &self.means[component] + self.factors[component].l() * noise * temperature;
             for (value, x) in row.iter_mut().zip(point.iter()) {
@@ -240,7 +241,7 @@ impl Mixture {
 }
 
 /// An index drawn by weights.
-pub(super) fn drawn(weights: &[f64], rng: &mut ChaCha8Rng) -> usize {
+pub(super) fn sample_index(weights: &[f64], rng: &mut ChaCha8Rng) -> usize {
     let mut left = rng.random::<f64>() * weights.iter().sum::<f64>();
     for (index, weight) in weights.iter().enumerate() {
         left -= weight;
@@ -262,14 +263,14 @@ fn log_sum(logs: &[f64]) -> f64 {
 }
 
 /// Expectation–maximisation under way.
-struct Fit<'a> {
+struct ExpectationMaximisation<'a> {
     points: &'a [DVector<f64>],
     /// What is added to every variance.
     floor: f64,
     mixture: Mixture,
 }
 
-impl<'a> Fit<'a> {
+impl<'a> ExpectationMaximisation<'a> {
     /// Starts from centres spread by k-means++ and the points nearest to each.
     fn new(
         points: &'a [DVector<f64>],
@@ -370,7 +371,7 @@ fn spread_out(points: &[DVector<f64>], count: usize, rng: &mut ChaCha8Rng) -> Ve
         for (distance, point) in distances.iter_mut().zip(points) {
             *distance = distance.min((point - last).norm_squared());
         }
-        centres.push(points[drawn(&distances, rng)].clone());
+        centres.push(points[sample_index(&distances, rng)].clone());
     }
     centres
 }
@@ -438,7 +439,8 @@ mod tests {
         let points: Vec<DVector<f64>> =
             points.rows().into_iter().map(|r| DVector::from_vec(r.to_vec())).collect();
         let options = MixtureOptions { regularisation: 0.0, ..MixtureOptions::default() };
-        let mut fit = Fit::new(&points, 4, &options, &mut ChaCha8Rng::seed_from_u64(2));
+        let mut fit =
+            ExpectationMaximisation::new(&points, 4, &options, &mut ChaCha8Rng::seed_from_u64(2));
         let mut before = f64::NEG_INFINITY;
         for _ in 0..60 {
             let (likelihood, shares) = fit.expect();

@@ -16,7 +16,7 @@ use crate::{Error, Result};
 ///
 /// See [`ErrorStats`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Summary {
+pub struct ErrorSummary {
     /// Mean, mm.
     pub mean: f64,
     /// Population standard deviation, mm.
@@ -113,11 +113,16 @@ impl ErrorStats {
     }
 
     /// The statistics so far; NaN where there is nothing to summarise.
-    pub fn summary(&self) -> Summary {
+    pub fn summary(&self) -> ErrorSummary {
         if self.count == 0 || self.unusable {
-            return Summary { mean: f64::NAN, std: f64::NAN, median: f64::NAN, count: self.count };
+            return ErrorSummary {
+                mean: f64::NAN,
+                std: f64::NAN,
+                median: f64::NAN,
+                count: self.count,
+            };
         }
-        Summary {
+        ErrorSummary {
             mean: self.mean,
             std: (self.squares / self.count as f64).sqrt(),
             median: f64::midpoint(self.ranked((self.count - 1) / 2), self.ranked(self.count / 2)),
@@ -180,11 +185,11 @@ pub struct GroupedErrors {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GroupedSummary {
     /// All frames.
-    pub overall: Summary,
+    pub overall: ErrorSummary,
     /// By outfit; only those that occur.
-    pub outfits: BTreeMap<Outfit, Summary>,
+    pub outfits: BTreeMap<Outfit, ErrorSummary>,
     /// By sequence name; empty if the data does not say which frame is of which sequence.
-    pub sequences: BTreeMap<String, Summary>,
+    pub sequences: BTreeMap<String, ErrorSummary>,
 }
 
 impl GroupedErrors {
@@ -257,14 +262,14 @@ mod tests {
 
     use super::*;
 
-    fn naive(errors: &[f32]) -> Summary {
+    fn naive(errors: &[f32]) -> ErrorSummary {
         let n = errors.len();
         let mean = errors.iter().map(|&e| e as f64).sum::<f64>() / n as f64;
         let var = errors.iter().map(|&e| (e as f64 - mean).powi(2)).sum::<f64>() / n as f64;
         let mut sorted: Vec<f64> = errors.iter().map(|&e| e as f64).collect();
         sorted.sort_by(f64::total_cmp);
         let median = f64::midpoint(sorted[(n - 1) / 2], sorted[n / 2]);
-        Summary { mean, std: var.sqrt(), median, count: n as u64 }
+        ErrorSummary { mean, std: var.sqrt(), median, count: n as u64 }
     }
 
     fn check(errors: &[f32], chunk: usize) {

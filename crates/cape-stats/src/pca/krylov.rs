@@ -16,7 +16,7 @@ const EXTRA: usize = 6;
 const NOTHING: f64 = 1e-10;
 
 /// Eigenvalues and eigenvectors, the largest first.
-pub(super) struct Largest {
+pub(super) struct TopEigenpairs {
     pub(super) values: Array1<f64>,
     /// `[eigenvectors, numbers]`.
     pub(super) vectors: Array2<f64>,
@@ -26,11 +26,11 @@ pub(super) struct Largest {
 
 /// Block Krylov iteration with full orthogonalisation and Rayleigh–Ritz (Musco and Musco 2015):
 /// every call of `apply`, to a block `[size, columns]`, adds a block to the space.
-pub(super) fn largest(
+pub(super) fn top_eigenpairs(
     size: usize,
     options: &PcaOptions,
     apply: &mut dyn FnMut(&Array2<f64>) -> Result<Array2<f64>>,
-) -> Result<Largest> {
+) -> Result<TopEigenpairs> {
     let wanted = options.components;
     let columns = (wanted + EXTRA).min(size);
     let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
@@ -94,7 +94,7 @@ fn orthonormal(mut columns: Array2<f64>, basis: &[Array2<f64>]) -> Array2<f64> {
 }
 
 /// The best eigenvectors in the space of `basis`, whose images under the operator are known.
-fn ritz(basis: &[Array2<f64>], images: &[Array2<f64>], wanted: usize) -> Largest {
+fn ritz(basis: &[Array2<f64>], images: &[Array2<f64>], wanted: usize) -> TopEigenpairs {
     let starts: Vec<usize> = basis
         .iter()
         .scan(0, |at, block| Some(std::mem::replace(at, *at + block.ncols())))
@@ -140,5 +140,5 @@ fn ritz(basis: &[Array2<f64>], images: &[Array2<f64>], wanted: usize) -> Largest
             vector.mapv_inplace(|x| -x);
         }
     }
-    Largest { values, vectors, residual }
+    TopEigenpairs { values, vectors, residual }
 }

@@ -15,7 +15,7 @@ use ndarray::{Array1, Array2, ArrayView2, Axis};
 use rayon::prelude::*;
 
 use crate::{Error, Result};
-use cape_core::Progress;
+use cape_core::ProgressFn;
 
 /// Rows read at a time by one thread.
 const ROWS: usize = 48;
@@ -86,7 +86,7 @@ impl Pca {
         numbers: usize,
         options: &PcaOptions,
         row: &(dyn Fn(usize) -> Result<Vec<f64>> + Sync),
-        progress: &mut Progress,
+        progress: &mut ProgressFn,
     ) -> Result<Self> {
         let most = numbers.min(count.saturating_sub(1));
         if options.components == 0 || options.components > most {
@@ -95,9 +95,9 @@ impl Pca {
                 options.components
             )));
         }
-        let rows = Rows { count, numbers, read: row };
+        let rows = RowSource { count, numbers, read: row };
         let (mean, total_variance) = rows.mean(progress)?;
-        let found = krylov::largest(numbers, options, &mut |block| {
+        let found = krylov::top_eigenpairs(numbers, options, &mut |block| {
             rows.covariance(&mean, block, progress)
         })?;
         Ok(Self {
@@ -131,13 +131,13 @@ impl Pca {
 }
 
 /// Rows that are read when they are needed.
-struct Rows<'a> {
+struct RowSource<'a> {
     count: usize,
     numbers: usize,
     read: &'a (dyn Fn(usize) -> Result<Vec<f64>> + Sync),
 }
 
-impl Rows<'_> {
+impl RowSource<'_> {
     fn piece(&self, first: usize) -> Result<Array2<f64>> {
         let rows = ROWS.min(self.count - first);
         let mut values = Vec::with_capacity(rows * self.numbers);
@@ -153,7 +153,7 @@ impl Rows<'_> {
         &self,
         work: impl Fn(Array2<f64>) -> T + Sync,
         mut add: impl FnMut(T),
-        progress: &mut Progress,
+        progress: &mut ProgressFn,
     ) -> Result<()> {
         let firsts: Vec<usize> = (0..self.count).step_by(ROWS).collect();
         for firsts in firsts.chunks(PIECES) {
@@ -168,7 +168,7 @@ impl Rows<'_> {
     }
 
     /// The mean row, and the sum of the variances of all numbers.
-    fn mean(&self, progress: &mut Progress) -> Result<(Array1<f64>, f64)> {
+    fn mean(&self, progress: &mut ProgressFn) -> Result<(Array1<f64>, f64)> {
         let mut mean = Array1::zeros(self.numbers);
         let mut squares = Array1::zeros(self.numbers);
         let mut before = 0.0;
@@ -194,7 +194,7 @@ impl Rows<'_> {
         &self,
         mean: &Array1<f64>,
         block: &Array2<f64>,
-        progress: &mut Progress,
+        progress: &mut ProgressFn,
     ) -> Result<Array2<f64>> {
         let mut sum = Array2::zeros(block.dim());
         self.for_each(

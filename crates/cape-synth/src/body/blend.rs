@@ -4,7 +4,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 use super::{
     rig::{Weights, is_ancestor},
-    surface::Skin,
+    surface::SymmetricMesh,
 };
 use cape_core::joints::JOINTS;
 
@@ -23,7 +23,7 @@ const NEGLIGIBLE: f64 = 1e-7;
 /// range, by a linear function of `R − I`. The correction is linear in `q`, so the fit is a
 /// matrix for each share `s`, tabulated and interpolated.
 pub(super) fn pose_directions(
-    skin: &Skin,
+    skin: &SymmetricMesh,
     weights: &[Weights],
     joints: &[DVec3; JOINTS],
 ) -> Vec<Vec<DVec3>> {

@@ -6,7 +6,7 @@ use glam::{DQuat, DVec3};
 
 use cape_core::joints::{JOINTS, PARENTS};
 
-use super::sdf::{Dab, Form, Part, Sculpture, Station, Tube};
+use super::sdf::{Blob, BodySdf, CrossSection, Primitive, SdfPart, Tube};
 
 /// The joint that `joint` hangs on; the root hangs on itself.
 pub(super) fn parent(joint: usize) -> usize {
@@ -45,8 +45,8 @@ pub(super) fn joints() -> [DVec3; JOINTS] {
 }
 
 /// The implicit surface of the whole figure.
-pub(super) fn sculpture() -> Sculpture {
-    let mut figure = Sculpture::default();
+pub(super) fn body_sdf() -> BodySdf {
+    let mut figure = BodySdf::default();
     torso(&mut figure);
     neck_and_head(&mut figure);
     leg(&mut figure);
@@ -60,36 +60,38 @@ fn v(x: f64, y: f64, z: f64) -> DVec3 {
     DVec3::new(x, y, z)
 }
 
-fn ellipsoid(centre: DVec3, radii: DVec3) -> Form {
+fn ellipsoid(centre: DVec3, radii: DVec3) -> Primitive {
     turned_ellipsoid(centre, radii, DVec3::ZERO)
 }
 
-fn turned_ellipsoid(centre: DVec3, radii: DVec3, turn: DVec3) -> Form {
-    Form::Ellipsoid { centre, radii, turn: DQuat::from_scaled_axis(turn) }
+fn turned_ellipsoid(centre: DVec3, radii: DVec3, turn: DVec3) -> Primitive {
+    Primitive::Ellipsoid { centre, radii, turn: DQuat::from_scaled_axis(turn) }
 }
 
-fn chain(nodes: &[([f64; 3], f64)]) -> Form {
-    Form::Chain(nodes.iter().map(|&(centre, radius)| (DVec3::from_array(centre), radius)).collect())
+fn chain(nodes: &[([f64; 3], f64)]) -> Primitive {
+    Primitive::Chain(
+        nodes.iter().map(|&(centre, radius)| (DVec3::from_array(centre), radius)).collect(),
+    )
 }
 
-fn dab(centre: DVec3, spread: DVec3, millimetres: f64) -> Dab {
-    Dab { centre, spread, amount: millimetres / 1000.0 }
+fn blob(centre: DVec3, spread: DVec3, millimetres: f64) -> Blob {
+    Blob { centre, spread, amount: millimetres / 1000.0 }
 }
 
 /// A tube along y, symmetric in x: rows of (y, centre x, half-width, front z, back z).
-fn column(exponent: f64, caps: [f64; 2], rows: &[[f64; 5]]) -> Form {
-    let stations: Vec<Station> = rows
+fn column(exponent: f64, caps: [f64; 2], rows: &[[f64; 5]]) -> Primitive {
+    let stations: Vec<CrossSection> = rows
         .iter()
-        .map(|&[at, x, half, front, back]| Station {
+        .map(|&[at, x, half, front, back]| CrossSection {
             at,
             centre: [x, f64::midpoint(front, back)],
             half: [half, half, (front - back) / 2.0, (front - back) / 2.0],
         })
         .collect();
-    Form::Tube(Tube::new(1, exponent, caps, &stations))
+    Primitive::Tube(Tube::new(1, exponent, caps, &stations))
 }
 
-fn torso(figure: &mut Sculpture) {
+fn torso(figure: &mut BodySdf) {
     let trunk = column(
         2.35,
         [0.03, 0.03],
@@ -109,7 +111,7 @@ fn torso(figure: &mut Sculpture) {
             [0.280, 0.0, 0.060, 0.030, -0.070],
         ],
     );
-    figure.parts.push(Part::new(trunk, 0.03));
+    figure.parts.push(SdfPart::new(trunk, 0.03));
     // Pectorals, shoulder blades, the broad muscle of the back, buttocks.
     let parts = [
         (
@@ -123,28 +125,30 @@ fn torso(figure: &mut Sculpture) {
             0.04,
         ),
     ];
-    figure.parts.extend(parts.into_iter().map(|(form, blend)| Part::new(form, blend).paired()));
-    figure.dabs.extend([
+    figure
+        .parts
+        .extend(parts.into_iter().map(|(form, blend)| SdfPart::new(form, blend).mirrored()));
+    figure.blobs.extend([
         // Furrow of the spine, breastbone, mid-line of the belly, navel.
-        dab(v(0.0, 0.10, -0.115), v(0.016, 0.090, 0.05), -5.0),
-        dab(v(0.0, -0.08, -0.080), v(0.016, 0.080, 0.05), -6.0),
-        dab(v(0.0, 0.12, 0.105), v(0.014, 0.045, 0.04), -4.0),
-        dab(v(0.0, -0.02, 0.100), v(0.013, 0.070, 0.04), -4.5),
-        dab(v(0.0, -0.118, 0.105), v(0.009, 0.010, 0.03), -6.0),
+        blob(v(0.0, 0.10, -0.115), v(0.016, 0.090, 0.05), -5.0),
+        blob(v(0.0, -0.08, -0.080), v(0.016, 0.080, 0.05), -6.0),
+        blob(v(0.0, 0.12, 0.105), v(0.014, 0.045, 0.04), -4.0),
+        blob(v(0.0, -0.02, 0.100), v(0.013, 0.070, 0.04), -4.5),
+        blob(v(0.0, -0.118, 0.105), v(0.009, 0.010, 0.03), -6.0),
         // Rib arch, flanks, iliac crest, groin.
-        dab(v(0.068, 0.030, 0.085), v(0.030, 0.020, 0.04), 2.5),
-        dab(v(0.085, -0.030, 0.075), v(0.018, 0.050, 0.04), -3.0),
-        dab(v(0.128, -0.170, 0.030), v(0.025, 0.022, 0.05), 4.0),
-        dab(v(0.075, -0.325, 0.085), v(0.035, 0.018, 0.04), -4.0),
+        blob(v(0.068, 0.030, 0.085), v(0.030, 0.020, 0.04), 2.5),
+        blob(v(0.085, -0.030, 0.075), v(0.018, 0.050, 0.04), -3.0),
+        blob(v(0.128, -0.170, 0.030), v(0.025, 0.022, 0.05), 4.0),
+        blob(v(0.075, -0.325, 0.085), v(0.035, 0.018, 0.04), -4.0),
         // Collar bones and the hollows above them.
-        dab(v(0.050, 0.236, 0.040), v(0.030, 0.008, 0.03), 5.0),
-        dab(v(0.110, 0.246, 0.020), v(0.030, 0.008, 0.03), 5.0),
-        dab(v(0.060, 0.258, 0.025), v(0.025, 0.010, 0.03), -5.0),
-        dab(v(0.0, 0.240, 0.050), v(0.010, 0.010, 0.03), -4.0),
+        blob(v(0.050, 0.236, 0.040), v(0.030, 0.008, 0.03), 5.0),
+        blob(v(0.110, 0.246, 0.020), v(0.030, 0.008, 0.03), 5.0),
+        blob(v(0.060, 0.258, 0.025), v(0.025, 0.010, 0.03), -5.0),
+        blob(v(0.0, 0.240, 0.050), v(0.010, 0.010, 0.03), -4.0),
     ]);
 }
 
-fn neck_and_head(figure: &mut Sculpture) {
+fn neck_and_head(figure: &mut BodySdf) {
     let neck = column(
         2.0,
         [0.02, 0.02],
@@ -156,17 +160,17 @@ fn neck_and_head(figure: &mut Sculpture) {
             [0.400, 0.0, 0.056, 0.060, -0.052],
         ],
     );
-    figure.parts.push(Part::new(neck, 0.035));
+    figure.parts.push(SdfPart::new(neck, 0.035));
     let trapezius = chain(&[
         ([0.018, 0.325, -0.040], 0.026),
         ([0.052, 0.276, -0.045], 0.026),
         ([0.100, 0.246, -0.040], 0.025),
         ([0.170, 0.230, -0.030], 0.022),
     ]);
-    figure.parts.push(Part::new(trapezius, 0.05).paired());
+    figure.parts.push(SdfPart::new(trapezius, 0.05).mirrored());
 
     let skull = ellipsoid(v(0.0, 0.4534, 0.0139), v(0.0777, 0.0966, 0.1008));
-    figure.parts.push(Part::new(skull, 0.03));
+    figure.parts.push(SdfPart::new(skull, 0.03));
     let face = column(
         2.1,
         [0.012, 0.03],
@@ -179,7 +183,7 @@ fn neck_and_head(figure: &mut Sculpture) {
             [0.466, 0.0, 0.0693, 0.1095, -0.0008],
         ],
     );
-    figure.parts.push(Part::new(face, 0.03));
+    figure.parts.push(SdfPart::new(face, 0.03));
     let middle = [
         // Muzzle, chin, nose.
         (ellipsoid(v(0.0, 0.3652, 0.0916), v(0.034, 0.031, 0.025)), 0.025),
@@ -193,7 +197,7 @@ fn neck_and_head(figure: &mut Sculpture) {
             0.01,
         ),
     ];
-    figure.parts.extend(middle.into_iter().map(|(form, blend)| Part::new(form, blend)));
+    figure.parts.extend(middle.into_iter().map(|(form, blend)| SdfPart::new(form, blend)));
     let sides = [
         // Cheek, cheek bone, jaw, brow, eye, wing of the nose.
         (ellipsoid(v(0.0347, 0.3862, 0.079), v(0.0284, 0.0336, 0.0273)), 0.03),
@@ -203,7 +207,9 @@ fn neck_and_head(figure: &mut Sculpture) {
         (ellipsoid(v(0.0326, 0.4335, 0.0925), v(0.0140, 0.0095, 0.0140)), 0.003),
         (ellipsoid(v(0.0115, 0.3972, 0.1147), v(0.0086, 0.0076, 0.011)), 0.008),
     ];
-    figure.parts.extend(sides.into_iter().map(|(form, blend)| Part::new(form, blend).paired()));
+    figure
+        .parts
+        .extend(sides.into_iter().map(|(form, blend)| SdfPart::new(form, blend).mirrored()));
     let ear = [
         (
             turned_ellipsoid(
@@ -215,26 +221,26 @@ fn neck_and_head(figure: &mut Sculpture) {
         ),
         (ellipsoid(v(0.0750, 0.398, 0.006), v(0.0075, 0.012, 0.010)), 0.012),
     ];
-    figure.parts.extend(ear.into_iter().map(|(form, blend)| Part::new(form, blend)));
-    figure.dabs.extend([
+    figure.parts.extend(ear.into_iter().map(|(form, blend)| SdfPart::new(form, blend)));
+    figure.blobs.extend([
         // Eye sockets, temples.
-        dab(v(0.0326, 0.4330, 0.1074), v(0.0163, 0.0105, 0.0315), -7.5),
-        dab(v(0.0326, 0.4180, 0.1000), v(0.0150, 0.0055, 0.0300), -2.5),
-        dab(v(0.0735, 0.4597, 0.0622), v(0.021, 0.0231, 0.0263), -3.0),
+        blob(v(0.0326, 0.4330, 0.1074), v(0.0163, 0.0105, 0.0315), -7.5),
+        blob(v(0.0326, 0.4180, 0.1000), v(0.0150, 0.0055, 0.0300), -2.5),
+        blob(v(0.0735, 0.4597, 0.0622), v(0.021, 0.0231, 0.0263), -3.0),
         // Lips, the line between them, the hollows above and below.
-        dab(v(0.0, 0.3735, 0.1158), v(0.0150, 0.0046, 0.021), 3.0),
-        dab(v(0.0, 0.3580, 0.1147), v(0.0145, 0.0050, 0.021), 3.5),
-        dab(v(0.0, 0.3660, 0.1158), v(0.0200, 0.0034, 0.021), -4.5),
-        dab(v(0.0, 0.3470, 0.1115), v(0.0180, 0.0055, 0.021), -2.5),
-        dab(v(0.0, 0.3841, 0.1158), v(0.0042, 0.0063, 0.021), -1.5),
+        blob(v(0.0, 0.3735, 0.1158), v(0.0150, 0.0046, 0.021), 3.0),
+        blob(v(0.0, 0.3580, 0.1147), v(0.0145, 0.0050, 0.021), 3.5),
+        blob(v(0.0, 0.3660, 0.1158), v(0.0200, 0.0034, 0.021), -4.5),
+        blob(v(0.0, 0.3470, 0.1115), v(0.0180, 0.0055, 0.021), -2.5),
+        blob(v(0.0, 0.3841, 0.1158), v(0.0042, 0.0063, 0.021), -1.5),
         // Adam's apple, hollow of the nape, shell of the ear.
-        dab(v(0.0, 0.295, 0.045), v(0.008, 0.012, 0.02), 2.5),
-        dab(v(0.0, 0.345, -0.055), v(0.012, 0.030, 0.03), -3.0),
-        dab(v(0.0872, 0.4219, 0.0076), v(0.0105, 0.0147, 0.0074), -4.0),
+        blob(v(0.0, 0.295, 0.045), v(0.008, 0.012, 0.02), 2.5),
+        blob(v(0.0, 0.345, -0.055), v(0.012, 0.030, 0.03), -3.0),
+        blob(v(0.0872, 0.4219, 0.0076), v(0.0105, 0.0147, 0.0074), -4.0),
     ]);
 }
 
-fn leg(figure: &mut Sculpture) {
+fn leg(figure: &mut BodySdf) {
     let leg = column(
         2.0,
         [0.05, 0.02],
@@ -255,28 +261,28 @@ fn leg(figure: &mut Sculpture) {
             [-0.240, 0.082, 0.076, 0.060, -0.070],
         ],
     );
-    figure.parts.push(Part::new(leg, 0.035).paired());
-    figure.dabs.extend([
+    figure.parts.push(SdfPart::new(leg, 0.035).mirrored());
+    figure.blobs.extend([
         // Outer and inner thigh muscles above the knee, kneecap and the hollows beside it.
-        dab(v(0.150, -0.540, 0.030), v(0.03, 0.090, 0.04), 4.0),
-        dab(v(0.070, -0.625, 0.040), v(0.02, 0.035, 0.03), 5.0),
-        dab(v(0.102, -0.685, 0.056), v(0.020, 0.024, 0.03), 6.0),
-        dab(v(0.102, -0.745, 0.045), v(0.013, 0.016, 0.03), 4.0),
-        dab(v(0.140, -0.690, 0.035), v(0.012, 0.030, 0.02), -4.0),
-        dab(v(0.066, -0.690, 0.035), v(0.012, 0.026, 0.02), -3.0),
-        dab(v(0.102, -0.695, -0.055), v(0.018, 0.030, 0.03), -5.0),
+        blob(v(0.150, -0.540, 0.030), v(0.03, 0.090, 0.04), 4.0),
+        blob(v(0.070, -0.625, 0.040), v(0.02, 0.035, 0.03), 5.0),
+        blob(v(0.102, -0.685, 0.056), v(0.020, 0.024, 0.03), 6.0),
+        blob(v(0.102, -0.745, 0.045), v(0.013, 0.016, 0.03), 4.0),
+        blob(v(0.140, -0.690, 0.035), v(0.012, 0.030, 0.02), -4.0),
+        blob(v(0.066, -0.690, 0.035), v(0.012, 0.026, 0.02), -3.0),
+        blob(v(0.102, -0.695, -0.055), v(0.018, 0.030, 0.03), -5.0),
         // The calf's two heads, shin, Achilles tendon, ankle bones.
-        dab(v(0.072, -0.835, -0.055), v(0.022, 0.060, 0.03), 6.0),
-        dab(v(0.134, -0.815, -0.050), v(0.022, 0.055, 0.03), 5.0),
-        dab(v(0.085, -0.900, 0.025), v(0.014, 0.110, 0.02), -3.0),
-        dab(v(0.122, -1.050, -0.055), v(0.012, 0.045, 0.018), -5.0),
-        dab(v(0.076, -1.050, -0.055), v(0.012, 0.045, 0.018), -5.0),
-        dab(v(0.134, -1.086, -0.034), v(0.014, 0.014, 0.014), 5.0),
-        dab(v(0.064, -1.076, -0.026), v(0.014, 0.014, 0.014), 5.0),
+        blob(v(0.072, -0.835, -0.055), v(0.022, 0.060, 0.03), 6.0),
+        blob(v(0.134, -0.815, -0.050), v(0.022, 0.055, 0.03), 5.0),
+        blob(v(0.085, -0.900, 0.025), v(0.014, 0.110, 0.02), -3.0),
+        blob(v(0.122, -1.050, -0.055), v(0.012, 0.045, 0.018), -5.0),
+        blob(v(0.076, -1.050, -0.055), v(0.012, 0.045, 0.018), -5.0),
+        blob(v(0.134, -1.086, -0.034), v(0.014, 0.014, 0.014), 5.0),
+        blob(v(0.064, -1.076, -0.026), v(0.014, 0.014, 0.014), 5.0),
     ]);
 }
 
-fn foot(figure: &mut Sculpture) {
+fn foot(figure: &mut BodySdf) {
     // Along z: centre x, half-widths inner and outer, centre y, down, up.
     let rows: [[f64; 7]; 8] = [
         [-0.066, 0.094, 0.026, 0.026, -1.128, 0.024, 0.024],
@@ -288,18 +294,18 @@ fn foot(figure: &mut Sculpture) {
         [0.115, 0.109, 0.044, 0.044, -1.141, 0.013, 0.013],
         [0.128, 0.109, 0.040, 0.040, -1.143, 0.010, 0.010],
     ];
-    let stations: Vec<Station> = rows
+    let stations: Vec<CrossSection> = rows
         .iter()
-        .map(|&[at, x, inner, outer, y, down, up]| Station {
+        .map(|&[at, x, inner, outer, y, down, up]| CrossSection {
             at,
             centre: [x, y],
             half: [inner, outer, down, up],
         })
         .collect();
-    let sole = Form::Tube(Tube::new(2, 2.5, [0.018, 0.010], &stations));
-    figure.parts.push(Part::new(sole, 0.03));
+    let sole = Primitive::Tube(Tube::new(2, 2.5, [0.018, 0.010], &stations));
+    figure.parts.push(SdfPart::new(sole, 0.03));
     let instep = chain(&[([0.097, -1.075, -0.020], 0.030), ([0.100, -1.112, 0.050], 0.020)]);
-    figure.parts.push(Part::new(instep, 0.03));
+    figure.parts.push(SdfPart::new(instep, 0.03));
     let toes: [([f64; 3], [f64; 3], f64); 5] = [
         ([0.079, -1.140, 0.110], [0.080, -1.142, 0.156], 0.0135),
         ([0.1015, -1.141, 0.118], [0.103, -1.1445, 0.158], 0.0098),
@@ -308,16 +314,16 @@ fn foot(figure: &mut Sculpture) {
         ([0.1490, -1.144, 0.090], [0.154, -1.1465, 0.118], 0.0084),
     ];
     for (base, tip, radius) in toes {
-        figure.parts.push(Part::new(chain(&[(base, radius), (tip, radius * 0.95)]), 0.008));
+        figure.parts.push(SdfPart::new(chain(&[(base, radius), (tip, radius * 0.95)]), 0.008));
     }
-    figure.dabs.extend([
+    figure.blobs.extend([
         // Arch of the foot, ball, Achilles tendon.
-        dab(v(0.070, -1.148, 0.020), v(0.020, 0.014, 0.032), -7.0),
-        dab(v(0.072, -1.145, 0.100), v(0.014, 0.014, 0.018), 3.0),
+        blob(v(0.070, -1.148, 0.020), v(0.020, 0.014, 0.032), -7.0),
+        blob(v(0.072, -1.145, 0.100), v(0.014, 0.014, 0.018), 3.0),
     ]);
 }
 
-fn arm(figure: &mut Sculpture) {
+fn arm(figure: &mut BodySdf) {
     // Along x: centre y, half-widths down and up, centre z, back and front.
     let rows: [[f64; 7]; 14] = [
         [0.120, 0.200, 0.046, 0.046, -0.025, 0.056, 0.050],
@@ -335,33 +341,33 @@ fn arm(figure: &mut Sculpture) {
         [0.682, 0.216, 0.020, 0.020, -0.045, 0.029, 0.028],
         [0.705, 0.216, 0.018, 0.018, -0.045, 0.031, 0.031],
     ];
-    let stations: Vec<Station> = rows
+    let stations: Vec<CrossSection> = rows
         .iter()
-        .map(|&[at, y, down, up, z, back, front]| Station {
+        .map(|&[at, y, down, up, z, back, front]| CrossSection {
             at,
             centre: [y, z],
             half: [down, up, back, front],
         })
         .collect();
-    let arm = Form::Tube(Tube::new(0, 2.0, [0.03, 0.01], &stations));
-    figure.parts.push(Part::new(arm, 0.035));
+    let arm = Primitive::Tube(Tube::new(0, 2.0, [0.03, 0.01], &stations));
+    figure.parts.push(SdfPart::new(arm, 0.035));
     let deltoid =
         turned_ellipsoid(v(0.190, 0.220, -0.026), v(0.070, 0.039, 0.056), v(0.0, 0.0, -0.10));
-    figure.parts.push(Part::new(deltoid, 0.03));
-    figure.dabs.extend([
+    figure.parts.push(SdfPart::new(deltoid, 0.03));
+    figure.blobs.extend([
         // Biceps (front), triceps (back), end of the deltoid, elbow point, flexors of the forearm.
-        dab(v(0.325, 0.218, 0.010), v(0.045, 0.022, 0.02), 5.0),
-        dab(v(0.310, 0.212, -0.080), v(0.050, 0.024, 0.02), 5.0),
-        dab(v(0.262, 0.255, -0.030), v(0.016, 0.02, 0.04), -2.5),
-        dab(v(0.428, 0.216, -0.080), v(0.014, 0.016, 0.02), 5.0),
-        dab(v(0.432, 0.216, -0.004), v(0.020, 0.020, 0.02), -3.0),
-        dab(v(0.490, 0.200, -0.005), v(0.040, 0.022, 0.02), 4.0),
-        dab(v(0.500, 0.235, -0.070), v(0.045, 0.018, 0.02), 3.0),
-        dab(v(0.676, 0.234, -0.068), v(0.010, 0.012, 0.010), 3.0),
+        blob(v(0.325, 0.218, 0.010), v(0.045, 0.022, 0.02), 5.0),
+        blob(v(0.310, 0.212, -0.080), v(0.050, 0.024, 0.02), 5.0),
+        blob(v(0.262, 0.255, -0.030), v(0.016, 0.02, 0.04), -2.5),
+        blob(v(0.428, 0.216, -0.080), v(0.014, 0.016, 0.02), 5.0),
+        blob(v(0.432, 0.216, -0.004), v(0.020, 0.020, 0.02), -3.0),
+        blob(v(0.490, 0.200, -0.005), v(0.040, 0.022, 0.02), 4.0),
+        blob(v(0.500, 0.235, -0.070), v(0.045, 0.018, 0.02), 3.0),
+        blob(v(0.676, 0.234, -0.068), v(0.010, 0.012, 0.010), 3.0),
     ]);
 }
 
-fn hand(figure: &mut Sculpture) {
+fn hand(figure: &mut BodySdf) {
     // Along x: centre y, half-widths down and up, centre z, back and front.
     let rows: [[f64; 7]; 5] = [
         [0.690, 0.216, 0.018, 0.018, -0.045, 0.028, 0.028],
@@ -370,16 +376,16 @@ fn hand(figure: &mut Sculpture) {
         [0.765, 0.216, 0.013, 0.013, -0.046, 0.042, 0.042],
         [0.778, 0.216, 0.011, 0.012, -0.046, 0.041, 0.041],
     ];
-    let stations: Vec<Station> = rows
+    let stations: Vec<CrossSection> = rows
         .iter()
-        .map(|&[at, y, down, up, z, back, front]| Station {
+        .map(|&[at, y, down, up, z, back, front]| CrossSection {
             at,
             centre: [y, z],
             half: [down, up, back, front],
         })
         .collect();
-    let palm = Form::Tube(Tube::new(0, 2.5, [0.01, 0.008], &stations));
-    figure.parts.push(Part::new(palm, 0.012));
+    let palm = Primitive::Tube(Tube::new(0, 2.5, [0.01, 0.008], &stations));
+    figure.parts.push(SdfPart::new(palm, 0.012));
     // Index, middle, ring and little finger: knuckle, middle joint, end joint, tip.
     let fingers: [[([f64; 3], f64); 4]; 4] = [
         [
@@ -408,7 +414,7 @@ fn hand(figure: &mut Sculpture) {
         ],
     ];
     for finger in &fingers {
-        figure.parts.push(Part::new(chain(finger), 0.005));
+        figure.parts.push(SdfPart::new(chain(finger), 0.005));
     }
     let thumb = chain(&[
         ([0.706, 0.210, -0.026], 0.0150),
@@ -416,15 +422,15 @@ fn hand(figure: &mut Sculpture) {
         ([0.764, 0.202, 0.024], 0.0112),
         ([0.790, 0.200, 0.038], 0.0090),
     ]);
-    figure.parts.push(Part::new(thumb, 0.010));
-    figure.dabs.extend([
+    figure.parts.push(SdfPart::new(thumb, 0.010));
+    figure.blobs.extend([
         // Hollow of the palm, heel of the hand, knuckles.
-        dab(v(0.745, 0.200, -0.046), v(0.022, 0.012, 0.014), -4.0),
-        dab(v(0.730, 0.202, -0.072), v(0.025, 0.012, 0.012), 3.0),
-        dab(v(0.772, 0.230, -0.016), v(0.007, 0.008, 0.007), 2.0),
-        dab(v(0.776, 0.230, -0.037), v(0.007, 0.008, 0.007), 2.0),
-        dab(v(0.772, 0.230, -0.058), v(0.007, 0.008, 0.007), 2.0),
-        dab(v(0.765, 0.228, -0.077), v(0.007, 0.008, 0.007), 1.5),
+        blob(v(0.745, 0.200, -0.046), v(0.022, 0.012, 0.014), -4.0),
+        blob(v(0.730, 0.202, -0.072), v(0.025, 0.012, 0.012), 3.0),
+        blob(v(0.772, 0.230, -0.016), v(0.007, 0.008, 0.007), 2.0),
+        blob(v(0.776, 0.230, -0.037), v(0.007, 0.008, 0.007), 2.0),
+        blob(v(0.772, 0.230, -0.058), v(0.007, 0.008, 0.007), 2.0),
+        blob(v(0.765, 0.228, -0.077), v(0.007, 0.008, 0.007), 1.5),
     ]);
 }
 

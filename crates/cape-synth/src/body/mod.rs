@@ -34,7 +34,7 @@ pub const FACES: usize = 13776;
 /// standard deviation each: stature, weight, limb length, legs against trunk, shoulder width, hip
 /// width, belly, chest, muscle, head size.
 pub fn synthetic_body() -> SmplModel {
-    let skin = surface::skin(&figure::sculpture());
+    let skin = surface::symmetric_mesh(&figure::body_sdf());
     let joints = figure::joints();
     let weights = rig::blend_weights(&skin);
     let regressor = rig::joint_regressor(&skin, &joints);

@@ -86,7 +86,7 @@ pub(super) fn polygonise(
     let cells: [usize; 3] = std::array::from_fn(|axis| grid.lines[axis].len() - 1);
     let corners = grid.lines.iter().map(Vec::len).product();
     let mut samples = Samples { grid, field, values: vec![f32::NAN; corners] };
-    let mut mesh = Tetrahedral::default();
+    let mut mesh = TriangleCollector::default();
     let mut seen = vec![false; corners];
 
     let mut start: [usize; 3] = std::array::from_fn(|axis| {
@@ -132,13 +132,13 @@ pub(super) fn polygonise(
 
 /// The triangles collected so far.
 #[derive(Default)]
-struct Tetrahedral {
+struct TriangleCollector {
     vertices: Vec<DVec3>,
     faces: Vec<[u32; 3]>,
     on_edge: HashMap<(usize, usize), u32>,
 }
 
-impl Tetrahedral {
+impl TriangleCollector {
     fn march(&mut self, grid: &Grid, corner: [usize; 4], value: [f32; 4], positive: bool) {
         let mut order: [usize; 4] = [0, 1, 2, 3];
         order.sort_by_key(|&i| value[i] >= 0.0);

@@ -7,7 +7,7 @@
 use glam::DVec3;
 
 /// A triangle surface under change.
-pub(super) struct Surface<'a> {
+pub(super) struct EditableMesh<'a> {
     /// Vertex positions; removed vertices keep a meaningless one.
     pub(super) position: Vec<DVec3>,
     face: Vec<[u32; 3]>,
@@ -25,7 +25,7 @@ struct Edge {
     opposite: Vec<u32>,
 }
 
-impl<'a> Surface<'a> {
+impl<'a> EditableMesh<'a> {
     /// Takes over a surface; `field` is the wanted edge length up to a common factor.
     pub(super) fn new(
         position: Vec<DVec3>,

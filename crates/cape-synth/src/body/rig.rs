@@ -4,7 +4,7 @@ use glam::{DMat4, DVec3, DVec4};
 
 use super::{
     figure::{MIRRORED, parent, ramp},
-    surface::{Skin, neighbours},
+    surface::{SymmetricMesh, neighbours},
 };
 use cape_core::joints::JOINTS;
 
@@ -13,7 +13,7 @@ pub(super) type Weights = [f64; JOINTS];
 
 /// How far each vertex follows each joint, `[6890][24]`: at most four joints a vertex, rows sum
 /// to 1, mirror images of each other.
-pub(super) fn blend_weights(skin: &Skin) -> Vec<Weights> {
+pub(super) fn blend_weights(skin: &SymmetricMesh) -> Vec<Weights> {
     let around = neighbours(skin.vertices.len(), &skin.faces);
     let mut rows: Vec<Weights> = skin.vertices.iter().map(|&p| row(p)).collect();
     for _ in 0..4 {
@@ -130,7 +130,7 @@ pub(super) type Row = Vec<(usize, f64)>;
 /// For each joint the vertices around it and weights that average them to the joint exactly,
 /// sum to 1 and are positive: of all such weights those nearest (in relative entropy) to a
 /// Gaussian around the joint.
-pub(super) fn joint_regressor(skin: &Skin, joints: &[DVec3; JOINTS]) -> Vec<Row> {
+pub(super) fn joint_regressor(skin: &SymmetricMesh, joints: &[DVec3; JOINTS]) -> Vec<Row> {
     let mut rows: Vec<Row> = joints.iter().map(|&joint| regressor_row(skin, joint)).collect();
     for right in (0..JOINTS).filter(|&j| MIRRORED[j] < j) {
         rows[right] =
@@ -140,7 +140,7 @@ pub(super) fn joint_regressor(skin: &Skin, joints: &[DVec3; JOINTS]) -> Vec<Row>
     rows
 }
 
-fn regressor_row(skin: &Skin, joint: DVec3) -> Row {
+fn regressor_row(skin: &SymmetricMesh, joint: DVec3) -> Row {
     let mut near: Vec<(f64, usize)> =
         skin.vertices.iter().enumerate().map(|(v, p)| (p.distance_squared(joint), v)).collect();
     near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -158,7 +158,7 @@ fn regressor_row(skin: &Skin, joint: DVec3) -> Row {
 }
 
 /// Newton's method on the dual of: minimise relative entropy to `prior` subject to the moments.
-fn least_informative(skin: &Skin, joint: DVec3, prior: &[(usize, f64)]) -> Option<Row> {
+fn least_informative(skin: &SymmetricMesh, joint: DVec3, prior: &[(usize, f64)]) -> Option<Row> {
     const SCALE: f64 = 20.0;
     const LARGEST: f64 = 0.2;
     let features: Vec<DVec4> =

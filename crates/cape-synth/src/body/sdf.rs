@@ -10,7 +10,7 @@ const MARGIN: f64 = 0.02;
 
 /// A cross-section of a [`Tube`]: where it is along the axis, its centre and its four half-widths.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Station {
+pub(super) struct CrossSection {
     /// Position along the tube's axis.
     pub(super) at: f64,
     /// Centre in the two other coordinates (in the order x, y, z with the axis left out).
@@ -34,7 +34,12 @@ pub(super) struct Tube {
 
 impl Tube {
     /// A tube through `stations` (ascending); `caps` are the lengths of its rounded ends.
-    pub(super) fn new(axis: usize, exponent: f64, caps: [f64; 2], stations: &[Station]) -> Self {
+    pub(super) fn new(
+        axis: usize,
+        exponent: f64,
+        caps: [f64; 2],
+        stations: &[CrossSection],
+    ) -> Self {
         let at: Vec<f64> = stations.iter().map(|s| s.at).collect();
         let values: Vec<[f64; 6]> = stations
             .iter()
@@ -135,9 +140,9 @@ fn scaled_norm_distance(d: DVec3, radii: DVec3, n: f64) -> f64 {
     (norm - 1.0) / gradient.length()
 }
 
-/// The form of a [`Part`].
+/// The form of a [`SdfPart`].
 #[derive(Debug, Clone)]
-pub(super) enum Form {
+pub(super) enum Primitive {
     /// A generalised cylinder.
     Tube(Tube),
     /// A chain of spheres joined by cones: centre and radius of each.
@@ -153,7 +158,7 @@ pub(super) enum Form {
     },
 }
 
-impl Form {
+impl Primitive {
     fn distance(&self, p: DVec3) -> f64 {
         match self {
             Self::Tube(tube) => tube.distance(p),
@@ -194,8 +199,8 @@ fn cone_distance(p: DVec3, (a, ra): (DVec3, f64), (b, rb): (DVec3, f64)) -> f64 
 
 /// One implicit part and how softly it joins those before it.
 #[derive(Debug, Clone)]
-pub(super) struct Part {
-    form: Form,
+pub(super) struct SdfPart {
+    form: Primitive,
     blend: f64,
     /// Whether the mirrored part on the other side is blended with this one near x = 0.
     paired: bool,
@@ -203,16 +208,16 @@ pub(super) struct Part {
     high: DVec3,
 }
 
-impl Part {
+impl SdfPart {
     /// A part that joins what came before it within `blend` metres.
-    pub(super) fn new(form: Form, blend: f64) -> Self {
+    pub(super) fn new(form: Primitive, blend: f64) -> Self {
         let (low, high) = form.bounds();
         let reach = blend + MARGIN;
         Self { form, blend, paired: false, low: low - reach, high: high + reach }
     }
 
     /// The same part, blended with its mirror image across x = 0.
-    pub(super) fn paired(mut self) -> Self {
+    pub(super) fn mirrored(mut self) -> Self {
         self.paired = true;
         self
     }
@@ -232,7 +237,7 @@ impl Part {
 
 /// A soft dab of clay on (or, with a negative amount, a thumb's dent in) the surface.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Dab {
+pub(super) struct Blob {
     /// Centre.
     pub(super) centre: DVec3,
     /// Standard deviations along the three axes.
@@ -241,7 +246,7 @@ pub(super) struct Dab {
     pub(super) amount: f64,
 }
 
-impl Dab {
+impl Blob {
     /// Height of the dab at `p`.
     pub(super) fn height(&self, p: DVec3) -> f64 {
         let q = ((p - self.centre) / self.spread).length_squared();
@@ -257,14 +262,14 @@ fn smooth_min(a: f64, b: f64, k: f64) -> f64 {
 
 /// A mirrored figure of blended parts and dabs.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Sculpture {
+pub(super) struct BodySdf {
     /// Blended in order.
-    pub(super) parts: Vec<Part>,
+    pub(super) parts: Vec<SdfPart>,
     /// Added to the blended parts.
-    pub(super) dabs: Vec<Dab>,
+    pub(super) blobs: Vec<Blob>,
 }
 
-impl Sculpture {
+impl BodySdf {
     /// Approximate signed distance at `p`, negative inside.
     pub(super) fn distance(&self, p: DVec3) -> f64 {
         let p = DVec3::new(p.x.abs(), p.y, p.z);
@@ -273,7 +278,7 @@ impl Sculpture {
         if d > 2.0 * MARGIN {
             return d;
         }
-        d - self.dabs.iter().map(|dab| dab.height(p)).sum::<f64>()
+        d - self.blobs.iter().map(|dab| dab.height(p)).sum::<f64>()
     }
 
     /// Distance and gradient at `p` by differences over a small tetrahedron.

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::{
     figure::{MIRRORED, parent},
     rig::Weights,
-    surface::{Skin, normals},
+    surface::{SymmetricMesh, normals},
 };
 use cape_core::joints::JOINTS;
 
@@ -14,19 +14,19 @@ pub(super) const DIRECTIONS: usize = 10;
 
 /// A local swelling along the surface normal: centre, spread and height at one standard
 /// deviation, millimetres, on both sides of the body.
-type Swelling = ([f64; 3], [f64; 3], f64);
+type Bulge = ([f64; 3], [f64; 3], f64);
 
 /// How the body changes per standard deviation of one direction: relative growth of each joint's
 /// part along x, y and z (`(joint, growth)`, left joints standing for both sides), and swellings.
-struct Direction {
+struct ShapeDirection {
     growth: &'static [(usize, [f64; 3])],
-    swellings: &'static [Swelling],
+    swellings: &'static [Bulge],
 }
 
 /// Stature; weight; limb length; legs against trunk; shoulder width; hip width; belly; chest;
 /// muscle; head size.
-const SHAPES: [Direction; DIRECTIONS] = [
-    Direction {
+const SHAPES: [ShapeDirection; DIRECTIONS] = [
+    ShapeDirection {
         growth: &[
             (0, [0.024, 0.036, 0.022]),
             (3, [0.022, 0.036, 0.022]),
@@ -46,7 +46,7 @@ const SHAPES: [Direction; DIRECTIONS] = [
         ],
         swellings: &[],
     },
-    Direction {
+    ShapeDirection {
         growth: &[
             (0, [0.055, 0.0, 0.070]),
             (3, [0.085, 0.0, 0.110]),
@@ -72,7 +72,7 @@ const SHAPES: [Direction; DIRECTIONS] = [
             ([0.000, 0.325, 0.070], [0.030, 0.015, 0.030], 3.0),
         ],
     },
-    Direction {
+    ShapeDirection {
         growth: &[
             (16, [0.060, 0.0, 0.0]),
             (18, [0.065, 0.0, 0.0]),
@@ -85,7 +85,7 @@ const SHAPES: [Direction; DIRECTIONS] = [
         ],
         swellings: &[],
     },
-    Direction {
+    ShapeDirection {
         growth: &[
             (0, [0.0, -0.035, 0.0]),
             (3, [0.0, -0.048, 0.0]),
@@ -97,7 +97,7 @@ const SHAPES: [Direction; DIRECTIONS] = [
         ],
         swellings: &[],
     },
-    Direction {
+    ShapeDirection {
         growth: &[
             (9, [0.030, 0.0, 0.010]),
             (13, [0.105, 0.020, 0.020]),
@@ -106,14 +106,14 @@ const SHAPES: [Direction; DIRECTIONS] = [
         ],
         swellings: &[([0.120, 0.090, -0.040], [0.040, 0.070, 0.070], 3.0)],
     },
-    Direction {
+    ShapeDirection {
         growth: &[(0, [0.062, 0.0, 0.020]), (1, [0.030, 0.0, 0.015]), (3, [0.016, 0.0, 0.0])],
         swellings: &[
             ([0.165, -0.330, 0.000], [0.035, 0.070, 0.070], 5.0),
             ([0.080, -0.320, -0.115], [0.055, 0.065, 0.050], 4.0),
         ],
     },
-    Direction {
+    ShapeDirection {
         growth: &[(3, [0.012, 0.0, 0.020]), (6, [0.006, 0.0, 0.015])],
         swellings: &[
             ([0.030, -0.110, 0.105], [0.060, 0.075, 0.060], 9.0),
@@ -121,14 +121,14 @@ const SHAPES: [Direction; DIRECTIONS] = [
             ([0.120, -0.110, 0.020], [0.040, 0.050, 0.060], 4.0),
         ],
     },
-    Direction {
+    ShapeDirection {
         growth: &[(9, [0.016, 0.0, 0.030]), (6, [0.008, 0.0, 0.012])],
         swellings: &[
             ([0.075, 0.100, 0.100], [0.042, 0.042, 0.050], 9.0),
             ([0.080, 0.130, -0.110], [0.060, 0.070, 0.040], 2.0),
         ],
     },
-    Direction {
+    ShapeDirection {
         growth: &[
             (3, [-0.010, 0.0, -0.010]),
             (12, [0.030, 0.0, 0.030]),
@@ -150,7 +150,7 @@ const SHAPES: [Direction; DIRECTIONS] = [
             ([0.135, -0.820, -0.055], [0.025, 0.060, 0.040], 3.0),
         ],
     },
-    Direction {
+    ShapeDirection {
         growth: &[(15, [0.034, 0.034, 0.034]), (12, [0.015, 0.010, 0.015])],
         swellings: &[],
     },
@@ -159,7 +159,7 @@ const SHAPES: [Direction; DIRECTIONS] = [
 /// The shape directions, metres per standard deviation, `[10][6890]`: mutually orthogonal and
 /// symmetric; a later direction is what it adds to the earlier ones.
 pub(super) fn shape_directions(
-    skin: &Skin,
+    skin: &SymmetricMesh,
     weights: &[Weights],
     joints: &[DVec3; JOINTS],
 ) -> Vec<Vec<DVec3>> {
@@ -181,8 +181,8 @@ fn dot(a: &[DVec3], b: &[DVec3]) -> f64 {
 }
 
 fn displacement(
-    shape: &Direction,
-    skin: &Skin,
+    shape: &ShapeDirection,
+    skin: &SymmetricMesh,
     normals: &[DVec3],
     weights: &[Weights],
     joints: &[DVec3; JOINTS],
@@ -215,7 +215,7 @@ fn displacement(
 }
 
 /// Sum of the swellings' heights at `p`, metres.
-fn swelling(swellings: &[Swelling], p: DVec3) -> f64 {
+fn swelling(swellings: &[Bulge], p: DVec3) -> f64 {
     let mirrored = DVec3::new(-p.x, p.y, p.z);
     swellings
         .iter()

@@ -5,12 +5,12 @@ use glam::DVec3;
 use super::{
     VERTICES, figure,
     polygonise::{Grid, polygonise},
-    remesh::Surface,
-    sdf::Sculpture,
+    remesh::EditableMesh,
+    sdf::BodySdf,
 };
 
 /// A closed mesh that is its own mirror image in x = 0.
-pub(super) struct Skin {
+pub(super) struct SymmetricMesh {
     /// Positions, `[6890]`.
     pub(super) vertices: Vec<DVec3>,
     /// Outward-oriented triangles, `[13776]`.
@@ -20,12 +20,12 @@ pub(super) struct Skin {
 }
 
 /// The mesh of `figure`'s sculpture.
-pub(super) fn skin(sculpture: &Sculpture) -> Skin {
+pub(super) fn symmetric_mesh(sculpture: &BodySdf) -> SymmetricMesh {
     let (position, face) = half(sculpture);
     mirrored(&position, &face)
 }
 
-fn half(sculpture: &Sculpture) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+fn half(sculpture: &BodySdf) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     let grid = Grid::new(
         DVec3::new(0.0, -1.2, -0.18),
         DVec3::new(0.90, 0.60, 0.20),
@@ -35,7 +35,7 @@ fn half(sculpture: &Sculpture) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     );
     let inside = DVec3::new(0.0, 0.3, 0.0);
     let (position, face) = polygonise(&grid, |p| sculpture.distance(p), inside);
-    let mut surface = Surface::new(position, face, &figure::edge_size);
+    let mut surface = EditableMesh::new(position, face, &figure::edge_size);
     let mut scale = 0.0206;
     surface.coarsen(0.5 * scale, 0.8);
     surface.relax(0.5, &|p| sculpture.project(p, 1));
@@ -63,7 +63,7 @@ const ROUNDS: usize = 10;
 
 /// The half surface with its mirror image, numbered outwards in rings from the top of the head so
 /// that neighbours are near each other in memory.
-fn mirrored(position: &[DVec3], face: &[[u32; 3]]) -> Skin {
+fn mirrored(position: &[DVec3], face: &[[u32; 3]]) -> SymmetricMesh {
     let mut image = Vec::with_capacity(position.len());
     let mut vertices = position.to_vec();
     for (v, p) in position.iter().enumerate() {
@@ -100,7 +100,7 @@ fn mirrored(position: &[DVec3], face: &[[u32; 3]]) -> Skin {
         })
         .collect();
     faces.sort_unstable();
-    Skin {
+    SymmetricMesh {
         vertices: order.iter().map(|&v| vertices[v as usize]).collect(),
         faces,
         mirror: order.iter().map(|&v| number[mirror[v as usize] as usize]).collect(),

@@ -103,7 +103,7 @@ fn triangles_are_well_shaped_and_face_outwards() {
 
 #[test]
 fn vertices_lie_on_the_figure() {
-    let sculpture = figure::sculpture();
+    let sculpture = figure::body_sdf();
     for p in points(&BODY.v_template) {
         let off = sculpture.distance(p).abs();
         assert!(off < 2e-4, "{off} m at {p}");
@@ -112,7 +112,7 @@ fn vertices_lie_on_the_figure() {
 
 #[test]
 fn limbs_stay_apart_at_rest() {
-    let sculpture = figure::sculpture();
+    let sculpture = figure::body_sdf();
     // Between the legs, under the arms, between the fingers.
     let free = [
         [0.0, -0.45, 0.0],

@@ -3,11 +3,11 @@
 use glam::DVec3;
 
 use super::{
-    bend::{Bend, Bends},
-    garment::{Garment, Shirt, Trousers},
-    hang::Hang,
+    drape_offsets::DrapeOffsets,
+    garment::{OutfitStyle, Shirt, Trousers},
+    joint_bends::{JointBend, JointBends},
 };
-use crate::regions::{LimbSite, Regions, Site, joint};
+use crate::regions::{LimbSite, Regions, VertexSite, joint};
 
 /// Thickness of the cloth with the air under it at a seam, metres.
 const CLOTH: f64 = 0.002;
@@ -16,14 +16,14 @@ const HEM: f64 = 0.004;
 
 /// How far inside its hems each garment is at a vertex, metres; negative outside.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Reach {
-    pub(super) shirt: Inside,
-    pub(super) trousers: Inside,
+pub(super) struct HemDistances {
+    pub(super) shirt: HemDistance,
+    pub(super) trousers: HemDistance,
 }
 
 /// Distance from a vertex to the nearest hem of a garment that covers it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Inside {
+pub(super) struct HemDistance {
     /// Metres; negative outside.
     pub(super) distance: f64,
     /// Unit, towards the hem.
@@ -32,12 +32,12 @@ pub(super) struct Inside {
     pub(super) cover: f64,
 }
 
-impl Inside {
+impl HemDistance {
     const NOT: Self = Self { distance: -1.0, hem: DVec3::ZERO, cover: 0.0 };
 
     /// The last vertices before a hem's curve and those just beyond are laid on it, so it covers
     /// half an edge more.
-    fn new(site: &Site, hems: &[(f64, DVec3)]) -> Self {
+    fn new(site: &VertexSite, hems: &[(f64, DVec3)]) -> Self {
         let nearest = hems.iter().min_by(|a, b| a.0.total_cmp(&b.0));
         nearest.map_or(Self::NOT, |&(distance, hem)| Self {
             distance,
@@ -47,10 +47,10 @@ impl Inside {
     }
 }
 
-impl Reach {
-    pub(super) fn new(regions: &Regions, site: &Site, garment: &Garment) -> Self {
+impl HemDistances {
+    pub(super) fn new(regions: &Regions, site: &VertexSite, garment: &OutfitStyle) -> Self {
         if !site.clothed {
-            return Self { shirt: Inside::NOT, trousers: Inside::NOT };
+            return Self { shirt: HemDistance::NOT, trousers: HemDistance::NOT };
         }
         let (shirt, trousers) = (&garment.shirt, &garment.trousers);
         let joints = &regions.joints;
@@ -60,16 +60,16 @@ impl Reach {
         if site.arm_weight > 0.5 {
             let left = (shirt.sleeve_end[site.side] - site.arm.along) * site.arm.length;
             let hems = [(left, site.arm.axis), (collar.max(0.03), DVec3::ZERO)];
-            return Self { shirt: Inside::new(site, &hems), trousers: Inside::NOT };
+            return Self { shirt: HemDistance::new(site, &hems), trousers: HemDistance::NOT };
         }
         let above = p.y - hem(joints, site, shirt, waist);
-        let over = Inside::new(site, &[(above, DVec3::NEG_Y), (collar, -NECKLINE)]);
+        let over = HemDistance::new(site, &[(above, DVec3::NEG_Y), (collar, -NECKLINE)]);
         let under = (waist - p.y, DVec3::Y);
         let trousers = if site.leg_weight > 0.3 {
             let left = (trousers.leg_end[site.side] - site.leg.along) * site.leg.length;
-            Inside::new(site, &[under, (left, site.leg.axis)])
+            HemDistance::new(site, &[under, (left, site.leg.axis)])
         } else {
-            Inside::new(site, &[under])
+            HemDistance::new(site, &[under])
         };
         Self { shirt: over, trousers }
     }
@@ -86,7 +86,7 @@ fn collar(joints: &[DVec3], p: DVec3) -> f64 {
 }
 
 /// Height of the shirt's hem at a vertex.
-fn hem(joints: &[DVec3], site: &Site, shirt: &Shirt, waist: f64) -> f64 {
+fn hem(joints: &[DVec3], site: &VertexSite, shirt: &Shirt, waist: f64) -> f64 {
     if shirt.tucked {
         return waist - 0.03;
     }
@@ -101,23 +101,28 @@ fn hem(joints: &[DVec3], site: &Site, shirt: &Shirt, waist: f64) -> f64 {
 }
 
 /// What is the same at a vertex for both garments of a frame.
-pub(super) struct Frame<'a> {
-    pub(super) garment: &'a Garment,
-    pub(super) bends: &'a Bends,
+pub(super) struct DrapeContext<'a> {
+    pub(super) garment: &'a OutfitStyle,
+    pub(super) bends: &'a JointBends,
     /// Seconds.
     pub(super) time: f64,
 }
 
 /// Displacement split into its normal part and the rest.
 #[derive(Debug, Clone, Copy, Default)]
-struct Lift {
+struct SplitDisplacement {
     normal: f64,
     shift: DVec3,
 }
 
-impl Frame<'_> {
+impl DrapeContext<'_> {
     /// The clothing displacement at a vertex, metres.
-    pub(super) fn displacement(&self, site: &Site, hang: &Hang, reach: &Reach) -> DVec3 {
+    pub(super) fn displacement(
+        &self,
+        site: &VertexSite,
+        hang: &DrapeOffsets,
+        reach: &HemDistances,
+    ) -> DVec3 {
         let (shirt, trousers) = (reach.shirt.cover, reach.trousers.cover);
         if shirt + trousers <= 0.0 {
             return DVec3::ZERO;
@@ -125,8 +130,8 @@ impl Frame<'_> {
         let down: DVec3 =
             site.bones.iter().map(|&(joint, weight)| self.bends.down[joint] * weight).sum();
         let crumple = self.crumple(site);
-        let mut upper = Lift::default();
-        let mut lower = Lift::default();
+        let mut upper = SplitDisplacement::default();
+        let mut lower = SplitDisplacement::default();
         if shirt > 0.0 {
             upper = self.shirt(site, hang, reach.shirt, down, crumple);
         }
@@ -142,8 +147,15 @@ impl Frame<'_> {
         site.normal * normal.min(room(site)) + shift
     }
 
-    fn shirt(&self, site: &Site, hang: &Hang, inside: Inside, down: DVec3, crumple: Lift) -> Lift {
-        let Garment { shirt, outfit, .. } = self.garment;
+    fn shirt(
+        &self,
+        site: &VertexSite,
+        hang: &DrapeOffsets,
+        inside: HemDistance,
+        down: DVec3,
+        crumple: SplitDisplacement,
+    ) -> SplitDisplacement {
+        let OutfitStyle { shirt, outfit, .. } = self.garment;
         let side = site.side;
         let arm = smooth((site.arm_weight - 0.2) / 0.6);
         let hanging = (1.0 - site.height).clamp(0.0, 1.15);
@@ -164,7 +176,8 @@ impl Frame<'_> {
         };
         let ease = mix(shirt.ease * body_fit, shirt.sleeve_ease * sleeve_fit, arm);
         let facing = site.normal.dot(down);
-        let mut lift = Lift { normal: CLOTH + ease * stand_off(facing), shift: DVec3::ZERO };
+        let mut lift =
+            SplitDisplacement { normal: CLOTH + ease * stand_off(facing), shift: DVec3::ZERO };
 
         // Folds that hang from chest and shoulder blades.
         let body = 1.0 - arm;
@@ -217,13 +230,13 @@ impl Frame<'_> {
 
     fn trousers(
         &self,
-        site: &Site,
-        hang: &Hang,
-        inside: Inside,
+        site: &VertexSite,
+        hang: &DrapeOffsets,
+        inside: HemDistance,
         down: DVec3,
-        crumple: Lift,
-    ) -> Lift {
-        let Garment { trousers, outfit, .. } = self.garment;
+        crumple: SplitDisplacement,
+    ) -> SplitDisplacement {
+        let OutfitStyle { trousers, outfit, .. } = self.garment;
         let side = site.side;
         let leg = smooth((site.leg_weight - 0.25) / 0.5);
         let reached = (site.leg.along / trousers.leg_end[side]).clamp(0.0, 1.0);
@@ -231,7 +244,7 @@ impl Frame<'_> {
         let ease = trousers.ease * mix(0.15 + 0.55 * below_waist, fit(trousers, reached), leg);
         let facing = site.normal.dot(down);
         let back = smooth(0.5 - 0.5 * site.angle.cos());
-        let mut lift = Lift {
+        let mut lift = SplitDisplacement {
             normal: CLOTH
                 + ease * stand_off(facing)
                 + trousers.seat * back * below_waist * (1.0 - leg),
@@ -278,10 +291,10 @@ impl Frame<'_> {
     }
 
     /// The random pattern of dents, and the cloth dragged with them.
-    fn crumple(&self, site: &Site) -> Lift {
+    fn crumple(&self, site: &VertexSite) -> SplitDisplacement {
         let bend = self.bends.waist.angle * self.bends.waist.inside.z;
         let drift = 0.25 * (0.9 * self.time + self.garment.sway[0]).sin();
-        let mut lift = Lift::default();
+        let mut lift = SplitDisplacement::default();
         for wave in &self.garment.crumple {
             let phase = wave.vector.dot(site.position) + wave.phase + wave.follow * bend + drift;
             let (sin, cos) = phase.sin_cos();
@@ -293,10 +306,10 @@ impl Frame<'_> {
     }
 }
 
-impl Lift {
+impl SplitDisplacement {
     /// Keeps the cloth off the skin, lets a hem stand out a little, and lays the last vertices
     /// inside it on the hem's curve.
-    fn finish(self, site: &Site, inside: Inside) -> Self {
+    fn finish(self, site: &VertexSite, inside: HemDistance) -> Self {
         let above = self.normal - 0.0015;
         let lifted = 0.0015 + 0.5 * (above + above.hypot(0.003));
         let seam = 0.0014 * (-(inside.distance / 0.012).powi(2)).exp();
@@ -322,7 +335,7 @@ fn free(facing: f64) -> f64 {
 }
 
 /// Room for cloth between the thighs.
-fn room(site: &Site) -> f64 {
+fn room(site: &VertexSite) -> f64 {
     let sign = if site.side == 0 { 1.0 } else { -1.0 };
     let inward = -site.normal.x * sign * smooth(site.leg_weight * 2.0);
     if inward > 0.1 { (0.85 * site.position.x.abs() / inward).max(0.001) } else { 0.08 }
@@ -388,7 +401,7 @@ impl Wrinkle {
 }
 
 /// Normal offset of the folds that a bent or turned joint throws, metres.
-fn wrinkles(site: &Site, bend: &Bend, shape: Wrinkle, phase: f64) -> f64 {
+fn wrinkles(site: &VertexSite, bend: &JointBend, shape: Wrinkle, phase: f64) -> f64 {
     let from = site.position - bend.centre;
     let along = from.dot(bend.axis);
     let across = from - bend.axis * along;

@@ -24,7 +24,7 @@ const MISFIT: f64 = 0.0003;
 ///
 /// See [`Wardrobe`](crate::Wardrobe) for an example.
 #[derive(Debug, Clone)]
-pub struct Garment {
+pub struct OutfitStyle {
     /// What is worn.
     pub outfit: Outfit,
     pub(super) seed: u64,
@@ -115,29 +115,29 @@ pub(super) struct Wave {
     pub(super) follow: f64,
 }
 
-impl Garment {
+impl OutfitStyle {
     pub(super) fn random(outfit: Outfit, seed: u64) -> Self {
         let rng = &mut ChaCha8Rng::seed_from_u64(seed);
         let shirt = Shirt::random(outfit.long_sleeves(), rng);
         let trousers = Trousers::random(outfit.long_legs(), rng);
         let crumple = (0..WAVES).map(|_| Wave::random(rng)).collect();
         let sway = [rng.random_range(0.0..TAU), rng.random_range(0.5..1.1)];
-        let misfit = (0..MISFIT_WAVES).map(|_| Wave::of_misfit(rng)).collect();
+        let misfit = (0..MISFIT_WAVES).map(|_| Wave::random_misfit(rng)).collect();
         Self { outfit, seed, shirt, trousers, crumple, sway, misfit }
     }
 
     /// These clothes, put on as `other` clothes are: what slips, turns and leans is taken from
     /// those, and folds move a little.
-    pub(super) fn put_on_as(self, other: Self) -> Self {
+    pub(super) fn with_fit_of(self, other: Self) -> Self {
         let waves = self.crumple.into_iter().zip(&other.crumple);
         Self {
             outfit: self.outfit,
             seed: other.seed,
-            shirt: self.shirt.put_on_as(&other.shirt),
-            trousers: self.trousers.put_on_as(&other.trousers),
+            shirt: self.shirt.with_fit_of(&other.shirt),
+            trousers: self.trousers.with_fit_of(&other.trousers),
             crumple: waves
                 .map(|(wave, other)| Wave {
-                    phase: nudged(wave.phase, other.phase, 2.0 * NUDGE),
+                    phase: shift_phase(wave.phase, other.phase, 2.0 * NUDGE),
                     amplitude: 0.8 * wave.amplitude + 0.6 * other.amplitude,
                     ..wave
                 })
@@ -158,7 +158,7 @@ impl Garment {
 const NUDGE: f64 = 0.12;
 
 /// `phase` moved by up to `share` of half a turn, as the angle `other` says.
-fn nudged(phase: f64, other: f64, share: f64) -> f64 {
+fn shift_phase(phase: f64, other: f64, share: f64) -> f64 {
     phase + share * (other - PI)
 }
 
@@ -188,13 +188,13 @@ impl Shirt {
         }
     }
 
-    fn put_on_as(self, other: &Self) -> Self {
+    fn with_fit_of(self, other: &Self) -> Self {
         let moved = |[count, phase, slant]: [f64; 3], other: [f64; 3]| {
-            [count, nudged(phase, other[1], NUDGE), slant + 0.3 * other[2]]
+            [count, shift_phase(phase, other[1], NUDGE), slant + 0.3 * other[2]]
         };
         Self {
             hem_slope: [0, 1].map(|i| 0.7 * self.hem_slope[i] + 0.7 * other.hem_slope[i]),
-            hem_wave: [self.hem_wave[0], nudged(self.hem_wave[1], other.hem_wave[1], NUDGE)],
+            hem_wave: [self.hem_wave[0], shift_phase(self.hem_wave[1], other.hem_wave[1], NUDGE)],
             twist: other.twist,
             sleeve_twist: other.sleeve_twist,
             sleeve_slide: other.sleeve_slide,
@@ -203,7 +203,7 @@ impl Shirt {
             folds: moved(self.folds, other.folds),
             gathers: moved(self.gathers, other.gathers),
             sleeve_phase: [0, 1]
-                .map(|i| nudged(self.sleeve_phase[i], other.sleeve_phase[i], NUDGE)),
+                .map(|i| shift_phase(self.sleeve_phase[i], other.sleeve_phase[i], NUDGE)),
             ..self
         }
     }
@@ -229,9 +229,9 @@ impl Trousers {
         }
     }
 
-    fn put_on_as(self, other: &Self) -> Self {
+    fn with_fit_of(self, other: &Self) -> Self {
         let moved =
-            |own: [f64; 2], other: [f64; 2]| [0, 1].map(|i| nudged(own[i], other[i], NUDGE));
+            |own: [f64; 2], other: [f64; 2]| [0, 1].map(|i| shift_phase(own[i], other[i], NUDGE));
         Self {
             waist: 0.7 * self.waist + 0.7 * other.waist,
             twist: other.twist,
@@ -259,7 +259,7 @@ impl Wave {
 }
 
 impl Wave {
-    fn of_misfit(rng: &mut ChaCha8Rng) -> Self {
+    fn random_misfit(rng: &mut ChaCha8Rng) -> Self {
         let length = rng.random_range(0.15..0.6);
         let random = |rng: &mut ChaCha8Rng| DVec3::from_array(std::array::from_fn(|_| normal(rng)));
         Self {

@@ -2,13 +2,13 @@
 //!
 //! Garments are described in a tailor's coordinates (`regions`): a shirt ends at a fraction of
 //! the arm and at a height above the hips, so that the same garment fits any body in SMPL's layout.
-//! A [`Garment`] is one person's, put on anew for every sequence; the pose then throws folds at elbows, shoulders, waist,
+//! A [`OutfitStyle`] is one person's, put on anew for every sequence; the pose then throws folds at elbows, shoulders, waist,
 //! hips and knees, shifts the cloth along the body and lets it sag.
 
-mod bend;
 mod drape;
+mod drape_offsets;
 mod garment;
-mod hang;
+mod joint_bends;
 
 use glam::DVec3;
 use ndarray::Array2;
@@ -18,11 +18,11 @@ use rand_distr::StandardNormal;
 
 use super::regions::{Regions, joint};
 use crate::{Error, Result};
-use bend::Bends;
 use cape_core::{Outfit, SmplModel};
-use drape::{Frame, Reach};
-pub use garment::Garment;
-use hang::{Hang, hangs};
+use drape::{DrapeContext, HemDistances};
+use drape_offsets::{DrapeOffsets, drape_offsets};
+pub use garment::OutfitStyle;
+use joint_bends::JointBends;
 
 /// Standard deviation of the simulated scanner's noise, metres.
 const SCAN_NOISE: f64 = 0.00015;
@@ -35,8 +35,8 @@ const SCAN_NOISE: f64 = 0.00015;
 ///
 /// let body = synthetic_body();
 /// let wardrobe = Wardrobe::new(&body, 7)?;
-/// let fitting = wardrobe.fit(wardrobe.garment(0, Outfit::ShortShort, 0));
-/// assert_eq!(fitting.garment().outfit, Outfit::ShortShort);
+/// let fitting = wardrobe.fit(wardrobe.outfit_style(0, Outfit::ShortShort, 0));
+/// assert_eq!(fitting.outfit_style().outfit, Outfit::ShortShort);
 /// // Clothes are where either garment covers the body, and nowhere else.
 /// let clothes = wardrobe.displacement(&fitting, &[0.0; 72], 0.0, None)?;
 /// for (moved, [upper, lower]) in clothes.rows().into_iter().zip(fitting.coverage()) {
@@ -48,7 +48,7 @@ const SCAN_NOISE: f64 = 0.00015;
 pub struct Wardrobe<'a> {
     model: &'a SmplModel,
     regions: Regions,
-    hangs: Vec<Hang>,
+    drape_offsets: Vec<DrapeOffsets>,
     seed: u64,
 }
 
@@ -56,20 +56,20 @@ pub struct Wardrobe<'a> {
 ///
 /// See [`Wardrobe`] for an example.
 #[derive(Debug, Clone)]
-pub struct Fitting {
-    garment: Garment,
-    reaches: Vec<Reach>,
+pub struct FittedOutfit {
+    garment: OutfitStyle,
+    hem_distances: Vec<HemDistances>,
 }
 
-impl Fitting {
+impl FittedOutfit {
     /// What is worn.
-    pub fn garment(&self) -> &Garment {
+    pub fn outfit_style(&self) -> &OutfitStyle {
         &self.garment
     }
 
     /// Whether upper and lower garment cover each vertex, `[vertices]`.
     pub fn coverage(&self) -> Vec<[bool; 2]> {
-        self.reaches
+        self.hem_distances
             .iter()
             .map(|reach| [reach.shirt.cover > 0.0, reach.trousers.cover > 0.0])
             .collect()
@@ -80,7 +80,7 @@ impl<'a> Wardrobe<'a> {
     /// A wardrobe for `model`, which must have SMPL's 24 joints; all of it follows from `seed`.
     pub fn new(model: &'a SmplModel, seed: u64) -> Result<Self> {
         let regions = Regions::new(model)?;
-        Ok(Self { model, hangs: hangs(&regions), regions, seed })
+        Ok(Self { model, drape_offsets: drape_offsets(&regions), regions, seed })
     }
 
     /// Vertices that clothes may cover: all but head, hands and feet, ascending.
@@ -98,17 +98,18 @@ impl<'a> Wardrobe<'a> {
     }
 
     /// The state of `outfit` on `subject` in the sequence numbered `sequence`.
-    pub fn garment(&self, subject: usize, outfit: Outfit, sequence: usize) -> Garment {
+    pub fn outfit_style(&self, subject: usize, outfit: Outfit, sequence: usize) -> OutfitStyle {
         let path = [2, subject as u64, outfit.index() as u64, sequence as u64];
-        let random = |path| Garment::random(outfit, mix_seed(self.seed, path));
-        random(&path[..3]).put_on_as(random(&path))
+        let random = |path| OutfitStyle::random(outfit, mix_seed(self.seed, path));
+        random(&path[..3]).with_fit_of(random(&path))
     }
 
     /// Lays `garment` out on the body.
-    pub fn fit(&self, garment: Garment) -> Fitting {
+    pub fn fit(&self, garment: OutfitStyle) -> FittedOutfit {
         let sites = self.regions.sites.iter();
-        let reaches = sites.map(|site| Reach::new(&self.regions, site, &garment)).collect();
-        Fitting { garment, reaches }
+        let hem_distances =
+            sites.map(|site| HemDistances::new(&self.regions, site, &garment)).collect();
+        FittedOutfit { garment, hem_distances }
     }
 
     /// The clothing displacement in canonical space, metres, `[vertices, 3]`.
@@ -118,7 +119,7 @@ impl<'a> Wardrobe<'a> {
     /// by a millimetre; `None` leaves both out.
     pub fn displacement(
         &self,
-        fitting: &Fitting,
+        fitting: &FittedOutfit,
         pose: &[f64],
         time: f64,
         noise: Option<u64>,
@@ -128,12 +129,12 @@ impl<'a> Wardrobe<'a> {
             return Err(Error::Argument(format!("pose of {} numbers: expected 72", pose.len())));
         }
         let pose: Vec<DVec3> = joints.iter().map(|&angles| DVec3::from(angles)).collect();
-        let bends = Bends::new(self.model, &self.regions, &pose);
-        let frame = Frame { garment: &fitting.garment, bends: &bends, time };
+        let bends = JointBends::new(self.model, &self.regions, &pose);
+        let frame = DrapeContext { garment: &fitting.garment, bends: &bends, time };
         let mut rng = noise
             .map(|number| ChaCha8Rng::seed_from_u64(mix_seed(fitting.garment.seed, &[3, number])));
         let mut values = Vec::with_capacity(3 * self.regions.sites.len());
-        let laid = self.hangs.iter().zip(&fitting.reaches);
+        let laid = self.drape_offsets.iter().zip(&fitting.hem_distances);
         for (site, (hang, reach)) in self.regions.sites.iter().zip(laid) {
             let moved = frame.displacement(site, hang, reach);
             let Some(rng) = &mut rng else {

@@ -9,8 +9,8 @@ use cape_core::{SmplModel, smpl::ClothingMask};
 use cape_graph::Weighting;
 use cape_model::{
     Cape,
-    release::{Released, check_vertices, infer},
-    tensorflow::Checkpoint as TensorFlow,
+    release::{ReleaseCheckpoint, check_vertices, infer},
+    tensorflow::TensorFlowCheckpoint as TensorFlow,
     weights,
 };
 use serde::Serialize;
@@ -18,10 +18,10 @@ use settings::Settings;
 
 use crate::{Error, Result};
 use cape_core::StagingDirectory;
-use cape_data::{LoaderState, Statistics};
+use cape_data::{DisplacementStatistics, LoaderState};
 use cape_infer::{
     RunConfig, RunPaths, build_graphs,
-    checkpoint::{Checkpoint, Progress},
+    checkpoint::{Checkpoint, TrainState},
 };
 
 /// What a checkpoint does not hold itself.
@@ -99,7 +99,7 @@ pub fn import(
 ) -> Result<ImportReport> {
     let tensorflow = TensorFlow::open(checkpoint)?;
     let about = |error: cape_model::Error| Error::format(tensorflow.prefix(), error.to_string());
-    let released = Released::read(&tensorflow)?;
+    let released = ReleaseCheckpoint::read(&tensorflow)?;
     let shapes = released.shapes();
     let mut config = RunConfig {
         model: infer(&shapes).map_err(about)?,
@@ -117,7 +117,7 @@ pub fn import(
 
     let body = SmplModel::load(&options.body)?;
     check_vertices(&config.model, &shapes, body.vertices()).map_err(about)?;
-    let statistics = Statistics::load(&options.statistics)?;
+    let statistics = DisplacementStatistics::load(&options.statistics)?;
     statistics
         .expect_vertices(body.vertices())
         .map_err(|error| Error::format(&options.statistics, error.to_string()))?;
@@ -140,11 +140,11 @@ pub fn import(
     })?;
     let momentum = |part| released.momentum(&config.model, part).map_err(about);
     let saved = Checkpoint {
-        progress: Progress {
+        progress: TrainState {
             step: released.step.unwrap_or(0),
             loader: LoaderState::new(config.train.seed),
             seconds: 0.0,
-            judged: (0.0, 0),
+            accuracy_sum: (0.0, 0),
             validation: None,
             best: None,
         },

@@ -3,16 +3,17 @@ mod names;
 use std::{path::PathBuf, sync::Arc, time::Instant};
 
 use cape_core::parse_device;
-use cape_data::{PackedSet, Part};
+use cape_data::{PackedSet, Split};
 use cape_eval::comparison::{
-    Measured, Method, Table, common_data, expect_alike, measure_run, training_seconds,
+    ComparisonTable, MethodResults, RunErrors, check_comparable, common_data, measure_run,
+    training_seconds,
 };
 use cape_infer::{Run, write_json};
 use clap::Args;
 use serde::Serialize;
 
 use crate::{
-    arguments::Global,
+    arguments::GlobalArgs,
     comparison,
     console::{Console, seconds},
     error::{Context, Result},
@@ -29,7 +30,7 @@ use crate::{
     after_help = "Examples:\n  cape compare run1 run2\n  cape compare runs/* --data packed --out \
                         comparison"
 )]
-pub(crate) struct Compare {
+pub(crate) struct CompareArgs {
     /// Training runs; the others are compared with the first.
     #[arg(value_name = "RUN", required = true)]
     runs: Vec<PathBuf>,
@@ -47,21 +48,21 @@ struct Report {
     runs: Vec<PathBuf>,
     seconds: f64,
     #[serde(flatten)]
-    table: Table,
+    table: ComparisonTable,
 }
 
-impl Compare {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl CompareArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let start = Instant::now();
         let device = parse_device(&global.device)?;
         let data = match self.data {
             Some(data) => data,
             None => common_data(&self.runs)?,
         };
-        let set = Arc::new(PackedSet::open(&data, Part::Test)?);
-        expect_alike(&self.runs, &set)?;
-        let names = names::of(&self.runs);
-        let mut results: Vec<(Measured, f64)> = Vec::new();
+        let set = Arc::new(PackedSet::open(&data, Split::Test)?);
+        check_comparable(&self.runs, &set)?;
+        let names = names::run_names(&self.runs);
+        let mut results: Vec<(RunErrors, f64)> = Vec::new();
         for (root, name) in self.runs.iter().zip(&names) {
             let run = Run::open(root, &device)?;
             let measured = console
@@ -72,10 +73,10 @@ impl Compare {
                 .doing(|| format!("measuring {}", root.display()))?;
             results.push((measured, training_seconds(run.paths())?));
         }
-        let methods: Vec<Method> = names
+        let methods: Vec<MethodResults> = names
             .iter()
             .zip(&results)
-            .map(|(name, (measured, seconds))| Method {
+            .map(|(name, (measured, seconds))| MethodResults {
                 name: name.clone(),
                 label: name.clone(),
                 results: vec![measured],
@@ -86,7 +87,7 @@ impl Compare {
             data,
             runs: self.runs,
             seconds: start.elapsed().as_secs_f64(),
-            table: Table::new(&methods, Some(0)),
+            table: ComparisonTable::new(&methods, Some(0)),
         };
         if let Some(out) = &self.out {
             files::create_dir(out)?;

@@ -7,7 +7,7 @@ use std::{
 };
 
 /// The runs' directories' names, with as many of those above them as it takes to tell them apart.
-pub(super) fn of(runs: &[PathBuf]) -> Vec<String> {
+pub(super) fn run_names(runs: &[PathBuf]) -> Vec<String> {
     let parts: Vec<Vec<String>> = runs.iter().map(|run| parts(run)).collect();
     let mut depths = vec![1; runs.len()];
     loop {
@@ -60,18 +60,18 @@ fn numbered(names: Vec<String>) -> Vec<String> {
 mod tests {
     use super::*;
 
-    fn of_paths(paths: &[&str]) -> Vec<String> {
-        of(&paths.iter().map(PathBuf::from).collect::<Vec<_>>())
+    fn from_paths(paths: &[&str]) -> Vec<String> {
+        run_names(&paths.iter().map(PathBuf::from).collect::<Vec<_>>())
     }
 
     #[test]
     fn names_are_short_and_different() {
-        assert_eq!(of_paths(&["/none/one", "/none/two/"]), ["one", "two"]);
+        assert_eq!(from_paths(&["/none/one", "/none/two/"]), ["one", "two"]);
         assert_eq!(
-            of_paths(&["/none/a/seed-1/run", "/none/b/seed-1/run", "/none/b/other"]),
+            from_paths(&["/none/a/seed-1/run", "/none/b/seed-1/run", "/none/b/other"]),
             ["a/seed-1/run", "b/seed-1/run", "other"]
         );
-        assert_eq!(of_paths(&["/none/run", "/none/run", "/none/x"]), ["run", "run (2)", "x"]);
-        assert_eq!(of_paths(&["/run", "/a/run"]), ["run", "a/run"]);
+        assert_eq!(from_paths(&["/none/run", "/none/run", "/none/x"]), ["run", "run (2)", "x"]);
+        assert_eq!(from_paths(&["/run", "/a/run"]), ["run", "a/run"]);
     }
 }

@@ -10,29 +10,29 @@ use std::{
 use burn::tensor::Device;
 use cape_core::silent;
 use cape_core::{Outfit, obj, parse_device};
-use cape_data::{PackOptions, Split, pack};
+use cape_data::{PackOptions, SplitSpec, pack};
 use cape_eval::{EvalOptions, EvalReport, PosteriorUse, evaluate};
 use cape_infer::{
-    Run, RunConfig, TrainConfig, Wearer,
-    prior::{Codes, DensityKind, Prior},
+    BodySpec, Run, RunConfig, TrainConfig,
+    prior::{DensityKind, LatentCodes, Prior},
     write_json,
 };
 use cape_model::{CapeConfig, LossConfig};
 use cape_stats::density::MixtureOptions;
 use cape_synth::{self, poses};
-use cape_train::{Event, Outcome, Trainer};
+use cape_train::{TrainEvent, TrainOutcome, Trainer};
 use clap::Args;
 
 use crate::{
-    arguments::Global,
+    arguments::GlobalArgs,
     commands::synth::split_of,
     console::Console,
-    dressed::{Dressed, bare, dress},
+    dressed_mesh::{DressedMesh, dress, unclothed_meshes},
     error::{Context, Error, Result},
     files, training,
 };
 use outcome::{Report, Stage};
-use pictures::Losses;
+use pictures::LossCurves;
 
 /// Training frames that show where each outfit's codes are.
 const CODE_FRAMES: usize = 256;
@@ -54,7 +54,7 @@ const BARE: &str = "bare";
 /// meshes, loss.png and contact_sheet.png.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape demo --out demo --minutes 5")]
-pub(crate) struct Demo {
+pub(crate) struct DemoArgs {
     /// Directory to write; an earlier demo there is replaced.
     #[arg(long, default_value = "demo", value_name = "DIR")]
     out: PathBuf,
@@ -71,7 +71,7 @@ fn positive(text: &str) -> Result<f64, String> {
 }
 
 /// What the demo works with.
-struct Setting {
+struct DemoContext {
     out: PathBuf,
     seed: u64,
     device: Device,
@@ -79,12 +79,12 @@ struct Setting {
     stages: Vec<Stage>,
 }
 
-impl Demo {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl DemoArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let start = Instant::now();
         let device = parse_device(&global.device)?;
         prepare(&self.out)?;
-        let mut setting = Setting {
+        let mut setting = DemoContext {
             out: self.out,
             seed: global.seed.unwrap_or(1),
             device,
@@ -115,7 +115,7 @@ pub(crate) fn captures(
     subjects: usize,
     frames: usize,
     seed: u64,
-) -> (cape_synth::SynthSpec, Split) {
+) -> (cape_synth::SynthSpec, SplitSpec) {
     let spec = cape_synth::SynthSpec {
         subjects,
         frames_per_sequence: frames,
@@ -124,7 +124,7 @@ pub(crate) fn captures(
         ..cape_synth::SynthSpec::default()
     };
     // Many takes of few frames, all of which are kept: clothes differ more between takes.
-    let split = Split { cut: 0, ..split_of(&spec) };
+    let split = SplitSpec { cut: 0, ..split_of(&spec) };
     (spec, split)
 }
 
@@ -171,7 +171,7 @@ fn prepare(out: &Path) -> Result {
     files::write_text(&out.join(MARKER), "Written by `cape demo`, which may replace it.\n")
 }
 
-impl Setting {
+impl DemoContext {
     fn path(&self, name: &str) -> PathBuf {
         self.out.join(name)
     }
@@ -196,7 +196,7 @@ impl Setting {
         let (spec, split) = captures(8, 2, self.seed);
         self.stage("synth", "eight subjects in four outfits, fifteen movements", |this| {
             let body = cape_synth::synthetic_body();
-            let synth = cape_synth::Synth::new(&body, spec)?;
+            let synth = cape_synth::CaptureGenerator::new(&body, spec)?;
             let write = |progress: &mut dyn FnMut(usize, usize)| synth.write(&raw, progress);
             Ok(this.console.while_showing("synth", "frames", write)?)
         })?;
@@ -215,15 +215,15 @@ impl Setting {
         })
     }
 
-    fn train(&mut self, deadline: Instant) -> Result<(Outcome, Losses)> {
+    fn train(&mut self, deadline: Instant) -> Result<(TrainOutcome, LossCurves)> {
         let config = recipe(self.seed);
         self.stage("train", "a narrow model with all eight levels", |this| {
             let (run, packed) = (this.path("run"), this.path("packed"));
             let mut trainer = Trainer::create(&run, &packed, None, None, config, &this.device)?;
-            let mut losses = Losses::default();
+            let mut losses = LossCurves::default();
             let outcome = training::run(&mut trainer, this.console, None, |event| {
-                losses.see(event);
-                matches!(event, Event::Step { .. }) && Instant::now() >= deadline
+                losses.on_event(event);
+                matches!(event, TrainEvent::Step { .. }) && Instant::now() >= deadline
             })?;
             if !outcome.finished {
                 this.console.note("the time for training is up; going on with what was learnt");
@@ -245,10 +245,11 @@ impl Setting {
     }
 
     /// Meshes of the bare body and of the four outfits, and the pictures.
-    fn pictures(&mut self, run: &Run, losses: &Losses) -> Result {
+    fn pictures(&mut self, run: &Run, losses: &LossCurves) -> Result {
         self.stage("sample", "four outfits, meshes and pictures", |this| {
             // After so few steps the codes do not fill the prior yet.
-            let seen = Codes::of_training(run, &this.path("packed"), CODE_FRAMES, &mut silent)?;
+            let seen =
+                LatentCodes::from_training(run, &this.path("packed"), CODE_FRAMES, &mut silent)?;
             let options = MixtureOptions::default();
             let prior = Prior::fit(&seen, DensityKind::Mixture(1), true, &options)?;
             let codes = prior.sample_each(TEMPERATURE, this.seed)?;
@@ -256,8 +257,9 @@ impl Setting {
             for (row, &(name, view)) in pictures::POSES.iter().enumerate() {
                 let pose = poses::preset(name)
                     .ok_or_else(|| Error::message(format!("there is no pose `{name}`")))?;
-                let wearers = Outfit::ALL.map(|outfit| Wearer { betas: Vec::new(), pose, outfit });
-                let mut bodies = bare(run, &wearers[..1])?;
+                let wearers =
+                    Outfit::ALL.map(|outfit| BodySpec { betas: Vec::new(), pose, outfit });
+                let mut bodies = unclothed_meshes(run, &wearers[..1])?;
                 dress(run, &codes, &wearers, |_, dressed| {
                     bodies.push(dressed);
                     Ok(())
@@ -273,7 +275,7 @@ impl Setting {
         })
     }
 
-    fn meshes(&self, bodies: &[Dressed]) -> Result {
+    fn meshes(&self, bodies: &[DressedMesh]) -> Result {
         let names = [BARE].into_iter().chain(Outfit::ALL.map(Outfit::name));
         for (name, body) in names.zip(bodies) {
             obj::write(self.path(&format!("{name}.obj")), &body.mesh, None)?;

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use cape_eval::EvalReport;
-use cape_train::Outcome;
+use cape_train::TrainOutcome;
 use serde::Serialize;
 
 use crate::{
@@ -25,7 +25,7 @@ pub(super) struct Report {
     pub(super) finished: bool,
     pub(super) seconds: f64,
     pub(super) stages: Vec<Stage>,
-    pub(super) training: Outcome,
+    pub(super) training: TrainOutcome,
     pub(super) evaluation: EvalReport,
 }
 
@@ -37,7 +37,7 @@ impl Report {
         }
         times.row(["all".to_owned(), seconds(self.seconds)]);
         let (model, base) = (self.evaluation.model.overall, self.evaluation.mean_shape.overall);
-        let Outcome { epochs, steps, .. } = &self.training;
+        let TrainOutcome { epochs, steps, .. } = &self.training;
         let stopped = if self.finished { "" } else { ", stopped by the time limit" };
         format!(
             "{}\n\n{}\n\ntrained for {steps} steps ({epochs} epochs{stopped})\nmean error {:.2} mm; \

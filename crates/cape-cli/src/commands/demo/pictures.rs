@@ -1,8 +1,8 @@
 use cape_core::Outfit;
 use cape_render::{Image, Plot, Series, Tile, View, contact_sheet as lay_out};
-use cape_train::Event;
+use cape_train::TrainEvent;
 
-use crate::{dressed::Dressed, error::Result};
+use crate::{dressed_mesh::DressedMesh, error::Result};
 
 /// Poses of the contact sheet, one a row, and from where each is seen.
 pub(super) const POSES: [(&str, View); 2] = [("a-pose", View::Front), ("walk", View::ThreeQuarter)];
@@ -10,7 +10,7 @@ pub(super) const POSES: [(&str, View); 2] = [("a-pose", View::Front), ("walk", V
 const TILE: [u32; 2] = [240, 352];
 
 /// Each row's bodies side by side: bare, then the outfits.
-pub(super) fn contact_sheet(rows: &[(View, Vec<Dressed>)]) -> Result<Image> {
+pub(super) fn contact_sheet(rows: &[(View, Vec<DressedMesh>)]) -> Result<Image> {
     let mut tiles = Vec::new();
     let labels = ["body"].into_iter().chain(Outfit::ALL.map(Outfit::name));
     let labels: Vec<&str> = labels.collect();
@@ -26,25 +26,25 @@ pub(super) fn contact_sheet(rows: &[(View, Vec<Dressed>)]) -> Result<Image> {
 
 /// What training reported, for a plot.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Losses {
+pub(super) struct LossCurves {
     train: Vec<(f64, f64)>,
     edge: Vec<(f64, f64)>,
     validation: Vec<(f64, f64)>,
     step: f64,
 }
 
-impl Losses {
-    pub(super) fn see(&mut self, event: &Event) {
+impl LossCurves {
+    pub(super) fn on_event(&mut self, event: &TrainEvent) {
         match event {
-            Event::Step { total_step, losses, .. } => {
+            TrainEvent::Step { total_step, losses, .. } => {
                 self.step = *total_step as f64;
                 self.train.push((self.step, losses.reconstruction));
                 self.edge.push((self.step, losses.edge));
             }
-            Event::Validation { losses, .. } => {
+            TrainEvent::Validation { losses, .. } => {
                 self.validation.push((self.step, losses.reconstruction));
             }
-            Event::Checkpoint { .. } => {}
+            TrainEvent::Checkpoint { .. } => {}
         }
     }
 

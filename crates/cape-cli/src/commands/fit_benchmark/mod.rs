@@ -5,20 +5,20 @@ mod store;
 use std::{path::PathBuf, process::ExitCode};
 
 use cape_core::parse_device;
-use cape_data::{PackedSet, Part};
-use cape_fit::benchmark::{Benchmark, BenchmarkOptions, Case};
+use cape_data::{PackedSet, Split};
+use cape_fit::benchmark::{Benchmark, BenchmarkCase, BenchmarkOptions};
 use cape_infer::{Run, write_json};
 use clap::Args;
 
 use crate::{
-    arguments::{Global, at_least_one},
+    arguments::{GlobalArgs, at_least_one},
     console::Console,
     error::{Context, Error, Result},
-    fitting::Method,
+    fitting::FitMethodArgs,
     interrupt::Interrupt,
 };
 use report::Report;
-use store::{Settings, Store};
+use store::{CaseStore, StoredSettings};
 
 /// Exit code of an interrupted benchmark: 128 + SIGINT.
 const INTERRUPTED: u8 = 130;
@@ -32,7 +32,7 @@ const INTERRUPTED: u8 = 130;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  cape fit-benchmark run --out fits\n  cape fit-benchmark run \
                         --noise 3 --dropped 0.1 --ragged 0.3 --out noisy")]
-pub(crate) struct FitBenchmark {
+pub(crate) struct FitBenchmarkArgs {
     /// A training run.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -58,11 +58,11 @@ pub(crate) struct FitBenchmark {
     #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
     ragged: f64,
     #[command(flatten)]
-    method: Method,
+    method: FitMethodArgs,
 }
 
-impl FitBenchmark {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result<ExitCode> {
+impl FitBenchmarkArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result<ExitCode> {
         let device = parse_device(&global.device)?;
         let options = self.options(global)?;
         let config = self.method.config()?;
@@ -71,9 +71,9 @@ impl FitBenchmark {
             Some(data) => data.clone(),
             None => run.data()?,
         };
-        let set = PackedSet::open(&data, Part::Test)?;
+        let set = PackedSet::open(&data, Split::Test)?;
         let smplify = self.method.smplify(run.body(), &config)?;
-        let settings = Settings {
+        let settings = StoredSettings {
             version: env!("CARGO_PKG_VERSION"),
             checkpoint: run.checkpoint().to_owned(),
             data,
@@ -82,11 +82,11 @@ impl FitBenchmark {
             options,
             config: &config,
         };
-        let store = Store::open(&self.out, &settings)?;
+        let store = CaseStore::open(&self.out, &settings)?;
         let interrupt = Interrupt::listen(console)?;
         let benchmark = Benchmark::new(&run, &set, &smplify, &config.clothed, options)?;
         let frames = benchmark.frames();
-        let mut cases: Vec<Case> = Vec::with_capacity(frames.len());
+        let mut cases: Vec<BenchmarkCase> = Vec::with_capacity(frames.len());
         let whole = console.while_showing("fit", "images", |progress| {
             for &frame in &frames {
                 if interrupt.was_asked() {
@@ -119,7 +119,7 @@ impl FitBenchmark {
         Ok(ExitCode::SUCCESS)
     }
 
-    fn options(&self, global: &Global) -> Result<BenchmarkOptions> {
+    fn options(&self, global: &GlobalArgs) -> Result<BenchmarkOptions> {
         let shares = [("--dropped", self.dropped), ("--ragged", self.ragged)];
         if let Some((name, share)) = shares.iter().find(|(_, s)| !(0.0..=1.0).contains(s)) {
             return Err(Error::message(format!("{name} {share}: expected 0 to 1")));

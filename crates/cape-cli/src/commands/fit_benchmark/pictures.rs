@@ -1,11 +1,11 @@
 use std::path::Path;
 
 use cape_fit::{
-    benchmark::{Benchmark, Case, Scene},
+    benchmark::{Benchmark, BenchmarkCase, Scene},
     silhouette::render,
 };
 use cape_infer::write_json;
-use cape_render::{Image, Plot, Series, Tile, colour_of, contact_sheet};
+use cape_render::{Image, Plot, Series, Tile, colormap, contact_sheet};
 use glam::DVec3;
 
 use crate::{error::Result, files, fitting};
@@ -16,8 +16,8 @@ const SIDE: u32 = 384;
 const FAR: f64 = 0.1;
 
 /// Best, median and worst by the clothed body's error.
-pub(super) fn chosen(cases: &[Case]) -> Vec<(&'static str, &Case)> {
-    let mut order: Vec<&Case> = cases.iter().collect();
+pub(super) fn chosen(cases: &[BenchmarkCase]) -> Vec<(&'static str, &BenchmarkCase)> {
+    let mut order: Vec<&BenchmarkCase> = cases.iter().collect();
     order.sort_by(|a, b| a.clothed.squared.total_cmp(&b.clothed.squared));
     let last = order.len().saturating_sub(1);
     let mut places = vec![("best", 0), ("median", last / 2), ("worst", last)];
@@ -28,7 +28,7 @@ pub(super) fn chosen(cases: &[Case]) -> Vec<(&'static str, &Case)> {
 
 /// A row for each of the chosen: silhouette, keypoints, SMPLify and CAPE with their distance from
 /// the truth in colour, and the truth.
-pub(super) fn sheet(benchmark: &Benchmark<'_>, chosen: &[(&str, &Case)]) -> Result<Image> {
+pub(super) fn sheet(benchmark: &Benchmark<'_>, chosen: &[(&str, &BenchmarkCase)]) -> Result<Image> {
     let mut tiles = Vec::new();
     for (name, case) in chosen {
         tiles.extend(row(benchmark, name, case)?);
@@ -39,7 +39,7 @@ pub(super) fn sheet(benchmark: &Benchmark<'_>, chosen: &[(&str, &Case)]) -> Resu
 
 /// Writes what a frame shows, as `cape fit` reads it: keypoints.json, mask.png, and the truth as
 /// image.png.
-pub(super) fn inputs(benchmark: &Benchmark<'_>, directory: &Path, case: &Case) -> Result {
+pub(super) fn inputs(benchmark: &Benchmark<'_>, directory: &Path, case: &BenchmarkCase) -> Result {
     let Scene { camera, keypoints, mask, truth } = benchmark.scene(case.frame)?;
     files::create_dir(directory)?;
     write_json(&directory.join("keypoints.json"), &keypoints.to_openpose())?;
@@ -49,11 +49,11 @@ pub(super) fn inputs(benchmark: &Benchmark<'_>, directory: &Path, case: &Case) -
     Ok(image.save(directory.join("image.png"))?)
 }
 
-fn row(benchmark: &Benchmark<'_>, name: &str, case: &Case) -> Result<[Tile; 5]> {
+fn row(benchmark: &Benchmark<'_>, name: &str, case: &BenchmarkCase) -> Result<[Tile; 5]> {
     let Scene { camera, keypoints, mask, truth } = benchmark.scene(case.frame)?;
     let [bare, clothed] = benchmark.surfaces(case)?;
     let faces = benchmark.faces();
-    let small = camera.within(SIDE);
+    let small = camera.downscaled_to(SIDE);
     let mut masks = Vec::new();
     for vertices in [&truth, &bare, &clothed] {
         masks.push(render(vertices, faces, &small)?.mask().clone());
@@ -67,10 +67,10 @@ fn row(benchmark: &Benchmark<'_>, name: &str, case: &Case) -> Result<[Tile; 5]> 
     let errors = |vertices: &[DVec3]| -> Result<Vec<[f32; 3]>> {
         let alignment = cape_fit::Alignment::between(vertices, &truth)?;
         let off = vertices.iter().zip(&truth).map(|(v, t)| alignment.apply(*v).distance(*t));
-        Ok(off.map(|distance| colour_of((distance / FAR) as f32)).collect())
+        Ok(off.map(|distance| colormap((distance / FAR) as f32)).collect())
     };
     let mut silhouette = fitting::paper(&small)?;
-    let given = mask.resized(small.width(), small.height());
+    let given = mask.resize(small.width(), small.height());
     fitting::difference(&mut silhouette, &given, &given);
     let mut marked = silhouette.clone();
     fitting::mark(&mut marked, &keypoints.scaled(small.focal() / camera.focal()));
@@ -91,8 +91,8 @@ fn row(benchmark: &Benchmark<'_>, name: &str, case: &Case) -> Result<[Tile; 5]> 
 }
 
 /// Mean errors of both methods, in order of each.
-pub(super) fn errors(cases: &[Case]) -> Result<Image> {
-    let sorted = |name: &str, of: fn(&Case) -> f64| {
+pub(super) fn errors(cases: &[BenchmarkCase]) -> Result<Image> {
+    let sorted = |name: &str, of: fn(&BenchmarkCase) -> f64| {
         let mut values: Vec<f64> = cases.iter().map(of).collect();
         values.sort_by(f64::total_cmp);
         let points = values.into_iter().enumerate().map(|(at, error)| ((at + 1) as f64, error));

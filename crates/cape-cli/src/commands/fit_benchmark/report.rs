@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
-use cape_fit::benchmark::{BenchmarkOptions, Case, Score, Summary};
-use cape_stats::Paired;
+use cape_fit::benchmark::{BenchmarkCase, BenchmarkOptions, BenchmarkSummary, MethodScores};
+use cape_stats::PairedComparison;
 use serde::Serialize;
 
 use crate::{error::Result, table::Table};
@@ -12,17 +12,26 @@ pub(super) struct Report {
     pub(super) out: PathBuf,
     options: BenchmarkOptions,
     #[serde(flatten)]
-    summary: Summary,
-    cases: Vec<Case>,
+    summary: BenchmarkSummary,
+    cases: Vec<BenchmarkCase>,
 }
 
 impl Report {
-    pub(super) fn new(out: PathBuf, options: BenchmarkOptions, cases: Vec<Case>) -> Result<Self> {
-        Ok(Self { summary: Summary::of(&cases, options.seed)?, out, options, cases })
+    pub(super) fn new(
+        out: PathBuf,
+        options: BenchmarkOptions,
+        cases: Vec<BenchmarkCase>,
+    ) -> Result<Self> {
+        Ok(Self {
+            summary: BenchmarkSummary::from_cases(&cases, options.seed)?,
+            out,
+            options,
+            cases,
+        })
     }
 
     pub(super) fn text(&self) -> String {
-        let Summary { bare, clothed, squared, distance_mm, outfits, .. } = &self.summary;
+        let BenchmarkSummary { bare, clothed, squared, distance_mm, outfits, .. } = &self.summary;
         let mut table = Table::new([
             "",
             "squared, cm²",
@@ -34,7 +43,7 @@ impl Report {
             "most",
         ]);
         for (name, score) in [("SMPLify", bare), ("with CAPE", clothed)] {
-            let Score { squared, distance_mm, intersection_over_union, seconds } = score;
+            let MethodScores { squared, distance_mm, intersection_over_union, seconds } = score;
             table.row([
                 name.to_owned(),
                 format!("{:.1}", 1e4 * squared.mean),
@@ -83,7 +92,7 @@ impl Report {
     }
 }
 
-fn comparison(paired: &Paired) -> String {
+fn comparison(paired: &PairedComparison) -> String {
     let percent = |share: f64| format!("{:.0} %", 100.0 * share);
     format!(
         "{} lower ({} to {}), better in {} of {}, p {}",

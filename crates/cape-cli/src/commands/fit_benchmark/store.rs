@@ -7,7 +7,7 @@ use std::{
 
 use cape_fit::{
     FitConfig,
-    benchmark::{BenchmarkOptions, Case},
+    benchmark::{BenchmarkCase, BenchmarkOptions},
 };
 use cape_infer::write_json;
 use serde::Serialize;
@@ -23,7 +23,7 @@ const FRAMES: &str = "frames";
 
 /// What a finished frame depends on.
 #[derive(Debug, Serialize)]
-pub(super) struct Settings<'a> {
+pub(super) struct StoredSettings<'a> {
     pub(super) version: &'static str,
     pub(super) checkpoint: PathBuf,
     pub(super) data: PathBuf,
@@ -36,13 +36,13 @@ pub(super) struct Settings<'a> {
 
 /// A benchmark's directory.
 #[derive(Debug)]
-pub(super) struct Store {
+pub(super) struct CaseStore {
     frames: PathBuf,
 }
 
-impl Store {
+impl CaseStore {
     /// Of a new directory, or of one with frames of the same settings.
-    pub(super) fn open(out: &Path, settings: &Settings<'_>) -> Result<Self> {
+    pub(super) fn open(out: &Path, settings: &StoredSettings<'_>) -> Result<Self> {
         let path = out.join(SETTINGS);
         let store = Self { frames: out.join(FRAMES) };
         let now = serde_json::to_value(settings)
@@ -71,13 +71,13 @@ impl Store {
     }
 
     /// A finished frame.
-    pub(super) fn case(&self, frame: usize) -> Result<Option<Case>> {
+    pub(super) fn case(&self, frame: usize) -> Result<Option<BenchmarkCase>> {
         let path = self.path(frame);
         if path.exists() { read(&path).map(Some) } else { Ok(None) }
     }
 
     /// Keeps a frame, and returns it as it will be read.
-    pub(super) fn keep(&self, case: Case) -> Result<Case> {
+    pub(super) fn keep(&self, case: BenchmarkCase) -> Result<BenchmarkCase> {
         let path = self.path(case.frame);
         write_json(&path, &case)?;
         read(&path)

@@ -10,17 +10,17 @@ use cape_core::{Outfit, parse_device};
 use cape_fit::{
     BodyParameters, PosePrior,
     scan::{
-        FreeConfig, FreeSurface, KnownJoints, Scan, ScanConfig, ScanFitter, ScanStart, Unit, Up,
-        free_displacement,
+        FreeFormConfig, FreeFormSurface, KnownJoints, Scan, ScanConfig, ScanFitter, ScanInit, Unit,
+        UpAxis, free_displacement,
     },
 };
 use cape_infer::Run;
 use cape_synth::poses;
 use clap::Args;
 
-use self::output::{Outcome, Written};
+use self::output::{OutputPaths, ScanOutput};
 use crate::{
-    arguments::Global,
+    arguments::GlobalArgs,
     console::{Console, seconds},
     error::{Context, Error, Result},
     files,
@@ -40,7 +40,7 @@ use crate::{
                   cape fit-scan run --scan person.obj --unit mm --up z --pose a-pose \
                   --free-displacement --out fitted"
 )]
-pub(crate) struct FitScan {
+pub(crate) struct FitScanArgs {
     /// A training run.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -58,7 +58,7 @@ pub(crate) struct FitScan {
     unit: Unit,
     /// The axis towards the head: x, y, z, -x, -y or -z.
     #[arg(long, default_value = "y", value_parser = up, allow_hyphen_values = true, value_name = "AXIS")]
-    up: Up,
+    up: UpAxis,
     /// A rough pose, as for `cape sample`; by default what people often do is tried.
     #[arg(long, value_name = "POSE", conflicts_with_all = ["joints", "initial"])]
     pose: Option<String>,
@@ -94,8 +94,8 @@ pub(crate) struct FitScan {
     frame: usize,
 }
 
-impl FitScan {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl FitScanArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         files::require_empty(&self.out)?;
         let outfits = match self.outfit.as_str() {
@@ -121,11 +121,12 @@ impl FitScan {
             .doing(|| format!("fitting {}", self.scan.display()))?;
         let surface = fitter.surface(&fit)?;
         let free = if self.free_displacement {
-            let config = FreeConfig { smooth: self.smooth, seed, ..FreeConfig::default() };
+            let config = FreeFormConfig { smooth: self.smooth, seed, ..FreeFormConfig::default() };
             let faces = &run.body().faces;
-            let found: FreeSurface = console.while_showing("displace", "steps", |progress| {
-                free_displacement(&scan, &surface, faces, &config, progress)
-            })?;
+            let found: FreeFormSurface =
+                console.while_showing("displace", "steps", |progress| {
+                    free_displacement(&scan, &surface, faces, &config, progress)
+                })?;
             Some(found)
         } else {
             None
@@ -133,7 +134,7 @@ impl FitScan {
         let took = clock.elapsed().as_secs_f64();
 
         let outcome =
-            Outcome { run: &run, fitter: &fitter, scan: &scan, fit, surface, free, up: self.up };
+            ScanOutput { run: &run, fitter: &fitter, scan: &scan, fit, surface, free, up: self.up };
         let report = outcome.write(&self, took)?;
         if !report.fit.normals_as_given {
             console.note("the scan's normals do not point outwards: they were turned or left out");
@@ -147,21 +148,21 @@ impl FitScan {
         console.result(&report, || text(&report))
     }
 
-    fn start(&self, prior: &PosePrior) -> Result<ScanStart> {
+    fn start(&self, prior: &PosePrior) -> Result<ScanInit> {
         if let Some(path) = &self.initial {
-            return Ok(ScanStart::Body(read_body(path)?));
+            return Ok(ScanInit::Body(read_body(path)?));
         }
         if let Some(path) = &self.joints {
             let metres = self.unit.metres();
-            return Ok(ScanStart::Joints(KnownJoints::load(path)?.scaled(metres)));
+            return Ok(ScanInit::Joints(KnownJoints::load(path)?.scaled(metres)));
         }
         if let Some(text) = &self.pose {
             let chosen = poses::poses(text)?.into_iter();
-            return Ok(ScanStart::Poses(
+            return Ok(ScanInit::Poses(
                 chosen.map(|(_, pose)| pose.map(f64::from).to_vec()).collect(),
             ));
         }
-        Ok(ScanStart::usual(prior))
+        Ok(ScanInit::default_poses(prior))
     }
 }
 
@@ -169,7 +170,7 @@ fn unit(text: &str) -> Result<Unit, String> {
     text.parse().map_err(|error: cape_fit::Error| error.to_string())
 }
 
-fn up(text: &str) -> Result<Up, String> {
+fn up(text: &str) -> Result<UpAxis, String> {
     text.parse().map_err(|error: cape_fit::Error| error.to_string())
 }
 
@@ -183,7 +184,7 @@ fn read_body(path: &Path) -> Result<BodyParameters> {
     Ok(serde_json::from_value(body.clone()).map_err(fault)?)
 }
 
-fn text(report: &Written) -> String {
+fn text(report: &OutputPaths) -> String {
     let distance = &report.fit.distance;
     let mut lines = vec![format!(
         "{} in {}: half of the scan within {:.1} mm of the surface, 95 % within {:.1} mm",

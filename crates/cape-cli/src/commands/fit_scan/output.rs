@@ -4,44 +4,44 @@ use std::path::{Path, PathBuf};
 
 use cape_core::{
     Mesh,
-    gltf::{self, Figure, Keyframe},
+    gltf::{self, Keyframe, SkinnedMesh},
     npy::write_npy,
     ply,
 };
 use cape_fit::scan::{
-    FreeSurface, Place, Registration, Scan, ScanDistance, ScanFit, ScanFitter, Up,
+    FrameLocation, FreeFormSurface, Registration, Scan, ScanDistance, ScanFit, ScanFitter, UpAxis,
 };
 use cape_infer::{Run, write_json};
 use glam::DVec3;
 use ndarray::{Array1, Array2};
 use serde::Serialize;
 
-use super::{FitScan, picture};
+use super::{FitScanArgs, picture};
 use crate::{error::Result, files};
 
 /// What was found.
-pub(super) struct Outcome<'a> {
+pub(super) struct ScanOutput<'a> {
     pub(super) run: &'a Run,
     pub(super) fitter: &'a ScanFitter,
     pub(super) scan: &'a Scan,
     pub(super) fit: ScanFit,
     /// Of the fit, `[V]`, metres.
     pub(super) surface: Vec<DVec3>,
-    pub(super) free: Option<FreeSurface>,
-    pub(super) up: Up,
+    pub(super) free: Option<FreeFormSurface>,
+    pub(super) up: UpAxis,
 }
 
 /// What was written.
 #[derive(Debug, Serialize)]
-pub(super) struct Written {
+pub(super) struct OutputPaths {
     pub(super) out: PathBuf,
     pub(super) fit: ScanFit,
-    pub(super) free: Option<Free>,
+    pub(super) free: Option<FreeFormOutput>,
     pub(super) seconds: f64,
 }
 
 #[derive(Debug, Serialize)]
-pub(super) struct Free {
+pub(super) struct FreeFormOutput {
     /// The frame in the raw tree.
     pub(super) registration: PathBuf,
     pub(super) distance: ScanDistance,
@@ -49,8 +49,8 @@ pub(super) struct Free {
     curves: Vec<Vec<f64>>,
 }
 
-impl Outcome<'_> {
-    pub(super) fn write(self, command: &FitScan, seconds: f64) -> Result<Written> {
+impl ScanOutput<'_> {
+    pub(super) fn write(self, command: &FitScanArgs, seconds: f64) -> Result<OutputPaths> {
         let out = &command.out;
         files::create_dir(out)?;
         let body = self.fitter.body();
@@ -76,30 +76,30 @@ impl Outcome<'_> {
         let bare_mesh = body.mesh_with(&bare.vertices);
         let sheet = picture::draw(self.scan, &bare_mesh, &surfaces, parameters, self.up)?;
         sheet.save(out.join("fit.png"))?;
-        let written = Written { out: out.clone(), fit: self.fit, free, seconds };
+        let written = OutputPaths { out: out.clone(), fit: self.fit, free, seconds };
         write_json(&out.join("fit.json"), &written)?;
         Ok(written)
     }
 
     fn write_registration(
         &self,
-        command: &FitScan,
+        command: &FitScanArgs,
         minimal: &Array2<f64>,
-        free: &FreeSurface,
-    ) -> Result<Free> {
+        free: &FreeFormSurface,
+    ) -> Result<FreeFormOutput> {
         let body = self.run.body();
         let displaced = mesh(&free.vertices, &body.faces);
         ply::write(command.out.join("displaced.ply"), &displaced, None)?;
         let parameters = &self.fit.parameters;
         let registration = Registration { body, minimal, parameters, vertices: &free.vertices };
-        let place = Place {
+        let place = FrameLocation {
             subject: command.subject.clone(),
             outfit: self.fit.outfit,
             sequence: command.sequence.clone(),
             number: command.frame,
         };
         let root = command.raw.clone().unwrap_or_else(|| command.out.join("raw"));
-        Ok(Free {
+        Ok(FreeFormOutput {
             registration: registration.write(&root, &place, self.run.clothing())?,
             distance: free.distance,
             moved_mm: free.moved,
@@ -112,7 +112,7 @@ impl Outcome<'_> {
         let body = self.fitter.body();
         let parameters = &self.fit.parameters;
         let frame = Registration { body, minimal, parameters, vertices }.frame()?;
-        let figure = Figure {
+        let figure = SkinnedMesh {
             name: "scan",
             body,
             rest: frame.v_cano,

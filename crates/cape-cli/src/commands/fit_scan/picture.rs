@@ -3,10 +3,10 @@
 use cape_core::Mesh;
 use cape_fit::{
     BodyParameters,
-    scan::{Scan, Up, distances_to},
+    scan::{Scan, UpAxis, distances_to},
 };
 use cape_render::{
-    Bounds, Camera, Image, Object, Projection, Style, Tile, View, colour_of, contact_sheet,
+    Bounds, Camera, Image, Object, Projection, Style, Tile, View, colormap, contact_sheet,
 };
 use glam::{DQuat, DVec3};
 
@@ -28,7 +28,7 @@ pub(super) fn draw(
     bare: &Mesh,
     surfaces: &[&[DVec3]],
     parameters: &BodyParameters,
-    up: Up,
+    up: UpAxis,
 ) -> Result<Image> {
     // Upright, and facing +z.
     let upright = up.to_y();
@@ -46,11 +46,11 @@ pub(super) fn draw(
     for (name, vertices) in ["clothed body", "displaced"].iter().zip(surfaces) {
         let colours: Vec<[f32; 3]> = distances_to(scan, vertices)
             .into_iter()
-            .map(|distance| colour_of((distance / SCALE) as f32))
+            .map(|distance| colormap((distance / SCALE) as f32))
             .collect();
         meshes.push((name, turned(mesh(vertices, &bare.faces)), Some(colours)));
     }
-    let bounds = Bounds::of_meshes(meshes[1..].iter().map(|(_, mesh, _)| mesh))
+    let bounds = Bounds::from_meshes(meshes[1..].iter().map(|(_, mesh, _)| mesh))
         .ok_or_else(|| Error::message("nothing to draw"))?;
     let [width, height] = SIZE;
     let aspect = width as f32 / height as f32;
@@ -60,7 +60,7 @@ pub(super) fn draw(
     for (name, mesh, colours) in &meshes {
         let object = Object::new(mesh);
         let object = match colours {
-            Some(colours) => object.coloured(colours),
+            Some(colours) => object.with_colours(colours),
             None => object,
         };
         let image = cape_render::render(&[object], &camera, &style)?;

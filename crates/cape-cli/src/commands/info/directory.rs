@@ -6,18 +6,18 @@ use std::{
 
 use cape_core::npy::npy_header;
 use cape_data::{
-    PackedSet, Part, STATISTICS_FILE,
+    PackedSet, STATISTICS_FILE, Split,
     raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
 };
 use cape_infer::RunConfig;
 
-use super::{Facts, file::run_config};
+use super::{FileSummary, file::run_config};
 use crate::{
     error::{Error, Result},
     mesh_file::has_extension,
 };
 
-pub(super) fn describe(path: &Path) -> Result<Facts> {
+pub(super) fn describe(path: &Path) -> Result<FileSummary> {
     let there = |name: &str| path.join(name).exists();
     if there("config.toml") {
         run(path)
@@ -39,11 +39,11 @@ pub(super) fn describe(path: &Path) -> Result<Facts> {
     }
 }
 
-fn run(path: &Path) -> Result<Facts> {
+fn run(path: &Path) -> Result<FileSummary> {
     let config = RunConfig::load(&path.join("config.toml"))?;
     let checkpoints: Vec<String> =
         entries(&path.join("checkpoints")).unwrap_or_default().iter().map(|p| name(p)).collect();
-    let facts = Facts::new("training run").with("checkpoints", checkpoints);
+    let facts = FileSummary::new("training run").with("checkpoints", checkpoints);
     let steps = fs::read_to_string(path.join("metrics.jsonl")).unwrap_or_default();
     let evaluated = path.join("eval.json").exists();
     Ok(run_config(facts, &config)
@@ -51,7 +51,7 @@ fn run(path: &Path) -> Result<Facts> {
         .with("evaluated", evaluated))
 }
 
-fn raw_tree(path: &Path) -> Result<Facts> {
+fn raw_tree(path: &Path) -> Result<FileSummary> {
     let (mut captures, mut frames) = (0, 0);
     let mut sequences = BTreeSet::new();
     let subjects: Vec<PathBuf> = raw::directories(&path.join("sequences"))?;
@@ -66,7 +66,7 @@ fn raw_tree(path: &Path) -> Result<Facts> {
     }
     let names: Vec<String> = subjects.iter().map(|path| name(path)).collect();
     let vertices = names.first().and_then(|subject| raw::read_minimal(path, subject).ok());
-    Ok(Facts::new("raw captures")
+    Ok(FileSummary::new("raw captures")
         .with("subjects", names)
         .with("sequences", sequences.len())
         .with("captures", captures)
@@ -75,9 +75,9 @@ fn raw_tree(path: &Path) -> Result<Facts> {
         .with("brings", brought(path, &[BODY_FILE, CLOTHING_FILE, SPLIT_FILE])))
 }
 
-fn packed(path: &Path) -> Result<Facts> {
-    let mut facts = Facts::new("packed set");
-    for part in [Part::Train, Part::Test] {
+fn packed(path: &Path) -> Result<FileSummary> {
+    let mut facts = FileSummary::new("packed set");
+    for part in [Split::Train, Split::Test] {
         let displacement = path.join(part.name()).join(format!("{part}_disp.npy"));
         if !displacement.exists() {
             continue;
@@ -102,7 +102,7 @@ fn packed(path: &Path) -> Result<Facts> {
         .with("brings", brought(path, &[BODY_FILE, CLOTHING_FILE, SPLIT_FILE, STATISTICS_FILE])))
 }
 
-fn pyramid(path: &Path) -> Result<Facts> {
+fn pyramid(path: &Path) -> Result<FileSummary> {
     let mut vertices = Vec::new();
     loop {
         let file = path.join(format!("A_{}.npz", vertices.len()));
@@ -112,7 +112,9 @@ fn pyramid(path: &Path) -> Result<Facts> {
         let shape = cape_core::npy::Npz::open(&file)?.i64("shape")?;
         vertices.push(shape.first().copied().unwrap_or_default());
     }
-    Ok(Facts::new("pyramid for SciPy").with("levels", vertices.len()).with("vertices", vertices))
+    Ok(FileSummary::new("pyramid for SciPy")
+        .with("levels", vertices.len())
+        .with("vertices", vertices))
 }
 
 /// Which of the files `names` are in `path`.

@@ -7,12 +7,12 @@ use crate::table::Table;
 
 /// What something is, and named values about it in the order they are said.
 #[derive(Debug, Clone)]
-pub(super) struct Facts {
+pub(super) struct FileSummary {
     kind: &'static str,
     entries: Vec<(String, Value)>,
 }
 
-impl Facts {
+impl FileSummary {
     pub(super) fn new(kind: &'static str) -> Self {
         Self { kind, entries: Vec::new() }
     }
@@ -40,7 +40,7 @@ impl Facts {
     }
 }
 
-impl Serialize for Facts {
+impl Serialize for FileSummary {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut map: BTreeMap<&str, &Value> =
             self.entries.iter().map(|(name, value)| (name.as_str(), value)).collect();

@@ -5,13 +5,13 @@ use cape_core::{
     npy::{Npz, npy_header, read_objects},
     pickle::Pickle,
 };
-use cape_data::{Split, Statistics, raw};
+use cape_data::{DisplacementStatistics, SplitSpec, raw};
 use cape_graph::{Level, MeshPyramid, Surface};
 use cape_infer::RunConfig;
-use cape_model::{tensorflow::Checkpoint, weights};
+use cape_model::{tensorflow::TensorFlowCheckpoint, weights};
 use ndarray::Array2;
 
-use super::Facts;
+use super::FileSummary;
 use crate::{
     error::{Error, Result},
     mesh_file::has_extension,
@@ -22,7 +22,7 @@ const MOST_OBJECTS: usize = 32;
 /// Entries of a pickled dictionary that are listed.
 const MOST_KEYS: usize = 200;
 
-pub(super) fn describe(path: &Path) -> Result<Facts> {
+pub(super) fn describe(path: &Path) -> Result<FileSummary> {
     let known = ["npz", "npy", "pkl", "obj", "ply", "safetensors", "toml", "index"];
     match known.into_iter().find(|extension| has_extension(path, extension)) {
         Some("npz") => archive(path),
@@ -40,7 +40,7 @@ pub(super) fn describe(path: &Path) -> Result<Facts> {
     }
 }
 
-fn archive(path: &Path) -> Result<Facts> {
+fn archive(path: &Path) -> Result<FileSummary> {
     let archive = Npz::open(path)?;
     let has = |names: &[&str]| names.iter().all(|name| archive.contains(name));
     if has(&["v_template", "shapedirs"]) {
@@ -49,14 +49,14 @@ fn archive(path: &Path) -> Result<Facts> {
     if has(&["version", "weighting", "v0"]) {
         let pyramid = MeshPyramid::load(path)?;
         let vertices: Vec<usize> = pyramid.levels().iter().map(Level::vertex_count).collect();
-        return Ok(Facts::new("mesh pyramid")
+        return Ok(FileSummary::new("mesh pyramid")
             .with("levels", vertices.len())
             .with("vertices", vertices)
             .with("weighting", pyramid.weighting().name()));
     }
     if has(&["mean", "std"]) {
-        let statistics = Statistics::load(path)?;
-        return Ok(Facts::new("normalisation statistics")
+        let statistics = DisplacementStatistics::load(path)?;
+        return Ok(FileSummary::new("normalisation statistics")
             .with("vertices", statistics.vertices())
             .with("validation frames", statistics.validation())
             .with("mean of |mean|, mm", rounded(mean_of(statistics.mean().mapv(f64::abs))))
@@ -64,12 +64,12 @@ fn archive(path: &Path) -> Result<Facts> {
     }
     if has(&["v_cano", "v_posed", "pose", "transl"]) {
         let frame = raw::read_frame(path, None)?;
-        return Ok(Facts::new("captured frame")
+        return Ok(FileSummary::new("captured frame")
             .with("vertices", frame.v_cano.nrows())
             .with("transl", frame.transl.to_vec()));
     }
     let mut archive = archive;
-    let mut facts = Facts::new("NumPy archive");
+    let mut facts = FileSummary::new("NumPy archive");
     for name in archive.names() {
         let shape = archive.f64(&name).map(|array| format!("{:?}", array.shape()));
         facts = facts.with(name, shape.unwrap_or_else(|_| "not numbers".into()));
@@ -85,9 +85,9 @@ fn rounded(value: f64) -> f64 {
     (1000.0 * value).round() / 1000.0
 }
 
-fn body(path: &Path) -> Result<Facts> {
+fn body(path: &Path) -> Result<FileSummary> {
     let body = SmplModel::load(path)?;
-    Ok(Facts::new("body in SMPL's layout")
+    Ok(FileSummary::new("body in SMPL's layout")
         .with("vertices", body.vertices())
         .with("faces", body.faces.len())
         .with("joints", body.joints())
@@ -100,23 +100,23 @@ fn height(mesh: &Mesh) -> Option<f64> {
     Some(rounded(f64::from(high[1] - low[1])))
 }
 
-fn array(path: &Path) -> Result<Facts> {
+fn array(path: &Path) -> Result<FileSummary> {
     let header = npy_header(path)?;
     if header.dtype.is_object() {
         return objects(path);
     }
-    Ok(Facts::new("NumPy array")
+    Ok(FileSummary::new("NumPy array")
         .with("shape", format!("{:?}", header.shape))
         .with("type", header.dtype.to_string()))
 }
 
-fn pickle(path: &Path) -> Result<Facts> {
+fn pickle(path: &Path) -> Result<FileSummary> {
     let pickle = Pickle::open(path)?;
     let root = pickle.root();
     if root.get("v_template").is_some() {
         return body(path);
     }
-    let mut facts = Facts::new("pickle").maybe("class", root.class());
+    let mut facts = FileSummary::new("pickle").maybe("class", root.class());
     for key in root.keys().into_iter().take(MOST_KEYS) {
         let value = root.get(&key);
         let shape = value.and_then(|value| value.array::<f64>().ok());
@@ -127,9 +127,9 @@ fn pickle(path: &Path) -> Result<Facts> {
 }
 
 /// A TensorFlow checkpoint, by any of its names.
-pub(super) fn tensorflow(path: &Path) -> Result<Facts> {
-    let checkpoint = Checkpoint::open(path)?;
-    let mut facts = Facts::new("TensorFlow checkpoint")
+pub(super) fn tensorflow(path: &Path) -> Result<FileSummary> {
+    let checkpoint = TensorFlowCheckpoint::open(path)?;
+    let mut facts = FileSummary::new("TensorFlow checkpoint")
         .with("prefix", checkpoint.prefix().display().to_string())
         .with("variables", checkpoint.variables().len());
     for variable in checkpoint.variables() {
@@ -139,10 +139,11 @@ pub(super) fn tensorflow(path: &Path) -> Result<Facts> {
     Ok(facts)
 }
 
-fn objects(path: &Path) -> Result<Facts> {
+fn objects(path: &Path) -> Result<FileSummary> {
     let pickle = read_objects(path)?;
     let (shape, objects) = pickle.root().objects()?;
-    let mut facts = Facts::new("NumPy array of Python objects").with("shape", format!("{shape:?}"));
+    let mut facts =
+        FileSummary::new("NumPy array of Python objects").with("shape", format!("{shape:?}"));
     for (index, object) in objects.iter().enumerate().take(MOST_OBJECTS) {
         let said = match object.sparse() {
             Ok(matrix) => format!("sparse {:?}, {} entries", matrix.shape, matrix.values.len()),
@@ -153,11 +154,11 @@ fn objects(path: &Path) -> Result<Facts> {
     Ok(facts)
 }
 
-fn mesh(path: &Path) -> Result<Facts> {
+fn mesh(path: &Path) -> Result<FileSummary> {
     let mesh = Mesh::load(path)?;
     let edges = Surface::from(&mesh).edge_counts();
     let report = mesh.validate();
-    Ok(Facts::new("mesh")
+    Ok(FileSummary::new("mesh")
         .with("vertices", mesh.vertices.len())
         .with("faces", mesh.faces.len())
         .with("edges", edges.edges)
@@ -169,21 +170,21 @@ fn mesh(path: &Path) -> Result<Facts> {
         .maybe("height, m", height(&mesh)))
 }
 
-fn parameters(path: &Path) -> Result<Facts> {
+fn parameters(path: &Path) -> Result<FileSummary> {
     let weights = weights::load(path)?;
     let count: usize = weights.values().map(|array| array.values.len()).sum();
     let broken = weights.values().filter(|array| array.values.iter().any(|x| !x.is_finite()));
-    Ok(Facts::new("weights")
+    Ok(FileSummary::new("weights")
         .with("tensors", weights.len())
         .with("numbers", count)
         .with("tensors that are not finite", broken.count()))
 }
 
-fn settings(path: &Path) -> Result<Facts> {
+fn settings(path: &Path) -> Result<FileSummary> {
     match RunConfig::load(path) {
-        Ok(config) => Ok(run_config(Facts::new("settings of a training run"), &config)),
-        Err(run) => match Split::from_file(path) {
-            Ok(split) => Ok(Facts::new("split into training and test")
+        Ok(config) => Ok(run_config(FileSummary::new("settings of a training run"), &config)),
+        Err(run) => match SplitSpec::from_file(path) {
+            Ok(split) => Ok(FileSummary::new("split into training and test")
                 .with("subjects", split.subjects)
                 .with("outfits", split.outfits.iter().map(|o| o.name()).collect::<Vec<_>>())
                 .with("training sequences", split.train.sequences.len())
@@ -197,7 +198,7 @@ fn settings(path: &Path) -> Result<Facts> {
     }
 }
 
-pub(super) fn run_config(facts: Facts, config: &RunConfig) -> Facts {
+pub(super) fn run_config(facts: FileSummary, config: &RunConfig) -> FileSummary {
     let RunConfig { model, train, weighting, .. } = config;
     facts
         .with("filters", model.filters.clone())

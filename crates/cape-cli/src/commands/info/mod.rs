@@ -10,7 +10,7 @@ use crate::{
     console::Console,
     error::{Error, Result},
 };
-use facts::Facts;
+use facts::FileSummary;
 
 /// Say what a file or directory is, with the essentials.
 ///
@@ -18,17 +18,17 @@ use facts::Facts;
 /// pyramids, statistics, frames, arrays, pickles, meshes, weights and settings.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  cape info packed\n  cape info body.npz --json")]
-pub(crate) struct Info {
+pub(crate) struct InfoArgs {
     /// What to look at.
     #[arg(value_name = "PATH")]
     path: PathBuf,
 }
 
-impl Info {
+impl InfoArgs {
     pub(crate) fn run(self, console: Console) -> Result {
         let path = &self.path;
         let metadata = std::fs::metadata(path).map_err(|error| Error::io(path, error))?;
-        let facts: Facts =
+        let facts: FileSummary =
             if metadata.is_dir() { directory::describe(path)? } else { file::describe(path)? };
         console.result(&facts, || facts.text())
     }

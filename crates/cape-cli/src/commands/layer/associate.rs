@@ -4,7 +4,7 @@ use std::{
 };
 
 use cape_core::{SmplModel, ply};
-use cape_core::{geometry::Surface, smpl::StandardPose};
+use cape_core::{geometry::SurfaceMesh, smpl::StandardPose};
 use cape_infer::write_json;
 use cape_layer::{AssociateOptions, LayerSet};
 use cape_render::{Image, Tile, View, contact_sheet};
@@ -13,12 +13,12 @@ use ndarray::{Array2, ArrayView2, Axis};
 use serde::Serialize;
 
 use super::{
+    association::{AssociationArgs, AssociationOutput},
     body,
-    pictures::{Stage, by_place, mesh_of, shades},
-    tying::{Tied, Tying},
+    pictures::{PictureCamera, by_place, mesh_of, shades},
 };
 use crate::{
-    arguments::at_least_one, console::Console, dressed::eight_bit, error::Result, files,
+    arguments::at_least_one, console::Console, dressed_mesh::eight_bit, error::Result, files,
     table::Table,
 };
 
@@ -37,7 +37,7 @@ const SEARCHED: usize = 24;
 /// different legs, few of them tear the cloth.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape layer associate skirt --compare 1,2,4,16 --out tied")]
-pub(super) struct Associate {
+pub(super) struct AssociateArgs {
     /// Sequences that `cape layer synth` or `cape layer import` wrote.
     #[arg(value_name = "SET")]
     set: PathBuf,
@@ -48,7 +48,7 @@ pub(super) struct Associate {
     #[arg(long, value_name = "SMPL")]
     body: Option<PathBuf>,
     #[command(flatten)]
-    tying: Tying,
+    association_args: AssociationArgs,
     /// Numbers of body vertices to compare.
     #[arg(
         long,
@@ -65,7 +65,7 @@ pub(super) struct Associate {
 
 /// How unposing changes the lengths of the clothing's edges.
 #[derive(Debug, Clone, Serialize)]
-pub(super) struct Seam {
+pub(super) struct EdgeChange {
     /// Body vertices for each clothing vertex.
     neighbours: usize,
     /// Mean change of an edge's length, relative to it.
@@ -95,26 +95,27 @@ struct Report {
     /// How long tying took.
     seconds: f64,
     shown: usize,
-    seams: Vec<Seam>,
+    seams: Vec<EdgeChange>,
 }
 
-impl Associate {
+impl AssociateArgs {
     pub(super) fn run(self, console: Console) -> Result {
         files::require_empty(&self.out)?;
         let model = body(self.body.as_deref())?;
         let set = LayerSet::load(&self.set)?;
         let start = Instant::now();
-        let tied = self.tying.tie(&model, &set, console)?;
+        let tied = self.association_args.associate(&model, &set, console)?;
         let seconds = start.elapsed().as_secs_f64();
         files::create_dir(&self.out)?;
         draw(&tied, &self.out)?;
-        let standard = self.tying.standard();
+        let standard = self.association_args.standard();
         let shown = match self.shown {
             Some(shown) => shown,
             None => most_torn(&model, &set, &tied, &standard)?,
         };
-        let options = self.tying.options();
-        let seams = Seams { model: &model, set: &set, tied: &tied, standard, options, shown };
+        let options = self.association_args.options();
+        let seams =
+            EdgeChangeStudy { model: &model, set: &set, tied: &tied, standard, options, shown };
         let (image, seams) = seams.compare(&self.compare)?;
         image.save(self.out.join("seams.png"))?;
         let association = &tied.association;
@@ -167,8 +168,8 @@ impl Report {
 
 /// Writes the association: association.png, body.ply and clothing.ply in colours by place on the
 /// body, so that what is tied to each other looks the same.
-pub(super) fn draw(tied: &Tied, out: &Path) -> Result {
-    let [body, clothing] = [&tied.body, &tied.clothing].map(Surface::to_mesh);
+pub(super) fn draw(tied: &AssociationOutput, out: &Path) -> Result {
+    let [body, clothing] = [&tied.body, &tied.clothing].map(SurfaceMesh::to_mesh);
     let of_body = by_place(&tied.body)?;
     let eight: Vec<[u8; 3]> = of_body.iter().copied().map(eight_bit).collect();
     let of_clothing = tied.association.colours(&eight)?;
@@ -178,7 +179,7 @@ pub(super) fn draw(tied: &Tied, out: &Path) -> Result {
         of_clothing.iter().map(|c| c.map(|x| f32::from(x) / 255.0)).collect();
     let mut tiles = Vec::new();
     for (view, side) in [(View::Front, "front"), (View::Back, "back")] {
-        let stage = Stage::around([&body, &clothing], view, HEIGHT)?;
+        let stage = PictureCamera::around([&body, &clothing], view, HEIGHT)?;
         for (mesh, colours, name) in
             [(&body, &of_body, "body"), (&clothing, &of_clothing, "clothing")]
         {
@@ -190,18 +191,18 @@ pub(super) fn draw(tied: &Tied, out: &Path) -> Result {
 }
 
 /// Clothing of one frame, unposed by associations of different width.
-struct Seams<'a> {
+struct EdgeChangeStudy<'a> {
     model: &'a SmplModel,
     set: &'a LayerSet,
-    tied: &'a Tied,
+    tied: &'a AssociationOutput,
     standard: StandardPose,
     options: AssociateOptions,
     shown: usize,
 }
 
-impl Seams<'_> {
+impl EdgeChangeStudy<'_> {
     /// The frame, and what it looks like with its pose taken out for each of `counts`.
-    fn compare(&self, counts: &[usize]) -> Result<(Image, Vec<Seam>)> {
+    fn compare(&self, counts: &[usize]) -> Result<(Image, Vec<EdgeChange>)> {
         let each = self.set.each_frame();
         let &(sequence, frame) = each.get(self.shown).ok_or_else(|| {
             let message = format!("--shown {}: there are {}", self.shown, each.len());
@@ -221,7 +222,7 @@ impl Seams<'_> {
         let clothing = mesh_of(posed, faces);
         let under: Vec<[f32; 3]> = body.posed.iter().map(|v| v.as_vec3().to_array()).collect();
         let under = cape_core::Mesh { vertices: under, faces: self.model.faces.clone() };
-        let stage = Stage::around([&under, &clothing], View::Front, HEIGHT)?;
+        let stage = PictureCamera::around([&under, &clothing], View::Front, HEIGHT)?;
         let mut tiles =
             vec![Tile { image: stage.show(Some(&under), &clothing, None)?, label: "posed".into() }];
         let meshes: Vec<_> = unposed.iter().map(|v| mesh_of(v.view(), faces)).collect();
@@ -234,18 +235,18 @@ impl Seams<'_> {
                     worst[v] = worst[v].max(change);
                 }
             }
-            let stage = Stage::around([mesh], View::Front, HEIGHT)?;
+            let stage = PictureCamera::around([mesh], View::Front, HEIGHT)?;
             let image = stage.show(None, mesh, Some(&shades(&worst, TORN)))?;
             tiles.push(Tile { image, label: format!("following {neighbours}") });
-            seams.push(Seam::of(neighbours, changes));
+            seams.push(EdgeChange::from_changes(neighbours, changes));
         }
         let title = "change of edges, 0 to 100 %, when the pose is taken out";
         Ok((contact_sheet(&tiles, tiles.len(), Some(title))?, seams))
     }
 }
 
-impl Seam {
-    fn of(neighbours: usize, mut changes: Vec<f64>) -> Self {
+impl EdgeChange {
+    fn from_changes(neighbours: usize, mut changes: Vec<f64>) -> Self {
         changes.sort_by(f64::total_cmp);
         let at = |share: f64| {
             let index = (share * changes.len() as f64) as usize;
@@ -264,7 +265,7 @@ impl Seam {
 fn most_torn(
     model: &SmplModel,
     set: &LayerSet,
-    tied: &Tied,
+    tied: &AssociationOutput,
     standard: &StandardPose,
 ) -> Result<usize> {
     let first = tied.association.indices.slice(ndarray::s![.., ..1]).to_owned();

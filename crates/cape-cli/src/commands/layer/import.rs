@@ -4,7 +4,7 @@ use cape_layer::{LayerSet, import};
 use clap::Args;
 use serde::Serialize;
 
-use super::{body, named, tying::Tying};
+use super::{association::AssociationArgs, body, named};
 use crate::{
     console::Console,
     error::{Error, Result},
@@ -20,7 +20,7 @@ use crate::{
     after_help = "Example:\n  cape layer import scans/skirt_01 scans/skirt_01.npz --set skirts --name \
                   walk --parameters length=0.85,width=1.1"
 )]
-pub(super) struct Import {
+pub(super) struct ImportArgs {
     /// Directory of clothing meshes, .obj or .ply, metres.
     #[arg(value_name = "MESHES")]
     meshes: PathBuf,
@@ -55,14 +55,14 @@ struct Report {
     sequences: usize,
 }
 
-impl Import {
+impl ImportArgs {
     pub(super) fn run(self, console: Console) -> Result {
         let model = body(self.body.as_deref())?;
         let (faces, mut sequence) = import(&self.name, &self.meshes, &self.motion, self.fps)?;
         sequence.parameters.clone_from(&self.parameters);
         let own = LayerSet::new(faces, vec![sequence])?;
         // What cannot be tied to the body cannot be learned.
-        Tying::default().tie(&model, &own, console)?;
+        AssociationArgs::default().associate(&model, &own, console)?;
         let set = self.joined(own)?;
         files::create_dir(&self.set)?;
         set.save(&self.set)?;

@@ -3,16 +3,17 @@ use std::path::PathBuf;
 use cape_infer::write_json;
 use cape_layer::{
     Layer, LayerSet,
-    experiment::{LayerError, Unposed},
+    experiment::{LayerError, UnposedSet},
 };
 use clap::Args;
 use serde::Serialize;
 
 use super::{
-    associate, body,
-    tying::{Lessons, Tying},
+    associate,
+    association::{AssociationArgs, LearningArgs},
+    body,
 };
-use crate::{arguments::Global, console::Console, error::Result, files, table::Table};
+use crate::{arguments::GlobalArgs, console::Console, error::Result, files, table::Table};
 
 /// Tie clothing to the body, and learn to predict it.
 ///
@@ -21,7 +22,7 @@ use crate::{arguments::Global, console::Console, error::Result, files, table::Ta
 /// association as coloured meshes and a picture.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape layer learn skirt --components 40 --out learnt")]
-pub(super) struct Learn {
+pub(super) struct LearnArgs {
     /// Sequences that `cape layer synth` or `cape layer import` wrote.
     #[arg(value_name = "SET")]
     set: PathBuf,
@@ -32,9 +33,9 @@ pub(super) struct Learn {
     #[arg(long, value_name = "SMPL")]
     body: Option<PathBuf>,
     #[command(flatten)]
-    tying: Tying,
+    association_args: AssociationArgs,
     #[command(flatten)]
-    lessons: Lessons,
+    learning_args: LearningArgs,
 }
 
 #[derive(Debug, Serialize)]
@@ -71,16 +72,17 @@ struct Report {
     predict: Errors,
 }
 
-impl Learn {
-    pub(super) fn run(self, global: &Global, console: Console) -> Result {
+impl LearnArgs {
+    pub(super) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         files::require_empty(&self.out)?;
         let model = body(self.body.as_deref())?;
         let set = LayerSet::load(&self.set)?;
-        let components = self.lessons.components;
-        let learning = self.lessons.learning(global.seed.unwrap_or(1))?;
-        let tied = self.tying.tie(&model, &set, console)?;
+        let components = self.learning_args.components;
+        let learning = self.learning_args.learning(global.seed.unwrap_or(1))?;
+        let tied = self.association_args.associate(&model, &set, console)?;
         let association = &tied.association;
-        let unposed = Unposed::new(&model, &set, association, &self.tying.standard())?;
+        let unposed =
+            UnposedSet::new(&model, &set, association, &self.association_args.standard())?;
         let mut counts = vec![1, 5, components];
         counts.sort_unstable();
         counts.dedup();
@@ -102,11 +104,11 @@ impl Learn {
         let layer = Layer {
             faces: set.faces.clone(),
             association: association.clone(),
-            standard: self.tying.standard(),
-            pca: regression.learnt.pca.clone(),
+            standard: self.association_args.standard(),
+            pca: regression.trained_model.pca.clone(),
             features: learning.features,
-            semantics: regression.learnt.semantics.clone(),
-            regressor: regression.learnt.outcome.regressor.clone(),
+            semantics: regression.trained_model.semantics.clone(),
+            regressor: regression.trained_model.outcome.regressor.clone(),
         };
         layer.save(self.out.join("layer.npz"))?;
         associate::draw(&tied, &self.out)?;
@@ -120,7 +122,7 @@ impl Learn {
             pairs: association.pairs,
             completed_vertices: association.completion.total(),
             components,
-            explained: regression.learnt.pca.explained(),
+            explained: regression.trained_model.pca.explained(),
             reconstruction: rows.collect(),
             counts,
             train: regression.train.into(),

@@ -1,6 +1,7 @@
 //! Clothing layers of their own topology (Yang et al. 2018).
 
 mod associate;
+mod association;
 mod import;
 mod learn;
 mod motions;
@@ -8,7 +9,6 @@ mod pictures;
 mod predict;
 mod report;
 mod synth;
-mod tying;
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ use cape_core::SmplModel;
 use cape_synth::synthetic_body;
 use clap::{Args, Subcommand};
 
-use crate::{arguments::Global, console::Console, error::Result};
+use crate::{arguments::GlobalArgs, console::Console, error::Result};
 
 /// Clothing of its own topology over a moving body: skirts, dresses, T-shirts, shorts.
 ///
@@ -27,23 +27,23 @@ use crate::{arguments::Global, console::Console, error::Result};
                   cape layer learn skirt --out learnt\n  \
                   cape layer predict learnt/layer.npz --motion squats --out predicted\n  \
                   cape layer report --quick --out quick")]
-pub(crate) struct Layer {
+pub(crate) struct LayerArgs {
     #[command(subcommand)]
     command: Command,
 }
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Synth(synth::Synth),
-    Import(import::Import),
-    Associate(associate::Associate),
-    Learn(learn::Learn),
-    Predict(predict::Predict),
-    Report(report::Report),
+    Synth(synth::SynthArgs),
+    Import(import::ImportArgs),
+    Associate(associate::AssociateArgs),
+    Learn(learn::LearnArgs),
+    Predict(predict::PredictArgs),
+    Report(report::ReportArgs),
 }
 
-impl Layer {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl LayerArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         match self.command {
             Command::Synth(command) => command.run(console),
             Command::Import(command) => command.run(console),

@@ -20,10 +20,10 @@ const POSE: usize = 72;
 const WITH_TRANSLATION: usize = POSE + 3;
 
 /// A frame: axis-angles, radians, and a translation, metres.
-pub(super) type Frame = (Vec<f64>, [f64; 3]);
+pub(super) type MotionFrame = (Vec<f64>, [f64; 3]);
 
 /// Frames as they come, and what their source says besides.
-pub(super) struct Frames {
+pub(super) struct MotionFrames {
     /// How many there will be, if that is known.
     pub(super) count: Option<usize>,
     /// Frames a second.
@@ -34,11 +34,11 @@ pub(super) struct Frames {
 }
 
 enum Source {
-    Known(std::vec::IntoIter<Frame>),
+    Known(std::vec::IntoIter<MotionFrame>),
     Text { name: String, line: usize, started: bool, lines: Lines<Box<dyn BufRead>> },
 }
 
-impl Frames {
+impl MotionFrames {
     /// `seconds` of a movement by name; the frames of a file (.npz with `poses` and `trans`, or any
     /// file of poses); rows of text from a .csv file or, with `-`, from standard input, of 72 numbers,
     /// or 75 with the translation.
@@ -48,7 +48,7 @@ impl Frames {
         }
         let path = Path::new(text);
         if text == "-" {
-            return Ok(Self::of_text(
+            return Ok(Self::from_text(
                 "standard input",
                 Box::new(BufReader::new(io::stdin())),
                 rate,
@@ -56,7 +56,7 @@ impl Frames {
         }
         if has_extension(path, "csv") {
             let file = File::open(path).map_err(|error| Error::io(path, error))?;
-            return Ok(Self::of_text(text, Box::new(BufReader::new(file)), rate));
+            return Ok(Self::from_text(text, Box::new(BufReader::new(file)), rate));
         }
         if has_extension(path, "npz") {
             let archive = Npz::open(path)?;
@@ -65,7 +65,7 @@ impl Frames {
                 let (motion, betas) = import_motion(path, rate)?;
                 let poses = poses::poses(text)?;
                 let frames = poses.iter().zip(motion.translations.rows());
-                let frames: Vec<Frame> = frames
+                let frames: Vec<MotionFrame> = frames
                     .map(|((_, pose), t)| {
                         (pose.iter().map(|&x| x.into()).collect(), [t[0], t[1], t[2]])
                     })
@@ -73,27 +73,27 @@ impl Frames {
                 return Ok(Self::known(frames, motion.frame_rate, betas));
             }
         }
-        let poses = poses::movement(text, seconds, rate)?.into_iter();
+        let poses = poses::motion_poses(text, seconds, rate)?.into_iter();
         let frames = poses.map(|pose| (pose.iter().map(|&x| f64::from(x)).collect(), [0.0; 3]));
         Ok(Self::known(frames.collect(), rate, Vec::new()))
     }
 
-    fn known(frames: Vec<Frame>, rate: f64, betas: Vec<f64>) -> Self {
+    fn known(frames: Vec<MotionFrame>, rate: f64, betas: Vec<f64>) -> Self {
         let count = Some(frames.len());
         Self { count, rate, betas, source: Source::Known(frames.into_iter()) }
     }
 
-    fn of_text(name: &str, text: Box<dyn BufRead>, rate: f64) -> Self {
+    fn from_text(name: &str, text: Box<dyn BufRead>, rate: f64) -> Self {
         let source =
             Source::Text { name: name.to_owned(), line: 0, started: false, lines: text.lines() };
         Self { count: None, rate, betas: Vec::new(), source }
     }
 }
 
-impl Iterator for Frames {
-    type Item = Result<Frame>;
+impl Iterator for MotionFrames {
+    type Item = Result<MotionFrame>;
 
-    fn next(&mut self) -> Option<Result<Frame>> {
+    fn next(&mut self) -> Option<Result<MotionFrame>> {
         match &mut self.source {
             Source::Known(frames) => frames.next().map(Ok),
             Source::Text { name, line, started, lines } => loop {
@@ -111,11 +111,13 @@ impl Iterator for Frames {
                         return Some(Ok(frame));
                     }
                     // A row of names above the numbers.
-                    Err(Row::NoNumbers) if !*started => *started = true,
+                    Err(RowError::NoNumbers) if !*started => *started = true,
                     Err(row) => {
                         let found = match row {
-                            Row::NoNumbers => "expected finite numbers between commas".to_owned(),
-                            Row::Of(count) => format!(
+                            RowError::NoNumbers => {
+                                "expected finite numbers between commas".to_owned()
+                            }
+                            RowError::Invalid(count) => format!(
                                 "{count} numbers, expected {POSE} (a pose), or {WITH_TRANSLATION} \
                                  with the translation"
                             ),
@@ -129,17 +131,18 @@ impl Iterator for Frames {
 }
 
 /// A row that is no frame.
-enum Row {
+enum RowError {
     NoNumbers,
-    Of(usize),
+    /// A row of so many numbers.
+    Invalid(usize),
 }
 
-fn frame_of(text: &str) -> Result<Frame, Row> {
+fn frame_of(text: &str) -> Result<MotionFrame, RowError> {
     let number = |cell: &str| cell.trim().parse::<f64>().ok().filter(|x| x.is_finite());
     let numbers: Option<Vec<f64>> = text.split(',').map(number).collect();
-    let mut pose = numbers.ok_or(Row::NoNumbers)?;
+    let mut pose = numbers.ok_or(RowError::NoNumbers)?;
     if ![POSE, WITH_TRANSLATION].contains(&pose.len()) {
-        return Err(Row::Of(pose.len()));
+        return Err(RowError::Invalid(pose.len()));
     }
     let shift = pose.split_off(POSE);
     Ok((pose, shift.try_into().unwrap_or_default()))
@@ -149,8 +152,8 @@ fn frame_of(text: &str) -> Result<Frame, Row> {
 mod tests {
     use super::*;
 
-    fn frames(text: &str) -> Vec<Result<Frame>> {
-        Frames::of_text("t", Box::new(io::Cursor::new(text.to_owned())), 30.0).collect()
+    fn frames(text: &str) -> Vec<Result<MotionFrame>> {
+        MotionFrames::from_text("t", Box::new(io::Cursor::new(text.to_owned())), 30.0).collect()
     }
 
     fn row(count: usize) -> String {
@@ -160,7 +163,7 @@ mod tests {
     #[test]
     fn rows_are_frames() {
         let found = frames(&format!("p0,p1\n{}\n\n{}\n", row(72), row(75)));
-        let found: Vec<Frame> = found.into_iter().map(Result::unwrap).collect();
+        let found: Vec<MotionFrame> = found.into_iter().map(Result::unwrap).collect();
         assert_eq!((found[0].0.len(), found[0].1), (72, [0.0; 3]));
         assert_eq!((found[1].0[71], found[1].1), (71.0, [72.0, 73.0, 74.0]));
     }

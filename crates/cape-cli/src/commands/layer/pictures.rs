@@ -1,9 +1,9 @@
 //! Pictures of bodies and the clothing over them.
 
 use cape_core::Mesh;
-use cape_core::geometry::Surface;
+use cape_core::geometry::SurfaceMesh;
 use cape_render::{
-    Bounds, Camera, Image, Material, Object, Projection, Style, View, colour_of, render,
+    Bounds, Camera, Image, Material, Object, Projection, Style, View, colormap, render,
 };
 use ndarray::ArrayView2;
 
@@ -13,18 +13,18 @@ const SKIN: Material = Material { colour: [0.83, 0.69, 0.60], gloss: 0.05 };
 const CLOTH: Material = Material { colour: [0.36, 0.50, 0.66], gloss: 0.02 };
 
 /// A camera that shows all there is of some meshes.
-pub(super) struct Stage {
+pub(super) struct PictureCamera {
     camera: Camera,
     style: Style,
 }
 
-impl Stage {
+impl PictureCamera {
     pub(super) fn around<'a>(
         meshes: impl IntoIterator<Item = &'a Mesh>,
         view: View,
         height: u32,
     ) -> Result<Self> {
-        let bounds = Bounds::of_meshes(meshes)
+        let bounds = Bounds::from_meshes(meshes)
             .ok_or_else(|| Error::message("nothing to draw: the meshes have no vertices"))?;
         let size = bounds.max - bounds.min;
         let aspect = (size.x.max(size.z) / size.y.max(1e-3)).clamp(0.6, 1.2);
@@ -57,12 +57,12 @@ pub(super) fn mesh_of(vertices: ArrayView2<'_, f64>, faces: &[[u32; 3]]) -> Mesh
 
 /// Colours of values from 0 to `most`.
 pub(super) fn shades(values: &[f64], most: f64) -> Vec<[f32; 3]> {
-    values.iter().map(|&value| colour_of((value / most) as f32)).collect()
+    values.iter().map(|&value| colormap((value / most) as f32)).collect()
 }
 
 /// Colours by place in the box around a surface: red grows to its left, green upwards, blue to the
 /// front.
-pub(super) fn by_place(surface: &Surface) -> Result<Vec<[f32; 3]>> {
+pub(super) fn by_place(surface: &SurfaceMesh) -> Result<Vec<[f32; 3]>> {
     let mesh = surface.to_mesh();
     let [low, high] = mesh.bounding_box().ok_or_else(|| Error::message("an empty body"))?;
     let share = |v: &[f32; 3]| {

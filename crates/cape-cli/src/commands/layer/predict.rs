@@ -1,16 +1,16 @@
 use std::path::PathBuf;
 
 use cape_core::Mesh;
-use cape_layer::{Layer, Predicted};
+use cape_layer::{Layer, PredictedFrame};
 use cape_render::{Tile, View, contact_sheet};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::{
     body,
-    motions::Frames,
+    motions::MotionFrames,
     named,
-    pictures::{Stage, mesh_of},
+    pictures::{PictureCamera, mesh_of},
 };
 use crate::{
     console::Console,
@@ -35,7 +35,7 @@ const HEIGHT: u32 = 360;
                   cape layer predict learnt/layer.npz --parameters length=1.1,log_bend=-2 --out fit\n  \
                   tracker | cape layer predict learnt/layer.npz --motion - --out live"
 )]
-pub(super) struct Predict {
+pub(super) struct PredictArgs {
     /// What `cape layer learn` wrote.
     #[arg(value_name = "LAYER.npz")]
     layer: PathBuf,
@@ -81,17 +81,17 @@ struct Report {
     parameters: Vec<(String, f64)>,
 }
 
-impl Predict {
+impl PredictArgs {
     pub(super) fn run(self, console: Console) -> Result {
         files::require_empty(&self.out)?;
         let model = body(self.body.as_deref())?;
         let layer = Layer::load(&self.layer, model.vertices())?;
         let parameters = layer.semantics.with(&self.parameters)?;
-        let mut frames = Frames::open(&self.motion, self.seconds, self.fps)?;
-        let shape = model.shaped(self.betas.as_ref().unwrap_or(&frames.betas))?;
+        let mut frames = MotionFrames::open(&self.motion, self.seconds, self.fps)?;
+        let shape = model.rest_shape(self.betas.as_ref().unwrap_or(&frames.betas))?;
         let total = frames.count;
         let mut stream = layer.stream(&model, &shape, frames.rate, &parameters)?;
-        let mut gallery = Gallery::default();
+        let mut gallery = FrameSampler::default();
         files::create_dir(&self.out)?;
         console.while_showing("predict", "frames", |progress| {
             loop {
@@ -112,7 +112,7 @@ impl Predict {
                 };
                 let frame = predicted.frame;
                 mesh.save(self.out.join(format!("frame-{frame:05}.{extension}")))?;
-                gallery.see(&predicted, mesh, &model.faces);
+                gallery.push(&predicted, mesh, &model.faces);
                 progress(frame + 1, total.unwrap_or(frame + 1));
             }
         })?;
@@ -132,14 +132,14 @@ impl Predict {
 /// Some frames of a motion whose length is not known, evenly spaced: when there are too many, every
 /// second one is dropped.
 #[derive(Default)]
-struct Gallery {
+struct FrameSampler {
     kept: Vec<(usize, Mesh, Mesh)>,
     stride: usize,
     seen: usize,
 }
 
-impl Gallery {
-    fn see(&mut self, predicted: &Predicted, clothing: Mesh, body_faces: &[[u32; 3]]) {
+impl FrameSampler {
+    fn push(&mut self, predicted: &PredictedFrame, clothing: Mesh, body_faces: &[[u32; 3]]) {
         self.stride = self.stride.max(1);
         self.seen += 1;
         if !predicted.frame.is_multiple_of(self.stride) {
@@ -160,7 +160,7 @@ impl Gallery {
     fn save(&self, out: &std::path::Path) -> Result {
         let mut tiles = Vec::new();
         for (frame, body, clothing) in &self.kept {
-            let stage = Stage::around([body, clothing], View::ThreeQuarter, HEIGHT)?;
+            let stage = PictureCamera::around([body, clothing], View::ThreeQuarter, HEIGHT)?;
             let image = stage.show(Some(body), clothing, None)?;
             tiles.push(Tile { image, label: format!("frame {frame}") });
         }

@@ -3,12 +3,12 @@ use std::{
     time::Instant,
 };
 
-use cape_cloth::{Garment, GarmentKind, Material, Quality, Sewn};
+use cape_cloth::{ClothMaterial, Garment, GarmentKind, GarmentMesh, SimulationQuality};
 use cape_core::SmplModel;
 use cape_infer::write_json;
 use cape_layer::{
     LayerSet,
-    synth::{Design, Exercise, Take, with_body},
+    synth::{Design, DesignCell, Exercise, append_body},
 };
 use clap::{Args, ValueEnum};
 use rayon::prelude::*;
@@ -37,20 +37,20 @@ const DONE: &str = "simulation.json";
                   cape layer synth --garment tshirt --subjects=-1,0,1 --widths 1,1.1 \
                   --stiffness 0.1,1 --out shirts"
 )]
-pub(super) struct Synth {
+pub(super) struct SynthArgs {
     /// Directory to write, or to go on with.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     #[command(flatten)]
-    plan: Plan,
+    plan: SimulationPlan,
 }
 
 /// What is simulated, and what makes two invocations the same.
 #[derive(Debug, PartialEq, Args, Serialize, Deserialize)]
-struct Plan {
+struct SimulationPlan {
     /// What is worn.
-    #[arg(long, value_enum, default_value_t = Kind::Skirt)]
-    garment: Kind,
+    #[arg(long, value_enum, default_value_t = GarmentName::Skirt)]
+    garment: GarmentName,
     /// The body, .pkl or .npz; by default the synthetic one.
     #[arg(long, value_name = "SMPL")]
     body: Option<PathBuf>,
@@ -109,20 +109,20 @@ struct Plan {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Kind {
+pub(super) enum GarmentName {
     Tshirt,
     Shorts,
     Skirt,
     Dress,
 }
 
-impl From<Kind> for GarmentKind {
-    fn from(kind: Kind) -> Self {
+impl From<GarmentName> for GarmentKind {
+    fn from(kind: GarmentName) -> Self {
         match kind {
-            Kind::Tshirt => Self::TShirt,
-            Kind::Shorts => Self::Shorts,
-            Kind::Skirt => Self::Skirt,
-            Kind::Dress => Self::Dress,
+            GarmentName::Tshirt => Self::TShirt,
+            GarmentName::Shorts => Self::Shorts,
+            GarmentName::Skirt => Self::Skirt,
+            GarmentName::Dress => Self::Dress,
         }
     }
 }
@@ -143,32 +143,35 @@ fn vary<T: Copy>(values: &[T], ratios: &[f64], change: impl Fn(T, f64) -> T) -> 
         .collect()
 }
 
-impl Plan {
+impl SimulationPlan {
     fn design(&self) -> Design {
         let kind = GarmentKind::from(self.garment);
-        let garment = Garment { resolution: 1e-3 * self.resolution, ..Garment::of(kind) };
+        let garment = Garment { resolution: 1e-3 * self.resolution, ..Garment::new(kind) };
         let sizes = vary(&[garment], &self.lengths, |g, r| Garment { length: g.length * r, ..g });
         let sizes = vary(&sizes, &self.widths, |g, r| Garment { width: g.width * r, ..g });
         let sizes = vary(&sizes, &self.sleeves, |g, r| Garment { sleeve: g.sleeve * r, ..g });
-        let materials = vary(&[Material::default()], &self.stiffness, |m, r| Material {
+        let materials = vary(&[ClothMaterial::default()], &self.stiffness, |m, r| ClothMaterial {
             stretch: m.stretch / r,
             bend: m.bend / r,
             ..m
         });
-        let materials = vary(&materials, &self.bending, |m, r| Material { bend: m.bend / r, ..m });
         let materials =
-            vary(&materials, &self.masses, |m, r| Material { density: m.density * r, ..m });
+            vary(&materials, &self.bending, |m, r| ClothMaterial { bend: m.bend / r, ..m });
         let materials =
-            vary(&materials, &self.damping, |m, r| Material { damping: m.damping * r, ..m });
+            vary(&materials, &self.masses, |m, r| ClothMaterial { density: m.density * r, ..m });
         let materials =
-            vary(&materials, &self.friction, |m, r| Material { friction: m.friction * r, ..m });
+            vary(&materials, &self.damping, |m, r| ClothMaterial { damping: m.damping * r, ..m });
+        let materials = vary(&materials, &self.friction, |m, r| ClothMaterial {
+            friction: m.friction * r,
+            ..m
+        });
         let mut design = Design {
             subjects: self.subjects.iter().map(|&beta| vec![beta]).collect(),
             sizes,
             materials,
             frames: self.frames,
             frame_rate: self.fps,
-            ..Design::of(garment)
+            ..Design::new(garment)
         };
         design.simulation.substeps = self.steps;
         if !self.exercises.is_empty() {
@@ -180,7 +183,7 @@ impl Plan {
 
 /// A line of simulation.json.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-struct Simulation {
+struct SimulationRecord {
     name: String,
     penetration_mm: f64,
     mean_penetration_mm: f64,
@@ -190,8 +193,8 @@ struct Simulation {
     metres_per_second: f64,
 }
 
-impl Simulation {
-    fn of(name: String, quality: &Quality) -> Self {
+impl SimulationRecord {
+    fn new(name: String, quality: &SimulationQuality) -> Self {
         // Short enough to be read back as they are.
         let rounded = |x: f64| (x * 1e5).round() / 1e5;
         Self {
@@ -225,23 +228,23 @@ struct Report {
     vertices: usize,
     simulated_now: usize,
     seconds_per_frame: Option<f64>,
-    simulations: Vec<Simulation>,
+    simulations: Vec<SimulationRecord>,
 }
 
-impl Synth {
+impl SynthArgs {
     pub(super) fn run(self, console: Console) -> Result {
         let model = body(self.plan.body.as_deref())?;
         let design = self.plan.design();
         let sewn = design.sew(&model)?;
         for size in &design.sizes {
-            sewn.resized(&model, size)?;
+            sewn.resize(&model, size)?;
         }
         for material in &design.materials {
             material.check()?;
         }
         let mut done = self.begin()?;
-        let takes = design.takes();
-        let left: Vec<Take> = takes
+        let takes = design.cells();
+        let left: Vec<DesignCell> = takes
             .iter()
             .filter(|take| !done.iter().any(|done| done.name == take.name()))
             .copied()
@@ -270,10 +273,10 @@ impl Synth {
     }
 
     /// Makes the directory, or reads what is done of the same plan.
-    fn begin(&self) -> Result<Vec<Simulation>> {
+    fn begin(&self) -> Result<Vec<SimulationRecord>> {
         let path = self.out.join(PLAN);
         if path.exists() {
-            if read::<Plan>(&path)? != self.plan {
+            if read::<SimulationPlan>(&path)? != self.plan {
                 return Err(Error::message(format!(
                     "{}: holds sequences of other settings: choose another --out",
                     self.out.display()
@@ -290,10 +293,10 @@ impl Synth {
 
     fn simulate(
         &self,
-        (model, sewn): (&SmplModel, &Sewn),
+        (model, sewn): (&SmplModel, &GarmentMesh),
         design: &Design,
-        takes: &[Take],
-        done: &mut Vec<Simulation>,
+        takes: &[DesignCell],
+        done: &mut Vec<SimulationRecord>,
         console: Console,
     ) -> Result {
         let results: Vec<_> =
@@ -302,12 +305,12 @@ impl Synth {
             let (sequence, quality) = result?;
             let faces = &sewn.surface.faces;
             if self.plan.with_body {
-                let (faces, whole) = with_body(model, faces, &sequence)?;
+                let (faces, whole) = append_body(model, faces, &sequence)?;
                 LayerSet::add(&self.out, &faces, &whole)?;
             } else {
                 LayerSet::add(&self.out, faces, &sequence)?;
             }
-            let simulation = Simulation::of(sequence.name, &quality);
+            let simulation = SimulationRecord::new(sequence.name, &quality);
             console.note(&format!(
                 "{}: {:.2} mm inside the body at most, {:.4} mm on average, {} edges through cloth, \
                  lengthened by {:.0} % at most",

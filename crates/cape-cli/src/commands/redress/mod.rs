@@ -3,22 +3,22 @@ mod target;
 use std::path::PathBuf;
 
 use cape_core::{Outfit, parse_device, ply};
-use cape_infer::{Run, Wearer, write_json};
+use cape_infer::{BodySpec, Run, write_json};
 use cape_render::{Tile, View, contact_sheet};
 use cape_synth::poses::poses;
 use clap::Args;
 use ndarray::{Axis, concatenate};
 use serde::Serialize;
 
-use self::target::{Target, Transferred};
+use self::target::{ClothingTransfer, TargetBody};
 
 use crate::{
-    arguments::{Global, outfit},
+    arguments::{GlobalArgs, outfit},
     console::Console,
-    dressed::Painter,
+    dressed_mesh::DressedRenderer,
     error::{Error, Result},
     files,
-    registration::{Known, Registration, mean_error},
+    registration::{KnownBodyArgs, RegistrationFile, mean_error},
 };
 
 /// Reconstruct a registration, change its outfit and pose, or give its clothes to others.
@@ -34,7 +34,7 @@ use crate::{
                   cape redress run frame:12 --outfit longlong --pose a-pose,squats --out new\n  \
                   cape redress run frame:12 --to frame:80 --to 2,-1 --out given"
 )]
-pub(crate) struct Redress {
+pub(crate) struct RedressArgs {
     /// A training run.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -45,7 +45,7 @@ pub(crate) struct Redress {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     #[command(flatten)]
-    known: Known,
+    known: KnownBodyArgs,
     /// What is worn instead; by default each outfit.
     #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…", value_parser = outfit)]
     outfit: Vec<Outfit>,
@@ -72,12 +72,12 @@ struct Report {
     /// Mean error of the reconstruction at clothing vertices.
     error_mm: f64,
     /// How the clothes sit on other bodies.
-    transferred: Vec<Transferred>,
+    transferred: Vec<ClothingTransfer>,
     files: Vec<String>,
 }
 
-impl Redress {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl RedressArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         files::require_empty(&self.out)?;
         let mut others = Vec::new();
@@ -85,9 +85,9 @@ impl Redress {
             others.extend(poses(text)?);
         }
         let run = Run::open(&self.run, &device)?;
-        let registration = Registration::read(&run, &self.registration, &self.known)?;
-        let read = |text: &String| Target::read(&run, text);
-        let targets: Vec<Target> = self.to.iter().map(read).collect::<Result<_>>()?;
+        let registration = RegistrationFile::read(&run, &self.registration, &self.known)?;
+        let read = |text: &String| TargetBody::read(&run, text);
+        let targets: Vec<TargetBody> = self.to.iter().map(read).collect::<Result<_>>()?;
         let wearer = &registration.wearer;
         let code = run.encode(&registration.displacement, std::slice::from_ref(wearer))?;
 
@@ -102,18 +102,18 @@ impl Redress {
             outfits
                 .iter()
                 .filter(|&&outfit| outfit != wearer.outfit)
-                .map(|&outfit| (outfit.name().to_owned(), Wearer { outfit, ..wearer.clone() })),
+                .map(|&outfit| (outfit.name().to_owned(), BodySpec { outfit, ..wearer.clone() })),
         );
         changed.extend(
-            others.into_iter().map(|(name, pose)| (name, Wearer { pose, ..wearer.clone() })),
+            others.into_iter().map(|(name, pose)| (name, BodySpec { pose, ..wearer.clone() })),
         );
         let first_target = changed.len();
         changed.extend(
-            targets.iter().map(|target| (format!("on {}", target.name), target.wearer(wearer))),
+            targets.iter().map(|target| (format!("on {}", target.name), target.body_spec(wearer))),
         );
-        let (names, wearers): (Vec<String>, Vec<Wearer>) = changed.into_iter().unzip();
+        let (names, wearers): (Vec<String>, Vec<BodySpec>) = changed.into_iter().unzip();
         let codes = code.select(Axis(0), &vec![0; wearers.len()]);
-        let mut decoded = run.clothes(&codes, &wearers)?;
+        let mut decoded = run.decode_displacements(&codes, &wearers)?;
         let error_mm = mean_error(&run, &registration.displacement, &decoded, 0);
         let registered = registration.displacement.index_axis(Axis(0), 0);
         if self.exact {
@@ -124,8 +124,8 @@ impl Redress {
 
         let worn = concatenate(Axis(0), &[registration.displacement.view(), decoded.view()])
             .map_err(|error| Error::message(error.to_string()))?;
-        let all: Vec<Wearer> = [wearer.clone()].into_iter().chain(wearers).collect();
-        let mut bodies = Painter::new(&run).wear(&worn, &all)?;
+        let all: Vec<BodySpec> = [wearer.clone()].into_iter().chain(wearers).collect();
+        let mut bodies = DressedRenderer::new(&run).pose_clothed(&worn, &all)?;
         for (index, target) in targets.iter().enumerate() {
             let row = first_target + index;
             let worn = decoded.index_axis(Axis(0), row);
@@ -163,7 +163,8 @@ impl Redress {
         write_json(&report.out.join("redress.json"), &report)?;
         console.result(&report, || {
             let out = report.out.display();
-            let transferred: String = report.transferred.iter().map(Transferred::text).collect();
+            let transferred: String =
+                report.transferred.iter().map(ClothingTransfer::text).collect();
             format!(
                 "reconstructed within {error_mm:.2} mm in the mean\n{transferred}{out}/redress.png"
             )

@@ -2,15 +2,15 @@
 
 use std::path::Path;
 
-use cape_core::geometry::{Solid, Surface};
+use cape_core::geometry::{SurfaceIndex, SurfaceMesh};
 use cape_core::{BodyPose, Mesh};
-use cape_infer::{Run, Wearer};
+use cape_infer::{BodySpec, Run};
 use ndarray::{Array2, ArrayView2};
 use serde::Serialize;
 
 use crate::{
     error::{Error, Result},
-    registration::{Known, Registration, read_shape},
+    registration::{KnownBodyArgs, RegistrationFile, read_shape},
 };
 
 /// Depths under the skin from which clothes count as inside, metres.
@@ -20,7 +20,7 @@ const REACH: f64 = 0.5;
 
 /// Another body.
 #[derive(Debug, Clone)]
-pub(super) struct Target {
+pub(super) struct TargetBody {
     pub(super) name: String,
     /// Rest vertices without clothes, metres, `[vertices, 3]`.
     minimal: Array2<f64>,
@@ -31,7 +31,7 @@ pub(super) struct Target {
 
 /// How clothes sit on another body.
 #[derive(Debug, Clone, Serialize)]
-pub(super) struct Transferred {
+pub(super) struct ClothingTransfer {
     to: String,
     file: String,
     /// Mean distance of the clothes from the skin at clothing vertices, millimetres.
@@ -45,7 +45,7 @@ pub(super) struct Transferred {
     inside_before: f64,
 }
 
-impl Transferred {
+impl ClothingTransfer {
     /// A line for people.
     pub(super) fn text(&self) -> String {
         format!(
@@ -58,7 +58,7 @@ impl Transferred {
     }
 }
 
-impl Target {
+impl TargetBody {
     /// Shape coefficients `1,-0.5`; a rest shape, `.npy`; or a registration, as the source is given.
     pub(super) fn read(run: &Run, text: &str) -> Result<Self> {
         let body = run.body();
@@ -68,7 +68,7 @@ impl Target {
             if double.iter().any(|beta| !beta.is_finite()) {
                 return Err(Error::message(format!("--to {text}: not finite")));
             }
-            let minimal = body.shaped(&double)?;
+            let minimal = body.rest_shape(&double)?;
             return Ok(Self { name: format!("betas {text}"), minimal, betas, pose: None });
         }
         let path = Path::new(text);
@@ -80,19 +80,19 @@ impl Target {
             return Ok(Self { name, minimal, betas, pose: None });
         }
         // What the other wears does not matter.
-        let known = Known { outfit_worn: Some(cape_core::Outfit::LongLong), minimal: None };
-        let Registration { wearer, minimal, .. } = Registration::read(run, text, &known)?;
+        let known = KnownBodyArgs { outfit_worn: Some(cape_core::Outfit::LongLong), minimal: None };
+        let RegistrationFile { wearer, minimal, .. } = RegistrationFile::read(run, text, &known)?;
         let minimal = match minimal {
             Some(minimal) => minimal,
-            None => body.shaped(&[])?,
+            None => body.rest_shape(&[])?,
         };
         let name = if text.starts_with("frame:") { text.replace(':', " ") } else { name };
         Ok(Self { name, minimal, betas: wearer.betas, pose: Some(wearer.pose) })
     }
 
     /// Who wears the clothes then, in the target's own pose if it has one.
-    pub(super) fn wearer(&self, before: &Wearer) -> Wearer {
-        Wearer {
+    pub(super) fn body_spec(&self, before: &BodySpec) -> BodySpec {
+        BodySpec {
             betas: self.betas.clone(),
             pose: self.pose.unwrap_or(before.pose),
             outfit: before.outfit,
@@ -103,7 +103,7 @@ impl Target {
     pub(super) fn mesh(
         &self,
         run: &Run,
-        wearer: &Wearer,
+        wearer: &BodySpec,
         worn: ArrayView2<'_, f32>,
     ) -> Result<Mesh> {
         posed(run, &self.minimal, &wearer.pose, Some(&on_clothing(run, worn)))
@@ -114,15 +114,15 @@ impl Target {
     pub(super) fn measure(
         &self,
         run: &Run,
-        before: &Registration,
+        before: &RegistrationFile,
         worn: ArrayView2<'_, f32>,
         file: String,
-    ) -> Result<Transferred> {
+    ) -> Result<ClothingTransfer> {
         let pose = &before.wearer.pose;
         let betas: Vec<f64> = before.wearer.betas.iter().copied().map(f64::from).collect();
         let source = match &before.minimal {
             Some(minimal) => minimal.clone(),
-            None => run.body().shaped(&betas)?,
+            None => run.body().rest_shape(&betas)?,
         };
         let worn = on_clothing(run, worn);
         let lengths = |minimal: &Array2<f64>| -> Result<Vec<f64>> {
@@ -138,7 +138,7 @@ impl Target {
         let stretch = stretch.sum::<f64>() / old.len().max(1) as f64;
         let distance = run.clothing().iter().map(|&v| worn.row(v).dot(&worn.row(v)).sqrt());
         let distance = distance.sum::<f64>() / run.clothing().len().max(1) as f64;
-        Ok(Transferred {
+        Ok(ClothingTransfer {
             to: self.name.clone(),
             file,
             distance_mm: 1000.0 * distance,
@@ -176,7 +176,8 @@ fn posed(
 
 /// Share of clothing vertices that are under the skin.
 fn inside(run: &Run, minimal: &Array2<f64>, pose: &BodyPose, worn: &Array2<f64>) -> Result<f64> {
-    let skin = Solid::new(&Surface::of_mesh("body", &posed(run, minimal, pose, None)?)?);
+    let skin =
+        SurfaceIndex::new(&SurfaceMesh::from_mesh("body", &posed(run, minimal, pose, None)?)?);
     let clothed = posed(run, minimal, pose, Some(worn))?;
     let under = |&&vertex: &&usize| {
         let at = glam::DVec3::from_array(clothed.vertices[vertex].map(f64::from));

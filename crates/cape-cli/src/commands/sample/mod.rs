@@ -4,25 +4,25 @@ use std::path::{Path, PathBuf};
 
 use cape_core::{
     Outfit,
-    gltf::Texture,
+    gltf::GltfTexture,
     obj::{self, Uv},
     parse_device, ply,
 };
-use cape_infer::{Performance, Run, Wearer};
+use cape_infer::{AnimatedBody, BodySpec, Run};
 use cape_render::{Image, Texture as Painted, Tile, View, contact_sheet};
 use cape_synth::poses::poses;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
-use names::Fields;
+use names::NameFields;
 
 use crate::{
-    arguments::{Global, at_least_one},
+    arguments::{GlobalArgs, at_least_one},
     console::Console,
-    dressed::{Dressed, bare, dress},
+    dressed_mesh::{DressedMesh, dress, unclothed_meshes},
     error::{Error, Result},
     files,
-    priors::Drawn,
+    priors::PriorArgs,
     table::Table,
 };
 
@@ -44,7 +44,7 @@ const COLUMNS: usize = 6;
 #[command(after_help = "Examples:\n  cape sample run --outfit all --pose a-pose --out samples\n  \
                         cape sample run --outfit longlong --pose dance.npy --n 3 --betas 1,-0.5 \
                         --format glb --out samples")]
-pub(crate) struct Sample {
+pub(crate) struct SampleArgs {
     /// A training run.
     #[arg(value_name = "RUN")]
     run: PathBuf,
@@ -65,7 +65,7 @@ pub(crate) struct Sample {
     #[arg(long, short, default_value_t = 1, value_name = "K", value_parser = at_least_one)]
     n: usize,
     #[command(flatten)]
-    drawn: Drawn,
+    drawn: PriorArgs,
     /// Kind of mesh file: .ply comes with colours; .glb with colours, skeleton and skin, and with
     /// the poses of a file as one animation.
     #[arg(long, value_enum, default_value_t = Format::Obj)]
@@ -121,7 +121,7 @@ enum Colours {
 
 /// Texture coordinates and picture, as they were given.
 #[derive(Debug, Default)]
-struct Skin {
+struct TextureInput {
     uv: Option<Uv>,
     /// The picture's name beside the meshes, and its bytes.
     image: Option<(String, Vec<u8>)>,
@@ -131,7 +131,7 @@ struct Skin {
 
 /// A line of samples.jsonl.
 #[derive(Debug, Serialize)]
-struct Line {
+struct SampleLine {
     file: String,
     outfit: Outfit,
     pose: String,
@@ -163,8 +163,8 @@ impl OutfitName {
     }
 }
 
-impl Sample {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl SampleArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = parse_device(&global.device)?;
         let poses = poses(&self.pose)?;
         if let Some(beta) = self.betas.iter().find(|beta| !beta.is_finite()) {
@@ -200,12 +200,16 @@ impl Sample {
             for (frame, (pose_name, pose_angles)) in shown.iter().enumerate() {
                 for (place, &outfit) in outfits.iter().enumerate() {
                     let code = sample + place * self.n;
-                    wearers.push(Wearer { betas: self.betas.clone(), pose: *pose_angles, outfit });
+                    wearers.push(BodySpec {
+                        betas: self.betas.clone(),
+                        pose: *pose_angles,
+                        outfit,
+                    });
                     rows.push(code);
                     let frames = shown.len();
                     let pose = pose_name;
-                    let fields = Fields { outfit, sample, frame, frames, pose, seed };
-                    lines.push(Line {
+                    let fields = NameFields { outfit, sample, frame, frames, pose, seed };
+                    lines.push(SampleLine {
                         file: self.file_name(&fields)?,
                         outfit,
                         pose: pose_name.clone(),
@@ -231,7 +235,7 @@ impl Sample {
         let mut tiles = Vec::new();
         if skin.drawn.is_some() && !self.no_picture {
             // The body with the same texture, to compare with.
-            for body in bare(&run, &wearers[..1])? {
+            for body in unclothed_meshes(&run, &wearers[..1])? {
                 let image = body.picture(View::ThreeQuarter, TILE, skin.on())?;
                 tiles.push(Tile { image, label: "body".into() });
             }
@@ -243,7 +247,7 @@ impl Sample {
                     dressed.colour_by_distance(self.scale / 1000.0);
                 }
                 if self.format == Format::Glb {
-                    let performance = Performance {
+                    let performance = AnimatedBody {
                         name: line.file.trim_end_matches(".glb"),
                         code: codes.select(ndarray::Axis(0), &[index]),
                         betas: &self.betas,
@@ -271,7 +275,7 @@ impl Sample {
         console.result(&report, || report.text(&lines))
     }
 
-    fn file_name(&self, fields: &Fields) -> Result<String> {
+    fn file_name(&self, fields: &NameFields) -> Result<String> {
         let extension = match self.format {
             Format::Obj => "obj",
             Format::Ply => "ply",
@@ -285,8 +289,8 @@ impl Sample {
     }
 
     /// Reads texture coordinates and picture.
-    fn skin(&self, run: &Run) -> Result<Skin> {
-        let Some(path) = &self.uv else { return Ok(Skin::default()) };
+    fn skin(&self, run: &Run) -> Result<TextureInput> {
+        let Some(path) = &self.uv else { return Ok(TextureInput::default()) };
         let read = obj::read(path)?;
         let fault = |message: String| Error::message(format!("{}: {message}", path.display()));
         if read.mesh.faces != run.body().faces {
@@ -319,10 +323,10 @@ impl Sample {
             (Some(path), Some(_)) => Image::load(path).ok(),
             _ => None,
         };
-        Ok(Skin { uv: Some(uv), image, drawn })
+        Ok(TextureInput { uv: Some(uv), image, drawn })
     }
 
-    fn write(&self, path: &Path, dressed: &Dressed, skin: &Skin) -> Result {
+    fn write(&self, path: &Path, dressed: &DressedMesh, skin: &TextureInput) -> Result {
         if self.format == Format::Ply {
             ply::write(path, &dressed.mesh, Some(&dressed.colours_8_bit()))?;
         } else {
@@ -348,25 +352,25 @@ impl Sample {
     }
 }
 
-fn tile(dressed: &Dressed, line: &Line, skin: &Skin) -> Result<Tile> {
+fn tile(dressed: &DressedMesh, line: &SampleLine, skin: &TextureInput) -> Result<Tile> {
     let label = format!("{} {} {}", line.outfit, line.sample + 1, line.pose);
     Ok(Tile { image: dressed.picture(View::ThreeQuarter, TILE, skin.on())?, label })
 }
 
-impl Skin {
+impl TextureInput {
     /// What pictures are drawn with.
     fn on(&self) -> Option<Painted<'_>> {
         Some(Painted { uv: self.uv.as_ref()?, image: self.drawn.as_ref()? })
     }
 
-    fn texture(&self) -> Option<Texture<'_>> {
+    fn texture(&self) -> Option<GltfTexture<'_>> {
         let image = self.image.as_ref().map(|(_, bytes)| bytes.as_slice());
-        Some(Texture { uv: self.uv.as_ref()?, image })
+        Some(GltfTexture { uv: self.uv.as_ref()?, image })
     }
 }
 
 impl Report {
-    fn text(&self, lines: &[Line]) -> String {
+    fn text(&self, lines: &[SampleLine]) -> String {
         let mut table = Table::new(["file", "outfit", "pose"]);
         for line in lines.iter().take(20) {
             table.row([line.file.as_str(), line.outfit.name(), &line.pose]);

@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 
 /// What a name may be made of.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Fields<'a> {
+pub(super) struct NameFields<'a> {
     pub(super) outfit: Outfit,
     /// From 0.
     pub(super) sample: usize,
@@ -20,7 +20,7 @@ pub(super) struct Fields<'a> {
 }
 
 /// `{outfit}_{sample}`, and `_{frame}` where a sample has several.
-pub(super) fn default(fields: &Fields) -> String {
+pub(super) fn default(fields: &NameFields) -> String {
     let frame = match fields.frames {
         1 => String::new(),
         _ => format!("_{:05}", fields.frame),
@@ -29,7 +29,7 @@ pub(super) fn default(fields: &Fields) -> String {
 }
 
 /// `template` with its fields filled in.
-pub(super) fn fill(template: &str, fields: &Fields) -> Result<String> {
+pub(super) fn fill(template: &str, fields: &NameFields) -> Result<String> {
     let mut name = String::new();
     let mut rest = template;
     while let Some((before, after)) = rest.split_once('{') {
@@ -80,7 +80,7 @@ mod tests {
 
     #[test]
     fn templates_are_filled_and_checked() {
-        let fields = Fields {
+        let fields = NameFields {
             outfit: Outfit::LongLong,
             sample: 4,
             frame: 7,

@@ -3,11 +3,11 @@
 use cape_core::{Mesh, SmplModel, smpl::ClothingMask};
 use cape_data::PackedSet;
 use cape_eval::{
-    comparison::{Measured, Method},
-    table2::Frames,
+    comparison::{MethodResults, RunErrors},
+    table2::FigureFrames,
 };
 use cape_render::{
-    Bounds, Camera, Image, Material, Object, Projection, Style, TextSize, Tile, View, colour_of,
+    Bounds, Camera, Image, Material, Object, Projection, Style, TextSize, Tile, View, colormap,
     contact_sheet, render,
 };
 use cape_synth::poses;
@@ -28,7 +28,7 @@ const CLAY_HEIGHT: u32 = 300;
 const BAR_WIDTH: u32 = 150;
 
 /// Front and back of the body for every method, in one scale, with its bar.
-pub(super) fn maps(body: &SmplModel, methods: &[Method]) -> Result<Image> {
+pub(super) fn maps(body: &SmplModel, methods: &[MethodResults]) -> Result<Image> {
     let mesh = a_posed(body)?;
     let bounds = bounds_of([&mesh])?;
     let style = style(MAP_HEIGHT, &[bounds]);
@@ -37,9 +37,9 @@ pub(super) fn maps(body: &SmplModel, methods: &[Method]) -> Result<Image> {
     let scale = scale_of(maps.iter().flatten());
     let mut tiles = Vec::new();
     for (method, errors) in methods.iter().zip(&maps) {
-        let colour = |&error: &f32| if error > 0.0 { colour_of(error / scale) } else { BARE };
+        let colour = |&error: &f32| if error > 0.0 { colormap(error / scale) } else { BARE };
         let colours: Vec<[f32; 3]> = errors.iter().map(colour).collect();
-        let object = Object::new(&mesh).coloured(&colours);
+        let object = Object::new(&mesh).with_colours(&colours);
         let image = both_sides(object, &bounds, &style)?;
         tiles.push(Tile { image, label: method.label.clone() });
     }
@@ -52,9 +52,9 @@ pub(super) fn maps(body: &SmplModel, methods: &[Method]) -> Result<Image> {
 }
 
 /// A method's reconstructions of the frames shown.
-pub(super) struct Shown {
+pub(super) struct MethodFigure {
     pub(super) label: String,
-    pub(super) frames: Frames,
+    pub(super) frames: FigureFrames,
 }
 
 /// The frames shown, front and back, in a line for the truth and one for every method.
@@ -63,7 +63,7 @@ pub(super) fn reconstructions(
     body: &SmplModel,
     mask: &ClothingMask,
     rows: &[usize],
-    methods: &[Shown],
+    methods: &[MethodFigure],
 ) -> Result<Image> {
     let mut lines: Vec<(usize, Bounds, Vec<Mesh>)> = Vec::new();
     for (index, &row) in rows.iter().enumerate() {
@@ -126,7 +126,7 @@ fn style(height: u32, bounds: &[Bounds]) -> Style {
 }
 
 fn bounds_of<'a>(meshes: impl IntoIterator<Item = &'a Mesh>) -> Result<Bounds> {
-    Bounds::of_meshes(meshes).ok_or_else(|| Error::message("the body has no vertices"))
+    Bounds::from_meshes(meshes).ok_or_else(|| Error::message("the body has no vertices"))
 }
 
 fn a_posed(body: &SmplModel) -> Result<Mesh> {
@@ -155,7 +155,7 @@ fn posed(body: &SmplModel, pose: &[f64], displacement: Option<&Array2<f64>>) -> 
 }
 
 /// Mean error at every vertex, over seeds.
-fn vertex_means(results: &[&Measured], vertices: usize) -> Vec<f32> {
+fn vertex_means(results: &[&RunErrors], vertices: usize) -> Vec<f32> {
     let mean = |vertex: usize| {
         let errors = results.iter().filter_map(|result| result.vertex_means.get(vertex));
         errors.sum::<f32>() / results.len() as f32
@@ -178,7 +178,7 @@ fn draw_bar(image: &mut Image, left: u32, scale: f32) {
     let (top, bottom) = (48, i64::from(image.height().min(MAP_HEIGHT)) + 12);
     for y in top..bottom {
         let share = (bottom - 1 - y) as f32 / (bottom - 1 - top) as f32;
-        let colour = colour_of(share).map(|x| (255.0 * x) as u8);
+        let colour = colormap(share).map(|x| (255.0 * x) as u8);
         for x in left..right {
             image.blend(x, y, colour, 1.0);
         }

@@ -6,10 +6,10 @@ use std::{path::PathBuf, process::ExitCode, time::Instant};
 
 use burn::tensor::Device;
 use cape_core::parse_device;
-use cape_data::{PackedSet, Part};
+use cape_data::{PackedSet, Split};
 use cape_eval::{
-    comparison::Table,
-    table2::{Grid, Job, Row, RowResult, hash_of, methods, shown_frames},
+    comparison::ComparisonTable,
+    table2::{RowResult, Table2Job, Table2Options, Table2Row, hash_of, methods, select_frames},
 };
 use cape_infer::{RunConfig, write_json};
 use cape_model::CapeConfig;
@@ -17,16 +17,16 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, at_least_one},
+    arguments::{GlobalArgs, at_least_one},
     comparison,
     console::{Console, seconds},
     error::{Context, Result},
     files,
-    html::Figure,
+    html::HtmlFigure,
     interrupt::Interrupt,
     training,
 };
-use figures::Shown;
+use figures::MethodFigure;
 
 /// Exit code of an interrupted grid: 128 + SIGINT.
 const INTERRUPTED: u8 = 130;
@@ -42,7 +42,7 @@ const INTERRUPTED: u8 = 130;
     after_help = "Examples:\n  cape table2 --data packed/male --body SMPL_MALE.pkl --out table2 \
                         --seeds 3\n  cape table2 --quick --out quick"
 )]
-pub(crate) struct Table2 {
+pub(crate) struct Table2Args {
     /// Packed set with training and test frames.
     #[arg(long, value_name = "DIR", required_unless_present = "quick")]
     data: Option<PathBuf>,
@@ -55,7 +55,7 @@ pub(crate) struct Table2 {
     /// Rows: mean, pca, coma-4, coma-1, cape, cape-affine, no-discriminator, no-residual, no-edge;
     /// all if none is named.
     #[arg(long, value_name = "ROW,ROW,…", value_delimiter = ',')]
-    rows: Vec<Row>,
+    rows: Vec<Table2Row>,
     /// Seeds of every trained row.
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = at_least_one)]
     seeds: usize,
@@ -81,11 +81,11 @@ struct Report {
     out: PathBuf,
     seconds: f64,
     #[serde(flatten)]
-    table: Table,
+    table: ComparisonTable,
 }
 
-impl Table2 {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result<ExitCode> {
+impl Table2Args {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result<ExitCode> {
         let start = Instant::now();
         let device = parse_device(&global.device)?;
         files::create_dir(&self.out)?;
@@ -93,8 +93,8 @@ impl Table2 {
             Some(data) => data.clone(),
             None => quick::data(&self.out, console)?,
         };
-        let (data_hash, shown) = (hash_of(&data)?, shown_frames(&data)?);
-        let grid = Grid {
+        let (data_hash, shown) = (hash_of(&data)?, select_frames(&data)?);
+        let grid = Table2Options {
             data,
             out: self.out.clone(),
             body: self.body.clone(),
@@ -103,11 +103,11 @@ impl Table2 {
             data_hash,
             shown,
         };
-        let rows = if self.rows.is_empty() { Row::ALL.to_vec() } else { self.rows.clone() };
+        let rows = if self.rows.is_empty() { Table2Row::ALL.to_vec() } else { self.rows.clone() };
         let jobs = grid.jobs(&rows, self.seeds as u64)?;
         let interrupt = Interrupt::listen(console)?;
         let mut results = Vec::new();
-        let mut clock = Clock::new(&jobs);
+        let mut clock = RemainingTime::new(&jobs);
         for (index, job) in jobs.iter().enumerate() {
             let title =
                 format!("[{}/{}] {}, seed {}", index + 1, jobs.len(), job.row.name(), job.seed);
@@ -127,14 +127,14 @@ impl Table2 {
             clock.pass(job);
         }
         let (methods, cape) = methods(&results);
-        let table = Table::new(&methods, cape);
+        let table = ComparisonTable::new(&methods, cape);
         let report = Report { out: self.out, seconds: start.elapsed().as_secs_f64(), table };
         write(&report, &grid, &jobs, &results)?;
         console.result(&report, || report.text())?;
         Ok(ExitCode::SUCCESS)
     }
 
-    fn configured(&self, global: &Global) -> Result<RunConfig> {
+    fn configured(&self, global: &GlobalArgs) -> Result<RunConfig> {
         let mut config = match &self.config {
             Some(path) => RunConfig::load(path)?,
             None if self.quick => quick::config(),
@@ -156,8 +156,8 @@ impl Table2 {
 
 /// Trains and measures a job; nothing if it was interrupted.
 fn done(
-    grid: &Grid,
-    job: &Job,
+    grid: &Table2Options,
+    job: &Table2Job,
     device: &Device,
     console: Console,
     interrupt: &Interrupt,
@@ -177,19 +177,19 @@ fn done(
 }
 
 /// How long the rest will take, by what trained rows took so far.
-struct Clock {
+struct RemainingTime {
     start: Instant,
     trained: usize,
     left: usize,
 }
 
-impl Clock {
-    fn new(jobs: &[Job]) -> Self {
+impl RemainingTime {
+    fn new(jobs: &[Table2Job]) -> Self {
         let left = jobs.iter().filter(|job| job.row.is_trained()).count();
         Self { start: Instant::now(), trained: 0, left }
     }
 
-    fn pass(&mut self, job: &Job) {
+    fn pass(&mut self, job: &Table2Job) {
         if job.row.is_trained() {
             self.trained += 1;
             self.left -= 1;
@@ -205,12 +205,17 @@ impl Clock {
     }
 }
 
-fn write(report: &Report, grid: &Grid, jobs: &[Job], results: &[RowResult]) -> Result {
+fn write(
+    report: &Report,
+    grid: &Table2Options,
+    jobs: &[Table2Job],
+    results: &[RowResult],
+) -> Result {
     let at = |name: &str| report.out.join(name);
     comparison::write(&report.out, "table2", &report.table)?;
     write_json(&at("table2.json"), report)?;
 
-    let set = PackedSet::open(&grid.data, Part::Test)?;
+    let set = PackedSet::open(&grid.data, Split::Test)?;
     let (body, mask) = grid.body(&set)?;
     let shown = first_seeds(jobs)?;
     let reconstructions = figures::reconstructions(&set, &body, &mask, &grid.shown, &shown)?;
@@ -220,19 +225,19 @@ fn write(report: &Report, grid: &Grid, jobs: &[Job], results: &[RowResult]) -> R
     let histograms = comparison::histograms(&report.table)?;
     histograms.save(at("histograms.png"))?;
     let figures = [
-        Figure {
+        HtmlFigure {
             title: "Reconstructions",
             caption: "Test frames and their reconstructions from the posterior's mean, first seed, \
                       front and back: the mean body in the frame's pose.",
             image: &reconstructions,
         },
-        Figure {
+        HtmlFigure {
             title: "Mean error on the body",
             caption: "Mean over test frames and seeds of the error of sampled reconstructions at \
                       every clothing vertex, on the body in an A-pose.",
             image: &maps,
         },
-        Figure {
+        HtmlFigure {
             title: "Distribution of errors",
             caption: "Errors of sampled reconstructions at all clothing vertices of all test \
                       frames, up to the 99th percentile of the widest distribution.",
@@ -244,12 +249,12 @@ fn write(report: &Report, grid: &Grid, jobs: &[Job], results: &[RowResult]) -> R
 }
 
 /// What the first seed of every row made of the frames shown.
-fn first_seeds(jobs: &[Job]) -> Result<Vec<Shown>> {
+fn first_seeds(jobs: &[Table2Job]) -> Result<Vec<MethodFigure>> {
     let first = |row| jobs.iter().find(|job| job.row == row);
-    Row::ALL
+    Table2Row::ALL
         .into_iter()
         .filter_map(first)
-        .map(|job| Ok(Shown { label: job.row.label().to_owned(), frames: job.frames()? }))
+        .map(|job| Ok(MethodFigure { label: job.row.label().to_owned(), frames: job.frames()? }))
         .collect()
 }
 

@@ -6,8 +6,8 @@ use std::{
 };
 
 use cape_data::{PackOptions, pack};
-use cape_infer::{Rule, RunConfig, Schedule, TrainConfig};
-use cape_synth::{Synth, synthetic_body};
+use cape_infer::{OptimiserKind, RateSchedule, RunConfig, TrainConfig};
+use cape_synth::{CaptureGenerator, synthetic_body};
 
 use crate::{
     commands::demo,
@@ -26,9 +26,9 @@ pub(super) fn config() -> RunConfig {
     config.loss.kl = 1e-4;
     config.train = TrainConfig {
         epochs: 3,
-        optimiser: Rule::Adam,
+        optimiser: OptimiserKind::Adam,
         peak_rate: 1e-3,
-        schedule: Schedule::Cosine,
+        schedule: RateSchedule::Cosine,
         ..config.train
     };
     config
@@ -46,7 +46,7 @@ pub(super) fn data(out: &Path, console: Console) -> Result<PathBuf> {
     }
     let body = synthetic_body();
     let (spec, split) = demo::captures(SUBJECTS, FRAMES, 1);
-    let synth = Synth::new(&body, spec)?;
+    let synth = CaptureGenerator::new(&body, spec)?;
     console.while_showing("synth", "frames", |progress| synth.write(&raw, progress))?;
     let options = PackOptions { strict: true, ..PackOptions::default() };
     console.while_showing("pack", "frames", |progress| {

@@ -2,16 +2,16 @@
 
 use std::fmt::Write as _;
 
-use cape_eval::{comparison::Table, table2::Grid};
+use cape_eval::{comparison::ComparisonTable, table2::Table2Options};
 
 use crate::{
     console::seconds,
     error::{Error, Result},
-    html::{self, Figure, escaped},
+    html::{self, HtmlFigure, escaped},
 };
 
 /// Tables, figures, configuration, versions and the data's hash, all in one text.
-pub(super) fn page(table: &Table, grid: &Grid, figures: &[Figure]) -> Result<String> {
+pub(super) fn page(table: &ComparisonTable, grid: &Table2Options, figures: &[HtmlFigure]) -> Result<String> {
     let mut body = String::new();
     let (header, rows) = table.rows();
     let class = |line| if table.is_reference(line) { "reference" } else { "" };

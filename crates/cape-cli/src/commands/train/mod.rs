@@ -1,5 +1,5 @@
+mod self_check;
 mod settings;
-mod trials;
 
 use std::{
     path::{Path, PathBuf},
@@ -9,12 +9,12 @@ use std::{
 use cape_core::parse_device;
 use cape_infer::{RunConfig, RunPaths};
 use cape_model::CapeConfig;
-use cape_train::{Outcome, Trainer};
+use cape_train::{TrainOutcome, Trainer};
 use clap::Args;
 use serde::Serialize;
 
 use crate::{
-    arguments::{Global, default_device},
+    arguments::{GlobalArgs, default_device},
     console::{Console, seconds},
     dashboard::Dashboard,
     error::{Context, Error, Result},
@@ -22,8 +22,8 @@ use crate::{
     table::Table,
     training,
 };
-use settings::{Settings, set};
-use trials::Trials;
+use self_check::SelfCheckArgs;
+use settings::{TrainOverrideArgs, set};
 
 /// Exit code of a training that was interrupted and can be resumed: 128 + SIGINT.
 const INTERRUPTED: u8 = 130;
@@ -40,7 +40,7 @@ const INTERRUPTED: u8 = 130;
                         cape train --data packed --preset narrow --check\n  \
                         cape train --data packed --preset narrow --find-rate --out rates"
 )]
-pub(crate) struct Train {
+pub(crate) struct TrainArgs {
     /// Packed set; a resumed run remembers its own.
     #[arg(long, value_name = "DIR", required_unless_present = "resume")]
     data: Option<PathBuf>,
@@ -51,7 +51,7 @@ pub(crate) struct Train {
     #[arg(long)]
     resume: bool,
     #[command(flatten)]
-    trials: Trials,
+    self_check: SelfCheckArgs,
     /// Settings as a TOML file; options below override it.
     #[arg(long, value_name = "FILE", conflicts_with = "preset")]
     config: Option<PathBuf>,
@@ -70,21 +70,21 @@ pub(crate) struct Train {
     #[arg(long)]
     tui: bool,
     #[command(flatten)]
-    settings: Settings,
+    settings: TrainOverrideArgs,
 }
 
 #[derive(Debug, Serialize)]
 struct Report {
     out: PathBuf,
     #[serde(flatten)]
-    outcome: Outcome,
+    outcome: TrainOutcome,
 }
 
-impl Train {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result<ExitCode> {
+impl TrainArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result<ExitCode> {
         let device = parse_device(&global.device)?;
-        if self.trials.any() {
-            return self.tried(global, console, &device);
+        if self.self_check.any() {
+            return self.run_self_check(global, console, &device);
         }
         if self.tui {
             Dashboard::check()?;
@@ -110,13 +110,15 @@ impl Train {
         if report.outcome.finished {
             return Ok(ExitCode::SUCCESS);
         }
-        console
-            .note(&format!("interrupted and saved; go on with:\n  {}", self.go_on(&out, global)));
+        console.note(&format!(
+            "interrupted and saved; go on with:\n  {}",
+            self.resume_hint(&out, global)
+        ));
         Ok(ExitCode::from(INTERRUPTED))
     }
 
     /// `base` with the configuration file, the preset and the options laid over it.
-    fn configured(&self, base: RunConfig, global: &Global) -> Result<RunConfig> {
+    fn configured(&self, base: RunConfig, global: &GlobalArgs) -> Result<RunConfig> {
         let mut config = match &self.config {
             Some(path) => RunConfig::load(path)?,
             None => base,
@@ -125,13 +127,13 @@ impl Train {
             config.model = CapeConfig::preset(preset)?;
         }
         set(&mut config.train.seed, global.seed);
-        self.settings.lay_over(&mut config);
+        self.settings.apply_to(&mut config);
         config.validate()?;
         Ok(config)
     }
 
     /// A resumed run keeps its settings: others that are given must be the same.
-    fn check_settings(&self, out: &Path, global: &Global) -> Result {
+    fn check_settings(&self, out: &Path, global: &GlobalArgs) -> Result {
         let path = RunPaths::new(out).config();
         let found = RunConfig::load(&path)?;
         let asked = self.configured(found.clone(), global)?;
@@ -144,7 +146,7 @@ impl Train {
     }
 
     /// The command that resumes this training.
-    fn go_on(&self, out: &Path, global: &Global) -> String {
+    fn resume_hint(&self, out: &Path, global: &GlobalArgs) -> String {
         let mut words = vec!["cape".to_owned(), "train".to_owned()];
         let mut path = |option: &str, path: &Path| {
             words.extend([option.to_owned(), quoted(&path.to_string_lossy())]);
@@ -202,7 +204,7 @@ fn difference(name: &str, found: &toml::Value, asked: &toml::Value) -> Option<St
 
 impl Report {
     fn text(&self) -> String {
-        let Outcome { epochs, steps, best_validation, seconds: spent, .. } = &self.outcome;
+        let TrainOutcome { epochs, steps, best_validation, seconds: spent, .. } = &self.outcome;
         let mut table = Table::default();
         table.row(["epochs".to_owned(), epochs.to_string()]);
         table.row(["steps".to_owned(), steps.to_string()]);

@@ -1,7 +1,7 @@
 //! Settings of a training on the command line.
 
-use cape_infer::{Rule, RunConfig, Schedule};
-use cape_model::Adversary;
+use cape_infer::{OptimiserKind, RateSchedule, RunConfig};
+use cape_model::AdversarialLoss;
 use clap::{Args, ValueEnum};
 
 use crate::{arguments::at_least_one, commands::pyramid::WeightingName};
@@ -9,7 +9,7 @@ use crate::{arguments::at_least_one, commands::pyramid::WeightingName};
 /// Settings that override the configuration.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Settings")]
-pub(super) struct Settings {
+pub(super) struct TrainOverrideArgs {
     /// Passes over the training frames.
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     epochs: Option<usize>,
@@ -28,7 +28,7 @@ pub(super) struct Settings {
     /// How gradients become steps. The paper's is sgd, with momentum; adam wants a --peak-rate of
     /// about 1e-3.
     #[arg(long, value_enum)]
-    optimiser: Option<RuleName>,
+    optimiser: Option<OptimiserName>,
     /// Weight of the Kullback–Leibler term.
     #[arg(long, value_name = "WEIGHT")]
     kl: Option<f64>,
@@ -40,7 +40,7 @@ pub(super) struct Settings {
     gan: Option<f64>,
     /// What generator and discriminator play for; the paper's is bce, binary cross-entropy.
     #[arg(long, value_enum)]
-    adversary: Option<AdversaryName>,
+    adversary: Option<AdversarialLossName>,
     /// Divide the discriminator's weight matrices by their largest singular values.
     #[arg(long)]
     spectral_norm: bool,
@@ -68,13 +68,13 @@ enum ScheduleName {
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum RuleName {
+enum OptimiserName {
     Sgd,
     Adam,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum AdversaryName {
+enum AdversarialLossName {
     Bce,
     Hinge,
 }
@@ -85,30 +85,30 @@ pub(super) fn set<T>(slot: &mut T, value: Option<T>) {
     }
 }
 
-impl Settings {
+impl TrainOverrideArgs {
     /// Puts what is given in the place of what `config` says.
-    pub(super) fn lay_over(&self, config: &mut RunConfig) {
+    pub(super) fn apply_to(&self, config: &mut RunConfig) {
         let RunConfig { model, loss, train, weighting } = config;
         set(&mut train.epochs, self.epochs);
         set(&mut train.batch, self.batch);
         set(&mut train.peak_rate, self.peak_rate);
         set(&mut train.warmup_epochs, self.warmup_epochs);
         let schedule = self.schedule.map(|name| match name {
-            ScheduleName::Exponential => Schedule::Exponential,
-            ScheduleName::Cosine => Schedule::Cosine,
+            ScheduleName::Exponential => RateSchedule::Exponential,
+            ScheduleName::Cosine => RateSchedule::Cosine,
         });
         set(&mut train.schedule, schedule);
         let rule = self.optimiser.map(|name| match name {
-            RuleName::Sgd => Rule::Sgd,
-            RuleName::Adam => Rule::Adam,
+            OptimiserName::Sgd => OptimiserKind::Sgd,
+            OptimiserName::Adam => OptimiserKind::Adam,
         });
         set(&mut train.optimiser, rule);
         set(&mut loss.kl, self.kl);
         set(&mut train.kl_warmup_epochs, self.kl_warmup_epochs);
         set(&mut loss.gan, self.gan);
         let adversary = self.adversary.map(|name| match name {
-            AdversaryName::Bce => Adversary::Bce,
-            AdversaryName::Hinge => Adversary::Hinge,
+            AdversarialLossName::Bce => AdversarialLoss::Bce,
+            AdversarialLossName::Hinge => AdversarialLoss::Hinge,
         });
         set(&mut loss.adversary, adversary);
         if let Some(discriminator) = &mut model.discriminator {

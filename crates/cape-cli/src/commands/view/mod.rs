@@ -20,12 +20,12 @@ use rand::{Rng, SeedableRng};
 use serde::Serialize;
 
 use crate::{
-    arguments::Global,
+    arguments::GlobalArgs,
     console::Console,
     error::{Context, Error, Result},
 };
-use server::Site;
-use source::{Meshes, Model, Source};
+use server::ServerState;
+use source::{MeshSource, RunSource, Source};
 
 /// Look at dressed people in the browser: turn them, and change code, shape, pose and outfit.
 ///
@@ -33,7 +33,7 @@ use source::{Meshes, Model, Source};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  cape view run\n  cape view dressed.obj\n  \
                         cape view frames --fps 15 --no-open --port 8080")]
-pub(crate) struct View {
+pub(crate) struct ViewArgs {
     /// A training run; a mesh, .obj, .ply or a body's .npz or .pkl; or a directory of meshes, the
     /// frames of a sequence.
     #[arg(value_name = "RUN|MESH|SEQUENCE")]
@@ -57,8 +57,8 @@ struct Report {
     url: String,
 }
 
-impl View {
-    pub(crate) fn run(self, global: &Global, console: Console) -> Result {
+impl ViewArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         if !self.address.is_loopback() {
             return Err(Error::message(format!(
                 "--address {}: expected a loopback address, such as 127.0.0.1",
@@ -75,8 +75,8 @@ impl View {
             None
         };
         let source = match &run {
-            Some(run) => Source::Model(Box::new(Model::new(run, console))),
-            None => Source::Meshes(Meshes::open(&self.path, self.fps)?),
+            Some(run) => Source::Model(Box::new(RunSource::new(run, console))),
+            None => Source::Meshes(MeshSource::open(&self.path, self.fps)?),
         };
         let scene = source.scene()?.to_string();
         let faces = source.faces().as_flattened().iter().flat_map(|i| i.to_le_bytes()).collect();
@@ -89,7 +89,7 @@ impl View {
         let (jobs, list) = mpsc::channel();
         let token = token();
         let report = Report { url: format!("http://{address}/{token}/") };
-        let site = Site { token, scene, faces, port: address.port(), jobs };
+        let site = ServerState { token, scene, faces, port: address.port(), jobs };
         let server = thread::spawn(move || server::serve(listener, site));
         console.result(&report, || format!("{}\nCtrl-C ends it", report.url))?;
         if !self.no_open && open::that_detached(&report.url).is_err() {

@@ -11,8 +11,8 @@ use axum::{
     Router,
     body::Bytes,
     extract::{
-        DefaultBodyLimit, Path, Request as HttpRequest, State,
-        ws::{Message as Frame, WebSocket, WebSocketUpgrade},
+        State, DefaultBodyLimit, Path, Request as HttpRequest,
+        ws::{Message as MotionFrame, WebSocket, WebSocketUpgrade},
     },
     http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header},
     middleware::{self, Next},
@@ -44,7 +44,7 @@ const HEADERS: [(HeaderName, &str); 4] = [
 ];
 
 /// What the thread that owns the model is asked.
-pub(super) enum Job {
+pub(super) enum ModelRequest {
     /// A question of a page; `newest` is that page's latest one that supersedes.
     Ask { request: Request, newest: Arc<AtomicU32>, reply: channel::UnboundedSender<Message> },
     /// A file.
@@ -52,31 +52,31 @@ pub(super) enum Job {
 }
 
 /// What does not change while the page is open.
-pub(super) struct Site {
+pub(super) struct ServerState {
     pub(super) token: String,
     pub(super) scene: String,
     /// `[faces, 3]`, u32, little-endian.
     pub(super) faces: Vec<u8>,
     pub(super) port: u16,
-    pub(super) jobs: mpsc::Sender<Job>,
+    pub(super) jobs: mpsc::Sender<ModelRequest>,
 }
 
 /// Answers jobs until the server is gone.
 pub(super) fn work(
-    jobs: mpsc::Receiver<Job>,
+    jobs: mpsc::Receiver<ModelRequest>,
     answer: impl Fn(&Question) -> Result<Answer>,
     file: impl Fn(&Download) -> Result<Vec<u8>>,
 ) {
     for job in jobs {
         match job {
-            Job::Ask { request: Request { id, question }, newest, reply } => {
+            ModelRequest::Ask { request: Request { id, question }, newest, reply } => {
                 if question.is_superseded() && newest.load(Ordering::Acquire) != id {
                     continue;
                 }
                 // A page that has gone does not listen.
                 let _ = reply.send(wire::encode(id, &answer(&question)));
             }
-            Job::Save { download, reply } => {
+            ModelRequest::Save { download, reply } => {
                 let _ = reply.send(file(&download));
             }
         }
@@ -84,7 +84,7 @@ pub(super) fn work(
 }
 
 /// Serves the site until the process ends.
-pub(super) fn serve(listener: std::net::TcpListener, site: Site) -> Result {
+pub(super) fn serve(listener: std::net::TcpListener, site: ServerState) -> Result {
     let fault = |error: std::io::Error| Error::message(format!("the server: {error}"));
     listener.set_nonblocking(true).map_err(fault)?;
     let runtime =
@@ -95,7 +95,7 @@ pub(super) fn serve(listener: std::net::TcpListener, site: Site) -> Result {
     })
 }
 
-fn router(site: Arc<Site>) -> Router {
+fn router(site: Arc<ServerState>) -> Router {
     Router::new()
         .route("/{token}", get(to_page))
         .route("/{token}/", get(page))
@@ -110,7 +110,11 @@ fn router(site: Arc<Site>) -> Router {
 }
 
 /// Lets in who knows the secret and comes from the page itself.
-async fn guard(State(site): State<Arc<Site>>, request: HttpRequest, next: Next) -> Response {
+async fn guard(
+    State(site): State<Arc<ServerState>>,
+    request: HttpRequest,
+    next: Next,
+) -> Response {
     let allowed = is_here(&site, request.headers()) && knows(&site, request.uri());
     let mut response =
         if allowed { next.run(request).await } else { StatusCode::NOT_FOUND.into_response() };
@@ -120,7 +124,7 @@ async fn guard(State(site): State<Arc<Site>>, request: HttpRequest, next: Next) 
     response
 }
 
-fn knows(site: &Site, uri: &Uri) -> bool {
+fn knows(site: &ServerState, uri: &Uri) -> bool {
     let given = uri.path().split('/').nth(1).unwrap_or_default().as_bytes();
     let token = site.token.as_bytes();
     // Takes as long whatever is wrong.
@@ -129,7 +133,7 @@ fn knows(site: &Site, uri: &Uri) -> bool {
 }
 
 /// Whether the browser means this server by its own name, and no other page sent it here.
-fn is_here(site: &Site, headers: &HeaderMap) -> bool {
+fn is_here(site: &ServerState, headers: &HeaderMap) -> bool {
     let text = |name: HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
     let hosts = ["127.0.0.1", "localhost", "[::1]"].map(|host| format!("{host}:{}", site.port));
     let Some(host) = text(header::HOST).filter(|host| hosts.iter().any(|known| known == host))
@@ -147,64 +151,67 @@ async fn to_page(Path(token): Path<String>) -> Redirect {
 }
 
 async fn page() -> Response {
-    of_type("text/html; charset=utf-8", assets::PAGE)
+    with_content_type("text/html; charset=utf-8", assets::PAGE)
 }
 
 async fn asset(Path((_, name)): Path<(String, String)>) -> Response {
     match assets::find(&name) {
-        Some((kind, text)) => of_type(kind, text),
+        Some((kind, text)) => with_content_type(kind, text),
         None => StatusCode::NOT_FOUND.into_response(),
     }
 }
 
-async fn scene(State(site): State<Arc<Site>>) -> Response {
-    of_type("application/json", site.scene.clone())
+async fn scene(State(site): State<Arc<ServerState>>) -> Response {
+    with_content_type("application/json", site.scene.clone())
 }
 
-async fn faces(State(site): State<Arc<Site>>) -> Response {
-    of_type("application/octet-stream", site.faces.clone())
+async fn faces(State(site): State<Arc<ServerState>>) -> Response {
+    with_content_type("application/octet-stream", site.faces.clone())
 }
 
-fn of_type(kind: &'static str, body: impl IntoResponse) -> Response {
+fn with_content_type(kind: &'static str, body: impl IntoResponse) -> Response {
     ([(header::CONTENT_TYPE, kind)], body).into_response()
 }
 
-async fn download(State(site): State<Arc<Site>>, body: Bytes) -> Response {
+async fn download(State(site): State<Arc<ServerState>>, body: Bytes) -> Response {
     let refuse = |status: StatusCode, why: String| (status, why).into_response();
     let download: Download = match serde_json::from_slice(&body) {
         Ok(download) => download,
         Err(error) => return refuse(StatusCode::BAD_REQUEST, error.to_string()),
     };
     let (reply, answer) = oneshot::channel();
-    if site.jobs.send(Job::Save { download, reply }).is_err() {
+    if site.jobs.send(ModelRequest::Save { download, reply }).is_err() {
         return StatusCode::SERVICE_UNAVAILABLE.into_response();
     }
     match answer.await {
-        Ok(Ok(bytes)) => of_type("application/octet-stream", bytes),
+        Ok(Ok(bytes)) => with_content_type("application/octet-stream", bytes),
         Ok(Err(error)) => refuse(StatusCode::UNPROCESSABLE_ENTITY, error.to_string()),
         Err(_) => StatusCode::SERVICE_UNAVAILABLE.into_response(),
     }
 }
 
-async fn socket(State(site): State<Arc<Site>>, upgrade: WebSocketUpgrade) -> Response {
-    upgrade.max_message_size(MOST_BYTES).on_upgrade(move |socket| talk(socket, site))
+async fn socket(
+    State(site): State<Arc<ServerState>>,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    upgrade.max_message_size(MOST_BYTES).on_upgrade(move |socket| handle_socket(socket, site))
 }
 
 /// One page's conversation.
-async fn talk(mut socket: WebSocket, site: Arc<Site>) {
+async fn handle_socket(mut socket: WebSocket, site: Arc<ServerState>) {
     let newest = Arc::new(AtomicU32::new(0));
     let (reply, mut answers) = channel::unbounded_channel();
     loop {
         tokio::select! {
             message = socket.recv() => {
                 let text = match message {
-                    Some(Ok(Frame::Text(text))) => text,
-                    Some(Ok(Frame::Ping(_) | Frame::Pong(_))) => continue,
-                    Some(Ok(Frame::Binary(_))) => {
+                    Some(Ok(MotionFrame::Text(text))) => text,
+                    Some(Ok(MotionFrame::Ping(_) | MotionFrame::Pong(_))) => continue,
+                    Some(Ok(MotionFrame::Binary(_))) => {
                         let _ = reply.send(wire::failure(0, "expected text"));
                         continue;
                     }
-                    Some(Ok(Frame::Close(_)) | Err(_)) | None => return,
+                    Some(Ok(MotionFrame::Close(_)) | Err(_)) | None => return,
                 };
                 let request: Request = match serde_json::from_str(&text) {
                     Ok(request) => request,
@@ -216,15 +223,15 @@ async fn talk(mut socket: WebSocket, site: Arc<Site>) {
                 if request.question.is_superseded() {
                     newest.store(request.id, Ordering::Release);
                 }
-                let job = Job::Ask { request, newest: newest.clone(), reply: reply.clone() };
+                let job = ModelRequest::Ask { request, newest: newest.clone(), reply: reply.clone() };
                 if site.jobs.send(job).is_err() {
                     return;
                 }
             }
             Some(answer) = answers.recv() => {
                 let frame = match answer {
-                    Message::Text(text) => Frame::Text(text.into()),
-                    Message::Binary(bytes) => Frame::Binary(bytes.into()),
+                    Message::Text(text) => MotionFrame::Text(text.into()),
+                    Message::Binary(bytes) => MotionFrame::Binary(bytes.into()),
                 };
                 if socket.send(frame).await.is_err() {
                     return;
@@ -238,9 +245,15 @@ async fn talk(mut socket: WebSocket, site: Arc<Site>) {
 mod tests {
     use super::*;
 
-    fn site() -> Site {
+    fn site() -> ServerState {
         let (jobs, _) = mpsc::channel();
-        Site { token: "secret".into(), scene: String::new(), faces: Vec::new(), port: 80, jobs }
+        ServerState {
+            token: "secret".into(),
+            scene: String::new(),
+            faces: Vec::new(),
+            port: 80,
+            jobs,
+        }
     }
 
     #[test]
@@ -278,7 +291,7 @@ mod tests {
         let (jobs, list) = mpsc::channel();
         let (reply, mut answers) = channel::unbounded_channel();
         let newest = Arc::new(AtomicU32::new(3));
-        let ask = |id: u32, question: Question| Job::Ask {
+        let ask = |id: u32, question: Question| ModelRequest::Ask {
             request: Request { id, question },
             newest: newest.clone(),
             reply: reply.clone(),

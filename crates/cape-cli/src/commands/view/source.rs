@@ -3,19 +3,19 @@
 use std::path::{Path, PathBuf};
 
 use cape_core::{Mesh, Outfit, joints::JOINT_NAMES, obj, ply};
-use cape_data::{PackedSet, Part, raw::name_of};
-use cape_infer::{Performance, Run, Wearer, directions_by_effect};
+use cape_data::{PackedSet, Split, raw::name_of};
+use cape_infer::{AnimatedBody, BodySpec, Run, directions_by_effect};
 use cape_synth::{Motion, poses};
 use ndarray::{Array2, Array3};
 use serde_json::{Value, json};
 
-use super::wire::{Answer, Download, FileFormat, Layer, Person, Question, Show};
+use super::wire::{Answer, Download, FileFormat, Person, Question, ShowRequest, ViewLayer};
 use crate::{
     console::Console,
-    dressed::{Dressed, Painter, bare},
+    dressed_mesh::{DressedMesh, DressedRenderer, unclothed_meshes},
     error::{Error, Result},
     mesh_file::read_mesh,
-    priors::{Drawn, PriorName},
+    priors::{PriorArgs, PriorName},
 };
 
 /// Shape coefficients that have sliders.
@@ -24,20 +24,20 @@ const CLAY: [f32; 3] = [0.72, 0.71, 0.70];
 
 /// Answers the page's questions, on one thread.
 pub(super) enum Source<'a> {
-    Model(Box<Model<'a>>),
-    Meshes(Meshes),
+    Model(Box<RunSource<'a>>),
+    Meshes(MeshSource),
 }
 
 /// A trained run.
-pub(super) struct Model<'a> {
+pub(super) struct RunSource<'a> {
     run: &'a Run,
-    painter: Painter<'a>,
+    painter: DressedRenderer<'a>,
     truth: Option<PackedSet>,
     console: Console,
 }
 
 /// A mesh, or the frames of a sequence.
-pub(super) struct Meshes {
+pub(super) struct MeshSource {
     paths: Vec<PathBuf>,
     first: Mesh,
     fps: f64,
@@ -64,9 +64,9 @@ impl Source<'_> {
         match (self, question) {
             (Self::Model(model), Question::Show(show)) => Ok(Answer::People(model.people(show)?)),
             (Self::Model(model), Question::Sample(sample)) => {
-                let &Model { run, console, .. } = &**model;
+                let &RunSource { run, console, .. } = &**model;
                 let (outfit, seed) = (sample.outfit, sample.seed);
-                let drawn = Drawn { prior: sample.prior()?, temperature: sample.temperature };
+                let drawn = PriorArgs { prior: sample.prior()?, temperature: sample.temperature };
                 let z = drawn.codes(run, &[outfit], 1, seed, console)?;
                 Ok(Answer::Code { z: z.row(0).to_vec() })
             }
@@ -81,7 +81,7 @@ impl Source<'_> {
                 if poses::preset(&movement.name).is_none() {
                     return Err(Error::message(format!("no movement `{}`", movement.name)));
                 }
-                let poses = poses::movement(&movement.name, movement.seconds, movement.fps)?;
+                let poses = poses::motion_poses(&movement.name, movement.seconds, movement.fps)?;
                 Ok(Answer::Poses { poses, fps: movement.fps })
             }
             (Self::Meshes(meshes), &Question::Frame(frame)) => {
@@ -104,14 +104,14 @@ impl Source<'_> {
         };
         let person = people
             .iter()
-            .find(|person| person.layer == Layer::Clothed)
+            .find(|person| person.layer == ViewLayer::Clothed)
             .or(people.first())
             .ok_or_else(|| Error::message("nothing is shown"))?;
         let directory = tempfile::tempdir().map_err(|error| Error::io("download", error))?;
         let path = directory.path().join("mesh");
         if download.format == FileFormat::Ply {
             let colours: Vec<[u8; 3]> =
-                person.colours.iter().copied().map(crate::dressed::eight_bit).collect();
+                person.colours.iter().copied().map(crate::dressed_mesh::eight_bit).collect();
             ply::write(&path, &person.mesh, Some(&colours))?;
         } else {
             obj::write(&path, &person.mesh, None)?;
@@ -120,17 +120,17 @@ impl Source<'_> {
     }
 }
 
-impl<'a> Model<'a> {
+impl<'a> RunSource<'a> {
     pub(super) fn new(run: &'a Run, console: Console) -> Self {
-        let truth = run.data().ok().and_then(|data| PackedSet::open(&data, Part::Test).ok());
+        let truth = run.data().ok().and_then(|data| PackedSet::open(&data, Split::Test).ok());
         let truth = truth.filter(|set| set.vertices() == run.body().vertices());
-        Self { run, painter: Painter::new(run), truth, console }
+        Self { run, painter: DressedRenderer::new(run), truth, console }
     }
 
     fn scene(&self) -> Result<Value> {
         let run = self.run;
         let at = |name: &str| poses::preset(name).unwrap_or([0.0; 72]);
-        let wearer = Wearer { betas: Vec::new(), pose: at("a-pose"), outfit: Outfit::LongLong };
+        let wearer = BodySpec { betas: Vec::new(), pose: at("a-pose"), outfit: Outfit::LongLong };
         let (order, effect) = directions_by_effect(run, &wearer)?;
         let motions: Vec<&str> = Motion::ALL.iter().map(|motion| motion.name()).collect();
         let named = ["a-pose", "t-pose"].into_iter().chain(motions.iter().copied());
@@ -162,13 +162,13 @@ impl<'a> Model<'a> {
         }))
     }
 
-    fn people(&self, show: &Show) -> Result<Vec<Person>> {
-        let (wearer, code, truth) = if show.layers.contains(&Layer::Truth) {
+    fn people(&self, show: &ShowRequest) -> Result<Vec<Person>> {
+        let (wearer, code, truth) = if show.layers.contains(&ViewLayer::Truth) {
             let (displacement, wearer) = self.registration(show.truth)?;
-            let worn = self.painter.wear(&displacement, std::slice::from_ref(&wearer))?;
+            let worn = self.painter.pose_clothed(&displacement, std::slice::from_ref(&wearer))?;
             (wearer, self.code_of(show.truth)?, worn.into_iter().next())
         } else {
-            (show.wearer()?, self.code(show)?, None)
+            (show.body_spec()?, self.code(show)?, None)
         };
         let wearers = std::slice::from_ref(&wearer);
         let vertices = self.run.body().vertices();
@@ -178,16 +178,16 @@ impl<'a> Model<'a> {
                 continue;
             }
             let dressed = match layer {
-                Layer::Truth => truth.clone(),
-                Layer::Body => bare(self.run, wearers)?.into_iter().next(),
-                Layer::Clothed => {
-                    let worn = self.run.clothes(&code, wearers)?;
-                    self.painter.wear(&worn, wearers)?.into_iter().next()
+                ViewLayer::Truth => truth.clone(),
+                ViewLayer::Body => unclothed_meshes(self.run, wearers)?.into_iter().next(),
+                ViewLayer::Clothed => {
+                    let worn = self.run.decode_displacements(&code, wearers)?;
+                    self.painter.pose_clothed(&worn, wearers)?.into_iter().next()
                 }
             };
-            let Some(Dressed { mesh, colours, distances }) = dressed else { continue };
+            let Some(DressedMesh { mesh, colours, distances }) = dressed else { continue };
             let mut errors = vec![0.0; vertices];
-            if let (Some(truth), Layer::Clothed) = (&truth, layer) {
+            if let (Some(truth), ViewLayer::Clothed) = (&truth, layer) {
                 for &vertex in self.run.clothing() {
                     let (a, b) = (mesh.vertices[vertex], truth.mesh.vertices[vertex]);
                     let squares = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b));
@@ -199,7 +199,7 @@ impl<'a> Model<'a> {
         Ok(people)
     }
 
-    fn code(&self, show: &Show) -> Result<Array2<f32>> {
+    fn code(&self, show: &ShowRequest) -> Result<Array2<f32>> {
         let latent = self.run.config().model.latent;
         Array2::from_shape_vec((1, show.z.len()), show.z.clone())
             .ok()
@@ -218,9 +218,9 @@ impl<'a> Model<'a> {
     }
 
     /// Displacements `[1, vertices, 3]` of a held-out frame, and its pose and outfit.
-    fn registration(&self, frame: usize) -> Result<(Array3<f32>, Wearer)> {
+    fn registration(&self, frame: usize) -> Result<(Array3<f32>, BodySpec)> {
         let (displacement, wearer) = cape_infer::registration(self.set()?, frame)?;
-        Ok((displacement, Wearer { betas: vec![0.0; self.shapes()], ..wearer }))
+        Ok((displacement, BodySpec { betas: vec![0.0; self.shapes()], ..wearer }))
     }
 
     /// Shape coefficients that have sliders.
@@ -228,23 +228,23 @@ impl<'a> Model<'a> {
         self.run.body().betas().min(SHAPES)
     }
 
-    fn glb(&self, show: &Show) -> Result<Vec<u8>> {
-        let (code, wearer) = if show.layers.contains(&Layer::Truth) {
+    fn glb(&self, show: &ShowRequest) -> Result<Vec<u8>> {
+        let (code, wearer) = if show.layers.contains(&ViewLayer::Truth) {
             (self.code_of(show.truth)?, self.registration(show.truth)?.1)
         } else {
-            (self.code(show)?, show.wearer()?)
+            (self.code(show)?, show.body_spec()?)
         };
-        let worn = self.run.clothes(&code, std::slice::from_ref(&wearer))?;
-        let dressed = self.painter.wear(&worn, std::slice::from_ref(&wearer))?;
-        let performance = Performance {
+        let worn = self.run.decode_displacements(&code, std::slice::from_ref(&wearer))?;
+        let dressed = self.painter.pose_clothed(&worn, std::slice::from_ref(&wearer))?;
+        let performance = AnimatedBody {
             colours: dressed.first().map(|dressed| &dressed.colours[..]),
-            ..Performance::still("clothed", &code, &wearer)
+            ..AnimatedBody::from_body("clothed", &code, &wearer)
         };
         Ok(performance.encode(self.run)?)
     }
 }
 
-impl Meshes {
+impl MeshSource {
     /// A mesh file, or all of a directory in the order of their names.
     pub(super) fn open(path: &Path, fps: f64) -> Result<Self> {
         let paths = if path.is_dir() {
@@ -304,7 +304,7 @@ impl Meshes {
         }
         let count = mesh.vertices.len();
         Ok(Person {
-            layer: Layer::Clothed,
+            layer: ViewLayer::Clothed,
             colours: vec![CLAY; count],
             distances: vec![0.0; count],
             errors: vec![0.0; count],

@@ -1,7 +1,7 @@
 //! Messages between the page and the server.
 
 use cape_core::{BodyPose, Mesh, Outfit};
-use cape_infer::Wearer;
+use cape_infer::BodySpec;
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -18,7 +18,7 @@ const MOST_RATE: f64 = 120.0;
 /// What a person beside others is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Layer {
+pub(super) enum ViewLayer {
     Clothed,
     Body,
     Truth,
@@ -27,12 +27,12 @@ pub(super) enum Layer {
 /// What is to be seen of a run.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Show {
+pub(super) struct ShowRequest {
     pub(super) z: Vec<f32>,
     pub(super) betas: Vec<f32>,
     pose: Vec<f32>,
     outfit: Outfit,
-    pub(super) layers: Vec<Layer>,
+    pub(super) layers: Vec<ViewLayer>,
     #[serde(default)]
     pub(super) truth: usize,
 }
@@ -40,7 +40,7 @@ pub(super) struct Show {
 /// A code is to be drawn.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Sample {
+pub(super) struct SampleRequest {
     prior: String,
     pub(super) temperature: f64,
     pub(super) seed: u64,
@@ -50,7 +50,7 @@ pub(super) struct Sample {
 /// Poses of a movement are asked for.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Movement {
+pub(super) struct MotionRequest {
     pub(super) name: String,
     pub(super) seconds: f64,
     pub(super) fps: f64,
@@ -60,15 +60,15 @@ pub(super) struct Movement {
 #[serde(rename_all = "lowercase")]
 pub(super) enum Question {
     /// The picture of a run.
-    Show(Show),
+    Show(ShowRequest),
     /// The picture of a mesh or sequence.
     Frame(usize),
     /// A code.
-    Sample(Sample),
+    Sample(SampleRequest),
     /// The code, body and pose of a registration.
     Encode(usize),
     /// The poses of a movement.
-    Motion(Movement),
+    Motion(MotionRequest),
 }
 
 /// A message of the page.
@@ -98,7 +98,7 @@ pub(super) enum FileFormat {
 /// One person.
 #[derive(Debug, Clone)]
 pub(super) struct Person {
-    pub(super) layer: Layer,
+    pub(super) layer: ViewLayer,
     pub(super) mesh: Mesh,
     pub(super) colours: Vec<[f32; 3]>,
     /// Lengths of displacements, metres, `[vertices]`.
@@ -112,7 +112,7 @@ pub(super) struct Person {
 pub(super) enum Answer {
     People(Vec<Person>),
     Code { z: Vec<f32> },
-    Registration { z: Vec<f32>, wearer: Box<Wearer> },
+    Registration { z: Vec<f32>, wearer: Box<BodySpec> },
     Poses { poses: Vec<BodyPose>, fps: f64 },
 }
 
@@ -123,26 +123,26 @@ impl Question {
     }
 }
 
-impl Show {
-    pub(super) fn wearer(&self) -> Result<Wearer> {
+impl ShowRequest {
+    pub(super) fn body_spec(&self) -> Result<BodySpec> {
         let pose = BodyPose::try_from(self.pose.as_slice()).map_err(|_| {
             Error::message(format!("pose of {} numbers, expected 72", self.pose.len()))
         })?;
         if pose.iter().chain(&self.z).chain(&self.betas).any(|x| !x.is_finite()) {
             return Err(Error::message("numbers that are not finite"));
         }
-        Ok(Wearer { betas: self.betas.clone(), pose, outfit: self.outfit })
+        Ok(BodySpec { betas: self.betas.clone(), pose, outfit: self.outfit })
     }
 }
 
-impl Sample {
+impl SampleRequest {
     pub(super) fn prior(&self) -> Result<PriorName> {
         <PriorName as clap::ValueEnum>::from_str(&self.prior, false)
             .map_err(|_| Error::message(format!("unknown prior `{}`", self.prior)))
     }
 }
 
-impl Movement {
+impl MotionRequest {
     pub(super) fn check(&self) -> Result {
         let fits = |value: f64, most: f64| value > 0.0 && value <= most;
         if fits(self.seconds, MOST_SECONDS) && fits(self.fps, MOST_RATE) {
@@ -233,7 +233,7 @@ fn encode_people(id: u32, people: &[Person]) -> Vec<u8> {
             bytes.extend(value.to_le_bytes());
         }
         for &colour in &person.colours {
-            let [r, g, b] = crate::dressed::eight_bit(colour);
+            let [r, g, b] = crate::dressed_mesh::eight_bit(colour);
             bytes.extend([r, g, b, 255]);
         }
     }
@@ -251,8 +251,11 @@ mod tests {
         assert_eq!(request, Request { id: 3, question: Question::Frame(2) });
         let text = r#"{"id":4,"show":{"z":[0.5],"betas":[],"pose":[0,0],"outfit":"longlong","layers":["clothed","truth"],"truth":7}}"#;
         let Question::Show(show) = read(text).unwrap().question else { panic!("not a show") };
-        assert_eq!((show.truth, &show.layers[..]), (7, &[Layer::Clothed, Layer::Truth][..]));
-        assert!(show.wearer().unwrap_err().to_string().contains("pose of 2 numbers"));
+        assert_eq!(
+            (show.truth, &show.layers[..]),
+            (7, &[ViewLayer::Clothed, ViewLayer::Truth][..])
+        );
+        assert!(show.body_spec().unwrap_err().to_string().contains("pose of 2 numbers"));
         for nonsense in
             ["", "7", "{}", r#"{"id":1}"#, r#"{"id":-1,"frame":0}"#, r#"{"id":1,"shut":0}"#]
         {
@@ -263,7 +266,7 @@ mod tests {
     #[test]
     fn people_are_laid_out_as_the_page_reads_them() {
         let person = Person {
-            layer: Layer::Body,
+            layer: ViewLayer::Body,
             mesh: Mesh { vertices: vec![[1.0, 2.0, 3.0]], faces: Vec::new() },
             colours: vec![[1.0, 0.0, 0.5]],
             distances: vec![4.0],

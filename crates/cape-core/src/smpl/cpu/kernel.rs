@@ -3,7 +3,7 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::tiles::{Line, TILE, Tiles};
+use super::tiles::{TILE, TileRow, Tiles};
 
 /// Bodies whose coefficients and transforms stay in the second-level cache; a multiple of every
 /// number of [`sides`].
@@ -11,8 +11,8 @@ const GROUP: usize = 48;
 
 /// Numbers of bodies that can be summed side by side, in registers.
 fn sides() -> &'static [usize] {
-    struct Sides;
-    impl WithSimd for Sides {
+    struct GroupWidths;
+    impl WithSimd for GroupWidths {
         type Output = &'static [usize];
         #[inline(always)]
         fn with_simd<S: Simd>(self, _: S) -> Self::Output {
@@ -23,11 +23,11 @@ fn sides() -> &'static [usize] {
             }
         }
     }
-    pulp::Arch::new().dispatch(Sides)
+    pulp::Arch::new().dispatch(GroupWidths)
 }
 
 /// Coordinates of a tile's vertices.
-type Points = [Line; 3];
+type Points = [TileRow; 3];
 
 /// The rows of a joint's transform of rest positions, the shift last.
 pub(super) type Transform = [[f32; 4]; 3];
@@ -69,7 +69,7 @@ impl Coefficients {
 }
 
 /// A range of vertices of every body in a batch of `n`.
-pub(super) struct Piece<'a> {
+pub(super) struct VertexRange<'a> {
     pub tiles: &'a Tiles,
     /// First tile of the range.
     pub first: usize,
@@ -84,14 +84,14 @@ pub(super) struct Piece<'a> {
     pub out: Vec<&'a mut [f32]>,
 }
 
-impl Piece<'_> {
+impl VertexRange<'_> {
     /// Fills `out`.
     pub(super) fn run(self) {
         pulp::Arch::new().dispatch(self);
     }
 }
 
-impl WithSimd for Piece<'_> {
+impl WithSimd for VertexRange<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -111,7 +111,7 @@ impl WithSimd for Piece<'_> {
     }
 }
 
-impl Piece<'_> {
+impl VertexRange<'_> {
     /// With `SIDE` bodies side by side and `WIDE` vectors for the vertices of a tile.
     #[inline(always)]
     fn tiles<S: Simd, const SIDE: usize, const WIDE: usize>(mut self, simd: S) {
@@ -164,7 +164,7 @@ impl Piece<'_> {
                     skin::<S, WIDE>(simd, transforms, bones, weights, rest);
                     let transl = [0, 1, 2].map(|axis| self.transl[body * 3 + axis]);
                     let (out, _) = self.out[body][inside.clone()].as_chunks_mut::<3>();
-                    let [Line(x), Line(y), Line(z)] = rest;
+                    let [TileRow(x), TileRow(y), TileRow(z)] = rest;
                     for (out, ((x, y), z)) in out.iter_mut().zip(x.iter().zip(y).zip(z)) {
                         *out = [*x + transl[0], *y + transl[1], *z + transl[2]];
                     }
@@ -176,12 +176,12 @@ impl Piece<'_> {
 
 /// A line as vectors.
 #[inline(always)]
-fn vectors<S: Simd, const WIDE: usize>(line: &Line) -> &[S::f32s; WIDE] {
+fn vectors<S: Simd, const WIDE: usize>(line: &TileRow) -> &[S::f32s; WIDE] {
     &S::as_simd_f32s(&line.0).0.as_chunks().0[0]
 }
 
 #[inline(always)]
-fn store<S: Simd, const WIDE: usize>(values: [S::f32s; WIDE], line: &mut Line) {
+fn store<S: Simd, const WIDE: usize>(values: [S::f32s; WIDE], line: &mut TileRow) {
     S::as_mut_simd_f32s(&mut line.0).0.copy_from_slice(&values);
 }
 
@@ -190,10 +190,10 @@ fn store<S: Simd, const WIDE: usize>(values: [S::f32s; WIDE], line: &mut Line) {
 #[inline(always)]
 fn blend<S: Simd, const SIDE: usize, const WIDE: usize>(
     simd: S,
-    directions: &[Line],
+    directions: &[TileRow],
     used: &[usize],
     coefficients: &[[f32; SIDE]],
-    rest: [&mut Line; SIDE],
+    rest: [&mut TileRow; SIDE],
 ) {
     let mut sums = [[simd.splat_f32s(0.0); WIDE]; SIDE];
     for (&k, coefficients) in used.iter().zip(coefficients) {
@@ -214,7 +214,7 @@ fn blend<S: Simd, const SIDE: usize, const WIDE: usize>(
 #[inline(always)]
 fn blend_one<S: Simd, const WIDE: usize>(
     simd: S,
-    directions: &[&[Line]; 3],
+    directions: &[&[TileRow]; 3],
     used: &[usize],
     coefficients: &[f32],
     rest: &mut Points,
@@ -240,7 +240,7 @@ fn skin<S: Simd, const WIDE: usize>(
     simd: S,
     transforms: &[Transform],
     bones: &[u32],
-    weights: &[Line],
+    weights: &[TileRow],
     points: &mut Points,
 ) {
     let rest: [[S::f32s; WIDE]; 3] = [0, 1, 2].map(|axis| *vectors::<S, WIDE>(&points[axis]));

@@ -10,7 +10,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use rayon::prelude::*;
 
 use self::{
-    kernel::{Coefficients, Piece, Transform},
+    kernel::{Coefficients, Transform, VertexRange},
     tiles::{TILE, Tiles},
 };
 use super::SmplModel;
@@ -35,7 +35,7 @@ pub(super) struct CpuBody {
 
 /// Rotations of a batch, row-major.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Turns<'a> {
+pub(super) enum JointRotations<'a> {
     /// Radians, `[n, J, 3]`.
     AxisAngles(&'a [f32]),
     /// `[n, J, 3, 3]`.
@@ -44,10 +44,10 @@ pub(super) enum Turns<'a> {
 
 /// What a batch of `n` bodies is made from; row-major, shapes checked by the caller.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Batch<'a> {
+pub(super) struct BodyBatch<'a> {
     /// `[n, b]`, `b ≤ B`.
     pub betas: &'a [f32],
-    pub turns: Turns<'a>,
+    pub turns: JointRotations<'a>,
     /// Metres, `[n, 3]`.
     pub transl: &'a [f32],
     /// Metres, `[n, V, 3]`.
@@ -57,7 +57,7 @@ pub(super) struct Batch<'a> {
 }
 
 /// One body's coefficients `[K]`, transforms `[J]` and posed joints `[J, 3]`.
-type Slots<'a> = ((&'a mut [f32], &'a mut [Transform]), &'a mut [f32]);
+type BodySlots<'a> = ((&'a mut [f32], &'a mut [Transform]), &'a mut [f32]);
 
 impl CpuBody {
     /// Lays out a valid body.
@@ -79,13 +79,13 @@ impl CpuBody {
     }
 
     /// Posed vertices `[n, V, 3]` and joints `[n, J, 3]`, metres.
-    pub(super) fn pose(&self, batch: Batch) -> (Vec<f32>, Vec<f32>) {
+    pub(super) fn pose(&self, batch: BodyBatch) -> (Vec<f32>, Vec<f32>) {
         let (n, j, v) = (batch.transl.len() / 3, self.parents.len(), self.tiles.vertices());
         let k = self.tiles.count();
         let mut coefficients = vec![0.0; n * k];
         let mut transforms = vec![Transform::default(); n * j];
         let mut joints = vec![0.0; n * 3 * j];
-        let prepare = |(body, ((coefficients, transforms), joints)): (usize, Slots)| {
+        let prepare = |(body, ((coefficients, transforms), joints)): (usize, BodySlots)| {
             self.prepare(batch, body, coefficients, transforms, joints);
         };
         if n < MANY {
@@ -116,7 +116,7 @@ impl CpuBody {
             }
         }
         pieces.into_par_iter().enumerate().with_max_len(1).for_each(|(piece, out)| {
-            let work = Piece {
+            let work = VertexRange {
                 tiles: &self.tiles,
                 first: piece * PIECE,
                 coefficients: &coefficients,
@@ -133,7 +133,7 @@ impl CpuBody {
     /// One body's coefficients `[K]`, transforms `[J]` and posed joints `[J, 3]`.
     fn prepare(
         &self,
-        batch: Batch,
+        batch: BodyBatch,
         body: usize,
         coefficients: &mut [f32],
         transforms: &mut [Transform],
@@ -199,13 +199,13 @@ fn points(values: &[f32]) -> Vec<DVec3> {
 }
 
 /// Rotation matrices of one body, `[J]`.
-fn turns(turns: Turns, body: usize, joints: usize) -> Vec<DMat3> {
+fn turns(turns: JointRotations, body: usize, joints: usize) -> Vec<DMat3> {
     match turns {
-        Turns::AxisAngles(angles) => {
+        JointRotations::AxisAngles(angles) => {
             let (angles, _) = row(angles, body, 3 * joints).as_chunks::<3>();
             angles.iter().map(|angle| rotation(angle.map(f64::from))).collect()
         }
-        Turns::Rotations(rotations) => {
+        JointRotations::Rotations(rotations) => {
             let (rotations, _) = row(rotations, body, 9 * joints).as_chunks::<9>();
             let rotation = |r: &[f32; 9]| DMat3::from_cols_array(&r.map(f64::from)).transpose();
             rotations.iter().map(rotation).collect()

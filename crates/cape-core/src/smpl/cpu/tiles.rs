@@ -8,7 +8,7 @@ pub(super) const TILE: usize = 16;
 /// A number for every vertex of a tile.
 #[derive(Debug, Clone, Copy, Default)]
 #[repr(align(64))]
-pub(super) struct Line(pub [f32; TILE]);
+pub(super) struct TileRow(pub [f32; TILE]);
 
 /// A body cut into tiles of vertices, in `f32`. The last tile is filled up with vertices that
 /// nothing moves.
@@ -18,10 +18,10 @@ pub(super) struct Tiles {
     /// Template, `B` shape directions, `9·(J − 1)` pose directions: `K` of them.
     directions: usize,
     /// `[tiles, 3, K]`.
-    rest: Vec<Line>,
+    rest: Vec<TileRow>,
     /// Joints that move each tile, from `starts[tile]` on, and by how much each of its vertices.
     bones: Vec<u32>,
-    weights: Vec<Line>,
+    weights: Vec<TileRow>,
     /// `[tiles + 1]`.
     starts: Vec<usize>,
 }
@@ -33,7 +33,7 @@ impl Tiles {
         let (shapes, poses) = (model.betas(), model.pose_blends());
         let directions = 1 + shapes + poses;
         let tiles = v.div_ceil(TILE);
-        let mut rest = vec![Line::default(); tiles * 3 * directions];
+        let mut rest = vec![TileRow::default(); tiles * 3 * directions];
         let (mut bones, mut weights, mut starts) = (Vec::new(), Vec::new(), vec![0]);
         for (tile, rest) in rest.chunks_exact_mut(3 * directions).enumerate() {
             let inside = tile * TILE..v.min((tile + 1) * TILE);
@@ -48,7 +48,7 @@ impl Tiles {
                 }
             }
             for joint in 0..model.joints() {
-                let mut moved = Line::default();
+                let mut moved = TileRow::default();
                 for (moved, vertex) in moved.0.iter_mut().zip(inside.clone()) {
                     *moved = model.weights[[vertex, joint]] as f32;
                 }
@@ -73,12 +73,12 @@ impl Tiles {
     }
 
     /// Directions of one coordinate of a tile's vertices, `[K]`.
-    pub(super) fn directions(&self, tile: usize, axis: usize) -> &[Line] {
+    pub(super) fn directions(&self, tile: usize, axis: usize) -> &[TileRow] {
         &self.rest[(tile * 3 + axis) * self.directions..][..self.directions]
     }
 
     /// Joints that move a tile, and by how much, `[bones]`.
-    pub(super) fn bones(&self, tile: usize) -> (&[u32], &[Line]) {
+    pub(super) fn bones(&self, tile: usize) -> (&[u32], &[TileRow]) {
         let bones = self.starts[tile]..self.starts[tile + 1];
         (&self.bones[bones.clone()], &self.weights[bones])
     }

@@ -10,7 +10,7 @@ use std::path::Path;
 use ndarray::{Array, Array2, Array3, ArrayD, Dimension, Ix2, Ix3};
 
 use self::source::Source;
-use super::model::{Fault, SmplModel};
+use super::model::{FieldError, SmplModel};
 use crate::{
     Error, Result,
     npy::{NpzWriter, expect_shape},
@@ -57,7 +57,7 @@ impl SmplModel {
         };
         match model.check() {
             Ok(()) => Ok(model),
-            Err(Fault { field, message }) => Err(Error::field(path, field, message)),
+            Err(FieldError { field, message }) => Err(Error::field(path, field, message)),
         }
     }
 

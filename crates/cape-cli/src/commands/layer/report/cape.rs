@@ -4,10 +4,10 @@ use std::{path::Path, sync::Arc};
 
 use burn::tensor::Device;
 use cape_core::BodyMotion;
-use cape_data::{PackedSet, Part, Statistics};
-use cape_eval::{EvalOptions, Gathered, PosteriorUse, reconstruct_test, table2::hash_of};
-use cape_infer::{Run, Wearer, write_json};
-use cape_layer::{experiment::Learning, regress::Features};
+use cape_data::{DisplacementStatistics, PackedSet, Split};
+use cape_eval::{ErrorSamples, EvalOptions, PosteriorUse, reconstruct_test, table2::hash_of};
+use cape_infer::{BodySpec, Run, write_json};
+use cape_layer::{experiment::LearningOptions, regress::FeatureOptions};
 use cape_stats::pca::PcaOptions;
 use ndarray::{Array1, Array2, Axis, concatenate};
 use serde::{Deserialize, Serialize};
@@ -25,7 +25,7 @@ const SAMPLED_FRAMES: usize = 24;
 
 /// A method on the test frames.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct Compared {
+pub(super) struct MethodComparison {
     pub(super) method: String,
     /// Numbers of its code.
     pub(super) code: usize,
@@ -40,21 +40,21 @@ pub(super) struct Compared {
 }
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct Comparison {
+pub(super) struct CapeComparison {
     key: String,
     pub(super) frames: usize,
-    pub(super) methods: Vec<Compared>,
+    pub(super) methods: Vec<MethodComparison>,
 }
 
 /// The comparison on a run's data, kept as `path`.
 pub(super) fn compare(
     root: &Path,
     data: Option<&Path>,
-    learning: &Learning,
+    learning: &LearningOptions,
     path: &Path,
     device: &Device,
     console: Console,
-) -> Result<Comparison> {
+) -> Result<CapeComparison> {
     let run = Run::open(root, device)?;
     let data = match data {
         Some(data) => data.to_owned(),
@@ -62,35 +62,35 @@ pub(super) fn compare(
     };
     let checkpoint = run.checkpoint().display();
     let key = format!("{checkpoint} {} {learning:?}", hash_of(&data)?);
-    let kept = || -> Option<Comparison> {
-        let kept: Comparison = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
+    let kept = || -> Option<CapeComparison> {
+        let kept: CapeComparison = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
         (kept.key == key).then_some(kept)
     };
     if let Some(kept) = kept() {
         console.note("comparison with CAPE: done before");
         return Ok(kept);
     }
-    let test = Arc::new(PackedSet::open(&data, Part::Test)?);
-    let bench = Bench { run: &run, data: &data, test: &test, learning, console };
+    let test = Arc::new(PackedSet::open(&data, Split::Test)?);
+    let bench = ComparisonContext { run: &run, data: &data, test: &test, learning, console };
     let mut methods = bench.linear()?;
     methods.push(bench.cape()?);
-    let comparison = Comparison { key: key.clone(), frames: test.frames(), methods };
+    let comparison = CapeComparison { key: key.clone(), frames: test.frames(), methods };
     write_json(path, &comparison)?;
     // As it will be read from now on, to the last digit.
     Ok(kept().unwrap_or(comparison))
 }
 
-struct Bench<'a> {
+struct ComparisonContext<'a> {
     run: &'a Run,
     data: &'a Path,
     test: &'a Arc<PackedSet>,
-    learning: &'a Learning,
+    learning: &'a LearningOptions,
     console: Console,
 }
 
-impl Bench<'_> {
-    fn meter(&self) -> Gathered {
-        Gathered::new(self.run.body().vertices(), self.run.clothing())
+impl ComparisonContext<'_> {
+    fn meter(&self) -> ErrorSamples {
+        ErrorSamples::new(self.run.body().vertices(), self.run.clothing())
     }
 
     /// Mean error over all test frames of displacements `[3 V]`, metres.
@@ -106,9 +106,10 @@ impl Bench<'_> {
     }
 
     /// Principal components of displacements, alone and with a regression from pose and outfit.
-    fn linear(&self) -> Result<Vec<Compared>> {
-        let train = PackedSet::open(self.data, Part::Train)?;
-        let rows = Statistics::of_packed(self.data, &mut |_, _| {})?.training_rows(train.frames());
+    fn linear(&self) -> Result<Vec<MethodComparison>> {
+        let train = PackedSet::open(self.data, Split::Train)?;
+        let rows = DisplacementStatistics::from_packed(self.data, &mut |_, _| {})?
+            .training_rows(train.frames());
         let components = self.learning.components.min(rows.len().saturating_sub(1));
         let options = PcaOptions { components, ..PcaOptions::default() };
         let pca = self.console.while_showing("components", "rows", |progress| {
@@ -145,7 +146,7 @@ impl Bench<'_> {
         let (inputs, _) = self::inputs(self.test, &all)?;
         let predicted = regressor.regressor.predict(inputs.view())?;
         let prediction_mm = self.error(|row| Ok(decode(predicted.row(row).to_owned())))?;
-        let plain = Compared {
+        let plain = MethodComparison {
             method: "principal components".into(),
             code: components,
             pose_dependent: false,
@@ -154,17 +155,17 @@ impl Bench<'_> {
             prediction_mm: mean_mm,
             spread_mm: None,
         };
-        let layer = Compared {
+        let layer = MethodComparison {
             method: "layer: components and regression".into(),
             pose_dependent: true,
             prediction_mm,
             ..plain.clone()
         };
-        let fewer = Compared { code: few, reconstruction_mm: few_mm, ..plain.clone() };
+        let fewer = MethodComparison { code: few, reconstruction_mm: few_mm, ..plain.clone() };
         Ok(vec![fewer, plain, layer])
     }
 
-    fn cape(&self) -> Result<Compared> {
+    fn cape(&self) -> Result<MethodComparison> {
         let (run, test) = (self.run, self.test);
         let mut meter = self.meter();
         self.console.while_showing("reconstruct", "frames", |progress| {
@@ -175,13 +176,14 @@ impl Bench<'_> {
         })?;
         let reconstruction_mm = meter.summary().overall.mean;
         let latent = run.config().model.latent;
-        let wearers: Vec<Wearer> = (0..test.frames())
+        let wearers: Vec<BodySpec> = (0..test.frames())
             .map(|row| Ok(cape_infer::registration(&test, row)?.1))
             .collect::<Result<_>>()?;
         let mut meter = self.meter();
         self.console.while_showing("predict", "frames", |progress| {
             for (index, chunk) in wearers.chunks(BATCH).enumerate() {
-                let worn = run.clothes(&Array2::zeros((chunk.len(), latent)), chunk)?;
+                let worn =
+                    run.decode_displacements(&Array2::zeros((chunk.len(), latent)), chunk)?;
                 for (offset, worn) in worn.outer_iter().enumerate() {
                     let row = index * BATCH + offset;
                     let found: Vec<f32> = worn.iter().copied().collect();
@@ -198,7 +200,7 @@ impl Bench<'_> {
         let mut spreads = Vec::new();
         for (seed, wearer) in wearers.iter().step_by(step).enumerate() {
             let codes = run.sample_codes(SAMPLES, seed as u64);
-            let worn = run.clothes(&codes, &vec![wearer.clone(); SAMPLES])?;
+            let worn = run.decode_displacements(&codes, &vec![wearer.clone(); SAMPLES])?;
             let mean = worn.sum_axis(Axis(0)) / SAMPLES as f32;
             for sample in worn.outer_iter() {
                 let off = &sample - &mean;
@@ -207,7 +209,7 @@ impl Bench<'_> {
                 spreads.push(clothing.iter().map(of).sum::<f64>() / clothing.len().max(1) as f64);
             }
         }
-        Ok(Compared {
+        Ok(MethodComparison {
             method: "CAPE".into(),
             code: latent,
             pose_dependent: true,
@@ -232,7 +234,8 @@ fn inputs(set: &PackedSet, frames: &[usize]) -> Result<(Array2<f64>, Vec<bool>)>
     let count = frames.len();
     let poses = Array2::from_shape_vec((count, 72), poses).map_err(shape)?;
     let motion = BodyMotion::new(30.0, poses, Array2::zeros((count, 3)))?;
-    let features = Features { speed: false, angular_speeds: false, ..Features::default() };
+    let features =
+        FeatureOptions { speed: false, angular_speeds: false, ..FeatureOptions::default() };
     let rows = features.rows(&motion);
     let outfits = Array2::from_shape_vec((count, 4), outfits).map_err(shape)?;
     let semantic = [vec![false; rows.ncols()], vec![true; 4]].concat();

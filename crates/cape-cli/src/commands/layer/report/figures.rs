@@ -5,9 +5,9 @@ use cape_layer::experiment::{LayerError, distances};
 use cape_render::{Image, Tile, View, contact_sheet};
 use ndarray::{Array2, ArrayView2, Axis};
 
-use super::jobs::Named;
+use super::jobs::NamedSet;
 use crate::{
-    commands::layer::pictures::{Stage, mesh_of, shades},
+    commands::layer::pictures::{PictureCamera, mesh_of, shades},
     error::Result,
 };
 
@@ -17,20 +17,20 @@ const HEIGHT: u32 = 300;
 const BRIGHTEST: f64 = 30.0;
 
 /// Clothing of one frame of a set.
-pub(super) struct Shown {
+pub(super) struct FrameFigure {
     label: String,
     frame: usize,
     /// None for the truth.
     clothing: Option<Array2<f64>>,
 }
 
-impl Shown {
+impl FrameFigure {
     pub(super) fn new(label: String, frame: usize, clothing: Array2<f64>) -> Self {
         Self { label, frame, clothing: Some(clothing) }
     }
 
     /// The frame numbered `frame` as it is.
-    pub(super) fn truth(named: &Named, frame: usize) -> Self {
+    pub(super) fn truth(named: &NamedSet, frame: usize) -> Self {
         let (sequence, of) = named.set.each_frame()[frame];
         let name = &named.set.sequences[sequence].name;
         // The subject, size and material are said elsewhere.
@@ -41,7 +41,7 @@ impl Shown {
 }
 
 /// The truth, and what is shown in colours by its errors; all of a frame from one place.
-pub(super) fn errors(model: &SmplModel, named: &Named, shown: &[Shown]) -> Result<Image> {
+pub(super) fn errors(model: &SmplModel, named: &NamedSet, shown: &[FrameFigure]) -> Result<Image> {
     let each = named.set.each_frame();
     let mut tiles = Vec::new();
     for shown in shown {
@@ -53,7 +53,7 @@ pub(super) fn errors(model: &SmplModel, named: &Named, shown: &[Shown]) -> Resul
         let body = mesh_of(body.view(), &model.faces);
         let truth = sequence.clothing.index_axis(Axis(0), frame);
         let true_mesh = mesh_of(truth, &named.set.faces);
-        let stage = Stage::around([&body, &true_mesh], View::ThreeQuarter, HEIGHT)?;
+        let stage = PictureCamera::around([&body, &true_mesh], View::ThreeQuarter, HEIGHT)?;
         tiles.push(tile(&stage, &body, &true_mesh, truth, shown, &named.set.faces)?);
     }
     let title = format!("errors from 0 to {BRIGHTEST} mm");
@@ -61,11 +61,11 @@ pub(super) fn errors(model: &SmplModel, named: &Named, shown: &[Shown]) -> Resul
 }
 
 fn tile(
-    stage: &Stage,
+    stage: &PictureCamera,
     body: &Mesh,
     true_mesh: &Mesh,
     truth: ArrayView2<'_, f64>,
-    shown: &Shown,
+    shown: &FrameFigure,
     faces: &[[u32; 3]],
 ) -> Result<Tile> {
     let Some(clothing) = &shown.clothing else {

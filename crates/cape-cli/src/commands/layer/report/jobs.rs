@@ -6,15 +6,15 @@ use cape_core::SmplModel;
 use cape_infer::write_json;
 use cape_layer::{
     LayerSet,
-    experiment::{Factor, LayerError, Learning, Regression, Unposed},
+    experiment::{Factor, LayerError, LearningOptions, RegressionReport, UnposedSet},
 };
 use cape_render::Image;
 use ndarray::{Array2, Axis};
 use serde::{Deserialize, Serialize};
 
-use super::figures::{self, Shown};
+use super::figures::{self, FrameFigure};
 use crate::{
-    commands::layer::tying::{Tied, Tying},
+    commands::layer::association::{AssociationArgs, AssociationOutput},
     console::Console,
     error::{Error, Result},
 };
@@ -23,14 +23,14 @@ use crate::{
 const MOMENTS: [f64; 3] = [0.2, 0.5, 0.8];
 
 /// A set by name.
-pub(super) struct Named {
+pub(super) struct NamedSet {
     pub(super) name: String,
     pub(super) set: LayerSet,
 }
 
 /// An experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Job {
+pub(super) enum Experiment {
     /// Table 1.
     Reconstruction,
     /// Table 2.
@@ -41,7 +41,7 @@ pub(super) enum Job {
 
 /// A line of table 1: mean errors with as many components as the header says, millimetres.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct Reconstructed {
+pub(super) struct ReconstructionResult {
     pub(super) set: String,
     pub(super) sequence: String,
     pub(super) frames: usize,
@@ -53,7 +53,7 @@ pub(super) struct Reconstructed {
 
 /// A line of table 2, or of what is new: errors, millimetres.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct Regressed {
+pub(super) struct RegressionResult {
     pub(super) set: String,
     /// What is new; empty in table 2.
     pub(super) factor: String,
@@ -69,31 +69,31 @@ pub(super) struct Regressed {
     /// Of the first components' coordinates of the predicted frames themselves.
     pub(super) space_mm: f64,
     /// Of the mean of the frames that trained.
-    pub(super) nothing_mm: f64,
+    pub(super) baseline_mm: f64,
     pub(super) iterations: usize,
 }
 
 /// What an experiment came to.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
-pub(super) struct Outcome {
+pub(super) struct ExperimentResults {
     key: String,
-    pub(super) reconstructed: Vec<Reconstructed>,
-    pub(super) regressed: Vec<Regressed>,
+    pub(super) reconstructed: Vec<ReconstructionResult>,
+    pub(super) regressed: Vec<RegressionResult>,
 }
 
 /// What all experiments share.
-pub(super) struct Laboratory<'a> {
+pub(super) struct ExperimentContext<'a> {
     pub(super) model: &'a SmplModel,
-    pub(super) learning: Learning,
-    pub(super) tying: Tying,
+    pub(super) learning: LearningOptions,
+    pub(super) association_args: AssociationArgs,
     /// Where outcomes and pictures are kept.
     pub(super) kept: &'a Path,
     pub(super) console: Console,
 }
 
-impl Job {
+impl Experiment {
     /// Those that a set allows.
-    pub(super) fn of(set: &LayerSet) -> Vec<Self> {
+    pub(super) fn for_set(set: &LayerSet) -> Vec<Self> {
         let transfers = Factor::ALL.into_iter().filter(|factor| factor.groups(set).len() > 1);
         [Self::Reconstruction, Self::Regression]
             .into_iter()
@@ -110,14 +110,23 @@ impl Job {
     }
 }
 
-impl Laboratory<'_> {
+impl ExperimentContext<'_> {
     /// The outcomes and pictures of all experiments on a set.
-    pub(super) fn work(&self, named: &Named) -> Result<Vec<(Job, Outcome, Image)>> {
-        let jobs = Job::of(&named.set);
-        let key = format!("{:016x} {:?} {:?}", named.set.fingerprint(), self.tying, self.learning);
-        let done: Vec<Option<(Outcome, Image)>> =
+    pub(super) fn work(
+        &self,
+        named: &NamedSet,
+    ) -> Result<Vec<(Experiment, ExperimentResults, Image)>> {
+        let jobs = Experiment::for_set(&named.set);
+        let key = format!(
+            "{:016x} {:?} {:?}",
+            named.set.fingerprint(),
+            self.association_args,
+            self.learning
+        );
+        let done: Vec<Option<(ExperimentResults, Image)>> =
             jobs.iter().map(|&job| self.kept(named, job, &key)).collect();
-        let bench = if done.iter().all(Option::is_some) { None } else { Some(self.tie(named)?) };
+        let bench =
+            if done.iter().all(Option::is_some) { None } else { Some(self.associate(named)?) };
         let unposed = bench.as_ref().map(|tied| self.unpose(named, tied)).transpose()?;
         let mut found = Vec::new();
         for (job, done) in jobs.into_iter().zip(done) {
@@ -128,7 +137,7 @@ impl Laboratory<'_> {
                 }
                 (None, Some(unposed)) => {
                     let (outcome, image) = self.run(named, unposed, job)?;
-                    let outcome = Outcome { key: key.clone(), ..outcome };
+                    let outcome = ExperimentResults { key: key.clone(), ..outcome };
                     image.save(self.path(named, job, "png"))?;
                     // The outcome comes last: where it is, its picture is too.
                     write_json(&self.path(named, job, "json"), &outcome)?;
@@ -142,41 +151,55 @@ impl Laboratory<'_> {
         Ok(found)
     }
 
-    fn path(&self, named: &Named, job: Job, extension: &str) -> std::path::PathBuf {
+    fn path(&self, named: &NamedSet, job: Experiment, extension: &str) -> std::path::PathBuf {
         self.kept.join(format!("{}-{}.{extension}", named.name, job.name()))
     }
 
-    fn kept(&self, named: &Named, job: Job, key: &str) -> Option<(Outcome, Image)> {
+    fn kept(
+        &self,
+        named: &NamedSet,
+        job: Experiment,
+        key: &str,
+    ) -> Option<(ExperimentResults, Image)> {
         let text = fs::read(self.path(named, job, "json")).ok()?;
-        let outcome: Outcome = serde_json::from_slice(&text).ok()?;
+        let outcome: ExperimentResults = serde_json::from_slice(&text).ok()?;
         let image = Image::load(self.path(named, job, "png")).ok()?;
         (outcome.key == key).then_some((outcome, image))
     }
 
-    fn tie(&self, named: &Named) -> Result<Tied> {
-        self.tying.tie(self.model, &named.set, self.console)
+    fn associate(&self, named: &NamedSet) -> Result<AssociationOutput> {
+        self.association_args.associate(self.model, &named.set, self.console)
     }
 
-    fn unpose<'b>(&'b self, named: &'b Named, tied: &'b Tied) -> Result<Unposed<'b>> {
-        let standard = self.tying.standard();
-        Ok(Unposed::new(self.model, &named.set, &tied.association, &standard)?)
+    fn unpose<'b>(
+        &'b self,
+        named: &'b NamedSet,
+        tied: &'b AssociationOutput,
+    ) -> Result<UnposedSet<'b>> {
+        let standard = self.association_args.standard();
+        Ok(UnposedSet::new(self.model, &named.set, &tied.association, &standard)?)
     }
 
-    fn run(&self, named: &Named, unposed: &Unposed, job: Job) -> Result<(Outcome, Image)> {
+    fn run(
+        &self,
+        named: &NamedSet,
+        unposed: &UnposedSet,
+        job: Experiment,
+    ) -> Result<(ExperimentResults, Image)> {
         let title = format!("{}, {}", named.name, job.name());
         self.console.while_showing(&title, "runs", |progress| match job {
-            Job::Reconstruction => self.reconstruction(named, unposed, progress),
-            Job::Regression => self.regression(named, unposed, progress),
-            Job::Transfer(factor) => self.transfer(named, unposed, factor, progress),
+            Experiment::Reconstruction => self.reconstruction(named, unposed, progress),
+            Experiment::Regression => self.regression(named, unposed, progress),
+            Experiment::Transfer(factor) => self.transfer(named, unposed, factor, progress),
         })
     }
 
     fn reconstruction(
         &self,
-        named: &Named,
-        unposed: &Unposed,
+        named: &NamedSet,
+        unposed: &UnposedSet,
         progress: &mut dyn FnMut(usize, usize),
-    ) -> Result<(Outcome, Image)> {
+    ) -> Result<(ExperimentResults, Image)> {
         let mut counts = vec![1, 5, self.learning.components];
         counts.sort_unstable();
         counts.dedup();
@@ -184,7 +207,7 @@ impl Laboratory<'_> {
         for (index, sequence) in named.set.sequences.iter().enumerate() {
             let errors = unposed.reconstruction_of(index, &counts)?;
             let all = errors.last().copied().unwrap_or(LayerError::over(&[]));
-            lines.push(Reconstructed {
+            lines.push(ReconstructionResult {
                 set: named.name.clone(),
                 sequence: sequence.name.clone(),
                 frames: sequence.frames(),
@@ -195,39 +218,40 @@ impl Laboratory<'_> {
             progress(index + 1, named.set.sequences.len());
         }
         let image = self.shown_reconstructions(named, unposed, &counts)?;
-        Ok((Outcome { reconstructed: lines, ..Outcome::default() }, image))
+        Ok((ExperimentResults { reconstructed: lines, ..ExperimentResults::default() }, image))
     }
 
     /// The middle frame of the first sequence by its own components.
     fn shown_reconstructions(
         &self,
-        named: &Named,
-        unposed: &Unposed,
+        named: &NamedSet,
+        unposed: &UnposedSet,
         counts: &[usize],
     ) -> Result<Image> {
         let (frames, _) = unposed.frames_of(&[0]);
         let rows = unposed.rows.select(Axis(0), &frames);
-        let all = cape_layer::LayerPca::fit(rows.view(), cape_layer::Keep::All)?;
+        let all = cape_layer::LayerPca::fit(rows.view(), cape_layer::ComponentSelection::All)?;
         let middle = frames.len() / 2;
         let row = rows.slice(ndarray::s![middle..=middle, ..]);
-        let mut shown = vec![Shown::truth(named, frames[middle])];
+        let mut shown = vec![FrameFigure::truth(named, frames[middle])];
         for &count in counts {
             let pca = all.truncated(count);
             let offsets = pca.decode(pca.encode(row)?.view())?;
-            let clothing = unposed.dressed(&[frames[middle]], offsets.view())?;
+            let clothing = unposed.posed_clothing(&[frames[middle]], offsets.view())?;
             let label = format!("by {count}");
-            shown
-                .extend(clothing.into_iter().map(|c| Shown::new(label.clone(), frames[middle], c)));
+            shown.extend(
+                clothing.into_iter().map(|c| FrameFigure::new(label.clone(), frames[middle], c)),
+            );
         }
         figures::errors(self.model, named, &shown)
     }
 
     fn regression(
         &self,
-        named: &Named,
-        unposed: &Unposed,
+        named: &NamedSet,
+        unposed: &UnposedSet,
         progress: &mut dyn FnMut(usize, usize),
-    ) -> Result<(Outcome, Image)> {
+    ) -> Result<(ExperimentResults, Image)> {
         let sequences = &named.set.sequences;
         let mut runs: Vec<(String, Vec<usize>)> =
             sequences.iter().enumerate().map(|(k, s)| (s.name.clone(), vec![k])).collect();
@@ -239,26 +263,26 @@ impl Laboratory<'_> {
         for (index, (name, of)) in runs.iter().enumerate() {
             let regression = unposed.regression(of, &self.learning, &mut |_| {})?;
             let (frames, _) = unposed.frames_of(of);
-            let held = &regression.learnt.outcome.validation_frames;
+            let held = &regression.trained_model.outcome.validation_frames;
             if index == 0 {
                 for &at in held.iter().skip(held.len() / 4).step_by(1 + held.len() / 3).take(3) {
                     shown.extend(self.shown(named, unposed, &regression, frames[at])?);
                 }
             }
-            lines.push(Regressed::of(named, "", name, &regression, held.len()));
+            lines.push(RegressionResult::new(named, "", name, &regression, held.len()));
             progress(index + 1, runs.len());
         }
         let image = figures::errors(self.model, named, &shown)?;
-        Ok((Outcome { regressed: lines, ..Outcome::default() }, image))
+        Ok((ExperimentResults { regressed: lines, ..ExperimentResults::default() }, image))
     }
 
     fn transfer(
         &self,
-        named: &Named,
-        unposed: &Unposed,
+        named: &NamedSet,
+        unposed: &UnposedSet,
         factor: Factor,
         progress: &mut dyn FnMut(usize, usize),
-    ) -> Result<(Outcome, Image)> {
+    ) -> Result<(ExperimentResults, Image)> {
         let groups = factor.groups(&named.set);
         let mut lines = Vec::new();
         let mut pictures = Vec::new();
@@ -271,7 +295,13 @@ impl Laboratory<'_> {
                 shown.extend(self.shown(named, unposed, &regression, frame)?);
             }
             pictures.push((regression.predict.mean, shown));
-            let line = Regressed::of(named, factor.name(), &group.label, &regression, frames.len());
+            let line = RegressionResult::new(
+                named,
+                factor.name(),
+                &group.label,
+                &regression,
+                frames.len(),
+            );
             lines.push(line);
             progress(index + 1, groups.len());
         }
@@ -279,29 +309,38 @@ impl Laboratory<'_> {
         pictures.sort_by(|a, b| a.0.total_cmp(&b.0));
         let (_, shown) = &pictures[(pictures.len() - 1) / 2];
         let image = figures::errors(self.model, named, shown)?;
-        Ok((Outcome { regressed: lines, ..Outcome::default() }, image))
+        Ok((ExperimentResults { regressed: lines, ..ExperimentResults::default() }, image))
     }
 
     /// A frame as it is and as it is predicted.
     fn shown(
         &self,
-        named: &Named,
-        unposed: &Unposed,
-        regression: &Regression,
+        named: &NamedSet,
+        unposed: &UnposedSet,
+        regression: &RegressionReport,
         frame: usize,
-    ) -> Result<Vec<Shown>> {
+    ) -> Result<Vec<FrameFigure>> {
         let features = &self.learning.features;
         let predicted: Vec<Array2<f64>> =
-            unposed.predicted(&regression.learnt, features, &[frame])?;
+            unposed.predict(&regression.trained_model, features, &[frame])?;
         let predicted = predicted.into_iter().next();
         let predicted = predicted.ok_or_else(|| Error::message("nothing was predicted"))?;
-        Ok(vec![Shown::truth(named, frame), Shown::new("predicted".into(), frame, predicted)])
+        Ok(vec![
+            FrameFigure::truth(named, frame),
+            FrameFigure::new("predicted".into(), frame, predicted),
+        ])
     }
 }
 
-impl Regressed {
-    fn of(named: &Named, factor: &str, name: &str, regression: &Regression, frames: usize) -> Self {
-        let outcome = &regression.learnt.outcome;
+impl RegressionResult {
+    fn new(
+        named: &NamedSet,
+        factor: &str,
+        name: &str,
+        regression: &RegressionReport,
+        frames: usize,
+    ) -> Self {
+        let outcome = &regression.trained_model.outcome;
         Self {
             set: named.name.clone(),
             factor: factor.to_owned(),
@@ -312,7 +351,7 @@ impl Regressed {
             predict_mm: regression.predict.mean,
             largest_mm: regression.predict.largest,
             space_mm: regression.space.mean,
-            nothing_mm: regression.nothing.mean,
+            baseline_mm: regression.mean_baseline.mean,
             iterations: outcome.epochs.len(),
         }
     }

@@ -16,21 +16,25 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{
-    associate, body,
-    synth::Kind,
-    tying::{Lessons, Tying},
+    associate,
+    association::{AssociationArgs, LearningArgs},
+    body,
+    synth::GarmentName,
 };
 use crate::{
-    arguments::{Global, at_least_one},
+    arguments::{GlobalArgs, at_least_one},
     console::Console,
     error::{Context, Result},
     files,
-    html::{self, Figure},
+    html::{self, HtmlFigure},
 };
-use cape::{Comparison, compare};
-use jobs::{Job, Laboratory, Named, Outcome, Reconstructed, Regressed};
-use sets::{Size, simulated};
-use tables::Table;
+use cape::{CapeComparison, compare};
+use jobs::{
+    Experiment, ExperimentContext, ExperimentResults, NamedSet, ReconstructionResult,
+    RegressionResult,
+};
+use sets::{SetSize, simulated};
+use tables::ReportTable;
 
 /// Frames of a sequence and length of edges in millimetres, with --quick and without.
 const QUICK: (usize, f64) = (16, 50.0);
@@ -50,7 +54,7 @@ const FULL: (usize, f64) = (110, 25.0);
     after_help = "Examples:\n  cape layer report --quick --out quick\n  cape layer report skirts \
                   shirts --components 40 --cape run --out report"
 )]
-pub(super) struct Report {
+pub(super) struct ReportArgs {
     /// Sets that `cape layer synth` or `cape layer import` wrote; by default simulated ones.
     #[arg(value_name = "SET")]
     sets: Vec<PathBuf>,
@@ -61,8 +65,8 @@ pub(super) struct Report {
     #[arg(long, conflicts_with = "sets")]
     quick: bool,
     /// The garment that is simulated.
-    #[arg(long, value_enum, default_value_t = Kind::Skirt, conflicts_with = "sets")]
-    garment: Kind,
+    #[arg(long, value_enum, default_value_t = GarmentName::Skirt, conflicts_with = "sets")]
+    garment: GarmentName,
     /// Frames of each simulated sequence.
     #[arg(long, value_name = "N", value_parser = at_least_one, conflicts_with = "sets")]
     frames: Option<usize>,
@@ -79,14 +83,14 @@ pub(super) struct Report {
     #[arg(long, value_name = "DIR", requires = "cape")]
     data: Option<PathBuf>,
     #[command(flatten)]
-    tying: Tying,
+    association_args: AssociationArgs,
     #[command(flatten)]
-    lessons: Lessons,
+    learning_args: LearningArgs,
 }
 
 /// A set, for programs.
 #[derive(Debug, Serialize)]
-struct Described {
+struct SetDescription {
     name: String,
     sequences: usize,
     frames: usize,
@@ -94,39 +98,44 @@ struct Described {
 }
 
 #[derive(Debug, Serialize)]
-struct Written {
+struct OutputPaths {
     out: PathBuf,
-    sets: Vec<Described>,
-    reconstruction: Vec<Reconstructed>,
-    regression: Vec<Regressed>,
+    sets: Vec<SetDescription>,
+    reconstruction: Vec<ReconstructionResult>,
+    regression: Vec<RegressionResult>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    comparison: Option<Comparison>,
+    comparison: Option<CapeComparison>,
 }
 
 /// A picture with what is said about it.
-struct Shown {
+struct FigureRow {
     name: String,
     title: String,
     caption: String,
     image: Image,
 }
 
-impl Report {
-    pub(super) fn run(mut self, global: &Global, console: Console) -> Result {
+impl ReportArgs {
+    pub(super) fn run(mut self, global: &GlobalArgs, console: Console) -> Result {
         let model = body(self.body.as_deref())?;
         let kept = self.out.join("results");
         files::create_dir(&kept)?;
         if self.quick {
             // A quarter of its frames is all that trains a new motion.
-            self.lessons.components = self.lessons.components.min(QUICK.0 / 2);
+            self.learning_args.components = self.learning_args.components.min(QUICK.0 / 2);
         }
-        let learning = self.lessons.learning(global.seed.unwrap_or(1))?;
+        let learning = self.learning_args.learning(global.seed.unwrap_or(1))?;
         let sets = self.sets(&model, console)?;
-        let laboratory =
-            Laboratory { model: &model, learning, tying: self.tying.clone(), kept: &kept, console };
-        let mut written = Written {
+        let laboratory = ExperimentContext {
+            model: &model,
+            learning,
+            association_args: self.association_args.clone(),
+            kept: &kept,
+            console,
+        };
+        let mut written = OutputPaths {
             out: self.out.clone(),
-            sets: sets.iter().map(Described::of).collect(),
+            sets: sets.iter().map(SetDescription::new).collect(),
             reconstruction: Vec::new(),
             regression: Vec::new(),
             comparison: None,
@@ -136,10 +145,10 @@ impl Report {
             let doing = || format!("set {}", named.name);
             shown.push(self.association(&model, named, console).doing(doing)?);
             for (job, outcome, image) in laboratory.work(named).doing(doing)? {
-                let Outcome { reconstructed, regressed, .. } = outcome;
+                let ExperimentResults { reconstructed, regressed, .. } = outcome;
                 written.reconstruction.extend(reconstructed);
                 written.regression.extend(regressed);
-                shown.push(Shown::of(named, job, image));
+                shown.push(FigureRow::new(named, job, image));
             }
         }
         if let Some(run) = &self.cape {
@@ -151,42 +160,47 @@ impl Report {
         let tables = written.tables();
         self.write(&written, &tables, &shown)?;
         console.result(&written, || {
-            let texts: Vec<String> = tables.iter().map(Table::text).collect();
+            let texts: Vec<String> = tables.iter().map(ReportTable::text).collect();
             format!("{}\n\n{}", texts.join("\n\n"), self.out.join("report.html").display())
         })
     }
 
-    fn sets(&self, model: &SmplModel, console: Console) -> Result<Vec<Named>> {
+    fn sets(&self, model: &SmplModel, console: Console) -> Result<Vec<NamedSet>> {
         let mut named = Vec::new();
         if self.sets.is_empty() {
             let (frames, resolution) = if self.quick { QUICK } else { FULL };
-            let size = Size {
+            let size = SetSize {
                 quick: self.quick,
                 frames: self.frames.unwrap_or(frames),
                 resolution: 1e-3 * self.resolution.unwrap_or(resolution),
             };
             let out = self.out.join("sets");
             for (name, set) in simulated(model, &out, size, self.garment.into(), console)? {
-                named.push(Named { name, set });
+                named.push(NamedSet { name, set });
             }
         }
         for (index, path) in self.sets.iter().enumerate() {
             let stem = path.file_name().map_or("set".into(), |name| name.to_string_lossy());
-            let known = named.iter().any(|other: &Named| other.name == stem);
+            let known = named.iter().any(|other: &NamedSet| other.name == stem);
             let name = if known { format!("{stem}-{index}") } else { stem.into_owned() };
-            named.push(Named { name, set: LayerSet::load(path)? });
+            named.push(NamedSet { name, set: LayerSet::load(path)? });
         }
         Ok(named)
     }
 
     /// The set's association, drawn if it is not there yet.
-    fn association(&self, model: &SmplModel, named: &Named, console: Console) -> Result<Shown> {
-        let tied = self.tying.tie(model, &named.set, console)?;
+    fn association(
+        &self,
+        model: &SmplModel,
+        named: &NamedSet,
+        console: Console,
+    ) -> Result<FigureRow> {
+        let tied = self.association_args.associate(model, &named.set, console)?;
         let directory = self.out.join("results").join(format!("{}-association", named.name));
         files::create_dir(&directory)?;
         associate::draw(&tied, &directory)?;
         let statistics = &tied.association.statistics;
-        Ok(Shown {
+        Ok(FigureRow {
             name: format!("{}-association", named.name),
             title: format!("{}: association", named.name),
             caption: format!(
@@ -201,18 +215,18 @@ impl Report {
         })
     }
 
-    fn write(&self, written: &Written, tables: &[Table], shown: &[Shown]) -> Result {
+    fn write(&self, written: &OutputPaths, tables: &[ReportTable], shown: &[FigureRow]) -> Result {
         write_json(&self.out.join("report.json"), written)?;
         let mut page = written.described();
         for table in tables {
             files::write_text(&self.out.join(format!("{}.csv", table.name)), &table.csv())?;
             page += &table.html();
         }
-        for Shown { name, title, caption, image } in shown {
+        for FigureRow { name, title, caption, image } in shown {
             image.save(self.out.join(format!("{name}.png")))?;
-            page += &Figure { title, caption, image }.html()?;
+            page += &HtmlFigure { title, caption, image }.html()?;
         }
-        let settings = format!("{:#?}", (&self.tying, &self.lessons));
+        let settings = format!("{:#?}", (&self.association_args, &self.learning_args));
         let _ = writeln!(
             page,
             "<h2>How</h2><p>cape {}</p><pre>{}</pre>",
@@ -224,9 +238,9 @@ impl Report {
     }
 }
 
-impl Described {
-    fn of(named: &Named) -> Self {
-        let Named { name, set } = named;
+impl SetDescription {
+    fn new(named: &NamedSet) -> Self {
+        let NamedSet { name, set } = named;
         Self {
             name: name.clone(),
             sequences: set.sequences.len(),
@@ -236,24 +250,24 @@ impl Described {
     }
 }
 
-impl Shown {
-    fn of(named: &Named, job: Job, image: Image) -> Self {
+impl FigureRow {
+    fn new(named: &NamedSet, job: Experiment, image: Image) -> Self {
         let caption = match job {
-            Job::Reconstruction => {
+            Experiment::Reconstruction => {
                 "The middle frame of the first sequence and its reconstructions by the sequence's \
                  own components, in colours by their errors."
             }
-            Job::Regression => {
+            Experiment::Regression => {
                 "Held-out frames of the first sequence and what is predicted for them, in colours by \
                  the errors."
             }
-            Job::Transfer(_) => {
+            Experiment::Transfer(_) => {
                 "Frames of a value that was left out (of all values the one of median error) and \
                  what is predicted for them, in colours by the errors."
             }
         };
         let title = match job {
-            Job::Transfer(factor) => format!("{}: new {}", named.name, factor.name()),
+            Experiment::Transfer(factor) => format!("{}: new {}", named.name, factor.name()),
             job => format!("{}: {}", named.name, job.name()),
         };
         let name = format!("{}-{}", named.name, job.name());
@@ -261,21 +275,21 @@ impl Shown {
     }
 }
 
-impl Written {
+impl OutputPaths {
     fn described(&self) -> String {
-        let line = |set: &Described| {
-            let Described { name, sequences, frames, vertices } = set;
+        let line = |set: &SetDescription| {
+            let SetDescription { name, sequences, frames, vertices } = set;
             let name = html::escaped(name);
             format!("{name}: {sequences} sequences, {frames} frames of {vertices} vertices")
         };
         format!("<p>{}</p>\n", self.sets.iter().map(line).collect::<Vec<_>>().join("<br>"))
     }
 
-    fn tables(&self) -> Vec<Table> {
+    fn tables(&self) -> Vec<ReportTable> {
         let mut tables = vec![self.reconstructions()];
         let (seen, new): (Vec<_>, Vec<_>) =
             self.regression.iter().partition(|line| line.factor.is_empty());
-        tables.push(Table {
+        tables.push(ReportTable {
             name: "regression",
             title: "Regression of held-out frames (table 2), mm".into(),
             caption: "One frame of five is held out. \u{201c}Space\u{201d} is the error of the held-out \
@@ -286,7 +300,7 @@ impl Written {
             rows: seen.iter().map(|line| line.cells([&line.set, &line.name])).collect(),
         });
         if !new.is_empty() {
-            tables.push(Table {
+            tables.push(ReportTable {
                 name: "new",
                 title: "Prediction of what was not learned from, mm".into(),
                 caption:
@@ -301,7 +315,7 @@ impl Written {
         tables
     }
 
-    fn reconstructions(&self) -> Table {
+    fn reconstructions(&self) -> ReportTable {
         let counts = self.reconstruction.first().map_or(&[][..], |line| &line.components);
         let counts = counts.iter().map(ToString::to_string);
         let header = ["set", "sequence", "frames"].into_iter().map(str::to_owned).chain(counts);
@@ -312,7 +326,7 @@ impl Written {
             cells.extend([format!("{all:.1e}"), format!("{:.1e}", line.largest_mm)]);
             cells
         });
-        Table {
+        ReportTable {
             name: "reconstruction",
             title: "Reconstruction by number of components (table 1), mm".into(),
             caption:
@@ -325,11 +339,11 @@ impl Written {
     }
 }
 
-impl Regressed {
+impl RegressionResult {
     fn cells(&self, names: [&str; 2]) -> Vec<String> {
         let mut cells: Vec<String> = names.into_iter().map(str::to_owned).collect();
         cells.extend([self.trained, self.frames].map(|count| count.to_string()));
-        let errors = [self.train_mm, self.predict_mm, self.space_mm, self.nothing_mm];
+        let errors = [self.train_mm, self.predict_mm, self.space_mm, self.baseline_mm];
         cells.extend(errors.map(|error| format!("{error:.2}")));
         cells.push(self.iterations.to_string());
         cells
@@ -340,7 +354,7 @@ fn heads(names: &[&str]) -> Vec<String> {
     names.iter().chain(&["space", "mean", "iterations"]).map(|&name| name.to_owned()).collect()
 }
 
-fn compared(comparison: &Comparison) -> Table {
+fn compared(comparison: &CapeComparison) -> ReportTable {
     let said = |is: bool| if is { "yes" } else { "no" }.to_owned();
     let rows = comparison.methods.iter().map(|method| {
         vec![
@@ -364,7 +378,7 @@ fn compared(comparison: &Comparison) -> Table {
         "from pose",
         "spread",
     ];
-    Table {
+    ReportTable {
         name: "cape",
         title: format!("Displacements of {} test frames, mm", comparison.frames),
         caption:

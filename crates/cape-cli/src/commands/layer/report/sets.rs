@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use cape_cloth::{Garment, GarmentKind, Material};
+use cape_cloth::{ClothMaterial, Garment, GarmentKind};
 use cape_core::SmplModel;
 use cape_layer::{
     LayerSet,
@@ -18,7 +18,7 @@ use crate::{
 
 /// What the simulated sets are of.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Size {
+pub(super) struct SetSize {
     /// Few subjects, movements, fabrics and sizes.
     pub(super) quick: bool,
     /// Frames of a sequence.
@@ -40,9 +40,9 @@ const FABRICS: [[f64; 5]; 8] = [
     [0.60, 0.2, 0.06, 2.2, 0.60], // leather
 ];
 
-fn fabric([density, stretch, bend, damping, friction]: [f64; 5]) -> Material {
-    let jersey = Material::default();
-    Material {
+fn fabric([density, stretch, bend, damping, friction]: [f64; 5]) -> ClothMaterial {
+    let jersey = ClothMaterial::default();
+    ClothMaterial {
         density,
         stretch: stretch * jersey.stretch,
         bend: bend * jersey.bend,
@@ -54,9 +54,9 @@ fn fabric([density, stretch, bend, damping, friction]: [f64; 5]) -> Material {
 
 /// Names and designs: one garment in all movements of two subjects (ten sequences, for tables 1 and
 /// 2, new bodies and new motions), in eight fabrics, and in eight sizes.
-fn designs(size: Size, kind: GarmentKind) -> Vec<(&'static str, Design)> {
-    let garment = Garment { resolution: size.resolution, ..Garment::of(kind) };
-    let plain = Design { frames: size.frames, ..Design::of(garment) };
+fn designs(size: SetSize, kind: GarmentKind) -> Vec<(&'static str, Design)> {
+    let garment = Garment { resolution: size.resolution, ..Garment::new(kind) };
+    let plain = Design { frames: size.frames, ..Design::new(garment) };
     let few = if size.quick { 3 } else { 8 };
     let lengths = [1.0, 0.75, 1.2, 0.9].into_iter();
     let widths = [0.97, 1.09];
@@ -88,7 +88,7 @@ fn designs(size: Size, kind: GarmentKind) -> Vec<(&'static str, Design)> {
 pub(super) fn simulated(
     model: &SmplModel,
     out: &Path,
-    size: Size,
+    size: SetSize,
     kind: GarmentKind,
     console: Console,
 ) -> Result<Vec<(String, LayerSet)>> {
@@ -118,7 +118,7 @@ fn simulate(
     design: &Design,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<LayerSet> {
-    let takes = design.takes();
+    let takes = design.cells();
     let done = if directory.join("set.json").exists() {
         LayerSet::load(directory)?.sequences
     } else {

@@ -3,7 +3,7 @@
 use crate::{html, table};
 
 /// A table of words and numbers.
-pub(super) struct Table {
+pub(super) struct ReportTable {
     /// The name of its file.
     pub(super) name: &'static str,
     pub(super) title: String,
@@ -12,7 +12,7 @@ pub(super) struct Table {
     pub(super) rows: Vec<Vec<String>>,
 }
 
-impl Table {
+impl ReportTable {
     pub(super) fn text(&self) -> String {
         let mut text = table::Table::new(self.header.clone());
         for row in &self.rows {
@@ -54,7 +54,7 @@ mod tests {
 
     #[test]
     fn cells_with_commas_are_quoted() {
-        let table = Table {
+        let table = ReportTable {
             name: "t",
             title: "T".into(),
             caption: String::new(),

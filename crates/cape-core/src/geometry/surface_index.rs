@@ -6,13 +6,13 @@ use parry3d_f64::{
     query::{PointQuery, Ray},
 };
 
-use super::surface::{Surface, corner_angle, face_normals};
+use super::surface::{SurfaceMesh, corner_angle, face_normals};
 
 /// Where a ray meets a surface.
 ///
-/// See [`Solid`] for an example.
+/// See [`SurfaceIndex`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Hit {
+pub struct RayHit {
     /// The face.
     pub face: u32,
     /// How far along the ray, metres.
@@ -23,9 +23,9 @@ pub struct Hit {
 
 /// The point of a surface closest to another.
 ///
-/// See [`Solid`] for an example.
+/// See [`SurfaceIndex`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Closest {
+pub struct ClosestPoint {
     /// The face it lies on.
     pub face: u32,
     /// Its barycentric coordinates there.
@@ -47,11 +47,11 @@ pub struct Closest {
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_core::geometry::Solid;
+/// use cape_core::geometry::SurfaceIndex;
 /// use glam::DVec3;
 ///
 /// // The faces of an octahedron are 1/√3 from its middle.
-/// let solid = Solid::new(&octahedron(1.0));
+/// let solid = SurfaceIndex::new(&octahedron(1.0));
 /// let (outside, inward) = (DVec3::ONE, -DVec3::ONE.normalize());
 /// let hit = solid.cast(outside, inward, 3.0).ok_or("no hit")?;
 /// assert!((hit.distance - (3f64.sqrt() - 1.0 / 3f64.sqrt())).abs() < 1e-9);
@@ -63,26 +63,26 @@ pub struct Closest {
 /// # }
 /// ```
 #[derive(Debug, Clone)]
-pub struct Solid {
+pub struct SurfaceIndex {
     from: Vec<DVec3>,
     to: Vec<DVec3>,
     faces: Vec<[u32; 3]>,
     across: Vec<[Option<u32>; 3]>,
     tree: Bvh,
-    now: Surface,
+    now: SurfaceMesh,
     face_normals: Vec<DVec3>,
 }
 
-impl Solid {
+impl SurfaceIndex {
     /// A surface at rest.
-    pub fn new(surface: &Surface) -> Self {
+    pub fn new(surface: &SurfaceMesh) -> Self {
         let across = surface.neighbours();
         Self::moving(surface, surface.vertices.clone(), across)
     }
 
     /// A surface whose vertices move linearly to `to`; `across` are its
-    /// [`neighbours`](Surface::neighbours).
-    pub fn moving(surface: &Surface, to: Vec<DVec3>, across: Vec<[Option<u32>; 3]>) -> Self {
+    /// [`neighbours`](SurfaceMesh::neighbours).
+    pub fn moving(surface: &SurfaceMesh, to: Vec<DVec3>, across: Vec<[Option<u32>; 3]>) -> Self {
         let boxes = surface.faces.iter().enumerate().map(|(index, face)| {
             let both = face.iter().flat_map(|&v| [surface.vertices[v as usize], to[v as usize]]);
             let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
@@ -113,33 +113,38 @@ impl Solid {
     }
 
     /// The surface where it is now.
-    pub fn surface(&self) -> &Surface {
+    pub fn surface(&self) -> &SurfaceMesh {
         &self.now
     }
 
     /// Where a point that rides on the surface, at barycentric coordinates on a face, was at `t`.
-    pub fn riding(&self, face: u32, barycentric: [f64; 3], t: f64) -> DVec3 {
+    pub fn offset_point(&self, face: u32, barycentric: [f64; 3], t: f64) -> DVec3 {
         let corners = self.faces[face as usize].map(|v| v as usize);
         corners.iter().zip(barycentric).map(|(&v, w)| self.from[v].lerp(self.to[v], t) * w).sum()
     }
 
     /// The first face that a ray (unit `direction`) meets within `reach` metres.
-    pub fn cast(&self, origin: DVec3, direction: DVec3, reach: f64) -> Option<Hit> {
+    pub fn cast(&self, origin: DVec3, direction: DVec3, reach: f64) -> Option<RayHit> {
         let ray = Ray::new(vector(origin), vector(direction));
         let (face, distance) = self.tree.cast_ray(&ray, reach, |face, _| {
             let distance = ray_meets(origin, direction, self.now.corners(face as usize))?;
             (distance <= reach).then_some(distance)
         })?;
-        Some(Hit { face, distance, point: origin + direction * distance })
+        Some(RayHit { face, distance, point: origin + direction * distance })
     }
 
     /// The closest point, unless it is further than `reach` metres.
-    pub fn closest(&self, point: DVec3, reach: f64) -> Option<Closest> {
+    pub fn closest(&self, point: DVec3, reach: f64) -> Option<ClosestPoint> {
         self.closest_from(point, reach, None)
     }
 
     /// Like [`closest`](Self::closest), faster if a face close to the point is known.
-    pub fn closest_from(&self, point: DVec3, reach: f64, guess: Option<u32>) -> Option<Closest> {
+    pub fn closest_from(
+        &self,
+        point: DVec3,
+        reach: f64,
+        guess: Option<u32>,
+    ) -> Option<ClosestPoint> {
         let distance = |face: u32| {
             point.distance(closest_on_triangle(point, self.now.corners(face as usize)).0)
         };
@@ -167,11 +172,11 @@ impl Solid {
             _ => normal,
         };
         let signed_distance = if inside { -distance } else { distance };
-        Some(Closest { face, barycentric, point: nearest, signed_distance, outward })
+        Some(ClosestPoint { face, barycentric, point: nearest, signed_distance, outward })
     }
 
     /// The longest way that a vertex goes from 0 to 1, metres.
-    pub fn longest_way(&self) -> f64 {
+    pub fn largest_displacement(&self) -> f64 {
         self.from.iter().zip(&self.to).map(|(from, to)| from.distance(*to)).fold(0.0, f64::max)
     }
 

@@ -3,12 +3,12 @@ use std::collections::HashMap;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use cape_core::geometry::Surface;
+use cape_core::geometry::SurfaceMesh;
 
 /// The largest connected part of the faces with a corner where `margin`, metres, exceeds `least`.
 /// Every face that is kept has such a corner, so that pulling the boundary to where the margin
 /// is zero ([`fair`]) flattens none.
-pub(super) fn cut(surface: &Surface, margin: impl Fn(DVec3) -> f64, least: f64) -> Surface {
+pub(super) fn cut(surface: &SurfaceMesh, margin: impl Fn(DVec3) -> f64, least: f64) -> SurfaceMesh {
     let inside: Vec<bool> = surface.vertices.iter().map(|&p| margin(p) > least).collect();
     let any = |face: &&[u32; 3]| face.iter().any(|&v| inside[v as usize]);
     let faces: Vec<[u32; 3]> = surface.faces.iter().filter(any).copied().collect();
@@ -25,9 +25,9 @@ pub(super) fn cut(surface: &Surface, margin: impl Fn(DVec3) -> f64, least: f64) 
         *sizes.entry(find(&mut root, face[0])).or_default() += 1;
     }
     let largest = sizes.into_iter().max_by_key(|&(part, size)| (size, std::cmp::Reverse(part)));
-    let Some((largest, _)) = largest else { return Surface::default() };
+    let Some((largest, _)) = largest else { return SurfaceMesh::default() };
     let mut place: HashMap<u32, u32> = HashMap::new();
-    let mut out = Surface::default();
+    let mut out = SurfaceMesh::default();
     for face in faces.into_iter().filter(|face| find(&mut root, face[0]) == largest) {
         out.faces.push(face.map(|v| {
             *place.entry(v).or_insert_with(|| {
@@ -54,7 +54,7 @@ const ROUNDS: [usize; 2] = [20, 12];
 /// what is hollow there, such as armpits, as cloth does. Vertices of the boundary stay on the
 /// curve where also `margin` is zero. Both functions are distances, roughly, of metres.
 pub(super) fn fair(
-    surface: &mut Surface,
+    surface: &mut SurfaceMesh,
     field: impl Fn(DVec3) -> f64 + Sync,
     margin: impl Fn(DVec3) -> f64 + Sync,
 ) {

@@ -16,10 +16,10 @@ const EXACT: usize = 600;
 /// Two methods' errors on the same images, compared.
 ///
 /// ```
-/// use cape_stats::Paired;
+/// use cape_stats::PairedComparison;
 ///
 /// // The second method's error is half the first's on all of six images.
-/// let paired = Paired::of(&[2.0; 6], &[1.0; 6], 1)?;
+/// let paired = PairedComparison::new(&[2.0; 6], &[1.0; 6], 1)?;
 /// assert_eq!((paired.difference, paired.improvement), (-1.0, 0.5));
 /// assert_eq!((paired.wins, paired.images), (6, 6));
 /// // Of the 2⁶ ways to sign them two are as extreme.
@@ -27,7 +27,7 @@ const EXACT: usize = 600;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Paired {
+pub struct PairedComparison {
     /// Mean of the second less that of the first.
     pub difference: f64,
     /// An interval that contains it in 95 of 100 such sets of images, by bootstrap.
@@ -44,12 +44,12 @@ pub struct Paired {
     pub images: usize,
 }
 
-impl Paired {
+impl PairedComparison {
     /// Of errors of both methods, image by image; `seed` fixes the resamples.
     ///
     /// # Errors
     /// If there is no image, there are not as many errors of both, or one is not finite.
-    pub fn of(first: &[f64], second: &[f64], seed: u64) -> Result<Self> {
+    pub fn new(first: &[f64], second: &[f64], seed: u64) -> Result<Self> {
         if first.is_empty() || first.len() != second.len() {
             return Err(Error::argument(format!(
                 "errors of {} and {} images, expected as many of both, at least one",
@@ -212,7 +212,7 @@ mod tests {
             let mut draw = || -> Vec<f64> {
                 (0..40).map(|_| 5.0 + rng.sample::<f64, _>(StandardNormal)).collect()
             };
-            let paired = Paired::of(&draw(), &draw(), seed).unwrap();
+            let paired = PairedComparison::new(&draw(), &draw(), seed).unwrap();
             contained += usize::from(paired.interval[0] <= 0.0 && 0.0 <= paired.interval[1]);
             found += usize::from(paired.wilcoxon < 0.05);
         }
@@ -221,14 +221,14 @@ mod tests {
 
         let first: Vec<f64> = (1..=10).map(f64::from).collect();
         let second: Vec<f64> = first.iter().map(|x| 0.5 * x).collect();
-        let paired = Paired::of(&first, &second, 1).unwrap();
+        let paired = PairedComparison::new(&first, &second, 1).unwrap();
         assert_eq!((paired.wins, paired.images, paired.difference), (10, 10, -2.75));
         assert_eq!(paired.improvement_interval, [0.5, 0.5]);
         assert_eq!(paired.wilcoxon, 2.0 / 1024.0);
-        assert_eq!(Paired::of(&first, &second, 1).unwrap(), paired);
-        let same = Paired::of(&first, &first, 1).unwrap();
+        assert_eq!(PairedComparison::new(&first, &second, 1).unwrap(), paired);
+        let same = PairedComparison::new(&first, &first, 1).unwrap();
         assert_eq!((same.wins, same.wilcoxon), (0, 1.0));
-        assert!(Paired::of(&[], &[], 1).is_err());
-        assert!(Paired::of(&[f64::NAN], &[1.0], 1).is_err());
+        assert!(PairedComparison::new(&[], &[], 1).is_err());
+        assert!(PairedComparison::new(&[f64::NAN], &[1.0], 1).is_err());
     }
 }

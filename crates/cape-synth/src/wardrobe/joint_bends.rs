@@ -7,7 +7,7 @@ use cape_core::SmplModel;
 
 /// A joint that folds the cloth around it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Bend {
+pub(super) struct JointBend {
     /// Rest position of the joint.
     pub(super) centre: DVec3,
     /// Unit, along the bone that turns, away from the body.
@@ -20,7 +20,7 @@ pub(super) struct Bend {
     pub(super) turn: f64,
 }
 
-impl Bend {
+impl JointBend {
     fn new(centre: DVec3, end: DVec3, rotation: DVec3) -> Self {
         let axis = (end - centre).normalize_or(DVec3::Y);
         let turn = rotation.dot(axis);
@@ -32,24 +32,24 @@ impl Bend {
 
 /// A pose as the clothes feel it. Pairs are left and right.
 #[derive(Debug, Clone)]
-pub(super) struct Bends {
-    pub(super) elbows: [Bend; 2],
-    pub(super) shoulders: [Bend; 2],
-    pub(super) hips: [Bend; 2],
-    pub(super) knees: [Bend; 2],
-    pub(super) waist: Bend,
+pub(super) struct JointBends {
+    pub(super) elbows: [JointBend; 2],
+    pub(super) shoulders: [JointBend; 2],
+    pub(super) hips: [JointBend; 2],
+    pub(super) knees: [JointBend; 2],
+    pub(super) waist: JointBend,
     /// Straight down in each joint's rest frame.
     pub(super) down: Vec<DVec3>,
 }
 
-impl Bends {
+impl JointBends {
     /// `pose`: an axis-angle a joint.
     pub(super) fn new(model: &SmplModel, regions: &Regions, pose: &[DVec3]) -> Self {
         let rest = &regions.joints;
         let pair = |centre: [usize; 2], end: [usize; 2], parts: [Option<[usize; 2]>; 2]| {
             [0, 1].map(|side| {
                 let rotation = parts.iter().flatten().map(|part| pose[part[side]]).sum::<DVec3>();
-                Bend::new(rest[centre[side]], rest[end[side]], rotation)
+                JointBend::new(rest[centre[side]], rest[end[side]], rotation)
             })
         };
         let mut globals: Vec<DMat3> = Vec::with_capacity(pose.len());
@@ -67,7 +67,7 @@ impl Bends {
             ),
             hips: pair(joint::HIPS, joint::KNEES, [Some(joint::HIPS), None]),
             knees: pair(joint::KNEES, joint::ANKLES, [Some(joint::KNEES), None]),
-            waist: Bend::new(rest[joint::SPINE[0]], rest[joint::NECK], spine),
+            waist: JointBend::new(rest[joint::SPINE[0]], rest[joint::NECK], spine),
             down: globals.iter().map(|global| -global.row(1)).collect(),
         }
     }
@@ -79,7 +79,7 @@ mod tests {
 
     #[test]
     fn the_inside_of_a_bend_faces_where_the_bone_goes() {
-        let bend = Bend::new(DVec3::ZERO, DVec3::NEG_Y, DVec3::new(0.7, 0.2, 0.0));
+        let bend = JointBend::new(DVec3::ZERO, DVec3::NEG_Y, DVec3::new(0.7, 0.2, 0.0));
         // A knee: turning about +x moves the shin backwards.
         assert!(bend.inside.abs_diff_eq(DVec3::NEG_Z, 1e-12));
         assert!((bend.angle - 0.7).abs() < 1e-12 && (bend.turn + 0.2).abs() < 1e-12);

@@ -10,12 +10,13 @@ use burn::tensor::Device;
 use cape_core::SmplModel;
 
 pub use check::{CheckOptions, CheckReport, Finding, check};
-pub use rate::{RateOptions, RatePoint, RateReport, find_rate};
+pub use rate::{RatePoint, RateSearchOptions, RateSearchReport, find_rate};
 
 use crate::{Error, Result};
 use cape_core::tensors::tensor2;
 use cape_data::{
-    Loader, LoaderOptions, LoaderState, PackedSet, Part, Statistics, StepData, steps_per_epoch,
+    DisplacementStatistics, Loader, LoaderOptions, LoaderState, PackedSet, Split, StepBatches,
+    steps_per_epoch,
 };
 use cape_infer::{RunConfig, body_and_clothing, build_graphs, normal, to_device};
 use cape_train::{learner::Learner, objective::StepInput};
@@ -27,12 +28,12 @@ use cape_train::{learner::Learner, objective::StepInput};
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use burn::tensor::Device;
 /// use cape_core::silent;
-/// use cape_eval::trial::{CheckOptions, RateOptions, Subject, check, find_rate};
+/// use cape_eval::self_check::{CheckOptions, RateSearchOptions, ModelUnderTest, check, find_rate};
 ///
 /// // A packed set of four training frames, and a small configuration.
 /// let directory = captures()?;
 /// let (config, device) = (small_config(), Device::default());
-/// let subject = Subject {
+/// let subject = ModelUnderTest {
 ///     data: &directory.path().join("packed"),
 ///     body: None,
 ///     clothing: None,
@@ -44,7 +45,7 @@ use cape_train::{learner::Learner, objective::StepInput};
 /// // Nothing is learnt by heart in four steps.
 /// assert!(!report.passed && report.findings.iter().any(|finding| !finding.passed));
 ///
-/// let options = RateOptions { low: 1e-6, high: 1e-3, steps: 10 };
+/// let options = RateSearchOptions { low: 1e-6, high: 1e-3, steps: 10 };
 /// let rates = find_rate(&subject, options, &mut silent)?;
 /// assert!((1e-7..=1e-3).contains(&rates.suggested));
 /// assert!(rates.points.is_sorted_by(|a, b| a.rate < b.rate));
@@ -52,7 +53,7 @@ use cape_train::{learner::Learner, objective::StepInput};
 /// # }
 /// ```
 #[derive(Debug, Clone, Copy)]
-pub struct Subject<'a> {
+pub struct ModelUnderTest<'a> {
     /// The packed set.
     pub data: &'a Path,
     /// SMPL's body, for packed sets without one.
@@ -66,19 +67,19 @@ pub struct Subject<'a> {
 }
 
 /// Data and body, opened.
-struct Material {
+struct Fixtures {
     set: Arc<PackedSet>,
-    statistics: Arc<Statistics>,
+    statistics: Arc<DisplacementStatistics>,
     body: SmplModel,
     clothing: Vec<usize>,
     device: Device,
 }
 
-impl Material {
-    fn open(subject: &Subject<'_>) -> Result<Self> {
+impl Fixtures {
+    fn open(subject: &ModelUnderTest<'_>) -> Result<Self> {
         subject.config.validate()?;
-        let set = PackedSet::open(subject.data, Part::Train)?;
-        let statistics = Statistics::of_packed(subject.data, &mut cape_core::silent)?;
+        let set = PackedSet::open(subject.data, Split::Train)?;
+        let statistics = DisplacementStatistics::from_packed(subject.data, &mut cape_core::silent)?;
         if statistics.training_rows(set.frames()).is_empty() {
             let message = format!("{}: no frame to train on", subject.data.display());
             return Err(Error::data(message));
@@ -97,7 +98,7 @@ impl Material {
         Learner::new(config, build_graphs(config, &self.body, &self.device)?, &self.device)
     }
 
-    fn batches(&self, config: &RunConfig) -> Result<Batches> {
+    fn batches(&self, config: &RunConfig) -> Result<StepInputs> {
         let rows = self.statistics.training_rows(self.set.frames());
         let options = LoaderOptions {
             batch: config.train.batch,
@@ -105,7 +106,7 @@ impl Material {
             ..LoaderOptions::default()
         };
         let state = LoaderState::new(config.train.seed);
-        Ok(Batches {
+        Ok(StepInputs {
             steps_per_epoch: steps_per_epoch(rows.len(), config.train.batch),
             loader: Loader::new(self.set.clone(), self.statistics.clone(), rows, options, state)?,
             seed: config.train.seed,
@@ -117,7 +118,7 @@ impl Material {
 }
 
 /// What training would see, step by step.
-struct Batches {
+struct StepInputs {
     steps_per_epoch: usize,
     loader: Loader,
     seed: u64,
@@ -126,9 +127,9 @@ struct Batches {
     step: u64,
 }
 
-impl Batches {
+impl StepInputs {
     fn next(&mut self) -> Result<StepInput> {
-        let StepData { generator, discriminator, .. } = self.loader.step()?;
+        let StepBatches { generator, discriminator, .. } = self.loader.step()?;
         let count = generator.frames.len();
         let noise = |latent| normal(self.seed, (1 << 32) + self.step, count, latent);
         let epsilon = self.latent.map(|latent| tensor2(noise(latent), &self.device));

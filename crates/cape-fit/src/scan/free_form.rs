@@ -11,16 +11,16 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Scan, ScanDistance,
-    energy::{Distances, Target, distance},
+    energy::{ScanEnergy, ScanTarget, distance},
 };
 use crate::{Error, Result, body_energy::check_weight};
 
 /// How freely vertices leave a fitted surface.
 ///
-/// See [`FreeSurface`] for an example.
+/// See [`FreeFormSurface`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct FreeConfig {
+pub struct FreeFormConfig {
     /// λ_L, of the displacement's roughness.
     pub smooth: f64,
     /// λ_0, of its size.
@@ -28,16 +28,23 @@ pub struct FreeConfig {
     /// Points of the scan.
     pub samples: usize,
     /// Size of errors that are rather mistakes, metres, one round after the other.
-    pub robust: [f64; 2],
+    pub robust_scale: [f64; 2],
     /// Most steps of the optimiser in each round.
     pub steps: usize,
     /// Fixes which points are taken.
     pub seed: u64,
 }
 
-impl Default for FreeConfig {
+impl Default for FreeFormConfig {
     fn default() -> Self {
-        Self { smooth: 1.0, small: 0.03, samples: 20_000, robust: [0.05, 0.02], steps: 40, seed: 1 }
+        Self {
+            smooth: 1.0,
+            small: 0.03,
+            samples: 20_000,
+            robust_scale: [0.05, 0.02],
+            steps: 40,
+            seed: 1,
+        }
     }
 }
 
@@ -46,13 +53,13 @@ impl Default for FreeConfig {
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_fit::scan::{FreeConfig, Scan, Unit, free_displacement};
+/// use cape_fit::scan::{FreeFormConfig, Scan, Unit, free_displacement};
 /// use glam::DVec3;
 ///
 /// // A scan that the surface already fits leaves it where it is.
 /// let (vertices, faces) = person();
 /// let scan = Scan::new(vertices.clone(), None, Vec::new(), Unit::M)?;
-/// let config = FreeConfig { samples: 500, steps: 2, ..FreeConfig::default() };
+/// let config = FreeFormConfig { samples: 500, steps: 2, ..FreeFormConfig::default() };
 /// let free = free_displacement(&scan, &vertices, &faces, &config, &mut |_, _| {})?;
 /// assert_eq!(free.vertices.len(), vertices.len());
 /// assert!(free.moved < 1e-3 && free.distance.mean < 1e-3);
@@ -60,7 +67,7 @@ impl Default for FreeConfig {
 /// # }
 /// ```
 #[derive(Debug, Clone, PartialEq)]
-pub struct FreeSurface {
+pub struct FreeFormSurface {
     /// Metres, `[V]`.
     pub vertices: Vec<DVec3>,
     /// How far the scan is from it.
@@ -79,20 +86,20 @@ pub fn free_displacement(
     scan: &Scan,
     vertices: &[DVec3],
     faces: &[[u32; 3]],
-    config: &FreeConfig,
+    config: &FreeFormConfig,
     progress: &mut dyn FnMut(usize, usize),
-) -> Result<FreeSurface> {
+) -> Result<FreeFormSurface> {
     check_weight("smooth", config.smooth)?;
     check_weight("small", config.small)?;
-    let mut target = Target::new(scan, config.samples, config.seed);
+    let mut target = ScanTarget::new(scan, config.samples, config.seed);
     target.orient(vertices, faces);
-    let umbrella = Umbrella::new(vertices.len(), faces);
+    let umbrella = UmbrellaOperator::new(vertices.len(), faces);
     let mut x = vec![0.0; 3 * vertices.len()];
     let (mut curves, mut done) = (Vec::new(), 0);
-    let total = config.steps * config.robust.len();
-    for robust in config.robust {
+    let total = config.steps * config.robust_scale.len();
+    for robust_scale in config.robust_scale {
         let now = displaced(vertices, &x);
-        let distances = Distances::new(&target, &now, faces, config.samples, robust, 0.0);
+        let distances = ScanEnergy::new(&target, &now, faces, config.samples, robust_scale, 0.0);
         let options = LbfgsOptions { steps: config.steps, gain: 1e-4, ..<_>::default() };
         let mut within = 0;
         let found = minimise(x, &options, |x, gradient| {
@@ -107,7 +114,7 @@ pub fn free_displacement(
     }
     let moved = displaced(vertices, &x);
     let lengths = x.as_chunks::<3>().0.iter().map(|&d| DVec3::from_array(d).length());
-    Ok(FreeSurface {
+    Ok(FreeFormSurface {
         distance: distance(&target, &moved, faces),
         moved: lengths.sum::<f64>() / vertices.len().max(1) as f64,
         vertices: moved,
@@ -119,9 +126,9 @@ pub fn free_displacement(
 fn energy(
     vertices: &[DVec3],
     x: &[f64],
-    distances: &Distances<'_>,
-    umbrella: &Umbrella,
-    config: &FreeConfig,
+    distances: &ScanEnergy<'_>,
+    umbrella: &UmbrellaOperator,
+    config: &FreeFormConfig,
     gradient: &mut [f64],
 ) -> f64 {
     let mut forces = vec![DVec3::ZERO; vertices.len()];
@@ -146,13 +153,13 @@ fn displaced(vertices: &[DVec3], x: &[f64]) -> Vec<DVec3> {
 }
 
 /// `(L d)_v = d_v − mean of its neighbours'`.
-struct Umbrella {
+struct UmbrellaOperator {
     /// Neighbours of vertex `v` are those from `starts[v]` to `starts[v + 1]`.
     starts: Vec<usize>,
     neighbours: Vec<u32>,
 }
 
-impl Umbrella {
+impl UmbrellaOperator {
     fn new(vertices: usize, faces: &[[u32; 3]]) -> Self {
         let sides = faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
         let mut pairs: Vec<[u32; 2]> = sides.flat_map(|[a, b]| [[a, b], [b, a]]).collect();
@@ -165,13 +172,13 @@ impl Umbrella {
         }
     }
 
-    fn of(&self, vertex: usize) -> &[u32] {
+    fn neighbours_of(&self, vertex: usize) -> &[u32] {
         &self.neighbours[self.starts[vertex]..self.starts[vertex + 1]]
     }
 
     fn apply(&self, d: &[DVec3]) -> Vec<DVec3> {
         let rough = |(vertex, &own): (usize, &DVec3)| {
-            let near = self.of(vertex);
+            let near = self.neighbours_of(vertex);
             if near.is_empty() {
                 return DVec3::ZERO;
             }
@@ -183,7 +190,7 @@ impl Umbrella {
     fn apply_transposed(&self, rough: &[DVec3]) -> Vec<DVec3> {
         let mut sums = vec![DVec3::ZERO; rough.len()];
         for (vertex, &rough) in rough.iter().enumerate() {
-            let near = self.of(vertex);
+            let near = self.neighbours_of(vertex);
             if !near.is_empty() {
                 sums[vertex] += rough;
                 let share = rough / near.len() as f64;
@@ -219,16 +226,16 @@ mod tests {
         let vertices = body();
         let scan = Scan::new(vertices.iter().map(|&v| bulge(v)).collect(), None, vec![], Unit::M);
         let scan = scan.unwrap();
-        let target = Target::new(&scan, 2000, 1);
+        let target = ScanTarget::new(&scan, 2000, 1);
         let faces = &BODY.faces;
-        let distances = Distances::new(&target, &vertices, faces, 2000, 0.03, 0.5);
-        let umbrella = Umbrella::new(vertices.len(), faces);
+        let distances = ScanEnergy::new(&target, &vertices, faces, 2000, 0.03, 0.5);
+        let umbrella = UmbrellaOperator::new(vertices.len(), faces);
         let along = |which: usize, at: usize| ((at * (which + 3)) as f64 * 0.01).sin();
         let moved = |x: &[f64]| -> Vec<f64> {
             let sum = |at| (0..x.len()).map(|w| x[w] * along(w, at)).sum();
             (0..3 * vertices.len()).map(sum).collect()
         };
-        let config = FreeConfig { smooth: 0.7, small: 0.2, ..FreeConfig::default() };
+        let config = FreeFormConfig { smooth: 0.7, small: 0.2, ..FreeFormConfig::default() };
         let value = |x: &[f64], gradient: &mut [f64]| {
             energy(&vertices, &moved(x), &distances, &umbrella, &config, gradient)
         };
@@ -250,7 +257,7 @@ mod tests {
         let faces = BODY.faces.iter();
         let kept = faces.filter(|f| !f.iter().any(|&v| hole(&vertices[v as usize]))).copied();
         let scan = Scan::new(bulged.clone(), None, kept.collect(), Unit::M).unwrap();
-        let config = FreeConfig::default();
+        let config = FreeFormConfig::default();
         let found =
             free_displacement(&scan, &vertices, &BODY.faces, &config, &mut |_, _| {}).unwrap();
         let off = |surface: &[DVec3]| {
@@ -268,7 +275,7 @@ mod tests {
     #[test]
     fn rigid_movements_are_not_rough() {
         let faces = [[0, 1, 2], [1, 3, 2]];
-        let umbrella = Umbrella::new(5, &faces);
+        let umbrella = UmbrellaOperator::new(5, &faces);
         assert_eq!(umbrella.apply(&[DVec3::X; 5]), [DVec3::ZERO; 5]);
         let (a, b) = ([1.0, 2.0, 3.0, 4.0, 5.0], [2.0, 0.0, 1.0, -1.0, 3.0]);
         let [a, b] = [a, b].map(|all| all.map(|x| DVec3::new(x, x * x, 1.0)));

@@ -2,16 +2,16 @@
 
 use serde::Serialize;
 
-use super::{Material, Subject};
+use super::{Fixtures, ModelUnderTest};
 use crate::{Error, Result};
-use cape_core::Progress;
-use cape_train::learner::Pace;
+use cape_core::ProgressFn;
+use cape_train::learner::UpdateOptions;
 
 /// How learning rates are tried.
 ///
-/// See [`Subject`] for an example.
+/// See [`ModelUnderTest`] for an example.
 #[derive(Debug, Clone, Copy)]
-pub struct RateOptions {
+pub struct RateSearchOptions {
     /// The first.
     pub low: f64,
     /// The last, if the loss does not explode before.
@@ -20,7 +20,7 @@ pub struct RateOptions {
     pub steps: usize,
 }
 
-impl Default for RateOptions {
+impl Default for RateSearchOptions {
     fn default() -> Self {
         Self { low: 1e-5, high: 1.0, steps: 120 }
     }
@@ -28,7 +28,7 @@ impl Default for RateOptions {
 
 /// A step of the trial.
 ///
-/// See [`Subject`] for an example.
+/// See [`ModelUnderTest`] for an example.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct RatePoint {
     /// The generator's learning rate.
@@ -41,9 +41,9 @@ pub struct RatePoint {
 
 /// What was found.
 ///
-/// See [`Subject`] for an example.
+/// See [`ModelUnderTest`] for an example.
 #[derive(Debug, Clone, Serialize)]
-pub struct RateReport {
+pub struct RateSearchReport {
     /// Every step.
     pub points: Vec<RatePoint>,
     /// The rate at which the averaged loss was lowest.
@@ -64,22 +64,22 @@ const EXPLODED: f64 = 3.0;
 
 /// Trains with a learning rate that grows from step to step until the loss explodes.
 pub fn find_rate(
-    subject: &Subject<'_>,
-    options: RateOptions,
-    progress: &mut Progress,
-) -> Result<RateReport> {
-    let RateOptions { low, high, steps } = options;
+    subject: &ModelUnderTest<'_>,
+    options: RateSearchOptions,
+    progress: &mut ProgressFn,
+) -> Result<RateSearchReport> {
+    let RateSearchOptions { low, high, steps } = options;
     if !(low > 0.0 && high > low && high.is_finite() && steps >= 10) {
         let message = format!("learning rates from {low} to {high} in {steps} steps");
         return Err(Error::argument(format!("{message}: expected 0 < from < to and 10 steps")));
     }
-    let material = Material::open(subject)?;
+    let material = Fixtures::open(subject)?;
     let mut learner = material.learner(subject.config)?;
     let mut batches = material.batches(subject.config)?;
-    let mut curve = Curve::default();
+    let mut curve = RateCurve::default();
     for step in 0..steps {
         let rate = low * (high / low).powf(step as f64 / (steps - 1) as f64);
-        let pace = Pace { rate, kl_share: 1.0, detailed: false };
+        let pace = UpdateOptions { rate, kl_share: 1.0, detailed: false };
         let loss = match learner.update(&batches.next()?, pace) {
             Ok(update) => update.losses.total_generator,
             Err(_) => f64::INFINITY,
@@ -93,13 +93,13 @@ pub fn find_rate(
 }
 
 #[derive(Default)]
-struct Curve {
+struct RateCurve {
     points: Vec<RatePoint>,
     average: f64,
     diverged: Option<f64>,
 }
 
-impl Curve {
+impl RateCurve {
     /// Whether to go on.
     fn push(&mut self, rate: f64, loss: f64) -> bool {
         let decay = 1.0 - 1.0 / MEMORY;
@@ -116,7 +116,7 @@ impl Curve {
         true
     }
 
-    fn report(self) -> Result<RateReport> {
+    fn report(self) -> Result<RateSearchReport> {
         let Self { points, diverged, .. } = self;
         let lowest = points.iter().min_by(|a, b| a.smoothed.total_cmp(&b.smoothed));
         let Some(&RatePoint { rate: lowest, .. }) = lowest else {
@@ -129,7 +129,7 @@ impl Curve {
         let steepest = falls.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(lowest, |(_, rate)| rate);
         let fell_to_the_end = points.last().is_some_and(|last| last.rate == lowest);
         let suggested = if diverged.is_none() && fell_to_the_end { steepest } else { lowest / 3.0 };
-        Ok(RateReport { points, lowest, steepest, diverged, suggested })
+        Ok(RateSearchReport { points, lowest, steepest, diverged, suggested })
     }
 }
 
@@ -138,8 +138,8 @@ mod tests {
     use super::*;
 
     /// Losses that fall where rates matter and explode beyond.
-    fn report(loss: impl Fn(f64) -> f64) -> RateReport {
-        let mut curve = Curve::default();
+    fn report(loss: impl Fn(f64) -> f64) -> RateSearchReport {
+        let mut curve = RateCurve::default();
         for step in 0..200 {
             let rate = 1e-5 * 1e5f64.powf(f64::from(step) / 199.0);
             if !curve.push(rate, loss(rate)) {
@@ -174,7 +174,7 @@ mod tests {
     fn numbers_that_are_none_end_it() {
         let found = report(|rate| if rate > 1e-2 { f64::NAN } else { 1.0 - rate });
         assert!((1e-2..1.2e-2).contains(&found.diverged.unwrap()));
-        let mut curve = Curve::default();
+        let mut curve = RateCurve::default();
         assert!(!curve.push(1e-5, f64::NAN));
         assert!(curve.report().is_err());
     }

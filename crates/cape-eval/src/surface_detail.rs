@@ -12,9 +12,9 @@ const TERMS: usize = 64;
 
 /// Detail of reconstructions at clothing vertices, over all frames.
 ///
-/// See [`DetailMeter`] for an example.
+/// See [`SurfaceDetailMeter`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-pub struct Detail {
+pub struct SurfaceDetail {
     /// Mean length of the difference of edge vectors, millimetres.
     pub edge_mm: f64,
     /// Mean angle between true and reconstructed face normals on the template body, degrees.
@@ -24,17 +24,17 @@ pub struct Detail {
     pub high_energy: f64,
 }
 
-/// Measures [`Detail`] frame by frame.
+/// Measures [`SurfaceDetail`] frame by frame.
 ///
 /// ```
 /// use cape_synth::synthetic_body;
-/// use cape_eval::detail::DetailMeter;
+/// use cape_eval::surface_detail::SurfaceDetailMeter;
 ///
 /// let body = synthetic_body();
 /// let clothing: Vec<usize> = (0..body.vertices()).collect();
 /// let truth: Vec<f32> = (0..3 * body.vertices()).map(|i| 0.01 * (i as f32).sin()).collect();
 /// let half: Vec<f32> = truth.iter().map(|x| 0.5 * x).collect();
-/// let mut meter = DetailMeter::new(&body, &clothing);
+/// let mut meter = SurfaceDetailMeter::new(&body, &clothing);
 /// meter.push(&half, &truth);
 /// // Wrinkles of half the size have a quarter of the energy.
 /// let detail = meter.detail();
@@ -42,19 +42,19 @@ pub struct Detail {
 /// assert!(detail.edge_mm > 0.0 && detail.normal_degrees > 0.0);
 /// ```
 #[derive(Debug, Clone)]
-pub struct DetailMeter {
+pub struct SurfaceDetailMeter {
     template: Vec<[f64; 3]>,
     faces: Vec<[usize; 3]>,
     edges: Vec<[usize; 2]>,
     clothing: Vec<usize>,
-    filter: HighPass,
+    filter: HighPassFilter,
     edge_sum: f64,
     angle_sum: f64,
     energies: [f64; 2],
     frames: usize,
 }
 
-impl DetailMeter {
+impl SurfaceDetailMeter {
     /// For displacements of `body` compared at the clothing vertices; edges and faces count if all
     /// their vertices do.
     pub fn new(body: &SmplModel, clothing: &[usize]) -> Self {
@@ -84,7 +84,7 @@ impl DetailMeter {
                 .filter(|edge| inside(&indices(&edge[..])))
                 .map(|edge| edge.map(|vertex| vertex as usize))
                 .collect(),
-            filter: HighPass::new(rescaled_laplacian(&adjacency.to_csr())),
+            filter: HighPassFilter::new(rescaled_laplacian(&adjacency.to_csr())),
             clothing: clothing.to_vec(),
             template: surface.vertices,
             edge_sum: 0.0,
@@ -123,9 +123,9 @@ impl DetailMeter {
     }
 
     /// Means over the frames so far; NaN without any.
-    pub fn detail(&self) -> Detail {
+    pub fn detail(&self) -> SurfaceDetail {
         let count = self.frames as f64;
-        Detail {
+        SurfaceDetail {
             edge_mm: 1000.0 * self.edge_sum / count,
             normal_degrees: (self.angle_sum / count).to_degrees(),
             high_energy: self.energies[0] / self.energies[1],
@@ -136,12 +136,12 @@ impl DetailMeter {
 /// The part of a signal above the middle of the spectrum of the normalised Laplacian `L`, whose
 /// eigenvalues lie in 0 to 2: a step at 1, as a Chebyshev series in `L − 1` damped after Jackson.
 #[derive(Debug, Clone)]
-struct HighPass {
+struct HighPassFilter {
     laplacian: CsMat<f64>,
     coefficients: Vec<f64>,
 }
 
-impl HighPass {
+impl HighPassFilter {
     fn new(laplacian: CsMat<f64>) -> Self {
         let n = TERMS as f64;
         let damping = |k: f64| {
@@ -282,7 +282,7 @@ mod tests {
             }
         }
         let eigen = SymmetricEigen::new(dense);
-        let filter = HighPass::new(laplacian);
+        let filter = HighPassFilter::new(laplacian);
         let mut checked = [0, 0];
         for (k, &value) in eigen.eigenvalues.iter().enumerate() {
             let vector: Vec<[f64; 3]> =
@@ -303,7 +303,7 @@ mod tests {
     fn detail_of_known_differences() {
         let body = synthetic_body();
         let clothing: Vec<usize> = (0..body.vertices()).filter(|v| v % 7 != 0).collect();
-        let mut meter = DetailMeter::new(&body, &clothing);
+        let mut meter = SurfaceDetailMeter::new(&body, &clothing);
         let truth: Vec<f32> =
             (0..3 * body.vertices()).map(|i| 0.01 * ((i * i) as f32 * 0.37).sin()).collect();
         // The same, shifted as a whole: no edge and no normal differs.
@@ -312,7 +312,7 @@ mod tests {
         let detail = meter.detail();
         assert!(detail.edge_mm < 1e-4 && detail.normal_degrees < 1e-2, "{detail:?}");
         // Half as long: half of every edge's difference, a quarter of the energy.
-        let mut meter = DetailMeter::new(&body, &clothing);
+        let mut meter = SurfaceDetailMeter::new(&body, &clothing);
         let half: Vec<f32> = truth.iter().map(|x| 0.5 * x).collect();
         meter.push(&half, &truth);
         let detail = meter.detail();

@@ -8,7 +8,7 @@ use cape_core::{
     ClothedSmpl, ClothingMask, Outfit, Pose, Smpl, SmplInput, SmplModel,
     joints::{CLOTHING_JOINTS, POSE_FEATURE},
 };
-use cape_data::Statistics;
+use cape_data::DisplacementStatistics;
 use cape_infer::{Run, RunConfig, build_graphs};
 use cape_model::{Generator, Graphs};
 use glam::DVec3;
@@ -23,7 +23,7 @@ use crate::{BodyParameters, Error, Result};
 /// use burn::tensor::Device;
 /// use cape_core::Outfit;
 /// use cape_fit::{
-///     Camera, ClothedConfig, DressedBody, Mask, PosePrior, Smplify, SmplifyConfig, read_keypoints,
+///     PinholeCamera, ClothedConfig, DressedBody, Mask, PosePrior, Smplify, SmplifyConfig, read_keypoints,
 /// };
 /// use cape_infer::Run;
 ///
@@ -31,7 +31,7 @@ use crate::{BodyParameters, Error, Result};
 /// let dressed = DressedBody::new(&run, Outfit::LongLong)?;
 /// // The bare body behind keypoints, then the clothed one that fills the silhouette.
 /// let mask = Mask::load("mask.png")?;
-/// let camera = Camera::new(mask.width(), mask.height(), None)?;
+/// let camera = PinholeCamera::new(mask.width(), mask.height(), None)?;
 /// let keypoints = read_keypoints("keypoints.json")?.choose(None)?;
 /// let smplify = Smplify::new(run.body(), PosePrior::synthetic()?, SmplifyConfig::default())?;
 /// let bare = smplify.fit(&camera, &keypoints, None)?;
@@ -42,7 +42,7 @@ use crate::{BodyParameters, Error, Result};
 /// let gradient = surface.pull_back(&vec![glam::DVec3::Y; surface.vertices().len()])?;
 /// assert_eq!(gradient.code.len(), dressed.latent());
 /// // Other bodies in the same clothes.
-/// let clothes = dressed.clothes(&fit.parameters, &fit.code)?;
+/// let clothes = dressed.fixed_clothing(&fit.parameters, &fit.code)?;
 /// dressed.surface_in(&clothes, &bare.parameters)?;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -65,19 +65,19 @@ pub struct DressedBody {
 
 /// What a trained model's clothed bodies are made of.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Parts<'a> {
+pub(crate) struct DressedBodyParts<'a> {
     pub(crate) generator: &'a Generator,
     pub(crate) config: &'a RunConfig,
     pub(crate) body: &'a SmplModel,
     pub(crate) clothing: &'a [usize],
-    pub(crate) statistics: &'a Statistics,
+    pub(crate) statistics: &'a DisplacementStatistics,
 }
 
 /// Clothes that do not change with the body: displacements, metres, `[1, V, 3]`.
 ///
 /// See [`DressedBody`] for an example.
 #[derive(Debug, Clone)]
-pub struct Clothes(Tensor<3>);
+pub struct FixedClothing(Tensor<3>);
 
 /// A clothed body, and what it was made from.
 ///
@@ -113,14 +113,14 @@ impl DressedBody {
     /// # Errors
     /// If the run's files do not suit one another.
     pub fn new(run: &Run, outfit: Outfit) -> Result<Self> {
-        let parts = Parts {
+        let parts = DressedBodyParts {
             generator: run.generator(),
             config: run.config(),
             body: run.body(),
             clothing: run.clothing(),
             statistics: run.statistics(),
         };
-        Self::of_parts(&parts, outfit, run.device())
+        Self::from_parts(&parts, outfit, run.device())
     }
 
     /// The bodies of one subject, given by its unclothed rest shape `[V, 3]`, metres: shape
@@ -128,7 +128,7 @@ impl DressedBody {
     ///
     /// # Errors
     /// As of [`new`](Self::new), or if the shape has another number of vertices.
-    pub fn of_subject(run: &Run, outfit: Outfit, minimal: &Array2<f64>) -> Result<Self> {
+    pub fn from_subject(run: &Run, outfit: Outfit, minimal: &Array2<f64>) -> Result<Self> {
         let body = SmplModel { v_template: minimal.clone(), ..run.body().clone() };
         let smpl = Smpl::new(&body, &run.device().clone().autodiff())?;
         let mut dressed = Self::new(run, outfit)?;
@@ -137,8 +137,12 @@ impl DressedBody {
         Ok(dressed)
     }
 
-    pub(crate) fn of_parts(parts: &Parts<'_>, outfit: Outfit, device: &Device) -> Result<Self> {
-        let Parts { generator, config, body, clothing, statistics } = *parts;
+    pub(crate) fn from_parts(
+        parts: &DressedBodyParts<'_>,
+        outfit: Outfit,
+        device: &Device,
+    ) -> Result<Self> {
+        let DressedBodyParts { generator, config, body, clothing, statistics } = *parts;
         let device = device.clone().autodiff();
         let mask = ClothingMask::from_indices(body.vertices(), clothing)?;
         let rows = |array: &Array2<f64>| {
@@ -191,24 +195,28 @@ impl DressedBody {
     ///
     /// # Errors
     /// If sizes do not suit the model.
-    pub fn clothes(&self, body: &BodyParameters, code: &[f64]) -> Result<Clothes> {
+    pub fn fixed_clothing(&self, body: &BodyParameters, code: &[f64]) -> Result<FixedClothing> {
         body.check()?;
         self.expect_code(code)?;
         let rotations = self.smpl.body().rotations(Pose::AxisAngle(self.leaf(&body.pose)))?;
         let decoded = self.decode(self.leaf(code), self.feature(rotations));
-        Ok(Clothes(decoded.detach()))
+        Ok(FixedClothing(decoded.detach()))
     }
 
     /// The clothes that people of the training set wear on average, whatever the outfit.
-    pub fn mean_clothes(&self) -> Clothes {
-        Clothes(self.mean.clone())
+    pub fn mean_clothing(&self) -> FixedClothing {
+        FixedClothing(self.mean.clone())
     }
 
     /// The body in clothes that stay as they are; there is no gradient by a code.
     ///
     /// # Errors
     /// If sizes do not suit the model.
-    pub fn surface_in(&self, clothes: &Clothes, body: &BodyParameters) -> Result<DressedSurface> {
+    pub fn surface_in(
+        &self,
+        clothes: &FixedClothing,
+        body: &BodyParameters,
+    ) -> Result<DressedSurface> {
         let code = self.leaf(&vec![0.0; self.latent]);
         self.dress(body, code, |_, _| clothes.0.clone())
     }

@@ -3,7 +3,7 @@ use std::collections::HashMap;
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
-use cape_core::geometry::Surface;
+use cape_core::geometry::SurfaceMesh;
 
 /// The zero surface of `field` in a box, by naive surface nets (Gibson 1998) on cubes of `size`
 /// metres; faces look to where the field is positive.
@@ -12,7 +12,7 @@ pub(super) fn surface_nets(
     high: DVec3,
     size: f64,
     field: impl Fn(DVec3) -> f64 + Sync,
-) -> Surface {
+) -> SurfaceMesh {
     let count = ((high - low) / size).ceil().as_ivec3() + IVec3::ONE;
     let at = |node: IVec3| low + node.as_dvec3() * size;
     let index = |n: IVec3| ((n.x * count.y + n.y) * count.z + n.z) as usize;
@@ -23,7 +23,7 @@ pub(super) fn surface_nets(
             field(at(IVec3::new(rest / count.y, rest % count.y, z)))
         })
         .collect();
-    let mut surface = Surface::default();
+    let mut surface = SurfaceMesh::default();
     let mut of_cell: HashMap<IVec3, u32> = HashMap::new();
     let corner = |k: i32| IVec3::new(k & 1, k >> 1 & 1, k >> 2);
     for x in 0..count.x - 1 {

@@ -1,8 +1,8 @@
 //! Sampled clothes on posed bodies, and their pictures.
 
 use cape_core::{Mesh, Outfit, SmplModel};
-use cape_infer::{Run, Wearer};
-use cape_render::{Image, Object, Style, Texture, View, colour_of, portrait};
+use cape_infer::{BodySpec, Run};
+use cape_render::{Image, Object, Style, Texture, View, colormap, portrait};
 use ndarray::{Array2, Array3, ArrayView2, Axis};
 
 use crate::error::Result;
@@ -24,7 +24,7 @@ const TROUSERS: [f32; 3] = [0.27, 0.31, 0.40];
 
 /// A body in clothes.
 #[derive(Debug, Clone)]
-pub(crate) struct Dressed {
+pub(crate) struct DressedMesh {
     /// The surface, posed, metres.
     pub(crate) mesh: Mesh,
     /// sRGB from 0 to 1, `[vertices, 3]`.
@@ -38,15 +38,15 @@ pub(crate) struct Dressed {
 pub(crate) fn dress(
     run: &Run,
     codes: &Array2<f32>,
-    wearers: &[Wearer],
-    mut each: impl FnMut(usize, Dressed) -> Result,
+    wearers: &[BodySpec],
+    mut each: impl FnMut(usize, DressedMesh) -> Result,
 ) -> Result {
-    let painter = Painter::new(run);
+    let painter = DressedRenderer::new(run);
     for (index, chunk) in wearers.chunks(BATCH).enumerate() {
         let first = index * BATCH;
         let codes = codes.slice(ndarray::s![first..first + chunk.len(), ..]).to_owned();
-        let worn = run.clothes(&codes, chunk)?;
-        for (offset, body) in painter.wear(&worn, chunk)?.into_iter().enumerate() {
+        let worn = run.decode_displacements(&codes, chunk)?;
+        for (offset, body) in painter.pose_clothed(&worn, chunk)?.into_iter().enumerate() {
             each(first + offset, body)?;
         }
     }
@@ -54,20 +54,20 @@ pub(crate) fn dress(
 }
 
 /// Knows where cloth is on a run's body.
-pub(crate) struct Painter<'a> {
+pub(crate) struct DressedRenderer<'a> {
     run: &'a Run,
     covered: Vec<bool>,
     legs: Vec<f32>,
     trunk: Vec<f32>,
-    neighbours: Neighbours,
+    neighbours: EdgeNeighbours,
 }
 
-impl<'a> Painter<'a> {
+impl<'a> DressedRenderer<'a> {
     pub(crate) fn new(run: &'a Run) -> Self {
         let body = run.body();
         let mut covered = vec![false; body.vertices()];
         run.clothing().iter().for_each(|&vertex| covered[vertex] = true);
-        let neighbours = Neighbours::new(body);
+        let neighbours = EdgeNeighbours::new(body);
         let share = |joints: &[usize]| {
             let of = |weights: ndarray::ArrayView1<f64>| {
                 joints.iter().filter_map(|&joint| weights.get(joint)).sum::<f64>() as f32
@@ -78,17 +78,17 @@ impl<'a> Painter<'a> {
     }
 
     /// Bodies in given clothes: displacements `[n, vertices, 3]` in metres.
-    pub(crate) fn wear(
+    pub(crate) fn pose_clothed(
         &self,
         displacement: &Array3<f32>,
-        wearers: &[Wearer],
-    ) -> Result<Vec<Dressed>> {
-        let meshes = self.run.wear(displacement, wearers)?;
+        wearers: &[BodySpec],
+    ) -> Result<Vec<DressedMesh>> {
+        let meshes = self.run.pose_clothed(displacement, wearers)?;
         let worn = displacement.axis_iter(Axis(0)).zip(wearers);
         Ok(meshes
             .into_iter()
             .zip(worn)
-            .map(|(mesh, (worn, wearer))| Dressed {
+            .map(|(mesh, (worn, wearer))| DressedMesh {
                 mesh,
                 colours: self.colours(worn, wearer.outfit),
                 distances: distances(&self.covered, worn),
@@ -114,11 +114,11 @@ impl<'a> Painter<'a> {
 }
 
 /// Bodies without clothes.
-pub(crate) fn bare(run: &Run, wearers: &[Wearer]) -> Result<Vec<Dressed>> {
+pub(crate) fn unclothed_meshes(run: &Run, wearers: &[BodySpec]) -> Result<Vec<DressedMesh>> {
     let count = run.body().vertices();
-    let bodies = run.bare(wearers)?.into_iter();
+    let bodies = run.pose_unclothed(wearers)?.into_iter();
     Ok(bodies
-        .map(|mesh| Dressed {
+        .map(|mesh| DressedMesh {
             mesh,
             colours: vec![SKIN_COLOUR; count],
             distances: vec![0.0; count],
@@ -132,9 +132,9 @@ fn distances(covered: &[bool], displacement: ArrayView2<f32>) -> Vec<f32> {
 }
 
 /// Both directions of every side of every triangle.
-struct Neighbours(Vec<[u32; 2]>);
+struct EdgeNeighbours(Vec<[u32; 2]>);
 
-impl Neighbours {
+impl EdgeNeighbours {
     fn new(body: &SmplModel) -> Self {
         Self(body.faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect())
     }
@@ -171,14 +171,14 @@ fn mix(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
     [0, 1, 2].map(|i| a[i] + (b[i] - a[i]) * t)
 }
 
-impl Dressed {
+impl DressedMesh {
     /// A picture from the given side, in its colours or with a texture.
     pub(crate) fn picture(&self, from: View, size: [u32; 2], on: Option<Texture>) -> Result<Image> {
         let style = Style { width: size[0], height: size[1], ..Style::default() };
         let object = Object::new(&self.mesh);
         let object = match on {
-            Some(texture) => object.textured(texture),
-            None => object.coloured(&self.colours),
+            Some(texture) => object.with_texture(texture),
+            None => object.with_colours(&self.colours),
         };
         Ok(portrait(object, from, &style)?)
     }
@@ -190,7 +190,7 @@ impl Dressed {
 
     /// Colours by the length of the displacement, up to `longest` metres.
     pub(crate) fn colour_by_distance(&mut self, longest: f32) {
-        self.colours = self.distances.iter().map(|length| colour_of(length / longest)).collect();
+        self.colours = self.distances.iter().map(|length| colormap(length / longest)).collect();
     }
 }
 

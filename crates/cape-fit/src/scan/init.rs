@@ -4,7 +4,7 @@ use cape_core::SmplModel;
 use cape_synth::poses::preset;
 use glam::{DMat3, DQuat, DVec3};
 
-use super::{KnownJoints, energy::Target, rigid, rigid::Rigid};
+use super::{KnownJoints, energy::ScanTarget, rigid, rigid::RigidTransform};
 use crate::{
     BodyParameters, Error, LbfgsOptions, PosePrior, Result, Skeleton,
     body_energy::{BodyWeights, prior_terms},
@@ -21,15 +21,15 @@ const JOINT_STAGES: [f64; 3] = [10.0, 2.0, 0.5];
 /// What is known of a scanned body's pose.
 ///
 /// ```
-/// use cape_fit::{PosePrior, scan::ScanStart};
+/// use cape_fit::{PosePrior, scan::ScanInit};
 ///
 /// // The poses that people are in, where nothing is known.
-/// let start = ScanStart::usual(&PosePrior::synthetic()?);
-/// assert!(matches!(start, ScanStart::Poses(poses) if poses.iter().all(|pose| pose.len() == 72)));
+/// let start = ScanInit::default_poses(&PosePrior::synthetic()?);
+/// assert!(matches!(start, ScanInit::Poses(poses) if poses.iter().all(|pose| pose.len() == 72)));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
-pub enum ScanStart {
+pub enum ScanInit {
     /// Rough poses, one of which it may be in, wherever it stands: axis-angles `[72]`, of which the
     /// pelvis's counts.
     Poses(Vec<Vec<f64>>),
@@ -39,9 +39,9 @@ pub enum ScanStart {
     Body(BodyParameters),
 }
 
-impl ScanStart {
+impl ScanInit {
     /// What people often do: the prior's poses, standing with the arms down or stretched out.
-    pub fn usual(prior: &PosePrior) -> Self {
+    pub fn default_poses(prior: &PosePrior) -> Self {
         let often = prior.means().rows().into_iter();
         let often = often.map(|pose| [&[0.0; 3], &pose.to_vec()[..]].concat());
         let standing = ["a-pose", "t-pose"].iter().filter_map(|name| preset(name));
@@ -53,27 +53,27 @@ impl ScanStart {
 /// An axis of the scan's space.
 ///
 /// ```
-/// use cape_fit::scan::Up;
+/// use cape_fit::scan::UpAxis;
 /// use glam::DVec3;
 ///
-/// let up: Up = "-z".parse()?;
+/// let up: UpAxis = "-z".parse()?;
 /// assert!((up.to_y() * DVec3::NEG_Z - DVec3::Y).length() < 1e-12);
-/// assert_eq!((up.name(), Up::Y.name()), ("-z", "y"));
+/// assert_eq!((up.name(), UpAxis::Y.name()), ("-z", "y"));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Up {
+pub struct UpAxis {
     axis: usize,
     negative: bool,
 }
 
-impl Up {
+impl UpAxis {
     /// +y, as SMPL has it.
     pub const Y: Self = Self { axis: 1, negative: false };
 
     const ALL: [Self; 6] = {
-        const fn up(axis: usize, negative: bool) -> Up {
-            Up { axis, negative }
+        const fn up(axis: usize, negative: bool) -> UpAxis {
+            UpAxis { axis, negative }
         }
         [up(1, false), up(1, true), up(2, false), up(2, true), up(0, false), up(0, true)]
     };
@@ -100,7 +100,7 @@ impl Up {
     }
 }
 
-impl std::str::FromStr for Up {
+impl std::str::FromStr for UpAxis {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
@@ -113,7 +113,7 @@ impl std::str::FromStr for Up {
 
 /// The body that scans are of, with what is known of people.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Kind<'a> {
+pub(crate) struct ScanSubject<'a> {
     pub(crate) body: &'a SmplModel,
     pub(crate) skeleton: &'a Skeleton,
     pub(crate) prior: &'a PosePrior,
@@ -123,8 +123,8 @@ pub(crate) struct Kind<'a> {
     pub(crate) clothes: &'a ndarray::Array2<f64>,
 }
 
-impl ScanStart {
-    /// How many bodies [`starts`] finds at most, and how often it calls back.
+impl ScanInit {
+    /// How many bodies [`initial_bodies`] finds at most, and how often it calls back.
     pub(crate) fn count(&self, most: usize) -> [usize; 2] {
         match self {
             Self::Poses(poses) => [poses.len().min(most), poses.len() + OTHERS.min(poses.len())],
@@ -134,31 +134,31 @@ impl ScanStart {
 }
 
 /// At most `count` bodies in place, the most likely first; `placed` is called from time to time.
-pub(crate) fn starts(
-    kind: &Kind<'_>,
-    target: &Target<'_>,
-    start: &ScanStart,
-    up: Up,
+pub(crate) fn initial_bodies(
+    kind: &ScanSubject<'_>,
+    target: &ScanTarget<'_>,
+    start: &ScanInit,
+    up: UpAxis,
     count: usize,
     placed: &mut dyn FnMut(),
 ) -> Result<Vec<BodyParameters>> {
     match start {
-        ScanStart::Body(body) => {
+        ScanInit::Body(body) => {
             body.check()?;
             let mut body = body.clone();
             body.betas.resize(kind.betas, 0.0);
             Ok(vec![body])
         }
-        ScanStart::Joints(joints) => Ok(vec![of_joints(kind, joints)?]),
-        ScanStart::Poses(poses) => of_poses(kind, target, poses, up, count, placed),
+        ScanInit::Joints(joints) => Ok(vec![init_from_joints(kind, joints)?]),
+        ScanInit::Poses(poses) => init_from_poses(kind, target, poses, up, count, placed),
     }
 }
 
-fn of_poses(
-    kind: &Kind<'_>,
-    target: &Target<'_>,
+fn init_from_poses(
+    kind: &ScanSubject<'_>,
+    target: &ScanTarget<'_>,
     poses: &[Vec<f64>],
-    up: Up,
+    up: UpAxis,
     count: usize,
     placed: &mut dyn FnMut(),
 ) -> Result<Vec<BodyParameters>> {
@@ -170,7 +170,7 @@ fn of_poses(
         if let Some(placing) = rigid::place(target, &vertices, faces, up.direction())
             && placing.energy.is_finite()
         {
-            found.push((moved(kind, &body, &placing.rigid), placing.energy));
+            found.push((apply_rigid(kind, &body, &placing.rigid), placing.energy));
         }
         surfaces.push(vertices);
         placed();
@@ -181,7 +181,7 @@ fn of_poses(
     };
     let mut best = (up, f64::INFINITY);
     for vertices in surfaces.iter().take(OTHERS) {
-        for &other in Up::ALL.iter().filter(|&&other| other != up) {
+        for &other in UpAxis::ALL.iter().filter(|&&other| other != up) {
             let placing = rigid::place(target, vertices, faces, other.direction());
             if let Some(placing) = placing.filter(|placing| placing.energy < best.1) {
                 best = (other, placing.energy);
@@ -202,7 +202,7 @@ fn of_poses(
 }
 
 /// A body that has its joints where they are known, from whichever common pose comes closest.
-fn of_joints(kind: &Kind<'_>, joints: &KnownJoints) -> Result<BodyParameters> {
+fn init_from_joints(kind: &ScanSubject<'_>, joints: &KnownJoints) -> Result<BodyParameters> {
     let weights = JOINT_STAGES.map(|pose| BodyWeights { pose, ..<_>::default() });
     let options = LbfgsOptions { steps: 100, gain: 1e-6, ..<_>::default() };
     let mut best: Option<(Vec<f64>, f64)> = None;
@@ -210,10 +210,10 @@ fn of_joints(kind: &Kind<'_>, joints: &KnownJoints) -> Result<BodyParameters> {
         let pose = [&[0.0; 3], &pose.to_vec()[..]].concat();
         let body = BodyParameters::new(pose, vec![0.0; kind.betas])?;
         let posed = kind.skeleton.pose(&body.betas, &body.pose, DVec3::ZERO)?;
-        let pairs = joints.known().iter().map(|&(joint, at)| (posed.joints()[joint], at, 1.0));
+        let pairs = joints.positions().iter().map(|&(joint, at)| (posed.joints()[joint], at, 1.0));
         let pairs: Vec<_> = pairs.collect();
-        let Some(rigid) = Rigid::between(&pairs) else { continue };
-        let mut x = moved(kind, &body, &rigid).to_vector();
+        let Some(rigid) = RigidTransform::between(&pairs) else { continue };
+        let mut x = apply_rigid(kind, &body, &rigid).to_vector();
         let mut value = f64::INFINITY;
         for weights in &weights {
             let found = solve(
@@ -246,17 +246,21 @@ fn of_joints(kind: &Kind<'_>, joints: &KnownJoints) -> Result<BodyParameters> {
 }
 
 /// A body's surface in the clothes that bodies wear at first.
-fn surface(kind: &Kind<'_>, body: &BodyParameters) -> Result<Vec<DVec3>> {
+fn surface(kind: &ScanSubject<'_>, body: &BodyParameters) -> Result<Vec<DVec3>> {
     let posed = kind.body.pose(&body.betas, &body.pose, body.transl, Some(kind.clothes))?;
     Ok(posed.vertices.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2])).collect())
 }
 
 /// The body after a rigid movement.
-fn moved(kind: &Kind<'_>, body: &BodyParameters, rigid: &Rigid) -> BodyParameters {
+fn apply_rigid(
+    kind: &ScanSubject<'_>,
+    body: &BodyParameters,
+    rigid: &RigidTransform,
+) -> BodyParameters {
     let pelvis = kind.skeleton.rest(&body.betas)[0];
     let own = DQuat::from_scaled_axis(DVec3::from_slice(&body.pose[..3]));
     let turn = DMat3::from_quat(own);
-    let orientation = DQuat::from_mat3(&(rigid.turn * turn)).to_scaled_axis();
+    let orientation = DQuat::from_mat3(&(rigid.rotation * turn)).to_scaled_axis();
     let mut moved = body.clone();
     moved.pose[..3].copy_from_slice(&orientation.to_array());
     let at = rigid.apply(pelvis + DVec3::from_array(body.transl));
@@ -274,9 +278,9 @@ mod tests {
         testing::BODY,
     };
 
-    fn with_kind<T>(work: impl FnOnce(&Kind<'_>) -> T) -> T {
+    fn with_kind<T>(work: impl FnOnce(&ScanSubject<'_>) -> T) -> T {
         let clothes = Array2::zeros(BODY.v_template.dim());
-        work(&Kind {
+        work(&ScanSubject {
             body: &BODY,
             skeleton: &Skeleton::new(&BODY).unwrap(),
             prior: &PosePrior::synthetic().unwrap(),
@@ -298,9 +302,9 @@ mod tests {
         with_kind(|kind| {
             let body = walking();
             let turn = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(0.4, -1.0, 2.0)));
-            let rigid = Rigid { turn, shift: DVec3::new(1.0, 0.0, -3.0) };
+            let rigid = RigidTransform { rotation: turn, translation: DVec3::new(1.0, 0.0, -3.0) };
             let before = surface(kind, &body).unwrap();
-            let after = surface(kind, &moved(kind, &body, &rigid)).unwrap();
+            let after = surface(kind, &apply_rigid(kind, &body, &rigid)).unwrap();
             for (&before, after) in before.iter().zip(after) {
                 assert!(rigid.apply(before).distance(after) < 1e-9);
             }
@@ -316,10 +320,10 @@ mod tests {
             let mut joints: Vec<_> = posed.rows().into_iter().map(at).collect();
             joints[20] = None;
             let known = KnownJoints::new(&joints).unwrap();
-            let found = of_joints(kind, &known).unwrap();
+            let found = init_from_joints(kind, &known).unwrap();
             let posed =
                 kind.skeleton.pose(&found.betas, &found.pose, DVec3::from_array(found.transl));
-            for &(joint, at) in known.known() {
+            for &(joint, at) in known.positions() {
                 assert!(posed.as_ref().unwrap().joints()[joint].distance(at) < 0.02);
             }
         });
@@ -332,14 +336,15 @@ mod tests {
             let upside_down: Vec<DVec3> =
                 surface(kind, &body).unwrap().iter().map(|v| DVec3::new(v.x, -v.y, -v.z)).collect();
             let scan = Scan::new(upside_down, None, Vec::new(), Unit::M).unwrap();
-            let target = Target::new(&scan, 1000, 1);
-            let start = ScanStart::Poses(vec![body.pose.clone()]);
-            let message =
-                starts(kind, &target, &start, Up::Y, 1, &mut || {}).unwrap_err().to_string();
+            let target = ScanTarget::new(&scan, 1000, 1);
+            let start = ScanInit::Poses(vec![body.pose.clone()]);
+            let message = initial_bodies(kind, &target, &start, UpAxis::Y, 1, &mut || {})
+                .unwrap_err()
+                .to_string();
             assert!(message.contains("upside down") && message.contains("--up -y"), "{message}");
             let up = "-y".parse().unwrap();
-            assert_eq!(starts(kind, &target, &start, up, 3, &mut || {}).unwrap().len(), 1);
-            assert!("w".parse::<Up>().is_err());
+            assert_eq!(initial_bodies(kind, &target, &start, up, 3, &mut || {}).unwrap().len(), 1);
+            assert!("w".parse::<UpAxis>().is_err());
         });
     }
 }

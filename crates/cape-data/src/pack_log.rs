@@ -10,7 +10,7 @@ use std::{
 use sha2::{Digest, Sha256};
 
 use super::{
-    Split,
+    SplitSpec,
     pack::{PackOptions, PlannedFrame},
 };
 use crate::{Error, Result};
@@ -21,7 +21,7 @@ const BROKEN: &str = "broken\t";
 
 /// One line for the plan, then one for each of its frames that was dealt with, in order.
 #[derive(Debug)]
-pub(super) struct Journal {
+pub(super) struct PackLog {
     path: PathBuf,
     file: File,
     lines: String,
@@ -29,15 +29,15 @@ pub(super) struct Journal {
 
 /// What became of a frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Fate {
+pub(super) enum FrameStatus {
     Packed,
     /// Left out, for this reason.
     Broken(String),
 }
 
-impl Journal {
+impl PackLog {
     /// The fates of the plan's first frames, if `directory` holds its journal; none otherwise.
-    pub(super) fn read(directory: &Path, plan: &str) -> Vec<Fate> {
+    pub(super) fn read(directory: &Path, plan: &str) -> Vec<FrameStatus> {
         let Ok(text) = fs::read_to_string(directory.join(FILE)) else { return Vec::new() };
         // A line that was cut off is not there yet.
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
@@ -46,14 +46,14 @@ impl Journal {
             return Vec::new();
         }
         let fate = |line: &str| match line {
-            PACKED => Some(Fate::Packed),
-            _ => line.strip_prefix(BROKEN).map(|reason| Fate::Broken(reason.to_owned())),
+            PACKED => Some(FrameStatus::Packed),
+            _ => line.strip_prefix(BROKEN).map(|reason| FrameStatus::Broken(reason.to_owned())),
         };
         lines.map_while(fate).collect()
     }
 
     /// Starts the journal of a plan with what is done already.
-    pub(super) fn start(directory: &Path, plan: &str, done: &[Fate]) -> Result<Self> {
+    pub(super) fn start(directory: &Path, plan: &str, done: &[FrameStatus]) -> Result<Self> {
         let path = directory.join(FILE);
         let file = OpenOptions::new()
             .create(true)
@@ -70,10 +70,10 @@ impl Journal {
     }
 
     /// Notes what became of the next frame.
-    pub(super) fn note(&mut self, fate: &Fate) {
+    pub(super) fn note(&mut self, fate: &FrameStatus) {
         match fate {
-            Fate::Packed => self.lines.push_str(PACKED),
-            Fate::Broken(reason) => {
+            FrameStatus::Packed => self.lines.push_str(PACKED),
+            FrameStatus::Broken(reason) => {
                 self.lines.push_str(BROKEN);
                 self.lines.push_str(reason);
             }
@@ -100,7 +100,7 @@ impl Journal {
 /// name, size and time of every frame, and whether links are followed.
 pub(super) fn plan_hash<'a>(
     raw: &Path,
-    split: &Split,
+    split: &SplitSpec,
     options: PackOptions,
     minimal: impl Iterator<Item = &'a ndarray::Array2<f64>>,
     frames: impl Iterator<Item = &'a PlannedFrame<'a>>,

@@ -6,7 +6,7 @@ use parry3d_f64::{
 };
 use rayon::prelude::*;
 
-use cape_core::geometry::{Surface, closest_on_triangle, ray_meets};
+use cape_core::geometry::{SurfaceMesh, closest_on_triangle, ray_meets};
 
 /// Steps until pairs are looked for again.
 const STEPS: usize = 5;
@@ -21,26 +21,26 @@ const PARALLEL: f64 = 0.02;
 /// Parts of a cloth that keep a distance from each other: vertices from faces and edges from
 /// edges, each on the side where it was a step ago.
 #[derive(Debug, Clone)]
-pub(super) struct Folds {
+pub(super) struct SelfCollision {
     /// Distance kept, metres, unless the parts are closer at rest.
     distance: f64,
-    rest: Surface,
+    rest: SurfaceMesh,
     edges: Vec<[u32; 2]>,
-    pairs: Vec<Pair>,
+    pairs: Vec<ClosePair>,
     steps: usize,
 }
 
 /// Two parts that may come close and the distance that they keep.
 #[derive(Debug, Clone, Copy)]
-enum Pair {
+enum ClosePair {
     /// A vertex and a face.
     Vertex(u32, [u32; 3], f64),
     /// Two edges.
     Edges([u32; 2], [u32; 2], f64),
 }
 
-impl Folds {
-    pub(super) fn new(rest: &Surface, distance: f64) -> Self {
+impl SelfCollision {
+    pub(super) fn new(rest: &SurfaceMesh, distance: f64) -> Self {
         Self { distance, edges: rest.edges(), rest: rest.clone(), pairs: Vec::new(), steps: 0 }
     }
 
@@ -52,24 +52,24 @@ impl Folds {
         inverse_masses: &[f64],
     ) {
         if self.steps == 0 {
-            self.look(before);
+            self.find_pairs(before);
         }
         self.steps = (self.steps + 1) % STEPS;
-        let mut corners = Corners { before, positions, inverse_masses };
+        let mut corners = CornerPositions { before, positions, inverse_masses };
         for pair in &self.pairs {
             match *pair {
-                Pair::Vertex(vertex, face, least) => corners.part_vertex(vertex, face, least),
-                Pair::Edges(one, other, least) => corners.part_edges(one, other, least),
+                ClosePair::Vertex(vertex, face, least) => corners.part_vertex(vertex, face, least),
+                ClosePair::Edges(one, other, least) => corners.part_edges(one, other, least),
             }
         }
     }
 
-    fn look(&mut self, at: &[DVec3]) {
+    fn find_pairs(&mut self, at: &[DVec3]) {
         let reach = self.distance + SLACK;
         let place = |v: u32| at[v as usize];
         let at_rest = |v: u32| self.rest.vertices[v as usize];
         let (faces, edges) = rayon::join(|| tree(&self.rest.faces, at), || tree(&self.edges, at));
-        let vertices: Vec<Pair> = (0..at.len() as u32)
+        let vertices: Vec<ClosePair> = (0..at.len() as u32)
             .into_par_iter()
             .flat_map_iter(|v| {
                 let near = around(&[v], at, reach);
@@ -80,12 +80,12 @@ impl Folds {
                 });
                 let pair = |face: [u32; 3]| {
                     let (nearest, _) = closest_on_triangle(at_rest(v), face.map(at_rest));
-                    Pair::Vertex(v, face, self.distance.min(nearest.distance(at_rest(v))))
+                    ClosePair::Vertex(v, face, self.distance.min(nearest.distance(at_rest(v))))
                 };
                 close.map(pair).collect::<Vec<_>>()
             })
             .collect();
-        let crossing: Vec<Pair> = self
+        let crossing: Vec<ClosePair> = self
             .edges
             .par_iter()
             .enumerate()
@@ -98,7 +98,7 @@ impl Folds {
                 });
                 let pair = |other: [u32; 2]| {
                     let (_, apart) = between_segments(one.map(at_rest), other.map(at_rest));
-                    Pair::Edges(one, other, self.distance.min(apart))
+                    ClosePair::Edges(one, other, self.distance.min(apart))
                 };
                 close.map(pair).collect::<Vec<_>>()
             })
@@ -109,13 +109,13 @@ impl Folds {
 }
 
 /// Positions that constraints move.
-struct Corners<'a> {
+struct CornerPositions<'a> {
     before: &'a [DVec3],
     positions: &'a mut [DVec3],
     inverse_masses: &'a [f64],
 }
 
-impl Corners<'_> {
+impl CornerPositions<'_> {
     fn now(&self, v: u32) -> DVec3 {
         self.positions[v as usize]
     }

@@ -6,11 +6,11 @@ use std::{
 };
 
 use super::{
-    Part,
+    Split,
     npy_rows::RowWriter,
     pack::{PackedFrame, PlannedFrame},
     packed::FRAMES_HEADER,
-    statistics::{Accumulator, Statistics, validation_count},
+    statistics::{Accumulator, DisplacementStatistics, validation_count},
 };
 use crate::{Error, Result};
 
@@ -19,7 +19,7 @@ const LATEST: usize = 100;
 
 /// Writes one part of a packed set and gathers its statistics.
 #[derive(Debug)]
-pub(super) struct PartWriter {
+pub(super) struct SplitWriter {
     displacement: RowWriter,
     pose: RowWriter,
     rotations: RowWriter,
@@ -33,8 +33,8 @@ pub(super) struct PartWriter {
     latest: VecDeque<Vec<f64>>,
 }
 
-impl PartWriter {
-    pub(super) fn create(root: &Path, part: Part, vertices: usize) -> Result<Self> {
+impl SplitWriter {
+    pub(super) fn create(root: &Path, part: Split, vertices: usize) -> Result<Self> {
         let directory = root.join(part.name());
         fs::create_dir_all(&directory).map_err(|e| Error::io(&directory, e))?;
         let names = part.frames_path(root);
@@ -45,7 +45,7 @@ impl PartWriter {
     /// Goes on with files that hold `frames` already; statistics are gathered anew from them.
     pub(super) fn resume(
         root: &Path,
-        part: Part,
+        part: Split,
         vertices: usize,
         frames: &[&PlannedFrame],
     ) -> Result<Self> {
@@ -65,7 +65,7 @@ impl PartWriter {
     }
 
     /// Whether the files in `root` are long enough for `rows` rows.
-    pub(super) fn holds(root: &Path, part: Part, vertices: usize, rows: usize) -> bool {
+    pub(super) fn holds(root: &Path, part: Split, vertices: usize, rows: usize) -> bool {
         [("disp", 3 * vertices), ("pose", 72), ("rot", 216), ("clo_label", 4)].into_iter().all(
             |(what, numbers)| {
                 let found = fs::metadata(part.path(root, what));
@@ -77,7 +77,7 @@ impl PartWriter {
 
     fn assemble(
         root: &Path,
-        part: Part,
+        part: Split,
         vertices: usize,
         open: impl Fn(PathBuf, &[usize]) -> Result<RowWriter>,
     ) -> Result<Self> {
@@ -136,7 +136,7 @@ impl PartWriter {
     }
 
     /// Completes the files and returns the statistics of the frames that do not validate.
-    pub(super) fn finish(mut self) -> Result<Statistics> {
+    pub(super) fn finish(mut self) -> Result<DisplacementStatistics> {
         let validation = validation_count(self.rows());
         let settled = self.latest.len().saturating_sub(validation);
         for row in self.latest.drain(..settled) {

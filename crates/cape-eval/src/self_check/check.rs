@@ -3,20 +3,20 @@
 use cape_model::LossConfig;
 use serde::Serialize;
 
-use super::{Material, Subject};
+use super::{Fixtures, ModelUnderTest};
 use crate::Result;
-use cape_core::{Progress, tensors::host};
-use cape_infer::{Frames, Rule, RunConfig, Schedule, TrainConfig, to_device};
+use cape_core::{ProgressFn, tensors::host};
+use cape_infer::{DeviceBatch, OptimiserKind, RateSchedule, RunConfig, TrainConfig, to_device};
 use cape_stats::errors::{ErrorStats, vertex_errors_mm};
 use cape_train::{
     active_units,
-    learner::{Learner, Pace, Update},
+    learner::{Learner, UpdateOptions, UpdateReport},
     objective::{StepInput, reconstruct},
 };
 
 /// How much is tried.
 ///
-/// See [`Subject`] for an example.
+/// See [`ModelUnderTest`] for an example.
 #[derive(Debug, Clone, Copy)]
 pub struct CheckOptions {
     /// Frames to be learnt by heart.
@@ -37,7 +37,7 @@ impl Default for CheckOptions {
 
 /// One thing that was looked at.
 ///
-/// See [`Subject`] for an example.
+/// See [`ModelUnderTest`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct Finding {
     /// What.
@@ -52,7 +52,7 @@ pub struct Finding {
 
 /// All of them.
 ///
-/// See [`Subject`] for an example.
+/// See [`ModelUnderTest`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct CheckReport {
     /// In the order of the work.
@@ -76,11 +76,11 @@ const LEAST_KL: f64 = 0.05;
 /// The frames are learnt without sampling, adversary and Kullback–Leibler term, by Adam: whether
 /// the networks can represent clothes at all, and gradients are right, does not depend on those.
 pub fn check(
-    subject: &Subject<'_>,
+    subject: &ModelUnderTest<'_>,
     options: CheckOptions,
-    progress: &mut Progress,
+    progress: &mut ProgressFn,
 ) -> Result<CheckReport> {
-    let material = Material::open(subject)?;
+    let material = Fixtures::open(subject)?;
     let total = options.overfit_steps + options.steps;
     let mut findings = vec![overfit(&material, subject.config, &options, &mut |done, _| {
         progress(done, total);
@@ -91,8 +91,8 @@ pub fn check(
     })?;
     match updates {
         Ok(updates) => {
-            findings.extend(of_updates(subject.config, &updates));
-            findings.push(of_codes(&material, subject.config, &learner)?);
+            findings.extend(check_updates(subject.config, &updates));
+            findings.push(check_codes(&material, subject.config, &learner)?);
         }
         Err(found) => findings.push(Finding {
             name: "numbers are finite",
@@ -106,16 +106,16 @@ pub fn check(
 }
 
 fn overfit(
-    material: &Material,
+    material: &Fixtures,
     config: &RunConfig,
     options: &CheckOptions,
-    progress: &mut Progress,
+    progress: &mut ProgressFn,
 ) -> Result<Finding> {
     let mut config = RunConfig {
         loss: LossConfig { kl: 0.0, gan: 0.0, regularisation: 0.0, ..config.loss.clone() },
         train: TrainConfig {
-            optimiser: Rule::Adam,
-            schedule: Schedule::Cosine,
+            optimiser: OptimiserKind::Adam,
+            schedule: RateSchedule::Cosine,
             peak_rate: 2e-3,
             epochs: 1,
             warmup_epochs: 0.05,
@@ -135,7 +135,7 @@ fn overfit(
     let (mut best, mut steps) = (f64::INFINITY, 0);
     while steps < options.overfit_steps && best > options.target_mm {
         let rate = config.train.rate(steps as u64, options.overfit_steps);
-        let pace = Pace { rate, kl_share: 0.0, detailed: false };
+        let pace = UpdateOptions { rate, kl_share: 0.0, detailed: false };
         if learner.update(&input, pace).is_err() {
             break;
         }
@@ -154,7 +154,7 @@ fn overfit(
     })
 }
 
-fn error_mm(material: &Material, learner: &Learner, frames: &Frames) -> Result<f64> {
+fn error_mm(material: &Fixtures, learner: &Learner, frames: &DeviceBatch) -> Result<f64> {
     let generator = learner.valid_generator();
     let result = reconstruct(&generator, learner.graphs(), frames, None);
     let mut predicted = host(result.displacement);
@@ -172,12 +172,12 @@ fn error_mm(material: &Material, learner: &Learner, frames: &Frames) -> Result<f
 /// The configuration as it is, its warm-up squeezed into a quarter of the steps; or what was not a
 /// number.
 fn train(
-    material: &Material,
+    material: &Fixtures,
     config: &RunConfig,
     learner: &mut Learner,
     steps: usize,
-    progress: &mut Progress,
-) -> Result<Result<Vec<Update>, String>> {
+    progress: &mut ProgressFn,
+) -> Result<Result<Vec<UpdateReport>, String>> {
     let mut batches = material.batches(config)?;
     let warmup = (steps / 4).max(1) as f64;
     let peak = config.train.peak_rate;
@@ -188,7 +188,7 @@ fn train(
         } else {
             peak * ((step + 1) as f64 / warmup).min(1.0)
         };
-        let pace = Pace { rate, kl_share: 1.0, detailed: true };
+        let pace = UpdateOptions { rate, kl_share: 1.0, detailed: true };
         match learner.update(&batches.next()?, pace) {
             Ok(update) => updates.push(update),
             Err(what) => return Ok(Err(format!("{what} is not at step {}", step + 1))),
@@ -198,15 +198,15 @@ fn train(
     Ok(Ok(updates))
 }
 
-fn of_updates(config: &RunConfig, updates: &[Update]) -> Vec<Finding> {
+fn check_updates(config: &RunConfig, updates: &[UpdateReport]) -> Vec<Finding> {
     let part = (updates.len() / 5).max(1);
     let (first, last) = (&updates[..part], &updates[updates.len() - part..]);
-    let mean = |updates: &[Update], of: fn(&Update) -> f64| {
+    let mean = |updates: &[UpdateReport], of: fn(&UpdateReport) -> f64| {
         updates.iter().map(of).sum::<f64>() / updates.len() as f64
     };
     let mut findings = Vec::new();
     let falls = [
-        ("reconstruction falls", (|u| u.losses.reconstruction) as fn(&Update) -> f64, true),
+        ("reconstruction falls", (|u| u.losses.reconstruction) as fn(&UpdateReport) -> f64, true),
         ("edge error falls", |u| u.losses.edge, config.loss.edge > 0.0),
     ];
     for (name, of, asked) in falls {
@@ -266,7 +266,7 @@ fn of_updates(config: &RunConfig, updates: &[Update]) -> Vec<Finding> {
     findings
 }
 
-fn of_codes(material: &Material, config: &RunConfig, learner: &Learner) -> Result<Finding> {
+fn check_codes(material: &Fixtures, config: &RunConfig, learner: &Learner) -> Result<Finding> {
     let rows = material.statistics.training_rows(material.set.frames());
     let count = CODES.min(rows.len());
     let chosen: Vec<usize> = (0..count).map(|i| rows.start + i * rows.len() / count).collect();

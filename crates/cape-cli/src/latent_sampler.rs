@@ -3,21 +3,21 @@
 use std::{fs, path::Path};
 
 use cape_core::{Outfit, npy::read_f64};
-use cape_data::{PackedSet, Part};
+use cape_data::{PackedSet, Split};
 use cape_infer::Run;
 use serde::Deserialize;
 
 use crate::{
     console::Console,
     error::{Error, Result},
-    priors::Drawn,
+    priors::PriorArgs,
 };
 
 /// How codes that are not given are drawn.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Draw<'a> {
+pub(crate) struct LatentSampler<'a> {
     pub(crate) run: &'a Run,
-    pub(crate) drawn: Drawn,
+    pub(crate) drawn: PriorArgs,
     pub(crate) outfit: Outfit,
     pub(crate) console: Console,
 }
@@ -26,11 +26,11 @@ pub(crate) struct Draw<'a> {
 pub(crate) type Code = Vec<f32>;
 
 #[derive(Deserialize)]
-struct Line {
+struct CodeLine {
     code: Vec<f32>,
 }
 
-impl Draw<'_> {
+impl LatentSampler<'_> {
     /// The code that `text` names: `mean`; `seed:N`, drawn; `frame:K`, of a held-out frame of the
     /// run's data; or a file, .npy of `[latent]` or `[n, latent]`, or samples.jsonl, with `:ROW`.
     pub(crate) fn code(&self, text: &str) -> Result<Code> {
@@ -42,7 +42,7 @@ impl Draw<'_> {
             let &Self { run, drawn, outfit, console } = self;
             drawn.codes(run, &[outfit], 1, seed, console)?.row(0).to_vec()
         } else if let Some(frame) = text.strip_prefix("frame:") {
-            let set = PackedSet::open(&self.run.data()?, Part::Test)?;
+            let set = PackedSet::open(&self.run.data()?, Split::Test)?;
             self.run.encode_frames(&set, &[number(text, frame)? as usize])?.row(0).to_vec()
         } else {
             from_file(text)?
@@ -105,7 +105,7 @@ fn from_file(text: &str) -> Result<Vec<f32>> {
     if extension.eq_ignore_ascii_case("jsonl") {
         let lines = fs::read_to_string(path).map_err(|error| Error::io(path, error))?;
         let line = lines.lines().nth(row).ok_or_else(|| missing(lines.lines().count()))?;
-        let line: Line = serde_json::from_str(line).map_err(|error| {
+        let line: CodeLine = serde_json::from_str(line).map_err(|error| {
             cape_core::Error::field(path, format!("line {}", row + 1), error.to_string())
         })?;
         return Ok(line.code);

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use cape_core::{
     BodyPose, ClothingMask, Outfit,
-    gltf::{self, Figure, Keyframe, Texture},
+    gltf::{self, GltfTexture, Keyframe, SkinnedMesh},
 };
 use ndarray::{Array2, Axis};
 
-use crate::{Error, Result, Run, Wearer};
+use crate::{BodySpec, Error, Result, Run};
 
 /// Poses of one file at most: each takes a morph target of 82 kB.
 const MOST_FRAMES: usize = 2000;
@@ -19,7 +19,7 @@ const BATCH: usize = 64;
 ///
 /// See [`Run`] for an example.
 #[derive(Debug, Clone)]
-pub struct Performance<'a> {
+pub struct AnimatedBody<'a> {
     /// Shown by programs that open the file.
     pub name: &'a str,
     /// Latent code, `[1, latent]`.
@@ -37,12 +37,12 @@ pub struct Performance<'a> {
     /// sRGB from 0 to 1, `[vertices, 3]`.
     pub colours: Option<&'a [[f32; 3]]>,
     /// Texture coordinates and picture.
-    pub texture: Option<Texture<'a>>,
+    pub texture: Option<GltfTexture<'a>>,
 }
 
-impl<'a> Performance<'a> {
+impl<'a> AnimatedBody<'a> {
     /// A body that stands still.
-    pub fn still(name: &'a str, code: &Array2<f32>, wearer: &'a Wearer) -> Self {
+    pub fn from_body(name: &'a str, code: &Array2<f32>, wearer: &'a BodySpec) -> Self {
         Self {
             name,
             code: code.clone(),
@@ -75,7 +75,7 @@ impl<'a> Performance<'a> {
         Ok(gltf::encode(&figure, &keyframes)?)
     }
 
-    fn figure<'s>(&'s self, run: &'s Run) -> Result<(Figure<'s>, Vec<Keyframe>)> {
+    fn figure<'s>(&'s self, run: &'s Run) -> Result<(SkinnedMesh<'s>, Vec<Keyframe>)> {
         if self.poses.is_empty() || self.poses.len() > MOST_FRAMES {
             return Err(Error::argument(format!(
                 "{} poses, but a glTF file takes 1 to {MOST_FRAMES}: give fewer, or write .obj or \
@@ -86,7 +86,7 @@ impl<'a> Performance<'a> {
         let body = run.body();
         let mut betas: Vec<f64> = self.betas.iter().map(|&beta| beta.into()).collect();
         betas.resize(body.betas().max(betas.len()), 0.0);
-        let shape = body.shaped(&betas)?;
+        let shape = body.rest_shape(&betas)?;
         let displacements = self.displacements(run)?;
         let first = &displacements[0];
         let mut keyframes = Vec::with_capacity(self.poses.len());
@@ -102,7 +102,7 @@ impl<'a> Performance<'a> {
         let targets = (0..self.shape_targets.min(body.betas()))
             .map(|k| (format!("beta {k}"), body.shapedirs.index_axis(Axis(2), k).to_owned()))
             .collect();
-        let figure = Figure {
+        let figure = SkinnedMesh {
             name: self.name,
             body,
             rest: &shape + first,

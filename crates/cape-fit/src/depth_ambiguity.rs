@@ -21,7 +21,7 @@ pub(crate) const WHICH: [[bool; 2]; 3] = [[true, false], [false, true], [true, t
 ///
 /// # Errors
 /// If sizes do not suit the body.
-pub(crate) fn mirrored(
+pub(crate) fn mirror_limb_depths(
     skeleton: &Skeleton,
     x: &[f64],
     betas: usize,
@@ -52,7 +52,7 @@ pub(crate) fn mirrored(
 ///
 /// # Errors
 /// If sizes do not suit the body.
-pub(crate) fn leaning(skeleton: &Skeleton, x: &[f64], betas: usize) -> Result<Vec<f64>> {
+pub(crate) fn mirror_trunk_lean(skeleton: &Skeleton, x: &[f64], betas: usize) -> Result<Vec<f64>> {
     let (pose, shape) = (&x[POSE_AT..BETAS_AT], &x[BETAS_AT..BETAS_AT + betas]);
     let posed = skeleton.pose(shape, pose, transl(x))?;
     let (joints, rotations) = (posed.joints(), posed.rotations());
@@ -80,13 +80,13 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::{Camera, testing::BODY};
+    use crate::{PinholeCamera, testing::BODY};
 
     #[test]
     fn mirrored_limbs_look_alike_and_go_the_other_way() {
         let skeleton = Skeleton::new(&BODY).unwrap();
         // From far away, where perspective does not tell depths.
-        let camera = Camera::new(500, 500, Some(10_000.0)).unwrap();
+        let camera = PinholeCamera::new(500, 500, Some(10_000.0)).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(6);
         let mut x: Vec<f64> = (0..3 + 72 + 2).map(|_| rng.random_range(-0.5..0.5)).collect();
         x[2] = -60.0;
@@ -95,7 +95,7 @@ mod tests {
         let before = at(&x);
         for limb in LIMBS {
             for which in WHICH {
-                let after = at(&mirrored(&skeleton, &x, 2, limb, which).unwrap());
+                let after = at(&mirror_limb_depths(&skeleton, &x, 2, limb, which).unwrap());
                 for joint in limb {
                     let [a, b] = [&before, &after].map(|joints| camera.project(joints[joint]));
                     assert!((a - b).length() < 0.6, "{limb:?} {which:?}: {a} {b}");
@@ -121,7 +121,7 @@ mod tests {
         x[2] = -60.0;
         let at =
             |x: &[f64]| skeleton.pose(&x[75..], &x[3..75], transl(x)).unwrap().joints().to_vec();
-        let [before, after] = [at(&x), at(&leaning(&skeleton, &x, 2).unwrap())];
+        let [before, after] = [at(&x), at(&mirror_trunk_lean(&skeleton, &x, 2).unwrap())];
         let lean = |joints: &[DVec3]| joints[NECK].z - joints[0].z;
         assert!((lean(&after) + lean(&before)).abs() < 0.01, "{} {}", lean(&before), lean(&after));
         for [root, middle, end] in LIMBS {

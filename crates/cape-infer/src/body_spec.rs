@@ -4,7 +4,7 @@ use burn::tensor::{Tensor, TensorData};
 use cape_core::{BodyPose, Mesh, Outfit, Pose, SmplInput};
 use ndarray::{Array2, Array3, Axis};
 
-use crate::{Error, Frames, Result, Run, to_device};
+use crate::{DeviceBatch, Error, Result, Run, to_device};
 use cape_core::{
     joints::pose_features,
     tensors::{host, tensor2},
@@ -18,7 +18,7 @@ const BATCH: usize = 16;
 ///
 /// See [`Run`] for an example.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Wearer {
+pub struct BodySpec {
     /// Shape coefficients; missing ones are zero.
     pub betas: Vec<f32>,
     /// Axis-angles of the 24 joints, radians.
@@ -31,13 +31,13 @@ impl Run {
     /// Bodies in the clothes that `codes` `[n, latent]` stand for, one for each of `wearers`.
     ///
     /// ```no_run
-    /// # use cape_infer::{Run, Wearer};
+    /// # use cape_infer::{Run, BodySpec};
     /// # use cape_core::Outfit;
     /// # use cape_synth::poses;
     /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
     /// let run = Run::open("run".as_ref(), &burn::tensor::Device::default())?;
     /// let pose = poses::poses("walk")?[0].1;
-    /// let wearer = Wearer { betas: vec![1.0, -0.5], pose, outfit: Outfit::LongLong };
+    /// let wearer = BodySpec { betas: vec![1.0, -0.5], pose, outfit: Outfit::LongLong };
     /// run.dress(&run.sample_codes(1, 7), &[wearer])?[0].save("dressed.obj")?;
     /// # Ok(())
     /// # }
@@ -45,9 +45,9 @@ impl Run {
     ///
     /// # Errors
     /// If sizes disagree, or numbers are not finite.
-    pub fn dress(&self, codes: &Array2<f32>, wearers: &[Wearer]) -> Result<Vec<Mesh>> {
-        let worn = self.clothes(codes, wearers)?;
-        self.wear(&worn, wearers)
+    pub fn dress(&self, codes: &Array2<f32>, wearers: &[BodySpec]) -> Result<Vec<Mesh>> {
+        let worn = self.decode_displacements(codes, wearers)?;
+        self.pose_clothed(&worn, wearers)
     }
 
     /// Displacements in metres that `codes` `[n, latent]` stand for under the poses and outfits of
@@ -55,7 +55,11 @@ impl Run {
     ///
     /// # Errors
     /// If sizes disagree.
-    pub fn clothes(&self, codes: &Array2<f32>, wearers: &[Wearer]) -> Result<Array3<f32>> {
+    pub fn decode_displacements(
+        &self,
+        codes: &Array2<f32>,
+        wearers: &[BodySpec],
+    ) -> Result<Array3<f32>> {
         let (poses, outfits) = poses_and_outfits(wearers);
         self.decode(codes, &poses, &outfits)
     }
@@ -65,7 +69,11 @@ impl Run {
     ///
     /// # Errors
     /// If sizes disagree, or numbers are not finite.
-    pub fn wear(&self, displacement: &Array3<f32>, wearers: &[Wearer]) -> Result<Vec<Mesh>> {
+    pub fn pose_clothed(
+        &self,
+        displacement: &Array3<f32>,
+        wearers: &[BodySpec],
+    ) -> Result<Vec<Mesh>> {
         let expected = (wearers.len(), self.body().vertices(), 3);
         if displacement.dim() != expected {
             return Err(Error::argument(format!(
@@ -73,15 +81,15 @@ impl Run {
                 displacement.dim()
             )));
         }
-        self.posed(Some(displacement), wearers)
+        self.pose_meshes(Some(displacement), wearers)
     }
 
     /// Bodies without clothes.
     ///
     /// # Errors
     /// If a body has too many shape coefficients, or numbers are not finite.
-    pub fn bare(&self, wearers: &[Wearer]) -> Result<Vec<Mesh>> {
-        self.posed(None, wearers)
+    pub fn pose_unclothed(&self, wearers: &[BodySpec]) -> Result<Vec<Mesh>> {
+        self.pose_meshes(None, wearers)
     }
 
     /// Posterior means `[n, latent]` of clothes: displacements `[n, vertices, 3]` in metres, seen
@@ -89,7 +97,7 @@ impl Run {
     ///
     /// # Errors
     /// If sizes disagree, or numbers are not finite.
-    pub fn encode(&self, displacement: &Array3<f32>, wearers: &[Wearer]) -> Result<Array2<f32>> {
+    pub fn encode(&self, displacement: &Array3<f32>, wearers: &[BodySpec]) -> Result<Array2<f32>> {
         let (n, vertices) = (wearers.len(), self.body().vertices());
         if displacement.dim() != (n, vertices, 3) {
             return Err(Error::argument(format!(
@@ -113,7 +121,7 @@ impl Run {
             let features = tensor2(pose_features(&poses[rows.clone()])?, device);
             let labels: Vec<[f32; 4]> = outfits[rows].iter().map(|o| o.one_hot()).collect();
             let labels = TensorData::new(labels.as_flattened().to_vec(), [count, 4]);
-            means.extend(self.posterior_means(Frames {
+            means.extend(self.posterior_means(DeviceBatch {
                 displacement: Tensor::from_data(
                     TensorData::new(values, [count, vertices, 3]),
                     device,
@@ -148,14 +156,18 @@ impl Run {
             .map_err(|error| Error::argument(error.to_string()))
     }
 
-    fn posterior_means(&self, frames: Frames) -> Vec<f32> {
+    fn posterior_means(&self, frames: DeviceBatch) -> Vec<f32> {
         let generator = self.generator();
         let condition = generator.condition.forward(frames.pose_feature, frames.outfit);
         let graph = &self.graphs().generator;
         host(generator.encoder.forward(frames.displacement, condition.as_ref(), graph).mean)
     }
 
-    fn posed(&self, displacement: Option<&Array3<f32>>, wearers: &[Wearer]) -> Result<Vec<Mesh>> {
+    fn pose_meshes(
+        &self,
+        displacement: Option<&Array3<f32>>,
+        wearers: &[BodySpec],
+    ) -> Result<Vec<Mesh>> {
         let (most, vertices, device) = (self.body().betas(), self.body().vertices(), self.device());
         let mut meshes = Vec::with_capacity(wearers.len());
         for (index, chunk) in wearers.chunks(BATCH).enumerate() {
@@ -205,7 +217,7 @@ impl Run {
 ///
 /// # Errors
 /// If there is no such frame, or it cannot be read.
-pub fn registration(set: &PackedSet, frame: usize) -> Result<(Array3<f32>, Wearer)> {
+pub fn registration(set: &PackedSet, frame: usize) -> Result<(Array3<f32>, BodySpec)> {
     let count = set.frames();
     let outfit = *set.outfits().get(frame).filter(|_| frame < count).ok_or_else(|| {
         Error::argument(format!("frame {frame}: the set has {count}, counted from 0"))
@@ -213,11 +225,11 @@ pub fn registration(set: &PackedSet, frame: usize) -> Result<(Array3<f32>, Weare
     let pose = BodyPose::try_from(set.pose(frame)?).map_err(|pose| {
         Error::argument(format!("frame {frame}: a pose of {} numbers", pose.len()))
     })?;
-    let wearer = Wearer { betas: Vec::new(), pose, outfit };
+    let wearer = BodySpec { betas: Vec::new(), pose, outfit };
     Ok((set.batch(&[frame], None)?.displacement, wearer))
 }
 
-fn poses_and_outfits(wearers: &[Wearer]) -> (Vec<BodyPose>, Vec<Outfit>) {
+fn poses_and_outfits(wearers: &[BodySpec]) -> (Vec<BodyPose>, Vec<Outfit>) {
     wearers.iter().map(|wearer| (wearer.pose, wearer.outfit)).unzip()
 }
 
@@ -277,14 +289,14 @@ pub fn walk_codes(stops: &Array2<f32>, steps: usize) -> Array2<f32> {
 ///
 /// # Errors
 /// If the model decodes nothing finite.
-pub fn directions_by_effect(run: &Run, wearer: &Wearer) -> Result<(Vec<usize>, Vec<f64>)> {
+pub fn directions_by_effect(run: &Run, wearer: &BodySpec) -> Result<(Vec<usize>, Vec<f64>)> {
     let latent = run.config().model.latent;
     let mut codes = Array2::zeros((2 * latent, latent));
     for direction in 0..latent {
         codes[[2 * direction, direction]] = 1.0;
         codes[[2 * direction + 1, direction]] = -1.0;
     }
-    let worn = run.clothes(&codes, &vec![wearer.clone(); 2 * latent])?;
+    let worn = run.decode_displacements(&codes, &vec![wearer.clone(); 2 * latent])?;
     let effects: Vec<f64> = (0..latent)
         .map(|direction| {
             let [up, down] = [0, 1].map(|side| worn.index_axis(Axis(0), 2 * direction + side));

@@ -6,7 +6,7 @@ use burn::{
     module::{Module, ModuleMapper, ModuleVisitor, Param},
     tensor::Tensor,
 };
-use cape_model::weights::{self, Array, Trail, Weights};
+use cape_model::weights::{self, HostArray, ParamPath, Weights};
 
 use crate::Result;
 use cape_core::tensors::host;
@@ -15,12 +15,12 @@ use cape_core::tensors::host;
 ///
 /// Early on the factor is lower, `(1 + t) / (10 + t)`, so that initial weights are forgotten.
 #[derive(Debug, Clone)]
-pub(crate) struct Average {
+pub(crate) struct ParameterAverage {
     factor: f64,
     values: BTreeMap<String, (Vec<usize>, Tensor<1>)>,
 }
 
-impl Average {
+impl ParameterAverage {
     /// Nothing yet.
     pub(crate) fn new(factor: f64) -> Self {
         Self { factor, values: BTreeMap::new() }
@@ -30,19 +30,19 @@ impl Average {
     pub(crate) fn update<M: Module>(&mut self, module: &M, step: u64) {
         let step = step as f64;
         let factor = self.factor.min((1.0 + step) / (10.0 + step));
-        module.visit(&mut Update { trail: Trail::default(), average: self, factor });
+        module.visit(&mut UpdateVisitor { path: ParamPath::default(), average: self, factor });
     }
 
     /// The module with averaged weights.
     pub(crate) fn apply<M: Module>(&self, module: M) -> M {
-        module.map(&mut Apply { trail: Trail::default(), average: self })
+        module.map(&mut ApplyMapper { path: ParamPath::default(), average: self })
     }
 
     /// The averages, for a checkpoint.
     pub(crate) fn state(&self) -> Weights {
         let arrays = self.values.iter().map(|(name, (shape, flat))| {
             let values = host(flat.clone());
-            (name.clone(), Array { shape: shape.clone(), values })
+            (name.clone(), HostArray { shape: shape.clone(), values })
         });
         arrays.collect()
     }
@@ -59,18 +59,18 @@ impl Average {
     }
 }
 
-struct Update<'a> {
-    trail: Trail,
-    average: &'a mut Average,
+struct UpdateVisitor<'a> {
+    path: ParamPath,
+    average: &'a mut ParameterAverage,
     factor: f64,
 }
 
-impl ModuleVisitor for Update<'_> {
+impl ModuleVisitor for UpdateVisitor<'_> {
     fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
         let new = param.val().inner();
         let shape = new.dims().to_vec();
         let new = new.reshape([-1]);
-        let path = self.trail.path();
+        let path = self.path.path();
         let value = match self.average.values.remove(&path) {
             Some((_, old)) => old * self.factor + new * (1.0 - self.factor),
             None => new,
@@ -78,29 +78,29 @@ impl ModuleVisitor for Update<'_> {
         self.average.values.insert(path, (shape, value));
     }
     fn enter_module(&mut self, name: &str, container: &str) {
-        self.trail.enter(name, container);
+        self.path.enter(name, container);
     }
     fn exit_module(&mut self, _: &str, _: &str) {
-        self.trail.exit();
+        self.path.exit();
     }
 }
 
-struct Apply<'a> {
-    trail: Trail,
-    average: &'a Average,
+struct ApplyMapper<'a> {
+    path: ParamPath,
+    average: &'a ParameterAverage,
 }
 
-impl ModuleMapper for Apply<'_> {
+impl ModuleMapper for ApplyMapper<'_> {
     fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-        let Some((_, value)) = self.average.values.get(&self.trail.path()) else { return param };
+        let Some((_, value)) = self.average.values.get(&self.path.path()) else { return param };
         let value = value.clone();
         param.map(|old| Tensor::from_inner(value.reshape(old.dims())))
     }
     fn enter_module(&mut self, name: &str, container: &str) {
-        self.trail.enter(name, container);
+        self.path.enter(name, container);
     }
     fn exit_module(&mut self, _: &str, _: &str) {
-        self.trail.exit();
+        self.path.exit();
     }
 }
 
@@ -123,7 +123,7 @@ mod tests {
 
     #[test]
     fn averages_follow_their_definition_and_survive_a_restart() {
-        let mut average = Average::new(0.5);
+        let mut average = ParameterAverage::new(0.5);
         let mut expected = [0.0f64; 2];
         for step in 1..=20u32 {
             let new = [f64::from(step), f64::from(step).sin()];
@@ -133,7 +133,7 @@ mod tests {
             }
             average.update(&point([new.map(|x| x as f32)]), u64::from(step));
         }
-        let mut restored = Average::new(0.5);
+        let mut restored = ParameterAverage::new(0.5);
         let fresh = point([[0.0, 0.0]]);
         restored.restore(&fresh, &average.state()).unwrap();
         for average in [average, restored] {

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use glam::DVec3;
 
-use crate::regions::{LimbSite, Regions, Site, joint};
+use crate::regions::{LimbSite, Regions, VertexSite, joint};
 
 /// Directions around a tube.
 const DIRECTIONS: usize = 32;
@@ -16,7 +16,7 @@ const FARTHEST: f64 = 0.06;
 
 /// From a vertex to where straight-hanging cloth is, metres, for each tube of cloth it may be in.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Hang {
+pub(super) struct DrapeOffsets {
     pub(super) body: DVec3,
     pub(super) sleeve: DVec3,
     pub(super) leg: DVec3,
@@ -24,13 +24,13 @@ pub(super) struct Hang {
 
 /// The convex outline of a body part's cross-sections, each at most a little narrower than the one
 /// before, as cloth hangs.
-struct Tube {
+struct ConvexTube {
     first: f64,
     /// Distance from the axis by direction, `[sections][DIRECTIONS]`.
     radius: Vec<[f64; DIRECTIONS]>,
 }
 
-impl Tube {
+impl ConvexTube {
     /// `points`: distance along the axis, distance from it, and angle around it. Cloth narrows by
     /// `taper` metres a metre.
     fn new(points: &[[f64; 3]], [first, last]: [f64; 2], taper: f64) -> Self {
@@ -82,21 +82,25 @@ impl Tube {
 }
 
 /// The hang of every vertex.
-pub(super) fn hangs(regions: &Regions) -> Vec<Hang> {
+pub(super) fn drape_offsets(regions: &Regions) -> Vec<DrapeOffsets> {
     let Regions { sites, joints } = regions;
     let chest = joints[joint::SHOULDERS[0]].y.min(joints[joint::SHOULDERS[1]].y) - 0.06;
     let bottom = joints[joint::HIPS[0]].y - 0.12;
-    let trunk = |site: &Site| {
+    let trunk = |site: &VertexSite| {
         let from = site.position - joints[joint::SPINE[0]];
         [chest - site.position.y, from.x.hypot(from.z), from.x.atan2(from.z)]
     };
     let in_trunk = sites.iter().filter(|site| {
         site.arm_weight < 0.35 && site.position.y > bottom && site.position.y < chest + STEP
     });
-    let body = Tube::new(&in_trunk.map(trunk).collect::<Vec<_>>(), [0.0, chest - bottom], 0.10);
+    let body =
+        ConvexTube::new(&in_trunk.map(trunk).collect::<Vec<_>>(), [0.0, chest - bottom], 0.10);
 
     let limb = |limb: &LimbSite| [limb.along * limb.length, limb.radius, limb.angle];
-    let tubes = |of: fn(&Site) -> &LimbSite, weight: fn(&Site) -> f64, start: f64, taper: f64| {
+    let tubes = |of: fn(&VertexSite) -> &LimbSite,
+                 weight: fn(&VertexSite) -> f64,
+                 start: f64,
+                 taper: f64| {
         [0, 1].map(|side| {
             let part: Vec<_> = sites
                 .iter()
@@ -104,13 +108,13 @@ pub(super) fn hangs(regions: &Regions) -> Vec<Hang> {
                 .map(|site| limb(of(site)))
                 .collect();
             let end = part.iter().map(|p| p[0]).fold(start, f64::max);
-            Tube::new(&part, [start, end], taper)
+            ConvexTube::new(&part, [start, end], taper)
         })
     };
     let sleeves = tubes(|site| &site.arm, |site| site.arm_weight, 0.05, 0.07);
     let legs = tubes(|site| &site.leg, |site| site.leg_weight, 0.12, 0.055);
 
-    let gap = |tube: &Tube, [along, radius, around]: [f64; 3]| {
+    let gap = |tube: &ConvexTube, [along, radius, around]: [f64; 3]| {
         tube.radius(along, around).map_or(0.0, |hull| (hull - radius).clamp(0.0, FARTHEST))
     };
     sites
@@ -118,7 +122,7 @@ pub(super) fn hangs(regions: &Regions) -> Vec<Hang> {
         .map(|site| {
             let [_, _, around] = trunk(site);
             let outward = DVec3::new(around.sin(), 0.0, around.cos());
-            Hang {
+            DrapeOffsets {
                 body: outward * gap(&body, trunk(site)),
                 sleeve: site.arm.radial * gap(&sleeves[site.side], limb(&site.arm)),
                 leg: site.leg.radial * gap(&legs[site.side], limb(&site.leg)),
@@ -143,7 +147,7 @@ mod tests {
             points.push([0.0, x.hypot(y) * dent, x.atan2(y)]);
         }
         points.push([1.0, 0.1, 0.0]);
-        let tube = Tube::new(&points, [0.0, 1.0], 0.2);
+        let tube = ConvexTube::new(&points, [0.0, 1.0], 0.2);
         assert!((tube.radius(0.0, 0.0).unwrap() - 1.0).abs() < 0.01);
         assert!((tube.radius(0.0, TAU / 8.0).unwrap() - 2_f64.sqrt()).abs() < 0.02);
         let lower = tube.radius(0.75, 0.0).unwrap();

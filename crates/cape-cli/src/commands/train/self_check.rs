@@ -3,17 +3,18 @@
 use std::{fmt::Write as _, path::Path, process::ExitCode};
 
 use burn::tensor::Device;
-use cape_eval::trial::{
-    CheckOptions, CheckReport, RateOptions, RateReport, Subject, check, find_rate,
+use cape_eval::self_check::{
+    CheckOptions, CheckReport, ModelUnderTest, RateSearchOptions, RateSearchReport, check,
+    find_rate,
 };
 use cape_infer::RunConfig;
 use cape_render::{Plot, Series};
 
 use clap::Args;
 
-use super::Train;
+use super::TrainArgs;
 use crate::{
-    arguments::{Global, at_least_one},
+    arguments::{GlobalArgs, at_least_one},
     console::Console,
     error::Result,
     files,
@@ -22,7 +23,7 @@ use crate::{
 
 /// What is done instead of training.
 #[derive(Debug, Args)]
-pub(super) struct Trials {
+pub(super) struct SelfCheckArgs {
     /// Do not train, but see whether these settings are sound: a few frames are learnt by heart, and
     /// after a little training losses fall, the code says something, the discriminator is neither
     /// dead nor perfect and gradients reach all parts.
@@ -37,7 +38,7 @@ pub(super) struct Trials {
     trial_steps: Option<usize>,
 }
 
-impl Trials {
+impl SelfCheckArgs {
     pub(super) fn any(&self) -> bool {
         self.check || self.find_rate
     }
@@ -46,35 +47,35 @@ impl Trials {
 /// Exit code where something is not as it should be.
 const UNSOUND: u8 = 1;
 
-impl Train {
-    pub(super) fn tried(
+impl TrainArgs {
+    pub(super) fn run_self_check(
         &self,
-        global: &Global,
+        global: &GlobalArgs,
         console: Console,
         device: &Device,
     ) -> Result<ExitCode> {
         let config = self.configured(RunConfig::default(), global)?;
-        let subject = Subject {
+        let subject = ModelUnderTest {
             data: self.data.as_deref().unwrap_or(Path::new("")),
             body: self.body.as_deref(),
             clothing: self.clothing.as_deref(),
             config: &config,
             device,
         };
-        if self.trials.find_rate {
-            let mut options = RateOptions::default();
-            super::settings::set(&mut options.steps, self.trials.trial_steps);
+        if self.self_check.find_rate {
+            let mut options = RateSearchOptions::default();
+            super::settings::set(&mut options.steps, self.self_check.trial_steps);
             let report = console.while_showing("rates", "steps", |progress| {
                 find_rate(&subject, options, progress)
             })?;
             if let Some(out) = &self.out {
-                written(&report, out)?;
+                write_rates(&report, out)?;
             }
             console.result(&report, || rates(&report))?;
             return Ok(ExitCode::SUCCESS);
         }
         let mut options = CheckOptions::default();
-        super::settings::set(&mut options.steps, self.trials.trial_steps);
+        super::settings::set(&mut options.steps, self.self_check.trial_steps);
         let report = console
             .while_showing("check", "steps", |progress| check(&subject, options, progress))?;
         console.result(&report, || findings(&report))?;
@@ -97,7 +98,7 @@ fn findings(report: &CheckReport) -> String {
     format!("{}\n\n{verdict}", table.text())
 }
 
-fn rates(report: &RateReport) -> String {
+fn rates(report: &RateSearchReport) -> String {
     let diverged = match report.diverged {
         Some(rate) => format!("exploded at {rate:.1e}"),
         None => "did not explode".into(),
@@ -109,7 +110,7 @@ fn rates(report: &RateReport) -> String {
     )
 }
 
-fn written(report: &RateReport, out: &Path) -> Result {
+fn write_rates(report: &RateSearchReport, out: &Path) -> Result {
     files::create_dir(out)?;
     let mut csv = "rate,loss,smoothed\n".to_owned();
     for point in &report.points {
@@ -117,7 +118,7 @@ fn written(report: &RateReport, out: &Path) -> Result {
         let _ = writeln!(csv, "{},{},{}", point.rate, point.loss, point.smoothed);
     }
     files::write_text(&out.join("rates.csv"), &csv)?;
-    let curve = |of: fn(&cape_eval::trial::RatePoint) -> f64| {
+    let curve = |of: fn(&cape_eval::self_check::RatePoint) -> f64| {
         report.points.iter().map(|point| (point.rate.log10(), of(point))).collect()
     };
     let plot = Plot {

@@ -1,11 +1,11 @@
 //! What commands that learn from a set have in common: tying clothing to the body, and settings.
 
 use cape_core::SmplModel;
-use cape_core::{geometry::Surface, smpl::StandardPose};
+use cape_core::{geometry::SurfaceMesh, smpl::StandardPose};
 use cape_layer::{
     AssociateOptions, Association, LayerSet,
-    experiment::Learning,
-    regress::{Features, Training},
+    experiment::LearningOptions,
+    regress::{FeatureOptions, TrainingOptions},
 };
 use clap::{Args, ValueEnum};
 
@@ -17,7 +17,7 @@ use crate::{
 
 /// How clothing is tied to the body.
 #[derive(Debug, Clone, Args)]
-pub(super) struct Tying {
+pub(super) struct AssociationArgs {
     /// Body vertices for each clothing vertex.
     #[arg(long, default_value_t = 4, value_name = "N", value_parser = at_least_one)]
     pub(super) neighbours: usize,
@@ -31,36 +31,36 @@ pub(super) struct Tying {
     #[arg(long, default_value_t = 0, value_name = "K")]
     pub(super) frame: usize,
     /// The pose that clothing is brought to.
-    #[arg(long, value_enum, default_value_t = Standard::APose)]
-    pub(super) standard: Standard,
+    #[arg(long, value_enum, default_value_t = StandardPoseName::APose)]
+    pub(super) standard: StandardPoseName,
 }
 
-impl Default for Tying {
+impl Default for AssociationArgs {
     fn default() -> Self {
         let AssociateOptions { neighbours, sigma, support, .. } = AssociateOptions::default();
         let (sigma, support) = (1e3 * sigma, 1e3 * support);
-        Self { neighbours, sigma, support, frame: 0, standard: Standard::APose }
+        Self { neighbours, sigma, support, frame: 0, standard: StandardPoseName::APose }
     }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum Standard {
+pub(super) enum StandardPoseName {
     APose,
     TPose,
 }
 
 /// Clothing tied to the body in one frame.
-pub(super) struct Tied {
-    pub(super) body: Surface,
-    pub(super) clothing: Surface,
+pub(super) struct AssociationOutput {
+    pub(super) body: SurfaceMesh,
+    pub(super) clothing: SurfaceMesh,
     pub(super) association: Association,
 }
 
-impl Tying {
+impl AssociationArgs {
     pub(super) fn standard(&self) -> StandardPose {
         match self.standard {
-            Standard::APose => StandardPose::A,
-            Standard::TPose => StandardPose::T,
+            StandardPoseName::APose => StandardPose::A,
+            StandardPoseName::TPose => StandardPose::T,
         }
     }
 
@@ -74,24 +74,29 @@ impl Tying {
     }
 
     /// Ties the set's clothing to its body, and says what is odd about them.
-    pub(super) fn tie(&self, model: &SmplModel, set: &LayerSet, console: Console) -> Result<Tied> {
+    pub(super) fn associate(
+        &self,
+        model: &SmplModel,
+        set: &LayerSet,
+        console: Console,
+    ) -> Result<AssociationOutput> {
         let each = set.each_frame();
         let &(sequence, frame) = each.get(self.frame).ok_or_else(|| {
             Error::message(format!("--frame {}: there are {}", self.frame, each.len()))
         })?;
         let body = set.sequences[sequence].body(model, frame, &self.standard())?;
-        let body = Surface::new("body", body.posed, model.faces.clone())?;
+        let body = SurfaceMesh::new("body", body.posed, model.faces.clone())?;
         let clothing = set.clothing(sequence, frame)?;
         let association = self.options().associate(&body, &clothing)?;
-        for oddity in oddities(&association) {
+        for oddity in warnings(&association) {
             console.note(&format!("sequence `{}`: {oddity}", set.sequences[sequence].name));
         }
-        Ok(Tied { body, clothing, association })
+        Ok(AssociationOutput { body, clothing, association })
     }
 }
 
 /// What the rays from the body say about meshes that can be used but may not be meant.
-fn oddities(association: &Association) -> Vec<String> {
+fn warnings(association: &Association) -> Vec<String> {
     let statistics = &association.statistics;
     let mut found = Vec::new();
     if statistics.clothing_is_flipped() {
@@ -120,7 +125,7 @@ fn oddities(association: &Association) -> Vec<String> {
 
 /// How clothing is learned.
 #[derive(Debug, Clone, Args)]
-pub(super) struct Lessons {
+pub(super) struct LearningArgs {
     /// Principal components that are predicted.
     #[arg(long, default_value_t = 40, value_name = "N", value_parser = at_least_one)]
     pub(super) components: usize,
@@ -141,22 +146,22 @@ pub(super) struct Lessons {
     smoothing: f64,
 }
 
-impl Lessons {
-    pub(super) fn learning(&self, seed: u64) -> Result<Learning> {
+impl LearningArgs {
+    pub(super) fn learning(&self, seed: u64) -> Result<LearningOptions> {
         if !(self.smoothing.is_finite() && self.smoothing >= 0.0) {
             let message = format!("--smoothing {}: expected 0 or more", self.smoothing);
             return Err(Error::message(message));
         }
-        Ok(Learning {
+        Ok(LearningOptions {
             components: self.components,
-            features: Features { smoothing: self.smoothing, ..Features::default() },
+            features: FeatureOptions { smoothing: self.smoothing, ..FeatureOptions::default() },
             semantics: Some(self.reduce),
-            training: Training {
+            training: TrainingOptions {
                 patience: self.patience,
                 copies: self.copies,
                 noise: self.noise,
                 seed,
-                ..Training::default()
+                ..TrainingOptions::default()
             },
         })
     }
