@@ -1,219 +1,24 @@
-//! A trained model's clothes on posed bodies (CAPE eq. 3–4), and clothes back to codes.
+//! Bodies to dress, and paths through the space of latent codes.
 
-use burn::tensor::{Tensor, TensorData};
-use cape_core::{BodyPose, Mesh, Outfit, Pose, SmplInput};
+use cape_core::{BodyPose, Outfit};
+use cape_data::PackedSet;
 use ndarray::{Array2, Array3, Axis};
 
-use crate::{DeviceBatch, Error, Result, Run, to_device};
-use cape_core::{
-    joints::pose_features,
-    tensors::{host, tensor2},
-};
-use cape_data::PackedSet;
+use crate::{ClothedModel, Error, Result};
 
-/// Bodies dressed at a time.
-const BATCH: usize = 16;
-
-/// Whom clothes are made for.
-///
-/// See [`Run`] for an example.
+/// Shape, pose and outfit of a body to dress.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodySpec {
     /// Shape coefficients; missing ones are zero.
     pub betas: Vec<f32>,
-    /// Axis-angles of the 24 joints, radians.
+    /// Pose in axis-angle, `[72]`, radians.
     pub pose: BodyPose,
-    /// What is worn.
+    /// Outfit, the paper's clothing type `c`.
     pub outfit: Outfit,
 }
 
-impl Run {
-    /// Bodies in the clothes that `codes` `[n, latent]` stand for, one for each of `wearers`.
-    ///
-    /// ```no_run
-    /// # use cape_infer::{Run, BodySpec};
-    /// # use cape_core::Outfit;
-    /// # use cape_synth::poses;
-    /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-    /// let run = Run::open("run".as_ref(), &burn::tensor::Device::default())?;
-    /// let pose = poses::poses("walk")?[0].1;
-    /// let wearer = BodySpec { betas: vec![1.0, -0.5], pose, outfit: Outfit::LongLong };
-    /// run.dress(&run.sample_codes(1, 7), &[wearer])?[0].save("dressed.obj")?;
-    /// # Ok(())
-    /// # }
-    /// ```
-    ///
-    /// # Errors
-    /// If sizes disagree, or numbers are not finite.
-    pub fn dress(&self, codes: &Array2<f32>, wearers: &[BodySpec]) -> Result<Vec<Mesh>> {
-        let worn = self.decode_displacements(codes, wearers)?;
-        self.pose_clothed(&worn, wearers)
-    }
-
-    /// Displacements in metres that `codes` `[n, latent]` stand for under the poses and outfits of
-    /// `wearers`: `[n, vertices, 3]`, at all vertices.
-    ///
-    /// # Errors
-    /// If sizes disagree.
-    pub fn decode_displacements(
-        &self,
-        codes: &Array2<f32>,
-        wearers: &[BodySpec],
-    ) -> Result<Array3<f32>> {
-        let (poses, outfits) = poses_and_outfits(wearers);
-        self.decode(codes, &poses, &outfits)
-    }
-
-    /// Bodies in given clothes: displacements `[n, vertices, 3]` in metres, of which those at
-    /// clothing vertices apply; joints follow the body.
-    ///
-    /// # Errors
-    /// If sizes disagree, or numbers are not finite.
-    pub fn pose_clothed(
-        &self,
-        displacement: &Array3<f32>,
-        wearers: &[BodySpec],
-    ) -> Result<Vec<Mesh>> {
-        let expected = (wearers.len(), self.body().vertices(), 3);
-        if displacement.dim() != expected {
-            return Err(Error::argument(format!(
-                "displacements {:?}, expected {expected:?}",
-                displacement.dim()
-            )));
-        }
-        self.pose_meshes(Some(displacement), wearers)
-    }
-
-    /// Bodies without clothes.
-    ///
-    /// # Errors
-    /// If a body has too many shape coefficients, or numbers are not finite.
-    pub fn pose_unclothed(&self, wearers: &[BodySpec]) -> Result<Vec<Mesh>> {
-        self.pose_meshes(None, wearers)
-    }
-
-    /// Posterior means `[n, latent]` of clothes: displacements `[n, vertices, 3]` in metres, seen
-    /// under the poses and outfits of `wearers`.
-    ///
-    /// # Errors
-    /// If sizes disagree, or numbers are not finite.
-    pub fn encode(&self, displacement: &Array3<f32>, wearers: &[BodySpec]) -> Result<Array2<f32>> {
-        let (n, vertices) = (wearers.len(), self.body().vertices());
-        if displacement.dim() != (n, vertices, 3) {
-            return Err(Error::argument(format!(
-                "displacements {:?}, expected {:?}",
-                displacement.dim(),
-                (n, vertices, 3)
-            )));
-        }
-        if displacement.iter().any(|x| !x.is_finite()) {
-            return Err(Error::argument("displacements that are not finite"));
-        }
-        let (poses, outfits) = poses_and_outfits(wearers);
-        let (latent, device) = (self.config().model.latent, self.device());
-        let mut means = Vec::with_capacity(n * latent);
-        for start in (0..n).step_by(BATCH) {
-            let rows = start..(start + BATCH).min(n);
-            let count = rows.len();
-            let mut values: Vec<f32> =
-                displacement.slice(ndarray::s![rows.clone(), .., ..]).iter().copied().collect();
-            self.statistics().normalise(&mut values);
-            let features = tensor2(pose_features(&poses[rows.clone()])?, device);
-            let labels: Vec<[f32; 4]> = outfits[rows].iter().map(|o| o.one_hot()).collect();
-            let labels = TensorData::new(labels.as_flattened().to_vec(), [count, 4]);
-            means.extend(self.posterior_means(DeviceBatch {
-                displacement: Tensor::from_data(
-                    TensorData::new(values, [count, vertices, 3]),
-                    device,
-                ),
-                pose_feature: features,
-                outfit: Tensor::from_data(labels, device),
-            }));
-        }
-        Array2::from_shape_vec((n, latent), means)
-            .map_err(|error| Error::argument(error.to_string()))
-    }
-
-    /// Posterior means `[n, latent]` of `frames` of a packed set.
-    ///
-    /// # Errors
-    /// If the set does not suit the run, or a frame is not there.
-    pub fn encode_frames(&self, set: &PackedSet, frames: &[usize]) -> Result<Array2<f32>> {
-        self.statistics().expect_vertices(set.vertices())?;
-        if let Some(frame) = frames.iter().find(|&&frame| frame >= set.frames()) {
-            return Err(Error::argument(format!(
-                "frame {frame}: the set has {}, counted from 0",
-                set.frames()
-            )));
-        }
-        let latent = self.config().model.latent;
-        let mut means = Vec::with_capacity(frames.len() * latent);
-        for chunk in frames.chunks(BATCH) {
-            let batch = set.batch(chunk, Some(self.statistics()))?;
-            means.extend(self.posterior_means(to_device(batch, self.device())));
-        }
-        Array2::from_shape_vec((frames.len(), latent), means)
-            .map_err(|error| Error::argument(error.to_string()))
-    }
-
-    fn posterior_means(&self, frames: DeviceBatch) -> Vec<f32> {
-        let generator = self.generator();
-        let condition = generator.condition.forward(frames.pose_feature, frames.outfit);
-        let graph = &self.graphs().generator;
-        host(generator.encoder.forward(frames.displacement, condition.as_ref(), graph).mean)
-    }
-
-    fn pose_meshes(
-        &self,
-        displacement: Option<&Array3<f32>>,
-        wearers: &[BodySpec],
-    ) -> Result<Vec<Mesh>> {
-        let (most, vertices, device) = (self.body().betas(), self.body().vertices(), self.device());
-        let mut meshes = Vec::with_capacity(wearers.len());
-        for (index, chunk) in wearers.chunks(BATCH).enumerate() {
-            let n = chunk.len();
-            let mut betas = Vec::with_capacity(n * most);
-            for wearer in chunk {
-                let given = &wearer.betas;
-                if given.len() > most || given.iter().any(|beta| !beta.is_finite()) {
-                    return Err(Error::argument(format!(
-                        "betas: {} numbers, expected at most {most}, all finite",
-                        given.len()
-                    )));
-                }
-                betas.extend(given.iter().copied().chain(std::iter::repeat(0.0)).take(most));
-            }
-            let poses: Vec<f32> = chunk.iter().flat_map(|wearer| wearer.pose).collect();
-            let worn = displacement.map(|all| {
-                let first = index * BATCH;
-                let values: Vec<f32> =
-                    all.slice(ndarray::s![first..first + n, .., ..]).iter().copied().collect();
-                Tensor::<3>::from_data(TensorData::new(values, [n, vertices, 3]), device)
-            });
-            let rows = |values: Vec<f32>, width: usize| {
-                Tensor::<2>::from_data(TensorData::new(values, [n, width]), device)
-            };
-            let output = self.clothed().forward(SmplInput {
-                betas: rows(betas, most),
-                pose: Pose::AxisAngle(rows(poses, 72)),
-                transl: rows(vec![0.0; 3 * n], 3),
-                displacement: worn,
-            })?;
-            let values = host(output.vertices);
-            if values.iter().any(|x| !x.is_finite()) {
-                return Err(Error::argument("posed vertices are not finite"));
-            }
-            meshes.extend(values.as_chunks::<3>().0.chunks_exact(vertices).map(|vertices| Mesh {
-                vertices: vertices.to_vec(),
-                faces: self.body().faces.clone(),
-            }));
-        }
-        Ok(meshes)
-    }
-}
-
-/// Displacements of a frame of a packed set in metres, `[1, vertices, 3]`, and who wears them: a body of mean
-/// shape, since packed sets keep none.
+/// Displacements `[1, V, 3]` in metres of a frame of a packed set, and its body: of mean shape, since
+/// packed sets hold no shape coefficients.
 ///
 /// # Errors
 /// If there is no such frame, or it cannot be read.
@@ -225,12 +30,8 @@ pub fn registration(set: &PackedSet, frame: usize) -> Result<(Array3<f32>, BodyS
     let pose = BodyPose::try_from(set.pose(frame)?).map_err(|pose| {
         Error::argument(format!("frame {frame}: a pose of {} numbers", pose.len()))
     })?;
-    let wearer = BodySpec { betas: Vec::new(), pose, outfit };
-    Ok((set.batch(&[frame], None)?.displacement, wearer))
-}
-
-fn poses_and_outfits(wearers: &[BodySpec]) -> (Vec<BodyPose>, Vec<Outfit>) {
-    wearers.iter().map(|wearer| (wearer.pose, wearer.outfit)).unzip()
+    let body = BodySpec { betas: Vec::new(), pose, outfit };
+    Ok((set.batch(&[frame], None)?.displacement, body))
 }
 
 /// `steps` codes from `a` to `b`, both included, `[steps, latent]`: on the great circle between
@@ -289,22 +90,25 @@ pub fn walk_codes(stops: &Array2<f32>, steps: usize) -> Array2<f32> {
 ///
 /// # Errors
 /// If the model decodes nothing finite.
-pub fn directions_by_effect(run: &Run, wearer: &BodySpec) -> Result<(Vec<usize>, Vec<f64>)> {
-    let latent = run.config().model.latent;
+pub fn directions_by_effect(
+    model: &ClothedModel,
+    body: &BodySpec,
+) -> Result<(Vec<usize>, Vec<f64>)> {
+    let latent = model.latent();
     let mut codes = Array2::zeros((2 * latent, latent));
     for direction in 0..latent {
         codes[[2 * direction, direction]] = 1.0;
         codes[[2 * direction + 1, direction]] = -1.0;
     }
-    let worn = run.decode_displacements(&codes, &vec![wearer.clone(); 2 * latent])?;
+    let worn = model.decode_displacements(&codes, &vec![body.clone(); 2 * latent])?;
     let effects: Vec<f64> = (0..latent)
         .map(|direction| {
             let [up, down] = [0, 1].map(|side| worn.index_axis(Axis(0), 2 * direction + side));
-            let moved = run.clothing().iter().map(|&v| {
+            let moved = model.clothing().iter().map(|&v| {
                 let squares = (0..3).map(|axis| f64::from(up[[v, axis]] - down[[v, axis]]).powi(2));
                 squares.sum::<f64>().sqrt()
             });
-            1000.0 * moved.sum::<f64>() / (2 * run.clothing().len()).max(1) as f64
+            1000.0 * moved.sum::<f64>() / (2 * model.clothing().len()).max(1) as f64
         })
         .collect();
     if effects.iter().any(|effect| !effect.is_finite()) {

@@ -20,6 +20,7 @@
 mod animated_body;
 mod body_spec;
 pub mod checkpoint;
+mod clothed_model;
 mod config;
 mod error;
 pub mod prior;
@@ -27,6 +28,9 @@ mod run;
 
 pub use animated_body::AnimatedBody;
 pub use body_spec::{BodySpec, directions_by_effect, interpolate_codes, registration, walk_codes};
+pub use clothed_model::{
+    BATCH, ClothedBody, ClothedModel, ClothedModelParts, Condition, Normaliser, batches,
+};
 pub use config::{OptimiserKind, RateSchedule, RunConfig, TrainConfig, WarmUp};
 pub use error::{Error, Result};
 pub use run::{

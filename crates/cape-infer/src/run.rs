@@ -3,6 +3,7 @@
 use std::{
     fs,
     io::Write,
+    ops::Deref,
     path::{Path, PathBuf},
 };
 
@@ -10,22 +11,17 @@ use burn::{
     module::Module,
     tensor::{Device, Tensor, TensorData},
 };
-use cape_core::{
-    BodyPose, ClothedSmpl, Outfit, Smpl, SmplModel,
-    joints::pose_features,
-    smpl::ClothingMask,
-    tensors::{host, tensor2},
-};
+use cape_core::{SmplModel, smpl::ClothingMask, tensors::tensor2};
 use cape_graph::{DevicePyramid, MeshPyramid, SparseMatrix, Surface};
-use cape_model::{Cape, Generator, Graphs, weights};
-use ndarray::{Array2, Array3};
+use cape_model::{Cape, Graphs, weights};
+use ndarray::Array2;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 use sprs::TriMat;
 
-use crate::{Error, Result, RunConfig, checkpoint};
+use crate::{ClothedModel, ClothedModelParts, Error, Result, RunConfig, checkpoint};
 use cape_data::{
     DisplacementStatistics, HostBatch, PackedSet, Split,
     raw::{BODY_FILE, CLOTHING_FILE},
@@ -34,9 +30,6 @@ use cape_data::{
 const CONFIG: &str = "config.toml";
 const DATA: &str = "data.json";
 const STATISTICS: &str = "stats.npz";
-
-/// Examples decoded at a time.
-const DECODE_BATCH: usize = 16;
 
 /// Paths inside a run's directory.
 ///
@@ -240,27 +233,23 @@ pub fn normal(seed: u64, stream: u64, rows: usize, columns: usize) -> Array2<f32
     Array2::from_shape_simple_fn((rows, columns), || rng.sample(StandardNormal))
 }
 
-/// A run opened for evaluation and sampling.
+/// A trained model with its directory.
+///
+/// It dereferences to its [`ClothedModel`], which encodes, decodes, dresses and poses.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use burn::tensor::Device;
 /// use cape_core::Outfit;
-/// use cape_infer::{AnimatedBody, Run, BodySpec};
+/// use cape_infer::{AnimatedBody, BodySpec, Run};
 ///
 /// let directory = trained()?;
-/// let run = Run::open(&directory.path().join("run"), &Device::default())?;
-/// let codes = run.sample_codes(2, 7);
-/// let wearer = BodySpec { betas: vec![1.0, -0.5], pose: [0.0; 72], outfit: Outfit::LongLong };
-/// let wearers = [wearer.clone(), wearer];
-/// let clothes = run.decode_displacements(&codes, &wearers)?;
-/// assert_eq!(clothes.dim(), (2, 6890, 3));
-/// assert_eq!(run.dress(&codes, &wearers)?, run.pose_clothed(&clothes, &wearers)?);
-/// assert_eq!(run.encode(&clothes, &wearers)?.dim(), codes.dim());
-///
-/// let first = codes.slice(ndarray::s![..1, ..]).to_owned();
-/// let file = AnimatedBody::from_body("dressed", &first, &wearers[0]).encode(&run)?;
+/// let run = Run::open(directory.path().join("run"), &Device::default())?;
+/// let code = run.sample_codes(1, 7);
+/// let body = BodySpec { betas: vec![1.0, -0.5], pose: [0.0; 72], outfit: Outfit::LongLong };
+/// run.dress(&code, std::slice::from_ref(&body))?[0].save(directory.path().join("dressed.obj"))?;
+/// let file = AnimatedBody::from_body("dressed", &code, &body).encode(&run)?;
 /// assert_eq!(&file[..4], b"glTF");
 /// # Ok(())
 /// # }
@@ -268,52 +257,54 @@ pub fn normal(seed: u64, stream: u64, rows: usize, columns: usize) -> Array2<f32
 #[derive(Debug)]
 pub struct Run {
     paths: RunPaths,
-    config: RunConfig,
-    body: SmplModel,
-    clothing: Vec<usize>,
-    clothed: ClothedSmpl,
-    statistics: DisplacementStatistics,
     checkpoint: PathBuf,
-    progress: checkpoint::TrainState,
-    generator: Generator,
-    graphs: Graphs,
-    device: Device,
+    state: checkpoint::TrainState,
+    model: ClothedModel,
+}
+
+impl Deref for Run {
+    type Target = ClothedModel;
+
+    fn deref(&self) -> &ClothedModel {
+        &self.model
+    }
 }
 
 impl Run {
     /// Opens the best checkpoint of a run, or the newest where none was validated.
-    pub fn open(root: &Path, device: &Device) -> Result<Self> {
-        let paths = RunPaths::new(root);
+    ///
+    /// # Errors
+    /// If a file of the run is missing or does not suit the others.
+    pub fn open(root: impl AsRef<Path>, device: &Device) -> Result<Self> {
+        let paths = RunPaths::new(root.as_ref());
         let config = RunConfig::load(&paths.config())?;
         let checkpoint = checkpoint::best(&paths.checkpoints())?;
-        let progress = checkpoint::load_progress(&checkpoint)?;
+        let state = checkpoint::load_progress(&checkpoint)?;
         let weights = checkpoint::load_weights(&checkpoint)?;
         let body = SmplModel::load(paths.body())?;
         let device = device.clone().inner();
         let graphs = build_graphs(&config, &body, &device)?;
-        let model = Cape::new(&config.model, &graphs, 0, &device)?;
-        let model = weights::apply(model, &weights).map_err(|error| {
+        let networks = Cape::new(&config.model, &graphs, 0, &device)?;
+        let networks = weights::apply(networks, &weights).map_err(|error| {
             Error::format(&checkpoint, format!("does not suit {CONFIG}: {error}"))
         })?;
-        let statistics = DisplacementStatistics::load(paths.statistics())?;
-        statistics.expect_vertices(body.vertices())?;
-        let mask = ClothingMask::load(paths.clothing(), body.vertices())?;
-        Ok(Self {
-            clothing: mask.indices().collect(),
-            clothed: ClothedSmpl::new(Smpl::new(&body, &device)?).with_mask(&mask)?,
-            generator: model.generator.valid(),
-            paths,
+        let parts = ClothedModelParts {
             config,
+            mask: ClothingMask::load(paths.clothing(), body.vertices())?,
             body,
-            statistics,
-            checkpoint,
-            progress,
-            graphs,
-            device,
-        })
+            statistics: DisplacementStatistics::load(paths.statistics())?,
+        };
+        let generator = networks.generator.valid();
+        let model = ClothedModel::with_graphs(parts, generator, graphs, &device)?;
+        Ok(Self { paths, checkpoint, state, model })
     }
 
-    /// Where things are.
+    /// The model.
+    pub fn model(&self) -> &ClothedModel {
+        &self.model
+    }
+
+    /// Paths inside the run's directory.
     pub fn paths(&self) -> &RunPaths {
         &self.paths
     }
@@ -351,98 +342,13 @@ impl Run {
         })
     }
 
-    /// The run's configuration.
-    pub fn config(&self) -> &RunConfig {
-        &self.config
-    }
-
-    /// The body it was trained on.
-    pub fn body(&self) -> &SmplModel {
-        &self.body
-    }
-
-    /// Indices of the clothing vertices.
-    pub fn clothing(&self) -> &[usize] {
-        &self.clothing
-    }
-
-    /// The body with its clothing term on the device.
-    pub fn clothed(&self) -> &ClothedSmpl {
-        &self.clothed
-    }
-
-    /// Normalisation of displacements.
-    pub fn statistics(&self) -> &DisplacementStatistics {
-        &self.statistics
-    }
-
     /// The checkpoint that was opened.
     pub fn checkpoint(&self) -> &Path {
         &self.checkpoint
     }
 
-    /// Where the run was at that checkpoint.
+    /// State of the training at that checkpoint.
     pub fn progress(&self) -> &checkpoint::TrainState {
-        &self.progress
-    }
-
-    /// The networks.
-    pub fn generator(&self) -> &Generator {
-        &self.generator
-    }
-
-    /// The graphs they run on.
-    pub fn graphs(&self) -> &Graphs {
-        &self.graphs
-    }
-
-    /// The device they are on.
-    pub fn device(&self) -> &Device {
-        &self.device
-    }
-
-    /// Codes from the standard normal prior, `[n, latent]`.
-    pub fn sample_codes(&self, n: usize, seed: u64) -> Array2<f32> {
-        normal(seed, 0, n, self.config.model.latent)
-    }
-
-    /// Decodes codes `[n, latent]` under poses `[n, 72]` (axis-angle, radians) and outfits to
-    /// displacements in metres, `[n, vertices, 3]`, at all vertices.
-    pub fn decode(
-        &self,
-        z: &Array2<f32>,
-        poses: &[BodyPose],
-        outfits: &[Outfit],
-    ) -> Result<Array3<f32>> {
-        let (n, latent) = z.dim();
-        if latent != self.config.model.latent || poses.len() != n || outfits.len() != n {
-            return Err(Error::argument(format!(
-                "decode: codes [{n}, {latent}], {} poses and {} outfits; expected n codes of {}, n poses, n outfits",
-                poses.len(),
-                outfits.len(),
-                self.config.model.latent
-            )));
-        }
-        let vertices = self.body.vertices();
-        let mut metres = Vec::with_capacity(n * vertices * 3);
-        for start in (0..n).step_by(DECODE_BATCH) {
-            let rows = start..(start + DECODE_BATCH).min(n);
-            let code = z.slice(ndarray::s![rows.clone(), ..]).to_owned();
-            let features = pose_features(&poses[rows.clone()])?;
-            let labels = Array2::from_shape_fn((rows.len(), 4), |(row, outfit)| {
-                outfits[rows.start + row].one_hot()[outfit]
-            });
-            let device = &self.device;
-            let decoded = self.generator.decode(
-                tensor2(code, device),
-                tensor2(features, device),
-                tensor2(labels, device),
-                &self.graphs,
-            );
-            metres.extend(host(decoded));
-        }
-        self.statistics.denormalise(&mut metres);
-        Array3::from_shape_vec((n, vertices, 3), metres)
-            .map_err(|error| Error::argument(error.to_string()))
+        &self.state
     }
 }

@@ -9,9 +9,6 @@ use crate::{Error, Result, Run};
 use cape_core::ProgressFn;
 use cape_data::{PackedSet, Split};
 
-/// Frames encoded at a time.
-const BATCH: usize = 16;
-
 /// Posterior means of frames, with the outfits they are of.
 ///
 /// See [`Prior`](super::Prior) for an example.
@@ -49,9 +46,9 @@ impl LatentCodes {
         let rows = run.statistics().training_rows(set.frames());
         let step = rows.len().div_ceil(frames.max(1)).max(1);
         let rows: Vec<usize> = rows.step_by(step).collect();
-        let latent = run.config().model.latent;
+        let latent = run.latent();
         let mut codes = Vec::with_capacity(rows.len());
-        for chunk in rows.chunks(BATCH) {
+        for chunk in rows.chunks(crate::BATCH) {
             for (&row, mean) in chunk.iter().zip(run.encode_frames(&set, chunk)?.rows()) {
                 let code = mean.iter().map(|&x| f64::from(x)).collect();
                 codes.push((set.outfits()[row], code));
