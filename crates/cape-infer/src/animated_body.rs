@@ -1,4 +1,4 @@
-//! Clothed bodies as glTF: skeleton, skin, and a keyframe for each pose.
+//! Animated clothed bodies as glTF: SMPL's skeleton and skin, a keyframe for each pose.
 
 use std::path::Path;
 
@@ -10,43 +10,41 @@ use ndarray::{Array2, Axis};
 
 use crate::{BodySpec, ClothedModel, Error, Result, batches};
 
-/// Poses of one file at most: each takes a morph target of 82 kB.
+/// Most poses of a file: each takes a morph target of 82 kB.
 const MOST_FRAMES: usize = 2000;
 
-/// One code in one outfit, moving through poses.
-///
-/// See [`Run`] for an example.
+/// A clothed body in motion: one latent code and outfit under a sequence of poses.
 #[derive(Debug, Clone)]
 pub struct AnimatedBody<'a> {
-    /// Shown by programs that open the file.
+    /// Name of the mesh, shown by programs that open the file.
     pub name: &'a str,
     /// Latent code, `[1, latent]`.
     pub code: Array2<f32>,
-    /// Shape coefficients; missing ones are zero.
+    /// Shape coefficients β; missing ones are zero.
     pub betas: &'a [f32],
-    /// What is worn.
+    /// Outfit, the paper's clothing type `c`.
     pub outfit: Outfit,
-    /// At least one.
+    /// Poses in axis-angle, `[frames][72]`, radians; at least one.
     pub poses: Vec<BodyPose>,
-    /// Poses a second.
+    /// Frame rate, poses per second.
     pub frames_per_second: f32,
-    /// Shape directions added as morph targets.
+    /// Number of shape directions added as morph targets.
     pub shape_targets: usize,
-    /// sRGB from 0 to 1, `[vertices, 3]`.
+    /// Vertex colours, sRGB from 0 to 1, `[V, 3]`.
     pub colours: Option<&'a [[f32; 3]]>,
-    /// Texture coordinates and picture.
+    /// Texture coordinates and image.
     pub texture: Option<GltfTexture<'a>>,
 }
 
 impl<'a> AnimatedBody<'a> {
-    /// A body that stands still.
-    pub fn from_body(name: &'a str, code: &Array2<f32>, wearer: &'a BodySpec) -> Self {
+    /// A single frame of `body` clothed by `code` `[1, latent]`.
+    pub fn from_body(name: &'a str, code: &Array2<f32>, body: &'a BodySpec) -> Self {
         Self {
             name,
             code: code.clone(),
-            betas: &wearer.betas,
-            outfit: wearer.outfit,
-            poses: vec![wearer.pose],
+            betas: &body.betas,
+            outfit: body.outfit,
+            poses: vec![body.pose],
             frames_per_second: 30.0,
             shape_targets: 0,
             colours: None,

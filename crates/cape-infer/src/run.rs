@@ -7,25 +7,16 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use burn::{
-    module::Module,
-    tensor::{Device, Tensor, TensorData},
-};
-use cape_core::{SmplModel, smpl::ClothingMask, tensors::tensor2};
-use cape_graph::{DevicePyramid, MeshPyramid, SparseMatrix, Surface};
-use cape_model::{Cape, Graphs, weights};
-use ndarray::Array2;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
-use serde::{Deserialize, Serialize};
-use sprs::TriMat;
-
-use crate::{ClothedModel, ClothedModelParts, Error, Result, RunConfig, checkpoint};
+use burn::{module::Module, tensor::Device};
+use cape_core::{SmplModel, smpl::ClothingMask};
 use cape_data::{
-    DisplacementStatistics, HostBatch, PackedSet, Split,
+    DisplacementStatistics, PackedSet, Split,
     raw::{BODY_FILE, CLOTHING_FILE},
 };
+use cape_model::{Cape, weights};
+use serde::{Deserialize, Serialize};
+
+use crate::{ClothedModel, ClothedModelParts, Error, Result, RunConfig, build_graphs, checkpoint};
 
 const CONFIG: &str = "config.toml";
 const DATA: &str = "data.json";
@@ -46,68 +37,68 @@ pub struct RunPaths {
 }
 
 impl RunPaths {
-    /// Of the run in `root`.
+    /// Paths of the run in `root`.
     pub fn new(root: &Path) -> Self {
         Self { root: root.to_owned() }
     }
 
-    /// The directory itself.
+    /// The run's directory.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// The configuration.
+    /// Configuration, `config.toml`.
     pub fn config(&self) -> PathBuf {
         self.root.join(CONFIG)
     }
 
-    /// What the run is trained on.
+    /// Identity of the training data, `data.json`.
     pub fn data(&self) -> PathBuf {
         self.root.join(DATA)
     }
 
-    /// Mean and deviation of the training displacements.
+    /// Mean and standard deviation of the training displacements, `stats.npz`.
     pub fn statistics(&self) -> PathBuf {
         self.root.join(STATISTICS)
     }
 
-    /// The body.
+    /// The unclothed body.
     pub fn body(&self) -> PathBuf {
         self.root.join(BODY_FILE)
     }
 
-    /// The clothing vertices.
+    /// Indices of the clothing vertices.
     pub fn clothing(&self) -> PathBuf {
         self.root.join(CLOTHING_FILE)
     }
 
-    /// The checkpoints.
+    /// Directory of the checkpoints.
     pub fn checkpoints(&self) -> PathBuf {
         self.root.join("checkpoints")
     }
 
-    /// One JSON object a line: losses and validation errors.
+    /// Losses and validation errors, one JSON object a line.
     pub fn metrics(&self) -> PathBuf {
         self.root.join("metrics.jsonl")
     }
 
-    /// TensorBoard's event files.
+    /// Directory of TensorBoard's event files.
     pub fn events(&self) -> PathBuf {
         self.root.join("tensorboard")
     }
 
-    /// A density of codes that was fitted after training, by its kind.
+    /// Density of latent codes of a kind (`gmm`, `kde`), fitted after training.
     pub fn prior(&self, kind: &str) -> PathBuf {
         self.root.join(format!("prior-{kind}.npz"))
     }
 
-    /// The last evaluation.
+    /// Report of the last evaluation.
     pub fn evaluation(&self) -> PathBuf {
         self.root.join("eval.json")
     }
 }
 
-/// The training data a run belongs to.
+/// Identity of the training data of a run.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
@@ -124,16 +115,16 @@ impl RunPaths {
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DataIdentity {
-    /// Where they were when the run was created: a hint, not relied upon.
+    /// Directory of the packed set when the run was created; a hint only.
     pub path: PathBuf,
-    /// Training frames.
+    /// Number of training frames.
     pub frames: usize,
-    /// Vertices of a frame.
+    /// Number of vertices of a frame.
     pub vertices: usize,
 }
 
-/// The body and the clothing vertices of a packed set: those given, or else its own, or else, for
-/// the clothing vertices, what the body's blend weights tell.
+/// Body and clothing vertices of a packed set: the given files, else the set's own; without a file of
+/// clothing vertices, they are derived from the body's blend weights.
 pub fn body_and_clothing(
     data: &Path,
     set: &PackedSet,
@@ -143,7 +134,7 @@ pub fn body_and_clothing(
     let body_path = body.map_or_else(|| data.join(BODY_FILE), Path::to_owned);
     if !body_path.exists() {
         return Err(Error::argument(format!(
-            "{}: not found: the packed set has no body of its own, so give SMPL's, .pkl or .npz",
+            "{}: not found, and the packed set has no body of its own: give the SMPL body (.pkl or .npz)",
             body_path.display()
         )));
     }
@@ -175,62 +166,6 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
 pub fn read_identity(path: &Path) -> Result<DataIdentity> {
     let text = fs::read(path).map_err(|source| Error::io(path, source))?;
     serde_json::from_slice(&text).map_err(|error| Error::format(path, error.to_string()))
-}
-
-/// Builds what the networks of `config` need of a mesh.
-pub fn build_graphs(
-    config: &RunConfig,
-    mesh: impl Into<Surface>,
-    device: &Device,
-) -> Result<Graphs> {
-    let surface = mesh.into();
-    let pyramid = |factors: &[u32]| -> Result<DevicePyramid> {
-        let factors: Vec<f64> = factors.iter().map(|&factor| f64::from(factor)).collect();
-        let pyramid = MeshPyramid::build(surface.clone(), &factors, config.weighting)?;
-        Ok(DevicePyramid::upload(&pyramid, device))
-    };
-    let discriminator = config.model.discriminator.as_ref();
-    let edges = surface.edges();
-    let mut difference = TriMat::new((edges.len(), surface.vertices.len()));
-    for (row, [a, b]) in edges.into_iter().enumerate() {
-        difference.add_triplet(row, a as usize, 1.0);
-        difference.add_triplet(row, b as usize, -1.0);
-    }
-    Ok(Graphs {
-        generator: pyramid(&config.model.factors)?,
-        discriminator: discriminator.map(|config| pyramid(&config.factors)).transpose()?,
-        edges: SparseMatrix::new(&difference.to_csr(), device),
-    })
-}
-
-/// A batch of frames on a device.
-#[derive(Debug, Clone)]
-pub struct DeviceBatch {
-    /// Normalised displacements, `[batch, vertices, 3]`.
-    pub displacement: Tensor<3>,
-    /// Pose features, `[batch, 126]`.
-    pub pose_feature: Tensor<2>,
-    /// Outfit labels, `[batch, 4]`.
-    pub outfit: Tensor<2>,
-}
-
-/// Moves a batch to a device.
-pub fn to_device(batch: HostBatch, device: &Device) -> DeviceBatch {
-    let HostBatch { displacement, pose_feature, outfit, .. } = batch;
-    let [count, vertices, _] = [displacement.dim().0, displacement.dim().1, 3];
-    let (values, _) = displacement.into_raw_vec_and_offset();
-    DeviceBatch {
-        displacement: Tensor::from_data(TensorData::new(values, [count, vertices, 3]), device),
-        pose_feature: tensor2(pose_feature, device),
-        outfit: tensor2(outfit, device),
-    }
-}
-
-/// Standard normal numbers, `[rows, columns]`, fixed by seed and stream.
-pub fn normal(seed: u64, stream: u64, rows: usize, columns: usize) -> Array2<f32> {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    rng.set_stream(stream);
-    Array2::from_shape_simple_fn((rows, columns), || rng.sample(StandardNormal))
 }
 
 /// A trained model with its directory.
@@ -309,15 +244,15 @@ impl Run {
         &self.paths
     }
 
-    /// The packed set it was trained on, where that was.
+    /// Directory of the packed set that the run was trained on.
     ///
     /// # Errors
-    /// If the run does not know, as an imported one, or the set is no longer there.
+    /// If the run does not record it, like an imported one, or the set no longer exists.
     pub fn data(&self) -> Result<PathBuf> {
         let path = self.paths.data();
         if !path.exists() {
             return Err(Error::argument(format!(
-                "{}: does not say what it was trained on: name the packed set",
+                "{}: the run does not record its training data: name the packed set",
                 self.paths.root().display()
             )));
         }
@@ -335,7 +270,7 @@ impl Run {
         };
         root.ancestors().map(|place| place.join(data)).find(same).ok_or_else(|| {
             Error::argument(format!(
-                "{}: not there any more: name the packed set that {} was trained on",
+                "{}: not found: name the packed set that {} was trained on",
                 data.display(),
                 self.paths.root().display()
             ))

@@ -18,7 +18,6 @@ use crate::{
     priors::PriorArgs,
 };
 
-
 /// Move a dressed body through a movement, the code being fixed.
 ///
 /// As one animated glTF file, as meshes frame by frame, or as pictures and an animated PNG.
