@@ -7,7 +7,7 @@ use ndarray::{Array2, Array3, Axis};
 use crate::{DeviceBatch, Error, Result, Run, to_device};
 use cape_core::{
     joints::pose_features,
-    tensors::{host, tensor2},
+    tensors::{from_array2, to_host},
 };
 use cape_data::PackedSet;
 
@@ -118,7 +118,7 @@ impl Run {
             let mut values: Vec<f32> =
                 displacement.slice(ndarray::s![rows.clone(), .., ..]).iter().copied().collect();
             self.statistics().normalise(&mut values);
-            let features = tensor2(pose_features(&poses[rows.clone()])?, device);
+            let features = from_array2(pose_features(&poses[rows.clone()])?, device);
             let labels: Vec<[f32; 4]> = outfits[rows].iter().map(|o| o.one_hot()).collect();
             let labels = TensorData::new(labels.as_flattened().to_vec(), [count, 4]);
             means.extend(self.posterior_means(DeviceBatch {
@@ -160,7 +160,7 @@ impl Run {
         let generator = self.generator();
         let condition = generator.condition.forward(frames.pose_feature, frames.outfit);
         let graph = &self.graphs().generator;
-        host(generator.encoder.forward(frames.displacement, condition.as_ref(), graph).mean)
+        to_host(generator.encoder.forward(frames.displacement, condition.as_ref(), graph).mean)
     }
 
     fn pose_meshes(
@@ -199,7 +199,7 @@ impl Run {
                 transl: rows(vec![0.0; 3 * n], 3),
                 displacement: worn,
             })?;
-            let values = host(output.vertices);
+            let values = to_host(output.vertices);
             if values.iter().any(|x| !x.is_finite()) {
                 return Err(Error::argument("posed vertices are not finite"));
             }

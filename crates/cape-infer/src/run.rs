@@ -14,7 +14,7 @@ use cape_core::{
     BodyPose, ClothedSmpl, Outfit, Smpl, SmplModel,
     joints::pose_features,
     smpl::ClothingMask,
-    tensors::{host, tensor2},
+    tensors::{from_array2, to_host},
 };
 use cape_graph::{DevicePyramid, MeshPyramid, SparseMatrix, Surface};
 use cape_model::{Cape, Generator, Graphs, weights};
@@ -228,8 +228,8 @@ pub fn to_device(batch: HostBatch, device: &Device) -> DeviceBatch {
     let (values, _) = displacement.into_raw_vec_and_offset();
     DeviceBatch {
         displacement: Tensor::from_data(TensorData::new(values, [count, vertices, 3]), device),
-        pose_feature: tensor2(pose_feature, device),
-        outfit: tensor2(outfit, device),
+        pose_feature: from_array2(pose_feature, device),
+        outfit: from_array2(outfit, device),
     }
 }
 
@@ -434,12 +434,12 @@ impl Run {
             });
             let device = &self.device;
             let decoded = self.generator.decode(
-                tensor2(code, device),
-                tensor2(features, device),
-                tensor2(labels, device),
+                from_array2(code, device),
+                from_array2(features, device),
+                from_array2(labels, device),
                 &self.graphs,
             );
-            metres.extend(host(decoded));
+            metres.extend(to_host(decoded));
         }
         self.statistics.denormalise(&mut metres);
         Array3::from_shape_vec((n, vertices, 3), metres)
