@@ -412,7 +412,7 @@ fn animation(
             "target": { "node": node, "path": path },
         }));
         samplers.push(
-            json!({ "time_accessor": time_accessor, "output": output, "interpolation": "LINEAR" }),
+            json!({ "input": time_accessor, "output": output, "interpolation": "LINEAR" }),
         );
     };
     for joint in 0..skinned.body.joints() {

@@ -275,7 +275,9 @@ fn check_codes(material: &Fixtures, config: &RunConfig, learner: &Learner) -> Re
     for chosen in chosen.chunks(config.train.batch) {
         let batch = material.set.batch(chosen, Some(&material.statistics))?;
         let frames = to_device(batch, &material.device.clone().inner());
-        codes.extend(to_host(reconstruct(&generator, learner.graphs(), &frames, None).posterior.mean));
+        codes.extend(to_host(
+            reconstruct(&generator, learner.graphs(), &frames, None).posterior.mean,
+        ));
     }
     let active = active_units(&codes, config.model.latent);
     Ok(Finding {
