@@ -321,11 +321,11 @@ fn faces(body: &mut Payload, element: &Element) -> Result<Vec<[u32; 3]>, String>
                     fault = Some(format!(
                         "face {index} has {} vertices, expected at least 3",
                         few.len()
-                    ))
+                    ));
                 }
                 None => {
                     fault =
-                        Some(format!("face {index} has a vertex index that is not a whole number"))
+                        Some(format!("face {index} has a vertex index that is not a whole number"));
                 }
             }
         })?;

@@ -411,9 +411,8 @@ fn animation(
             "sampler": samplers.len(),
             "target": { "node": node, "path": path },
         }));
-        samplers.push(
-            json!({ "input": time_accessor, "output": output, "interpolation": "LINEAR" }),
-        );
+        samplers
+            .push(json!({ "input": time_accessor, "output": output, "interpolation": "LINEAR" }));
     };
     for joint in 0..skinned.body.joints() {
         let mut rotations: Vec<[f32; 4]> =
