@@ -9,7 +9,7 @@ use burn::{
 use cape_model::weights::{HostArray, ParamPath, Weights};
 
 use crate::{Error, Result};
-use cape_core::tensors::host;
+use cape_core::tensors::to_host;
 use cape_infer::OptimiserKind;
 
 /// Added to the names of second moments in [`Optimiser::state`].
@@ -108,7 +108,7 @@ impl Optimiser {
     pub fn state(&self) -> Weights {
         let array = |shape: &[usize], flat: &Tensor<1>| HostArray {
             shape: shape.to_vec(),
-            values: host(flat.clone()),
+            values: to_host(flat.clone()),
         };
         let mut state = Weights::new();
         for (name, Moments { shape, first, second }) in &self.moments {
@@ -212,7 +212,7 @@ pub fn collect_gradients<M: Module>(module: &M, gradients: &Gradients) -> Weight
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
             if let Some(gradient) = param.val().grad(self.gradients) {
                 let shape = gradient.dims().to_vec();
-                let values = host(gradient);
+                let values = to_host(gradient);
                 self.found.insert(self.path.path(), HostArray { shape, values });
             }
         }

@@ -9,7 +9,7 @@ use burn::{
 use cape_model::weights::{self, HostArray, ParamPath, Weights};
 
 use crate::Result;
-use cape_core::tensors::host;
+use cape_core::tensors::to_host;
 
 /// An exponential average of every parameter of a module, over steps.
 ///
@@ -41,7 +41,7 @@ impl ParameterAverage {
     /// The averages, for a checkpoint.
     pub(crate) fn state(&self) -> Weights {
         let arrays = self.values.iter().map(|(name, (shape, flat))| {
-            let values = host(flat.clone());
+            let values = to_host(flat.clone());
             (name.clone(), HostArray { shape: shape.clone(), values })
         });
         arrays.collect()

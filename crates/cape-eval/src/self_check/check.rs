@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::{Fixtures, ModelUnderTest};
 use crate::Result;
-use cape_core::{ProgressFn, tensors::host};
+use cape_core::{ProgressFn, tensors::to_host};
 use cape_infer::{DeviceBatch, OptimiserKind, RateSchedule, RunConfig, TrainConfig, to_device};
 use cape_stats::errors::{ErrorStats, vertex_errors_mm};
 use cape_train::{
@@ -157,8 +157,8 @@ fn overfit(
 fn error_mm(material: &Fixtures, learner: &Learner, frames: &DeviceBatch) -> Result<f64> {
     let generator = learner.valid_generator();
     let result = reconstruct(&generator, learner.graphs(), frames, None);
-    let mut predicted = host(result.displacement);
-    let mut truth = host(frames.displacement.clone());
+    let mut predicted = to_host(result.displacement);
+    let mut truth = to_host(frames.displacement.clone());
     material.statistics.denormalise(&mut predicted);
     material.statistics.denormalise(&mut truth);
     let size = material.set.vertices() * 3;
@@ -275,7 +275,9 @@ fn check_codes(material: &Fixtures, config: &RunConfig, learner: &Learner) -> Re
     for chosen in chosen.chunks(config.train.batch) {
         let batch = material.set.batch(chosen, Some(&material.statistics))?;
         let frames = to_device(batch, &material.device.clone().inner());
-        codes.extend(host(reconstruct(&generator, learner.graphs(), &frames, None).posterior.mean));
+        codes.extend(to_host(
+            reconstruct(&generator, learner.graphs(), &frames, None).posterior.mean,
+        ));
     }
     let active = active_units(&codes, config.model.latent);
     Ok(Finding {
