@@ -50,8 +50,6 @@ pub struct InspectOptions {
 }
 
 /// What data are like.
-///
-/// See [`InspectOptions`] for an example.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Inspection {
     /// `raw` or `packed`.
@@ -81,8 +79,6 @@ pub struct Inspection {
 }
 
 /// Frames of one capture, or of all captures that a packed set does not tell apart.
-///
-/// See [`InspectOptions`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct CaptureCount {
     /// `train` or `test`, of a packed set.
@@ -98,8 +94,6 @@ pub struct CaptureCount {
 }
 
 /// Lengths of displacements.
-///
-/// See [`InspectOptions`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Magnitudes {
     /// Their mean.

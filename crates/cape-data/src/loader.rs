@@ -16,8 +16,6 @@ use super::{
 use crate::{Error, Result};
 
 /// How training data are drawn.
-///
-/// See [`Loader`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LoaderOptions {
     /// Frames in a batch.
@@ -35,8 +33,6 @@ impl Default for LoaderOptions {
 }
 
 /// Everything needed to go on drawing where training stopped.
-///
-/// See [`Loader`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LoaderState {
     /// Seed of both streams.
@@ -55,8 +51,6 @@ impl LoaderState {
 }
 
 /// The data of one training step.
-///
-/// See [`Loader`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepBatches {
     /// The generator's batch.

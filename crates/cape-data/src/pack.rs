@@ -89,8 +89,6 @@ pub struct PackOptions {
 }
 
 /// What was packed, and what was not.
-///
-/// See [`PackOptions`] for an example.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct PackReport {
     /// Vertices of a frame.
@@ -110,8 +108,6 @@ pub struct PackReport {
 }
 
 /// A frame left out because it cannot be read.
-///
-/// See [`PackOptions`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct BrokenFrame {
     /// Relative to `sequences/`.
@@ -121,8 +117,6 @@ pub struct BrokenFrame {
 }
 
 /// Something the split names and the raw data do not have.
-///
-/// See [`PackOptions`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct MissingCapture {
     /// The subject.

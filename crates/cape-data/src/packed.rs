@@ -21,8 +21,6 @@ use cape_core::ProgressFn;
 pub(super) const FRAMES_HEADER: &str = "subject,outfit,sequence,frame";
 
 /// A part of a packed set.
-///
-/// See [`PackedSet`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Split {
@@ -63,8 +61,6 @@ impl fmt::Display for Split {
 }
 
 /// Where a packed frame was captured.
-///
-/// See [`PackedSet`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FrameOrigin {
     /// The subject.
@@ -76,8 +72,6 @@ pub struct FrameOrigin {
 }
 
 /// Frames, as the network takes them.
-///
-/// See [`PackedSet`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HostBatch {
     /// Rows of the packed set.

@@ -66,8 +66,6 @@ pub struct RawFrame {
 }
 
 /// The part of a frame that displacements come from.
-///
-/// See [`RawFrame`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CanonicalFrame {
     /// Clothed vertices, unposed, `[V, 3]`.
@@ -77,8 +75,6 @@ pub struct CanonicalFrame {
 }
 
 /// Posed vertices `[V, 3]` and the body's translation, metres.
-///
-/// See [`RawFrame`] for an example.
 pub type PosedVertices = (Array2<f64>, [f64; 3]);
 
 /// Directory of one capture: a subject in an outfit performing a sequence.

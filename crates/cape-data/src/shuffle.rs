@@ -3,8 +3,6 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 /// Who draws: each has its own order, independent of the other's.
-///
-/// See [`Shuffle`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ShuffleStream {
     /// The generator's batches.
@@ -14,8 +12,6 @@ pub enum ShuffleStream {
 }
 
 /// How far a stream has been read.
-///
-/// See [`Shuffle`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ShufflePosition {
     /// Complete passes over the frames.

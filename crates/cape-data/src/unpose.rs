@@ -45,8 +45,6 @@ pub struct UnposeReport {
 }
 
 /// A subject, and how well the body describes its minimal shape.
-///
-/// See [`UnposeReport`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct UnposedSubject {
     /// Its name.

@@ -15,8 +15,6 @@ use cape_stats::errors::{GroupedErrors, GroupedSummary, Histogram, vertex_errors
 use cape_train::objective::reconstruct;
 
 /// Which code of the posterior is decoded.
-///
-/// See [`EvalOptions`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PosteriorUse {
@@ -76,8 +74,6 @@ impl Default for EvalOptions {
 }
 
 /// Per-vertex Euclidean errors at clothing vertices of the test frames, millimetres.
-///
-/// See [`EvalOptions`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct EvalReport {
     /// The model's reconstructions.
@@ -94,8 +90,6 @@ pub struct EvalReport {
 }
 
 /// Errors of reconstructions, gathered frame by frame.
-///
-/// See [`EvalOptions`] for an example.
 #[derive(Debug, Clone)]
 pub struct ErrorSamples {
     clothing: Vec<usize>,
@@ -105,8 +99,6 @@ pub struct ErrorSamples {
 }
 
 /// One test frame's mean error.
-///
-/// See [`EvalOptions`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameError {
     /// The capture it is of: subject, outfit and sequence as far as the data say.
@@ -194,8 +186,6 @@ pub fn evaluate(
 }
 
 /// Takes a frame's row, its reconstruction and the truth.
-///
-/// See [`EvalOptions`] for an example.
 pub type FrameFn<'a> = dyn FnMut(usize, &[f32], &[f32]) -> Result<()> + 'a;
 
 /// Calls `each` with every test frame's row, reconstruction and truth: displacements in metres,

@@ -11,8 +11,6 @@ use sprs::{CsMat, TriMat};
 const TERMS: usize = 64;
 
 /// Detail of reconstructions at clothing vertices, over all frames.
-///
-/// See [`SurfaceDetailMeter`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct SurfaceDetail {
     /// Mean length of the difference of edge vectors, millimetres.

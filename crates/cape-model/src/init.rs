@@ -6,7 +6,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-/// Draws initial weights on the host, so that a seed gives the same model on every backend.
+/// Source of initial weights, drawn on the host so that a seed gives the same model on every backend.
 ///
 /// ```
 /// use burn::tensor::Device;
@@ -24,7 +24,8 @@ pub struct Initialiser {
 }
 
 impl Initialiser {
-    /// A source of weights for `device`, with the given standard deviation of convolutions.
+    /// Creates a source of parameters on `device`; `deviation` is the standard deviation of
+    /// convolution weights.
     pub fn new(seed: u64, deviation: f64, device: &Device) -> Self {
         Self {
             rng: ChaCha8Rng::seed_from_u64(seed),
@@ -37,7 +38,7 @@ impl Initialiser {
         Param::from_data(TensorData::new(values, shape), &self.device)
     }
 
-    /// Normal, cut at two deviations.
+    /// Normal distribution of the given deviation, truncated at two deviations.
     pub(crate) fn truncated_normal(&mut self, shape: [usize; 2]) -> Param<Tensor<2>> {
         let values = (0..shape[0] * shape[1])
             .map(|_| self.deviation * self.truncated_standard_normal())
@@ -62,7 +63,7 @@ impl Initialiser {
         self.param(values, shape)
     }
 
-    /// The same number everywhere.
+    /// A constant parameter.
     pub(crate) fn constant<const D: usize>(
         &self,
         value: f32,

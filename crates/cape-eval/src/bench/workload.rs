@@ -117,8 +117,6 @@ impl Workload {
 }
 
 /// A model in use: no gradients.
-///
-/// See [`Workload`] for an example.
 pub struct InferenceWorkload {
     generator: Generator,
     discriminator: Option<Discriminator>,

@@ -32,8 +32,6 @@ const BIN_MM: f64 = 0.25;
 const BINS: usize = 200;
 
 /// What a method came to on the test frames.
-///
-/// See [`ComparisonTable`] for an example.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct RunErrors {
     /// Errors of a sample of the posterior, as the paper's table has them.
@@ -51,8 +49,6 @@ pub struct RunErrors {
 }
 
 /// A method with all its results.
-///
-/// See [`ComparisonTable`] for an example.
 #[derive(Debug, Clone)]
 pub struct MethodResults<'a> {
     /// Its name for programs.
@@ -66,8 +62,6 @@ pub struct MethodResults<'a> {
 }
 
 /// Measures reconstructions of test frames as they come.
-///
-/// See [`ComparisonTable`] for an example.
 #[derive(Debug, Clone)]
 pub struct RunErrorMeter {
     sampled: ErrorSamples,

@@ -59,8 +59,6 @@ pub struct ComparisonTable {
 }
 
 /// A method's line of the table, over all its seeds.
-///
-/// See [`ComparisonTable`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct ComparisonRow {
     /// The method's name.

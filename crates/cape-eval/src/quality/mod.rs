@@ -61,8 +61,6 @@ impl Default for QualityOptions {
 
 /// What samples came to. Distances are mean Euclidean distances of clothing vertices in canonical
 /// space, millimetres.
-///
-/// See [`QualityOptions`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct QualityReport {
     /// Held-out frames, each with a sample of its pose and outfit.

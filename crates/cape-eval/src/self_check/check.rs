@@ -15,8 +15,6 @@ use cape_train::{
 };
 
 /// How much is tried.
-///
-/// See [`ModelUnderTest`] for an example.
 #[derive(Debug, Clone, Copy)]
 pub struct CheckOptions {
     /// Frames to be learnt by heart.
@@ -36,8 +34,6 @@ impl Default for CheckOptions {
 }
 
 /// One thing that was looked at.
-///
-/// See [`ModelUnderTest`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct Finding {
     /// What.
@@ -51,8 +47,6 @@ pub struct Finding {
 }
 
 /// All of them.
-///
-/// See [`ModelUnderTest`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct CheckReport {
     /// In the order of the work.

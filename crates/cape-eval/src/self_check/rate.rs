@@ -8,8 +8,6 @@ use cape_core::ProgressFn;
 use cape_train::learner::UpdateOptions;
 
 /// How learning rates are tried.
-///
-/// See [`ModelUnderTest`] for an example.
 #[derive(Debug, Clone, Copy)]
 pub struct RateSearchOptions {
     /// The first.
@@ -27,8 +25,6 @@ impl Default for RateSearchOptions {
 }
 
 /// A step of the trial.
-///
-/// See [`ModelUnderTest`] for an example.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct RatePoint {
     /// The generator's learning rate.
@@ -40,8 +36,6 @@ pub struct RatePoint {
 }
 
 /// What was found.
-///
-/// See [`ModelUnderTest`] for an example.
 #[derive(Debug, Clone, Serialize)]
 pub struct RateSearchReport {
     /// Every step.

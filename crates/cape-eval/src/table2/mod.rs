@@ -29,7 +29,7 @@ use crate::{
 };
 use cape_data::{PackedSet, Split};
 use cape_infer::{RunConfig, RunPaths, body_and_clothing, checkpoint};
-use cape_train::Trainer;
+use cape_train::{Trainer, TrainerOptions};
 
 const RESULT: &str = "result.json";
 const FRAMES: &str = "frames.npz";
@@ -88,8 +88,6 @@ pub struct Table2Options {
 }
 
 /// One row with one seed.
-///
-/// See [`Table2Options`] for an example.
 #[derive(Debug, Clone)]
 pub struct Table2Job {
     /// The row.
@@ -104,8 +102,6 @@ pub struct Table2Job {
 }
 
 /// What a job came to.
-///
-/// See [`Table2Options`] for an example.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct RowResult {
     /// The row.
@@ -236,8 +232,12 @@ impl Table2Job {
         }
         fs::create_dir_all(&self.directory).map_err(|source| Error::io(&self.directory, source))?;
         fs::write(&marker, &self.key).map_err(|source| Error::io(&marker, source))?;
-        let (body, clothing) = (grid.body.as_deref(), grid.clothing.as_deref());
-        let config = self.config.clone();
-        Trainer::create(&root, &grid.data, body, clothing, config, device).map(Some)
+        let options = TrainerOptions {
+            data: grid.data.clone(),
+            body: grid.body.clone(),
+            clothing: grid.clothing.clone(),
+            config: self.config.clone(),
+        };
+        Trainer::create(&root, options, device).map(Some)
     }
 }

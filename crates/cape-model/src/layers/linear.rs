@@ -20,19 +20,19 @@ use crate::Initialiser;
 /// ```
 #[derive(Module, Debug)]
 pub struct Linear {
-    /// `[input, output]`.
+    /// Weight matrix, `[input, output]`.
     pub weight: Param<Tensor<2>>,
-    /// `[output]`.
+    /// Bias, `[output]`.
     pub bias: Param<Tensor<1>>,
 }
 
 impl Linear {
-    /// Glorot-uniform weights, zero bias.
+    /// Creates Glorot-uniform weights and a zero bias.
     pub fn new(input: usize, output: usize, init: &mut Initialiser) -> Self {
         Self { weight: init.glorot([input, output]), bias: init.constant(0.0, [output]) }
     }
 
-    /// `[batch, input]` → `[batch, output]`.
+    /// Applies the layer: `[batch, input]` → `[batch, output]`.
     pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
         x.matmul(self.weight.val()) + self.bias.val().unsqueeze()
     }
