@@ -34,7 +34,7 @@ use cape_train::{Trainer, TrainerOptions};
 const RESULT: &str = "result.json";
 const FRAMES: &str = "frames.npz";
 
-/// What all rows have in common.
+/// Options that all rows share.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
@@ -73,7 +73,7 @@ const FRAMES: &str = "frames.npz";
 pub struct Table2Options {
     /// The packed set.
     pub data: PathBuf,
-    /// Where rows are kept.
+    /// Directory of the results.
     pub out: PathBuf,
     /// The body, unless the packed set has its own.
     pub body: Option<PathBuf>,
@@ -94,25 +94,25 @@ pub struct Table2Job {
     pub row: Table2Row,
     /// Fixes weights, shuffles, noise and samples.
     pub seed: u64,
-    /// Where it is kept.
+    /// Directory of the job.
     pub directory: PathBuf,
     config: RunConfig,
     key: String,
     shown: Vec<usize>,
 }
 
-/// What a job came to.
+/// Result of a job.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct RowResult {
     /// The row.
     pub row: Table2Row,
     /// Its seed.
     pub seed: u64,
-    /// Of its configuration and data.
+    /// SHA-256 of configuration and data.
     key: String,
     /// Seconds of training or fitting.
     pub seconds: f64,
-    /// What it came to on the test frames.
+    /// Errors on the test frames.
     #[serde(flatten)]
     pub measured: RunErrors,
 }
@@ -198,7 +198,7 @@ pub fn hash_of(data: &Path) -> Result<String> {
 }
 
 impl Table2Job {
-    /// What it came to, if it is done and neither its configuration nor its data changed since.
+    /// Result of the job; `None` if it is not done, or configuration or data have changed since.
     pub fn result(&self) -> Option<RowResult> {
         let text = fs::read(self.directory.join(RESULT)).ok()?;
         let result: RowResult = serde_json::from_slice(&text).ok()?;
