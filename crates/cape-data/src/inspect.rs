@@ -158,7 +158,8 @@ impl InspectionTotals {
 /// Inspects a raw tree or a packed set.
 ///
 /// # Errors
-/// If `path` is neither, or a file other than the frames is invalid. Unreadable frames give a warning.
+/// If `path` is neither, or a file other than the frames is invalid. Unreadable frames give a
+/// warning.
 pub fn inspect(
     path: impl AsRef<Path>,
     options: &InspectOptions,

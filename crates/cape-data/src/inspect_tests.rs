@@ -10,7 +10,8 @@ use crate::{
 };
 use cape_core::silent;
 
-/// A box of the size of a person: eight clothing vertices at the corners and two vertices of bare skin.
+/// A box of the size of a person: eight clothing vertices at the corners and two vertices of bare
+/// skin.
 fn shape() -> Array2<f64> {
     Array2::from_shape_fn((10, 3), |(v, axis)| match (v, axis) {
         (8.., 1) => 1.6,

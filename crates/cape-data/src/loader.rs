@@ -69,9 +69,9 @@ pub fn steps_per_epoch(frames: usize, batch: usize) -> usize {
 /// Source of training batches that reads ahead in the background.
 ///
 /// All batches are full: generator and discriminator each draw from an endless stream of
-/// permutations of the training frames (see [`Shuffle`]), so that the last batch of an epoch is filled
-/// from the next permutation, and a set smaller than a batch repeats. The batches depend on the
-/// [`LoaderState`] alone.
+/// permutations of the training frames (see [`Shuffle`]), so that the last batch of an epoch is
+/// filled from the next permutation, and a set smaller than a batch repeats. The batches depend on
+/// the [`LoaderState`] alone.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));

@@ -13,8 +13,8 @@
 //! body.npz, clothing_verts_idx.npy   copies from the raw data, if there
 //! ```
 //!
-//! Rows are ordered by subject, sequence, outfit and frame name. The `.csv`, `.npz` and `.toml` files
-//! are additions to the release's layout. Displacements are float64, as in the release.
+//! Rows are ordered by subject, sequence, outfit and frame name. The `.csv`, `.npz` and `.toml`
+//! files are additions to the release's layout. Displacements are float64, as in the release.
 
 use std::{
     collections::BTreeMap,
@@ -127,16 +127,16 @@ pub struct MissingCapture {
     pub reason: String,
 }
 
-/// Packs the frames of the raw tree `raw` selected by `split` into the directory `out`, which appears
-/// only when it is complete. An interrupted packing of the same data is resumed.
+/// Packs the frames of the raw tree `raw` selected by `split` into the directory `out`, which
+/// appears only when it is complete. An interrupted packing of the same data is resumed.
 ///
 /// Frames are read in parallel. Memory holds a few frames and the latest 100 training frames, which
-/// can be validation frames. Unreadable frames, missing subjects and missing sequences are listed in
-/// the report.
+/// can be validation frames. Unreadable frames, missing subjects and missing sequences are listed
+/// in the report.
 ///
 /// # Errors
-/// If `out` exists, the split is invalid, no frame is left, or anything is missing or unreadable with
-/// [`PackOptions::strict`].
+/// If `out` exists, the split is invalid, no frame is left, or anything is missing or unreadable
+/// with [`PackOptions::strict`].
 pub fn pack(
     raw: impl AsRef<Path>,
     out: impl AsRef<Path>,
@@ -245,7 +245,8 @@ pub fn pack(
     Ok(report)
 }
 
-/// True if the files have all frames that the log lists as packed; after a power failure they may not.
+/// True if the files have all frames that the log lists as packed; after a power failure they may
+/// not.
 fn is_whole(
     directory: &Path,
     plans: &[(Split, Vec<PlannedFrame>)],

@@ -19,7 +19,8 @@ const FILE: &str = "journal.txt";
 const PACKED: &str = "packed";
 const BROKEN: &str = "broken\t";
 
-/// Log file of a packing: one line with the hash of the plan, then one per processed frame, in order.
+/// Log file of a packing: one line with the hash of the plan, then one per processed frame, in
+/// order.
 #[derive(Debug)]
 pub(super) struct PackLog {
     path: PathBuf,

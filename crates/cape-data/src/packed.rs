@@ -44,8 +44,8 @@ impl Split {
         self.path(root, "disp").exists()
     }
 
-    /// Path of an array of this part of the packed set in `root`; `array` is `disp`, `pose`, `rot` or
-    /// `clo_label`.
+    /// Path of an array of this part of the packed set in `root`; `array` is `disp`, `pose`, `rot`
+    /// or `clo_label`.
     pub fn path(self, root: impl AsRef<Path>, array: &str) -> PathBuf {
         root.as_ref().join(self.name()).join(format!("{self}_{array}.npy"))
     }
@@ -176,7 +176,8 @@ impl PackedSet {
         self.origins.as_deref()
     }
 
-    /// Name of a frame's capture: `subject/outfit_sequence`, or the outfit if the origins are unknown.
+    /// Name of a frame's capture: `subject/outfit_sequence`, or the outfit if the origins are
+    /// unknown.
     pub fn capture(&self, frame: usize) -> String {
         let outfit = self.outfits[frame];
         match self.origins() {
@@ -246,8 +247,8 @@ impl PackedSet {
         })
     }
 
-    /// One frame in f64: displacements `[V, 3]`, metres; pose in axis-angle `[72]`, radians; rotation
-    /// matrices of the 24 joints, row-major, `[216]`.
+    /// One frame in f64: displacements `[V, 3]`, metres; pose in axis-angle `[72]`, radians;
+    /// rotation matrices of the 24 joints, row-major, `[216]`.
     pub fn frame(&self, frame: usize) -> Result<(Array2<f64>, Vec<f64>, Vec<f64>)> {
         let displacement =
             Array2::from_shape_vec((self.vertices(), 3), self.displacement.row(frame)?)
@@ -341,7 +342,8 @@ impl DisplacementStatistics {
         Ok(statistics)
     }
 
-    /// Rows of the training frames, without validation frames, in a training part of `frames` frames.
+    /// Rows of the training frames, without validation frames, in a training part of `frames`
+    /// frames.
     pub fn training_rows(&self, frames: usize) -> Range<usize> {
         0..frames.saturating_sub(self.validation())
     }

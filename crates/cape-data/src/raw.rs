@@ -252,8 +252,8 @@ pub fn write_minimal(root: impl AsRef<Path>, subject: &str, vertices: &Array2<f6
     write_npy(&path, vertices)
 }
 
-/// Writes frame `number` of a capture as `<outfit>_<sequence>.<number, six digits>.npz`; returns the
-/// path.
+/// Writes frame `number` of a capture as `<outfit>_<sequence>.<number, six digits>.npz`; returns
+/// the path.
 pub fn write_frame(
     root: impl AsRef<Path>,
     subject: &str,

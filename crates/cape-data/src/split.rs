@@ -207,7 +207,8 @@ impl SplitSpec {
         toml::to_string_pretty(self).map_err(|e| Error::argument(format!("split: {e}")))
     }
 
-    /// Checks that the split selects at least one sequence, and nothing twice; errors name the field.
+    /// Checks that the split selects at least one sequence, and nothing twice; errors name the
+    /// field.
     pub fn validate(&self) -> Result<()> {
         self.check()
             .map_err(|(field, message)| Error::argument(format!("split: `{field}`: {message}")))

@@ -8,23 +8,25 @@ use crate::{Error, Result};
 /// File name of the [`DisplacementStatistics`] of a packed set.
 pub const STATISTICS_FILE: &str = "stats.npz";
 
-/// Smallest standard deviation, metres: 0.1 mm, below the noise of a body scanner (the release's male
-/// training data have at least 0.5 mm everywhere). It keeps normalised displacements small at vertices
-/// that do not vary, such as on bare skin.
+/// Smallest standard deviation, metres: 0.1 mm, below the noise of a body scanner (the release's
+/// male training data have at least 0.5 mm everywhere). It keeps normalised displacements small at
+/// vertices that do not vary, such as on bare skin.
 pub const MIN_STD: f64 = 1e-4;
 
 /// Largest difference between statistics of the same data, metres.
 const ROUNDING: f64 = 1e-7;
 
-/// Number of validation frames, the last ones in packed order, of a training part of `frames` frames:
-/// 100 as in the release; a rounded tenth, but at least 1, of fewer than 1000; 0 of a single frame.
+/// Number of validation frames, the last ones in packed order, of a training part of `frames`
+/// frames: 100 as in the release; a rounded tenth, but at least 1, of fewer than 1000; 0 of a
+/// single frame.
 pub fn validation_count(frames: usize) -> usize {
     let tenth = (frames + 5) / 10;
     tenth.clamp(1, 100).min(frames.saturating_sub(1))
 }
 
-/// Mean and standard deviation of displacements per vertex and coordinate, metres, over the training
-/// frames without validation frames; displacements are normalised with them for the network.
+/// Mean and standard deviation of displacements per vertex and coordinate, metres, over the
+/// training frames without validation frames; displacements are normalised with them for the
+/// network.
 ///
 /// ```
 /// use cape_data::{MIN_STD, DisplacementStatistics};
@@ -96,7 +98,8 @@ impl DisplacementStatistics {
         self.validation
     }
 
-    /// Normalises displacements `[frames · 3 V]` in place: metres to standard deviations from the mean.
+    /// Normalises displacements `[frames · 3 V]` in place: metres to standard deviations from the
+    /// mean.
     pub fn normalise(&self, displacements: &mut [f32]) {
         self.apply(displacements, |x, mean, std| (x - mean) / std);
     }
@@ -114,8 +117,8 @@ impl DisplacementStatistics {
         }
     }
 
-    /// Reads a `.npz` file with `mean` and `std`, `[V, 3]`, and `validation`, the number of validation
-    /// frames (100 if absent, as in the release's files).
+    /// Reads a `.npz` file with `mean` and `std`, `[V, 3]`, and `validation`, the number of
+    /// validation frames (100 if absent, as in the release's files).
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let mut file = Npz::open(path)?;

@@ -57,10 +57,10 @@ pub struct UnposedSubject {
     pub residual_mm: f64,
 }
 
-/// Unposes every frame of the raw tree `raw`: reads `v_posed`, `pose` and `transl` (zero if missing),
-/// and writes them with `v_cano` into the new tree `out`, which appears only when it is complete.
-/// Joint positions come from the minimal shape of the subject; `betas` is the number of shape
-/// coefficients fitted to it.
+/// Unposes every frame of the raw tree `raw`: reads `v_posed`, `pose` and `transl` (zero if
+/// missing), and writes them with `v_cano` into the new tree `out`, which appears only when it is
+/// complete. Joint positions come from the minimal shape of the subject; `betas` is the number of
+/// shape coefficients fitted to it.
 ///
 /// # Errors
 /// If a minimal shape is missing or does not match the body, or if no frame is left. Frames that

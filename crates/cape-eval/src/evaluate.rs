@@ -84,7 +84,8 @@ pub struct EvalReport {
     pub frames: usize,
     /// Latent code that was decoded.
     pub posterior: PosteriorUse,
-    /// Mean error of the model at every vertex, `[V]`, millimetres; zero at vertices without clothing.
+    /// Mean error of the model at every vertex, `[V]`, millimetres; zero at vertices without
+    /// clothing.
     #[serde(skip)]
     pub vertex_means: Vec<f32>,
 }
@@ -186,7 +187,8 @@ pub fn evaluate(
     })
 }
 
-/// Callback with the row of a frame, its reconstruction and its true displacements, `[3 V]`, metres.
+/// Callback with the row of a frame, its reconstruction and its true displacements, `[3 V]`,
+/// metres.
 pub type FrameFn<'a> = dyn FnMut(usize, &[f32], &[f32]) -> Result<()> + 'a;
 
 /// Reconstructs all test frames and calls `each` with row, reconstruction and truth of each.

@@ -17,8 +17,8 @@ pub struct SurfaceDetail {
     pub edge_mm: f64,
     /// Mean angle between true and reconstructed face normals on the template body, degrees.
     pub normal_degrees: f64,
-    /// Energy of the reconstructed displacements in the upper half of the spectrum of the Laplacian,
-    /// relative to the true displacements; below 1 wrinkles are smoothed.
+    /// Energy of the reconstructed displacements in the upper half of the spectrum of the
+    /// Laplacian, relative to the true displacements; below 1 wrinkles are smoothed.
     pub high_energy: f64,
 }
 
@@ -53,8 +53,8 @@ pub struct SurfaceDetailMeter {
 }
 
 impl SurfaceDetailMeter {
-    /// Creates an empty accumulator for displacements of `body`, compared at the vertices `clothing`
-    /// and at the edges and faces between them.
+    /// Creates an empty accumulator for displacements of `body`, compared at the vertices
+    /// `clothing` and at the edges and faces between them.
     pub fn new(body: &SmplModel, clothing: &[usize]) -> Self {
         let surface = Surface::from(body);
         let mut covered = vec![false; body.vertices()];

@@ -82,7 +82,8 @@ pub struct CapeConfig {
     pub decoder: DecoderBlock,
     /// Places of the decoder that receive the conditions.
     pub decoder_conditions: DecoderConditions,
-    /// True for a VAE, whose code is sampled in training; false for an auto-encoder, whose code is the mean.
+    /// True for a VAE, whose code is sampled in training; false for an auto-encoder, whose code is
+    /// the mean.
     pub variational: bool,
     /// Standard deviation of the initial weights of the convolutions. CAPE's 0.1 suits its widths;
     /// narrower models need a larger one, or the signal vanishes in the encoder.
@@ -104,7 +105,8 @@ pub struct DiscriminatorConfig {
     pub order: usize,
     /// Chebyshev terms of the last, one-channel convolution.
     pub output_order: usize,
-    /// True for spectral normalisation: weight matrices are divided by their largest singular value (Miyato et al. 2018).
+    /// True for spectral normalisation: weight matrices are divided by their largest singular value
+    /// (Miyato et al. 2018).
     #[serde(default)]
     pub spectral_norm: bool,
 }
@@ -165,7 +167,8 @@ impl CapeConfig {
         }
     }
 
-    /// The paper's model at a quarter to a half of its widths, with about a tenth of its operations.
+    /// The paper's model at a quarter to a half of its widths, with about a tenth of its
+    /// operations.
     pub fn narrow() -> Self {
         Self {
             filters: vec![32, 32, 32, 32, 64, 64, 128, 128],

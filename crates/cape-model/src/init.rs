@@ -6,7 +6,8 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-/// Source of initial weights, drawn on the host so that a seed gives the same model on every backend.
+/// Source of initial weights, drawn on the host so that a seed gives the same model on every
+/// backend.
 ///
 /// ```
 /// use burn::tensor::Device;

@@ -163,7 +163,8 @@ pub fn edge(predicted: Tensor<3>, target: Tensor<3>, edges: &SparseMatrix) -> Te
     squared.clamp_min(1e-24).sqrt().mean()
 }
 
-/// Kullback–Leibler divergence `KL(q(z|x) ‖ N(0, I))`, `[1]`: sum over the code, mean over the batch.
+/// Kullback–Leibler divergence `KL(q(z|x) ‖ N(0, I))`, `[1]`: sum over the code, mean over the
+/// batch.
 pub fn kl(posterior: &Posterior) -> Tensor<1> {
     let Posterior { mean, log_variance } = posterior;
     let inner =
@@ -171,7 +172,8 @@ pub fn kl(posterior: &Posterior) -> Tensor<1> {
     inner.sum_dim(1).mean() * -0.5
 }
 
-/// Adversarial loss of the generator, `[1]`, from the logits `fake: [batch, patches, 1]` of its samples.
+/// Adversarial loss of the generator, `[1]`, from the logits `fake: [batch, patches, 1]` of its
+/// samples.
 pub fn generator_adversarial(config: &LossConfig, fake: Tensor<3>) -> Tensor<1> {
     match config.adversary {
         AdversarialLoss::Bce => cross_entropy(fake, 1.0 - config.label_smoothing),
@@ -179,8 +181,8 @@ pub fn generator_adversarial(config: &LossConfig, fake: Tensor<3>) -> Tensor<1> 
     }
 }
 
-/// Adversarial loss of the discriminator, `[1]`, from the logits of real frames and of samples, both
-/// `[batch, patches, 1]`.
+/// Adversarial loss of the discriminator, `[1]`, from the logits of real frames and of samples,
+/// both `[batch, patches, 1]`.
 pub fn discriminator_adversarial(
     config: &LossConfig,
     real: Tensor<3>,

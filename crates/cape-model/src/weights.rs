@@ -212,8 +212,8 @@ pub fn collect<M: Module>(module: &M) -> Weights {
 /// Writes `weights` into the parameters of a module of the same structure.
 ///
 /// # Errors
-/// If `weights` lacks a parameter, has one of another shape, or one that the module does not have; it
-/// is named, and the module is dropped unchanged.
+/// If `weights` lacks a parameter, has one of another shape, or one that the module does not have;
+/// it is named, and the module is dropped unchanged.
 pub fn apply<M: Module>(module: M, weights: &Weights) -> Result<M> {
     let mut expected = HashMap::new();
     for_each_parameter(&module, |parameter| {

@@ -1,7 +1,7 @@
 // Data sets and runs of the examples in the documentation.
 
-/// Five frames of a walk and of a kick of a triangle, in `raw` and in `packed`; the kick is the test
-/// set.
+/// Five frames of a walk and of a kick of a triangle, in `raw` and in `packed`; the kick is the
+/// test set.
 #[allow(dead_code)]
 fn triangles() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
     use cape_core::Outfit;
@@ -35,8 +35,8 @@ fn triangles() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
     Ok(directory)
 }
 
-/// Four frames of a squat and of a kick of a synthetic subject, in `raw` and in `packed`; the kick is
-/// the test set.
+/// Four frames of a squat and of a kick of a synthetic subject, in `raw` and in `packed`; the kick
+/// is the test set.
 #[allow(dead_code)]
 fn captures() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
     use cape_core::Outfit;

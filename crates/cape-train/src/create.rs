@@ -7,8 +7,8 @@ use cape_infer::{DataIdentity, RunPaths, body_and_clothing, write_json};
 
 use crate::{Error, Result, TrainerOptions};
 
-/// Creates the directory of a run with its configuration, displacement statistics, body and clothing
-/// vertices: everything that sampling from the run needs.
+/// Creates the directory of a run with its configuration, displacement statistics, body and
+/// clothing vertices: everything that sampling from the run needs.
 pub(crate) fn create(root: &Path, options: &TrainerOptions) -> Result<RunPaths> {
     let TrainerOptions { data, body, clothing, config } = options;
     config.validate()?;

@@ -1,9 +1,9 @@
 //! Training of CAPE's networks: objective, optimisers, steps, checkpoints and logs.
 //!
-//! A [`Trainer`] trains the model of a run directory on a packed set and can be resumed at any step.
-//! Its parts can be used on their own: [`objective`] evaluates the losses and their gradients,
-//! [`optim`] has the optimisers, and a [`learner`] combines both. [`tensorboard`] writes event files,
-//! and [`release`] imports the authors' TensorFlow checkpoints as runs.
+//! A [`Trainer`] trains the model of a run directory on a packed set and can be resumed at any
+//! step. Its parts can be used on their own: [`objective`] evaluates the losses and their
+//! gradients, [`optim`] has the optimisers, and a [`learner`] combines both. [`tensorboard`] writes
+//! event files, and [`release`] imports the authors' TensorFlow checkpoints as runs.
 //!
 //! From captures to a dressed body:
 //!

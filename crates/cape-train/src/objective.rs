@@ -145,7 +145,8 @@ pub struct GeneratorOutput {
     pub displacement: Tensor<3>,
 }
 
-/// Encodes and decodes a batch; without `epsilon: [batch, latent]` the code is the mean of the posterior.
+/// Encodes and decodes a batch; without `epsilon: [batch, latent]` the code is the mean of the
+/// posterior.
 pub fn reconstruct(
     generator: &Generator,
     graphs: &Graphs,

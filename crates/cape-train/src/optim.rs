@@ -58,13 +58,14 @@ struct Moments {
 }
 
 impl Optimiser {
-    /// Creates an optimiser without state. Gradients are scaled down to a global norm of at most `clip`.
+    /// Creates an optimiser without state. Gradients are scaled down to a global norm of at most
+    /// `clip`.
     pub fn new(kind: OptimiserKind, momentum: f64, clip: f64) -> Self {
         Self { kind, momentum, clip, steps: 0, moments: BTreeMap::new() }
     }
 
-    /// Updates every parameter of `module` that has a gradient, with learning rate `rate`; `norm` is
-    /// the [`global_norm`] of the gradients.
+    /// Updates every parameter of `module` that has a gradient, with learning rate `rate`; `norm`
+    /// is the [`global_norm`] of the gradients.
     pub fn step<M: Module>(&mut self, module: M, gradients: &Gradients, norm: f64, rate: f64) -> M {
         let scale = if norm > self.clip { self.clip / norm } else { 1.0 };
         self.steps += 1;
@@ -124,8 +125,8 @@ impl Optimiser {
         state
     }
 
-    /// Restores the moments of a checkpoint, for the parameters of `module`. From the moments of the
-    /// other kind of optimiser, Adam takes nothing and momentum the first moments.
+    /// Restores the moments of a checkpoint, for the parameters of `module`. From the moments of
+    /// the other kind of optimiser, Adam takes nothing and momentum the first moments.
     ///
     /// # Errors
     /// If a moment is not of a parameter of `module`, or has another shape.

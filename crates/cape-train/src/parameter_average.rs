@@ -10,7 +10,8 @@ use cape_core::tensors::host;
 
 /// Exponential moving average over training steps of every parameter of a module.
 ///
-/// In step `t` the factor is at most `(1 + t) / (10 + t)`, so that the initial weights do not dominate.
+/// In step `t` the factor is at most `(1 + t) / (10 + t)`, so that the initial weights do not
+/// dominate.
 #[derive(Debug, Clone)]
 pub(crate) struct ParameterAverage {
     factor: f64,

@@ -1,4 +1,5 @@
-//! Writer of TensorBoard event files with scalars, histograms and images that does not need TensorFlow.
+//! Writer of TensorBoard event files with scalars, histograms and images that does not need
+//! TensorFlow.
 //!
 //! An event file is a sequence of records (length, masked CRC-32C of the length, payload, masked
 //! CRC-32C of the payload), each payload a protobuf `Event`. Only what is needed is encoded:
@@ -19,8 +20,8 @@ use cape_model::tensorflow::masked_crc32c;
 
 use crate::{Error, Result};
 
-/// Writer of one event file. A resumed run creates another file in the same directory, as TensorBoard
-/// expects; TensorBoard shows the later of two values at the same step.
+/// Writer of one event file. A resumed run creates another file in the same directory, as
+/// TensorBoard expects; TensorBoard shows the later of two values at the same step.
 ///
 /// ```
 /// use cape_train::tensorboard::EventWriter;

@@ -322,8 +322,8 @@ impl Trainer {
     ///
     /// # Errors
     /// If a file cannot be read or written, or a loss or gradient is not finite. In the latter case
-    /// the update is not applied, the error names the step and its frames, and the last checkpoint is
-    /// kept.
+    /// the update is not applied, the error names the step and its frames, and the last checkpoint
+    /// is kept.
     pub fn run(
         &mut self,
         report: &mut dyn FnMut(&TrainEvent) -> ControlFlow<()>,
@@ -480,7 +480,8 @@ impl Trainer {
         Ok(Some(found))
     }
 
-    /// Logs histograms and images. They are large, and follow the checkpoint in case the disk is full.
+    /// Logs histograms and images. They are large, and follow the checkpoint in case the disk is
+    /// full.
     fn show(&mut self, found: &ValidationResult, log: &mut TrainLog) -> Result<()> {
         let step = self.progress.step;
         log.histograms(step, self.learner.model(), found)?;

@@ -133,7 +133,8 @@ impl Validator<'_> {
     }
 }
 
-/// Number of active latent dimensions: columns of the posterior means `[frames × latent]` that vary.
+/// Number of active latent dimensions: columns of the posterior means `[frames × latent]` that
+/// vary.
 pub fn active_units(codes: &[f32], latent: usize) -> usize {
     (0..latent).filter(|&unit| variance(codes, unit, latent) > ACTIVE).count()
 }

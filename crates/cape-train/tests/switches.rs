@@ -1,5 +1,5 @@
-//! Every option of architecture and objective: the gradient agrees with finite differences, and every
-//! parameter has one.
+//! Every option of architecture and objective: the gradient agrees with finite differences, and
+//! every parameter has one.
 
 use burn::tensor::{Tensor, TensorData};
 use cape_graph::Surface;
@@ -89,8 +89,8 @@ impl Case {
             let all = weights.values().flat_map(|array| &array.values);
             all.map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt()
         };
-        // The slope along the gradient is its norm, so that errors do not cancel. Kinks and curvature
-        // disturb long steps and rounding disturbs short ones, so one length must agree.
+        // The slope along the gradient is its norm, so that errors do not cancel. Kinks and
+        // curvature disturb long steps and rounding disturbs short ones, so one length must agree.
         let slope = norm(&gradients);
         let along = |length: f64| {
             let total = self.total(&self.moved(&values, &gradients, length / slope))
@@ -157,8 +157,8 @@ fn gradients_follow_every_switch() {
     }
 }
 
-/// The configuration is inferred from weights under the release's names, and the weights are imported
-/// unchanged, in any order of the variables.
+/// The configuration is inferred from weights under the release's names, and the weights are
+/// imported unchanged, in any order of the variables.
 #[test]
 fn every_switch_goes_by_the_releases_names_and_back() {
     for (name, config) in switches() {

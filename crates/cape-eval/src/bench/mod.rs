@@ -1,5 +1,5 @@
-//! Benchmark of training updates, decoding and encoding on the synthetic body, compared with the peak
-//! FLOP rate of the processor.
+//! Benchmark of training updates, decoding and encoding on the synthetic body, compared with the
+//! peak FLOP rate of the processor.
 
 mod memory;
 mod timing;
@@ -48,13 +48,13 @@ pub struct BenchReport {
     pub seconds_per_update: f64,
     /// Training examples of the generator per second.
     pub examples_per_second: f64,
-    /// FLOP rate of updates, 10⁹ operations per second, by [`update_flops`]; `None` for architectures
-    /// that it does not count.
+    /// FLOP rate of updates, 10⁹ operations per second, by [`update_flops`]; `None` for
+    /// architectures that it does not count.
     pub gflops: Option<f64>,
     /// Ratio of [`gflops`](Self::gflops) to [`peak_gflops`](Self::peak_gflops).
     pub peak_fraction: Option<f64>,
-    /// Peak FLOP rate of all threads of the processor for multiply-adds in registers, 10⁹ operations
-    /// per second; `None` on other devices.
+    /// Peak FLOP rate of all threads of the processor for multiply-adds in registers, 10⁹
+    /// operations per second; `None` on other devices.
     pub peak_gflops: Option<f64>,
     /// Operations of one update, 10⁹; `None` for architectures that are not counted.
     pub gflop_per_update: Option<f64>,
@@ -64,8 +64,8 @@ pub struct BenchReport {
     pub decode_ms_batch16: f64,
     /// Time of encoding 16 examples, milliseconds.
     pub encode_ms_batch16: f64,
-    /// Peak resident memory of the process, 10⁶ bytes; `None` if the operating system does not report
-    /// it.
+    /// Peak resident memory of the process, 10⁶ bytes; `None` if the operating system does not
+    /// report it.
     pub peak_rss_mb: Option<f64>,
     /// Batch size of updates.
     pub batch: usize,
@@ -75,8 +75,8 @@ pub struct BenchReport {
     pub updates: usize,
 }
 
-/// Measures a model of `config` with batches of `batch` examples on `device`; `seed` is that of weights
-/// and data. It takes at most two minutes if an update takes at most ten seconds.
+/// Measures a model of `config` with batches of `batch` examples on `device`; `seed` is that of
+/// weights and data. It takes at most two minutes if an update takes at most ten seconds.
 pub fn bench(
     config: &CapeConfig,
     batch: usize,

@@ -1,8 +1,8 @@
 //! Comparison of methods on the same test frames.
 //!
 //! [`measure_run`] measures the reconstructions of a trained run, [`RunErrorMeter`] those of any
-//! method. A [`ComparisonTable`] has the results of all methods, with confidence intervals and tests
-//! that account for the dependence between frames of one capture.
+//! method. A [`ComparisonTable`] has the results of all methods, with confidence intervals and
+//! tests that account for the dependence between frames of one capture.
 
 mod runs;
 mod table;
@@ -70,7 +70,8 @@ pub struct RunErrorMeter {
 }
 
 impl RunErrorMeter {
-    /// Creates an empty accumulator for displacements of `body`, compared at the vertices `clothing`.
+    /// Creates an empty accumulator for displacements of `body`, compared at the vertices
+    /// `clothing`.
     pub fn new(body: &SmplModel, clothing: &[usize]) -> Self {
         let samples = ErrorSamples::new(body.vertices(), clothing);
         Self {
@@ -80,8 +81,8 @@ impl RunErrorMeter {
         }
     }
 
-    /// Adds frame `row` of `set` reconstructed from a sample of the posterior; displacements `[3 V]`,
-    /// metres.
+    /// Adds frame `row` of `set` reconstructed from a sample of the posterior; displacements `[3
+    /// V]`, metres.
     pub fn push_sampled(
         &mut self,
         set: &PackedSet,
@@ -92,7 +93,8 @@ impl RunErrorMeter {
         self.sampled.push(set, row, predicted, truth)
     }
 
-    /// Adds frame `row` of `set` reconstructed from the mean of the posterior; displacements `[3 V]`, metres.
+    /// Adds frame `row` of `set` reconstructed from the mean of the posterior; displacements `[3
+    /// V]`, metres.
     pub fn push_mean(
         &mut self,
         set: &PackedSet,
@@ -124,8 +126,8 @@ impl RunErrorMeter {
     }
 }
 
-/// Measures a trained run on test frames; `seed` is the seed of the posterior samples. `each` is called
-/// with every reconstruction from the mean of the posterior.
+/// Measures a trained run on test frames; `seed` is the seed of the posterior samples. `each` is
+/// called with every reconstruction from the mean of the posterior.
 pub fn measure_run(
     run: &Run,
     set: &Arc<PackedSet>,

@@ -71,7 +71,8 @@ pub struct ComparisonRow {
     pub seeds: usize,
     /// Mean sampled error, millimetres; mean over seeds.
     pub mean: f64,
-    /// Standard deviation of the sampled error over frames and vertices, millimetres; mean over seeds.
+    /// Standard deviation of the sampled error over frames and vertices, millimetres; mean over
+    /// seeds.
     pub std: f64,
     /// Median sampled error, millimetres; mean over seeds.
     pub median: f64,
@@ -96,7 +97,8 @@ pub struct ComparisonRow {
 }
 
 impl ComparisonTable {
-    /// Creates a table of `methods` in this order; `reference` is the index of the reference method.
+    /// Creates a table of `methods` in this order; `reference` is the index of the reference
+    /// method.
     pub fn new(methods: &[MethodResults], reference: Option<usize>) -> Self {
         let reference = reference
             .and_then(|place| methods.get(place))

@@ -69,14 +69,15 @@ pub struct QualityReport {
     pub coverage: f64,
     /// Minimum matching distance: mean distance from a held-out frame to the nearest sample.
     pub minimum_matching_mm: f64,
-    /// 1-nearest-neighbour accuracy: share of frames and samples whose nearest neighbour is of their
-    /// own set; 0.5 if the distributions are equal, 1 if they are disjoint.
+    /// 1-nearest-neighbour accuracy: share of frames and samples whose nearest neighbour is of
+    /// their own set; 0.5 if the distributions are equal, 1 if they are disjoint.
     pub nearest_neighbour_accuracy: f64,
     /// Mean distance between samples of an outfit in one pose, by outfit.
     pub diversity_mm: Vec<(Outfit, f64)>,
     /// Mean distance between held-out frames of an outfit in any pose, by outfit.
     pub held_out_diversity_mm: Vec<(Outfit, f64)>,
-    /// Mean change of the canonical displacement per radian of one joint at a fixed code, millimetres.
+    /// Mean change of the canonical displacement per radian of one joint at a fixed code,
+    /// millimetres.
     pub pose_sensitivity_mm: f64,
     /// Share of samples that the outfit classifier assigns to the requested outfit.
     pub outfit_consistency: f64,
@@ -239,7 +240,8 @@ fn sensitivity(
     Ok(1000.0 * sum / (NUDGE * (count * run.clothing().len()).max(1) as f64))
 }
 
-/// Sampler of latent codes from the standard normal prior, scaled by `temperature`, for [`quality`].
+/// Sampler of latent codes from the standard normal prior, scaled by `temperature`, for
+/// [`quality`].
 pub fn standard_normal(
     latent: usize,
     temperature: f64,

@@ -77,7 +77,8 @@ impl SetDistances {
         nearest.map(|(_, distance)| distance).sum::<f64>() / self.frames.len().max(1) as f64
     }
 
-    /// Share of frames and samples whose nearest neighbour, other than themselves, is of their own set.
+    /// Share of frames and samples whose nearest neighbour, other than themselves, is of their own
+    /// set.
     pub fn nearest_neighbour_accuracy(&self) -> f64 {
         let others = |own: &[Vec<f64>], index: usize| {
             let row = own[index].iter().enumerate().filter(move |(other, _)| *other != index);
@@ -111,8 +112,8 @@ mod tests {
         // Frames nearest to samples: 0, 0 and 10.
         assert!((distances.coverage() - 2.0 / 3.0).abs() < 1e-12);
         assert!((distances.minimum_matching() - (1.0 + 2.0 + 88.0) / 3.0).abs() < 1e-4);
-        // The samples 1, 12 and 12 are nearer to frames 0, 10 and 100 than any frame. Sample 1 is as
-        // near to frame 0 as to sample 2 and does not count, sample 2 is nearest to 1, and 12 to
+        // The samples 1, 12 and 12 are nearer to frames 0, 10 and 100 than any frame. Sample 1 is
+        // as near to frame 0 as to sample 2 and does not count, sample 2 is nearest to 1, and 12 to
         // frame 10.
         assert!((distances.nearest_neighbour_accuracy() - 1.0 / 6.0).abs() < 1e-12);
         assert!((mean_distance(&set(&[0.0, 3.0, 6.0])) - 4.0).abs() < 1e-4);

@@ -67,8 +67,8 @@ const LEAST_KL: f64 = 0.05;
 /// Overfits a few frames, trains for a few steps with the configuration itself, and checks losses,
 /// gradients, discriminator and latent code.
 ///
-/// Overfitting uses Adam without sampling, discriminator and Kullback–Leibler term, because it tests
-/// the capacity of the networks and their gradients only.
+/// Overfitting uses Adam without sampling, discriminator and Kullback–Leibler term, because it
+/// tests the capacity of the networks and their gradients only.
 pub fn check(
     model: &ModelUnderTest<'_>,
     options: CheckOptions,
@@ -163,8 +163,8 @@ fn error_mm(fixtures: &Fixtures, learner: &Learner, frames: &DeviceBatch) -> Res
     Ok(errors.summary().mean)
 }
 
-/// Trains with the configuration itself, its warm-up shortened to a quarter of the steps. Returns the
-/// updates, or the step with a loss or gradient that is not finite.
+/// Trains with the configuration itself, its warm-up shortened to a quarter of the steps. Returns
+/// the updates, or the step with a loss or gradient that is not finite.
 fn train(
     fixtures: &Fixtures,
     config: &RunConfig,

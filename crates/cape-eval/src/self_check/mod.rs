@@ -58,8 +58,8 @@ pub struct ModelUnderTest<'a> {
     pub data: &'a Path,
     /// File of the SMPL body; `None` uses the `body.npz` of the packed set.
     pub body: Option<&'a Path>,
-    /// File of the indices of clothing vertices; `None` uses those of the packed set, or derives them
-    /// from the body's blend weights.
+    /// File of the indices of clothing vertices; `None` uses those of the packed set, or derives
+    /// them from the body's blend weights.
     pub clothing: Option<&'a Path>,
     /// Configuration to check.
     pub config: &'a RunConfig,

@@ -46,8 +46,8 @@ pub struct RateSearchReport {
     pub steepest: f64,
     /// Learning rate at which the loss diverged; `None` if it did not.
     pub diverged: Option<f64>,
-    /// Suggested learning rate: a third of [`lowest`](Self::lowest), or [`steepest`](Self::steepest)
-    /// if the loss fell to the end.
+    /// Suggested learning rate: a third of [`lowest`](Self::lowest), or
+    /// [`steepest`](Self::steepest) if the loss fell to the end.
     pub suggested: f64,
 }
 

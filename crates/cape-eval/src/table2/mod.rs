@@ -1,9 +1,10 @@
 //! CAPE's table 2: every method under one protocol.
 //!
-//! A [`Table2Job`] is one row with one seed in a directory of its own: it is trained (or fitted), measured
-//! on the test frames, and leaves a `result.json` with a key of its configuration and data, so that
-//! it is not done again unless either changed, and the [`FigureFrames`] that pictures show. [`methods`]
-//! are what a [`ComparisonTable`](crate::comparison::ComparisonTable) puts side by side.
+//! A [`Table2Job`] is one row with one seed in a directory of its own: it is trained (or fitted),
+//! measured on the test frames, and leaves a `result.json` with a key of its configuration and
+//! data, so that it is not done again unless either changed, and the [`FigureFrames`] that pictures
+//! show. [`methods`] are what a [`ComparisonTable`](crate::comparison::ComparisonTable) puts side
+//! by side.
 
 mod frames;
 mod measure;

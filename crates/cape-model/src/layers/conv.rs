@@ -57,9 +57,9 @@ impl ChebConv {
         cheb_conv(x, weight, graph, self.order, ConvEnd { rows, slope: None })
     }
 
-    /// Weight rows of the first `channels` channels, `[channels · order, out]`, and the contribution
-    /// of the condition to each Chebyshev term, `[batch, order, out]`, in place of channels that
-    /// repeat at every vertex.
+    /// Weight rows of the first `channels` channels, `[channels · order, out]`, and the
+    /// contribution of the condition to each Chebyshev term, `[batch, order, out]`, in place of
+    /// channels that repeat at every vertex.
     pub(super) fn split(
         &self,
         channels: usize,

@@ -15,7 +15,8 @@ pub use residual::{FactoredFeatures, GroupNormRelu, ResidualBlock};
 use burn::tensor::Tensor;
 use cape_graph::DevicePyramid;
 
-/// Appends `condition: [batch, c]` to the channels of every vertex of `x: [batch, vertices, channels]`.
+/// Appends `condition: [batch, c]` to the channels of every vertex of `x: [batch, vertices,
+/// channels]`.
 pub(crate) fn append(x: Tensor<3>, condition: Option<&Tensor<2>>) -> Tensor<3> {
     let Some(condition) = condition else { return x };
     let [batch, vertices, _] = x.dims();

@@ -74,8 +74,8 @@ pub type NameMap = BTreeMap<String, String>;
 
 /// Maps the parameter names of a model of `config` to names of the release's variables.
 ///
-/// `shapes` lists names and shapes of the variables in the order of their creation; names may end in
-/// `:0`.
+/// `shapes` lists names and shapes of the variables in the order of their creation; names may end
+/// in `:0`.
 ///
 /// # Errors
 /// If a variable of the configuration is missing, or a variable is unknown; it is named.

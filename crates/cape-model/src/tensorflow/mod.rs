@@ -357,8 +357,8 @@ fn prefix_in(directory: &Path) -> Result<PathBuf> {
     }
 }
 
-/// File name in `model_checkpoint_path: "…"` of TensorFlow's `checkpoint` file. The directory in that
-/// path is where the checkpoint was written, and is ignored.
+/// File name in `model_checkpoint_path: "…"` of TensorFlow's `checkpoint` file. The directory in
+/// that path is where the checkpoint was written, and is ignored.
 fn latest_name(path: &Path) -> Option<std::ffi::OsString> {
     let text = fs::read_to_string(path).ok()?;
     let line = text.lines().find_map(|line| line.trim().strip_prefix("model_checkpoint_path:"))?;

@@ -57,8 +57,8 @@ pub struct ImportOptions {
     pub factors: Option<Vec<u32>>,
     /// Down-sampling factors of the discriminator, if they are not the release's defaults.
     pub discriminator_factors: Option<Vec<u32>>,
-    /// Configuration file of the release, flat YAML. Settings of the architecture are checked against
-    /// the weights; the others are taken over for further training.
+    /// Configuration file of the release, flat YAML. Settings of the architecture are checked
+    /// against the weights; the others are taken over for further training.
     pub settings: Option<PathBuf>,
 }
 
@@ -85,8 +85,8 @@ pub struct ImportReport {
 /// complete. The pyramid uses the release's up-sampling weights, with which the model was trained.
 ///
 /// # Errors
-/// If the checkpoint is damaged; if a variable is missing, unknown or of another shape than body and
-/// architecture require (it is named); if body, statistics and clothing vertices do not match.
+/// If the checkpoint is damaged; if a variable is missing, unknown or of another shape than body
+/// and architecture require (it is named); if body, statistics and clothing vertices do not match.
 pub fn import(
     checkpoint: impl AsRef<Path>,
     options: &ImportOptions,
