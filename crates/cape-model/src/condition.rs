@@ -21,11 +21,11 @@ pub struct ConditionNet {
 impl ConditionNet {
     fn new(input: usize, output: usize, layers: usize, init: &mut Initialiser) -> Self {
         if layers < 2 {
-            return Self { hidden: None, output: Linear::new(input, output, init) };
+            return Self { hidden: None, output: init.linear(input, output) };
         }
         let width = hidden_width(input, output);
-        let hidden = Linear::new(input, width, init);
-        Self { hidden: Some(hidden), output: Linear::new(width, output, init) }
+        let hidden = init.linear(input, width);
+        Self { hidden: Some(hidden), output: init.linear(width, output) }
     }
 
     fn forward(&self, x: Tensor<2>) -> Tensor<2> {

@@ -93,7 +93,7 @@ impl Decoder {
         let mut width = config.filters.last().copied().unwrap_or_default();
         let stem = if config.reduce > 0 { config.reduce } else { width };
         let code = config.latent + if code_conditioned { config.condition_size() } else { 0 };
-        let input = Linear::new(code, coarse * stem, init);
+        let input = init.linear(code, coarse * stem);
         let expand = (config.reduce > 0).then(|| ChebConv::new(stem, width, 1, init));
 
         let mut blocks = Vec::new();

@@ -118,8 +118,8 @@ impl Encoder {
         Self {
             blocks,
             reduce,
-            mean: Linear::new(flat, config.latent, init),
-            log_variance: Linear::new(flat, config.latent, init),
+            mean: init.linear(flat, config.latent),
+            log_variance: init.linear(flat, config.latent),
             conditioned: config.encoder_conditions,
         }
     }

@@ -1,5 +1,6 @@
 use burn::{
     module::Param,
+    nn::Linear,
     tensor::{Device, Tensor, TensorData},
 };
 use rand::{Rng, SeedableRng};
@@ -11,11 +12,12 @@ use rand_distr::StandardNormal;
 ///
 /// ```
 /// use burn::tensor::Device;
-/// use cape_model::{Initialiser, layers::Linear, weights::collect};
+/// use cape_model::{Initialiser, weights::collect};
 ///
-/// let draw = |seed| collect(&Linear::new(2, 3, &mut Initialiser::new(seed, 0.1, &Device::default())));
-/// assert_eq!(draw(7), draw(7));
-/// assert_ne!(draw(7), draw(8));
+/// let device = Device::default();
+/// let draw = |seed| Initialiser::new(seed, 0.1, &device).linear(2, 3);
+/// assert_eq!(collect(&draw(7)), collect(&draw(7)));
+/// assert_ne!(collect(&draw(7)), collect(&draw(8)));
 /// ```
 #[derive(Debug)]
 pub struct Initialiser {
@@ -37,6 +39,12 @@ impl Initialiser {
 
     fn param<const D: usize>(&self, values: Vec<f32>, shape: [usize; D]) -> Param<Tensor<D>> {
         Param::from_data(TensorData::new(values, shape), &self.device)
+    }
+
+    /// Fully connected layer with Glorot-uniform weights `[input, output]` and a zero bias.
+    pub fn linear(&mut self, input: usize, output: usize) -> Linear {
+        let bias = Some(self.constant(0.0, [output]));
+        Linear { weight: self.glorot([input, output]), bias }
     }
 
     /// Normal distribution of the given deviation, truncated at two deviations.

@@ -1,4 +1,8 @@
 //! Weights by name: read from a module, written to a module, and kept in safetensors files.
+//!
+//! burn-store 0.22 is not used because it reads and writes modules only, whereas optimiser moments,
+//! averages and imported variables are maps of arrays, and because it would change the bytes of
+//! weight files (metadata of the producer).
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -28,17 +32,17 @@ pub struct HostArray {
 ///
 /// ```
 /// use burn::tensor::Device;
-/// use cape_model::{Initialiser, layers::Linear, weights::{self, HostArray}};
+/// use cape_model::{Initialiser, weights::{self, HostArray}};
 ///
 /// let mut init = Initialiser::new(1, 0.1, &Device::default());
-/// let layer = Linear::new(2, 3, &mut init);
+/// let layer = init.linear(2, 3);
 /// let saved = weights::collect(&layer);
 /// assert_eq!(saved["bias"], HostArray { shape: vec![3], values: vec![0.0; 3] });
 ///
 /// let directory = tempfile::tempdir()?;
 /// let path = directory.path().join("layer.safetensors");
 /// weights::save(&saved, &path)?;
-/// let other = weights::apply(Linear::new(2, 3, &mut init), &weights::load(&path)?)?;
+/// let other = weights::apply(init.linear(2, 3), &weights::load(&path)?)?;
 /// assert_eq!(weights::collect(&other), saved);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -66,13 +70,9 @@ impl ParamPath {
 ///
 /// ```
 /// use burn::tensor::Device;
-/// use cape_model::{
-///     Initialiser,
-///     layers::Linear,
-///     weights::{collect, for_each_parameter, map_parameters},
-/// };
+/// use cape_model::{Initialiser, weights::{collect, for_each_parameter, map_parameters}};
 ///
-/// let layer = Linear::new(2, 3, &mut Initialiser::new(1, 0.1, &Device::default()));
+/// let layer = Initialiser::new(1, 0.1, &Device::default()).linear(2, 3);
 /// let mut numbers = 0;
 /// for_each_parameter(&layer, |parameter| {
 ///     assert!(["weight", "bias"].contains(&parameter.path));

@@ -1,4 +1,8 @@
 //! Gradient descent with momentum and Adam, with clipping by the global norm.
+//!
+//! burn-optim 0.22 is not used because it clips every parameter on its own, keeps the velocity of
+//! its momentum private and its state under random parameter identities, whereas checkpoints and
+//! imports need it under parameter paths, and computes Adam's bias correction in f32.
 
 use std::collections::BTreeMap;
 
@@ -24,12 +28,12 @@ const EPSILON: f64 = 1e-8;
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
-/// use cape_model::{Initialiser, layers::Linear, weights::collect};
+/// use cape_model::{Initialiser, weights::collect};
 /// use cape_infer::OptimiserKind;
 /// use cape_train::optim::{Optimiser, global_norm};
 ///
 /// let device = Device::default().autodiff();
-/// let layer = Linear::new(1, 1, &mut Initialiser::new(1, 0.1, &device));
+/// let layer = Initialiser::new(1, 0.1, &device).linear(1, 1);
 /// // The gradient of w x + b at x = 1 is (1, 1).
 /// let gradients = layer.forward(Tensor::ones([1, 1], &device)).sum().backward();
 /// let norm = global_norm(&layer, &gradients);

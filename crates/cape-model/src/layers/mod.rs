@@ -3,15 +3,14 @@
 mod affine;
 mod conv;
 mod encoder_residual;
-mod linear;
 mod residual;
 
 pub use affine::AffineBlock;
 pub use conv::{ChebConv, ConvLayer};
 pub use encoder_residual::EncoderResidual;
-pub use linear::Linear;
 pub use residual::{FactoredFeatures, GroupNormRelu, ResidualBlock};
 
+pub use burn::nn::Linear;
 use burn::tensor::Tensor;
 use cape_graph::DevicePyramid;
 
