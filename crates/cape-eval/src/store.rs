@@ -156,25 +156,32 @@ impl ResultStore {
         Ok(())
     }
 
-    /// Lists `name` as the store's, makes its directory, and returns its path, to be written. With `/`
-    /// at the end it is a directory that is filled as a whole.
+    /// Lists `name` as the store's, to be written by somebody else. With `/` at the end it is a
+    /// directory that is filled as a whole.
     ///
     /// # Errors
     /// If there is such a file that the store did not write.
-    pub fn claim(&self, name: &str) -> Result<PathBuf> {
+    pub fn list(&self, name: &str) -> Result<()> {
         if !is_inside(name) {
             return Err(Error::argument(format!("`{name}` is not a path inside a directory")));
         }
         let mut state = self.state();
         self.begin_with(&mut state)?;
-        let path = self.path(name);
         if !state.listed.contains(name) {
+            let path = self.path(name);
             if path.symlink_metadata().is_ok() {
                 return Err(foreign(&path));
             }
             append(&self.path(FILES), name)?;
             state.listed.insert(name.to_owned());
         }
+        Ok(())
+    }
+
+    /// [Lists](Self::list) `name`, makes its directory, and returns its path, to be written.
+    pub fn claim(&self, name: &str) -> Result<PathBuf> {
+        self.list(name)?;
+        let path = self.path(name);
         create_dir(if name.ends_with('/') { &path } else { path.parent().unwrap_or(&self.root) })?;
         Ok(path)
     }

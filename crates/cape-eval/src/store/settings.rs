@@ -70,6 +70,12 @@ impl StoreSettings {
         })
     }
 
+    /// The same inputs with other settings.
+    pub fn with_settings(&self, settings: &impl Serialize) -> Result<Self> {
+        let Self { settings, .. } = Self::new(&self.kind, settings)?;
+        Ok(Self { settings, ..self.clone() })
+    }
+
     /// The same with the contents of a file or directory as the input `name`.
     pub fn with_input(self, name: &str, path: &Path) -> Result<Self> {
         let sha256 = sha256(path)?;
