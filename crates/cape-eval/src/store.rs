@@ -270,13 +270,19 @@ fn existing(root: &Path, settings: &StoreSettings, options: StoreOptions<'_>) ->
         let pending = Some(listed(root)?.into_iter().collect());
         return Ok(State { pending, listed: BTreeSet::new() });
     }
-    let mut message = format!("finished results: {}; now: {}", first.stored, first.current);
-    if differences.len() > 1 {
-        let others: Vec<String> =
-            differences[1..].iter().map(|other| format!("`{}`", other.field)).collect();
-        message += &format!(" (also different: {})", others.join(", "));
-    }
-    Err(Error::field(&path, &first.field, format!("{message}: {}", overwrite_hint(root))))
+    let others: Vec<String> =
+        differences[1..].iter().map(|other| format!("`{}`", other.field)).collect();
+    let others = match others.as_slice() {
+        [] => String::new(),
+        others => format!(" (also different: {})", others.join(", ")),
+    };
+    let message = format!(
+        "the finished results are of {}, this command is of {}{others}: {}",
+        first.stored,
+        first.current,
+        overwrite_hint(root)
+    );
+    Err(Error::field(&path, &first.field, message))
 }
 
 /// Entries to remove from a directory without settings.json, which must be empty unless it is of an
@@ -336,7 +342,7 @@ fn names(directory: &Path) -> Result<Vec<String>> {
 
 /// True for what an interrupted atomic write leaves behind.
 fn is_temporary(name: &str) -> bool {
-    name.starts_with(".cape-") && name.ends_with(".tmp")
+    name.strip_prefix(".cape-").is_some_and(|rest| rest.contains(".tmp"))
 }
 
 /// True for a relative path without `..`.

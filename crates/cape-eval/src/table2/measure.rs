@@ -31,7 +31,7 @@ impl Table2Job {
         let set = Arc::new(PackedSet::open(&grid.data, Split::Test)?);
         let mut frames = FigureFrames::new(&self.shown, set.vertices());
         let measured = if self.row.is_trained() {
-            let run = Run::open(&self.run_directory(), device)?;
+            let run = Run::open(self.run_directory(), device)?;
             measure_run(&run, &set, self.seed, progress, &mut |row, predicted, _| {
                 frames.push(row, predicted);
                 Ok(())

@@ -9,7 +9,7 @@ use cape_eval::{
     ErrorSamples, EvalOptions, PosteriorUse, reconstruct_test,
     store::{ResultStore, StoreOptions, StoreSettings},
 };
-use cape_infer::{BodySpec, Run, batches, write_json};
+use cape_infer::{BodySpec, Run, batches};
 use cape_layer::{experiment::LearningOptions, regress::FeatureOptions};
 use cape_stats::pca::PcaOptions;
 use ndarray::{Array1, Array2, Axis, concatenate};
@@ -177,7 +177,7 @@ impl ComparisonContext<'_> {
         let reconstruction_mm = meter.summary().overall.mean;
         let latent = run.config().model.latent;
         let wearers: Vec<BodySpec> = (0..test.frames())
-            .map(|row| Ok(cape_infer::registration(&test, row)?.1))
+            .map(|row| Ok(cape_infer::registration(test, row)?.1))
             .collect::<Result<_>>()?;
         let mut meter = self.meter();
         self.console.while_showing("predict", "frames", |progress| {
