@@ -277,7 +277,7 @@ fn existing(root: &Path, settings: &StoreSettings, options: StoreOptions<'_>) ->
         others => format!(" (also different: {})", others.join(", ")),
     };
     let message = format!(
-        "the finished results are of {}, this command is of {}{others}: {}",
+        "{} in the finished results, {} in this command{others}: {}",
         first.stored,
         first.current,
         overwrite_hint(root)

@@ -11,7 +11,7 @@ use std::{
 use cape::{core::npy::write_npy, infer::RunConfig, render::Image};
 use serde_json::Value;
 
-use crate::support::{Packed, Ran, cape, contents};
+use crate::support::{Packed, Ran, cape, contents, truncate};
 
 const LONG: &str = "--preset tiny --epochs 12 --batch 4 --checkpoint-steps 3 --keep 2";
 
