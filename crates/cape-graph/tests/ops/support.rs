@@ -73,7 +73,7 @@ pub(crate) struct Outcome {
     pub gradients: Vec<Option<Vec<f32>>>,
 }
 
-/// What outputs are multiplied by before they are summed into the loss.
+/// Factors of the outputs in the loss, which is their weighted sum, `[len]`.
 pub(crate) fn probe(len: usize) -> Vec<f64> {
     random(0xface, len)
 }
