@@ -78,7 +78,7 @@ fn bias_leaky_relu_agrees_with_finite_differences() {
     }
 }
 
-/// Inputs of `group_norm_relu`: x off-centre, gamma of both signs.
+/// Inputs of `group_norm_relu`: `x` with a mean other than 0, `gamma` of both signs.
 fn norm_inputs(batch: usize, vertices: usize, channels: usize) -> [Vec<f64>; 3] {
     let mut x = random(25, batch * vertices * channels);
     x.iter_mut().enumerate().for_each(|(i, x)| *x += (i % channels % 3) as f64 * 0.5);

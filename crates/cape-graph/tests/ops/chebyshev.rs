@@ -49,7 +49,7 @@ fn plain(x: Tensor<3>, weight: Tensor<2>, graph: &ConvGraph, order: usize) -> Te
     cheb_conv(x, weight, graph, order, Epilogue::default())
 }
 
-/// A square matrix, not symmetric so that a missing transposition shows.
+/// Square matrix, not symmetric, so that a missing transposition is detected.
 fn square(vertices: usize, device: &Device) -> (sprs::CsMat<f64>, ConvGraph, Tensor<3>) {
     let matrix = sparse(11, vertices, vertices, 5, vertices.is_multiple_of(2));
     let a = ConvGraph::new(&matrix, None, device);

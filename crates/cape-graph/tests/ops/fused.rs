@@ -18,7 +18,7 @@ use crate::{
 
 const EPSILON: f64 = 1e-3;
 
-/// Keeps every second vertex and every seventh, not in order.
+/// Selection of every second and every seventh vertex, in descending order.
 pub(crate) fn selection(vertices: usize) -> CsMat<f64> {
     let mut kept: Vec<usize> = (0..vertices).filter(|v| v % 2 == 0 || v % 7 == 0).collect();
     kept.reverse();
@@ -63,7 +63,7 @@ impl Case {
         }
     }
 
-    /// Features, weights, constant_terms.
+    /// Features, weights, constant terms.
     fn inputs(&self) -> Vec<Vec<f64>> {
         let mut inputs = vec![
             random(52, self.batch * self.vertices * self.input),

@@ -27,19 +27,27 @@ fn epilogue_kernel(
 ) {
     if ABSOLUTE_POS < out.len() {
         let mut value = sum[ABSOLUTE_POS];
-        if let ComptimeOption::Some(product) = product {
-            value += product[ABSOLUTE_POS];
+        #[comptime]
+        match product {
+            ComptimeOption::Some(product) => value += product[ABSOLUTE_POS],
+            ComptimeOption::None => {}
         }
-        if let ComptimeOption::Some(addend) = addend {
-            let channels = out.shape(2);
-            let vertices = out.shape(1);
-            let channel = ABSOLUTE_POS % channels;
-            let vertex = (ABSOLUTE_POS / channels) % vertices;
-            let example = ABSOLUTE_POS / (channels * vertices);
-            value += addend[example * strides.example + vertex * strides.vertex + channel];
+        #[comptime]
+        match addend {
+            ComptimeOption::Some(addend) => {
+                let channels = out.shape(2);
+                let vertices = out.shape(1);
+                let channel = ABSOLUTE_POS % channels;
+                let vertex = (ABSOLUTE_POS / channels) % vertices;
+                let example = ABSOLUTE_POS / (channels * vertices);
+                value += addend[example * strides.example + vertex * strides.vertex + channel];
+            }
+            ComptimeOption::None => {}
         }
-        if let ComptimeOption::Some(slope) = slope {
-            value = gated(value, value, slope);
+        #[comptime]
+        match slope {
+            ComptimeOption::Some(slope) => value = gated(value, value, slope),
+            ComptimeOption::None => {}
         }
         out[ABSOLUTE_POS] = value;
     }
