@@ -1,7 +1,7 @@
-//! NumPy's array files: `.npy` (one array) and `.npz` (a ZIP archive of arrays).
+//! NumPy array files: `.npy` (one array) and `.npz` (ZIP archive of arrays).
 //!
-//! Numbers of any NumPy type, byte order and memory order are converted on reading; what a header
-//! claims is checked against the bytes that are there before anything is allocated.
+//! Reading converts any numeric dtype, byte order and memory order. Sizes in headers are checked
+//! against the length of the file before memory is allocated.
 
 mod element;
 mod header;
