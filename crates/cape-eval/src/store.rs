@@ -258,8 +258,11 @@ fn existing(root: &Path, settings: &StoreSettings, options: StoreOptions<'_>) ->
         }
     };
     if stored.kind() != settings.kind() {
-        let message =
-            format!("results of {}, not of {}: choose another --out", stored.kind(), settings.kind());
+        let message = format!(
+            "results of {}, not of {}: choose another --out",
+            stored.kind(),
+            settings.kind()
+        );
         return Err(Error::field(&path, "kind", message));
     }
     let differences = stored.differences(settings);
@@ -568,10 +571,12 @@ mod tests {
             let message = refusal(&root, 0.2, true);
             assert!(message.contains("files.txt") && message.contains("line 1"), "{message}");
         }
-        assert!(open(&tempfile::tempdir().unwrap().path().join("x"), 0.1, false)
-            .unwrap()
-            .claim("../precious")
-            .is_err());
+        assert!(
+            open(&tempfile::tempdir().unwrap().path().join("x"), 0.1, false)
+                .unwrap()
+                .claim("../precious")
+                .is_err()
+        );
         assert!(place.path().join("precious").exists());
     }
 }

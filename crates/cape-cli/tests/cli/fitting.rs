@@ -59,8 +59,12 @@ fn held_out_frames_are_fitted_and_measured() {
     let earlier = data.at("earlier");
     fs::create_dir(&earlier).unwrap();
     fs::write(earlier.join("settings.json"), r#"{"version": "0.1.0", "data": "packed"}"#).unwrap();
-    data.run(&command.replace("@/fits", "@/earlier"))
-        .failed_saying(&["earlier/settings.json", "lacks `kind`", "`inputs`", "--overwrite"]);
+    data.run(&command.replace("@/fits", "@/earlier")).failed_saying(&[
+        "earlier/settings.json",
+        "lacks `kind`",
+        "`inputs`",
+        "--overwrite",
+    ]);
 
     data.run(&format!("fit-benchmark {run} --dropped 2 --out @/no")).failed_saying(&["--dropped"]);
     fs::write(data.at("few.toml"), "[clothed]\ncode = -1").unwrap();

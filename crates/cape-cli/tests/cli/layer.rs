@@ -246,8 +246,12 @@ fn a_report_is_written_and_kept() {
         "--overwrite",
         "--out",
     ]);
-    run_line(&format!("{line} --neighbours 2"))
-        .failed_saying(&["`settings.association.neighbours`", "4", "2", "--overwrite"]);
+    run_line(&format!("{line} --neighbours 2")).failed_saying(&[
+        "`settings.association.neighbours`",
+        "4",
+        "2",
+        "--overwrite",
+    ]);
     assert!(contents(&out.join("results")) == results);
     let other = run_line(&format!("{line} --neighbours 2 --overwrite"));
     assert!(!other.err.contains("done before"), "{}", other.err);

@@ -120,7 +120,11 @@ impl StoreSettings {
     pub fn with_run(self, run: &Run) -> Result<Self> {
         let paths = run.paths();
         self.with_input("body", &paths.body())?
-            .with_files("checkpoint", run.checkpoint(), &checkpoint::weight_files(run.checkpoint()))?
+            .with_files(
+                "checkpoint",
+                run.checkpoint(),
+                &checkpoint::weight_files(run.checkpoint()),
+            )?
             .with_input("clothing", &paths.clothing())?
             .with_input("run_config", &paths.config())?
             .with_input("statistics", &paths.statistics())
@@ -264,7 +268,8 @@ pub fn packed_set_sha256(root: &Path, splits: &[Split]) -> Result<String> {
 /// Adds the fields in which two values differ.
 fn compare(field: &str, stored: &Value, current: &Value, found: &mut Vec<Difference>) {
     if let (Value::Object(first), Value::Object(second)) = (stored, current) {
-        let names: std::collections::BTreeSet<&String> = first.keys().chain(second.keys()).collect();
+        let names: std::collections::BTreeSet<&String> =
+            first.keys().chain(second.keys()).collect();
         for name in names {
             let part = |map: &serde_json::Map<String, Value>| {
                 map.get(name).cloned().unwrap_or(Value::Null)

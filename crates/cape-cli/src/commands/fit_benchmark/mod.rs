@@ -106,7 +106,9 @@ impl FitBenchmarkArgs {
             Ok::<_, Error>(true)
         })?;
         if !whole {
-            console.note("interrupted; finished frames are saved, run the same command again to resume");
+            console.note(
+                "interrupted; finished frames are saved, run the same command again to resume",
+            );
             return Ok(ExitCode::from(INTERRUPTED));
         }
         let chosen = pictures::chosen(&cases);

@@ -7,11 +7,7 @@ use cape_eval::store::ResultStore;
 use cape_infer::{OptimiserKind, RateSchedule, RunConfig, TrainConfig};
 use cape_synth::{CaptureGenerator, synthetic_body};
 
-use crate::{
-    commands::demo,
-    console::Console,
-    error::Result,
-};
+use crate::{commands::demo, console::Console, error::Result};
 
 /// Twice as many frames as the demo has: what counts is what is held out.
 const SUBJECTS: usize = 12;

@@ -3,9 +3,7 @@
 use std::fmt::Write as _;
 
 use cape_data::Split;
-use cape_eval::{
-    comparison::ComparisonTable, store::packed_set_sha256, table2::Table2Options,
-};
+use cape_eval::{comparison::ComparisonTable, store::packed_set_sha256, table2::Table2Options};
 
 use crate::{
     console::seconds,

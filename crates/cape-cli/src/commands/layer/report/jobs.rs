@@ -118,8 +118,7 @@ impl Experiment {
 impl ExperimentContext<'_> {
     /// The store of a set's results.
     pub(super) fn store(&self, named: &NamedSet) -> Result<ResultStore> {
-        let settings =
-            json!({ "association": self.association_args, "learning": self.learning });
+        let settings = json!({ "association": self.association_args, "learning": self.learning });
         let sequences = named.set.sequences.iter().map(|sequence| format!("{}.npz", sequence.name));
         let files: Vec<String> = std::iter::once("set.json".into()).chain(sequences).collect();
         let settings = StoreSettings::new("layer report, set", &settings)?

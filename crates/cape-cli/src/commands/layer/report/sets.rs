@@ -127,11 +127,8 @@ fn store(
     });
     let settings = StoreSettings::new("layer report, simulated set", &settings)?
         .with_optional_input("body", body, "synthetic body")?;
-    let options = StoreOptions {
-        overwrite,
-        earlier: &["design.txt", "set.json"],
-        ..StoreOptions::default()
-    };
+    let options =
+        StoreOptions { overwrite, earlier: &["design.txt", "set.json"], ..StoreOptions::default() };
     Ok(ResultStore::open(directory, settings, options)?)
 }
 
