@@ -36,7 +36,7 @@ use cape_data::{
     raw::{BODY_FILE, CLOTHING_FILE},
 };
 use cape_infer::{RunConfig, RunPaths, body_and_clothing, checkpoint};
-use cape_train::Trainer;
+use cape_train::{Trainer, TrainerOptions};
 
 const RESULT: &str = "result.json";
 const FRAMES: &str = "frames.npz";
@@ -53,7 +53,7 @@ const EARLIER_TABLES: [&str; 8] = [
     "error_maps.png",
     "histograms.png",
 ];
-/// What they left of a row.
+/// Files of a row that versions without settings.json left.
 const EARLIER_ROW: [&str; 12] = [
     "result.json",
     "key.txt",
@@ -69,7 +69,7 @@ const EARLIER_ROW: [&str; 12] = [
     "run/tensorboard/",
 ];
 
-/// What all rows have in common.
+/// Options that all rows share.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
@@ -108,7 +108,7 @@ const EARLIER_ROW: [&str; 12] = [
 pub struct Table2Options {
     /// The packed set.
     pub data: PathBuf,
-    /// Where rows are kept.
+    /// Directory of the results.
     pub out: PathBuf,
     /// The body, unless the packed set has its own.
     pub body: Option<PathBuf>,
@@ -123,24 +123,20 @@ pub struct Table2Options {
 }
 
 /// One row with one seed.
-///
-/// See [`Table2Options`] for an example.
 #[derive(Debug, Clone)]
 pub struct Table2Job {
     /// The row.
     pub row: Table2Row,
     /// Fixes weights, shuffles, noise and samples.
     pub seed: u64,
-    /// Where it is kept.
+    /// Directory of the job.
     pub directory: PathBuf,
     config: RunConfig,
     store: Arc<ResultStore>,
     shown: Vec<usize>,
 }
 
-/// What a job came to.
-///
-/// See [`Table2Options`] for an example.
+/// Result of a job.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct RowResult {
     /// The row.
@@ -149,7 +145,7 @@ pub struct RowResult {
     pub seed: u64,
     /// Seconds of training or fitting.
     pub seconds: f64,
-    /// What it came to on the test frames.
+    /// Errors on the test frames.
     #[serde(flatten)]
     pub measured: RunErrors,
 }
@@ -254,7 +250,7 @@ pub fn open_store(out: &Path, overwrite: bool) -> Result<ResultStore> {
 }
 
 impl Table2Job {
-    /// What it came to, if it is done.
+    /// Result of the job; `None` if it is not done.
     ///
     /// # Errors
     /// If a file of a finished job cannot be read; it is named.
@@ -315,8 +311,12 @@ impl Table2Job {
         if !checkpoint::list(&paths.checkpoints())?.is_empty() {
             return Trainer::resume(&root, Some(&grid.data), device).map(Some);
         }
-        let (body, clothing) = (grid.body.as_deref(), grid.clothing.as_deref());
-        let config = self.config.clone();
-        Trainer::create(&root, &grid.data, body, clothing, config, device).map(Some)
+        let options = TrainerOptions {
+            data: grid.data.clone(),
+            body: grid.body.clone(),
+            clothing: grid.clothing.clone(),
+            config: self.config.clone(),
+        };
+        Trainer::create(&root, options, device).map(Some)
     }
 }
