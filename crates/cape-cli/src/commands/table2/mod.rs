@@ -98,6 +98,7 @@ impl Table2Args {
             Some(data) => data.clone(),
             None => quick::data(&store, console)?,
         };
+        PackedSet::open(&data, Split::Train)?;
         let shown = select_frames(&data)?;
         let grid = Table2Options {
             data,
