@@ -1,12 +1,7 @@
 use glam::DVec3;
-use parry3d_f64::{
-    bounding_volume::Aabb,
-    math::Vector,
-    partitioning::{Bvh, BvhBuildStrategy},
-};
 use rayon::prelude::*;
 
-use cape_core::geometry::{SurfaceMesh, closest_on_triangle, ray_meets};
+use cape_core::geometry::{BoxTree, SurfaceMesh, bounds, closest_on_triangle, ray_meets};
 
 /// Steps until pairs are looked for again.
 const STEPS: usize = 5;
@@ -68,12 +63,15 @@ impl SelfCollision {
         let reach = self.distance + SLACK;
         let place = |v: u32| at[v as usize];
         let at_rest = |v: u32| self.rest.vertices[v as usize];
-        let (faces, edges) = rayon::join(|| tree(&self.rest.faces, at), || tree(&self.edges, at));
+        let (faces, edges) = rayon::join(
+            || BoxTree::from_elements(&self.rest.faces, at),
+            || BoxTree::from_elements(&self.edges, at),
+        );
         let vertices: Vec<ClosePair> = (0..at.len() as u32)
             .into_par_iter()
             .flat_map_iter(|v| {
-                let near = around(&[v], at, reach);
-                let faces = faces.intersect_aabb(&near).map(|face| self.rest.faces[face as usize]);
+                let faces = faces.overlapping(box_around(&[v], at, reach));
+                let faces = faces.into_iter().map(|face| self.rest.faces[face as usize]);
                 let close = faces.filter(|face| {
                     let (nearest, _) = closest_on_triangle(place(v), face.map(place));
                     !face.contains(&v) && nearest.distance(place(v)) < reach
@@ -90,8 +88,8 @@ impl SelfCollision {
             .par_iter()
             .enumerate()
             .flat_map_iter(|(index, &one)| {
-                let near = around(&one, at, reach);
-                let others = edges.intersect_aabb(&near).filter(|&other| other as usize > index);
+                let others = edges.overlapping(box_around(&one, at, reach)).into_iter();
+                let others = others.filter(|&other| other as usize > index);
                 let close = others.map(|other| self.edges[other as usize]).filter(|other| {
                     !other.iter().any(|v| one.contains(v))
                         && between_segments(one.map(place), other.map(place)).1 < reach
@@ -186,36 +184,26 @@ impl CornerPositions<'_> {
 
 /// How many edges go through faces that they have no corner in common with.
 pub(super) fn crossings(faces: &[[u32; 3]], edges: &[[u32; 2]], at: &[DVec3]) -> usize {
-    let tree = tree(faces, at);
+    let tree = BoxTree::from_elements(faces, at);
     edges
         .par_iter()
         .map(|edge| {
             let [from, to] = edge.map(|v| at[v as usize]);
-            let near = around(edge, at, 0.0);
             let through = |face: &u32| {
                 let face = faces[*face as usize];
                 let corners = face.map(|v| at[v as usize]);
                 !face.iter().any(|v| edge.contains(v))
                     && ray_meets(from, to - from, corners).is_some_and(|t| t <= 1.0)
             };
-            tree.intersect_aabb(&near).filter(through).count()
+            tree.overlapping(box_around(edge, at, 0.0)).iter().filter(|face| through(face)).count()
         })
         .sum()
 }
 
-fn tree<const N: usize>(parts: &[[u32; N]], at: &[DVec3]) -> Bvh {
-    let boxes = parts.iter().enumerate().map(|(index, part)| (index, around(part, at, 0.0)));
-    Bvh::from_iter(BvhBuildStrategy::Binned, boxes)
-}
-
 /// The box around vertices, larger by `reach` metres on all sides.
-fn around(vertices: &[u32], at: &[DVec3], reach: f64) -> Aabb {
-    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for &v in vertices {
-        (low, high) = (low.min(at[v as usize]), high.max(at[v as usize]));
-    }
-    let vector = |p: DVec3| Vector::from(p.to_array());
-    Aabb::new(vector(low - DVec3::splat(reach)), vector(high + DVec3::splat(reach)))
+fn box_around(vertices: &[u32], at: &[DVec3], reach: f64) -> [DVec3; 2] {
+    let [low, high] = bounds(vertices.iter().map(|&v| at[v as usize]));
+    [low - DVec3::splat(reach), high + DVec3::splat(reach)]
 }
 
 /// Where two segments are closest, as shares of their ways, and their distance (Ericson 2005,

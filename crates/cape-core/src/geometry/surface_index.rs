@@ -1,12 +1,9 @@
 use glam::{DMat3, DVec3};
-use parry3d_f64::{
-    bounding_volume::Aabb,
-    math::Vector,
-    partitioning::{Bvh, BvhBuildStrategy, BvhNode},
-    query::{PointQuery, Ray},
-};
 
-use super::surface::{SurfaceMesh, corner_angle, face_normals};
+use super::{
+    box_tree::{BoxTree, bounds},
+    surface::{SurfaceMesh, corner_angle, face_normals},
+};
 
 /// Where a ray meets a surface.
 ///
@@ -68,7 +65,7 @@ pub struct SurfaceIndex {
     to: Vec<DVec3>,
     faces: Vec<[u32; 3]>,
     across: Vec<[Option<u32>; 3]>,
-    tree: Bvh,
+    tree: BoxTree,
     now: SurfaceMesh,
     face_normals: Vec<DVec3>,
 }
@@ -83,15 +80,10 @@ impl SurfaceIndex {
     /// A surface whose vertices move linearly to `to`; `across` are its
     /// [`neighbours`](SurfaceMesh::neighbours).
     pub fn moving(surface: &SurfaceMesh, to: Vec<DVec3>, across: Vec<[Option<u32>; 3]>) -> Self {
-        let boxes = surface.faces.iter().enumerate().map(|(index, face)| {
-            let both = face.iter().flat_map(|&v| [surface.vertices[v as usize], to[v as usize]]);
-            let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-            for p in both {
-                (low, high) = (low.min(p), high.max(p));
-            }
-            (index, Aabb::new(vector(low), vector(high)))
-        });
-        let tree = Bvh::from_iter(BvhBuildStrategy::Binned, boxes);
+        let swept = |face: &[u32; 3]| {
+            bounds(face.iter().flat_map(|&v| [surface.vertices[v as usize], to[v as usize]]))
+        };
+        let tree = BoxTree::new(surface.faces.iter().map(swept));
         let face_normals = surface.face_normals();
         Self {
             from: surface.vertices.clone(),
@@ -125,8 +117,7 @@ impl SurfaceIndex {
 
     /// The first face that a ray (unit `direction`) meets within `reach` metres.
     pub fn cast(&self, origin: DVec3, direction: DVec3, reach: f64) -> Option<RayHit> {
-        let ray = Ray::new(vector(origin), vector(direction));
-        let (face, distance) = self.tree.cast_ray(&ray, reach, |face, _| {
+        let (face, distance) = self.tree.cast(origin, direction, reach, |face| {
             let distance = ray_meets(origin, direction, self.now.corners(face as usize))?;
             (distance <= reach).then_some(distance)
         })?;
@@ -149,12 +140,8 @@ impl SurfaceIndex {
             point.distance(closest_on_triangle(point, self.now.corners(face as usize)).0)
         };
         let known = guess.map(|face| (face, distance(face))).filter(|known| known.1 < reach);
-        let from = vector(point);
-        let better = self.tree.find_best(
-            known.map_or(reach, |known| known.1),
-            |node: &BvhNode, _| node.aabb().distance_to_local_point(from, true),
-            |face, _| Some(distance(face)),
-        );
+        let reach = known.map_or(reach, |known| known.1);
+        let better = self.tree.nearest(point, reach, |face| Some(distance(face)));
         let (face, _) = better.or(known)?;
         let (nearest, barycentric) = closest_on_triangle(point, self.now.corners(face as usize));
         let normal = self.pseudo_normal(face as usize, barycentric);
@@ -235,10 +222,6 @@ impl SurfaceIndex {
 
 /// Faces that a vertex can have on each side of a face.
 const MOST_AROUND: usize = 100;
-
-fn vector(p: DVec3) -> Vector {
-    Vector::from(p.to_array())
-}
 
 /// Distance along a ray to a triangle (Möller and Trumbore 1997). Triangles are larger by a billionth,
 /// so that no ray slips through between two.
