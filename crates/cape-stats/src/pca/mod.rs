@@ -4,15 +4,18 @@
 //! [`Pca::fit`] needs a few rows and the components in memory, never all data: it reads every row
 //! once for each block of a Krylov space of the covariance, and stops when the components satisfy
 //! the eigenvalue equation to a stated error. 31,036 frames of 6890 vertices take about a dozen
-//! passes.
+//! passes. [`Pca::from_snapshots`] has few rows in memory and finds all components.
 
 mod file;
 mod krylov;
+mod snapshots;
 #[cfg(test)]
 mod tests;
 
 use ndarray::{Array1, Array2, ArrayView2, Axis};
 use rayon::prelude::*;
+
+pub use snapshots::ComponentSelection;
 
 use crate::{Error, Result};
 use cape_core::ProgressFn;
@@ -70,7 +73,7 @@ pub struct Pca {
     /// Variance along all directions together.
     pub total_variance: f64,
     /// Largest residual of the eigenvalue equation, relative to the largest variance: no variance
-    /// is further off than that.
+    /// is further off than that. NaN if it is not known.
     pub residual: f64,
 }
 
@@ -109,7 +112,7 @@ impl Pca {
         })
     }
 
-    /// How many components there are.
+    /// Number of components.
     pub fn latent(&self) -> usize {
         self.components.nrows()
     }
@@ -120,14 +123,32 @@ impl Pca {
     }
 
     /// Coordinates of rows `[n, numbers]` along the components, `[n, components]`.
-    pub fn encode(&self, rows: &ArrayView2<f64>) -> Array2<f64> {
-        (rows - &self.mean).dot(&self.components.t())
+    ///
+    /// # Errors
+    /// If the rows have another number of columns than the mean.
+    pub fn encode(&self, rows: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
+        expect_columns("rows", rows, self.mean.len())?;
+        Ok((&rows - &self.mean).dot(&self.components.t()))
     }
 
     /// Rows `[n, numbers]` of coordinates `[n, components]`.
-    pub fn decode(&self, codes: &ArrayView2<f64>) -> Array2<f64> {
-        codes.dot(&self.components) + &self.mean
+    ///
+    /// # Errors
+    /// If there is not one coordinate for each component.
+    pub fn decode(&self, codes: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
+        expect_columns("codes", codes, self.latent())?;
+        Ok(codes.dot(&self.components) + &self.mean)
     }
+}
+
+fn expect_columns(name: &str, rows: ArrayView2<'_, f64>, expected: usize) -> Result<()> {
+    if rows.ncols() == expected {
+        return Ok(());
+    }
+    Err(Error::argument(format!(
+        "principal components: {name} of {} numbers, expected {expected}",
+        rows.ncols()
+    )))
 }
 
 /// Rows that are read when they are needed.

@@ -117,18 +117,18 @@ impl ComparisonContext<'_> {
         })?;
         let encode = |set: &PackedSet, row: usize| -> Result<Array1<f64>> {
             let displacement = Array1::from_vec(set.displacement_row(row)?).insert_axis(Axis(0));
-            Ok(pca.encode(&displacement.view()).remove_axis(Axis(0)))
+            Ok(pca.encode(displacement.view())?.remove_axis(Axis(0)))
         };
-        let decode = |code: Array1<f64>| {
-            pca.decode(&code.insert_axis(Axis(0)).view()).remove_axis(Axis(0)).to_vec()
+        let decode = |code: Array1<f64>| -> Result<Vec<f64>> {
+            Ok(pca.decode(code.insert_axis(Axis(0)).view())?.remove_axis(Axis(0)).to_vec())
         };
-        let reconstruction_mm = self.error(|row| Ok(decode(encode(self.test, row)?)))?;
+        let reconstruction_mm = self.error(|row| decode(encode(self.test, row)?))?;
         // As many numbers as CAPE has.
         let few = self.run.config().model.latent.min(components);
         let few_mm = self.error(|row| {
             let mut code = encode(self.test, row)?;
             code.slice_mut(ndarray::s![few..]).fill(0.0);
-            Ok(decode(code))
+            decode(code)
         })?;
         let mean_mm = self.error(|_| Ok(pca.mean.to_vec()))?;
 
@@ -145,7 +145,7 @@ impl ComparisonContext<'_> {
         let all: Vec<usize> = (0..self.test.frames()).collect();
         let (inputs, _) = self::inputs(self.test, &all)?;
         let predicted = regressor.regressor.predict(inputs.view())?;
-        let prediction_mm = self.error(|row| Ok(decode(predicted.row(row).to_owned())))?;
+        let prediction_mm = self.error(|row| decode(predicted.row(row).to_owned()))?;
         let plain = MethodComparison {
             method: "principal components".into(),
             code: components,
