@@ -13,8 +13,6 @@ use cape_core::{
 };
 
 /// Kinds of garments, each of its own topology.
-///
-/// See [`Garment`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum GarmentKind {
     /// A body with sleeves.
@@ -62,8 +60,6 @@ pub struct Garment {
 
 /// A garment made for a body with its arms lowered by 45°, between where arms mostly are and where
 /// they may go: sleeves that are sewn further up bunch under hanging arms.
-///
-/// See [`Garment`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GarmentMesh {
     /// The garment around the body.

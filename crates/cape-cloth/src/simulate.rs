@@ -67,8 +67,6 @@ impl Default for SimulationOptions {
 }
 
 /// State of the cloth after a frame.
-///
-/// See [`SimulationOptions`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct StepReport {
     /// Deepest that a vertex or the middle of a face is inside the body, metres.
@@ -86,8 +84,6 @@ pub struct StepReport {
 }
 
 /// How a whole simulation went.
-///
-/// See [`SimulationOptions`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct SimulationQuality {
     /// Deepest that a vertex or the middle of a face was inside the body, metres.
@@ -105,8 +101,6 @@ pub struct SimulationQuality {
 }
 
 /// A garment's movement.
-///
-/// See [`SimulationOptions`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulatedGarment {
     /// Clothing vertices, metres, `[frames, vertices, 3]`.

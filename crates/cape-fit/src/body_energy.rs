@@ -64,8 +64,6 @@ impl Default for BodyWeights {
 }
 
 /// The terms of the energy, unweighted.
-///
-/// See [`BodyWeights`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct BodyTerms {
     /// `E_J`, in halves of squared deviations of the detector.
@@ -89,8 +87,6 @@ impl BodyTerms {
 }
 
 /// The energy of bodies before a camera that saw keypoints.
-///
-/// See [`Smplify`](crate::Smplify) for an example.
 #[derive(Debug, Clone)]
 pub struct BodyEnergy<'a> {
     /// The body's joints.

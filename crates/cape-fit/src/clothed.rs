@@ -17,8 +17,6 @@ use crate::{
 const SMALLEST: u32 = 16;
 
 /// One scale of the comparison of silhouettes.
-///
-/// See [`FitConfig`](crate::FitConfig) for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SilhouetteLevel {
@@ -37,8 +35,6 @@ pub struct SilhouetteLevel {
 /// frames of the synthetic set for the lowest error at clothing vertices: it takes 36 % off the
 /// squared error of the bare body at 5e4 and at 1.5e5, 33 % at 2e4. A third of λ_θ or λ_z changes
 /// that by at most 3 %; three times λ_θ costs 8 %.
-///
-/// See [`FitConfig`](crate::FitConfig) for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClothedConfig {
@@ -121,8 +117,6 @@ impl ClothedTerms {
 }
 
 /// A clothed body that explains keypoints and a silhouette.
-///
-/// See [`DressedBody`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ClothedFit {
     /// The body under the clothes.

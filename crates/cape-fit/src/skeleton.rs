@@ -38,8 +38,6 @@ pub struct Skeleton {
 }
 
 /// A posed skeleton.
-///
-/// See [`Skeleton`] for an example.
 #[derive(Debug, Clone)]
 pub struct PosedSkeleton<'a> {
     skeleton: &'a Skeleton,
@@ -52,8 +50,6 @@ pub struct PosedSkeleton<'a> {
 }
 
 /// The gradient of a function of a posed skeleton.
-///
-/// See [`Skeleton`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SkeletonGradient {
     /// By translation, `[3]`.

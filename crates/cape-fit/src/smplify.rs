@@ -17,8 +17,6 @@ use crate::{
 };
 
 /// How bare bodies are fitted.
-///
-/// See [`Smplify`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SmplifyConfig {
@@ -79,8 +77,6 @@ impl SmplifyConfig {
 }
 
 /// A bare body that explains keypoints.
-///
-/// See [`Smplify`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BodyFit {
     /// The body.

@@ -21,8 +21,6 @@ use crate::{
 };
 
 /// What is seen.
-///
-/// See [`Benchmark`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BenchmarkOptions {
@@ -47,8 +45,6 @@ impl Default for BenchmarkOptions {
 }
 
 /// Errors after scale and translation are taken out (eq. 12–13), at clothing vertices.
-///
-/// See [`BenchmarkSummary`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FitError {
     /// Mean squared distance, m².
@@ -62,8 +58,6 @@ pub struct FitError {
 }
 
 /// One frame of the benchmark, and what was found.
-///
-/// See [`BenchmarkSummary`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BenchmarkCase {
     /// Number of the held-out frame.

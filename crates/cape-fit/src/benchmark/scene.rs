@@ -14,8 +14,6 @@ const PLACE: DVec3 = DVec3::new(0.0, 0.15, -3.3);
 const SHAPES: usize = 4;
 
 /// What a frame shows, and what is behind it.
-///
-/// See [`Benchmark`](super::Benchmark) for an example.
 #[derive(Debug, Clone)]
 pub struct Scene {
     /// The camera.

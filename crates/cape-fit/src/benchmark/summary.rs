@@ -6,8 +6,6 @@ use crate::Result;
 use cape_stats::PairedComparison;
 
 /// Mean and median of the cases' values.
-///
-/// See [`BenchmarkSummary`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ValueSummary {
     /// Mean.
@@ -19,8 +17,6 @@ pub struct ValueSummary {
 }
 
 /// How well one method did.
-///
-/// See [`BenchmarkSummary`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct MethodScores {
     /// Mean squared distance at clothing vertices, m².
@@ -34,8 +30,6 @@ pub struct MethodScores {
 }
 
 /// The cases in one outfit.
-///
-/// See [`BenchmarkSummary`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct OutfitSummary {
     /// What is worn.

@@ -9,8 +9,6 @@ pub use file::{People, read_keypoints};
 use crate::{Error, Result};
 
 /// A point that a detector saw.
-///
-/// See [`Keypoints`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Keypoint {
     /// Column, pixels from the left edge.
@@ -43,8 +41,6 @@ pub struct Keypoints {
 }
 
 /// A joint of SMPL as it was seen.
-///
-/// See [`Keypoints`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KeypointDetection {
     /// The joint's number.

@@ -63,8 +63,6 @@ pub struct ScanBenchmarkOptions {
 }
 
 /// Errors of one scan's fit, millimetres.
-///
-/// See [`ScanBenchmarkOptions`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct ScanError {
     /// Mean distance of clothing vertices from the true ones, in the mean clothes.
@@ -88,8 +86,6 @@ pub struct ScanError {
 }
 
 /// One scan of the benchmark.
-///
-/// See [`ScanBenchmarkOptions`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ScanCase {
     /// Number of the held-out frame.

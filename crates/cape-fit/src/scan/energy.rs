@@ -95,8 +95,6 @@ impl<'a> ScanTarget<'a> {
 }
 
 /// Both directions of `E_D`, square metres.
-///
-/// See [`ScanFitter`](super::ScanFitter) for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScanTerms {
     /// From the scan to the body.
@@ -225,8 +223,6 @@ pub(crate) fn surface_distance(points: &[DVec3], vertices: &[DVec3], faces: &[[u
 }
 
 /// How far a surface is from a scan, millimetres.
-///
-/// See [`FreeFormSurface`](super::FreeFormSurface) for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScanDistance {
     /// Half of the scan's points are nearer to the surface.

@@ -20,8 +20,6 @@ use crate::{
 };
 
 /// The terms of the energy, unweighted.
-///
-/// See [`ScanFitter`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScanFitTerms {
     /// Those of priors, and of joints if some are known.
@@ -33,8 +31,6 @@ pub struct ScanFitTerms {
 }
 
 /// A clothed body that explains a scan.
-///
-/// See [`ScanFitter`] for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ScanFit {
     /// The body under the clothes, in the scan's space, metres.
@@ -62,8 +58,6 @@ pub struct ScanFit {
 }
 
 /// Steps that were made, of how many at most.
-///
-/// See [`ScanFitter`] for an example.
 pub type ScanProgressFn<'a> = dyn FnMut(usize, usize) + 'a;
 
 /// Fits a run's clothed bodies to scans.

@@ -16,8 +16,6 @@ use super::{
 use crate::{Error, Result, body_energy::check_weight};
 
 /// How freely vertices leave a fitted surface.
-///
-/// See [`FreeFormSurface`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FreeFormConfig {

@@ -16,8 +16,6 @@ use crate::{BodyParameters, Error, Result, parameters::POSE};
 const SAME: f64 = 1e-5;
 
 /// Where a registration goes in a raw tree.
-///
-/// See [`Registration`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FrameLocation {
     /// The subject.

@@ -5,8 +5,6 @@ use serde::{Deserialize, Serialize};
 use crate::{BodyWeights, Error, Result, body_energy::check_weight};
 
 /// What a stage solves for.
-///
-/// See [`ScanConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Unknowns {
@@ -19,8 +17,6 @@ pub enum Unknowns {
 }
 
 /// One stage.
-///
-/// See [`ScanConfig`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScanStage {

@@ -62,8 +62,6 @@ pub struct SilhouetteEnergy {
 }
 
 /// Both directions of `E_S`: means over the image's silhouette, metres at the person's distance.
-///
-/// See [`SilhouetteEnergy`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct SilhouetteTerms {
     /// Of the rendered silhouette's pixels to the image's.
@@ -80,8 +78,6 @@ impl SilhouetteTerms {
 }
 
 /// A surface matched with the image's silhouette.
-///
-/// See [`SilhouetteEnergy`] for an example.
 #[derive(Debug, Clone)]
 pub struct SilhouetteMatch<'a> {
     energy: &'a SilhouetteEnergy,

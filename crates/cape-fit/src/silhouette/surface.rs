@@ -7,8 +7,6 @@ use super::Mask;
 use crate::{PinholeCamera, Result, camera::depth};
 
 /// A point that stays on its triangle when the surface moves.
-///
-/// See [`Rendering`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SurfacePoint {
     /// Vertices of the triangle.

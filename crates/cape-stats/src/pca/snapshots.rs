@@ -176,7 +176,8 @@ mod tests {
             [(60, 30, 0.2, 12), (30, 90, 0.05, 20), (9, 400, 0.1, 8), (40, 12, 0.5, 12)]
         {
             let data = data(count, numbers, decay);
-            let pca = Pca::from_snapshots(data.view(), ComponentSelection::Components(wanted)).unwrap();
+            let pca =
+                Pca::from_snapshots(data.view(), ComponentSelection::Components(wanted)).unwrap();
             let centred = &data - &data.mean_axis(Axis(0)).unwrap();
             let matrix = DMatrix::from_row_iterator(count, numbers, centred.iter().copied());
             let svd = matrix.svd(false, true);
