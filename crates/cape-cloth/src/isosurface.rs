@@ -1,3 +1,8 @@
+//! Isosurfaces for garments.
+//!
+//! The polygoniser of `cape-synth` splits cubes into tetrahedra for a closed body whose vertices it numbers
+//! and mirrors; garments need triangles of even size for the simulation, which surface nets give.
+
 use std::collections::HashMap;
 
 use glam::{DVec3, IVec3};
@@ -5,8 +10,8 @@ use rayon::prelude::*;
 
 use cape_core::geometry::SurfaceMesh;
 
-/// The zero surface of `field` in a box, by naive surface nets (Gibson 1998) on cubes of `size`
-/// metres; faces look to where the field is positive.
+/// Zero surface of `field` in a box by naive surface nets (Gibson 1998) on cubes of `size` metres; faces
+/// point to where the field is positive.
 pub(super) fn surface_nets(
     low: DVec3,
     high: DVec3,
@@ -64,7 +69,7 @@ pub(super) fn surface_nets(
                     let around = [node - u - v, node - v, node, node - u];
                     let Some([a, b, c, d]) = quad(&of_cell, around) else { continue };
                     let [a, b, c, d] = if inside { [a, b, c, d] } else { [a, d, c, b] };
-                    // Alternately, so that no diagonal is preferred.
+                    // Alternating diagonals avoid a preferred direction.
                     let even = (x + y + z) % 2 == 0;
                     surface.faces.extend(if even {
                         [[a, b, c], [a, c, d]]

@@ -3,21 +3,20 @@ use rayon::prelude::*;
 
 use cape_core::geometry::{BoxTree, SurfaceMesh, bounds, closest_on_triangle, ray_meets};
 
-/// Steps until pairs are looked for again.
+/// Steps between two searches for close pairs.
 const STEPS: usize = 5;
 
-/// How much further than the distance kept pairs are looked for, metres: what two parts of a
-/// garment go towards each other meanwhile.
+/// Margin of the search for close pairs, metres: the approach of two parts between two searches.
 const SLACK: f64 = 0.008;
 
-/// Least sine of the angle of two edges whose sides are told apart.
+/// Least sine of the angle between two edges whose sides can be distinguished.
 const PARALLEL: f64 = 0.02;
 
-/// Parts of a cloth that keep a distance from each other: vertices from faces and edges from
-/// edges, each on the side where it was a step ago.
+/// Self-collision constraints of a cloth: vertices keep a distance from faces and edges from edges, each
+/// on its side before the step.
 #[derive(Debug, Clone)]
 pub(super) struct SelfCollision {
-    /// Distance kept, metres, unless the parts are closer at rest.
+    /// Distance, metres; less for parts that are closer at rest.
     distance: f64,
     rest: SurfaceMesh,
     edges: Vec<[u32; 2]>,
@@ -25,7 +24,7 @@ pub(super) struct SelfCollision {
     steps: usize,
 }
 
-/// Two parts that may come close and the distance that they keep.
+/// Two close parts and the distance that they keep, metres.
 #[derive(Debug, Clone, Copy)]
 enum ClosePair {
     /// A vertex and a face.
@@ -39,7 +38,7 @@ impl SelfCollision {
         Self { distance, edges: rest.edges(), rest: rest.clone(), pairs: Vec::new(), steps: 0 }
     }
 
-    /// Brings close pairs apart, one after the other. `before` are the positions a step ago.
+    /// Separates close pairs, one after the other. `before` are the positions before the step, metres.
     pub(super) fn resolve(
         &mut self,
         before: &[DVec3],
@@ -106,7 +105,7 @@ impl SelfCollision {
     }
 }
 
-/// Positions that constraints move.
+/// Positions before and after the step.
 struct CornerPositions<'a> {
     before: &'a [DVec3],
     positions: &'a mut [DVec3],
@@ -122,6 +121,7 @@ impl CornerPositions<'_> {
         self.before[v as usize]
     }
 
+    /// Separates a vertex from a face.
     fn part_vertex(&mut self, vertex: u32, face: [u32; 3], least: f64) {
         let corners = face.map(|v| self.now(v));
         let (nearest, weights) = closest_on_triangle(self.now(vertex), corners);
@@ -144,6 +144,7 @@ impl CornerPositions<'_> {
         }
     }
 
+    /// Separates two edges.
     fn part_edges(&mut self, one: [u32; 2], other: [u32; 2], least: f64) {
         let [p, q] = one.map(|v| self.now(v));
         let [r, s] = other.map(|v| self.now(v));
@@ -168,8 +169,7 @@ impl CornerPositions<'_> {
         }
     }
 
-    /// Moves vertices, by their weight in the distance that is to grow by `missing` along
-    /// `direction`.
+    /// Moves vertices along `direction` so that their weighted distance grows by `missing` metres.
     fn push(&mut self, ends: [(u32, f64); 4], direction: DVec3, missing: f64) {
         let share = |&(v, weight): &(u32, f64)| self.inverse_masses[v as usize] * weight * weight;
         let sum: f64 = ends.iter().map(share).sum();
@@ -182,7 +182,7 @@ impl CornerPositions<'_> {
     }
 }
 
-/// How many edges go through faces that they have no corner in common with.
+/// Number of intersections of edges with faces that share no corner with them.
 pub(super) fn crossings(faces: &[[u32; 3]], edges: &[[u32; 2]], at: &[DVec3]) -> usize {
     let tree = BoxTree::from_elements(faces, at);
     edges
@@ -206,8 +206,7 @@ fn box_around(vertices: &[u32], at: &[DVec3], reach: f64) -> [DVec3; 2] {
     [low - DVec3::splat(reach), high + DVec3::splat(reach)]
 }
 
-/// Where two segments are closest, as shares of their ways, and their distance (Ericson 2005,
-/// §5.1.9).
+/// Parameters of the closest points of two segments, 0 to 1, and their distance (Ericson 2005, §5.1.9).
 pub(super) fn between_segments([p, q]: [DVec3; 2], [r, s]: [DVec3; 2]) -> ([f64; 2], f64) {
     let (along, other, from) = (q - p, s - r, p - r);
     let (a, e, f) = (along.length_squared(), other.length_squared(), other.dot(from));

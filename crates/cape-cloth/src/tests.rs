@@ -1,6 +1,6 @@
 use std::{f64::consts::PI, time::Instant};
 
-use cape_synth::{Motion as Movement, MotionStyle, synthetic_body};
+use cape_synth::{Motion, MotionStyle, synthetic_body};
 use glam::DVec3;
 use ndarray::Array2;
 
@@ -357,7 +357,7 @@ fn garments_are_sewn_around_the_body() {
     assert!(wrong.sew(&model, &shape).unwrap_err().to_string().contains("width"));
 }
 
-/// Number of closed curves that the boundary consists of.
+/// Number of closed boundary curves.
 fn boundary_rings(surface: &SurfaceMesh) -> usize {
     let mut next = std::collections::HashMap::new();
     for (corners, across) in surface.faces.iter().zip(surface.neighbours()) {
@@ -384,7 +384,7 @@ fn boundary_rings(surface: &SurfaceMesh) -> usize {
 }
 
 fn simulated(
-    (kind, movement): (GarmentKind, Movement),
+    (kind, movement): (GarmentKind, Motion),
     material: &ClothMaterial,
     frames: usize,
 ) -> (GarmentMesh, SimulatedGarment) {
@@ -408,10 +408,10 @@ fn simulated(
 #[test]
 fn every_garment_follows_a_moving_body() {
     for (kind, movement, frames) in [
-        (GarmentKind::TShirt, Movement::WalkMarch, 20),
-        (GarmentKind::Shorts, Movement::Squats, 10),
-        (GarmentKind::Skirt, Movement::WalkMarch, 10),
-        (GarmentKind::Dress, Movement::TwistTilt, 10),
+        (GarmentKind::TShirt, Motion::WalkMarch, 20),
+        (GarmentKind::Shorts, Motion::Squats, 10),
+        (GarmentKind::Skirt, Motion::WalkMarch, 10),
+        (GarmentKind::Dress, Motion::TwistTilt, 10),
     ] {
         let start = Instant::now();
         let (sewn, result) = simulated((kind, movement), &ClothMaterial::default(), frames);
@@ -421,7 +421,7 @@ fn every_garment_follows_a_moving_body() {
         assert!(quality.penetration < 4e-3, "{kind:?} {quality:?}");
         assert!(quality.strain < 0.33 && quality.mean_strain < 0.05, "{kind:?} {quality:?}");
         assert!(quality.crossings <= 2 && quality.speed < 5.0, "{kind:?} {quality:?}");
-        // Still worn: the garment's middle is on the body.
+        // The centre of the garment is still on the body.
         let last = result.frames.index_axis(ndarray::Axis(0), frames - 1);
         let middle = last.mean_axis(ndarray::Axis(0)).unwrap();
         let rest = sewn.surface.vertices.iter().sum::<DVec3>() / sewn.surface.vertices.len() as f64;
@@ -431,7 +431,7 @@ fn every_garment_follows_a_moving_body() {
 
 #[test]
 fn results_do_not_depend_on_threads() {
-    let run = || simulated((GarmentKind::Dress, Movement::Squats), &ClothMaterial::default(), 2).1;
+    let run = || simulated((GarmentKind::Dress, Motion::Squats), &ClothMaterial::default(), 2).1;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let pools = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
     assert_eq!(pool.install(run), pools.install(run));
@@ -441,7 +441,7 @@ fn results_do_not_depend_on_threads() {
 fn the_stiffest_cloth_stays_calm_over_a_moving_body() {
     let stiffest =
         ClothMaterial { stretch: 0.0, bend: 0.0, damping: 0.0, ..ClothMaterial::default() };
-    let garment = (GarmentKind::Skirt, Movement::JumpingJacks);
+    let garment = (GarmentKind::Skirt, Motion::JumpingJacks);
     let (_, result) = simulated(garment, &stiffest, 60);
     for (frame, report) in result.reports.iter().enumerate() {
         assert!(report.speed < 10.0 && report.strain[1] < 0.33, "frame {frame}: {report:?}");

@@ -18,7 +18,7 @@ impl Pca {
         file.add("explained_variance", &self.variances)?;
         file.add("total_variance", &arr1(&[self.total_variance]))?;
         file.add("residual", &arr1(&[self.residual]))?;
-        Ok(file.finish()?)
+        file.finish()
     }
 
     /// Reads what [`save`](Self::save) wrote.

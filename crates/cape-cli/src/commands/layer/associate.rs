@@ -183,7 +183,11 @@ pub(super) fn draw(tied: &AssociationOutput, out: &Path) -> Result {
 
 /// A contact sheet of a frame of the set as it is, and unposed by each association, with the edges that
 /// change most in the brightest colours.
-fn seams_picture(study: &EdgeChangeStudy<'_>, shown: usize, unposed: &[UnposedClothing]) -> Result<Image> {
+fn seams_picture(
+    study: &EdgeChangeStudy<'_>,
+    shown: usize,
+    unposed: &[UnposedClothing],
+) -> Result<Image> {
     let (sequence, frame) = study.set.each_frame()[shown];
     let sequence = &study.set.sequences[sequence];
     let body = sequence.body(study.model, frame, &study.standard)?;

@@ -49,12 +49,8 @@ impl ExperimentContext<'_> {
         named: &NamedSet,
     ) -> Result<Vec<(Experiment, ExperimentResults, Image)>> {
         let jobs = Experiment::for_set(&named.set);
-        let key = format!(
-            "{} {:?} {:?}",
-            named.set.fingerprint(),
-            self.association_args,
-            self.learning
-        );
+        let key =
+            format!("{} {:?} {:?}", named.set.fingerprint(), self.association_args, self.learning);
         let done: Vec<Option<(ExperimentResults, Image)>> =
             jobs.iter().map(|&job| self.kept(named, job, &key)).collect();
         let bench =
