@@ -213,7 +213,7 @@ impl LayerSet {
                 hash.update(value.to_le_bytes());
             }
         }
-        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+        format!("{:x}", hash.finalize())
     }
 
     /// Writes `set.json` and one `<name>.npz` for each sequence, clothing in float32, into `directory`,

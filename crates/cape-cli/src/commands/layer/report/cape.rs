@@ -8,8 +8,8 @@ use cape_data::{DisplacementStatistics, PackedSet, Split};
 use cape_eval::{ErrorSamples, EvalOptions, PosteriorUse, reconstruct_test, table2::hash_of};
 use cape_infer::{BodySpec, Run, batches, write_json};
 use cape_layer::{experiment::LearningOptions, regress::FeatureOptions};
-use cape_stats::pca::PcaOptions;
-use ndarray::{Array1, Array2, Axis, concatenate};
+use cape_stats::{errors::mean_distance_mm, pca::PcaOptions};
+use ndarray::{Array1, Array2, ArrayView2, Axis, concatenate};
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -201,10 +201,9 @@ impl ComparisonContext<'_> {
             let worn = run.decode_displacements(&codes, &vec![wearer.clone(); SAMPLES])?;
             let mean = worn.sum_axis(Axis(0)) / SAMPLES as f32;
             for sample in worn.outer_iter() {
-                let off = &sample - &mean;
-                let of = |&v: &usize| 1e3 * f64::from(off.row(v).dot(&off.row(v)).sqrt());
-                let clothing = run.clothing();
-                spreads.push(clothing.iter().map(of).sum::<f64>() / clothing.len().max(1) as f64);
+                let point = |of: ArrayView2<'_, f32>, v: usize| [0, 1, 2].map(|axis| of[[v, axis]]);
+                let pairs = run.clothing().iter().map(|&v| (point(sample, v), point(mean.view(), v)));
+                spreads.push(mean_distance_mm(pairs));
             }
         }
         Ok(MethodComparison {
