@@ -40,8 +40,8 @@ use cape_core::{
 pub struct SimulationOptions {
     /// Steps per frame.
     pub substeps: usize,
-    /// Duration of the transition from the sewing pose to the first frame, seconds, and of twice the
-    /// acceleration to its velocity in the second half of that time.
+    /// Duration of the transition from the sewing pose to the first pose, seconds, followed by half as long an
+    /// acceleration to the initial velocity.
     pub settle: f64,
     /// Gravitational acceleration, m/s².
     pub gravity: DVec3,

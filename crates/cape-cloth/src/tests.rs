@@ -64,7 +64,7 @@ fn a_pendulum_swings_in_its_time() {
     }
     let swings = (crossings.len() - 1) as f64;
     let period = (crossings[crossings.len() - 1] - crossings[0]) / swings;
-    // Of finite amplitude, by the series of the elliptic integral.
+    // Period at finite amplitude, by the series of the elliptic integral.
     let series = 1.0 + amplitude.powi(2) / 16.0 + 11.0 * amplitude.powi(4) / 3072.0;
     let expected = 2.0 * PI * (length / 9.81f64).sqrt() * series;
     assert!((period / expected - 1.0).abs() < 2e-3, "{period} {expected}");
@@ -113,7 +113,7 @@ fn a_chain_lengthens_by_hooke_s_law() {
         vertices.push(DVec3::new(0.0, -0.1 * f64::from(k), 0.0));
     }
     let faces = (0..links as u32 - 1).map(|k| [k, k + 1, k + 2]).collect();
-    // Zero areas have no mass: a little width to the side.
+    // A small width, because zero areas have no mass.
     for (k, v) in vertices.iter_mut().enumerate() {
         v.x = if k % 2 == 0 { 0.0 } else { 1e-3 };
     }
@@ -222,7 +222,7 @@ fn segments_are_closest_where_brute_force_says() {
 
 #[test]
 fn crossings_are_counted() {
-    // A triangle upright through the middle of another; its two sides that go through it.
+    // An upright triangle through the centre of another: two of its sides intersect it.
     let vertices = vec![
         DVec3::new(-1.0, 0.0, -1.0),
         DVec3::new(1.0, 0.0, -1.0),
@@ -244,7 +244,7 @@ fn a_strip_between_two_bars_hangs_in_a_catenary() {
     let strip = grid(links + 1, 3, |u, v| DVec3::new(length * u, 0.0, 0.06 * v));
     let material = ClothMaterial { damping: 3.0, ..bare(0.0, 1e3) };
     let mut cloth = Cloth::new(&strip, &material).unwrap();
-    // From a V of the same length.
+    // Start from a V of the same length.
     let drop = 0.5 * (length * length - span * span).sqrt();
     for (x, rest) in cloth.positions.iter_mut().zip(&strip.vertices) {
         let u = rest.x / length;
@@ -255,7 +255,7 @@ fn a_strip_between_two_bars_hangs_in_a_catenary() {
         cloth.pin(3 * links + side);
     }
     (0..12_000).for_each(|_| cloth.step(5e-4, GRAVITY, None));
-    // Of the length 2 a sinh(span / 2a): a by bisection.
+    // Catenary of length 2 a sinh(span / 2a): a by bisection.
     let (mut low, mut high) = (0.05, 10.0);
     for _ in 0..100 {
         let a = 0.5 * (low + high);

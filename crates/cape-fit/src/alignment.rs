@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_compared_is_refused() {
+    fn incomparable_points_are_refused() {
         let one = [DVec3::ONE];
         assert_eq!(Alignment::between(&one, &[DVec3::ZERO]).unwrap().scale, 1.0);
         assert!(Alignment::between(&[], &[]).is_err());

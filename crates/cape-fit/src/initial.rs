@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn what_says_nothing_is_refused() {
+    fn too_few_or_coincident_joints_are_refused() {
         let camera = PinholeCamera::new(500, 400, None).unwrap();
         let rest = Skeleton::new(&BODY).unwrap().rest(&[]);
         let seen = detections(&camera, &rest, &[1, 2, 16]);

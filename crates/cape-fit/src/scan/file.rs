@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_scan_is_refused() {
+    fn invalid_scans_are_refused() {
         assert!(message(Vec::new(), Unit::M).contains("0 points"));
         assert!(message(cloud(1.0)[..50].to_vec(), Unit::M).contains("50 points"));
         let mut broken = cloud(1.0);
@@ -233,7 +233,7 @@ mod tests {
         assert!(few.unwrap_err().to_string().contains("1 normals"));
         let wrong = Scan::new(cloud(1.0), None, vec![[0, 1, 600]], Unit::M);
         assert!(wrong.unwrap_err().to_string().contains("[0, 1, 600]"));
-        // Normals that are all zero are none.
+        // Zero normals count as unknown.
         let zero = Scan::new(cloud(1.0), Some(vec![DVec3::ZERO; 600]), Vec::new(), Unit::M);
         assert_eq!(zero.unwrap().normals(), None);
     }

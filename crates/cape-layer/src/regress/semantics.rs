@@ -162,7 +162,7 @@ mod tests {
         assert_eq!(plain.len(), 3, "only two vary");
         let seen = plain.reduced(&[4.0, 5.0, 6.0]).unwrap();
         assert!(seen.iter().all(|x| x.abs() < 1e-12), "the mean: {seen:?}");
-        // Two parameters that say the same are one number.
+        // Two proportional parameters reduce to one number.
         let reduced = SemanticParameters::from_rows(names(3), rows.view(), Some(1)).unwrap();
         assert_eq!(reduced.len(), 1);
         let [a, b] = [[1.0, 5.0, 0.0], [7.0, 5.0, 12.0]].map(|p| reduced.reduced(&p).unwrap()[0]);

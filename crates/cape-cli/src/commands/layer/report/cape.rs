@@ -175,7 +175,7 @@ impl ComparisonContext<'_> {
         let reconstruction_mm = meter.summary().overall.mean;
         let latent = run.config().model.latent;
         let wearers: Vec<BodySpec> = (0..test.frames())
-            .map(|row| Ok(cape_infer::registration(&test, row)?.1))
+            .map(|row| Ok(cape_infer::registration(test, row)?.1))
             .collect::<Result<_>>()?;
         let mut meter = self.meter();
         self.console.while_showing("predict", "frames", |progress| {
