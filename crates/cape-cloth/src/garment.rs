@@ -1,6 +1,7 @@
 use cape_core::SmplModel;
 use glam::DVec3;
 use ndarray::{Array2, s};
+use serde::Serialize;
 
 use super::{
     isosurface::surface_nets,
@@ -13,7 +14,7 @@ use cape_core::{
 };
 
 /// Kind of garment; each has its own topology.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 pub enum GarmentKind {
     /// A T-shirt.
     TShirt,
@@ -44,7 +45,7 @@ pub enum GarmentKind {
 /// assert!(hem(&longer.surface) < hem(&sewn.surface));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Garment {
     /// Kind.
     pub kind: GarmentKind,

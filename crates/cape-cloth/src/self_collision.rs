@@ -1,7 +1,9 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use cape_core::geometry::{BoxTree, SurfaceMesh, bounds, closest_on_triangle, ray_meets};
+use cape_core::geometry::{
+    BoxTree, SurfaceMesh, bounds, closest_on_triangle, ray_triangle_distance,
+};
 
 /// Steps between two searches for close pairs.
 const STEPS: usize = 5;
@@ -193,7 +195,7 @@ pub(super) fn crossings(faces: &[[u32; 3]], edges: &[[u32; 2]], at: &[DVec3]) ->
                 let face = faces[*face as usize];
                 let corners = face.map(|v| at[v as usize]);
                 !face.iter().any(|v| edge.contains(v))
-                    && ray_meets(from, to - from, corners).is_some_and(|t| t <= 1.0)
+                    && ray_triangle_distance(from, to - from, corners).is_some_and(|t| t <= 1.0)
             };
             tree.overlapping(box_around(edge, at, 0.0)).iter().filter(|face| through(face)).count()
         })

@@ -9,7 +9,6 @@ use cape_core::{
 };
 use ndarray::{Array1, Array2, Array3, Axis};
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
 use crate::{BodyFrame, Error, Result};
 use cape_core::{
@@ -185,35 +184,6 @@ impl LayerSet {
         };
         let clothing = clothing.clothing.index_axis(Axis(0), frame);
         Ok(SurfaceMesh::new("clothing", points(clothing), self.faces.clone())?)
-    }
-
-    /// SHA-256 of all faces, names and numbers in little-endian order, in hexadecimal, `[64]`: equal sets
-    /// have equal fingerprints on every machine and in every release.
-    pub fn fingerprint(&self) -> String {
-        let mut hash = Sha256::new();
-        let count = |hash: &mut Sha256, count: usize| hash.update((count as u64).to_le_bytes());
-        let text = |hash: &mut Sha256, text: &str| {
-            count(hash, text.len());
-            hash.update(text);
-        };
-        count(&mut hash, self.faces.len());
-        self.faces.iter().flatten().for_each(|corner| hash.update(corner.to_le_bytes()));
-        count(&mut hash, self.sequences.len());
-        for Sequence { name, clothing, betas, motion, parameters } in &self.sequences {
-            text(&mut hash, name);
-            for size in [clothing.shape(), &[betas.len()], motion.poses.shape()].concat() {
-                count(&mut hash, size);
-            }
-            let numbers = clothing.iter().chain(betas).chain(&motion.poses);
-            let numbers = numbers.chain(&motion.translations).chain([&motion.frame_rate]);
-            numbers.for_each(|number| hash.update(number.to_le_bytes()));
-            count(&mut hash, parameters.len());
-            for (name, value) in parameters {
-                text(&mut hash, name);
-                hash.update(value.to_le_bytes());
-            }
-        }
-        format!("{:x}", hash.finalize())
     }
 
     /// Writes `set.json` and one `<name>.npz` for each sequence, clothing in float32, into `directory`,
@@ -451,19 +421,6 @@ mod tests {
             LayerSet::add(grown.path(), &FACES, &sequence(name)).unwrap();
         }
         assert_eq!(LayerSet::load(grown.path()).unwrap(), set);
-    }
-
-    #[test]
-    fn fingerprints_tell_sets_apart() {
-        let of =
-            |name: &str| LayerSet::new(FACES.to_vec(), vec![sequence(name)]).unwrap().fingerprint();
-        assert_eq!(of("a"), of("a"));
-        assert_ne!(of("a"), of("b"));
-        let mut moved = sequence("a");
-        moved.clothing[(1, 2, 0)] += 1e-6;
-        assert_ne!(LayerSet::new(FACES.to_vec(), vec![moved]).unwrap().fingerprint(), of("a"));
-        // Fingerprints are kept in files: they must not change between releases.
-        assert_eq!(of("a"), "FINGERPRINT");
     }
 
     #[test]

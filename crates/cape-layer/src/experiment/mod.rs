@@ -10,6 +10,7 @@ mod unposed;
 
 use cape_stats::errors::distance_mm;
 use ndarray::{ArrayView1, ArrayView2};
+use serde::Serialize;
 
 pub use factor::{Factor, SequenceGroup};
 pub use run::{
@@ -66,7 +67,7 @@ pub fn distances(found: ArrayView2<'_, f64>, truth: ArrayView2<'_, f64>) -> Vec<
 }
 
 /// Options of principal components and regression.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LearningOptions {
     /// Number of principal components; the paper has 40 for one subject in one clothing, 100 for several.
     pub components: usize,

@@ -1,15 +1,15 @@
 //! The experiments on a set, kept so that an interrupted report goes on.
 
-use std::{fs, path::Path};
+use std::path::{Path, PathBuf};
 
 use cape_core::SmplModel;
-use cape_infer::write_json;
+use cape_eval::store::{ResultStore, StoreOptions, StoreSettings, unreadable};
 use cape_layer::{
     LayerSet,
     experiment::{Experiment, ExperimentResults, LearningOptions, UnposedSet},
 };
 use cape_render::Image;
-use serde::{Deserialize, Serialize};
+use serde_json::json;
 
 use super::figures;
 use crate::{
@@ -21,15 +21,8 @@ use crate::{
 /// A set by name.
 pub(super) struct NamedSet {
     pub(super) name: String,
+    pub(super) directory: PathBuf,
     pub(super) set: LayerSet,
-}
-
-/// Results of an experiment with the key of their settings, as they are kept.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
-struct KeptResults {
-    key: String,
-    #[serde(flatten)]
-    results: ExperimentResults,
 }
 
 /// What all experiments share.
@@ -37,22 +30,37 @@ pub(super) struct ExperimentContext<'a> {
     pub(super) model: &'a SmplModel,
     pub(super) learning: LearningOptions,
     pub(super) association_args: AssociationArgs,
-    /// Where outcomes and pictures are kept.
-    pub(super) kept: &'a Path,
+    /// File of the body; none for the synthetic one.
+    pub(super) body: Option<&'a Path>,
+    /// Directory with a store of each set's results and pictures.
+    pub(super) results: &'a Path,
+    /// Discard results of other settings or inputs instead of refusing them.
+    pub(super) overwrite: bool,
     pub(super) console: Console,
 }
 
 impl ExperimentContext<'_> {
+    /// The store of a set's results.
+    pub(super) fn store(&self, named: &NamedSet) -> Result<ResultStore> {
+        let settings = json!({ "association": self.association_args, "learning": self.learning });
+        let sequences = named.set.sequences.iter().map(|sequence| format!("{}.npz", sequence.name));
+        let files: Vec<String> = std::iter::once("set.json".into()).chain(sequences).collect();
+        let settings = StoreSettings::new("layer report, set", &settings)?
+            .with_optional_input("body", self.body, "synthetic body")?
+            .with_files("set", &named.directory, &files)?;
+        let options = StoreOptions { overwrite: self.overwrite, ..StoreOptions::default() };
+        Ok(ResultStore::open(&self.results.join(&named.name), settings, options)?)
+    }
+
     /// The outcomes and pictures of all experiments on a set.
     pub(super) fn work(
         &self,
         named: &NamedSet,
+        store: &ResultStore,
     ) -> Result<Vec<(Experiment, ExperimentResults, Image)>> {
         let jobs = Experiment::for_set(&named.set);
-        let key =
-            format!("{} {:?} {:?}", named.set.fingerprint(), self.association_args, self.learning);
         let done: Vec<Option<(ExperimentResults, Image)>> =
-            jobs.iter().map(|&job| self.kept(named, job, &key)).collect();
+            jobs.iter().map(|&job| kept(store, job)).collect::<Result<_>>()?;
         let bench =
             if done.iter().all(Option::is_some) { None } else { Some(self.associate(named)?) };
         let unposed = bench.as_ref().map(|tied| self.unpose(named, tied)).transpose()?;
@@ -65,34 +73,15 @@ impl ExperimentContext<'_> {
                 }
                 (None, Some(unposed)) => {
                     let (outcome, image) = self.run(named, unposed, job)?;
-                    image.save(self.path(named, job, "png"))?;
-                    // The results come last: where they are, their picture is too.
-                    let kept = KeptResults { key: key.clone(), results: outcome.clone() };
-                    write_json(&self.path(named, job, "json"), &kept)?;
-                    // As it will be read from now on, to the last digit.
-                    self.kept(named, job, &key).unwrap_or((outcome, image))
+                    image.save(store.claim(&file(job, "png"))?)?;
+                    // The outcome comes last: where it is, its picture is too.
+                    (store.write(&file(job, "json"), &outcome)?, image)
                 }
                 (None, None) => continue,
             };
             found.push((job, outcome, image));
         }
         Ok(found)
-    }
-
-    fn path(&self, named: &NamedSet, job: Experiment, extension: &str) -> std::path::PathBuf {
-        self.kept.join(format!("{}-{}.{extension}", named.name, job.name()))
-    }
-
-    fn kept(
-        &self,
-        named: &NamedSet,
-        job: Experiment,
-        key: &str,
-    ) -> Option<(ExperimentResults, Image)> {
-        let text = fs::read(self.path(named, job, "json")).ok()?;
-        let kept: KeptResults = serde_json::from_slice(&text).ok()?;
-        let image = Image::load(self.path(named, job, "png")).ok()?;
-        (kept.key == key).then_some((kept.results, image))
     }
 
     fn associate(&self, named: &NamedSet) -> Result<AssociationOutput> {
@@ -121,4 +110,20 @@ impl ExperimentContext<'_> {
             Ok::<_, Error>((outcome.results, image))
         })
     }
+}
+
+/// Name of an experiment's file.
+fn file(job: Experiment, extension: &str) -> String {
+    format!("{}.{extension}", job.name())
+}
+
+/// The outcome and the picture of a finished experiment.
+fn kept(store: &ResultStore, job: Experiment) -> Result<Option<(ExperimentResults, Image)>> {
+    let Some(outcome) = store.read(&file(job, "json"))? else { return Ok(None) };
+    let picture = store.path(&file(job, "png"));
+    if !picture.exists() {
+        return Ok(None);
+    }
+    let image = Image::load(&picture).map_err(|error| unreadable(&picture, &error.to_string()))?;
+    Ok(Some((outcome, image)))
 }
