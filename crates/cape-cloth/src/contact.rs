@@ -3,7 +3,8 @@ use rayon::prelude::*;
 
 use cape_core::geometry::SurfaceIndex;
 
-/// Parameters of the contact of cloth with a body in one step, at vertices and at the centres of faces.
+/// Parameters of the contact of cloth with a body in one step, at vertices and at the centres of
+/// faces.
 ///
 /// ```
 /// use cape_cloth::{Contact, ClothMaterial};
@@ -70,10 +71,10 @@ impl Contacts {
         }
     }
 
-    /// Pushes out faces whose centres, then vertices that are closer to the body than the thickness allows,
-    /// along the gradient of the distance, and applies Coulomb friction: the tangential movement of a
-    /// vertex relative to the body is reduced by at most the friction times its push. `before` are the
-    /// positions before the step, metres.
+    /// Pushes out faces whose centres, then vertices that are closer to the body than the thickness
+    /// allows, along the gradient of the distance, and applies Coulomb friction: the tangential
+    /// movement of a vertex relative to the body is reduced by at most the friction times its push.
+    /// `before` are the positions before the step, metres.
     pub(super) fn resolve(
         &mut self,
         contact: &Contact,

@@ -51,7 +51,8 @@ pub struct Garment {
     pub kind: GarmentKind,
     /// Length, relative to the distance from neck to hips (T-shirt) or from hips to knees (others).
     pub length: f64,
-    /// Width; the distance from the body is `(width − 1) · 0.14` m, 0.14 m being the radius of a torso.
+    /// Width; the distance from the body is `(width − 1) · 0.14` m, 0.14 m being the radius of a
+    /// torso.
     pub width: f64,
     /// Length of the sleeves, relative to the distance from shoulder to elbow.
     pub sleeve: f64,
@@ -59,8 +60,8 @@ pub struct Garment {
     pub resolution: f64,
 }
 
-/// A garment mesh around a body in the A-pose, arms lowered by 45°: sleeves that are sewn in the T-pose
-/// bunch under hanging arms.
+/// A garment mesh around a body in the A-pose, arms lowered by 45°: sleeves that are sewn in the
+/// T-pose bunch under hanging arms.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GarmentMesh {
     /// Surface around the body in the A-pose.
@@ -78,8 +79,8 @@ pub(super) fn sewing_pose(model: &SmplModel) -> Vec<f64> {
     StandardPose::A.angles(model.joints())
 }
 
-/// Surface of a body with the rest shape `[V, 3]` in the pose in which garments are sewn, and its joints,
-/// metres.
+/// Surface of a body with the rest shape `[V, 3]` in the pose in which garments are sewn, and its
+/// joints, metres.
 pub(super) fn sewing_body(
     model: &SmplModel,
     shape: &Array2<f64>,
@@ -145,8 +146,9 @@ impl Garment {
         [self.length, self.width, self.sleeve]
     }
 
-    /// Sews the garment for a body with the unclothed rest shape `[V, 3]`, metres: an offset surface of the
-    /// body, united with a flared tube for skirts, cut at hem, waist, sleeves and neck, and faired.
+    /// Sews the garment for a body with the unclothed rest shape `[V, 3]`, metres: an offset
+    /// surface of the body, united with a flared tube for skirts, cut at hem, waist, sleeves and
+    /// neck, and faired.
     ///
     /// # Errors
     /// If the body does not have SMPL's 24 joints, or the cut is out of range or leaves no surface.
@@ -291,7 +293,8 @@ impl GarmentOutline {
         }
     }
 
-    /// Coordinate of a point along the upper arm from the shoulder, and its distance from the axis, metres.
+    /// Coordinate of a point along the upper arm from the shoulder, and its distance from the axis,
+    /// metres.
     fn sleeve_coordinates(&self, p: DVec3) -> (f64, f64) {
         let from = DVec3::new(p.x.abs(), p.y, p.z) - self.shoulder;
         let beyond = from.dot(self.arm);

@@ -1,7 +1,8 @@
 //! Isosurfaces for garments.
 //!
-//! The polygoniser of `cape-synth` splits cubes into tetrahedra for a closed body whose vertices it numbers
-//! and mirrors; garments need triangles of even size for the simulation, which surface nets give.
+//! `cape-synth` has marching tetrahedra of its own: they follow the surface of a closed, mirrored
+//! body from a seed on a refined grid. The simulation needs triangles of even size instead, which
+//! surface nets give.
 
 use std::collections::HashMap;
 
@@ -10,8 +11,8 @@ use rayon::prelude::*;
 
 use cape_core::geometry::SurfaceMesh;
 
-/// Zero surface of `field` in a box by naive surface nets (Gibson 1998) on cubes of `size` metres; faces
-/// point to where the field is positive.
+/// Zero surface of `field` in a box by naive surface nets (Gibson 1998) on cubes of `size` metres;
+/// faces point to where the field is positive.
 pub(super) fn surface_nets(
     low: DVec3,
     high: DVec3,

@@ -1,10 +1,11 @@
 //! Garments over a moving body, simulated by extended position-based dynamics (Macklin et al. 2016)
 //! with many small steps of one iteration each (Macklin et al. 2019).
 //!
-//! A step integrates velocities, then projects constraints: lengths of edges (stretch) and distances
-//! between the opposite corners of neighbouring triangles (bending), attachment of a waistband, contact
-//! with the body at vertices and at the centres of faces, self-collision, and last the strain limit of
-//! edges. The order is fixed, so that results do not depend on the number of threads.
+//! A step integrates velocities, then projects constraints: lengths of edges (stretch) and
+//! distances between the opposite corners of neighbouring triangles (bending), attachment of a
+//! waistband, contact with the body at vertices and at the centres of faces, self-collision, and
+//! last the strain limit of edges. The order is fixed, so that results do not depend on the number
+//! of threads.
 //!
 //! ```
 //! use cape_cloth::{ClothMaterial, Garment, GarmentKind, SimulationOptions};

@@ -48,8 +48,8 @@ fn find(root: &mut [u32], mut v: u32) -> u32 {
     v
 }
 
-/// Iterations of [`fair`] that project all vertices to the surface, then those that project only vertices
-/// inside it.
+/// Iterations of [`fair`] that project all vertices to the surface, then those that project only
+/// vertices inside it.
 const ROUNDS: [usize; 2] = [20, 12];
 
 /// Smooths the triangles of a garment on the zero surface of `field`, then stretches it over concave

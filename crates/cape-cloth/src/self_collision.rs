@@ -14,8 +14,8 @@ const SLACK: f64 = 0.008;
 /// Least sine of the angle between two edges whose sides can be distinguished.
 const PARALLEL: f64 = 0.02;
 
-/// Self-collision constraints of a cloth: vertices keep a distance from faces and edges from edges, each
-/// on its side before the step.
+/// Self-collision constraints of a cloth: vertices keep a distance from faces and edges from edges,
+/// each on its side before the step.
 #[derive(Debug, Clone)]
 pub(super) struct SelfCollision {
     /// Distance, metres; less for parts that are closer at rest.
@@ -40,7 +40,8 @@ impl SelfCollision {
         Self { distance, edges: rest.edges(), rest: rest.clone(), pairs: Vec::new(), steps: 0 }
     }
 
-    /// Separates close pairs, one after the other. `before` are the positions before the step, metres.
+    /// Separates close pairs, one after the other. `before` are the positions before the step,
+    /// metres.
     pub(super) fn resolve(
         &mut self,
         before: &[DVec3],
@@ -208,7 +209,8 @@ fn box_around(vertices: &[u32], at: &[DVec3], reach: f64) -> [DVec3; 2] {
     [low - DVec3::splat(reach), high + DVec3::splat(reach)]
 }
 
-/// Parameters of the closest points of two segments, 0 to 1, and their distance (Ericson 2005, §5.1.9).
+/// Parameters of the closest points of two segments, 0 to 1, and their distance (Ericson 2005,
+/// §5.1.9).
 pub(super) fn between_segments([p, q]: [DVec3; 2], [r, s]: [DVec3; 2]) -> ([f64; 2], f64) {
     let (along, other, from) = (q - p, s - r, p - r);
     let (a, e, f) = (along.length_squared(), other.length_squared(), other.dot(from));

@@ -55,8 +55,8 @@ impl Default for ClothMaterial {
 }
 
 impl ClothMaterial {
-    /// Semantic parameters for regression: decimal logarithms of density, stretch and bend, then damping
-    /// and friction, `[5]`.
+    /// Semantic parameters for regression: decimal logarithms of density, stretch and bend, then
+    /// damping and friction, `[5]`.
     pub fn numbers(&self) -> [f64; 5] {
         let log = |x: f64| x.max(1e-12).log10();
         [log(self.density), log(self.stretch), log(self.bend), self.damping, self.friction]
@@ -140,7 +140,8 @@ pub struct Cloth {
 }
 
 impl Cloth {
-    /// A sheet at rest with the rest lengths of `surface`. Each vertex has a third of the mass of its faces.
+    /// A sheet at rest with the rest lengths of `surface`. Each vertex has a third of the mass of
+    /// its faces.
     ///
     /// # Errors
     /// If the material is out of range.
@@ -185,16 +186,17 @@ impl Cloth {
         })
     }
 
-    /// Enables self-collision: vertices keep `distance` metres from faces and edges from edges, or their
-    /// distance in the rest surface `rest` if that is less.
+    /// Enables self-collision: vertices keep `distance` metres from faces and edges from edges, or
+    /// their distance in the rest surface `rest` if that is less.
     #[must_use]
     pub fn with_self_collision(mut self, rest: &SurfaceMesh, distance: f64) -> Self {
         self.folds = Some(SelfCollision::new(rest, distance.max(0.0)));
         self
     }
 
-    /// Limits the elongation of edges to the share `limit` of their rest lengths. The limit is applied last
-    /// in a step: cloth that has no room penetrates the body rather than stretch further.
+    /// Limits the elongation of edges to the share `limit` of their rest lengths. The limit is
+    /// applied last in a step: cloth that has no room penetrates the body rather than stretch
+    /// further.
     #[must_use]
     pub fn with_strain_limit(mut self, limit: f64) -> Self {
         self.limit = limit.max(0.0);
@@ -206,7 +208,8 @@ impl Cloth {
         self.inverse_masses[vertex] = 0.0;
     }
 
-    /// Replaces the soft attachments: pairs of a vertex and a position, metres, with a `compliance` in m/N.
+    /// Replaces the soft attachments: pairs of a vertex and a position, metres, with a `compliance`
+    /// in m/N.
     pub fn attach(&mut self, places: impl IntoIterator<Item = (u32, DVec3)>, compliance: f64) {
         let attachment = |(vertex, to)| Attachment { vertex, to, compliance };
         self.attachments = places.into_iter().map(attachment).collect();
@@ -217,9 +220,9 @@ impl Cloth {
         1.0 / self.inverse_masses[vertex]
     }
 
-    /// One step of `dt` seconds. Constraints are projected once, which adds `dt²` times the inverse masses
-    /// of their ends to their compliance. `gravity` is in m/s². `body` is an obstacle and the times within
-    /// its frame before and after the step, each 0 to 1.
+    /// One step of `dt` seconds. Constraints are projected once, which adds `dt²` times the inverse
+    /// masses of their ends to their compliance. `gravity` is in m/s². `body` is an obstacle and
+    /// the times within its frame before and after the step, each 0 to 1.
     pub fn step(&mut self, dt: f64, gravity: DVec3, body: Option<(&SurfaceIndex, [f64; 2])>) {
         let before = self.positions.clone();
         let decay = (-self.material.damping * dt).exp();
@@ -317,7 +320,8 @@ impl Cloth {
         vertex_energy + elastic.sum::<f64>()
     }
 
-    /// Mean absolute strain of the edges, and the largest elongation, both relative to the rest lengths.
+    /// Mean absolute strain of the edges, and the largest elongation, both relative to the rest
+    /// lengths.
     pub fn strain(&self) -> [f64; 2] {
         let edges = &self.springs[..self.edges];
         let (mut sum, mut largest) = (0.0, 0.0f64);

@@ -40,8 +40,8 @@ use cape_core::{
 pub struct SimulationOptions {
     /// Steps per frame.
     pub substeps: usize,
-    /// Duration of the transition from the sewing pose to the first pose, seconds, followed by half as long an
-    /// acceleration to the initial velocity.
+    /// Duration of the transition from the sewing pose to the first pose, seconds, followed by half
+    /// as long an acceleration to the initial velocity.
     pub settle: f64,
     /// Gravitational acceleration, m/s².
     pub gravity: DVec3,
@@ -127,10 +127,10 @@ impl SimulatedGarment {
 }
 
 impl SimulationOptions {
-    /// Simulates a garment of a material on a body with the unclothed rest shape `shape`, metres, `[V, 3]`,
-    /// in motion. Before the first recorded frame the body changes from the shape and the pose in which the
-    /// garment was sewn to `shape` and the first pose. `watch` is called with the number of finished frames
-    /// and of all.
+    /// Simulates a garment of a material on a body with the unclothed rest shape `shape`, metres,
+    /// `[V, 3]`, in motion. Before the first recorded frame the body changes from the shape and the
+    /// pose in which the garment was sewn to `shape` and the first pose. `watch` is called with the
+    /// number of finished frames and of all.
     ///
     /// # Errors
     /// If an option is out of range, the motion does not fit the body, or the simulation diverges.

@@ -72,8 +72,9 @@ fn a_pendulum_swings_in_its_time() {
 
 #[test]
 fn a_hanging_sheet_stretches_under_its_weight() {
-    // A ladder of vertices: vertical edges carry what hangs below them. With the diagonals alternating
-    // the sheet is symmetric enough to stay plane; forces on the upper side add up to its weight.
+    // A ladder of vertices: vertical edges carry what hangs below them. With the diagonals
+    // alternating the sheet is symmetric enough to stay plane; forces on the upper side add up to
+    // its weight.
     let stretch = 0.02;
     let damped = ClothMaterial { damping: 8.0, ..bare(stretch, 1e3) };
     let surface = sheet();

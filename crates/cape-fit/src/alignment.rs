@@ -1,8 +1,9 @@
 //! Alignment by scale and translation for evaluation (CAPE eq. 12).
 //!
 //! A single image does not determine size and distance of a body: an estimate is compared with the
-//! ground truth after the scale and translation that bring it closest, in closed form for each frame.
-//! The paper aligns the clothing vertices; [`aligned_error`] aligns all vertices and measures at those.
+//! ground truth after the scale and translation that bring it closest, in closed form for each
+//! frame. The paper aligns the clothing vertices; [`aligned_error`] aligns all vertices and
+//! measures at those.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -32,8 +33,9 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// Scale and translation that minimise `Σ ‖s a_i + t − b_i‖²` over points `a_i` of the estimate and
-    /// `b_i` of the ground truth, metres; the scale is 1 if all points of the estimate coincide.
+    /// Scale and translation that minimise `Σ ‖s a_i + t − b_i‖²` over points `a_i` of the estimate
+    /// and `b_i` of the ground truth, metres; the scale is 1 if all points of the estimate
+    /// coincide.
     ///
     /// # Errors
     /// If there are no points or the numbers differ.

@@ -9,8 +9,8 @@ use crate::{
     parameters::{BETAS_AT, POSE_AT, transl},
 };
 
-/// Index in the pose and sign of the hyperextension angle of elbows and knees (term `E_a`). Elbows bend
-/// about the y axis, knees about the x axis.
+/// Index in the pose and sign of the hyperextension angle of elbows and knees (term `E_a`). Elbows
+/// bend about the y axis, knees about the x axis.
 const BENDS: [(usize, f64); 4] =
     [(18 * 3 + 1, 1.0), (19 * 3 + 1, -1.0), (4 * 3, -1.0), (5 * 3, -1.0)];
 
@@ -66,7 +66,8 @@ impl Default for BodyWeights {
 /// Unweighted body terms.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct BodyTerms {
-    /// Reprojection term `E_J`: half the robust squared errors in standard deviations of the detector.
+    /// Reprojection term `E_J`: half the robust squared errors in standard deviations of the
+    /// detector.
     pub joints: f64,
     /// Pose prior `E_θ`: negative log-density, up to a constant.
     pub pose: f64,
@@ -97,8 +98,8 @@ pub struct BodyEnergy<'a> {
     pub camera: PinholeCamera,
     /// Detections of the joints.
     pub detections: &'a [KeypointDetection],
-    /// Width of a pixel at the distance of the person, metres: errors are in metres, so that weights do not
-    /// depend on the size of the image.
+    /// Width of a pixel at the distance of the person, metres: errors are in metres, so that
+    /// weights do not depend on the size of the image.
     pub pixel: f64,
     /// Standard deviation of the detector at the distance of the person, metres.
     pub deviation: f64,
@@ -107,8 +108,8 @@ pub struct BodyEnergy<'a> {
 }
 
 impl BodyEnergy<'_> {
-    /// Terms at the unknowns `[3 + 72 + betas, …]` with `betas` shape coefficients; the weighted gradient is
-    /// added to `gradient`.
+    /// Terms at the unknowns `[3 + 72 + betas, …]` with `betas` shape coefficients; the weighted
+    /// gradient is added to `gradient`.
     ///
     /// # Errors
     /// If sizes do not fit the body.
@@ -158,8 +159,8 @@ impl BodyEnergy<'_> {
     }
 }
 
-/// Prior terms (all but `E_J`) at the unknowns `[3 + 72 + betas, …]`; the weighted gradient is added to
-/// `gradient`.
+/// Prior terms (all but `E_J`) at the unknowns `[3 + 72 + betas, …]`; the weighted gradient is
+/// added to `gradient`.
 pub(crate) fn prior_terms(
     prior: &PosePrior,
     x: &[f64],
@@ -183,8 +184,8 @@ pub(crate) fn prior_terms(
     terms
 }
 
-/// Geman–McClure penalty `ρ = σ² e² / (σ² + e²)` of a squared error `e²`, and its derivative with respect to
-/// `e²`.
+/// Geman–McClure penalty `ρ = σ² e² / (σ² + e²)` of a squared error `e²`, and its derivative with
+/// respect to `e²`.
 pub(crate) fn geman_mcclure(square: f64, sigma: f64) -> (f64, f64) {
     let s = sigma * sigma;
     let share = s / (s + square);

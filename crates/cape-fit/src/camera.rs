@@ -34,8 +34,8 @@ pub struct PinholeCamera {
 }
 
 impl PinholeCamera {
-    /// A camera with an image of `width` × `height` pixels and the focal length `focal`, pixels; by default
-    /// the diagonal of the image, a diagonal field of view of 53°.
+    /// A camera with an image of `width` × `height` pixels and the focal length `focal`, pixels; by
+    /// default the diagonal of the image, a diagonal field of view of 53°.
     ///
     /// # Errors
     /// If a side is 0 or too large, or the focal length is not positive.

@@ -1,5 +1,5 @@
-//! Clothed bodies fitted to keypoints and a silhouette (CAPE §6.3 and appendix B; `E_S` is eq. 10, the total
-//! energy eq. 11).
+//! Clothed bodies fitted to keypoints and a silhouette (CAPE §6.3 and appendix B; `E_S` is eq. 10,
+//! the total energy eq. 11).
 
 use cape_core::Outfit;
 use glam::DVec3;
@@ -31,18 +31,18 @@ pub struct SilhouetteLevel {
 
 /// Configuration of the clothed fit.
 ///
-/// The default weights are those of a negative log-likelihood (Gaussian keypoints, a mixture of poses,
-/// standard normal shapes and codes). λ_S is from a search over 8 to 12 held-out frames of the synthetic
-/// set for the least error at clothing vertices: it reduces the squared error of the unclothed body by
-/// 36 % at 5e4 and at 1.5e5, and by 33 % at 2e4. A third of λ_θ or λ_z changes that by at most 3 %; three
-/// times λ_θ costs 8 %. The paper gives no weights.
+/// The default weights are those of a negative log-likelihood (Gaussian keypoints, a mixture of
+/// poses, standard normal shapes and codes). λ_S is from a search over 8 to 12 held-out frames of
+/// the synthetic set for the least error at clothing vertices: it reduces the squared error of the
+/// unclothed body by 36 % at 5e4 and at 1.5e5, and by 33 % at 2e4. A third of λ_θ or λ_z changes
+/// that by at most 3 %; three times λ_θ costs 8 %. The paper gives no weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClothedConfig {
     /// Weight λ_S of the silhouette term `E_S`, 1/m.
     pub silhouette: f64,
-    /// Width of soft edges, pixels of the level, for soft silhouettes on all levels but the first; by default
-    /// all levels use distances.
+    /// Width of soft edges, pixels of the level, for soft silhouettes on all levels but the first;
+    /// by default all levels use distances.
     pub soft: Option<f64>,
     /// Weight λ_z of the code prior `‖z‖²`.
     pub code: f64,
@@ -50,8 +50,8 @@ pub struct ClothedConfig {
     pub body: BodyWeights,
     /// Silhouette levels, coarse to fine.
     pub levels: Vec<SilhouetteLevel>,
-    /// Intersection over union below which a second fit starts from the body with the trunk mirrored in depth,
-    /// which keypoints alone hardly distinguish.
+    /// Intersection over union below which a second fit starts from the body with the trunk
+    /// mirrored in depth, which keypoints alone hardly distinguish.
     pub doubtful: f64,
     /// Least intersection over union of a reliable fit.
     pub accepted: f64,
@@ -172,7 +172,8 @@ struct Descent {
 }
 
 impl ClothedProblem<'_> {
-    /// Terms at the unknowns `[3 + 72 + betas + latent]`; the weighted gradient is added to `gradient`.
+    /// Terms at the unknowns `[3 + 72 + betas + latent]`; the weighted gradient is added to
+    /// `gradient`.
     fn evaluate(
         &self,
         x: &[f64],
@@ -229,9 +230,10 @@ impl ClothedProblem<'_> {
 }
 
 impl Smplify {
-    /// Fits a clothed body to keypoints and silhouette by minimising the total energy (CAPE eq. 11), from the
-    /// unclothed body `start` of [`fit`](Self::fit) with the code 0. If the silhouettes then agree badly, a
-    /// second fit starts from the body with the trunk mirrored in depth; the one of lower energy is kept.
+    /// Fits a clothed body to keypoints and silhouette by minimising the total energy (CAPE eq.
+    /// 11), from the unclothed body `start` of [`fit`](Self::fit) with the code 0. If the
+    /// silhouettes then agree badly, a second fit starts from the body with the trunk mirrored in
+    /// depth; the one of lower energy is kept.
     ///
     /// # Errors
     /// If the mask is empty or of another image, or the body leaves the image.
@@ -331,8 +333,8 @@ impl Smplify {
         })
     }
 
-    /// [`fit_clothed`](Self::fit_clothed) in each of several outfits, in order of ascending energy. `progress`
-    /// is called with the number of fitted outfits and of all.
+    /// [`fit_clothed`](Self::fit_clothed) in each of several outfits, in order of ascending energy.
+    /// `progress` is called with the number of fitted outfits and of all.
     ///
     /// # Errors
     /// As of [`fit_clothed`](Self::fit_clothed), or if there is no outfit.

@@ -1,7 +1,7 @@
 //! Depth ambiguity of bones in a single image.
 //!
-//! A bone towards the camera and its mirror image in depth have nearly the same projection: limbs fitted to
-//! joints alone may be mirrored, each bone independently.
+//! A bone towards the camera and its mirror image in depth have nearly the same projection: limbs
+//! fitted to joints alone may be mirrored, each bone independently.
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -16,8 +16,8 @@ const NECK: usize = 12;
 /// Combinations of mirrored bones, upper and lower, of a limb.
 pub(crate) const BONE_FLIPS: [[bool; 2]; 3] = [[true, false], [false, true], [true, true]];
 
-/// The unknowns with bones of one limb mirrored along the line of sight. Joints other than the limb's and
-/// their descendants keep their positions.
+/// The unknowns with bones of one limb mirrored along the line of sight. Joints other than the
+/// limb's and their descendants keep their positions.
 ///
 /// # Errors
 /// If sizes do not fit the body.
@@ -47,8 +47,8 @@ pub(crate) fn mirror_limb_depths(
     Ok(moved)
 }
 
-/// The unknowns with the trunk mirrored along the line of sight about the pelvis, which turns leaning back
-/// into bending forward. Limbs keep their directions.
+/// The unknowns with the trunk mirrored along the line of sight about the pelvis, which turns
+/// leaning back into bending forward. Limbs keep their directions.
 ///
 /// # Errors
 /// If sizes do not fit the body.

@@ -21,8 +21,8 @@ pub(crate) struct InitialPlacement {
 }
 
 /// Places a body with the joints `joints`, metres, without orientation and translation, under weak
-/// perspective: the length of the torso gives the depth, its direction in the image the roll; the yaw is
-/// `yaw` radians, 0 facing the camera.
+/// perspective: the length of the torso gives the depth, its direction in the image the roll; the
+/// yaw is `yaw` radians, 0 facing the camera.
 ///
 /// # Errors
 /// If too few joints are detected, or all detections coincide.

@@ -1,13 +1,13 @@
 //! Bare and clothed bodies fitted to images and scans (CAPE §6.3).
 //!
-//! [`Smplify`] fits an unclothed body to [`Keypoints`] seen by a [`PinholeCamera`], with a [`PosePrior`].
-//! [`Smplify::fit_clothed`] continues with a clothed body ([`DressedBody`], of a trained model) and the
-//! [silhouette] in a [`Mask`]. [`aligned_error`] compares a fit with the ground truth. [`scan`] fits
-//! clothed bodies to point clouds and meshes.
+//! [`Smplify`] fits an unclothed body to [`Keypoints`] seen by a [`PinholeCamera`], with a
+//! [`PosePrior`]. [`Smplify::fit_clothed`] continues with a clothed body ([`DressedBody`], of a
+//! trained model) and the [silhouette] in a [`Mask`]. [`aligned_error`] compares a fit with the
+//! ground truth. [`scan`] fits clothed bodies to point clouds and meshes.
 //!
-//! The camera is at the origin and looks along −z, y up; a body without global orientation faces it.
-//! Units are metres, radians and pixels. Energies and gradients are in `f64`; the clothed body itself is
-//! decoded and differentiated in `f32` by the model's backend.
+//! The camera is at the origin and looks along −z, y up; a body without global orientation faces
+//! it. Units are metres, radians and pixels. Energies and gradients are in `f64`; the clothed body
+//! itself is decoded and differentiated in `f32` by the model's backend.
 //!
 //! ```
 //! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));

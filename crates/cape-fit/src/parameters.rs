@@ -17,8 +17,8 @@ pub(crate) const TRANSL_AT: usize = 0;
 pub(crate) const POSE_AT: usize = 3;
 pub(crate) const BETAS_AT: usize = POSE_AT + POSE;
 
-/// Scales of the unknowns in the optimisation, which move the surface by similar amounts: metres, radians,
-/// standard deviations.
+/// Scales of the unknowns in the optimisation, which move the surface by similar amounts: metres,
+/// radians, standard deviations.
 const TRANSL_SCALE: f64 = 0.03;
 const POSE_SCALE: f64 = 0.1;
 const OTHER_SCALE: f64 = 1.0;

@@ -37,9 +37,9 @@ pub struct PoseCollection {
 }
 
 impl PoseCollection {
-    /// Reads each of `sources`: a pose file of [`cape_synth::poses`] (SMPL, AMASS or SMPL-X), a packed set,
-    /// of which the training poses are used, or a directory, which is searched for pose files. `progress` is
-    /// called with the number of files read and of all.
+    /// Reads each of `sources`: a pose file of [`cape_synth::poses`] (SMPL, AMASS or SMPL-X), a
+    /// packed set, of which the training poses are used, or a directory, which is searched for pose
+    /// files. `progress` is called with the number of files read and of all.
     ///
     /// # Errors
     /// If a named file has no poses, or no source has any.
@@ -95,8 +95,8 @@ impl PoseCollection {
         self.poses.is_empty()
     }
 
-    /// At most `most` evenly spaced poses for fitting, radians, `[n, 72]`, and at most as many between them for
-    /// testing.
+    /// At most `most` evenly spaced poses for fitting, radians, `[n, 72]`, and at most as many
+    /// between them for testing.
     pub fn spread(&self, most: usize) -> [Array2<f64>; 2] {
         let count = self.poses.len();
         let wanted = most.clamp(1, count);

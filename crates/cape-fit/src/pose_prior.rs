@@ -21,8 +21,8 @@ pub const BODY_POSE: usize = 69;
 /// Number of components of the default prior, as in SMPLify.
 pub const COMPONENTS: usize = 8;
 
-/// Options of the default prior. The regularisation is a lower bound of the variances, which lets joints
-/// that hardly move in the training poses move a little.
+/// Options of the default prior. The regularisation is a lower bound of the variances, which lets
+/// joints that hardly move in the training poses move a little.
 pub const OPTIONS: MixtureOptions =
     MixtureOptions { steps: 60, tolerance: 1e-2, regularisation: 0.1, starts: 1, seed: 1 };
 
@@ -83,7 +83,10 @@ impl PosePrior {
         {
             let matrix = DMatrix::from_fn(BODY_POSE, BODY_POSE, |i, j| covariance[[i, j]]);
             let factor = Cholesky::new(matrix).ok_or_else(|| {
-                Error::argument("pose prior: a covariance is not positive definite: fit with a greater regularisation")
+                Error::argument(
+                    "pose prior: a covariance is not positive definite: fit with a greater \
+                     regularisation",
+                )
             })?;
             let volume: f64 = factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum();
             let mean = DVector::from_iterator(BODY_POSE, mean.iter().copied());
@@ -96,8 +99,8 @@ impl PosePrior {
         Ok(Self { components, weights, means, covariances })
     }
 
-    /// Fits a mixture of `components` Gaussians to poses in axis-angle, radians, `[n, 72]`, or `[n, 69]`
-    /// without the global orientation.
+    /// Fits a mixture of `components` Gaussians to poses in axis-angle, radians, `[n, 72]`, or `[n,
+    /// 69]` without the global orientation.
     ///
     /// # Errors
     /// If there is no pose, or poses are not finite or have another size.
@@ -160,7 +163,8 @@ impl PosePrior {
     }
 
     /// Reads the pickle of SMPLify (`.pkl` with `means`, `covars`, `weights`), a pickled mixture of
-    /// scikit-learn, or an `.npz` archive that [`save`](Self::save) wrote. No code in a pickle is executed.
+    /// scikit-learn, or an `.npz` archive that [`save`](Self::save) wrote. No code in a pickle is
+    /// executed.
     ///
     /// # Errors
     /// If an array is missing or malformed; the error has the file and the array.

@@ -1,7 +1,8 @@
 //! Joints of a posed body and their exact derivatives.
 //!
-//! Keypoints depend on SMPL's joints only, a kinematic chain of rest positions that are linear in β: the
-//! derivatives have a closed form, about 10⁵ times faster than differentiating the whole body.
+//! Keypoints depend on SMPL's joints only, a kinematic chain of rest positions that are linear in
+//! β: the derivatives have a closed form, about 10⁵ times faster than differentiating the whole
+//! body.
 
 use cape_core::SmplModel;
 use glam::{DMat3, DQuat, DVec3};
@@ -103,8 +104,8 @@ impl Skeleton {
         self.template.iter().zip(&self.directions).map(|(&at, d)| at + moved(d)).collect()
     }
 
-    /// Poses the skeleton by axis-angles `[3 · joints]`, radians, and a translation, metres; missing betas
-    /// are zero.
+    /// Poses the skeleton by axis-angles `[3 · joints]`, radians, and a translation, metres;
+    /// missing betas are zero.
     ///
     /// # Errors
     /// If there are too many betas or not three angles for each joint.
@@ -190,8 +191,8 @@ fn angles(pose: &[f64], joint: usize) -> DVec3 {
     DVec3::from_slice(&pose[3 * joint..])
 }
 
-/// Left Jacobian `J` of SO(3) at the axis-angle `v`: `R(v + δ) ≈ R(J δ) R(v)`. Its transpose is that at
-/// `−v`.
+/// Left Jacobian `J` of SO(3) at the axis-angle `v`: `R(v + δ) ≈ R(J δ) R(v)`. Its transpose is
+/// that at `−v`.
 fn left_jacobian(v: DVec3) -> DMat3 {
     let square = v.length_squared();
     let angle = square.sqrt();

@@ -1,5 +1,5 @@
-//! Unclothed bodies fitted to keypoints: SMPLify (Bogo et al. 2016) without its interpenetration term, as in
-//! CAPE §6.3.
+//! Unclothed bodies fitted to keypoints: SMPLify (Bogo et al. 2016) without its interpenetration
+//! term, as in CAPE §6.3.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -29,9 +29,11 @@ pub struct SmplifyConfig {
     pub deviation: f64,
     /// Geman–McClure scale σ (outlier threshold) at the distance of the person, metres.
     pub robust_scale: f64,
-    /// Weights of the terms in each stage of the optimisation; the priors decrease from stage to stage.
+    /// Weights of the terms in each stage of the optimisation; the priors decrease from stage to
+    /// stage.
     pub stages: Vec<BodyWeights>,
-    /// Initial yaw angles of the body, radians, 0 facing the camera; the fit of lowest energy is kept.
+    /// Initial yaw angles of the body, radians, 0 facing the camera; the fit of lowest energy is
+    /// kept.
     pub facing: Vec<f64>,
     /// Options of the optimiser in each stage.
     pub optimiser: LbfgsOptions,
@@ -179,8 +181,8 @@ impl Smplify {
         }
     }
 
-    /// Fits the body to keypoints from the means of the pose prior, or from `initial`, in each orientation of
-    /// the configuration; the fit of lowest energy is kept.
+    /// Fits the body to keypoints from the means of the pose prior, or from `initial`, in each
+    /// orientation of the configuration; the fit of lowest energy is kept.
     ///
     /// # Errors
     /// If too few joints are detected to place a body, or `initial` is invalid.
@@ -206,7 +208,9 @@ impl Smplify {
             }
         }
         let Some(mut best) = lowest(attempts) else {
-            return Err(Error::Failed("SMPLify: the energy is not finite in any orientation: check the keypoints and the focal length".into()));
+            let message = "SMPLify: the energy is not finite in any orientation: check the \
+                           keypoints and the focal length";
+            return Err(Error::Failed(message.into()));
         };
         let mirrored = self.mirrored(&energy, &best)?;
         if let Some(other) = lowest(mirrored).filter(|other| other.energy < best.energy) {
@@ -230,7 +234,8 @@ impl Smplify {
         })
     }
 
-    /// Fits from the body with bones of one limb mirrored in depth, for all limbs and combinations of bones.
+    /// Fits from the body with bones of one limb mirrored in depth, for all limbs and combinations
+    /// of bones.
     fn mirrored(&self, energy: &BodyEnergy<'_>, body: &Candidate) -> Result<Vec<Candidate>> {
         let weights = self.config.stages.last().copied().unwrap_or_default();
         let mut found = Vec::new();
@@ -256,7 +261,8 @@ impl Smplify {
             .collect()
     }
 
-    /// Fits translation and orientation with the weights of the first stage, then all unknowns stage by stage.
+    /// Fits translation and orientation with the weights of the first stage, then all unknowns
+    /// stage by stage.
     fn attempt(
         &self,
         energy: &BodyEnergy<'_>,

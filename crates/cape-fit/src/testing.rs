@@ -8,8 +8,8 @@ use cape_synth::synthetic_body;
 /// The synthetic body.
 pub(crate) static BODY: LazyLock<SmplModel> = LazyLock::new(synthetic_body);
 
-/// Asserts that `gradient` is the gradient of `value` at `x` by central differences, to `tolerance` of
-/// the largest component.
+/// Asserts that `gradient` is the gradient of `value` at `x` by central differences, to `tolerance`
+/// of the largest component.
 pub(crate) fn assert_gradient(
     x: &[f64],
     gradient: &[f64],

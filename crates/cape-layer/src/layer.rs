@@ -13,8 +13,8 @@ use crate::{
 use cape_core::expect_finite;
 use cape_core::{BodyMotion, smpl::StandardPose};
 
-/// A learned clothing layer: association, principal components and regressor, which predict the clothing
-/// of a body in motion.
+/// A learned clothing layer: association, principal components and regressor, which predict the
+/// clothing of a body in motion.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -55,7 +55,8 @@ pub struct Layer {
     pub features: FeatureOptions,
     /// Semantic parameters that are further inputs: garment sizes and materials.
     pub semantics: SemanticParameters,
-    /// Regressor from motion features and semantic parameters to coordinates in the components (§3.3).
+    /// Regressor from motion features and semantic parameters to coordinates in the components
+    /// (§3.3).
     pub regressor: Regressor,
 }
 
@@ -81,8 +82,8 @@ pub struct LayerStream<'a> {
 }
 
 impl LayerStream<'_> {
-    /// Adds the next frame: axis-angles `[3 · joints]`, radians, and a translation, metres. Returns the
-    /// frame whose velocities this completes, usually the one before.
+    /// Adds the next frame: axis-angles `[3 · joints]`, radians, and a translation, metres. Returns
+    /// the frame whose velocities this completes, usually the one before.
     ///
     /// # Errors
     /// If numbers are not finite, or the number of joints differs from the training set's.
@@ -128,8 +129,8 @@ impl Layer {
         Ok(LayerStream { layer: self, model, shape: shape.clone(), semantics, features })
     }
 
-    /// Predicts clothing over a whole motion. `each` is called with every frame in order; its error ends
-    /// the prediction.
+    /// Predicts clothing over a whole motion. `each` is called with every frame in order; its error
+    /// ends the prediction.
     pub fn predict(
         &self,
         model: &SmplModel,

@@ -1,11 +1,12 @@
 //! A clothing layer of its own topology over a moving body (Yang et al., "Analyzing Clothing Layer
 //! Deformation Statistics of 3D Human Motions", ECCV 2018).
 //!
-//! [`associate`] finds the body vertices that each clothing vertex follows (§3.1, eq. 2); [`offsets`]
-//! removes the pose from clothing and applies it again (eq. 3–4); principal components ([`Pca`], §3.2)
-//! compress the offsets, and [`regress`] predicts their coordinates from motion, garment size and
-//! material (§3.3). [`experiment`] measures both on a [`LayerSet`] (§4–5), which [`synth`] simulates or
-//! [`import`] reads. Units are metres, seconds, kilograms and radians; y points up.
+//! [`associate`] finds the body vertices that each clothing vertex follows (§3.1, eq. 2);
+//! [`offsets`] removes the pose from clothing and applies it again (eq. 3–4); principal components
+//! ([`Pca`], §3.2) compress the offsets, and [`regress`] predicts their coordinates from motion,
+//! garment size and material (§3.3). [`experiment`] measures both on a [`LayerSet`] (§4–5), which
+//! [`synth`] simulates or [`import`] reads. Units are metres, seconds, kilograms and radians; y
+//! points up.
 //!
 //! ```
 //! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));

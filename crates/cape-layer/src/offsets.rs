@@ -45,8 +45,8 @@ pub struct BodyFrame {
 }
 
 impl BodyFrame {
-    /// Poses the unclothed rest shape `shape` `[V, 3]`, metres, by axis-angles `[3 · joints]`, radians,
-    /// and a translation, metres.
+    /// Poses the unclothed rest shape `shape` `[V, 3]`, metres, by axis-angles `[3 · joints]`,
+    /// radians, and a translation, metres.
     ///
     /// # Errors
     /// If sizes do not fit the body, numbers are not finite, or the standard pose is degenerate.
@@ -104,8 +104,8 @@ impl Association {
         Ok(blends)
     }
 
-    /// Unposes the clothing of one frame, metres, `[n_v, 3]`: vertices `ṽ_j^C` in the standard pose, each
-    /// by the inverse of its blended transform, metres, `[n_v, 3]` (eq. 3).
+    /// Unposes the clothing of one frame, metres, `[n_v, 3]`: vertices `ṽ_j^C` in the standard
+    /// pose, each by the inverse of its blended transform, metres, `[n_v, 3]` (eq. 3).
     ///
     /// # Errors
     /// If shapes do not fit, numbers are not finite, or a blended transform has no inverse.
@@ -121,8 +121,8 @@ impl Association {
         Ok(standard)
     }
 
-    /// Offsets `d_{j,i} = ṽ_j^C − ṽ^B_{I_j[i]}` of the clothing of one frame, metres, `[n_v, 3]`, from the
-    /// body in the standard pose: metres, `[n_v, n_f, 3]` (eq. 4).
+    /// Offsets `d_{j,i} = ṽ_j^C − ṽ^B_{I_j[i]}` of the clothing of one frame, metres, `[n_v, 3]`,
+    /// from the body in the standard pose: metres, `[n_v, n_f, 3]` (eq. 4).
     ///
     /// # Errors
     /// As of [`unpose`](Self::unpose).
@@ -140,9 +140,10 @@ impl Association {
         Ok(offsets)
     }
 
-    /// Inverse of [`offsets`](Self::offsets): clothing of offsets `[n_v, n_f, 3]` on a body, metres,
-    /// `[n_v, 3]`. The paper does not number this step; here the `n_f` positions that the offsets of a
-    /// vertex give, which differ if the offsets are predicted, are averaged by the weights `ω`.
+    /// Inverse of [`offsets`](Self::offsets): clothing of offsets `[n_v, n_f, 3]` on a body,
+    /// metres, `[n_v, 3]`. The paper does not number this step; here the `n_f` positions that the
+    /// offsets of a vertex give, which differ if the offsets are predicted, are averaged by the
+    /// weights `ω`.
     ///
     /// # Errors
     /// If shapes do not fit or a blended transform has no inverse.

@@ -131,8 +131,8 @@ impl LayerSet {
     /// A set of sequences.
     ///
     /// # Errors
-    /// If there is no sequence, or sequences differ in topology or names of parameters, have different
-    /// numbers of frames of clothing and body, or numbers that are not finite.
+    /// If there is no sequence, or sequences differ in topology or names of parameters, have
+    /// different numbers of frames of clothing and body, or numbers that are not finite.
     pub fn new(faces: Vec<[u32; 3]>, sequences: Vec<Sequence>) -> Result<Self> {
         let Some(first) = sequences.first() else {
             return Err(Error::argument("layer set: no sequences, expected at least one"));
@@ -186,8 +186,8 @@ impl LayerSet {
         Ok(SurfaceMesh::new("clothing", points(clothing), self.faces.clone())?)
     }
 
-    /// Writes `set.json` and one `<name>.npz` for each sequence, clothing in float32, into `directory`,
-    /// which is created if it is missing. Each file is replaced atomically.
+    /// Writes `set.json` and one `<name>.npz` for each sequence, clothing in float32, into
+    /// `directory`, which is created if it is missing. Each file is replaced atomically.
     ///
     /// # Errors
     /// If the directory or a file cannot be written.
@@ -201,8 +201,8 @@ impl LayerSet {
         write_index(directory, &self.sequences.iter().map(Entry::from_sequence).collect::<Vec<_>>())
     }
 
-    /// Adds a sequence to the set in `directory`, in place of one with the same name; an empty or missing
-    /// set is begun.
+    /// Adds a sequence to the set in `directory`, in place of one with the same name; an empty or
+    /// missing set is begun.
     ///
     /// # Errors
     /// If a file cannot be read or written.
@@ -304,8 +304,8 @@ fn read(directory: &Path, entry: Entry) -> Result<(Vec<[u32; 3]>, Sequence)> {
     Ok((faces, Sequence { name, clothing, betas, motion, parameters }))
 }
 
-/// Arrays `poses`, `trans` or `transl`, `betas` and, unless the frame rate is given, `mocap_framerate` of
-/// an archive of SMPL parameters with the names of AMASS.
+/// Arrays `poses`, `trans` or `transl`, `betas` and, unless the frame rate is given,
+/// `mocap_framerate` of an archive of SMPL parameters with the names of AMASS.
 fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(BodyMotion, Vec<f64>)> {
     let shift = if file.contains("trans") { "trans" } else { "transl" };
     let mut table = |name: &str, columns: Option<usize>| -> Result<Array2<f64>> {
@@ -330,9 +330,9 @@ fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(BodyMotion, V
     Ok((BodyMotion::new(rate, poses, translations)?, betas))
 }
 
-/// Reads the motion and the shape coefficients of an `.npz` archive of SMPL parameters with the names of
-/// AMASS: `poses` `[frames, 72]`, `trans` or `transl` `[frames, 3]`, `betas` (optional), and
-/// `mocap_framerate` unless `frame_rate`, in frames per second, is given.
+/// Reads the motion and the shape coefficients of an `.npz` archive of SMPL parameters with the
+/// names of AMASS: `poses` `[frames, 72]`, `trans` or `transl` `[frames, 3]`, `betas` (optional),
+/// and `mocap_framerate` unless `frame_rate`, in frames per second, is given.
 ///
 /// # Errors
 /// If an array is missing, malformed or not finite.
@@ -343,9 +343,10 @@ pub fn import_motion(
     read_motion(&mut Npz::open(parameters)?, frame_rate)
 }
 
-/// Reads a captured or simulated sequence: a directory of `.obj` or `.ply` meshes in metres, one for each
-/// frame in order of their names, and an archive of SMPL parameters as for [`import_motion`]. Returns the
-/// faces, for [`LayerSet::new`], and the sequence without semantic parameters.
+/// Reads a captured or simulated sequence: a directory of `.obj` or `.ply` meshes in metres, one
+/// for each frame in order of their names, and an archive of SMPL parameters as for
+/// [`import_motion`]. Returns the faces, for [`LayerSet::new`], and the sequence without semantic
+/// parameters.
 ///
 /// # Errors
 /// If there are no meshes, their topology differs, or the numbers of frames differ.

@@ -54,8 +54,8 @@ impl Exercise {
         }
     }
 
-    /// Motion of a body of 24 joints with the unclothed rest shape `[V, 3]`, metres, whose lowest point
-    /// is on the floor `y = 0` except in jumps of 15 cm.
+    /// Motion of a body of 24 joints with the unclothed rest shape `[V, 3]`, metres, whose lowest
+    /// point is on the floor `y = 0` except in jumps of 15 cm.
     pub fn motion(
         self,
         model: &SmplModel,
@@ -229,8 +229,8 @@ impl Design {
         Ok((sequence, quality))
     }
 
-    /// Simulates all combinations in parallel. `watch` is called with the number of finished sequences
-    /// and of all.
+    /// Simulates all combinations in parallel. `watch` is called with the number of finished
+    /// sequences and of all.
     ///
     /// # Errors
     /// As of [`simulate`](Self::simulate).

@@ -140,8 +140,8 @@ impl<'a> Benchmark<'a> {
         Ok(Self { run, set, smplify, config, options, bodies })
     }
 
-    /// Indices of the frames: equal numbers of each outfit if available, evenly spaced over subjects and
-    /// motions.
+    /// Indices of the frames: equal numbers of each outfit if available, evenly spaced over
+    /// subjects and motions.
     pub fn frames(&self) -> Vec<usize> {
         spread(self.set.outfits(), self.options.frames)
     }

@@ -22,9 +22,10 @@ pub enum Detector {
     Smpl24,
 }
 
-/// Pairs `(keypoint, joint)` of a keypoint and the corresponding joint of SMPL, by index. The orders are
-/// those of the published output formats of OpenPose and COCO. Points of the face and the feet lie on
-/// the skin and have no joint; hips and neck of detectors and of SMPL differ by a few centimetres.
+/// Pairs `(keypoint, joint)` of a keypoint and the corresponding joint of SMPL, by index. The
+/// orders are those of the published output formats of OpenPose and COCO. Points of the face and
+/// the feet lie on the skin and have no joint; hips and neck of detectors and of SMPL differ by a
+/// few centimetres.
 type Table = &'static [(usize, usize)];
 
 const BODY_25: Table = &[

@@ -81,9 +81,10 @@ impl People {
     }
 }
 
-/// Reads keypoints: JSON of OpenPose (`people` with `pose_keypoints_2d`, BODY_25 or COCO-18), JSON of COCO
-/// (a list of results with `keypoints`, or an object with `annotations`), or an `.npz` archive with
-/// `keypoints` `[points, 3]` or `[people, points, 3]`, each x, y (pixels) and confidence.
+/// Reads keypoints: JSON of OpenPose (`people` with `pose_keypoints_2d`, BODY_25 or COCO-18), JSON
+/// of COCO (a list of results with `keypoints`, or an object with `annotations`), or an `.npz`
+/// archive with `keypoints` `[points, 3]` or `[people, points, 3]`, each x, y (pixels) and
+/// confidence.
 ///
 /// Results and annotations must be of one image. Visibility flags of 1 and 2 are confidence 1.
 ///

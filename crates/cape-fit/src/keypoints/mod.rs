@@ -53,8 +53,8 @@ impl Keypoints {
     /// Keypoints in the order of `detector`; confidences above 1 are clamped to 1.
     ///
     /// # Errors
-    /// If the number of points differs from the detector's, a number is not finite, or a confidence is
-    /// negative.
+    /// If the number of points differs from the detector's, a number is not finite, or a confidence
+    /// is negative.
     pub fn new(detector: Detector, points: Vec<Keypoint>) -> Result<Self> {
         let (found, expected) = (points.len(), detector.points());
         if found != expected {

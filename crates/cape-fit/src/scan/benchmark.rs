@@ -71,8 +71,8 @@ pub struct ScanError {
     pub mean_clothes: f64,
     /// Mean distance of clothing vertices from the ground truth, in the fitted clothing.
     pub clothed: f64,
-    /// Mean distance of clothing vertices from the ground truth, with the true clothing encoded and decoded: the
-    /// model's reconstruction error.
+    /// Mean distance of clothing vertices from the ground truth, with the true clothing encoded and
+    /// decoded: the model's reconstruction error.
     pub encoded: f64,
     /// Mean distance of clothing vertices from the ground truth, after the free-form displacement.
     pub displaced: f64,
@@ -126,7 +126,8 @@ pub struct ScanTrial {
     pub hole: f64,
 }
 
-/// Simulated scans of held-out frames of a packed set, and the fitters of a run for them; outfits are given.
+/// Simulated scans of held-out frames of a packed set, and the fitters of a run for them; outfits
+/// are given.
 #[derive(Debug)]
 pub struct ScanBenchmark<'a> {
     run: &'a Run,
@@ -162,7 +163,8 @@ impl<'a> ScanBenchmark<'a> {
         Ok(Self { run, set, options, start, fitters })
     }
 
-    /// Trials of all frames, noise levels and shares of holes; their results do not depend on each other.
+    /// Trials of all frames, noise levels and shares of holes; their results do not depend on each
+    /// other.
     pub fn trials(&self) -> Vec<ScanTrial> {
         let ScanBenchmarkOptions { noises, holes, .. } = &self.options;
         let count = self.options.frames.min(self.set.frames());

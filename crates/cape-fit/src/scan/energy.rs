@@ -1,9 +1,10 @@
 //! Bidirectional robust distance between a scan and the surface of a body.
 //!
-//! `E_D = Σ_i ρ(‖s_i − nearest on the body‖) / n + w Σ_v a_v ρ(‖b_v − nearest on the scan‖)` over samples `s_i` of
-//! the scan and vertices `b_v` of the body with the shares `a_v` of its area, and the Geman–McClure penalty ρ.
-//! Nearest points are updated at every evaluation. Sliding along a surface does not change the distance to
-//! first order, so the gradient with nearest points fixed to their triangles is exact.
+//! `E_D = Σ_i ρ(‖s_i − nearest on the body‖) / n + w Σ_v a_v ρ(‖b_v − nearest on the scan‖)` over
+//! samples `s_i` of the scan and vertices `b_v` of the body with the shares `a_v` of its area, and
+//! the Geman–McClure penalty ρ. Nearest points are updated at every evaluation. Sliding along a
+//! surface does not change the distance to first order, so the gradient with nearest points fixed
+//! to their triangles is exact.
 
 use glam::DVec3;
 use rand::SeedableRng;
@@ -22,8 +23,8 @@ use crate::body_energy::geman_mcclure;
 const REACH: f64 = 10.0;
 /// Surface area of a person, m², for the spacing of the points of a scan.
 const SURFACE: f64 = 1.9;
-/// 99th percentile of the distance of a surface point from the nearest of random points, in units of the
-/// square root of the area for each point.
+/// 99th percentile of the distance of a surface point from the nearest of random points, in units
+/// of the square root of the area for each point.
 const SIDEWAYS: f64 = 1.2;
 /// Share of agreeing normals below which a scan is inside out.
 const INSIDE_OUT: f64 = 0.35;
@@ -63,8 +64,8 @@ impl<'a> ScanTarget<'a> {
         &self.tree
     }
 
-    /// Reverses the normals of the scan if most disagree with those of a roughly placed body, or drops them if
-    /// they are inconsistent. Returns true if they are kept as they are.
+    /// Reverses the normals of the scan if most disagree with those of a roughly placed body, or
+    /// drops them if they are inconsistent. Returns true if they are kept as they are.
     pub(crate) fn orient(&mut self, vertices: &[DVec3], faces: &[[u32; 3]]) -> bool {
         let tree = SurfaceTree::from_faces(vertices, faces);
         let with: Vec<f64> = self
@@ -117,8 +118,9 @@ pub(crate) struct ScanEnergy<'a> {
 }
 
 impl<'a> ScanEnergy<'a> {
-    /// Energy with at most `samples` samples of the scan, and the weight `back` for the direction from the body to
-    /// the scan. Vertices over holes, determined for the surface at `vertices`, metres, are left out.
+    /// Energy with at most `samples` samples of the scan, and the weight `back` for the direction
+    /// from the body to the scan. Vertices over holes, determined for the surface at `vertices`,
+    /// metres, are left out.
     pub(crate) fn new(
         target: &'a ScanTarget<'a>,
         vertices: &[DVec3],
@@ -146,7 +148,8 @@ impl<'a> ScanEnergy<'a> {
         Self { target, faces, shares, samples, robust_scale, back }
     }
 
-    /// Terms of a surface, vertices in metres, `[V]`; the gradient of `scale · E_D` is added to `forces` `[V]`.
+    /// Terms of a surface, vertices in metres, `[V]`; the gradient of `scale · E_D` is added to
+    /// `forces` `[V]`.
     pub(crate) fn evaluate(
         &self,
         vertices: &[DVec3],

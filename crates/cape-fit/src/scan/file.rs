@@ -91,11 +91,12 @@ pub struct Scan {
 }
 
 impl Scan {
-    /// A scan of points in `unit`, `[n]`, with optional normals `[n]`, and triangles, empty for a point cloud.
+    /// A scan of points in `unit`, `[n]`, with optional normals `[n]`, and triangles, empty for a
+    /// point cloud.
     ///
     /// # Errors
-    /// If there are too few points, numbers are not finite, the number of normals differs, a face index is out of
-    /// range, or the extent is not that of a person.
+    /// If there are too few points, numbers are not finite, the number of normals differs, a face
+    /// index is out of range, or the extent is not that of a person.
     pub fn new(
         points: Vec<DVec3>,
         normals: Option<Vec<DVec3>>,

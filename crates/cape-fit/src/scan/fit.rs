@@ -93,12 +93,12 @@ pub struct ScanFitter {
 }
 
 impl ScanFitter {
-    /// A fitter that chooses among `outfits`, for any body shape or, with `minimal`, for the subject with that
-    /// unclothed rest shape `[V, 3]`, metres.
+    /// A fitter that chooses among `outfits`, for any body shape or, with `minimal`, for the
+    /// subject with that unclothed rest shape `[V, 3]`, metres.
     ///
     /// # Errors
-    /// If there is no outfit, the shape has another size or is not finite, or the configuration is out of
-    /// range.
+    /// If there is no outfit, the shape has another size or is not finite, or the configuration is
+    /// out of range.
     pub fn new(
         run: &Run,
         outfits: &[Outfit],

@@ -1,9 +1,9 @@
 //! Free-form displacement of a fitted surface to a scan, beyond the space of the clothing model.
 //!
-//! `E(d) = E_D(b + d) + (λ_L Σ_v ‖(L d)_v‖² + λ_0 Σ_v ‖d_v‖²) / V` over displacements `d_v` of the vertices of the
-//! fitted surface, with the umbrella Laplacian `(L d)_v = d_v − mean of its neighbours'`: over noise and holes
-//! the displacement continues smoothly and decays. `E_D` is from the scan to the surface only: the other
-//! direction would attract vertices to the edges of holes.
+//! `E(d) = E_D(b + d) + (λ_L Σ_v ‖(L d)_v‖² + λ_0 Σ_v ‖d_v‖²) / V` over displacements `d_v` of the
+//! vertices of the fitted surface, with the umbrella Laplacian `(L d)_v = d_v − mean of its
+//! neighbours'`: over noise and holes the displacement continues smoothly and decays. `E_D` is from
+//! the scan to the surface only: the other direction would attract vertices to the edges of holes.
 
 use cape_core::optimise::{LbfgsOptions, minimise};
 use glam::DVec3;
@@ -76,8 +76,8 @@ pub struct FreeFormSurface {
     pub curves: Vec<Vec<f64>>,
 }
 
-/// Displaces the vertices of a fitted surface (metres, `[V]`, triangles `[F]`) to a scan. `progress` is called
-/// with the number of steps done and of all at most.
+/// Displaces the vertices of a fitted surface (metres, `[V]`, triangles `[F]`) to a scan.
+/// `progress` is called with the number of steps done and of all at most.
 ///
 /// # Errors
 /// If a weight is negative or not finite.

@@ -11,7 +11,8 @@ use crate::{
     parameters::solve,
 };
 
-/// Energy of a placement along another up axis, relative to the given one, below which the scan is rejected.
+/// Energy of a placement along another up axis, relative to the given one, below which the scan is
+/// rejected.
 const OTHER_WAY: f64 = 0.6;
 /// Number of poses that are placed along the other up axes.
 const OTHERS: usize = 3;
@@ -30,8 +31,8 @@ const JOINT_STAGES: [f64; 3] = [10.0, 2.0, 0.5];
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub enum ScanInit {
-    /// Candidate poses in axis-angle, radians, `[72]` each, global orientation included; the placement is
-    /// estimated.
+    /// Candidate poses in axis-angle, radians, `[72]` each, global orientation included; the
+    /// placement is estimated.
     Poses(Vec<Vec<f64>>),
     /// Known joint positions.
     Joints(KnownJoints),
@@ -133,7 +134,8 @@ impl ScanInit {
     }
 }
 
-/// At most `count` initial bodies in order of ascending energy; `placed` is called after each placement.
+/// At most `count` initial bodies in order of ascending energy; `placed` is called after each
+/// placement.
 pub(crate) fn initial_bodies(
     subject: &ScanSubject<'_>,
     target: &ScanTarget<'_>,

@@ -58,8 +58,8 @@ impl KnownJoints {
         Ok(Self(known))
     }
 
-    /// Reads positions `[24, 3]`, metres, from `.npy` or JSON; joints with a non-finite number or `null` are
-    /// unknown.
+    /// Reads positions `[24, 3]`, metres, from `.npy` or JSON; joints with a non-finite number or
+    /// `null` are unknown.
     ///
     /// # Errors
     /// If the file is malformed, or as of [`new`](Self::new).
@@ -101,8 +101,8 @@ impl KnownJoints {
         &self.0
     }
 
-    /// Half the robust squared errors in units of `deviation`, metres, at the unknowns `[3 + 72 + betas, …]`;
-    /// `scale` times the gradient is added to `gradient`.
+    /// Half the robust squared errors in units of `deviation`, metres, at the unknowns `[3 + 72 +
+    /// betas, …]`; `scale` times the gradient is added to `gradient`.
     ///
     /// # Errors
     /// If sizes do not fit the body.

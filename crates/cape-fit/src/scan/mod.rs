@@ -1,9 +1,9 @@
 //! Clothed bodies fitted to scans: point clouds or meshes, with holes and noise.
 //!
-//! [`ScanFitter`] fits shape, pose, translation and latent code of a clothed body to a [`Scan`] by robust
-//! bidirectional surface distances, from coarse to fine: rigid placement, pose, shape, clothing.
-//! [`free_displacement`] then moves every vertex to the scan, beyond the space of the model, which gives a
-//! [`Registration`]. Scans may have any position and any up axis.
+//! [`ScanFitter`] fits shape, pose, translation and latent code of a clothed body to a [`Scan`] by
+//! robust bidirectional surface distances, from coarse to fine: rigid placement, pose, shape,
+//! clothing. [`free_displacement`] then moves every vertex to the scan, beyond the space of the
+//! model, which gives a [`Registration`]. Scans may have any position and any up axis.
 
 pub mod benchmark;
 mod energy;

@@ -81,12 +81,13 @@ impl Registration<'_> {
         Ok(RawFrame { v_cano, v_posed, pose, transl: *transl })
     }
 
-    /// Writes the frame into the raw data set `root` and returns its path. A missing data set is created with
-    /// the body, the clothing vertices `clothing` and a split with all frames in the training set.
+    /// Writes the frame into the raw data set `root` and returns its path. A missing data set is
+    /// created with the body, the clothing vertices `clothing` and a split with all frames in the
+    /// training set.
     ///
     /// # Errors
-    /// If a name is invalid, the subject has another rest shape in the data set, or a file cannot be read or
-    /// written.
+    /// If a name is invalid, the subject has another rest shape in the data set, or a file cannot
+    /// be read or written.
     pub fn write(&self, root: &Path, place: &FrameLocation, clothing: &[usize]) -> Result<PathBuf> {
         let FrameLocation { subject, outfit, sequence, number } = place;
         for (what, name) in [("subject", subject), ("sequence", sequence)] {
@@ -106,7 +107,8 @@ impl Registration<'_> {
             if !same {
                 return Err(Error::format(
                     minimal_path,
-                    "differs from the rest shape of the fit: fit with it as the minimal shape of the subject",
+                    "differs from the rest shape of the fit: fit with it as the minimal shape of the \
+                     subject",
                 ));
             }
         } else {

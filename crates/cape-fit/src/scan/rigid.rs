@@ -1,4 +1,5 @@
-//! Rigid placement of a body in a scan: robust, annealed iterative closest points (ICP) from several yaw angles.
+//! Rigid placement of a body in a scan: robust, annealed iterative closest points (ICP) from
+//! several yaw angles.
 
 use std::f64::consts::TAU;
 
@@ -34,8 +35,8 @@ impl RigidTransform {
         self.rotation.transpose() * (point - self.translation)
     }
 
-    /// Rigid transform that minimises `Σ w ‖R x + t − y‖²` over pairs `(x, y, w)` (Kabsch 1976); `None` without
-    /// positive weights.
+    /// Rigid transform that minimises `Σ w ‖R x + t − y‖²` over pairs `(x, y, w)` (Kabsch 1976);
+    /// `None` without positive weights.
     pub(crate) fn between(pairs: &[(DVec3, DVec3, f64)]) -> Option<Self> {
         let weight: f64 = pairs.iter().map(|pair| pair.2).sum();
         if !(weight > 0.0 && weight.is_finite()) {
@@ -65,7 +66,8 @@ pub(crate) struct RigidAlignment {
     pub(crate) energy: f64,
 }
 
-/// Placement of lowest energy of a body upright along `up` in the scan, over several initial yaw angles.
+/// Placement of lowest energy of a body upright along `up` in the scan, over several initial yaw
+/// angles.
 pub(crate) fn place(
     target: &ScanTarget<'_>,
     vertices: &[DVec3],

@@ -27,8 +27,8 @@ pub(crate) fn spread(points: &[DVec3], share: f64) -> DVec3 {
     DVec3::new(extent(0), extent(1), extent(2))
 }
 
-/// Samples of a scan in random order: `count` points uniform over its triangles, or at most `count` of its
-/// points.
+/// Samples of a scan in random order: `count` points uniform over its triangles, or at most `count`
+/// of its points.
 pub(crate) fn sample_scan(scan: &Scan, count: usize, rng: &mut ChaCha8Rng) -> Vec<SurfaceSample> {
     if let Some(samples) = sample_faces(scan.points(), scan.faces(), count, rng) {
         return samples;

@@ -1,8 +1,9 @@
 //! Exact distance transforms in linear time.
 //!
-//! Both metrics are separable: the nearest covered pixel is found in each column first, then among these
-//! along each row, by the lower envelope of parabolas for the Euclidean distance (Felzenszwalb and
-//! Huttenlocher 2012) and by one pass in each direction for the Manhattan distance.
+//! Both metrics are separable: the nearest covered pixel is found in each column first, then among
+//! these along each row, by the lower envelope of parabolas for the Euclidean distance
+//! (Felzenszwalb and Huttenlocher 2012) and by one pass in each direction for the Manhattan
+//! distance.
 
 use super::Mask;
 
@@ -36,9 +37,10 @@ impl DistanceField {
         &self.site
     }
 
-    /// Distance at a column and row, pixels, and its gradient, by Catmull–Rom interpolation between the pixel
-    /// centres, where it is exact. Unlike bilinear interpolation it has no kinks at the centres, at which
-    /// surfaces are matched. Outside the image the distance from the image is added.
+    /// Distance at a column and row, pixels, and its gradient, by Catmull–Rom interpolation between
+    /// the pixel centres, where it is exact. Unlike bilinear interpolation it has no kinks at the
+    /// centres, at which surfaces are matched. Outside the image the distance from the image is
+    /// added.
     pub fn sample(&self, x: f64, y: f64) -> (f64, [f64; 2]) {
         let height = self.distance.len() / self.width;
         let (columns, beyond_x) = InterpolationTaps::new(x - 0.5, self.width);
@@ -68,7 +70,8 @@ struct InterpolationTaps {
 }
 
 impl InterpolationTaps {
-    /// Taps of a coordinate among `count` pixels, and its signed distance beyond the first or last centre.
+    /// Taps of a coordinate among `count` pixels, and its signed distance beyond the first or last
+    /// centre.
     fn new(at: f64, count: usize) -> (Self, f64) {
         let inside = at.clamp(0.0, (count - 1) as f64);
         let cell = inside.floor();

@@ -1,16 +1,17 @@
 //! Silhouette term `E_S` (CAPE eq. 10).
 //!
-//! `E_S` sums the Manhattan distances of the pixels of the rendered silhouette to the silhouette of the
-//! image, and vice versa; pixels in both silhouettes contribute nothing. Its derivative matches pixels with
-//! points of the surface instead of using a differentiable renderer: a rendered pixel is the visible
-//! surface point, at which the distance field is sampled; a pixel of the image is matched with the nearest
-//! point of the rendered outline, on the occluding contour. Sliding along the surface does not move the
-//! contour to first order, so the second sum has the exact derivative; the first omits the change of the
-//! area of each rendered point, which is small while the silhouettes are close. Surfaces that have moved
-//! far are matched again.
+//! `E_S` sums the Manhattan distances of the pixels of the rendered silhouette to the silhouette of
+//! the image, and vice versa; pixels in both silhouettes contribute nothing. Its derivative matches
+//! pixels with points of the surface instead of using a differentiable renderer: a rendered pixel
+//! is the visible surface point, at which the distance field is sampled; a pixel of the image is
+//! matched with the nearest point of the rendered outline, on the occluding contour. Sliding along
+//! the surface does not move the contour to first order, so the second sum has the exact
+//! derivative; the first omits the change of the area of each rendered point, which is small while
+//! the silhouettes are close. Surfaces that have moved far are matched again.
 //!
-//! [`SilhouetteEnergy::with_softness`] compares the coverage of a [soft rendering](super::render_softly)
-//! instead: the derivative is exact without matching, but vanishes beyond a few pixels.
+//! [`SilhouetteEnergy::with_softness`] compares the coverage of a [soft
+//! rendering](super::render_softly) instead: the derivative is exact without matching, but vanishes
+//! beyond a few pixels.
 
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
@@ -23,7 +24,8 @@ use super::{
 };
 use crate::{Error, PinholeCamera, Result};
 
-/// Radius within which the absolute value of a coordinate difference is rounded, pixels: the derivative of
+/// Radius within which the absolute value of a coordinate difference is rounded, pixels: the
+/// derivative of
 /// |d| is discontinuous at 0.
 const ROUNDING: f64 = 0.5;
 
@@ -54,14 +56,15 @@ pub struct SilhouetteEnergy {
     camera: PinholeCamera,
     target: Mask,
     field: DistanceField,
-    /// Width of a pixel at the distance of the person, metres, divided by the area of the silhouette, pixels.
+    /// Width of a pixel at the distance of the person, metres, divided by the area of the
+    /// silhouette, pixels.
     scale: f64,
     /// Width of soft edges, pixels; `None` compares distances.
     softness: Option<f64>,
 }
 
-/// Both directions of `E_S` (CAPE eq. 10), divided by the area of the image's silhouette, metres at the
-/// distance of the person.
+/// Both directions of `E_S` (CAPE eq. 10), divided by the area of the image's silhouette, metres at
+/// the distance of the person.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct SilhouetteTerms {
     /// Sum over the rendered silhouette of the distances to the image's silhouette.
@@ -90,11 +93,12 @@ pub struct SilhouetteMatch<'a> {
 }
 
 impl SilhouetteEnergy {
-    /// Silhouette `mask` of an image, scaled to at most `side` pixels; `pixel` is the width of a pixel of
-    /// `mask` at the distance of the person, metres.
+    /// Silhouette `mask` of an image, scaled to at most `side` pixels; `pixel` is the width of a
+    /// pixel of `mask` at the distance of the person, metres.
     ///
     /// # Errors
-    /// If the mask has another size than the camera's image, or covers nothing or everything at this scale.
+    /// If the mask has another size than the camera's image, or covers nothing or everything at
+    /// this scale.
     pub fn new(camera: &PinholeCamera, mask: &Mask, side: u32, pixel: f64) -> Result<Self> {
         mask.check(camera)?;
         let small = camera.downscaled_to(side);
@@ -105,8 +109,9 @@ impl SilhouetteEnergy {
         Ok(Self { field: manhattan(&target), camera: small, target, scale, softness: None })
     }
 
-    /// The same silhouette, compared by the soft coverage `A` of each pixel with edges `softness` pixels wide:
-    /// `Σ (A − mask)²`, in the same units, so that the values agree for an outline that is off by two pixels.
+    /// The same silhouette, compared by the soft coverage `A` of each pixel with edges `softness`
+    /// pixels wide: `Σ (A − mask)²`, in the same units, so that the values agree for an outline
+    /// that is off by two pixels.
     ///
     /// # Errors
     /// If the softness is not positive.
@@ -162,8 +167,8 @@ impl SilhouetteEnergy {
 }
 
 impl SilhouetteMatch<'_> {
-    /// Terms of the surface at `vertices`, metres, `[V]`; `weight` times the gradient is added to `gradient`
-    /// `[V]`.
+    /// Terms of the surface at `vertices`, metres, `[V]`; `weight` times the gradient is added to
+    /// `gradient` `[V]`.
     pub fn evaluate(
         &self,
         vertices: &[DVec3],
@@ -322,7 +327,8 @@ mod tests {
         }
     }
 
-    /// Differences of the sums of eq. 10 over changes of some pixels, up to the neglected change of area.
+    /// Differences of the sums of eq. 10 over changes of some pixels, up to the neglected change of
+    /// area.
     #[test]
     fn the_gradient_is_that_of_the_sums() {
         let (truth, faces) = body(1.0, 0.0);

@@ -119,8 +119,8 @@ impl Mask {
         }
     }
 
-    /// An error if less than half of the detected joints are on the mask: it is of another size, image or
-    /// person.
+    /// An error if less than half of the detected joints are on the mask: it is of another size,
+    /// image or person.
     pub(crate) fn expect_joints(&self, detections: &[KeypointDetection]) -> Result<()> {
         let nearest = manhattan(self);
         let near = NEAR * f64::from(self.width.max(self.height));
@@ -179,7 +179,8 @@ impl Mask {
     }
 }
 
-/// Overlapping cells of a grid of `from` cells, with the overlaps, for each cell of a grid of `to` cells.
+/// Overlapping cells of a grid of `from` cells, with the overlaps, for each cell of a grid of `to`
+/// cells.
 fn shares(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
     let scale = f64::from(from) / f64::from(to);
     let cell = |at: u32| {

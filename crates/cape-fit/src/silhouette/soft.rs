@@ -1,14 +1,15 @@
-//! Soft silhouettes (Liu et al. 2019, *Soft Rasterizer*): the coverage of each pixel as a smooth function of
-//! the vertices.
+//! Soft silhouettes (Liu et al. 2019, *Soft Rasterizer*): the coverage of each pixel as a smooth
+//! function of the vertices.
 //!
-//! A triangle covers a pixel by `D = sigmoid(±d² / σ²)`, with the distance `d` of the pixel's centre from the
-//! outline of the triangle, positive inside, and a surface by `A = 1 − Π (1 − D)`, which converges to hard
-//! rendering for `σ → 0`. With `t = ±d² / σ²` the derivative is `∂A/∂t = (1 − A) D`; that of `d²` with respect
-//! to the ends of the nearest side follows from the position of the nearest point on it. Many small triangles
-//! at an outline add up: the silhouette is about σ wider than the surface, so σ should be below a pixel.
+//! A triangle covers a pixel by `D = sigmoid(±d² / σ²)`, with the distance `d` of the pixel's
+//! centre from the outline of the triangle, positive inside, and a surface by `A = 1 − Π (1 − D)`,
+//! which converges to hard rendering for `σ → 0`. With `t = ±d² / σ²` the derivative is `∂A/∂t = (1
+//! − A) D`; that of `d²` with respect to the ends of the nearest side follows from the position of
+//! the nearest point on it. Many small triangles at an outline add up: the silhouette is about σ
+//! wider than the surface, so σ should be below a pixel.
 //!
-//! The image is divided into bands of rows, independent of the number of threads, whose gradients are added
-//! in order: results are deterministic to the last bit.
+//! The image is divided into bands of rows, independent of the number of threads, whose gradients
+//! are added in order: results are deterministic to the last bit.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -127,8 +128,8 @@ impl SoftRendering<'_> {
         &self.coverage
     }
 
-    /// Adds the gradient of a function of the coverage with respect to the vertices to `forces` `[V]`;
-    /// `by_coverage` `[height · width]` is its gradient with respect to the coverage.
+    /// Adds the gradient of a function of the coverage with respect to the vertices to `forces`
+    /// `[V]`; `by_coverage` `[height · width]` is its gradient with respect to the coverage.
     pub fn pull_back(&self, vertices: &[DVec3], by_coverage: &[f64], forces: &mut [DVec3]) {
         let width = self.camera.width() as usize;
         let band_gradient = |band: usize| {
@@ -156,8 +157,8 @@ impl SoftRendering<'_> {
         }
     }
 
-    /// Calls `with` for each pixel of a band, counted from its first, and each triangle that covers it, in a
-    /// fixed order.
+    /// Calls `with` for each pixel of a band, counted from its first, and each triangle that covers
+    /// it, in a fixed order.
     fn each(&self, band: usize, mut with: impl FnMut(usize, Fragment)) {
         let (width, height) = (self.camera.width() as usize, self.camera.height() as usize);
         let reach = self.softness * FAINT.sqrt();
@@ -180,8 +181,8 @@ impl SoftRendering<'_> {
     }
 }
 
-/// Adds `by` to the sum of a vertex if it is among the last four, else begins a new one: consecutive pixels
-/// have the same triangle.
+/// Adds `by` to the sum of a vertex if it is among the last four, else begins a new one:
+/// consecutive pixels have the same triangle.
 fn add(sums: &mut Vec<(u32, DVec2)>, vertex: u32, by: DVec2) {
     match sums.iter_mut().rev().take(4).find(|(known, _)| *known == vertex) {
         Some((_, sum)) => *sum += by,

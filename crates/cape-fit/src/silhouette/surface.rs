@@ -22,7 +22,8 @@ impl SurfacePoint {
         parts.map(|(&corner, weight)| vertices[corner as usize] * weight).sum()
     }
 
-    /// Adds the gradient with respect to the point to the gradients with respect to the vertices, `[V]`.
+    /// Adds the gradient with respect to the point to the gradients with respect to the vertices,
+    /// `[V]`.
     pub fn pull_back(&self, gradient: DVec3, by_vertices: &mut [DVec3]) {
         for (&corner, weight) in self.corners.iter().zip(self.weights) {
             by_vertices[corner as usize] += gradient * weight;

@@ -49,8 +49,8 @@ impl Completion {
 pub struct Association {
     /// Body vertices `I_j`, the most probable first, `[n_v, n_f]`.
     pub indices: Array2<u32>,
-    /// Weights `ω`, which sum to 1 in each row, `[n_v, n_f]`. Where fewer than `n_f` body vertices got
-    /// votes, the first is repeated with weight 0.
+    /// Weights `ω`, which sum to 1 in each row, `[n_v, n_f]`. Where fewer than `n_f` body vertices
+    /// got votes, the first is repeated with weight 0.
     pub weights: Array2<f64>,
     /// Number of sparse pairs.
     pub pairs: usize,
@@ -66,7 +66,8 @@ impl Association {
     /// An association from indices `[n_v, n_f]` below `body_vertices` and weights of the same shape.
     ///
     /// # Errors
-    /// If shapes differ, an index is out of range, or a row of weights is not finite or does not sum to 1.
+    /// If shapes differ, an index is out of range, or a row of weights is not finite or does not
+    /// sum to 1.
     pub fn new(indices: Array2<u32>, weights: Array2<f64>, body_vertices: usize) -> Result<Self> {
         if indices.dim() != weights.dim() || indices.ncols() == 0 {
             return Err(Error::argument(format!(
@@ -125,9 +126,10 @@ impl Association {
     /// Fuzzy correspondences by the votes of `pairs` (eq. 2): with squared geodesic distances `r`,
     /// `P(v_k^C, v_l^B) = Σ_(i,j) exp(−(r(v_k^C, v_i^C) + r(v_l^B, v_j^B)) / σ²)`.
     ///
-    /// The support is then widened one ring of neighbours at a time: a clothing vertex without votes gets
-    /// the normalised votes of its neighbours, each divided by the length of the edge between them. A
-    /// connected part of the clothing without any pair follows the pair nearest in space.
+    /// The support is then widened one ring of neighbours at a time: a clothing vertex without
+    /// votes gets the normalised votes of its neighbours, each divided by the length of the edge
+    /// between them. A connected part of the clothing without any pair follows the pair nearest in
+    /// space.
     pub(super) fn spread(
         body: &SurfaceMesh,
         clothing: &SurfaceMesh,

@@ -72,8 +72,8 @@ pub struct EdgeChangeStudy<'a> {
 }
 
 impl EdgeChangeStudy<'_> {
-    /// The frame of the set, among 24 evenly spaced ones, whose edges change most if each clothing vertex
-    /// follows its most probable body vertex alone.
+    /// The frame of the set, among 24 evenly spaced ones, whose edges change most if each clothing
+    /// vertex follows its most probable body vertex alone.
     ///
     /// # Errors
     /// If a frame cannot be unposed.
@@ -95,8 +95,8 @@ impl EdgeChangeStudy<'_> {
         Ok(best.1)
     }
 
-    /// Unposes frame `index` of the set by a new association with each of `counts` body vertices for each
-    /// clothing vertex.
+    /// Unposes frame `index` of the set by a new association with each of `counts` body vertices
+    /// for each clothing vertex.
     ///
     /// # Errors
     /// If there is no such frame, or it cannot be associated or unposed.

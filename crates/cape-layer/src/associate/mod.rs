@@ -1,9 +1,9 @@
 //! Association of clothing vertices with body vertices in one frame (Yang et al. 2018, §3.1).
 //!
-//! Rays from the body find [`SparseCorrespondences`]; each pair votes for the neighbourhoods of its two
-//! vertices, weighted by geodesic distance (eq. 2), and the most probable `n_f` body vertices of each
-//! clothing vertex are its [`Association`]. [`EdgeChangeStudy`] measures seams: neighbouring clothing
-//! vertices that follow different limbs.
+//! Rays from the body find [`SparseCorrespondences`]; each pair votes for the neighbourhoods of its
+//! two vertices, weighted by geodesic distance (eq. 2), and the most probable `n_f` body vertices
+//! of each clothing vertex are its [`Association`]. [`EdgeChangeStudy`] measures seams:
+//! neighbouring clothing vertices that follow different limbs.
 
 mod dense;
 mod edge_change;

@@ -76,11 +76,11 @@ pub struct SparseCorrespondences {
 }
 
 impl SparseCorrespondences {
-    /// Casts a ray of `reach` metres along the outward normal of every body vertex and pairs the vertex
-    /// with the closest corner of the first clothing face that the ray hits. Rays that hit the minority
-    /// side of the clothing (a hand beside a skirt) and rays that another part of the body blocks are
-    /// rejected. Each clothing vertex keeps the pair with the shortest ray, the lowest body vertex among
-    /// equal ones.
+    /// Casts a ray of `reach` metres along the outward normal of every body vertex and pairs the
+    /// vertex with the closest corner of the first clothing face that the ray hits. Rays that hit
+    /// the minority side of the clothing (a hand beside a skirt) and rays that another part of the
+    /// body blocks are rejected. Each clothing vertex keeps the pair with the shortest ray, the
+    /// lowest body vertex among equal ones.
     ///
     /// # Errors
     /// If no ray hits the clothing, or more do against the normals than along them.

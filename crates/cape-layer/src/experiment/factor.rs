@@ -56,8 +56,8 @@ impl Factor {
         }
     }
 
-    /// Sequences of the set by the value of this factor, in order of first occurrence; one group if they
-    /// do not differ.
+    /// Sequences of the set by the value of this factor, in order of first occurrence; one group if
+    /// they do not differ.
     pub fn groups(self, set: &LayerSet) -> Vec<SequenceGroup> {
         let mut groups: Vec<SequenceGroup> = Vec::new();
         for (index, sequence) in set.sequences.iter().enumerate() {

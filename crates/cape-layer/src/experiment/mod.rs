@@ -1,6 +1,6 @@
-//! The paper's experiments on any set: reconstruction (§4, table 1), regression (§4.3, table 2), and
-//! prediction of body shapes, motions (§5.1), materials (§5.2) and garment sizes (§5.3) that are not in
-//! the training set.
+//! The paper's experiments on any set: reconstruction (§4, table 1), regression (§4.3, table 2),
+//! and prediction of body shapes, motions (§5.1), materials (§5.2) and garment sizes (§5.3) that
+//! are not in the training set.
 
 mod factor;
 mod run;
@@ -69,11 +69,13 @@ pub fn distances(found: ArrayView2<'_, f64>, truth: ArrayView2<'_, f64>) -> Vec<
 /// Options of principal components and regression.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LearningOptions {
-    /// Number of principal components; the paper has 40 for one subject in one clothing, 100 for several.
+    /// Number of principal components; the paper has 40 for one subject in one clothing, 100 for
+    /// several.
     pub components: usize,
     /// Motion features.
     pub features: FeatureOptions,
-    /// Most inputs of semantic parameters, to which more are reduced; the paper's 4 for a material (§5.2).
+    /// Most inputs of semantic parameters, to which more are reduced; the paper's 4 for a material
+    /// (§5.2).
     pub semantics: Option<usize>,
     /// Options of the training.
     pub training: TrainingOptions,
@@ -97,7 +99,8 @@ pub struct TrainedModel {
     pub pca: Pca,
     /// Reduction of the semantic parameters.
     pub semantics: SemanticParameters,
-    /// Regressor with its training curve and split. Frames are numbered among those of the training call.
+    /// Regressor with its training curve and split. Frames are numbered among those of the training
+    /// call.
     pub outcome: TrainedRegressor,
 }
 
@@ -110,7 +113,8 @@ pub struct RegressionReport {
     pub train: LayerError,
     /// Error of the prediction on the held-out frames, `E_pred`.
     pub predict: LayerError,
-    /// Error of the held-out frames' own coordinates in the components: the least error of a prediction.
+    /// Error of the held-out frames' own coordinates in the components: the least error of a
+    /// prediction.
     pub space: LayerError,
     /// Error of the mean of the training frames on the held-out frames.
     pub mean_baseline: LayerError,

@@ -130,8 +130,8 @@ impl Experiment {
         }
     }
 
-    /// Runs the experiment on a set with the name `name`. `progress` is called with the number of finished
-    /// trainings and of all.
+    /// Runs the experiment on a set with the name `name`. `progress` is called with the number of
+    /// finished trainings and of all.
     ///
     /// # Errors
     /// If the set has too few frames for the components, or an option is out of range.

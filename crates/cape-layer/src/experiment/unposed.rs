@@ -11,8 +11,8 @@ use crate::{
 };
 use cape_core::smpl::StandardPose;
 
-/// The offsets of all frames of a set from the body in the standard pose (eq. 4), as rows for principal
-/// components and regression.
+/// The offsets of all frames of a set from the body in the standard pose (eq. 4), as rows for
+/// principal components and regression.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -43,7 +43,8 @@ pub struct UnposedSet<'a> {
     standard: StandardPose,
     /// Transforms of the clothing in each frame.
     offset_frames: Vec<OffsetFrame>,
-    /// Offsets, one row for each frame of [`LayerSet::each_frame`], metres, `[frames, 3 · n_v · n_f]`.
+    /// Offsets, one row for each frame of [`LayerSet::each_frame`], metres, `[frames, 3 · n_v ·
+    /// n_f]`.
     pub rows: Array2<f64>,
 }
 
@@ -199,8 +200,8 @@ impl<'a> UnposedSet<'a> {
         Ok((inputs, noisy))
     }
 
-    /// Trains on the sequences with the indices `sequences` and measures the errors on their training and
-    /// validation frames (table 2). `watch` is called after each iteration.
+    /// Trains on the sequences with the indices `sequences` and measures the errors on their
+    /// training and validation frames (table 2). `watch` is called after each iteration.
     ///
     /// # Errors
     /// If there are too few frames for the components, or an option is out of range.

@@ -15,7 +15,8 @@ use super::{
     tests::{exact, straight_lines},
 };
 
-/// The heat method (Crane et al. 2013) with cotangent weights and a time step of one squared mean edge.
+/// The heat method (Crane et al. 2013) with cotangent weights and a time step of one squared mean
+/// edge.
 struct HeatMethod<'a> {
     surface: &'a SurfaceMesh,
     diffusion: Cholesky<f64, Dyn>,

@@ -9,9 +9,9 @@ use cape_core::geometry::SurfaceMesh;
 pub enum GeodesicMetric {
     /// Along edges (Dijkstra): never too short, up to 15 % too long on regular triangles of any size.
     Graph,
-    /// Across triangles, each unfolded into a plane with the virtual source that the distances of its two
-    /// nearer corners define (Novotni and Klein 2002). Exact on a plane; on curved surfaces the error
-    /// vanishes with the size of the triangles.
+    /// Across triangles, each unfolded into a plane with the virtual source that the distances of
+    /// its two nearer corners define (Novotni and Klein 2002). Exact on a plane; on curved surfaces
+    /// the error vanishes with the size of the triangles.
     #[default]
     Unfolded,
 }
@@ -55,8 +55,8 @@ impl Geodesics {
         }
     }
 
-    /// Vertices within `reach` metres of the vertex `source` and their distances, metres, by ascending
-    /// vertex.
+    /// Vertices within `reach` metres of the vertex `source` and their distances, metres, by
+    /// ascending vertex.
     pub fn within(&self, source: u32, reach: f64) -> Vec<(u32, f64)> {
         let mut distances: HashMap<u32, f64> = HashMap::from([(source, 0.0)]);
         let mut front = BinaryHeap::from([HeapEntry { distance: 0.0, vertex: source }]);
@@ -96,8 +96,8 @@ impl Geodesics {
     }
 }
 
-/// Distance of corner `c` from the virtual source at distances `da` from corner `a` and `db` from corner
-/// `b` in the plane of the triangle, if the straight line from it crosses the side `ab`.
+/// Distance of corner `c` from the virtual source at distances `da` from corner `a` and `db` from
+/// corner `b` in the plane of the triangle, if the straight line from it crosses the side `ab`.
 fn unfold([a, b, c]: [DVec3; 3], [da, db]: [f64; 2]) -> Option<f64> {
     let base = a.distance(b);
     if base == 0.0 {

@@ -107,8 +107,8 @@ pub(super) fn exact(lines: &[Vec<f64>], source: u32) -> Vec<f64> {
     }
 }
 
-/// The view of a source through one side of a face, unfolded into the plane: the ends of the side, and the
-/// directions that bound the view.
+/// The view of a source through one side of a face, unfolded into the plane: the ends of the side,
+/// and the directions that bound the view.
 struct Window {
     face: usize,
     side: usize,

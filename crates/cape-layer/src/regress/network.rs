@@ -12,8 +12,8 @@ const PIECE: usize = 64;
 /// A multilayer perceptron in `f64` with tanh units and a linear output.
 ///
 /// Written here rather than with Burn, because L-BFGS with a line search needs gradients in `f64`.
-/// All weights and biases are one vector: for each layer its matrix `[outputs, inputs]`, row by row, then
-/// its biases `[outputs]`.
+/// All weights and biases are one vector: for each layer its matrix `[outputs, inputs]`, row by
+/// row, then its biases `[outputs]`.
 ///
 /// ```
 /// use cape_layer::regress::Network;
@@ -33,8 +33,8 @@ pub struct Network {
 }
 
 impl Network {
-    /// A network with random weights (Glorot and Bengio 2010) and zero biases; `sizes` are the numbers of
-    /// inputs, of units of each hidden layer, and of outputs.
+    /// A network with random weights (Glorot and Bengio 2010) and zero biases; `sizes` are the
+    /// numbers of inputs, of units of each hidden layer, and of outputs.
     ///
     /// # Errors
     /// If there are fewer than two sizes or one is 0.

@@ -33,8 +33,8 @@ impl Standardiser {
         (&rows - &self.mean) / &self.deviation
     }
 
-    /// [`apply`](Self::apply), clamped to [`FURTHEST`] standard deviations: a joint that hardly moved in
-    /// training must not dominate the prediction when it moves later.
+    /// [`apply`](Self::apply), clamped to [`FURTHEST`] standard deviations: a joint that hardly
+    /// moved in training must not dominate the prediction when it moves later.
     pub(super) fn bounded(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {
         self.apply(rows).mapv_into(|x| x.clamp(-FURTHEST, FURTHEST))
     }
@@ -97,9 +97,9 @@ impl Regressor {
         &self.network
     }
 
-    /// Targets `[n, outputs]` of inputs `[n, inputs]`, both in their own units. Inputs are clamped to three
-    /// standard deviations of the training set. Rows are independent: frames can be predicted one at a
-    /// time.
+    /// Targets `[n, outputs]` of inputs `[n, inputs]`, both in their own units. Inputs are clamped
+    /// to three standard deviations of the training set. Rows are independent: frames can be
+    /// predicted one at a time.
     ///
     /// # Errors
     /// If inputs are not finite or have another number of columns.

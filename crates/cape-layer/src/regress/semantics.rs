@@ -6,8 +6,8 @@ use crate::{ComponentSelection, Error, Pca, Result};
 use cape_core::expect_finite;
 
 /// Semantic parameters of sequences (garment sizes, §5.3, and materials, §5.2) as inputs of the
-/// regression: standardised, and reduced to principal components if many vary. The paper reduces the 39
-/// parameters of a material to 4.
+/// regression: standardised, and reduced to principal components if many vary. The paper reduces
+/// the 39 parameters of a material to 4.
 ///
 /// ```
 /// use cape_layer::regress::SemanticParameters;
@@ -31,8 +31,9 @@ pub struct SemanticParameters {
 }
 
 impl SemanticParameters {
-    /// Statistics of the parameters of sequences, `[sequences, names]`. If more than `most` parameters
-    /// vary, they are reduced to `most` principal components, but at most sequences less one.
+    /// Statistics of the parameters of sequences, `[sequences, names]`. If more than `most`
+    /// parameters vary, they are reduced to `most` principal components, but at most sequences less
+    /// one.
     ///
     /// # Errors
     /// If there is not one name for each parameter, or a parameter is not finite.

@@ -20,9 +20,9 @@ pub struct StreamedFrame {
     pub row: Vec<f64>,
 }
 
-/// The rows of [`FeatureOptions::rows`] for a motion that arrives frame by frame, bit for bit. A row is
-/// returned as soon as its velocities are complete: one frame later, or, with smoothing, as many frames
-/// later as the Gaussian is wide.
+/// The rows of [`FeatureOptions::rows`] for a motion that arrives frame by frame, bit for bit. A
+/// row is returned as soon as its velocities are complete: one frame later, or, with smoothing, as
+/// many frames later as the Gaussian is wide.
 ///
 /// ```
 /// use cape_layer::regress::{FeatureStream, FeatureOptions};
@@ -55,8 +55,8 @@ impl FeatureStream {
         Self { features, frame_rate, reach, window: VecDeque::new(), first: 0, next: 0 }
     }
 
-    /// Adds the next frame, axis-angles `[3 · joints]`, radians, and a translation, metres; returns the
-    /// frame whose row this completes.
+    /// Adds the next frame, axis-angles `[3 · joints]`, radians, and a translation, metres; returns
+    /// the frame whose row this completes.
     ///
     /// # Errors
     /// If the number of joints differs from the frames before, or numbers are not finite.

@@ -104,13 +104,14 @@ impl TrainingOptions {
         (training, order)
     }
 
-    /// Trains a regressor from `inputs` `[frames, inputs]` to `targets` `[frames, outputs]` by L-BFGS on
-    /// the mean squared error of the standardised targets. `noisy` marks the inputs that get noise in the
-    /// additional copies, usually the semantic parameters. `watch` is called after each iteration.
+    /// Trains a regressor from `inputs` `[frames, inputs]` to `targets` `[frames, outputs]` by
+    /// L-BFGS on the mean squared error of the standardised targets. `noisy` marks the inputs that
+    /// get noise in the additional copies, usually the semantic parameters. `watch` is called after
+    /// each iteration.
     ///
     /// # Errors
-    /// If shapes differ, there are fewer than two frames, numbers are not finite, or an option is out of
-    /// range.
+    /// If shapes differ, there are fewer than two frames, numbers are not finite, or an option is
+    /// out of range.
     pub fn train(
         &self,
         inputs: ArrayView2<'_, f64>,
