@@ -18,7 +18,7 @@ const ENTRY_POINTS: [(&str, &[&str]); 13] = [
     ("cape-fit", &["DressedBody", "Keypoints", "PinholeCamera", "PosePrior", "Smplify"]),
     ("cape-graph", &["DevicePyramid", "MeshPyramid", "SparseMatrix", "Surface"]),
     ("cape-infer", &["Prior", "Run", "RunConfig"]),
-    ("cape-layer", &["Association", "Layer", "LayerPca", "LayerSet"]),
+    ("cape-layer", &["Association", "Layer", "LayerSet", "UnposedSet"]),
     ("cape-model", &["Cape", "CapeConfig"]),
     ("cape-render", &["Camera", "Image", "Object", "Plot", "Style"]),
     ("cape-stats", &["ErrorStats", "Mixture", "PairedComparison", "Pca"]),

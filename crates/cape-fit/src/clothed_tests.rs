@@ -1,4 +1,4 @@
-//! Clothed bodies of a model with random weights, found again from keypoints and silhouette.
+//! Recovery of clothed bodies of a model with random weights from keypoints and silhouette.
 
 use cape_core::{ClothingMask, Outfit, devices};
 use cape_data::DisplacementStatistics;
@@ -11,9 +11,9 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::{
-    BodyParameters, ClothedConfig, Detector, DressedBody, Keypoint, Keypoints, Mask, PinholeCamera,
-    PosePrior, SilhouetteLevel, Smplify, SmplifyConfig, aligned_error, silhouette::render,
-    testing::BODY,
+    BodyParameters, ClothedConfig, Detector, DressedBody, ImageObservation, Keypoint, Keypoints,
+    Mask, PinholeCamera, PosePrior, SilhouetteLevel, Smplify, SmplifyConfig, aligned_error,
+    silhouette::render, testing::BODY,
 };
 
 pub(crate) fn dressed(outfit: Outfit) -> DressedBody {
@@ -123,6 +123,7 @@ fn silhouettes_bring_clothed_bodies_closer() {
     let prior = PosePrior::synthetic().unwrap();
     let smplify = Smplify::new(&BODY, prior, SmplifyConfig::default()).unwrap();
     let bare = smplify.fit(&camera, &keypoints, None).unwrap();
+    let image = ImageObservation { camera: &camera, keypoints: &keypoints, mask: &mask };
     let config = ClothedConfig {
         levels: vec![
             SilhouetteLevel { side: 128, rounds: 3, steps: 8 },
@@ -130,7 +131,7 @@ fn silhouettes_bring_clothed_bodies_closer() {
         ],
         ..ClothedConfig::default()
     };
-    let fit = smplify.fit_clothed(&dressed, &camera, &keypoints, &mask, &bare, &config).unwrap();
+    let fit = smplify.fit_clothed(&dressed, &image, &bare, &config).unwrap();
     let all: Vec<usize> = (0..true_surface.vertices().len()).collect();
     let off = |vertices: &[DVec3]| {
         1000.0 * aligned_error(vertices, true_surface.vertices(), &all).unwrap().distance
@@ -149,12 +150,13 @@ fn silhouettes_bring_clothed_bodies_closer() {
 
     // The same result for the same input, better than in another outfit.
     let outfits = [Outfit::ShortShort, Outfit::LongShort].map(self::dressed);
-    let fits = smplify.fit_outfits(&outfits, &camera, &keypoints, &mask, &bare, &config).unwrap();
+    let fits = smplify.fit_outfits(&outfits, &image, &bare, &config, &mut |_, _| {}).unwrap();
     assert_eq!(fits[0], fit);
     assert!(fits[1].terms.weighted(&config) > fit.terms.weighted(&config));
 
     let empty = Mask::new(256, 256, vec![false; 256 * 256]).unwrap();
-    let refused = smplify.fit_clothed(&dressed, &camera, &keypoints, &empty, &bare, &config);
+    let refused =
+        smplify.fit_clothed(&dressed, &ImageObservation { mask: &empty, ..image }, &bare, &config);
     assert!(refused.unwrap_err().to_string().contains("empty"));
 }
 

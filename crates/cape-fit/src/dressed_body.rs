@@ -17,7 +17,8 @@ use crate::{BodyParameters, Error, Result};
 /// use burn::tensor::Device;
 /// use cape_core::Outfit;
 /// use cape_fit::{
-///     PinholeCamera, ClothedConfig, DressedBody, Mask, PosePrior, Smplify, SmplifyConfig, read_keypoints,
+///     ClothedConfig, DressedBody, ImageObservation, Mask, PinholeCamera, PosePrior, Smplify,
+///     SmplifyConfig, read_keypoints,
 /// };
 /// use cape_infer::Run;
 ///
@@ -30,7 +31,8 @@ use crate::{BodyParameters, Error, Result};
 /// let smplify = Smplify::new(run.body(), PosePrior::synthetic()?, SmplifyConfig::default())?;
 /// let bare = smplify.fit(&camera, &keypoints, None)?;
 /// let config = ClothedConfig::default();
-/// let fit = smplify.fit_clothed(&dressed, &camera, &keypoints, &mask, &bare, &config)?;
+/// let image = ImageObservation { camera: &camera, keypoints: &keypoints, mask: &mask };
+/// let fit = smplify.fit_clothed(&dressed, &image, &bare, &config)?;
 /// // Its surface, and how that depends on pose, shape and code.
 /// let surface = dressed.surface(&fit.parameters, &fit.code)?;
 /// let gradient = surface.pull_back(&vec![glam::DVec3::Y; surface.vertices().len()])?;

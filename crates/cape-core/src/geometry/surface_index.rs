@@ -1,12 +1,9 @@
 use glam::{DMat3, DVec3};
-use parry3d_f64::{
-    bounding_volume::Aabb,
-    math::Vector,
-    partitioning::{Bvh, BvhBuildStrategy, BvhNode},
-    query::{PointQuery, Ray},
-};
 
-use super::surface::{SurfaceMesh, corner_angle, face_normals};
+use super::{
+    box_tree::{BoxTree, bounds},
+    surface::{SurfaceMesh, corner_angle, face_normals},
+};
 
 /// Intersection of a ray with a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -62,7 +59,7 @@ pub struct SurfaceIndex {
     to: Vec<DVec3>,
     faces: Vec<[u32; 3]>,
     across: Vec<[Option<u32>; 3]>,
-    tree: Bvh,
+    tree: BoxTree,
     now: SurfaceMesh,
     face_normals: Vec<DVec3>,
 }
@@ -77,15 +74,10 @@ impl SurfaceIndex {
     /// Indexes a surface whose vertices move linearly to `to` as the time goes from 0 to 1; `across`
     /// is its face adjacency, [`SurfaceMesh::neighbours`].
     pub fn moving(surface: &SurfaceMesh, to: Vec<DVec3>, across: Vec<[Option<u32>; 3]>) -> Self {
-        let boxes = surface.faces.iter().enumerate().map(|(index, face)| {
-            let both = face.iter().flat_map(|&v| [surface.vertices[v as usize], to[v as usize]]);
-            let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-            for p in both {
-                (low, high) = (low.min(p), high.max(p));
-            }
-            (index, Aabb::new(vector(low), vector(high)))
-        });
-        let tree = Bvh::from_iter(BvhBuildStrategy::Binned, boxes);
+        let swept = |face: &[u32; 3]| {
+            bounds(face.iter().flat_map(|&v| [surface.vertices[v as usize], to[v as usize]]))
+        };
+        let tree = BoxTree::new(surface.faces.iter().map(swept));
         let face_normals = surface.face_normals();
         Self {
             from: surface.vertices.clone(),
@@ -119,8 +111,7 @@ impl SurfaceIndex {
 
     /// First intersection of a ray (unit `direction`) within `reach` metres.
     pub fn cast(&self, origin: DVec3, direction: DVec3, reach: f64) -> Option<RayHit> {
-        let ray = Ray::new(vector(origin), vector(direction));
-        let (face, distance) = self.tree.cast_ray(&ray, reach, |face, _| {
+        let (face, distance) = self.tree.cast(origin, direction, reach, |face| {
             let distance =
                 ray_triangle_distance(origin, direction, self.now.corners(face as usize))?;
             (distance <= reach).then_some(distance)
@@ -145,12 +136,8 @@ impl SurfaceIndex {
             point.distance(closest_on_triangle(point, self.now.corners(face as usize)).0)
         };
         let known = guess.map(|face| (face, distance(face))).filter(|known| known.1 < reach);
-        let from = vector(point);
-        let better = self.tree.find_best(
-            known.map_or(reach, |known| known.1),
-            |node: &BvhNode, _| node.aabb().distance_to_local_point(from, true),
-            |face, _| Some(distance(face)),
-        );
+        let reach = known.map_or(reach, |known| known.1);
+        let better = self.tree.nearest(point, reach, |face| Some(distance(face)));
         let (face, _) = better.or(known)?;
         let (nearest, barycentric) = closest_on_triangle(point, self.now.corners(face as usize));
         let normal = self.pseudo_normal(face as usize, barycentric);
@@ -231,10 +218,6 @@ impl SurfaceIndex {
 
 /// Largest number of faces visited around a vertex in one direction.
 const MAX_VALENCE: usize = 100;
-
-fn vector(p: DVec3) -> Vector {
-    Vector::from(p.to_array())
-}
 
 /// Distance along a ray to a triangle (Möller and Trumbore 1997), metres. Triangles are enlarged by
 /// a relative 1e-9, so that no ray passes between two adjacent ones.

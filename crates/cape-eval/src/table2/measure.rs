@@ -97,7 +97,7 @@ impl Table2Job {
         Ok(Box::new(move |truth| {
             let rows = Array2::from_shape_vec((1, truth.len()), truth.to_vec())
                 .map_err(|error| Error::argument(error.to_string()))?;
-            let decoded = pca.decode(&pca.encode(&rows.view()).view());
+            let decoded = pca.decode(pca.encode(rows.view())?.view())?;
             Ok(decoded.index_axis(Axis(0), 0).to_vec())
         }))
     }

@@ -222,6 +222,30 @@ impl GroupedErrors {
     }
 }
 
+/// Euclidean distance between two points in metres: millimetres.
+///
+/// ```
+/// use cape_stats::errors::{distance_mm, mean_distance_mm};
+///
+/// assert!((distance_mm([0.003, 0.0, 0.0], [0.0, 0.004, 0.0]) - 5.0).abs() < 1e-12);
+/// let pairs = [([0.0f32; 3], [0.0; 3]), ([1.0, 0.0, 0.0], [0.0; 3])];
+/// assert_eq!(mean_distance_mm(pairs), 500.0);
+/// ```
+pub fn distance_mm<T: Into<f64>>(a: [T; 3], b: [T; 3]) -> f64 {
+    let squares = a.into_iter().zip(b).map(|(a, b)| (a.into() - b.into()).powi(2));
+    1000.0 * squares.sum::<f64>().sqrt()
+}
+
+/// Mean of [`distance_mm`] over pairs of points in metres: millimetres; 0 without pairs.
+pub fn mean_distance_mm<T: Into<f64>>(pairs: impl IntoIterator<Item = ([T; 3], [T; 3])>) -> f64 {
+    let (mut sum, mut count) = (0.0, 0usize);
+    for (a, b) in pairs {
+        sum += distance_mm(a, b);
+        count += 1;
+    }
+    sum / count.max(1) as f64
+}
+
 /// Euclidean distances between two frames at `vertices`, millimetres, `[vertices]`.
 ///
 /// `predicted` and `truth` are denormalised displacements (or positions), metres, `[V, 3]`.
@@ -241,10 +265,7 @@ pub fn vertex_errors_mm(predicted: &[f32], truth: &[f32], vertices: &[usize]) ->
         )));
     }
     let error = |&v: &usize| match (predicted.get(v), truth.get(v)) {
-        (Some(a), Some(b)) => {
-            let squares = a.iter().zip(b).map(|(&a, &b)| (f64::from(a) - f64::from(b)).powi(2));
-            Ok((1000.0 * squares.sum::<f64>().sqrt()) as f32)
-        }
+        (Some(&a), Some(&b)) => Ok(distance_mm(a, b) as f32),
         _ => Err(Error::argument(format!(
             "vertex {v} is out of range for frames of {} vertices",
             truth.len()

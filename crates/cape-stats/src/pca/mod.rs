@@ -5,14 +5,19 @@
 //! frames of 6890 vertices take about 12 passes. Own implementation rather than a library: it streams
 //! rows in bounded memory (a few rows and the Krylov space, never all data), in `f64`, with the same bits
 //! for any number of threads.
+//!
+//! [`Pca::from_snapshots`] takes few rows in memory and finds all components.
 
 mod file;
 mod krylov;
+mod snapshots;
 #[cfg(test)]
 mod tests;
 
 use ndarray::{Array1, Array2, ArrayView2, Axis};
 use rayon::prelude::*;
+
+pub use snapshots::ComponentSelection;
 
 use crate::{Error, Result};
 use cape_core::ProgressFn;
@@ -68,7 +73,7 @@ pub struct Pca {
     /// Total variance (trace of the covariance).
     pub total_variance: f64,
     /// Largest residual of the eigenvalue equation relative to the largest variance, a bound of the
-    /// error of the variances.
+    /// error of the variances. NaN if it is not known.
     pub residual: f64,
 }
 
@@ -118,14 +123,32 @@ impl Pca {
     }
 
     /// Projects rows onto the components: `[n, numbers]` → `[n, components]`.
-    pub fn encode(&self, rows: &ArrayView2<f64>) -> Array2<f64> {
-        (rows - &self.mean).dot(&self.components.t())
+    ///
+    /// # Errors
+    /// If the rows have another number of columns than the mean.
+    pub fn encode(&self, rows: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
+        expect_columns("rows", rows, self.mean.len())?;
+        Ok((&rows - &self.mean).dot(&self.components.t()))
     }
 
     /// Reconstructs rows from coordinates: `[n, components]` → `[n, numbers]`.
-    pub fn decode(&self, codes: &ArrayView2<f64>) -> Array2<f64> {
-        codes.dot(&self.components) + &self.mean
+    ///
+    /// # Errors
+    /// If there is not one coordinate for each component.
+    pub fn decode(&self, codes: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
+        expect_columns("codes", codes, self.latent())?;
+        Ok(codes.dot(&self.components) + &self.mean)
     }
+}
+
+fn expect_columns(name: &str, rows: ArrayView2<'_, f64>, expected: usize) -> Result<()> {
+    if rows.ncols() == expected {
+        return Ok(());
+    }
+    Err(Error::argument(format!(
+        "principal components: {name} of {} numbers, expected {expected}",
+        rows.ncols()
+    )))
 }
 
 /// Source of rows, read on demand.

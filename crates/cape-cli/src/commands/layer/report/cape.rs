@@ -11,8 +11,8 @@ use cape_eval::{
 };
 use cape_infer::{BodySpec, Run, batches};
 use cape_layer::{experiment::LearningOptions, regress::FeatureOptions};
-use cape_stats::pca::PcaOptions;
-use ndarray::{Array1, Array2, Axis, concatenate};
+use cape_stats::{errors::mean_distance_mm, pca::PcaOptions};
+use ndarray::{Array1, Array2, ArrayView2, Axis, concatenate};
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -117,18 +117,18 @@ impl ComparisonContext<'_> {
         })?;
         let encode = |set: &PackedSet, row: usize| -> Result<Array1<f64>> {
             let displacement = Array1::from_vec(set.displacement_row(row)?).insert_axis(Axis(0));
-            Ok(pca.encode(&displacement.view()).remove_axis(Axis(0)))
+            Ok(pca.encode(displacement.view())?.remove_axis(Axis(0)))
         };
-        let decode = |code: Array1<f64>| {
-            pca.decode(&code.insert_axis(Axis(0)).view()).remove_axis(Axis(0)).to_vec()
+        let decode = |code: Array1<f64>| -> Result<Vec<f64>> {
+            Ok(pca.decode(code.insert_axis(Axis(0)).view())?.remove_axis(Axis(0)).to_vec())
         };
-        let reconstruction_mm = self.error(|row| Ok(decode(encode(self.test, row)?)))?;
+        let reconstruction_mm = self.error(|row| decode(encode(self.test, row)?))?;
         // As many numbers as CAPE has.
         let few = self.run.config().model.latent.min(components);
         let few_mm = self.error(|row| {
             let mut code = encode(self.test, row)?;
             code.slice_mut(ndarray::s![few..]).fill(0.0);
-            Ok(decode(code))
+            decode(code)
         })?;
         let mean_mm = self.error(|_| Ok(pca.mean.to_vec()))?;
 
@@ -145,7 +145,7 @@ impl ComparisonContext<'_> {
         let all: Vec<usize> = (0..self.test.frames()).collect();
         let (inputs, _) = self::inputs(self.test, &all)?;
         let predicted = regressor.regressor.predict(inputs.view())?;
-        let prediction_mm = self.error(|row| Ok(decode(predicted.row(row).to_owned())))?;
+        let prediction_mm = self.error(|row| decode(predicted.row(row).to_owned()))?;
         let plain = MethodComparison {
             method: "principal components".into(),
             code: components,
@@ -203,10 +203,9 @@ impl ComparisonContext<'_> {
             let worn = run.decode_displacements(&codes, &vec![wearer.clone(); SAMPLES])?;
             let mean = worn.sum_axis(Axis(0)) / SAMPLES as f32;
             for sample in worn.outer_iter() {
-                let off = &sample - &mean;
-                let of = |&v: &usize| 1e3 * f64::from(off.row(v).dot(&off.row(v)).sqrt());
-                let clothing = run.clothing();
-                spreads.push(clothing.iter().map(of).sum::<f64>() / clothing.len().max(1) as f64);
+                let point = |of: ArrayView2<'_, f32>, v: usize| [0, 1, 2].map(|axis| of[[v, axis]]);
+                let pairs = run.clothing().iter().map(|&v| (point(sample, v), point(mean.view(), v)));
+                spreads.push(mean_distance_mm(pairs));
             }
         }
         Ok(MethodComparison {

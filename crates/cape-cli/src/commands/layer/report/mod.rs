@@ -11,7 +11,10 @@ use std::{fmt::Write as _, path::PathBuf};
 use cape_core::{SmplModel, parse_device};
 use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
 use cape_infer::write_json;
-use cape_layer::LayerSet;
+use cape_layer::{
+    LayerSet,
+    experiment::{Experiment, ExperimentResults, ReconstructionResult, RegressionResult},
+};
 use cape_render::Image;
 use clap::Args;
 use serde::Serialize;
@@ -30,10 +33,7 @@ use crate::{
     html::{self, HtmlFigure},
 };
 use cape::{CapeComparison, compare};
-use jobs::{
-    Experiment, ExperimentContext, ExperimentResults, NamedSet, ReconstructionResult,
-    RegressionResult,
-};
+use jobs::{ExperimentContext, NamedSet};
 use sets::{SetSize, simulated};
 use tables::ReportTable;
 
@@ -157,7 +157,7 @@ impl ReportArgs {
             let doing = || format!("set {}", named.name);
             shown.push(self.association(&model, named, results, console).doing(doing)?);
             for (job, outcome, image) in laboratory.work(named, results).doing(doing)? {
-                let ExperimentResults { reconstructed, regressed, .. } = outcome;
+                let ExperimentResults { reconstructed, regressed } = outcome;
                 written.reconstruction.extend(reconstructed);
                 written.regression.extend(regressed);
                 shown.push(FigureRow::new(named, job, image));
@@ -339,7 +339,7 @@ impl OutputPaths {
                       that of the others' mean: between the two a prediction can be."
                 .into(),
             header: heads(&["set", "sequence", "trained", "held out", "E_train", "E_pred"]),
-            rows: seen.iter().map(|line| line.cells([&line.set, &line.name])).collect(),
+            rows: seen.iter().map(|line| cells(line, [&line.set, &line.name])).collect(),
         });
         if !new.is_empty() {
             tables.push(ReportTable {
@@ -350,7 +350,7 @@ impl OutputPaths {
                           regression."
                         .into(),
                 header: heads(&["new", "left out", "trained", "predicted", "E_train", "E_pred"]),
-                rows: new.iter().map(|line| line.cells([&line.factor, &line.name])).collect(),
+                rows: new.iter().map(|line| cells(line, [&line.factor, &line.name])).collect(),
             });
         }
         tables.extend(self.comparison.as_ref().map(compared));
@@ -381,15 +381,13 @@ impl OutputPaths {
     }
 }
 
-impl RegressionResult {
-    fn cells(&self, names: [&str; 2]) -> Vec<String> {
-        let mut cells: Vec<String> = names.into_iter().map(str::to_owned).collect();
-        cells.extend([self.trained, self.frames].map(|count| count.to_string()));
-        let errors = [self.train_mm, self.predict_mm, self.space_mm, self.baseline_mm];
-        cells.extend(errors.map(|error| format!("{error:.2}")));
-        cells.push(self.iterations.to_string());
-        cells
-    }
+fn cells(line: &RegressionResult, names: [&str; 2]) -> Vec<String> {
+    let mut cells: Vec<String> = names.into_iter().map(str::to_owned).collect();
+    cells.extend([line.trained, line.frames].map(|count| count.to_string()));
+    let errors = [line.train_mm, line.predict_mm, line.space_mm, line.baseline_mm];
+    cells.extend(errors.map(|error| format!("{error:.2}")));
+    cells.push(line.iterations.to_string());
+    cells
 }
 
 fn heads(names: &[&str]) -> Vec<String> {
