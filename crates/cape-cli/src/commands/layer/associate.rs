@@ -14,42 +14,44 @@ use serde::Serialize;
 
 use super::{
     association::{AssociationArgs, AssociationOutput},
-    body,
     pictures::{PictureCamera, by_place, mesh_of, shades},
 };
 use crate::{
-    arguments::at_least_one, console::Console, dressed_mesh::eight_bit, error::Result, files,
+    console::Console,
+    dressed_mesh::eight_bit,
+    error::Result,
+    files,
+    options::{BodyModelArgs, OutputArgs, at_least_one},
     table::Table,
 };
 
-/// Rows of pixels of a picture.
+/// Height of a picture, pixels.
 const HEIGHT: u32 = 330;
-/// Change of an edge's length that gets the brightest colour.
+/// Relative change of an edge's length that has the brightest colour.
 const TORN: f64 = 1.0;
-/// Frames that are searched for the one to show.
+/// Number of frames among which the one to draw is searched.
 const SEARCHED: usize = 24;
 
-/// Tie clothing to the body, and show how.
+/// Associate clothing vertices with body vertices.
 ///
-/// Writes association.png, both meshes in colours that say what follows what, the meshes as body.ply
-/// and clothing.ply, and seams.png: clothing with the body's pose taken out, for several numbers of
-/// body vertices that each clothing vertex follows (figure 1 of the paper). Where neighbours follow
-/// different legs, few of them tear the cloth.
+/// Writes body.ply and clothing.ply, in which associated vertices have the same colour, both in
+/// association.png, and seams.png: unposed clothing for several numbers of body vertices per clothing
+/// vertex (figure 1 of the paper). Few body vertices tear cloth whose neighbours follow different legs.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  cape layer associate skirt --compare 1,2,4,16 --out tied")]
-pub(super) struct AssociateArgs {
-    /// Sequences that `cape layer synth` or `cape layer import` wrote.
+#[command(
+    after_help = "Example:\n  cape layer associate skirt --compare 1,2,4,16 --out associated"
+)]
+pub(crate) struct AssociateArgs {
+    /// Set of sequences written by `cape layer synth` or `cape layer import`.
     #[arg(value_name = "SET")]
     set: PathBuf,
-    /// Directory to write; it must be empty or missing.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// The body, .pkl or .npz; by default the synthetic one.
-    #[arg(long, value_name = "SMPL")]
-    body: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+    #[command(flatten)]
+    body: BodyModelArgs,
     #[command(flatten)]
     association_args: AssociationArgs,
-    /// Numbers of body vertices to compare.
+    /// Numbers of body vertices per clothing vertex to compare.
     #[arg(
         long,
         value_delimiter = ',',
@@ -58,21 +60,21 @@ pub(super) struct AssociateArgs {
         value_parser = at_least_one
     )]
     compare: Vec<usize>,
-    /// Frame to compare them in; by default the one that a single body vertex tears most.
+    /// Frame of the comparison [default: the one torn most by a single body vertex].
     #[arg(long, value_name = "K")]
     shown: Option<usize>,
 }
 
-/// How unposing changes the lengths of the clothing's edges.
+/// Change of the lengths of the clothing's edges by unposing.
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct EdgeChange {
-    /// Body vertices for each clothing vertex.
+    /// Body vertices per clothing vertex.
     neighbours: usize,
-    /// Mean change of an edge's length, relative to it.
+    /// Mean relative change of an edge's length.
     mean_change: f64,
-    /// Of the hundredth of the edges that change most, the least.
+    /// 99th percentile of the relative change.
     percentile_99: f64,
-    /// Largest change.
+    /// Largest relative change.
     largest_change: f64,
 }
 
@@ -84,15 +86,15 @@ struct Report {
     rays: usize,
     hits: usize,
     pairs: usize,
-    /// Clothing vertices that needed a wider support, by the number of rings it was widened.
+    /// Number of clothing vertices with widened support, by the number of rings added.
     widened: Vec<usize>,
     isolated: usize,
-    /// Hits that were left out: from the other side of the clothing than most, or through the body.
+    /// Number of hits ignored: on the other side of the clothing than most, or through the body.
     on_outer_side: usize,
     blocked: usize,
     inside_body: usize,
     clothing_is_flipped: bool,
-    /// How long tying took.
+    /// Time of the association.
     seconds: f64,
     shown: usize,
     seams: Vec<EdgeChange>,
@@ -100,14 +102,15 @@ struct Report {
 
 impl AssociateArgs {
     pub(super) fn run(self, console: Console) -> Result {
-        files::require_empty(&self.out)?;
-        let model = body(self.body.as_deref())?;
+        self.output.require_empty()?;
+        let out = self.output.out;
+        let model = self.body.load()?;
         let set = LayerSet::load(&self.set)?;
         let start = Instant::now();
         let tied = self.association_args.associate(&model, &set, console)?;
         let seconds = start.elapsed().as_secs_f64();
-        files::create_dir(&self.out)?;
-        draw(&tied, &self.out)?;
+        files::create_dir(&out)?;
+        draw(&tied, &out)?;
         let standard = self.association_args.standard();
         let shown = match self.shown {
             Some(shown) => shown,
@@ -117,7 +120,7 @@ impl AssociateArgs {
         let seams =
             EdgeChangeStudy { model: &model, set: &set, tied: &tied, standard, options, shown };
         let (image, seams) = seams.compare(&self.compare)?;
-        image.save(self.out.join("seams.png"))?;
+        image.save(out.join("seams.png"))?;
         let association = &tied.association;
         let statistics = &association.statistics;
         let report = Report {
@@ -135,7 +138,7 @@ impl AssociateArgs {
             seconds,
             shown,
             seams,
-            out: self.out,
+            out,
         };
         write_json(&report.out.join("association.json"), &report)?;
         console.result(&report, || report.text())
@@ -144,15 +147,15 @@ impl AssociateArgs {
 
 impl Report {
     fn text(&self) -> String {
-        let mut table = Table::new(["body vertices", "mean", "99 %", "largest"]);
+        let mut table = Table::new(["body vertices", "mean", "99th percentile", "largest"]);
         for seam in &self.seams {
             let changes = [seam.mean_change, seam.percentile_99, seam.largest_change];
             let cells = changes.map(|change| format!("{:.1} %", 100.0 * change));
             table.row([seam.neighbours.to_string()].into_iter().chain(cells));
         }
         format!(
-            "{} clothing vertices follow {} body vertices: {} pairs of {} hits, {} vertices \
-             completed, {:.1} s\n\nchange of edges when the pose of frame {} is taken out\n\n{}\n\n{}",
+            "{} clothing vertices associated with {} body vertices: {} pairs from {} hits, {} \
+             vertices completed, {:.1} s\n\nchange of edge lengths by unposing frame {}\n\n{}\n\n{}",
             self.clothing_vertices,
             self.body_vertices,
             self.pairs,
@@ -166,8 +169,8 @@ impl Report {
     }
 }
 
-/// Writes the association: association.png, body.ply and clothing.ply in colours by place on the
-/// body, so that what is tied to each other looks the same.
+/// Writes association.png, body.ply and clothing.ply in colours by position on the body, the same for
+/// associated vertices.
 pub(super) fn draw(tied: &AssociationOutput, out: &Path) -> Result {
     let [body, clothing] = [&tied.body, &tied.clothing].map(SurfaceMesh::to_mesh);
     let of_body = by_place(&tied.body)?;
@@ -190,7 +193,7 @@ pub(super) fn draw(tied: &AssociationOutput, out: &Path) -> Result {
     Ok(contact_sheet(&tiles, tiles.len(), None)?.save(out.join("association.png"))?)
 }
 
-/// Clothing of one frame, unposed by associations of different width.
+/// Clothing of one frame, unposed by associations with different numbers of body vertices.
 struct EdgeChangeStudy<'a> {
     model: &'a SmplModel,
     set: &'a LayerSet,
@@ -201,11 +204,11 @@ struct EdgeChangeStudy<'a> {
 }
 
 impl EdgeChangeStudy<'_> {
-    /// The frame, and what it looks like with its pose taken out for each of `counts`.
+    /// Picture of the frame, posed and unposed for each of `counts`, and the changes of its edges.
     fn compare(&self, counts: &[usize]) -> Result<(Image, Vec<EdgeChange>)> {
         let each = self.set.each_frame();
         let &(sequence, frame) = each.get(self.shown).ok_or_else(|| {
-            let message = format!("--shown {}: there are {}", self.shown, each.len());
+            let message = format!("--shown {}: the set has {} frames", self.shown, each.len());
             crate::error::Error::message(message)
         })?;
         let faces = &self.set.faces;
@@ -237,10 +240,10 @@ impl EdgeChangeStudy<'_> {
             }
             let stage = PictureCamera::around([mesh], View::Front, HEIGHT)?;
             let image = stage.show(None, mesh, Some(&shades(&worst, TORN)))?;
-            tiles.push(Tile { image, label: format!("following {neighbours}") });
+            tiles.push(Tile { image, label: format!("{neighbours} per vertex") });
             seams.push(EdgeChange::from_changes(neighbours, changes));
         }
-        let title = "change of edges, 0 to 100 %, when the pose is taken out";
+        let title = "change of edge lengths by unposing, 0 to 100 %";
         Ok((contact_sheet(&tiles, tiles.len(), Some(title))?, seams))
     }
 }
@@ -261,7 +264,7 @@ impl EdgeChange {
     }
 }
 
-/// The frame whose edges change most if every clothing vertex follows its first body vertex alone.
+/// The frame whose edges change most if every clothing vertex follows only its first body vertex.
 fn most_torn(
     model: &SmplModel,
     set: &LayerSet,
@@ -287,7 +290,7 @@ fn most_torn(
     Ok(best.1)
 }
 
-/// Changes of the edges' lengths, relative to those before.
+/// Relative changes of the edges' lengths.
 fn changes(
     edges: &[[u32; 2]],
     before: ArrayView2<'_, f64>,

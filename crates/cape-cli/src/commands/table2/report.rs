@@ -1,4 +1,4 @@
-//! The report as one HTML file.
+//! The report as a self-contained HTML file.
 
 use std::fmt::Write as _;
 
@@ -10,8 +10,12 @@ use crate::{
     html::{self, HtmlFigure, escaped},
 };
 
-/// Tables, figures, configuration, versions and the data's hash, all in one text.
-pub(super) fn page(table: &ComparisonTable, grid: &Table2Options, figures: &[HtmlFigure]) -> Result<String> {
+/// Tables, figures, configuration, version and the hash of the data.
+pub(super) fn page(
+    table: &ComparisonTable,
+    grid: &Table2Options,
+    figures: &[HtmlFigure],
+) -> Result<String> {
     let mut body = String::new();
     let (header, rows) = table.rows();
     let class = |line| if table.is_reference(line) { "reference" } else { "" };
@@ -39,7 +43,7 @@ pub(super) fn page(table: &ComparisonTable, grid: &Table2Options, figures: &[Htm
         .map_err(|error| Error::message(format!("settings: {error}")))?;
     let _ = writeln!(
         body,
-        "<h2>How</h2><p>cape {} · data {} (SHA-256 {}) · trained in {}</p><pre>{}</pre>",
+        "<h2>Configuration</h2><p>cape {} · data {} (SHA-256 {}) · trained in {}</p><pre>{}</pre>",
         env!("CARGO_PKG_VERSION"),
         escaped(&grid.data.display().to_string()),
         grid.data_hash,

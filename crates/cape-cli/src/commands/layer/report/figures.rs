@@ -1,4 +1,4 @@
-//! Pictures of clothing beside the truth, with its errors.
+//! Pictures of clothing coloured by error, beside the ground truth.
 
 use cape_core::{Mesh, SmplModel};
 use cape_layer::experiment::{LayerError, distances};
@@ -11,16 +11,16 @@ use crate::{
     error::Result,
 };
 
-/// Rows of pixels of a picture.
+/// Height of a picture, pixels.
 const HEIGHT: u32 = 300;
-/// Error that gets the brightest colour, millimetres.
+/// Error of the brightest colour, millimetres.
 const BRIGHTEST: f64 = 30.0;
 
 /// Clothing of one frame of a set.
 pub(super) struct FrameFigure {
     label: String,
     frame: usize,
-    /// None for the truth.
+    /// Vertices `[n_v, 3]`, metres; none for the ground truth.
     clothing: Option<Array2<f64>>,
 }
 
@@ -29,18 +29,18 @@ impl FrameFigure {
         Self { label, frame, clothing: Some(clothing) }
     }
 
-    /// The frame numbered `frame` as it is.
+    /// Ground truth of a frame.
     pub(super) fn truth(named: &NamedSet, frame: usize) -> Self {
         let (sequence, of) = named.set.each_frame()[frame];
         let name = &named.set.sequences[sequence].name;
-        // The subject, size and material are said elsewhere.
+        // Without subject, size and material.
         let movement = name.rsplit_once('_').map_or(name.as_str(), |(_, last)| last);
         let label = format!("{movement}, frame {of}");
         Self { label, frame, clothing: None }
     }
 }
 
-/// The truth, and what is shown in colours by its errors; all of a frame from one place.
+/// The ground truth, and clothing coloured by error; one camera per frame.
 pub(super) fn errors(model: &SmplModel, named: &NamedSet, shown: &[FrameFigure]) -> Result<Image> {
     let each = named.set.each_frame();
     let mut tiles = Vec::new();
@@ -56,7 +56,7 @@ pub(super) fn errors(model: &SmplModel, named: &NamedSet, shown: &[FrameFigure])
         let stage = PictureCamera::around([&body, &true_mesh], View::ThreeQuarter, HEIGHT)?;
         tiles.push(tile(&stage, &body, &true_mesh, truth, shown, &named.set.faces)?);
     }
-    let title = format!("errors from 0 to {BRIGHTEST} mm");
+    let title = format!("error from 0 to {BRIGHTEST} mm");
     Ok(contact_sheet(&tiles, tiles.len(), Some(&title))?)
 }
 

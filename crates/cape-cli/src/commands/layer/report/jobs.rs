@@ -1,4 +1,4 @@
-//! The experiments on a set, kept so that an interrupted report goes on.
+//! Experiments on a set; finished ones are kept.
 
 use std::{fs, path::Path};
 
@@ -35,7 +35,7 @@ pub(super) enum Experiment {
     Reconstruction,
     /// Table 2.
     Regression,
-    /// What is new in one factor.
+    /// Prediction of left-out values of a factor.
     Transfer(Factor),
 }
 
@@ -55,7 +55,7 @@ pub(super) struct ReconstructionResult {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct RegressionResult {
     pub(super) set: String,
-    /// What is new; empty in table 2.
+    /// Factor whose values are left out; empty in table 2.
     pub(super) factor: String,
     /// The sequence, or what the held-out ones have in common.
     pub(super) name: String,
@@ -66,14 +66,14 @@ pub(super) struct RegressionResult {
     pub(super) train_mm: f64,
     pub(super) predict_mm: f64,
     pub(super) largest_mm: f64,
-    /// Of the first components' coordinates of the predicted frames themselves.
+    /// Error of the projection of the predicted frames on the first components.
     pub(super) space_mm: f64,
-    /// Of the mean of the frames that trained.
+    /// Error of the mean of the training frames.
     pub(super) baseline_mm: f64,
     pub(super) iterations: usize,
 }
 
-/// What an experiment came to.
+/// Results of an experiment.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(super) struct ExperimentResults {
     key: String,
@@ -81,12 +81,12 @@ pub(super) struct ExperimentResults {
     pub(super) regressed: Vec<RegressionResult>,
 }
 
-/// What all experiments share.
+/// Common settings of the experiments.
 pub(super) struct ExperimentContext<'a> {
     pub(super) model: &'a SmplModel,
     pub(super) learning: LearningOptions,
     pub(super) association_args: AssociationArgs,
-    /// Where outcomes and pictures are kept.
+    /// Directory of results and pictures.
     pub(super) kept: &'a Path,
     pub(super) console: Console,
 }
