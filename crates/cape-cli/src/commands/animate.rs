@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use cape_core::{BodyPose, Outfit, obj, ply};
-use cape_infer::{AnimatedBody, BodySpec, Run, write_json};
+use cape_infer::{AnimatedBody, BodySpec, Run, batches, write_json};
 use cape_render::{Bounds, Camera, Image, Object, Projection, Style, View, render, save_animation};
 use cape_synth::poses::motion_poses;
 use clap::Args;
@@ -17,9 +17,6 @@ use crate::{
     options::{FileKind, GlobalArgs, OutfitArgs, OutputArgs, RunArgs, ShapeArgs, kinds, positive},
     priors::PriorArgs,
 };
-
-/// Frames decoded and posed at a time.
-const BATCH: usize = 16;
 
 /// Animate a dressed body by a motion with a fixed latent code.
 ///
@@ -89,7 +86,7 @@ impl AnimateArgs {
             None => self.drawn.codes(&run, &[outfit], 1, seed, console)?,
         };
         files::create_dir(&self.output.out)?;
-        let displacement = self.frames(&run, &code, &poses, console)?;
+        let displacement = self.frames(&run, &code, &betas, &poses, console)?;
         match self.format {
             FileKind::Glb => self.write_glb(&run, &code, &betas, &poses)?,
             _ => self.write_frames(&run, &betas, &poses, &displacement, console)?,
@@ -113,15 +110,18 @@ impl AnimateArgs {
         &self,
         run: &Run,
         code: &Array2<f32>,
+        betas: &[f32],
         poses: &[BodyPose],
         console: Console,
     ) -> Result<Array3<f32>> {
         let mut parts = Vec::new();
         console.while_showing("decode", "frames", |progress| {
-            for (index, chunk) in poses.chunks(BATCH).enumerate() {
-                let codes = code.select(Axis(0), &vec![0; chunk.len()]);
-                parts.push(run.decode(&codes, chunk, &vec![self.outfit.outfit; chunk.len()])?);
-                progress(index * BATCH + chunk.len(), poses.len());
+            for rows in batches(poses.len()) {
+                let done = rows.end;
+                let bodies = self.body_specs(betas, &poses[rows]);
+                let codes = code.select(Axis(0), &vec![0; bodies.len()]);
+                parts.push(run.decode_displacements(&codes, &bodies)?);
+                progress(done, poses.len());
             }
             Ok::<_, Error>(())
         })?;
@@ -170,10 +170,10 @@ impl AnimateArgs {
         let mut camera = None;
         let mut pictures = Vec::new();
         console.while_showing("write", "frames", |progress| {
-            for (index, chunk) in poses.chunks(BATCH).enumerate() {
-                let first = index * BATCH;
-                let worn = displacement.slice(s![first..first + chunk.len(), .., ..]).to_owned();
-                let bodies = painter.pose_clothed(&worn, &self.body_specs(betas, chunk))?;
+            for rows in batches(poses.len()) {
+                let first = rows.start;
+                let worn = displacement.slice(s![rows.clone(), .., ..]).to_owned();
+                let bodies = painter.pose_clothed(&worn, &self.body_specs(betas, &poses[rows]))?;
                 if camera.is_none() {
                     camera = view_of(&bodies);
                 }
