@@ -2,6 +2,8 @@
 
 mod help;
 
+pub(crate) use help::command;
+
 use std::{io, path::PathBuf, process::ExitCode};
 
 use clap::{Args, FromArgMatches, Parser, Subcommand};
@@ -86,9 +88,9 @@ pub(crate) struct ManArgs {
 impl Cli {
     /// Parses the process's arguments; exits with help, the version or a usage error.
     pub(crate) fn from_arguments() -> Self {
-        let mut matches = help::command().get_matches();
+        let mut matches = command().get_matches();
         Self::from_arg_matches_mut(&mut matches)
-            .unwrap_or_else(|error| error.format(&mut help::command()).exit())
+            .unwrap_or_else(|error| error.format(&mut command()).exit())
     }
 
     pub(crate) fn run(self, console: Console) -> Result<ExitCode> {
@@ -120,7 +122,7 @@ impl Cli {
 impl CompletionsArgs {
     fn run(self) -> Result {
         let mut script = Vec::new();
-        clap_complete::generate(self.shell, &mut help::command(), "cape", &mut script);
+        clap_complete::generate(self.shell, &mut command(), "cape", &mut script);
         io::Write::write_all(&mut io::stdout(), &script).map_err(Error::output)
     }
 }

@@ -26,6 +26,16 @@ use cli::Cli;
 use console::Console;
 use error::Error;
 
+/// The tree of commands with its help, for tools that list or document it.
+///
+/// ```
+/// let command = cape_cli::command();
+/// assert!(command.find_subcommand("sample").is_some());
+/// ```
+pub fn command() -> clap::Command {
+    cli::command()
+}
+
 /// Runs the command line on the process's arguments and returns its exit code: 0 for success, 1 for an
 /// error, 2 for wrong usage, 130 for an interrupted command that can be resumed.
 pub fn main() -> ExitCode {

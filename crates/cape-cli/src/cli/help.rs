@@ -22,7 +22,7 @@ pub(super) const GROUPS: [(&str, &[&str]); 7] = [
 const COLUMNS: usize = 100;
 
 /// The commands with their help.
-pub(super) fn command() -> Command {
+pub(crate) fn command() -> Command {
     let mut command = with_one_page(plain());
     let template = first_page(&command);
     command = command.help_template(template);

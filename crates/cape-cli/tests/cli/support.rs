@@ -84,6 +84,16 @@ impl Ran {
     }
 }
 
+impl Ran {
+    /// Asserts exit code 2, nothing on standard output, and all of `parts` said.
+    #[track_caller]
+    pub(crate) fn misused(self, parts: &[&str]) {
+        let Self { code, out, err } = self;
+        assert_eq!((code, out.as_str()), (Some(2), ""), "{err}");
+        assert!(parts.iter().all(|part| err.contains(part)), "{err}");
+    }
+}
+
 /// A body of 24 joints in a stack, closed, small.
 pub(crate) fn small_body() -> SmplModel {
     let height = |ring: usize| 1.6 * ring as f64 / (RINGS - 1) as f64;

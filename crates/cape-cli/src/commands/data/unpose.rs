@@ -18,7 +18,9 @@ use crate::{
 /// subject needs a minimal body shape; the shape coefficients fitted to it are reported with their
 /// residual.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  cape data unpose scans --body SMPL_MALE.pkl --out raw")]
+#[command(
+    after_help = "Example:\n  cape data unpose scans --body data/smpl/SMPL_MALE.pkl --out raw"
+)]
 pub(crate) struct UnposeArgs {
     /// Raw data, with sequences/ and minimal_body_shape/.
     #[arg(value_name = "RAW")]

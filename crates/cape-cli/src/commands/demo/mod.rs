@@ -82,7 +82,7 @@ impl DemoArgs {
         let deadline = start + Duration::from_secs_f64(60.0 * self.minutes * TRAINING_SHARE);
         setting.data()?;
         let (outcome, losses) = setting.train(deadline)?;
-        let run = Run::open(&setting.path("run"), &setting.device)?;
+        let run = Run::open(setting.path("run"), &setting.device)?;
         let evaluation = setting.evaluate(&run)?;
         setting.pictures(&run, &losses)?;
         let report = Report {

@@ -29,7 +29,7 @@ use crate::{
 /// still written, but the command exits with an error.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example:\n  cape fit image runs/cape person_keypoints.json --mask person.png \
+    after_help = "Example:\n  cape fit image runs/cape person_keypoints.json --mask person_mask.png \
                         --outfit auto --out fitted"
 )]
 pub(crate) struct FitArgs {

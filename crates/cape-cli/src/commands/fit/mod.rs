@@ -17,7 +17,7 @@ use crate::{console::Console, error::Result, options::GlobalArgs};
 /// Fit clothed bodies to images and scans: image, scan, benchmark, pose-prior.
 #[derive(Debug, Subcommand)]
 #[command(
-    after_help = "Example:\n  cape fit image runs/cape person_keypoints.json --mask person.png --out \
+    after_help = "Example:\n  cape fit image runs/cape person_keypoints.json --mask person_mask.png --out \
                         fitted\n  cape fit scan runs/cape --scan person.ply --out fitted"
 )]
 pub(crate) enum FitCommand {

@@ -21,7 +21,7 @@ use crate::{
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  cape fit pose-prior AMASS/CMU --components 8 --out prior.npz\n  cape \
-                        fit image runs/cape person_keypoints.json --mask person.png --pose-prior \
+                        fit image runs/cape person_keypoints.json --mask person_mask.png --pose-prior \
                         prior.npz --out fitted"
 )]
 pub(crate) struct FitPosePriorArgs {

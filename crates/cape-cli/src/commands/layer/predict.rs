@@ -33,7 +33,7 @@ const HEIGHT: u32 = 360;
     after_help = "Examples:\n  cape layer predict learned/layer.npz --motion squats --out predicted\n  \
                   cape layer predict learned/layer.npz --betas 2,-1 --out other-body\n  \
                   cape layer predict learned/layer.npz --parameters length=1.1,log_bend=-2 --out longer\n  \
-                  cat dance.csv | cape layer predict learned/layer.npz --motion - --out live"
+                  tracker | cape layer predict learned/layer.npz --motion - --out live"
 )]
 pub(crate) struct PredictArgs {
     /// Layer written by `cape layer learn`.

@@ -65,7 +65,7 @@ pub(super) fn compare(
         (kept.key == key).then_some(kept)
     };
     if let Some(kept) = kept() {
-        console.note("comparison with CAPE: done before");
+        console.note("comparison with CAPE: already done");
         return Ok(kept);
     }
     let test = Arc::new(PackedSet::open(&data, Split::Test)?);
@@ -175,7 +175,7 @@ impl ComparisonContext<'_> {
         let reconstruction_mm = meter.summary().overall.mean;
         let latent = run.config().model.latent;
         let wearers: Vec<BodySpec> = (0..test.frames())
-            .map(|row| Ok(cape_infer::registration(&test, row)?.1))
+            .map(|row| Ok(cape_infer::registration(test, row)?.1))
             .collect::<Result<_>>()?;
         let mut meter = self.meter();
         self.console.while_showing("predict", "frames", |progress| {

@@ -132,7 +132,7 @@ impl ExperimentContext<'_> {
         for (job, done) in jobs.into_iter().zip(done) {
             let (outcome, image) = match (done, &unposed) {
                 (Some(done), _) => {
-                    self.console.note(&format!("{}, {}: done before", named.name, job.name()));
+                    self.console.note(&format!("{}, {}: already done", named.name, job.name()));
                     done
                 }
                 (None, Some(unposed)) => {
