@@ -1,4 +1,4 @@
-//! What each command says and writes when all is well, and how it takes its arguments.
+//! Output and files of each command on valid input, and the parsing of arguments.
 
 use std::fs;
 

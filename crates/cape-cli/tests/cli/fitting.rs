@@ -83,10 +83,10 @@ fn strip(value: &mut Value) {
     }
 }
 
-/// What [`person`] makes, as `cape fit` takes it.
+/// Files of [`person`] as arguments of `cape fit image`.
 const SEEN: &str = "@/seen/best/keypoints.json --mask @/seen/best/mask.png";
 
-/// What a person looks like, in seen/best, and few.toml with few steps.
+/// Writes keypoints and mask of a person to seen/best, and few.toml with few steps.
 fn person(data: &Packed, run: &str) {
     fs::write(data.at("few.toml"), CONFIG).unwrap();
     let options = "--frames 1 --size 128 --config @/few.toml --out @/seen";

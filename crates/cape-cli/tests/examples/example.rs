@@ -57,7 +57,7 @@ const NOT_RUN: [(&str, &str); 10] = [
 pub(crate) struct Example {
     /// The shell's line, in one.
     pub(crate) line: String,
-    /// Where it is from.
+    /// File or help that it is from.
     source: String,
 }
 
