@@ -14,7 +14,7 @@ use cape::{
     infer::{BodySpec, Run, RunConfig, TrainConfig},
     model::CapeConfig,
     synth::{CaptureGenerator, Motion, SynthSpec, synthetic_body},
-    train::{TrainEvent, Trainer},
+    train::{TrainEvent, Trainer, TrainerOptions},
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -51,7 +51,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ..RunConfig::default()
     };
     let device = Device::default();
-    let mut trainer = Trainer::create(&run, &packed, None, None, config, &device)?;
+    let mut trainer = Trainer::create(&run, TrainerOptions::new(&packed, config), &device)?;
     trainer.run(&mut |event| {
         if let TrainEvent::Validation { epoch, millimetres, .. } = event {
             println!("epoch {epoch}: {millimetres:.2} mm");

@@ -73,6 +73,17 @@ pub(crate) struct ResumableOutputArgs {
     pub(crate) out: PathBuf,
 }
 
+/// A directory of finished results, which belong to settings and inputs.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct StoreArgs {
+    /// Directory to write; finished results of the same settings and inputs are kept.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    /// Discard results of other settings, inputs or versions in --out.
+    #[arg(long)]
+    pub(crate) overwrite: bool,
+}
+
 /// A body model.
 #[derive(Debug, Clone, PartialEq, Args, Serialize, Deserialize)]
 pub(crate) struct BodyModelArgs {

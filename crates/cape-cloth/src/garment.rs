@@ -1,6 +1,7 @@
 use cape_core::SmplModel;
 use glam::DVec3;
 use ndarray::{Array2, s};
+use serde::Serialize;
 
 use super::{
     isosurface::surface_nets,
@@ -15,7 +16,7 @@ use cape_core::{
 /// Kinds of garments, each of its own topology.
 ///
 /// See [`Garment`] for an example.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 pub enum GarmentKind {
     /// A body with sleeves.
     TShirt,
@@ -46,7 +47,7 @@ pub enum GarmentKind {
 /// assert!(hem(&longer.surface) < hem(&sewn.surface));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Garment {
     /// The kind.
     pub kind: GarmentKind,

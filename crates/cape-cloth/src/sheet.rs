@@ -2,6 +2,7 @@ use std::collections::HashMap;
 
 use glam::DVec3;
 use rayon::prelude::*;
+use serde::Serialize;
 
 use super::{
     contact::{Contact, Contacts},
@@ -23,7 +24,7 @@ use cape_core::geometry::{SurfaceIndex, SurfaceMesh};
 /// assert!(nothing.check().unwrap_err().to_string().contains("density"));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ClothMaterial {
     /// Mass of a square metre, kg.
     pub density: f64,

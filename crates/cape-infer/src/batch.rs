@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use cape_core::tensors::tensor2;
+use cape_core::tensors::from_array2;
 use cape_data::HostBatch;
 
 /// Bodies that pass through the network at a time.
@@ -37,7 +37,7 @@ pub fn to_device(batch: HostBatch, device: &Device) -> DeviceBatch {
     let (values, _) = displacement.into_raw_vec_and_offset();
     DeviceBatch {
         displacement: Tensor::from_data(TensorData::new(values, [count, vertices, 3]), device),
-        pose_feature: tensor2(pose_feature, device),
-        outfit: tensor2(outfit, device),
+        pose_feature: from_array2(pose_feature, device),
+        outfit: from_array2(outfit, device),
     }
 }

@@ -161,6 +161,12 @@ pub fn load_weights(path: &Path) -> Result<Weights> {
     Ok(weights)
 }
 
+/// Names of the files of a checkpoint directory that [`load_weights`] reads.
+pub fn weight_files(path: &Path) -> Vec<String> {
+    let average = path.join(AVERAGE).exists().then(|| AVERAGE.to_owned());
+    std::iter::once(MODEL.to_owned()).chain(average).collect()
+}
+
 /// The checkpoints of a run, oldest first.
 pub fn list(directory: &Path) -> Result<Vec<(u64, PathBuf)>> {
     let entries = match fs::read_dir(directory) {

@@ -9,7 +9,7 @@ use burn::{
 use cape_core::{
     ClothedSmpl, ClothingMask, Mesh, Outfit, Pose, Smpl, SmplInput, SmplModel,
     joints::{CLOTHING_JOINTS, JOINTS, POSE_FEATURE, pose_features},
-    tensors::{host, tensor2},
+    tensors::{from_array2, to_host},
 };
 use cape_data::{DisplacementStatistics, PackedSet};
 use cape_model::{Generator, Graphs, Posterior};
@@ -232,7 +232,7 @@ impl ClothedModel {
     pub fn condition(&self, bodies: &[BodySpec]) -> Result<Condition> {
         let poses: Vec<_> = bodies.iter().map(|body| body.pose).collect();
         Ok(Condition {
-            pose_feature: tensor2(pose_features(&poses)?, &self.device),
+            pose_feature: from_array2(pose_features(&poses)?, &self.device),
             outfit: self.outfits(bodies.iter().map(|body| body.outfit)),
         })
     }
@@ -277,7 +277,7 @@ impl ClothedModel {
         let mut meshes = Vec::with_capacity(bodies.len());
         for rows in batches(bodies.len()) {
             let bodies = &bodies[rows.clone()];
-            let codes = tensor2(codes.slice(s![rows, ..]).to_owned(), &self.device);
+            let codes = from_array2(codes.slice(s![rows, ..]).to_owned(), &self.device);
             let displacement = self.decode(codes, &self.condition(bodies)?);
             self.pose(Some(displacement), bodies, &mut meshes)?;
         }
@@ -297,10 +297,10 @@ impl ClothedModel {
         let (mut clothed, mut meshes) = (Vec::with_capacity(bodies.len()), Vec::new());
         for rows in batches(bodies.len()) {
             let bodies = &bodies[rows.clone()];
-            let codes = tensor2(codes.slice(s![rows, ..]).to_owned(), &self.device);
+            let codes = from_array2(codes.slice(s![rows, ..]).to_owned(), &self.device);
             let displacement = self.decode(codes, &self.condition(bodies)?);
             self.pose(Some(displacement.clone()), bodies, &mut meshes)?;
-            let values = host(displacement);
+            let values = to_host(displacement);
             let rows = values.chunks_exact(3 * self.body.vertices());
             for (mesh, values) in meshes.drain(..).zip(rows) {
                 let displacement =
@@ -327,8 +327,8 @@ impl ClothedModel {
         let mut metres = Vec::with_capacity(n * vertices * 3);
         for rows in batches(n) {
             let condition = self.condition(&bodies[rows.clone()])?;
-            let codes = tensor2(codes.slice(s![rows, ..]).to_owned(), &self.device);
-            metres.extend(host(self.decode(codes, &condition)));
+            let codes = from_array2(codes.slice(s![rows, ..]).to_owned(), &self.device);
+            metres.extend(to_host(self.decode(codes, &condition)));
         }
         Array3::from_shape_vec((n, vertices, 3), metres)
             .map_err(|error| Error::argument(error.to_string()))
@@ -378,7 +378,7 @@ impl ClothedModel {
         let mut means = Vec::with_capacity(bodies.len() * self.latent());
         for rows in batches(bodies.len()) {
             let condition = self.condition(&bodies[rows.clone()])?;
-            means.extend(host(self.posterior(self.upload(displacement, rows), &condition).mean));
+            means.extend(to_host(self.posterior(self.upload(displacement, rows), &condition).mean));
         }
         self.code_rows(bodies.len(), means)
     }
@@ -400,7 +400,7 @@ impl ClothedModel {
             let batch = to_device(set.batch(&frames[rows], Some(&self.statistics))?, &self.device);
             let condition = Condition { pose_feature: batch.pose_feature, outfit: batch.outfit };
             let posterior = self.posterior_of_normalised(batch.displacement, &condition);
-            means.extend(host(posterior.mean));
+            means.extend(to_host(posterior.mean));
         }
         self.code_rows(frames.len(), means)
     }
@@ -434,7 +434,7 @@ impl ClothedModel {
             transl: rows(vec![0.0; 3 * n], 3),
             displacement,
         })?;
-        let values = host(output.vertices);
+        let values = to_host(output.vertices);
         if values.iter().any(|x| !x.is_finite()) {
             return Err(Error::argument("posed vertices are not finite"));
         }

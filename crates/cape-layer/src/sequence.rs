@@ -1,9 +1,6 @@
 //! Sequences of clothing over a moving body, and sets of them that share a topology.
 
-use std::{
-    hash::{Hash, Hasher},
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use cape_core::{
     Mesh, SmplModel,
@@ -173,23 +170,6 @@ impl LayerSet {
         };
         let clothing = clothing.clothing.index_axis(Axis(0), frame);
         Ok(SurfaceMesh::new("clothing", points(clothing), self.faces.clone())?)
-    }
-
-    /// A number that tells sets apart: equal sets have the same, in whatever process.
-    pub fn fingerprint(&self) -> u64 {
-        let mut hash = std::hash::DefaultHasher::new();
-        self.faces.hash(&mut hash);
-        for sequence in &self.sequences {
-            let Sequence { name, clothing, betas, motion, parameters } = sequence;
-            name.hash(&mut hash);
-            let numbers = clothing.iter().chain(betas).chain(&motion.poses);
-            let numbers = numbers.chain(&motion.translations).chain([&motion.frame_rate]);
-            numbers.for_each(|number| number.to_bits().hash(&mut hash));
-            for (name, value) in parameters {
-                (name, value.to_bits()).hash(&mut hash);
-            }
-        }
-        hash.finish()
     }
 
     /// Writes `set.json` and one `<name>.npz` for each sequence (float32 clothing) into a directory
@@ -413,17 +393,6 @@ mod tests {
             LayerSet::add(grown.path(), &FACES, &sequence(name)).unwrap();
         }
         assert_eq!(LayerSet::load(grown.path()).unwrap(), set);
-    }
-
-    #[test]
-    fn fingerprints_tell_sets_apart() {
-        let of =
-            |name: &str| LayerSet::new(FACES.to_vec(), vec![sequence(name)]).unwrap().fingerprint();
-        assert_eq!(of("a"), of("a"));
-        assert_ne!(of("a"), of("b"));
-        let mut moved = sequence("a");
-        moved.clothing[(1, 2, 0)] += 1e-6;
-        assert_ne!(LayerSet::new(FACES.to_vec(), vec![moved]).unwrap().fingerprint(), of("a"));
     }
 
     #[test]

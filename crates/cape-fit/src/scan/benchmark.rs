@@ -9,7 +9,7 @@ use glam::{DQuat, DVec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::{
     FreeFormConfig, Scan, ScanConfig, ScanFit, ScanFitter, ScanInit, Unit, UpAxis,
@@ -28,7 +28,7 @@ const FAR: f64 = 2.0;
 ///
 /// ```no_run
 /// use burn::tensor::Device;
-/// use cape_fit::scan::{ScanConfig, benchmark::{ScanBenchmarkOptions, scan_benchmark}};
+/// use cape_fit::scan::{ScanConfig, benchmark::{ScanBenchmark, ScanBenchmarkOptions}};
 /// use cape_data::{PackedSet, Split};
 /// use cape_infer::Run;
 ///
@@ -42,10 +42,11 @@ const FAR: f64 = 2.0;
 ///     holes: vec![0.0, 0.1],
 ///     seed: 1,
 /// };
-/// scan_benchmark(&run, &set, &options, &ScanConfig::default(), &mut |case| {
+/// let benchmark = ScanBenchmark::new(&run, &set, options, &ScanConfig::default())?;
+/// for trial in benchmark.trials() {
+///     let case = benchmark.case(trial)?;
 ///     println!("{} {:.0} %: {:.1} mm", case.capture, 100.0 * case.hole, case.error.clothed);
-///     Ok(())
-/// })?;
+/// }
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
@@ -65,7 +66,7 @@ pub struct ScanBenchmarkOptions {
 /// Errors of one scan's fit, millimetres.
 ///
 /// See [`ScanBenchmarkOptions`] for an example.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScanError {
     /// Mean distance of clothing vertices from the true ones, in the mean clothes.
     pub mean_clothes: f64,
@@ -90,7 +91,7 @@ pub struct ScanError {
 /// One scan of the benchmark.
 ///
 /// See [`ScanBenchmarkOptions`] for an example.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ScanCase {
     /// Number of the held-out frame.
     pub frame: usize,
@@ -116,58 +117,97 @@ struct GroundTruth {
     encoded: Vec<DVec3>,
 }
 
-/// Fits scans of held-out frames of `set` in the clothes of `run`, the outfit being known; `each`
-/// gets every one in turn.
+/// Conditions of one scan.
 ///
-/// # Errors
-/// If the set does not suit the run, or a fit fails altogether.
-pub fn scan_benchmark(
-    run: &Run,
-    set: &PackedSet,
-    options: &ScanBenchmarkOptions,
-    config: &ScanConfig,
-    each: &mut dyn FnMut(ScanCase) -> Result<()>,
-) -> Result<()> {
-    if set.vertices() != run.body().vertices() {
-        return Err(Error::argument(format!(
-            "frames of {} vertices, but the body has {}",
-            set.vertices(),
-            run.body().vertices()
-        )));
+/// See [`ScanBenchmarkOptions`] for an example.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScanTrial {
+    /// Number of the held-out frame.
+    pub frame: usize,
+    /// Standard deviation of the points' coordinates, metres.
+    pub noise: f64,
+    /// Share of the surface that is missing, 0 to 1.
+    pub hole: f64,
+}
+
+/// Scans of held-out frames of a packed set, and the fitters of a run for them, the outfit being known.
+///
+/// See [`ScanBenchmarkOptions`] for an example.
+#[derive(Debug)]
+pub struct ScanBenchmark<'a> {
+    run: &'a Run,
+    set: &'a PackedSet,
+    options: ScanBenchmarkOptions,
+    start: ScanInit,
+    fitters: Vec<ScanFitter>,
+}
+
+impl<'a> ScanBenchmark<'a> {
+    /// Scans of frames of `set`, fitted in the clothes of `run`.
+    ///
+    /// # Errors
+    /// If the set does not suit the run.
+    pub fn new(
+        run: &'a Run,
+        set: &'a PackedSet,
+        options: ScanBenchmarkOptions,
+        config: &ScanConfig,
+    ) -> Result<Self> {
+        if set.vertices() != run.body().vertices() {
+            return Err(Error::argument(format!(
+                "frames of {} vertices, but the body has {}",
+                set.vertices(),
+                run.body().vertices()
+            )));
+        }
+        let prior = PosePrior::synthetic()?;
+        let start = ScanInit::default_poses(&prior);
+        let fitter =
+            |&outfit: &Outfit| ScanFitter::new(run, &[outfit], None, prior.clone(), config.clone());
+        let fitters = Outfit::ALL.iter().map(fitter).collect::<Result<_>>()?;
+        Ok(Self { run, set, options, start, fitters })
     }
-    let prior = PosePrior::synthetic()?;
-    let start = ScanInit::default_poses(&prior);
-    let fitter =
-        |&outfit: &Outfit| ScanFitter::new(run, &[outfit], None, prior.clone(), config.clone());
-    let fitters: Vec<ScanFitter> = Outfit::ALL.iter().map(fitter).collect::<Result<_>>()?;
-    let count = options.frames.min(set.frames());
-    for index in 0..count {
-        let frame = index * set.frames() / count.max(1);
-        let outfit = set.outfits()[frame];
-        for &noise in &options.noises {
-            for &hole in &options.holes {
-                // The same person in the same place, whatever the noise.
-                let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
-                rng.set_stream(frame as u64);
-                let truth = truth(run, set, frame, &mut rng)?;
-                let scan = simulate_scan(run, &truth, options.points, noise, hole, &mut rng)?;
-                let fitter = &fitters[outfit.index()];
-                let clock = Instant::now();
-                let fit = fitter.fit(&scan, &start, UpAxis::Y, &mut |_, _| {})?;
-                let seconds = clock.elapsed().as_secs_f64();
-                each(ScanCase {
-                    frame,
-                    capture: set.capture(frame),
-                    outfit,
-                    noise,
-                    hole,
-                    error: error(run, fitter, &truth, &scan, &fit, seconds)?,
-                    problem: fit.problem,
-                })?;
+
+    /// Every frame with every noise and every share of holes. Each is the same alone.
+    pub fn trials(&self) -> Vec<ScanTrial> {
+        let ScanBenchmarkOptions { noises, holes, .. } = &self.options;
+        let count = self.options.frames.min(self.set.frames());
+        let mut trials = Vec::with_capacity(count * noises.len() * holes.len());
+        for index in 0..count {
+            let frame = index * self.set.frames() / count;
+            for &noise in noises {
+                trials.extend(holes.iter().map(|&hole| ScanTrial { frame, noise, hole }));
             }
         }
+        trials
     }
-    Ok(())
+
+    /// Scans and fits one body.
+    ///
+    /// # Errors
+    /// If the frame cannot be read, or the fit fails altogether.
+    pub fn case(&self, ScanTrial { frame, noise, hole }: ScanTrial) -> Result<ScanCase> {
+        let Self { run, set, options, start, fitters } = self;
+        let outfit = set.outfits()[frame];
+        // The same person in the same place, whatever the noise.
+        let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+        rng.set_stream(frame as u64);
+        let truth = truth(run, set, frame, &mut rng)?;
+        let scan = simulate_scan(run, &truth, options.points, noise, hole, &mut rng)?;
+        let fitter = &fitters[outfit.index()];
+        let clock = Instant::now();
+        let fit = fitter.fit(&scan, start, UpAxis::Y, &mut |_, _| {})?;
+        let seconds = clock.elapsed().as_secs_f64();
+        Ok(ScanCase {
+            frame,
+            capture: set.capture(frame),
+            outfit,
+            noise,
+            hole,
+            error: error(run, fitter, &truth, &scan, &fit, seconds)?,
+            problem: fit.problem,
+        })
+    }
 }
 
 /// A held-out frame on a body of random shape, somewhere, facing anywhere.

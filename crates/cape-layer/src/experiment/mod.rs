@@ -7,6 +7,7 @@ mod tests;
 mod unposed;
 
 use ndarray::{Array2, ArrayView2, Axis};
+use serde::Serialize;
 
 pub use factor::{Factor, SequenceGroup};
 pub use unposed::UnposedSet;
@@ -60,7 +61,7 @@ pub fn distances(found: ArrayView2<'_, f64>, truth: ArrayView2<'_, f64>) -> Vec<
 /// What is learned, and how.
 ///
 /// See [`UnposedSet`] for an example.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LearningOptions {
     /// Principal components that are predicted; the paper's 40.
     pub components: usize,

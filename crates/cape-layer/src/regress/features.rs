@@ -1,5 +1,6 @@
 use glam::{DMat3, DVec3};
 use ndarray::{Array2, ArrayView2};
+use serde::Serialize;
 
 use cape_core::BodyMotion;
 
@@ -19,7 +20,7 @@ use cape_core::BodyMotion;
 /// assert!(rows.rows().into_iter().all(|row| (row[2] - 1.0).abs() < 1e-9));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FeatureOptions {
     /// Whether the global speed is used: of the root, in the body's own directions, m/s.
     pub speed: bool,

@@ -5,6 +5,7 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate};
 use rand::{Rng, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
+use serde::Serialize;
 
 use super::{Network, Regressor, regressor::Standardiser};
 use crate::{Error, Result};
@@ -28,7 +29,7 @@ use cape_core::expect_finite;
 /// assert!(off.iter().all(|gap| gap.abs() < 8.0));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TrainingOptions {
     /// Units of the hidden layers; the paper's 60 and 80.
     pub hidden: Vec<usize>,

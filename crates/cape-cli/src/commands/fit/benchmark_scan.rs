@@ -1,26 +1,28 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use cape_data::{PackedSet, Split};
+use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
 use cape_fit::scan::{
     ScanConfig,
-    benchmark::{ScanBenchmarkOptions, ScanCase, ScanError, scan_benchmark},
+    benchmark::{ScanBenchmark, ScanBenchmarkOptions, ScanCase, ScanError, ScanTrial},
 };
-use cape_infer::write_json;
+use cape_infer::{Run, write_json};
 use clap::Args;
 use serde::Serialize;
+use serde_json::json;
 
 use crate::{
     console::Console,
     error::{Error, Result},
-    files,
-    options::{DataArgs, GlobalArgs, OutputArgs, RunArgs, at_least_one, non_negative, share},
+    options::{DataArgs, GlobalArgs, RunArgs, StoreArgs, at_least_one, non_negative, share},
     table::Table,
 };
 
 /// Benchmark scan fitting on held-out frames with noise and holes.
 ///
 /// Samples points of held-out clothing on bodies of random shape and fits them with the outfit known, at
-/// every combination of --noise and --holes. Writes benchmark.json.
+/// every combination of --noise and --holes. Writes benchmark.json. Run the same command again to
+/// resume.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  cape fit benchmark scan runs/cape --frames 8 --noise 0,2,5 --holes \
@@ -32,7 +34,7 @@ pub(crate) struct ScanBenchmarkArgs {
     #[command(flatten)]
     data: DataArgs,
     #[command(flatten)]
-    output: OutputArgs,
+    output: StoreArgs,
     /// Number of held-out frames, evenly spaced.
     #[arg(long, default_value_t = 8, value_name = "N", value_parser = at_least_one)]
     frames: usize,
@@ -79,7 +81,6 @@ impl ScanBenchmarkArgs {
                 "--noise {noise}: must be at most {MOST_NOISE} mm"
             )));
         }
-        self.output.require_empty()?;
         let run = self.run.open(global)?;
         let data = self.data.of(&run)?;
         let set = PackedSet::open(&data, Split::Test)?;
@@ -91,14 +92,21 @@ impl ScanBenchmarkArgs {
             seed: global.seed(),
         };
         let frames = options.frames.min(set.frames());
-        let total = frames * options.noises.len() * options.holes.len();
-        let mut cases = Vec::with_capacity(total);
+        let config = ScanConfig::default();
+        let store = self.store(&run, &data, &options, &config)?;
+        let benchmark = ScanBenchmark::new(&run, &set, options.clone(), &config)?;
+        let trials = benchmark.trials();
+        let mut cases = Vec::with_capacity(trials.len());
         console.while_showing("fit", "scans", |progress| {
-            scan_benchmark(&run, &set, &options, &ScanConfig::default(), &mut |case| {
-                cases.push(case);
-                progress(cases.len(), total);
-                Ok(())
-            })
+            for &trial in &trials {
+                let name = item(trial);
+                cases.push(match store.read(&name)? {
+                    Some(case) => case,
+                    None => store.write(&name, &benchmark.case(trial)?)?,
+                });
+                progress(cases.len(), trials.len());
+            }
+            Ok::<_, Error>(())
         })?;
         let mut levels = Vec::new();
         for &noise in &options.noises {
@@ -111,12 +119,38 @@ impl ScanBenchmarkArgs {
                 ));
             }
         }
-        let out = self.output.out;
-        files::create_dir(&out)?;
-        let report = Report { out, frames, levels, cases };
-        write_json(&report.out.join("benchmark.json"), &report)?;
+        let report = Report { out: self.output.out, frames, levels, cases };
+        write_json(&store.claim("benchmark.json")?, &report)?;
         console.result(&report, || report.text())
     }
+
+    /// Finished scans in --out. A scan is the same whatever other frames and levels there are.
+    fn store(
+        &self,
+        run: &Run,
+        data: &Path,
+        options: &ScanBenchmarkOptions,
+        config: &ScanConfig,
+    ) -> Result<ResultStore> {
+        let ScanBenchmarkOptions { points, seed, .. } = options;
+        let settings = json!({ "points": points, "seed": seed, "config": config });
+        let settings = StoreSettings::new("fit benchmark scan", &settings)?
+            .with_run(run)?
+            .with_packed_set(data, &[Split::Test])?;
+        let options = StoreOptions {
+            overwrite: self.output.overwrite,
+            earlier: &["benchmark.json"],
+            ..StoreOptions::default()
+        };
+        let store = ResultStore::open(&self.output.out, settings, options)?;
+        store.begin()?;
+        Ok(store)
+    }
+}
+
+/// Name of a scan's file.
+fn item(ScanTrial { frame, noise, hole }: ScanTrial) -> String {
+    format!("scans/{frame:06}-noise-{noise}-hole-{hole}.json")
 }
 
 impl NoiseLevel {

@@ -8,6 +8,7 @@ use cape_layer::{
     regress::{FeatureOptions, TrainingOptions},
 };
 use clap::Args;
+use serde::{Serialize, Serializer};
 
 use crate::{
     console::Console,
@@ -16,7 +17,7 @@ use crate::{
 };
 
 /// Options of the association of clothing with the body.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Args, Serialize)]
 pub(super) struct AssociationArgs {
     /// Body vertices per clothing vertex.
     #[arg(long, default_value_t = 4, value_name = "N", value_parser = at_least_one)]
@@ -31,12 +32,8 @@ pub(super) struct AssociationArgs {
     #[arg(long, default_value_t = 0, value_name = "K")]
     pub(super) frame: usize,
     /// Pose of unposed clothing.
-    #[arg(
-        long,
-        default_value = "a-pose",
-        value_name = "POSE",
-        value_parser = choices([("a-pose", StandardPose::A), ("t-pose", StandardPose::T)])
-    )]
+    #[arg(long, default_value = "a-pose", value_name = "POSE", value_parser = choices(STANDARD_POSES))]
+    #[serde(serialize_with = "write_pose")]
     pub(super) standard: StandardPose,
 }
 
@@ -46,6 +43,15 @@ impl Default for AssociationArgs {
         let (sigma, support) = (1e3 * sigma, 1e3 * support);
         Self { neighbours, sigma, support, frame: 0, standard: StandardPose::A }
     }
+}
+
+/// Poses of unposed clothing by name.
+const STANDARD_POSES: [(&str, StandardPose); 2] =
+    [("a-pose", StandardPose::A), ("t-pose", StandardPose::T)];
+
+fn write_pose<S: Serializer>(pose: &StandardPose, to: S) -> Result<S::Ok, S::Error> {
+    let name = STANDARD_POSES.iter().find(|(_, known)| known == pose).map(|(name, _)| *name);
+    name.serialize(to)
 }
 
 /// Clothing associated with the body in one frame.

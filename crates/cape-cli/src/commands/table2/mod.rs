@@ -8,7 +8,8 @@ use burn::tensor::Device;
 use cape_data::{PackedSet, Split};
 use cape_eval::{
     comparison::ComparisonTable,
-    table2::{RowResult, Table2Job, Table2Options, Table2Row, hash_of, methods, select_frames},
+    store::ResultStore,
+    table2::{RowResult, Table2Job, Table2Options, Table2Row, methods, open_store, select_frames},
 };
 use cape_infer::{RunConfig, write_json};
 use cape_model::CapeConfig;
@@ -22,7 +23,7 @@ use crate::{
     files,
     html::HtmlFigure,
     interrupt::Interrupt,
-    options::{GlobalArgs, PRESETS, ResumableOutputArgs, at_least_one, choices},
+    options::{GlobalArgs, PRESETS, StoreArgs, at_least_one, choices},
     training,
 };
 use figures::MethodFigure;
@@ -45,7 +46,7 @@ pub(crate) struct Table2Args {
     #[arg(long, value_name = "DIR", required_unless_present = "quick")]
     data: Option<PathBuf>,
     #[command(flatten)]
-    output: ResumableOutputArgs,
+    output: StoreArgs,
     /// Train narrow models briefly, without --data on synthetic captures.
     #[arg(long)]
     quick: bool,
@@ -89,30 +90,31 @@ impl Table2Args {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result<ExitCode> {
         let start = Instant::now();
         let device = global.device()?;
-        files::create_dir(&self.output.out)?;
+        let store = open_store(&self.output.out, self.output.overwrite)?;
         let data = match &self.data {
             Some(data) => data.clone(),
-            None => quick::data(&self.output.out, console)?,
+            None => quick::data(&store, console)?,
         };
-        let (data_hash, shown) = (hash_of(&data)?, select_frames(&data)?);
+        let shown = select_frames(&data)?;
         let grid = Table2Options {
             data,
             out: self.output.out.clone(),
             body: self.body.clone(),
             clothing: self.clothing.clone(),
             config: self.configured(global)?,
-            data_hash,
             shown,
+            overwrite: self.output.overwrite,
         };
         let rows = if self.rows.is_empty() { Table2Row::ALL.to_vec() } else { self.rows.clone() };
         let jobs = grid.jobs(&rows, self.seeds as u64)?;
+        store.begin()?;
         let interrupt = Interrupt::listen(console)?;
         let mut results = Vec::new();
         let mut clock = RemainingTime::new(&jobs);
         for (index, job) in jobs.iter().enumerate() {
             let title =
                 format!("[{}/{}] {}, seed {}", index + 1, jobs.len(), job.row.name(), job.seed);
-            if let Some(result) = job.result() {
+            if let Some(result) = job.result()? {
                 console.note(&format!("{title}: already done"));
                 clock.pass(job);
                 results.push(result);
@@ -130,7 +132,7 @@ impl Table2Args {
         let (methods, cape) = methods(&results);
         let table = ComparisonTable::new(&methods, cape);
         let report = Report { out: self.output.out, seconds: start.elapsed().as_secs_f64(), table };
-        write(&report, &grid, &jobs, &results)?;
+        write(&store, &report, &grid, &jobs, &results)?;
         console.result(&report, || report.text())?;
         Ok(ExitCode::SUCCESS)
     }
@@ -207,24 +209,27 @@ impl RemainingTime {
 }
 
 fn write(
+    store: &ResultStore,
     report: &Report,
     grid: &Table2Options,
     jobs: &[Table2Job],
     results: &[RowResult],
 ) -> Result {
-    let at = |name: &str| report.out.join(name);
+    for name in ["table2.md", "table2.csv", "table2.tex"] {
+        store.claim(name)?;
+    }
     comparison::write(&report.out, "table2", &report.table)?;
-    write_json(&at("table2.json"), report)?;
+    write_json(&store.claim("table2.json")?, report)?;
 
     let set = PackedSet::open(&grid.data, Split::Test)?;
     let (body, mask) = grid.body(&set)?;
     let shown = first_seeds(jobs)?;
     let reconstructions = figures::reconstructions(&set, &body, &mask, &grid.shown, &shown)?;
-    reconstructions.save(at("reconstructions.png"))?;
+    reconstructions.save(store.claim("reconstructions.png")?)?;
     let maps = figures::maps(&body, &methods(results).0)?;
-    maps.save(at("error_maps.png"))?;
+    maps.save(store.claim("error_maps.png")?)?;
     let histograms = comparison::histograms(&report.table)?;
-    histograms.save(at("histograms.png"))?;
+    histograms.save(store.claim("histograms.png")?)?;
     let figures = [
         HtmlFigure {
             title: "Reconstructions",
@@ -246,7 +251,7 @@ fn write(
         },
     ];
     let html = report::page(&report.table, grid, &figures)?;
-    files::write_text(&at("report.html"), &html)
+    files::write_text(&store.claim("report.html")?, &html)
 }
 
 /// Reconstructions of the frames of the figure by the first seed of every row.

@@ -2,7 +2,8 @@
 
 use std::fmt::Write as _;
 
-use cape_eval::{comparison::ComparisonTable, table2::Table2Options};
+use cape_data::Split;
+use cape_eval::{comparison::ComparisonTable, store::packed_set_sha256, table2::Table2Options};
 
 use crate::{
     console::seconds,
@@ -39,6 +40,7 @@ pub(super) fn page(
     for figure in figures {
         body += &figure.html()?;
     }
+    let data_hash = packed_set_sha256(&grid.data, &[Split::Train, Split::Test])?;
     let config = toml::to_string(&grid.config)
         .map_err(|error| Error::message(format!("settings: {error}")))?;
     let _ = writeln!(
@@ -46,7 +48,7 @@ pub(super) fn page(
         "<h2>Configuration</h2><p>cape {} · data {} (SHA-256 {}) · trained in {}</p><pre>{}</pre>",
         env!("CARGO_PKG_VERSION"),
         escaped(&grid.data.display().to_string()),
-        grid.data_hash,
+        data_hash,
         seconds(table.lines.iter().map(|line| line.seconds).sum()),
         escaped(&config)
     );

@@ -14,12 +14,10 @@ use crate::{
     console::Console,
     error::{Context, Error, Result},
     interrupt::Interrupt,
-    options::{
-        DataArgs, GlobalArgs, ResumableOutputArgs, RunArgs, at_least_one, non_negative, share,
-    },
+    options::{DataArgs, GlobalArgs, RunArgs, StoreArgs, at_least_one, non_negative, share},
 };
 use report::Report;
-use store::{CaseStore, StoredSettings};
+use store::{CaseStore, FrameInputs};
 
 /// Exit code of an interrupted benchmark: 128 + SIGINT.
 const INTERRUPTED: u8 = 130;
@@ -40,7 +38,7 @@ pub(crate) struct FitBenchmarkArgs {
     #[command(flatten)]
     data: DataArgs,
     #[command(flatten)]
-    output: ResumableOutputArgs,
+    output: StoreArgs,
     /// Number of held-out frames, the same for each outfit, evenly spaced.
     #[arg(long, default_value_t = 120, value_name = "N", value_parser = at_least_one)]
     frames: usize,
@@ -68,16 +66,14 @@ impl FitBenchmarkArgs {
         let data = self.data.of(&run)?;
         let set = PackedSet::open(&data, Split::Test)?;
         let smplify = self.method.smplify(run.body(), &config)?;
-        let settings = StoredSettings {
-            version: env!("CARGO_PKG_VERSION"),
-            checkpoint: run.checkpoint().to_owned(),
-            data,
-            held_out: set.frames(),
-            pose_prior: self.method.pose_prior.clone(),
+        let inputs = FrameInputs {
+            run: &run,
+            data: &data,
+            pose_prior: self.method.pose_prior.as_deref(),
             options,
             config: &config,
         };
-        let store = CaseStore::open(&self.output.out, &settings)?;
+        let store = CaseStore::open(&self.output.out, &inputs, self.output.overwrite)?;
         let interrupt = Interrupt::listen(console)?;
         let benchmark = Benchmark::new(&run, &set, &smplify, &config.clothed, options)?;
         let frames = benchmark.frames();
@@ -91,7 +87,7 @@ impl FitBenchmarkArgs {
                     case
                 } else {
                     let found = benchmark.case(frame);
-                    store.keep(found.doing(|| format!("fitting frame {frame}"))?)?
+                    store.keep(&found.doing(|| format!("fitting frame {frame}"))?)?
                 };
                 cases.push(case);
                 progress(cases.len(), frames.len());
@@ -105,12 +101,16 @@ impl FitBenchmarkArgs {
         let out = self.output.out;
         let chosen = pictures::chosen(&cases);
         for (name, case) in &chosen {
+            for file in ["keypoints.json", "mask.png", "image.png"] {
+                store.files().claim(&format!("{name}/{file}"))?;
+            }
             pictures::inputs(&benchmark, &out.join(name), case)?;
         }
-        pictures::sheet(&benchmark, &chosen)?.save(out.join("fits.png"))?;
-        pictures::errors(&cases)?.save(out.join("errors.png"))?;
+        pictures::sheet(&benchmark, &chosen)?.save(store.files().claim("fits.png")?)?;
+        pictures::errors(&cases)?.save(store.files().claim("errors.png")?)?;
+        let results = store.files().claim("results.json")?;
         let report = Report::new(out, options, cases)?;
-        write_json(&report.out.join("results.json"), &report)?;
+        write_json(&results, &report)?;
         console.result(&report, || report.text())?;
         Ok(ExitCode::SUCCESS)
     }

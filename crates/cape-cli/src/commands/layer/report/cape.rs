@@ -5,8 +5,11 @@ use std::{path::Path, sync::Arc};
 use burn::tensor::Device;
 use cape_core::BodyMotion;
 use cape_data::{DisplacementStatistics, PackedSet, Split};
-use cape_eval::{ErrorSamples, EvalOptions, PosteriorUse, reconstruct_test, table2::hash_of};
-use cape_infer::{BodySpec, Run, batches, write_json};
+use cape_eval::{
+    ErrorSamples, EvalOptions, PosteriorUse, reconstruct_test,
+    store::{ResultStore, StoreOptions, StoreSettings},
+};
+use cape_infer::{BodySpec, Run, batches};
 use cape_layer::{experiment::LearningOptions, regress::FeatureOptions};
 use cape_stats::pca::PcaOptions;
 use ndarray::{Array1, Array2, Axis, concatenate};
@@ -17,6 +20,8 @@ use crate::{
     error::{Error, Result},
 };
 
+/// Name of the file of a finished comparison.
+const COMPARISON: &str = "comparison.json";
 /// Codes drawn for the frames that show how samples differ, and how many frames.
 const SAMPLES: usize = 8;
 const SAMPLED_FRAMES: usize = 24;
@@ -39,17 +44,16 @@ pub(super) struct MethodComparison {
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct CapeComparison {
-    key: String,
     pub(super) frames: usize,
     pub(super) methods: Vec<MethodComparison>,
 }
 
-/// The comparison on a run's data, kept as `path`.
+/// The comparison on a run's data, kept in the directory `out`.
 pub(super) fn compare(
     root: &Path,
     data: Option<&Path>,
     learning: &LearningOptions,
-    path: &Path,
+    (out, overwrite): (&Path, bool),
     device: &Device,
     console: Console,
 ) -> Result<CapeComparison> {
@@ -58,24 +62,22 @@ pub(super) fn compare(
         Some(data) => data.to_owned(),
         None => run.data()?,
     };
-    let checkpoint = run.checkpoint().display();
-    let key = format!("{checkpoint} {} {learning:?}", hash_of(&data)?);
-    let kept = || -> Option<CapeComparison> {
-        let kept: CapeComparison = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
-        (kept.key == key).then_some(kept)
-    };
-    if let Some(kept) = kept() {
+    let settings = StoreSettings::new("layer report, comparison with CAPE", learning)?
+        .with_run(&run)?
+        .with_packed_set(&data, &[Split::Train, Split::Test])?;
+    let options = StoreOptions { overwrite, ..StoreOptions::default() };
+    let store = ResultStore::open(out, settings, options)?;
+    if let Some(kept) = store.read(COMPARISON)? {
         console.note("comparison with CAPE: already done");
         return Ok(kept);
     }
+    store.begin()?;
     let test = Arc::new(PackedSet::open(&data, Split::Test)?);
     let bench = ComparisonContext { run: &run, data: &data, test: &test, learning, console };
     let mut methods = bench.linear()?;
     methods.push(bench.cape()?);
-    let comparison = CapeComparison { key: key.clone(), frames: test.frames(), methods };
-    write_json(path, &comparison)?;
-    // As it will be read from now on, to the last digit.
-    Ok(kept().unwrap_or(comparison))
+    let comparison = CapeComparison { frames: test.frames(), methods };
+    Ok(store.write(COMPARISON, &comparison)?)
 }
 
 struct ComparisonContext<'a> {

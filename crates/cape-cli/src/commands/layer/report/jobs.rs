@@ -1,9 +1,9 @@
 //! Experiments on a set; finished ones are kept.
 
-use std::{fs, path::Path};
+use std::path::{Path, PathBuf};
 
 use cape_core::SmplModel;
-use cape_infer::write_json;
+use cape_eval::store::{ResultStore, StoreOptions, StoreSettings, unreadable};
 use cape_layer::{
     LayerSet,
     experiment::{Factor, LayerError, LearningOptions, RegressionReport, UnposedSet},
@@ -11,6 +11,7 @@ use cape_layer::{
 use cape_render::Image;
 use ndarray::{Array2, Axis};
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 
 use super::figures::{self, FrameFigure};
 use crate::{
@@ -25,6 +26,7 @@ const MOMENTS: [f64; 3] = [0.2, 0.5, 0.8];
 /// A set by name.
 pub(super) struct NamedSet {
     pub(super) name: String,
+    pub(super) directory: PathBuf,
     pub(super) set: LayerSet,
 }
 
@@ -51,7 +53,7 @@ pub(super) struct ReconstructionResult {
     pub(super) largest_mm: f64,
 }
 
-/// A line of table 2, or of what is new: errors, millimetres.
+/// A line of table 2 or of the predictions of left-out values: errors, millimetres.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct RegressionResult {
     pub(super) set: String,
@@ -76,7 +78,6 @@ pub(super) struct RegressionResult {
 /// Results of an experiment.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(super) struct ExperimentResults {
-    key: String,
     pub(super) reconstructed: Vec<ReconstructionResult>,
     pub(super) regressed: Vec<RegressionResult>,
 }
@@ -86,13 +87,17 @@ pub(super) struct ExperimentContext<'a> {
     pub(super) model: &'a SmplModel,
     pub(super) learning: LearningOptions,
     pub(super) association_args: AssociationArgs,
-    /// Directory of results and pictures.
-    pub(super) kept: &'a Path,
+    /// File of the body; none for the synthetic one.
+    pub(super) body: Option<&'a Path>,
+    /// Directory with a store of each set's results and pictures.
+    pub(super) results: &'a Path,
+    /// Discard results of other settings or inputs instead of refusing them.
+    pub(super) overwrite: bool,
     pub(super) console: Console,
 }
 
 impl Experiment {
-    /// Those that a set allows.
+    /// Experiments that a set allows.
     pub(super) fn for_set(set: &LayerSet) -> Vec<Self> {
         let transfers = Factor::ALL.into_iter().filter(|factor| factor.groups(set).len() > 1);
         [Self::Reconstruction, Self::Regression]
@@ -111,20 +116,27 @@ impl Experiment {
 }
 
 impl ExperimentContext<'_> {
+    /// The store of a set's results.
+    pub(super) fn store(&self, named: &NamedSet) -> Result<ResultStore> {
+        let settings = json!({ "association": self.association_args, "learning": self.learning });
+        let sequences = named.set.sequences.iter().map(|sequence| format!("{}.npz", sequence.name));
+        let files: Vec<String> = std::iter::once("set.json".into()).chain(sequences).collect();
+        let settings = StoreSettings::new("layer report, set", &settings)?
+            .with_optional_input("body", self.body, "synthetic body")?
+            .with_files("set", &named.directory, &files)?;
+        let options = StoreOptions { overwrite: self.overwrite, ..StoreOptions::default() };
+        Ok(ResultStore::open(&self.results.join(&named.name), settings, options)?)
+    }
+
     /// The outcomes and pictures of all experiments on a set.
     pub(super) fn work(
         &self,
         named: &NamedSet,
+        store: &ResultStore,
     ) -> Result<Vec<(Experiment, ExperimentResults, Image)>> {
         let jobs = Experiment::for_set(&named.set);
-        let key = format!(
-            "{:016x} {:?} {:?}",
-            named.set.fingerprint(),
-            self.association_args,
-            self.learning
-        );
         let done: Vec<Option<(ExperimentResults, Image)>> =
-            jobs.iter().map(|&job| self.kept(named, job, &key)).collect();
+            jobs.iter().map(|&job| kept(store, job)).collect::<Result<_>>()?;
         let bench =
             if done.iter().all(Option::is_some) { None } else { Some(self.associate(named)?) };
         let unposed = bench.as_ref().map(|tied| self.unpose(named, tied)).transpose()?;
@@ -137,34 +149,15 @@ impl ExperimentContext<'_> {
                 }
                 (None, Some(unposed)) => {
                     let (outcome, image) = self.run(named, unposed, job)?;
-                    let outcome = ExperimentResults { key: key.clone(), ..outcome };
-                    image.save(self.path(named, job, "png"))?;
+                    image.save(store.claim(&file(job, "png"))?)?;
                     // The outcome comes last: where it is, its picture is too.
-                    write_json(&self.path(named, job, "json"), &outcome)?;
-                    // As it will be read from now on, to the last digit.
-                    self.kept(named, job, &key).unwrap_or((outcome, image))
+                    (store.write(&file(job, "json"), &outcome)?, image)
                 }
                 (None, None) => continue,
             };
             found.push((job, outcome, image));
         }
         Ok(found)
-    }
-
-    fn path(&self, named: &NamedSet, job: Experiment, extension: &str) -> std::path::PathBuf {
-        self.kept.join(format!("{}-{}.{extension}", named.name, job.name()))
-    }
-
-    fn kept(
-        &self,
-        named: &NamedSet,
-        job: Experiment,
-        key: &str,
-    ) -> Option<(ExperimentResults, Image)> {
-        let text = fs::read(self.path(named, job, "json")).ok()?;
-        let outcome: ExperimentResults = serde_json::from_slice(&text).ok()?;
-        let image = Image::load(self.path(named, job, "png")).ok()?;
-        (outcome.key == key).then_some((outcome, image))
     }
 
     fn associate(&self, named: &NamedSet) -> Result<AssociationOutput> {
@@ -330,6 +323,22 @@ impl ExperimentContext<'_> {
             FrameFigure::new("predicted".into(), frame, predicted),
         ])
     }
+}
+
+/// Name of an experiment's file.
+fn file(job: Experiment, extension: &str) -> String {
+    format!("{}.{extension}", job.name())
+}
+
+/// The outcome and the picture of a finished experiment.
+fn kept(store: &ResultStore, job: Experiment) -> Result<Option<(ExperimentResults, Image)>> {
+    let Some(outcome) = store.read(&file(job, "json"))? else { return Ok(None) };
+    let picture = store.path(&file(job, "png"));
+    if !picture.exists() {
+        return Ok(None);
+    }
+    let image = Image::load(&picture).map_err(|error| unreadable(&picture, &error.to_string()))?;
+    Ok(Some((outcome, image)))
 }
 
 impl RegressionResult {

@@ -10,6 +10,7 @@ use std::{fmt::Write as _, path::PathBuf};
 
 use cape_cloth::GarmentKind;
 use cape_core::SmplModel;
+use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
 use cape_infer::write_json;
 use cape_layer::LayerSet;
 use cape_render::Image;
@@ -26,7 +27,7 @@ use crate::{
     error::{Context, Result},
     files,
     html::{self, HtmlFigure},
-    options::{BodyModelArgs, GlobalArgs, ResumableOutputArgs, at_least_one, choices, positive},
+    options::{BodyModelArgs, GlobalArgs, StoreArgs, at_least_one, choices, positive},
 };
 use cape::{CapeComparison, compare};
 use jobs::{
@@ -56,7 +57,7 @@ pub(crate) struct ReportArgs {
     #[arg(value_name = "SET")]
     sets: Vec<PathBuf>,
     #[command(flatten)]
-    output: ResumableOutputArgs,
+    output: StoreArgs,
     /// Simulate few short sequences of a coarse garment.
     #[arg(long, conflicts_with = "sets")]
     quick: bool,
@@ -113,8 +114,8 @@ struct FigureRow {
 impl ReportArgs {
     pub(super) fn run(mut self, global: &GlobalArgs, console: Console) -> Result {
         let model = self.body.load()?;
-        let kept = self.output.out.join("results");
-        files::create_dir(&kept)?;
+        let store = self.store()?;
+        let results = store.path("results");
         if self.quick {
             // Experiments on new motions train on few frames.
             self.learning_args.components = self.learning_args.components.min(QUICK.0 / 2);
@@ -125,9 +126,16 @@ impl ReportArgs {
             model: &model,
             learning,
             association_args: self.association_args.clone(),
-            kept: &kept,
+            body: self.body.body.as_deref(),
+            results: &results,
+            overwrite: self.output.overwrite,
             console,
         };
+        // All are checked before the first is computed.
+        let stores = sets
+            .iter()
+            .map(|named| laboratory.store(named).doing(|| format!("set {}", named.name)))
+            .collect::<Result<Vec<_>>>()?;
         let mut written = OutputPaths {
             out: self.output.out.clone(),
             sets: sets.iter().map(SetDescription::new).collect(),
@@ -136,10 +144,10 @@ impl ReportArgs {
             comparison: None,
         };
         let mut shown = Vec::new();
-        for named in &sets {
+        for (named, results) in sets.iter().zip(&stores) {
             let doing = || format!("set {}", named.name);
-            shown.push(self.association(&model, named, console).doing(doing)?);
-            for (job, outcome, image) in laboratory.work(named).doing(doing)? {
+            shown.push(self.association(&model, named, results, console).doing(doing)?);
+            for (job, outcome, image) in laboratory.work(named, results).doing(doing)? {
                 let ExperimentResults { reconstructed, regressed, .. } = outcome;
                 written.reconstruction.extend(reconstructed);
                 written.regression.extend(regressed);
@@ -148,16 +156,39 @@ impl ReportArgs {
         }
         if let Some(run) = &self.cape {
             let device = global.device()?;
-            let (data, kept) = (self.data.as_deref(), kept.join("cape.json"));
-            let found = compare(run, data, &laboratory.learning, &kept, &device, console);
+            let (data, kept) =
+                (self.data.as_deref(), (&*store.path("comparison"), self.output.overwrite));
+            let found = compare(run, data, &laboratory.learning, kept, &device, console);
             written.comparison = Some(found.doing(|| "comparison with CAPE".into())?);
         }
         let tables = written.tables();
-        self.write(&written, &tables, &shown)?;
+        self.write(&store, &written, &tables, &shown)?;
         console.result(&written, || {
             let texts: Vec<String> = tables.iter().map(ReportTable::text).collect();
             format!("{}\n\n{}", texts.join("\n\n"), self.output.out.join("report.html").display())
         })
+    }
+
+    /// The directory of tables and pictures; every set has a store of its own inside it.
+    fn store(&self) -> Result<ResultStore> {
+        let options = StoreOptions {
+            overwrite: self.output.overwrite,
+            earlier: &[
+                "report.html",
+                "report.json",
+                "reconstruction.csv",
+                "regression.csv",
+                "new.csv",
+                "cape.csv",
+                "results/*.json",
+                "results/*.png",
+            ],
+            beside: &["sets", "results", "comparison"],
+        };
+        let settings = StoreSettings::new("layer report", &())?;
+        let store = ResultStore::open(&self.output.out, settings, options)?;
+        store.begin()?;
+        Ok(store)
     }
 
     fn sets(&self, model: &SmplModel, console: Console) -> Result<Vec<NamedSet>> {
@@ -170,15 +201,17 @@ impl ReportArgs {
                 resolution: 1e-3 * self.resolution.unwrap_or(resolution),
             };
             let out = self.output.out.join("sets");
-            for (name, set) in simulated(model, &out, size, self.garment, console)? {
-                named.push(NamedSet { name, set });
+            let bodies = (model, self.body.body.as_deref());
+            let designs = (size, self.garment);
+            for (name, set) in simulated(bodies, &out, designs, self.output.overwrite, console)? {
+                named.push(NamedSet { directory: out.join(&name), name, set });
             }
         }
         for (index, path) in self.sets.iter().enumerate() {
             let stem = path.file_name().map_or("set".into(), |name| name.to_string_lossy());
             let known = named.iter().any(|other: &NamedSet| other.name == stem);
             let name = if known { format!("{stem}-{index}") } else { stem.into_owned() };
-            named.push(NamedSet { name, set: LayerSet::load(path)? });
+            named.push(NamedSet { name, directory: path.clone(), set: LayerSet::load(path)? });
         }
         Ok(named)
     }
@@ -188,11 +221,11 @@ impl ReportArgs {
         &self,
         model: &SmplModel,
         named: &NamedSet,
+        store: &ResultStore,
         console: Console,
     ) -> Result<FigureRow> {
         let tied = self.association_args.associate(model, &named.set, console)?;
-        let directory = self.output.out.join("results").join(format!("{}-association", named.name));
-        files::create_dir(&directory)?;
+        let directory = store.claim("association/")?;
         associate::draw(&tied, &directory)?;
         let statistics = &tied.association.statistics;
         Ok(FigureRow {
@@ -210,15 +243,21 @@ impl ReportArgs {
         })
     }
 
-    fn write(&self, written: &OutputPaths, tables: &[ReportTable], shown: &[FigureRow]) -> Result {
-        write_json(&self.output.out.join("report.json"), written)?;
+    fn write(
+        &self,
+        store: &ResultStore,
+        written: &OutputPaths,
+        tables: &[ReportTable],
+        shown: &[FigureRow],
+    ) -> Result {
+        write_json(&store.claim("report.json")?, written)?;
         let mut page = written.described();
         for table in tables {
-            files::write_text(&self.output.out.join(format!("{}.csv", table.name)), &table.csv())?;
+            files::write_text(&store.claim(&format!("{}.csv", table.name))?, &table.csv())?;
             page += &table.html();
         }
         for FigureRow { name, title, caption, image } in shown {
-            image.save(self.output.out.join(format!("{name}.png")))?;
+            image.save(store.claim(&format!("{name}.png"))?)?;
             page += &HtmlFigure { title, caption, image }.html()?;
         }
         let settings = format!("{:#?}", (&self.association_args, &self.learning_args));
@@ -229,13 +268,13 @@ impl ReportArgs {
             html::escaped(&settings)
         );
         let page = html::page("Clothing layers", "Statistics of clothing layers", &page);
-        files::write_text(&self.output.out.join("report.html"), &page)
+        files::write_text(&store.claim("report.html")?, &page)
     }
 }
 
 impl SetDescription {
     fn new(named: &NamedSet) -> Self {
-        let NamedSet { name, set } = named;
+        let NamedSet { name, set, .. } = named;
         Self {
             name: name.clone(),
             sequences: set.sequences.len(),
