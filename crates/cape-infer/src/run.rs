@@ -19,8 +19,7 @@ use cape_core::{
 use cape_graph::{DevicePyramid, MeshPyramid, SparseMatrix, Surface};
 use cape_model::{Cape, Generator, Graphs, weights};
 use ndarray::{Array2, Array3};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 use sprs::TriMat;

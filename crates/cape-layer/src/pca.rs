@@ -188,8 +188,7 @@ fn orthonormal(mut rows: Array2<f64>) -> Array2<f64> {
 
 #[cfg(test)]
 mod tests {
-    use rand::{Rng, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
+    use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
     use super::*;
 

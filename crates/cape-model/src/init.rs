@@ -2,8 +2,7 @@ use burn::{
     module::Param,
     tensor::{Device, Tensor, TensorData},
 };
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 
 /// Draws initial weights on the host, so that a seed gives the same model on every backend.

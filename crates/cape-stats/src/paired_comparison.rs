@@ -2,8 +2,7 @@
 
 use std::f64::consts::PI;
 
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
@@ -152,7 +151,7 @@ fn normal_tail(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
-    use rand::Rng;
+    use rand::RngExt;
     use rand_distr::{Distribution, StandardNormal};
 
     use super::*;

@@ -6,8 +6,7 @@ use cape_core::Outfit;
 use cape_data::PackedSet;
 use cape_infer::Run;
 use glam::{DQuat, DVec3};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 use serde::Serialize;
 

@@ -16,7 +16,6 @@ use std::{
 use cape_core::parse_device;
 use cape_infer::Run;
 use clap::Args;
-use rand::{Rng, SeedableRng};
 use serde::Serialize;
 
 use crate::{
@@ -102,8 +101,7 @@ impl ViewArgs {
 
 /// 128 random bits, hexadecimal.
 fn token() -> String {
-    let mut rng = rand_chacha::ChaCha20Rng::from_os_rng();
-    let bytes: [u8; 16] = rng.random();
+    let bytes: [u8; 16] = rand::random();
     bytes.iter().fold(String::new(), |mut text, byte| {
         let _ = write!(text, "{byte:02x}");
         text
