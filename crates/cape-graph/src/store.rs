@@ -2,7 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_core::npy::{Npz, NpzWriter};
+use cape_core::{
+    hex,
+    npy::{Npz, NpzWriter},
+};
 use ndarray::{Array1, Array2, ArrayD, arr0, arr1};
 use sha2::{Digest, Sha256};
 use sprs::CsMat;
@@ -113,7 +116,7 @@ fn cached_path(surface: &Surface, factors: &[f64], weighting: Weighting, cache: 
     for vertex in surface.faces.as_flattened() {
         hash.update(vertex.to_le_bytes());
     }
-    cache.join(format!("pyramid-{:x}.npz", hash.finalize()))
+    cache.join(format!("pyramid-{}.npz", hex(hash.finalize())))
 }
 
 pub(crate) fn make_directory(path: &Path) -> Result<()> {

@@ -16,7 +16,7 @@ use std::{
 };
 
 use burn::tensor::Device;
-use cape_core::{SmplModel, smpl::ClothingMask};
+use cape_core::{SmplModel, hex, smpl::ClothingMask};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -166,7 +166,7 @@ impl Table2Options {
                         .out
                         .join(row.name())
                         .join(format!("seed-{}", config.train.seed)),
-                    key: format!("{:x}", hash.finalize()),
+                    key: hex(hash.finalize()),
                     config,
                     shown: self.shown.clone(),
                 });
@@ -198,7 +198,7 @@ pub fn hash_of(data: &Path) -> Result<String> {
             }
         }
     }
-    Ok(format!("{:x}", hash.finalize()))
+    Ok(hex(hash.finalize()))
 }
 
 impl Table2Job {

@@ -6,14 +6,13 @@ mod source;
 mod wire;
 
 use std::{
-    fmt::Write,
     net::{IpAddr, Ipv4Addr, TcpListener},
     path::PathBuf,
     sync::mpsc,
     thread,
 };
 
-use cape_core::parse_device;
+use cape_core::{hex, parse_device};
 use cape_infer::Run;
 use clap::Args;
 use serde::Serialize;
@@ -102,8 +101,5 @@ impl ViewArgs {
 /// 128 random bits, hexadecimal.
 fn token() -> String {
     let bytes: [u8; 16] = rand::random();
-    bytes.iter().fold(String::new(), |mut text, byte| {
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
+    hex(bytes)
 }
