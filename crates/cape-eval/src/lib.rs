@@ -12,6 +12,6 @@ pub mod table2;
 pub use cape_infer::{Error, Result};
 
 pub use evaluate::{
-    FrameFn, EvalOptions, EvalReport, FrameError, ErrorSamples, PosteriorUse, evaluate,
+    ErrorSamples, EvalOptions, EvalReport, FrameError, FrameFn, PosteriorUse, evaluate,
     reconstruct_test,
 };

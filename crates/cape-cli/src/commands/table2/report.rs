@@ -11,7 +11,11 @@ use crate::{
 };
 
 /// Tables, figures, configuration, versions and the data's hash, all in one text.
-pub(super) fn page(table: &ComparisonTable, grid: &Table2Options, figures: &[HtmlFigure]) -> Result<String> {
+pub(super) fn page(
+    table: &ComparisonTable,
+    grid: &Table2Options,
+    figures: &[HtmlFigure],
+) -> Result<String> {
     let mut body = String::new();
     let (header, rows) = table.rows();
     let class = |line| if table.is_reference(line) { "reference" } else { "" };
