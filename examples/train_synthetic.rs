@@ -6,15 +6,15 @@
 
 use std::ops::ControlFlow;
 
-use burn::tensor::Device;
 use cape::{
+    burn::tensor::Device,
     core::{Outfit, silent},
     data::{PackOptions, SequenceList, SplitSpec, pack},
     eval::{EvalOptions, evaluate},
-    infer::{Run, RunConfig, TrainConfig},
+    infer::{BodySpec, Run, RunConfig, TrainConfig},
     model::CapeConfig,
     synth::{CaptureGenerator, Motion, SynthSpec, synthetic_body},
-    train::{TrainEvent, Trainer},
+    train::{TrainEvent, Trainer, TrainerOptions},
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -51,7 +51,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ..RunConfig::default()
     };
     let device = Device::default();
-    let mut trainer = Trainer::create(&run, &packed, None, None, config, &device)?;
+    let mut trainer = Trainer::create(&run, TrainerOptions::new(&packed, config), &device)?;
     trainer.run(&mut |event| {
         if let TrainEvent::Validation { epoch, millimetres, .. } = event {
             println!("epoch {epoch}: {millimetres:.2} mm");
@@ -64,7 +64,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [model, mean] = [report.model.overall.mean, report.mean_shape.overall.mean];
     println!("held out: {model:.2} mm; the mean shape has {mean:.2} mm");
 
-    let displacements = run.decode(&run.sample_codes(1, 7), &[[0.0; 72]], &[Outfit::LongLong])?;
+    let body = BodySpec { betas: Vec::new(), pose: [0.0; 72], outfit: Outfit::LongLong };
+    let displacements = run.decode_displacements(&run.sample_codes(1, 7), &[body])?;
     println!("a sample of long sleeves and trousers: {:?}", displacements.shape());
     Ok(())
 }

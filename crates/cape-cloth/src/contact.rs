@@ -93,8 +93,8 @@ impl Contacts {
                 };
                 let ContactCorrection { depth, outward, face, barycentric } = push;
                 *x += outward * depth;
-                let carried = body.offset_point(face, barycentric, contact.now)
-                    - body.offset_point(face, barycentric, contact.from);
+                let carried = body.position_at(face, barycentric, contact.now)
+                    - body.position_at(face, barycentric, contact.from);
                 let slip = (*x - before) - carried;
                 let slip = slip - outward * slip.dot(outward);
                 let length = slip.length();

@@ -6,7 +6,7 @@ use parry3d_f64::{
 };
 use rayon::prelude::*;
 
-use cape_core::geometry::{SurfaceMesh, closest_on_triangle, ray_meets};
+use cape_core::geometry::{SurfaceMesh, closest_on_triangle, ray_triangle_distance};
 
 /// Steps until pairs are looked for again.
 const STEPS: usize = 5;
@@ -196,7 +196,7 @@ pub(super) fn crossings(faces: &[[u32; 3]], edges: &[[u32; 2]], at: &[DVec3]) ->
                 let face = faces[*face as usize];
                 let corners = face.map(|v| at[v as usize]);
                 !face.iter().any(|v| edge.contains(v))
-                    && ray_meets(from, to - from, corners).is_some_and(|t| t <= 1.0)
+                    && ray_triangle_distance(from, to - from, corners).is_some_and(|t| t <= 1.0)
             };
             tree.intersect_aabb(&near).filter(through).count()
         })

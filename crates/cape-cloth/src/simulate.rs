@@ -181,9 +181,9 @@ impl SimulationOptions {
             let mut solid = SurfaceIndex::moving(&surface, to.clone(), across.clone());
             for substep in 0..self.substeps {
                 let [was, now] = [substep, substep + 1].map(|s| s as f64 / self.substeps as f64);
-                solid.at(now);
+                solid.set_time(now);
                 let led = band.iter().map(|&(v, face, at, off)| {
-                    (v, solid.offset_point(face, at, now) + solid.axes(face) * off)
+                    (v, solid.position_at(face, at, now) + solid.axes(face) * off)
                 });
                 cloth.attach(led, self.waistband);
                 cloth.step(dt, self.gravity, Some((&solid, [was, now])));

@@ -5,16 +5,17 @@ use cape_stats::pca::{Pca, PcaOptions};
 
 use crate::{DisplacementStatistics, PackedSet, Result, Split};
 
-/// Principal components of the training frames, less validation, of the packed set in `data`:
-/// displacements in metres.
+/// Principal components of the displacements, in metres, of the training frames without validation
+/// frames of the packed set in `data`.
 ///
 /// # Errors
-/// As of [`Pca::fit`], or if the set cannot be read.
+/// As for [`Pca::fit`], or if the set cannot be read.
 pub fn principal_components(
-    data: &Path,
+    data: impl AsRef<Path>,
     options: &PcaOptions,
     progress: &mut ProgressFn,
 ) -> Result<Pca> {
+    let data = data.as_ref();
     let set = PackedSet::open(data, Split::Train)?;
     let statistics = DisplacementStatistics::from_packed(data, &mut cape_core::silent)?;
     let rows = statistics.training_rows(set.frames());

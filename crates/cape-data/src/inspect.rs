@@ -1,4 +1,4 @@
-//! What data are like, and what usually goes wrong with them.
+//! Inspection of data sets: counts, magnitudes and common mistakes.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -21,7 +21,7 @@ use super::{
 use crate::{Error, Result};
 use cape_core::ProgressFn;
 
-/// What to compare data with, and how much of them to read.
+/// Options of [`inspect`](inspect()).
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
@@ -34,81 +34,76 @@ use cape_core::ProgressFn;
 /// let found = inspect(&directory.path().join("packed"), &options, &mut silent)?;
 /// assert_eq!((found.kind, found.frames, found.vertices), ("packed", 8, 6890));
 /// assert_eq!(found.captures.iter().map(|capture| capture.frames).sum::<usize>(), 8);
-/// // There is more to clothes than to the bare skin's noise.
+/// // Displacements are larger at clothing vertices than on bare skin.
 /// assert!(found.clothing_mm.unwrap().mean > found.elsewhere_mm.unwrap().mean);
 /// # Ok(())
 /// # }
 /// ```
 #[derive(Debug, Clone)]
 pub struct InspectOptions {
-    /// Frames read of each capture, evenly spaced.
+    /// Number of frames examined per capture, evenly spaced.
     pub frames: usize,
-    /// Indices of clothing vertices, unless the data bring them.
+    /// File of the indices of clothing vertices; `None` uses that of the data.
     pub clothing: Option<PathBuf>,
-    /// The body, whose blend weights tell clothing vertices where nothing else does.
+    /// File of the body from whose blend weights clothing vertices are derived if there are no
+    /// indices; `None` uses that of the data.
     pub body: Option<PathBuf>,
 }
 
-/// What data are like.
-///
-/// See [`InspectOptions`] for an example.
+/// Report of [`inspect`](inspect()).
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Inspection {
-    /// `raw` or `packed`.
+    /// Layout of the data: `raw` or `packed`.
     pub kind: &'static str,
-    /// Subjects, outfits and sequences with their numbers of frames.
+    /// Numbers of frames by subject, outfit and sequence.
     pub captures: Vec<CaptureCount>,
-    /// All frames.
+    /// Number of frames.
     pub frames: usize,
-    /// Frames that were read.
+    /// Number of frames examined.
     pub examined: usize,
-    /// Vertices of a frame.
+    /// Number of vertices of a frame.
     pub vertices: usize,
-    /// Height of the tallest and the shortest subject, metres.
+    /// Heights of the shortest and the tallest subject, metres.
     pub height_m: Option<[f64; 2]>,
-    /// Displacements at clothing vertices.
+    /// Displacements at clothing vertices, millimetres.
     pub clothing_mm: Option<Magnitudes>,
-    /// Displacements at head, hands and feet.
+    /// Displacements at head, hands and feet, millimetres.
     pub elsewhere_mm: Option<Magnitudes>,
-    /// Displacements at all vertices.
+    /// Displacements at all vertices, millimetres.
     pub displacement_mm: Option<Magnitudes>,
-    /// Largest rotation of a joint but the root, radians.
+    /// Largest rotation angle of a joint other than the root, radians.
     pub largest_rotation: Option<f64>,
-    /// Largest distance of a body from the origin, metres.
+    /// Largest length of a translation, metres.
     pub largest_translation_m: Option<f64>,
-    /// What is probably wrong, and what would help.
+    /// Probable mistakes, with a remedy.
     pub warnings: Vec<String>,
 }
 
-/// Frames of one capture, or of all captures that a packed set does not tell apart.
-///
-/// See [`InspectOptions`] for an example.
+/// Number of frames of a capture, or of all captures of an outfit if the origins are unknown.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct CaptureCount {
-    /// `train` or `test`, of a packed set.
+    /// Part of a packed set.
     pub part: Option<Split>,
-    /// The subject, if known.
+    /// Subject, if known.
     pub subject: Option<String>,
-    /// What is worn.
+    /// Outfit.
     pub outfit: Option<Outfit>,
-    /// The motion, if known.
+    /// Motion sequence, if known.
     pub sequence: Option<String>,
-    /// How many frames there are.
+    /// Number of frames.
     pub frames: usize,
 }
 
-/// Lengths of displacements.
-///
-/// See [`InspectOptions`] for an example.
+/// Mean and maximum of the lengths of displacements, millimetres.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Magnitudes {
-    /// Their mean.
+    /// Mean length.
     pub mean: f64,
-    /// The largest.
+    /// Largest length.
     pub max: f64,
 }
 
-/// Lengths, added up.
+/// Sum, count and maximum of lengths, metres.
 #[derive(Debug, Clone, Copy, Default)]
 struct LengthTotals {
     sum: f64,
@@ -129,7 +124,7 @@ impl LengthTotals {
     }
 }
 
-/// What the frames that were read add up to.
+/// Totals over the examined frames.
 #[derive(Debug, Default)]
 struct InspectionTotals {
     clothing: LengthTotals,
@@ -160,16 +155,17 @@ impl InspectionTotals {
     }
 }
 
-/// Looks at a raw tree or a packed set.
+/// Inspects a raw tree or a packed set.
 ///
 /// # Errors
-/// If there is neither at `path`, or a file beside the frames is unusable. Frames that cannot be
-/// read are counted among the warnings.
+/// If `path` is neither, or a file other than the frames is invalid. Unreadable frames give a
+/// warning.
 pub fn inspect(
-    path: &Path,
+    path: impl AsRef<Path>,
     options: &InspectOptions,
     progress: &mut ProgressFn,
 ) -> Result<Inspection> {
+    let path = path.as_ref();
     if path.join("sequences").is_dir() {
         return inspect_raw(path, options, progress);
     }
@@ -178,7 +174,7 @@ pub fn inspect(
         return inspect_packed(path, options, progress);
     }
     Err(Error::Data(format!(
-        "{}: neither raw data (sequences/) nor a packed set (train/train_disp.npy)",
+        "{}: neither raw data (no sequences/) nor a packed set (no train/train_disp.npy)",
         path.display()
     )))
 }
@@ -209,7 +205,7 @@ fn inspect_raw(
     let mut found = Inspection { kind: "raw", ..Inspection::default() };
     let mut minimal = BTreeMap::new();
     let mut samples: Vec<(String, PathBuf)> = Vec::new();
-    for directory in raw::directories(&root.join("sequences"))? {
+    for directory in raw::directories(root.join("sequences"))? {
         let subject = raw::name_of(&directory);
         match raw::read_minimal(root, &subject) {
             Ok(shape) => drop(minimal.insert(subject.clone(), shape)),
@@ -222,14 +218,14 @@ fn inspect_raw(
                 .and_then(|(outfit, sequence)| Some((outfit.parse::<Outfit>().ok()?, sequence)));
             let Some((outfit, sequence)) = known else {
                 found.warnings.push(format!(
-                    "{subject}/{title}: not named outfit_sequence, will not be packed"
+                    "{subject}/{title}: ignored, expected a directory named outfit_sequence"
                 ));
                 continue;
             };
             let paths = raw::frame_paths(&capture)?.unwrap_or_default();
             if paths.len() <= 4 {
                 found.warnings.push(format!(
-                    "{subject}/{title}: {} frames, nothing is left after cutting 2 at either end",
+                    "{subject}/{title}: {} frames, none is left after cutting 2 at either end",
                     paths.len()
                 ));
             }
@@ -247,9 +243,7 @@ fn inspect_raw(
     found.frames = found.captures.iter().map(|capture| capture.frames).sum();
     let counts: BTreeSet<usize> = minimal.values().map(Array2::nrows).collect();
     if counts.len() > 1 {
-        found
-            .warnings
-            .push(format!("minimal shapes have different numbers of vertices: {counts:?}"));
+        found.warnings.push(format!("minimal shapes differ in the number of vertices: {counts:?}"));
     }
     found.vertices = counts.first().copied().unwrap_or(0);
     heights(&minimal, &mut found);
@@ -301,7 +295,10 @@ fn inspect_raw(
         ));
     }
     if found.examined > 0 && posed_as_canonical == found.examined {
-        found.warnings.push("v_cano equals v_posed everywhere: unpose the meshes first".into());
+        found.warnings.push(
+            "v_cano equals v_posed in all frames: unpose the meshes first (cape data unpose)"
+                .into(),
+        );
     }
     conclude(&mut found, &tally, mask.is_some());
     Ok(found)
@@ -390,7 +387,7 @@ fn inspect_packed(
     Ok(found)
 }
 
-/// Heights of the minimal shapes, and what they say about units and axes.
+/// Records the heights of the minimal shapes; warns about wrong units and axes.
 fn heights(minimal: &BTreeMap<String, Array2<f64>>, found: &mut Inspection) {
     let mut range: Option<[f64; 2]> = None;
     for (subject, shape) in minimal {
@@ -407,24 +404,24 @@ fn heights(minimal: &BTreeMap<String, Array2<f64>>, found: &mut Inspection) {
             500.0..=3500.0 => Some("millimetres: divide by 1000"),
             50.0..=350.0 => Some("centimetres: divide by 100"),
             0.5..=3.5 => None,
-            _ => Some("none that fits a person"),
+            _ => Some("unknown"),
         };
         if let Some(unit) = unit {
             found.warnings.push(format!(
-                "{subject}: the minimal shape is {largest:.1} long, its unit seems to be {unit} \
+                "{subject}: the minimal shape has an extent of {largest:.1}; its unit seems to be {unit} \
                  (expected metres)"
             ));
         } else if extent[2] > extent[1] {
             found.warnings.push(format!(
-                "{subject}: the minimal shape is longest along z: expected y upwards and z to the \
-                 front, as SMPL has them"
+                "{subject}: the minimal shape is longer along z than along y (expected SMPL's axes: y \
+                 up, z to the front)"
             ));
         }
     }
     found.height_m = range;
 }
 
-/// Takes over what was tallied, and says what is strange about it.
+/// Copies the totals into the report and adds warnings about implausible values.
 fn conclude(found: &mut Inspection, tally: &InspectionTotals, masked: bool) {
     found.displacement_mm = tally.all.millimetres();
     found.clothing_mm = tally.clothing.millimetres();
@@ -438,19 +435,19 @@ fn conclude(found: &mut Inspection, tally: &InspectionTotals, masked: bool) {
     if let Some(worn) = found.clothing_mm.or(found.displacement_mm) {
         if worn.mean > 1e4 {
             warnings.push(format!(
-                "displacements of {:.0} mm on average: v_cano and minimal shape seem to be in \
-                 different units (expected metres)",
+                "mean displacement of {:.0} mm: v_cano and the minimal shape seem to have different \
+                 units (expected metres)",
                 worn.mean
             ));
         } else if worn.mean > 100.0 {
             warnings.push(format!(
-                "displacements of {:.0} mm on average do not look like clothes: v_cano is posed, \
-                 shifted, or of another subject (expected the unposed mesh on its minimal shape)",
+                "mean displacement of {:.0} mm is too large for clothing: v_cano is posed, shifted, or \
+                 of another subject (expected the unposed mesh on its minimal shape)",
                 worn.mean
             ));
         } else if worn.mean < 0.1 {
             warnings.push(format!(
-                "displacements of {:.3} mm on average: there are no clothes",
+                "mean displacement of {:.3} mm: no clothing (expected registrations of clothed people)",
                 worn.mean
             ));
         }
@@ -460,31 +457,30 @@ fn conclude(found: &mut Inspection, tally: &InspectionTotals, masked: bool) {
         && bare.mean > 0.5 * worn.mean
     {
         warnings.push(format!(
-            "head, hands and feet move by {:.1} mm, clothes by {:.1} mm: registrations are not \
-             aligned with the minimal shape, or hair and shoes are in them",
+            "mean displacement of head, hands and feet is {:.1} mm, that of clothing {:.1} mm: \
+             registrations are not aligned with the minimal shape, or include hair and shoes",
             bare.mean, worn.mean
         ));
     }
     if !masked {
         warnings.push(
-            "clothing vertices are not known: give --clothing or --body to tell clothes from skin"
-                .into(),
+            "clothing vertices are unknown: give --clothing or --body to measure them apart".into(),
         );
     }
     match found.largest_rotation {
         Some(angle) if angle > 2.5 * std::f64::consts::PI => warnings.push(format!(
-            "a joint turns by {angle:.1}: poses seem to be in degrees (expected radians)"
+            "rotation of a joint by {angle:.1}: poses seem to be in degrees (expected radians)"
         )),
-        Some(0.0) => warnings.push(format!("all poses of the {JOINTS} joints are zero")),
+        Some(0.0) => warnings.push(format!("all rotations of the {JOINTS} joints are zero")),
         _ => {}
     }
     let outfits: BTreeSet<Outfit> = found.captures.iter().filter_map(|c| c.outfit).collect();
     if found.frames > 0 && outfits.len() == 1 {
-        warnings.push("only one outfit: a model cannot learn to tell outfits apart".into());
+        warnings.push("only one outfit: a model cannot learn the outfit condition".into());
     }
 }
 
-/// `wanted` of `count` indices, evenly spread.
+/// `wanted` of `count` indices, evenly spaced.
 fn spread(count: usize, wanted: usize) -> impl Iterator<Item = usize> {
     let wanted = wanted.min(count);
     (0..wanted).map(move |k| (2 * k + 1) * count / (2 * wanted))

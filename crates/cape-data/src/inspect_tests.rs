@@ -10,7 +10,8 @@ use crate::{
 };
 use cape_core::silent;
 
-/// A box of person's size: eight corners and two vertices that are bare.
+/// A box of the size of a person: eight clothing vertices at the corners and two vertices of bare
+/// skin.
 fn shape() -> Array2<f64> {
     Array2::from_shape_fn((10, 3), |(v, axis)| match (v, axis) {
         (8.., 1) => 1.6,
@@ -98,7 +99,7 @@ fn sound_data_raise_no_warning() {
     assert_eq!(found.warnings, Vec::<String>::new());
     assert_eq!((found.kind, found.frames, found.examined), ("packed", 8, 8));
     assert!((found.clothing_mm.unwrap().mean - 15.0).abs() < 1e-9);
-    // Rotations that are another pose's.
+    // Rotations of another pose.
     let path = packed.join("train/train_pose.npy");
     let poses = cape_core::npy::read_f64(&path).unwrap() * 2.0;
     write_npy(&path, &poses).unwrap();
@@ -113,8 +114,8 @@ fn what_usually_goes_wrong_is_said() {
     };
     says(&tree(1000.0, |_| frame(0.015, 0.0, 1.0)), "millimetres");
     says(&tree(100.0, |_| frame(0.015, 0.0, 1.0)), "centimetres");
-    says(&tree(1.0, |_| frame(0.5, 0.0, 1.0)), "do not look like clothes");
-    says(&tree(1.0, |_| frame(0.0, 0.0, 1.0)), "there are no clothes");
+    says(&tree(1.0, |_| frame(0.5, 0.0, 1.0)), "too large for clothing");
+    says(&tree(1.0, |_| frame(0.0, 0.0, 1.0)), "no clothing");
     says(&tree(1.0, |_| frame(0.015, 0.02, 1.0)), "head, hands and feet");
     says(&tree(1.0, |_| frame(0.015, 0.0, 90.0)), "degrees");
     says(&tree(1.0, |_| frame(0.015, 0.0, 0.0)), "are zero");
@@ -137,7 +138,7 @@ fn what_usually_goes_wrong_is_said() {
     fs::remove_file(raw::minimal_path(root.path(), "a")).unwrap();
     says(&root, "a: no minimal shape");
     fs::remove_file(root.path().join(CLOTHING_FILE)).unwrap();
-    says(&root, "clothing vertices are not known");
+    says(&root, "clothing vertices are unknown");
     let empty = tempfile::tempdir().unwrap();
     let message = inspect(empty.path(), &options(), &mut silent).unwrap_err().to_string();
     assert!(message.contains("neither raw data"), "{message}");

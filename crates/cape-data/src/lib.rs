@@ -1,10 +1,10 @@
 //! Data sets: from registrations to batches.
 //!
-//! The **raw layout** ([`raw`]) holds one file a frame, the **packed layout** ([`pack`](mod@pack))
-//! one array for all frames; both are the release's own, so files made by the official tools can be
-//! used here and the other way round. A [`SplitSpec`] says which frames train and which test.
-//! [`PackedSet`] reads batches from a packed set, [`DisplacementStatistics`] normalises them, and [`Loader`]
-//! draws and prefetches them for training.
+//! The **raw layout** ([`raw`]) has one file per frame, the **packed layout** ([`pack`](mod@pack))
+//! one array for all frames; both are those of the CAPE release, so that files can be exchanged
+//! with the official tools. A [`SplitSpec`] selects training and test frames. [`PackedSet`] reads
+//! batches from a packed set, [`DisplacementStatistics`] normalises them, and [`Loader`] draws and
+//! prefetches them for training.
 
 mod components;
 pub mod inspect;

@@ -15,16 +15,14 @@ use super::{
 };
 use crate::{Error, Result};
 
-/// How training data are drawn.
-///
-/// See [`Loader`] for an example.
+/// Options of a [`Loader`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LoaderOptions {
-    /// Frames in a batch.
+    /// Frames per batch.
     pub batch: usize,
-    /// Whether the discriminator's batches are drawn as well.
+    /// Draw batches for the discriminator too.
     pub discriminator: bool,
-    /// Steps read ahead in the background.
+    /// Number of steps read ahead in the background.
     pub prefetch: usize,
 }
 
@@ -34,50 +32,46 @@ impl Default for LoaderOptions {
     }
 }
 
-/// Everything needed to go on drawing where training stopped.
-///
-/// See [`Loader`] for an example.
+/// State of a [`Loader`], from which drawing resumes exactly.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LoaderState {
-    /// Seed of both streams.
+    /// Seed of both shuffles.
     pub seed: u64,
-    /// The generator's stream.
+    /// Position of the generator's shuffle.
     pub generator: ShufflePosition,
-    /// The discriminator's stream.
+    /// Position of the discriminator's shuffle.
     pub discriminator: ShufflePosition,
 }
 
 impl LoaderState {
-    /// The beginning of training.
+    /// The state at the start of training.
     pub fn new(seed: u64) -> Self {
         Self { seed, ..Self::default() }
     }
 }
 
-/// The data of one training step.
-///
-/// See [`Loader`] for an example.
+/// Batches of one training step, on the host.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepBatches {
-    /// The generator's batch.
+    /// Batch of the generator.
     pub generator: HostBatch,
-    /// The discriminator's batch of real frames, if asked for.
+    /// Batch of real frames of the discriminator; `None` without [`LoaderOptions::discriminator`].
     pub discriminator: Option<HostBatch>,
-    /// Where to go on after this step.
+    /// State of the loader after this step.
     pub state: LoaderState,
 }
 
-/// Steps in an epoch: as many batches as it takes to see every one of `frames` frames, rounded up.
+/// Steps of an epoch: the number of batches that cover `frames` frames, rounded up.
 pub fn steps_per_epoch(frames: usize, batch: usize) -> usize {
     frames.div_ceil(batch.max(1)).max(1)
 }
 
-/// Draws batches for training, reading ahead in the background.
+/// Source of training batches that reads ahead in the background.
 ///
 /// All batches are full: generator and discriminator each draw from an endless stream of
-/// permutations of the training frames (see [`Shuffle`]), so the batch that ends an epoch is
-/// filled from the next permutation, and a set smaller than a batch repeats. What is drawn depends
-/// on the [`LoaderState`] alone.
+/// permutations of the training frames (see [`Shuffle`]), so that the last batch of an epoch is
+/// filled from the next permutation, and a set smaller than a batch repeats. The batches depend on
+/// the [`LoaderState`] alone.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
@@ -97,7 +91,7 @@ pub fn steps_per_epoch(frames: usize, batch: usize) -> usize {
 /// let mut loader = load(LoaderState::new(1))?;
 /// let first = loader.step()?;
 /// assert_eq!(first.generator.displacement.dim(), (2, 3, 3));
-/// // Another loader goes on where this one is.
+/// // Another loader resumes from the state after the first step.
 /// let second = loader.step()?;
 /// assert_eq!(load(first.state)?.step()?, second);
 /// # Ok(())
@@ -109,7 +103,8 @@ pub struct Loader {
 }
 
 impl Loader {
-    /// Draws from the given `rows` of a set (see [`DisplacementStatistics::training_rows`]), normalised.
+    /// Creates a loader of normalised batches from the given `rows` of a set (see
+    /// [`DisplacementStatistics::training_rows`]).
     pub fn new(
         set: Arc<PackedSet>,
         statistics: Arc<DisplacementStatistics>,
@@ -119,14 +114,14 @@ impl Loader {
     ) -> Result<Self> {
         if rows.is_empty() || rows.end > set.frames() {
             return Err(Error::Data(format!(
-                "frames {}..{} of a set of {} were to be drawn: there must be at least one",
+                "rows {}..{} of a set of {} frames: expected at least one row within the set",
                 rows.start,
                 rows.end,
                 set.frames()
             )));
         }
         if options.batch == 0 {
-            return Err(Error::argument("batch is 0: expected at least 1"));
+            return Err(Error::argument("batch: expected at least 1, not 0"));
         }
         statistics.expect_vertices(set.vertices())?;
         let LoaderState { seed, generator, discriminator } = state;
@@ -156,15 +151,16 @@ impl Loader {
         Ok(Self { steps })
     }
 
-    /// The next step's data. After an error, there are no more.
+    /// Batches of the next step. After an error, there are no more.
     pub fn step(&mut self) -> Result<StepBatches> {
-        let stopped = || Err(Error::Data("reading training data has stopped".to_owned()));
+        let stopped =
+            || Err(Error::Data("training data: reading stopped after an error".to_owned()));
         self.steps.next().unwrap_or_else(stopped)
     }
 }
 
-/// Reads `rows` of a set in order, each once, in batches of at most `batch`, ahead in the
-/// background: for validation and evaluation. The last batch may be smaller.
+/// Batches of the `rows` of a set in order, each once, for validation and evaluation; read ahead in
+/// the background. The last batch can be smaller than `batch`.
 pub fn sequential(
     set: Arc<PackedSet>,
     statistics: Option<Arc<DisplacementStatistics>>,
@@ -180,7 +176,8 @@ pub fn sequential(
     })
 }
 
-/// Items made by a background thread, which stops at `None`, at an error, or when this is dropped.
+/// Iterator over items of a background thread, which stops at `None`, at an error, or when the
+/// iterator is dropped.
 #[derive(Debug)]
 struct Prefetch<T> {
     items: Option<Receiver<Result<T>>>,
@@ -203,7 +200,9 @@ impl<T: Send + 'static> Prefetch<T> {
                     }
                 }
             })
-            .map_err(|e| Error::Data(format!("cannot start a thread to read data: {e}")))?;
+            .map_err(|e| {
+                Error::Data(format!("cannot start the thread that reads training data: {e}"))
+            })?;
         Ok(Self { items: Some(items), thread: Some(thread) })
     }
 }
@@ -218,7 +217,7 @@ impl<T> Iterator for Prefetch<T> {
 
 impl<T> Drop for Prefetch<T> {
     fn drop(&mut self) {
-        // Closing the channel first lets a thread that waits to send go on to its end.
+        // Closing the channel first ends a thread that waits to send.
         self.items = None;
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();

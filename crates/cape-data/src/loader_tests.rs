@@ -6,7 +6,7 @@ use ndarray::{Array2, Array3};
 use super::*;
 use crate::Split;
 
-/// Every number of a frame's displacement is the frame's index.
+/// A training set in which every displacement of a frame is the index of the frame.
 fn packed(root: &Path, frames: usize) -> (Arc<PackedSet>, Arc<DisplacementStatistics>) {
     std::fs::create_dir_all(root.join("train")).unwrap();
     let path = |what: &str| root.join(format!("train/train_{what}.npy"));
@@ -108,7 +108,7 @@ fn mistakes_and_bad_frames_are_errors() {
     };
     assert!(new(2..2, 1).unwrap_err().to_string().contains("2..2 of a set of 4"));
     assert!(new(0..5, 1).is_err());
-    assert!(new(0..4, 0).unwrap_err().to_string().contains("batch is 0"));
+    assert!(new(0..4, 0).unwrap_err().to_string().contains("batch: expected at least 1"));
     let mut disp = Array3::<f64>::zeros((4, 2, 3));
     disp[[2, 0, 0]] = f64::NAN;
     write_npy(dir.path().join("train/train_disp.npy"), &disp).unwrap();

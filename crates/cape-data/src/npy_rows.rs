@@ -1,4 +1,4 @@
-//! Rows of large `.npy` files, written one after another and read one at a time.
+//! Row-wise writer and reader of large `.npy` files.
 
 use std::{
     fs::File,
@@ -10,7 +10,7 @@ use cape_core::npy::{NpyHeader, NpyType, expect_shape, npy_header};
 
 use crate::{Error, Result};
 
-/// Writes a float64 array whose number of rows is known only at the end.
+/// Writer of a float64 array whose number of rows is known at the end only.
 #[derive(Debug)]
 pub(super) struct RowWriter {
     path: PathBuf,
@@ -21,7 +21,7 @@ pub(super) struct RowWriter {
 }
 
 impl RowWriter {
-    /// Creates a file for rows of the given shape.
+    /// Creates a file of rows of the given shape.
     pub(super) fn create(path: PathBuf, row_shape: &[usize]) -> Result<Self> {
         let shape = [&[0], row_shape].concat();
         let header = NpyHeader::bytes("<f8", &shape);
@@ -34,8 +34,7 @@ impl RowWriter {
         Ok(Self { path, file, shape, header_bytes: header.len(), row: Vec::new() })
     }
 
-    /// Goes on with a file that [`create`](Self::create) started, after its first `rows` rows;
-    /// what follows them is dropped.
+    /// Resumes a file of [`create`](Self::create) after its first `rows` rows; the rest is dropped.
     pub(super) fn resume(path: PathBuf, row_shape: &[usize], rows: usize) -> Result<Self> {
         let shape = [&[rows], row_shape].concat();
         let header_bytes = NpyHeader::bytes("<f8", &shape).len();
@@ -44,7 +43,7 @@ impl RowWriter {
         let open = || {
             let mut file = File::options().read(true).write(true).open(&path)?;
             if file.metadata()?.len() < length {
-                let message = "shorter than its journal says: remove the directory to pack afresh";
+                let message = "fewer rows than in journal.txt: remove the directory and pack again";
                 return Err(io::Error::new(io::ErrorKind::UnexpectedEof, message));
             }
             file.set_len(length)?;
@@ -55,7 +54,7 @@ impl RowWriter {
         Ok(Self { path, file, shape, header_bytes, row: Vec::new() })
     }
 
-    /// Reads back the rows written so far, in order.
+    /// Calls `f` with all rows written so far, in order.
     pub(super) fn for_each_row(&mut self, mut f: impl FnMut(&[f64])) -> Result<()> {
         let numbers: usize = self.shape[1..].iter().product();
         let (start, rows) = (self.header_bytes as u64, self.shape[0]);
@@ -79,7 +78,7 @@ impl RowWriter {
         read().map_err(|e| Error::io(&self.path, e))
     }
 
-    /// Hands what was appended to the system.
+    /// Flushes appended rows to the file.
     pub(super) fn flush(&mut self) -> Result<()> {
         self.file.flush().map_err(|e| Error::io(&self.path, e))
     }
@@ -102,11 +101,11 @@ impl RowWriter {
         self.shape[0]
     }
 
-    /// Completes the header and brings the file to disk.
+    /// Completes the header and syncs the file to disk.
     pub(super) fn finish(mut self) -> Result<()> {
         let header = NpyHeader::bytes("<f8", &self.shape);
         if header.len() != self.header_bytes {
-            return Err(Error::format(&self.path, "its shape does not fit the header"));
+            return Err(Error::format(&self.path, "the final shape does not fit into the header"));
         }
         let mut finish = || {
             self.file.seek(SeekFrom::Start(0))?;
@@ -118,8 +117,7 @@ impl RowWriter {
     }
 }
 
-/// Reads rows of a float64 or float32 array by position, from any number of threads, never holding
-/// more than a row.
+/// Reader of single rows of a float64 or float32 array; it can be shared between threads.
 #[derive(Debug)]
 pub(super) struct RowReader {
     path: PathBuf,
@@ -130,7 +128,7 @@ pub(super) struct RowReader {
 }
 
 impl RowReader {
-    /// Opens an array whose rows have the given shape (`None`: any length).
+    /// Opens an array of rows of the given shape; `None` is any length.
     pub(super) fn open(path: PathBuf, row_shape: &[Option<usize>]) -> Result<Self> {
         let header = npy_header(&path)?;
         let element = match header.dtype {
@@ -144,7 +142,7 @@ impl RowReader {
         };
         expect_shape(&path, "array", &header.shape, &[&[None], row_shape].concat())?;
         if header.fortran {
-            let message = "is in Fortran order, expected C order (numpy.ascontiguousarray)";
+            let message = "Fortran order, expected C order (numpy.ascontiguousarray)";
             return Err(Error::format(path, message));
         }
         let file = File::open(&path).map_err(|e| Error::io(&path, e))?;
@@ -157,12 +155,12 @@ impl RowReader {
         })
     }
 
-    /// The file.
+    /// Path of the file.
     pub(super) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Lengths of all axes, rows first.
+    /// Extents of the array, rows first.
     pub(super) fn shape(&self) -> &[usize] {
         &self.shape
     }
@@ -172,10 +170,10 @@ impl RowReader {
         self.shape[0]
     }
 
-    /// Reads row `index`; a number that is not finite is an error.
+    /// Reads row `index`, row-major; an error if a number is not finite.
     pub(super) fn row(&self, index: usize) -> Result<Vec<f64>> {
         if index >= self.rows() {
-            let message = format!("has {} frames, frame {index} was asked for", self.rows());
+            let message = format!("frame {index} of a file of {} frames", self.rows());
             return Err(Error::format(&self.path, message));
         }
         let numbers: usize = self.shape[1..].iter().product();
@@ -197,7 +195,7 @@ impl RowReader {
     }
 }
 
-/// A file read at given positions through a shared reference.
+/// A file that is read at given positions through a shared reference.
 #[derive(Debug)]
 struct PositionedFile {
     #[cfg(unix)]

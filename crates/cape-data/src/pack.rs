@@ -1,20 +1,20 @@
-//! From the raw layout to the packed one.
+//! Packing of raw frames into arrays.
 //!
 //! ```text
 //! train/train_disp.npy       [n, V, 3]  displacements (v_cano − minimal), metres, float64
 //! train/train_pose.npy       [n, 72]    axis-angle
 //! train/train_rot.npy        [n, 216]   24 rotation matrices, row-major
 //! train/train_clo_label.npy  [n, 4]     outfit, one-hot
-//! train/train_frames.csv     which frame each row is
-//! test/test_…                the same
-//! stats.txt                  how many frames of what
-//! broken_frames.txt          frames left out because they cannot be read, and why
-//! stats.npz, split.toml      normalisation; the split that was packed
-//! body.npz, clothing_verts_idx.npy   copied, if the raw data bring them
+//! train/train_frames.csv     subject, outfit, sequence and frame of each row
+//! test/test_…                the same for the test part
+//! stats.txt                  numbers of frames
+//! broken_frames.txt          unreadable frames that were left out, with the reason
+//! stats.npz, split.toml      normalisation statistics; the split
+//! body.npz, clothing_verts_idx.npy   copies from the raw data, if there
 //! ```
 //!
 //! Rows are ordered by subject, sequence, outfit and frame name. The `.csv`, `.npz` and `.toml`
-//! files are additions to the release's layout.
+//! files are additions to the release's layout. Displacements are float64, as in the release.
 
 use std::{
     collections::BTreeMap,
@@ -39,7 +39,7 @@ use crate::{Error, Result};
 use cape_core::ProgressFn;
 use cape_core::StagingDirectory;
 
-/// How to pack.
+/// Options of [`pack`](pack()).
 ///
 /// ```
 /// use cape_core::Outfit;
@@ -82,73 +82,69 @@ use cape_core::StagingDirectory;
 /// ```
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct PackOptions {
-    /// Whether anything missing or unreadable is an error instead of being listed.
+    /// Treat missing captures and unreadable frames as errors instead of listing them.
     pub strict: bool,
-    /// Whether links may bring in files from outside of the raw tree.
+    /// Follow symbolic links to files outside the raw tree.
     pub follow_links: bool,
 }
 
-/// What was packed, and what was not.
-///
-/// See [`PackOptions`] for an example.
+/// Report of [`pack`](pack()).
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct PackReport {
-    /// Vertices of a frame.
+    /// Number of vertices of a frame.
     pub vertices: usize,
-    /// Training frames, validation included.
+    /// Number of training frames, including validation frames.
     pub train_frames: usize,
-    /// Of these, the last ones that validate.
+    /// Number of validation frames, the last ones of the training frames.
     pub validation_frames: usize,
-    /// Test frames.
+    /// Number of test frames.
     pub test_frames: usize,
-    /// Frames that could not be read, in packing order.
+    /// Unreadable frames, in packing order.
     pub broken: Vec<BrokenFrame>,
-    /// Subjects and sequences of the split that the raw data do not have.
+    /// Subjects and sequences of the split that are not in the raw data.
     pub missing: Vec<MissingCapture>,
-    /// Frames that an interrupted packing of the same data had dealt with before.
+    /// Number of frames processed before by an interrupted packing of the same data.
     pub resumed: usize,
 }
 
 /// A frame left out because it cannot be read.
-///
-/// See [`PackOptions`] for an example.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct BrokenFrame {
-    /// Relative to `sequences/`.
+    /// Path relative to `sequences/`.
     pub path: PathBuf,
-    /// What is wrong with it.
+    /// Reason for leaving it out.
     pub reason: String,
 }
 
-/// Something the split names and the raw data do not have.
-///
-/// See [`PackOptions`] for an example.
+/// A subject or sequence of the split that is not in the raw data.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct MissingCapture {
-    /// The subject.
+    /// Name of the subject.
     pub subject: String,
-    /// The sequence; `None` if the whole subject is missing.
+    /// Name of the sequence; `None` if the whole subject is missing.
     pub sequence: Option<String>,
-    /// What is missing.
+    /// Directory or file that is missing.
     pub reason: String,
 }
 
-/// Packs the frames that `split` selects of the raw tree `raw` into the directory `out`, which
-/// appears only when it is complete.
+/// Packs the frames of the raw tree `raw` selected by `split` into the directory `out`, which
+/// appears only when it is complete. An interrupted packing of the same data is resumed.
 ///
-/// A packing that was interrupted goes on where it was, if it is of the same data.
+/// Frames are read in parallel. Memory holds a few frames and the latest 100 training frames, which
+/// can be validation frames. Unreadable frames, missing subjects and missing sequences are listed
+/// in the report.
 ///
-/// Frames are read in parallel, a few at a time; nothing larger than a few frames (and the at most
-/// 100 latest training frames, which may turn out to be validation) is held in memory. Unreadable
-/// frames, missing subjects and missing sequences are listed in the report; they are an error if
-/// nothing is left, or with [`PackOptions::strict`].
+/// # Errors
+/// If `out` exists, the split is invalid, no frame is left, or anything is missing or unreadable
+/// with [`PackOptions::strict`].
 pub fn pack(
-    raw: &Path,
-    out: &Path,
+    raw: impl AsRef<Path>,
+    out: impl AsRef<Path>,
     split: &SplitSpec,
     options: PackOptions,
     progress: &mut ProgressFn,
 ) -> Result<PackReport> {
+    let (raw, out) = (raw.as_ref(), out.as_ref());
     split.validate()?;
     let mut report = PackReport::default();
     let minimal = read_minimals(raw, split, options, &mut report)?;
@@ -167,11 +163,11 @@ pub fn pack(
     let mut done = PackLog::read(&staging.path, &plan);
     done.truncate(total);
     let inside = (!options.follow_links).then_some(raw);
-    // What could not be read then may be readable now.
-    let healed = frames().zip(&done).position(|(frame, fate)| {
-        *fate != FrameStatus::Packed && read(frame, inside, &minimal).is_ok()
+    // Broken frames may have been repaired since.
+    let repaired = frames().zip(&done).position(|(frame, status)| {
+        *status != FrameStatus::Packed && read(frame, inside, &minimal).is_ok()
     });
-    done.truncate(healed.unwrap_or(total));
+    done.truncate(repaired.unwrap_or(total));
     if !is_whole(&staging.path, &plans, &done, report.vertices) {
         done.clear();
     }
@@ -179,16 +175,16 @@ pub fn pack(
         staging.clear()?;
     }
     report.resumed = done.len();
-    let mut journal = PackLog::start(&staging.path, &plan, &done)?;
-    // From here on an error leaves what was packed for the next attempt.
+    let mut log = PackLog::start(&staging.path, &plan, &done)?;
+    // From here on, packed frames are kept on errors for the next attempt.
     staging.keep = true;
     let mut text = String::new();
     let mut before = 0;
     for (part, frames) in &plans {
-        let fates = &done[before.min(done.len())..(before + frames.len()).min(done.len())];
-        let mut writer = resume(&staging.path, *part, raw, frames, fates, &mut report)?;
-        let left = &frames[fates.len()..];
-        let mut count = before + fates.len();
+        let statuses = &done[before.min(done.len())..(before + frames.len()).min(done.len())];
+        let mut writer = resume(&staging.path, *part, raw, frames, statuses, &mut report)?;
+        let left = &frames[statuses.len()..];
+        let mut count = before + statuses.len();
         for chunk in left.chunks(4 * rayon::current_num_threads()) {
             progress(count, total);
             let read: Vec<_> =
@@ -203,7 +199,7 @@ pub fn pack(
                         if let Some(writer) = &mut writer {
                             writer.push(frame, &read)?;
                         }
-                        journal.note(&FrameStatus::Packed);
+                        log.push(&FrameStatus::Packed);
                     }
                     Err(error) if options.strict => {
                         staging.keep = false;
@@ -211,7 +207,7 @@ pub fn pack(
                     }
                     Err(error) => {
                         let broken = broken(raw, frame, &error);
-                        journal.note(&FrameStatus::Broken(broken.reason.clone()));
+                        log.push(&FrameStatus::Broken(broken.reason.clone()));
                         report.broken.push(broken);
                     }
                 }
@@ -219,7 +215,7 @@ pub fn pack(
             if let Some(writer) = &mut writer {
                 writer.flush()?;
             }
-            journal.commit()?;
+            log.commit()?;
             count += chunk.len();
             progress(count, total);
         }
@@ -244,13 +240,13 @@ pub fn pack(
         return Err(no_frames_error(raw, &report));
     }
     write_notes(raw, &staging.path, split, options, &report, &text)?;
-    journal.finish()?;
+    log.finish()?;
     staging.commit(out)?;
     Ok(report)
 }
 
-/// Whether the files hold every frame that the journal says is packed: after a loss of power they
-/// may not.
+/// True if the files have all frames that the log lists as packed; after a power failure they may
+/// not.
 fn is_whole(
     directory: &Path,
     plans: &[(Split, Vec<PlannedFrame>)],
@@ -261,23 +257,23 @@ fn is_whole(
     plans.iter().all(|(part, frames)| {
         let (own, rest) = left.split_at(frames.len().min(left.len()));
         left = rest;
-        let rows = own.iter().filter(|fate| **fate == FrameStatus::Packed).count();
+        let rows = own.iter().filter(|status| **status == FrameStatus::Packed).count();
         rows == 0 || SplitWriter::holds(directory, *part, vertices, rows)
     })
 }
 
-/// The writer of a part whose first frames are packed already, if any of them was.
+/// Writer of a part whose first frames are processed already; `None` if none of them was packed.
 fn resume(
     directory: &Path,
     part: Split,
     raw: &Path,
     frames: &[PlannedFrame],
-    fates: &[FrameStatus],
+    statuses: &[FrameStatus],
     report: &mut PackReport,
 ) -> Result<Option<SplitWriter>> {
     let mut packed = Vec::new();
-    for (frame, fate) in frames.iter().zip(fates) {
-        match fate {
+    for (frame, status) in frames.iter().zip(statuses) {
+        match status {
             FrameStatus::Packed => packed.push(frame),
             FrameStatus::Broken(reason) => report.broken.push(BrokenFrame {
                 path: relative(raw, frame).to_owned(),
@@ -295,7 +291,7 @@ fn relative<'a>(raw: &Path, frame: &'a PlannedFrame) -> &'a Path {
     frame.path.strip_prefix(raw.join("sequences")).unwrap_or(&frame.path)
 }
 
-/// One frame to be packed.
+/// A frame to be packed.
 #[derive(Debug)]
 pub(super) struct PlannedFrame<'a> {
     pub(super) path: PathBuf,
@@ -385,7 +381,7 @@ fn plan<'a>(
                 let kept = count.saturating_sub(2 * split.cut);
                 if kept == 0 {
                     miss(format!(
-                        "{outfit}_{sequence} has {count} frames, nothing is left after cutting {} \
+                        "{outfit}_{sequence} has {count} frames, none is left after cutting {} \
                          at either end",
                         split.cut
                     ));
@@ -411,7 +407,10 @@ fn read(
     }
     let name = frame.path.file_stem().and_then(|name| name.to_str());
     if name.is_none_or(|name| name.contains(char::is_control)) {
-        return Err(Error::format(&frame.path, "its name is not plain text"));
+        return Err(Error::format(
+            &frame.path,
+            "file name: expected text without control characters",
+        ));
     }
     let Some(minimal) = minimal.get(frame.subject) else {
         return Err(Error::Data(format!("subject {} has no minimal shape", frame.subject)));
@@ -424,7 +423,7 @@ fn read(
 
 fn broken(raw: &Path, frame: &PlannedFrame, error: &Error) -> BrokenFrame {
     let path = relative(raw, frame);
-    // The path is listed beside the reason.
+    // The reason does not repeat the path.
     let reason = error.to_string();
     let reason = reason.strip_prefix(&*frame.path.to_string_lossy()).unwrap_or(&reason);
     let reason = reason.trim_start_matches(": ").replace(['\n', '\t'], " ");
@@ -432,7 +431,7 @@ fn broken(raw: &Path, frame: &PlannedFrame, error: &Error) -> BrokenFrame {
 }
 
 fn no_frames_error(raw: &Path, report: &PackReport) -> Error {
-    let why = match (report.broken.first(), report.missing.first()) {
+    let reason = match (report.broken.first(), report.missing.first()) {
         (Some(frame), _) => format!(
             "all {} frames are unreadable; the first, {}: {}",
             report.broken.len(),
@@ -448,9 +447,9 @@ fn no_frames_error(raw: &Path, report: &PackReport) -> Error {
                 n => format!("; and {} more are missing", n - 1),
             }
         ),
-        (None, None) => "the split excludes everything".to_owned(),
+        (None, None) => "the split excludes all frames".to_owned(),
     };
-    Error::Data(format!("{}: no frame can be packed: {why}", raw.display()))
+    Error::Data(format!("{}: no frame can be packed: {reason}", raw.display()))
 }
 
 fn describe(text: &mut String, part: Split, captures: &[(String, usize)]) {

@@ -1,4 +1,4 @@
-//! What an interrupted packing had done, so that the next one goes on.
+//! Log of the frames packed so far, from which an interrupted packing resumes.
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -20,7 +20,8 @@ const FILE: &str = "journal.txt";
 const PACKED: &str = "packed";
 const BROKEN: &str = "broken\t";
 
-/// One line for the plan, then one for each of its frames that was dealt with, in order.
+/// Log file of a packing: one line with the hash of the plan, then one per processed frame, in
+/// order.
 #[derive(Debug)]
 pub(super) struct PackLog {
     path: PathBuf,
@@ -28,32 +29,32 @@ pub(super) struct PackLog {
     lines: String,
 }
 
-/// What became of a frame.
+/// Status of a processed frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum FrameStatus {
     Packed,
-    /// Left out, for this reason.
+    /// Left out, with the reason.
     Broken(String),
 }
 
 impl PackLog {
-    /// The fates of the plan's first frames, if `directory` holds its journal; none otherwise.
+    /// Statuses of the first frames of the plan; empty if `directory` has no log of that plan.
     pub(super) fn read(directory: &Path, plan: &str) -> Vec<FrameStatus> {
         let Ok(text) = fs::read_to_string(directory.join(FILE)) else { return Vec::new() };
-        // A line that was cut off is not there yet.
+        // A truncated last line is ignored.
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
         let mut lines = whole.lines();
         if lines.next() != Some(plan) {
             return Vec::new();
         }
-        let fate = |line: &str| match line {
+        let status = |line: &str| match line {
             PACKED => Some(FrameStatus::Packed),
             _ => line.strip_prefix(BROKEN).map(|reason| FrameStatus::Broken(reason.to_owned())),
         };
-        lines.map_while(fate).collect()
+        lines.map_while(status).collect()
     }
 
-    /// Starts the journal of a plan with what is done already.
+    /// Starts the log of a plan with the statuses of the frames that are `done` already.
     pub(super) fn start(directory: &Path, plan: &str, done: &[FrameStatus]) -> Result<Self> {
         let path = directory.join(FILE);
         let file = OpenOptions::new()
@@ -62,17 +63,17 @@ impl PackLog {
             .truncate(true)
             .open(&path)
             .map_err(|source| Error::io(&path, source))?;
-        let mut journal = Self { path, file, lines: format!("{plan}\n") };
-        for fate in done {
-            journal.note(fate);
+        let mut log = Self { path, file, lines: format!("{plan}\n") };
+        for status in done {
+            log.push(status);
         }
-        journal.commit()?;
-        Ok(journal)
+        log.commit()?;
+        Ok(log)
     }
 
-    /// Notes what became of the next frame.
-    pub(super) fn note(&mut self, fate: &FrameStatus) {
-        match fate {
+    /// Adds the status of the next frame.
+    pub(super) fn push(&mut self, status: &FrameStatus) {
+        match status {
             FrameStatus::Packed => self.lines.push_str(PACKED),
             FrameStatus::Broken(reason) => {
                 self.lines.push_str(BROKEN);
@@ -82,7 +83,7 @@ impl PackLog {
         self.lines.push('\n');
     }
 
-    /// Writes what was noted. What it says must be in its files by now.
+    /// Writes the added statuses. The files of these frames must have been flushed before.
     pub(super) fn commit(&mut self) -> Result<()> {
         self.file
             .write_all(self.lines.as_bytes())
@@ -91,14 +92,14 @@ impl PackLog {
         Ok(())
     }
 
-    /// Removes the journal of a packing that is complete.
+    /// Removes the log of a complete packing.
     pub(super) fn finish(self) -> Result<()> {
         fs::remove_file(&self.path).map_err(|source| Error::io(&self.path, source))
     }
 }
 
-/// A hash of everything that the result depends on: the split, the subjects' minimal shapes, and
-/// name, size and time of every frame, and whether links are followed.
+/// SHA-256 of all inputs of a packing: split, options, minimal shapes, and name, size and time of
+/// every frame file.
 pub(super) fn plan_hash<'a>(
     raw: &Path,
     split: &SplitSpec,
@@ -120,7 +121,7 @@ pub(super) fn plan_hash<'a>(
     }
     for frame in frames {
         hash.update(frame.path.to_string_lossy().as_bytes());
-        // A frame that is gone by now will be found broken, then as later.
+        // A missing file is reported as a broken frame when it is read.
         if let Ok(metadata) = fs::metadata(&frame.path) {
             hash.update(metadata.len().to_le_bytes());
             let since =

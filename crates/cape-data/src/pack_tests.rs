@@ -65,7 +65,7 @@ fn capture(root: &Path, name: &str) -> PathBuf {
     root.join("sequences").join(name)
 }
 
-/// What must be packed, written out independently: subject, sequence, outfit, frame.
+/// Expected rows, written out independently: subject, sequence, outfit, frame.
 fn expected_train() -> Vec<(usize, usize, usize)> {
     let mut rows = Vec::new();
     for subject in [1, 0] {
@@ -186,7 +186,7 @@ fn what_is_missing_is_listed_and_fails_only_if_nothing_is_left() {
     assert_eq!(missing, [("b", None), ("nobody", None), ("a", Some("ski"))]);
     let strict = pack(
         root.path(),
-        &root.path().join("s"),
+        root.path().join("s"),
         &wanted,
         PackOptions { strict: true, ..PackOptions::default() },
         &mut silent,
@@ -199,7 +199,7 @@ fn what_is_missing_is_listed_and_fails_only_if_nothing_is_left() {
     assert!(message.contains("no frame can be packed: subject nobody"), "{message}");
     wanted = SplitSpec { cut: 3, subjects: vec!["a".into()], ..split() };
     let message = pack_to(root.path(), &none, &wanted).unwrap_err().to_string();
-    assert!(message.contains("has 5 frames, nothing is left after cutting 3"), "{message}");
+    assert!(message.contains("has 5 frames, none is left after cutting 3"), "{message}");
     assert!(!none.exists() && !root.path().join(".none.cape-partial").exists());
 }
 

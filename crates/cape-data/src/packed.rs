@@ -20,20 +20,18 @@ use cape_core::ProgressFn;
 
 pub(super) const FRAMES_HEADER: &str = "subject,outfit,sequence,frame";
 
-/// A part of a packed set.
-///
-/// See [`PackedSet`] for an example.
+/// Training or test part of a packed set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Split {
-    /// Training frames; the last ones validate.
+    /// Training frames; the last ones are for validation.
     Train,
     /// Test frames.
     Test,
 }
 
 impl Split {
-    /// Its directory's name and its files' prefix.
+    /// Name of the directory and prefix of the files: `train` or `test`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Train => "train",
@@ -41,14 +39,15 @@ impl Split {
         }
     }
 
-    /// Whether a packed set in `root` has this part.
-    pub fn exists(self, root: &Path) -> bool {
+    /// True if the packed set in `root` has this part.
+    pub fn exists(self, root: impl AsRef<Path>) -> bool {
         self.path(root, "disp").exists()
     }
 
-    /// Path of the array `what` of this part of the packed set in `root`.
-    pub fn path(self, root: &Path, what: &str) -> PathBuf {
-        root.join(self.name()).join(format!("{self}_{what}.npy"))
+    /// Path of an array of this part of the packed set in `root`; `array` is `disp`, `pose`, `rot`
+    /// or `clo_label`.
+    pub fn path(self, root: impl AsRef<Path>, array: &str) -> PathBuf {
+        root.as_ref().join(self.name()).join(format!("{self}_{array}.npy"))
     }
 
     pub(super) fn frames_path(self, root: &Path) -> PathBuf {
@@ -62,36 +61,32 @@ impl fmt::Display for Split {
     }
 }
 
-/// Where a packed frame was captured.
-///
-/// See [`PackedSet`] for an example.
+/// Capture and raw frame of a packed frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FrameOrigin {
-    /// The subject.
+    /// Name of the subject.
     pub subject: String,
-    /// The motion sequence, without the outfit.
+    /// Name of the motion sequence, without the outfit.
     pub sequence: String,
-    /// Name of the raw frame's file, without its extension.
+    /// File name of the raw frame without extension.
     pub frame: String,
 }
 
-/// Frames, as the network takes them.
-///
-/// See [`PackedSet`] for an example.
+/// Batch of frames on the host, in the layout of the network's inputs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HostBatch {
-    /// Rows of the packed set.
+    /// Rows of the frames in the packed set.
     pub frames: Vec<usize>,
-    /// Displacements, `[batch, V, 3]`: normalised, or in metres.
+    /// Displacements, `[batch, V, 3]`, normalised or in metres.
     pub displacement: Array3<f32>,
-    /// Rotation matrices of the clothing-related joints, row-major, `[batch, 126]`.
+    /// Pose feature: rotation matrices of the clothing-related joints, row-major, `[batch, 126]`.
     pub pose_feature: Array2<f32>,
     /// One-hot outfits, `[batch, 4]`.
     pub outfit: Array2<f32>,
 }
 
-/// One part of a packed set, read frame by frame from its files (by this crate or by the official
-/// tools, float64 or float32).
+/// Reader of one part of a packed set, frame by frame. The files can be float64 or float32, written
+/// by this crate or by the official tools.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
@@ -100,7 +95,7 @@ pub struct HostBatch {
 /// use cape_core::silent;
 /// use cape_data::{PackedSet, Split, DisplacementStatistics};
 ///
-/// // Five frames of a walk of a triangle, which train, and five of a kick, which test.
+/// // Five training frames of a walk of a triangle, and five test frames of a kick.
 /// let directory = triangles()?;
 /// let packed = directory.path().join("packed");
 /// let set = PackedSet::open(&packed, Split::Train)?;
@@ -110,7 +105,7 @@ pub struct HostBatch {
 /// assert_eq!((batch.displacement.dim(), batch.pose_feature.dim()), ((2, 3, 3), (2, 126)));
 /// assert!((batch.displacement[[0, 0, 0]] - 0.04).abs() < 1e-6);
 ///
-/// // The last frame validates; 0, 1, 2 and 3 centimetres train, whose mean is 1.5.
+/// // The last frame is for validation; the mean of 0, 1, 2 and 3 centimetres is 1.5.
 /// let statistics = DisplacementStatistics::from_packed(&packed, &mut silent)?;
 /// assert_eq!(statistics.training_rows(set.frames()), 0..4);
 /// assert!((statistics.mean()[[0, 0]] - 0.015).abs() < 1e-6);
@@ -124,18 +119,23 @@ pub struct PackedSet {
     rotations: RowReader,
     outfits: Vec<Outfit>,
     origins: Option<Vec<FrameOrigin>>,
-    /// Displacements and pose features of all frames.
+    /// Displacements and pose features of all frames, if read into memory.
     preloaded: Option<(Vec<f32>, Vec<f32>)>,
 }
 
 impl PackedSet {
-    /// Opens a part of the packed set in `root` and checks that its files belong together.
-    pub fn open(root: &Path, part: Split) -> Result<Self> {
+    /// Opens a part of the packed set in `root`.
+    ///
+    /// # Errors
+    /// If a file is missing, has an unexpected shape or type, or another number of frames than the
+    /// others.
+    pub fn open(root: impl AsRef<Path>, part: Split) -> Result<Self> {
+        let root = root.as_ref();
         let open = |what, row: &[Option<usize>]| RowReader::open(part.path(root, what), row);
         let displacement = open("disp", &[None, Some(3)])?;
         let frames = displacement.rows();
         if frames == 0 || displacement.shape()[1] == 0 {
-            let message = format!("shape {:?}: there are no frames", displacement.shape());
+            let message = format!("shape {:?}: no frames", displacement.shape());
             return Err(Error::format(displacement.path(), message));
         }
         let pose = open("pose", &[Some(72)])?;
@@ -144,7 +144,7 @@ impl PackedSet {
         for other in [&pose, &rotations, &labels] {
             if other.rows() != frames {
                 let message = format!(
-                    "has {} frames, but {} has {frames}",
+                    "{} frames, but {} has {frames}",
                     other.rows(),
                     displacement.path().display()
                 );
@@ -166,17 +166,18 @@ impl PackedSet {
         self.displacement.shape()[1]
     }
 
-    /// Every frame's outfit.
+    /// Outfit of every frame.
     pub fn outfits(&self) -> &[Outfit] {
         &self.outfits
     }
 
-    /// Where every frame was captured; `None` if the set does not say, as the official one.
+    /// Origin of every frame; `None` for sets without `*_frames.csv`, such as the official one.
     pub fn origins(&self) -> Option<&[FrameOrigin]> {
         self.origins.as_deref()
     }
 
-    /// The capture a frame is of: subject, outfit and sequence as far as the set says.
+    /// Name of a frame's capture: `subject/outfit_sequence`, or the outfit if the origins are
+    /// unknown.
     pub fn capture(&self, frame: usize) -> String {
         let outfit = self.outfits[frame];
         match self.origins() {
@@ -188,7 +189,7 @@ impl PackedSet {
         }
     }
 
-    /// Reads every frame into memory, as float32.
+    /// Reads all frames into memory as f32.
     pub fn preload(&mut self, progress: &mut ProgressFn) -> Result<()> {
         let frames = self.frames();
         let mut all = (
@@ -203,8 +204,8 @@ impl PackedSet {
         Ok(())
     }
 
-    /// Reads frames, in the order given; repetitions are allowed. Displacements are normalised by
-    /// the given statistics, or left in metres. The numbers do not depend on [`preload`].
+    /// Reads `frames` in this order; repetitions are allowed. Displacements are normalised by the
+    /// given statistics, or in metres. The values do not depend on [`preload`].
     ///
     /// [`preload`]: Self::preload
     pub fn batch(
@@ -219,7 +220,7 @@ impl PackedSet {
         for &frame in frames {
             let Some(label) = self.outfits.get(frame) else {
                 let total = self.frames();
-                return Err(Error::argument(format!("frame {frame} of a set of {total}")));
+                return Err(Error::argument(format!("frame {frame} of a set of {total} frames")));
             };
             outfit.extend(label.one_hot());
             match &self.preloaded {
@@ -246,8 +247,8 @@ impl PackedSet {
         })
     }
 
-    /// One frame in double precision: displacements `[V, 3]` in metres, pose `[72]`, and the
-    /// rotation matrices of 24 joints, row-major, `[216]`.
+    /// One frame in f64: displacements `[V, 3]`, metres; pose in axis-angle `[72]`, radians;
+    /// rotation matrices of the 24 joints, row-major, `[216]`.
     pub fn frame(&self, frame: usize) -> Result<(Array2<f64>, Vec<f64>, Vec<f64>)> {
         let displacement =
             Array2::from_shape_vec((self.vertices(), 3), self.displacement.row(frame)?)
@@ -255,12 +256,12 @@ impl PackedSet {
         Ok((displacement, self.pose.row(frame)?, self.rotations.row(frame)?))
     }
 
-    /// One frame's displacements, metres, `[3 V]`.
+    /// Displacements of one frame, metres, `[3 V]`.
     pub fn displacement_row(&self, frame: usize) -> Result<Vec<f64>> {
         self.displacement.row(frame)
     }
 
-    /// One frame's pose: axis-angle rotations of 24 joints, `[72]`.
+    /// Pose of one frame in axis-angle, `[72]`, radians.
     pub fn pose(&self, frame: usize) -> Result<Vec<f32>> {
         Ok(self.pose.row(frame)?.into_iter().map(|x| x as f32).collect())
     }
@@ -299,7 +300,7 @@ fn read_origins(path: &Path, frames: usize) -> Result<Option<Vec<FrameOrigin>>> 
     let text = fs::read_to_string(path).map_err(|e| Error::io(path, e))?;
     let mut lines = text.lines();
     if lines.next() != Some(FRAMES_HEADER) {
-        return Err(Error::format(path, format!("its first line is not `{FRAMES_HEADER}`")));
+        return Err(Error::format(path, format!("first line: expected `{FRAMES_HEADER}`")));
     }
     let origin = |(number, line): (usize, &str)| {
         let fields: Vec<&str> = line.splitn(4, ',').collect();
@@ -312,16 +313,17 @@ fn read_origins(path: &Path, frames: usize) -> Result<Option<Vec<FrameOrigin>>> 
     };
     let origins = lines.enumerate().map(origin).collect::<Result<Vec<_>>>()?;
     if origins.len() != frames {
-        let message = format!("lists {} frames, but there are {frames}", origins.len());
+        let message = format!("lists {} frames, but the arrays have {frames}", origins.len());
         return Err(Error::format(path, message));
     }
     Ok(Some(origins))
 }
 
 impl DisplacementStatistics {
-    /// The statistics of the packed set in `root`: its `stats.npz`, or else computed from the
-    /// training frames and, if the directory can be written, kept there for the next time.
-    pub fn from_packed(root: &Path, progress: &mut ProgressFn) -> Result<Self> {
+    /// Statistics of the packed set in `root`, read from its `stats.npz`, or computed from the
+    /// training frames and saved there if the directory is writable.
+    pub fn from_packed(root: impl AsRef<Path>, progress: &mut ProgressFn) -> Result<Self> {
+        let root = root.as_ref();
         let path = root.join(STATISTICS_FILE);
         if path.exists() {
             return Self::load(path);
@@ -335,22 +337,26 @@ impl DisplacementStatistics {
             progress(frame + 1, count);
         }
         let statistics = accumulator.finish(validation)?;
-        // A set on a read-only medium is as good; only the next opening is slower.
+        // On a read-only medium the statistics are computed again next time.
         let _ = statistics.save(path);
         Ok(statistics)
     }
 
-    /// The rows of a training set of `frames` frames that train.
+    /// Rows of the training frames, without validation frames, in a training part of `frames`
+    /// frames.
     pub fn training_rows(&self, frames: usize) -> Range<usize> {
         0..frames.saturating_sub(self.validation())
     }
 
-    /// The rows of a training set of `frames` frames that validate.
+    /// Rows of the validation frames in a training part of `frames` frames.
     pub fn validation_rows(&self, frames: usize) -> Range<usize> {
         frames.saturating_sub(self.validation())..frames
     }
 
-    /// An error unless the set has `vertices` vertices a frame.
+    /// Checks that the statistics are of frames of `vertices` vertices.
+    ///
+    /// # Errors
+    /// If they are not; the message has both numbers.
     pub fn expect_vertices(&self, vertices: usize) -> Result<()> {
         if self.vertices() == vertices {
             return Ok(());

@@ -1,12 +1,11 @@
-//! The release's raw layout: one file a frame, one minimal shape a subject.
+//! Raw layout of the release: one file per frame, one minimal shape per subject.
 //!
 //! ```text
 //! sequences/<subject>/<outfit>_<sequence>/<frame>.npz    v_cano, v_posed, pose, transl
 //! minimal_body_shape/<subject>/<subject>_minimal.npy     [V, 3]
 //! ```
 //!
-//! Beside them, at the root, data that are not the release's own bring their `body.npz`,
-//! `clothing_verts_idx.npy` and `split.toml`.
+//! Data of other sources have `body.npz`, `clothing_verts_idx.npy` and `split.toml` at the root.
 
 use std::{
     fs,
@@ -21,14 +20,14 @@ use ndarray::{Array1, Array2, ArrayD, Ix2};
 
 use crate::{Error, Result};
 
-/// The body the data are registered to, in SMPL's layout.
+/// File name of the body that the data are registered to, in SMPL's layout.
 pub const BODY_FILE: &str = "body.npz";
-/// Indices of the vertices that clothing covers.
+/// File name of the indices of clothing vertices.
 pub const CLOTHING_FILE: &str = "clothing_verts_idx.npy";
-/// How the data are meant to be split.
+/// File name of the split.
 pub const SPLIT_FILE: &str = "split.toml";
 
-/// One registered frame. Metres and radians.
+/// Registered frame, in metres and radians.
 ///
 /// ```
 /// use cape_core::Outfit;
@@ -46,7 +45,7 @@ pub const SPLIT_FILE: &str = "split.toml";
 /// assert!(path.ends_with("anna/longlong_hips/longlong_hips.000001.npz"));
 /// assert_eq!(raw::read_frame(&path, Some(5))?, frame);
 ///
-/// // What displacements need, and the rest where it is there.
+/// // The canonical part, and the posed part if it is there.
 /// let (canonical, posed) = raw::read_any(&path)?;
 /// assert_eq!(canonical, raw::read_canonical(&path, 5)?);
 /// assert_eq!(posed, Some((frame.v_posed, frame.transl)));
@@ -61,13 +60,11 @@ pub struct RawFrame {
     pub v_posed: Array2<f64>,
     /// Axis-angle rotations of 24 joints, `[72]`.
     pub pose: [f64; 72],
-    /// Translation of the posed body, `[3]`.
+    /// Translation of the posed body, `[3]`, metres.
     pub transl: [f64; 3],
 }
 
-/// The part of a frame that displacements come from.
-///
-/// See [`RawFrame`] for an example.
+/// Canonical part of a frame, from which displacements are computed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CanonicalFrame {
     /// Clothed vertices, unposed, `[V, 3]`.
@@ -77,22 +74,28 @@ pub struct CanonicalFrame {
 }
 
 /// Posed vertices `[V, 3]` and the body's translation, metres.
-///
-/// See [`RawFrame`] for an example.
 pub type PosedVertices = (Array2<f64>, [f64; 3]);
 
-/// Directory of one capture: a subject in an outfit performing a sequence.
-pub fn capture_dir(root: &Path, subject: &str, outfit: Outfit, sequence: &str) -> PathBuf {
+/// Directory of a capture: a subject performing a sequence in an outfit.
+pub fn capture_dir(
+    root: impl AsRef<Path>,
+    subject: &str,
+    outfit: Outfit,
+    sequence: &str,
+) -> PathBuf {
+    let root = root.as_ref();
     root.join("sequences").join(subject).join(format!("{outfit}_{sequence}"))
 }
 
-/// File of a subject's minimal shape.
-pub fn minimal_path(root: &Path, subject: &str) -> PathBuf {
+/// File of the minimal shape of a subject.
+pub fn minimal_path(root: impl AsRef<Path>, subject: &str) -> PathBuf {
+    let root = root.as_ref();
     root.join("minimal_body_shape").join(subject).join(format!("{subject}_minimal.npy"))
 }
 
-/// The directories in one, by name, without hidden ones.
-pub fn directories(path: &Path) -> Result<Vec<PathBuf>> {
+/// Directories in `path`, sorted by name, without hidden ones.
+pub fn directories(path: impl AsRef<Path>) -> Result<Vec<PathBuf>> {
+    let path = path.as_ref();
     let fail = |error| Error::io(path, error);
     let mut found = Vec::new();
     for entry in fs::read_dir(path).map_err(fail)? {
@@ -105,13 +108,15 @@ pub fn directories(path: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// The last part of a path.
-pub fn name_of(path: &Path) -> String {
+/// Last component of a path.
+pub fn name_of(path: impl AsRef<Path>) -> String {
+    let path = path.as_ref();
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The frames of a capture, by name; `None` if there is no such capture.
-pub fn frame_paths(directory: &Path) -> Result<Option<Vec<PathBuf>>> {
+/// Files of the frames of a capture, sorted by name; `None` if the directory does not exist.
+pub fn frame_paths(directory: impl AsRef<Path>) -> Result<Option<Vec<PathBuf>>> {
+    let directory = directory.as_ref();
     if !directory.is_dir() {
         return Ok(None);
     }
@@ -119,7 +124,7 @@ pub fn frame_paths(directory: &Path) -> Result<Option<Vec<PathBuf>>> {
     let mut paths = Vec::new();
     for entry in fs::read_dir(directory).map_err(fail)? {
         let path = entry.map_err(fail)?.path();
-        // Names that start with a dot are what file managers and archivers leave behind.
+        // File managers and archivers create files whose names start with a dot.
         let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
         if path.extension().is_some_and(|extension| extension == "npz") && !hidden {
             paths.push(path);
@@ -129,9 +134,12 @@ pub fn frame_paths(directory: &Path) -> Result<Option<Vec<PathBuf>>> {
     Ok(Some(paths))
 }
 
-/// Refuses a file that a link brings in from outside of `root`: an archive from elsewhere could
-/// name any file of the machine so.
-pub fn require_inside(root: &Path, path: &Path) -> Result<()> {
+/// Checks that `path` does not link to a file outside `root`, as an untrusted archive could.
+///
+/// # Errors
+/// If it does, or does not exist.
+pub fn require_inside(root: impl AsRef<Path>, path: impl AsRef<Path>) -> Result<()> {
+    let (root, path) = (root.as_ref(), path.as_ref());
     let whole = |path: &Path| fs::canonicalize(path).map_err(|source| Error::io(path, source));
     let target = whole(path)?;
     if target.starts_with(whole(root)?) {
@@ -141,23 +149,26 @@ pub fn require_inside(root: &Path, path: &Path) -> Result<()> {
     Err(Error::format(path, message))
 }
 
-/// Reads a subject's minimal shape, metres, `[V, 3]`.
-pub fn read_minimal(root: &Path, subject: &str) -> Result<Array2<f64>> {
+/// Reads the minimal shape of a subject, `[V, 3]`, metres.
+pub fn read_minimal(root: impl AsRef<Path>, subject: &str) -> Result<Array2<f64>> {
+    let root = root.as_ref();
     let path = minimal_path(root, subject);
     vertices(&path, "minimal shape", read_f64(&path)?, None)
 }
 
-/// Reads a frame of `vertices` vertices (any number if `None`).
-pub fn read_frame(path: &Path, vertex_count: Option<usize>) -> Result<RawFrame> {
+/// Reads a frame of `vertex_count` vertices; `None` is any number.
+pub fn read_frame(path: impl AsRef<Path>, vertex_count: Option<usize>) -> Result<RawFrame> {
+    let path = path.as_ref();
     let mut file = Npz::open(path)?;
     let CanonicalFrame { v_cano, pose } = canonical(path, &mut file, vertex_count)?;
     let (v_posed, transl) = posed(path, &mut file, v_cano.nrows())?;
     Ok(RawFrame { v_cano, v_posed, pose, transl })
 }
 
-/// Reads a posed frame of `vertex_count` vertices whose canonical vertices are not known yet, and
-/// are left empty; a missing translation is zero.
-pub fn read_posed(path: &Path, vertex_count: usize) -> Result<RawFrame> {
+/// Reads the posed part of a frame of `vertex_count` vertices; canonical vertices are empty, and a
+/// missing translation is zero.
+pub fn read_posed(path: impl AsRef<Path>, vertex_count: usize) -> Result<RawFrame> {
+    let path = path.as_ref();
     let mut file = Npz::open(path)?;
     let v_posed = vertices(path, "v_posed", file.f64("v_posed")?, Some(vertex_count))?;
     let pose = numbers(path, "pose", &file.f64("pose")?)?;
@@ -169,22 +180,24 @@ pub fn read_posed(path: &Path, vertex_count: usize) -> Result<RawFrame> {
     Ok(RawFrame { v_cano: Array2::zeros((0, 3)), v_posed, pose, transl })
 }
 
-/// Reads what displacements need of a frame, and the rest where it is there.
-pub fn read_any(path: &Path) -> Result<(CanonicalFrame, Option<PosedVertices>)> {
+/// Reads the canonical part of a frame, and the posed part if it is there.
+pub fn read_any(path: impl AsRef<Path>) -> Result<(CanonicalFrame, Option<PosedVertices>)> {
+    let path = path.as_ref();
     let mut file = Npz::open(path)?;
     let frame = canonical(path, &mut file, None)?;
     let posed = posed(path, &mut file, frame.v_cano.nrows()).ok();
     Ok((frame, posed))
 }
 
-/// Posed vertices and translation.
+/// Reads posed vertices and translation.
 fn posed(path: &Path, file: &mut Npz, count: usize) -> Result<PosedVertices> {
     let v_posed = vertices(path, "v_posed", file.f64("v_posed")?, Some(count))?;
     Ok((v_posed, numbers(path, "transl", &file.f64("transl")?)?))
 }
 
-/// Reads what displacements need of a frame of `vertices` vertices; the rest may be missing.
-pub fn read_canonical(path: &Path, vertex_count: usize) -> Result<CanonicalFrame> {
+/// Reads the canonical part of a frame of `vertex_count` vertices.
+pub fn read_canonical(path: impl AsRef<Path>, vertex_count: usize) -> Result<CanonicalFrame> {
+    let path = path.as_ref();
     canonical(path, &mut Npz::open(path)?, Some(vertex_count))
 }
 
@@ -231,38 +244,41 @@ fn numbers<const N: usize>(path: &Path, field: &str, array: &ArrayD<f64>) -> Res
     }
 }
 
-/// Writes a subject's minimal shape, metres, `[V, 3]`.
-pub fn write_minimal(root: &Path, subject: &str, vertices: &Array2<f64>) -> Result<()> {
+/// Writes the minimal shape of a subject, `[V, 3]`, metres.
+pub fn write_minimal(root: impl AsRef<Path>, subject: &str, vertices: &Array2<f64>) -> Result<()> {
+    let root = root.as_ref();
     let path = minimal_path(root, subject);
     create_parent(&path)?;
-    Ok(write_npy(&path, vertices)?)
+    write_npy(&path, vertices)
 }
 
-/// Writes frame `number` of a capture as `<outfit>_<sequence>.<number, six digits>.npz` and
-/// returns its path.
+/// Writes frame `number` of a capture as `<outfit>_<sequence>.<number, six digits>.npz`; returns
+/// the path.
 pub fn write_frame(
-    root: &Path,
+    root: impl AsRef<Path>,
     subject: &str,
     outfit: Outfit,
     sequence: &str,
     number: usize,
     frame: &RawFrame,
 ) -> Result<PathBuf> {
+    let root = root.as_ref();
     let directory = capture_dir(root, subject, outfit, sequence);
     let path = directory.join(format!("{outfit}_{sequence}.{number:06}.npz"));
     write_frame_at(&path, frame)?;
     Ok(path)
 }
 
-/// Writes a frame as that file.
-pub fn write_frame_at(path: &Path, frame: &RawFrame) -> Result<()> {
+/// Writes a frame to the file `path`.
+pub fn write_frame_at(path: impl AsRef<Path>, frame: &RawFrame) -> Result<()> {
+    let path = path.as_ref();
     create_parent(path)?;
     let mut file = NpzWriter::create(path)?;
     file.add("v_cano", &frame.v_cano)?;
     file.add("v_posed", &frame.v_posed)?;
     file.add("pose", &Array1::from_iter(frame.pose))?;
     file.add("transl", &Array1::from_iter(frame.transl))?;
-    Ok(file.finish()?)
+    file.finish()
 }
 
 fn create_parent(path: &Path) -> Result<()> {
@@ -308,7 +324,7 @@ mod tests {
         fs::write(directory.join("notes.txt"), "x").unwrap();
         let early = write_frame(root.path(), "a", Outfit::LongLong, "walk", 3, &frame()).unwrap();
         assert_eq!(frame_paths(&directory).unwrap().unwrap(), [early, path]);
-        assert!(frame_paths(&root.path().join("none")).unwrap().is_none());
+        assert!(frame_paths(root.path().join("none")).unwrap().is_none());
         write_minimal(root.path(), "a", &frame().v_cano).unwrap();
         assert!(root.path().join("minimal_body_shape/a/a_minimal.npy").is_file());
         assert_eq!(read_minimal(root.path(), "a").unwrap(), frame().v_cano);

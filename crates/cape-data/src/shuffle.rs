@@ -1,43 +1,39 @@
 use rand::{SeedableRng, rngs::ChaCha8Rng, seq::SliceRandom};
 use serde::{Deserialize, Serialize};
 
-/// Who draws: each has its own order, independent of the other's.
-///
-/// See [`Shuffle`] for an example.
+/// Stream of random permutations, independent of the other streams of a seed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ShuffleStream {
-    /// The generator's batches.
+    /// Batches of the generator.
     Generator,
-    /// The discriminator's real batches.
+    /// Real batches of the discriminator.
     Discriminator,
 }
 
-/// How far a stream has been read.
-///
-/// See [`Shuffle`] for an example.
+/// Position in a shuffle.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ShufflePosition {
-    /// Complete passes over the frames.
+    /// Number of complete passes over the frames.
     pub epoch: u64,
-    /// Frames drawn of the current pass.
+    /// Number of frames drawn in the current pass.
     pub drawn: usize,
 }
 
-/// An endless stream of frames: one permutation of all of them after another.
+/// Endless stream of frames: consecutive random permutations of all frames.
 ///
-/// Every frame is drawn once before any is drawn twice. The permutation depends on the seed, the
-/// stream and the pass alone, so a [`ShufflePosition`] is all that is needed to go on.
+/// Every frame is drawn once before any is drawn twice. The permutation depends on seed, stream and
+/// pass alone, so that a [`ShufflePosition`] is enough to resume.
 ///
 /// ```
 /// use cape_data::{ShufflePosition, Shuffle, ShuffleStream};
 ///
 /// let mut shuffle = Shuffle::new(1, ShuffleStream::Generator, 5, ShufflePosition::default());
 /// let mut drawn = shuffle.draw(3);
-/// let there = shuffle.position();
-/// assert_eq!(there, ShufflePosition { epoch: 0, drawn: 3 });
+/// let position = shuffle.position();
+/// assert_eq!(position, ShufflePosition { epoch: 0, drawn: 3 });
 /// drawn.extend(shuffle.draw(2));
-/// // From that position on the same frames follow, and in a pass every frame has been drawn.
-/// assert_eq!(Shuffle::new(1, ShuffleStream::Generator, 5, there).draw(2), drawn[3..]);
+/// // The same frames follow from that position; all frames are drawn in a pass.
+/// assert_eq!(Shuffle::new(1, ShuffleStream::Generator, 5, position).draw(2), drawn[3..]);
 /// drawn.sort_unstable();
 /// assert_eq!(drawn, [0, 1, 2, 3, 4]);
 /// ```
@@ -50,7 +46,7 @@ pub struct Shuffle {
 }
 
 impl Shuffle {
-    /// The stream of `frames` frames (at least 1) from a position on.
+    /// Creates the shuffle of `frames` frames (at least 1) at a position.
     pub fn new(seed: u64, stream: ShuffleStream, frames: usize, position: ShufflePosition) -> Self {
         let position = ShufflePosition { drawn: position.drawn.min(frames), ..position };
         let mut shuffle = Self { seed, stream, position, order: (0..frames.max(1)).collect() };
@@ -58,7 +54,7 @@ impl Shuffle {
         shuffle
     }
 
-    /// The next `count` frames. A batch may end one pass and begin the next.
+    /// Draws the next `count` frames, from the next pass if the current one ends.
     pub fn draw(&mut self, count: usize) -> Vec<usize> {
         let mut frames = Vec::with_capacity(count);
         while frames.len() < count {
@@ -72,7 +68,7 @@ impl Shuffle {
         frames
     }
 
-    /// Where the next draw begins.
+    /// Position of the next draw.
     pub fn position(&self) -> ShufflePosition {
         self.position
     }
@@ -127,7 +123,7 @@ mod tests {
         }
     }
 
-    /// Saved positions are worth nothing if another version draws another order.
+    /// Saved positions are valid only if all versions draw the same order.
     #[test]
     fn the_order_is_pinned() {
         let draw = |stream| shuffle(1, stream, 8).draw(8);

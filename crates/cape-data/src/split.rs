@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
 
-/// Which frames of a raw tree train and which test, and in which order they are packed.
+/// Selection of the training and test frames of a raw tree, and their packing order.
 ///
 /// As TOML (`split.toml`):
 ///
@@ -47,20 +47,20 @@ pub struct SplitSpec {
     pub subjects: Vec<String>,
     /// Outfits, in packing order.
     pub outfits: Vec<Outfit>,
-    /// Frames dropped at the beginning and at the end of every sequence.
+    /// Number of frames dropped at the beginning and at the end of every sequence.
     #[serde(default = "default_cut")]
     pub cut: usize,
-    /// Of the frames left by `cut`, every `sample_rate`-th is kept, from the first on.
+    /// Step between the frames kept after `cut`, from the first on.
     #[serde(default = "default_sample_rate")]
     pub sample_rate: usize,
-    /// Sequences that train.
+    /// Training sequences.
     pub train: SequenceList,
-    /// Sequences that test.
+    /// Test sequences.
     #[serde(default)]
     pub test: SequenceList,
 }
 
-/// Motion sequences, in packing order, and what to leave out of them.
+/// Motion sequences, in packing order, and exclusions from them.
 ///
 /// ```
 /// use cape_core::Outfit;
@@ -77,15 +77,15 @@ pub struct SplitSpec {
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SequenceList {
-    /// Names without the outfit, e.g. `soccer`.
+    /// Names without the outfit, such as `soccer`.
     pub sequences: Vec<String>,
-    /// Left out: a sequence (`soccer`), or one capture of it (`00032/longlong_soccer`).
+    /// Excluded sequences (`soccer`) and captures (`00032/longlong_soccer`).
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub exclude: Vec<String>,
 }
 
 impl SequenceList {
-    /// Whether `exclude` names this capture or its whole sequence.
+    /// True if `exclude` has this capture or its whole sequence.
     pub fn excludes(&self, subject: &str, outfit: Outfit, sequence: &str) -> bool {
         let capture = format!("{subject}/{outfit}_{sequence}");
         self.exclude.iter().any(|name| name == sequence || *name == capture)
@@ -150,7 +150,7 @@ const GROUP_2_TRAIN: &[&str] = &[
     "ski",
 ];
 const GROUP_2_TEST: &[&str] = &["twist_trial2", "soccer_trial2", "climb_trial2", "ski_trial2"];
-/// Too much soft-tissue and cloth dynamics for a model of single frames.
+/// Sequences with too much soft-tissue and cloth dynamics for a model of single frames.
 const TOO_DYNAMIC: &[&str] = &["running_on_the_spot", "jumping_jacks"];
 
 fn owned(names: &[&str]) -> Vec<String> {
@@ -174,8 +174,8 @@ impl SplitSpec {
         }
     }
 
-    /// The paper's female set: the male set's sequences and those of a second capture session,
-    /// four subjects.
+    /// The paper's female set: four subjects, the sequences of the male set and those of a second
+    /// capture session.
     pub fn female() -> Self {
         let mut split = Self { subjects: owned(FEMALE), ..Self::male() };
         split.train.sequences.extend(GROUP_2_TRAIN.iter().map(|name| format!("{name}_trial1")));
@@ -192,7 +192,7 @@ impl SplitSpec {
         }
     }
 
-    /// Reads and validates a `split.toml`.
+    /// Reads a `split.toml` file and checks it.
     pub fn from_file(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let text = fs::read_to_string(path).map_err(|e| Error::io(path, e))?;
@@ -202,12 +202,13 @@ impl SplitSpec {
         Ok(split)
     }
 
-    /// The contents of a `split.toml`.
+    /// Contents of a `split.toml` file.
     pub fn to_toml(&self) -> Result<String> {
         toml::to_string_pretty(self).map_err(|e| Error::argument(format!("split: {e}")))
     }
 
-    /// Checks that the split selects something, and nothing twice.
+    /// Checks that the split selects at least one sequence, and nothing twice; errors name the
+    /// field.
     pub fn validate(&self) -> Result<()> {
         self.check()
             .map_err(|(field, message)| Error::argument(format!("split: `{field}`: {message}")))
@@ -228,7 +229,7 @@ impl SplitSpec {
         }
         let distinct: HashSet<_> = self.outfits.iter().collect();
         if distinct.len() != self.outfits.len() {
-            return Err(("outfits", "lists an outfit twice".to_owned()));
+            return Err(("outfits", "an outfit is listed twice".to_owned()));
         }
         if self.sample_rate == 0 {
             return Err(("sample_rate", "is 0: expected 1 (every frame) or more".to_owned()));
@@ -238,19 +239,20 @@ impl SplitSpec {
                 return Err((
                     field,
                     format!(
-                        "`{name}` is neither a sequence of the list nor                          `subject/outfit_sequence` of one"
+                        "`{name}`: expected a sequence of the list, or `subject/outfit_sequence` of \
+                         one"
                     ),
                 ));
             }
         }
         let train: HashSet<_> = self.train.sequences.iter().collect();
         match self.test.sequences.iter().find(|&name| train.contains(name)) {
-            Some(name) => Err(("test.sequences", format!("`{name}` is also in train.sequences"))),
+            Some(name) => Err(("test.sequences", format!("`{name}` is also in `train.sequences`"))),
             None => Ok(()),
         }
     }
 
-    /// Whether `name` is a sequence of `list` or one capture of it.
+    /// True if `name` is a sequence of `list` or one capture of it.
     fn selects(&self, list: &SequenceList, name: &str) -> bool {
         let (subject, capture) = name.split_once('/').unwrap_or(("", name));
         let Some((outfit, sequence)) = capture.split_once('_').filter(|_| name.contains('/'))
@@ -263,7 +265,7 @@ impl SplitSpec {
     }
 }
 
-/// Names become directory names and columns of CSV files.
+/// Checks names, which become directory names and fields of CSV files.
 fn check_names(field: &'static str, names: &[String]) -> Result<(), (&'static str, String)> {
     let mut seen = HashSet::new();
     for name in names {
@@ -271,7 +273,9 @@ fn check_names(field: &'static str, names: &[String]) -> Result<(), (&'static st
         if name.is_empty() || name.starts_with('.') || !name.chars().all(plain) {
             return Err((
                 field,
-                format!("`{name}` is not a name: expected letters, digits, `_`, `-`, `.`"),
+                format!(
+                    "`{name}`: expected a name of letters, digits, `_`, `-`, `.`, `+` and spaces"
+                ),
             ));
         }
         if !seen.insert(name) {
@@ -344,7 +348,7 @@ mod tests {
             (swap("subjects = ['a']", ""), "subjects"),
             (swap("['a']", "[]"), "`subjects`: is empty"),
             (swap("['a']", "['a', 'a']"), "`subjects`: lists `a` twice"),
-            (swap("['a']", "['../a']"), "`subjects`: `../a` is not a name"),
+            (swap("['a']", "['../a']"), "`subjects`: `../a`: expected a name"),
             (swap("['shortlong']", "['coat']"), "coat"),
             (swap("['shortlong']", "['longlong', 'longlong']"), "`outfits`"),
             (swap("['walk']", "[]"), "`train.sequences`"),

@@ -14,10 +14,10 @@ use super::{
 };
 use crate::{Error, Result};
 
-/// Most frames that can turn out to be validation.
+/// Largest number of validation frames.
 const LATEST: usize = 100;
 
-/// Writes one part of a packed set and gathers its statistics.
+/// Writer of one part of a packed set that accumulates its statistics.
 #[derive(Debug)]
 pub(super) struct SplitWriter {
     displacement: RowWriter,
@@ -26,10 +26,10 @@ pub(super) struct SplitWriter {
     label: RowWriter,
     names: PathBuf,
     frames: BufWriter<File>,
-    /// Captures and their numbers of frames, in packing order.
+    /// Captures with their numbers of frames, in packing order.
     pub(super) captures: Vec<(String, usize)>,
     statistics: Accumulator,
-    /// Frames not yet in the statistics.
+    /// Latest frames, not yet in the statistics.
     latest: VecDeque<Vec<f64>>,
 }
 
@@ -42,7 +42,7 @@ impl SplitWriter {
         Self::assemble(root, part, vertices, RowWriter::create)
     }
 
-    /// Goes on with files that hold `frames` already; statistics are gathered anew from them.
+    /// Resumes files that have `frames` already; the statistics are computed from them.
     pub(super) fn resume(
         root: &Path,
         part: Split,
@@ -64,12 +64,12 @@ impl SplitWriter {
         Ok(writer)
     }
 
-    /// Whether the files in `root` are long enough for `rows` rows.
+    /// True if the files in `root` are long enough for `rows` rows.
     pub(super) fn holds(root: &Path, part: Split, vertices: usize, rows: usize) -> bool {
         [("disp", 3 * vertices), ("pose", 72), ("rot", 216), ("clo_label", 4)].into_iter().all(
             |(what, numbers)| {
                 let found = fs::metadata(part.path(root, what));
-                // The header comes on top of that.
+                // The header adds to the size.
                 found.is_ok_and(|found| found.len() > (8 * rows * numbers) as u64)
             },
         )
@@ -126,7 +126,7 @@ impl SplitWriter {
         }
     }
 
-    /// Hands everything to the system, so that the packing can go on from here.
+    /// Flushes all files, so that the packing can be resumed from here.
     pub(super) fn flush(&mut self) -> Result<()> {
         let Self { displacement, pose, rotations, label, .. } = self;
         for rows in [displacement, pose, rotations, label] {
@@ -135,7 +135,7 @@ impl SplitWriter {
         self.frames.flush().map_err(|e| Error::io(&self.names, e))
     }
 
-    /// Completes the files and returns the statistics of the frames that do not validate.
+    /// Completes the files and returns the statistics of the frames without validation frames.
     pub(super) fn finish(mut self) -> Result<DisplacementStatistics> {
         let validation = validation_count(self.rows());
         let settled = self.latest.len().saturating_sub(validation);
@@ -157,7 +157,7 @@ fn csv_line(frame: &PlannedFrame) -> String {
     format!("{subject},{outfit},{sequence},{name}\n")
 }
 
-/// Keeps the latest frames apart from the statistics.
+/// Adds a frame to `latest`, and the oldest one to the statistics if there are too many.
 fn settle(statistics: &mut Accumulator, latest: &mut VecDeque<Vec<f64>>, row: Vec<f64>) {
     latest.push_back(row);
     if latest.len() > LATEST

@@ -5,34 +5,35 @@ use ndarray::{Array1, Array2, Ix2};
 
 use crate::{Error, Result};
 
-/// Where a packed set keeps its [`DisplacementStatistics`].
+/// File name of the [`DisplacementStatistics`] of a packed set.
 pub const STATISTICS_FILE: &str = "stats.npz";
 
-/// Smallest standard deviation, metres: a tenth of a millimetre, below a body scanner's noise (the
-/// release's male training data have at least 0.5 mm everywhere). Where displacements do not vary,
-/// on bare skin for example, normalised values stay small instead of being divided by zero.
+/// Smallest standard deviation, metres: 0.1 mm, below the noise of a body scanner (the release's
+/// male training data have at least 0.5 mm everywhere). It keeps normalised displacements small at
+/// vertices that do not vary, such as on bare skin.
 pub const MIN_STD: f64 = 1e-4;
 
-/// Metres by which statistics of the same data may differ.
+/// Largest difference between statistics of the same data, metres.
 const ROUNDING: f64 = 1e-7;
 
-/// How many of a set's `frames` training frames, the last ones in packed order, are for validation:
-/// 100 as in the release; of fewer than 1000, a tenth (rounded), but at least 1; of a single frame,
-/// none.
+/// Number of validation frames, the last ones in packed order, of a training part of `frames`
+/// frames: 100 as in the release; a rounded tenth, but at least 1, of fewer than 1000; 0 of a
+/// single frame.
 pub fn validation_count(frames: usize) -> usize {
     let tenth = (frames + 5) / 10;
     tenth.clamp(1, 100).min(frames.saturating_sub(1))
 }
 
 /// Mean and standard deviation of displacements per vertex and coordinate, metres, over the
-/// training frames less validation; with them, displacements are normalised for the network.
+/// training frames without validation frames; displacements are normalised with them for the
+/// network.
 ///
 /// ```
 /// use cape_data::{MIN_STD, DisplacementStatistics};
 /// use ndarray::array;
 ///
 /// let statistics = DisplacementStatistics::new(array![[0.01, 0., 0.]], array![[0.005, 0.005, 0.]], 1)?;
-/// // Deviations are at least those of a scanner's noise.
+/// // Standard deviations are at least `MIN_STD`.
 /// assert_eq!(statistics.std()[[0, 2]], MIN_STD);
 /// let mut displacement = [0.02, 0., 0.];
 /// statistics.normalise(&mut displacement);
@@ -49,8 +50,11 @@ pub struct DisplacementStatistics {
 }
 
 impl DisplacementStatistics {
-    /// Statistics of `[V, 3]` displacements; deviations below [`MIN_STD`] are raised to it here, so
-    /// that every user of the statistics, and every file of them, has the same.
+    /// Statistics from `mean` and `std`, `[V, 3]`, metres, and the number of validation frames.
+    /// Standard deviations below [`MIN_STD`] are raised to it.
+    ///
+    /// # Errors
+    /// If a shape is not `[V, 3]`, or a value is not finite or a negative deviation.
     pub fn new(mean: Array2<f64>, std: Array2<f64>, validation: usize) -> Result<Self> {
         if mean.dim() != std.dim() || mean.ncols() != 3 {
             return Err(Error::argument(format!(
@@ -59,25 +63,24 @@ impl DisplacementStatistics {
                 std.dim()
             )));
         }
-        let usable = |x: &f64| x.is_finite();
-        if !mean.iter().all(usable) || !std.iter().all(|x| usable(x) && *x >= 0.0) {
-            return Err(Error::argument("statistics: mean or std has numbers that are no use"));
+        let finite = |x: &f64| x.is_finite();
+        if !mean.iter().all(finite) || !std.iter().all(|x| finite(x) && *x >= 0.0) {
+            return Err(Error::argument("statistics: mean and std must be finite, and std >= 0"));
         }
         Ok(Self { mean, std: std.mapv(|x| x.max(MIN_STD)), validation })
     }
 
-    /// Mean, metres, `[V, 3]`.
+    /// Mean, `[V, 3]`, metres.
     pub fn mean(&self) -> &Array2<f64> {
         &self.mean
     }
 
-    /// Population standard deviation, metres, at least [`MIN_STD`], `[V, 3]`.
+    /// Population standard deviation, at least [`MIN_STD`], `[V, 3]`, metres.
     pub fn std(&self) -> &Array2<f64> {
         &self.std
     }
 
-    /// Whether these are the statistics of the same data: equal but for rounding to 32 bits, in
-    /// which the release stores them.
+    /// True if the statistics are equal up to rounding to f32, in which the release stores them.
     pub fn is_close(&self, other: &Self) -> bool {
         let close = |a: &Array2<f64>, b: &Array2<f64>| {
             a.dim() == b.dim() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= ROUNDING)
@@ -90,17 +93,18 @@ impl DisplacementStatistics {
         self.mean.nrows()
     }
 
-    /// Number of training frames, the last ones, that validate and were left out.
+    /// Number of validation frames, the last ones of the training part.
     pub fn validation(&self) -> usize {
         self.validation
     }
 
-    /// Normalises whole frames of displacements in place: metres to deviations.
+    /// Normalises displacements `[frames · 3 V]` in place: metres to standard deviations from the
+    /// mean.
     pub fn normalise(&self, displacements: &mut [f32]) {
         self.apply(displacements, |x, mean, std| (x - mean) / std);
     }
 
-    /// Inverse of [`normalise`](Self::normalise).
+    /// Denormalises displacements in place, the inverse of [`normalise`](Self::normalise).
     pub fn denormalise(&self, displacements: &mut [f32]) {
         self.apply(displacements, |x, mean, std| x * std + mean);
     }
@@ -113,8 +117,8 @@ impl DisplacementStatistics {
         }
     }
 
-    /// Reads statistics: `mean` and `std` `[V, 3]` and `validation`, the number of frames left out
-    /// (100 if there is none, as in the release's own files).
+    /// Reads a `.npz` file with `mean` and `std`, `[V, 3]`, and `validation`, the number of
+    /// validation frames (100 if absent, as in the release's files).
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let mut file = Npz::open(path)?;
@@ -127,25 +131,26 @@ impl DisplacementStatistics {
         let validation = if file.contains("validation") {
             let count = file.i64("validation")?;
             let count = count.first().and_then(|&n| usize::try_from(n).ok());
-            count
-                .ok_or_else(|| Error::field(path, "validation", "expected one number, 0 or more"))?
+            count.ok_or_else(|| {
+                Error::field(path, "validation", "expected one integer of at least 0")
+            })?
         } else {
             100
         };
         Self::new(mean, std, validation).map_err(|e| Error::format(path, e.to_string()))
     }
 
-    /// Writes statistics, atomically.
+    /// Writes a `.npz` file with `mean`, `std` and `validation`, atomically.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let mut file = NpzWriter::create(path)?;
         file.add("mean", &self.mean)?;
         file.add("std", &self.std)?;
         file.add("validation", &Array1::from_elem(1, self.validation as i64))?;
-        Ok(file.finish()?)
+        file.finish()
     }
 }
 
-/// Mean and deviation in one pass (Welford).
+/// Mean and standard deviation in one pass (Welford).
 #[derive(Debug)]
 pub(super) struct Accumulator {
     count: u64,
@@ -154,7 +159,7 @@ pub(super) struct Accumulator {
 }
 
 impl Accumulator {
-    /// For frames of `numbers` numbers.
+    /// Creates an accumulator for frames of `numbers` numbers.
     pub(super) fn new(numbers: usize) -> Self {
         Self { count: 0, mean: vec![0.0; numbers], squares: vec![0.0; numbers] }
     }
@@ -197,7 +202,7 @@ mod tests {
 
     #[test]
     fn welford_agrees_with_two_passes() {
-        // A mean far above the deviation, where the sum of squares would cancel.
+        // Cancellation: the mean is far larger than the standard deviation.
         let frame = |k: usize| [1000.0 + 1e-3 * (k as f64 * 1.7).sin(), 5.0, -(k as f64)];
         let mut one_pass = Accumulator::new(3);
         (0..500).for_each(|k| one_pass.push(frame(k)));

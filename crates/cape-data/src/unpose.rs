@@ -1,4 +1,4 @@
-//! Registrations in motion made into frames that [`pack`](super::pack()) takes.
+//! Unposing of posed registrations into raw frames for [`pack`](super::pack()).
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +12,7 @@ use crate::{Error, Result};
 use cape_core::ProgressFn;
 use cape_core::StagingDirectory;
 
-/// What was unposed.
+/// Report of [`unpose`].
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
@@ -21,12 +21,12 @@ use cape_core::StagingDirectory;
 /// use cape_core::silent;
 /// use cape_data::unpose::unpose;
 ///
-/// // Four frames each of two movements of a synthetic subject.
+/// // Four frames each of two motions of a synthetic subject.
 /// let directory = captures()?;
 /// let [raw, unposed] = ["raw", "unposed"].map(|name| directory.path().join(name));
 /// let report = unpose(&raw, &unposed, &synthetic_body(), 10, &mut silent)?;
 /// assert_eq!((report.frames, report.broken.len()), (8, 0));
-/// // The subject is one of the body's shapes, and clothes are some millimetres off it.
+/// // The subject is a shape of the body model; clothing is some millimetres off it.
 /// assert!(report.subjects[0].residual_mm < 0.01);
 /// assert!((1.0..50.0).contains(&report.displacement_mm));
 /// # Ok(())
@@ -34,45 +34,45 @@ use cape_core::StagingDirectory;
 /// ```
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct UnposeReport {
-    /// Every subject whose frames were unposed.
+    /// Subjects, in the order of their names.
     pub subjects: Vec<UnposedSubject>,
-    /// Frames written.
+    /// Number of frames written.
     pub frames: usize,
-    /// Mean length of the displacements, millimetres: some 5 to 20 under clothes.
+    /// Mean length of the displacements, millimetres; typically 5 to 20 for clothing.
     pub displacement_mm: f64,
-    /// Frames left out, and why.
+    /// Frames left out, with the reason.
     pub broken: Vec<(PathBuf, String)>,
 }
 
-/// A subject, and how well the body describes its minimal shape.
-///
-/// See [`UnposeReport`] for an example.
+/// A subject and the fit of the body model to its minimal shape.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct UnposedSubject {
-    /// Its name.
+    /// Name of the subject.
     pub subject: String,
-    /// Frames written.
+    /// Number of frames written.
     pub frames: usize,
-    /// Shape coefficients nearest to its minimal shape.
+    /// Shape coefficients β of the body nearest to the minimal shape.
     pub betas: Vec<f64>,
-    /// Root mean square distance of that body from the minimal shape, millimetres.
+    /// Root mean square vertex distance of that body from the minimal shape, millimetres.
     pub residual_mm: f64,
 }
 
-/// Unposes every frame of the raw tree `raw`: reads `v_posed`, `pose` and `transl` (zero where it
-/// is missing), and writes them with `v_cano` into the new tree `out`, which appears only when it
-/// is complete. Joints come from each subject's minimal shape, which must be there.
+/// Unposes every frame of the raw tree `raw`: reads `v_posed`, `pose` and `transl` (zero if
+/// missing), and writes them with `v_cano` into the new tree `out`, which appears only when it is
+/// complete. Joint positions come from the minimal shape of the subject; `betas` is the number of
+/// shape coefficients fitted to it.
 ///
 /// # Errors
-/// If a minimal shape is missing or does not fit the body, or if no frame is left. Frames that
-/// cannot be read or unposed are listed.
+/// If a minimal shape is missing or does not match the body, or if no frame is left. Frames that
+/// cannot be read or unposed are listed in the report.
 pub fn unpose(
-    raw: &Path,
-    out: &Path,
+    raw: impl AsRef<Path>,
+    out: impl AsRef<Path>,
     body: &SmplModel,
     betas: usize,
     progress: &mut ProgressFn,
 ) -> Result<UnposeReport> {
+    let (raw, out) = (raw.as_ref(), out.as_ref());
     let mut report = UnposeReport::default();
     let staging = StagingDirectory::create(out)?;
     let subjects = plan(raw)?;
@@ -117,8 +117,8 @@ pub fn unpose(
         });
     }
     if report.frames == 0 {
-        let why = report.broken.first().map_or_else(String::new, |(_, why)| format!(": {why}"));
-        return Err(Error::Data(format!("{}: no frame can be unposed{why}", raw.display())));
+        let reason = report.broken.first().map_or_else(String::new, |(_, why)| format!(": {why}"));
+        return Err(Error::Data(format!("{}: no frame can be unposed{reason}", raw.display())));
     }
     report.displacement_mm = 1000.0 * sum / report.frames as f64;
     body.save(staging.path.join(raw::BODY_FILE))?;
@@ -131,10 +131,10 @@ pub fn unpose(
     Ok(report)
 }
 
-/// Subjects with the paths of their frames.
+/// Subjects with the paths of their frames, in the order of the names.
 fn plan(raw: &Path) -> Result<Vec<(String, Vec<PathBuf>)>> {
     let mut subjects = Vec::new();
-    for directory in raw::directories(&raw.join("sequences"))? {
+    for directory in raw::directories(raw.join("sequences"))? {
         let mut frames = Vec::new();
         for capture in raw::directories(&directory)? {
             let named = capture.file_name().and_then(|name| name.to_str()?.split_once('_'));
@@ -149,7 +149,7 @@ fn plan(raw: &Path) -> Result<Vec<(String, Vec<PathBuf>)>> {
     Ok(subjects)
 }
 
-/// The frame with its canonical vertices, and the mean length of its displacements, metres.
+/// The unposed frame at `path`, and the mean length of its displacements, metres.
 fn unpose_frame(path: &Path, minimal: &Array2<f64>, body: &SmplModel) -> Result<(RawFrame, f64)> {
     let posed = raw::read_posed(path, body.vertices())?;
     let v_cano = body
@@ -179,7 +179,7 @@ mod tests {
         let frames: Vec<PathBuf> = plan(&raw_tree).unwrap().remove(0).1;
         let expected: Vec<RawFrame> =
             frames.iter().map(|path| raw::read_frame(path, None).unwrap()).collect();
-        // Without canonical vertices, and one without a translation.
+        // Frames without canonical vertices, one of them without translation.
         for (index, (path, frame)) in frames.iter().zip(&expected).enumerate() {
             let mut file = cape_core::npy::NpzWriter::create(path).unwrap();
             file.add("v_posed", &frame.v_posed).unwrap();
@@ -197,7 +197,7 @@ mod tests {
         assert!(report.subjects[0].residual_mm < 1.0, "{report:?}");
         assert!((1.0..50.0).contains(&report.displacement_mm), "{}", report.displacement_mm);
         for (path, expected) in frames.iter().zip(&expected).skip(2) {
-            let found = raw::read_frame(&out.join(path.strip_prefix(&raw_tree).unwrap()), None);
+            let found = raw::read_frame(out.join(path.strip_prefix(&raw_tree).unwrap()), None);
             let found = found.unwrap();
             let difference = &found.v_cano - &expected.v_cano;
             assert!(difference.iter().all(|d| d.abs() < 1e-6), "{}", path.display());

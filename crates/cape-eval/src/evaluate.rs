@@ -7,26 +7,24 @@ use serde::Serialize;
 use crate::{Error, Result};
 use cape_core::{
     ProgressFn,
-    tensors::{host, tensor2},
+    tensors::{from_array2, to_host},
 };
 use cape_data::{PackedSet, Split, sequential};
 use cape_infer::{Run, normal, to_device};
 use cape_stats::errors::{GroupedErrors, GroupedSummary, Histogram, vertex_errors_mm};
 use cape_train::objective::reconstruct;
 
-/// Which code of the posterior is decoded.
-///
-/// See [`EvalOptions`] for an example.
+/// Latent code of the posterior that is decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PosteriorUse {
-    /// Its mean.
+    /// Mean of the posterior.
     Mean,
-    /// A sample, as the authors' release evaluates.
+    /// Sample of the posterior, as in the evaluation of the authors' release.
     Sample,
 }
 
-/// How to evaluate.
+/// Options of [`evaluate`](evaluate()).
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
@@ -39,7 +37,7 @@ pub enum PosteriorUse {
 /// use cape_eval::{EvalOptions, ErrorSamples, PosteriorUse, evaluate, reconstruct_test};
 /// use cape_infer::Run;
 ///
-/// // A run, and four test frames.
+/// // A run and four test frames.
 /// let directory = trained()?;
 /// let [packed, run] = ["packed", "run"].map(|name| directory.path().join(name));
 /// let run = Run::open(&run, &Device::default())?;
@@ -48,24 +46,24 @@ pub enum PosteriorUse {
 /// assert_eq!(report.frames, 4);
 /// assert_eq!(report.model.overall.count, 4 * run.clothing().len() as u64);
 ///
-/// // The same frame by frame.
+/// // The same, frame by frame.
 /// let set = Arc::new(PackedSet::open(&packed, Split::Test)?);
-/// let mut gathered = ErrorSamples::new(6890, run.clothing());
+/// let mut errors = ErrorSamples::new(6890, run.clothing());
 /// reconstruct_test(&run, &set, options, &mut silent, &mut |row, predicted, truth| {
-///     gathered.push(&set, row, predicted, truth)
+///     errors.push(&set, row, predicted, truth)
 /// })?;
-/// assert_eq!(gathered.summary(), report.model);
-/// assert_eq!(gathered.frames()[0].capture, set.capture(0));
+/// assert_eq!(errors.summary(), report.model);
+/// assert_eq!(errors.frames()[0].capture, set.capture(0));
 /// # Ok(())
 /// # }
 /// ```
 #[derive(Debug, Clone, Copy)]
 pub struct EvalOptions {
-    /// Which code is decoded.
+    /// Latent code that is decoded.
     pub posterior: PosteriorUse,
-    /// Fixes the samples.
+    /// Seed of the posterior samples.
     pub seed: u64,
-    /// Frames at a time.
+    /// Frames per batch.
     pub batch: usize,
 }
 
@@ -75,27 +73,24 @@ impl Default for EvalOptions {
     }
 }
 
-/// Per-vertex Euclidean errors at clothing vertices of the test frames, millimetres.
-///
-/// See [`EvalOptions`] for an example.
+/// Per-vertex Euclidean errors at the clothing vertices of the test frames, millimetres.
 #[derive(Debug, Clone, Serialize)]
 pub struct EvalReport {
-    /// The model's reconstructions.
+    /// Errors of the model's reconstructions.
     pub model: GroupedSummary,
-    /// The mean training displacement in place of every frame: what knowing nothing costs.
+    /// Errors of the mean-shape baseline: the mean training displacement in place of every frame.
     pub mean_shape: GroupedSummary,
-    /// Test frames.
+    /// Number of test frames.
     pub frames: usize,
-    /// Which code was decoded.
+    /// Latent code that was decoded.
     pub posterior: PosteriorUse,
-    /// The model's mean error at every vertex, millimetres, `[V]`; zero where there is no clothing.
+    /// Mean error of the model at every vertex, `[V]`, millimetres; zero at vertices without
+    /// clothing.
     #[serde(skip)]
     pub vertex_means: Vec<f32>,
 }
 
-/// Errors of reconstructions, gathered frame by frame.
-///
-/// See [`EvalOptions`] for an example.
+/// Errors of reconstructions, accumulated frame by frame.
 #[derive(Debug, Clone)]
 pub struct ErrorSamples {
     clothing: Vec<usize>,
@@ -104,19 +99,18 @@ pub struct ErrorSamples {
     frames: Vec<FrameError>,
 }
 
-/// One test frame's mean error.
-///
-/// See [`EvalOptions`] for an example.
+/// Mean error of a test frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameError {
-    /// The capture it is of: subject, outfit and sequence as far as the data say.
+    /// Capture of the frame, see [`PackedSet::capture`].
     pub capture: String,
-    /// Mean over the clothing vertices, millimetres.
+    /// Mean error over the clothing vertices, millimetres.
     pub mean: f64,
 }
 
 impl ErrorSamples {
-    /// Nothing yet, of frames of `vertices` vertices compared at the clothing vertices.
+    /// Creates an empty accumulator for frames of `vertices` vertices, compared at the vertices
+    /// `clothing`.
     pub fn new(vertices: usize, clothing: &[usize]) -> Self {
         Self {
             clothing: clothing.to_vec(),
@@ -126,7 +120,7 @@ impl ErrorSamples {
         }
     }
 
-    /// Adds frame `row` of `set`: displacements in metres, `[3 V]`.
+    /// Adds frame `row` of `set`; `predicted` and `truth` are displacements, `[3 V]`, metres.
     pub fn push(
         &mut self,
         set: &PackedSet,
@@ -146,32 +140,32 @@ impl ErrorSamples {
         Ok(())
     }
 
-    /// Statistics over all frames and vertices, by outfit and by sequence.
+    /// Error statistics over all frames and vertices, by outfit and by sequence.
     pub fn summary(&self) -> GroupedSummary {
         self.errors.summary()
     }
 
-    /// Counts of all errors in `bins` bins of the given width, millimetres.
+    /// Histogram of all errors with `bins` bins of width `bin_mm`, millimetres.
     pub fn histogram(&self, bin_mm: f64, bins: usize) -> Histogram {
         self.errors.overall().histogram(bin_mm, bins)
     }
 
-    /// Mean error at every vertex, millimetres, `[V]`; zero where there is no clothing.
+    /// Mean error at every vertex, `[V]`, millimetres; zero at vertices without clothing.
     pub fn vertex_means(&self) -> Vec<f32> {
         let count = self.frames.len().max(1) as f64;
         self.vertex_sums.iter().map(|sum| (sum / count) as f32).collect()
     }
 
-    /// Every frame's error, in order.
+    /// Errors of all frames, in order.
     pub fn frames(&self) -> &[FrameError] {
         &self.frames
     }
 }
 
-/// Auto-encodes the test frames of the packed set in `data`.
+/// Evaluates a run on the test frames of the packed set in `data`.
 pub fn evaluate(
     run: &Run,
-    data: &Path,
+    data: impl AsRef<Path>,
     options: EvalOptions,
     progress: &mut ProgressFn,
 ) -> Result<EvalReport> {
@@ -193,13 +187,11 @@ pub fn evaluate(
     })
 }
 
-/// Takes a frame's row, its reconstruction and the truth.
-///
-/// See [`EvalOptions`] for an example.
+/// Callback with the row of a frame, its reconstruction and its true displacements, `[3 V]`,
+/// metres.
 pub type FrameFn<'a> = dyn FnMut(usize, &[f32], &[f32]) -> Result<()> + 'a;
 
-/// Calls `each` with every test frame's row, reconstruction and truth: displacements in metres,
-/// `[3 V]`.
+/// Reconstructs all test frames and calls `each` with row, reconstruction and truth of each.
 pub fn reconstruct_test(
     run: &Run,
     set: &Arc<PackedSet>,
@@ -211,7 +203,7 @@ pub fn reconstruct_test(
     let vertices = run.body().vertices();
     if set.vertices() != vertices {
         return Err(Error::data(format!(
-            "test frames of {} vertices, but the run's body has {vertices}",
+            "test frames have {} vertices, but the run's body has {vertices}",
             set.vertices()
         )));
     }
@@ -223,12 +215,12 @@ pub fn reconstruct_test(
         let epsilon = (options.posterior == PosteriorUse::Sample).then(|| {
             let latent = run.config().model.latent;
             let noise = normal(options.seed, rows[0] as u64, rows.len(), latent);
-            tensor2(noise, run.device())
+            from_array2(noise, run.device())
         });
         let frames_on_device = to_device(batch, run.device());
         let result = reconstruct(run.generator(), run.graphs(), &frames_on_device, epsilon);
-        let mut predicted = host(result.displacement);
-        let mut truth = host(frames_on_device.displacement);
+        let mut predicted = to_host(result.displacement);
+        let mut truth = to_host(frames_on_device.displacement);
         statistics.denormalise(&mut predicted);
         statistics.denormalise(&mut truth);
         let size = vertices * 3;

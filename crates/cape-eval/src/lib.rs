@@ -1,5 +1,9 @@
-//! Evaluation of clothing models: errors on held-out sequences, comparison of methods, CAPE's table 2,
-//! quality of samples, the self-check of a training set-up, and the benchmark.
+//! Evaluation of clothing models.
+//!
+//! [`evaluate`](evaluate()) measures reconstruction errors on held-out sequences, [`comparison`]
+//! puts methods side by side, and [`table2`] reproduces CAPE's table 2. [`quality`](mod@quality)
+//! measures samples, [`surface_detail`] wrinkles, [`self_check`] tests a training set-up, and
+//! [`bench`](mod@bench) measures speed.
 
 pub mod bench;
 pub mod comparison;

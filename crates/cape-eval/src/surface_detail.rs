@@ -1,4 +1,4 @@
-//! How well wrinkles are reconstructed, which the mean error rewards smoothing for.
+//! Reconstruction of wrinkles, which the mean error does not measure: it favours smooth surfaces.
 
 use std::f64::consts::PI;
 
@@ -10,21 +10,19 @@ use sprs::{CsMat, TriMat};
 /// Terms of the Chebyshev series of the high-pass filter.
 const TERMS: usize = 64;
 
-/// Detail of reconstructions at clothing vertices, over all frames.
-///
-/// See [`SurfaceDetailMeter`] for an example.
+/// Surface detail of reconstructions at clothing vertices, over all frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct SurfaceDetail {
-    /// Mean length of the difference of edge vectors, millimetres.
+    /// Mean length of the difference between reconstructed and true edge vectors, millimetres.
     pub edge_mm: f64,
     /// Mean angle between true and reconstructed face normals on the template body, degrees.
     pub normal_degrees: f64,
-    /// Energy of the reconstructed displacements above the middle of the Laplacian's spectrum,
-    /// relative to the true ones': below 1 wrinkles are smoothed away.
+    /// Energy of the reconstructed displacements in the upper half of the spectrum of the
+    /// Laplacian, relative to the true displacements; below 1 wrinkles are smoothed.
     pub high_energy: f64,
 }
 
-/// Measures [`SurfaceDetail`] frame by frame.
+/// Accumulator of [`SurfaceDetail`] over frames.
 ///
 /// ```
 /// use cape_synth::synthetic_body;
@@ -55,8 +53,8 @@ pub struct SurfaceDetailMeter {
 }
 
 impl SurfaceDetailMeter {
-    /// For displacements of `body` compared at the clothing vertices; edges and faces count if all
-    /// their vertices do.
+    /// Creates an empty accumulator for displacements of `body`, compared at the vertices
+    /// `clothing` and at the edges and faces between them.
     pub fn new(body: &SmplModel, clothing: &[usize]) -> Self {
         let surface = Surface::from(body);
         let mut covered = vec![false; body.vertices()];
@@ -94,7 +92,7 @@ impl SurfaceDetailMeter {
         }
     }
 
-    /// Adds a frame: displacements in metres, `[3 V]`.
+    /// Adds a frame; `predicted` and `truth` are displacements, `[3 V]`, metres.
     pub fn push(&mut self, predicted: &[f32], truth: &[f32]) {
         let rows = |values: &[f32]| -> Vec<[f64; 3]> {
             values.as_chunks::<3>().0.iter().map(|row| row.map(f64::from)).collect()
@@ -111,7 +109,7 @@ impl SurfaceDetailMeter {
         };
         let angle = |face: &[usize; 3]| {
             let (a, b) = (normal(face, &predicted), normal(face, &truth));
-            // By the tangent: the cosine of small angles has no digits left.
+            // By the tangent, because the cosine is inaccurate for small angles.
             length(cross(a, b)).atan2(dot(a, b))
         };
         self.angle_sum += mean(self.faces.iter().map(angle));
@@ -122,7 +120,7 @@ impl SurfaceDetailMeter {
         self.frames += 1;
     }
 
-    /// Means over the frames so far; NaN without any.
+    /// Detail over the frames so far; NaN without frames.
     pub fn detail(&self) -> SurfaceDetail {
         let count = self.frames as f64;
         SurfaceDetail {
@@ -133,8 +131,8 @@ impl SurfaceDetailMeter {
     }
 }
 
-/// The part of a signal above the middle of the spectrum of the normalised Laplacian `L`, whose
-/// eigenvalues lie in 0 to 2: a step at 1, as a Chebyshev series in `L − 1` damped after Jackson.
+/// High-pass filter on a mesh: a step at 1 in the spectrum of the normalised Laplacian `L`, whose
+/// eigenvalues are between 0 and 2, as a Chebyshev series in `L − 1` with Jackson damping.
 #[derive(Debug, Clone)]
 struct HighPassFilter {
     laplacian: CsMat<f64>,
@@ -264,7 +262,7 @@ mod tests {
         Surface::from(&Mesh { vertices, faces })
     }
 
-    /// Against the exact spectrum: eigenvalues away from the step pass or do not.
+    /// The gain is 0 or 1 at the exact eigenvalues away from the step.
     #[test]
     fn the_filter_is_a_step_in_the_spectrum() {
         let surface = sphere();
@@ -306,12 +304,12 @@ mod tests {
         let mut meter = SurfaceDetailMeter::new(&body, &clothing);
         let truth: Vec<f32> =
             (0..3 * body.vertices()).map(|i| 0.01 * ((i * i) as f32 * 0.37).sin()).collect();
-        // The same, shifted as a whole: no edge and no normal differs.
+        // A constant shift changes neither edges nor normals.
         let shifted: Vec<f32> = truth.iter().map(|x| x + 0.02).collect();
         meter.push(&shifted, &truth);
         let detail = meter.detail();
         assert!(detail.edge_mm < 1e-4 && detail.normal_degrees < 1e-2, "{detail:?}");
-        // Half as long: half of every edge's difference, a quarter of the energy.
+        // Displacements of half the length: half the edge differences, a quarter of the energy.
         let mut meter = SurfaceDetailMeter::new(&body, &clothing);
         let half: Vec<f32> = truth.iter().map(|x| 0.5 * x).collect();
         meter.push(&half, &truth);

@@ -2,7 +2,7 @@
 
 use cape_core::{ClothingMask, Outfit, devices};
 use cape_data::DisplacementStatistics;
-use cape_infer::{RunConfig, build_graphs};
+use cape_infer::{ClothedModel, ClothedModelParts, RunConfig, build_graphs};
 use cape_model::{Cape, CapeConfig};
 use cape_synth::{Motion, MotionStyle};
 use glam::DVec3;
@@ -11,8 +11,8 @@ use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 use crate::{
     BodyParameters, ClothedConfig, Detector, DressedBody, Keypoint, Keypoints, Mask, PinholeCamera,
-    PosePrior, SilhouetteLevel, Smplify, SmplifyConfig, aligned_error,
-    dressed_body::DressedBodyParts, silhouette::render, testing::BODY,
+    PosePrior, SilhouetteLevel, Smplify, SmplifyConfig, aligned_error, silhouette::render,
+    testing::BODY,
 };
 
 pub(crate) fn dressed(outfit: Outfit) -> DressedBody {
@@ -31,7 +31,6 @@ pub(crate) fn dressed(outfit: Outfit) -> DressedBody {
     let device = &devices()[0];
     let graphs = build_graphs(&config, &*BODY, device).unwrap();
     let model = Cape::new(&config.model, &graphs, 3, device).unwrap();
-    let clothing: Vec<usize> = ClothingMask::from_weights(&BODY).unwrap().indices().collect();
     // Clothes lie outwards of the body.
     let rows = BODY.v_template.rows().into_iter().map(|v| {
         let out = DVec3::new(v[0], 0.0, v[2]).normalize_or_zero() * 0.015;
@@ -40,14 +39,14 @@ pub(crate) fn dressed(outfit: Outfit) -> DressedBody {
     let mean = Array2::from(rows.collect::<Vec<_>>());
     let statistics =
         DisplacementStatistics::new(mean.clone(), Array2::from_elem(mean.dim(), 0.006), 0).unwrap();
-    let parts = DressedBodyParts {
-        generator: &model.generator,
-        config: &config,
-        body: &BODY,
-        clothing: &clothing,
-        statistics: &statistics,
+    let parts = ClothedModelParts {
+        config,
+        body: BODY.clone(),
+        mask: ClothingMask::from_weights(&BODY).unwrap(),
+        statistics,
     };
-    DressedBody::from_parts(&parts, outfit, device).unwrap()
+    let model = ClothedModel::new(parts, model.generator, device).unwrap();
+    DressedBody::new(&model, outfit).unwrap()
 }
 
 pub(crate) fn truth() -> (BodyParameters, Vec<f64>) {

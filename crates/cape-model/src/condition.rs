@@ -10,24 +10,22 @@ use crate::{
 };
 
 /// The embedding net of one condition: one linear layer, or two with a leaky ReLU between.
-///
-/// See [`ConditionNets`] for an example.
 #[derive(Module, Debug)]
 pub struct ConditionNet {
-    /// The hidden layer of a two-layer net.
+    /// Hidden layer of a two-layer net, `[input, hidden]`.
     pub hidden: Option<Linear>,
-    /// The last layer.
+    /// Last layer, to the embedding.
     pub output: Linear,
 }
 
 impl ConditionNet {
     fn new(input: usize, output: usize, layers: usize, init: &mut Initialiser) -> Self {
         if layers < 2 {
-            return Self { hidden: None, output: Linear::new(input, output, init) };
+            return Self { hidden: None, output: init.linear(input, output) };
         }
         let width = hidden_width(input, output);
-        let hidden = Linear::new(input, width, init);
-        Self { hidden: Some(hidden), output: Linear::new(width, output, init) }
+        let hidden = init.linear(input, width);
+        Self { hidden: Some(hidden), output: init.linear(width, output) }
     }
 
     fn forward(&self, x: Tensor<2>) -> Tensor<2> {
@@ -39,7 +37,7 @@ impl ConditionNet {
     }
 }
 
-/// Width of the hidden layer between `input` and `output`.
+/// Width of the hidden layer between `input` and `output` numbers.
 pub(crate) fn hidden_width(input: usize, output: usize) -> usize {
     if output < input / 2 {
         input / 2
@@ -50,7 +48,8 @@ pub(crate) fn hidden_width(input: usize, output: usize) -> usize {
     }
 }
 
-/// Embeddings of pose and outfit (CAPE §4.2), shared by the decoder and the discriminator.
+/// Embeddings of pose and outfit (CAPE §4.1 and appendix A.1), shared by the decoder and the
+/// discriminator.
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -68,14 +67,14 @@ pub(crate) fn hidden_width(input: usize, output: usize) -> usize {
 /// ```
 #[derive(Module, Debug)]
 pub struct ConditionNets {
-    /// Of the pose feature.
+    /// Net of the pose feature, `[batch, 126]` → `[batch, pose_embedding]`.
     pub pose: Option<ConditionNet>,
-    /// Of the outfit label.
+    /// Net of the outfit label, `[batch, 4]` → `[batch, outfit_embedding]`.
     pub outfit: Option<ConditionNet>,
 }
 
 impl ConditionNets {
-    /// As the configuration says; a size of 0 leaves that net out.
+    /// Creates the nets of `config`; an embedding size of 0 omits the net.
     pub fn new(config: &CapeConfig, init: &mut Initialiser) -> Self {
         let mut net = |input, output, layers| {
             (output > 0).then(|| ConditionNet::new(input, output, layers, init))

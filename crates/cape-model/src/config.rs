@@ -2,44 +2,40 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
 
-/// Slope of every leaky ReLU of the networks.
+/// Negative slope of every leaky ReLU of the networks.
 pub const LEAKY_SLOPE: f64 = 0.2;
-/// Groups of a group normalisation with at least as many channels.
+/// Largest number of groups of a group normalisation.
 pub(crate) const MAX_GROUPS: usize = 32;
-/// Length of the pose feature: 14 rotation matrices.
+/// Length of the pose feature: the rotation matrices of the 14 joints that move clothing.
 pub const POSE_FEATURE: usize = 126;
-/// Length of the outfit label.
+/// Length of the one-hot outfit label.
 pub const OUTFITS: usize = 4;
 
-/// What the decoder is made of (CAPE §4 and appendix A; CoMA).
-///
-/// See [`CapeConfig`] for an example.
+/// Kind of the decoder's blocks (CAPE §4.1 and appendix A; CoMA).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DecoderBlock {
     /// Conditional residual blocks with group normalisation, after GraphCMR.
     Residual,
-    /// `relu(cheb(x)) + linear(x)` at half the width: "CAPE-affine".
+    /// `relu(cheb(x)) + linear(x)` at half the width, as in CAPE-affine.
     Affine,
-    /// Convolution, bias and leaky ReLU: CoMA's.
+    /// Convolution, bias and leaky ReLU, as in CoMA.
     Plain,
 }
 
-/// Where the decoder sees the conditions.
-///
-/// See [`CapeConfig`] for an example.
+/// Places of the decoder that receive the conditions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DecoderConditions {
-    /// Nowhere: an unconditional model.
+    /// None: an unconditional model.
     None,
-    /// Beside the latent code only.
+    /// The latent code only.
     Latent,
-    /// Beside the latent code, and appended at every vertex before every block.
+    /// The latent code and, at every vertex, the input of every block.
     Everywhere,
 }
 
-/// Architecture of the generator and the discriminator; every number of CAPE's appendix A.
+/// Architecture of the generator and the discriminator (CAPE appendix A).
 ///
 /// ```
 /// use cape_model::{CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, Error};
@@ -60,15 +56,15 @@ pub enum DecoderConditions {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CapeConfig {
-    /// Output channels of each encoder convolution; the decoder mirrors them.
+    /// Output channels of every encoder convolution; the decoder mirrors them.
     pub filters: Vec<usize>,
-    /// Down-sampling factor after each encoder convolution; 1 keeps the mesh.
+    /// Down-sampling factor after every encoder convolution; 1 keeps the mesh.
     pub factors: Vec<u32>,
     /// Chebyshev terms `K` of the generator's convolutions.
     pub order: usize,
     /// Size of the latent code `z`.
     pub latent: usize,
-    /// Channels of the 1×1 convolution before the encoder's heads; 0 leaves it out.
+    /// Channels of the 1×1 convolution before the encoder's heads; 0 omits it.
     pub reduce: usize,
     /// Fully connected layers of the pose condition net, 1 or 2.
     pub pose_layers: usize,
@@ -78,39 +74,39 @@ pub struct CapeConfig {
     pub outfit_layers: usize,
     /// Size of the outfit embedding; 0 removes the condition.
     pub outfit_embedding: usize,
-    /// Whether the encoder's input has the conditions appended at every vertex.
+    /// True if the conditions are appended at every vertex of the encoder's input.
     pub encoder_conditions: bool,
-    /// Whether the encoder is made of residual blocks.
+    /// True if the encoder consists of residual blocks.
     pub encoder_residual: bool,
-    /// What the decoder is made of.
+    /// Kind of the decoder's blocks.
     pub decoder: DecoderBlock,
-    /// Where the decoder sees the conditions.
+    /// Places of the decoder that receive the conditions.
     pub decoder_conditions: DecoderConditions,
-    /// Whether the latent code is sampled in training (a VAE) or is the mean (an auto-encoder).
+    /// True for a VAE, whose code is sampled in training; false for an auto-encoder, whose code is
+    /// the mean.
     pub variational: bool,
-    /// Standard deviation of the convolutions' initial weights. CAPE's 0.1 suits its widths: the
-    /// signal fades through the encoder of a narrower model, which needs more.
+    /// Standard deviation of the initial weights of the convolutions. CAPE's 0.1 suits its widths;
+    /// narrower models need a larger one, or the signal vanishes in the encoder.
     #[serde(default = "default_deviation")]
     pub deviation: f64,
-    /// The patchwise discriminator, if any.
+    /// Patchwise discriminator; `None` trains without one.
     pub discriminator: Option<DiscriminatorConfig>,
 }
 
-/// Architecture of the discriminator.
-///
-/// See [`CapeConfig`] for an example.
+/// Architecture of the discriminator (CAPE §4.1).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DiscriminatorConfig {
-    /// Output channels of each convolution.
+    /// Output channels of every convolution.
     pub filters: Vec<usize>,
-    /// Down-sampling factor after each convolution.
+    /// Down-sampling factor after every convolution.
     pub factors: Vec<u32>,
-    /// Chebyshev terms of the convolutions.
+    /// Chebyshev terms `K` of the convolutions.
     pub order: usize,
     /// Chebyshev terms of the last, one-channel convolution.
     pub output_order: usize,
-    /// Whether weight matrices are divided by their largest singular value (Miyato et al. 2018).
+    /// True for spectral normalisation: weight matrices are divided by their largest singular value
+    /// (Miyato et al. 2018).
     #[serde(default)]
     pub spectral_norm: bool,
 }
@@ -138,7 +134,7 @@ impl Default for CapeConfig {
 }
 
 impl CapeConfig {
-    /// The paper's model: 8 layers, 18 latent numbers, residual blocks.
+    /// The paper's model: 8 layers, 18 latent dimensions, residual blocks.
     pub fn paper() -> Self {
         Self {
             filters: vec![64, 64, 128, 128, 256, 256, 512, 512],
@@ -160,7 +156,7 @@ impl CapeConfig {
         }
     }
 
-    /// The larger model its authors recommend for detail: affine blocks, 64 latent numbers.
+    /// The larger model that the authors recommend for detail: affine blocks, 64 latent dimensions.
     pub fn detail() -> Self {
         Self {
             latent: 64,
@@ -171,8 +167,8 @@ impl CapeConfig {
         }
     }
 
-    /// The paper's eight levels at a quarter to a half of its widths: about a tenth of the
-    /// arithmetic.
+    /// The paper's model at a quarter to a half of its widths, with about a tenth of its
+    /// operations.
     pub fn narrow() -> Self {
         Self {
             filters: vec![32, 32, 32, 32, 64, 64, 128, 128],
@@ -186,7 +182,7 @@ impl CapeConfig {
         }
     }
 
-    /// Four narrow layers, for tests on small meshes.
+    /// A model of four narrow layers for tests on small meshes.
     pub fn tiny() -> Self {
         Self {
             filters: vec![8, 16, 16, 8],
@@ -204,7 +200,7 @@ impl CapeConfig {
         }
     }
 
-    /// The preset of that name: `paper`, `detail`, `narrow` or `tiny`.
+    /// The preset called `name`: `paper`, `detail`, `narrow` or `tiny`.
     pub fn preset(name: &str) -> Result<Self> {
         match name {
             "paper" => Ok(Self::paper()),
@@ -218,12 +214,12 @@ impl CapeConfig {
         }
     }
 
-    /// Length of both embeddings together.
+    /// Length of the embedded conditions: pose and outfit embedding together.
     pub fn condition_size(&self) -> usize {
         self.pose_embedding + self.outfit_embedding
     }
 
-    /// Checks what the types cannot say; errors name the field.
+    /// Checks the values of all fields and their relations; errors name the field.
     pub fn validate(&self) -> Result<()> {
         let error =
             |field: &str, message: String| Err(Error::Config { field: field.into(), message });
@@ -250,13 +246,13 @@ impl CapeConfig {
         {
             return error(
                 "decoder_conditions",
-                "a model without embeddings cannot be conditioned: set it to \"none\"".into(),
+                "needs a pose or outfit embedding: set it to \"none\", and encoder_conditions to false".into(),
             );
         }
         if self.decoder != DecoderBlock::Plain
             && let Some(odd) = self.filters.iter().find(|f| *f % 2 != 0)
         {
-            return error("filters", format!("must be even for this decoder, found {odd}"));
+            return error("filters", format!("must be even for this decoder, not {odd}"));
         }
         if self.decoder == DecoderBlock::Residual {
             for channels in self.normalised_channels() {
@@ -265,7 +261,8 @@ impl CapeConfig {
                     return error(
                         "filters",
                         format!(
-                            "group normalisation of {channels} channels needs a multiple of {groups}"
+                            "must give multiples of {groups} for group normalisation, not {channels} \
+                             channels (filters, pose_embedding, outfit_embedding)"
                         ),
                     );
                 }
@@ -285,7 +282,7 @@ impl CapeConfig {
         Ok(())
     }
 
-    /// Channels appended at every vertex before each decoder block.
+    /// Channels appended at every vertex before every decoder block.
     pub(crate) fn block_conditions(&self) -> usize {
         match self.decoder_conditions {
             DecoderConditions::Everywhere => self.condition_size(),
@@ -313,7 +310,7 @@ fn check_layers(
 ) -> Result<()> {
     let error = |field: &str, message: String| Err(Error::Config { field: field.into(), message });
     if filters.is_empty() || filters.contains(&0) {
-        return error(filters_field, "needs at least one layer, each of at least 1 channel".into());
+        return error(filters_field, "must list at least one layer of at least 1 channel".into());
     }
     if factors.len() != filters.len() {
         return error(
@@ -322,7 +319,7 @@ fn check_layers(
         );
     }
     if factors.contains(&0) {
-        return error(factors_field, "must be at least 1 each".into());
+        return error(factors_field, "must all be at least 1".into());
     }
     Ok(())
 }

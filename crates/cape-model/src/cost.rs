@@ -1,26 +1,25 @@
-//! How much arithmetic a model takes.
+//! Number of floating-point operations of a training update.
 
 use crate::{
     CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, OUTFITS, POSE_FEATURE,
     condition::hidden_width,
 };
 
-/// Operations that one update of generator and discriminator needs on batches of `batch` examples,
-/// a multiply-add counting as two; `generator` and `discriminator` are the vertices of each level
-/// of their pyramids. `None` for architectures other than the paper's: residual decoders behind
-/// plain encoders without conditions.
+/// Floating-point operations of one update of generator and discriminator on batches of `batch`
+/// examples, with two operations per multiply-add. `generator` and `discriminator` are the numbers
+/// of vertices of each level of their pyramids. `None` for architectures other than the paper's:
+/// residual decoders behind plain encoders without conditions.
 ///
 /// Counted are the dense products, forward and backward, of the cheapest equivalent formulation:
 /// - convolutions only at the vertices that pooling keeps;
-/// - conditions as one vector an example instead of channels at every vertex;
-/// - skip paths before up-sampling, and where it is cheaper on the few channels that are known to
-///   span their input;
+/// - conditions as one vector per example instead of channels at every vertex;
+/// - skip paths before up-sampling, on the factored form of their input where that is cheaper;
 /// - the last block's outer products merged with the output convolution;
 /// - one pass of the discriminator over the generated samples for both its uses.
 ///
-/// It is a measure of the task, not of what a version of this crate executes: that may be more.
-/// Sparse products (below 1 % for the paper's model), element-wise operations, losses and the
-/// optimiser are left out, and up-sampling is taken to preserve constants.
+/// The count measures the task; an implementation may execute more. Sparse products (below 1 % for
+/// the paper's model), element-wise operations, losses and the optimiser are left out, and
+/// up-sampling is assumed to preserve constants.
 ///
 /// # Panics
 /// If a pyramid has fewer levels than `config` needs.
@@ -39,13 +38,13 @@ pub fn update_flops(
     let [first, rest] = encoder(config, generator);
     let adversary =
         config.discriminator.as_ref().map_or(0, |d| discriminator_passes(config, d, discriminator));
-    // Forward, gradient of the input, gradient of the weights; the data need no gradient.
+    // Forward, input gradient and weight gradient; the data need no gradient.
     let example = 2 * first + 3 * (rest + conditions(config)) + adversary;
     let multiply_adds = batch * example + 3 * decoder(config, generator, batch);
     Some(2.0 * multiply_adds as f64)
 }
 
-/// Multiply-adds of the first convolution and of the rest, for an example.
+/// Multiply-adds per example of the encoder's first convolution and of the rest.
 fn encoder(config: &CapeConfig, vertices: &[usize]) -> [usize; 2] {
     let mut input = 3;
     let mut layers = Vec::new();
@@ -60,7 +59,7 @@ fn encoder(config: &CapeConfig, vertices: &[usize]) -> [usize; 2] {
 }
 
 /// Channels between the coarsest convolutions and the fully connected layers, and the multiply-adds
-/// of the 1×1 convolution that changes to them.
+/// of the 1×1 convolution to them.
 fn stem(config: &CapeConfig, coarse: usize) -> (usize, usize) {
     let width = config.filters.last().copied().unwrap_or_default();
     match config.reduce {
@@ -69,7 +68,7 @@ fn stem(config: &CapeConfig, coarse: usize) -> (usize, usize) {
     }
 }
 
-/// Multiply-adds of the condition nets for an example.
+/// Multiply-adds of the condition nets per example.
 fn conditions(config: &CapeConfig) -> usize {
     let net = |input: usize, output: usize, layers: usize| match (output, layers) {
         (0, _) => 0,
@@ -80,7 +79,7 @@ fn conditions(config: &CapeConfig) -> usize {
         + net(OUTFITS, config.outfit_embedding, config.outfit_layers)
 }
 
-/// Multiply-adds of the decoder for a batch.
+/// Multiply-adds of the decoder per batch.
 fn decoder(config: &CapeConfig, vertices: &[usize], batch: usize) -> usize {
     let extra = config.block_conditions();
     let levels = config.filters.len();
@@ -91,7 +90,7 @@ fn decoder(config: &CapeConfig, vertices: &[usize], batch: usize) -> usize {
     };
     let code = config.latent + code_conditions;
     let mut total = batch * (code * vertices[levels] * stem + expansion);
-    // What is known of a block's input: its channels, and how many of others span them.
+    // Channels of a block's input, and the inner channels of its factored form.
     let (mut width, mut rank) = (config.filters[levels - 1], stem);
     for (level, &output) in config.filters.iter().enumerate().rev() {
         let (fine, coarse, half) = (vertices[level], vertices[level + 1], output / 2);
@@ -115,9 +114,8 @@ fn decoder(config: &CapeConfig, vertices: &[usize], batch: usize) -> usize {
     total
 }
 
-/// Multiply-adds of all passes of the discriminator for an example: over a generated sample
-/// forward, backward to its input and backward to the weights; over a real one forward and backward
-/// to the weights.
+/// Multiply-adds of all passes of the discriminator per example: forward, input gradient and weight
+/// gradient for a generated sample; forward and weight gradient for a real one.
 fn discriminator_passes(
     config: &CapeConfig,
     discriminator: &DiscriminatorConfig,
@@ -129,9 +127,9 @@ fn discriminator_passes(
     for (layer, (&filters, &kept)) in discriminator.filters.iter().zip(&vertices[1..]).enumerate() {
         let product = kept * order * input * filters;
         if layer == 0 {
-            // Its own input's gradient is needed for the generator only.
+            // The gradient of the first input is needed for the generator only.
             total += 5 * (product + order * extra * filters);
-            // What each Chebyshev term makes of a constant, at every vertex.
+            // Chebyshev terms of a constant at every vertex.
             total += 4 * kept * order * filters * usize::from(extra > 0);
         } else {
             total += 7 * product;
@@ -148,7 +146,7 @@ mod tests {
     const GENERATOR: [usize; 9] = [6890, 6890, 3445, 3445, 1723, 1723, 862, 862, 862];
     const DISCRIMINATOR: [usize; 5] = [6890, 3445, 1723, 862, 431];
 
-    /// Of an independent count of the paper's model, 19139.2 million operations an example, 158.5
+    /// An independent count of the paper's model has 19139.2 million operations per example, 158.5
     /// million of them sparse and 3.6 million for up-samplings that do not preserve constants.
     #[test]
     fn the_papers_update_is_counted_exactly() {

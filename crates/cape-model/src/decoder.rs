@@ -14,16 +14,14 @@ use crate::{
 };
 
 /// One layer of the decoder after its up-sampling.
-///
-/// See [`Decoder`] for an example.
 #[derive(Module, Debug)]
 #[allow(clippy::large_enum_variant)] // a model holds a handful of them
 pub enum DecoderLayer {
-    /// CAPE's.
+    /// Conditional residual block of CAPE.
     Residual(ResidualBlock),
-    /// CAPE-affine's.
+    /// Block of CAPE-affine.
     Affine(AffineBlock),
-    /// CoMA's.
+    /// Convolution, bias and leaky ReLU, as in CoMA.
     Plain(ConvLayer),
 }
 
@@ -47,7 +45,7 @@ impl DecoderLayer {
     }
 }
 
-/// From a latent code and conditions to displacements (CAPE §4.1 and appendix A).
+/// Decoder: latent code and conditions to displacements (CAPE §4.1 and appendix A).
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -68,22 +66,22 @@ impl DecoderLayer {
 /// ```
 #[derive(Module, Debug)]
 pub struct Decoder {
-    /// From the code to features of the coarsest level.
+    /// Fully connected layer from the code to features of the coarsest level.
     pub input: Linear,
     /// 1×1 convolution to the width of the first block.
     pub expand: Option<ChebConv>,
-    /// One for each transition of the pyramid, coarsest first.
+    /// Layers, one per transition of the pyramid, coarsest first.
     pub blocks: Vec<DecoderLayer>,
-    /// To three coordinates.
+    /// Convolution to three coordinates.
     pub output: ChebConv,
-    /// One number per vertex and coordinate, `[vertices, 3]`.
+    /// Bias per vertex and coordinate, `[vertices, 3]`.
     pub output_bias: Param<Tensor<2>>,
     code_conditioned: bool,
     blocks_conditioned: bool,
 }
 
 impl Decoder {
-    /// For meshes of `vertices` whose coarsest level has `coarse`.
+    /// Creates a decoder for meshes of `vertices` vertices whose coarsest level has `coarse`.
     pub fn new(
         config: &CapeConfig,
         vertices: usize,
@@ -95,7 +93,7 @@ impl Decoder {
         let mut width = config.filters.last().copied().unwrap_or_default();
         let stem = if config.reduce > 0 { config.reduce } else { width };
         let code = config.latent + if code_conditioned { config.condition_size() } else { 0 };
-        let input = Linear::new(code, coarse * stem, init);
+        let input = init.linear(code, coarse * stem);
         let expand = (config.reduce > 0).then(|| ChebConv::new(stem, width, 1, init));
 
         let mut blocks = Vec::new();
@@ -125,8 +123,8 @@ impl Decoder {
         }
     }
 
-    /// `z: [batch, latent]`, `condition: [batch, embedding]` → normalised displacements
-    /// `[batch, vertices, 3]`.
+    /// Decodes `z: [batch, latent]` with `condition: [batch, embedding]` into normalised
+    /// displacements `[batch, vertices, 3]`.
     pub fn forward(
         &self,
         z: Tensor<2>,
@@ -136,7 +134,7 @@ impl Decoder {
         self.forward_with(z, condition, graph, &mut |_, _| {})
     }
 
-    /// As [`forward`](Self::forward), showing every block's output to `tap`.
+    /// As [`forward`](Self::forward); `tap` receives every block's index and output.
     pub fn forward_with(
         &self,
         z: Tensor<2>,

@@ -6,7 +6,7 @@ use crate::{
     layers::{ChebConv, ConvLayer},
 };
 
-/// The patchwise discriminator (CAPE §4.1): one real-or-fake logit for each patch of the mesh.
+/// Patchwise discriminator (CAPE §4.1): one real-or-fake logit per patch of the mesh.
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -26,14 +26,14 @@ use crate::{
 /// ```
 #[derive(Module, Debug)]
 pub struct Discriminator {
-    /// One for each transition of its pyramid.
+    /// Layers, one per transition of the discriminator's pyramid, finest first.
     pub layers: Vec<ConvLayer>,
-    /// To one logit.
+    /// Convolution to one logit.
     pub output: ChebConv,
 }
 
 impl Discriminator {
-    /// For conditions of `condition` numbers.
+    /// Creates a discriminator for embedded conditions of `condition` numbers.
     pub fn new(config: &DiscriminatorConfig, condition: usize, init: &mut Initialiser) -> Self {
         let mut input = 3 + condition;
         let mut layers = Vec::new();
@@ -46,8 +46,8 @@ impl Discriminator {
         Self { layers, output: output.with_spectral_norm(config.spectral_norm) }
     }
 
-    /// Normalised displacements `[batch, vertices, 3]`, `condition: [batch, embedding]` → logits
-    /// `[batch, patches, 1]`.
+    /// Logits `[batch, patches, 1]` of normalised displacements `x: [batch, vertices, 3]` with
+    /// `condition: [batch, embedding]`.
     pub fn forward(
         &self,
         x: Tensor<3>,
@@ -57,7 +57,7 @@ impl Discriminator {
         self.forward_with(x, condition, graph, &mut |_, _| {})
     }
 
-    /// As [`forward`](Self::forward), showing every layer's output after pooling to `tap`.
+    /// As [`forward`](Self::forward); `tap` receives every layer's index and output after pooling.
     pub fn forward_with(
         &self,
         x: Tensor<3>,

@@ -7,19 +7,17 @@ use crate::{
 };
 
 /// One layer of the encoder.
-///
-/// See [`Encoder`] for an example.
 #[derive(Module, Debug)]
 #[allow(clippy::large_enum_variant)] // a model holds a handful of them
 pub enum EncoderBlock {
-    /// Convolution, bias, leaky ReLU.
+    /// Convolution, bias and leaky ReLU.
     Conv(ConvLayer),
-    /// The optional residual block.
+    /// Residual block of two convolutions.
     Residual(EncoderResidual),
 }
 
 impl EncoderBlock {
-    /// Convolution and pooling.
+    /// Convolution on `level`, then down-sampling to `level + 1`.
     fn forward(
         &self,
         x: Tensor<3>,
@@ -36,7 +34,7 @@ impl EncoderBlock {
     }
 }
 
-/// Mean and log-variance of `q(z|x)`, each `[batch, latent]`.
+/// Posterior `q(z|x)` of the latent code: mean and log-variance, each `[batch, latent]`.
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -56,20 +54,20 @@ impl EncoderBlock {
 /// ```
 #[derive(Debug, Clone)]
 pub struct Posterior {
-    /// `μ`.
+    /// Mean `μ`, `[batch, latent]`.
     pub mean: Tensor<2>,
-    /// `log σ²`.
+    /// Log-variance `log σ²`, `[batch, latent]`.
     pub log_variance: Tensor<2>,
 }
 
 impl Posterior {
-    /// `z = μ + exp(½ log σ²) ε`, `ε: [batch, latent]` standard normal.
+    /// Samples `z = μ + exp(½ log σ²) ε`, where `epsilon: [batch, latent]` is standard normal.
     pub fn sample(&self, epsilon: Tensor<2>) -> Tensor<2> {
         self.mean.clone() + (self.log_variance.clone() * 0.5).exp() * epsilon
     }
 }
 
-/// From displacements to the posterior of the latent code (CAPE §4.1).
+/// Encoder: displacements to the posterior of the latent code (CAPE §4.1).
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -90,19 +88,19 @@ impl Posterior {
 /// ```
 #[derive(Module, Debug)]
 pub struct Encoder {
-    /// One for each transition of the pyramid.
+    /// Layers, one per transition of the pyramid, finest first.
     pub blocks: Vec<EncoderBlock>,
-    /// 1×1 convolution before the heads.
+    /// 1×1 convolution before the fully connected heads.
     pub reduce: Option<ChebConv>,
-    /// Head of the mean.
+    /// Fully connected head of the mean.
     pub mean: Linear,
-    /// Head of the log-variance.
+    /// Fully connected head of the log-variance.
     pub log_variance: Linear,
     conditioned: bool,
 }
 
 impl Encoder {
-    /// For meshes whose coarsest level has `coarse` vertices.
+    /// Creates an encoder for meshes whose coarsest level has `coarse` vertices.
     pub fn new(config: &CapeConfig, coarse: usize, init: &mut Initialiser) -> Self {
         let extra = if config.encoder_conditions { config.condition_size() } else { 0 };
         let mut input = 3 + extra;
@@ -120,13 +118,14 @@ impl Encoder {
         Self {
             blocks,
             reduce,
-            mean: Linear::new(flat, config.latent, init),
-            log_variance: Linear::new(flat, config.latent, init),
+            mean: init.linear(flat, config.latent),
+            log_variance: init.linear(flat, config.latent),
             conditioned: config.encoder_conditions,
         }
     }
 
-    /// `x: [batch, vertices, 3]` normalised displacements, `condition: [batch, embedding]`.
+    /// Encodes normalised displacements `x: [batch, vertices, 3]`; `condition: [batch, embedding]`
+    /// counts if [`CapeConfig::encoder_conditions`] is set.
     pub fn forward(
         &self,
         x: Tensor<3>,
@@ -136,7 +135,7 @@ impl Encoder {
         self.forward_with(x, condition, graph, &mut |_, _| {})
     }
 
-    /// As [`forward`](Self::forward), showing every layer's output after pooling to `tap`.
+    /// As [`forward`](Self::forward); `tap` receives every layer's index and output after pooling.
     pub fn forward_with(
         &self,
         x: Tensor<3>,

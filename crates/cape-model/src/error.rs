@@ -3,7 +3,7 @@ use std::path::PathBuf;
 /// Result of this crate's operations.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What can go wrong with models and their files.
+/// Errors of models and their files.
 ///
 /// ```
 /// use cape_model::{CapeConfig, Error, weights};
@@ -24,23 +24,23 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A configuration value is out of its domain.
+    /// A configuration value is out of range.
     #[error("configuration: `{field}` {message}")]
     Config {
-        /// The field.
+        /// Name of the field.
         field: String,
-        /// What is wrong with it.
+        /// Value found and values allowed.
         message: String,
     },
-    /// The mesh pyramid does not suit the configuration.
+    /// The mesh pyramid does not match the configuration.
     #[error("pyramid: {0}")]
     Pyramid(String),
-    /// A set of weights does not suit the configuration.
+    /// A set of weights does not match the configuration.
     #[error("weights: `{name}`: {message}")]
     Weight {
-        /// The parameter.
+        /// Name of the parameter.
         name: String,
-        /// What was found, and what was expected.
+        /// Value found and value expected.
         message: String,
     },
     /// A mesh or a file was refused.
@@ -49,17 +49,17 @@ pub enum Error {
     /// The operating system refused to open, read or write a file.
     #[error("{}: {source}", path.display())]
     Io {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The system's reason.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// A file's contents are not what they must be.
+    /// A file has an unexpected content.
     #[error("{}: {message}", path.display())]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What was found, and what was expected.
+        /// Value found and value expected.
         message: String,
     },
 }

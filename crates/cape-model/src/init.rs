@@ -1,19 +1,22 @@
 use burn::{
     module::Param,
+    nn::Linear,
     tensor::{Device, Tensor, TensorData},
 };
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 
-/// Draws initial weights on the host, so that a seed gives the same model on every backend.
+/// Source of initial weights, drawn on the host so that a seed gives the same model on every
+/// backend.
 ///
 /// ```
 /// use burn::tensor::Device;
-/// use cape_model::{Initialiser, layers::Linear, weights::collect};
+/// use cape_model::{Initialiser, weights::collect};
 ///
-/// let draw = |seed| collect(&Linear::new(2, 3, &mut Initialiser::new(seed, 0.1, &Device::default())));
-/// assert_eq!(draw(7), draw(7));
-/// assert_ne!(draw(7), draw(8));
+/// let device = Device::default();
+/// let draw = |seed| Initialiser::new(seed, 0.1, &device).linear(2, 3);
+/// assert_eq!(collect(&draw(7)), collect(&draw(7)));
+/// assert_ne!(collect(&draw(7)), collect(&draw(8)));
 /// ```
 #[derive(Debug)]
 pub struct Initialiser {
@@ -23,7 +26,8 @@ pub struct Initialiser {
 }
 
 impl Initialiser {
-    /// A source of weights for `device`, with the given standard deviation of convolutions.
+    /// Creates a source of parameters on `device`; `deviation` is the standard deviation of
+    /// convolution weights.
     pub fn new(seed: u64, deviation: f64, device: &Device) -> Self {
         Self {
             rng: ChaCha8Rng::seed_from_u64(seed),
@@ -36,7 +40,13 @@ impl Initialiser {
         Param::from_data(TensorData::new(values, shape), &self.device)
     }
 
-    /// Normal, cut at two deviations.
+    /// Fully connected layer with Glorot-uniform weights `[input, output]` and a zero bias.
+    pub fn linear(&mut self, input: usize, output: usize) -> Linear {
+        let bias = Some(self.constant(0.0, [output]));
+        Linear { weight: self.glorot([input, output]), bias }
+    }
+
+    /// Normal distribution of the given deviation, truncated at two deviations.
     pub(crate) fn truncated_normal(&mut self, shape: [usize; 2]) -> Param<Tensor<2>> {
         let values = (0..shape[0] * shape[1])
             .map(|_| self.deviation * self.truncated_standard_normal())
@@ -61,7 +71,7 @@ impl Initialiser {
         self.param(values, shape)
     }
 
-    /// The same number everywhere.
+    /// A constant parameter.
     pub(crate) fn constant<const D: usize>(
         &self,
         value: f32,

@@ -1,8 +1,9 @@
 //! CAPE's networks: Chebyshev graph convolutions, condition nets, encoder, decoder, patchwise
-//! discriminator and the terms of the objective.
+//! discriminator and the terms of the training objective.
 //!
-//! A [`CapeConfig`] describes an architecture, [`Graphs`] hold what it needs of a mesh on a device,
-//! and [`Cape`] is the model. Displacements enter and leave as `[batch, vertices, 3]`, normalised.
+//! A [`CapeConfig`] describes an architecture, [`Graphs`] hold the mesh pyramids and the edge
+//! operator on a device, and [`Cape`] is the model. Displacements enter and leave as
+//! `[batch, vertices, 3]`, normalised per vertex and coordinate.
 //!
 //! ```
 //! use burn::tensor::{Device, Tensor};

@@ -1,4 +1,4 @@
-//! The terms of CAPE's objective (§4.3).
+//! Loss terms of CAPE's training objective (§4.2).
 
 use burn::tensor::{
     Tensor,
@@ -9,9 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Error, Posterior, Result};
 
-/// How far a reconstruction is from its target.
-///
-/// See [`LossConfig`] for an example.
+/// Kind of the reconstruction loss.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ReconstructionLoss {
@@ -25,20 +23,18 @@ pub enum ReconstructionLoss {
 
 const HUBER_DELTA: f64 = 0.1;
 
-/// What generator and discriminator play for.
-///
-/// See [`LossConfig`] for an example.
+/// Kind of the adversarial loss.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum AdversarialLoss {
-    /// Binary cross-entropy on logits with smoothed labels, as in CAPE.
+    /// Binary cross-entropy of logits with smoothed labels, as in CAPE.
     #[default]
     Bce,
     /// Hinge loss (Lim and Ye 2017).
     Hinge,
 }
 
-/// Weights and switches of the objective.
+/// Weights and kinds of the loss terms (CAPE §4.2 and appendix A.2).
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -55,7 +51,7 @@ pub enum AdversarialLoss {
 /// let target = Tensor::full([1, 2, 3], 0.5, &device);
 /// let error: f32 = losses::reconstruction(config.kind, predicted, target, None).into_scalar();
 /// assert_eq!(error, 0.5);
-/// // Who cannot tell at all loses log 2 a patch.
+/// // Logits of 0 have a cross-entropy of log 2.
 /// let undecided = Tensor::zeros([1, 4, 1], &device);
 /// let loss: f32 = losses::generator_adversarial(&config, undecided).into_scalar();
 /// assert!((loss - 2f32.ln()).abs() < 1e-6);
@@ -64,22 +60,22 @@ pub enum AdversarialLoss {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LossConfig {
-    /// Kind of the reconstruction term.
+    /// Kind of the reconstruction loss.
     pub kind: ReconstructionLoss,
-    /// Weight of the reconstruction term.
+    /// Weight of the reconstruction loss.
     pub reconstruction: f64,
-    /// Weight of the edge term.
+    /// Weight of the edge loss.
     pub edge: f64,
-    /// Weight of the Kullback–Leibler term.
+    /// Weight of the Kullback–Leibler divergence.
     pub kl: f64,
-    /// Weight of the adversarial terms, the generator's and the discriminator's.
+    /// Weight of the adversarial losses of generator and discriminator.
     pub gan: f64,
-    /// Kind of the adversarial terms.
+    /// Kind of the adversarial loss.
     pub adversary: AdversarialLoss,
-    /// How far adversarial labels are moved from 0 and 1 towards each other.
+    /// Label smoothing `s` of the cross-entropy: labels are `s` and `1 − s` instead of 0 and 1.
     pub label_smoothing: f64,
-    /// Strength of ½‖W‖² on the fully connected kernels. The paper's 2e-3 is applied twice by its
-    /// release, 4e-6 in effect, which is the default; 2e-3 itself over-regularises.
+    /// Weight of ½‖W‖² of the fully connected kernels. The release applies the paper's 2e-3 twice,
+    /// in effect 4e-6, which is the default.
     pub regularisation: f64,
 }
 
@@ -99,7 +95,7 @@ impl Default for LossConfig {
 }
 
 impl LossConfig {
-    /// Checks that every weight is finite and not negative; errors name the field.
+    /// Checks that every weight is finite and at least 0; errors name the field.
     pub fn validate(&self) -> Result<()> {
         for (field, value) in [
             ("reconstruction", self.reconstruction),
@@ -112,7 +108,7 @@ impl LossConfig {
             if !(value.is_finite() && value >= 0.0) {
                 return Err(Error::Config {
                     field: format!("loss.{field}"),
-                    message: format!("must be a finite number from 0, not {value}"),
+                    message: format!("must be a finite number of at least 0, not {value}"),
                 });
             }
         }
@@ -126,10 +122,10 @@ impl LossConfig {
     }
 }
 
-/// Mean reconstruction error over batch, vertices and coordinates.
+/// Reconstruction loss, `[1]`: mean over batch, vertices and coordinates.
 ///
-/// `predicted`, `target`: `[batch, vertices, 3]`; `vertex_weights`: `[vertices]`, multiplied into
-/// each vertex's error.
+/// `predicted`, `target`: `[batch, vertices, 3]`; `vertex_weights`: factors on the error of each
+/// vertex, `[vertices]`.
 pub fn reconstruction(
     kind: ReconstructionLoss,
     predicted: Tensor<3>,
@@ -156,9 +152,10 @@ pub fn reconstruction(
     }
 }
 
-/// Mean over batch and edges of the length of (predicted − true) edge vectors.
+/// Edge loss, `[1]`: length of the difference between predicted and true edge vectors, mean over
+/// batch and edges.
 ///
-/// `predicted`, `target`: `[batch, vertices, 3]`; `edges`: the difference operator of
+/// `predicted`, `target`: `[batch, vertices, 3]`; `edges`: edge difference operator of
 /// [`Graphs`](crate::Graphs). The gradient at equal edges is zero.
 pub fn edge(predicted: Tensor<3>, target: Tensor<3>, edges: &SparseMatrix) -> Tensor<1> {
     let difference = sparse_matmul(predicted - target, edges);
@@ -166,7 +163,8 @@ pub fn edge(predicted: Tensor<3>, target: Tensor<3>, edges: &SparseMatrix) -> Te
     squared.clamp_min(1e-24).sqrt().mean()
 }
 
-/// `KL(q(z|x) ‖ N(0, I))`, summed over the code, mean over the batch.
+/// Kullback–Leibler divergence `KL(q(z|x) ‖ N(0, I))`, `[1]`: sum over the code, mean over the
+/// batch.
 pub fn kl(posterior: &Posterior) -> Tensor<1> {
     let Posterior { mean, log_variance } = posterior;
     let inner =
@@ -174,7 +172,8 @@ pub fn kl(posterior: &Posterior) -> Tensor<1> {
     inner.sum_dim(1).mean() * -0.5
 }
 
-/// What the generator minimises, of the logits of its own samples.
+/// Adversarial loss of the generator, `[1]`, from the logits `fake: [batch, patches, 1]` of its
+/// samples.
 pub fn generator_adversarial(config: &LossConfig, fake: Tensor<3>) -> Tensor<1> {
     match config.adversary {
         AdversarialLoss::Bce => cross_entropy(fake, 1.0 - config.label_smoothing),
@@ -182,7 +181,8 @@ pub fn generator_adversarial(config: &LossConfig, fake: Tensor<3>) -> Tensor<1> 
     }
 }
 
-/// What the discriminator minimises, of the logits of real frames and of samples.
+/// Adversarial loss of the discriminator, `[1]`, from the logits of real frames and of samples,
+/// both `[batch, patches, 1]`.
 pub fn discriminator_adversarial(
     config: &LossConfig,
     real: Tensor<3>,
@@ -197,7 +197,7 @@ pub fn discriminator_adversarial(
     }
 }
 
-/// Mean binary cross-entropy of `logits` with the same `label` everywhere.
+/// Binary cross-entropy of `logits: [batch, patches, 1]` with one `label` for all, mean, `[1]`.
 pub fn cross_entropy(logits: Tensor<3>, label: f64) -> Tensor<1> {
     let real = log_sigmoid(logits.clone()) * label;
     let fake = log_sigmoid(-logits) * (1.0 - label);
@@ -210,7 +210,7 @@ mod tests {
 
     use super::*;
 
-    /// The first of `CAPE_TEST_DEVICES`, or the first device compiled in.
+    /// First device of `CAPE_TEST_DEVICES`, or the first one compiled in.
     fn device() -> Device {
         let names = std::env::var("CAPE_TEST_DEVICES").unwrap_or_default();
         let name = names.split(',').find(|name| !name.is_empty()).unwrap_or(cape_core::DEVICES[0]);

@@ -9,22 +9,20 @@ use crate::{
     discriminator::Discriminator, encoder::Encoder,
 };
 
-/// Condition nets, encoder and decoder: what the generator's optimiser updates.
-///
-/// See [`Cape`] for an example.
+/// Condition nets, encoder and decoder: the parameters of the generator's optimiser.
 #[derive(Module, Debug)]
 pub struct Generator {
     /// Embeddings of pose and outfit.
     pub condition: ConditionNets,
-    /// Displacements → posterior.
+    /// Displacements to the posterior of the latent code.
     pub encoder: Encoder,
-    /// Code and conditions → displacements.
+    /// Latent code and conditions to displacements.
     pub decoder: Decoder,
 }
 
-/// The whole of CAPE's network.
+/// CAPE's network: conditional Mesh-VAE and discriminator (§4.1).
 ///
-/// Clothes of a single triangle, encoded and decoded:
+/// Displacements of a single triangle, encoded and decoded:
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -53,7 +51,7 @@ pub struct Generator {
 /// let (pose, outfit) = (Tensor::zeros([1, 126], &device), Tensor::zeros([1, 4], &device));
 /// let decoded = model.generator.decode(posterior.mean, pose, outfit, &graphs);
 /// assert_eq!(decoded.dims(), [1, 3, 3]);
-/// // A seed gives one model.
+/// // Equal seeds give equal weights.
 /// let again = Cape::new(&config, &graphs, 1, &device)?;
 /// assert_eq!(collect(&again), collect(&model));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -62,28 +60,26 @@ pub struct Generator {
 pub struct Cape {
     /// The conditional Mesh-VAE.
     pub generator: Generator,
-    /// The patchwise discriminator, in adversarial configurations.
+    /// The patchwise discriminator; `None` if `CapeConfig::discriminator` is.
     pub discriminator: Option<Discriminator>,
 }
 
-/// What the networks need of the mesh, on a device.
-///
-/// See [`Cape`] for an example.
+/// Mesh pyramids and edge operator of the networks, on a device.
 #[derive(Debug, Clone)]
 pub struct Graphs {
     /// The generator's pyramid.
     pub generator: DevicePyramid,
-    /// The discriminator's pyramid.
+    /// The discriminator's pyramid; required if the model has a discriminator.
     pub discriminator: Option<DevicePyramid>,
-    /// The mesh's edges as a difference operator: `+1` and `−1` in each row, `[edges, vertices]`.
+    /// Edge difference operator of the mesh: `+1` and `−1` in each row, `[edges, vertices]`.
     pub edges: SparseMatrix,
 }
 
 impl Cape {
-    /// A model with fresh weights; `seed` fixes them on every backend.
+    /// Creates a model with initial weights that depend on `seed` alone, not on the backend.
     ///
     /// # Errors
-    /// If the configuration is invalid or the graphs do not suit it.
+    /// If the configuration is invalid or a pyramid does not have a level per layer.
     pub fn new(config: &CapeConfig, graphs: &Graphs, seed: u64, device: &Device) -> Result<Self> {
         config.validate()?;
         let layers = config.filters.len();
@@ -100,14 +96,16 @@ impl Cape {
             (None, _) => None,
             (Some(_), None) => {
                 return Err(Error::Pyramid(
-                    "the configuration has a discriminator, but it was given no pyramid".into(),
+                    "`Graphs::discriminator` is `None`, but a discriminator needs a mesh pyramid"
+                        .into(),
                 ));
             }
             (Some(config_d), Some(graph)) => {
                 check_transitions("the discriminator", graph, config_d.filters.len())?;
                 if graph.vertices()[0] != fine {
                     return Err(Error::Pyramid(format!(
-                        "the discriminator's mesh has {} vertices, the generator's {fine}",
+                        "the discriminator's mesh has {} vertices, but the generator's has {fine}: \
+                         build both pyramids from the same mesh",
                         graph.vertices()[0]
                     )));
                 }
@@ -119,8 +117,8 @@ impl Cape {
 }
 
 impl Generator {
-    /// Pose feature `[batch, 126]`, outfit label `[batch, 4]`, code `[batch, latent]` → normalised
-    /// displacements `[batch, vertices, 3]`.
+    /// Decodes latent codes `z: [batch, latent]` with `pose_feature: [batch, 126]` and
+    /// `outfit: [batch, 4]` into normalised displacements `[batch, vertices, 3]`.
     pub fn decode(
         &self,
         z: Tensor<2>,
@@ -132,8 +130,8 @@ impl Generator {
         self.decoder.forward(z, condition.as_ref(), &graphs.generator)
     }
 
-    /// Half the summed squares of the kernels that training regularises: the encoder's heads and
-    /// the decoder's input.
+    /// Regularisation term ½ Σ‖W‖² over the fully connected kernels of the encoder's heads and the
+    /// decoder's input, `[1]`, unweighted.
     pub fn regularisation(&self) -> Tensor<1> {
         [&self.encoder.mean, &self.encoder.log_variance, &self.decoder.input]
             .into_iter()
@@ -151,7 +149,8 @@ fn check_transitions(whose: &str, graph: &DevicePyramid, layers: usize) -> Resul
         return Ok(());
     }
     Err(Error::Pyramid(format!(
-        "{whose} has {layers} layers but its pyramid has {} transitions",
+        "{whose} has {layers} layers but its pyramid has {} transitions: build the pyramid with one \
+         factor per layer",
         graph.transitions()
     )))
 }

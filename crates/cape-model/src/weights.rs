@@ -1,4 +1,8 @@
-//! Named weights: out of a module, into a module, and to safetensors files.
+//! Weights by name: read from a module, written to a module, and kept in safetensors files.
+//!
+//! burn-store 0.22 is not used because it reads and writes modules only, whereas optimiser moments,
+//! averages and imported variables are maps of arrays, and because it would change the bytes of
+//! weight files (metadata of the producer).
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -8,160 +12,212 @@ use std::{
 
 use burn::{
     module::{Module, ModuleMapper, ModuleVisitor, Param},
-    tensor::{Device, Tensor, TensorData},
+    tensor::{Device, Gradients, Tensor, TensorData},
 };
+use cape_core::tensors::to_host;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
 use crate::{Error, Result};
 
-/// A tensor on the host.
-///
-/// See [`Weights`] for an example.
+/// Array on the host.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HostArray {
-    /// Extents, row-major.
+    /// Extents.
     pub shape: Vec<usize>,
-    /// Values.
+    /// Values in row-major order.
     pub values: Vec<f32>,
 }
 
-/// Parameters by their path in the module, such as `generator.encoder.mean.weight`.
+/// Arrays of parameters by path in the module, such as `generator.encoder.mean.weight`.
 ///
 /// ```
 /// use burn::tensor::Device;
-/// use cape_model::{Initialiser, layers::Linear, weights::{self, HostArray}};
+/// use cape_model::{Initialiser, weights::{self, HostArray}};
 ///
 /// let mut init = Initialiser::new(1, 0.1, &Device::default());
-/// let layer = Linear::new(2, 3, &mut init);
+/// let layer = init.linear(2, 3);
 /// let saved = weights::collect(&layer);
 /// assert_eq!(saved["bias"], HostArray { shape: vec![3], values: vec![0.0; 3] });
 ///
 /// let directory = tempfile::tempdir()?;
 /// let path = directory.path().join("layer.safetensors");
 /// weights::save(&saved, &path)?;
-/// let other = weights::apply(Linear::new(2, 3, &mut init), &weights::load(&path)?)?;
+/// let other = weights::apply(init.linear(2, 3), &weights::load(&path)?)?;
 /// assert_eq!(weights::collect(&other), saved);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub type Weights = BTreeMap<String, HostArray>;
 
 /// Path of the parameter being visited; the names of enum variants are not part of it.
-///
-/// ```
-/// use cape_model::weights::ParamPath;
-///
-/// let mut path = ParamPath::default();
-/// path.enter("decoder", "Struct:Decoder");
-/// path.enter("blocks", "Vec");
-/// path.enter("0", "Enum:DecoderLayer");
-/// path.enter("bias", "Struct:ConvLayer");
-/// assert_eq!(path.path(), "decoder.blocks.bias");
-/// path.exit();
-/// assert_eq!(path.path(), "decoder.blocks");
-/// ```
 #[derive(Debug, Default)]
-pub struct ParamPath(Vec<Option<String>>);
+struct ParamPath(Vec<Option<String>>);
 
 impl ParamPath {
-    /// For a visitor's or mapper's `enter_module`.
-    pub fn enter(&mut self, name: &str, container: &str) {
+    fn enter(&mut self, name: &str, container: &str) {
         self.0.push((!container.starts_with("Enum:")).then(|| name.to_owned()));
     }
 
-    /// For a visitor's or mapper's `exit_module`.
-    pub fn exit(&mut self) {
+    fn exit(&mut self) {
         self.0.pop();
     }
 
-    /// Where the parameter being visited is.
-    pub fn path(&self) -> String {
+    fn join(&self) -> String {
         self.0.iter().flatten().map(String::as_str).collect::<Vec<_>>().join(".")
     }
 }
 
-/// Calls `f` with the path and the value of every float parameter.
-pub fn for_each_parameter<M: Module>(module: &M, f: impl FnMut(&str, ParamRef)) {
-    struct ReadVisitor<F> {
-        path: ParamPath,
-        f: F,
-    }
-    impl<F: FnMut(&str, ParamRef)> ModuleVisitor for ReadVisitor<F> {
-        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            let tensor = param.val();
-            let shape = tensor.dims().to_vec();
-            let read = || values(tensor.clone());
-            (self.f)(
-                &self.path.path(),
-                ParamRef { shape: &shape, device: tensor.device(), read: &read },
-            );
-        }
-        fn enter_module(&mut self, name: &str, container: &str) {
-            self.path.enter(name, container);
-        }
-        fn exit_module(&mut self, _: &str, _: &str) {
-            self.path.exit();
-        }
-    }
-    module.visit(&mut ReadVisitor { path: ParamPath::default(), f });
-}
-
-/// A parameter seen by [`for_each_parameter`].
+/// A float parameter of a module, visited by [`for_each_parameter`] or [`map_parameters`].
 ///
 /// ```
 /// use burn::tensor::Device;
-/// use cape_model::{Initialiser, layers::Linear, weights::for_each_parameter};
+/// use cape_model::{Initialiser, weights::{collect, for_each_parameter, map_parameters}};
 ///
-/// let layer = Linear::new(2, 3, &mut Initialiser::new(1, 0.1, &Device::default()));
+/// let layer = Initialiser::new(1, 0.1, &Device::default()).linear(2, 3);
 /// let mut numbers = 0;
-/// for_each_parameter(&layer, |path, parameter| {
-///     assert!(["weight", "bias"].contains(&path));
+/// for_each_parameter(&layer, |parameter| {
+///     assert!(["weight", "bias"].contains(&parameter.path));
 ///     numbers += parameter.shape.iter().product::<usize>();
 ///     assert!(parameter.read().iter().all(|x| x.is_finite()));
 /// });
 /// assert_eq!(numbers, 2 * 3 + 3);
+///
+/// let layer = map_parameters(layer, |parameter| {
+///     (parameter.path == "bias").then(|| parameter.value() + 1.0)
+/// });
+/// assert_eq!(collect(&layer)["bias"].values, [1.0; 3]);
 /// ```
 pub struct ParamRef<'a> {
-    /// Its extents.
+    /// Path in the module, such as `encoder.mean.weight`.
+    pub path: &'a str,
+    /// Extents of the tensor.
     pub shape: &'a [usize],
-    device: Device,
-    read: &'a dyn Fn() -> Vec<f32>,
+    tensor: &'a dyn FlatTensor,
 }
 
 impl ParamRef<'_> {
-    /// The device it is on.
+    /// The device of the parameter.
     pub fn device(&self) -> Device {
-        self.device.clone()
+        self.tensor.device()
     }
 
-    /// Copies the values to the host.
+    /// Values in row-major order without autodiff, `[numbers]`.
+    pub fn value(&self) -> Tensor<1> {
+        self.tensor.value()
+    }
+
+    /// Values in row-major order, copied to the host.
     pub fn read(&self) -> Vec<f32> {
-        (self.read)()
+        to_host(self.tensor.value())
+    }
+
+    /// Gradient in row-major order without autodiff, `[numbers]`; `None` if `gradients` has none of
+    /// this parameter.
+    pub fn gradient(&self, gradients: &Gradients) -> Option<Tensor<1>> {
+        self.tensor.gradient(gradients)
     }
 }
 
-fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    let data = tensor.detach().into_data().convert::<f32>();
-    data.try_into_vec().unwrap_or_else(|_| unreachable!("converted to f32"))
+/// A tensor of any rank as a vector.
+trait FlatTensor {
+    fn device(&self) -> Device;
+    fn value(&self) -> Tensor<1>;
+    fn gradient(&self, gradients: &Gradients) -> Option<Tensor<1>>;
+}
+
+impl<const D: usize> FlatTensor for Tensor<D> {
+    fn device(&self) -> Device {
+        Tensor::device(self)
+    }
+
+    fn value(&self) -> Tensor<1> {
+        self.clone().inner().reshape([-1])
+    }
+
+    fn gradient(&self, gradients: &Gradients) -> Option<Tensor<1>> {
+        self.grad(gradients).map(|gradient| gradient.reshape([-1]))
+    }
+}
+
+/// Calls `f` with every float parameter of a module.
+pub fn for_each_parameter<M: Module>(module: &M, f: impl FnMut(&ParamRef)) {
+    module.visit(&mut ParamWalk { path: ParamPath::default(), f });
+}
+
+/// Replaces the values of every float parameter for which `f` returns a vector of as many numbers,
+/// in row-major order and without autodiff; parameters that required gradients still do.
+pub fn map_parameters<M: Module>(module: M, f: impl FnMut(&ParamRef) -> Option<Tensor<1>>) -> M {
+    module.map(&mut ParamWalk { path: ParamPath::default(), f })
+}
+
+/// Walk over the float parameters of a module with their paths.
+struct ParamWalk<F> {
+    path: ParamPath,
+    f: F,
+}
+
+impl<F> ParamWalk<F> {
+    fn call<const D: usize, R>(
+        &mut self,
+        param: &Param<Tensor<D>>,
+        call: impl FnOnce(&mut F, &ParamRef) -> R,
+    ) -> R {
+        let (tensor, path) = (param.val(), self.path.join());
+        call(&mut self.f, &ParamRef { path: &path, shape: &tensor.dims(), tensor: &tensor })
+    }
+}
+
+impl<F: FnMut(&ParamRef)> ModuleVisitor for ParamWalk<F> {
+    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+        self.call(param, |f, parameter| f(parameter));
+    }
+
+    fn enter_module(&mut self, name: &str, container: &str) {
+        self.path.enter(name, container);
+    }
+
+    fn exit_module(&mut self, _: &str, _: &str) {
+        self.path.exit();
+    }
+}
+
+impl<F: FnMut(&ParamRef) -> Option<Tensor<1>>> ModuleMapper for ParamWalk<F> {
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        let Some(values) = self.call(&param, |f, parameter| f(parameter)) else { return param };
+        param.map(|old| {
+            let values = values.reshape(old.dims());
+            let new = if old.is_autodiff() { Tensor::from_inner(values) } else { values };
+            if old.is_require_grad() { new.require_grad() } else { new }
+        })
+    }
+
+    fn enter_module(&mut self, name: &str, container: &str) {
+        self.path.enter(name, container);
+    }
+
+    fn exit_module(&mut self, _: &str, _: &str) {
+        self.path.exit();
+    }
 }
 
 /// Copies every parameter of a module to the host.
 pub fn collect<M: Module>(module: &M) -> Weights {
     let mut weights = Weights::new();
-    for_each_parameter(module, |path, parameter| {
+    for_each_parameter(module, |parameter| {
         let array = HostArray { shape: parameter.shape.to_vec(), values: parameter.read() };
-        weights.insert(path.to_owned(), array);
+        weights.insert(parameter.path.to_owned(), array);
     });
     weights
 }
 
-/// Puts `weights` into a module of the same structure.
+/// Writes `weights` into the parameters of a module of the same structure.
 ///
 /// # Errors
-/// If a parameter is missing, left over, or of another shape; nothing is changed then.
+/// If `weights` lacks a parameter, has one of another shape, or one that the module does not have;
+/// it is named, and the module is dropped unchanged.
 pub fn apply<M: Module>(module: M, weights: &Weights) -> Result<M> {
     let mut expected = HashMap::new();
-    for_each_parameter(&module, |path, parameter| {
-        expected.insert(path.to_owned(), parameter.shape.to_vec());
+    for_each_parameter(&module, |parameter| {
+        expected.insert(parameter.path.to_owned(), parameter.shape.to_vec());
     });
     let error = |name: &str, message: String| Err(Error::Weight { name: name.into(), message });
     for (name, shape) in &expected {
@@ -174,36 +230,19 @@ pub fn apply<M: Module>(module: M, weights: &Weights) -> Result<M> {
         }
     }
     if let Some(name) = weights.keys().find(|name| !expected.contains_key(*name)) {
-        return error(name, "is not a parameter of this configuration".into());
+        return error(name, "no such parameter in a model of this configuration".into());
     }
 
-    Ok(module.map(&mut WriteMapper { path: ParamPath::default(), weights }))
+    Ok(map_parameters(module, |parameter| {
+        let values = weights[parameter.path].values.clone();
+        let data = TensorData::new(values, [parameter.shape.iter().product::<usize>()]);
+        Some(Tensor::from_data(data, &parameter.device().inner()))
+    }))
 }
 
-struct WriteMapper<'a> {
-    path: ParamPath,
-    weights: &'a Weights,
-}
-impl ModuleMapper for WriteMapper<'_> {
-    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-        let array = &self.weights[&self.path.path()];
-        let data = TensorData::new(array.values.clone(), array.shape.clone());
-        param.map(|old| {
-            let trained = old.is_require_grad();
-            let new = Tensor::from_data(data, &old.device());
-            if trained { new.require_grad() } else { new }
-        })
-    }
-    fn enter_module(&mut self, name: &str, container: &str) {
-        self.path.enter(name, container);
-    }
-    fn exit_module(&mut self, _: &str, _: &str) {
-        self.path.exit();
-    }
-}
-
-/// Writes weights as safetensors, to a temporary file first.
-pub fn save(weights: &Weights, path: &Path) -> Result<()> {
+/// Writes weights as a safetensors file of f32, atomically.
+pub fn save(weights: &Weights, path: impl AsRef<Path>) -> Result<()> {
+    let path = path.as_ref();
     let bytes: Vec<(&String, Vec<usize>, Vec<u8>)> = weights
         .iter()
         .map(|(name, array)| {
@@ -225,8 +264,9 @@ pub fn save(weights: &Weights, path: &Path) -> Result<()> {
     Ok(cape_core::write_atomically(path, |file| file.write_all(&content))?)
 }
 
-/// Reads weights from safetensors of f32.
-pub fn load(path: &Path) -> Result<Weights> {
+/// Reads weights from a safetensors file of f32.
+pub fn load(path: impl AsRef<Path>) -> Result<Weights> {
+    let path = path.as_ref();
     let file = |message: String| Error::File { path: path.to_owned(), message };
     let content =
         std::fs::read(path).map_err(|source| Error::Io { path: path.to_owned(), source })?;

@@ -1,6 +1,7 @@
-// What the examples in this crate's documentation work on.
+// Data sets and runs of the examples in the documentation.
 
-/// Five frames of a walk and of a kick of a triangle: `raw`, and `packed`, where the kick tests.
+/// Five frames of a walk and of a kick of a triangle, in `raw` and in `packed`; the kick is the
+/// test set.
 #[allow(dead_code)]
 fn triangles() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
     use cape_core::Outfit;
@@ -34,8 +35,8 @@ fn triangles() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
     Ok(directory)
 }
 
-/// Four frames of a squat and of a kick of a synthetic subject: `raw`, and `packed`, where the kick
-/// tests.
+/// Four frames of a squat and of a kick of a synthetic subject, in `raw` and in `packed`; the kick
+/// is the test set.
 #[allow(dead_code)]
 fn captures() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
     use cape_core::Outfit;
@@ -66,7 +67,7 @@ fn captures() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
     Ok(directory)
 }
 
-/// One graph convolution, no discriminator, one epoch.
+/// Configuration of one graph convolution without discriminator, for one epoch.
 #[allow(dead_code)]
 fn small_config() -> cape_infer::RunConfig {
     cape_infer::RunConfig {
@@ -86,13 +87,14 @@ fn small_config() -> cape_infer::RunConfig {
     }
 }
 
-/// The [`captures`], and a `run` of one epoch on them.
+/// The [`captures`] and a `run` trained on them for one epoch.
 #[allow(dead_code)]
 fn trained() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
     let directory = captures()?;
     let [packed, run] = ["packed", "run"].map(|name| directory.path().join(name));
     let device = burn::tensor::Device::default();
-    cape_train::Trainer::create(&run, &packed, None, None, small_config(), &device)?
+    let options = cape_train::TrainerOptions::new(&packed, small_config());
+    cape_train::Trainer::create(&run, options, &device)?
         .run(&mut |_| std::ops::ControlFlow::Continue(()))?;
     Ok(directory)
 }

@@ -1,4 +1,4 @@
-//! A model and what updates it.
+//! A model with its optimisers.
 
 use burn::{module::Module, tensor::Device};
 use cape_model::{Cape, Generator, Graphs, LossConfig, weights};
@@ -14,9 +14,9 @@ use cape_infer::{
     checkpoint::{Checkpoint, TrainState},
 };
 
-/// A model being trained: networks, optimisers and, if asked for, averaged weights.
+/// A model in training: networks, optimisers and, if configured, averaged weights.
 ///
-/// A tetrahedron's clothes, learnt:
+/// Displacements of a tetrahedron, learned:
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -47,12 +47,12 @@ use cape_infer::{
 ///     outfit: Tensor::zeros([2, 4], &device),
 /// };
 /// let input = StepInput { frames, epsilon: None, real: None };
-/// let pace = UpdateOptions { rate: 0.01, kl_share: 1.0, detailed: false };
-/// let first = learner.update(&input, pace)?.losses;
+/// let options = UpdateOptions { rate: 0.01, kl_share: 1.0, detailed: false };
+/// let first = learner.update(&input, options)?.losses;
 /// for _ in 0..20 {
-///     learner.update(&input, pace)?;
+///     learner.update(&input, options)?;
 /// }
-/// let last = learner.update(&input, pace)?.losses;
+/// let last = learner.update(&input, options)?.losses;
 /// assert!(last.reconstruction < first.reconstruction);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -67,37 +67,44 @@ pub struct Learner {
     steps: u64,
 }
 
-/// What an update came to.
-///
-/// See [`Learner`] for an example.
+/// Losses and gradient norms of an update.
 #[derive(Debug, Clone, Copy)]
 pub struct UpdateReport {
-    /// Losses before it.
+    /// Losses before the update.
     pub losses: Losses,
-    /// Length of the generator's gradient before clipping.
+    /// Norm of the generator's gradient before clipping.
     pub generator_norm: f64,
-    /// Length of the discriminator's.
+    /// Norm of the discriminator's gradient before clipping; `None` without a discriminator.
     pub discriminator_norm: Option<f64>,
-    /// Lengths of the parts of the generator's gradient that reach the nets of pose and outfit;
-    /// only where they were asked for.
+    /// Norms of the gradients of the pose net and the outfit net; `None` for a net that does not
+    /// exist or without [`UpdateOptions::detailed`].
     pub condition_norms: [Option<f64>; 2],
 }
 
-/// How an update is made.
-///
-/// See [`Learner`] for an example.
+/// A loss or gradient that is not finite.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum NonFinite {
+    /// A loss, by its name in [`Losses::named_values`].
+    #[error("loss `{0}` is not a finite number")]
+    Loss(&'static str),
+    /// The gradient of generator or discriminator.
+    #[error("the gradient is not a finite number")]
+    Gradient,
+}
+
+/// Options of an update.
 #[derive(Debug, Clone, Copy)]
 pub struct UpdateOptions {
-    /// The generator's learning rate.
+    /// Learning rate of the generator.
     pub rate: f64,
-    /// Share of the Kullback–Leibler term's weight that counts.
+    /// Factor on the weight of the Kullback–Leibler divergence.
     pub kl_share: f64,
-    /// Whether the condition nets' gradients are measured by themselves.
+    /// Compute the gradient norms of the condition nets.
     pub detailed: bool,
 }
 
 impl Learner {
-    /// With fresh weights; `device` differentiates.
+    /// Creates a model with initial weights; `device` is an autodiff device.
     pub fn new(config: &RunConfig, graphs: Graphs, device: &Device) -> Result<Self> {
         let train = &config.train;
         let model = Cape::new(&config.model, &graphs, train.seed, device)?;
@@ -114,17 +121,17 @@ impl Learner {
         })
     }
 
-    /// The model as it is.
+    /// The model with its current weights.
     pub fn model(&self) -> &Cape {
         &self.model
     }
 
-    /// What it needs of the mesh.
+    /// Mesh pyramids and edge operator of the model.
     pub fn graphs(&self) -> &Graphs {
         &self.graphs
     }
 
-    /// The generator to be used: of averaged weights, if there are any; without gradients.
+    /// The generator for inference, without gradients: with averaged weights if they are kept.
     pub fn valid_generator(&self) -> Generator {
         match &self.average {
             Some(average) => average.apply(self.model.generator.clone()).valid(),
@@ -132,16 +139,16 @@ impl Learner {
         }
     }
 
-    /// Updates generator and discriminator by gradients taken at the current weights (CAPE §4.3).
+    /// Updates generator and discriminator by their gradients at the current weights (CAPE §4.2).
     ///
     /// # Errors
-    /// The name of what is not a finite number; nothing is updated then.
+    /// If a loss or gradient is not finite; the weights are unchanged then.
     pub fn update(
         &mut self,
         input: &StepInput,
-        pace: UpdateOptions,
-    ) -> Result<UpdateReport, &'static str> {
-        let loss = LossConfig { kl: self.loss.kl * pace.kl_share, ..self.loss.clone() };
+        options: UpdateOptions,
+    ) -> Result<UpdateReport, NonFinite> {
+        let loss = LossConfig { kl: self.loss.kl * options.kl_share, ..self.loss.clone() };
         let evaluation = evaluate(&self.model, &self.graphs, &loss, input);
         let Cape { generator, discriminator } = &self.model;
         let generator_norm = global_norm(generator, &evaluation.generator);
@@ -149,24 +156,27 @@ impl Learner {
         let discriminator_norm =
             opponent.map(|(discriminator, gradients)| global_norm(discriminator, gradients));
         let norms = generator_norm.is_finite() && discriminator_norm.is_none_or(f64::is_finite);
-        if let Some(what) = evaluation.losses.non_finite().or((!norms).then_some("the gradient")) {
-            return Err(what);
+        if let Some(name) = evaluation.losses.non_finite() {
+            return Err(NonFinite::Loss(name));
+        }
+        if !norms {
+            return Err(NonFinite::Gradient);
         }
         let condition = &generator.condition;
         let condition_norms = [&condition.pose, &condition.outfit].map(|net| {
-            let net = net.as_ref().filter(|_| pace.detailed)?;
+            let net = net.as_ref().filter(|_| options.detailed)?;
             Some(global_norm(net, &evaluation.generator))
         });
 
         let Cape { generator, discriminator } = self.model.clone();
         let generator =
-            self.generator.step(generator, &evaluation.generator, generator_norm, pace.rate);
+            self.generator.step(generator, &evaluation.generator, generator_norm, options.rate);
         let discriminator = match (discriminator, &evaluation.discriminator) {
             (Some(discriminator), Some(gradients)) => Some(self.discriminator.step(
                 discriminator,
                 gradients,
                 discriminator_norm.unwrap_or_default(),
-                pace.rate * self.discriminator_rate_scale,
+                options.rate * self.discriminator_rate_scale,
             )),
             (discriminator, _) => discriminator,
         };
@@ -179,7 +189,7 @@ impl Learner {
         Ok(UpdateReport { losses, generator_norm, discriminator_norm, condition_norms })
     }
 
-    /// The state, for a checkpoint of a run that is at `progress`.
+    /// State of model and optimisers as a checkpoint with the given progress.
     pub fn checkpoint(&self, progress: TrainState) -> Checkpoint {
         Checkpoint {
             progress,
@@ -190,10 +200,10 @@ impl Learner {
         }
     }
 
-    /// Puts a checkpoint's state back.
+    /// Restores the state of a checkpoint.
     ///
     /// # Errors
-    /// If it does not suit the model.
+    /// If the checkpoint is of another model configuration.
     pub fn restore(&mut self, saved: &Checkpoint) -> Result<()> {
         self.model = weights::apply(self.model.clone(), &saved.model)?;
         self.steps = saved.progress.step;
@@ -201,7 +211,7 @@ impl Learner {
         if let Some(discriminator) = &self.model.discriminator {
             self.discriminator.restore(discriminator, &saved.discriminator_momentum)?;
         }
-        // An imported checkpoint has no average: it begins with the next step.
+        // An imported checkpoint has no average; it starts with the next step.
         if let (Some(average), Some(state)) = (&mut self.average, &saved.average) {
             average.restore(&self.model.generator, state)?;
         }

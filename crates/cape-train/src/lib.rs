@@ -1,9 +1,9 @@
 //! Training of CAPE's networks: objective, optimisers, steps, checkpoints and logs.
 //!
-//! [`data`] turns registrations in the release's raw layout into packed sets and packed sets into
-//! batches on host arrays; [`metrics`] measures reconstructions in millimetres and [`comparison`] puts
-//! methods side by side; [`tensorboard`] writes what training reports; [`bench`](mod@bench) times it
-//! all.
+//! A [`Trainer`] trains the model of a run directory on a packed set and can be resumed at any
+//! step. Its parts can be used on their own: [`objective`] evaluates the losses and their
+//! gradients, [`optim`] has the optimisers, and a [`learner`] combines both. [`tensorboard`] writes
+//! event files, and [`release`] imports the authors' TensorFlow checkpoints as runs.
 //!
 //! From captures to a dressed body:
 //!
@@ -17,12 +17,12 @@
 //! use cape_core::silent;
 //! use cape_data::{PackOptions, SequenceList, SplitSpec, pack};
 //! use cape_infer::{Run, RunConfig, TrainConfig, BodySpec};
-//! use cape_train::Trainer;
+//! use cape_train::{Trainer, TrainerOptions};
 //!
 //! let directory = tempfile::tempdir()?;
 //! let [raw, packed, run] = ["raw", "packed", "run"].map(|name| directory.path().join(name));
 //!
-//! // A synthetic subject's squats, to train on.
+//! // Training data: squats of a synthetic subject.
 //! let spec = SynthSpec {
 //!     subjects: 1,
 //!     frames_per_sequence: 4,
@@ -52,18 +52,18 @@
 //!     ..RunConfig::default()
 //! };
 //! let device = Device::default();
-//! let mut trainer = Trainer::create(&run, &packed, None, None, config, &device)?;
+//! let mut trainer = Trainer::create(&run, TrainerOptions::new(&packed, config), &device)?;
 //! assert!(trainer.run(&mut |_| ControlFlow::Continue(()))?.finished);
 //!
 //! let run = Run::open(&run, &device)?;
-//! let wearer = BodySpec { betas: vec![1.0], pose: [0.0; 72], outfit: Outfit::LongLong };
-//! let dressed = run.dress(&run.sample_codes(1, 7), &[wearer])?;
+//! let body = BodySpec { betas: vec![1.0], pose: [0.0; 72], outfit: Outfit::LongLong };
+//! let dressed = run.dress(&run.sample_codes(1, 7), &[body])?;
 //! assert_eq!(dressed[0].vertices.len(), 6890);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Further examples start from such captures, `captures()` or the smaller `triangles()`, from the
-//! configuration `small_config()`, and from the run `trained()`: `doc/sets.rs` has these functions.
+//! Further examples use the functions in `doc/sets.rs`: the captures `captures()` and the smaller
+//! `triangles()`, the configuration `small_config()` and the run `trained()`.
 
 mod create;
 pub mod learner;
@@ -78,5 +78,5 @@ mod validate;
 
 pub use cape_infer::{Error, Result};
 
-pub use trainer::{TrainEvent, TrainOutcome, Trainer};
+pub use trainer::{TrainEvent, TrainOutcome, Trainer, TrainerOptions};
 pub use validate::{Preview, PreviewFn, TensorBoardImage, active_units};

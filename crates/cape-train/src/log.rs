@@ -1,4 +1,4 @@
-//! `metrics.jsonl` and TensorBoard events of a run.
+//! Training log: `metrics.jsonl` and TensorBoard events of a run.
 
 use std::{
     fs::{self, OpenOptions},
@@ -100,7 +100,7 @@ impl TrainLog {
         }))
     }
 
-    /// Of every parameter, and of the validation frames' errors and codes.
+    /// Logs histograms of all parameters and of the errors and codes of the validation frames.
     pub(crate) fn histograms<M: Module>(
         &mut self,
         step: u64,
@@ -110,9 +110,9 @@ impl TrainLog {
         self.events.histogram("validation/error_mm", step, &found.sample_errors)?;
         self.events.histogram("validation/code", step, &found.codes)?;
         let mut outcome = Ok(());
-        for_each_parameter(model, |path, parameter| {
+        for_each_parameter(model, |parameter| {
             if outcome.is_ok() {
-                let tag = format!("weights/{path}");
+                let tag = format!("weights/{}", parameter.path);
                 outcome = self.events.histogram(&tag, step, &parameter.read());
             }
         });

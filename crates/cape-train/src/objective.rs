@@ -1,6 +1,7 @@
-//! One evaluation of CAPE's objective (§4.3) and its gradients.
+//! Evaluation of CAPE's training objective (§4.2) and its gradients.
 
 use burn::tensor::{Gradients, Tensor};
+use cape_core::tensors::to_host;
 use cape_infer::DeviceBatch;
 use cape_model::{
     Cape, Discriminator, Generator, Graphs, LossConfig, Posterior,
@@ -8,83 +9,71 @@ use cape_model::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Each term of the objective, unweighted, both totals, and how often the discriminator is right.
-///
-/// See [`Evaluation`] for an example.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-pub struct Losses {
-    /// Reconstruction error.
-    pub reconstruction: f64,
-    /// Kullback–Leibler divergence.
-    pub kl: f64,
-    /// Edge error.
-    pub edge: f64,
+/// Defines [`Losses`] and [`LossTensors`], its values on the device, from one list of fields.
+macro_rules! losses {
+    ($($(#[$attribute:meta])* $name:ident,)*) => {
+        /// Values of all loss terms (CAPE §4.2), unweighted but for regularisation and totals, and
+        /// the accuracy of the discriminator.
+        #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+        pub struct Losses {
+            $($(#[$attribute])* pub $name: f64,)*
+        }
+
+        impl Losses {
+            const COUNT: usize = [$(stringify!($name)),*].len();
+
+            /// Names and values of all fields, in the order of the log.
+            pub fn named_values(&self) -> [(&'static str, f64); Self::COUNT] {
+                [$((stringify!($name), self.$name)),*]
+            }
+        }
+
+        /// [`Losses`] on the device, each `[1]`.
+        struct LossTensors {
+            $($name: Tensor<1>,)*
+        }
+
+        impl LossTensors {
+            /// Copies all values to the host at once.
+            fn read(self) -> Losses {
+                let values = to_host(Tensor::cat(vec![$(self.$name),*], 0).detach());
+                let mut values = values.into_iter().map(f64::from);
+                Losses { $($name: values.next().unwrap_or(f64::NAN),)* }
+            }
+        }
+    };
+}
+
+losses! {
+    /// Reconstruction loss.
+    reconstruction,
+    /// Kullback–Leibler divergence of the posterior from the prior.
+    kl,
+    /// Edge loss.
+    edge,
     /// Weighted ½‖W‖² of the regularised kernels.
-    pub regularisation: f64,
-    /// The generator's adversarial cross-entropy.
-    pub gan_generator: f64,
-    /// The discriminator's cross-entropies, real plus fake.
-    pub gan_discriminator: f64,
-    /// What the generator and the condition nets minimise.
-    pub total_generator: f64,
-    /// What the discriminator minimises.
-    pub total_discriminator: f64,
-    /// The share of patches, real and fake alike, that the discriminator judges rightly; 0 without
-    /// one.
+    regularisation,
+    /// Adversarial loss of the generator.
+    gan_generator,
+    /// Adversarial loss of the discriminator, real plus fake.
+    gan_discriminator,
+    /// Weighted total of the generator and the condition nets.
+    total_generator,
+    /// Weighted total of the discriminator.
+    total_discriminator,
+    /// Share of patches, real and fake, that the discriminator classifies correctly; 0 without one.
     #[serde(default)]
-    pub discriminator_accuracy: f64,
+    discriminator_accuracy,
 }
 
 impl Losses {
-    const COUNT: usize = 9;
-
-    fn from_values(values: [f64; Self::COUNT]) -> Self {
-        let [
-            reconstruction,
-            kl,
-            edge,
-            regularisation,
-            gan_generator,
-            gan_discriminator,
-            total_generator,
-            total_discriminator,
-            discriminator_accuracy,
-        ] = values;
-        Self {
-            reconstruction,
-            kl,
-            edge,
-            regularisation,
-            gan_generator,
-            gan_discriminator,
-            total_generator,
-            total_discriminator,
-            discriminator_accuracy,
-        }
-    }
-
-    /// The terms with their names, as they are logged.
-    pub fn named_values(&self) -> [(&'static str, f64); Self::COUNT] {
-        [
-            ("reconstruction", self.reconstruction),
-            ("kl", self.kl),
-            ("edge", self.edge),
-            ("regularisation", self.regularisation),
-            ("gan_generator", self.gan_generator),
-            ("gan_discriminator", self.gan_discriminator),
-            ("total_generator", self.total_generator),
-            ("total_discriminator", self.total_discriminator),
-            ("discriminator_accuracy", self.discriminator_accuracy),
-        ]
-    }
-
-    /// The first term that is not finite.
+    /// Name of the first field that is not finite.
     pub fn non_finite(&self) -> Option<&'static str> {
         self.named_values().into_iter().find(|(_, value)| !value.is_finite()).map(|(name, _)| name)
     }
 }
 
-/// Losses at the current weights, and the gradients each optimiser needs.
+/// Losses at the current weights, and the gradients of both optimisers.
 ///
 /// ```
 /// # use cape_core::Mesh;
@@ -119,7 +108,7 @@ impl Losses {
 /// assert!(evaluation.discriminator.is_none());
 /// assert!(global_norm(&model.generator, &evaluation.generator) > 0.0);
 ///
-/// // Without gradients, the terms are the same.
+/// // The terms without gradients are equal.
 /// let reconstructed = reconstruct(&model.generator, &graphs, &input.frames, None);
 /// assert_eq!(reconstructed.displacement.dims(), [2, 4, 3]);
 /// let terms = reconstruction_terms(&config.loss, &graphs, &reconstructed, &input.frames);
@@ -127,40 +116,37 @@ impl Losses {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct Evaluation {
-    /// The terms.
+    /// Loss values.
     pub losses: Losses,
-    /// Of the generator's total; use those of the generator's parameters only.
+    /// Gradients of the generator's total; valid for the parameters of the generator only.
     pub generator: Gradients,
-    /// Of the discriminator's total.
+    /// Gradients of the discriminator's total; `None` without a discriminator.
     pub discriminator: Option<Gradients>,
 }
 
-/// A step's batches and noise.
-///
-/// See [`Evaluation`] for an example.
+/// Batches and noise of a training step, on the device.
 #[derive(Debug, Clone)]
 pub struct StepInput {
-    /// The generator's frames.
+    /// Frames of the generator.
     pub frames: DeviceBatch,
-    /// Standard normal noise of the posterior's sample, `[batch, latent]`; none for the mean.
+    /// Standard normal noise of the posterior sample, `[batch, latent]`; `None` uses the mean.
     pub epsilon: Option<Tensor<2>>,
-    /// The discriminator's real frames; none without a discriminator.
+    /// Real frames of the discriminator; `None` without a discriminator.
     pub real: Option<DeviceBatch>,
 }
 
-/// What the generator makes of a batch.
-///
-/// See [`Evaluation`] for an example.
+/// Output of the generator for a batch.
 pub struct GeneratorOutput {
-    /// `q(z|x)`.
+    /// Posterior `q(z|x)`.
     pub posterior: Posterior,
     /// Embedded conditions, `[batch, embedding]`.
     pub condition: Option<Tensor<2>>,
-    /// Normalised displacements, `[batch, vertices, 3]`.
+    /// Reconstructed normalised displacements, `[batch, vertices, 3]`.
     pub displacement: Tensor<3>,
 }
 
-/// Encodes and decodes a batch; without `epsilon` the code is the posterior's mean.
+/// Encodes and decodes a batch; without `epsilon: [batch, latent]` the code is the mean of the
+/// posterior.
 pub fn reconstruct(
     generator: &Generator,
     graphs: &Graphs,
@@ -181,7 +167,7 @@ pub fn reconstruct(
     GeneratorOutput { posterior, condition, displacement }
 }
 
-/// The terms that need no gradient and no discriminator: for validation.
+/// Reconstruction, edge and Kullback–Leibler terms without gradients, for validation.
 pub fn reconstruction_terms(
     config: &LossConfig,
     graphs: &Graphs,
@@ -198,8 +184,8 @@ pub fn reconstruction_terms(
     }
 }
 
-/// Evaluates every loss at the current weights and takes both gradients there: the fake samples
-/// are the same for generator and discriminator, and detached for the latter.
+/// Evaluates all losses and the gradients of generator and discriminator at the current weights.
+/// Both use the same generated samples, detached for the discriminator.
 pub fn evaluate(
     model: &Cape,
     graphs: &Graphs,
@@ -245,34 +231,25 @@ pub fn evaluate(
         discriminator_gradients = Some(total_discriminator.backward());
     }
 
-    let terms = vec![
-        reconstruction_loss,
-        kl_loss,
-        edge_loss,
+    let losses = LossTensors {
+        reconstruction: reconstruction_loss,
+        kl: kl_loss,
+        edge: edge_loss,
         regularisation,
         gan_generator,
         gan_discriminator,
-        total,
+        total_generator: total,
         total_discriminator,
-        accuracy,
-    ];
-    let values: Vec<f32> = Tensor::cat(terms, 0)
-        .detach()
-        .into_data()
-        .try_into_vec()
-        .unwrap_or_else(|_| unreachable!("losses are f32"));
-    let mut named = [0.0; Losses::COUNT];
-    for (named, value) in named.iter_mut().zip(values) {
-        *named = f64::from(value);
-    }
+        discriminator_accuracy: accuracy,
+    };
     Evaluation {
-        losses: Losses::from_values(named),
+        losses: losses.read(),
         generator: generator_gradients,
         discriminator: discriminator_gradients,
     }
 }
 
-/// The discriminator's logits on real frames and on detached samples.
+/// Logits of the discriminator on real frames and on detached samples, each `[batch, patches, 1]`.
 fn discriminator_logits(
     discriminator: &Discriminator,
     generator: &Generator,

@@ -1,36 +1,40 @@
-//! Gradient descent with momentum, or Adam, and clipping by the global norm.
+//! Gradient descent with momentum and Adam, with clipping by the global norm.
+//!
+//! burn-optim 0.22 is not used because it clips every parameter on its own, keeps the velocity of
+//! its momentum private and its state under random parameter identities, whereas checkpoints and
+//! imports need it under parameter paths, and computes Adam's bias correction in f32.
 
 use std::collections::BTreeMap;
 
 use burn::{
-    module::{Module, ModuleMapper, ModuleVisitor, Param},
+    module::Module,
     tensor::{Gradients, Tensor, TensorData},
 };
-use cape_model::weights::{HostArray, ParamPath, Weights};
+use cape_model::weights::{HostArray, Weights, for_each_parameter, map_parameters};
 
 use crate::{Error, Result};
-use cape_core::tensors::host;
+use cape_core::tensors::to_host;
 use cape_infer::OptimiserKind;
 
-/// Added to the names of second moments in [`Optimiser::state`].
+/// Suffix of the names of second moments in [`Optimiser::state`].
 const SECOND: &str = ".second_moment";
-/// Name of Adam's number of steps in [`Optimiser::state`].
+/// Name of the number of Adam's steps in [`Optimiser::state`].
 const STEPS: &str = "steps";
 /// Adam's β₂ and ε.
 const SECOND_DECAY: f64 = 0.999;
 const EPSILON: f64 = 1e-8;
 
-/// A rule and its state: one or two moments a parameter.
+/// Optimiser with its state: one moment per parameter for momentum, two for Adam.
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
-/// use cape_model::{Initialiser, layers::Linear, weights::collect};
+/// use cape_model::{Initialiser, weights::collect};
 /// use cape_infer::OptimiserKind;
 /// use cape_train::optim::{Optimiser, global_norm};
 ///
 /// let device = Device::default().autodiff();
-/// let layer = Linear::new(1, 1, &mut Initialiser::new(1, 0.1, &device));
-/// // w x + b at x = 1 has the gradient (1, 1).
+/// let layer = Initialiser::new(1, 0.1, &device).linear(1, 1);
+/// // The gradient of w x + b at x = 1 is (1, 1).
 /// let gradients = layer.forward(Tensor::ones([1, 1], &device)).sum().backward();
 /// let norm = global_norm(&layer, &gradients);
 /// assert!((norm - 2f64.sqrt()).abs() < 1e-6);
@@ -58,26 +62,27 @@ struct Moments {
 }
 
 impl Optimiser {
-    /// At rest; gradients longer than `clip` as a whole are shortened to it.
+    /// Creates an optimiser without state. Gradients are scaled down to a global norm of at most
+    /// `clip`.
     pub fn new(kind: OptimiserKind, momentum: f64, clip: f64) -> Self {
         Self { kind, momentum, clip, steps: 0, moments: BTreeMap::new() }
     }
 
-    /// Moves every parameter of `module` that has a gradient; `norm` is the [`global_norm`] of the
-    /// gradients.
+    /// Updates every parameter of `module` that has a gradient, with learning rate `rate`; `norm`
+    /// is the [`global_norm`] of the gradients.
     pub fn step<M: Module>(&mut self, module: M, gradients: &Gradients, norm: f64, rate: f64) -> M {
         let scale = if norm > self.clip { self.clip / norm } else { 1.0 };
         self.steps += 1;
-        module.map(&mut Stepper {
-            path: ParamPath::default(),
-            optimiser: self,
-            gradients,
-            rate,
-            scale,
+        map_parameters(module, |parameter| {
+            let gradient = parameter.gradient(gradients)? * scale;
+            let before = self.moments.remove(parameter.path);
+            let (moments, direction) = self.advance(before, gradient, parameter.shape.to_vec());
+            self.moments.insert(parameter.path.to_owned(), moments);
+            Some(parameter.value() - direction * rate)
         })
     }
 
-    /// The new moments of a parameter, and the direction it moves against.
+    /// New moments of a parameter, and the step to subtract from it per unit of learning rate.
     fn advance(
         &self,
         before: Option<Moments>,
@@ -104,11 +109,11 @@ impl Optimiser {
         (Moments { shape, first, second: Some(second) }, direction)
     }
 
-    /// The moments, for a checkpoint.
+    /// Moments by the path of the parameter, for a checkpoint.
     pub fn state(&self) -> Weights {
         let array = |shape: &[usize], flat: &Tensor<1>| HostArray {
             shape: shape.to_vec(),
-            values: host(flat.clone()),
+            values: to_host(flat.clone()),
         };
         let mut state = Weights::new();
         for (name, Moments { shape, first, second }) in &self.moments {
@@ -124,16 +129,16 @@ impl Optimiser {
         state
     }
 
-    /// Puts the moments of a checkpoint back, for the parameters of `module`. Those of another rule
-    /// are of no use: Adam then starts afresh, and momentum takes the first moments only.
+    /// Restores the moments of a checkpoint, for the parameters of `module`. From the moments of
+    /// the other kind of optimiser, Adam takes nothing and momentum the first moments.
     ///
     /// # Errors
-    /// If a moment is not of a parameter of `module`, or of another shape.
+    /// If a moment is not of a parameter of `module`, or has another shape.
     pub fn restore<M: Module>(&mut self, module: &M, state: &Weights) -> Result<()> {
         let mut shapes = BTreeMap::new();
         let mut device = None;
-        cape_model::weights::for_each_parameter(module, |path, parameter| {
-            shapes.insert(path.to_owned(), parameter.shape.to_vec());
+        for_each_parameter(module, |parameter| {
+            shapes.insert(parameter.path.to_owned(), parameter.shape.to_vec());
             device = Some(parameter.device());
         });
         let Some(device) = device else { return Ok(()) };
@@ -148,11 +153,17 @@ impl Optimiser {
             if shapes.get(name) != Some(&array.shape) {
                 return Err(Error::Model(cape_model::Error::Weight {
                     name: name.to_owned(),
-                    message: format!(
-                        "optimiser state of shape {:?}, the model has {:?}",
-                        array.shape,
-                        shapes.get(name)
-                    ),
+                    message: match shapes.get(name) {
+                        Some(shape) => {
+                            format!(
+                                "optimiser state of shape {:?}, expected {shape:?}",
+                                array.shape
+                            )
+                        }
+                        None => {
+                            "optimiser state of a parameter that the model does not have".into()
+                        }
+                    },
                 }));
             }
         }
@@ -178,91 +189,33 @@ impl Optimiser {
 
 /// Euclidean norm of all gradients of `module` together.
 pub fn global_norm<M: Module>(module: &M, gradients: &Gradients) -> f64 {
-    struct SquaredNorms<'a> {
-        gradients: &'a Gradients,
-        sums: Vec<Tensor<1>>,
-    }
-    impl ModuleVisitor for SquaredNorms<'_> {
-        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            if let Some(gradient) = param.val().grad(self.gradients) {
-                self.sums.push((gradient.clone() * gradient).sum());
-            }
+    let mut squares = Vec::new();
+    for_each_parameter(module, |parameter| {
+        if let Some(gradient) = parameter.gradient(gradients) {
+            squares.push((gradient.clone() * gradient).sum());
         }
-    }
-    let mut squares = SquaredNorms { gradients, sums: Vec::new() };
-    module.visit(&mut squares);
-    if squares.sums.is_empty() {
+    });
+    if squares.is_empty() {
         return 0.0;
     }
-    let sums: Vec<f32> = Tensor::cat(squares.sums, 0)
-        .into_data()
-        .try_into_vec()
-        .unwrap_or_else(|_| unreachable!("gradients are f32"));
-    sums.into_iter().map(f64::from).sum::<f64>().sqrt()
+    to_host(Tensor::cat(squares, 0)).into_iter().map(f64::from).sum::<f64>().sqrt()
 }
 
-/// Copies every parameter's gradient to the host, by the parameter's path.
+/// Copies the gradients of all parameters of `module` to the host, by the path of the parameter.
 pub fn collect_gradients<M: Module>(module: &M, gradients: &Gradients) -> Weights {
-    struct Collector<'a> {
-        path: ParamPath,
-        gradients: &'a Gradients,
-        found: Weights,
-    }
-    impl ModuleVisitor for Collector<'_> {
-        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            if let Some(gradient) = param.val().grad(self.gradients) {
-                let shape = gradient.dims().to_vec();
-                let values = host(gradient);
-                self.found.insert(self.path.path(), HostArray { shape, values });
-            }
+    let mut found = Weights::new();
+    for_each_parameter(module, |parameter| {
+        if let Some(gradient) = parameter.gradient(gradients) {
+            let array = HostArray { shape: parameter.shape.to_vec(), values: to_host(gradient) };
+            found.insert(parameter.path.to_owned(), array);
         }
-        fn enter_module(&mut self, name: &str, container: &str) {
-            self.path.enter(name, container);
-        }
-        fn exit_module(&mut self, _: &str, _: &str) {
-            self.path.exit();
-        }
-    }
-    let mut collector = Collector { path: ParamPath::default(), gradients, found: Weights::new() };
-    module.visit(&mut collector);
-    collector.found
-}
-
-struct Stepper<'a> {
-    path: ParamPath,
-    optimiser: &'a mut Optimiser,
-    gradients: &'a Gradients,
-    rate: f64,
-    scale: f64,
-}
-
-impl ModuleMapper for Stepper<'_> {
-    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-        let Some(gradient) = param.val().grad(self.gradients) else { return param };
-        let shape = gradient.dims();
-        let gradient = gradient.reshape([-1]) * self.scale;
-        let path = self.path.path();
-        let before = self.optimiser.moments.remove(&path);
-        let (moments, direction) = self.optimiser.advance(before, gradient, shape.to_vec());
-        self.optimiser.moments.insert(path, moments);
-        param.map(|old| {
-            let moved = old.inner() - direction.reshape(shape) * self.rate;
-            Tensor::from_inner(moved).require_grad()
-        })
-    }
-
-    fn enter_module(&mut self, name: &str, container: &str) {
-        self.path.enter(name, container);
-    }
-
-    fn exit_module(&mut self, _: &str, _: &str) {
-        self.path.exit();
-    }
+    });
+    found
 }
 
 #[cfg(test)]
 mod tests {
-    use burn::module::ParamId;
+    use burn::module::{Param, ParamId};
 
     use super::*;
 
@@ -271,7 +224,7 @@ mod tests {
         at: Param<Tensor<1>>,
     }
 
-    /// Steps on `½ Σ kᵢ xᵢ²` from `start`.
+    /// Minimises `½ Σ kᵢ xᵢ²` for `steps` steps.
     fn descend(optimiser: &mut Optimiser, mut point: Point, steps: usize) -> Point {
         let device = point.at.val().device();
         let stiffness = Tensor::<1>::from_data([1.0f32, 10.0], &device);
@@ -294,7 +247,7 @@ mod tests {
         point.at.val().detach().into_data().try_into_vec().unwrap()
     }
 
-    /// Both rules written out for each coordinate in f64.
+    /// Both update rules written out for each coordinate in f64.
     fn by_hand(kind: OptimiserKind, steps: i32) -> [f64; 2] {
         let (mut x, mut m, mut v) = ([3.0f64, -2.0], [0.0; 2], [0.0; 2]);
         for step in 1..=steps {

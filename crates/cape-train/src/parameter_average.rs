@@ -1,19 +1,17 @@
-//! Running averages of weights.
+//! Exponential moving average of weights.
 
 use std::collections::BTreeMap;
 
-use burn::{
-    module::{Module, ModuleMapper, ModuleVisitor, Param},
-    tensor::Tensor,
-};
-use cape_model::weights::{self, HostArray, ParamPath, Weights};
+use burn::{module::Module, tensor::Tensor};
+use cape_model::weights::{self, HostArray, Weights, for_each_parameter, map_parameters};
 
 use crate::Result;
-use cape_core::tensors::host;
+use cape_core::tensors::to_host;
 
-/// An exponential average of every parameter of a module, over steps.
+/// Exponential moving average over training steps of every parameter of a module.
 ///
-/// Early on the factor is lower, `(1 + t) / (10 + t)`, so that initial weights are forgotten.
+/// In step `t` the factor is at most `(1 + t) / (10 + t)`, so that the initial weights do not
+/// dominate.
 #[derive(Debug, Clone)]
 pub(crate) struct ParameterAverage {
     factor: f64,
@@ -21,36 +19,45 @@ pub(crate) struct ParameterAverage {
 }
 
 impl ParameterAverage {
-    /// Nothing yet.
+    /// Creates an average without values.
     pub(crate) fn new(factor: f64) -> Self {
         Self { factor, values: BTreeMap::new() }
     }
 
-    /// Takes in the weights after step `step`, counted from 1.
+    /// Adds the weights of `module` after step `step`, counted from 1.
     pub(crate) fn update<M: Module>(&mut self, module: &M, step: u64) {
         let step = step as f64;
         let factor = self.factor.min((1.0 + step) / (10.0 + step));
-        module.visit(&mut UpdateVisitor { path: ParamPath::default(), average: self, factor });
+        for_each_parameter(module, |parameter| {
+            let new = parameter.value();
+            let value = match self.values.remove(parameter.path) {
+                Some((_, old)) => old * factor + new * (1.0 - factor),
+                None => new,
+            };
+            self.values.insert(parameter.path.to_owned(), (parameter.shape.to_vec(), value));
+        });
     }
 
-    /// The module with averaged weights.
+    /// Replaces the weights of `module` by their averages.
     pub(crate) fn apply<M: Module>(&self, module: M) -> M {
-        module.map(&mut ApplyMapper { path: ParamPath::default(), average: self })
+        map_parameters(module, |parameter| {
+            self.values.get(parameter.path).map(|(_, value)| value.clone())
+        })
     }
 
-    /// The averages, for a checkpoint.
+    /// Averages by the path of the parameter, for a checkpoint.
     pub(crate) fn state(&self) -> Weights {
         let arrays = self.values.iter().map(|(name, (shape, flat))| {
-            let values = host(flat.clone());
+            let values = to_host(flat.clone());
             (name.clone(), HostArray { shape: shape.clone(), values })
         });
         arrays.collect()
     }
 
-    /// Puts the averages of a checkpoint back, for the parameters of `module`.
+    /// Restores the averages of a checkpoint, for the parameters of `module`.
     ///
     /// # Errors
-    /// If they are not those of `module`.
+    /// If `state` does not have the parameters of `module`.
     pub(crate) fn restore<M: Module>(&mut self, module: &M, state: &Weights) -> Result<()> {
         let module = weights::apply(module.clone(), state)?;
         self.values.clear();
@@ -59,54 +66,9 @@ impl ParameterAverage {
     }
 }
 
-struct UpdateVisitor<'a> {
-    path: ParamPath,
-    average: &'a mut ParameterAverage,
-    factor: f64,
-}
-
-impl ModuleVisitor for UpdateVisitor<'_> {
-    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-        let new = param.val().inner();
-        let shape = new.dims().to_vec();
-        let new = new.reshape([-1]);
-        let path = self.path.path();
-        let value = match self.average.values.remove(&path) {
-            Some((_, old)) => old * self.factor + new * (1.0 - self.factor),
-            None => new,
-        };
-        self.average.values.insert(path, (shape, value));
-    }
-    fn enter_module(&mut self, name: &str, container: &str) {
-        self.path.enter(name, container);
-    }
-    fn exit_module(&mut self, _: &str, _: &str) {
-        self.path.exit();
-    }
-}
-
-struct ApplyMapper<'a> {
-    path: ParamPath,
-    average: &'a ParameterAverage,
-}
-
-impl ModuleMapper for ApplyMapper<'_> {
-    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-        let Some((_, value)) = self.average.values.get(&self.path.path()) else { return param };
-        let value = value.clone();
-        param.map(|old| Tensor::from_inner(value.reshape(old.dims())))
-    }
-    fn enter_module(&mut self, name: &str, container: &str) {
-        self.path.enter(name, container);
-    }
-    fn exit_module(&mut self, _: &str, _: &str) {
-        self.path.exit();
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use burn::module::ParamId;
+    use burn::module::{Param, ParamId};
 
     use super::*;
 

@@ -1,4 +1,5 @@
-//! Curves, histograms and pictures for TensorBoard: event files written without TensorFlow.
+//! Writer of TensorBoard event files with scalars, histograms and images that does not need
+//! TensorFlow.
 //!
 //! An event file is a sequence of records (length, masked CRC-32C of the length, payload, masked
 //! CRC-32C of the payload), each payload a protobuf `Event`. Only what is needed is encoded:
@@ -19,8 +20,8 @@ use cape_model::tensorflow::masked_crc32c;
 
 use crate::{Error, Result};
 
-/// Writes one event file. A resumed run creates another in the same directory, as TensorBoard
-/// expects; of two values at the same step, it shows the later.
+/// Writer of one event file. A resumed run creates another file in the same directory, as
+/// TensorBoard expects; TensorBoard shows the later of two values at the same step.
 ///
 /// ```
 /// use cape_train::tensorboard::EventWriter;
@@ -42,7 +43,7 @@ pub struct EventWriter {
 }
 
 impl EventWriter {
-    /// Creates a new event file in `directory`, which is created if need be.
+    /// Creates a new event file in `directory`, and the directory if it does not exist.
     pub fn create(directory: impl AsRef<Path>) -> Result<Self> {
         let directory = directory.as_ref();
         fs::create_dir_all(directory).map_err(|e| Error::io(directory, e))?;
@@ -67,12 +68,12 @@ impl EventWriter {
         Ok(writer)
     }
 
-    /// The file being written.
+    /// Path of the event file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Adds one point to the curve called `tag`.
+    /// Adds a scalar under `tag`.
     pub fn scalar(&mut self, tag: &str, step: u64, value: f32) -> Result<()> {
         self.value(tag, step, |entry| {
             put_key(entry, 2, WIRE_FIXED32);
@@ -80,7 +81,7 @@ impl EventWriter {
         })
     }
 
-    /// Adds a picture, the content of a PNG file of `width × height` pixels.
+    /// Adds an image: the contents of a PNG file of `size` = `[width, height]` pixels.
     pub fn image(&mut self, tag: &str, step: u64, size: [u32; 2], png: &[u8]) -> Result<()> {
         const RGBA: u64 = 4;
         let [width, height] = size.map(u64::from);
@@ -93,8 +94,8 @@ impl EventWriter {
         self.value(tag, step, |entry| put_bytes(entry, 4, &image))
     }
 
-    /// Adds the distribution of `values`, in equal bins from the least to the largest. Nothing is
-    /// added if there is none, or one is not finite.
+    /// Adds a histogram of `values` with equal bins from the smallest to the largest value. Nothing
+    /// is added if `values` is empty or a value is not finite.
     pub fn histogram(&mut self, tag: &str, step: u64, values: &[f32]) -> Result<()> {
         let Some((limits, counts)) = bins(values) else { return Ok(()) };
         let (mut sum, mut squares) = (0.0, 0.0);
@@ -135,7 +136,7 @@ impl EventWriter {
         self.record(&event)
     }
 
-    /// Makes everything written so far visible to readers.
+    /// Flushes all events to the file.
     pub fn flush(&mut self) -> Result<()> {
         self.file.flush().map_err(|e| Error::io(&self.path, e))
     }
@@ -153,7 +154,7 @@ impl EventWriter {
 
 const BINS: usize = 64;
 
-/// Upper limits and counts of equal bins; none of no values, or of one that is not finite.
+/// Upper limits and counts of equal bins; `None` if `values` is empty or a value is not finite.
 fn bins(values: &[f32]) -> Option<(Vec<f64>, Vec<f64>)> {
     if values.is_empty() || !values.iter().all(|value| value.is_finite()) {
         return None;
@@ -213,12 +214,12 @@ mod tests {
         step: u64,
         tag: String,
         value: f32,
-        /// Of a picture or histogram.
+        /// Numbers of an image or histogram.
         numbers: Vec<f64>,
         bytes: Vec<u8>,
     }
 
-    /// Bit by bit, independent of the crate used for writing.
+    /// CRC-32C bit by bit, independent of the crate used for writing.
     fn crc_by_definition(bytes: &[u8]) -> u32 {
         let mut crc = !0u32;
         for &byte in bytes {

@@ -1,4 +1,4 @@
-//! Training (CAPE §4.3 and appendix A), resumable at any step.
+//! Training (CAPE §4.2 and appendix A.2), resumable at any step.
 
 use std::{
     fs,
@@ -17,12 +17,12 @@ use serde::Serialize;
 use crate::{
     Error, Result,
     create::create,
-    learner::{Learner, UpdateOptions},
+    learner::{Learner, NonFinite, UpdateOptions},
     log::TrainLog,
     objective::{Losses, StepInput},
     validate::{PreviewFn, ValidationResult, Validator},
 };
-use cape_core::tensors::tensor2;
+use cape_core::tensors::from_array2;
 use cape_data::{
     DisplacementStatistics, Loader, LoaderOptions, LoaderState, PackedSet, Split, StepBatches,
     steps_per_epoch,
@@ -33,66 +33,95 @@ use cape_infer::{
     normal, read_identity, to_device,
 };
 
-/// What training reports as it goes.
-///
-/// See [`Trainer`] for an example.
+/// Event during training.
 #[derive(Debug, Clone)]
 pub enum TrainEvent {
-    /// A step was done.
+    /// End of a step.
     Step {
-        /// Epoch, from 1.
+        /// Epoch, counted from 1.
         epoch: usize,
-        /// Step within the epoch, from 1.
+        /// Step within the epoch, counted from 1.
         step: usize,
-        /// Steps in an epoch.
+        /// Number of steps of an epoch.
         steps: usize,
-        /// Steps since the run began.
+        /// Number of steps since the start of the run.
         total_step: u64,
-        /// Losses before the step's update.
+        /// Losses before the update.
         losses: Losses,
-        /// The generator's learning rate.
+        /// Learning rate of the generator.
         rate: f64,
-        /// Seconds the step took.
+        /// Duration of the step, seconds.
         seconds: f64,
     },
-    /// The validation frames were reconstructed.
+    /// Reconstruction of the validation frames.
     Validation {
-        /// Epoch, from 1.
+        /// Epoch, counted from 1.
         epoch: usize,
-        /// Reconstruction, edge and KL terms; the others are zero.
+        /// Reconstruction, edge and Kullback–Leibler terms; the others are zero.
         losses: Losses,
         /// Mean error at clothing vertices, millimetres.
         millimetres: f64,
-        /// Numbers of the code that carry something: whose posterior mean varies over the frames.
+        /// Active latent dimensions: those whose posterior mean varies over the frames.
         active_units: usize,
-        /// The share of patches that the discriminator judged rightly over the epoch's steps.
+        /// Share of patches that the discriminator classified correctly in the steps of the epoch;
+        /// `None` without a discriminator.
         discriminator_accuracy: Option<f64>,
     },
-    /// A checkpoint was written.
+    /// End of writing a checkpoint.
     Checkpoint {
-        /// Its directory.
+        /// Directory of the checkpoint.
         path: PathBuf,
     },
 }
 
-/// How training ended.
-///
-/// See [`Trainer`] for an example.
+/// Result of training.
 #[derive(Debug, Clone, Serialize)]
 pub struct TrainOutcome {
-    /// Whether every epoch was done; otherwise the run can be resumed.
+    /// True if all epochs are done; otherwise the run can be resumed.
     pub finished: bool,
-    /// Whole epochs done.
+    /// Number of complete epochs.
     pub epochs: usize,
-    /// Steps done.
+    /// Number of steps.
     pub steps: u64,
-    /// The lowest validation error, millimetres.
+    /// Lowest mean validation error, millimetres.
     pub best_validation: Option<f64>,
-    /// Seconds spent training, all sessions together.
+    /// Training time over all sessions, seconds.
     pub seconds: f64,
 }
 
-/// A run being trained.
+/// Data set, body and configuration of a new run.
+///
+/// ```
+/// use cape_infer::RunConfig;
+/// use cape_train::TrainerOptions;
+///
+/// let options = TrainerOptions {
+///     body: Some("SMPL_MALE.pkl".into()),
+///     ..TrainerOptions::new("packed", RunConfig::default())
+/// };
+/// assert!(options.clothing.is_none());
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrainerOptions {
+    /// Directory of the packed set.
+    pub data: PathBuf,
+    /// File of the SMPL body; `None` uses the `body.npz` of the packed set.
+    pub body: Option<PathBuf>,
+    /// File of the indices of clothing vertices; `None` uses those of the packed set, or derives
+    /// them from the body's blend weights.
+    pub clothing: Option<PathBuf>,
+    /// Configuration of the run.
+    pub config: RunConfig,
+}
+
+impl TrainerOptions {
+    /// Options for a packed set with its own body and clothing vertices.
+    pub fn new(data: impl Into<PathBuf>, config: RunConfig) -> Self {
+        Self { data: data.into(), body: None, clothing: None, config }
+    }
+}
+
+/// A run in training.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -100,20 +129,21 @@ pub struct TrainOutcome {
 /// use std::ops::ControlFlow;
 ///
 /// use burn::tensor::Device;
-/// use cape_train::{TrainEvent, TensorBoardImage, Preview, Trainer};
+/// use cape_train::{Preview, TensorBoardImage, TrainEvent, Trainer, TrainerOptions};
 ///
-/// // A packed set of four training frames, and an epoch in batches of two.
+/// // A packed set of four training frames; one epoch in batches of two.
 /// let directory = captures()?;
 /// let [packed, run] = ["packed", "run"].map(|name| directory.path().join(name));
 /// let device = Device::default();
-/// let mut trainer = Trainer::create(&run, &packed, None, None, small_config(), &device)?;
+/// let options = TrainerOptions::new(&packed, small_config());
+/// let mut trainer = Trainer::create(&run, options, &device)?;
 /// let outcome = trainer.run(&mut |event| match event {
 ///     TrainEvent::Step { losses, .. } if losses.non_finite().is_none() => ControlFlow::Break(()),
 ///     _ => ControlFlow::Continue(()),
 /// })?;
 /// assert_eq!((outcome.finished, outcome.steps), (false, 1));
 ///
-/// // Another day, with pictures for TensorBoard.
+/// // Resumed later, with images for TensorBoard.
 /// let mut trainer = Trainer::resume(&run, None, &device)?;
 /// trainer.set_preview_fn(Box::new(|previews: &[Preview]| {
 ///     let draw = |preview: &Preview| TensorBoardImage {
@@ -143,19 +173,18 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// Starts a run in the empty or new directory `root`.
+    /// Creates a run in the empty or new directory `root`.
     ///
-    /// `body` is SMPL's file for packed sets without one of their own; `clothing` the indices of
-    /// clothing vertices, derived from the body's blend weights where neither is given.
+    /// # Errors
+    /// If the directory is not empty, the configuration is invalid, or data set and body do not
+    /// match.
     pub fn create(
-        root: &Path,
-        data: &Path,
-        body: Option<&Path>,
-        clothing: Option<&Path>,
-        config: RunConfig,
+        root: impl AsRef<Path>,
+        options: TrainerOptions,
         device: &Device,
     ) -> Result<Self> {
-        let paths = create(root, data, body, clothing, &config)?;
+        let paths = create(root.as_ref(), &options)?;
+        let TrainerOptions { data, config, .. } = options;
         let progress = TrainState {
             step: 0,
             loader: LoaderState::new(config.train.seed),
@@ -164,27 +193,31 @@ impl Trainer {
             validation: None,
             best: None,
         };
-        Self::assemble(paths, data, config, progress, device)
+        Self::assemble(paths, &data, config, progress, device)
     }
 
-    /// Goes on with the run in `root` from its newest checkpoint; `data` is where its packed set is
-    /// now, if it was moved.
-    pub fn resume(root: &Path, data: Option<&Path>, device: &Device) -> Result<Self> {
+    /// Resumes the run in `root` from its newest checkpoint. `data` is the directory of the packed
+    /// set; `None` uses the one that the run was created with.
+    ///
+    /// # Errors
+    /// If the run has no checkpoint, or the packed set is not the one it was trained on.
+    pub fn resume(root: impl AsRef<Path>, data: Option<&Path>, device: &Device) -> Result<Self> {
+        let root = root.as_ref();
         let paths = RunPaths::new(root);
         let config = RunConfig::load(&paths.config())?;
-        // An imported run does not know the data it was trained on.
+        // An imported run has no record of its data set.
         let identity =
             if paths.data().exists() { Some(read_identity(&paths.data())?) } else { None };
         let Some(data) = data.or(identity.as_ref().map(|identity| identity.path.as_path())) else {
             return Err(Error::argument(format!(
-                "{}: does not say what it was trained on: name the packed set",
+                "{}: the run has no record of its packed set: give its directory",
                 root.display()
             )));
         };
         let newest = checkpoint::list(&paths.checkpoints())?.pop();
         let Some((_, newest)) = newest else {
             return Err(Error::data(format!(
-                "{}: no checkpoint to resume from: remove the directory and train afresh",
+                "{}: no checkpoint to resume from: remove the directory and start a new run",
                 root.display()
             )));
         };
@@ -195,7 +228,7 @@ impl Trainer {
             && found != (identity.frames, identity.vertices)
         {
             return Err(Error::data(format!(
-                "{}: {} training frames of {} vertices, but the run was trained on {} of {}",
+                "{}: {} training frames of {} vertices, but the run was trained on {} frames of {}",
                 data.display(),
                 found.0,
                 found.1,
@@ -208,15 +241,15 @@ impl Trainer {
             .is_close(&trainer.statistics)
         {
             return Err(Error::data(format!(
-                "{}: its displacements have another mean and deviation than those the run was \
-                 trained on: it is another data set",
+                "{}: mean and standard deviation of the displacements differ from those of the run's \
+                 packed set: give the packed set that the run was trained on",
                 data.display()
             )));
         }
         trainer
             .learner
             .restore(&saved)
-            .map_err(|error| Error::format(&newest, format!("does not suit the run: {error}")))?;
+            .map_err(|error| Error::format(&newest, format!("does not match the run: {error}")))?;
         trainer.forget_metrics_after(trainer.progress.step)?;
         Ok(trainer)
     }
@@ -251,32 +284,32 @@ impl Trainer {
         })
     }
 
-    /// The run's configuration.
+    /// Configuration of the run.
     pub fn config(&self) -> &RunConfig {
         &self.config
     }
 
-    /// Steps in an epoch.
+    /// Number of steps of an epoch.
     pub fn steps_per_epoch(&self) -> usize {
         steps_per_epoch(self.training_rows().len(), self.config.train.batch)
     }
 
-    /// Steps done so far.
+    /// Number of steps so far.
     pub fn step(&self) -> u64 {
         self.progress.step
     }
 
-    /// The model as it is.
+    /// The model with its current weights.
     pub fn model(&self) -> &Cape {
         self.learner.model()
     }
 
-    /// Has a few validation frames drawn after every epoch, for TensorBoard.
+    /// Sets the function that renders a few validation frames after every epoch for TensorBoard.
     pub fn set_preview_fn(&mut self, preview_fn: PreviewFn) {
         self.preview_fn = Some(preview_fn);
     }
 
-    /// Where things are.
+    /// Paths of the run's files.
     pub fn paths(&self) -> &RunPaths {
         &self.paths
     }
@@ -285,11 +318,12 @@ impl Trainer {
         self.statistics.training_rows(self.set.frames())
     }
 
-    /// Trains until every epoch is done or `report` breaks; in both cases the state is saved.
+    /// Trains until all epochs are done or `report` breaks; in both cases the state is saved.
     ///
     /// # Errors
-    /// Besides those of reading and writing: a loss or gradient that is not finite. The update is
-    /// not made, the error names the step and its frames, and the last checkpoint is kept.
+    /// If a file cannot be read or written, or a loss or gradient is not finite. In the latter case
+    /// the update is not applied, the error names the step and its frames, and the last checkpoint
+    /// is kept.
     pub fn run(
         &mut self,
         report: &mut dyn FnMut(&TrainEvent) -> ControlFlow<()>,
@@ -326,7 +360,7 @@ impl Trainer {
                         self.show(&found, &mut log)?;
                     }
                     log.flush()?;
-                    // A reader of the report may break again; training is about to stop anyway.
+                    // Training stops by `stop` alone; a break here is ignored.
                     let _ = report(&TrainEvent::Checkpoint { path });
                 }
                 if stop {
@@ -343,7 +377,7 @@ impl Trainer {
         })
     }
 
-    /// One update of generator and discriminator; whether the report asked to stop.
+    /// One update of generator and discriminator; true if `report` breaks.
     fn one_step(
         &mut self,
         loader: &mut Loader,
@@ -359,19 +393,20 @@ impl Trainer {
         let frames = generator.frames.clone();
         let epsilon = self.config.model.variational.then(|| {
             let latent = self.config.model.latent;
-            // Shuffles use the seed's first streams; noise has one a step, far from them.
+            // Shuffles use the first streams of the seed; noise has one per step beyond them.
             normal(train.seed, (1 << 32) + step, frames.len(), latent)
         });
         let input = StepInput {
             frames: to_device(generator, &self.device),
-            epsilon: epsilon.map(|epsilon| tensor2(epsilon, &self.device)),
+            epsilon: epsilon.map(|epsilon| from_array2(epsilon, &self.device)),
             real: discriminator.map(|batch| to_device(batch, &self.device)),
         };
         let logged = (step + 1).is_multiple_of(train.log_steps as u64);
-        let pace = UpdateOptions { rate, kl_share: train.kl_share(step, steps), detailed: logged };
-        let update = match self.learner.update(&input, pace) {
+        let options =
+            UpdateOptions { rate, kl_share: train.kl_share(step, steps), detailed: logged };
+        let update = match self.learner.update(&input, options) {
             Ok(update) => update,
-            Err(what) => return Err(self.not_finite(what, &frames)?),
+            Err(error) => return Err(self.not_finite(error, &frames)?),
         };
         let losses = update.losses;
         self.progress.accuracy_sum.0 += losses.discriminator_accuracy as f32;
@@ -391,21 +426,21 @@ impl Trainer {
         Ok(report(&event).is_break())
     }
 
-    /// The error of a step that came to something that is not finite.
-    fn not_finite(&self, what: &str, frames: &[usize]) -> Result<Error> {
+    /// The error of a step with a loss or gradient that is not finite.
+    fn not_finite(&self, error: NonFinite, frames: &[usize]) -> Result<Error> {
         let kept = checkpoint::list(&self.paths.checkpoints())?.pop();
         let kept = kept.map_or_else(
             || "there is no checkpoint yet".to_owned(),
             |(_, path)| format!("the last checkpoint is {}", path.display()),
         );
         Ok(Error::data(format!(
-            "{what} is not a finite number at step {} (training frames {frames:?}); {kept}; a lower \
-             train.peak_rate may help",
+            "{error} at step {} (training frames {frames:?}); {kept}; a lower train.peak_rate may \
+             help",
             self.progress.step + 1,
         )))
     }
 
-    /// Reconstructs the validation frames from the posterior's mean, and logs the epoch.
+    /// Reconstructs the validation frames from the mean of the posterior, and logs the epoch.
     fn validate(
         &mut self,
         epoch: usize,
@@ -413,8 +448,8 @@ impl Trainer {
         report: &mut dyn FnMut(&TrainEvent) -> ControlFlow<()>,
     ) -> Result<Option<ValidationResult>> {
         let (sum, count) = std::mem::take(&mut self.progress.accuracy_sum);
-        let judged = self.config.model.discriminator.is_some() && count > 0;
-        let discriminator_accuracy = judged.then(|| f64::from(sum) / count as f64);
+        let adversarial = self.config.model.discriminator.is_some() && count > 0;
+        let discriminator_accuracy = adversarial.then(|| f64::from(sum) / count as f64);
         let step = self.progress.step;
         let generator = self.learner.valid_generator();
         let validator = Validator {
@@ -434,7 +469,7 @@ impl Trainer {
             self.progress.best = Some((millimetres, step));
         }
         log.validation(step, epoch, &found, discriminator_accuracy)?;
-        // Stopping between epochs is the next step's business.
+        // A break between epochs takes effect at the next step.
         let _ = report(&TrainEvent::Validation {
             epoch,
             losses: found.losses,
@@ -445,7 +480,8 @@ impl Trainer {
         Ok(Some(found))
     }
 
-    /// Histograms and pictures, which are large: after the checkpoint, should the disk be full.
+    /// Logs histograms and images. They are large, and follow the checkpoint in case the disk is
+    /// full.
     fn show(&mut self, found: &ValidationResult, log: &mut TrainLog) -> Result<()> {
         let step = self.progress.step;
         log.histograms(step, self.learner.model(), found)?;
@@ -466,7 +502,7 @@ impl Trainer {
         Ok(path)
     }
 
-    /// Drops the lines that an interrupted session logged after its last checkpoint.
+    /// Drops the metrics that an interrupted session logged after its last checkpoint.
     fn forget_metrics_after(&self, step: u64) -> Result<()> {
         let path = self.paths.metrics();
         let Ok(text) = fs::read_to_string(&path) else { return Ok(()) };

@@ -10,66 +10,60 @@ use crate::{
     Result,
     objective::{Losses, reconstruct, reconstruction_terms},
 };
-use cape_core::tensors::host;
+use cape_core::tensors::to_host;
 use cape_data::{DisplacementStatistics, HostBatch, PackedSet, sequential};
 use cape_infer::to_device;
 use cape_stats::errors::{ErrorStats, ErrorSummary, vertex_errors_mm};
 
-/// Frames that are shown.
+/// Number of previewed validation frames.
 const PREVIEWS: usize = 4;
-/// Variance of a posterior mean over the frames from which its number of the code counts as active
+/// Variance of the posterior mean over the frames above which a latent dimension counts as active
 /// (Burda, Grosse and Salakhutdinov 2016).
 const ACTIVE: f64 = 0.01;
-/// One error in so many goes into the histogram.
+/// Step between the vertex errors that enter the histogram.
 const SAMPLED: usize = 16;
 
-/// A validation frame and what the model makes of it.
-///
-/// See [`Trainer`](crate::Trainer) for an example.
+/// A validation frame and its reconstruction.
 #[derive(Debug, Clone)]
 pub struct Preview {
-    /// The outfit worn.
+    /// Outfit of the frame.
     pub outfit: Outfit,
-    /// Displacements in metres, `[3 V]`.
+    /// True displacements, metres, `[3 V]`.
     pub truth: Vec<f32>,
-    /// The reconstruction from the posterior's mean, likewise.
+    /// Displacements reconstructed from the mean of the posterior, metres, `[3 V]`.
     pub predicted: Vec<f32>,
 }
 
-/// A picture for TensorBoard.
-///
-/// See [`Trainer`](crate::Trainer) for an example.
+/// An image for TensorBoard.
 #[derive(Debug, Clone)]
 pub struct TensorBoardImage {
-    /// Its name.
+    /// Tag in TensorBoard.
     pub tag: String,
-    /// Pixels.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
-    /// The file's content.
+    /// Contents of the PNG file.
     pub png: Vec<u8>,
 }
 
-/// Draws previews.
-///
-/// See [`Trainer`](crate::Trainer) for an example.
+/// Function that renders previews as images.
 pub type PreviewFn = Box<dyn FnMut(&[Preview]) -> Vec<TensorBoardImage> + Send>;
 
-/// What the validation frames came to.
+/// Results on the validation frames.
 pub(crate) struct ValidationResult {
     /// Reconstruction, edge and KL terms; the others are zero.
     pub(crate) losses: Losses,
     pub(crate) errors: ErrorSummary,
-    /// Some of the errors, millimetres.
+    /// A sample of the vertex errors, millimetres.
     pub(crate) sample_errors: Vec<f32>,
-    /// Posterior means, `[frames × latent]`.
+    /// Posterior means, `[frames × latent]`, row-major.
     pub(crate) codes: Vec<f32>,
     pub(crate) active_units: usize,
     pub(crate) previews: Vec<Preview>,
 }
 
-/// What it takes.
+/// Inputs of validation.
 pub(crate) struct Validator<'a> {
     pub(crate) generator: &'a Generator,
     pub(crate) graphs: &'a Graphs,
@@ -82,7 +76,7 @@ pub(crate) struct Validator<'a> {
 }
 
 impl Validator<'_> {
-    /// Nothing if there are no validation frames.
+    /// Reconstructs the validation frames; `None` if there are none.
     pub(crate) fn run(&self) -> Result<Option<ValidationResult>> {
         let rows = self.statistics.validation_rows(self.set.frames());
         if rows.is_empty() {
@@ -109,9 +103,9 @@ impl Validator<'_> {
             losses.edge += weight * terms.edge;
             losses.kl += weight * terms.kl;
             latent = result.posterior.mean.dims()[1];
-            codes.extend(host(result.posterior.mean));
-            let mut predicted = host(result.displacement);
-            let mut truth = host(frames.displacement);
+            codes.extend(to_host(result.posterior.mean));
+            let mut predicted = to_host(result.displacement);
+            let mut truth = to_host(frames.displacement);
             self.statistics.denormalise(&mut predicted);
             self.statistics.denormalise(&mut truth);
             let pairs = predicted.chunks(size).zip(truth.chunks(size));
@@ -139,12 +133,13 @@ impl Validator<'_> {
     }
 }
 
-/// How many columns of posterior means `[frames × latent]` vary.
+/// Number of active latent dimensions: columns of the posterior means `[frames × latent]` that
+/// vary.
 pub fn active_units(codes: &[f32], latent: usize) -> usize {
     (0..latent).filter(|&unit| variance(codes, unit, latent) > ACTIVE).count()
 }
 
-/// Of one column of `[rows × columns]`.
+/// Population variance of one column of `values: [rows × columns]`.
 fn variance(values: &[f32], column: usize, columns: usize) -> f64 {
     let of = || values.iter().skip(column).step_by(columns).map(|&x| f64::from(x));
     let count = of().count() as f64;

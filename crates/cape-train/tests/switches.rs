@@ -1,5 +1,5 @@
-//! Every switch of the architecture and the objective: the gradient along a random direction agrees
-//! with finite differences, and every parameter takes part.
+//! Every option of architecture and objective: the gradient agrees with finite differences, and
+//! every parameter has one.
 
 use burn::tensor::{Tensor, TensorData};
 use cape_graph::Surface;
@@ -82,14 +82,14 @@ impl Case {
         let variational = self.input.epsilon.is_some();
         let used = |path: &&String| variational || !path.contains("log_variance");
         for path in values.keys().filter(used) {
-            assert!(gradients.contains_key(path), "{name}: {path} takes no part");
+            assert!(gradients.contains_key(path), "{name}: {path} has no gradient");
         }
         let norm = |weights: &Weights| -> f64 {
             let all = weights.values().flat_map(|array| &array.values);
             all.map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt()
         };
-        // Along the gradient itself the slope is its norm: nothing that is wrong cancels. Kinks and
-        // curvature spoil long steps and rounding short ones, so one length must do.
+        // The slope along the gradient is its norm, so that errors do not cancel. Kinks and
+        // curvature disturb long steps and rounding disturbs short ones, so one length must agree.
         let slope = norm(&gradients);
         let along = |length: f64| {
             let total = self.total(&self.moved(&values, &gradients, length / slope))
@@ -101,7 +101,7 @@ impl Case {
         assert!(close, "{name}: slopes {found:?}, gradient {slope}");
     }
 
-    /// The model with its generator moved by `step` gradients.
+    /// The model with the generator's weights moved by `step` times the gradients.
     fn moved(&self, values: &Weights, gradients: &Weights, step: f64) -> Cape {
         let mut moved = values.clone();
         for (path, array) in &mut moved {
@@ -115,7 +115,7 @@ impl Case {
     }
 }
 
-/// The small model with one switch set another way, by name.
+/// Variants of the tiny model with one option changed, by name.
 fn switches() -> Vec<(&'static str, CapeConfig)> {
     let tiny = CapeConfig::tiny;
     let plain = || CapeConfig {
@@ -156,8 +156,8 @@ fn gradients_follow_every_switch() {
     }
 }
 
-/// Weights by the release's names say what they are weights of, and come back the same, in
-/// whatever order a file lists them.
+/// The configuration is inferred from weights under the release's names, and the weights are
+/// imported unchanged, in any order of the variables.
 #[test]
 fn every_switch_goes_by_the_releases_names_and_back() {
     for (name, config) in switches() {
@@ -167,8 +167,7 @@ fn every_switch_goes_by_the_releases_names_and_back() {
         theirs.sort_by(|(a, _), (b, _)| a.cmp(b));
         let shapes: Vec<(String, Vec<usize>)> =
             theirs.iter().map(|(name, array)| (name.clone(), array.shape.clone())).collect();
-        // Nothing shows whether codes were sampled in training, nor the layers of nets that are not
-        // there.
+        // Sampling in training and the layers of absent nets cannot be inferred.
         let pose_layers = if config.pose_embedding == 0 { 1 } else { config.pose_layers };
         let expected = CapeConfig { variational: true, pose_layers, ..config.clone() };
         assert_eq!(release::infer(&shapes).unwrap(), expected, "{name}");

@@ -116,8 +116,9 @@ impl FitArgs {
             let bare = smplify.fit(camera, keypoints, None)?;
             progress(1, stages);
             let mut fits = Vec::new();
+            let body = DressedBody::new(&run, outfits[0])?;
             for (index, &outfit) in outfits.iter().enumerate() {
-                let body = DressedBody::new(&run, outfit)?;
+                let body = body.with_outfit(outfit);
                 let fit =
                     smplify.fit_clothed(&body, camera, keypoints, mask, &bare, &config.clothed)?;
                 fits.push(fit);

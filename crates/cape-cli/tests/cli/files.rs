@@ -90,7 +90,7 @@ fn an_official_checkpoint_becomes_the_same_run() {
     // It evaluates, and trains on once it is told on what.
     data.run("eval @/imported --data @/packed --map @/errors.ply").succeeded();
     assert_eq!(Mesh::load(data.at("errors.ply")).unwrap().vertices.len(), VERTICES);
-    data.run("train --out @/imported --resume").failed_saying(&["name the packed set"]);
+    data.run("train --out @/imported --resume").failed_saying(&["no record of its packed set"]);
     data.run("train --out @/imported --data @/packed --resume").succeeded();
     let said = data.run("info @/tf").succeeded();
     assert!(said.contains("TensorFlow checkpoint") && said.contains("global_step"), "{said}");

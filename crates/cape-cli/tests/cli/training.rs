@@ -225,7 +225,7 @@ fn runs_are_compared_with_the_first() {
 
     // On the same frames only, and at the same vertices.
     fs::rename(data.at("packed"), data.at("moved")).unwrap();
-    data.run(line).failed_saying(&["which is not there: name the packed set"]);
+    data.run(line).failed_saying(&["which does not exist: give the directory of the packed set"]);
     data.run(&format!("{line} --data @/moved --quiet")).succeeded();
     data.run("train --data @/moved --out @/third --preset tiny --epochs 1 --batch 4").succeeded();
     fs::create_dir(data.at("packed")).unwrap();

@@ -11,7 +11,9 @@ fn a_check_says_what_is_sound_and_leaves_nothing_behind() {
     let data = Packed::new();
     let line = "train --data @/packed --preset tiny --batch 4 --check --trial-steps 30";
     let Ran { code, out, err } = data.run(line);
-    for what in ["by heart", "reconstruction falls", "neither dead", "pose net", "collapsed"] {
+    for what in
+        ["overfits", "reconstruction loss falls", "discriminator learns", "pose net", "collapsed"]
+    {
         assert!(out.contains(what), "`{what}` is not in:\n{out}{err}");
     }
     // Whether all of it passes is up to the data; the exit code says the same as the text.
@@ -29,7 +31,7 @@ fn a_recipe_that_cannot_work_does_not_pass() {
     let report: serde_json::Value = serde_json::from_str(&out).unwrap();
     assert_eq!(report["passed"], false);
     let findings = report["findings"].as_array().unwrap();
-    assert!(findings.iter().any(|f| f["name"] == "numbers are finite"), "{out}");
+    assert!(findings.iter().any(|f| f["name"] == "losses and gradients are finite"), "{out}");
 }
 
 #[test]

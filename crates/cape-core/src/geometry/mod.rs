@@ -1,4 +1,4 @@
-//! Triangle surfaces in `f64`, with closest points and rays.
+//! Triangle surfaces in `f64`, with closest-point and ray queries.
 
 pub mod primitives;
 mod surface;
@@ -7,4 +7,6 @@ mod surface_index;
 mod tests;
 
 pub use surface::{SurfaceMesh, corner_angle, face_normals, points};
-pub use surface_index::{ClosestPoint, RayHit, SurfaceIndex, closest_on_triangle, ray_meets};
+pub use surface_index::{
+    ClosestPoint, RayHit, SurfaceIndex, closest_on_triangle, ray_triangle_distance,
+};

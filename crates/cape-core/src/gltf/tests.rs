@@ -316,7 +316,7 @@ fn rotations_are_those_of_the_axis_angles() {
 }
 
 #[test]
-fn what_does_not_fit_is_named() {
+fn invalid_input_is_named() {
     let scene = scene();
     let says = |figure: &SkinnedMesh, keyframes: &[Keyframe], expected: &str| {
         let message = encode(figure, keyframes).unwrap_err().to_string();
@@ -324,7 +324,7 @@ fn what_does_not_fit_is_named() {
     };
     let mut keyframes = scene.keyframes();
     keyframes[2].time = 0.05;
-    says(&scene.figure(), &keyframes, "do not rise");
+    says(&scene.figure(), &keyframes, "increasing");
     let mut keyframes = scene.keyframes();
     keyframes[1].pose.pop();
     says(&scene.figure(), &keyframes, "pose of keyframe 1");
@@ -333,8 +333,8 @@ fn what_does_not_fit_is_named() {
     let uv = Uv { coordinates: Vec::new(), faces: vec![[0, 0, 0]; scene.body.faces.len()] };
     let figure =
         SkinnedMesh { texture: Some(GltfTexture { uv: &uv, image: None }), ..scene.figure() };
-    says(&figure, &[], "no texture point");
+    says(&figure, &[], "texture coordinate index is out of range");
     let uv = Uv { coordinates: vec![[0.0; 2]], ..uv };
     let texture = Some(GltfTexture { uv: &uv, image: Some(b"GIF89a") });
-    says(&SkinnedMesh { texture, ..scene.figure() }, &[], "PNG or a JPEG");
+    says(&SkinnedMesh { texture, ..scene.figure() }, &[], "PNG or JPEG");
 }

@@ -1,10 +1,9 @@
-/// The most memory this process has had resident, in megabytes of 10⁶ bytes; `None` where the
-/// operating system does not say so in Linux's way.
+/// Peak resident memory of this process, 10⁶ bytes; `None` without Linux's `/proc`.
 pub fn peak_rss_mb() -> Option<f64> {
     parse(&std::fs::read_to_string("/proc/self/status").ok()?, "VmHWM:")
 }
 
-/// The memory this process has resident now, as [`peak_rss_mb`].
+/// Current resident memory of this process, 10⁶ bytes; `None` without Linux's `/proc`.
 pub fn rss_mb() -> Option<f64> {
     parse(&std::fs::read_to_string("/proc/self/status").ok()?, "VmRSS:")
 }

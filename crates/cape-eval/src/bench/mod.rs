@@ -1,5 +1,5 @@
-//! How fast a machine trains and dresses: updates, decoding and encoding on the synthetic body,
-//! beside what its processor could do.
+//! Benchmark of training updates, decoding and encoding on the synthetic body, compared with the
+//! peak FLOP rate of the processor.
 
 mod memory;
 mod timing;
@@ -19,18 +19,18 @@ use timing::TimingOptions;
 pub use memory::{peak_rss_mb, rss_mb};
 pub use workload::{InferenceWorkload, Workload};
 
-/// Updates, which may take seconds each.
+/// Timing of updates, which can take seconds each.
 const UPDATES: TimingOptions =
     TimingOptions { warm_up: 2, most: 10, least: 3, budget: Duration::from_secs(40) };
-/// Decoding or encoding.
+/// Timing of decoding and encoding.
 const INFERENCES: TimingOptions =
     TimingOptions { warm_up: 2, most: 20, least: 3, budget: Duration::from_secs(5) };
-/// Examples of a batch that is decoded or encoded.
+/// Batch size of decoding and encoding.
 const INFERENCE_BATCH: usize = 16;
 
-/// What a benchmark found. Times are medians.
+/// Report of [`bench`](bench()). Times are medians.
 ///
-/// Not run here, for it takes a minute:
+/// An example, not run because it takes a minute:
 ///
 /// ```no_run
 /// use burn::tensor::Device;
@@ -44,39 +44,39 @@ const INFERENCE_BATCH: usize = 16;
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BenchReport {
-    /// Seconds of one update of generator and discriminator.
+    /// Time of one update of generator and discriminator, seconds.
     pub seconds_per_update: f64,
-    /// Examples of the generator's batches in a second of updates.
+    /// Training examples of the generator per second.
     pub examples_per_second: f64,
-    /// The operations counted by [`update_flops`], in a second of updates, 10⁹; none for
+    /// FLOP rate of updates, 10⁹ operations per second, by [`update_flops`]; `None` for
     /// architectures that it does not count.
     pub gflops: Option<f64>,
-    /// Part of [`peak_gflops`](Self::peak_gflops) that is; 1 would be all.
+    /// Ratio of [`gflops`](Self::gflops) to [`peak_gflops`](Self::peak_gflops).
     pub peak_fraction: Option<f64>,
-    /// Multiply-adds in registers that the processor's threads reach together, two operations
-    /// each, 10⁹ a second; none on devices that are not the processor.
+    /// Peak FLOP rate of all threads of the processor for multiply-adds in registers, 10⁹
+    /// operations per second; `None` on other devices.
     pub peak_gflops: Option<f64>,
-    /// Operations of one update, 10⁹.
+    /// Operations of one update, 10⁹; `None` for architectures that are not counted.
     pub gflop_per_update: Option<f64>,
-    /// Milliseconds of decoding 1 example.
+    /// Time of decoding 1 example, milliseconds.
     pub decode_ms_batch1: f64,
-    /// Milliseconds of decoding 16 examples.
+    /// Time of decoding 16 examples, milliseconds.
     pub decode_ms_batch16: f64,
-    /// Milliseconds of encoding 16 examples.
+    /// Time of encoding 16 examples, milliseconds.
     pub encode_ms_batch16: f64,
-    /// The most memory the process has had resident, 10⁶ bytes; none where the operating system
-    /// does not say.
+    /// Peak resident memory of the process, 10⁶ bytes; `None` if the operating system does not
+    /// report it.
     pub peak_rss_mb: Option<f64>,
-    /// Examples of a batch in an update.
+    /// Batch size of updates.
     pub batch: usize,
-    /// Threads of the processor.
+    /// Number of threads of the processor.
     pub threads: usize,
-    /// Updates that were timed.
+    /// Number of timed updates.
     pub updates: usize,
 }
 
-/// Measures a model of `config` in batches of `batch` on `device`; `seed` fixes weights and data.
-/// Takes two minutes at most where an update takes no more than ten seconds.
+/// Measures a model of `config` with batches of `batch` examples on `device`; `seed` is that of
+/// weights and data. It takes at most two minutes if an update takes at most ten seconds.
 pub fn bench(
     config: &CapeConfig,
     batch: usize,
@@ -124,7 +124,7 @@ pub fn bench(
     })
 }
 
-/// Where a benchmark is.
+/// Progress of a benchmark.
 struct StepCounter<'a, 'b> {
     done: usize,
     total: usize,

@@ -2,21 +2,21 @@ use std::time::{Duration, Instant};
 
 use crate::Result;
 
-/// How often something is done to time it.
+/// Options of a timing.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TimingOptions {
-    /// Times before the clock starts.
+    /// Runs before the timed ones.
     pub warm_up: usize,
-    /// Timed runs, if the budget allows.
+    /// Largest number of timed runs.
     pub most: usize,
-    /// Timed runs, whatever they take.
+    /// Smallest number of timed runs.
     pub least: usize,
-    /// Time after which no further run begins.
+    /// Time after which no further run starts.
     pub budget: Duration,
 }
 
 impl TimingOptions {
-    /// Runs at most.
+    /// Largest number of runs, including warm-up.
     pub(super) fn runs(&self) -> usize {
         self.warm_up + self.most
     }
@@ -45,15 +45,16 @@ impl TimingOptions {
     }
 }
 
-/// What timing came to.
+/// Result of a timing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Timing {
+    /// Number of timed runs.
     pub runs: usize,
-    /// Median of a run.
+    /// Median time of a run, seconds.
     pub seconds: f64,
 }
 
-/// Of at least one value.
+/// Median of at least one value.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     f64::midpoint(values[(values.len() - 1) / 2], values[values.len() / 2])

@@ -1,4 +1,4 @@
-//! What is timed: the work of training and of use, on random data.
+//! Workloads of the benchmark: training updates and inference on random data.
 
 use burn::{
     module::Module,
@@ -10,17 +10,17 @@ use cape_model::{CapeConfig, Discriminator, Generator, Graphs};
 use cape_synth::synthetic_body;
 
 use crate::{Error, Result};
-use cape_core::tensors::tensor2;
+use cape_core::tensors::from_array2;
 use cape_infer::{DeviceBatch, RunConfig, build_graphs, normal};
 use cape_train::{
     learner::{Learner, UpdateOptions},
     objective::StepInput,
 };
 
-/// Small steps, on which random data do not diverge.
+/// Learning rate, small enough that training on random data does not diverge.
 const RATE: f64 = 1e-4;
 
-/// A model with fresh weights on a mesh, and the batches of one update.
+/// Training workload: a model with initial weights on a mesh, and the batches of one update.
 ///
 /// ```
 /// use burn::tensor::Device;
@@ -55,12 +55,13 @@ pub struct Workload {
 }
 
 impl Workload {
-    /// On the synthetic body, in batches of `batch` examples; `seed` fixes weights and data.
+    /// Creates a workload on the synthetic body with batches of `batch` examples; `seed` is that of
+    /// weights and data.
     pub fn new(config: &CapeConfig, batch: usize, seed: u64, device: &Device) -> Result<Self> {
         Self::on_mesh(config, &synthetic_body(), batch, seed, device)
     }
 
-    /// On any mesh.
+    /// Creates a workload on any mesh.
     pub fn on_mesh(
         config: &CapeConfig,
         mesh: impl Into<Surface>,
@@ -69,7 +70,7 @@ impl Workload {
         device: &Device,
     ) -> Result<Self> {
         if batch == 0 {
-            return Err(Error::argument("batch: must be at least 1"));
+            return Err(Error::argument("batch: expected at least 1, not 0"));
         }
         let device = device.clone().autodiff();
         let mut run = RunConfig { model: config.clone(), ..RunConfig::default() };
@@ -77,7 +78,7 @@ impl Workload {
         run.validate()?;
         let graphs = build_graphs(&run, mesh, &device)?;
         let learner = Learner::new(&run, graphs, &device)?;
-        let epsilon = tensor2(normal(seed, 0, batch, config.latent), &device);
+        let epsilon = from_array2(normal(seed, 0, batch, config.latent), &device);
         let vertices = learner.graphs().generator.vertices()[0];
         let input = StepInput {
             frames: frames(batch, vertices, seed, 1, &device),
@@ -87,21 +88,21 @@ impl Workload {
         Ok(Self { learner, latent: config.latent, input, seed, device })
     }
 
-    /// What the model needs of the mesh.
+    /// Mesh pyramids and edge operator of the model.
     pub fn graphs(&self) -> &Graphs {
         self.learner.graphs()
     }
 
-    /// Updates generator and discriminator once, to the end of the device's work.
+    /// Updates generator and discriminator once and waits for the device.
     pub fn update(&mut self) -> Result<()> {
-        let pace = UpdateOptions { rate: RATE, kl_share: 1.0, detailed: false };
+        let options = UpdateOptions { rate: RATE, kl_share: 1.0, detailed: false };
         self.learner
-            .update(&self.input, pace)
-            .map_err(|what| Error::data(format!("{what} is not a finite number")))?;
+            .update(&self.input, options)
+            .map_err(|error| Error::data(format!("benchmark on random data: {error}")))?;
         synchronise(&self.device)
     }
 
-    /// The model in use, on `batch` examples at a time.
+    /// Inference workload of the model with batches of `batch` examples.
     pub fn inference(&self, batch: usize) -> InferenceWorkload {
         let device = self.device.clone().inner();
         let (model, graphs) = (self.learner.model(), self.learner.graphs());
@@ -110,15 +111,13 @@ impl Workload {
             discriminator: model.discriminator.as_ref().map(Module::valid),
             graphs: graphs.clone(),
             frames: frames(batch, graphs.generator.vertices()[0], self.seed, 5, &device),
-            code: tensor2(normal(self.seed, 7, batch, self.latent), &device),
+            code: from_array2(normal(self.seed, 7, batch, self.latent), &device),
             device,
         }
     }
 }
 
-/// A model in use: no gradients.
-///
-/// See [`Workload`] for an example.
+/// Inference workload: a model without gradients.
 pub struct InferenceWorkload {
     generator: Generator,
     discriminator: Option<Discriminator>,
@@ -129,14 +128,14 @@ pub struct InferenceWorkload {
 }
 
 impl InferenceWorkload {
-    /// From codes and conditions to displacements, to the end of the device's work.
+    /// Decodes latent codes to displacements and waits for the device.
     pub fn decode(&self) -> Result<()> {
         let DeviceBatch { pose_feature, outfit, .. } = self.frames.clone();
         self.generator.decode(self.code.clone(), pose_feature, outfit, &self.graphs);
         synchronise(&self.device)
     }
 
-    /// From displacements to the posterior, to the end of the device's work.
+    /// Encodes displacements to the posterior and waits for the device.
     pub fn encode(&self) -> Result<()> {
         let DeviceBatch { displacement, pose_feature, outfit } = self.frames.clone();
         let condition = self.generator.condition.forward(pose_feature, outfit);
@@ -147,8 +146,7 @@ impl InferenceWorkload {
 }
 
 impl InferenceWorkload {
-    /// From displacements and conditions to the discriminator's logits, to the end of the device's
-    /// work; nothing without a discriminator.
+    /// Computes the logits of the discriminator, if there is one, and waits for the device.
     pub fn discriminate(&self) -> Result<()> {
         let DeviceBatch { displacement, pose_feature, outfit } = self.frames.clone();
         if let (Some(discriminator), Some(graph)) =
@@ -161,16 +159,16 @@ impl InferenceWorkload {
     }
 }
 
-/// Random frames, from two streams of the seed.
+/// Random frames from two streams of the seed.
 fn frames(batch: usize, vertices: usize, seed: u64, stream: u64, device: &Device) -> DeviceBatch {
-    let displacement = tensor2(normal(seed, stream, batch, vertices * 3), device);
+    let displacement = from_array2(normal(seed, stream, batch, vertices * 3), device);
     DeviceBatch {
         displacement: displacement.reshape([batch, vertices, 3]),
-        pose_feature: tensor2(normal(seed, stream + 1, batch, POSE_FEATURE), device),
+        pose_feature: from_array2(normal(seed, stream + 1, batch, POSE_FEATURE), device),
         outfit: Tensor::ones([batch, 4], device) * 0.25,
     }
 }
 
 fn synchronise(device: &Device) -> Result<()> {
-    device.sync().map_err(|error| Error::data(format!("the device failed: {error}")))
+    device.sync().map_err(|error| Error::data(format!("device error: {error}")))
 }

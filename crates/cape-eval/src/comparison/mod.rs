@@ -1,8 +1,8 @@
-//! Methods side by side on the same test frames.
+//! Comparison of methods on the same test frames.
 //!
-//! [`measure_run`] reconstructs every test frame with a trained run; [`RunErrorMeter`] does the measuring for
-//! methods of any kind. [`ComparisonTable`] puts what they came to side by side, with intervals and tests that
-//! take frames of one capture for what they are: not independent.
+//! [`measure_run`] measures the reconstructions of a trained run, [`RunErrorMeter`] those of any
+//! method. A [`ComparisonTable`] has the results of all methods, with confidence intervals and
+//! tests that account for the dependence between frames of one capture.
 
 mod runs;
 mod table;
@@ -13,7 +13,7 @@ use std::sync::Arc;
 use cape_core::SmplModel;
 use serde::{Deserialize, Serialize};
 
-pub use cape_stats::resample::ConfidenceInterval;
+pub use cape_stats::bootstrap::ConfidenceInterval;
 pub use runs::{check_comparable, common_data, training_seconds};
 pub use table::{ComparisonRow, ComparisonTable};
 
@@ -26,48 +26,42 @@ use cape_data::PackedSet;
 use cape_infer::Run;
 use cape_stats::errors::{GroupedSummary, Histogram};
 
-/// Width of a histogram's bins, millimetres.
+/// Width of the bins of a histogram, millimetres.
 const BIN_MM: f64 = 0.25;
-/// How many there are at most.
+/// Number of bins of a histogram.
 const BINS: usize = 200;
 
-/// What a method came to on the test frames.
-///
-/// See [`ComparisonTable`] for an example.
+/// Errors of a method on the test frames.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct RunErrors {
-    /// Errors of a sample of the posterior, as the paper's table has them.
+    /// Errors of reconstructions from a sample of the posterior, as in the paper's table 2.
     pub sampled: GroupedSummary,
-    /// Errors of the posterior's mean.
+    /// Errors of reconstructions from the mean of the posterior.
     pub mean: GroupedSummary,
-    /// Wrinkles, for the posterior's mean.
+    /// Surface detail of reconstructions from the mean of the posterior.
     pub detail: SurfaceDetail,
-    /// Mean error of every test frame's sampled reconstruction, millimetres, by capture.
+    /// Mean sampled error of every test frame, millimetres, by capture.
     captures: Vec<(String, Vec<f32>)>,
-    /// Mean error of the sampled reconstruction at every vertex, millimetres.
+    /// Mean sampled error at every vertex, `[V]`, millimetres.
     pub vertex_means: Vec<f32>,
-    /// Errors of sampled reconstructions at all vertices of all frames.
+    /// Histogram of the sampled errors at all clothing vertices of all frames.
     pub histogram: Histogram,
 }
 
-/// A method with all its results.
-///
-/// See [`ComparisonTable`] for an example.
+/// A method with its results for all seeds.
 #[derive(Debug, Clone)]
 pub struct MethodResults<'a> {
-    /// Its name for programs.
+    /// Name in files.
     pub name: String,
-    /// Its name for people.
+    /// Name in tables.
     pub label: String,
-    /// Results, one a seed, at least one.
+    /// Results, one per seed, at least one.
     pub results: Vec<&'a RunErrors>,
-    /// Seconds of training, all seeds together.
+    /// Training time of all seeds together, seconds.
     pub seconds: f64,
 }
 
-/// Measures reconstructions of test frames as they come.
-///
-/// See [`ComparisonTable`] for an example.
+/// Accumulator of errors of reconstructed test frames.
 #[derive(Debug, Clone)]
 pub struct RunErrorMeter {
     sampled: ErrorSamples,
@@ -76,18 +70,19 @@ pub struct RunErrorMeter {
 }
 
 impl RunErrorMeter {
-    /// For displacements of `body` compared at the clothing vertices.
+    /// Creates an empty accumulator for displacements of `body`, compared at the vertices
+    /// `clothing`.
     pub fn new(body: &SmplModel, clothing: &[usize]) -> Self {
-        let gathered = ErrorSamples::new(body.vertices(), clothing);
+        let samples = ErrorSamples::new(body.vertices(), clothing);
         Self {
-            sampled: gathered.clone(),
-            mean: gathered,
+            sampled: samples.clone(),
+            mean: samples,
             detail: SurfaceDetailMeter::new(body, clothing),
         }
     }
 
-    /// Adds frame `row` of `set`, decoded from a sample of the posterior: displacements in metres,
-    /// `[3 V]`.
+    /// Adds frame `row` of `set` reconstructed from a sample of the posterior; displacements `[3
+    /// V]`, metres.
     pub fn push_sampled(
         &mut self,
         set: &PackedSet,
@@ -98,7 +93,8 @@ impl RunErrorMeter {
         self.sampled.push(set, row, predicted, truth)
     }
 
-    /// The same, decoded from the posterior's mean.
+    /// Adds frame `row` of `set` reconstructed from the mean of the posterior; displacements `[3
+    /// V]`, metres.
     pub fn push_mean(
         &mut self,
         set: &PackedSet,
@@ -110,7 +106,7 @@ impl RunErrorMeter {
         self.mean.push(set, row, predicted, truth)
     }
 
-    /// What the frames so far came to.
+    /// Errors of the frames so far.
     pub fn errors(&self) -> RunErrors {
         let mut captures: Vec<(String, Vec<f32>)> = Vec::new();
         for frame in self.sampled.frames() {
@@ -130,8 +126,8 @@ impl RunErrorMeter {
     }
 }
 
-/// Measures a trained run on test frames; `seed` fixes the samples. `each` also gets every
-/// reconstruction from the posterior's mean.
+/// Measures a trained run on test frames; `seed` is the seed of the posterior samples. `each` is
+/// called with every reconstruction from the mean of the posterior.
 pub fn measure_run(
     run: &Run,
     set: &Arc<PackedSet>,
@@ -140,7 +136,7 @@ pub fn measure_run(
     each: &mut FrameFn,
 ) -> Result<RunErrors> {
     let mut meter = RunErrorMeter::new(run.body(), run.clothing());
-    // An auto-encoder's code is its mean.
+    // An auto-encoder has no samples; its code is the mean.
     let variational = run.config().model.variational;
     let options = |posterior| EvalOptions { posterior, seed, ..EvalOptions::default() };
     reconstruct_test(

@@ -1,4 +1,4 @@
-//! What runs must have in common to be compared.
+//! Checks that runs can be compared.
 
 use std::{fs, path::PathBuf};
 
@@ -8,10 +8,10 @@ use crate::{Error, Result};
 use cape_data::PackedSet;
 use cape_infer::{RunConfig, RunPaths, checkpoint, read_identity};
 
-/// The packed set that all runs say they were trained on.
+/// The packed set that all runs were trained on.
 ///
 /// # Errors
-/// If a run does not say it, the set is not there any more, or not the same for all.
+/// If a run has no record of its packed set, the set does not exist, or the runs differ in it.
 pub fn common_data(runs: &[PathBuf]) -> Result<PathBuf> {
     let mut common: Option<(&PathBuf, PathBuf, PathBuf)> = None;
     for root in runs {
@@ -20,13 +20,13 @@ pub fn common_data(runs: &[PathBuf]) -> Result<PathBuf> {
         let run = root.display();
         if !paths.data().exists() {
             return Err(Error::argument(format!(
-                "{run}: does not say what it was trained on: name the packed set"
+                "{run}: the run has no record of its packed set: give its directory"
             )));
         }
         let data = read_identity(&paths.data())?.path;
         let Ok(place) = fs::canonicalize(&data) else {
             return Err(Error::data(format!(
-                "{run}: was trained on {}, which is not there: name the packed set",
+                "{run}: trained on {}, which does not exist: give the directory of the packed set",
                 data.display()
             )));
         };
@@ -34,7 +34,7 @@ pub fn common_data(runs: &[PathBuf]) -> Result<PathBuf> {
             None => common = Some((root, data, place)),
             Some((first, other, first_place)) if *first_place != place => {
                 return Err(Error::data(format!(
-                    "{run}: was trained on {}, but {} on {}: name the packed set to compare them on",
+                    "{run}: trained on {}, but {} on {}: give the packed set to compare them on",
                     data.display(),
                     first.display(),
                     other.display()
@@ -43,11 +43,13 @@ pub fn common_data(runs: &[PathBuf]) -> Result<PathBuf> {
             Some(_) => {}
         }
     }
-    common.map(|(_, data, _)| data).ok_or_else(|| Error::argument("there are no runs to compare"))
+    common
+        .map(|(_, data, _)| data)
+        .ok_or_else(|| Error::argument("no runs to compare: give at least one"))
 }
 
-/// Checks that all runs are trained and reconstruct frames like those of `set` at the same clothing
-/// vertices, so that none fails when others are measured already.
+/// Checks that all runs are trained, and that they match the frames of `set` and each other in the
+/// clothing vertices, before any of them is measured.
 pub fn check_comparable(runs: &[PathBuf], set: &PackedSet) -> Result<()> {
     let mut first: Option<(&PathBuf, ClothingMask)> = None;
     for root in runs {
@@ -59,8 +61,8 @@ pub fn check_comparable(runs: &[PathBuf], set: &PackedSet) -> Result<()> {
             None => first = Some((root, mask)),
             Some((other, expected)) if *expected != mask => {
                 return Err(Error::data(format!(
-                    "{}: has {} clothing vertices, not the {} of {}: errors would be of different \
-                     places",
+                    "{}: the {} clothing vertices differ from the {} of {}: errors at different \
+                     vertices cannot be compared",
                     root.display(),
                     mask.count(),
                     expected.count(),
@@ -73,7 +75,7 @@ pub fn check_comparable(runs: &[PathBuf], set: &PackedSet) -> Result<()> {
     Ok(())
 }
 
-/// Seconds a run was trained for until its newest checkpoint.
+/// Training time of a run until its newest checkpoint, seconds.
 pub fn training_seconds(paths: &RunPaths) -> Result<f64> {
     match checkpoint::list(&paths.checkpoints())?.last() {
         Some((_, newest)) => Ok(checkpoint::load_progress(newest)?.seconds),

@@ -1,14 +1,17 @@
-//! Results side by side.
+//! Table of the results of several methods.
 
 use serde::Serialize;
 
-use cape_stats::resample::{Cluster, ConfidenceInterval, clusters, interval, sign_test};
+use cape_stats::{
+    bootstrap::{Cluster, ConfidenceInterval, clusters, mean_interval},
+    paired_test::sign_flip_test,
+};
 
 use super::{MethodResults, RunErrors};
 use crate::surface_detail::SurfaceDetail;
 use cape_stats::errors::{GroupedSummary, Histogram};
 
-/// Methods side by side.
+/// Comparison of methods on the same test frames.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
@@ -17,29 +20,29 @@ use cape_stats::errors::{GroupedSummary, Histogram};
 /// use cape_data::{PackedSet, Split};
 /// use cape_eval::comparison::{RunErrorMeter, MethodResults, ComparisonTable};
 ///
-/// // Two methods: one has every displacement right, the other misses it by a millimetre.
+/// // Two methods: one without errors, one with an error of 1 mm along x.
 /// let directory = captures()?;
 /// let set = PackedSet::open(&directory.path().join("packed"), Split::Test)?;
 /// let clothing = [3000, 3001, 3002];
-/// let measure = |miss: f32| -> cape_train::Result<_> {
+/// let measure = |offset: f32| -> cape_train::Result<_> {
 ///     let mut meter = RunErrorMeter::new(&synthetic_body(), &clothing);
 ///     for row in 0..set.frames() {
 ///         let truth: Vec<f32> = set.displacement_row(row)?.iter().map(|&x| x as f32).collect();
 ///         let mut predicted = truth.clone();
-///         predicted.iter_mut().step_by(3).for_each(|x| *x += miss);
+///         predicted.iter_mut().step_by(3).for_each(|x| *x += offset);
 ///         meter.push_sampled(&set, row, &predicted, &truth)?;
 ///         meter.push_mean(&set, row, &predicted, &truth)?;
 ///     }
 ///     Ok(meter.errors())
 /// };
-/// let (right, near) = (measure(0.0)?, measure(0.001)?);
+/// let (exact, near) = (measure(0.0)?, measure(0.001)?);
 /// let method = |name: &str, result| MethodResults {
 ///     name: name.to_lowercase(),
 ///     label: name.to_owned(),
 ///     results: vec![result],
 ///     seconds: 1.0,
 /// };
-/// let table = ComparisonTable::new(&[method("Right", &right), method("Near", &near)], Some(0));
+/// let table = ComparisonTable::new(&[method("Exact", &exact), method("Near", &near)], Some(0));
 /// assert_eq!((table.frames, table.captures), (4, 1));
 /// assert!((table.lines[1].mean - 1.0).abs() < 1e-3);
 /// assert!(table.markdown().contains("Near"));
@@ -48,58 +51,57 @@ use cape_stats::errors::{GroupedSummary, Histogram};
 /// ```
 #[derive(Debug, Clone, Serialize)]
 pub struct ComparisonTable {
-    /// One a method.
+    /// One row per method.
     pub lines: Vec<ComparisonRow>,
-    /// Name of the method that the others are compared with.
+    /// Name of the reference method, with which the others are compared.
     pub reference: Option<String>,
-    /// Test frames.
+    /// Number of test frames.
     pub frames: usize,
-    /// Captures they are of, which intervals and tests are drawn over.
+    /// Number of captures of the test frames, the units of confidence intervals and tests.
     pub captures: usize,
 }
 
-/// A method's line of the table, over all its seeds.
-///
-/// See [`ComparisonTable`] for an example.
+/// Row of a method, over all its seeds.
 #[derive(Debug, Clone, Serialize)]
 pub struct ComparisonRow {
-    /// The method's name.
+    /// Name in files.
     #[serde(rename = "row")]
     pub name: String,
-    /// Its name for people.
+    /// Name in tables.
     #[serde(skip)]
     pub label: String,
-    /// How many seeds.
+    /// Number of seeds.
     pub seeds: usize,
-    /// Mean error of sampled reconstructions, millimetres; mean over seeds.
+    /// Mean sampled error, millimetres; mean over seeds.
     pub mean: f64,
-    /// Standard deviation over frames and vertices; mean over seeds.
+    /// Standard deviation of the sampled error over frames and vertices, millimetres; mean over
+    /// seeds.
     pub std: f64,
-    /// Median; mean over seeds.
+    /// Median sampled error, millimetres; mean over seeds.
     pub median: f64,
-    /// Standard deviation of the mean over seeds.
+    /// Standard deviation of the mean error between seeds, millimetres; `None` for one seed.
     pub between_seeds: Option<f64>,
-    /// 95 % interval of the mean, by bootstrap over captures.
+    /// 95 % confidence interval of the mean error, by bootstrap over captures.
     pub interval: Option<ConfidenceInterval>,
-    /// Mean error of the posterior's mean.
+    /// Mean error of reconstructions from the mean of the posterior, millimetres.
     pub posterior_mean: f64,
-    /// Wrinkles.
+    /// Surface detail.
     pub detail: SurfaceDetail,
-    /// Mean error minus the reference's, and how likely a difference as large is by chance.
+    /// Mean error minus that of the reference, millimetres, and the p-value of the difference.
     pub against: Option<(f64, Option<f64>)>,
-    /// Seconds of training, all seeds together.
+    /// Training time of all seeds together, seconds.
     pub seconds: f64,
-    /// Mean error by outfit, of sampled reconstructions.
+    /// Mean sampled error by outfit, millimetres.
     pub outfits: Vec<(String, f64)>,
-    /// Mean error by sequence.
+    /// Mean sampled error by sequence, millimetres.
     pub sequences: Vec<(String, f64)>,
-    /// Errors of sampled reconstructions, all seeds together.
+    /// Histogram of the sampled errors, all seeds together.
     pub histogram: Histogram,
 }
 
 impl ComparisonTable {
-    /// Of methods, in this order; `reference` is the place of the one that the others are compared
-    /// with.
+    /// Creates a table of `methods` in this order; `reference` is the index of the reference
+    /// method.
     pub fn new(methods: &[MethodResults], reference: Option<usize>) -> Self {
         let reference = reference
             .and_then(|place| methods.get(place))
@@ -130,7 +132,7 @@ impl RunErrors {
     }
 }
 
-/// Clusters of several seeds, averaged.
+/// Clusters averaged over seeds.
 fn averaged(results: &[&RunErrors]) -> Vec<Cluster> {
     let mut sum: Vec<Cluster> = Vec::new();
     for result in results {
@@ -165,14 +167,10 @@ impl ComparisonRow {
         let comparable = reference.first().is_some_and(|other| names(other) == names(results[0]));
         let against = comparable.then(|| {
             let theirs = averaged(reference);
-            let differences: Vec<Cluster> = own
-                .iter()
-                .zip(&theirs)
-                .map(|(a, b)| Cluster { sum: a.sum - b.sum, count: a.count })
-                .collect();
-            let count: f64 = differences.iter().map(|d| d.count).sum();
-            let sum: f64 = differences.iter().map(|d| d.sum).sum();
-            (sum / count, sign_test(&differences))
+            let differences: Vec<f64> =
+                own.iter().zip(&theirs).map(|(a, b)| a.sum - b.sum).collect();
+            let count: f64 = own.iter().map(|cluster| cluster.count).sum();
+            (differences.iter().sum::<f64>() / count, sign_flip_test(&differences))
         });
         let by = |of: &dyn Fn(&GroupedSummary) -> Vec<(String, f64)>| -> Vec<(String, f64)> {
             let names = of(&results[0].sampled);
@@ -199,7 +197,7 @@ impl ComparisonRow {
             std: over(&|r| r.sampled.overall.std),
             median: over(&|r| r.sampled.overall.median),
             between_seeds,
-            interval: interval(&own),
+            interval: mean_interval(&own),
             posterior_mean: over(&|r| r.mean.overall.mean),
             detail: SurfaceDetail {
                 edge_mm: over(&|r| r.detail.edge_mm),
@@ -222,7 +220,7 @@ mod tests {
     use super::*;
     use cape_stats::errors::GroupedErrors;
 
-    /// A method with these errors in frames of captures `a` and `b`.
+    /// Results with one error per frame and capture.
     fn measured(frames: &[(&str, f32)]) -> RunErrors {
         let mut errors = GroupedErrors::new();
         let mut captures: Vec<(String, Vec<f32>)> = Vec::new();

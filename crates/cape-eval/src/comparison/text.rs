@@ -1,4 +1,4 @@
-//! The table as Markdown, CSV and LaTeX.
+//! Comparison tables as Markdown, CSV and LaTeX.
 
 use std::fmt::Write as _;
 
@@ -35,7 +35,7 @@ impl ComparisonRow {
 }
 
 impl ComparisonTable {
-    /// Header and cells, for people.
+    /// Header and cells of the table in text.
     pub fn rows(&self) -> ([String; 9], Vec<[String; 9]>) {
         let reference = self.lines.iter().find(|line| self.is_reference(line));
         let against = match reference {
@@ -46,7 +46,7 @@ impl ComparisonTable {
             "method",
             "error, mm (mean ± std)",
             "median",
-            "95 % of the mean",
+            "95 % CI of the mean",
             "posterior mean",
             against,
             "edges, mm",
@@ -56,24 +56,25 @@ impl ComparisonTable {
         (header.map(str::to_owned), self.lines.iter().map(ComparisonRow::cells).collect())
     }
 
-    /// Whether the others are compared with this line.
+    /// True if `line` is the row of the reference method.
     pub fn is_reference(&self, line: &ComparisonRow) -> bool {
         self.reference.as_ref() == Some(&line.name)
     }
 
-    /// What the numbers are.
+    /// Caption of the table.
     pub fn caption(&self) -> String {
         format!(
-            "Euclidean errors at clothing vertices of {} test frames, millimetres, of sampled \
-             reconstructions; beside them those of the posterior's mean. Intervals by bootstrap and \
-             probabilities by sign changes over {} captures, since frames of a capture are not \
-             independent. Edges, normals and fine energy (of reconstructed to true displacements \
-             above the middle of the Laplacian's spectrum; 1 is best) for the posterior's mean.",
+            "Euclidean errors at the clothing vertices of {} test frames, millimetres, of \
+             reconstructions from a sample of the posterior (columns 2 to 4) and from its mean \
+             (posterior mean). Confidence intervals by bootstrap and p-values by sign changes over {} \
+             captures, because frames of one capture are not independent. Edges, normals and fine \
+             energy (ratio of reconstructed to true displacements in the upper half of the spectrum of \
+             the Laplacian; 1 is best) are of the posterior mean.",
             self.frames, self.captures
         )
     }
 
-    /// Markdown: the table, and errors by outfit and by sequence.
+    /// The table and the errors by outfit and by sequence as Markdown.
     pub fn markdown(&self) -> String {
         let (header, rows) = self.rows();
         let mut text = String::new();
@@ -109,7 +110,7 @@ impl ComparisonTable {
         text
     }
 
-    /// Comma-separated values, one line a row, full precision.
+    /// The table as comma-separated values with full precision.
     pub fn csv(&self) -> String {
         let mut text = "row,seeds,mean,std,median,low,high,posterior_mean,difference,p,edge_mm,\
                         normal_degrees,high_energy,seconds\n"
@@ -138,7 +139,7 @@ impl ComparisonTable {
         text
     }
 
-    /// A LaTeX table in the paper's form.
+    /// The table as LaTeX in the form of the paper's table 2.
     pub fn latex(&self) -> String {
         let mut text =
             "\\begin{tabular}{lcc}\n\\hline\nmethod & error (mm) & median \\\\\n\\hline\n"
@@ -157,12 +158,12 @@ impl ComparisonTable {
     }
 }
 
-/// A cell of a Markdown table.
+/// Escapes a cell of a Markdown table.
 fn markdown(text: &str) -> String {
     text.replace('|', "\\|")
 }
 
-/// A field of a line of comma-separated values.
+/// Quotes a field of comma-separated values if necessary.
 fn csv(text: &str) -> String {
     if text.contains([',', '"', '\n', '\r']) {
         return format!("\"{}\"", text.replace('"', "\"\""));
@@ -170,7 +171,7 @@ fn csv(text: &str) -> String {
     text.to_owned()
 }
 
-/// Text that LaTeX prints as it is.
+/// Escapes special characters of LaTeX.
 fn latex(text: &str) -> String {
     let escaped = |c| match c {
         '\\' => r"\textbackslash{}".to_owned(),

@@ -1,4 +1,4 @@
-//! Which outfit is it? A small classifier on displacements.
+//! Outfit classifier on displacements.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -8,20 +8,20 @@ use crate::{Error, Result};
 use cape_data::{PackedSet, Split};
 use cape_infer::Run;
 
-/// The mean length of displacement at every clothing vertex, for each outfit: where cloth ends shows
-/// in it.
+/// Nearest-centroid classifier: mean displacement length at every clothing vertex by outfit, which
+/// shows the hems.
 pub(super) struct OutfitCentroids {
     outfits: BTreeMap<Outfit, Vec<f64>>,
 }
 
 impl OutfitCentroids {
-    /// Of at most `frames` training frames, evenly spaced.
+    /// Centroids of at most `frames` training frames, evenly spaced.
     pub(super) fn from_training(run: &Run, data: &Path, frames: usize) -> Result<Self> {
         let set = PackedSet::open(data, Split::Train)?;
         let (found, expected) = (set.vertices(), run.body().vertices());
         if found != expected {
             return Err(Error::data(format!(
-                "training frames of {found} vertices, but the run's body has {expected}"
+                "training frames have {found} vertices, but the run's body has {expected}"
             )));
         }
         let rows = run.statistics().training_rows(set.frames());
@@ -52,7 +52,7 @@ impl OutfitCentroids {
         Self { outfits: means.collect() }
     }
 
-    /// The outfit whose mean lengths are the nearest.
+    /// Outfit with the nearest centroid; `points` are displacements of clothing vertices, metres.
     pub(super) fn classify(&self, points: &[[f32; 3]]) -> Outfit {
         let lengths: Vec<f64> = points
             .iter()

@@ -1,4 +1,4 @@
-//! Interpenetration: clothing vertices that are inside the body.
+//! Interpenetration: clothing vertices inside the body.
 
 use cape_core::Mesh;
 use parry3d_f64::{
@@ -10,9 +10,8 @@ use rayon::prelude::*;
 
 use crate::{Error, Result};
 
-/// Share of `clothing` vertices, moved by each of `displacements` (metres, `[n][3 V]`), that are inside
-/// the closed surface `body`: by the angle-weighted normal at the closest of all its points, not only
-/// at the vertex that they dress.
+/// Share of the vertices `clothing`, moved by `displacements: [n][3 V]`, metres, that are inside
+/// the closed surface `body`, by the angle-weighted normal at the closest point.
 pub(super) fn inside_share(
     displacements: &[Vec<f32>],
     clothing: &[usize],
@@ -20,8 +19,13 @@ pub(super) fn inside_share(
 ) -> Result<f64> {
     let vector = |p: [f32; 3]| Vector::from(p.map(f64::from));
     let vertices = body.vertices.iter().map(|&v| vector(v)).collect();
-    let solid = TriMesh::with_flags(vertices, body.faces.clone(), TriMeshFlags::ORIENTED)
-        .map_err(|error| Error::data(format!("the run's body has no inside: {error}")))?;
+    let solid = TriMesh::with_flags(vertices, body.faces.clone(), TriMeshFlags::ORIENTED).map_err(
+        |error| {
+            Error::data(format!(
+                "the run's body is not a closed, consistently oriented mesh: {error}"
+            ))
+        },
+    )?;
     let inside: usize = displacements
         .par_iter()
         .map(|row| {
@@ -71,10 +75,10 @@ mod tests {
         };
         assert_eq!(share(0.01, 0.0), 0.0);
         assert_eq!(share(-0.01, 0.0), 1.0);
-        // The second cube begins at x = 2: shrunk a little and moved along x by 1.5, the four corners
-        // that were outermost are in the other cube, the four others still in their own.
+        // The second cube begins at x = 2. Shrunk by 10 % and moved along x by 1.5, four corners
+        // are in the second cube and four still in the first.
         assert_eq!(share(-0.1, 1.5), 1.0);
-        // By 1.05 the first four are between the cubes.
+        // Moved by 1.05, four corners are between the cubes.
         assert_eq!(share(-0.1, 1.05), 0.5);
     }
 }

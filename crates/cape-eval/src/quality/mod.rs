@@ -1,4 +1,4 @@
-//! How good samples are, beside how they look: against held-out clothes, and by themselves.
+//! Quality of samples, measured against held-out frames and on their own.
 
 mod classify;
 mod inside;
@@ -17,9 +17,9 @@ pub use sets::SetDistances;
 use crate::{Error, Result, quality::classify::OutfitCentroids};
 use cape_core::ProgressFn;
 use cape_data::{PackedSet, Split};
-use cape_infer::Run;
+use cape_infer::{BodySpec, Run};
 
-/// How much is sampled.
+/// Options of [`quality`](quality()).
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
@@ -27,7 +27,7 @@ use cape_infer::Run;
 /// use burn::tensor::Device;
 /// use cape_core::silent;
 /// use cape_eval::quality::{QualityOptions, quality, standard_normal};
-/// use cape_infer::Run;
+/// use cape_infer::{BodySpec, Run};
 ///
 /// let directory = trained()?;
 /// let [packed, run] = ["packed", "run"].map(|name| directory.path().join(name));
@@ -42,13 +42,13 @@ use cape_infer::Run;
 /// ```
 #[derive(Debug, Clone, Copy)]
 pub struct QualityOptions {
-    /// Most held-out frames, evenly spaced, that samples are compared with; as many are drawn.
+    /// Largest number of held-out frames, evenly spaced, that are compared with as many samples.
     pub frames: usize,
-    /// Samples of each outfit in one pose, for diversity.
+    /// Samples per outfit in one pose, for diversity.
     pub each: usize,
-    /// Training frames that the classifier of outfits learns from.
+    /// Largest number of training frames of the outfit classifier.
     pub training_frames: usize,
-    /// Fixes poses and directions.
+    /// Seed of the joints and axes of pose sensitivity.
     pub seed: u64,
 }
 
@@ -58,56 +58,57 @@ impl Default for QualityOptions {
     }
 }
 
-/// What samples came to. Distances are mean Euclidean distances of clothing vertices in canonical
-/// space, millimetres.
-///
-/// See [`QualityOptions`] for an example.
+/// Quality measures of samples. Distances are mean Euclidean distances of clothing vertices in
+/// canonical space, millimetres.
 #[derive(Debug, Clone, Serialize)]
 pub struct QualityReport {
-    /// Held-out frames, each with a sample of its pose and outfit.
+    /// Number of held-out frames, each with a sample of its pose and outfit.
     pub frames: usize,
-    /// Share of held-out frames that are the nearest to some sample: 1 where samples are everywhere.
+    /// Coverage: share of held-out frames that are the nearest frame of a sample; higher is better.
     pub coverage: f64,
-    /// Mean distance from a held-out frame to the nearest sample.
+    /// Minimum matching distance: mean distance from a held-out frame to the nearest sample.
     pub minimum_matching_mm: f64,
-    /// Share of frames and samples whose nearest neighbour is of their own kind: 0.5 where they
-    /// cannot be told apart, 1 where they are apart.
+    /// 1-nearest-neighbour accuracy: share of frames and samples whose nearest neighbour is of
+    /// their own set; 0.5 if the distributions are equal, 1 if they are disjoint.
     pub nearest_neighbour_accuracy: f64,
-    /// Mean distance between samples of an outfit in one pose.
+    /// Mean distance between samples of an outfit in one pose, by outfit.
     pub diversity_mm: Vec<(Outfit, f64)>,
-    /// The same between held-out frames of an outfit, whatever their pose.
+    /// Mean distance between held-out frames of an outfit in any pose, by outfit.
     pub held_out_diversity_mm: Vec<(Outfit, f64)>,
-    /// How far the canonical displacement moves for a radian of one joint, the code being fixed.
+    /// Mean change of the canonical displacement per radian of one joint at a fixed code,
+    /// millimetres.
     pub pose_sensitivity_mm: f64,
-    /// Share of samples that a classifier of outfits takes for what was asked for.
+    /// Share of samples that the outfit classifier assigns to the requested outfit.
     pub outfit_consistency: f64,
-    /// The same for held-out frames: what the classifier is worth.
+    /// Share of held-out frames that the outfit classifier assigns to their outfit.
     pub classifier_accuracy: f64,
-    /// Share of clothing vertices that are inside the body's surface in the standard pose, of samples
-    /// and of held-out frames.
+    /// Share of clothing vertices inside the body in the canonical pose, of samples and of held-out
+    /// frames.
     pub inside_body: [f64; 2],
 }
 
-/// Pose changes that sensitivity is measured over, and their size, radians.
+/// Number of pose changes of the pose sensitivity.
 const NUDGES: usize = 64;
+/// Rotation of a pose change, radians.
 const NUDGE: f64 = 0.1;
-/// Joints that clothes follow: neither root, hands nor feet.
+/// Joints of the pose sensitivity: all but root, wrists and hands.
 const MOVING: std::ops::Range<usize> = 1..20;
 
 /// Measures samples of a run against the test frames of the packed set in `data`. `codes` draws `n`
-/// codes for an outfit, `[n, latent]`; its last argument is different for every call.
+/// latent codes for an outfit, `[n, latent]`; its last argument is the stream of random numbers.
 pub fn quality(
     run: &Run,
-    data: &Path,
+    data: impl AsRef<Path>,
     codes: &dyn Fn(Outfit, usize, u64) -> Array2<f32>,
     options: QualityOptions,
     progress: &mut ProgressFn,
 ) -> Result<QualityReport> {
+    let data = data.as_ref();
     let set = PackedSet::open(data, Split::Test)?;
     let (vertices, found) = (run.body().vertices(), set.vertices());
     if found != vertices {
         return Err(Error::data(format!(
-            "test frames of {found} vertices, but the run's body has {vertices}"
+            "test frames have {found} vertices, but the run's body has {vertices}"
         )));
     }
     let step = set.frames().div_ceil(options.frames.max(1)).max(1);
@@ -181,26 +182,32 @@ pub fn quality(
 
 fn pose_of(set: &PackedSet, row: usize) -> Result<[f32; 72]> {
     let pose = set.pose(row)?;
-    <[f32; 72]>::try_from(pose.as_slice())
-        .map_err(|_| Error::data(format!("test frame {row}: a pose of {} numbers", pose.len())))
+    <[f32; 72]>::try_from(pose.as_slice()).map_err(|_| {
+        Error::data(format!("test frame {row}: pose of {} numbers, expected 72", pose.len()))
+    })
 }
 
 fn present(outfits: &[Outfit]) -> Vec<Outfit> {
     Outfit::ALL.into_iter().filter(|outfit| outfits.contains(outfit)).collect()
 }
 
-/// Displacements in metres, `[n][3 V]`.
+/// Displacements of latent codes `[n, latent]`, `[n][3 V]`, metres.
 fn decoded(
     run: &Run,
     codes: &Array2<f32>,
     poses: &[[f32; 72]],
     outfits: &[Outfit],
 ) -> Result<Vec<Vec<f32>>> {
-    let decoded = run.decode(codes, poses, outfits)?;
+    let bodies: Vec<BodySpec> = poses
+        .iter()
+        .zip(outfits)
+        .map(|(&pose, &outfit)| BodySpec { betas: Vec::new(), pose, outfit })
+        .collect();
+    let decoded = run.decode_displacements(codes, &bodies)?;
     Ok(decoded.axis_iter(Axis(0)).map(|frame| frame.iter().copied().collect()).collect())
 }
 
-/// Mean movement of clothing vertices for a small turn of one joint, millimetres a radian.
+/// Mean change of clothing vertices by a small rotation of one joint, millimetres per radian.
 fn sensitivity(
     run: &Run,
     codes: &Array2<f32>,
@@ -237,7 +244,8 @@ fn sensitivity(
     Ok(1000.0 * sum / (NUDGE * (count * run.clothing().len()).max(1) as f64))
 }
 
-/// Codes drawn from the standard normal prior, for [`quality`].
+/// Sampler of latent codes from the standard normal prior, scaled by `temperature`, for
+/// [`quality`].
 pub fn standard_normal(
     latent: usize,
     temperature: f64,

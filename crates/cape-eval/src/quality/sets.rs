@@ -1,8 +1,8 @@
-//! A set of samples against a set of held-out frames (Achlioptas et al. 2018, Yang et al. 2019).
+//! Comparison of a set of samples with a set of frames (Achlioptas et al. 2018, Yang et al. 2019).
 
 use rayon::prelude::*;
 
-/// Distances within and between two sets.
+/// Distances within and between two sets of point sets, millimetres.
 ///
 /// ```
 /// use cape_eval::quality::SetDistances;
@@ -15,15 +15,15 @@ use rayon::prelude::*;
 /// ```
 #[derive(Debug, Clone)]
 pub struct SetDistances {
-    /// `[frames][frames]`.
+    /// Distances between frames, `[frames][frames]`.
     frames: Vec<Vec<f64>>,
-    /// `[samples][samples]`.
+    /// Distances between samples, `[samples][samples]`.
     samples: Vec<Vec<f64>>,
-    /// `[frames][samples]`.
+    /// Distances between frames and samples, `[frames][samples]`.
     between: Vec<Vec<f64>>,
 }
 
-/// Mean Euclidean distance of corresponding points, millimetres of metres.
+/// Mean Euclidean distance of corresponding points in metres, as millimetres.
 fn distance(a: &[[f32; 3]], b: &[[f32; 3]]) -> f64 {
     let sum: f64 = a
         .iter()
@@ -40,7 +40,7 @@ fn matrix(a: &[Vec<[f32; 3]>], b: &[Vec<[f32; 3]>]) -> Vec<Vec<f64>> {
     a.par_iter().map(|a| b.iter().map(|b| distance(a, b)).collect()).collect()
 }
 
-/// Mean distance between different members of a set; 0 of fewer than two.
+/// Mean distance between different members of a set; 0 if it has fewer than two.
 pub(super) fn mean_distance(set: &[Vec<[f32; 3]>]) -> f64 {
     let pairs = set.len() * set.len().saturating_sub(1);
     matrix(set, set).iter().flatten().sum::<f64>() / pairs.max(1) as f64
@@ -51,7 +51,7 @@ fn nearest(distances: impl Iterator<Item = f64>) -> Option<(usize, f64)> {
 }
 
 impl SetDistances {
-    /// Between point sets in correspondence.
+    /// Computes all distances; points are in correspondence, in metres.
     pub fn between(frames: &[Vec<[f32; 3]>], samples: &[Vec<[f32; 3]>]) -> Self {
         Self {
             frames: matrix(frames, frames),
@@ -60,7 +60,7 @@ impl SetDistances {
         }
     }
 
-    /// Share of frames that are the nearest to some sample.
+    /// Share of frames that are the nearest frame of a sample.
     pub fn coverage(&self) -> f64 {
         let mut covered = vec![false; self.frames.len()];
         for sample in 0..self.samples.len() {
@@ -77,7 +77,8 @@ impl SetDistances {
         nearest.map(|(_, distance)| distance).sum::<f64>() / self.frames.len().max(1) as f64
     }
 
-    /// Share of frames and samples whose nearest neighbour, themselves left out, is of their kind.
+    /// Share of frames and samples whose nearest neighbour, other than themselves, is of their own
+    /// set.
     pub fn nearest_neighbour_accuracy(&self) -> f64 {
         let others = |own: &[Vec<f64>], index: usize| {
             let row = own[index].iter().enumerate().filter(move |(other, _)| *other != index);
@@ -100,7 +101,7 @@ impl SetDistances {
 mod tests {
     use super::*;
 
-    /// One point each, on a line.
+    /// Point sets of one point each on a line.
     fn set(values: &[f32]) -> Vec<Vec<[f32; 3]>> {
         values.iter().map(|&x| vec![[x / 1000.0, 0.0, 0.0]]).collect()
     }
@@ -111,8 +112,9 @@ mod tests {
         // Frames nearest to samples: 0, 0 and 10.
         assert!((distances.coverage() - 2.0 / 3.0).abs() < 1e-12);
         assert!((distances.minimum_matching() - (1.0 + 2.0 + 88.0) / 3.0).abs() < 1e-4);
-        // Of frames 0, 10 and 100: 1, 12 and 12 are nearer than any frame. Of samples: 1 has 0 as
-        // near as 2 and is not counted, 2 has 1, 12 has 10.
+        // The samples 1, 12 and 12 are nearer to frames 0, 10 and 100 than any frame. Sample 1 is
+        // as near to frame 0 as to sample 2 and does not count, sample 2 is nearest to 1, and 12 to
+        // frame 10.
         assert!((distances.nearest_neighbour_accuracy() - 1.0 / 6.0).abs() < 1e-12);
         assert!((mean_distance(&set(&[0.0, 3.0, 6.0])) - 4.0).abs() < 1e-4);
         assert_eq!(mean_distance(&set(&[1.0])), 0.0);

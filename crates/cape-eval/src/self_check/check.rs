@@ -1,31 +1,29 @@
-//! Is a configuration sound on these data?
+//! Check of a configuration on a data set by a short training.
 
 use cape_model::LossConfig;
 use serde::Serialize;
 
 use super::{Fixtures, ModelUnderTest};
 use crate::Result;
-use cape_core::{ProgressFn, tensors::host};
+use cape_core::{ProgressFn, tensors::to_host};
 use cape_infer::{DeviceBatch, OptimiserKind, RateSchedule, RunConfig, TrainConfig, to_device};
 use cape_stats::errors::{ErrorStats, vertex_errors_mm};
 use cape_train::{
     active_units,
-    learner::{Learner, UpdateOptions, UpdateReport},
+    learner::{Learner, NonFinite, UpdateOptions, UpdateReport},
     objective::{StepInput, reconstruct},
 };
 
-/// How much is tried.
-///
-/// See [`ModelUnderTest`] for an example.
+/// Options of [`check`](check()).
 #[derive(Debug, Clone, Copy)]
 pub struct CheckOptions {
-    /// Frames to be learnt by heart.
+    /// Number of frames to overfit.
     pub frames: usize,
-    /// Most steps for that.
+    /// Largest number of steps of overfitting.
     pub overfit_steps: usize,
-    /// Mean error to be reached, millimetres.
+    /// Mean error to reach by overfitting, millimetres.
     pub target_mm: f64,
-    /// Steps of the configuration itself.
+    /// Steps of training with the configuration itself.
     pub steps: usize,
 }
 
@@ -35,70 +33,66 @@ impl Default for CheckOptions {
     }
 }
 
-/// One thing that was looked at.
-///
-/// See [`ModelUnderTest`] for an example.
+/// Result of one check.
 #[derive(Debug, Clone, Serialize)]
 pub struct Finding {
-    /// What.
+    /// Name of the check.
     pub name: &'static str,
-    /// Whether it is as it should be.
+    /// True if the check passed.
     pub passed: bool,
-    /// What was found.
+    /// Value found.
     pub found: String,
-    /// What was expected.
+    /// Value expected.
     pub expected: String,
 }
 
-/// All of them.
-///
-/// See [`ModelUnderTest`] for an example.
+/// Results of all checks.
 #[derive(Debug, Clone, Serialize)]
 pub struct CheckReport {
-    /// In the order of the work.
+    /// Results in the order of the checks.
     pub findings: Vec<Finding>,
-    /// Whether all passed.
+    /// True if all checks passed.
     pub passed: bool,
 }
 
-/// Steps between measurements of what was learnt by heart.
+/// Steps between measurements of the overfitting error.
 const MEASURED: usize = 50;
-/// Frames whose codes are looked at.
+/// Largest number of frames whose posterior means are checked.
 const CODES: usize = 256;
-/// Accuracies between which a discriminator is neither dead nor perfect.
+/// Range of the accuracy of a discriminator that learns and does not win.
 const ALIVE: [f64; 2] = [0.02, 0.98];
-/// Below this the code says nothing.
+/// Smallest Kullback–Leibler divergence of an informative code.
 const LEAST_KL: f64 = 0.05;
 
-/// Learns a few frames by heart, then trains a little as the configuration says, and looks at what
-/// usually goes wrong.
+/// Overfits a few frames, trains for a few steps with the configuration itself, and checks losses,
+/// gradients, discriminator and latent code.
 ///
-/// The frames are learnt without sampling, adversary and Kullback–Leibler term, by Adam: whether
-/// the networks can represent clothes at all, and gradients are right, does not depend on those.
+/// Overfitting uses Adam without sampling, discriminator and Kullback–Leibler term, because it
+/// tests the capacity of the networks and their gradients only.
 pub fn check(
-    subject: &ModelUnderTest<'_>,
+    model: &ModelUnderTest<'_>,
     options: CheckOptions,
     progress: &mut ProgressFn,
 ) -> Result<CheckReport> {
-    let material = Fixtures::open(subject)?;
+    let fixtures = Fixtures::open(model)?;
     let total = options.overfit_steps + options.steps;
-    let mut findings = vec![overfit(&material, subject.config, &options, &mut |done, _| {
+    let mut findings = vec![overfit(&fixtures, model.config, &options, &mut |done, _| {
         progress(done, total);
     })?];
-    let mut learner = material.learner(subject.config)?;
-    let updates = train(&material, subject.config, &mut learner, options.steps, &mut |done, _| {
+    let mut learner = fixtures.learner(model.config)?;
+    let updates = train(&fixtures, model.config, &mut learner, options.steps, &mut |done, _| {
         progress(options.overfit_steps + done, total);
     })?;
     match updates {
         Ok(updates) => {
-            findings.extend(check_updates(subject.config, &updates));
-            findings.push(check_codes(&material, subject.config, &learner)?);
+            findings.extend(check_updates(model.config, &updates));
+            findings.push(check_codes(&fixtures, model.config, &learner)?);
         }
-        Err(found) => findings.push(Finding {
-            name: "numbers are finite",
+        Err((error, step)) => findings.push(Finding {
+            name: "losses and gradients are finite",
             passed: false,
-            found,
-            expected: "losses and gradients that are numbers".into(),
+            found: format!("{error} at step {step}"),
+            expected: "finite numbers".into(),
         }),
     }
     let passed = findings.iter().all(|finding| finding.passed);
@@ -106,7 +100,7 @@ pub fn check(
 }
 
 fn overfit(
-    material: &Fixtures,
+    fixtures: &Fixtures,
     config: &RunConfig,
     options: &CheckOptions,
     progress: &mut ProgressFn,
@@ -125,60 +119,60 @@ fn overfit(
         ..config.clone()
     };
     config.model.discriminator = None;
-    let rows = material.statistics.training_rows(material.set.frames());
+    let rows = fixtures.statistics.training_rows(fixtures.set.frames());
     let count = options.frames.min(rows.len());
     let chosen: Vec<usize> = (0..count).map(|i| rows.start + i * rows.len() / count).collect();
-    let batch = material.set.batch(&chosen, Some(&material.statistics))?;
-    let fixed = to_device(batch.clone(), &material.device.clone().inner());
-    let input = StepInput { frames: to_device(batch, &material.device), epsilon: None, real: None };
-    let mut learner = material.learner(&config)?;
+    let batch = fixtures.set.batch(&chosen, Some(&fixtures.statistics))?;
+    let fixed = to_device(batch.clone(), &fixtures.device.clone().inner());
+    let input = StepInput { frames: to_device(batch, &fixtures.device), epsilon: None, real: None };
+    let mut learner = fixtures.learner(&config)?;
     let (mut best, mut steps) = (f64::INFINITY, 0);
     while steps < options.overfit_steps && best > options.target_mm {
         let rate = config.train.rate(steps as u64, options.overfit_steps);
-        let pace = UpdateOptions { rate, kl_share: 0.0, detailed: false };
-        if learner.update(&input, pace).is_err() {
+        let update = UpdateOptions { rate, kl_share: 0.0, detailed: false };
+        if learner.update(&input, update).is_err() {
             break;
         }
         steps += 1;
         if steps.is_multiple_of(MEASURED) || steps == options.overfit_steps {
-            best = best.min(error_mm(material, &learner, &fixed)?);
+            best = best.min(error_mm(fixtures, &learner, &fixed)?);
         }
         progress(steps, options.overfit_steps);
     }
     progress(options.overfit_steps, options.overfit_steps);
     Ok(Finding {
-        name: "learns frames by heart",
+        name: "overfits a few frames",
         passed: best <= options.target_mm,
         found: format!("{count} frames to {best:.2} mm in {steps} steps"),
         expected: format!("{} mm in {} steps", options.target_mm, options.overfit_steps),
     })
 }
 
-fn error_mm(material: &Fixtures, learner: &Learner, frames: &DeviceBatch) -> Result<f64> {
+fn error_mm(fixtures: &Fixtures, learner: &Learner, frames: &DeviceBatch) -> Result<f64> {
     let generator = learner.valid_generator();
     let result = reconstruct(&generator, learner.graphs(), frames, None);
-    let mut predicted = host(result.displacement);
-    let mut truth = host(frames.displacement.clone());
-    material.statistics.denormalise(&mut predicted);
-    material.statistics.denormalise(&mut truth);
-    let size = material.set.vertices() * 3;
+    let mut predicted = to_host(result.displacement);
+    let mut truth = to_host(frames.displacement.clone());
+    fixtures.statistics.denormalise(&mut predicted);
+    fixtures.statistics.denormalise(&mut truth);
+    let size = fixtures.set.vertices() * 3;
     let mut errors = ErrorStats::new();
     for (predicted, truth) in predicted.chunks(size).zip(truth.chunks(size)) {
-        errors.push(&vertex_errors_mm(predicted, truth, &material.clothing)?);
+        errors.push(&vertex_errors_mm(predicted, truth, &fixtures.clothing)?);
     }
     Ok(errors.summary().mean)
 }
 
-/// The configuration as it is, its warm-up squeezed into a quarter of the steps; or what was not a
-/// number.
+/// Trains with the configuration itself, its warm-up shortened to a quarter of the steps. Returns
+/// the updates, or the step with a loss or gradient that is not finite.
 fn train(
-    material: &Fixtures,
+    fixtures: &Fixtures,
     config: &RunConfig,
     learner: &mut Learner,
     steps: usize,
     progress: &mut ProgressFn,
-) -> Result<Result<Vec<UpdateReport>, String>> {
-    let mut batches = material.batches(config)?;
+) -> Result<Result<Vec<UpdateReport>, (NonFinite, usize)>> {
+    let mut batches = fixtures.batches(config)?;
     let warmup = (steps / 4).max(1) as f64;
     let peak = config.train.peak_rate;
     let mut updates = Vec::new();
@@ -188,10 +182,10 @@ fn train(
         } else {
             peak * ((step + 1) as f64 / warmup).min(1.0)
         };
-        let pace = UpdateOptions { rate, kl_share: 1.0, detailed: true };
-        match learner.update(&batches.next()?, pace) {
+        let options = UpdateOptions { rate, kl_share: 1.0, detailed: true };
+        match learner.update(&batches.next()?, options) {
             Ok(update) => updates.push(update),
-            Err(what) => return Ok(Err(format!("{what} is not at step {}", step + 1))),
+            Err(error) => return Ok(Err((error, step + 1))),
         }
         progress(step + 1, steps);
     }
@@ -206,8 +200,12 @@ fn check_updates(config: &RunConfig, updates: &[UpdateReport]) -> Vec<Finding> {
     };
     let mut findings = Vec::new();
     let falls = [
-        ("reconstruction falls", (|u| u.losses.reconstruction) as fn(&UpdateReport) -> f64, true),
-        ("edge error falls", |u| u.losses.edge, config.loss.edge > 0.0),
+        (
+            "reconstruction loss falls",
+            (|u| u.losses.reconstruction) as fn(&UpdateReport) -> f64,
+            true,
+        ),
+        ("edge loss falls", |u| u.losses.edge, config.loss.edge > 0.0),
     ];
     for (name, of, asked) in falls {
         if asked {
@@ -216,16 +214,16 @@ fn check_updates(config: &RunConfig, updates: &[UpdateReport]) -> Vec<Finding> {
                 name,
                 passed: after < before,
                 found: format!("{before:.3} → {after:.3}"),
-                expected: "less than at first".into(),
+                expected: "a lower value at the end".into(),
             });
         }
     }
     if config.model.variational && config.loss.kl > 0.0 {
         let kl = mean(last, |u| u.losses.kl);
         findings.push(Finding {
-            name: "the code says something",
+            name: "latent code is informative",
             passed: kl > LEAST_KL,
-            found: format!("a divergence of {kl:.2}"),
+            found: format!("KL divergence {kl:.2}"),
             expected: format!("more than {LEAST_KL}"),
         });
     }
@@ -233,9 +231,9 @@ fn check_updates(config: &RunConfig, updates: &[UpdateReport]) -> Vec<Finding> {
         let accuracy = mean(last, |u| u.losses.discriminator_accuracy);
         let [low, high] = ALIVE;
         findings.push(Finding {
-            name: "the discriminator is neither dead nor perfect",
+            name: "discriminator learns and does not win",
             passed: (low..=high).contains(&accuracy),
-            found: format!("right for {:.0} % of patches", 100.0 * accuracy),
+            found: format!("accuracy {:.0} %", 100.0 * accuracy),
             expected: format!("{:.0} to {:.0} %", 100.0 * low, 100.0 * high),
         });
     }
@@ -244,10 +242,10 @@ fn check_updates(config: &RunConfig, updates: &[UpdateReport]) -> Vec<Finding> {
     let least = norms.iter().copied().fold(f64::INFINITY, f64::min);
     let most = norms.iter().copied().fold(0.0, f64::max);
     findings.push(Finding {
-        name: "gradients flow",
+        name: "gradients are not zero",
         passed: least > 0.0,
         found: format!("norms from {least:.2} to {most:.2}, {clipped} of {} clipped", norms.len()),
-        expected: "none of them zero".into(),
+        expected: "all above zero".into(),
     });
     for (net, name) in
         ["gradients reach the pose net", "gradients reach the outfit net"].into_iter().enumerate()
@@ -258,30 +256,32 @@ fn check_updates(config: &RunConfig, updates: &[UpdateReport]) -> Vec<Finding> {
             findings.push(Finding {
                 name,
                 passed: norms.iter().all(|&norm| norm > 0.0),
-                found: format!("a mean norm of {mean:.1e}"),
-                expected: "none of them zero".into(),
+                found: format!("mean norm {mean:.1e}"),
+                expected: "all above zero".into(),
             });
         }
     }
     findings
 }
 
-fn check_codes(material: &Fixtures, config: &RunConfig, learner: &Learner) -> Result<Finding> {
-    let rows = material.statistics.training_rows(material.set.frames());
+fn check_codes(fixtures: &Fixtures, config: &RunConfig, learner: &Learner) -> Result<Finding> {
+    let rows = fixtures.statistics.training_rows(fixtures.set.frames());
     let count = CODES.min(rows.len());
     let chosen: Vec<usize> = (0..count).map(|i| rows.start + i * rows.len() / count).collect();
     let generator = learner.valid_generator();
     let mut codes = Vec::new();
     for chosen in chosen.chunks(config.train.batch) {
-        let batch = material.set.batch(chosen, Some(&material.statistics))?;
-        let frames = to_device(batch, &material.device.clone().inner());
-        codes.extend(host(reconstruct(&generator, learner.graphs(), &frames, None).posterior.mean));
+        let batch = fixtures.set.batch(chosen, Some(&fixtures.statistics))?;
+        let frames = to_device(batch, &fixtures.device.clone().inner());
+        codes.extend(to_host(
+            reconstruct(&generator, learner.graphs(), &frames, None).posterior.mean,
+        ));
     }
     let active = active_units(&codes, config.model.latent);
     Ok(Finding {
-        name: "the code has not collapsed",
+        name: "posterior has not collapsed",
         passed: active > 0,
-        found: format!("{active} of {} numbers are active", config.model.latent),
+        found: format!("{active} of {} latent dimensions active", config.model.latent),
         expected: "at least one".into(),
     })
 }

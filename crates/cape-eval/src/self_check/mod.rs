@@ -1,5 +1,5 @@
-//! Short trials of a configuration that leave nothing behind: is it sound, and how fast may it
-//! learn?
+//! Self-check of a training set-up: short trainings that test a configuration on a data set and
+//! suggest a learning rate. Nothing is written to disk.
 
 mod check;
 mod rate;
@@ -13,7 +13,7 @@ pub use check::{CheckOptions, CheckReport, Finding, check};
 pub use rate::{RatePoint, RateSearchOptions, RateSearchReport, find_rate};
 
 use crate::{Error, Result};
-use cape_core::tensors::tensor2;
+use cape_core::tensors::from_array2;
 use cape_data::{
     DisplacementStatistics, Loader, LoaderOptions, LoaderState, PackedSet, Split, StepBatches,
     steps_per_epoch,
@@ -21,7 +21,7 @@ use cape_data::{
 use cape_infer::{RunConfig, body_and_clothing, build_graphs, normal, to_device};
 use cape_train::{learner::Learner, objective::StepInput};
 
-/// What a trial is made with.
+/// Configuration and data set of a self-check.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
@@ -33,7 +33,7 @@ use cape_train::{learner::Learner, objective::StepInput};
 /// // A packed set of four training frames, and a small configuration.
 /// let directory = captures()?;
 /// let (config, device) = (small_config(), Device::default());
-/// let subject = ModelUnderTest {
+/// let model = ModelUnderTest {
 ///     data: &directory.path().join("packed"),
 ///     body: None,
 ///     clothing: None,
@@ -41,12 +41,12 @@ use cape_train::{learner::Learner, objective::StepInput};
 ///     device: &device,
 /// };
 /// let options = CheckOptions { frames: 2, overfit_steps: 4, target_mm: 0.5, steps: 4 };
-/// let report = check(&subject, options, &mut silent)?;
-/// // Nothing is learnt by heart in four steps.
+/// let report = check(&model, options, &mut silent)?;
+/// // Four steps are too few to overfit.
 /// assert!(!report.passed && report.findings.iter().any(|finding| !finding.passed));
 ///
 /// let options = RateSearchOptions { low: 1e-6, high: 1e-3, steps: 10 };
-/// let rates = find_rate(&subject, options, &mut silent)?;
+/// let rates = find_rate(&model, options, &mut silent)?;
 /// assert!((1e-7..=1e-3).contains(&rates.suggested));
 /// assert!(rates.points.is_sorted_by(|a, b| a.rate < b.rate));
 /// # Ok(())
@@ -54,19 +54,20 @@ use cape_train::{learner::Learner, objective::StepInput};
 /// ```
 #[derive(Debug, Clone, Copy)]
 pub struct ModelUnderTest<'a> {
-    /// The packed set.
+    /// Directory of the packed set.
     pub data: &'a Path,
-    /// SMPL's body, for packed sets without one.
+    /// File of the SMPL body; `None` uses the `body.npz` of the packed set.
     pub body: Option<&'a Path>,
-    /// Clothing vertices, likewise.
+    /// File of the indices of clothing vertices; `None` uses those of the packed set, or derives
+    /// them from the body's blend weights.
     pub clothing: Option<&'a Path>,
-    /// What is tried.
+    /// Configuration to check.
     pub config: &'a RunConfig,
-    /// Where.
+    /// Device of the training.
     pub device: &'a Device,
 }
 
-/// Data and body, opened.
+/// Opened data set and body.
 struct Fixtures {
     set: Arc<PackedSet>,
     statistics: Arc<DisplacementStatistics>,
@@ -76,21 +77,21 @@ struct Fixtures {
 }
 
 impl Fixtures {
-    fn open(subject: &ModelUnderTest<'_>) -> Result<Self> {
-        subject.config.validate()?;
-        let set = PackedSet::open(subject.data, Split::Train)?;
-        let statistics = DisplacementStatistics::from_packed(subject.data, &mut cape_core::silent)?;
+    fn open(model: &ModelUnderTest<'_>) -> Result<Self> {
+        model.config.validate()?;
+        let set = PackedSet::open(model.data, Split::Train)?;
+        let statistics = DisplacementStatistics::from_packed(model.data, &mut cape_core::silent)?;
         if statistics.training_rows(set.frames()).is_empty() {
-            let message = format!("{}: no frame to train on", subject.data.display());
+            let message = format!("{}: no training frames", model.data.display());
             return Err(Error::data(message));
         }
-        let (body, mask) = body_and_clothing(subject.data, &set, subject.body, subject.clothing)?;
+        let (body, mask) = body_and_clothing(model.data, &set, model.body, model.clothing)?;
         Ok(Self {
             set: Arc::new(set),
             statistics: Arc::new(statistics),
             body,
             clothing: mask.indices().collect(),
-            device: subject.device.clone().autodiff(),
+            device: model.device.clone().autodiff(),
         })
     }
 
@@ -117,7 +118,7 @@ impl Fixtures {
     }
 }
 
-/// What training would see, step by step.
+/// Inputs of training, step by step, the same as those of the trainer.
 struct StepInputs {
     steps_per_epoch: usize,
     loader: Loader,
@@ -132,7 +133,7 @@ impl StepInputs {
         let StepBatches { generator, discriminator, .. } = self.loader.step()?;
         let count = generator.frames.len();
         let noise = |latent| normal(self.seed, (1 << 32) + self.step, count, latent);
-        let epsilon = self.latent.map(|latent| tensor2(noise(latent), &self.device));
+        let epsilon = self.latent.map(|latent| from_array2(noise(latent), &self.device));
         self.step += 1;
         Ok(StepInput {
             frames: to_device(generator, &self.device),

@@ -1,4 +1,4 @@
-//! How fast a configuration may learn (Smith 2017).
+//! Learning-rate range test (Smith 2017).
 
 use serde::Serialize;
 
@@ -7,16 +7,14 @@ use crate::{Error, Result};
 use cape_core::ProgressFn;
 use cape_train::learner::UpdateOptions;
 
-/// How learning rates are tried.
-///
-/// See [`ModelUnderTest`] for an example.
+/// Options of [`find_rate`].
 #[derive(Debug, Clone, Copy)]
 pub struct RateSearchOptions {
-    /// The first.
+    /// First learning rate.
     pub low: f64,
-    /// The last, if the loss does not explode before.
+    /// Last learning rate, unless the loss diverges before.
     pub high: f64,
-    /// Steps from one to the other, by equal factors.
+    /// Number of steps, with geometrically spaced learning rates.
     pub steps: usize,
 }
 
@@ -26,61 +24,59 @@ impl Default for RateSearchOptions {
     }
 }
 
-/// A step of the trial.
-///
-/// See [`ModelUnderTest`] for an example.
+/// A step of the range test.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct RatePoint {
-    /// The generator's learning rate.
+    /// Learning rate of the generator.
     pub rate: f64,
-    /// Its loss before the step.
+    /// Total loss of the generator before the step.
     pub loss: f64,
-    /// The running average of the losses.
+    /// Exponential moving average of the losses.
     pub smoothed: f64,
 }
 
-/// What was found.
-///
-/// See [`ModelUnderTest`] for an example.
+/// Report of [`find_rate`].
 #[derive(Debug, Clone, Serialize)]
 pub struct RateSearchReport {
-    /// Every step.
+    /// All steps.
     pub points: Vec<RatePoint>,
-    /// The rate at which the averaged loss was lowest.
+    /// Learning rate of the lowest average loss.
     pub lowest: f64,
-    /// The rate at which it fell fastest.
+    /// Learning rate of the steepest fall of the average loss.
     pub steepest: f64,
-    /// The rate at which it exploded, if it did.
+    /// Learning rate at which the loss diverged; `None` if it did not.
     pub diverged: Option<f64>,
-    /// A third of [`lowest`](Self::lowest), near which the loss is about to rise; or
-    /// [`steepest`](Self::steepest), if it fell to the end.
+    /// Suggested learning rate: a third of [`lowest`](Self::lowest), or
+    /// [`steepest`](Self::steepest) if the loss fell to the end.
     pub suggested: f64,
 }
 
-/// Losses averaged over about so many steps.
+/// Time constant of the moving average, steps.
 const MEMORY: f64 = 12.0;
-/// The loss has exploded where it is so many times its lowest value.
+/// Ratio of the average loss to its lowest value above which it has diverged.
 const EXPLODED: f64 = 3.0;
 
-/// Trains with a learning rate that grows from step to step until the loss explodes.
+/// Trains with a learning rate that grows from step to step until the loss diverges.
 pub fn find_rate(
-    subject: &ModelUnderTest<'_>,
+    model: &ModelUnderTest<'_>,
     options: RateSearchOptions,
     progress: &mut ProgressFn,
 ) -> Result<RateSearchReport> {
     let RateSearchOptions { low, high, steps } = options;
     if !(low > 0.0 && high > low && high.is_finite() && steps >= 10) {
-        let message = format!("learning rates from {low} to {high} in {steps} steps");
-        return Err(Error::argument(format!("{message}: expected 0 < from < to and 10 steps")));
+        return Err(Error::argument(format!(
+            "learning rates from {low} to {high} in {steps} steps: expected 0 < low < high and at \
+             least 10 steps"
+        )));
     }
-    let material = Fixtures::open(subject)?;
-    let mut learner = material.learner(subject.config)?;
-    let mut batches = material.batches(subject.config)?;
+    let fixtures = Fixtures::open(model)?;
+    let mut learner = fixtures.learner(model.config)?;
+    let mut batches = fixtures.batches(model.config)?;
     let mut curve = RateCurve::default();
     for step in 0..steps {
         let rate = low * (high / low).powf(step as f64 / (steps - 1) as f64);
-        let pace = UpdateOptions { rate, kl_share: 1.0, detailed: false };
-        let loss = match learner.update(&batches.next()?, pace) {
+        let update = UpdateOptions { rate, kl_share: 1.0, detailed: false };
+        let loss = match learner.update(&batches.next()?, update) {
             Ok(update) => update.losses.total_generator,
             Err(_) => f64::INFINITY,
         };
@@ -100,7 +96,7 @@ struct RateCurve {
 }
 
 impl RateCurve {
-    /// Whether to go on.
+    /// Adds a step; false if the loss has diverged.
     fn push(&mut self, rate: f64, loss: f64) -> bool {
         let decay = 1.0 - 1.0 / MEMORY;
         let count = self.points.len() as i32 + 1;
@@ -120,9 +116,11 @@ impl RateCurve {
         let Self { points, diverged, .. } = self;
         let lowest = points.iter().min_by(|a, b| a.smoothed.total_cmp(&b.smoothed));
         let Some(&RatePoint { rate: lowest, .. }) = lowest else {
-            return Err(Error::argument("the loss is not a number at the lowest learning rate"));
+            return Err(Error::argument(
+                "the loss is not finite at the lowest learning rate: start at a lower one",
+            ));
         };
-        // The average lags behind its steps; the first ones are of few.
+        // The average of the first steps is of too few losses.
         let settled = points.get(MEMORY as usize..).unwrap_or_default();
         let falls =
             settled.windows(4).map(|four| (four[0].smoothed - four[3].smoothed, four[2].rate));
@@ -137,7 +135,7 @@ impl RateCurve {
 mod tests {
     use super::*;
 
-    /// Losses that fall where rates matter and explode beyond.
+    /// Report of the range test for a loss that is a function of the learning rate.
     fn report(loss: impl Fn(f64) -> f64) -> RateSearchReport {
         let mut curve = RateCurve::default();
         for step in 0..200 {

@@ -11,10 +11,10 @@ use ndarray::{Array1, Array3, Ix3};
 use crate::{Error, Result};
 use cape_data::{PackedSet, Split};
 
-/// How many frames are shown.
+/// Number of frames shown.
 const SHOWN: usize = 4;
 
-/// What is worn, who wears it, and the movement, as far as the set says.
+/// Outfit, subject and motion sequence of a frame, as far as they are known.
 type SequenceKey = (Outfit, String, String);
 
 /// The test frames of the packed set in `data` that are shown: of different outfits, movements and
@@ -97,7 +97,7 @@ pub struct FigureFrames {
 }
 
 impl FigureFrames {
-    /// Of frames that are still to come.
+    /// Creates storage for the displacements of `rows`, filled by [`push`](Self::push).
     pub(super) fn new(rows: &[usize], vertices: usize) -> Self {
         Self { rows: rows.to_vec(), displacement: Array3::zeros((rows.len(), vertices, 3)) }
     }

@@ -1,9 +1,10 @@
 //! CAPE's table 2: every method under one protocol.
 //!
-//! A [`Table2Job`] is one row with one seed in a directory of its own: it is trained (or fitted), measured
-//! on the test frames, and leaves a `result.json` with a key of its configuration and data, so that
-//! it is not done again unless either changed, and the [`FigureFrames`] that pictures show. [`methods`]
-//! are what a [`ComparisonTable`](crate::comparison::ComparisonTable) puts side by side.
+//! A [`Table2Job`] is one row with one seed in a directory of its own: it is trained (or fitted),
+//! measured on the test frames, and leaves a `result.json` with a key of its configuration and
+//! data, so that it is not done again unless either changed, and the [`FigureFrames`] that pictures
+//! show. [`methods`] are what a [`ComparisonTable`](crate::comparison::ComparisonTable) puts side
+//! by side.
 
 mod frames;
 mod measure;
@@ -29,12 +30,12 @@ use crate::{
 };
 use cape_data::{PackedSet, Split};
 use cape_infer::{RunConfig, RunPaths, body_and_clothing, checkpoint};
-use cape_train::Trainer;
+use cape_train::{Trainer, TrainerOptions};
 
 const RESULT: &str = "result.json";
 const FRAMES: &str = "frames.npz";
 
-/// What all rows have in common.
+/// Options that all rows share.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
@@ -73,7 +74,7 @@ const FRAMES: &str = "frames.npz";
 pub struct Table2Options {
     /// The packed set.
     pub data: PathBuf,
-    /// Where rows are kept.
+    /// Directory of the results.
     pub out: PathBuf,
     /// The body, unless the packed set has its own.
     pub body: Option<PathBuf>,
@@ -88,35 +89,31 @@ pub struct Table2Options {
 }
 
 /// One row with one seed.
-///
-/// See [`Table2Options`] for an example.
 #[derive(Debug, Clone)]
 pub struct Table2Job {
     /// The row.
     pub row: Table2Row,
     /// Fixes weights, shuffles, noise and samples.
     pub seed: u64,
-    /// Where it is kept.
+    /// Directory of the job.
     pub directory: PathBuf,
     config: RunConfig,
     key: String,
     shown: Vec<usize>,
 }
 
-/// What a job came to.
-///
-/// See [`Table2Options`] for an example.
+/// Result of a job.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct RowResult {
     /// The row.
     pub row: Table2Row,
     /// Its seed.
     pub seed: u64,
-    /// Of its configuration and data.
+    /// SHA-256 of configuration and data.
     key: String,
     /// Seconds of training or fitting.
     pub seconds: f64,
-    /// What it came to on the test frames.
+    /// Errors on the test frames.
     #[serde(flatten)]
     pub measured: RunErrors,
 }
@@ -202,7 +199,7 @@ pub fn hash_of(data: &Path) -> Result<String> {
 }
 
 impl Table2Job {
-    /// What it came to, if it is done and neither its configuration nor its data changed since.
+    /// Result of the job; `None` if it is not done, or configuration or data have changed since.
     pub fn result(&self) -> Option<RowResult> {
         let text = fs::read(self.directory.join(RESULT)).ok()?;
         let result: RowResult = serde_json::from_slice(&text).ok()?;
@@ -236,8 +233,12 @@ impl Table2Job {
         }
         fs::create_dir_all(&self.directory).map_err(|source| Error::io(&self.directory, source))?;
         fs::write(&marker, &self.key).map_err(|source| Error::io(&marker, source))?;
-        let (body, clothing) = (grid.body.as_deref(), grid.clothing.as_deref());
-        let config = self.config.clone();
-        Trainer::create(&root, &grid.data, body, clothing, config, device).map(Some)
+        let options = TrainerOptions {
+            data: grid.data.clone(),
+            body: grid.body.clone(),
+            clothing: grid.clothing.clone(),
+            config: self.config.clone(),
+        };
+        Trainer::create(&root, options, device).map(Some)
     }
 }

@@ -87,7 +87,7 @@ impl Table2Row {
         }
     }
 
-    /// Whether it is trained by gradients, so that seeds matter.
+    /// True if the row is trained by gradients and depends on the seed.
     pub const fn is_trained(self) -> bool {
         !matches!(self, Self::Mean | Self::Pca)
     }

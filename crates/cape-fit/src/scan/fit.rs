@@ -126,9 +126,10 @@ impl ScanFitter {
             }
             body.v_template.assign(minimal);
         }
-        let dressed = |&outfit: &Outfit| match minimal {
-            Some(minimal) => DressedBody::from_subject(run, outfit, minimal),
-            None => DressedBody::new(run, outfit),
+        let first = *outfits.first().ok_or_else(|| Error::argument("no outfit to fit"))?;
+        let dressed = match minimal {
+            Some(minimal) => DressedBody::from_subject(run, first, minimal)?,
+            None => DressedBody::new(run, first)?,
         };
         let mut mean_clothes = Array2::zeros(body.v_template.dim());
         for &vertex in run.clothing() {
@@ -136,7 +137,7 @@ impl ScanFitter {
         }
         Ok(Self {
             skeleton: Skeleton::new(&body)?,
-            outfits: outfits.iter().map(dressed).collect::<Result<_>>()?,
+            outfits: outfits.iter().map(|&outfit| dressed.with_outfit(outfit)).collect(),
             mean_clothes,
             shape_is_known: minimal.is_some(),
             body,

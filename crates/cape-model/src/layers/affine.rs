@@ -7,7 +7,7 @@ use cape_graph::DevicePyramid;
 use super::{ChebConv, append_unless_preserved};
 use crate::Initialiser;
 
-/// The block of "CAPE-affine": `relu(cheb(x)) + linear(x)`.
+/// Decoder block of CAPE-affine: `relu(cheb(x)) + linear(x)`.
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -25,14 +25,14 @@ use crate::Initialiser;
 /// ```
 #[derive(Module, Debug)]
 pub struct AffineBlock {
-    /// The graph convolution.
+    /// Graph convolution.
     pub conv: ChebConv,
-    /// The affine path.
+    /// Linear map of every vertex.
     pub linear: ChebConv,
 }
 
 impl AffineBlock {
-    /// From `input` to `output` channels.
+    /// Creates a block from `input` to `output` channels with `order` Chebyshev terms.
     pub fn new(input: usize, output: usize, order: usize, init: &mut Initialiser) -> Self {
         Self {
             conv: ChebConv::new(input, output, order, init),
@@ -40,8 +40,8 @@ impl AffineBlock {
         }
     }
 
-    /// `x: [batch, coarse, channels]` of level `level + 1`, `condition: [batch, embedding]` at every
-    /// vertex → `[batch, vertices, output]` on `level`.
+    /// Up-samples `x: [batch, coarse, channels]` from `level + 1` and applies the block with
+    /// `condition: [batch, embedding]` at every vertex; returns `[batch, vertices, output]`.
     pub fn forward(
         &self,
         x: Tensor<3>,

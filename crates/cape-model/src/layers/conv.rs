@@ -25,26 +25,27 @@ use crate::{Initialiser, config::LEAKY_SLOPE};
 /// ```
 #[derive(Module, Debug)]
 pub struct ChebConv {
-    /// `[channels · order, out]`, row `channel · order + k`.
+    /// Weight matrix `[channels · order, out]`; row `channel · order + k` is term `k` of a channel.
     pub weight: Param<Tensor<2>>,
     pub(super) order: usize,
     spectral: bool,
 }
 
 impl ChebConv {
-    /// Truncated-normal weights for `order` Chebyshev terms.
+    /// Creates truncated-normal weights for `order` Chebyshev terms.
     pub fn new(input: usize, output: usize, order: usize, init: &mut Initialiser) -> Self {
         Self { weight: init.truncated_normal([input * order, output]), order, spectral: false }
     }
 
-    /// Divides the weight matrix by its largest singular value whenever it is used, if `spectral`.
+    /// Enables spectral normalisation: the weight matrix is divided by its largest singular value.
     #[must_use]
     pub fn with_spectral_norm(self, spectral: bool) -> Self {
         Self { spectral, ..self }
     }
 
-    /// `x: [batch, vertices, channels]` and, after its channels, those of
-    /// `condition: [batch, embedding]` at every vertex → `[batch, kept, out]`.
+    /// Convolves `x: [batch, vertices, channels]`, with the numbers of
+    /// `condition: [batch, embedding]` as further channels at every vertex, into
+    /// `[batch, kept, out]`.
     pub fn forward(
         &self,
         x: Tensor<3>,
@@ -56,8 +57,9 @@ impl ChebConv {
         cheb_conv(x, weight, graph, self.order, ConvEnd { rows, slope: None })
     }
 
-    /// The weights of the first `channels` channels, and what the condition's add: a row for every
-    /// Chebyshev term, `[batch, order, out]`, instead of channels that repeat at every vertex.
+    /// Weight rows of the first `channels` channels, `[channels · order, out]`, and the
+    /// contribution of the condition to each Chebyshev term, `[batch, order, out]`, in place of
+    /// channels that repeat at every vertex.
     pub(super) fn split(
         &self,
         channels: usize,
@@ -77,9 +79,9 @@ impl ChebConv {
 
 /// The largest singular value of a matrix, `[1, 1]`, with its gradient `u vᵀ`.
 ///
-/// `(WᵀW)^64`, scaled to a trace of 1, projects onto the leading right singular vectors; what the
-/// others leave in it lowers the value by less than 1 % whatever the spectrum of a matrix of up to
-/// 100 columns, and far less for most.
+/// `(WᵀW)^64`, scaled to a trace of 1, projects onto the leading right singular vectors; the
+/// remainder of the other vectors lowers the value by less than 1 % for any spectrum of a matrix of
+/// up to 100 columns, and far less for most.
 fn spectral_norm(weight: Tensor<2>) -> Tensor<2> {
     let fixed = weight.clone().detach();
     let [_, columns] = fixed.dims();
@@ -99,7 +101,7 @@ fn spectral_norm(weight: Tensor<2>) -> Tensor<2> {
     (weight * (along / norm.clamp_min(f32::MIN_POSITIVE))).sum().reshape([1, 1])
 }
 
-/// Convolution, one bias a channel, leaky ReLU.
+/// Convolution, bias per channel and leaky ReLU.
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -111,7 +113,7 @@ fn spectral_norm(weight: Tensor<2>) -> Tensor<2> {
 /// let device = Device::default();
 /// let graph = ConvGraph::new(&triangle, None, &device);
 /// let layer = ConvLayer::new(4, 8, 2, &mut Initialiser::new(1, 0.1, &device));
-/// // Of nothing, the initial bias is left.
+/// // Zeros become the initial bias.
 /// let y = layer.forward(Tensor::zeros([1, 3, 4], &device), None, &graph);
 /// let error: f32 = (y - 0.1).abs().max().into_scalar();
 /// assert!(error < 1e-6);
@@ -119,25 +121,25 @@ fn spectral_norm(weight: Tensor<2>) -> Tensor<2> {
 /// ```
 #[derive(Module, Debug)]
 pub struct ConvLayer {
-    /// The convolution.
+    /// Convolution without bias.
     pub conv: ChebConv,
-    /// `[out]`.
+    /// Bias per channel, `[out]`.
     pub bias: Param<Tensor<1>>,
 }
 
 impl ConvLayer {
-    /// Truncated-normal weights, biases 0.1.
+    /// Creates truncated-normal weights and biases of 0.1.
     pub fn new(input: usize, output: usize, order: usize, init: &mut Initialiser) -> Self {
         Self { conv: ChebConv::new(input, output, order, init), bias: init.constant(0.1, [output]) }
     }
 
-    /// See [`ChebConv::with_spectral_norm`].
+    /// As [`ChebConv::with_spectral_norm`].
     #[must_use]
     pub fn with_spectral_norm(self, spectral: bool) -> Self {
         Self { conv: self.conv.with_spectral_norm(spectral), ..self }
     }
 
-    /// As [`ChebConv::forward`].
+    /// As [`ChebConv::forward`], then bias and leaky ReLU.
     pub fn forward(
         &self,
         x: Tensor<3>,
@@ -151,7 +153,7 @@ impl ConvLayer {
         let rows = match rows {
             None => bias,
             Some(rows) => {
-                // The bias is the same at every vertex, as the first term's row is.
+                // The bias is constant over the vertices, as T₀ of the condition is.
                 let order = self.conv.order;
                 let first = rows.clone().slice([0..batch, 0..1, 0..out]) + bias;
                 if order > 1 {
@@ -179,7 +181,7 @@ mod tests {
         cape_core::parse_device(name).unwrap()
     }
 
-    /// By many power iterations in f64.
+    /// Largest singular value by power iteration in f64.
     fn largest_singular_value(values: &[f32], columns: usize) -> f64 {
         let mut right: Vec<f64> = (0..columns).map(|i| 1.0 + 0.37 * (i as f64).sin()).collect();
         let mut norm = 0.0;

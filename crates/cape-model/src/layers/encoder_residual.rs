@@ -7,8 +7,8 @@ use cape_graph::{ConvGraph, bias_leaky_relu};
 use super::{ChebConv, ConvLayer};
 use crate::{Initialiser, config::LEAKY_SLOPE};
 
-/// The encoder's optional residual block: two convolutions, the input added before the last bias
-/// and leaky ReLU.
+/// Residual block of the encoder: two convolutions, the input added before the last bias and leaky
+/// ReLU.
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -31,14 +31,14 @@ pub struct EncoderResidual {
     pub layer: ConvLayer,
     /// Second convolution.
     pub conv: ChebConv,
-    /// Where the widths of input and output differ.
+    /// Linear map of the input; `None` if input and output widths are equal.
     pub skip: Option<ChebConv>,
     /// Bias after the sum, `[output]`.
     pub bias: Param<Tensor<1>>,
 }
 
 impl EncoderResidual {
-    /// From `input` to `output` channels.
+    /// Creates a block from `input` to `output` channels with `order` Chebyshev terms.
     pub fn new(input: usize, output: usize, order: usize, init: &mut Initialiser) -> Self {
         Self {
             layer: ConvLayer::new(input, output, order, init),
@@ -48,7 +48,7 @@ impl EncoderResidual {
         }
     }
 
-    /// `[batch, vertices, input]` → `[batch, vertices, output]`.
+    /// Applies the block: `[batch, vertices, input]` → `[batch, vertices, output]`.
     pub fn forward(&self, x: Tensor<3>, graph: &ConvGraph) -> Tensor<3> {
         let y = self.layer.forward(x.clone(), None, graph);
         let y = self.conv.forward(y, None, graph);

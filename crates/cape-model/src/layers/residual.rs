@@ -9,20 +9,18 @@ use crate::{Initialiser, config::MAX_GROUPS};
 
 const EPSILON: f64 = 1e-5;
 
-/// Group normalisation over (channels in group × vertices), then ReLU.
-///
-/// See [`ResidualBlock`] for an example.
+/// Group normalisation over the channels of a group and all vertices, then ReLU.
 #[derive(Module, Debug)]
 pub struct GroupNormRelu {
-    /// Scale, `[channels]`.
+    /// Scale per channel, `[channels]`.
     pub gamma: Param<Tensor<1>>,
-    /// Shift, `[channels]`.
+    /// Shift per channel, `[channels]`.
     pub beta: Param<Tensor<1>>,
     groups: usize,
 }
 
 impl GroupNormRelu {
-    /// `min(32, channels)` groups, scale 1, shift 0.
+    /// Creates a normalisation of `min(32, channels)` groups with scale 1 and shift 0.
     pub fn new(channels: usize, init: &mut Initialiser) -> Self {
         Self {
             gamma: init.constant(1.0, [channels]),
@@ -31,7 +29,8 @@ impl GroupNormRelu {
         }
     }
 
-    /// `base + conv(relu(norm([x, constant])))`; `constant: [batch, c]` at every vertex.
+    /// `base + conv(relu(norm([x, constant])))`, with `constant: [batch, c]` as further channels at
+    /// every vertex.
     fn then(
         &self,
         conv: &ChebConv,
@@ -46,19 +45,17 @@ impl GroupNormRelu {
     }
 }
 
-/// Features that are known to be a product, `features · weight`, of fewer channels.
-///
-/// See [`ResidualBlock`] for an example.
+/// Features in factored form `features · weight`, with fewer inner channels than channels.
 #[derive(Debug, Clone)]
 pub struct FactoredFeatures {
-    /// `[batch, vertices, inner]`.
+    /// Left factor, `[batch, vertices, inner]`.
     pub features: Tensor<3>,
-    /// `[inner, channels]`.
+    /// Right factor, `[inner, channels]`.
     pub weight: Tensor<2>,
 }
 
-/// The decoder's residual block (CAPE appendix A, after GraphCMR): a bottleneck of linear, graph
-/// convolution, linear, each after normalisation and ReLU, added to the input.
+/// Residual block of the decoder (CAPE appendix A, after GraphCMR): a bottleneck of linear map,
+/// graph convolution and linear map, each after group normalisation and ReLU, added to the input.
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -77,7 +74,7 @@ pub struct FactoredFeatures {
 /// let x = features.clone().matmul(weight.clone().unsqueeze());
 /// let y = block.forward(x.clone(), None, None, &pyramid, 0);
 /// assert_eq!(y.dims(), [1, 3, 8]);
-/// // Knowing what the features are the product of saves work, and changes nothing.
+/// // The factored form of the features saves work and gives the same result.
 /// let same = block.forward(x, Some(FactoredFeatures { features, weight }), None, &pyramid, 0);
 /// let error: f32 = (y - same).abs().max().into_scalar();
 /// assert!(error < 1e-5);
@@ -85,24 +82,24 @@ pub struct FactoredFeatures {
 /// ```
 #[derive(Module, Debug)]
 pub struct ResidualBlock {
-    /// Before [`linear_1`](Self::linear_1).
+    /// Normalisation before [`linear_1`](Self::linear_1).
     pub norm_1: GroupNormRelu,
-    /// To half the output width.
+    /// Linear map to half the output width.
     pub linear_1: ChebConv,
-    /// Before [`conv`](Self::conv).
+    /// Normalisation before [`conv`](Self::conv).
     pub norm_2: GroupNormRelu,
-    /// The graph convolution, at half the output width.
+    /// Graph convolution at half the output width.
     pub conv: ChebConv,
-    /// Before [`linear_2`](Self::linear_2).
+    /// Normalisation before [`linear_2`](Self::linear_2).
     pub norm_3: GroupNormRelu,
-    /// To the output width.
+    /// Linear map to the output width.
     pub linear_2: ChebConv,
-    /// Where the widths of input and output differ.
+    /// Linear map of the input; `None` if input and output widths are equal.
     pub skip: Option<ChebConv>,
 }
 
 impl ResidualBlock {
-    /// From `input` to `output` channels.
+    /// Creates a block from `input` to `output` channels with `order` Chebyshev terms.
     pub fn new(input: usize, output: usize, order: usize, init: &mut Initialiser) -> Self {
         let half = output / 2;
         Self {
@@ -116,9 +113,9 @@ impl ResidualBlock {
         }
     }
 
-    /// `x: [batch, coarse, channels]` of level `level + 1`, `condition: [batch, embedding]` at every
-    /// vertex → `[batch, vertices, output]` on `level`. `origin` is what `x` is the product of, if
-    /// that is known.
+    /// Up-samples `x: [batch, coarse, channels]` from `level + 1` and applies the block with
+    /// `condition: [batch, embedding]` at every vertex; returns `[batch, vertices, output]`.
+    /// `origin` is the factored form of `x`, if known.
     pub fn forward(
         &self,
         x: Tensor<3>,
@@ -128,7 +125,7 @@ impl ResidualBlock {
         level: usize,
     ) -> Tensor<3> {
         let (x, condition) = append_unless_preserved(x, condition, pyramid, level);
-        // What acts on every vertex alone comes before the up-sampling, where vertices are fewer.
+        // Maps of single vertices precede the up-sampling, where there are fewer vertices.
         let base = pyramid.up(self.skip(&x, origin, condition, pyramid.graph(level + 1)), level);
         let (x, graph) = (pyramid.up(x, level), pyramid.graph(level));
         let y = self.norm_1.then(&self.linear_1, x, condition.cloned(), graph, None);
@@ -136,7 +133,7 @@ impl ResidualBlock {
         self.norm_3.then(&self.linear_2, y, None, graph, Some(base))
     }
 
-    /// What is added to the block's result, before up-sampling.
+    /// Skip path of the block, before up-sampling.
     fn skip(
         &self,
         x: &Tensor<3>,

@@ -1,4 +1,4 @@
-//! A model and its optimisers out of a TensorFlow checkpoint.
+//! Weights and momentum of a model in a TensorFlow checkpoint of the release.
 
 use super::{bare, import, name_map, without_leading_ones};
 use crate::{
@@ -7,16 +7,16 @@ use crate::{
     weights::{HostArray, Weights},
 };
 
-/// Scopes of a model's variables.
+/// Scopes of the model's variables.
 const ROOTS: [&str; 4] =
     ["condition_pose/", "condition_clo_label/", "generator/", "discriminator/"];
-/// Endings of what optimisers and averages keep beside a variable.
+/// Name suffixes of optimiser and averaging state.
 const MOMENTUM: &str = "/Momentum";
 const SLOTS: [&str; 4] = [MOMENTUM, "/ExponentialMovingAverage", "/Adam", "/Adam_1"];
-/// Number of training steps done.
+/// Variable with the number of training steps.
 const STEP: &str = "global_step";
 
-/// What a checkpoint of the release holds.
+/// Contents of a checkpoint of the release.
 ///
 /// ```
 /// use cape_model::{release::ReleaseCheckpoint, tensorflow::TensorFlowCheckpoint};
@@ -28,7 +28,7 @@ const STEP: &str = "global_step";
 /// # Ok::<(), cape_model::Error>(())
 /// ```
 ///
-/// For a checkpoint that has all of a model:
+/// For a checkpoint of a whole model:
 ///
 /// ```no_run
 /// # use cape_model::{release::{ReleaseCheckpoint, infer}, tensorflow::TensorFlowCheckpoint};
@@ -39,13 +39,13 @@ const STEP: &str = "global_step";
 /// ```
 #[derive(Debug)]
 pub struct ReleaseCheckpoint {
-    /// The model's variables by TensorFlow's names.
+    /// Variables of the model by TensorFlow's names.
     pub variables: Vec<(String, HostArray)>,
-    /// The optimisers' velocities, by the variables' names.
+    /// Momentum of the optimisers by the names of the variables.
     momentum: Vec<(String, HostArray)>,
-    /// Training steps done, if it says.
+    /// Training steps; `None` if the checkpoint has no `global_step`.
     pub step: Option<u64>,
-    /// Variables that belong to neither: moving averages, counters.
+    /// Names of all other variables: moving averages, counters.
     pub ignored: Vec<String>,
 }
 
@@ -53,7 +53,7 @@ impl ReleaseCheckpoint {
     /// Reads a checkpoint.
     ///
     /// # Errors
-    /// If it has no variables of a CAPE model, or a variable is damaged.
+    /// If the checkpoint has no variables of a CAPE model, or a variable is damaged.
     pub fn read(checkpoint: &TensorFlowCheckpoint) -> Result<Self> {
         let mut read =
             Self { variables: Vec::new(), momentum: Vec::new(), step: None, ignored: Vec::new() };
@@ -77,7 +77,7 @@ impl ReleaseCheckpoint {
             return Err(Error::File {
                 path: checkpoint.prefix().to_owned(),
                 message: format!(
-                    "has no variable of a CAPE model (generator/…); its first are {}",
+                    "no variable of a CAPE model (expected generator/…); the first variables are {}",
                     names.collect::<Vec<_>>().join(", ")
                 ),
             });
@@ -91,29 +91,29 @@ impl ReleaseCheckpoint {
         Ok(read)
     }
 
-    /// The release's name of one of our parameters.
+    /// The release's name of the parameter `ours`.
     pub fn official_name(&self, config: &CapeConfig, ours: &str) -> Option<String> {
         name_map(config, &self.shapes()).ok()?.remove(ours)
     }
 
-    /// Names and shapes of the model's variables.
+    /// Names and shapes of the model's variables, in the order of the checkpoint.
     pub fn shapes(&self) -> Vec<(String, Vec<usize>)> {
         self.variables.iter().map(|(name, array)| (name.clone(), array.shape.clone())).collect()
     }
 
-    /// The weights of a model of that configuration.
+    /// Weights of a model of configuration `config`.
     ///
     /// # Errors
-    /// If a variable is missing or left over; it is named.
+    /// If a variable is missing or unknown; it is named.
     pub fn weights(&self, config: &CapeConfig) -> Result<Weights> {
         import(config, &self.variables)
     }
 
-    /// The velocities of the parameters of `part` (`generator` or `discriminator`), by their paths
-    /// in it; empty if there are none.
+    /// Momentum of the parameters of `part` (`generator` or `discriminator`) by their paths in it;
+    /// empty if the checkpoint has none.
     ///
     /// # Errors
-    /// As [`weights`](Self::weights), or if a velocity has another shape than its variable.
+    /// As [`weights`](Self::weights), or if a momentum has another shape than its variable.
     pub fn momentum(&self, config: &CapeConfig, part: &str) -> Result<Weights> {
         let mut momentum = Weights::new();
         for (ours, theirs) in name_map(config, &self.shapes())? {
@@ -128,7 +128,7 @@ impl ReleaseCheckpoint {
             if shape.is_some_and(|(_, variable)| variable.shape != array.shape) {
                 return Err(Error::Weight {
                     name: format!("{owner}{MOMENTUM}"),
-                    message: format!("shape {:?}, unlike its variable's", array.shape),
+                    message: format!("shape {:?}, expected the shape of its variable", array.shape),
                 });
             }
             momentum.insert(path.to_owned(), without_leading_ones(array, &theirs));

@@ -1,4 +1,4 @@
-//! The configuration that a set of release variables belongs to, from their names and shapes.
+//! Model configuration from the names and shapes of the release's variables.
 
 use super::{bare, missing};
 use crate::{
@@ -6,20 +6,20 @@ use crate::{
     Result, condition::hidden_width,
 };
 
-/// Most Chebyshev terms looked for.
+/// Largest number of Chebyshev terms that is tried.
 const MOST_TERMS: usize = 16;
 
-/// Derives the architecture from the names and shapes of a model's variables.
+/// Infers the architecture from the names and shapes of a model's variables.
 ///
-/// All numbers show in the shapes but the down-sampling factors, for which the release's defaults
-/// for that number of layers are taken (`1,2,1,2,1,2,1,1` of eight, twos in the discriminator);
-/// [`check_vertices`] tells whether they can be right.
+/// The shapes determine everything but the down-sampling factors; these are the release's defaults
+/// for that number of layers (`1,2,1,2,1,2,1,1` for eight, twos in the discriminator), and
+/// [`check_vertices`] checks them against a mesh.
 ///
 /// # Errors
 /// If a variable is missing or a shape fits no architecture; it is named.
 pub fn infer(shapes: &[(String, Vec<usize>)]) -> Result<CapeConfig> {
     if let Some((name, shape)) = shapes.iter().find(|(_, shape)| shape.contains(&0)) {
-        return Err(weight(name, format!("shape {shape:?}: holds nothing")));
+        return Err(weight(name, format!("shape {shape:?} has no elements")));
     }
     let shapes = Shapes(shapes);
     let encoder = "generator/encoder";
@@ -78,11 +78,11 @@ pub fn infer(shapes: &[(String, Vec<usize>)]) -> Result<CapeConfig> {
     Ok(config)
 }
 
-/// Checks the factors of a configuration against variables and a mesh: whether down-sampling
-/// `vertices` by them leaves as many vertices as the fully connected layers were made for.
+/// Checks that down-sampling a mesh of `vertices` vertices by the factors of `config` leaves the
+/// number of vertices of the fully connected layers.
 ///
 /// # Errors
-/// If it does not; the message has both numbers.
+/// If it does not, or the output layer is of another mesh; the message has both numbers.
 pub fn check_vertices(
     config: &CapeConfig,
     shapes: &[(String, Vec<usize>)],
@@ -113,15 +113,15 @@ pub fn check_vertices(
     Err(weight(
         name,
         format!(
-            "{rows} rows make {} vertices of {channels} channels, but the factors {:?} leave {left} \
-             of {vertices}: give the model's own down-sampling factors",
+            "{rows} rows are {} vertices of {channels} channels, but the factors {:?} leave {left} of \
+             {vertices} vertices: give the down-sampling factors of the model (--factors)",
             rows / channels,
             config.factors
         ),
     ))
 }
 
-/// The release's down-sampling factors for a number of layers.
+/// Down-sampling factors of the release for `layers` layers.
 fn default_factors(layers: usize) -> Vec<u32> {
     match layers {
         4 => vec![1, 2, 1, 1],
@@ -131,18 +131,18 @@ fn default_factors(layers: usize) -> Vec<u32> {
     }
 }
 
-/// The matrices of one encoder layer.
+/// Weight matrices of one encoder layer.
 struct Block {
-    /// Rows of each.
+    /// Rows of each matrix.
     rows: Vec<usize>,
-    /// Columns of all of them.
+    /// Columns, equal for all matrices.
     output: usize,
 }
 
 impl Block {
-    /// Channels that go in, if there are `order` Chebyshev terms: a plain layer has one matrix of
-    /// `order · input` rows; a residual one another of `order · output`, and where the widths
-    /// differ a linear map of `input` rows.
+    /// Input channels for `order` Chebyshev terms; `None` if the matrices do not fit that order. A
+    /// plain layer has one matrix of `order · input` rows; a residual one has another of
+    /// `order · output` rows and, if the widths differ, a linear map of `input` rows.
     fn input(&self, order: usize) -> Option<usize> {
         let mut rows = self.rows.clone();
         if rows.len() > 1 {
@@ -158,8 +158,8 @@ impl Block {
     }
 }
 
-/// Chebyshev terms, and the channels of the first layer's input: the number with which every layer
-/// takes what the one before gives, and the first takes coordinates, and perhaps conditions.
+/// Number of Chebyshev terms, and input channels of the first layer (coordinates, with or without
+/// conditions), for which the widths of consecutive layers agree.
 fn order(blocks: &[Block], conditions: usize) -> Result<(usize, usize)> {
     let fits = |order: usize| {
         let mut inputs = blocks.iter().map(|block| block.input(order));
@@ -168,7 +168,10 @@ fn order(blocks: &[Block], conditions: usize) -> Result<(usize, usize)> {
         inputs.eq(outputs.take(blocks.len() - 1)).then_some((order, first))
     };
     (1..=MOST_TERMS).find_map(fits).ok_or_else(|| {
-        weight("generator/encoder", "its shapes fit no number of Chebyshev terms".into())
+        weight(
+            "generator/encoder",
+            format!("shapes fit no number of Chebyshev terms up to {MOST_TERMS}"),
+        )
     })
 }
 
@@ -189,18 +192,18 @@ impl<'a> Shapes<'a> {
         shape.try_into().map_err(|_| weight(name, format!("shape {shape:?}, expected two axes")))
     }
 
-    /// Layers of a condition net.
+    /// Fully connected layers of a condition net.
     fn layers(&self, scope: &str) -> usize {
         if self.get(&format!("{scope}/fc2/dense/kernel")).is_some() { 2 } else { 1 }
     }
 
-    /// Size of a condition net's output, 0 where there is none.
+    /// Output size of a condition net; 0 if there is none.
     fn embedding(&self, scope: &str) -> usize {
         let last = format!("{scope}/fc{}/dense/kernel", self.layers(scope));
         self.get(&last).and_then(|shape| shape.last().copied()).unwrap_or(0)
     }
 
-    /// Checks that the layers of a condition net fit its input and one another.
+    /// Checks that the layers of a condition net match its input and each other.
     fn check_condition(&self, scope: &str, input: usize) -> Result<()> {
         let embedding = self.embedding(scope);
         if embedding == 0 {
@@ -225,7 +228,7 @@ impl<'a> Shapes<'a> {
         super::block_scope(self.0.iter().map(|(name, _)| name.as_str()), parent, number)
     }
 
-    /// The layers below `parent`, as many as there are.
+    /// Weight matrices of all layers of the scope `parent`.
     fn blocks(&self, parent: &str) -> Result<Vec<Block>> {
         let mut blocks = Vec::new();
         while let Some(scope) = self.scope(parent, blocks.len() + 1) {
@@ -241,7 +244,7 @@ impl<'a> Shapes<'a> {
             let name = format!("{scope}/weights");
             let output = inside.first().ok_or_else(|| missing(&name))?[1];
             if inside.iter().any(|shape| shape[1] != output) {
-                return Err(weight(&name, "matrices of different widths in one layer".into()));
+                return Err(weight(&name, "matrices of one layer differ in width".into()));
             }
             blocks.push(Block { rows: inside.iter().map(|shape| shape[0]).collect(), output });
         }
@@ -259,7 +262,10 @@ impl<'a> Shapes<'a> {
             let [rows, output] = self.matrix(&name(filters.len() + 1))?;
             let before = filters.last().copied().unwrap_or(input);
             if rows == 0 || !rows.is_multiple_of(before) || (order > 0 && rows / before != order) {
-                let message = format!("{rows} rows for {before} channels");
+                let message = format!(
+                    "{rows} rows for {before} input channels, expected one number of Chebyshev terms \
+                     in all layers"
+                );
                 return Err(weight(&name(filters.len() + 1), message));
             }
             order = rows / before;
@@ -269,7 +275,7 @@ impl<'a> Shapes<'a> {
         let output = "discriminator/prediction_map/weights";
         let [rows, one] = self.matrix(output)?;
         if one != 1 || !rows.is_multiple_of(last) {
-            let message = format!("shape [{rows}, {one}], expected one column and {last} channels");
+            let message = format!("shape [{rows}, {one}], expected [terms · {last}, 1]");
             return Err(weight(output, message));
         }
         let output_order = rows / last;

@@ -1,4 +1,4 @@
-//! Weights by the names of the authors' TensorFlow release.
+//! Weights under the names of the authors' TensorFlow release.
 //!
 //! | ours | theirs |
 //! |---|---|
@@ -14,10 +14,10 @@
 //! | `discriminator.layers.i` | `discriminator/shared/conv i+1` |
 //! | `discriminator.output` | `discriminator/prediction_map` |
 //!
-//! The blocks' scopes differ in name between the release's architectures (`encoder_conv`,
-//! `decoder_resblock_cmr`, `decoder_resblock_affine`, …), so they are recognised by their number;
-//! the variables inside by name, and two convolutions of one scope by their shapes, then their
-//! order. Shapes agree but for the biases' leading ones.
+//! The scopes of blocks have different names in the release's architectures (`encoder_conv`,
+//! `decoder_resblock_cmr`, `decoder_resblock_affine`, …) and are identified by their number. The
+//! variables inside are identified by name, and two convolutions of one scope by shape, then by
+//! order. Shapes are equal except for leading ones of biases.
 
 mod checkpoint;
 mod infer;
@@ -34,7 +34,7 @@ use crate::{
     weights::{HostArray, Weights},
 };
 
-/// Each of our parameter names with the release's name for it.
+/// Names of this crate's parameters with the names of the release's variables.
 ///
 /// ```
 /// use burn::tensor::Device;
@@ -66,19 +66,19 @@ use crate::{
 /// let shapes: Vec<_> = theirs.iter().map(|(name, it)| (name.clone(), it.shape.clone())).collect();
 /// let names = name_map(&config, &shapes)?;
 /// assert_eq!(names["generator.encoder.mean.bias"], "generator/encoder/fc_mean/dense/bias:0");
-/// // The shapes tell the architecture.
+/// // The architecture follows from the shapes.
 /// assert_eq!(infer(&shapes)?.filters, config.filters);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub type NameMap = BTreeMap<String, String>;
 
-/// Maps our parameter names to those of a set of release variables.
+/// Maps the parameter names of a model of `config` to names of the release's variables.
 ///
-/// `shapes` lists the variables' names and shapes in the order they were created in; names may end
+/// `shapes` lists names and shapes of the variables in the order of their creation; names may end
 /// in `:0`.
 ///
 /// # Errors
-/// If a variable the configuration needs is missing, or one is left over; it is named.
+/// If a variable of the configuration is missing, or a variable is unknown; it is named.
 pub fn name_map(config: &CapeConfig, shapes: &[(String, Vec<usize>)]) -> Result<NameMap> {
     let mut map = NameMatcher { shapes, taken: vec![false; shapes.len()], names: NameMap::new() };
 
@@ -143,10 +143,10 @@ pub fn name_map(config: &CapeConfig, shapes: &[(String, Vec<usize>)]) -> Result<
     map.finish()
 }
 
-/// Reads the weights of a model from release variables.
+/// Weights of a model of `config` from the release's variables.
 ///
 /// # Errors
-/// As [`name_map`]; shapes are checked when the weights are applied to a model.
+/// As [`name_map`]. Shapes are checked by [`apply`](crate::weights::apply).
 pub fn import(config: &CapeConfig, variables: &[(String, HostArray)]) -> Result<Weights> {
     let shapes: Vec<_> =
         variables.iter().map(|(name, array)| (name.clone(), array.shape.clone())).collect();
@@ -159,7 +159,7 @@ pub fn import(config: &CapeConfig, variables: &[(String, HostArray)]) -> Result<
         .collect())
 }
 
-/// Biases are stored as `[1, 1, channels]` and `[1, vertices, 3]`.
+/// The array without leading axes of length 1 of biases `[1, 1, channels]` and `[1, vertices, 3]`.
 fn without_leading_ones(array: &HostArray, name: &str) -> HostArray {
     let mut shape = array.shape.as_slice();
     if bare(name).ends_with("/bias") {
@@ -225,7 +225,7 @@ impl NameMatcher<'_> {
         Ok(())
     }
 
-    /// Two convolutions, two biases, and a linear map where the widths differ.
+    /// Matches two convolutions, two biases and, if the widths differ, a linear map.
     fn encoder_residual(
         &mut self,
         ours: &str,
@@ -238,7 +238,7 @@ impl NameMatcher<'_> {
         self.take_shaped(ours, "layer.bias", &self.inside(scope, "bias"), wide)?;
         self.take_shaped(ours, "bias", &self.inside(scope, "bias"), wide)?;
         if input != output {
-            // The second convolution may have the same shape; the linear map is made after it.
+            // The second convolution can have the same shape; the linear map was created after it.
             let mut weights = self.inside(scope, "weights");
             weights.reverse();
             weights.sort_by_key(|&index| !is_skip(&self.shapes[index].0[scope.len()..]));
@@ -249,7 +249,7 @@ impl NameMatcher<'_> {
         self.take_shaped(ours, "conv.weight", &weights, |s| s == [output * order, output])
     }
 
-    /// The variables of `scope` whose last name starts with `kind`.
+    /// Indices of the variables of `scope` whose last name starts with `kind`.
     fn inside(&self, scope: &str, kind: &str) -> Vec<usize> {
         let is_kind = |name: &str| {
             let inside = bare(name).strip_prefix(scope).and_then(|rest| rest.strip_prefix('/'));
@@ -258,7 +258,7 @@ impl NameMatcher<'_> {
         (0..self.shapes.len()).filter(|&index| is_kind(&self.shapes[index].0)).collect()
     }
 
-    /// The first of `indices` that is free and whose shape fits.
+    /// Claims the first free variable of `indices` whose shape `fits`.
     fn take_shaped(
         &mut self,
         ours: &str,
@@ -282,14 +282,14 @@ impl NameMatcher<'_> {
             None => Ok(self.names),
             Some(index) => Err(Error::Weight {
                 name: self.shapes[index].0.clone(),
-                message: "is not a variable of this configuration".into(),
+                message: "no such variable in a model of this configuration".into(),
             }),
         }
     }
 }
 
-/// The scope of block `number` below `parent`: the one whose name ends in that number and is not
-/// one of the fixed layers.
+/// Scope of block `number` of the scope `parent`: its name ends in that number and is not the name
+/// of a fixed layer.
 fn block_scope<'a>(
     mut names: impl Iterator<Item = &'a str>,
     parent: &str,
@@ -304,7 +304,7 @@ fn block_scope<'a>(
     })
 }
 
-/// Whether a variable's name says that it belongs to a block's skip path.
+/// True if the name of a variable indicates the skip path of a block.
 fn is_skip(name: &str) -> bool {
     ["input", "skip", "short", "linear", "1x1"].iter().any(|hint| name.contains(hint))
 }

@@ -1,29 +1,31 @@
-//! The release's names for our parameters.
+//! Names of the release's variables for the parameters of this crate.
 
 use crate::{
     CapeConfig, DecoderBlock, Error, Result,
     weights::{HostArray, Weights},
 };
 
-/// A model's weights by the release's names, each with `:0`, with the release's shapes.
+/// Weights of a model under the release's names, with suffix `:0` and the release's shapes.
 ///
-/// Only residual encoder blocks have no names in the release's default configurations; theirs are
-/// of the same kind as the others', and [`import`](super::import) reads them.
+/// Residual encoder blocks do not occur in the release's default configurations; their names follow
+/// the pattern of the decoder's, and [`import`](super::import) reads them.
 ///
 /// # Errors
-/// If a weight is not a parameter of the configuration; it is named.
+/// If the discriminator has spectral normalisation, or a weight is not a parameter of the
+/// configuration; it is named.
 pub fn export(config: &CapeConfig, weights: &Weights) -> Result<Vec<(String, HostArray)>> {
     if config.discriminator.as_ref().is_some_and(|discriminator| discriminator.spectral_norm) {
         return Err(Error::Config {
             field: "model.discriminator.spectral_norm".into(),
-            message: "the authors' networks have none: such weights mean something else there"
+            message: "must be false for export: the authors' networks have no spectral \
+                      normalisation and would use the weights without it"
                 .into(),
         });
     }
     let named = weights.iter().map(|(ours, array)| {
         let theirs = official(config, ours).ok_or_else(|| Error::Weight {
             name: ours.clone(),
-            message: "is not a parameter of this configuration".into(),
+            message: "no such parameter in a model of this configuration".into(),
         })?;
         let mut shape = array.shape.clone();
         if theirs.ends_with("/bias") && !theirs.ends_with("/dense/bias") {

@@ -1,9 +1,9 @@
-//! TensorFlow checkpoints of the second format ("tensor bundles"), read without TensorFlow.
+//! Reader of TensorFlow checkpoints of version 2 ("tensor bundles") that does not need TensorFlow.
 //!
-//! A checkpoint is `<prefix>.index`, a sorted table from each variable's name to its element type,
-//! shape, place and checksum, and `<prefix>.data-00000-of-00001` (or several of these), the values.
-//! Every block of the table and every tensor is checked against its CRC-32C. What the index claims
-//! is checked against the sizes of the files before memory is taken.
+//! A checkpoint consists of `<prefix>.index`, a sorted table of element type, shape, location and
+//! checksum of every variable, and of `<prefix>.data-00000-of-00001` (or several shards) with the
+//! values. Every block of the table and every tensor is checked against its CRC-32C. Sizes in the
+//! index are checked against the sizes of the files before memory is allocated.
 
 mod proto;
 mod table;
@@ -20,10 +20,10 @@ use proto::{Entry, Header};
 
 use crate::{Error, Result, weights::HostArray};
 
-/// Largest index read, bytes: a few hundred for each variable.
+/// Largest size of an index file, bytes; an index has a few hundred bytes per variable.
 const MAX_INDEX: u64 = 64 << 20;
 
-/// TensorFlow's masked CRC-32C, which also guards the records of event files.
+/// TensorFlow's masked CRC-32C, the checksum of checkpoints and of TensorBoard event files.
 pub fn masked_crc32c(bytes: &[u8]) -> u32 {
     mask(crc32c::crc32c(bytes))
 }
@@ -32,9 +32,7 @@ fn mask(crc: u32) -> u32 {
     crc.rotate_right(15).wrapping_add(0xa282_ead8)
 }
 
-/// What the elements of a variable are.
-///
-/// See [`TensorFlowCheckpoint`] for an example.
+/// Element type of a variable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ElementType {
     /// 32-bit floats.
@@ -45,7 +43,7 @@ pub enum ElementType {
     I32,
     /// 64-bit integers.
     I64,
-    /// One of TensorFlow's other types, by its number.
+    /// Another type, by its number in TensorFlow.
     Other(u64),
 }
 
@@ -68,22 +66,20 @@ impl ElementType {
         }
     }
 
-    /// Whether elements are floating point numbers.
+    /// True for floating-point types.
     pub const fn is_float(self) -> bool {
         matches!(self, Self::F32 | Self::F64)
     }
 }
 
 /// A variable of a checkpoint.
-///
-/// See [`TensorFlowCheckpoint`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Variable {
-    /// TensorFlow's name, without `:0`.
+    /// Name in TensorFlow, without `:0`.
     pub name: String,
-    /// What its elements are.
+    /// Element type.
     pub element: ElementType,
-    /// Its extents.
+    /// Extents.
     pub shape: Vec<usize>,
     place: DataLocation,
 }
@@ -96,7 +92,7 @@ struct DataLocation {
     crc: u32,
 }
 
-/// An open checkpoint.
+/// An open TensorFlow checkpoint.
 ///
 /// ```
 /// use cape_model::tensorflow::{TensorFlowCheckpoint, ElementType};
@@ -110,7 +106,7 @@ struct DataLocation {
 ///
 /// let weights = checkpoint.variable("generator/encoder/1x1-conv/weights").unwrap();
 /// assert_eq!(checkpoint.floats(weights)?.values, [0., 1., 2., 3., 4., 5.]);
-/// // Steps are no floats.
+/// // Integers are not read as floats.
 /// assert!(checkpoint.floats(step).is_err());
 /// # Ok::<(), cape_model::Error>(())
 /// ```
@@ -124,11 +120,11 @@ pub struct TensorFlowCheckpoint {
 
 impl TensorFlowCheckpoint {
     /// Opens a checkpoint by its prefix (`…/model-1234`), its `.index` file, one of its `.data`
-    /// files, or the directory it is in; of several in a directory, the one that the directory's
-    /// `checkpoint` file names.
+    /// files, or its directory; in a directory of several checkpoints, the one named in the file
+    /// `checkpoint`.
     ///
     /// # Errors
-    /// If there is no checkpoint, or its index is damaged or claims what is not there.
+    /// If there is no checkpoint, or its index is damaged or does not match the data files.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let prefix = prefix_of(path.as_ref())?;
         let index = with_suffix(&prefix, ".index");
@@ -147,39 +143,39 @@ impl TensorFlowCheckpoint {
                 continue;
             }
             let name = String::from_utf8(key)
-                .map_err(|_| fault("the name of a variable is not text".into()))?;
+                .map_err(|_| fault("the name of a variable is not UTF-8".into()))?;
             let named = |message: String| fault(format!("`{name}`: {message}"));
             let entry = Entry::parse(&value).map_err(named)?;
             variables.push(variable(name.clone(), entry).map_err(named)?);
         }
-        let header = header.ok_or_else(|| fault("has no header entry".into()))?;
+        let header = header.ok_or_else(|| fault("no header entry".into()))?;
         if header.big_endian {
-            return Err(fault("was written by a big-endian machine".into()));
+            return Err(fault("big-endian checkpoint, expected little-endian".into()));
         }
         let checkpoint = Self { prefix, index: index.clone(), shards: header.shards, variables };
         checkpoint.check_places()?;
         Ok(checkpoint)
     }
 
-    /// The checkpoint's path without `.index`.
+    /// Path of the checkpoint without `.index`.
     pub fn prefix(&self) -> &Path {
         &self.prefix
     }
 
-    /// All variables, by name.
+    /// All variables, sorted by name.
     pub fn variables(&self) -> &[Variable] {
         &self.variables
     }
 
-    /// The variable `name`.
+    /// The variable called `name`.
     pub fn variable(&self, name: &str) -> Option<&Variable> {
         self.variables.iter().find(|variable| variable.name == name)
     }
 
-    /// Reads a variable of floating point numbers.
+    /// Reads a variable of floating-point numbers as f32.
     ///
     /// # Errors
-    /// If it holds something else, or its bytes do not agree with their checksum.
+    /// If the variable has another element type, or its bytes do not match their checksum.
     pub fn floats(&self, variable: &Variable) -> Result<HostArray> {
         let bytes = self.bytes(variable)?;
         let values: Vec<f32> = match variable.element {
@@ -216,10 +212,10 @@ impl TensorFlowCheckpoint {
         let mut bytes = Vec::new();
         file.take(size).read_to_end(&mut bytes).map_err(io)?;
         if bytes.len() as u64 != size {
-            return Err(self.fault(variable, format!("{} ends early", path.display())));
+            return Err(self.fault(variable, format!("{} is truncated", path.display())));
         }
         if masked_crc32c(&bytes) != crc {
-            let message = format!("its bytes in {} are damaged (checksum)", path.display());
+            let message = format!("bytes in {} are damaged (checksum)", path.display());
             return Err(self.fault(variable, message));
         }
         Ok(bytes)
@@ -234,14 +230,14 @@ impl TensorFlowCheckpoint {
         with_suffix(&self.prefix, &format!(".data-{shard:05}-of-{:05}", self.shards))
     }
 
-    /// Checks that every variable lies inside its file and has as many bytes as its shape says.
+    /// Checks that every variable lies inside its file and has the number of bytes of its shape.
     fn check_places(&self) -> Result<()> {
         let mut lengths: Vec<Option<u64>> = Vec::new();
         let mut claimed: Vec<u64> = Vec::new();
         for variable in &self.variables {
             let DataLocation { shard, offset, size, .. } = variable.place;
             if shard >= self.shards {
-                let message = format!("is in file {shard} of {}", self.shards);
+                let message = format!("data file {shard}, but there are {}", self.shards);
                 return Err(self.fault(variable, message));
             }
             if lengths.len() <= shard {
@@ -259,7 +255,7 @@ impl TensorFlowCheckpoint {
             };
             if offset.checked_add(size).is_none_or(|end| end > length) {
                 let message = format!(
-                    "claims bytes {offset} to {} of {}, which has {length}",
+                    "bytes {offset} to {} of {}, but the file has {length} bytes",
                     offset.saturating_add(size),
                     self.shard_path(shard).display()
                 );
@@ -267,7 +263,7 @@ impl TensorFlowCheckpoint {
             }
             claimed[shard] += size;
             if claimed[shard] > length {
-                return Err(self.fault(variable, "shares its bytes with another variable".into()));
+                return Err(self.fault(variable, "overlaps another variable".into()));
             }
             let elements =
                 variable.shape.iter().try_fold(1u64, |n, &axis| n.checked_mul(axis as u64));
@@ -283,7 +279,7 @@ impl TensorFlowCheckpoint {
 
 fn variable(name: String, entry: Entry) -> Result<Variable, String> {
     if entry.sliced {
-        return Err("is stored in slices, which is not supported".into());
+        return Err("sliced variables are not supported".into());
     }
     Ok(Variable {
         name,
@@ -308,7 +304,7 @@ fn with_suffix(prefix: &Path, suffix: &str) -> PathBuf {
     path.into()
 }
 
-/// The checkpoint that `path` means, without the suffixes of its files.
+/// Prefix of the checkpoint at `path`, without the suffixes of its files.
 fn prefix_of(path: &Path) -> Result<PathBuf> {
     if path.is_dir() {
         return prefix_in(path);
@@ -345,7 +341,7 @@ fn prefix_in(directory: &Path) -> Result<PathBuf> {
     found.sort();
     let fault = |message| Error::File { path: directory.to_owned(), message };
     match &found[..] {
-        [] => Err(fault("no TensorFlow checkpoint here: no `.index` file".into())),
+        [] => Err(fault("no TensorFlow checkpoint: no `.index` file".into())),
         [one] => Ok(one.clone()),
         several => {
             let latest = latest_name(&directory.join("checkpoint"));
@@ -353,7 +349,7 @@ fn prefix_in(directory: &Path) -> Result<PathBuf> {
             named.cloned().ok_or_else(|| {
                 let names = several.iter().filter_map(|p| p.file_name()?.to_str());
                 fault(format!(
-                    "several checkpoints: name one of {}",
+                    "several checkpoints: give the path of one of {}",
                     names.collect::<Vec<_>>().join(", ")
                 ))
             })
@@ -361,8 +357,8 @@ fn prefix_in(directory: &Path) -> Result<PathBuf> {
     }
 }
 
-/// The name in `model_checkpoint_path: "…"` of TensorFlow's `checkpoint` file. Its directory is the
-/// one it was written in, which says nothing about where it is now.
+/// File name in `model_checkpoint_path: "…"` of TensorFlow's `checkpoint` file. The directory in
+/// that path is where the checkpoint was written, and is ignored.
 fn latest_name(path: &Path) -> Option<std::ffi::OsString> {
     let text = fs::read_to_string(path).ok()?;
     let line = text.lines().find_map(|line| line.trim().strip_prefix("model_checkpoint_path:"))?;

@@ -1,6 +1,6 @@
-//! The protocol buffer messages of a checkpoint's index.
+//! Protocol buffer messages of the index of a checkpoint.
 
-/// Most axes of a tensor; TensorFlow's own limit.
+/// Largest number of axes of a tensor in TensorFlow.
 const MAX_AXES: usize = 254;
 
 /// `BundleHeaderProto`.
@@ -33,7 +33,7 @@ impl Header {
             }
         }
         if header.shards == 0 || header.shards > 99_999 {
-            return Err(format!("says that its data are in {} files", header.shards));
+            return Err(format!("{} data files, expected 1 to 99999", header.shards));
         }
         Ok(header)
     }
@@ -76,7 +76,7 @@ fn parse_shape(message: &[u8]) -> Result<Vec<usize>, String> {
                 shape.push(extent);
             }
             (3, Field::Number(unknown)) if unknown != 0 => {
-                return Err("has no known number of axes".into());
+                return Err("unknown number of axes".into());
             }
             _ => {}
         }
@@ -84,11 +84,11 @@ fn parse_shape(message: &[u8]) -> Result<Vec<usize>, String> {
     Ok(shape)
 }
 
-/// A length, which as a signed number must not be negative.
+/// A length; an error if it is negative as a signed number.
 fn length(value: u64, what: &str) -> Result<usize, String> {
     match i64::try_from(value) {
         Ok(value) => Ok(value as usize),
-        Err(_) => Err(format!("{what}: {}", value as i64)),
+        Err(_) => Err(format!("{what}: {}, expected at least 0", value as i64)),
     }
 }
 
@@ -96,7 +96,7 @@ enum Field<'a> {
     Number(u64),
     Fixed(u32),
     Bytes(&'a [u8]),
-    /// Of eight bytes; none is of interest.
+    /// A field of eight bytes; none is needed.
     Wide,
 }
 
@@ -138,7 +138,7 @@ impl<'a> Iterator for Fields<'a> {
     }
 }
 
-/// A number of seven bits a byte, the lowest first; `bytes` is left after it.
+/// Reads a variable-length integer: seven bits per byte, lowest first. `bytes` is advanced past it.
 pub(super) fn varint(bytes: &mut &[u8]) -> Option<u64> {
     let mut value = 0u64;
     for shift in (0..64).step_by(7) {

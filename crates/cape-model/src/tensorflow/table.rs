@@ -1,53 +1,53 @@
-//! The sorted table of a checkpoint's index, in LevelDB's format.
+//! Sorted table of the index of a checkpoint, in LevelDB's format.
 
 use super::{mask, proto::varint};
 
 /// The last eight bytes of a table.
 const MAGIC: u64 = 0xdb47_7524_8b80_fb57;
-/// Two places in at most 20 bytes each, and the magic number.
+/// Bytes of the footer: two block handles of at most 20 bytes each, and the magic number.
 const FOOTER: usize = 48;
-/// Type and checksum after each block.
+/// Bytes after each block: compression type and checksum.
 const TRAILER: usize = 5;
-/// Snappy's copies make at most 64 bytes of three.
+/// Largest compression ratio of Snappy, whose copies expand three bytes to at most 64.
 const MAX_SNAPPY_RATIO: usize = 24;
 
 type Result<T, E = String> = std::result::Result<T, E>;
 
-/// Keys and values, in order.
+/// Keys and values, sorted by key.
 pub(super) type Entries = Vec<(Vec<u8>, Vec<u8>)>;
 
-/// Reads all entries.
+/// Reads all entries of a table.
 pub(super) fn read(file: &[u8]) -> Result<Entries> {
     let footer_at = file.len().checked_sub(FOOTER).ok_or("too short for a checkpoint's index")?;
     let (mut places, magic) = file[footer_at..].split_at(FOOTER - 8);
     if magic != MAGIC.to_le_bytes() {
-        return Err("not the index of a TensorFlow checkpoint (its last bytes are others)".into());
+        return Err("not the index of a TensorFlow checkpoint: wrong magic number".into());
     }
     let malformed = || "malformed footer".to_owned();
     let meta = Handle::read(&mut places).ok_or_else(malformed)?;
     let index = Handle::read(&mut places).ok_or_else(malformed)?;
 
-    // Nothing is needed of it, but a file with a damaged part is a damaged file.
+    // The meta block is not needed, but a damaged one is an error as well.
     block(file, meta)?;
 
     let mut entries = Entries::new();
-    // What entries may take together: shared prefixes of keys are few and short.
+    // Limit on the memory of all entries: shared prefixes of keys are few and short.
     let mut allowance = file.len().saturating_mul(64).saturating_add(1 << 16);
     for (_, place) in block(file, index)?.entries(&mut allowance)? {
-        let handle = Handle::read(&mut &place[..]).ok_or("malformed place of a block")?;
+        let handle = Handle::read(&mut &place[..]).ok_or("malformed block handle")?;
         allowance = usize::try_from(handle.size)
             .ok()
             .and_then(|size| allowance.checked_sub(size))
-            .ok_or("its blocks are out of proportion to its size")?;
+            .ok_or("blocks larger than the file allows")?;
         entries.extend(block(file, handle)?.entries(&mut allowance)?);
     }
     if !entries.is_sorted_by(|(a, _), (b, _)| a < b) {
-        return Err("its names are not in order".into());
+        return Err("names are not sorted".into());
     }
     Ok(entries)
 }
 
-/// Where a block is.
+/// Location of a block in the file, bytes.
 #[derive(Clone, Copy)]
 struct Handle {
     offset: u64,
@@ -69,25 +69,27 @@ fn block(file: &[u8], Handle { offset, size }: Handle) -> Result<Block> {
         let end = start.checked_add(size)?.checked_add(TRAILER)?;
         Some((file.get(start..end)?, size))
     })();
-    let (bytes, size) =
-        found.ok_or_else(|| format!("a block of {size} bytes at {offset} is outside the file"))?;
+    let (bytes, size) = found
+        .ok_or_else(|| format!("block of {size} bytes at byte {offset} is outside the file"))?;
     let stored = u32::from_le_bytes([0, 1, 2, 3].map(|i| bytes[size + 1 + i]));
     if mask(crc32c::crc32c(&bytes[..=size])) != stored {
-        return Err(format!("the block at byte {offset} is damaged (checksum)"));
+        return Err(format!("block at byte {offset} is damaged (checksum)"));
     }
     let contents = &bytes[..size];
     match bytes[size] {
         0 => Ok(Block(contents.to_vec())),
         1 => {
-            let unreadable = |error| format!("the block at byte {offset}: {error}");
+            let unreadable = |error| format!("block at byte {offset}: {error}");
             let length = snap::raw::decompress_len(contents).map_err(unreadable)?;
             if length > contents.len().saturating_mul(MAX_SNAPPY_RATIO) {
-                return Err(format!("the block at byte {offset} claims {length} bytes"));
+                return Err(format!(
+                    "block at byte {offset} decompresses to {length} bytes, which is too large"
+                ));
             }
             let block = snap::raw::Decoder::new().decompress_vec(contents).map_err(unreadable)?;
             Ok(Block(block))
         }
-        other => Err(format!("the block at byte {offset} is compressed by unknown method {other}")),
+        other => Err(format!("block at byte {offset} has unknown compression type {other}")),
     }
 }
 
@@ -104,14 +106,14 @@ impl Block {
             let (key, value) = entry(key, &mut rest).ok_or_else(malformed)?;
             *allowance = allowance
                 .checked_sub(key.len() + value.len() + 64)
-                .ok_or("its entries are out of proportion to its size")?;
+                .ok_or("entries larger than the file allows")?;
             entries.push((key, value));
         }
         Ok(entries)
     }
 }
 
-/// One entry: the bytes its key shares with the one before, the rest of it, its value.
+/// Reads an entry: length of the prefix shared with the previous key, rest of the key, value.
 fn entry(before: &[u8], rest: &mut &[u8]) -> Option<(Vec<u8>, Vec<u8>)> {
     let mut length = || usize::try_from(varint(rest)?).ok();
     let (shared, own, value) = (length()?, length()?, length()?);

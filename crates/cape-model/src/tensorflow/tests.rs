@@ -116,7 +116,7 @@ fn every_changed_byte_is_noticed() {
         let mut changed = index.clone();
         changed[at] ^= 0x10;
         fs::write(&path, changed).unwrap();
-        // Only the footer's padding means nothing.
+        // Changes of the footer's padding have no effect.
         let padding = (index.len() - 44..index.len() - 8).contains(&at);
         assert!(read_all().is_err() || padding, "byte {at}");
     }
@@ -130,7 +130,7 @@ fn every_changed_byte_is_noticed() {
     }
     fs::write(&path, &data[..20]).unwrap();
     let message = read_all().unwrap_err().to_string();
-    assert!(message.contains("claims bytes 16 to 24"), "{message}");
+    assert!(message.contains("bytes 16 to 24"), "{message}");
     fs::remove_file(&path).unwrap();
     assert!(read_all().unwrap_err().to_string().contains("data-00000-of-00001"));
 }
@@ -155,7 +155,7 @@ proptest! {
         let _ = table::read(&file);
     }
 
-    /// Sums that agree, so that what is behind them is reached.
+    /// Blocks with matching checksums, so that the parser behind the check is reached.
     #[test]
     fn no_block_makes_the_reader_panic(body: Vec<u8>, kind in 0u8..2) {
         let mut file = body;

@@ -1,4 +1,4 @@
-//! Runs made of the authors' TensorFlow checkpoints.
+//! Import of the authors' TensorFlow checkpoints as runs.
 
 mod settings;
 
@@ -24,7 +24,7 @@ use cape_infer::{
     checkpoint::{Checkpoint, TrainState},
 };
 
-/// What a checkpoint does not hold itself.
+/// Files and settings of an import that a checkpoint does not contain.
 ///
 /// ```no_run
 /// use burn::tensor::Device;
@@ -40,63 +40,60 @@ use cape_infer::{
 ///     settings: Some("config.yaml".into()),
 /// };
 /// let device = Device::default();
-/// let report = import("checkpoints/CAPE_male".as_ref(), &options, "cape-male".as_ref(), &device)?;
+/// let report = import("checkpoints/CAPE_male", &options, "cape-male", &device)?;
 /// assert!(report.parameters > 0);
 /// let run = Run::open("cape-male".as_ref(), &device)?;
 /// # Ok::<(), cape_train::Error>(())
 /// ```
 #[derive(Debug, Clone)]
 pub struct ImportOptions {
-    /// The body, whose template the mesh pyramid is made of.
+    /// File of the SMPL body whose template mesh the pyramid is built from.
     pub body: PathBuf,
-    /// Mean and deviation of the training displacements (`trainset_stats.npz`).
+    /// File of mean and standard deviation of the training displacements (`trainset_stats.npz`).
     pub statistics: PathBuf,
-    /// Indices of clothing vertices; else derived from the body's blend weights.
+    /// File of the indices of clothing vertices; `None` derives them from the body's blend weights.
     pub clothing: Option<PathBuf>,
-    /// The generator's down-sampling factors, where they are not the release's default.
+    /// Down-sampling factors of the generator, if they are not the release's defaults.
     pub factors: Option<Vec<u32>>,
-    /// The discriminator's.
+    /// Down-sampling factors of the discriminator, if they are not the release's defaults.
     pub discriminator_factors: Option<Vec<u32>>,
-    /// The release's configuration file: flat YAML. What the weights show is checked against them;
-    /// the rest is for training on.
+    /// Configuration file of the release, flat YAML. Settings of the architecture are checked
+    /// against the weights; the others are taken over for further training.
     pub settings: Option<PathBuf>,
 }
 
-/// What was imported.
-///
-/// See [`ImportOptions`] for an example.
+/// Report of an import.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ImportReport {
-    /// The checkpoint, without the suffixes of its files.
+    /// Prefix of the checkpoint, without the suffixes of its files.
     pub checkpoint: PathBuf,
-    /// Variables of the model.
+    /// Number of variables of the model.
     pub variables: usize,
-    /// Numbers in them.
+    /// Number of parameters in them.
     pub parameters: usize,
-    /// Velocities of the optimisers.
+    /// Number of variables with momentum of the optimisers.
     pub velocities: usize,
-    /// Training steps done, if the checkpoint says.
+    /// Training steps, if the checkpoint has them.
     pub step: Option<u64>,
-    /// Variables that belong to neither model nor optimiser.
+    /// Names of variables that belong to neither model nor optimiser.
     pub ignored: Vec<String>,
-    /// Keys of the configuration file that mean nothing here.
+    /// Keys of the configuration file that were not used.
     pub unused: Vec<String>,
 }
 
-/// Makes a run of a checkpoint in the new or empty directory `out`, which appears only when it is
-/// complete. The pyramid gets the release's up-sampling weights, which the weights were trained
-/// with.
+/// Imports a checkpoint as a run in the new or empty directory `out`, which appears only when it is
+/// complete. The pyramid uses the release's up-sampling weights, with which the model was trained.
 ///
 /// # Errors
-/// If the checkpoint is damaged; if a variable is missing, left over or of another shape than the
-/// body and the architecture ask for (it is named); if body, statistics and clothing vertices do
-/// not fit one another.
+/// If the checkpoint is damaged; if a variable is missing, unknown or of another shape than body
+/// and architecture require (it is named); if body, statistics and clothing vertices do not match.
 pub fn import(
-    checkpoint: &Path,
+    checkpoint: impl AsRef<Path>,
     options: &ImportOptions,
-    out: &Path,
+    out: impl AsRef<Path>,
     device: &Device,
 ) -> Result<ImportReport> {
+    let out = out.as_ref();
     let tensorflow = TensorFlow::open(checkpoint)?;
     let about = |error: cape_model::Error| Error::format(tensorflow.prefix(), error.to_string());
     let released = ReleaseCheckpoint::read(&tensorflow)?;
@@ -129,11 +126,11 @@ pub fn import(
     let model = released.weights(&config.model).map_err(about)?;
     let graphs = build_graphs(&config, &body, device)?;
     let empty = Cape::new(&config.model, &graphs, 0, device)?;
-    // Shapes are checked, and every parameter must be there.
+    // Checks that every parameter is there and has the right shape.
     weights::apply(empty, &model).map_err(|error| match error {
         cape_model::Error::Weight { name, message } => {
             let official = released.official_name(&config.model, &name);
-            let message = format!("{message} (`{name}` here)");
+            let message = format!("{message} (parameter `{name}`)");
             about(cape_model::Error::Weight { name: official.unwrap_or(name), message })
         }
         other => about(other),
@@ -174,18 +171,19 @@ pub fn import(
     Ok(report)
 }
 
-/// Reads a configuration file of the release, and takes over what it says as far as it is known.
+/// Reads a configuration file of the release; unknown keys are ignored.
 ///
 /// # Errors
-/// If it is not flat YAML, or a value is not what its key needs.
-pub fn check_settings(path: &Path) -> Result<RunConfig> {
+/// If the file is not flat YAML, or a value has the wrong type.
+pub fn check_settings(path: impl AsRef<Path>) -> Result<RunConfig> {
+    let path = path.as_ref();
     let mut settings = Settings::load(path)?;
     let mut config = RunConfig::default();
     settings.apply(&mut config).map_err(|message| Error::format(path, message))?;
     Ok(config)
 }
 
-/// What is asked for holds against what a file says.
+/// Applies the down-sampling factors of `options`, which override those of the configuration file.
 fn take_factors(config: &mut RunConfig, options: &ImportOptions) {
     if let Some(factors) = &options.factors {
         config.model.factors.clone_from(factors);

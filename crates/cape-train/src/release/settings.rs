@@ -1,4 +1,4 @@
-//! The release's configuration files: flat YAML, `key: value`.
+//! Configuration files of the release: flat YAML, `key: value`.
 
 use std::{collections::BTreeMap, fs, path::Path};
 
@@ -8,17 +8,17 @@ use yaml_rust2::{Event, parser::Parser};
 use crate::{Error, Result};
 use cape_infer::RunConfig;
 
-/// Longest file read, bytes.
+/// Largest size of a configuration file, bytes.
 const MAX_FILE: u64 = 1 << 20;
 
-/// A value: one text, or a list of them.
+/// A value: a scalar or a list of scalars.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Value {
     Text(String),
     List(Vec<String>),
 }
 
-/// The keys and values of a configuration file.
+/// Keys and values of a configuration file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Settings {
     values: BTreeMap<String, Value>,
@@ -29,7 +29,10 @@ impl Settings {
     pub(super) fn load(path: &Path) -> Result<Self> {
         let length = fs::metadata(path).map_err(|source| Error::io(path, source))?.len();
         if length > MAX_FILE {
-            return Err(Error::format(path, format!("{length} bytes, expected settings")));
+            return Err(Error::format(
+                path,
+                format!("{length} bytes, expected a configuration file of at most {MAX_FILE}"),
+            ));
         }
         let text = fs::read_to_string(path).map_err(|source| Error::io(path, source))?;
         Self::parse(&text).map_err(|message| Error::format(path, message))
@@ -41,7 +44,7 @@ impl Settings {
             Ok((event, _)) => Ok(event),
             Err(error) => Err(error.to_string()),
         };
-        let nested = || "expected `key: value` lines, without anything nested".to_owned();
+        let nested = || "expected flat `key: value` lines without nested values".to_owned();
         let mut values = BTreeMap::new();
         loop {
             match next()? {
@@ -76,7 +79,7 @@ impl Settings {
         }
     }
 
-    /// The value of the first of `keys` that is there.
+    /// Value of the first of `keys` that exists.
     fn take(&mut self, keys: &[&'static str]) -> Option<(&'static str, Value)> {
         let key = keys.iter().find(|&&key| self.values.contains_key(key))?;
         self.used.push(key);
@@ -113,7 +116,7 @@ impl Settings {
         }
     }
 
-    /// Takes over what the weights do not show, and checks what they do against them.
+    /// Checks the settings of the architecture against `config` and takes over the others.
     pub(super) fn apply(&mut self, config: &mut RunConfig) -> Result<(), String> {
         if let Some((_, factors)) = self.list(&["factors_g", "factors", "ds_factors"])? {
             config.model.factors = factors;
@@ -162,14 +165,16 @@ impl Settings {
                 && number != found as f64
             {
                 return Err(format!(
-                    "`{key}` is {number}, but the checkpoint's weights say {found}"
+                    "`{key}` is {number}, but the weights of the checkpoint have {found}"
                 ));
             }
         }
         if let Some((_, filters)) = self.list(&["F"])? {
             let found: Vec<u32> = model.filters.iter().map(|&f| f as u32).collect();
             if filters != found {
-                return Err(format!("`F` is {filters:?}, but the weights say {found:?}"));
+                return Err(format!(
+                    "`F` is {filters:?}, but the weights of the checkpoint have {found:?}"
+                ));
             }
         }
         Ok(())
@@ -191,7 +196,7 @@ impl Settings {
         Ok(())
     }
 
-    /// Keys that nothing was taken from.
+    /// Keys that were not used.
     pub(super) fn unused(&self) -> Vec<String> {
         let used = |key: &&String| self.used.iter().any(|used| used == key);
         self.values.keys().filter(|key| !used(key)).cloned().collect()
@@ -222,7 +227,7 @@ mod tests {
         assert_eq!(config.model, CapeConfig::paper());
         assert_eq!(settings.unused(), ["name"]);
         for (text, expected) in [
-            ("nz: 64\n", "`nz` is 64, but the checkpoint's weights say 18"),
+            ("nz: 64\n", "`nz` is 64, but the weights of the checkpoint have 18"),
             ("F: [1, 2]\n", "`F` is [1, 2]"),
             ("lr: fast\n", "`lr`: expected a number"),
             ("seed: 1.5\n", "`seed`: expected a whole number"),

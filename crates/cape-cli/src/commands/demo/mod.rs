@@ -20,7 +20,7 @@ use cape_infer::{
 use cape_model::{CapeConfig, LossConfig};
 use cape_stats::density::MixtureOptions;
 use cape_synth::{self, poses};
-use cape_train::{TrainEvent, TrainOutcome, Trainer};
+use cape_train::{TrainEvent, TrainOutcome, Trainer, TrainerOptions};
 use clap::Args;
 
 use crate::{
@@ -219,7 +219,8 @@ impl DemoContext {
         let config = recipe(self.seed);
         self.stage("train", "a narrow model with all eight levels", |this| {
             let (run, packed) = (this.path("run"), this.path("packed"));
-            let mut trainer = Trainer::create(&run, &packed, None, None, config, &this.device)?;
+            let options = TrainerOptions::new(packed, config);
+            let mut trainer = Trainer::create(&run, options, &this.device)?;
             let mut losses = LossCurves::default();
             let outcome = training::run(&mut trainer, this.console, None, |event| {
                 losses.on_event(event);

@@ -9,7 +9,7 @@ use std::{
 use cape_core::parse_device;
 use cape_infer::{RunConfig, RunPaths};
 use cape_model::CapeConfig;
-use cape_train::{TrainOutcome, Trainer};
+use cape_train::{TrainOutcome, Trainer, TrainerOptions};
 use clap::Args;
 use serde::Serialize;
 
@@ -95,10 +95,13 @@ impl TrainArgs {
             Trainer::resume(&out, self.data.as_deref(), &device)
                 .doing(|| format!("resuming {}", out.display()))?
         } else {
-            let data = self.data.as_deref().unwrap_or(&out);
-            let config = self.configured(RunConfig::default(), global)?;
-            let (body, clothing) = (self.body.as_deref(), self.clothing.as_deref());
-            Trainer::create(&out, data, body, clothing, config, &device)?
+            let options = TrainerOptions {
+                data: self.data.clone().unwrap_or_else(|| out.clone()),
+                body: self.body.clone(),
+                clothing: self.clothing.clone(),
+                config: self.configured(RunConfig::default(), global)?,
+            };
+            Trainer::create(&out, options, &device)?
         };
         let interrupt = Interrupt::listen(console)?;
         let title = out.to_string_lossy();

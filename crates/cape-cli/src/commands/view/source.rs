@@ -107,16 +107,16 @@ impl Source<'_> {
             .find(|person| person.layer == ViewLayer::Clothed)
             .or(people.first())
             .ok_or_else(|| Error::message("nothing is shown"))?;
-        let directory = tempfile::tempdir().map_err(|error| Error::io("download", error))?;
-        let path = directory.path().join("mesh");
+        let mut bytes = Vec::new();
         if download.format == FileFormat::Ply {
             let colours: Vec<[u8; 3]> =
                 person.colours.iter().copied().map(crate::dressed_mesh::eight_bit).collect();
-            ply::write(&path, &person.mesh, Some(&colours))?;
+            ply::write_to(&mut bytes, &person.mesh, Some(&colours))
         } else {
-            obj::write(&path, &person.mesh, None)?;
+            obj::write_to(&mut bytes, &person.mesh, None, None)
         }
-        std::fs::read(&path).map_err(|error| Error::io(&path, error))
+        .map_err(|error| Error::io("download", error))?;
+        Ok(bytes)
     }
 }
 

@@ -6,7 +6,7 @@ use burn::tensor::Device;
 use cape_core::BodyMotion;
 use cape_data::{DisplacementStatistics, PackedSet, Split};
 use cape_eval::{ErrorSamples, EvalOptions, PosteriorUse, reconstruct_test, table2::hash_of};
-use cape_infer::{BodySpec, Run, write_json};
+use cape_infer::{BodySpec, Run, batches, write_json};
 use cape_layer::{experiment::LearningOptions, regress::FeatureOptions};
 use cape_stats::pca::PcaOptions;
 use ndarray::{Array1, Array2, Axis, concatenate};
@@ -17,8 +17,6 @@ use crate::{
     error::{Error, Result},
 };
 
-/// Test frames decoded at a time.
-const BATCH: usize = 16;
 /// Codes drawn for the frames that show how samples differ, and how many frames.
 const SAMPLES: usize = 8;
 const SAMPLED_FRAMES: usize = 24;
@@ -181,17 +179,17 @@ impl ComparisonContext<'_> {
             .collect::<Result<_>>()?;
         let mut meter = self.meter();
         self.console.while_showing("predict", "frames", |progress| {
-            for (index, chunk) in wearers.chunks(BATCH).enumerate() {
+            for rows in batches(wearers.len()) {
+                let (chunk, done) = (&wearers[rows.clone()], rows.end);
                 let worn =
                     run.decode_displacements(&Array2::zeros((chunk.len(), latent)), chunk)?;
-                for (offset, worn) in worn.outer_iter().enumerate() {
-                    let row = index * BATCH + offset;
+                for (row, worn) in rows.zip(worn.outer_iter()) {
                     let found: Vec<f32> = worn.iter().copied().collect();
                     let truth: Vec<f32> =
                         test.displacement_row(row)?.into_iter().map(|x| x as f32).collect();
                     meter.push(test, row, &found, &truth)?;
                 }
-                progress((index + 1) * BATCH, wearers.len());
+                progress(done, wearers.len());
             }
             Ok::<_, Error>(())
         })?;
