@@ -105,6 +105,13 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_seed_stands_for_the_same_numbers_for_good() {
+        let expected =
+            array![[0.4387562, -1.128422, -0.4192663], [-0.52634203, 0.3544089, 1.3286909]];
+        assert_eq!(normal(3, 0, 2, 3), expected);
+    }
+
+    #[test]
     fn interpolation_turns_directions_and_blends_lengths() {
         let codes = interpolate_codes(&[1.0, 0.0], &[0.0, 3.0], 3);
         let half = 2.0 * std::f32::consts::FRAC_1_SQRT_2;
