@@ -3,8 +3,7 @@
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
 use ndarray::{Array2, Array3, ArrayRef, Dimension, s};
 use proptest::prelude::*;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 use super::{test_model::random, *};
 use crate::devices;

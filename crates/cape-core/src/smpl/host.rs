@@ -238,8 +238,7 @@ mod tests {
     use std::f64::consts::PI;
 
     use proptest::prelude::*;
-    use rand::SeedableRng;
-    use rand_chacha::ChaCha8Rng;
+    use rand::{SeedableRng, rngs::ChaCha8Rng};
 
     use super::*;
     use crate::smpl::test_model::{random, random_model};

@@ -4,8 +4,7 @@ use std::f64::consts::PI;
 
 use burn::tensor::{Device, FloatDType, Tensor, TensorData};
 use ndarray::{Array, Array1, Array2, Array3, ArrayRef, Dimension, s};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::{SeedableRng, rngs::ChaCha8Rng};
 
 use super::{
     test_model::{random, random_model},

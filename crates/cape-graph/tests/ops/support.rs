@@ -1,8 +1,7 @@
 //! Devices, seeded inputs, and execution of an operation with its gradients.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use sprs::{CsMat, TriMat};
 
 use crate::host;

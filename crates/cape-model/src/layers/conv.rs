@@ -170,7 +170,7 @@ impl ConvLayer {
 #[cfg(test)]
 mod tests {
     use burn::tensor::{Device, TensorData};
-    use rand::{Rng, SeedableRng, rngs::SmallRng};
+    use rand::{RngExt, SeedableRng, rngs::SmallRng};
 
     use super::*;
 

@@ -6,7 +6,6 @@ mod source;
 mod wire;
 
 use std::{
-    fmt::Write,
     net::{IpAddr, Ipv4Addr, TcpListener},
     path::PathBuf,
     sync::mpsc,
@@ -15,7 +14,6 @@ use std::{
 
 use cape_infer::Run;
 use clap::Args;
-use rand::{Rng, SeedableRng};
 use serde::Serialize;
 
 use crate::{
@@ -97,10 +95,6 @@ impl ViewArgs {
 
 /// 128 random bits, hexadecimal.
 fn token() -> String {
-    let mut rng = rand_chacha::ChaCha20Rng::from_os_rng();
-    let bytes: [u8; 16] = rng.random();
-    bytes.iter().fold(String::new(), |mut text, byte| {
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
+    let bytes: [u8; 16] = rand::random();
+    cape_core::hex(bytes)
 }
