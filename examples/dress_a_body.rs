@@ -4,8 +4,8 @@
 //! cargo run --release --example dress_a_body
 //! ```
 
-use burn::tensor::{Device, Tensor, TensorData};
 use cape::{
+    burn::tensor::{Device, Tensor, TensorData},
     core::{ClothedSmpl, ClothingMask, Outfit, Pose, Smpl, SmplInput},
     synth::{Motion, MotionStyle, Wardrobe, synthetic_body},
 };

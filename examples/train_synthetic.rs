@@ -6,12 +6,12 @@
 
 use std::ops::ControlFlow;
 
-use burn::tensor::Device;
 use cape::{
+    burn::tensor::Device,
     core::{Outfit, silent},
     data::{PackOptions, SequenceList, SplitSpec, pack},
     eval::{EvalOptions, evaluate},
-    infer::{Run, RunConfig, TrainConfig},
+    infer::{BodySpec, Run, RunConfig, TrainConfig},
     model::CapeConfig,
     synth::{CaptureGenerator, Motion, SynthSpec, synthetic_body},
     train::{TrainEvent, Trainer, TrainerOptions},
@@ -64,7 +64,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [model, mean] = [report.model.overall.mean, report.mean_shape.overall.mean];
     println!("held out: {model:.2} mm; the mean shape has {mean:.2} mm");
 
-    let displacements = run.decode(&run.sample_codes(1, 7), &[[0.0; 72]], &[Outfit::LongLong])?;
+    let body = BodySpec { betas: Vec::new(), pose: [0.0; 72], outfit: Outfit::LongLong };
+    let displacements = run.decode_displacements(&run.sample_codes(1, 7), &[body])?;
     println!("a sample of long sleeves and trousers: {:?}", displacements.shape());
     Ok(())
 }

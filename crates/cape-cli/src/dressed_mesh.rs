@@ -1,14 +1,12 @@
 //! Sampled clothes on posed bodies, and their pictures.
 
 use cape_core::{Mesh, Outfit, SmplModel};
-use cape_infer::{BodySpec, Run};
+use cape_infer::{BodySpec, ClothedBody, Run, batches};
 use cape_render::{Image, Object, Style, Texture, View, colormap, portrait};
 use ndarray::{Array2, Array3, ArrayView2, Axis};
 
 use crate::error::Result;
 
-/// Bodies dressed at a time.
-const BATCH: usize = 16;
 /// Displacements from here, metres, look like cloth, and from [`CLOTH`] on wholly so.
 const SKIN: f32 = 0.0025;
 const CLOTH: f32 = 0.0038;
@@ -42,12 +40,13 @@ pub(crate) fn dress(
     mut each: impl FnMut(usize, DressedMesh) -> Result,
 ) -> Result {
     let painter = DressedRenderer::new(run);
-    for (index, chunk) in wearers.chunks(BATCH).enumerate() {
-        let first = index * BATCH;
-        let codes = codes.slice(ndarray::s![first..first + chunk.len(), ..]).to_owned();
-        let worn = run.decode_displacements(&codes, chunk)?;
-        for (offset, body) in painter.pose_clothed(&worn, chunk)?.into_iter().enumerate() {
-            each(first + offset, body)?;
+    for rows in batches(wearers.len()) {
+        let bodies = &wearers[rows.clone()];
+        let codes = codes.slice(ndarray::s![rows.clone(), ..]).to_owned();
+        let clothed = run.dress_with_displacements(&codes, bodies)?;
+        for (index, (clothed, body)) in rows.zip(clothed.into_iter().zip(bodies)) {
+            let ClothedBody { mesh, displacement } = clothed;
+            each(index, painter.coloured(mesh, displacement.view(), body.outfit))?;
         }
     }
     Ok(())
@@ -56,7 +55,6 @@ pub(crate) fn dress(
 /// Knows where cloth is on a run's body.
 pub(crate) struct DressedRenderer<'a> {
     run: &'a Run,
-    covered: Vec<bool>,
     legs: Vec<f32>,
     trunk: Vec<f32>,
     neighbours: EdgeNeighbours,
@@ -65,8 +63,6 @@ pub(crate) struct DressedRenderer<'a> {
 impl<'a> DressedRenderer<'a> {
     pub(crate) fn new(run: &'a Run) -> Self {
         let body = run.body();
-        let mut covered = vec![false; body.vertices()];
-        run.clothing().iter().for_each(|&vertex| covered[vertex] = true);
         let neighbours = EdgeNeighbours::new(body);
         let share = |joints: &[usize]| {
             let of = |weights: ndarray::ArrayView1<f64>| {
@@ -74,7 +70,7 @@ impl<'a> DressedRenderer<'a> {
             };
             neighbours.smoothed(body.weights.rows().into_iter().map(of).collect())
         };
-        Self { run, covered, legs: share(&LEGS), trunk: share(&TRUNK), neighbours }
+        Self { run, legs: share(&LEGS), trunk: share(&TRUNK), neighbours }
     }
 
     /// Bodies in given clothes: displacements `[n, vertices, 3]` in metres.
@@ -88,12 +84,17 @@ impl<'a> DressedRenderer<'a> {
         Ok(meshes
             .into_iter()
             .zip(worn)
-            .map(|(mesh, (worn, wearer))| DressedMesh {
-                mesh,
-                colours: self.colours(worn, wearer.outfit),
-                distances: distances(&self.covered, worn),
-            })
+            .map(|(mesh, (worn, wearer))| self.coloured(mesh, worn, wearer.outfit))
             .collect())
+    }
+
+    /// A mesh with the colours of its displacements `[vertices, 3]`, metres.
+    fn coloured(&self, mesh: Mesh, displacement: ArrayView2<f32>, outfit: Outfit) -> DressedMesh {
+        DressedMesh {
+            mesh,
+            colours: self.colours(displacement, outfit),
+            distances: distances(self.run.mask().covered(), displacement),
+        }
     }
 
     /// Colours that show where there is cloth: on the trunk, and where the surface leaves the skin.
@@ -109,7 +110,7 @@ impl<'a> DressedRenderer<'a> {
             mix(SKIN_COLOUR, garment, cloth)
         };
         let places = distance.iter().zip(&self.legs).zip(&self.trunk);
-        self.covered.iter().zip(places).map(vertex).collect()
+        self.run.mask().covered().iter().zip(places).map(vertex).collect()
     }
 }
 

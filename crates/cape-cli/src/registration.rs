@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use cape_core::{Outfit, npy::read_f64};
 use cape_data::{PackedSet, Split, raw};
 use cape_infer::{BodySpec, Run};
+use cape_stats::errors::mean_distance_mm;
 use clap::Args;
 use ndarray::{Array2, Array3, Axis, Ix2};
 
@@ -118,9 +119,6 @@ fn outfit_of(frame: &Path) -> Option<Outfit> {
 
 /// Mean distance between the rows `row` of displacements at clothing vertices, millimetres.
 pub(crate) fn mean_error(run: &Run, truth: &Array3<f32>, decoded: &Array3<f32>, row: usize) -> f64 {
-    let distance = |&v: &usize| {
-        let off = |i| f64::from(truth[[row, v, i]] - decoded[[row, v, i]]);
-        (0..3).map(|i| off(i).powi(2)).sum::<f64>().sqrt()
-    };
-    1000.0 * run.clothing().iter().map(distance).sum::<f64>() / run.clothing().len().max(1) as f64
+    let point = |of: &Array3<f32>, v: usize| [0, 1, 2].map(|axis| of[[row, v, axis]]);
+    mean_distance_mm(run.clothing().iter().map(|&v| (point(truth, v), point(decoded, v))))
 }

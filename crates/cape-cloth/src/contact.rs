@@ -3,12 +3,13 @@ use rayon::prelude::*;
 
 use cape_core::geometry::SurfaceIndex;
 
-/// Contact of cloth with a body, at vertices and at the middles of faces.
+/// Parameters of the contact of cloth with a body in one step, at vertices and at the centres of
+/// faces.
 ///
 /// ```
 /// use cape_cloth::{Contact, ClothMaterial};
 ///
-/// // What cloth of a material keeps to, half a step on the way.
+/// // Contact of the default material in the first half of a frame.
 /// let ClothMaterial { friction, thickness, .. } = ClothMaterial::default();
 /// let contact = Contact { friction, thickness, from: 0.0, now: 0.5 };
 /// assert!(contact.thickness < Contact::REACH);
@@ -17,33 +18,33 @@ use cape_core::geometry::SurfaceIndex;
 pub struct Contact {
     /// Coefficient of Coulomb friction.
     pub friction: f64,
-    /// Distance that vertices keep, metres; middles of faces keep half of it.
+    /// Distance that vertices keep from the body, metres; centres of faces keep half of it.
     pub thickness: f64,
-    /// Where the body was on its way a step ago, 0 to 1.
+    /// Time within the frame before the step, 0 to 1.
     pub from: f64,
-    /// Where it is now.
+    /// Time within the frame after the step, 0 to 1.
     pub now: f64,
 }
 
 impl Contact {
-    /// How deep inside the body a vertex may be and still be brought out, metres. Deeper ones are
-    /// between limbs that meet; their neighbours bring them out, on the side that they came from.
+    /// Greatest depth inside the body from which a vertex is pushed out, metres. Deeper vertices are
+    /// between limbs that touch; their neighbours pull them out on the side that they came from.
     pub const REACH: f64 = 0.02;
 }
 
-/// What a point of the cloth remembers of the body, so that most steps need not look for it.
+/// Last closest point on the body of a point of the cloth, by which most steps skip the query.
 #[derive(Debug, Clone, Copy, Default)]
 struct ContactCache {
     face: Option<u32>,
-    /// The body was no closer than this, metres,
+    /// Lower bound of the distance from the body at the last query, metres.
     distance: f64,
-    /// when the point was here,
+    /// Position of the point at the last query, metres.
     at: DVec3,
-    /// and the body's vertices had gone no further than this, metres.
+    /// Largest path length of the body's vertices at the last query, metres.
     travelled: f64,
 }
 
-/// How far outside or inside a point is to be pushed, and where the body is there.
+/// Displacement that resolves a contact: `outward` times `depth`, metres, and the point of the body.
 #[derive(Debug, Clone, Copy)]
 struct ContactCorrection {
     depth: f64,
@@ -52,12 +53,12 @@ struct ContactCorrection {
     barycentric: [f64; 3],
 }
 
-/// Contacts of one piece of cloth over time.
+/// Contact caches of a piece of cloth.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Contacts {
     vertices: Vec<ContactCache>,
-    middles: Vec<ContactCache>,
-    /// Longest way of any vertex of the body so far, metres.
+    centres: Vec<ContactCache>,
+    /// Upper bound of the path length of the body's vertices so far, metres.
     travelled: f64,
 }
 
@@ -65,15 +66,15 @@ impl Contacts {
     pub(super) fn new(vertices: usize, faces: usize) -> Self {
         Self {
             vertices: vec![ContactCache::default(); vertices],
-            middles: vec![ContactCache::default(); faces],
+            centres: vec![ContactCache::default(); faces],
             travelled: 0.0,
         }
     }
 
-    /// Moves faces whose middle, then vertices that are closer than the thickness, or inside, out
-    /// along the direction of growing distance, and holds back the vertices' movement relative to
-    /// the body under them by at most the friction times that way. `before` are the positions a
-    /// step ago.
+    /// Pushes out faces whose centres, then vertices that are closer to the body than the thickness
+    /// allows, along the gradient of the distance, and applies Coulomb friction: the tangential
+    /// movement of a vertex relative to the body is reduced by at most the friction times its push.
+    /// `before` are the positions before the step, metres.
     pub(super) fn resolve(
         &mut self,
         contact: &Contact,
@@ -93,8 +94,8 @@ impl Contacts {
                 };
                 let ContactCorrection { depth, outward, face, barycentric } = push;
                 *x += outward * depth;
-                let carried = body.offset_point(face, barycentric, contact.now)
-                    - body.offset_point(face, barycentric, contact.from);
+                let carried = body.position_at(face, barycentric, contact.now)
+                    - body.position_at(face, barycentric, contact.from);
                 let slip = (*x - before) - carried;
                 let slip = slip - outward * slip.dot(outward);
                 let length = slip.length();
@@ -105,7 +106,7 @@ impl Contacts {
         );
     }
 
-    /// Each vertex goes the mean way that the faces around it that are too deep ask for.
+    /// Moves each vertex by the mean of the pushes of its faces.
     fn push_out_faces(
         &mut self,
         contact: &Contact,
@@ -116,27 +117,27 @@ impl Contacts {
         let (at, travelled) = (&*positions, self.travelled);
         let pushes: Vec<Option<DVec3>> = faces
             .par_iter()
-            .zip(&mut self.middles)
+            .zip(&mut self.centres)
             .map(|(corners, memory)| {
-                let middle = corners.iter().map(|&v| at[v as usize]).sum::<DVec3>() / 3.0;
-                let push = memory.push(body, middle, 0.5 * contact.thickness, travelled)?;
+                let centre = corners.iter().map(|&v| at[v as usize]).sum::<DVec3>() / 3.0;
+                let push = memory.push(body, centre, 0.5 * contact.thickness, travelled)?;
                 Some(push.outward * push.depth)
             })
             .collect();
-        let mut ways = vec![(DVec3::ZERO, 0.0); positions.len()];
+        let mut moves = vec![(DVec3::ZERO, 0.0); positions.len()];
         for (corners, push) in faces.iter().zip(pushes) {
             let Some(push) = push else { continue };
             // Δx = w_i ∇_i λ with gradients of 1/3 each.
             let weights = corners.map(|v| inverse_masses[v as usize]);
-            let sum: f64 = weights.iter().sum();
-            for (&v, w) in corners.iter().zip(weights).filter(|_| sum > 0.0) {
-                let (way, count) = &mut ways[v as usize];
-                *way += push * (3.0 * w / sum);
+            let total: f64 = weights.iter().sum();
+            for (&v, w) in corners.iter().zip(weights).filter(|_| total > 0.0) {
+                let (sum, count) = &mut moves[v as usize];
+                *sum += push * (3.0 * w / total);
                 *count += 1.0;
             }
         }
-        for (x, (way, count)) in positions.iter_mut().zip(ways).filter(|(_, way)| way.1 > 0.0) {
-            *x += way / count;
+        for (x, (sum, count)) in positions.iter_mut().zip(moves).filter(|(_, all)| all.1 > 0.0) {
+            *x += sum / count;
         }
     }
 }
@@ -155,7 +156,7 @@ impl ContactCache {
         }
         let near = body.closest_from(x, reach, self.face);
         (self.at, self.travelled) = (x, travelled);
-        // Inside it could be anywhere in the next step.
+        // Inside the body the distance is no lower bound.
         self.distance = near.map_or(reach, |near| near.signed_distance.max(0.0));
         self.face = near.map(|near| near.face);
         let near = near?;

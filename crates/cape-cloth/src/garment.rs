@@ -1,6 +1,7 @@
 use cape_core::SmplModel;
 use glam::DVec3;
 use ndarray::{Array2, s};
+use serde::Serialize;
 
 use super::{
     isosurface::surface_nets,
@@ -12,22 +13,20 @@ use cape_core::{
     smpl::StandardPose,
 };
 
-/// Kinds of garments, each of its own topology.
-///
-/// See [`Garment`] for an example.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+/// Kind of garment; each has its own topology.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 pub enum GarmentKind {
-    /// A body with sleeves.
+    /// A T-shirt.
     TShirt,
-    /// Two legs from the waist.
+    /// Shorts from the waist.
     Shorts,
-    /// A flared tube from the waist.
+    /// A flared skirt from the waist.
     Skirt,
-    /// A T-shirt that ends in a skirt.
+    /// A dress: a T-shirt that ends in a skirt.
     Dress,
 }
 
-/// A garment's cut, in ratios to the body that it is made for.
+/// Cut of a garment, in ratios to the body that it is sewn for.
 ///
 /// ```
 /// use cape_synth::synthetic_body;
@@ -37,7 +36,7 @@ pub enum GarmentKind {
 /// let skirt = Garment { resolution: 0.05, ..Garment::new(GarmentKind::Skirt) };
 /// let sewn = skirt.sew(&body, &body.rest_shape(&[])?)?;
 /// assert!(!sewn.waistband.is_empty());
-/// // A longer one has the same topology, and reaches further down.
+/// // A longer one has the same topology and a lower hem.
 /// let longer = sewn.resize(&body, &Garment { length: 1.2 * skirt.length, ..skirt })?;
 /// assert_eq!(longer.surface.faces, sewn.surface.faces);
 /// let hem = |surface: &cape_core::geometry::SurfaceMesh| {
@@ -46,42 +45,42 @@ pub enum GarmentKind {
 /// assert!(hem(&longer.surface) < hem(&sewn.surface));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Garment {
-    /// The kind.
+    /// Kind.
     pub kind: GarmentKind,
-    /// Length below its top, relative to neck to hips (T-shirt) or hips to knees (others).
+    /// Length, relative to the distance from neck to hips (T-shirt) or from hips to knees (others).
     pub length: f64,
-    /// Width relative to the body's.
+    /// Width; the distance from the body is `(width − 1) · 0.14` m, 0.14 m being the radius of a
+    /// torso.
     pub width: f64,
-    /// Length of the sleeves relative to shoulder to elbow.
+    /// Length of the sleeves, relative to the distance from shoulder to elbow.
     pub sleeve: f64,
-    /// Length of the edges of triangles, metres.
+    /// Length of the edges, metres.
     pub resolution: f64,
 }
 
-/// A garment made for a body with its arms lowered by 45°, between where arms mostly are and where
-/// they may go: sleeves that are sewn further up bunch under hanging arms.
-///
-/// See [`Garment`] for an example.
+/// A garment mesh around a body in the A-pose, arms lowered by 45°: sleeves that are sewn in the
+/// T-pose bunch under hanging arms.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GarmentMesh {
-    /// The garment around the body.
+    /// Surface around the body in the A-pose.
     pub surface: SurfaceMesh,
-    /// Vertices of an elastic waistband, ascending; none if the garment hangs on the shoulders.
+    /// Vertices of the elastic waistband, ascending; empty if the garment hangs on the shoulders.
     pub waistband: Vec<u32>,
-    /// The unclothed rest shape it was made for, metres, `[V, 3]`.
+    /// Unclothed rest shape of the body that it is sewn for, metres, `[V, 3]`.
     pub body: Array2<f64>,
-    /// Its cut.
+    /// Cut.
     pub garment: Garment,
 }
 
-/// Axis-angles of the pose in which garments are made, `[72]`.
+/// Axis-angles of the pose in which garments are sewn, radians, `[72]`.
 pub(super) fn sewing_pose(model: &SmplModel) -> Vec<f64> {
     StandardPose::A.angles(model.joints())
 }
 
-/// A body with the rest shape `[V, 3]` in the pose in which garments are made, and its joints.
+/// Surface of a body with the rest shape `[V, 3]` in the pose in which garments are sewn, and its
+/// joints, metres.
 pub(super) fn sewing_body(
     model: &SmplModel,
     shape: &Array2<f64>,
@@ -92,16 +91,16 @@ pub(super) fn sewing_body(
 }
 
 impl GarmentMesh {
-    /// The same garment, vertex for vertex, in another size: longer or shorter below the waist, with
-    /// other sleeves beyond the shoulders, wider or tighter along its normals.
+    /// The same topology in another size: stretched below the waist, along the sleeves beyond the
+    /// shoulders, and along its normals.
     ///
     /// # Errors
-    /// If `size` is of another kind, or out of its domain.
+    /// If `size` has another kind or is out of range.
     pub fn resize(&self, model: &SmplModel, size: &Garment) -> Result<Self> {
         size.check(model)?;
         if size.kind != self.garment.kind {
             return Err(Error::argument(format!(
-                "a {:?} cannot become a {:?} by another size",
+                "garment: a {:?} cannot be resized to a {:?}, expected the same kind",
                 self.garment.kind, size.kind
             )));
         }
@@ -131,7 +130,7 @@ impl GarmentMesh {
 }
 
 impl Garment {
-    /// The usual cut of a kind.
+    /// Default cut of a kind.
     pub fn new(kind: GarmentKind) -> Self {
         let (length, width, sleeve) = match kind {
             GarmentKind::TShirt => (1.15, 1.15, 0.6),
@@ -142,14 +141,17 @@ impl Garment {
         Self { kind, length, width, sleeve, resolution: 0.02 }
     }
 
-    /// The parameters as numbers, for regression: length, width, sleeve, `[3]`.
+    /// Semantic parameters for regression: length, width, sleeve, `[3]`.
     pub fn numbers(&self) -> [f64; 3] {
         [self.length, self.width, self.sleeve]
     }
 
-    /// Makes the garment for an unclothed rest shape `[V, 3]`, metres: the surface at some distance
-    /// from the body, joined with a flared tube for skirts, cut at hem, waist, sleeves and neck, its
-    /// triangles evened out.
+    /// Sews the garment for a body with the unclothed rest shape `[V, 3]`, metres: an offset
+    /// surface of the body, united with a flared tube for skirts, cut at hem, waist, sleeves and
+    /// neck, and faired.
+    ///
+    /// # Errors
+    /// If the body does not have SMPL's 24 joints, or the cut is out of range or leaves no surface.
     pub fn sew(&self, model: &SmplModel, shape: &Array2<f64>) -> Result<GarmentMesh> {
         self.check(model)?;
         let (body, joints) = sewing_body(model, shape)?;
@@ -165,7 +167,9 @@ impl Garment {
         let whole = surface_nets(low - margin, high + margin, self.resolution, field);
         let mut cut = cut(&whole, |p| cutting.margin(p), 0.4 * self.resolution);
         if cut.faces.is_empty() {
-            return Err(Error::argument(format!("{self:?} leaves nothing of a garment")));
+            return Err(Error::argument(format!(
+                "garment: {self:?} leaves no surface: use a greater length or a finer resolution"
+            )));
         }
         fair(&mut cut, field, |p| cutting.margin(p));
         let surface = SurfaceMesh::new("garment", cut.vertices, cut.faces)?;
@@ -179,7 +183,7 @@ impl Garment {
     fn check(&self, model: &SmplModel) -> Result<()> {
         if model.joints() != cape_core::joints::JOINTS {
             return Err(Error::argument(format!(
-                "garments need a body of 24 joints, not {}",
+                "garment: a body of {} joints, expected SMPL's 24",
                 model.joints()
             )));
         }
@@ -191,7 +195,7 @@ impl Garment {
         ] {
             if !range.contains(&value) {
                 return Err(Error::argument(format!(
-                    "garment: {name} of {value}, expected {range:?}"
+                    "garment: {name} {value}, expected {range:?}"
                 )));
             }
         }
@@ -199,44 +203,44 @@ impl Garment {
     }
 }
 
-/// Where a garment runs around one body, metres.
+/// Outline of a garment around one body, metres.
 struct GarmentOutline {
     kind: GarmentKind,
     ease: f64,
-    /// Whether it is held at the waist.
+    /// True for garments with a waistband.
     banded: bool,
     top: f64,
     hem: f64,
-    /// Length from the shoulder along the upper arm, and that arm, the left.
+    /// Length of the sleeves from the shoulder, and the left shoulder and direction of its upper arm.
     sleeve: f64,
     shoulder: DVec3,
     arm: DVec3,
     neck: DVec3,
     waist: f64,
     hips: f64,
-    /// Half widths along x and z of waist and hips, and where their middle is.
+    /// Half widths of waist and hips along x and z, and the z coordinate of their centre.
     at_waist: [f64; 2],
     at_hips: [f64; 2],
     middle: f64,
     flare: f64,
 }
 
-/// Joints of both arms.
+/// Joints of both arms, shoulders included.
 const ARMS: std::ops::Range<usize> = 16..24;
 
-/// Radius of a neck opening without ease, metres.
+/// Radius of the neck opening without ease, metres.
 const NECK: f64 = 0.085;
 
-/// Radius that an arm is within, without ease, metres.
+/// Radius around an arm without ease, metres.
 const ARM: f64 = 0.07;
 
-/// From the neck's joint to above the shoulders, metres.
+/// Height of the collar above the neck joint, metres.
 const SHOULDERS: f64 = 0.06;
 
-/// Ease of a waistband, and how far below it the garment's is reached, metres.
+/// Ease of the waistband, and distance below it at which the ease of the garment is reached, metres.
 const BAND: [f64; 2] = [0.005, 0.08];
 
-/// Radius of the torso that a width of 1 stands for, metres.
+/// Radius of the torso at width 1, metres.
 const GIRTH: f64 = 0.14;
 
 impl GarmentOutline {
@@ -279,7 +283,7 @@ impl GarmentOutline {
         }
     }
 
-    /// Distance from the body at a place: less towards a waistband.
+    /// Distance of the garment from the body at a point, metres; less towards a waistband.
     fn ease_at(&self, p: DVec3) -> f64 {
         let t = ((self.waist - p.y) / BAND[1]).clamp(0.0, 1.0);
         if self.banded {
@@ -289,14 +293,15 @@ impl GarmentOutline {
         }
     }
 
-    /// How far a place is beyond the shoulder in the direction of the upper arm, and from its axis.
+    /// Coordinate of a point along the upper arm from the shoulder, and its distance from the axis,
+    /// metres.
     fn sleeve_coordinates(&self, p: DVec3) -> (f64, f64) {
         let from = DVec3::new(p.x.abs(), p.y, p.z) - self.shoulder;
         let beyond = from.dot(self.arm);
         (beyond, (from - self.arm * beyond).length())
     }
 
-    /// Roughly the distance from the tube of a skirt; infinite for other garments.
+    /// Approximate signed distance from the tube of a skirt, metres; infinite for other garments.
     fn skirt_distance(&self, p: DVec3) -> f64 {
         if matches!(self.kind, GarmentKind::TShirt | GarmentKind::Shorts) {
             return f64::INFINITY;
@@ -310,7 +315,7 @@ impl GarmentOutline {
         ((p.x / a).hypot((p.z - self.middle) / b) - 1.0) * a.min(b)
     }
 
-    /// How far within the cut a place is, metres: negative where the garment is not.
+    /// Distance of a point inside the outline of the cut, metres; negative outside.
     fn margin(&self, p: DVec3) -> f64 {
         let above = p.y - self.hem;
         match self.kind {

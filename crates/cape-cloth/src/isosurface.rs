@@ -1,3 +1,9 @@
+//! Isosurfaces for garments.
+//!
+//! `cape-synth` has marching tetrahedra of its own: they follow the surface of a closed, mirrored
+//! body from a seed on a refined grid. The simulation needs triangles of even size instead, which
+//! surface nets give.
+
 use std::collections::HashMap;
 
 use glam::{DVec3, IVec3};
@@ -5,8 +11,8 @@ use rayon::prelude::*;
 
 use cape_core::geometry::SurfaceMesh;
 
-/// The zero surface of `field` in a box, by naive surface nets (Gibson 1998) on cubes of `size`
-/// metres; faces look to where the field is positive.
+/// Zero surface of `field` in a box by naive surface nets (Gibson 1998) on cubes of `size` metres;
+/// faces point to where the field is positive.
 pub(super) fn surface_nets(
     low: DVec3,
     high: DVec3,
@@ -64,7 +70,7 @@ pub(super) fn surface_nets(
                     let around = [node - u - v, node - v, node, node - u];
                     let Some([a, b, c, d]) = quad(&of_cell, around) else { continue };
                     let [a, b, c, d] = if inside { [a, b, c, d] } else { [a, d, c, b] };
-                    // Alternately, so that no diagonal is preferred.
+                    // Alternating diagonals avoid a preferred direction.
                     let even = (x + y + z) % 2 == 0;
                     surface.faces.extend(if even {
                         [[a, b, c], [a, c, d]]

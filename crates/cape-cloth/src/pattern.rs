@@ -5,9 +5,9 @@ use rayon::prelude::*;
 
 use cape_core::geometry::SurfaceMesh;
 
-/// The largest connected part of the faces with a corner where `margin`, metres, exceeds `least`.
-/// Every face that is kept has such a corner, so that pulling the boundary to where the margin
-/// is zero ([`fair`]) flattens none.
+/// Largest connected part of the faces with a corner where `margin`, metres, exceeds `least`. Each of
+/// these faces has such a corner, so that moving the boundary to where the margin is zero ([`fair`])
+/// collapses none.
 pub(super) fn cut(surface: &SurfaceMesh, margin: impl Fn(DVec3) -> f64, least: f64) -> SurfaceMesh {
     let inside: Vec<bool> = surface.vertices.iter().map(|&p| margin(p) > least).collect();
     let any = |face: &&[u32; 3]| face.iter().any(|&v| inside[v as usize]);
@@ -39,6 +39,7 @@ pub(super) fn cut(surface: &SurfaceMesh, margin: impl Fn(DVec3) -> f64, least: f
     out
 }
 
+/// Root of the connected part of `v`, with path halving.
 fn find(root: &mut [u32], mut v: u32) -> u32 {
     while root[v as usize] != v {
         root[v as usize] = root[root[v as usize] as usize];
@@ -47,12 +48,13 @@ fn find(root: &mut [u32], mut v: u32) -> u32 {
     v
 }
 
-/// Rounds in which [`fair`] leads vertices back to the surface, then those in which only out to it.
+/// Iterations of [`fair`] that project all vertices to the surface, then those that project only
+/// vertices inside it.
 const ROUNDS: [usize; 2] = [20, 12];
 
-/// Evens out the triangles of a garment on the zero surface of `field`, then stretches it taut over
-/// what is hollow there, such as armpits, as cloth does. Vertices of the boundary stay on the
-/// curve where also `margin` is zero. Both functions are distances, roughly, of metres.
+/// Smooths the triangles of a garment on the zero surface of `field`, then stretches it over concave
+/// parts such as armpits. Vertices of the boundary stay on the curve where `margin` is zero as well.
+/// Both functions are approximate signed distances, metres.
 pub(super) fn fair(
     surface: &mut SurfaceMesh,
     field: impl Fn(DVec3) -> f64 + Sync,
@@ -63,10 +65,10 @@ pub(super) fn fair(
     for (corners, across) in surface.faces.iter().zip(surface.neighbours()) {
         for side in 0..3 {
             let (p, q) = (corners[side], corners[(side + 1) % 3]);
-            // Vertices of the boundary look along it only, the others at all.
-            let on_it = across[side].is_none();
+            // Boundary vertices are smoothed along the boundary only.
+            let on_boundary = across[side].is_none();
             for (from, to) in [(p, q), (q, p)] {
-                if !boundary[from as usize] || on_it {
+                if !boundary[from as usize] || on_boundary {
                     around[from as usize].push(to);
                 }
             }
@@ -94,12 +96,12 @@ pub(super) fn fair(
     }
 }
 
-/// One of Newton's steps to the zero surface of a function.
+/// One Newton step towards the zero surface of a function.
 fn onto(function: &impl Fn(DVec3) -> f64, p: DVec3) -> DVec3 {
     const STEP: f64 = 1e-4;
     let at = function(p);
     let slope = DVec3::AXES.map(|axis| (function(p + axis * STEP) - at) / STEP);
     let slope = DVec3::from_array(slope);
-    // Where distances to several places meet, the slope is too small to go by.
+    // On the medial axis the gradient vanishes.
     p - slope * (at / slope.length_squared().max(0.25))
 }

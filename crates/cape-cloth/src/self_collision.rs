@@ -1,28 +1,24 @@
 use glam::DVec3;
-use parry3d_f64::{
-    bounding_volume::Aabb,
-    math::Vector,
-    partitioning::{Bvh, BvhBuildStrategy},
-};
 use rayon::prelude::*;
 
-use cape_core::geometry::{SurfaceMesh, closest_on_triangle, ray_meets};
+use cape_core::geometry::{
+    BoxTree, SurfaceMesh, bounds, closest_on_triangle, ray_triangle_distance,
+};
 
-/// Steps until pairs are looked for again.
+/// Steps between two searches for close pairs.
 const STEPS: usize = 5;
 
-/// How much further than the distance kept pairs are looked for, metres: what two parts of a
-/// garment go towards each other meanwhile.
+/// Margin of the search for close pairs, metres: the approach of two parts between two searches.
 const SLACK: f64 = 0.008;
 
-/// Least sine of the angle of two edges whose sides are told apart.
+/// Least sine of the angle between two edges whose sides can be distinguished.
 const PARALLEL: f64 = 0.02;
 
-/// Parts of a cloth that keep a distance from each other: vertices from faces and edges from
-/// edges, each on the side where it was a step ago.
+/// Self-collision constraints of a cloth: vertices keep a distance from faces and edges from edges,
+/// each on its side before the step.
 #[derive(Debug, Clone)]
 pub(super) struct SelfCollision {
-    /// Distance kept, metres, unless the parts are closer at rest.
+    /// Distance, metres; less for parts that are closer at rest.
     distance: f64,
     rest: SurfaceMesh,
     edges: Vec<[u32; 2]>,
@@ -30,7 +26,7 @@ pub(super) struct SelfCollision {
     steps: usize,
 }
 
-/// Two parts that may come close and the distance that they keep.
+/// Two close parts and the distance that they keep, metres.
 #[derive(Debug, Clone, Copy)]
 enum ClosePair {
     /// A vertex and a face.
@@ -44,7 +40,8 @@ impl SelfCollision {
         Self { distance, edges: rest.edges(), rest: rest.clone(), pairs: Vec::new(), steps: 0 }
     }
 
-    /// Brings close pairs apart, one after the other. `before` are the positions a step ago.
+    /// Separates close pairs, one after the other. `before` are the positions before the step,
+    /// metres.
     pub(super) fn resolve(
         &mut self,
         before: &[DVec3],
@@ -68,12 +65,15 @@ impl SelfCollision {
         let reach = self.distance + SLACK;
         let place = |v: u32| at[v as usize];
         let at_rest = |v: u32| self.rest.vertices[v as usize];
-        let (faces, edges) = rayon::join(|| tree(&self.rest.faces, at), || tree(&self.edges, at));
+        let (faces, edges) = rayon::join(
+            || BoxTree::from_elements(&self.rest.faces, at),
+            || BoxTree::from_elements(&self.edges, at),
+        );
         let vertices: Vec<ClosePair> = (0..at.len() as u32)
             .into_par_iter()
             .flat_map_iter(|v| {
-                let near = around(&[v], at, reach);
-                let faces = faces.intersect_aabb(&near).map(|face| self.rest.faces[face as usize]);
+                let faces = faces.overlapping(box_around(&[v], at, reach));
+                let faces = faces.into_iter().map(|face| self.rest.faces[face as usize]);
                 let close = faces.filter(|face| {
                     let (nearest, _) = closest_on_triangle(place(v), face.map(place));
                     !face.contains(&v) && nearest.distance(place(v)) < reach
@@ -90,8 +90,8 @@ impl SelfCollision {
             .par_iter()
             .enumerate()
             .flat_map_iter(|(index, &one)| {
-                let near = around(&one, at, reach);
-                let others = edges.intersect_aabb(&near).filter(|&other| other as usize > index);
+                let others = edges.overlapping(box_around(&one, at, reach)).into_iter();
+                let others = others.filter(|&other| other as usize > index);
                 let close = others.map(|other| self.edges[other as usize]).filter(|other| {
                     !other.iter().any(|v| one.contains(v))
                         && between_segments(one.map(place), other.map(place)).1 < reach
@@ -108,7 +108,7 @@ impl SelfCollision {
     }
 }
 
-/// Positions that constraints move.
+/// Positions before and after the step.
 struct CornerPositions<'a> {
     before: &'a [DVec3],
     positions: &'a mut [DVec3],
@@ -124,6 +124,7 @@ impl CornerPositions<'_> {
         self.before[v as usize]
     }
 
+    /// Separates a vertex from a face.
     fn part_vertex(&mut self, vertex: u32, face: [u32; 3], least: f64) {
         let corners = face.map(|v| self.now(v));
         let (nearest, weights) = closest_on_triangle(self.now(vertex), corners);
@@ -146,6 +147,7 @@ impl CornerPositions<'_> {
         }
     }
 
+    /// Separates two edges.
     fn part_edges(&mut self, one: [u32; 2], other: [u32; 2], least: f64) {
         let [p, q] = one.map(|v| self.now(v));
         let [r, s] = other.map(|v| self.now(v));
@@ -170,8 +172,7 @@ impl CornerPositions<'_> {
         }
     }
 
-    /// Moves vertices, by their weight in the distance that is to grow by `missing` along
-    /// `direction`.
+    /// Moves vertices along `direction` so that their weighted distance grows by `missing` metres.
     fn push(&mut self, ends: [(u32, f64); 4], direction: DVec3, missing: f64) {
         let share = |&(v, weight): &(u32, f64)| self.inverse_masses[v as usize] * weight * weight;
         let sum: f64 = ends.iter().map(share).sum();
@@ -184,41 +185,31 @@ impl CornerPositions<'_> {
     }
 }
 
-/// How many edges go through faces that they have no corner in common with.
+/// Number of intersections of edges with faces that share no corner with them.
 pub(super) fn crossings(faces: &[[u32; 3]], edges: &[[u32; 2]], at: &[DVec3]) -> usize {
-    let tree = tree(faces, at);
+    let tree = BoxTree::from_elements(faces, at);
     edges
         .par_iter()
         .map(|edge| {
             let [from, to] = edge.map(|v| at[v as usize]);
-            let near = around(edge, at, 0.0);
             let through = |face: &u32| {
                 let face = faces[*face as usize];
                 let corners = face.map(|v| at[v as usize]);
                 !face.iter().any(|v| edge.contains(v))
-                    && ray_meets(from, to - from, corners).is_some_and(|t| t <= 1.0)
+                    && ray_triangle_distance(from, to - from, corners).is_some_and(|t| t <= 1.0)
             };
-            tree.intersect_aabb(&near).filter(through).count()
+            tree.overlapping(box_around(edge, at, 0.0)).iter().filter(|face| through(face)).count()
         })
         .sum()
 }
 
-fn tree<const N: usize>(parts: &[[u32; N]], at: &[DVec3]) -> Bvh {
-    let boxes = parts.iter().enumerate().map(|(index, part)| (index, around(part, at, 0.0)));
-    Bvh::from_iter(BvhBuildStrategy::Binned, boxes)
-}
-
 /// The box around vertices, larger by `reach` metres on all sides.
-fn around(vertices: &[u32], at: &[DVec3], reach: f64) -> Aabb {
-    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for &v in vertices {
-        (low, high) = (low.min(at[v as usize]), high.max(at[v as usize]));
-    }
-    let vector = |p: DVec3| Vector::from(p.to_array());
-    Aabb::new(vector(low - DVec3::splat(reach)), vector(high + DVec3::splat(reach)))
+fn box_around(vertices: &[u32], at: &[DVec3], reach: f64) -> [DVec3; 2] {
+    let [low, high] = bounds(vertices.iter().map(|&v| at[v as usize]));
+    [low - DVec3::splat(reach), high + DVec3::splat(reach)]
 }
 
-/// Where two segments are closest, as shares of their ways, and their distance (Ericson 2005,
+/// Parameters of the closest points of two segments, 0 to 1, and their distance (Ericson 2005,
 /// §5.1.9).
 pub(super) fn between_segments([p, q]: [DVec3; 2], [r, s]: [DVec3; 2]) -> ([f64; 2], f64) {
     let (along, other, from) = (q - p, s - r, p - r);

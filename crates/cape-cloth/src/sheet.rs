@@ -2,6 +2,7 @@ use std::collections::HashMap;
 
 use glam::DVec3;
 use rayon::prelude::*;
+use serde::Serialize;
 
 use super::{
     contact::{Contact, Contacts},
@@ -10,32 +11,32 @@ use super::{
 use crate::{Error, Result};
 use cape_core::geometry::{SurfaceIndex, SurfaceMesh};
 
-/// What a garment is made of.
+/// Material of a cloth.
 ///
 /// ```
 /// use cape_cloth::ClothMaterial;
 ///
 /// let denim = ClothMaterial { density: 0.1, ..ClothMaterial::default() };
 /// denim.check()?;
-/// // Densities are seen on a logarithmic scale.
+/// // Densities are on a logarithmic scale.
 /// assert_eq!(denim.numbers()[0], -1.0);
 /// let nothing = ClothMaterial { density: 0.0, ..denim };
 /// assert!(nothing.check().unwrap_err().to_string().contains("density"));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ClothMaterial {
-    /// Mass of a square metre, kg.
+    /// Mass per area, kg/m².
     pub density: f64,
-    /// Compliance of the edges of triangles, metres a newton: stretch and shear; 0 is inextensible.
+    /// Compliance of the edges, m/N, for stretch and shear; 0 is inextensible.
     pub stretch: f64,
-    /// Compliance between the far corners of neighbouring triangles, metres a newton: bending.
+    /// Compliance between the opposite corners of neighbouring triangles, m/N, for bending.
     pub bend: f64,
-    /// Share of the velocity that is lost in a second, as a rate, 1/s.
+    /// Decay rate of the velocity, 1/s.
     pub damping: f64,
     /// Coefficient of Coulomb friction against the body.
     pub friction: f64,
-    /// Distance kept from the body, metres.
+    /// Distance from the body, metres.
     pub thickness: f64,
 }
 
@@ -54,17 +55,17 @@ impl Default for ClothMaterial {
 }
 
 impl ClothMaterial {
-    /// The parameters as numbers, for regression: decimal logarithms of density, stretch and bend,
-    /// then damping and friction, `[5]`.
+    /// Semantic parameters for regression: decimal logarithms of density, stretch and bend, then
+    /// damping and friction, `[5]`.
     pub fn numbers(&self) -> [f64; 5] {
         let log = |x: f64| x.max(1e-12).log10();
         [log(self.density), log(self.stretch), log(self.bend), self.damping, self.friction]
     }
 
-    /// Whether the numbers are of their domains.
+    /// Checks the ranges of the parameters.
     ///
     /// # Errors
-    /// If one is not; it is named.
+    /// If one is out of range; the error has its name.
     pub fn check(&self) -> Result<()> {
         let Self { density, stretch, bend, damping, friction, thickness } = *self;
         for (name, value, least) in [
@@ -76,14 +77,17 @@ impl ClothMaterial {
             ("thickness", thickness, 0.0),
         ] {
             if !(value.is_finite() && value >= least) {
-                return Err(Error::argument(format!("material: {name} of {value}")));
+                return Err(Error::argument(format!(
+                    "material: {name} {value}, expected {}",
+                    if least > 0.0 { "above 0" } else { "0 or more" }
+                )));
             }
         }
         Ok(())
     }
 }
 
-/// A distance that is kept.
+/// A distance constraint between two vertices.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Spring {
     ends: [u32; 2],
@@ -91,7 +95,7 @@ struct Spring {
     compliance: f64,
 }
 
-/// A vertex that is led to a place.
+/// A soft constraint of a vertex to a position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Attachment {
     vertex: u32,
@@ -99,24 +103,22 @@ struct Attachment {
     compliance: f64,
 }
 
-/// A sheet of triangles in motion.
+/// A moving sheet of triangles.
 ///
 /// ```
-/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
-/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use cape_cloth::{Cloth, ClothMaterial};
+/// use cape_core::geometry::primitives::sphere;
 /// use glam::DVec3;
 ///
 /// // A sheet in free fall keeps its shape.
 /// let material = ClothMaterial { damping: 0.0, ..ClothMaterial::default() };
-/// let mut cloth = Cloth::new(&octahedron(0.1), &material)?;
+/// let mut cloth = Cloth::new(&sphere(0.1, 0), &material)?;
 /// let gravity = DVec3::NEG_Y * 9.81;
 /// (0..100).for_each(|_| cloth.step(0.001, gravity, None));
 /// assert!(cloth.velocities.iter().all(|v| (*v - 0.1 * gravity).length() < 1e-6));
 /// assert!(cloth.strain()[1] < 1e-6);
 /// assert_eq!(cloth.crossings(), 0);
-/// # Ok(())
-/// # }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone)]
 pub struct Cloth {
@@ -125,7 +127,7 @@ pub struct Cloth {
     /// Velocities, m/s, `[vertices]`.
     pub velocities: Vec<DVec3>,
     inverse_masses: Vec<f64>,
-    /// Edges of triangles, then far corners of neighbours.
+    /// Edges, then opposite corners of neighbouring triangles.
     springs: Vec<Spring>,
     edges: usize,
     attachments: Vec<Attachment>,
@@ -133,13 +135,16 @@ pub struct Cloth {
     faces: Vec<[u32; 3]>,
     contacts: Contacts,
     folds: Option<SelfCollision>,
-    /// Largest relative lengthening of an edge.
+    /// Largest relative elongation of an edge.
     limit: f64,
 }
 
 impl Cloth {
-    /// A sheet at rest in the shape of `surface`, whose lengths it keeps. Vertices carry a third of
-    /// their faces' mass.
+    /// A sheet at rest with the rest lengths of `surface`. Each vertex has a third of the mass of
+    /// its faces.
+    ///
+    /// # Errors
+    /// If the material is out of range.
     pub fn new(surface: &SurfaceMesh, material: &ClothMaterial) -> Result<Self> {
         material.check()?;
         let count = surface.vertices.len();
@@ -181,53 +186,53 @@ impl Cloth {
         })
     }
 
-    /// Keeps vertices `distance` metres from faces and edges from edges, unless they are closer in
-    /// `rest`, the surface that the sheet was made of.
+    /// Enables self-collision: vertices keep `distance` metres from faces and edges from edges, or
+    /// their distance in the rest surface `rest` if that is less.
     #[must_use]
     pub fn with_self_collision(mut self, rest: &SurfaceMesh, distance: f64) -> Self {
         self.folds = Some(SelfCollision::new(rest, distance.max(0.0)));
         self
     }
 
-    /// Lets edges lengthen by at most the share `limit` of their lengths, as far as the material
-    /// would let them. This comes last in a step: where the body leaves cloth no room, it
-    /// goes into the body before it tears.
+    /// Limits the elongation of edges to the share `limit` of their rest lengths. The limit is
+    /// applied last in a step: cloth that has no room penetrates the body rather than stretch
+    /// further.
     #[must_use]
     pub fn with_strain_limit(mut self, limit: f64) -> Self {
         self.limit = limit.max(0.0);
         self
     }
 
-    /// Holds a vertex where it is.
+    /// Fixes a vertex at its position.
     pub fn pin(&mut self, vertex: usize) {
         self.inverse_masses[vertex] = 0.0;
     }
 
-    /// Leads vertices to places from now on, softly: `compliance` in metres a newton.
+    /// Replaces the soft attachments: pairs of a vertex and a position, metres, with a `compliance`
+    /// in m/N.
     pub fn attach(&mut self, places: impl IntoIterator<Item = (u32, DVec3)>, compliance: f64) {
-        let lead = |(vertex, to)| Attachment { vertex, to, compliance };
-        self.attachments = places.into_iter().map(lead).collect();
+        let attachment = |(vertex, to)| Attachment { vertex, to, compliance };
+        self.attachments = places.into_iter().map(attachment).collect();
     }
 
-    /// Mass of a vertex, kg; infinite for one that is held.
+    /// Mass of a vertex, kg; infinite if it is fixed.
     pub fn mass(&self, vertex: usize) -> f64 {
         1.0 / self.inverse_masses[vertex]
     }
 
-    /// One step of `dt` seconds: all distances are corrected once, so that the compliance of each
-    /// is larger than the material's by `dt²` times its ends' inverse masses. `gravity`
-    /// is in m/s². A body, if there is one, comes with where it was on its way before the step and
-    /// is now, each 0 to 1.
+    /// One step of `dt` seconds. Constraints are projected once, which adds `dt²` times the inverse
+    /// masses of their ends to their compliance. `gravity` is in m/s². `body` is an obstacle and
+    /// the times within its frame before and after the step, each 0 to 1.
     pub fn step(&mut self, dt: f64, gravity: DVec3, body: Option<(&SurfaceIndex, [f64; 2])>) {
         let before = self.positions.clone();
-        let slow = (-self.material.damping * dt).exp();
-        // No vertex passes through a limb within one step.
+        let decay = (-self.material.damping * dt).exp();
+        // Limits the speed, so that no vertex passes through a limb in one step.
         let fastest = Contact::REACH / 4.0 / dt;
         for ((x, v), &w) in
             self.positions.iter_mut().zip(&mut self.velocities).zip(&self.inverse_masses)
         {
             if w > 0.0 {
-                *v = (*v * slow + gravity * dt).clamp_length_max(fastest);
+                *v = (*v * decay + gravity * dt).clamp_length_max(fastest);
                 *x += *v * dt;
             }
         }
@@ -251,6 +256,7 @@ impl Cloth {
         }
     }
 
+    /// Projects distance constraints, then attachments.
     fn project(&mut self, dt: f64) {
         for &Spring { ends: [a, b], rest, compliance } in &self.springs {
             let (a, b) = (a as usize, b as usize);
@@ -274,7 +280,7 @@ impl Cloth {
         }
     }
 
-    /// Brings edges that are too long back to the limit, in alternating order.
+    /// Shortens edges beyond the strain limit, in alternating order.
     fn apply_strain_limits(&mut self) {
         const SWEEPS: usize = 4;
         if self.limit.is_infinite() {
@@ -298,10 +304,10 @@ impl Cloth {
         }
     }
 
-    /// Kinetic, gravitational and elastic energy together, joules; height counts from `y = 0`.
+    /// Sum of kinetic, gravitational and elastic energy, joules; heights are relative to the origin.
     pub fn energy(&self, gravity: DVec3) -> f64 {
         let moving = self.inverse_masses.iter().enumerate().filter(|&(_, &w)| w > 0.0);
-        let of_vertices: f64 = moving
+        let vertex_energy: f64 = moving
             .map(|(v, w)| {
                 let kinetic = 0.5 * self.velocities[v].length_squared();
                 (kinetic - gravity.dot(self.positions[v])) / w
@@ -311,10 +317,11 @@ impl Cloth {
             let [a, b] = spring.ends.map(|v| self.positions[v as usize]);
             0.5 * (a.distance(b) - spring.rest).powi(2) / spring.compliance
         });
-        of_vertices + elastic.sum::<f64>()
+        vertex_energy + elastic.sum::<f64>()
     }
 
-    /// Mean relative change of length among edges of triangles, and the largest lengthening.
+    /// Mean absolute strain of the edges, and the largest elongation, both relative to the rest
+    /// lengths.
     pub fn strain(&self) -> [f64; 2] {
         let edges = &self.springs[..self.edges];
         let (mut sum, mut largest) = (0.0, 0.0f64);
@@ -326,18 +333,18 @@ impl Cloth {
         [sum / edges.len().max(1) as f64, largest]
     }
 
-    /// How many edges go through faces.
+    /// Number of intersections of edges with faces.
     pub fn crossings(&self) -> usize {
         let edges: Vec<[u32; 2]> = self.springs[..self.edges].iter().map(|s| s.ends).collect();
         crossings(&self.faces, &edges, &self.positions)
     }
 
-    /// Depths inside the body, metres, of vertices, then of middles of faces; 0 outside.
+    /// Depths inside the body of vertices, then of centres of faces, metres; 0 outside.
     pub fn depths(&self, body: &SurfaceIndex) -> Vec<f64> {
-        let middle =
+        let centre =
             |face: &[u32; 3]| face.iter().map(|&v| self.positions[v as usize]).sum::<DVec3>() / 3.0;
-        let middles: Vec<DVec3> = self.faces.iter().map(middle).collect();
-        let points = self.positions.par_iter().chain(&middles);
+        let centres: Vec<DVec3> = self.faces.iter().map(centre).collect();
+        let points = self.positions.par_iter().chain(&centres);
         let depth = |&x: &DVec3| {
             body.closest(x, DEEPEST).map_or(0.0, |near| (-near.signed_distance).max(0.0))
         };
@@ -345,10 +352,10 @@ impl Cloth {
     }
 }
 
-/// No part of a body is deeper than this, metres.
+/// Bound of the depth inside a body, metres.
 const DEEPEST: f64 = 0.2;
 
-/// For every inner edge the corners of its two faces that are not on it.
+/// Opposite corners of the two faces of each inner edge.
 fn far_corners(faces: &[[u32; 3]]) -> Vec<[u32; 2]> {
     let mut seen: HashMap<[u32; 2], u32> = HashMap::new();
     let mut pairs = Vec::new();

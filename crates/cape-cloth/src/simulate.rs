@@ -14,7 +14,7 @@ use cape_core::{
     geometry::{SurfaceIndex, SurfaceMesh, points},
 };
 
-/// How garments are simulated.
+/// Options of the simulation of a garment.
 ///
 /// ```
 /// use cape_synth::synthetic_body;
@@ -22,7 +22,7 @@ use cape_core::{
 /// use cape_core::BodyMotion;
 /// use ndarray::Array2;
 ///
-/// // A coarse skirt falls onto the hips of a body that stands.
+/// // A coarse skirt settles on the hips of a standing body.
 /// let body = synthetic_body();
 /// let shape = body.rest_shape(&[])?;
 /// let skirt = Garment { resolution: 0.05, ..Garment::new(GarmentKind::Skirt) };
@@ -38,18 +38,18 @@ use cape_core::{
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SimulationOptions {
-    /// Steps of a frame.
+    /// Steps per frame.
     pub substeps: usize,
-    /// Seconds from the pose of sewing to the first frame, and half as many more until it moves as in
-    /// that frame.
+    /// Duration of the transition from the sewing pose to the first pose, seconds, followed by half
+    /// as long an acceleration to the initial velocity.
     pub settle: f64,
-    /// Acceleration, m/s².
+    /// Gravitational acceleration, m/s².
     pub gravity: DVec3,
-    /// Whether layers of the cloth keep apart, by the material's thickness.
+    /// Resolve self-collisions at the thickness of the material.
     pub self_collision: bool,
-    /// Largest relative lengthening of an edge, where the material would let it lengthen more.
+    /// Largest relative elongation of an edge.
     pub strain_limit: f64,
-    /// Compliance of the waistband's hold on the body, metres a newton.
+    /// Compliance of the attachment of the waistband to the body, m/N.
     pub waistband: f64,
 }
 
@@ -66,57 +66,51 @@ impl Default for SimulationOptions {
     }
 }
 
-/// State of the cloth after a frame.
-///
-/// See [`SimulationOptions`] for an example.
+/// Quality of the simulation after one frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct StepReport {
-    /// Deepest that a vertex or the middle of a face is inside the body, metres.
+    /// Largest depth of a vertex or centre of a face inside the body, metres.
     pub penetration: f64,
-    /// Mean depth of vertices and middles of faces, those outside counting 0, metres.
+    /// Mean depth of vertices and centres of faces inside the body, 0 for those outside, metres.
     pub mean_depth: f64,
-    /// Vertices and middles of faces inside the body.
+    /// Number of vertices and centres of faces inside the body.
     pub inside: usize,
-    /// Edges that go through faces of the cloth.
+    /// Number of intersections of edges with faces of the cloth.
     pub crossings: usize,
-    /// Mean relative change of an edge's length, and largest lengthening.
+    /// Mean absolute strain of the edges, and largest elongation.
     pub strain: [f64; 2],
-    /// Speed of the fastest vertex, m/s.
+    /// Largest speed of a vertex, m/s.
     pub speed: f64,
 }
 
-/// How a whole simulation went.
-///
-/// See [`SimulationOptions`] for an example.
+/// Quality of a simulation over all frames.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct SimulationQuality {
-    /// Deepest that a vertex or the middle of a face was inside the body, metres.
+    /// Largest depth of a vertex or centre of a face inside the body, metres.
     pub penetration: f64,
-    /// Mean depth of vertices and middles of faces, those outside counting 0, metres.
+    /// Mean depth of vertices and centres of faces inside the body, 0 for those outside, metres.
     pub mean_depth: f64,
-    /// Most edges that went through faces of the cloth in one frame.
+    /// Largest number of intersections of edges with faces of the cloth in one frame.
     pub crossings: usize,
-    /// Mean relative change of an edge's length.
+    /// Mean absolute strain of the edges.
     pub mean_strain: f64,
-    /// Largest relative lengthening of an edge.
+    /// Largest relative elongation of an edge.
     pub strain: f64,
-    /// Speed of the fastest vertex, m/s.
+    /// Largest speed of a vertex, m/s.
     pub speed: f64,
 }
 
-/// A garment's movement.
-///
-/// See [`SimulationOptions`] for an example.
+/// Simulated motion of a garment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulatedGarment {
     /// Clothing vertices, metres, `[frames, vertices, 3]`.
     pub frames: Array3<f64>,
-    /// State after each frame.
+    /// Quality after each frame, `[frames]`.
     pub reports: Vec<StepReport>,
 }
 
 impl SimulatedGarment {
-    /// The worst and the mean of all frames.
+    /// Largest and mean values over all frames.
     pub fn quality(&self) -> SimulationQuality {
         let frames = self.reports.len().max(1) as f64;
         let mut whole = SimulationQuality::default();
@@ -133,9 +127,13 @@ impl SimulatedGarment {
 }
 
 impl SimulationOptions {
-    /// Simulates `garment` over the motion of a body with the unclothed rest shape `shape`, `[V, 3]`.
-    /// Before anything is recorded the body goes from the shape and the pose in which the
-    /// garment was made to its own and the first frame. `watch` is told the frames done and their number.
+    /// Simulates a garment of a material on a body with the unclothed rest shape `shape`, metres,
+    /// `[V, 3]`, in motion. Before the first recorded frame the body changes from the shape and the
+    /// pose in which the garment was sewn to `shape` and the first pose. `watch` is called with the
+    /// number of finished frames and of all.
+    ///
+    /// # Errors
+    /// If an option is out of range, the motion does not fit the body, or the simulation diverges.
     pub fn run(
         &self,
         model: &SmplModel,
@@ -146,7 +144,7 @@ impl SimulationOptions {
     ) -> Result<SimulatedGarment> {
         if self.substeps == 0 || !(self.settle >= 0.0 && self.settle.is_finite()) {
             return Err(Error::argument(format!(
-                "{} steps a frame and {} s to settle: expected at least 1 and 0",
+                "simulation: {} steps per frame and {} s to settle, expected at least 1 and 0",
                 self.substeps, self.settle
             )));
         }
@@ -181,17 +179,17 @@ impl SimulationOptions {
             let mut solid = SurfaceIndex::moving(&surface, to.clone(), across.clone());
             for substep in 0..self.substeps {
                 let [was, now] = [substep, substep + 1].map(|s| s as f64 / self.substeps as f64);
-                solid.at(now);
-                let led = band.iter().map(|&(v, face, at, off)| {
-                    (v, solid.offset_point(face, at, now) + solid.axes(face) * off)
+                solid.set_time(now);
+                let attached = band.iter().map(|&(v, face, at, off)| {
+                    (v, solid.position_at(face, at, now) + solid.axes(face) * off)
                 });
-                cloth.attach(led, self.waistband);
+                cloth.attach(attached, self.waistband);
                 cloth.step(dt, self.gravity, Some((&solid, [was, now])));
             }
             let Some(frame) = index.checked_sub(before) else { continue };
             if let Some(vertex) = cloth.positions.iter().position(|x| !x.is_finite()) {
                 return Err(Error::argument(format!(
-                    "the simulation failed in frame {frame} at vertex {vertex}: take more steps"
+                    "simulation: diverged in frame {frame} at vertex {vertex}: use more steps per frame"
                 )));
             }
             for (vertex, x) in cloth.positions.iter().enumerate() {
@@ -205,22 +203,24 @@ impl SimulationOptions {
         Ok(SimulatedGarment { frames, reports })
     }
 
-    /// Body vertices of the way to the first frame, then of the frames.
+    /// Body vertices, metres, of the transition to the first frame, then of the frames.
     fn track(
         &self,
         model: &SmplModel,
-        (made_for, shape): (&Array2<f64>, &Array2<f64>),
+        (sewn_for, shape): (&Array2<f64>, &Array2<f64>),
         motion: &BodyMotion,
     ) -> Result<Vec<Vec<DVec3>>> {
         if motion.frames() == 0 {
-            return Err(Error::argument("a motion without frames"));
+            return Err(Error::argument(
+                "simulation: the motion has no frames, expected at least one",
+            ));
         }
         let way = (self.settle * motion.frame_rate).ceil() as usize;
         let standing = way / 2;
         let transl = |frame: usize| {
             DVec3::from_array([0, 1, 2].map(|axis| motion.translations[(frame, axis)]))
         };
-        // From rest to the speed at the start, evenly, metres a frame.
+        // Constant acceleration from rest to the initial velocity, metres per frame.
         let speed = transl(1.min(motion.frames() - 1)) - transl(0);
         let run_up = |to_go: usize| {
             let gone = (standing - to_go) as f64;
@@ -241,7 +241,7 @@ impl SimulationOptions {
         stations
             .par_iter()
             .map(|(share, pose, transl)| {
-                let shape = made_for * (1.0 - share) + shape * *share;
+                let shape = sewn_for * (1.0 - share) + shape * *share;
                 let posed = model.pose_shape(&shape, &pose.to_vec(), transl.to_array(), None)?;
                 Ok(points(posed.vertices.view()))
             })

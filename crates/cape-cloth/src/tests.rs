@@ -1,6 +1,6 @@
 use std::{f64::consts::PI, time::Instant};
 
-use cape_synth::{Motion as Movement, MotionStyle, synthetic_body};
+use cape_synth::{Motion, MotionStyle, synthetic_body};
 use glam::DVec3;
 use ndarray::Array2;
 
@@ -64,7 +64,7 @@ fn a_pendulum_swings_in_its_time() {
     }
     let swings = (crossings.len() - 1) as f64;
     let period = (crossings[crossings.len() - 1] - crossings[0]) / swings;
-    // Of finite amplitude, by the series of the elliptic integral.
+    // Period at finite amplitude, by the series of the elliptic integral.
     let series = 1.0 + amplitude.powi(2) / 16.0 + 11.0 * amplitude.powi(4) / 3072.0;
     let expected = 2.0 * PI * (length / 9.81f64).sqrt() * series;
     assert!((period / expected - 1.0).abs() < 2e-3, "{period} {expected}");
@@ -72,8 +72,9 @@ fn a_pendulum_swings_in_its_time() {
 
 #[test]
 fn a_hanging_sheet_stretches_under_its_weight() {
-    // A ladder of vertices: vertical edges carry what hangs below them. With the diagonals alternating
-    // the sheet is symmetric enough to stay plane; forces on the upper side add up to its weight.
+    // A ladder of vertices: vertical edges carry what hangs below them. With the diagonals
+    // alternating the sheet is symmetric enough to stay plane; forces on the upper side add up to
+    // its weight.
     let stretch = 0.02;
     let damped = ClothMaterial { damping: 8.0, ..bare(stretch, 1e3) };
     let surface = sheet();
@@ -113,7 +114,7 @@ fn a_chain_lengthens_by_hooke_s_law() {
         vertices.push(DVec3::new(0.0, -0.1 * f64::from(k), 0.0));
     }
     let faces = (0..links as u32 - 1).map(|k| [k, k + 1, k + 2]).collect();
-    // Zero areas have no mass: a little width to the side.
+    // A small width, because zero areas have no mass.
     for (k, v) in vertices.iter_mut().enumerate() {
         v.x = if k % 2 == 0 { 0.0 } else { 1e-3 };
     }
@@ -222,7 +223,7 @@ fn segments_are_closest_where_brute_force_says() {
 
 #[test]
 fn crossings_are_counted() {
-    // A triangle upright through the middle of another; its two sides that go through it.
+    // An upright triangle through the centre of another: two of its sides intersect it.
     let vertices = vec![
         DVec3::new(-1.0, 0.0, -1.0),
         DVec3::new(1.0, 0.0, -1.0),
@@ -244,7 +245,7 @@ fn a_strip_between_two_bars_hangs_in_a_catenary() {
     let strip = grid(links + 1, 3, |u, v| DVec3::new(length * u, 0.0, 0.06 * v));
     let material = ClothMaterial { damping: 3.0, ..bare(0.0, 1e3) };
     let mut cloth = Cloth::new(&strip, &material).unwrap();
-    // From a V of the same length.
+    // Start from a V of the same length.
     let drop = 0.5 * (length * length - span * span).sqrt();
     for (x, rest) in cloth.positions.iter_mut().zip(&strip.vertices) {
         let u = rest.x / length;
@@ -255,7 +256,7 @@ fn a_strip_between_two_bars_hangs_in_a_catenary() {
         cloth.pin(3 * links + side);
     }
     (0..12_000).for_each(|_| cloth.step(5e-4, GRAVITY, None));
-    // Of the length 2 a sinh(span / 2a): a by bisection.
+    // Catenary of length 2 a sinh(span / 2a): a by bisection.
     let (mut low, mut high) = (0.05, 10.0);
     for _ in 0..100 {
         let a = 0.5 * (low + high);
@@ -357,7 +358,7 @@ fn garments_are_sewn_around_the_body() {
     assert!(wrong.sew(&model, &shape).unwrap_err().to_string().contains("width"));
 }
 
-/// Number of closed curves that the boundary consists of.
+/// Number of closed boundary curves.
 fn boundary_rings(surface: &SurfaceMesh) -> usize {
     let mut next = std::collections::HashMap::new();
     for (corners, across) in surface.faces.iter().zip(surface.neighbours()) {
@@ -384,7 +385,7 @@ fn boundary_rings(surface: &SurfaceMesh) -> usize {
 }
 
 fn simulated(
-    (kind, movement): (GarmentKind, Movement),
+    (kind, movement): (GarmentKind, Motion),
     material: &ClothMaterial,
     frames: usize,
 ) -> (GarmentMesh, SimulatedGarment) {
@@ -408,10 +409,10 @@ fn simulated(
 #[test]
 fn every_garment_follows_a_moving_body() {
     for (kind, movement, frames) in [
-        (GarmentKind::TShirt, Movement::WalkMarch, 20),
-        (GarmentKind::Shorts, Movement::Squats, 10),
-        (GarmentKind::Skirt, Movement::WalkMarch, 10),
-        (GarmentKind::Dress, Movement::TwistTilt, 10),
+        (GarmentKind::TShirt, Motion::WalkMarch, 20),
+        (GarmentKind::Shorts, Motion::Squats, 10),
+        (GarmentKind::Skirt, Motion::WalkMarch, 10),
+        (GarmentKind::Dress, Motion::TwistTilt, 10),
     ] {
         let start = Instant::now();
         let (sewn, result) = simulated((kind, movement), &ClothMaterial::default(), frames);
@@ -421,7 +422,7 @@ fn every_garment_follows_a_moving_body() {
         assert!(quality.penetration < 4e-3, "{kind:?} {quality:?}");
         assert!(quality.strain < 0.33 && quality.mean_strain < 0.05, "{kind:?} {quality:?}");
         assert!(quality.crossings <= 2 && quality.speed < 5.0, "{kind:?} {quality:?}");
-        // Still worn: the garment's middle is on the body.
+        // The centre of the garment is still on the body.
         let last = result.frames.index_axis(ndarray::Axis(0), frames - 1);
         let middle = last.mean_axis(ndarray::Axis(0)).unwrap();
         let rest = sewn.surface.vertices.iter().sum::<DVec3>() / sewn.surface.vertices.len() as f64;
@@ -431,7 +432,7 @@ fn every_garment_follows_a_moving_body() {
 
 #[test]
 fn results_do_not_depend_on_threads() {
-    let run = || simulated((GarmentKind::Dress, Movement::Squats), &ClothMaterial::default(), 2).1;
+    let run = || simulated((GarmentKind::Dress, Motion::Squats), &ClothMaterial::default(), 2).1;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let pools = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
     assert_eq!(pool.install(run), pools.install(run));
@@ -441,7 +442,7 @@ fn results_do_not_depend_on_threads() {
 fn the_stiffest_cloth_stays_calm_over_a_moving_body() {
     let stiffest =
         ClothMaterial { stretch: 0.0, bend: 0.0, damping: 0.0, ..ClothMaterial::default() };
-    let garment = (GarmentKind::Skirt, Movement::JumpingJacks);
+    let garment = (GarmentKind::Skirt, Motion::JumpingJacks);
     let (_, result) = simulated(garment, &stiffest, 60);
     for (frame, report) in result.reports.iter().enumerate() {
         assert!(report.speed < 10.0 && report.strain[1] < 0.33, "frame {frame}: {report:?}");

@@ -9,8 +9,8 @@ use crate::{Error, Result};
 
 /// A buffered file that appears under its name only when [`commit`](Self::commit) succeeds.
 ///
-/// The bytes go to a temporary file in the same directory, which is renamed over the target at the
-/// end and removed when the value is dropped before that: a reader never sees half a file.
+/// Bytes go to a temporary file in the same directory, which `commit` renames over the target. The
+/// temporary file is removed if the value is dropped uncommitted.
 ///
 /// ```
 /// use std::io::Write;
@@ -33,7 +33,7 @@ pub struct AtomicFile {
 }
 
 impl AtomicFile {
-    /// Starts writing what will become `path`; its directory must exist.
+    /// Opens a temporary file for `path`, whose directory must exist.
     pub fn create(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_owned();
         let directory = match path.parent() {
@@ -52,12 +52,12 @@ impl AtomicFile {
         Ok(Self { path, file: BufWriter::with_capacity(1 << 16, file) })
     }
 
-    /// The path the file will have.
+    /// Path of the file after `commit`.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Puts the file in place.
+    /// Renames the temporary file to its path.
     pub fn commit(self) -> Result<()> {
         let Self { path, file } = self;
         let file = file.into_inner().map_err(|failed| Error::io(&path, failed.into_error()))?;
@@ -82,7 +82,7 @@ impl Seek for AtomicFile {
     }
 }
 
-/// Writes a whole file atomically: `write` fills it, then it is put in place.
+/// Writes the file `path` atomically: `write` produces its bytes, then it is renamed into place.
 pub fn write_atomically(
     path: impl AsRef<Path>,
     write: impl FnOnce(&mut AtomicFile) -> io::Result<()>,

@@ -2,7 +2,7 @@ use burn::tensor::{Device, Tensor};
 
 use crate::{Error, Result};
 
-/// Names [`parse_device`] takes, as compiled in.
+/// Device names accepted by [`parse_device`] in this build.
 pub const DEVICES: &[&str] = &[
     #[cfg(feature = "flex")]
     "flex",
@@ -14,7 +14,7 @@ pub const DEVICES: &[&str] = &[
     "cuda",
 ];
 
-/// Every CPU device that is compiled in, for what must hold on all of them.
+/// All CPU devices of this build.
 pub fn devices() -> Vec<Device> {
     vec![
         #[cfg(feature = "flex")]
@@ -24,18 +24,18 @@ pub fn devices() -> Vec<Device> {
     ]
 }
 
-/// Burn's older CPU backend, kept while it ships.
+/// Burn's deprecated CPU backend, supported as long as Burn ships it.
 #[cfg(feature = "ndarray")]
 #[expect(deprecated)]
 fn ndarray() -> Device {
     Device::ndarray()
 }
 
-/// The device of that name: `flex`, `ndarray`, `wgpu[:index]` or `cuda[:index]`; `wgpu:cpu` is a
-/// software adapter. The device is tried, so that what it returns works.
+/// Opens the device `flex`, `ndarray`, `wgpu[:index]` or `cuda[:index]`; `wgpu:cpu` is a software
+/// adapter. A small computation on it checks that it works.
 ///
 /// # Errors
-/// If the name is unknown, its backend is not compiled in, or the device cannot be used.
+/// If the name is unknown, its backend is not compiled in, or the check fails.
 pub fn parse_device(name: &str) -> Result<Device> {
     let (backend, index) = match name.split_once(':') {
         Some((backend, index)) => (backend, Some(index)),
@@ -84,7 +84,7 @@ fn number(name: &str, index: &str) -> Result<usize> {
         .map_err(|_| Error::Argument(format!("device `{name}`: `{index}` is not a device index")))
 }
 
-/// Burn panics when a device cannot be initialised; this makes it an error.
+/// Runs a small computation on `device`; a panic of Burn becomes an error.
 fn probe_device(name: &str, device: Device) -> Result<Device> {
     let probe = device.clone();
     let works = catch_panic(move || {
@@ -98,7 +98,7 @@ fn probe_device(name: &str, device: Device) -> Result<Device> {
     }
 }
 
-/// Runs `f` on a thread of its own and returns the message if it panics.
+/// Runs `f` on a new thread and returns the message of a panic as the error.
 fn catch_panic<T: Send + 'static>(f: impl FnOnce() -> T + Send + 'static) -> Result<T, String> {
     std::thread::spawn(f).join().map_err(|panic| {
         panic

@@ -3,9 +3,9 @@ use std::path::{Path, PathBuf};
 /// Result of this crate's operations.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What can go wrong with meshes, bodies and their files.
+/// Error of mesh, body and file operations.
 ///
-/// Errors name the file and what is wrong in it:
+/// Errors about files name the file, the field or line, and what was expected:
 ///
 /// ```
 /// use cape_core::{Error, Mesh};
@@ -29,36 +29,36 @@ pub enum Error {
     /// The operating system refused to open, read or write a file.
     #[error("{}: {source}", path.display())]
     Io {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The system's reason.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// A file's contents are not what they must be.
+    /// A field of a file is missing or malformed.
     #[error("{}: `{field}`: {message}", path.display())]
     Field {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The array, key or line at fault.
+        /// Name of the array or key, or number of the line.
         field: String,
-        /// What was found, and what was expected.
+        /// Found and expected content.
         message: String,
     },
     /// A file as a whole is not of the expected format.
     #[error("{}: {message}", path.display())]
     Format {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What was found, and what was expected.
+        /// Found and expected content.
         message: String,
     },
-    /// A mesh is unusable; the message names the offending element and the remedy.
+    /// A mesh is inconsistent; the message names the element and the remedy.
     #[error("mesh: {0}")]
     Mesh(String),
     /// An argument is out of its domain; the message names it, its value and what was expected.
     #[error("{0}")]
     Argument(String),
-    /// A data set as a whole cannot be used; the message says why and what would help.
+    /// A data set cannot be used; the message names the reason and the remedy.
     #[error("{0}")]
     Data(String),
 }
@@ -88,13 +88,14 @@ impl Error {
         Self::Argument(message.into())
     }
 
-    /// An [`Error::Argument`] about the surface called `name`.
+    /// An [`Error::Argument`] about the surface `name`.
     pub(crate) fn surface(name: &str, message: impl std::fmt::Display) -> Self {
         Self::Argument(format!("{name}: {message}"))
     }
 }
 
-/// An error that names the first of `numbers` that is NaN or infinite; `name` is what they are.
+/// Checks that all `numbers` are finite; the error gives `name` and the index of the first NaN or
+/// infinite one.
 ///
 /// ```
 /// use cape_core::expect_finite;

@@ -1,4 +1,4 @@
-//! SMPL's joints, and the pose as numbers: axis-angles, rotation matrices, the pose feature.
+//! SMPL's joints, and poses as axis-angles, rotation matrices and the network's pose feature.
 
 use glam::{DMat3, DVec3};
 
@@ -6,9 +6,9 @@ use ndarray::Array2;
 
 use crate::{Error, Result};
 
-/// Number of joints of SMPL.
+/// Number of joints of SMPL, 24.
 pub const JOINTS: usize = 24;
-/// Length of the pose feature: nine numbers for each of [`CLOTHING_JOINTS`].
+/// Length of the pose feature, 126: a 3 × 3 rotation for each of [`CLOTHING_JOINTS`].
 pub const POSE_FEATURE: usize = 9 * CLOTHING_JOINTS.len();
 
 /// Pose of a body: the axis-angles of SMPL's 24 joints, `[72]`, radians.
@@ -42,7 +42,7 @@ pub const JOINT_NAMES: [&str; JOINTS] = [
     "r_hand",
 ];
 
-/// Each joint's parent; `None` for the pelvis.
+/// Parent of each joint; `None` for the pelvis.
 pub const PARENTS: [Option<usize>; JOINTS] = [
     None,
     Some(0),
@@ -70,18 +70,18 @@ pub const PARENTS: [Option<usize>; JOINTS] = [
     Some(21),
 ];
 
-/// The joints that clothing depends on: hips, knees, spine, neck, collars, shoulders and elbows.
-/// CAPE conditions on these only (§4, "pose").
+/// Joints that influence clothing, the only ones CAPE conditions on (§4): hips, knees, spine, neck,
+/// collars, shoulders and elbows.
 pub const CLOTHING_JOINTS: [usize; 14] = [1, 2, 3, 4, 5, 6, 9, 12, 13, 14, 16, 17, 18, 19];
 
-/// A 3 × 3 matrix as rows.
+/// Rotation matrix, `[3, 3]`, as rows.
 ///
 /// ```
 /// use cape_core::joints::{JOINTS, POSE_FEATURE, Rotation, pose_feature, pose_rotations};
 ///
 /// let rotations: Vec<Rotation> = pose_rotations(&[0.0; 3 * JOINTS])?;
 /// assert_eq!(rotations[0], [[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]]);
-/// // At rest the feature is 14 identities.
+/// // In the rest pose the feature is 14 identity matrices.
 /// let feature = pose_feature(&rotations)?;
 /// assert_eq!(feature.len(), POSE_FEATURE);
 /// assert_eq!(feature.iter().sum::<f64>(), 3.0 * 14.0);
@@ -89,27 +89,27 @@ pub const CLOTHING_JOINTS: [usize; 14] = [1, 2, 3, 4, 5, 6, 9, 12, 13, 14, 16, 1
 /// ```
 pub type Rotation = [[f64; 3]; 3];
 
-/// The rotation about `axis_angle` by its length in radians (Rodrigues' formula).
+/// Rotation matrix of an axis-angle in radians (Rodrigues' formula).
 pub fn rotation_matrix(axis_angle: [f64; 3]) -> Rotation {
     let matrix = rotation(axis_angle).transpose();
     matrix.to_cols_array_2d()
 }
 
-/// [`rotation_matrix`] as a matrix to compute with.
+/// [`rotation_matrix`] as a `glam` matrix.
 pub(crate) fn rotation(axis_angle: [f64; 3]) -> DMat3 {
     DMat3::from_quat(glam::DQuat::from_scaled_axis(DVec3::from_array(axis_angle)))
 }
 
-/// The rotations of a pose of axis-angles, `[3 · joints]` → `[joints, 3, 3]`.
+/// Rotation matrices of a pose in axis-angle, radians: `[3 · joints]` → `[joints, 3, 3]`.
 pub fn pose_rotations(pose: &[f64]) -> Result<Vec<Rotation>> {
     let (joints, rest) = pose.as_chunks::<3>();
     if rest.is_empty() {
         return Ok(joints.iter().map(|&joint| rotation_matrix(joint)).collect());
     }
-    Err(Error::Argument(format!("pose of {} numbers, expected 3 for each joint", pose.len())))
+    Err(Error::Argument(format!("pose of {} numbers, expected 3 per joint", pose.len())))
 }
 
-/// The pose feature: the rotation matrices of [`CLOTHING_JOINTS`], row-major,
+/// Pose feature of joint rotations: matrices of [`CLOTHING_JOINTS`], row-major,
 /// `[24, 3, 3]` → `[126]`.
 pub fn pose_feature(rotations: &[Rotation]) -> Result<[f64; POSE_FEATURE]> {
     if rotations.len() != JOINTS {
@@ -124,7 +124,7 @@ pub fn pose_feature(rotations: &[Rotation]) -> Result<[f64; POSE_FEATURE]> {
     Ok(feature)
 }
 
-/// Pose features of many poses, `[n, 126]`.
+/// Pose features of `n` poses, `[n, 126]`.
 pub fn pose_features(poses: &[BodyPose]) -> Result<Array2<f32>> {
     let mut features = Array2::zeros((poses.len(), POSE_FEATURE));
     for (mut row, pose) in features.rows_mut().into_iter().zip(poses) {
@@ -173,7 +173,7 @@ mod tests {
     }
 
     proptest! {
-        /// Against the series `exp(K)`.
+        /// Reference: the power series of `exp([v]ₓ)`.
         #[test]
         fn a_rotation_is_the_exponential_of_its_cross_product(
             v in prop::array::uniform3(-2.0f64..2.0),

@@ -1,12 +1,21 @@
-//! Meshes and their files, surfaces, and the SMPL body with its additive clothing term.
+//! Meshes and their files, and the SMPL body with CAPE's additive clothing term.
 //!
-//! Units are metres and radians; the y axis points up and the body faces +z, as in SMPL.
+//! SMPL poses a template mesh of `V` = 6890 vertices by shape coefficients β and joint rotations θ:
+//! `M(β, θ) = W(T̄ + B_S(β) + B_P(θ), J(β), θ, 𝒲)`. CAPE adds a clothing displacement `S_clo` to the
+//! rest vertices before skinning. [`SmplModel`] evaluates this in `f64` on the host, [`Smpl`] and
+//! [`ClothedSmpl`] as differentiable tensor operations on a device.
+//!
+//! Around the body: [`Mesh`] with its files ([`obj`], [`ply`], [`gltf`]), surface queries
+//! ([`geometry`]: closest points, rays), NumPy arrays ([`npy`]), Python pickles read as data
+//! ([`pickle`]), L-BFGS ([`optimise`]), and atomic file output ([`AtomicFile`]).
+//!
+//! Units are metres and radians; y points up and the body faces +z, as in SMPL.
 //!
 //! ```
 //! use cape_core::Mesh;
 //! use cape_synth::synthetic_body;
 //!
-//! // Any body in SMPL's layout: `SmplModel::load("SMPL_MALE.pkl")` reads the official one.
+//! // `SmplModel::load("SMPL_MALE.pkl")` reads an official body; this one is synthetic.
 //! let body = synthetic_body();
 //! let posed = body.pose(&[1.0, -0.5], &[0.0; 72], [0.0; 3], None)?;
 //! assert_eq!(posed.vertices.dim(), (6890, 3));

@@ -2,7 +2,7 @@ use ndarray::Array2;
 
 use crate::{Error, Result, expect_finite};
 
-/// A body's movement at a fixed rate.
+/// Poses and translations of a body at a fixed frame rate.
 ///
 /// ```
 /// use cape_core::BodyMotion;
@@ -10,25 +10,30 @@ use crate::{Error, Result, expect_finite};
 ///
 /// let motion = BodyMotion::new(30.0, Array2::zeros((60, 72)), Array2::zeros((60, 3)))?;
 /// assert_eq!(motion.frames(), 60);
-/// // Poses and translations must be of as many frames.
+/// // Poses and translations must have the same number of frames.
 /// assert!(BodyMotion::new(30.0, Array2::zeros((60, 72)), Array2::zeros((59, 3))).is_err());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyMotion {
-    /// Frames a second.
+    /// Frames per second.
     pub frame_rate: f64,
-    /// Axis-angles of all joints, radians, `[frames, 3 · joints]`.
+    /// Poses in axis-angle, radians, `[frames, 3 · joints]`.
     pub poses: Array2<f64>,
-    /// Translations, metres, `[frames, 3]`.
+    /// Translations of the body, metres, `[frames, 3]`.
     pub translations: Array2<f64>,
 }
 
 impl BodyMotion {
-    /// A checked motion.
+    /// Builds a motion from finite poses `[frames, 3 · joints]` and translations `[frames, 3]`.
+    ///
+    /// # Errors
+    /// If the frame rate is not positive, shapes disagree, or a number is not finite.
     pub fn new(frame_rate: f64, poses: Array2<f64>, translations: Array2<f64>) -> Result<Self> {
         if !(frame_rate.is_finite() && frame_rate > 0.0) {
-            return Err(Error::argument(format!("frame rate {frame_rate}: expected more than 0")));
+            return Err(Error::argument(format!(
+                "frame rate {frame_rate}: expected a positive number"
+            )));
         }
         let frames = poses.nrows();
         if poses.ncols() < 3

@@ -1,22 +1,23 @@
-//! Wavefront OBJ files. Vertices keep the file's numbering, so that what is known by vertex index
-//! (displacements, masks, blend weights) still fits.
+//! Wavefront OBJ files. Vertices keep the order of the file, so that per-vertex data (displacements,
+//! masks, blend weights) stay valid.
 
-use std::{io::Write, path::Path};
+use std::{
+    io::{self, Write},
+    path::Path,
+};
 
 use crate::{Error, Mesh, Result, mesh::read_bytes, write_atomically};
 
 /// Texture coordinates of a mesh.
-///
-/// See [`Obj`] for an example.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Uv {
-    /// Points of the texture, `[points, 2]`.
+    /// Texture coordinates (u, v), origin at the bottom left, `[points, 2]`.
     pub coordinates: Vec<[f32; 2]>,
-    /// For each corner of each face, its point, `[faces, 3]`.
+    /// Index into `coordinates` for each corner of each face, `[faces, 3]`.
     pub faces: Vec<[u32; 3]>,
 }
 
-/// What an OBJ file holds.
+/// Contents of an OBJ file.
 ///
 /// ```
 /// use cape_core::{Mesh, obj::{self, Obj, Uv}};
@@ -34,66 +35,82 @@ pub struct Uv {
 /// ```
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Obj {
-    /// The triangles of all objects and groups of the file together.
+    /// Triangles of all objects and groups.
     pub mesh: Mesh,
-    /// Texture coordinates, if every corner has some.
+    /// Texture coordinates; `None` unless every face corner has them.
     pub uv: Option<Uv>,
 }
 
-/// Reads an OBJ file. Polygons are cut into fans of triangles; normals, materials, groups, lines
-/// and curves are ignored.
+/// Reads an OBJ file. Polygons are triangulated as fans; normals, materials, groups, lines and
+/// curves are ignored.
 pub fn read(path: impl AsRef<Path>) -> Result<Obj> {
     let path = path.as_ref();
     parse(&read_bytes(path)?)
         .map_err(|ParseError { line, message }| Error::field(path, format!("line {line}"), message))
 }
 
-/// Writes an OBJ file, atomically.
+/// Writes an OBJ file, atomically, with texture coordinates if given.
 pub fn write(path: impl AsRef<Path>, mesh: &Mesh, uv: Option<&Uv>) -> Result<()> {
     write_with(path, mesh, uv, None)
 }
 
-/// Writes an OBJ file that uses a material: the name of its `.mtl` file, and of the material in it.
+/// [`write()`] with a material: the name of its `.mtl` file, and its name in that file.
 pub fn write_with(
     path: impl AsRef<Path>,
     mesh: &Mesh,
     uv: Option<&Uv>,
     material: Option<(&str, &str)>,
 ) -> Result<()> {
-    if let Some(uv) = uv
-        && uv.faces.len() != mesh.faces.len()
-    {
-        return Err(Error::Mesh(format!(
-            "{} faces have texture coordinates, expected {}",
-            uv.faces.len(),
-            mesh.faces.len()
-        )));
+    check_uv(mesh, uv)?;
+    write_atomically(path, |file| write_to(file, mesh, uv, material))
+}
+
+/// Writes a mesh in OBJ format to `sink`, with texture coordinates and a material (see
+/// [`write_with`]) if given.
+///
+/// # Errors
+/// If there are not as many faces with texture coordinates as faces, or `sink` fails.
+pub fn write_to(
+    mut sink: impl Write,
+    mesh: &Mesh,
+    uv: Option<&Uv>,
+    material: Option<(&str, &str)>,
+) -> io::Result<()> {
+    check_uv(mesh, uv).map_err(io::Error::other)?;
+    if let Some((library, _)) = material {
+        writeln!(sink, "mtllib {library}")?;
     }
-    write_atomically(path, |file| {
-        if let Some((library, _)) = material {
-            writeln!(file, "mtllib {library}")?;
-        }
-        for [x, y, z] in &mesh.vertices {
-            writeln!(file, "v {x} {y} {z}")?;
-        }
-        for [u, v] in uv.iter().flat_map(|uv| &uv.coordinates) {
-            writeln!(file, "vt {u} {v}")?;
-        }
-        if let Some((_, name)) = material {
-            writeln!(file, "usemtl {name}")?;
-        }
-        for (index, face) in mesh.faces.iter().enumerate() {
-            let [a, b, c] = face.map(|corner| u64::from(corner) + 1);
-            match uv.and_then(|uv| uv.faces.get(index)) {
-                None => writeln!(file, "f {a} {b} {c}")?,
-                Some(points) => {
-                    let [p, q, r] = points.map(|point| u64::from(point) + 1);
-                    writeln!(file, "f {a}/{p} {b}/{q} {c}/{r}")?;
-                }
+    for [x, y, z] in &mesh.vertices {
+        writeln!(sink, "v {x} {y} {z}")?;
+    }
+    for [u, v] in uv.iter().flat_map(|uv| &uv.coordinates) {
+        writeln!(sink, "vt {u} {v}")?;
+    }
+    if let Some((_, name)) = material {
+        writeln!(sink, "usemtl {name}")?;
+    }
+    for (index, face) in mesh.faces.iter().enumerate() {
+        let [a, b, c] = face.map(|corner| u64::from(corner) + 1);
+        match uv.and_then(|uv| uv.faces.get(index)) {
+            None => writeln!(sink, "f {a} {b} {c}")?,
+            Some(points) => {
+                let [p, q, r] = points.map(|point| u64::from(point) + 1);
+                writeln!(sink, "f {a}/{p} {b}/{q} {c}/{r}")?;
             }
         }
-        Ok(())
-    })
+    }
+    Ok(())
+}
+
+fn check_uv(mesh: &Mesh, uv: Option<&Uv>) -> Result<()> {
+    let faces = mesh.faces.len();
+    match uv {
+        Some(uv) if uv.faces.len() != faces => Err(Error::Mesh(format!(
+            "texture coordinates of {} faces, expected {faces}",
+            uv.faces.len()
+        ))),
+        _ => Ok(()),
+    }
 }
 
 struct ParseError {
@@ -124,10 +141,13 @@ fn parse(bytes: &[u8]) -> Result<Obj, ParseError> {
                 let corners: Vec<(u32, Option<u32>)> =
                     words.map(|word| corner(word, counts)).collect::<Result<_, _>>().map_err(at)?;
                 let [first, rest @ ..] = corners.as_slice() else {
-                    return Err(at("a face without corners".into()));
+                    return Err(at("face without vertices".into()));
                 };
                 if rest.len() < 2 {
-                    return Err(at(format!("a face of {} corners", corners.len())));
+                    return Err(at(format!(
+                        "face of {} vertices, expected at least 3",
+                        corners.len()
+                    )));
                 }
                 for pair in rest.windows(2) {
                     let triangle = [*first, pair[0], pair[1]];
@@ -159,23 +179,24 @@ fn numbers<'a, const N: usize>(words: impl Iterator<Item = &'a str>) -> Result<[
     if found == N { Ok(values) } else { Err(format!("{found} numbers, expected {N}")) }
 }
 
-/// One corner of a face, `v`, `v/vt`, `v//vn` or `v/vt/vn`; negative numbers count from the end.
+/// Vertex and texture indices of a face corner `v`, `v/vt`, `v//vn` or `v/vt/vn`; negative numbers
+/// count from the end.
 fn corner(word: &str, (vertices, points): (usize, usize)) -> Result<(u32, Option<u32>), String> {
-    let index = |text: &str, count: usize, what: &str| {
+    let index = |text: &str, count: usize, kind: &str| {
         let number: i64 =
-            text.parse().map_err(|_| format!("`{word}` is not a corner of a face"))?;
+            text.parse().map_err(|_| format!("`{word}` is not v, v/vt, v//vn or v/vt/vn"))?;
         let position =
             if number < 0 { number.checked_add(count as i64) } else { number.checked_sub(1) };
         position
             .and_then(|position| u32::try_from(position).ok())
             .filter(|&position| (position as usize) < count)
-            .ok_or_else(|| format!("{what} {number}, but there are {count} so far"))
+            .ok_or_else(|| format!("{kind} {number} is out of range: {count} defined so far"))
     };
     let mut parts = word.split('/');
     let vertex = index(parts.next().unwrap_or_default(), vertices, "vertex")?;
     let point = match parts.next() {
         None | Some("") => None,
-        Some(text) => Some(index(text, points, "texture point")?),
+        Some(text) => Some(index(text, points, "texture coordinate")?),
     };
     Ok((vertex, point))
 }
@@ -193,12 +214,12 @@ mod tests {
     }
 
     #[test]
-    fn polygons_are_cut_and_texture_points_kept() {
+    fn polygons_are_triangulated_with_texture_coordinates() {
         let text = "# a comment\r\nmtllib a.mtl\nv 0 0 0\nv 1 0 0 1\nv 1 1 0 0.5 0.5 0.5\nv 0 1 0\n\
                     v 9 9 9\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\ng \u{e9}\n\
                     f 1/1/1 2/2/1 \\\n 3/3/1 4/4/1\nf -5/-4 -3/-2 -2/-1\n";
         let obj = parse(text.as_bytes()).ok().unwrap();
-        // The vertex no face uses keeps its place.
+        // The isolated vertex keeps its index.
         assert_eq!(obj.mesh.vertices.len(), 5);
         assert_eq!(obj.mesh.faces, [[0, 1, 2], [0, 2, 3], [0, 2, 3]]);
         let uv = obj.uv.unwrap();
@@ -213,10 +234,10 @@ mod tests {
         assert_eq!(message("v 1 2\n"), "1: 2 numbers, expected 3");
         assert_eq!(message("\nv 1 2 x\n"), "2: `x` is not a number");
         assert_eq!(message("v 1 nan 2\n"), "1: `nan` is not a finite number");
-        assert_eq!(message("v 1 1 1\nf 1 1 2\n"), "2: vertex 2, but there are 1 so far");
-        assert_eq!(message("v 1 1 1\nf 1 1 0\n"), "2: vertex 0, but there are 1 so far");
-        assert_eq!(message("v 1 1 1\nf 1 1\n"), "2: a face of 2 corners");
-        assert_eq!(message("f a b c\n"), "1: `a` is not a corner of a face");
+        assert_eq!(message("v 1 1 1\nf 1 1 2\n"), "2: vertex 2 is out of range: 1 defined so far");
+        assert_eq!(message("v 1 1 1\nf 1 1 0\n"), "2: vertex 0 is out of range: 1 defined so far");
+        assert_eq!(message("v 1 1 1\nf 1 1\n"), "2: face of 2 vertices, expected at least 3");
+        assert_eq!(message("f a b c\n"), "1: `a` is not v, v/vt, v//vn or v/vt/vn");
     }
 
     #[test]
@@ -230,6 +251,16 @@ mod tests {
         let uv = Uv { coordinates: vec![[0.25, 0.75]], faces: vec![[0; 3]; 12] };
         write(&path, &mesh, Some(&uv)).unwrap();
         assert_eq!(read(&path).unwrap(), Obj { mesh: mesh.clone(), uv: Some(uv) });
+        let mut bytes = Vec::new();
+        write_to(
+            &mut bytes,
+            &mesh,
+            Some(&Uv { coordinates: vec![[0.25, 0.75]], faces: vec![[0; 3]; 12] }),
+            None,
+        )
+        .unwrap();
+        assert_eq!(bytes, std::fs::read(&path).unwrap());
+        assert!(write_to(&mut bytes, &mesh, Some(&Uv::default()), None).is_err());
         assert!(write(&path, &mesh, Some(&Uv::default())).is_err());
         std::fs::write(&path, "v 1\n").unwrap();
         let message = read(&path).unwrap_err().to_string();

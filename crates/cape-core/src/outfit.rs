@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 
-/// The clothing type `c` of CAPE (§3): upper garment, then lower garment.
+/// Outfit: the clothing type `c` of CAPE (§3), named upper garment first.
 ///
 /// ```
 /// use cape_core::Outfit;
@@ -34,19 +34,19 @@ impl Outfit {
     /// All outfits, in one-hot order.
     pub const ALL: [Self; 4] = [Self::ShortLong, Self::ShortShort, Self::LongShort, Self::LongLong];
 
-    /// Position in the one-hot label.
+    /// Index of the outfit in the one-hot label, 0 to 3.
     pub const fn index(self) -> usize {
         self as usize
     }
 
-    /// The label the network is conditioned on, `[4]`.
+    /// One-hot label of the outfit, the condition of the network, `[4]`.
     pub const fn one_hot(self) -> [f32; 4] {
         let mut label = [0.0; 4];
         label[self as usize] = 1.0;
         label
     }
 
-    /// The name used in directory and file names.
+    /// Name of the outfit in directory and file names.
     pub const fn name(self) -> &'static str {
         match self {
             Self::ShortLong => "shortlong",
@@ -56,12 +56,12 @@ impl Outfit {
         }
     }
 
-    /// Whether the upper garment has long sleeves.
+    /// True if the upper garment has long sleeves.
     pub const fn long_sleeves(self) -> bool {
         matches!(self, Self::LongShort | Self::LongLong)
     }
 
-    /// Whether the lower garment has long legs.
+    /// True if the lower garment has long legs.
     pub const fn long_legs(self) -> bool {
         matches!(self, Self::ShortLong | Self::LongLong)
     }

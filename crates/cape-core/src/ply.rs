@@ -1,10 +1,13 @@
-//! Stanford PLY files: binary and text are read, binary little-endian is written.
+//! Stanford PLY files: reads text and binary, writes binary little-endian.
 
-use std::{io::Write, path::Path};
+use std::{
+    io::{self, Write},
+    path::Path,
+};
 
 use crate::{Error, Mesh, Result, mesh::read_bytes, write_atomically};
 
-/// A mesh, and normals of its vertices where there are some.
+/// Mesh and, if the file has them, vertex normals `[vertices, 3]` of any length.
 ///
 /// ```
 /// let file = std::env::temp_dir().join(format!("normals-{}.ply", std::process::id()));
@@ -19,59 +22,67 @@ use crate::{Error, Mesh, Result, mesh::read_bytes, write_atomically};
 /// ```
 pub type MeshWithNormals = (Mesh, Option<Vec<[f32; 3]>>);
 
-/// Reads a PLY file. Polygons are cut into fans of triangles; everything but vertex positions and
-/// face corners is ignored.
+/// Reads a PLY file. Polygons are triangulated as fans; properties other than vertex positions and
+/// vertex indices are ignored.
 pub fn read(path: impl AsRef<Path>) -> Result<Mesh> {
     Ok(read_with_normals(path)?.0)
 }
 
-/// As [`read()`], with the normals of the vertices (`nx`, `ny`, `nz`) if the file has them,
-/// `[vertices, 3]`, of any length.
+/// [`read()`] with the vertex normals `nx`, `ny`, `nz`, if the file has them.
 ///
 /// # Errors
-/// If the file cannot be read, or is no PLY file.
+/// If the file cannot be read or is not a valid PLY file.
 pub fn read_with_normals(path: impl AsRef<Path>) -> Result<MeshWithNormals> {
     let path = path.as_ref();
     parse_with_normals(&read_bytes(path)?).map_err(|message| Error::format(path, message))
 }
 
-/// Writes a binary little-endian PLY file, atomically, with colours (red, green, blue) of the
-/// vertices where given, `[vertices, 3]`.
+/// Writes a binary little-endian PLY file, atomically, with RGB vertex colours `[vertices, 3]` if
+/// given.
 pub fn write(path: impl AsRef<Path>, mesh: &Mesh, colours: Option<&[[u8; 3]]>) -> Result<()> {
-    if let Some(colours) = colours
-        && colours.len() != mesh.vertices.len()
-    {
-        let (found, expected) = (colours.len(), mesh.vertices.len());
-        return Err(Error::Mesh(format!("{found} colours, expected {expected}")));
+    check_colours(mesh, colours)?;
+    write_atomically(path, |file| write_to(file, mesh, colours))
+}
+
+/// Writes a mesh in binary little-endian PLY format to `sink`, with RGB vertex colours
+/// `[vertices, 3]` if given.
+///
+/// # Errors
+/// If there are not as many colours as vertices, or `sink` fails.
+pub fn write_to(mut sink: impl Write, mesh: &Mesh, colours: Option<&[[u8; 3]]>) -> io::Result<()> {
+    check_colours(mesh, colours).map_err(io::Error::other)?;
+    write!(sink, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", mesh.vertices.len())?;
+    sink.write_all(b"property float x\nproperty float y\nproperty float z\n")?;
+    if colours.is_some() {
+        sink.write_all(b"property uchar red\nproperty uchar green\nproperty uchar blue\n")?;
     }
-    write_atomically(path, |file| {
-        write!(
-            file,
-            "ply\nformat binary_little_endian 1.0\nelement vertex {}\n",
-            mesh.vertices.len()
-        )?;
-        file.write_all(b"property float x\nproperty float y\nproperty float z\n")?;
-        if colours.is_some() {
-            file.write_all(b"property uchar red\nproperty uchar green\nproperty uchar blue\n")?;
+    writeln!(sink, "element face {}", mesh.faces.len())?;
+    sink.write_all(b"property list uchar uint vertex_indices\nend_header\n")?;
+    for (index, vertex) in mesh.vertices.iter().enumerate() {
+        for coordinate in vertex {
+            sink.write_all(&coordinate.to_le_bytes())?;
         }
-        writeln!(file, "element face {}", mesh.faces.len())?;
-        file.write_all(b"property list uchar uint vertex_indices\nend_header\n")?;
-        for (index, vertex) in mesh.vertices.iter().enumerate() {
-            for coordinate in vertex {
-                file.write_all(&coordinate.to_le_bytes())?;
-            }
-            if let Some(colour) = colours.and_then(|colours| colours.get(index)) {
-                file.write_all(colour)?;
-            }
+        if let Some(colour) = colours.and_then(|colours| colours.get(index)) {
+            sink.write_all(colour)?;
         }
-        for face in &mesh.faces {
-            file.write_all(&[3])?;
-            for corner in face {
-                file.write_all(&corner.to_le_bytes())?;
-            }
+    }
+    for face in &mesh.faces {
+        sink.write_all(&[3])?;
+        for corner in face {
+            sink.write_all(&corner.to_le_bytes())?;
         }
-        Ok(())
-    })
+    }
+    Ok(())
+}
+
+fn check_colours(mesh: &Mesh, colours: Option<&[[u8; 3]]>) -> Result<()> {
+    let vertices = mesh.vertices.len();
+    match colours {
+        Some(colours) if colours.len() != vertices => {
+            Err(Error::Mesh(format!("{} vertex colours, expected {vertices}", colours.len())))
+        }
+        _ => Ok(()),
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -110,7 +121,7 @@ impl Scalar {
         }
     }
 
-    /// The number in `raw`, least significant byte first.
+    /// Decodes the little-endian number in `raw`.
     fn decode(self, raw: [u8; 8]) -> f64 {
         let [a, b, c, d, ..] = raw;
         match self {
@@ -128,7 +139,7 @@ impl Scalar {
 
 struct Property<'a> {
     name: &'a str,
-    /// Type of the length, for a list.
+    /// Type of the length of a list property.
     length: Option<Scalar>,
     scalar: Scalar,
 }
@@ -176,11 +187,11 @@ fn parse_with_normals(bytes: &[u8]) -> Result<MeshWithNormals, String> {
         }
     }
     if !vertices_seen {
-        return Err("no element `vertex`".into());
+        return Err("the header has no element `vertex`".into());
     }
     let outside = |face: &&[u32; 3]| face.iter().any(|&c| c as usize >= mesh.vertices.len());
     if faces_seen && let Some(face) = mesh.faces.iter().find(outside) {
-        return Err(format!("face {face:?}, but there are {} vertices", mesh.vertices.len()));
+        return Err(format!("face {face:?} is out of range for {} vertices", mesh.vertices.len()));
     }
     Ok((mesh, normals))
 }
@@ -188,15 +199,18 @@ fn parse_with_normals(bytes: &[u8]) -> Result<MeshWithNormals, String> {
 fn header(bytes: &[u8]) -> Result<(Encoding, Vec<Element<'_>>, &[u8]), String> {
     let mut rest = bytes;
     let mut next_line = || {
-        let end = rest.iter().position(|&byte| byte == b'\n').ok_or("the header has no end")?;
+        let end = rest
+            .iter()
+            .position(|&byte| byte == b'\n')
+            .ok_or("the header does not end with `end_header`")?;
         let (line, after) = rest.split_at(end);
         rest = &after[1..];
         std::str::from_utf8(line)
             .map(|line| (line.trim(), rest))
-            .map_err(|_| "the header is not text")
+            .map_err(|_| "the header is not ASCII text")
     };
     if next_line()?.0 != "ply" {
-        return Err("not a PLY file (it does not start with `ply`)".into());
+        return Err("not a PLY file (expected `ply` in the first line)".into());
     }
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
@@ -205,7 +219,7 @@ fn header(bytes: &[u8]) -> Result<(Encoding, Vec<Element<'_>>, &[u8]), String> {
         let words: Vec<&str> = line.split_whitespace().collect();
         match words.as_slice() {
             ["end_header"] => {
-                let encoding = encoding.ok_or("the header has no `format`")?;
+                let encoding = encoding.ok_or("the header has no `format` line")?;
                 return Ok((encoding, elements, after));
             }
             ["format", name, _] => {
@@ -217,7 +231,8 @@ fn header(bytes: &[u8]) -> Result<(Encoding, Vec<Element<'_>>, &[u8]), String> {
                 });
             }
             ["element", name, count] => {
-                let count = count.parse().map_err(|_| format!("`{line}`: not a count"))?;
+                let count =
+                    count.parse().map_err(|_| format!("`{line}`: expected an element count"))?;
                 elements.push(Element { name, count, properties: Vec::new() });
             }
             ["property", definition @ ..] => {
@@ -230,37 +245,43 @@ fn header(bytes: &[u8]) -> Result<(Encoding, Vec<Element<'_>>, &[u8]), String> {
                     [scalar, name] => {
                         Property { name, length: None, scalar: Scalar::parse(scalar)? }
                     }
-                    _ => return Err(format!("`{line}`: not a property")),
+                    _ => {
+                        return Err(format!(
+                            "`{line}`: expected `property TYPE NAME` or `property list TYPE TYPE NAME`"
+                        ));
+                    }
                 };
-                let element = elements.last_mut().ok_or("a property before any element")?;
+                let element =
+                    elements.last_mut().ok_or("property line before the first element line")?;
                 element.properties.push(property);
             }
             [] | ["comment" | "obj_info", ..] => {}
-            _ => return Err(format!("`{line}`: not understood")),
+            _ => return Err(format!("unknown header line `{line}`")),
         }
     }
 }
 
-/// Positions, and normals where there are some.
+/// Vertex positions and, if the file has them, normals.
 type Vertices = (Vec<[f32; 3]>, Option<Vec<[f32; 3]>>);
 
 fn vertices(body: &mut Payload, element: &Element) -> Result<Vertices, String> {
     let position =
         |axis: &str| element.properties.iter().position(|p| p.name == axis && p.length.is_none());
-    let axis = |name| position(name).ok_or_else(|| format!("vertices have no `{name}`"));
+    let axis =
+        |name| position(name).ok_or_else(|| format!("element `vertex` has no property `{name}`"));
     let axes = [axis("x")?, axis("y")?, axis("z")?];
-    let across = match ["nx", "ny", "nz"].map(position) {
+    let normal_axes = match ["nx", "ny", "nz"].map(position) {
         [Some(x), Some(y), Some(z)] => Some([x, y, z]),
         _ => None,
     };
     let mut vertices = Vec::with_capacity(element.count);
-    let mut normals = across.map(|_| Vec::with_capacity(element.count));
+    let mut normals = normal_axes.map(|_| Vec::with_capacity(element.count));
     for index in 0..element.count {
         let (mut vertex, mut normal) = ([0.0f32; 3], [0.0f32; 3]);
         body.item(element, |property, values| {
             let [value] = values else { return };
             let slots = vertex.iter_mut().zip(axes);
-            let slots = slots.chain(normal.iter_mut().zip(across.unwrap_or([usize::MAX; 3])));
+            let slots = slots.chain(normal.iter_mut().zip(normal_axes.unwrap_or([usize::MAX; 3])));
             for (slot, _) in slots.filter(|&(_, axis)| axis == property) {
                 *slot = *value as f32;
             }
@@ -279,7 +300,7 @@ fn vertices(body: &mut Payload, element: &Element) -> Result<Vertices, String> {
 fn faces(body: &mut Payload, element: &Element) -> Result<Vec<[u32; 3]>, String> {
     let is_corners = |p: &Property| ["vertex_indices", "vertex_index"].contains(&p.name);
     let corners = element.properties.iter().position(|p| is_corners(p) && p.length.is_some());
-    let corners = corners.ok_or("faces have no list `vertex_indices`")?;
+    let corners = corners.ok_or("element `face` has no list property `vertex_indices`")?;
     let mut faces = Vec::with_capacity(element.count);
     for index in 0..element.count {
         let mut fault = None;
@@ -296,8 +317,16 @@ fn faces(body: &mut Payload, element: &Element) -> Result<Vec<[u32; 3]>, String>
                 Some([first, rest @ ..]) if rest.len() >= 2 => {
                     faces.extend(rest.windows(2).map(|pair| [*first, pair[0], pair[1]]));
                 }
-                Some(few) => fault = Some(format!("face {index} has {} corners", few.len())),
-                None => fault = Some(format!("face {index} has a corner that is not an index")),
+                Some(few) => {
+                    fault = Some(format!(
+                        "face {index} has {} vertices, expected at least 3",
+                        few.len()
+                    ));
+                }
+                None => {
+                    fault =
+                        Some(format!("face {index} has a vertex index that is not a whole number"));
+                }
             }
         })?;
         if let Some(fault) = fault {
@@ -307,24 +336,24 @@ fn faces(body: &mut Payload, element: &Element) -> Result<Vec<[u32; 3]>, String>
     Ok(faces)
 }
 
-/// The bytes after the header that are still to be read.
+/// Unread bytes after the header.
 struct Payload<'a> {
     encoding: Encoding,
     rest: &'a [u8],
 }
 
 impl Payload<'_> {
-    /// Refuses counts that the bytes left cannot hold, before memory is taken for them.
+    /// Rejects an element count that exceeds the remaining bytes, before memory is allocated.
     fn check_count(&self, element: &Element) -> Result<(), String> {
-        let least = |property: &Property| match self.encoding {
+        let min_size = |property: &Property| match self.encoding {
             Encoding::Text => 2,
             _ => property.length.unwrap_or(property.scalar).size(),
         };
-        let each: usize = element.properties.iter().map(least).sum();
-        // The last number of a text need not be followed by a space.
+        let each: usize = element.properties.iter().map(min_size).sum();
+        // The last number of a text file needs no separator after it.
         if element.count.saturating_mul(each) > self.rest.len() + 1 {
             return Err(format!(
-                "claims {} of element `{}`, but only {} bytes follow",
+                "the header declares {} elements `{}`, but only {} bytes follow",
                 element.count,
                 element.name,
                 self.rest.len()
@@ -333,7 +362,7 @@ impl Payload<'_> {
         Ok(())
     }
 
-    /// Reads one item of `element`, handing over each property's position and values.
+    /// Reads one item of `element` and calls `take` with each property's index and values.
     fn item(
         &mut self,
         element: &Element,
@@ -345,7 +374,10 @@ impl Payload<'_> {
                 Some(length) => {
                     let length = self.number(length)?;
                     if !(0.0..=self.rest.len() as f64).contains(&length) {
-                        return Err(format!("a list of {length} numbers in `{}`", element.name));
+                        return Err(format!(
+                            "list of {length} numbers in element `{}`, longer than the rest of the file",
+                            element.name
+                        ));
                     }
                     let values: Vec<f64> = (0..length as usize)
                         .map(|_| self.number(property.scalar))
@@ -364,7 +396,7 @@ impl Payload<'_> {
             Encoding::BigEndian => true,
         };
         let (bytes, rest) =
-            self.rest.split_at_checked(scalar.size()).ok_or("the data end early")?;
+            self.rest.split_at_checked(scalar.size()).ok_or("unexpected end of data")?;
         self.rest = rest;
         let mut raw = [0; 8];
         raw[..bytes.len()].copy_from_slice(bytes);
@@ -376,7 +408,7 @@ impl Payload<'_> {
 
     fn word(&mut self) -> Result<f64, String> {
         let start = self.rest.iter().position(|byte| !byte.is_ascii_whitespace());
-        let text = &self.rest[start.ok_or("the data end early")?..];
+        let text = &self.rest[start.ok_or("unexpected end of data")?..];
         let end = text.iter().position(u8::is_ascii_whitespace).unwrap_or(text.len());
         let (word, rest) = text.split_at(end);
         self.rest = rest;
@@ -405,6 +437,10 @@ mod tests {
         let bytes = file(&cube(), Some(&[[1, 2, 3]; 8]));
         assert_eq!(bytes.len(), file(&cube(), None).len() + 8 * 3 + 60);
         assert!(write("a.ply", &cube(), Some(&[])).is_err());
+        let mut written = Vec::new();
+        write_to(&mut written, &cube(), Some(&[[1, 2, 3]; 8])).unwrap();
+        assert_eq!(written, bytes);
+        assert!(write_to(&mut written, &cube(), Some(&[])).is_err());
     }
 
     #[test]
@@ -457,14 +493,14 @@ mod tests {
         let face = "property list uchar int vertex_indices\n";
         let cases = [
             ("plyx\n".to_owned(), "not a PLY file"),
-            ("ply\nformat ascii 1.0\n".to_owned(), "no end"),
+            ("ply\nformat ascii 1.0\n".to_owned(), "does not end"),
             ("ply\nelement vertex 0\nend_header\n".to_owned(), "no `format`"),
             ("ply\nformat ascii 1.0\nend_header\n".to_owned(), "no element `vertex`"),
             (
                 format!(
                     "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\n{vertex}end_header\n"
                 ),
-                "claims 4000000000",
+                "declares 4000000000",
             ),
             (
                 format!("ply\nformat ascii 1.0\nelement vertex 1\n{vertex}end_header\n0 0 inf"),
@@ -474,13 +510,13 @@ mod tests {
                 format!(
                     "ply\nformat ascii 1.0\nelement vertex 1\n{vertex}element face 1\n{face}end_header\n0 0 0\n3 0 0 1\n"
                 ),
-                "there are 1 vertices",
+                "out of range for 1 vertices",
             ),
             (
                 format!(
                     "ply\nformat ascii 1.0\nelement vertex 1\n{vertex}element face 1\n{face}end_header\n0 0 0\n2 0 0\n"
                 ),
-                "face 0 has 2 corners",
+                "face 0 has 2 vertices",
             ),
         ];
         for (text, expected) in cases {
@@ -489,7 +525,7 @@ mod tests {
         }
         let mut bytes = file(&cube(), None);
         bytes.pop();
-        assert!(parse(&bytes).unwrap_err().contains("end early"));
+        assert!(parse(&bytes).unwrap_err().contains("unexpected end"));
     }
 
     proptest! {

@@ -1,6 +1,5 @@
-/// Called by long operations with the work done so far and the whole of it, in the operation's own
-/// units (frames, batches); the last call has both equal. What is shown, if anything, is up to the
-/// caller.
+/// Callback `(done, total)` of long operations, in the operation's own units (frames, batches); the
+/// last call has `done == total`.
 ///
 /// ```
 /// use cape_core::{ProgressFn, silent};
@@ -18,5 +17,5 @@
 /// ```
 pub type ProgressFn<'a> = dyn FnMut(usize, usize) + 'a;
 
-/// The [`ProgressFn`] that shows nothing.
+/// A [`ProgressFn`] that does nothing.
 pub fn silent(_done: usize, _total: usize) {}

@@ -1,4 +1,4 @@
-//! Directories that appear whole or not at all.
+//! Output directories that appear under their name only when they are complete.
 
 use std::{
     fs::{self, File, TryLockError},
@@ -7,53 +7,59 @@ use std::{
 
 use crate::{Error, Result};
 
-/// The directory being filled, hidden beside its final place and removed unless committed.
+/// Hidden directory beside its final path that is filled, then renamed; removed unless committed.
 pub struct StagingDirectory {
-    /// Directory to write into.
+    /// Path of the hidden directory, to write into.
     pub path: PathBuf,
-    /// Held as long as this process fills the directory.
+    /// Lock file that keeps other processes from filling the same directory.
     lock: (PathBuf, File),
-    /// Whether it stays when it is dropped, to be gone on with.
+    /// Keep the contents on drop, so that a later run can resume.
     pub keep: bool,
 }
 
 impl StagingDirectory {
-    /// A place for `out`, which must be empty or missing, and what an interrupted attempt left
-    /// there.
+    /// Opens the staging directory of `out`, which must be empty or missing; contents left by an
+    /// interrupted run are kept.
+    ///
+    /// # Errors
+    /// If `out` has contents, or another process fills it.
     pub fn prepare(out: &Path) -> Result<Self> {
         let fail = |e| Error::io(out, e);
         if out.exists() && (!out.is_dir() || fs::read_dir(out).map_err(fail)?.next().is_some()) {
             return Err(Error::Data(format!(
-                "{} exists already: remove it, or choose another place",
+                "{} exists already: remove it, or choose another directory",
                 out.display()
             )));
         }
         let Some(name) = out.file_name() else {
-            return Err(Error::argument(format!("{} is not a directory's name", out.display())));
+            return Err(Error::argument(format!(
+                "{} is not the name of a directory",
+                out.display()
+            )));
         };
         let path = out.with_file_name(format!(".{}.cape-partial", name.to_string_lossy()));
         fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
         let lock = lock(path.with_extension("cape-lock"), out)?;
-        // Whoever held the lock before may have moved the directory away.
+        // The previous holder of the lock may have renamed the directory.
         fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
         Ok(Self { path, lock, keep: false })
     }
 
-    /// An empty place for `out`.
+    /// Opens an empty staging directory of `out`.
     pub fn create(out: &Path) -> Result<Self> {
         let staging = Self::prepare(out)?;
         staging.clear()?;
         Ok(staging)
     }
 
-    /// Removes what is there.
+    /// Deletes the contents.
     pub fn clear(&self) -> Result<()> {
         fs::remove_dir_all(&self.path)
             .and_then(|()| fs::create_dir(&self.path))
             .map_err(|e| Error::io(&self.path, e))
     }
 
-    /// Renames the directory to `out`.
+    /// Renames the staging directory to `out`.
     pub fn commit(mut self, out: &Path) -> Result<()> {
         if out.is_dir() {
             fs::remove_dir(out).map_err(|e| Error::io(out, e))?;
@@ -64,7 +70,7 @@ impl StagingDirectory {
     }
 }
 
-/// Makes sure that no other process writes `out`.
+/// Locks the file at `path`, so that no other process fills `out`.
 fn lock(path: PathBuf, out: &Path) -> Result<(PathBuf, File)> {
     let file = File::options()
         .create(true)
@@ -75,7 +81,7 @@ fn lock(path: PathBuf, out: &Path) -> Result<(PathBuf, File)> {
     match file.try_lock() {
         Ok(()) => Ok((path, file)),
         Err(TryLockError::WouldBlock) => Err(Error::Data(format!(
-            "{}: another process is writing it: wait, or choose another place",
+            "{}: another process is writing it: wait, or choose another directory",
             out.display()
         ))),
         Err(TryLockError::Error(error)) => Err(Error::io(path, error)),
@@ -86,7 +92,7 @@ impl Drop for StagingDirectory {
     fn drop(&mut self) {
         let _ = fs::remove_file(&self.lock.0);
         if !self.keep {
-            // A failure to clean up has no better place to go.
+            // `drop` cannot report a failed clean-up.
             let _ = fs::remove_dir_all(&self.path);
         }
     }

@@ -1,16 +1,16 @@
-//! Tensors from arrays on the host, and back.
+//! Transfer of numbers between host arrays and device tensors.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use ndarray::Array2;
 
-/// The values of a tensor on the host, row-major.
-pub fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+/// Values of a tensor, row-major, copied to the host.
+pub fn to_host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     let data = tensor.into_data().convert::<f32>();
     data.try_into_vec().unwrap_or_else(|_| unreachable!("converted to f32"))
 }
 
-/// An array `[rows, columns]` as a tensor on `device`.
-pub fn tensor2(array: Array2<f32>, device: &Device) -> Tensor<2> {
+/// Tensor `[rows, columns]` on `device` with the values of a host array.
+pub fn from_array2(array: Array2<f32>, device: &Device) -> Tensor<2> {
     let shape = [array.nrows(), array.ncols()];
     let values: Vec<f32> = array.into_iter().collect();
     Tensor::from_data(TensorData::new(values, shape), device)

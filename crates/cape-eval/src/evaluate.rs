@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::{Error, Result};
 use cape_core::{
     ProgressFn,
-    tensors::{host, tensor2},
+    tensors::{from_array2, to_host},
 };
 use cape_data::{PackedSet, Split, sequential};
 use cape_infer::{Run, normal, to_device};
@@ -215,12 +215,12 @@ pub fn reconstruct_test(
         let epsilon = (options.posterior == PosteriorUse::Sample).then(|| {
             let latent = run.config().model.latent;
             let noise = normal(options.seed, rows[0] as u64, rows.len(), latent);
-            tensor2(noise, run.device())
+            from_array2(noise, run.device())
         });
         let frames_on_device = to_device(batch, run.device());
         let result = reconstruct(run.generator(), run.graphs(), &frames_on_device, epsilon);
-        let mut predicted = host(result.displacement);
-        let mut truth = host(frames_on_device.displacement);
+        let mut predicted = to_host(result.displacement);
+        let mut truth = to_host(frames_on_device.displacement);
         statistics.denormalise(&mut predicted);
         statistics.denormalise(&mut truth);
         let size = vertices * 3;

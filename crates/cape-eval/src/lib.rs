@@ -10,6 +10,7 @@ pub mod comparison;
 pub mod evaluate;
 pub mod quality;
 pub mod self_check;
+pub mod store;
 pub mod surface_detail;
 pub mod table2;
 

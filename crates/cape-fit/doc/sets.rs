@@ -1,6 +1,6 @@
-// What the examples in this crate's documentation work on.
+// Data for the examples in the documentation of this crate.
 
-/// The vertices of the synthetic body, metres, and its triangles.
+/// Vertices of the synthetic body, metres, and its triangles.
 #[allow(dead_code)]
 fn person() -> (Vec<glam::DVec3>, Vec<[u32; 3]>) {
     let body = cape_synth::synthetic_body();
@@ -16,14 +16,14 @@ fn square(side: f64) -> (Vec<glam::DVec3>, Vec<[u32; 3]>) {
     (corners.to_vec(), vec![[0, 1, 2], [0, 2, 3]])
 }
 
-/// A body that walks, 3.5 m in front of the camera, and its joints' places in the image.
+/// A walking body 3.5 m in front of the camera, and the projections of its joints.
 #[allow(dead_code)]
 fn seen(
     model: &cape_core::SmplModel,
     camera: &cape_fit::PinholeCamera,
 ) -> cape_fit::Result<(cape_fit::BodyParameters, cape_fit::Keypoints)> {
-    use cape_synth::{Motion, MotionStyle};
     use cape_fit::{BodyParameters, Detector, Keypoint, Keypoints, Skeleton};
+    use cape_synth::{Motion, MotionStyle};
 
     let pose = Motion::WalkMarch.pose(&MotionStyle::default(), 0.6).to_vec();
     let mut body = BodyParameters::new(pose, vec![0.8, -0.6])?;

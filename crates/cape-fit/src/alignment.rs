@@ -1,20 +1,22 @@
-//! Scale and translation for evaluation (CAPE eq. 12–13).
+//! Alignment by scale and translation for evaluation (CAPE eq. 12).
 //!
-//! One image does not tell how large and how far a body is: estimates are compared with the truth
-//! after the scale and translation that bring them closest, per frame and in closed form.
+//! A single image does not determine size and distance of a body: an estimate is compared with the
+//! ground truth after the scale and translation that bring it closest, in closed form for each
+//! frame. The paper aligns the clothing vertices; [`aligned_error`] aligns all vertices and
+//! measures at those.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
 
-/// `x ↦ s x + t`.
+/// Similarity transform without rotation, `x ↦ s x + t` (CAPE eq. 12).
 ///
 /// ```
 /// use cape_fit::Alignment;
 /// use glam::DVec3;
 ///
-/// // Twice as large and 1 m away.
+/// // Scaled by 2 and moved by 1 m.
 /// let estimate = [DVec3::ZERO, DVec3::X, DVec3::Y];
 /// let truth = estimate.map(|point| 2.0 * point + DVec3::Z);
 /// let alignment = Alignment::between(&estimate, &truth)?;
@@ -24,22 +26,23 @@ use crate::{Error, Result};
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Alignment {
-    /// `s`, which may be negative where points are mirrored.
+    /// Scale `s`; negative if the points are mirrored.
     pub scale: f64,
-    /// `t`, metres.
+    /// Translation `t`, metres, `[3]`.
     pub translation: [f64; 3],
 }
 
 impl Alignment {
-    /// The scale and translation that minimise `Σ ‖s a_i + t − b_i‖²`: of points all in one place,
-    /// a scale of 1.
+    /// Scale and translation that minimise `Σ ‖s a_i + t − b_i‖²` over points `a_i` of the estimate
+    /// and `b_i` of the ground truth, metres; the scale is 1 if all points of the estimate
+    /// coincide.
     ///
     /// # Errors
-    /// If there are no points, or not as many of both.
+    /// If there are no points or the numbers differ.
     pub fn between(estimate: &[DVec3], truth: &[DVec3]) -> Result<Self> {
         if estimate.is_empty() || estimate.len() != truth.len() {
             return Err(Error::argument(format!(
-                "{} estimated points and {} true ones, expected as many of both",
+                "alignment: {} estimated and {} true points, expected equal numbers, at least 1",
                 estimate.len(),
                 truth.len()
             )));
@@ -56,19 +59,19 @@ impl Alignment {
         Ok(Self { scale, translation: (b - a * scale).to_array() })
     }
 
-    /// A point, moved.
+    /// Transforms a point, metres.
     pub fn apply(&self, point: DVec3) -> DVec3 {
         point * self.scale + DVec3::from_array(self.translation)
     }
 }
 
-/// How far aligned estimates are from the truth.
+/// Error of an estimate after its alignment with the ground truth.
 ///
 /// ```
 /// use cape_fit::aligned_error;
 /// use glam::DVec3;
 ///
-/// // Scale and place do not count as errors.
+/// // Scale and translation are no errors.
 /// let estimate = [DVec3::ZERO, DVec3::X, DVec3::Y];
 /// let truth = estimate.map(|point| 2.0 * point + DVec3::Z);
 /// let error = aligned_error(&estimate, &truth, &[0, 2])?;
@@ -77,17 +80,17 @@ impl Alignment {
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AlignedError {
-    /// Mean squared distance, metres².
+    /// Mean squared distance, m².
     pub squared: f64,
     /// Mean distance, metres.
     pub distance: f64,
 }
 
-/// The errors at `vertices` (numbers, such as those that clothes cover) after the alignment of all
+/// Errors at the vertex indices `vertices`, such as the clothing vertices, after the alignment of all
 /// points.
 ///
 /// # Errors
-/// As of [`Alignment::between`], or if there is no vertex, or one is not there.
+/// As of [`Alignment::between`], or if `vertices` is empty or an index is out of range.
 pub fn aligned_error(
     estimate: &[DVec3],
     truth: &[DVec3],
@@ -95,10 +98,10 @@ pub fn aligned_error(
 ) -> Result<AlignedError> {
     let alignment = Alignment::between(estimate, truth)?;
     if let Some(vertex) = vertices.iter().find(|&&vertex| vertex >= truth.len()) {
-        return Err(Error::argument(format!("vertex {vertex} of {}", truth.len())));
+        return Err(Error::argument(format!("alignment: vertex {vertex} of {}", truth.len())));
     }
     if vertices.is_empty() {
-        return Err(Error::argument("no vertex to compare"));
+        return Err(Error::argument("alignment: no vertices to compare, expected at least one"));
     }
     let count = vertices.len() as f64;
     let off = |&v: &usize| alignment.apply(estimate[v]).distance(truth[v]);
@@ -162,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_compared_is_refused() {
+    fn incomparable_points_are_refused() {
         let one = [DVec3::ONE];
         assert_eq!(Alignment::between(&one, &[DVec3::ZERO]).unwrap().scale, 1.0);
         assert!(Alignment::between(&[], &[]).is_err());

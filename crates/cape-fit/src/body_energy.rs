@@ -1,4 +1,4 @@
-//! SMPLify's energy (Bogo et al. 2016): what keypoints say of a body, and what bodies are like.
+//! Energy of SMPLify (Bogo et al. 2016): reprojection of joints and priors of pose and shape.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -9,12 +9,12 @@ use crate::{
     parameters::{BETAS_AT, POSE_AT, transl},
 };
 
-/// Angles of elbows and knees with the direction that they do not bend in: number in the pose, sign.
-/// Elbows turn about the vertical axis of the arm, knees about the transverse one.
+/// Index in the pose and sign of the hyperextension angle of elbows and knees (term `E_a`). Elbows
+/// bend about the y axis, knees about the x axis.
 const BENDS: [(usize, f64); 4] =
     [(18 * 3 + 1, 1.0), (19 * 3 + 1, -1.0), (4 * 3, -1.0), (5 * 3, -1.0)];
 
-/// Weights of the terms.
+/// Weights of the body terms.
 ///
 /// ```
 /// use cape_fit::{BodyTerms, BodyWeights};
@@ -26,18 +26,18 @@ const BENDS: [(usize, f64); 4] =
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BodyWeights {
-    /// Of the reprojection of joints.
+    /// Weight of the reprojection term `E_J`.
     pub joints: f64,
-    /// λ_θ of the pose prior.
+    /// Weight λ_θ of the pose prior `E_θ`.
     pub pose: f64,
-    /// λ_β of the shape prior.
+    /// Weight λ_β of the shape prior `E_β`.
     pub shape: f64,
-    /// λ_a of unnatural bends.
+    /// Weight λ_a of the hyperextension term `E_a`.
     pub bend: f64,
 }
 
 impl BodyWeights {
-    /// Refuses weights that are negative or not finite.
+    /// An error if a weight is negative or not finite.
     pub(crate) fn check(&self) -> Result<()> {
         let Self { joints, pose, shape, bend } = *self;
         for (field, weight) in
@@ -49,12 +49,12 @@ impl BodyWeights {
     }
 }
 
-/// Refuses a weight that is negative or not finite.
+/// An error if a weight is negative or not finite.
 pub(crate) fn check_weight(field: &str, weight: f64) -> Result<()> {
     if weight >= 0.0 && weight.is_finite() {
         return Ok(());
     }
-    Err(Error::argument(format!("configuration: `{field}` of {weight}, expected 0 or more")))
+    Err(Error::argument(format!("configuration: `{field}` {weight}, expected 0 or more")))
 }
 
 impl Default for BodyWeights {
@@ -63,23 +63,22 @@ impl Default for BodyWeights {
     }
 }
 
-/// The terms of the energy, unweighted.
-///
-/// See [`BodyWeights`] for an example.
+/// Unweighted body terms.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct BodyTerms {
-    /// `E_J`, in halves of squared deviations of the detector.
+    /// Reprojection term `E_J`: half the robust squared errors in standard deviations of the
+    /// detector.
     pub joints: f64,
-    /// `E_θ`, the negative logarithm of the pose prior's density.
+    /// Pose prior `E_θ`: negative log-density, up to a constant.
     pub pose: f64,
-    /// `E_β = ‖β‖²`.
+    /// Shape prior `E_β = ‖β‖²`.
     pub shape: f64,
-    /// `E_a`, of elbows and knees.
+    /// Hyperextension term `E_a = Σ exp(angle)` over elbows and knees.
     pub bend: f64,
 }
 
 impl BodyTerms {
-    /// `E_J + λ_θ E_θ + λ_β E_β + λ_a E_a`.
+    /// Weighted sum `E_J + λ_θ E_θ + λ_β E_β + λ_a E_a`.
     pub fn weighted(&self, weights: &BodyWeights) -> f64 {
         weights.joints * self.joints
             + weights.pose * self.pose
@@ -88,34 +87,32 @@ impl BodyTerms {
     }
 }
 
-/// The energy of bodies before a camera that saw keypoints.
-///
-/// See [`Smplify`](crate::Smplify) for an example.
+/// Energy of bodies given a camera and keypoint detections.
 #[derive(Debug, Clone)]
 pub struct BodyEnergy<'a> {
-    /// The body's joints.
+    /// Skeleton of the body.
     pub skeleton: &'a Skeleton,
-    /// What poses people take.
+    /// Pose prior.
     pub prior: &'a PosePrior,
-    /// Who looks.
+    /// Camera.
     pub camera: PinholeCamera,
-    /// What was seen.
-    pub sightings: &'a [KeypointDetection],
-    /// Metres that a pixel is wide at the person's distance: errors are measured in metres, so that
+    /// Detections of the joints.
+    pub detections: &'a [KeypointDetection],
+    /// Width of a pixel at the distance of the person, metres: errors are in metres, so that
     /// weights do not depend on the size of the image.
     pub pixel: f64,
-    /// Standard deviation of the detector, metres at the person's distance.
+    /// Standard deviation of the detector at the distance of the person, metres.
     pub deviation: f64,
-    /// Size of errors from which they are rather mistakes, metres at the person's distance.
+    /// Geman–McClure scale σ (outlier threshold) at the distance of the person, metres.
     pub robust_scale: f64,
 }
 
 impl BodyEnergy<'_> {
-    /// The terms at the unknowns `[3 + 72 + betas, …]`, of which `betas` shape coefficients are
-    /// used; the weighted gradient is added to `gradient`.
+    /// Terms at the unknowns `[3 + 72 + betas, …]` with `betas` shape coefficients; the weighted
+    /// gradient is added to `gradient`.
     ///
     /// # Errors
-    /// If sizes do not suit the body.
+    /// If sizes do not fit the body.
     pub(crate) fn evaluate(
         &self,
         x: &[f64],
@@ -128,15 +125,15 @@ impl BodyEnergy<'_> {
         if weights.joints > 0.0 {
             let posed = self.skeleton.pose(betas, pose, transl(x))?;
             let mut forces = vec![DVec3::ZERO; posed.joints().len()];
-            for sighting in self.sightings {
-                let at = posed.joints()[sighting.joint];
-                let seen = glam::DVec2::new(sighting.at.x, sighting.at.y);
+            for detection in self.detections {
+                let at = posed.joints()[detection.joint];
+                let seen = glam::DVec2::new(detection.at.x, detection.at.y);
                 let error = (self.camera.project(at) - seen) * self.pixel;
                 let (penalty, share) = geman_mcclure(error.length_squared(), self.robust_scale);
-                let weight = sighting.at.confidence / (2.0 * self.deviation * self.deviation);
+                let weight = detection.at.confidence / (2.0 * self.deviation * self.deviation);
                 terms.joints += weight * penalty;
                 let pull = error * (2.0 * share * weight * weights.joints * self.pixel);
-                forces[sighting.joint] += self.camera.pull_back(at, pull);
+                forces[detection.joint] += self.camera.pull_back(at, pull);
             }
             let by = posed.pull_back(&forces);
             let parts = by.transl.to_array().into_iter().chain(by.pose).chain(by.betas);
@@ -146,10 +143,10 @@ impl BodyEnergy<'_> {
         Ok(BodyTerms { joints: terms.joints, ..priors })
     }
 
-    /// Mean distance of the body's joints from where they were seen, pixels.
+    /// Mean distance of the projected joints from their detections, weighted by confidence, pixels.
     ///
     /// # Errors
-    /// If sizes do not suit the body.
+    /// If sizes do not fit the body.
     pub(crate) fn joint_error(&self, x: &[f64], betas: usize) -> Result<f64> {
         let (pose, betas) = (&x[POSE_AT..BETAS_AT], &x[BETAS_AT..BETAS_AT + betas]);
         let posed = self.skeleton.pose(betas, pose, transl(x))?;
@@ -157,13 +154,13 @@ impl BodyEnergy<'_> {
             let at = self.camera.project(posed.joints()[s.joint]);
             s.at.confidence * (at.x - s.at.x).hypot(at.y - s.at.y)
         };
-        let confidence: f64 = self.sightings.iter().map(|s| s.at.confidence).sum();
-        Ok(self.sightings.iter().map(error).sum::<f64>() / confidence.max(1e-9))
+        let confidence: f64 = self.detections.iter().map(|s| s.at.confidence).sum();
+        Ok(self.detections.iter().map(error).sum::<f64>() / confidence.max(1e-9))
     }
 }
 
-/// What bodies are like, whatever was seen of them: the terms but for joints at the unknowns
-/// `[3 + 72 + betas, …]`; the weighted gradient is added to `gradient`.
+/// Prior terms (all but `E_J`) at the unknowns `[3 + 72 + betas, …]`; the weighted gradient is
+/// added to `gradient`.
 pub(crate) fn prior_terms(
     prior: &PosePrior,
     x: &[f64],
@@ -187,7 +184,8 @@ pub(crate) fn prior_terms(
     terms
 }
 
-/// `ρ = σ² e² / (σ² + e²)` of a squared error, and its derivative by that.
+/// Geman–McClure penalty `ρ = σ² e² / (σ² + e²)` of a squared error `e²`, and its derivative with
+/// respect to `e²`.
 pub(crate) fn geman_mcclure(square: f64, sigma: f64) -> (f64, f64) {
     let s = sigma * sigma;
     let share = s / (s + square);
@@ -224,7 +222,7 @@ mod tests {
         )
         .unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(8);
-        let sightings: Vec<KeypointDetection> = (0..24)
+        let detections: Vec<KeypointDetection> = (0..24)
             .map(|joint| KeypointDetection {
                 joint,
                 at: Keypoint {
@@ -238,7 +236,7 @@ mod tests {
             skeleton: &skeleton,
             prior: &prior,
             camera: PinholeCamera::new(512, 512, None).unwrap(),
-            sightings: &sightings,
+            detections: &detections,
             pixel: 0.004,
             deviation: 0.02,
             robust_scale: 0.3,

@@ -1,28 +1,27 @@
-//! The camera of a fit.
+//! Pinhole camera.
 
 use cape_render::Projection;
 use glam::{DVec2, DVec3, Vec3};
 
 use crate::{Error, Result};
 
-/// Depths nearer than this are taken as this, metres: a body in front of the camera stays there.
+/// Least depth, metres, to which smaller depths are clamped: a body stays in front of the camera.
 const NEAREST: f64 = 0.05;
-/// The most pixels a side may have.
+/// Largest side of an image, pixels.
 const MAX_SIDE: u32 = cape_render::MAX_SIDE;
 
-/// A pinhole camera at the origin that looks along −z, y up: a body that faces +z and stands on
-/// the negative z axis faces it. The principal point is the middle of the image, whose columns and
-/// rows are counted from its upper left corner.
+/// A pinhole camera at the origin that looks along −z, y up. The principal point is the centre of the
+/// image, whose columns and rows are counted from the upper left corner.
 ///
 /// ```
 /// use cape_fit::PinholeCamera;
 /// use glam::{DVec2, DVec3};
 ///
 /// let camera = PinholeCamera::new(640, 480, None)?;
-/// // Without a focal length it is the image's diagonal.
+/// // The default focal length is the diagonal of the image.
 /// assert_eq!(camera.focal(), 800.0);
 /// assert_eq!(camera.project(DVec3::new(0.0, 0.0, -2.0)), DVec2::new(320.0, 240.0));
-/// // What is above the axis is in the upper half.
+/// // Points above the optical axis are in the upper half.
 /// assert_eq!(camera.project(DVec3::new(0.0, 0.5, -2.0)), DVec2::new(320.0, 40.0));
 /// assert_eq!(camera.downscaled_to(320).height(), 240);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -35,33 +34,32 @@ pub struct PinholeCamera {
 }
 
 impl PinholeCamera {
-    /// Of an image of `width` × `height` pixels. Without a focal length in pixels it is the image's
-    /// diagonal, that of a lens with a diagonal field of view of 53°, which pictures look natural
-    /// with.
+    /// A camera with an image of `width` × `height` pixels and the focal length `focal`, pixels; by
+    /// default the diagonal of the image, a diagonal field of view of 53°.
     ///
     /// # Errors
-    /// If a side has no pixels or too many, or the focal length is not positive.
+    /// If a side is 0 or too large, or the focal length is not positive.
     pub fn new(width: u32, height: u32, focal: Option<f64>) -> Result<Self> {
         if width == 0 || height == 0 || width > MAX_SIDE || height > MAX_SIDE {
             return Err(Error::argument(format!(
-                "image of {width}×{height} pixels: each side must be from 1 to {MAX_SIDE}"
+                "camera: image of {width}×{height} pixels, expected sides of 1 to {MAX_SIDE}"
             )));
         }
         let focal = focal.unwrap_or_else(|| f64::from(width).hypot(f64::from(height)));
         if !(focal > 0.0 && focal.is_finite()) {
             return Err(Error::argument(format!(
-                "focal length {focal}: expected a positive number of pixels"
+                "camera: focal length {focal} pixels, expected above 0"
             )));
         }
         Ok(Self { width, height, focal })
     }
 
-    /// Columns of the image.
+    /// Width of the image, pixels.
     pub fn width(&self) -> u32 {
         self.width
     }
 
-    /// Rows of the image.
+    /// Height of the image, pixels.
     pub fn height(&self) -> u32 {
         self.height
     }
@@ -71,7 +69,7 @@ impl PinholeCamera {
         self.focal
     }
 
-    /// The same camera with an image whose longer side has at most `side` pixels.
+    /// The same camera with an image whose longer side is at most `side` pixels.
     #[must_use]
     pub fn downscaled_to(&self, side: u32) -> Self {
         let scale = f64::from(side) / f64::from(self.width.max(self.height));
@@ -82,12 +80,12 @@ impl PinholeCamera {
         Self { width: scaled(self.width), height: scaled(self.height), focal: self.focal * scale }
     }
 
-    /// Pixels from the principal point to a column and row, y up.
+    /// Offset of a column and row from the principal point, pixels, y up.
     pub(crate) fn offset(&self, x: f64, y: f64) -> DVec2 {
         DVec2::new(x - 0.5 * f64::from(self.width), 0.5 * f64::from(self.height) - y)
     }
 
-    /// Column and row of a point, metres.
+    /// Projects a point, metres, to column and row, pixels.
     pub fn project(&self, point: DVec3) -> DVec2 {
         let scale = self.focal / depth(point);
         DVec2::new(
@@ -96,7 +94,7 @@ impl PinholeCamera {
         )
     }
 
-    /// The gradient by a point of what has `gradient` by its column and row.
+    /// Gradient with respect to a point, from the gradient with respect to its column and row.
     pub fn pull_back(&self, point: DVec3, gradient: DVec2) -> DVec3 {
         let depth = depth(point);
         let scale = self.focal / depth;
@@ -108,7 +106,7 @@ impl PinholeCamera {
         DVec3::new(scale * gradient.x, -scale * gradient.y, along)
     }
 
-    /// The camera to draw meshes with, for depths from `near` to `far` metres.
+    /// The camera of the renderer for depths from `near` to `far`, metres.
     pub fn to_render(&self, [near, far]: [f64; 2]) -> cape_render::Camera {
         let field = 2.0 * (0.5 * f64::from(self.height) / self.focal).atan();
         cape_render::Camera::look_at(
@@ -121,7 +119,7 @@ impl PinholeCamera {
     }
 }
 
-/// Metres in front of the camera.
+/// Depth of a point, metres, at least [`NEAREST`].
 pub(crate) fn depth(point: DVec3) -> f64 {
     (-point.z).max(NEAREST)
 }

@@ -1,62 +1,59 @@
-//! Clothed bodies from keypoints and a silhouette (CAPE §6.3 and appendix B, eq. 10–11).
+//! Clothed bodies fitted to keypoints and a silhouette (CAPE §6.3 and appendix B; `E_S` is eq. 10,
+//! the total energy eq. 11).
 
 use cape_core::Outfit;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    BodyFit, BodyParameters, BodyTerms, BodyWeights, DressedBody, Error, Keypoints, LbfgsOptions,
-    Mask, PinholeCamera, Result, Smplify,
+    BodyFit, BodyParameters, BodyTerms, BodyWeights, DressedBody, Error, FitProblem, Keypoints,
+    LbfgsOptions, Mask, PinholeCamera, Result, Smplify,
     body_energy::check_weight,
     keypoints::KeypointDetection,
     parameters::{BETAS_AT, solve},
     silhouette::{SilhouetteEnergy, SilhouetteMatch, SilhouetteTerms, render},
 };
 
-/// Fewest pixels of a scale's longer side.
+/// Least side of a silhouette level, pixels.
 const SMALLEST: u32 = 16;
 
-/// One scale of the comparison of silhouettes.
-///
-/// See [`FitConfig`](crate::FitConfig) for an example.
+/// One level of the coarse-to-fine comparison of silhouettes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SilhouetteLevel {
-    /// Most pixels of the longer side.
+    /// Longer side of the image, pixels, at most.
     pub side: u32,
-    /// How often surface and silhouette are matched anew.
+    /// Number of matchings of surface and silhouette.
     pub rounds: usize,
-    /// Steps of the optimiser between.
+    /// Optimiser steps after each matching.
     pub steps: usize,
 }
 
-/// How clothed bodies are fitted.
+/// Configuration of the clothed fit.
 ///
-/// The default weights are those of a negative logarithm of a density (deviations of a detector, a
-/// mixture of poses, unit normal shapes and codes), with λ_S from a search over 8 to 12 held-out
-/// frames of the synthetic set for the lowest error at clothing vertices: it takes 36 % off the
-/// squared error of the bare body at 5e4 and at 1.5e5, 33 % at 2e4. A third of λ_θ or λ_z changes
-/// that by at most 3 %; three times λ_θ costs 8 %.
-///
-/// See [`FitConfig`](crate::FitConfig) for an example.
+/// The default weights are those of a negative log-likelihood (Gaussian keypoints, a mixture of
+/// poses, standard normal shapes and codes). λ_S is from a search over 8 to 12 held-out frames of
+/// the synthetic set for the least error at clothing vertices: it reduces the squared error of the
+/// unclothed body by 36 % at 5e4 and at 1.5e5, and by 33 % at 2e4. A third of λ_θ or λ_z changes
+/// that by at most 3 %; three times λ_θ costs 8 %. The paper gives no weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClothedConfig {
-    /// λ_S of the silhouettes' mean distance, per metre.
+    /// Weight λ_S of the silhouette term `E_S`, 1/m.
     pub silhouette: f64,
-    /// Width of soft edges, pixels of a scale, by which silhouettes are compared on all scales but
-    /// the first, if not by distances.
+    /// Width of soft edges, pixels of the level, for soft silhouettes on all levels but the first;
+    /// by default all levels use distances.
     pub soft: Option<f64>,
-    /// λ_z of the code's squared length.
+    /// Weight λ_z of the code prior `‖z‖²`.
     pub code: f64,
-    /// Weights of the bare body's terms.
+    /// Weights of the body terms.
     pub body: BodyWeights,
-    /// Scales, coarse to fine.
+    /// Silhouette levels, coarse to fine.
     pub levels: Vec<SilhouetteLevel>,
-    /// Intersection over union of the silhouettes below which the body is tried again with its trunk
-    /// mirrored in depth, which joints alone hardly tell from one that leans the other way.
+    /// Intersection over union below which a second fit starts from the body with the trunk
+    /// mirrored in depth, which keypoints alone hardly distinguish.
     pub doubtful: f64,
-    /// Intersection over union of the silhouettes below which the fit is said to have failed.
+    /// Least intersection over union of a reliable fit.
     pub accepted: f64,
 }
 
@@ -85,14 +82,14 @@ impl ClothedConfig {
         check_weight("code", self.code)?;
         if self.levels.is_empty() || self.levels.iter().any(|level| level.side < SMALLEST) {
             return Err(Error::argument(format!(
-                "configuration: `levels`: expected at least one, of {SMALLEST} pixels or more"
+                "configuration: `levels`: expected at least one, each of {SMALLEST} pixels or more"
             )));
         }
         Ok(())
     }
 }
 
-/// The terms of the energy (CAPE eq. 10), unweighted.
+/// Unweighted terms of the energy (CAPE eq. 11).
 ///
 /// ```
 /// use cape_fit::{ClothedConfig, ClothedTerms};
@@ -103,16 +100,16 @@ impl ClothedConfig {
 /// ```
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ClothedTerms {
-    /// Those of the bare body.
+    /// Body terms.
     pub body: BodyTerms,
-    /// `E_S`.
+    /// Silhouette term `E_S` (CAPE eq. 10), metres.
     pub silhouette: SilhouetteTerms,
-    /// `‖z‖²`.
+    /// Code prior `‖z‖²`.
     pub code: f64,
 }
 
 impl ClothedTerms {
-    /// `E_J + λ_S E_S + λ_θ E_θ + λ_β E_β + λ_a E_a + λ_z ‖z‖²`.
+    /// Energy `E_J + λ_S E_S + λ_θ E_θ + λ_β E_β + λ_a E_a + λ_z ‖z‖²` (CAPE eq. 11).
     pub fn weighted(&self, config: &ClothedConfig) -> f64 {
         self.body.weighted(&config.body)
             + config.silhouette * self.silhouette.total()
@@ -120,52 +117,53 @@ impl ClothedTerms {
     }
 }
 
-/// A clothed body that explains keypoints and a silhouette.
-///
-/// See [`DressedBody`] for an example.
+/// Clothed body fitted to keypoints and a silhouette.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ClothedFit {
-    /// The body under the clothes.
+    /// Body under the clothing.
     pub parameters: BodyParameters,
-    /// The clothes, `[latent]`.
+    /// Latent code of the clothing, `[latent]`.
     pub code: Vec<f64>,
-    /// What is worn.
+    /// Outfit.
     pub outfit: Outfit,
     /// Terms of the energy.
     pub terms: ClothedTerms,
-    /// Energy after every step between two matchings.
+    /// Energy after each optimiser step, one curve for each matching.
     pub curves: Vec<Vec<f64>>,
-    /// Of rendered and given silhouette at full size.
+    /// Intersection over union of the rendered silhouette and the mask at full size, 0 to 1.
     pub intersection_over_union: f64,
-    /// Mean distance of the joints from where they were seen, pixels.
+    /// Mean distance of the projected joints from their detections, pixels.
     pub joint_error: f64,
-    /// How often the clothed body was evaluated.
+    /// Number of evaluations of the clothed body.
     pub evaluations: usize,
-    /// Why the fit cannot be trusted, if it cannot.
-    pub problem: Option<String>,
+    /// Problem of the fit, if it is unreliable.
+    pub problem: Option<FitProblem>,
 }
 
-/// What a clothed body is compared with at one scale.
+/// Observations of a person in an image.
+#[derive(Debug, Clone, Copy)]
+pub struct ImageObservation<'a> {
+    /// Camera.
+    pub camera: &'a PinholeCamera,
+    /// Keypoints of the person.
+    pub keypoints: &'a Keypoints,
+    /// Silhouette of the person.
+    pub mask: &'a Mask,
+}
+
+/// Energy of a clothed body.
 struct ClothedProblem<'a> {
     smplify: &'a Smplify,
     dressed: &'a DressedBody,
     config: &'a ClothedConfig,
     camera: PinholeCamera,
-    sightings: &'a [KeypointDetection],
+    detections: &'a [KeypointDetection],
+    /// Width of a pixel at the distance of the person, metres.
     pixel: f64,
     betas: usize,
 }
 
-/// What was observed.
-struct Observations<'a> {
-    camera: &'a PinholeCamera,
-    keypoints: &'a Keypoints,
-    mask: &'a Mask,
-    /// Metres that a pixel is wide at the person's distance.
-    pixel: f64,
-}
-
-/// A clothed body on its way down.
+/// State of the optimisation.
 #[derive(Debug, Clone)]
 struct Descent {
     x: Vec<f64>,
@@ -174,7 +172,8 @@ struct Descent {
 }
 
 impl ClothedProblem<'_> {
-    /// The energy at the unknowns `[3 + 72 + betas + latent]`.
+    /// Terms at the unknowns `[3 + 72 + betas + latent]`; the weighted gradient is added to
+    /// `gradient`.
     fn evaluate(
         &self,
         x: &[f64],
@@ -189,7 +188,7 @@ impl ClothedProblem<'_> {
         let by = surface.pull_back(&forces)?;
         let parts = by.transl.iter().chain(&by.pose).chain(&by.betas).chain(&by.code);
         gradient.iter_mut().zip(parts).for_each(|(g, part)| *g += part);
-        let energy = self.smplify.energy(&self.camera, self.sightings, self.pixel);
+        let energy = self.smplify.energy(&self.camera, self.detections, self.pixel);
         let body = energy.evaluate(x, self.betas, &self.config.body, gradient)?;
         let by_code = gradient[BETAS_AT + self.betas..].iter_mut().zip(code);
         by_code.for_each(|(g, z)| *g += 2.0 * self.config.code * z);
@@ -206,88 +205,88 @@ impl ClothedProblem<'_> {
         silhouette.match_surface(surface.vertices(), self.dressed.faces())
     }
 
-    /// Goes down one level.
+    /// Optimises on one silhouette level.
     fn descend_level(
         &self,
-        way: &mut Descent,
+        descent: &mut Descent,
         silhouette: &SilhouetteEnergy,
         level: &SilhouetteLevel,
     ) -> Result<()> {
         let options = LbfgsOptions { steps: level.steps, ..self.smplify.config().optimiser };
         for _ in 0..level.rounds {
-            let matched = self.match_silhouette(&way.x, silhouette)?;
+            let matched = self.match_silhouette(&descent.x, silhouette)?;
             let found = solve(
-                &way.x,
+                &descent.x,
                 |_| true,
                 &options,
                 |x, gradient| Ok(self.evaluate(x, &matched, gradient)?.weighted(self.config)),
             )?;
-            way.x = found.x;
-            way.evaluations += found.evaluations;
-            way.curves.push(found.curve);
+            descent.x = found.x;
+            descent.evaluations += found.evaluations;
+            descent.curves.push(found.curve);
         }
         Ok(())
     }
 }
 
 impl Smplify {
-    /// The clothed body that explains keypoints and silhouette best (eq. 10–11), from the bare body
-    /// that [`fit`](Self::fit) found, in the clothes of the code 0. Where the silhouettes then agree
-    /// badly, also from the body with its trunk mirrored in depth; the lower energy is kept.
+    /// Fits a clothed body to keypoints and silhouette by minimising the total energy (CAPE eq.
+    /// 11), from the unclothed body `start` of [`fit`](Self::fit) with the code 0. If the
+    /// silhouettes then agree badly, a second fit starts from the body with the trunk mirrored in
+    /// depth; the one of lower energy is kept.
     ///
     /// # Errors
     /// If the mask is empty or of another image, or the body leaves the image.
     pub fn fit_clothed(
         &self,
         dressed: &DressedBody,
-        camera: &PinholeCamera,
-        keypoints: &Keypoints,
-        mask: &Mask,
+        image: &ImageObservation<'_>,
         start: &BodyFit,
         config: &ClothedConfig,
     ) -> Result<ClothedFit> {
-        let seen = Observations { camera, keypoints, mask, pixel: start.pixel };
-        let fit = self.fit_code_and_body(dressed, &seen, &start.parameters, config)?;
+        let fit =
+            self.fit_code_and_body(dressed, image, (&start.parameters, start.pixel), config)?;
         if fit.intersection_over_union >= config.doubtful {
             return Ok(fit);
         }
         let evaluations = fit.evaluations;
-        let energy = |fit: &ClothedFit| fit.terms.weighted(config);
-        let best = match self.fit_code_and_body(dressed, &seen, &start.leaning, config) {
-            Ok(other) if energy(&other) < energy(&fit) => {
-                ClothedFit { evaluations: other.evaluations + evaluations, ..other }
-            }
-            Ok(other) => ClothedFit { evaluations: other.evaluations + evaluations, ..fit },
-            Err(Error::Failed(_)) => fit,
-            Err(error) => return Err(error),
-        };
+        let total = |fit: &ClothedFit| fit.terms.weighted(config);
+        let best =
+            match self.fit_code_and_body(dressed, image, (&start.leaning, start.pixel), config) {
+                Ok(other) if total(&other) < total(&fit) => {
+                    ClothedFit { evaluations: other.evaluations + evaluations, ..other }
+                }
+                Ok(other) => ClothedFit { evaluations: other.evaluations + evaluations, ..fit },
+                Err(Error::Failed(_)) => fit,
+                Err(error) => return Err(error),
+            };
         Ok(best)
     }
 
     fn fit_code_and_body(
         &self,
         dressed: &DressedBody,
-        seen: &Observations<'_>,
-        start: &BodyParameters,
+        image: &ImageObservation<'_>,
+        (start, pixel): (&BodyParameters, f64),
         config: &ClothedConfig,
     ) -> Result<ClothedFit> {
-        let &Observations { camera, keypoints, mask, pixel } = seen;
+        let &ImageObservation { camera, keypoints, mask } = image;
         mask.check(camera)?;
         start.check()?;
         config.check()?;
-        let sightings = self.detections(keypoints);
-        mask.expect_joints(&sightings)?;
+        let detections = self.detections(keypoints);
+        mask.expect_joints(&detections)?;
         let betas = start.betas.len();
-        let scene = ClothedProblem {
+        let energy = ClothedProblem {
             smplify: self,
             dressed,
             config,
             camera: *camera,
-            sightings: &sightings,
+            detections: &detections,
             pixel,
             betas,
         };
-        let mut way = Descent {
+        let mut descent = Descent {
             x: [start.to_vector(), vec![0.0; dressed.latent()]].concat(),
             curves: Vec::new(),
             evaluations: 0,
@@ -299,31 +298,28 @@ impl Smplify {
                 Some(softness) if last.is_some() => silhouette.with_softness(softness)?,
                 _ => silhouette,
             };
-            scene.descend_level(&mut way, &silhouette, level)?;
+            energy.descend_level(&mut descent, &silhouette, level)?;
             last = Some(silhouette);
         }
-        let Descent { x, curves, evaluations } = way;
+        let Descent { x, curves, evaluations } = descent;
         let parameters = BodyParameters::from_vector(&x, betas);
         let code = x[BETAS_AT + betas..].to_vec();
         let surface = dressed.surface(&parameters, &code)?;
         let terms = match &last {
             None => ClothedTerms::default(),
             Some(silhouette) => {
-                let matched = scene.match_silhouette(&x, silhouette)?;
-                scene.evaluate(&x, &matched, &mut vec![0.0; x.len()])?
+                let matched = energy.match_silhouette(&x, silhouette)?;
+                energy.evaluate(&x, &matched, &mut vec![0.0; x.len()])?
             }
         };
         let rendering = render(surface.vertices(), dressed.faces(), camera)?;
         let intersection_over_union = rendering.mask().intersection_over_union(mask)?;
-        let joint_error = self.energy(camera, &sightings, pixel).joint_error(&x, betas)?;
+        let joint_error = self.energy(camera, &detections, pixel).joint_error(&x, betas)?;
         Ok(ClothedFit {
             problem: self.problem(joint_error * pixel).or_else(|| {
-                (intersection_over_union < config.accepted).then(|| {
-                    format!(
-                        "the silhouettes' intersection over union is {intersection_over_union:.3}: \
-                         less than {}",
-                        config.accepted
-                    )
+                (intersection_over_union < config.accepted).then_some(FitProblem::Silhouette {
+                    intersection_over_union,
+                    limit: config.accepted,
                 })
             }),
             parameters,
@@ -337,25 +333,27 @@ impl Smplify {
         })
     }
 
-    /// [`fit_clothed`](Self::fit_clothed) in each of several outfits, the one of the lowest energy
-    /// first.
+    /// [`fit_clothed`](Self::fit_clothed) in each of several outfits, in order of ascending energy.
+    /// `progress` is called with the number of fitted outfits and of all.
     ///
     /// # Errors
     /// As of [`fit_clothed`](Self::fit_clothed), or if there is no outfit.
     pub fn fit_outfits(
         &self,
         outfits: &[DressedBody],
-        camera: &PinholeCamera,
-        keypoints: &Keypoints,
-        mask: &Mask,
+        image: &ImageObservation<'_>,
         start: &BodyFit,
         config: &ClothedConfig,
+        progress: &mut dyn FnMut(usize, usize),
     ) -> Result<Vec<ClothedFit>> {
         if outfits.is_empty() {
-            return Err(Error::argument("no outfit to fit"));
+            return Err(Error::argument("clothed fit: no outfits, expected at least one"));
         }
-        let fit = |dressed| self.fit_clothed(dressed, camera, keypoints, mask, start, config);
-        let mut fits: Vec<ClothedFit> = outfits.iter().map(fit).collect::<Result<_>>()?;
+        let mut fits = Vec::with_capacity(outfits.len());
+        for (index, dressed) in outfits.iter().enumerate() {
+            fits.push(self.fit_clothed(dressed, image, start, config)?);
+            progress(index + 1, outfits.len());
+        }
         let energy = |fit: &ClothedFit| fit.terms.weighted(config);
         fits.sort_by(|a, b| energy(a).total_cmp(&energy(b)));
         Ok(fits)
@@ -372,7 +370,7 @@ mod tests {
         testing::BODY,
     };
 
-    /// All terms together, over translation, pose, shape and code, with the surface matched once.
+    /// All terms, over translation, pose, shape and code, with one matching of the surface.
     #[test]
     fn gradients_of_the_energy_agree_with_finite_differences() {
         let dressed = dressed(Outfit::LongShort);
@@ -384,33 +382,33 @@ mod tests {
         let prior = PosePrior::synthetic().unwrap();
         let smplify = Smplify::new(&BODY, prior, SmplifyConfig::default()).unwrap();
         let config = ClothedConfig { silhouette: 2e4, code: 3.0, ..ClothedConfig::default() };
-        let sightings = smplify.detections(&keypoints);
+        let detections = smplify.detections(&keypoints);
         let pixel = 3.2 / camera.focal();
         let betas = body.betas.len();
-        let scene = ClothedProblem {
+        let energy = ClothedProblem {
             smplify: &smplify,
             dressed: &dressed,
             config: &config,
             camera,
-            sightings: &sightings,
+            detections: &detections,
             pixel,
             betas,
         };
         let silhouette = SilhouetteEnergy::new(&camera, &mask, 192, pixel).unwrap();
         let mut x = [body.to_vector(), code].concat();
-        // Not at the minimum, nor where any term has a kink.
+        // Away from the minimum and from kinks of the terms.
         for (at, value) in x.iter_mut().enumerate() {
             *value += 0.03 * (1.7 * at as f64 + 0.4).sin();
         }
-        let matched = scene.match_silhouette(&x, &silhouette).unwrap();
+        let matched = energy.match_silhouette(&x, &silhouette).unwrap();
         let mut found = vec![0.0; x.len()];
-        let terms = scene.evaluate(&x, &matched, &mut found).unwrap();
+        let terms = energy.evaluate(&x, &matched, &mut found).unwrap();
         let parts = [terms.body.joints, terms.silhouette.rendered, terms.silhouette.image];
         assert!(parts.iter().all(|&part| part > 0.0) && terms.code > 0.0, "{terms:?}");
         let value = |at: usize, change: f64| {
             let mut x = x.clone();
             x[at] += change;
-            let terms = scene.evaluate(&x, &matched, &mut vec![0.0; x.len()]).unwrap();
+            let terms = energy.evaluate(&x, &matched, &mut vec![0.0; x.len()]).unwrap();
             terms.weighted(&config)
         };
         let step = 2e-3;

@@ -1,8 +1,8 @@
-//! Clothed bodies of a model with random weights, found again from keypoints and silhouette.
+//! Recovery of clothed bodies of a model with random weights from keypoints and silhouette.
 
 use cape_core::{ClothingMask, Outfit, devices};
 use cape_data::DisplacementStatistics;
-use cape_infer::{RunConfig, build_graphs};
+use cape_infer::{ClothedModel, ClothedModelParts, RunConfig, build_graphs};
 use cape_model::{Cape, CapeConfig};
 use cape_synth::{Motion, MotionStyle};
 use glam::DVec3;
@@ -11,9 +11,9 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::{
-    BodyParameters, ClothedConfig, Detector, DressedBody, Keypoint, Keypoints, Mask, PinholeCamera,
-    PosePrior, SilhouetteLevel, Smplify, SmplifyConfig, aligned_error,
-    dressed_body::DressedBodyParts, silhouette::render, testing::BODY,
+    BodyParameters, ClothedConfig, Detector, DressedBody, ImageObservation, Keypoint, Keypoints,
+    Mask, PinholeCamera, PosePrior, SilhouetteLevel, Smplify, SmplifyConfig, aligned_error,
+    silhouette::render, testing::BODY,
 };
 
 pub(crate) fn dressed(outfit: Outfit) -> DressedBody {
@@ -32,7 +32,6 @@ pub(crate) fn dressed(outfit: Outfit) -> DressedBody {
     let device = &devices()[0];
     let graphs = build_graphs(&config, &*BODY, device).unwrap();
     let model = Cape::new(&config.model, &graphs, 3, device).unwrap();
-    let clothing: Vec<usize> = ClothingMask::from_weights(&BODY).unwrap().indices().collect();
     // Clothes lie outwards of the body.
     let rows = BODY.v_template.rows().into_iter().map(|v| {
         let out = DVec3::new(v[0], 0.0, v[2]).normalize_or_zero() * 0.015;
@@ -41,14 +40,14 @@ pub(crate) fn dressed(outfit: Outfit) -> DressedBody {
     let mean = Array2::from(rows.collect::<Vec<_>>());
     let statistics =
         DisplacementStatistics::new(mean.clone(), Array2::from_elem(mean.dim(), 0.006), 0).unwrap();
-    let parts = DressedBodyParts {
-        generator: &model.generator,
-        config: &config,
-        body: &BODY,
-        clothing: &clothing,
-        statistics: &statistics,
+    let parts = ClothedModelParts {
+        config,
+        body: BODY.clone(),
+        mask: ClothingMask::from_weights(&BODY).unwrap(),
+        statistics,
     };
-    DressedBody::from_parts(&parts, outfit, device).unwrap()
+    let model = ClothedModel::new(parts, model.generator, device).unwrap();
+    DressedBody::new(&model, outfit).unwrap()
 }
 
 pub(crate) fn truth() -> (BodyParameters, Vec<f64>) {
@@ -124,6 +123,7 @@ fn silhouettes_bring_clothed_bodies_closer() {
     let prior = PosePrior::synthetic().unwrap();
     let smplify = Smplify::new(&BODY, prior, SmplifyConfig::default()).unwrap();
     let bare = smplify.fit(&camera, &keypoints, None).unwrap();
+    let image = ImageObservation { camera: &camera, keypoints: &keypoints, mask: &mask };
     let config = ClothedConfig {
         levels: vec![
             SilhouetteLevel { side: 128, rounds: 3, steps: 8 },
@@ -131,7 +131,7 @@ fn silhouettes_bring_clothed_bodies_closer() {
         ],
         ..ClothedConfig::default()
     };
-    let fit = smplify.fit_clothed(&dressed, &camera, &keypoints, &mask, &bare, &config).unwrap();
+    let fit = smplify.fit_clothed(&dressed, &image, &bare, &config).unwrap();
     let all: Vec<usize> = (0..true_surface.vertices().len()).collect();
     let off = |vertices: &[DVec3]| {
         1000.0 * aligned_error(vertices, true_surface.vertices(), &all).unwrap().distance
@@ -150,12 +150,13 @@ fn silhouettes_bring_clothed_bodies_closer() {
 
     // The same result for the same input, better than in another outfit.
     let outfits = [Outfit::ShortShort, Outfit::LongShort].map(self::dressed);
-    let fits = smplify.fit_outfits(&outfits, &camera, &keypoints, &mask, &bare, &config).unwrap();
+    let fits = smplify.fit_outfits(&outfits, &image, &bare, &config, &mut |_, _| {}).unwrap();
     assert_eq!(fits[0], fit);
     assert!(fits[1].terms.weighted(&config) > fit.terms.weighted(&config));
 
     let empty = Mask::new(256, 256, vec![false; 256 * 256]).unwrap();
-    let refused = smplify.fit_clothed(&dressed, &camera, &keypoints, &empty, &bare, &config);
+    let refused =
+        smplify.fit_clothed(&dressed, &ImageObservation { mask: &empty, ..image }, &bare, &config);
     assert!(refused.unwrap_err().to_string().contains("empty"));
 }
 

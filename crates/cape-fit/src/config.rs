@@ -2,19 +2,19 @@ use serde::{Deserialize, Serialize};
 
 use crate::{ClothedConfig, Result, SmplifyConfig};
 
-/// Weights and stages of a whole fit.
+/// Configuration of a fit to an image.
 ///
 /// ```
 /// use cape_fit::{ClothedConfig, FitConfig, SilhouetteLevel};
 ///
-/// // Silhouettes are compared at one scale only.
+/// // Compare silhouettes at one scale only.
 /// let levels = vec![SilhouetteLevel { side: 128, rounds: 4, steps: 10 }];
 /// let config = FitConfig {
 ///     clothed: ClothedConfig { levels, ..ClothedConfig::default() },
 ///     ..FitConfig::default()
 /// };
 /// config.check()?;
-/// // Weights must not be negative.
+/// // Negative weights are refused.
 /// let clothed = ClothedConfig { code: -1.0, ..config.clothed };
 /// let refused = FitConfig { clothed, ..config }.check().unwrap_err();
 /// assert!(refused.to_string().contains("code"));
@@ -23,17 +23,17 @@ use crate::{ClothedConfig, Result, SmplifyConfig};
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FitConfig {
-    /// Of the bare body.
+    /// Configuration of the unclothed fit.
     pub smplify: SmplifyConfig,
-    /// Of the clothed body.
+    /// Configuration of the clothed fit.
     pub clothed: ClothedConfig,
 }
 
 impl FitConfig {
-    /// Refuses what cannot be meant.
+    /// Checks the ranges of all fields.
     ///
     /// # Errors
-    /// Naming the field.
+    /// If a field is out of range; the error has its name.
     pub fn check(&self) -> Result<()> {
         self.smplify.check()?;
         self.clothed.check()
@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_left_out_keeps_its_default() {
+    fn missing_fields_have_defaults() {
         let text = r#"{"clothed": {"silhouette": 2e4, "body": {"pose": 0.5}}}"#;
         let config: FitConfig = serde_json::from_str(text).unwrap();
         config.check().unwrap();

@@ -1,7 +1,7 @@
-//! Other bodies that look the same.
+//! Depth ambiguity of bones in a single image.
 //!
-//! A camera does not tell a bone that comes towards it from one that goes away as far: limbs found
-//! from joints alone may be mirrored in depth, each bone by itself.
+//! A bone towards the camera and its mirror image in depth have nearly the same projection: limbs
+//! fitted to joints alone may be mirrored, each bone independently.
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -10,17 +10,17 @@ use crate::{
     parameters::{BETAS_AT, POSE_AT, transl},
 };
 
-/// Root, middle and end of arms and legs.
+/// Root, middle and end joint of each arm and leg.
 pub(crate) const LIMBS: [[usize; 3]; 4] = [[16, 18, 20], [17, 19, 21], [1, 4, 7], [2, 5, 8]];
 const NECK: usize = 12;
-/// Which of a limb's two bones are mirrored.
-pub(crate) const WHICH: [[bool; 2]; 3] = [[true, false], [false, true], [true, true]];
+/// Combinations of mirrored bones, upper and lower, of a limb.
+pub(crate) const BONE_FLIPS: [[bool; 2]; 3] = [[true, false], [false, true], [true, true]];
 
-/// The unknowns with bones of one limb mirrored along the line of sight; all else stays where it is
-/// seen, but for what hangs on the limb.
+/// The unknowns with bones of one limb mirrored along the line of sight. Joints other than the
+/// limb's and their descendants keep their positions.
 ///
 /// # Errors
-/// If sizes do not suit the body.
+/// If sizes do not fit the body.
 pub(crate) fn mirror_limb_depths(
     skeleton: &Skeleton,
     x: &[f64],
@@ -47,11 +47,11 @@ pub(crate) fn mirror_limb_depths(
     Ok(moved)
 }
 
-/// The unknowns with the trunk mirrored along the line of sight, so that who leans back bends forward:
-/// about the pelvis, all limbs keeping the directions that they had.
+/// The unknowns with the trunk mirrored along the line of sight about the pelvis, which turns
+/// leaning back into bending forward. Limbs keep their directions.
 ///
 /// # Errors
-/// If sizes do not suit the body.
+/// If sizes do not fit the body.
 pub(crate) fn mirror_trunk_lean(skeleton: &Skeleton, x: &[f64], betas: usize) -> Result<Vec<f64>> {
     let (pose, shape) = (&x[POSE_AT..BETAS_AT], &x[BETAS_AT..BETAS_AT + betas]);
     let posed = skeleton.pose(shape, pose, transl(x))?;
@@ -85,7 +85,7 @@ mod tests {
     #[test]
     fn mirrored_limbs_look_alike_and_go_the_other_way() {
         let skeleton = Skeleton::new(&BODY).unwrap();
-        // From far away, where perspective does not tell depths.
+        // At a distance where perspective is negligible.
         let camera = PinholeCamera::new(500, 500, Some(10_000.0)).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(6);
         let mut x: Vec<f64> = (0..3 + 72 + 2).map(|_| rng.random_range(-0.5..0.5)).collect();
@@ -94,7 +94,7 @@ mod tests {
             |x: &[f64]| skeleton.pose(&x[75..], &x[3..75], transl(x)).unwrap().joints().to_vec();
         let before = at(&x);
         for limb in LIMBS {
-            for which in WHICH {
+            for which in BONE_FLIPS {
                 let after = at(&mirror_limb_depths(&skeleton, &x, 2, limb, which).unwrap());
                 for joint in limb {
                     let [a, b] = [&before, &after].map(|joints| camera.project(joints[joint]));

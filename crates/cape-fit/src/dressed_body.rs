@@ -1,16 +1,10 @@
 //! Clothed bodies as differentiable functions of shape, pose and code.
 
-use burn::{
-    module::Module,
-    tensor::{Device, Int, Tensor, TensorData},
-};
-use cape_core::{
-    ClothedSmpl, ClothingMask, Outfit, Pose, Smpl, SmplInput, SmplModel,
-    joints::{CLOTHING_JOINTS, POSE_FEATURE},
-};
-use cape_data::DisplacementStatistics;
-use cape_infer::{Run, RunConfig, build_graphs};
-use cape_model::{Generator, Graphs};
+use std::sync::Arc;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use cape_core::{Outfit, Pose, SmplInput};
+use cape_infer::{ClothedModel, Condition};
 use glam::DVec3;
 use ndarray::Array2;
 
@@ -23,7 +17,8 @@ use crate::{BodyParameters, Error, Result};
 /// use burn::tensor::Device;
 /// use cape_core::Outfit;
 /// use cape_fit::{
-///     PinholeCamera, ClothedConfig, DressedBody, Mask, PosePrior, Smplify, SmplifyConfig, read_keypoints,
+///     ClothedConfig, DressedBody, ImageObservation, Mask, PinholeCamera, PosePrior, Smplify,
+///     SmplifyConfig, read_keypoints,
 /// };
 /// use cape_infer::Run;
 ///
@@ -36,7 +31,8 @@ use crate::{BodyParameters, Error, Result};
 /// let smplify = Smplify::new(run.body(), PosePrior::synthetic()?, SmplifyConfig::default())?;
 /// let bare = smplify.fit(&camera, &keypoints, None)?;
 /// let config = ClothedConfig::default();
-/// let fit = smplify.fit_clothed(&dressed, &camera, &keypoints, &mask, &bare, &config)?;
+/// let image = ImageObservation { camera: &camera, keypoints: &keypoints, mask: &mask };
+/// let fit = smplify.fit_clothed(&dressed, &image, &bare, &config)?;
 /// // Its surface, and how that depends on pose, shape and code.
 /// let surface = dressed.surface(&fit.parameters, &fit.code)?;
 /// let gradient = surface.pull_back(&vec![glam::DVec3::Y; surface.vertices().len()])?;
@@ -46,42 +42,20 @@ use crate::{BodyParameters, Error, Result};
 /// dressed.surface_in(&clothes, &bare.parameters)?;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct DressedBody {
-    generator: Generator,
-    graphs: Graphs,
-    smpl: ClothedSmpl,
-    /// Of displacements, metres, `[1, V, 3]`.
-    mean: Tensor<3>,
-    deviation: Tensor<3>,
+    /// On a device with autodiff.
+    model: Arc<ClothedModel>,
     /// `[1, 4]`.
     label: Tensor<2>,
-    clothing_joints: Tensor<1, Int>,
-    faces: Vec<[u32; 3]>,
     outfit: Outfit,
-    latent: usize,
-    device: Device,
 }
 
-/// What a trained model's clothed bodies are made of.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct DressedBodyParts<'a> {
-    pub(crate) generator: &'a Generator,
-    pub(crate) config: &'a RunConfig,
-    pub(crate) body: &'a SmplModel,
-    pub(crate) clothing: &'a [usize],
-    pub(crate) statistics: &'a DisplacementStatistics,
-}
-
-/// Clothes that do not change with the body: displacements, metres, `[1, V, 3]`.
-///
-/// See [`DressedBody`] for an example.
+/// Displacements that do not change with the body, metres, `[1, V, 3]`.
 #[derive(Debug, Clone)]
 pub struct FixedClothing(Tensor<3>);
 
-/// A clothed body, and what it was made from.
-///
-/// See [`DressedBody`] for an example.
+/// Surface of a clothed body, with the parameters that it is differentiable in.
 #[derive(Debug, Clone)]
 pub struct DressedSurface {
     transl: Tensor<2>,
@@ -92,9 +66,7 @@ pub struct DressedSurface {
     vertices: Vec<DVec3>,
 }
 
-/// The gradient of a function of a clothed body.
-///
-/// See [`DressedBody`] for an example.
+/// Gradient of a function of the vertices of a clothed body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DressedGradient {
     /// By translation, `[3]`.
@@ -108,107 +80,77 @@ pub struct DressedGradient {
 }
 
 impl DressedBody {
-    /// The bodies of a run, on its device, wearing `outfit`.
+    /// Bodies of a trained model, on its device, in one outfit.
     ///
     /// # Errors
-    /// If the run's files do not suit one another.
-    pub fn new(run: &Run, outfit: Outfit) -> Result<Self> {
-        let parts = DressedBodyParts {
-            generator: run.generator(),
-            config: run.config(),
-            body: run.body(),
-            clothing: run.clothing(),
-            statistics: run.statistics(),
-        };
-        Self::from_parts(&parts, outfit, run.device())
+    /// If the model cannot be uploaded to the device with autodiff.
+    pub fn new(model: &ClothedModel, outfit: Outfit) -> Result<Self> {
+        let model = Arc::new(model.to_autodiff()?);
+        Ok(Self { label: model.outfits([outfit]), model, outfit })
+    }
+
+    /// The same bodies in another outfit; the model is shared.
+    #[must_use]
+    pub fn with_outfit(&self, outfit: Outfit) -> Self {
+        Self { model: self.model.clone(), label: self.model.outfits([outfit]), outfit }
     }
 
     /// The bodies of one subject, given by its unclothed rest shape `[V, 3]`, metres: shape
-    /// coefficients are then changes of that.
+    /// coefficients are then changes of that shape.
     ///
     /// # Errors
     /// As of [`new`](Self::new), or if the shape has another number of vertices.
-    pub fn from_subject(run: &Run, outfit: Outfit, minimal: &Array2<f64>) -> Result<Self> {
-        let body = SmplModel { v_template: minimal.clone(), ..run.body().clone() };
-        let smpl = Smpl::new(&body, &run.device().clone().autodiff())?;
-        let mut dressed = Self::new(run, outfit)?;
-        let mask = ClothingMask::from_indices(body.vertices(), run.clothing())?;
-        dressed.smpl = ClothedSmpl::new(smpl).with_mask(&mask)?;
-        Ok(dressed)
-    }
-
-    pub(crate) fn from_parts(
-        parts: &DressedBodyParts<'_>,
+    pub fn from_subject(
+        model: &ClothedModel,
         outfit: Outfit,
-        device: &Device,
+        minimal: &Array2<f64>,
     ) -> Result<Self> {
-        let DressedBodyParts { generator, config, body, clothing, statistics } = *parts;
-        let device = device.clone().autodiff();
-        let mask = ClothingMask::from_indices(body.vertices(), clothing)?;
-        let rows = |array: &Array2<f64>| {
-            let values: Vec<f32> = array.iter().map(|&x| x as f32).collect();
-            Tensor::from_data(TensorData::new(values, [1, body.vertices(), 3]), &device)
-        };
-        let joints: Vec<i32> = CLOTHING_JOINTS.iter().map(|&joint| joint as i32).collect();
-        let count = joints.len();
-        Ok(Self {
-            generator: generator.clone().no_grad().train(),
-            graphs: build_graphs(config, body, &device)?,
-            smpl: ClothedSmpl::new(Smpl::new(body, &device)?).with_mask(&mask)?,
-            mean: rows(statistics.mean()),
-            deviation: rows(statistics.std()),
-            label: row(&outfit.one_hot().map(f64::from), &device),
-            clothing_joints: Tensor::from_data(TensorData::new(joints, [count]), &device),
-            faces: body.faces.clone(),
-            outfit,
-            latent: config.model.latent,
-            device,
-        })
+        Self::new(&model.with_minimal_shape(minimal)?, outfit)
     }
 
-    /// Numbers of a code.
+    /// Length of a latent code.
     pub fn latent(&self) -> usize {
-        self.latent
+        self.model.latent()
     }
 
-    /// What is worn.
+    /// Outfit, the paper's clothing type `c`.
     pub fn outfit(&self) -> Outfit {
         self.outfit
     }
 
-    /// Triangles of the surface.
+    /// Triangles of the surface, `[F, 3]`.
     pub fn faces(&self) -> &[[u32; 3]] {
-        &self.faces
+        &self.model.body().faces
     }
 
-    /// The body in the clothes that `code` stands for.
+    /// Surface of the body clothed by `code`.
     ///
     /// # Errors
     /// If sizes do not suit the model.
     pub fn surface(&self, body: &BodyParameters, code: &[f64]) -> Result<DressedSurface> {
         self.expect_code(code)?;
         let code = self.leaf(code);
-        self.dress(body, code, |code, feature| self.decode(code, feature))
+        self.dress(body, code, |code, rotations| self.decode(code, rotations))
     }
 
-    /// The clothes that `code` stands for in a body's pose, to be kept whatever the pose.
+    /// Displacements of `code` in a body's pose, kept fixed when the pose changes.
     ///
     /// # Errors
     /// If sizes do not suit the model.
     pub fn fixed_clothing(&self, body: &BodyParameters, code: &[f64]) -> Result<FixedClothing> {
         body.check()?;
         self.expect_code(code)?;
-        let rotations = self.smpl.body().rotations(Pose::AxisAngle(self.leaf(&body.pose)))?;
-        let decoded = self.decode(self.leaf(code), self.feature(rotations));
-        Ok(FixedClothing(decoded.detach()))
+        let pose = Pose::AxisAngle(self.leaf(&body.pose));
+        let rotations = self.model.smpl().body().rotations(pose)?;
+        Ok(FixedClothing(self.decode(self.leaf(code), rotations).detach()))
     }
 
-    /// The clothes that people of the training set wear on average, whatever the outfit.
+    /// Mean displacements of the training set, of all outfits.
     pub fn mean_clothing(&self) -> FixedClothing {
-        FixedClothing(self.mean.clone())
+        FixedClothing(self.model.normaliser().mean())
     }
 
-    /// The body in clothes that stay as they are; there is no gradient by a code.
+    /// Surface of the body with fixed displacements; the gradient by the code is zero.
     ///
     /// # Errors
     /// If sizes do not suit the model.
@@ -217,44 +159,40 @@ impl DressedBody {
         clothes: &FixedClothing,
         body: &BodyParameters,
     ) -> Result<DressedSurface> {
-        let code = self.leaf(&vec![0.0; self.latent]);
+        let code = self.leaf(&vec![0.0; self.latent()]);
         self.dress(body, code, |_, _| clothes.0.clone())
     }
 
     fn expect_code(&self, code: &[f64]) -> Result<()> {
-        if code.len() == self.latent {
+        let latent = self.latent();
+        if code.len() == latent {
             return Ok(());
         }
-        Err(Error::argument(format!("a code of {} numbers, expected {}", code.len(), self.latent)))
+        Err(Error::argument(format!("a code of {} numbers, expected {latent}", code.len())))
     }
 
     fn leaf(&self, values: &[f64]) -> Tensor<2> {
-        row(values, &self.device).require_grad()
+        row(values, self.model.device()).require_grad()
     }
 
-    /// What the clothes see of the joints' rotations.
-    fn feature(&self, rotations: Tensor<4>) -> Tensor<2> {
-        rotations.select(1, self.clothing_joints.clone()).reshape([1, POSE_FEATURE])
-    }
-
-    /// Displacements, metres, `[1, V, 3]`.
-    fn decode(&self, code: Tensor<2>, feature: Tensor<2>) -> Tensor<3> {
-        let decoded = self.generator.decode(code, feature, self.label.clone(), &self.graphs);
-        decoded * self.deviation.clone() + self.mean.clone()
+    /// Displacements, metres, `[1, V, 3]`, of a code under rotation matrices of the joints.
+    fn decode(&self, code: Tensor<2>, rotations: Tensor<4>) -> Tensor<3> {
+        let pose_feature = self.model.pose_feature(rotations);
+        self.model.decode(code, &Condition { pose_feature, outfit: self.label.clone() })
     }
 
     fn dress(
         &self,
         body: &BodyParameters,
         code: Tensor<2>,
-        clothes: impl FnOnce(Tensor<2>, Tensor<2>) -> Tensor<3>,
+        clothing: impl FnOnce(Tensor<2>, Tensor<4>) -> Tensor<3>,
     ) -> Result<DressedSurface> {
         body.check()?;
         let (transl, pose) = (self.leaf(&body.transl), self.leaf(&body.pose));
         let betas = self.leaf(&body.betas);
-        let rotations = self.smpl.body().rotations(Pose::AxisAngle(pose.clone()))?;
-        let displacement = clothes(code.clone(), self.feature(rotations.clone()));
-        let output = self.smpl.forward(SmplInput {
+        let rotations = self.model.smpl().body().rotations(Pose::AxisAngle(pose.clone()))?;
+        let displacement = clothing(code.clone(), rotations.clone());
+        let output = self.model.smpl().forward(SmplInput {
             betas: betas.clone(),
             pose: Pose::Rotations(rotations),
             transl: transl.clone(),
@@ -267,12 +205,12 @@ impl DressedBody {
 }
 
 impl DressedSurface {
-    /// Metres, `[V]`.
+    /// Vertices, metres, `[V]`.
     pub fn vertices(&self) -> &[DVec3] {
         &self.vertices
     }
 
-    /// The gradient of what has the gradients `forces` by the vertices, `[V]`.
+    /// Gradient of a function with the gradients `forces` by the vertices, `[V]`.
     ///
     /// # Errors
     /// If there are more or fewer forces than vertices.
@@ -288,7 +226,7 @@ impl DressedSurface {
         let forces = TensorData::new(values, [1, forces.len(), 3]);
         let forces = Tensor::<3>::from_data(forces, &self.output.device());
         let gradients = (self.output.clone() * forces).sum().backward();
-        // What nothing depends on has no gradient.
+        // A leaf that the output does not depend on has no gradient.
         let by = |leaf: &Tensor<2>| match leaf.grad(&gradients) {
             Some(gradient) => host(gradient),
             None => vec![0.0; leaf.dims()[1]],

@@ -1,4 +1,4 @@
-//! Where a body stands, from its torso alone.
+//! Initial placement of a body by its torso.
 
 use glam::{DQuat, DVec2, DVec3};
 
@@ -6,44 +6,44 @@ use crate::{Error, PinholeCamera, Result, keypoints::KeypointDetection};
 
 /// Shoulder and hip of each side.
 const SIDES: [[usize; 2]; 2] = [[16, 1], [17, 2]];
-/// Fewest joints that say anything.
+/// Fewest detected joints that place a body.
 const FEWEST: usize = 4;
 
-/// A guess at a body's place.
+/// Initial placement of a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct InitialPlacement {
-    /// Axis-angle of the pelvis, radians.
+    /// Global orientation in axis-angle, radians.
     pub(crate) orientation: DVec3,
-    /// Metres.
+    /// Translation, metres.
     pub(crate) transl: DVec3,
-    /// Metres in front of the camera.
+    /// Depth, metres.
     pub(crate) distance: f64,
 }
 
-/// Places a body, whose joints in metres are given for no orientation and no translation, under a
-/// weak perspective: as far as its torso looks long, turned in the image as the torso is, and
-/// facing `yaw` radians to the left of the camera.
+/// Places a body with the joints `joints`, metres, without orientation and translation, under weak
+/// perspective: the length of the torso gives the depth, its direction in the image the roll; the
+/// yaw is `yaw` radians, 0 facing the camera.
 ///
 /// # Errors
-/// If too few joints were seen, or all in one place.
+/// If too few joints are detected, or all detections coincide.
 pub(crate) fn place(
     camera: &PinholeCamera,
     joints: &[DVec3],
-    sightings: &[KeypointDetection],
+    detections: &[KeypointDetection],
     yaw: f64,
 ) -> Result<InitialPlacement> {
-    if sightings.len() < FEWEST {
+    if detections.len() < FEWEST {
         return Err(Error::Observation(format!(
-            "{} joints were seen with confidence, expected at least {FEWEST}",
-            sightings.len()
+            "keypoints: {} joints with enough confidence, expected at least {FEWEST}",
+            detections.len()
         )));
     }
     let turn = DQuat::from_rotation_y(yaw);
     let turned = |joint: usize| turn * (joints[joint] - joints[0]);
     let seen = |s: &KeypointDetection| camera.offset(s.at.x, s.at.y);
-    let find = |joint: usize| sightings.iter().find(|s| s.joint == joint);
+    let find = |joint: usize| detections.iter().find(|s| s.joint == joint);
 
-    // Up the torso, in space and in the image; else all joints by a similarity.
+    // Direction and length of the torso in space and in the image; else a similarity of all joints.
     let (mut up, mut up_seen, mut length, mut length_seen) = (DVec2::ZERO, DVec2::ZERO, 0.0, 0.0);
     for [shoulder, hip] in SIDES {
         if let (Some(upper), Some(lower)) = (find(shoulder), find(hip)) {
@@ -54,15 +54,15 @@ pub(crate) fn place(
             length_seen += trunk_seen.length();
         }
     }
-    let count = sightings.len() as f64;
-    let middle = sightings.iter().map(|s| turned(s.joint)).sum::<DVec3>() / count;
-    let middle_seen = sightings.iter().map(seen).sum::<DVec2>() / count;
+    let count = detections.len() as f64;
+    let middle = detections.iter().map(|s| turned(s.joint)).sum::<DVec3>() / count;
+    let middle_seen = detections.iter().map(seen).sum::<DVec2>() / count;
     if length_seen < 1.0 {
         (up, up_seen, length, length_seen) = (DVec2::X, DVec2::ZERO, 0.0, 0.0);
-        for sighting in sightings {
-            let from = (turned(sighting.joint) - middle).truncate();
-            let to = seen(sighting) - middle_seen;
-            // Conjugate of one complex number times the other.
+        for detection in detections {
+            let from = (turned(detection.joint) - middle).truncate();
+            let to = seen(detection) - middle_seen;
+            // Product of one complex number and the conjugate of the other.
             up_seen += DVec2::new(from.dot(to), from.perp_dot(to));
             length += from.length();
             length_seen += to.length();
@@ -71,7 +71,7 @@ pub(crate) fn place(
     let scale = length_seen / length;
     if !(scale > 1e-6 && scale.is_finite()) {
         return Err(Error::Observation(
-            "the joints that were seen are all in one place: no body can be placed".into(),
+            "keypoints: all detections are in one place, expected a person".into(),
         ));
     }
     let roll = DQuat::from_rotation_z(up.angle_to(up_seen));
@@ -97,17 +97,17 @@ mod tests {
         joints: &[DVec3],
         which: &[usize],
     ) -> Vec<KeypointDetection> {
-        let sighting = |&joint: &usize| {
+        let detection = |&joint: &usize| {
             let at = camera.project(joints[joint]);
             KeypointDetection { joint, at: Keypoint { x: at.x, y: at.y, confidence: 1.0 } }
         };
-        which.iter().map(sighting).collect()
+        which.iter().map(detection).collect()
     }
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(32))]
 
-        /// A far body at rest, turned in the image in any way, even upside down.
+        /// A distant body at rest with any roll.
         #[test]
         fn far_bodies_are_placed(
             roll in -3.1f64..3.1, side in any::<bool>(), x in -2.0f64..2.0, limbs in any::<bool>(),
@@ -120,7 +120,7 @@ mod tests {
             let transl = DVec3::new(x, 0.5, -40.0);
             let moved: Vec<DVec3> =
                 rest.iter().map(|&p| turn * (p - rest[0]) + rest[0] + transl).collect();
-            // Without hips there is no torso.
+            // Without hips the torso is unknown.
             let which: &[usize] = if limbs { &[4, 5, 16, 17, 20] } else { &[1, 2, 16, 17, 4] };
             let seen = detections(&camera, &moved, which);
             let placed = place(&camera, &rest, &seen, yaw).unwrap();
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn what_says_nothing_is_refused() {
+    fn too_few_or_coincident_joints_are_refused() {
         let camera = PinholeCamera::new(500, 400, None).unwrap();
         let rest = Skeleton::new(&BODY).unwrap().rest(&[]);
         let seen = detections(&camera, &rest, &[1, 2, 16]);

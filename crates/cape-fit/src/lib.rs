@@ -1,13 +1,13 @@
-//! Bodies fitted to images and scans.
+//! Bare and clothed bodies fitted to images and scans (CAPE §6.3).
 //!
-//! [`Smplify`] finds the bare body behind [`Keypoints`]: a pose that people take ([`PosePrior`]),
-//! whose joints a [`PinholeCamera`] sees where a detector did. [`Smplify::fit_clothed`] goes on to the body
-//! in clothes ([`DressedBody`], of a trained model) whose [silhouette] is a given
-//! [`Mask`]. [`aligned_error`] compares outcomes with the truth. [`scan`] has what finds bodies in
-//! points and meshes.
+//! [`Smplify`] fits an unclothed body to [`Keypoints`] seen by a [`PinholeCamera`], with a
+//! [`PosePrior`]. [`Smplify::fit_clothed`] continues with a clothed body ([`DressedBody`], of a
+//! trained model) and the [silhouette] in a [`Mask`]. [`aligned_error`] compares a fit with the
+//! ground truth. [`scan`] fits clothed bodies to point clouds and meshes.
 //!
-//! The camera is at the origin and looks along −z, y up; a body without orientation faces it. Units
-//! are metres, radians and pixels; everything is computed in `f64`, and every gradient is exact.
+//! The camera is at the origin and looks along −z, y up; a body without global orientation faces
+//! it. Units are metres, radians and pixels. Energies and gradients are in `f64`; the clothed body
+//! itself is decoded and differentiated in `f32` by the model's backend.
 //!
 //! ```
 //! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -15,7 +15,7 @@
 //! use cape_synth::synthetic_body;
 //! use cape_fit::{PinholeCamera, PosePrior, Smplify, SmplifyConfig};
 //!
-//! // A walking body is found again from where a camera saw its joints.
+//! // Recover a walking body from the projections of its joints.
 //! let model = synthetic_body();
 //! let camera = PinholeCamera::new(512, 512, None)?;
 //! let (truth, keypoints) = seen(&model, &camera)?;
@@ -43,6 +43,7 @@ pub mod keypoints;
 mod parameters;
 mod pose_collection;
 mod pose_prior;
+mod problem;
 pub mod scan;
 pub mod silhouette;
 mod skeleton;
@@ -57,7 +58,7 @@ pub use cape_core::optimise::{LbfgsOptions, Minimum, StopReason};
 pub use alignment::{AlignedError, Alignment, aligned_error};
 pub use body_energy::{BodyEnergy, BodyTerms, BodyWeights};
 pub use camera::PinholeCamera;
-pub use clothed::{ClothedConfig, ClothedFit, ClothedTerms, SilhouetteLevel};
+pub use clothed::{ClothedConfig, ClothedFit, ClothedTerms, ImageObservation, SilhouetteLevel};
 pub use config::FitConfig;
 pub use dressed_body::{DressedBody, DressedGradient, DressedSurface, FixedClothing};
 pub use error::{Error, Result};
@@ -65,6 +66,7 @@ pub use keypoints::{Detector, Keypoint, Keypoints, read_keypoints};
 pub use parameters::BodyParameters;
 pub use pose_collection::PoseCollection;
 pub use pose_prior::{BODY_POSE, COMPONENTS, OPTIONS, PosePrior, synthetic_poses};
+pub use problem::FitProblem;
 pub use silhouette::Mask;
 pub use skeleton::{PosedSkeleton, Skeleton, SkeletonGradient};
 pub use smplify::{BodyFit, Smplify, SmplifyConfig};

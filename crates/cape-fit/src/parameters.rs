@@ -1,4 +1,4 @@
-//! Unknowns of a fit, by name and as one vector.
+//! Unknowns of a fit as parameters and as one vector.
 
 use cape_core::{
     joints::JOINTS,
@@ -9,57 +9,57 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
 
-/// Numbers of a pose.
+/// Length of a pose.
 pub(crate) const POSE: usize = 3 * JOINTS;
 
-/// Where translation, pose and shape are in the vector of unknowns; a code follows them.
+/// Offsets of translation, pose and shape in the vector of unknowns; a latent code follows them.
 pub(crate) const TRANSL_AT: usize = 0;
 pub(crate) const POSE_AT: usize = 3;
 pub(crate) const BETAS_AT: usize = POSE_AT + POSE;
 
-/// Changes that move a body's surface about as much, by which unknowns are measured when they are
-/// solved for: metres, radians, standard deviations.
+/// Scales of the unknowns in the optimisation, which move the surface by similar amounts: metres,
+/// radians, standard deviations.
 const TRANSL_SCALE: f64 = 0.03;
 const POSE_SCALE: f64 = 0.1;
 const OTHER_SCALE: f64 = 1.0;
 
-/// A body in front of the camera.
+/// Parameters of a body: translation, pose and shape.
 ///
 /// ```
 /// use cape_fit::BodyParameters;
 ///
 /// let mut body = BodyParameters::new(vec![0.0; 72], vec![1.5])?;
 /// body.transl = [0.0, 0.2, -3.0];
-/// // A pose has 24 axis-angles.
+/// // A pose has 72 numbers.
 /// assert!(BodyParameters::new(vec![0.0; 69], Vec::new()).is_err());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BodyParameters {
-    /// Translation, metres, in the camera's frame.
+    /// Translation in the frame of the camera or the scan, metres, `[3]`.
     pub transl: [f64; 3],
-    /// Axis-angles of the 24 joints, radians, `[72]`; the pelvis's are the body's orientation.
+    /// Pose in axis-angle, radians, `[72]`; the first three numbers are the global orientation.
     pub pose: Vec<f64>,
-    /// Shape coefficients.
+    /// Shape coefficients β.
     pub betas: Vec<f64>,
 }
 
 impl BodyParameters {
-    /// A pose `[72]` and shape at the origin.
+    /// A body at the origin with a pose `[72]`, radians, and shape coefficients.
     ///
     /// # Errors
-    /// If the pose has another size, or a number is not finite.
+    /// If the pose has another length, or a number is not finite.
     pub fn new(pose: Vec<f64>, betas: Vec<f64>) -> Result<Self> {
         let parameters = Self { transl: [0.0; 3], pose, betas };
         parameters.check()?;
         Ok(parameters)
     }
 
-    /// Refuses what is no body.
+    /// An error unless the pose has 72 numbers and all numbers are finite.
     pub(crate) fn check(&self) -> Result<()> {
         if self.pose.len() != POSE {
             return Err(Error::argument(format!(
-                "pose of {} numbers, expected {POSE}",
+                "body: a pose of {} numbers, expected {POSE}",
                 self.pose.len()
             )));
         }
@@ -67,15 +67,15 @@ impl BodyParameters {
         if numbers.all(|x| x.is_finite()) {
             return Ok(());
         }
-        Err(Error::argument("translation, pose or betas are not finite"))
+        Err(Error::argument("body: translation, pose or betas are not finite"))
     }
 
-    /// `[3 + 72 + betas]`.
+    /// Vector of unknowns, `[3 + 72 + betas]`.
     pub(crate) fn to_vector(&self) -> Vec<f64> {
         [&self.transl[..], &self.pose, &self.betas].concat()
     }
 
-    /// Of the first `[3 + 72 + betas]` numbers of a vector.
+    /// Parameters of the first `[3 + 72 + betas]` unknowns of a vector.
     pub(crate) fn from_vector(x: &[f64], betas: usize) -> Self {
         Self {
             transl: [x[0], x[1], x[2]],
@@ -85,12 +85,12 @@ impl BodyParameters {
     }
 }
 
-/// The translation in a vector of unknowns.
+/// Translation of a vector of unknowns, metres.
 pub(crate) fn transl(x: &[f64]) -> DVec3 {
     DVec3::from_slice(&x[TRANSL_AT..])
 }
 
-/// Minimises over the unknowns for which `free` says so, each measured by changes of like effect.
+/// Minimises an energy over the unknowns whose index `free` accepts, scaled to similar effects.
 pub(crate) fn solve(
     x: &[f64],
     free: impl Fn(usize) -> bool,

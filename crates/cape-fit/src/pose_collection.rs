@@ -1,4 +1,4 @@
-//! Poses gathered from files, to fit a [`PosePrior`](crate::PosePrior) to.
+//! Poses from files, for fitting a [`PosePrior`](crate::PosePrior).
 
 use std::path::{Path, PathBuf};
 
@@ -8,10 +8,10 @@ use ndarray::Array2;
 
 use crate::{Error, Result};
 
-/// Endings of files that may hold poses.
-const ENDINGS: [&str; 3] = ["npz", "npy", "csv"];
+/// Extensions of files that may contain poses.
+const EXTENSIONS: [&str; 3] = ["npz", "npy", "csv"];
 
-/// Poses by file.
+/// Poses of several files.
 ///
 /// ```
 /// use cape_core::npy::write_npy;
@@ -22,7 +22,7 @@ const ENDINGS: [&str; 3] = ["npz", "npy", "csv"];
 /// write_npy(directory.path().join("walk.npy"), &Array2::<f64>::zeros((5, 72)))?;
 /// let poses = PoseCollection::read(&[directory.path().to_owned()], &mut |_, _| {})?;
 /// assert_eq!((poses.len(), poses.files), (5, 1));
-/// // Some to fit a prior to, others to test it on.
+/// // Poses for fitting a prior, and others for testing it.
 /// let [fitted, tested] = poses.spread(2);
 /// assert_eq!((fitted.dim(), tested.dim()), ((2, 72), (2, 72)));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -30,19 +30,19 @@ const ENDINGS: [&str; 3] = ["npz", "npy", "csv"];
 #[derive(Debug, Clone, Default)]
 pub struct PoseCollection {
     poses: Vec<[f64; 72]>,
-    /// Files that poses are from.
+    /// Number of files with poses.
     pub files: usize,
-    /// Files below directories that hold none, with the reason.
+    /// Files in directories without poses, with the reason.
     pub skipped: Vec<(PathBuf, String)>,
 }
 
 impl PoseCollection {
-    /// Reads each of `sources`: a file as [`cape_synth::poses`] reads it (SMPL's poses, AMASS's and
-    /// SMPL-X's), a packed set, whose training poses are taken, or a directory, which is searched
-    /// for such files. `progress` gets the number of files read and of all.
+    /// Reads each of `sources`: a pose file of [`cape_synth::poses`] (SMPL, AMASS or SMPL-X), a
+    /// packed set, of which the training poses are used, or a directory, which is searched for pose
+    /// files. `progress` is called with the number of files read and of all.
     ///
     /// # Errors
-    /// If a source is none of these, or there is no pose in any.
+    /// If a named file has no poses, or no source has any.
     pub fn read(sources: &[PathBuf], progress: &mut dyn FnMut(usize, usize)) -> Result<Self> {
         let mut collection = Self::default();
         let mut files: Vec<(PathBuf, bool)> = Vec::new();
@@ -68,7 +68,7 @@ impl PoseCollection {
         }
         if collection.poses.is_empty() {
             let names: Vec<String> = sources.iter().map(|s| s.display().to_string()).collect();
-            return Err(Error::argument(format!("{}: there is no pose", names.join(", "))));
+            return Err(Error::argument(format!("{}: no poses found", names.join(", "))));
         }
         Ok(collection)
     }
@@ -90,13 +90,13 @@ impl PoseCollection {
         self.poses.len()
     }
 
-    /// Whether there is no pose.
+    /// True if there is no pose.
     pub fn is_empty(&self) -> bool {
         self.poses.is_empty()
     }
 
-    /// At most `most` of the poses, evenly spaced, `[n, 72]`: those to fit to, and as many between
-    /// them, or fewer, to test with.
+    /// At most `most` evenly spaced poses for fitting, radians, `[n, 72]`, and at most as many
+    /// between them for testing.
     pub fn spread(&self, most: usize) -> [Array2<f64>; 2] {
         let count = self.poses.len();
         let wanted = most.clamp(1, count);
@@ -114,7 +114,7 @@ impl PoseCollection {
     }
 }
 
-/// Files with one of the endings, in order of their names.
+/// Files with a known extension in a directory and below, in order of their paths.
 fn below(directory: &Path) -> Result<Vec<PathBuf>> {
     let mut open = vec![directory.to_owned()];
     let mut found = Vec::new();
@@ -124,10 +124,10 @@ fn below(directory: &Path) -> Result<Vec<PathBuf>> {
             let entry = entry.map_err(|e| Error::io(&directory, e))?;
             let kind = entry.file_type().map_err(|e| Error::io(entry.path(), e))?;
             let path = entry.path();
-            let ending = path.extension().unwrap_or_default();
+            let extension = path.extension().unwrap_or_default();
             if kind.is_dir() {
                 open.push(path);
-            } else if ENDINGS.iter().any(|e| ending.eq_ignore_ascii_case(e)) {
+            } else if EXTENSIONS.iter().any(|e| extension.eq_ignore_ascii_case(e)) {
                 found.push(path);
             }
         }
@@ -167,6 +167,6 @@ mod tests {
         assert!(message.contains("shape.npy"), "{message}");
         let empty = root.path().join("empty");
         std::fs::create_dir(&empty).unwrap();
-        assert!(read(&[empty]).unwrap_err().to_string().contains("no pose"));
+        assert!(read(&[empty]).unwrap_err().to_string().contains("no poses"));
     }
 }

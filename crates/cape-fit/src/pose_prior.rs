@@ -1,5 +1,4 @@
-//! What poses people take: a mixture of normal distributions in the min form (SMPLify, Bogo et al.
-//! 2016).
+//! Pose prior: a Gaussian mixture in max-mixture form (SMPLify, Bogo et al. 2016).
 
 use std::path::Path;
 
@@ -16,22 +15,23 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::{Error, Result};
 
-/// Numbers of a body's pose without the pelvis's orientation.
+/// Length of a body pose without the global orientation: 23 axis-angles.
 pub const BODY_POSE: usize = 69;
 
-/// Components of the default prior, as SMPLify has.
+/// Number of components of the default prior, as in SMPLify.
 pub const COMPONENTS: usize = 8;
 
-/// How a prior is fitted: with a floor under the variances that lets joints which hardly move in
-/// the poses move a little all the same.
+/// Options of the default prior. The regularisation is a lower bound of the variances, which lets
+/// joints that hardly move in the training poses move a little.
 pub const OPTIONS: MixtureOptions =
     MixtureOptions { steps: 60, tolerance: 1e-2, regularisation: 0.1, starts: 1, seed: 1 };
 
-/// Styles in which each motion is performed for the default prior, and instants of each.
+/// Styles of each motion for the default prior, and poses of each style.
 const STYLES: u64 = 6;
 const INSTANTS: u32 = 12;
 
-/// `E_θ = min_j (−log(c g_j N(θ; μ_j, Σ_j)))`, where `c` makes the lowest energy 0.
+/// Pose prior `E_θ = min_j (−log(c g_j N(θ; μ_j, Σ_j)))` over body poses θ `[69]`, radians, with the
+/// constant `c` that makes the lowest energy 0.
 ///
 /// ```
 /// use cape_fit::{BODY_POSE, PosePrior};
@@ -59,16 +59,16 @@ pub struct PosePrior {
 struct Component {
     mean: DVector<f64>,
     factor: Cholesky<f64, Dyn>,
-    /// `−log g_j + ½ log |Σ_j|`, less the least of all.
+    /// `−log g_j + ½ log |Σ_j|`, minus its least value over the components.
     offset: f64,
 }
 
 impl PosePrior {
-    /// Of weights `[components]`, means `[components, 69]` and covariances `[components, 69, 69]`.
+    /// A prior with weights `g` `[components]`, means `μ` `[components, 69]` and covariances `Σ`
+    /// `[components, 69, 69]`.
     ///
     /// # Errors
-    /// If shapes do not agree, weights are not a distribution, or a covariance is not positive
-    /// definite.
+    /// If shapes differ, weights do not sum to 1, or a covariance is not positive definite.
     pub fn new(weights: Array1<f64>, means: Array2<f64>, covariances: Array3<f64>) -> Result<Self> {
         if means.ncols() != BODY_POSE {
             return Err(Error::argument(format!(
@@ -83,7 +83,10 @@ impl PosePrior {
         {
             let matrix = DMatrix::from_fn(BODY_POSE, BODY_POSE, |i, j| covariance[[i, j]]);
             let factor = Cholesky::new(matrix).ok_or_else(|| {
-                Error::argument("pose prior: a covariance is not positive definite")
+                Error::argument(
+                    "pose prior: a covariance is not positive definite: fit with a greater \
+                     regularisation",
+                )
             })?;
             let volume: f64 = factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum();
             let mean = DVector::from_iterator(BODY_POSE, mean.iter().copied());
@@ -96,11 +99,11 @@ impl PosePrior {
         Ok(Self { components, weights, means, covariances })
     }
 
-    /// Fits `components` normal distributions to poses `[n, 72]` or, without the pelvis's
-    /// orientation, `[n, 69]`; axis-angles, radians.
+    /// Fits a mixture of `components` Gaussians to poses in axis-angle, radians, `[n, 72]`, or `[n,
+    /// 69]` without the global orientation.
     ///
     /// # Errors
-    /// If there is no pose, or one is not finite or of another size.
+    /// If there is no pose, or poses are not finite or have another size.
     pub fn fit(
         poses: ArrayView2<'_, f64>,
         components: usize,
@@ -111,7 +114,7 @@ impl PosePrior {
             72 => poses.slice_move(s![.., 3..]),
             other => {
                 return Err(Error::argument(format!(
-                    "poses of {other} numbers, expected 72 or {BODY_POSE}"
+                    "pose prior: poses of {other} numbers, expected 72 or {BODY_POSE}"
                 )));
             }
         };
@@ -119,21 +122,21 @@ impl PosePrior {
         Self::new(mixture.weights(), mixture.means(), mixture.covariances())
     }
 
-    /// The default: fitted to the synthetic motions, but those held out for
-    /// testing, in several styles.
+    /// The default prior: fitted to [`synthetic_poses`].
     ///
     /// # Errors
-    /// None that is known.
+    /// If the mixture does not converge.
     pub fn synthetic() -> Result<Self> {
         Self::fit(synthetic_poses().view(), COMPONENTS, &OPTIONS)
     }
 
-    /// Number of normal distributions.
+    /// Number of Gaussians.
     pub fn components(&self) -> usize {
         self.components.len()
     }
 
-    /// The energy of a body's pose `[69]`; its gradient times `scale` is added to `gradient`.
+    /// Energy `E_θ` of a body pose `[69]`, radians; `scale` times its gradient is added to `gradient`
+    /// `[69]`.
     pub fn energy(&self, pose: &[f64], scale: f64, gradient: &mut [f64]) -> f64 {
         let pose = DVector::from_column_slice(pose);
         let energies = self.components.iter().map(|component| {
@@ -149,21 +152,22 @@ impl PosePrior {
         energy
     }
 
-    /// Shares of the normal distributions, `[components]`.
+    /// Weights of the Gaussians, `[components]`.
     pub fn weights(&self) -> &Array1<f64> {
         &self.weights
     }
 
-    /// Poses that people often take, `[components, 69]`.
+    /// Means of the Gaussians, radians, `[components, 69]`.
     pub fn means(&self) -> &Array2<f64> {
         &self.means
     }
 
-    /// Reads SMPLify's pickle (`.pkl`: `means`, `covars`, `weights`), one of scikit-learn's
-    /// mixtures, or an `.npz` that [`save`](Self::save) wrote. Nothing in a pickle is run.
+    /// Reads the pickle of SMPLify (`.pkl` with `means`, `covars`, `weights`), a pickled mixture of
+    /// scikit-learn, or an `.npz` archive that [`save`](Self::save) wrote. No code in a pickle is
+    /// executed.
     ///
     /// # Errors
-    /// If an array is missing or not what it should be; the error names the file.
+    /// If an array is missing or malformed; the error has the file and the array.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let is_npz = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npz"));
@@ -185,7 +189,7 @@ impl PosePrior {
             .map_err(|error| Error::format(path, error.to_string()))
     }
 
-    /// Writes an `.npz` of `weights`, `means` and `covariances`.
+    /// Writes an `.npz` archive of `weights`, `means` and `covariances`.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -198,7 +202,7 @@ impl PosePrior {
     }
 }
 
-/// Weights may be stored as a row: as many as there are means.
+/// Number of weights: as many as means. They may be stored as a row or a column.
 fn weights_len(means: &ArrayD<f64>) -> usize {
     means.shape().first().copied().unwrap_or(0)
 }
@@ -219,7 +223,7 @@ fn shaped<D: Dimension>(
     array.into_dimensionality().map_err(|error| Error::field(path, field, error.to_string()))
 }
 
-/// Poses of the synthetic motions that are not held out for testing, `[n, 72]`.
+/// Poses of the synthetic training motions in several styles, radians, `[n, 72]`.
 pub fn synthetic_poses() -> Array2<f64> {
     let mut rows = Vec::new();
     for motion in Motion::ALL.into_iter().filter(|motion| !motion.is_test()) {
@@ -280,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn the_default_likes_the_motions_and_not_contortions() {
+    fn the_default_prefers_motions_to_contortions() {
         let prior = PosePrior::synthetic().unwrap();
         assert_eq!(prior.components(), COMPONENTS);
         let energy = |pose: &[f64]| prior.energy(pose, 0.0, &mut [0.0; BODY_POSE]);
@@ -295,7 +299,7 @@ mod tests {
         let median = energies[50];
         let typical = prior.means().row(0).to_vec();
         let mut contorted = typical.clone();
-        contorted[3 * 3] = -2.0; // a knee that bends forwards
+        contorted[3 * 3] = -2.0; // left knee bent forwards
         assert!(energy(&contorted) > 3.0 * median, "{median} {}", energy(&contorted));
         assert!(energy(&typical) < median);
     }

@@ -1,5 +1,5 @@
-//! Bare bodies from keypoints: SMPLify (Bogo et al. 2016), without its interpenetration term, as
-//! CAPE uses it (§6.3).
+//! Unclothed bodies fitted to keypoints: SMPLify (Bogo et al. 2016) without its interpenetration
+//! term, as in CAPE §6.3.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -8,37 +8,36 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    BodyParameters, Error, Keypoints, LbfgsOptions, PinholeCamera, PosePrior, Result, Skeleton,
+    BodyParameters, Error, FitProblem, Keypoints, LbfgsOptions, PinholeCamera, PosePrior, Result,
+    Skeleton,
     body_energy::{BodyEnergy, BodyTerms, BodyWeights},
-    depth_ambiguity::{LIMBS, WHICH, mirror_limb_depths, mirror_trunk_lean},
+    depth_ambiguity::{BONE_FLIPS, LIMBS, mirror_limb_depths, mirror_trunk_lean},
     initial::{InitialPlacement, place},
     keypoints::KeypointDetection,
     parameters::{POSE_AT, solve},
 };
 
-/// How bare bodies are fitted.
-///
-/// See [`Smplify`] for an example.
+/// Configuration of the unclothed fit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SmplifyConfig {
-    /// Shape coefficients solved for, at most those of the body.
+    /// Number of shape coefficients to fit, at most those of the body.
     pub betas: usize,
-    /// Confidence from which a keypoint counts.
+    /// Least confidence of a keypoint.
     pub confidence: f64,
-    /// Standard deviation of the detector, metres at the person's distance.
+    /// Standard deviation of the detector at the distance of the person, metres.
     pub deviation: f64,
-    /// Size of errors from which they are rather mistakes, metres at the person's distance.
+    /// Geman–McClure scale σ (outlier threshold) at the distance of the person, metres.
     pub robust_scale: f64,
-    /// Weights of the terms, one stage of the optimisation after the other: priors begin strong,
-    /// so that the body first finds its place, and give way.
+    /// Weights of the terms in each stage of the optimisation; the priors decrease from stage to
+    /// stage.
     pub stages: Vec<BodyWeights>,
-    /// The directions that the body is first taken to face, radians to the left of the camera; the
-    /// best of the outcomes is kept.
+    /// Initial yaw angles of the body, radians, 0 facing the camera; the fit of lowest energy is
+    /// kept.
     pub facing: Vec<f64>,
-    /// The optimiser, in every stage.
+    /// Options of the optimiser in each stage.
     pub optimiser: LbfgsOptions,
-    /// Mean error of joints above which the fit is said to have failed, metres.
+    /// Largest mean joint error of a reliable fit, metres.
     pub accepted: f64,
 }
 
@@ -64,44 +63,42 @@ impl SmplifyConfig {
         for (field, value) in positive {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(Error::argument(format!(
-                    "configuration: `{field}` of {value}, expected above 0"
+                    "configuration: `{field}` {value}, expected above 0"
                 )));
             }
         }
         let facing = !self.facing.is_empty() && self.facing.iter().all(|yaw| yaw.is_finite());
         if self.stages.is_empty() || !facing {
             return Err(Error::argument(
-                "configuration: `stages`, `facing`: expected at least one each, finite",
+                "configuration: `stages` and `facing`: expected at least one finite entry each",
             ));
         }
         self.stages.iter().try_for_each(BodyWeights::check)
     }
 }
 
-/// A bare body that explains keypoints.
-///
-/// See [`Smplify`] for an example.
+/// Unclothed body fitted to keypoints.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BodyFit {
-    /// The body.
+    /// Body.
     pub parameters: BodyParameters,
-    /// What it becomes from where its trunk is mirrored in depth.
+    /// Body fitted from the start with the trunk mirrored in depth.
     pub leaning: BodyParameters,
     /// Terms of the energy.
     pub terms: BodyTerms,
-    /// Energy after every step of every stage, by the stage's weights.
+    /// Energy after each optimiser step, one curve for each stage.
     pub curves: Vec<Vec<f64>>,
-    /// Mean distance of the joints from where they were seen, pixels.
+    /// Mean distance of the projected joints from their detections, pixels.
     pub joint_error: f64,
-    /// Metres that a pixel is wide at the person's distance.
+    /// Width of a pixel at the distance of the person, metres.
     pub pixel: f64,
-    /// The direction that the body was first taken to face, radians.
+    /// Initial yaw angle, radians.
     pub facing: f64,
-    /// Why the fit cannot be trusted, if it cannot.
-    pub problem: Option<String>,
+    /// Problem of the fit, if it is unreliable.
+    pub problem: Option<FitProblem>,
 }
 
-/// Fits bare bodies of one kind.
+/// Fitter of unclothed bodies of one body model.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -109,7 +106,7 @@ pub struct BodyFit {
 /// use cape_synth::synthetic_body;
 /// use cape_fit::{PinholeCamera, PosePrior, Smplify, SmplifyConfig};
 ///
-/// // From a body that is nearly right, with two shape coefficients.
+/// // Start from the true body, with two shape coefficients.
 /// let model = synthetic_body();
 /// let camera = PinholeCamera::new(512, 512, None)?;
 /// let (truth, keypoints) = seen(&model, &camera)?;
@@ -117,7 +114,7 @@ pub struct BodyFit {
 /// let smplify = Smplify::new(&model, PosePrior::synthetic()?, config)?;
 /// let fit = smplify.fit(&camera, &keypoints, Some(&truth))?;
 /// assert_eq!(fit.parameters.betas.len(), 2);
-/// // Joints are within 5 cm of where they were seen.
+/// // Joints are within 5 cm of their detections.
 /// assert!(fit.joint_error * fit.pixel < 0.05);
 /// # Ok(())
 /// # }
@@ -130,16 +127,16 @@ pub struct Smplify {
 }
 
 impl Smplify {
-    /// For a body with SMPL's 24 joints.
+    /// A fitter of a body model with SMPL's 24 joints.
     ///
     /// # Errors
-    /// If the body has others, or the configuration is impossible.
+    /// If the body has another number of joints, or the configuration is out of range.
     pub fn new(model: &SmplModel, prior: PosePrior, config: SmplifyConfig) -> Result<Self> {
         config.check()?;
         let skeleton = Skeleton::new(model)?;
         if skeleton.joints() != cape_core::joints::JOINTS {
             return Err(Error::argument(format!(
-                "a body of {} joints, expected SMPL's {}",
+                "SMPLify: a body of {} joints, expected SMPL's {}",
                 skeleton.joints(),
                 cape_core::joints::JOINTS
             )));
@@ -147,50 +144,48 @@ impl Smplify {
         Ok(Self { skeleton, prior, config })
     }
 
-    /// The configuration.
+    /// Configuration.
     pub fn config(&self) -> &SmplifyConfig {
         &self.config
     }
 
-    /// The joints that count.
+    /// Detections with enough confidence.
     pub(crate) fn detections(&self, keypoints: &Keypoints) -> Vec<KeypointDetection> {
         keypoints.detections(self.config.confidence)
     }
 
-    /// Why a fit whose joints are so far off, metres, cannot be trusted.
-    pub(crate) fn problem(&self, joint_error: f64) -> Option<String> {
-        (joint_error.is_nan() || joint_error > self.config.accepted).then(|| {
-            format!(
-                "joints are {:.0} mm from where they were seen on average: more than {:.0} mm",
-                1000.0 * joint_error,
-                1000.0 * self.config.accepted
-            )
+    /// Problem of a fit with the mean joint error `joint_error`, metres, if it is too large.
+    pub(crate) fn problem(&self, joint_error: f64) -> Option<FitProblem> {
+        let limit = self.config.accepted;
+        (joint_error.is_nan() || joint_error > limit).then_some(FitProblem::JointError {
+            error_mm: 1000.0 * joint_error,
+            limit_mm: 1000.0 * limit,
         })
     }
 
-    /// The energy of what was seen, where a pixel is so wide.
+    /// Energy given detections and the width of a pixel at the distance of the person, metres.
     pub(crate) fn energy<'a>(
         &'a self,
         camera: &PinholeCamera,
-        sightings: &'a [KeypointDetection],
+        detections: &'a [KeypointDetection],
         pixel: f64,
     ) -> BodyEnergy<'a> {
         BodyEnergy {
             skeleton: &self.skeleton,
             prior: &self.prior,
             camera: *camera,
-            sightings,
+            detections,
             pixel,
             deviation: self.config.deviation,
             robust_scale: self.config.robust_scale,
         }
     }
 
-    /// The body that explains the keypoints best, of those found from the poses that people often
-    /// take, or from `initial`, in every orientation that the configuration names.
+    /// Fits the body to keypoints from the means of the pose prior, or from `initial`, in each
+    /// orientation of the configuration; the fit of lowest energy is kept.
     ///
     /// # Errors
-    /// If too few joints were seen to place a body, or `initial` is none.
+    /// If too few joints are detected to place a body, or `initial` is invalid.
     pub fn fit(
         &self,
         camera: &PinholeCamera,
@@ -198,22 +193,24 @@ impl Smplify {
         initial: Option<&BodyParameters>,
     ) -> Result<BodyFit> {
         let betas = self.config.betas.min(self.skeleton.betas());
-        let sightings = self.detections(keypoints);
-        let distance = place(camera, &self.skeleton.rest(&[]), &sightings, 0.0)?.distance;
+        let detections = self.detections(keypoints);
+        let distance = place(camera, &self.skeleton.rest(&[]), &detections, 0.0)?.distance;
         let pixel = distance / camera.focal();
-        let energy = self.energy(camera, &sightings, pixel);
+        let energy = self.energy(camera, &detections, pixel);
         let mut attempts = Vec::new();
         for mut start in self.starts(initial)? {
             start.betas.resize(betas, 0.0);
             start.pose[..3].fill(0.0);
             let joints = self.skeleton.pose(&start.betas, &start.pose, DVec3::ZERO)?;
             for &facing in &self.config.facing {
-                let placement = place(camera, joints.joints(), &sightings, facing)?;
+                let placement = place(camera, joints.joints(), &detections, facing)?;
                 attempts.push(self.attempt(&energy, &start, &placement, facing)?);
             }
         }
         let Some(mut best) = lowest(attempts) else {
-            return Err(Error::Failed("no orientation of the body has a finite energy".into()));
+            let message = "SMPLify: the energy is not finite in any orientation: check the \
+                           keypoints and the focal length";
+            return Err(Error::Failed(message.into()));
         };
         let mirrored = self.mirrored(&energy, &best)?;
         if let Some(other) = lowest(mirrored).filter(|other| other.energy < best.energy) {
@@ -237,13 +234,14 @@ impl Smplify {
         })
     }
 
-    /// What the body becomes from where bones of its limbs are mirrored in depth.
+    /// Fits from the body with bones of one limb mirrored in depth, for all limbs and combinations
+    /// of bones.
     fn mirrored(&self, energy: &BodyEnergy<'_>, body: &Candidate) -> Result<Vec<Candidate>> {
         let weights = self.config.stages.last().copied().unwrap_or_default();
         let mut found = Vec::new();
         for limb in LIMBS {
-            for which in WHICH {
-                let x = mirror_limb_depths(&self.skeleton, &body.x, body.betas, limb, which)?;
+            for flips in BONE_FLIPS {
+                let x = mirror_limb_depths(&self.skeleton, &body.x, body.betas, limb, flips)?;
                 let mut attempt = Candidate { x, ..body.clone() };
                 self.descend(energy, &mut attempt, &weights, |_| true)?;
                 found.push(attempt);
@@ -263,7 +261,8 @@ impl Smplify {
             .collect()
     }
 
-    /// Place and orientation by the first stage's weights, then everything, stage by stage.
+    /// Fits translation and orientation with the weights of the first stage, then all unknowns
+    /// stage by stage.
     fn attempt(
         &self,
         energy: &BodyEnergy<'_>,
@@ -306,18 +305,18 @@ impl Smplify {
     }
 }
 
-/// The body of the lowest finite energy.
+/// Candidate of the lowest finite energy.
 fn lowest(attempts: Vec<Candidate>) -> Option<Candidate> {
     let finite = attempts.into_iter().filter(|attempt| attempt.energy.is_finite());
     finite.min_by(|a, b| a.energy.total_cmp(&b.energy))
 }
 
-/// A body on its way.
+/// State of the optimisation.
 #[derive(Debug, Clone)]
 struct Candidate {
     x: Vec<f64>,
     betas: usize,
-    /// By the weights of the stage it has been through.
+    /// Energy with the weights of the last stage.
     energy: f64,
     curves: Vec<Vec<f64>>,
     facing: f64,

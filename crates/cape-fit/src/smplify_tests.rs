@@ -1,4 +1,4 @@
-//! Bodies that are known, found again from their keypoints.
+//! Recovery of known bodies from their keypoints.
 
 use std::f64::consts::PI;
 
@@ -17,7 +17,7 @@ fn camera() -> PinholeCamera {
     PinholeCamera::new(512, 512, None).unwrap()
 }
 
-/// A body performing `motion`, turned by `orientation`, three and a half metres away.
+/// A body in a pose of `motion`, rotated by `orientation`, 3.5 m from the camera.
 fn body(motion: Motion, orientation: DQuat) -> BodyParameters {
     let style = MotionStyle::default();
     let mut pose = motion.pose(&style, 0.6).to_vec();
@@ -45,7 +45,7 @@ fn seen(model: &SmplModel, body: &BodyParameters, detector: Detector, noise: f64
     Keypoints::new(detector, points).unwrap()
 }
 
-/// Mean distance of joints from the truth relative to the pelvis, metres.
+/// Mean distance of pelvis-relative joints from the ground truth, metres.
 fn error(model: &SmplModel, truth: &BodyParameters, fit: &BodyFit) -> f64 {
     let [a, b] = [joints(model, truth), joints(model, &fit.parameters)];
     a.iter().zip(&b).map(|(p, q)| ((*p - a[0]) - (*q - b[0])).length()).sum::<f64>() / 24.0
@@ -74,7 +74,7 @@ fn bodies_are_found_again_from_all_sides() {
             assert!(fit.problem.is_none(), "{motion} {turn}: {:?}", fit.problem);
             let error = error(model, &truth, &fit);
             assert!(error < 0.09, "{motion} {turn}: {error}");
-            // No minimum near the truth is lower than the one that was found without it.
+            // The minimum near the ground truth is not lower.
             let known = smplify.fit(&camera(), &keypoints, Some(&truth)).unwrap();
             let [found, known] = [&fit, &known].map(|fit| fit.terms.weighted(&weights));
             assert!(found < known + 0.5, "{motion} {turn}: {found} {known}");
@@ -91,7 +91,7 @@ fn noise_and_missing_joints_are_borne() {
     let mut points = keypoints.points().to_vec();
     points[9].confidence = 0.0;
     points[13].confidence = 0.0;
-    // One far off: a mistake.
+    // One outlier.
     points[15].x += 300.0;
     let keypoints = Keypoints::new(Detector::Coco17, points).unwrap();
     let fit = smplify.fit(&camera(), &keypoints, None).unwrap();
@@ -120,7 +120,7 @@ fn impossible_observations_are_refused_or_said_to_have_failed() {
     let message = smplify.fit(&camera(), &unseen, None).unwrap_err().to_string();
     assert!(message.contains("0 joints"), "{message}");
 
-    // A body scrambled beyond recognition.
+    // Permuted joints.
     let truth = body(Motion::WalkMarch, DQuat::IDENTITY);
     let mut points = seen(model, &truth, Detector::Smpl24, 0.0).points().to_vec();
     let originals = points.clone();

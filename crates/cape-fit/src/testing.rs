@@ -1,15 +1,15 @@
-//! What tests share.
+//! Helpers of the tests.
 
 use std::sync::LazyLock;
 
 use cape_core::SmplModel;
 use cape_synth::synthetic_body;
 
-/// The synthetic body, made once.
+/// The synthetic body.
 pub(crate) static BODY: LazyLock<SmplModel> = LazyLock::new(synthetic_body);
 
-/// Asserts that a gradient is that of `value` at `x` by central differences, to `tolerance` of the
-/// largest component.
+/// Asserts that `gradient` is the gradient of `value` at `x` by central differences, to `tolerance`
+/// of the largest component.
 pub(crate) fn assert_gradient(
     x: &[f64],
     gradient: &[f64],

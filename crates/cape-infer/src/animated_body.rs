@@ -1,54 +1,50 @@
-//! Clothed bodies as glTF: skeleton, skin, and a keyframe for each pose.
+//! Animated clothed bodies as glTF: SMPL's skeleton and skin, a keyframe for each pose.
 
 use std::path::Path;
 
 use cape_core::{
-    BodyPose, ClothingMask, Outfit,
+    BodyPose, Outfit,
     gltf::{self, GltfTexture, Keyframe, SkinnedMesh},
 };
 use ndarray::{Array2, Axis};
 
-use crate::{BodySpec, Error, Result, Run};
+use crate::{BodySpec, ClothedModel, Error, Result, batches};
 
-/// Poses of one file at most: each takes a morph target of 82 kB.
+/// Most poses of a file: each takes a morph target of 82 kB.
 const MOST_FRAMES: usize = 2000;
-/// Poses decoded at a time.
-const BATCH: usize = 64;
 
-/// One code in one outfit, moving through poses.
-///
-/// See [`Run`] for an example.
+/// A clothed body in motion: one latent code and outfit under a sequence of poses.
 #[derive(Debug, Clone)]
 pub struct AnimatedBody<'a> {
-    /// Shown by programs that open the file.
+    /// Name of the mesh, shown by programs that open the file.
     pub name: &'a str,
     /// Latent code, `[1, latent]`.
     pub code: Array2<f32>,
-    /// Shape coefficients; missing ones are zero.
+    /// Shape coefficients β; missing ones are zero.
     pub betas: &'a [f32],
-    /// What is worn.
+    /// Outfit, the paper's clothing type `c`.
     pub outfit: Outfit,
-    /// At least one.
+    /// Poses in axis-angle, `[frames][72]`, radians; at least one.
     pub poses: Vec<BodyPose>,
-    /// Poses a second.
+    /// Frame rate, poses per second.
     pub frames_per_second: f32,
-    /// Shape directions added as morph targets.
+    /// Number of shape directions added as morph targets.
     pub shape_targets: usize,
-    /// sRGB from 0 to 1, `[vertices, 3]`.
+    /// Vertex colours, sRGB from 0 to 1, `[V, 3]`.
     pub colours: Option<&'a [[f32; 3]]>,
-    /// Texture coordinates and picture.
+    /// Texture coordinates and image.
     pub texture: Option<GltfTexture<'a>>,
 }
 
 impl<'a> AnimatedBody<'a> {
-    /// A body that stands still.
-    pub fn from_body(name: &'a str, code: &Array2<f32>, wearer: &'a BodySpec) -> Self {
+    /// A single frame of `body` clothed by `code` `[1, latent]`.
+    pub fn from_body(name: &'a str, code: &Array2<f32>, body: &'a BodySpec) -> Self {
         Self {
             name,
             code: code.clone(),
-            betas: &wearer.betas,
-            outfit: wearer.outfit,
-            poses: vec![wearer.pose],
+            betas: &body.betas,
+            outfit: body.outfit,
+            poses: vec![body.pose],
             frames_per_second: 30.0,
             shape_targets: 0,
             colours: None,
@@ -61,8 +57,8 @@ impl<'a> AnimatedBody<'a> {
     /// # Errors
     /// If there is no pose or there are too many, sizes do not suit the run, or the file cannot be
     /// written.
-    pub fn save(&self, run: &Run, path: impl AsRef<Path>) -> Result<()> {
-        let (figure, keyframes) = self.figure(run)?;
+    pub fn save(&self, model: &ClothedModel, path: impl AsRef<Path>) -> Result<()> {
+        let (figure, keyframes) = self.figure(model)?;
         Ok(gltf::write(path, &figure, &keyframes)?)
     }
 
@@ -70,12 +66,12 @@ impl<'a> AnimatedBody<'a> {
     ///
     /// # Errors
     /// As of [`save`](Self::save).
-    pub fn encode(&self, run: &Run) -> Result<Vec<u8>> {
-        let (figure, keyframes) = self.figure(run)?;
+    pub fn encode(&self, model: &ClothedModel) -> Result<Vec<u8>> {
+        let (figure, keyframes) = self.figure(model)?;
         Ok(gltf::encode(&figure, &keyframes)?)
     }
 
-    fn figure<'s>(&'s self, run: &'s Run) -> Result<(SkinnedMesh<'s>, Vec<Keyframe>)> {
+    fn figure<'s>(&'s self, model: &'s ClothedModel) -> Result<(SkinnedMesh<'s>, Vec<Keyframe>)> {
         if self.poses.is_empty() || self.poses.len() > MOST_FRAMES {
             return Err(Error::argument(format!(
                 "{} poses, but a glTF file takes 1 to {MOST_FRAMES}: give fewer, or write .obj or \
@@ -83,11 +79,11 @@ impl<'a> AnimatedBody<'a> {
                 self.poses.len()
             )));
         }
-        let body = run.body();
+        let body = model.body();
         let mut betas: Vec<f64> = self.betas.iter().map(|&beta| beta.into()).collect();
         betas.resize(body.betas().max(betas.len()), 0.0);
         let shape = body.rest_shape(&betas)?;
-        let displacements = self.displacements(run)?;
+        let displacements = self.displacements(model)?;
         let first = &displacements[0];
         let mut keyframes = Vec::with_capacity(self.poses.len());
         for (index, (pose, worn)) in self.poses.iter().zip(&displacements).enumerate() {
@@ -114,21 +110,25 @@ impl<'a> AnimatedBody<'a> {
         Ok((figure, keyframes))
     }
 
-    /// Displacements at clothing vertices under every pose, metres.
-    fn displacements(&self, run: &Run) -> Result<Vec<Array2<f64>>> {
-        let mask = ClothingMask::from_indices(run.body().vertices(), run.clothing())?;
+    /// Displacements at clothing vertices under every pose, metres, `[V, 3]` each.
+    fn displacements(&self, model: &ClothedModel) -> Result<Vec<Array2<f64>>> {
         let mut found = Vec::with_capacity(self.poses.len());
-        for poses in self.poses.chunks(BATCH) {
-            let codes = self.code.select(Axis(0), &vec![0; poses.len()]);
-            let decoded = run.decode(&codes, poses, &vec![self.outfit; poses.len()])?;
-            for worn in decoded.outer_iter() {
-                let mut worn = worn.mapv(f64::from);
-                for (mut row, &covered) in worn.rows_mut().into_iter().zip(mask.covered()) {
+        for rows in batches(self.poses.len()) {
+            let bodies: Vec<BodySpec> = self.poses[rows]
+                .iter()
+                .map(|&pose| BodySpec { betas: Vec::new(), pose, outfit: self.outfit })
+                .collect();
+            let codes = self.code.select(Axis(0), &vec![0; bodies.len()]);
+            for displacement in model.decode_displacements(&codes, &bodies)?.outer_iter() {
+                let mut displacement = displacement.mapv(f64::from);
+                for (mut row, &covered) in
+                    displacement.rows_mut().into_iter().zip(model.mask().covered())
+                {
                     if !covered {
                         row.fill(0.0);
                     }
                 }
-                found.push(worn);
+                found.push(displacement);
             }
         }
         Ok(found)

@@ -1,4 +1,4 @@
-//! Checkpoints: everything needed to go on, in a directory that appears whole or not at all.
+//! Checkpoints: directories with everything that resuming needs, written atomically.
 
 use std::{
     fs,
@@ -15,25 +15,23 @@ use cape_data::LoaderState;
 const MODEL: &str = "model.safetensors";
 const GENERATOR_MOMENTUM: &str = "generator_momentum.safetensors";
 const DISCRIMINATOR_MOMENTUM: &str = "discriminator_momentum.safetensors";
-/// Averaged weights of the generator, where a run keeps them.
+/// File of the averaged weights of the generator, if the run averages them.
 const AVERAGE: &str = "generator_average.safetensors";
 const STATE: &str = "state.json";
 const PREFIX: &str = "step-";
 const PARTIAL: &str = ".partial-";
 
-/// Where a run is, beside its weights.
-///
-/// See [`Checkpoint`] for an example.
+/// State of a training besides its weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainState {
-    /// Steps done.
+    /// Number of updates done.
     pub step: u64,
-    /// What is drawn next.
+    /// State of the shuffled loader: the next frames to draw.
     pub loader: LoaderState,
-    /// Seconds spent training so far.
+    /// Training time so far, seconds.
     pub seconds: f64,
-    /// Over the epoch's steps so far: accuracies of the discriminator added up, and how many.
+    /// Sum of the discriminator's accuracies over the epoch's updates so far, and their number.
     #[serde(default, rename = "judged")]
     pub accuracy_sum: (f32, usize),
     /// Validation error after the last whole epoch, millimetres.
@@ -42,7 +40,7 @@ pub struct TrainState {
     pub best: Option<(f64, u64)>,
 }
 
-/// A run's state.
+/// State of a training with all weights.
 ///
 /// ```
 /// use std::collections::BTreeMap;
@@ -77,15 +75,15 @@ pub struct TrainState {
 /// ```
 #[derive(Debug, Clone)]
 pub struct Checkpoint {
-    /// Where the run is.
+    /// State besides the weights.
     pub progress: TrainState,
-    /// The model.
+    /// Weights of the model.
     pub model: Weights,
     /// Moments of the generator's optimiser.
     pub generator_momentum: Weights,
-    /// Moments of the discriminator's.
+    /// Moments of the discriminator's optimiser.
     pub discriminator_momentum: Weights,
-    /// Averaged weights of the generator, if the run keeps them.
+    /// Averaged weights of the generator, if the run averages them.
     pub average: Option<Weights>,
 }
 
@@ -161,6 +159,12 @@ pub fn load_weights(path: &Path) -> Result<Weights> {
     let average = load_average(path)?.unwrap_or_default();
     weights.extend(average.into_iter().map(|(name, array)| (format!("generator.{name}"), array)));
     Ok(weights)
+}
+
+/// Names of the files of a checkpoint directory that [`load_weights`] reads.
+pub fn weight_files(path: &Path) -> Vec<String> {
+    let average = path.join(AVERAGE).exists().then(|| AVERAGE.to_owned());
+    std::iter::once(MODEL.to_owned()).chain(average).collect()
 }
 
 /// The checkpoints of a run, oldest first.

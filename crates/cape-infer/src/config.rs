@@ -1,4 +1,4 @@
-//! What a training run is asked to do, as TOML.
+//! Configuration of a run, as TOML.
 
 use std::{io::Write, path::Path};
 
@@ -8,9 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
 
-/// How the learning rate warms up.
-///
-/// See [`TrainConfig`] for an example.
+/// Shape of the warm-up of the learning rate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum WarmUp {
@@ -21,9 +19,7 @@ pub enum WarmUp {
     Epoch,
 }
 
-/// How gradients become steps.
-///
-/// See [`TrainConfig`] for an example.
+/// Optimiser.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum OptimiserKind {
@@ -34,9 +30,7 @@ pub enum OptimiserKind {
     Adam,
 }
 
-/// How the learning rate falls after the warm-up.
-///
-/// See [`TrainConfig`] for an example.
+/// Schedule of the learning rate after the warm-up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum RateSchedule {
@@ -75,25 +69,26 @@ pub struct TrainConfig {
     pub epochs: usize,
     /// Frames in a batch.
     pub batch: usize,
-    /// Fixes initial weights, shuffles and noise.
+    /// Random seed of initial weights, shuffles and noise.
     pub seed: u64,
     /// Learning rate after the warm-up.
     pub peak_rate: f64,
     /// Epochs until the learning rate is at its peak; fractions are allowed.
     pub warmup_epochs: f64,
-    /// How the learning rate gets there.
+    /// Shape of the warm-up.
     pub warmup: WarmUp,
-    /// How it falls from there.
+    /// Schedule after the warm-up.
     pub schedule: RateSchedule,
-    /// Of the exponential schedule: factor on the learning rate every [`decay_epochs`](Self::decay_epochs) after the warm-up.
+    /// Factor on the learning rate every [`decay_epochs`](Self::decay_epochs) after the warm-up, for
+    /// the exponential schedule.
     pub decay: f64,
     /// Epochs between decays.
     pub decay_epochs: f64,
-    /// How gradients become steps, for both optimisers.
+    /// Optimiser of generator and discriminator.
     pub optimiser: OptimiserKind,
     /// Momentum of both optimisers.
     pub momentum: f64,
-    /// Gradients longer than this as a whole are shortened to it.
+    /// Largest global norm of the gradients; longer ones are scaled to it.
     pub clip: f64,
     /// The discriminator's learning rate relative to the generator's.
     pub discriminator_rate_scale: f64,
@@ -109,7 +104,7 @@ pub struct TrainConfig {
     pub keep: usize,
     /// Steps between lines of `metrics.jsonl`.
     pub log_steps: usize,
-    /// Whether the whole training set is read into memory.
+    /// Read the whole training set into memory before training.
     pub preload: bool,
 }
 
@@ -197,7 +192,7 @@ pub struct RunConfig {
     /// The optimisation.
     #[serde(default)]
     pub train: TrainConfig,
-    /// How the pyramids interpolate.
+    /// Weights of up-sampling in the pyramids.
     #[serde(default)]
     pub weighting: Weighting,
 }

@@ -3,7 +3,7 @@ use std::path::Path;
 /// Result of this crate's operations.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What can go wrong with data sets, training runs and their files.
+/// Errors of models, training runs and their files.
 ///
 /// ```
 /// use cape_infer::RunConfig;
@@ -24,24 +24,24 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A file, mesh, body or argument is not what it must be.
+    /// A file, mesh, body or argument is invalid.
     #[error(transparent)]
     Core(#[from] cape_core::Error),
-    /// A mesh pyramid is not what it must be.
+    /// A mesh pyramid is invalid.
     #[error(transparent)]
     Graph(#[from] cape_graph::Error),
-    /// A configuration or a set of weights is not what it must be.
+    /// A configuration or a set of weights is invalid.
     #[error(transparent)]
     Model(#[from] cape_model::Error),
 }
 
 impl Error {
-    /// The operating system refused to open, read or write `path`.
+    /// An input or output error of `path`.
     pub fn io(path: impl AsRef<Path>, source: std::io::Error) -> Self {
         cape_core::Error::io(path, source).into()
     }
 
-    /// The array, key or line `field` of `path` is not what it must be.
+    /// The array, key or line `field` of `path` is invalid.
     pub fn field(
         path: impl AsRef<Path>,
         field: impl Into<String>,

@@ -18,18 +18,25 @@
 //! ```
 
 mod animated_body;
+mod batch;
 mod body_spec;
 pub mod checkpoint;
+mod clothed_model;
+mod codes;
 mod config;
 mod error;
+mod graphs;
+mod normaliser;
 pub mod prior;
 mod run;
 
 pub use animated_body::AnimatedBody;
-pub use body_spec::{BodySpec, directions_by_effect, interpolate_codes, registration, walk_codes};
+pub use batch::{BATCH, DeviceBatch, batches, to_device};
+pub use body_spec::{BodySpec, registration};
+pub use clothed_model::{ClothedBody, ClothedModel, ClothedModelParts, Condition};
+pub use codes::{directions_by_effect, interpolate_codes, normal, walk_codes};
 pub use config::{OptimiserKind, RateSchedule, RunConfig, TrainConfig, WarmUp};
 pub use error::{Error, Result};
-pub use run::{
-    DataIdentity, DeviceBatch, Run, RunPaths, body_and_clothing, build_graphs, normal,
-    read_identity, to_device, write_json,
-};
+pub use graphs::build_graphs;
+pub use normaliser::Normaliser;
+pub use run::{DataIdentity, Run, RunPaths, body_and_clothing, read_identity, write_json};

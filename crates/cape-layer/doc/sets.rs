@@ -1,6 +1,6 @@
-// What the examples in this crate's documentation work on.
+// Data for the examples in the documentation of this crate.
 
-/// An octahedron whose corners are on the axes, `size` metres from the origin.
+/// An octahedron with its corners on the axes, `size` metres from the origin.
 #[allow(dead_code)]
 fn octahedron(size: f64) -> cape_core::geometry::SurfaceMesh {
     use glam::DVec3;
@@ -21,20 +21,21 @@ fn octahedron(size: f64) -> cape_core::geometry::SurfaceMesh {
     }
 }
 
-/// A patch on a body's skin that rises by up to 2 cm as its left knee bends, in 30 frames of a march.
+/// A patch of three vertices on the skin of a marching body, which rises by up to 2 cm as the left knee
+/// bends, in 30 frames, and its association.
 #[allow(dead_code)]
 fn patch(
     body: &cape_core::SmplModel,
 ) -> cape_layer::Result<(cape_layer::LayerSet, cape_layer::Association)> {
-    use cape_synth::{Motion as Movement, MotionStyle};
     use cape_core::{BodyMotion, smpl::StandardPose};
     use cape_layer::{Association, BodyFrame, LayerSet, Sequence};
+    use cape_synth::{Motion, MotionStyle};
     use ndarray::{Array2, Array3};
 
     let (style, frames, rate) = (MotionStyle::default(), 30, 30.0);
     let mut poses = Array2::zeros((frames, 72));
     for (frame, mut row) in poses.rows_mut().into_iter().enumerate() {
-        let pose = Movement::WalkMarch.pose(&style, frame as f64 / rate);
+        let pose = Motion::WalkMarch.pose(&style, frame as f64 / rate);
         row.iter_mut().zip(pose).for_each(|(to, angle)| *to = angle);
     }
     let skin = [100, 101, 102];

@@ -1,14 +1,14 @@
-/// Result of this crate's operations.
+/// Result of an operation on clothing layers.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What can go wrong with clothing layers.
+/// Errors of clothing layers.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use cape_layer::{AssociateOptions, Error};
 ///
-/// // The clothing is further away than the rays reach.
+/// // The clothing is beyond the reach of the rays.
 /// let apart = AssociateOptions::default().associate(&octahedron(0.1), &octahedron(2.0));
 /// assert!(matches!(apart, Err(Error::NoHits { rays: 6, .. })));
 /// # Ok(())
@@ -17,35 +17,27 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A file, mesh, body or argument is not what it must be.
+    /// An error of files, meshes, bodies or statistics.
     #[error(transparent)]
     Core(#[from] cape_core::Error),
-    /// An argument is out of its domain; the message names it, its value and what was expected.
+    /// An argument is out of range; the message has its name, its value and the expected range.
     #[error("{0}")]
     Argument(String),
-    /// A mesh is unusable; the message names the element and the remedy.
-    #[error("{mesh}: {message}")]
-    Mesh {
-        /// Which mesh: the body, the clothing, a garment.
-        mesh: &'static str,
-        /// What was found, and what would help.
-        message: String,
-    },
-    /// No ray from the body met the clothing.
+    /// No ray from the body hit the clothing.
     #[error(
-        "association: none of {rays} rays from the body met the clothing within {reach} m: are \
-         both in metres, in the same frame and place?"
+        "association: none of {rays} rays from the body hit the clothing within {reach} m: check \
+         that both meshes are in metres and in the same coordinate frame"
     )]
     NoHits {
-        /// Rays cast.
+        /// Number of rays.
         rays: usize,
-        /// Their length, metres.
+        /// Length of the rays, metres.
         reach: f64,
     },
-    /// More rays met the clothing when cast into the body than when cast out of it.
+    /// More rays hit the clothing against the body's outward normals than along them.
     #[error(
-        "association: {ahead} rays met the clothing along the body's normals and {behind} against \
-         them: the body's faces are flipped, or the clothing is inside the body"
+        "association: {ahead} rays hit the clothing along the body's normals and {behind} against \
+         them: reverse the body's faces, or move the clothing out of the body"
     )]
     FlippedBody {
         /// Hits along the normals.
@@ -53,23 +45,23 @@ pub enum Error {
         /// Hits against the normals.
         behind: usize,
     },
-    /// A blend of transforms cannot be undone.
+    /// A blended transform (eq. 3) has no inverse.
     #[error(
         "clothing vertex {vertex} cannot be unposed: its blended transform is nearly singular \
          (determinant {determinant:.2e}): use fewer body vertices for each clothing vertex"
     )]
     Singular {
-        /// The clothing vertex.
+        /// Index of the clothing vertex.
         vertex: usize,
-        /// Determinant of its blended rotation, 1 for a rigid motion.
+        /// Determinant of the blended linear part; 1 for a rigid motion.
         determinant: f64,
     },
-    /// A sequence does not fit its set, or its own parts do not fit together.
+    /// A sequence is inconsistent, with its set or in itself.
     #[error("sequence `{name}`: {message}")]
     Sequence {
-        /// The sequence's name.
+        /// Name of the sequence.
         name: String,
-        /// What was found, and what was expected.
+        /// The field, its value and the expected one.
         message: String,
     },
 }

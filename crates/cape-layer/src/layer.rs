@@ -7,13 +7,14 @@ use cape_core::{
 use ndarray::{Array1, Array2, ArrayD, Axis, Dimension, arr1};
 
 use crate::{
-    Association, BodyFrame, Error, LayerPca, Result,
+    Association, BodyFrame, Error, Pca, Result,
     regress::{FeatureOptions, FeatureStream, Regressor, SemanticParameters, StreamedFrame},
 };
 use cape_core::expect_finite;
 use cape_core::{BodyMotion, smpl::StandardPose};
 
-/// A learned clothing layer: all that predicts clothing for a body in motion.
+/// A learned clothing layer: association, principal components and regressor, which predict the
+/// clothing of a body in motion.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -22,25 +23,16 @@ use cape_core::{BodyMotion, smpl::StandardPose};
 /// use cape_core::smpl::StandardPose;
 /// use cape_layer::{Layer, experiment::{LearningOptions, UnposedSet}, regress::TrainingOptions};
 ///
-/// // What is learned of a patch on the skin of a body that marches ...
+/// // Learn a patch on the skin of a marching body.
 /// let body = synthetic_body();
 /// let (set, association) = patch(&body)?;
 /// let standard = StandardPose::default();
 /// let unposed = UnposedSet::new(&body, &set, &association, &standard)?;
 /// let training = TrainingOptions { hidden: vec![4], patience: 10, ..TrainingOptions::default() };
 /// let learning = LearningOptions { components: 1, training, ..LearningOptions::default() };
-/// let learnt = unposed.regression(&[0], &learning, &mut |_| {})?.learnt;
-/// // ... makes a layer,
-/// let layer = Layer {
-///     faces: set.faces.clone(),
-///     association: association.clone(),
-///     standard,
-///     pca: learnt.pca,
-///     features: learning.features,
-///     semantics: learnt.semantics,
-///     regressor: learnt.outcome.regressor,
-/// };
-/// // which dresses bodies frame by frame, each as soon as its speeds are known.
+/// let learned = unposed.regression(&[0], &learning, &mut |_| {})?.trained_model;
+/// let layer: Layer = unposed.layer(&learned, learning.features);
+/// // Predict frame by frame, each as soon as its velocities are known.
 /// let shape = body.rest_shape(&[])?;
 /// let mut stream = layer.stream(&body, &shape, 30.0, &[0.85])?;
 /// assert!(stream.push(&[0.0; 72], [0.0; 3])?.is_none());
@@ -51,38 +43,35 @@ use cape_core::{BodyMotion, smpl::StandardPose};
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Layer {
-    /// The clothing's triangles, `[faces, 3]`.
+    /// Triangles of the clothing, `[faces, 3]`.
     pub faces: Vec<[u32; 3]>,
-    /// The body vertices that clothing follows.
+    /// Body vertices that each clothing vertex follows, with their weights (eq. 2).
     pub association: Association,
-    /// The pose that offsets are measured in.
+    /// Standard pose, in which offsets are measured (θ₀ of the paper).
     pub standard: StandardPose,
-    /// The space of offsets.
-    pub pca: LayerPca,
-    /// What the regression sees of the motion.
+    /// Principal components of the offsets, `[components, 3 · n_v · n_f]` (§3.2).
+    pub pca: Pca,
+    /// Motion features that are inputs of the regressor.
     pub features: FeatureOptions,
-    /// The sizes and materials that it sees besides.
+    /// Semantic parameters that are further inputs: garment sizes and materials.
     pub semantics: SemanticParameters,
-    /// From motion and parameters to the space's coordinates.
+    /// Regressor from motion features and semantic parameters to coordinates in the components
+    /// (§3.3).
     pub regressor: Regressor,
 }
 
-/// Clothing of one frame as a layer predicts it.
-///
-/// See [`Layer`] for an example.
+/// Predicted clothing of one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PredictedFrame {
-    /// The frame's number, from 0.
+    /// Frame number, from 0.
     pub frame: usize,
-    /// The body in the frame.
+    /// Body of the frame.
     pub body: BodyFrame,
     /// Clothing vertices, metres, `[n_v, 3]`.
     pub clothing: Array2<f64>,
 }
 
-/// Prediction over a motion that arrives frame by frame; see [`Layer::stream`].
-///
-/// See [`Layer`] for an example.
+/// Prediction over a motion that arrives frame by frame: [`Layer::stream`].
 #[derive(Debug, Clone)]
 pub struct LayerStream<'a> {
     layer: &'a Layer,
@@ -93,41 +82,41 @@ pub struct LayerStream<'a> {
 }
 
 impl LayerStream<'_> {
-    /// Takes the next frame: axis-angles `[3 · joints]`, radians, and a translation, metres. Gives
-    /// the frame before, whose speeds are now known.
+    /// Adds the next frame: axis-angles `[3 · joints]`, radians, and a translation, metres. Returns
+    /// the frame whose velocities this completes, usually the one before.
     ///
     /// # Errors
-    /// If numbers are not finite, or not of as many joints as the layer learned from.
+    /// If numbers are not finite, or the number of joints differs from the training set's.
     pub fn push(&mut self, pose: &[f64], transl: [f64; 3]) -> Result<Option<PredictedFrame>> {
-        let arrived = self.features.push(pose, transl)?;
-        arrived.map(|arrived| self.dress(&arrived)).transpose()
+        let frame = self.features.push(pose, transl)?;
+        frame.map(|frame| self.dress(&frame)).transpose()
     }
 
-    /// The next of the frames that are left when no more come; none at last.
+    /// The next remaining frame after the last one was pushed; `None` at the end.
     pub fn finish(&mut self) -> Result<Option<PredictedFrame>> {
-        let arrived = self.features.finish()?;
-        arrived.map(|arrived| self.dress(&arrived)).transpose()
+        let frame = self.features.finish()?;
+        frame.map(|frame| self.dress(&frame)).transpose()
     }
 
-    fn dress(&self, arrived: &StreamedFrame) -> Result<PredictedFrame> {
+    fn dress(&self, frame: &StreamedFrame) -> Result<PredictedFrame> {
         let Layer { association, pca, regressor, standard, .. } = self.layer;
-        let input = Array1::from_iter(arrived.row.iter().chain(&self.semantics).copied());
+        let input = Array1::from_iter(frame.row.iter().chain(&self.semantics).copied());
         let code = regressor.predict(input.view().insert_axis(Axis(0)))?;
         let size = (association.clothing_vertices(), association.neighbours(), 3);
         let offsets = pca
             .decode(code.view())?
             .into_shape_with_order(size)
             .map_err(|error| Error::argument(error.to_string()))?;
-        let body =
-            BodyFrame::new(self.model, &self.shape, &arrived.pose, arrived.transl, standard)?;
+        let body = BodyFrame::new(self.model, &self.shape, &frame.pose, frame.transl, standard)?;
         let clothing = association.dress(&body, offsets.view())?;
-        Ok(PredictedFrame { frame: arrived.frame, body, clothing })
+        Ok(PredictedFrame { frame: frame.frame, body, clothing })
     }
 }
 
 impl Layer {
-    /// Predicts clothing frame by frame over a body with the unclothed rest shape `[V, 3]`, for
-    /// semantic parameters in the layer's order.
+    /// Starts a prediction frame by frame for a body with the unclothed rest shape `[V, 3]`, metres.
+    /// `frame_rate` is in frames per second, `parameters` are the semantic parameters in the order of
+    /// [`semantics`](Self::semantics).
     pub fn stream<'a>(
         &'a self,
         model: &'a SmplModel,
@@ -140,8 +129,8 @@ impl Layer {
         Ok(LayerStream { layer: self, model, shape: shape.clone(), semantics, features })
     }
 
-    /// Predicts clothing over a whole motion: `each` gets every frame as it is made, and ends the
-    /// prediction by an error.
+    /// Predicts clothing over a whole motion. `each` is called with every frame in order; its error
+    /// ends the prediction.
     pub fn predict(
         &self,
         model: &SmplModel,
@@ -163,7 +152,7 @@ impl Layer {
         Ok(())
     }
 
-    /// Writes everything as one `.npz`, atomically.
+    /// Writes the layer as one `.npz` archive, atomically.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let corners: Array1<i64> = self.faces.iter().flatten().map(|&v| i64::from(v)).collect();
         let joints = cape_core::joints::JOINTS;
@@ -178,6 +167,7 @@ impl Layer {
         file.add("components", &self.pca.components)?;
         file.add("explained_variance", &self.pca.variances)?;
         file.add("total_variance", &arr1(&[self.pca.total_variance]))?;
+        file.add("residual", &arr1(&[self.pca.residual]))?;
         let features = [flag(speed), flag(angles), flag(angular_speeds), smoothing];
         file.add("features", &arr1(&features))?;
         self.semantics.write(&mut file)?;
@@ -185,10 +175,10 @@ impl Layer {
         Ok(file.finish()?)
     }
 
-    /// Reads what [`save`](Self::save) wrote, for a body of `body_vertices`.
+    /// Reads a layer that [`save`](Self::save) wrote, for a body of `body_vertices` vertices.
     ///
     /// # Errors
-    /// If an array is missing, does not fit the others, or is not finite; it is named.
+    /// If an array is missing, not finite, or inconsistent with the others; the error has its name.
     pub fn load(path: impl AsRef<Path>, body_vertices: usize) -> Result<Self> {
         let file = &mut Npz::open(path)?;
         let corners = naturals(file, "faces")?;
@@ -199,19 +189,26 @@ impl Layer {
         let association = Association::new(indices, weights, body_vertices)?;
         let clothing = association.clothing_vertices();
         if let Some(face) = faces.iter().find(|f| f.iter().any(|&v| v as usize >= clothing)) {
-            let message = format!("face {face:?}, but there are {clothing} clothing vertices");
+            let message =
+                format!("face {face:?}, expected indices below the {clothing} clothing vertices");
             return Err(fault(file, "faces", message));
         }
-        let pca = LayerPca {
+        let residual = if file.contains("residual") {
+            vector(file, "residual", Some(1))?[0]
+        } else {
+            f64::NAN
+        };
+        let pca = Pca {
             mean: array(file, "mean")?,
             components: array(file, "components")?,
             variances: array(file, "explained_variance")?,
             total_variance: vector(file, "total_variance", Some(1))?[0],
+            residual,
         };
         let numbers = 3 * clothing * association.neighbours();
         file.expect_shape("mean", pca.mean.shape(), &[Some(numbers)])?;
         file.expect_shape("components", pca.components.shape(), &[None, Some(numbers)])?;
-        file.expect_shape("explained_variance", pca.variances.shape(), &[Some(pca.len())])?;
+        file.expect_shape("explained_variance", pca.variances.shape(), &[Some(pca.latent())])?;
         let numbers = vector(file, "features", Some(4))?;
         let on = |k: usize| numbers[k] != 0.0;
         let features = FeatureOptions {
@@ -222,8 +219,8 @@ impl Layer {
         };
         let semantics = SemanticParameters::read(file)?;
         let regressor = Regressor::read(file)?;
-        if regressor.network().sizes().last() != Some(&pca.len()) {
-            let message = format!("does not end in {} components", pca.len());
+        if regressor.network().sizes().last() != Some(&pca.latent()) {
+            let message = format!("expected {} outputs, one for each component", pca.latent());
             return Err(fault(file, "sizes", message));
         }
         let standard = StandardPose::Other(vector(file, "standard_pose", None)?.to_vec());

@@ -1,4 +1,4 @@
-//! Clothing as offsets from the unposed body (Yang et al. 2018, eq. 1–4).
+//! Clothing as offsets from the body in a standard pose (Yang et al. 2018, eq. 1, 3 and 4).
 
 use cape_core::{SmplModel, smpl::StandardPose};
 use glam::{DAffine3, DVec3};
@@ -8,10 +8,10 @@ use crate::{Error, Result, associate::Association};
 use cape_core::expect_finite;
 use cape_core::geometry::points;
 
-/// Blends whose determinant is below this are refused; a rigid motion has 1.
+/// Least determinant of a blended transform that is inverted; a rigid motion has 1.
 const NEARLY_SINGULAR: f64 = 1e-3;
 
-/// A body in one frame: where it is, and how each vertex got there from the standard pose.
+/// A body in one frame, and the transform of each vertex from the standard pose.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -20,33 +20,36 @@ const NEARLY_SINGULAR: f64 = 1e-3;
 /// use cape_core::smpl::StandardPose;
 /// use cape_layer::BodyFrame;
 ///
-/// // A body in its standard pose, 1 m up.
+/// // A body in its standard pose, raised by 1 m.
 /// let body = synthetic_body();
 /// let (shape, standard) = (body.rest_shape(&[])?, StandardPose::T);
 /// let frame = BodyFrame::new(&body, &shape, &[0.0; 72], [0.0, 1.0, 0.0], &standard)?;
 /// assert!((frame.posed[0] - frame.standard[0] - glam::DVec3::Y).length() < 1e-9);
-/// // Clothing comes back from its offsets.
+/// // Offsets give the clothing back.
 /// let (set, association) = patch(&body)?;
 /// let clothing = set.sequences[0].clothing.index_axis(ndarray::Axis(0), 3);
 /// let offsets = association.offsets(&frame, clothing)?;
-/// let again = association.carry(&frame)?.dress(&association, offsets.view())?;
+/// let again = association.offset_frame(&frame)?.dress(&association, offsets.view())?;
 /// assert!((&again - &clothing).iter().all(|gap| gap.abs() < 1e-9));
 /// # Ok(())
 /// # }
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyFrame {
-    /// Vertices with pose blend shapes, in the frame's pose, metres, `[V]`.
+    /// Vertices in the pose of the frame, with its pose blend shapes, metres, `[V]`.
     pub posed: Vec<DVec3>,
-    /// The same in the standard pose, metres, `[V]`.
+    /// Vertices in the standard pose, with the pose blend shapes of the frame, metres, `[V]`.
     pub standard: Vec<DVec3>,
-    /// `T_j`: standard pose to frame, translation included, `[V]`.
+    /// Transforms `T_j(θ)` from the standard pose to the frame, translation included, `[V]` (eq. 1).
     pub transforms: Vec<DAffine3>,
 }
 
 impl BodyFrame {
-    /// Poses an unclothed rest shape `[V, 3]` by axis-angles `[3 · joints]` and a translation,
-    /// metres.
+    /// Poses the unclothed rest shape `shape` `[V, 3]`, metres, by axis-angles `[3 · joints]`,
+    /// radians, and a translation, metres.
+    ///
+    /// # Errors
+    /// If sizes do not fit the body, numbers are not finite, or the standard pose is degenerate.
     pub fn new(
         model: &SmplModel,
         shape: &Array2<f64>,
@@ -69,7 +72,8 @@ impl BodyFrame {
             let determinant = standard.matrix3.determinant();
             if determinant.abs() < NEARLY_SINGULAR {
                 return Err(Error::argument(format!(
-                    "standard pose: the transform of body vertex {vertex} is nearly singular"
+                    "standard pose: the transform of body vertex {vertex} is nearly singular \
+                     (determinant {determinant:.2e})"
                 )));
             }
             transforms.push(*frame * standard.inverse());
@@ -79,7 +83,7 @@ impl BodyFrame {
 }
 
 impl Association {
-    /// The blended transform `Σ_i ω_i T_{I_j[i]}(θ)` of every clothing vertex (eq. 2).
+    /// Blended transform `Σ_i ω_i T_{I_j[i]}(θ)` of each clothing vertex, `[n_v]` (eq. 3).
     fn blends(&self, body: &BodyFrame) -> Result<Vec<DAffine3>> {
         self.check_body(body)?;
         let rows = self.indices.rows().into_iter().zip(self.weights.rows());
@@ -100,8 +104,11 @@ impl Association {
         Ok(blends)
     }
 
-    /// Clothing of one frame, metres, `[n_v, 3]`, in the body's standard pose: `ṽ_j^C`, each vertex
-    /// by the inverse of its blended transform, `[n_v, 3]` (eq. 2).
+    /// Unposes the clothing of one frame, metres, `[n_v, 3]`: vertices `ṽ_j^C` in the standard
+    /// pose, each by the inverse of its blended transform, metres, `[n_v, 3]` (eq. 3).
+    ///
+    /// # Errors
+    /// If shapes do not fit, numbers are not finite, or a blended transform has no inverse.
     pub fn unpose(&self, body: &BodyFrame, clothing: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
         self.check_clothing(clothing.shape())?;
         expect_finite("clothing", clothing)?;
@@ -114,8 +121,11 @@ impl Association {
         Ok(standard)
     }
 
-    /// Clothing of one frame, metres, `[n_v, 3]`, as offsets `d_{j,i} = ṽ_j^C − ṽ^B_{I_j[i]}` from
-    /// the body in the standard pose, `[n_v, n_f, 3]` (eq. 3).
+    /// Offsets `d_{j,i} = ṽ_j^C − ṽ^B_{I_j[i]}` of the clothing of one frame, metres, `[n_v, 3]`,
+    /// from the body in the standard pose: metres, `[n_v, n_f, 3]` (eq. 4).
+    ///
+    /// # Errors
+    /// As of [`unpose`](Self::unpose).
     pub fn offsets(&self, body: &BodyFrame, clothing: ArrayView2<'_, f64>) -> Result<Array3<f64>> {
         let standard = points(self.unpose(body, clothing)?.view());
         let mut offsets = Array3::zeros((self.clothing_vertices(), self.neighbours(), 3));
@@ -130,14 +140,22 @@ impl Association {
         Ok(offsets)
     }
 
-    /// Undoes [`offsets`](Self::offsets): clothing over a body, metres, `[n_v, 3]` (eq. 4). Offsets
-    /// that do not agree with each other, such as predicted ones, are averaged by weight.
+    /// Inverse of [`offsets`](Self::offsets): clothing of offsets `[n_v, n_f, 3]` on a body,
+    /// metres, `[n_v, 3]`. The paper does not number this step; here the `n_f` positions that the
+    /// offsets of a vertex give, which differ if the offsets are predicted, are averaged by the
+    /// weights `ω`.
+    ///
+    /// # Errors
+    /// If shapes do not fit or a blended transform has no inverse.
     pub fn dress(&self, body: &BodyFrame, offsets: ArrayView3<'_, f64>) -> Result<Array2<f64>> {
-        self.carry(body)?.dress(self, offsets)
+        self.offset_frame(body)?.dress(self, offsets)
     }
 
-    /// What of a body is needed to [`dress`](Self::dress) it, for doing so more than once.
-    pub fn carry(&self, body: &BodyFrame) -> Result<OffsetFrame> {
+    /// Blended transforms and positions of a body for repeated calls of [`OffsetFrame::dress`].
+    ///
+    /// # Errors
+    /// If the body has too few vertices or a blended transform has no inverse.
+    pub fn offset_frame(&self, body: &BodyFrame) -> Result<OffsetFrame> {
         let blends = self.blends(body)?;
         let rows = self.indices.rows().into_iter().zip(self.weights.rows());
         let middle = |(indices, weights): (ArrayView1<'_, u32>, ArrayView1<'_, f64>)| {
@@ -153,7 +171,7 @@ impl Association {
             return Ok(());
         }
         Err(Error::argument(format!(
-            "the association refers to body vertex {most}, but the body has {}",
+            "association: body vertex {most} of {}: the association is of another body",
             body.transforms.len()
         )))
     }
@@ -167,20 +185,21 @@ impl Association {
     }
 }
 
-/// Where clothing vertices are carried by a body in one frame.
-///
-/// See [`BodyFrame`] for an example.
+/// Blended transforms and body positions of the clothing vertices in one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OffsetFrame {
-    /// Weighted means of the body vertices that each clothing vertex follows, in the standard pose,
+    /// Weighted mean of the body vertices that each clothing vertex follows, in the standard pose,
     /// metres, `[n_v]`.
     middles: Vec<DVec3>,
-    /// Blended transforms, `[n_v]`.
+    /// Blended transforms, `[n_v]` (eq. 3).
     blends: Vec<DAffine3>,
 }
 
 impl OffsetFrame {
-    /// Clothing of offsets `[n_v, n_f, 3]`: metres, `[n_v, 3]` (eq. 4).
+    /// Clothing of offsets `[n_v, n_f, 3]`, metres, `[n_v, 3]`: [`Association::dress`].
+    ///
+    /// # Errors
+    /// If the offsets have another shape or the association has other clothing vertices.
     pub fn dress(
         &self,
         association: &Association,

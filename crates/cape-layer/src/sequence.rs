@@ -1,9 +1,6 @@
-//! Sequences of clothing over a moving body, and sets of them that share a topology.
+//! Sequences of clothing on a moving body, and sets of sequences that share a topology.
 
-use std::{
-    hash::{Hash, Hasher},
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use cape_core::{
     Mesh, SmplModel,
@@ -14,27 +11,24 @@ use ndarray::{Array1, Array2, Array3, Axis};
 use serde::{Deserialize, Serialize};
 
 use crate::{BodyFrame, Error, Result};
-use cape_core::expect_finite;
 use cape_core::{
-    BodyMotion,
+    BodyMotion, expect_finite,
     geometry::{SurfaceMesh, points},
     smpl::StandardPose,
 };
 
-/// Clothing over one body's motion, frame by frame.
-///
-/// See [`LayerSet`] for an example.
+/// Clothing on one body in motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sequence {
-    /// Its name, also in files.
+    /// Name, also of its file.
     pub name: String,
     /// Clothing vertices, metres, `[frames, n_v, 3]`.
     pub clothing: Array3<f64>,
-    /// Shape coefficients of the body.
+    /// Shape coefficients β of the body.
     pub betas: Vec<f64>,
-    /// The body's motion, of as many frames.
+    /// Motion of the body, of as many frames as the clothing.
     pub motion: BodyMotion,
-    /// Semantic parameters by name: sizes and materials, the same for the whole sequence.
+    /// Semantic parameters by name: garment sizes and materials, constant over the sequence.
     pub parameters: Vec<(String, f64)>,
 }
 
@@ -44,12 +38,18 @@ impl Sequence {
         self.clothing.len_of(Axis(0))
     }
 
-    /// The unclothed rest shape, metres, `[V, 3]`.
+    /// Unclothed rest shape of the body, metres, `[V, 3]`.
+    ///
+    /// # Errors
+    /// If the body has fewer shape coefficients.
     pub fn shape(&self, model: &SmplModel) -> Result<Array2<f64>> {
         Ok(model.rest_shape(&self.betas)?)
     }
 
-    /// The body in one frame.
+    /// Body of a frame.
+    ///
+    /// # Errors
+    /// If the motion does not fit the body.
     pub fn body(
         &self,
         model: &SmplModel,
@@ -69,13 +69,13 @@ impl Sequence {
         }
         if found != vertices || axes != 3 {
             return fault(format!(
-                "clothing of {found} vertices, but the set's has {vertices}: every sequence of a set \
-                 must have the same topology"
+                "clothing of {found} vertices, expected {vertices}: all sequences of a set must have the \
+                 same topology"
             ));
         }
         if self.motion.frames() != frames {
             return fault(format!(
-                "{frames} frames of clothing and {} of the body: out of step",
+                "{frames} frames of clothing but {} of the body: the frames must correspond",
                 self.motion.frames()
             ));
         }
@@ -89,7 +89,7 @@ impl Sequence {
     }
 }
 
-/// Sequences of one clothing mesh.
+/// Sequences of one clothing topology.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -97,11 +97,11 @@ impl Sequence {
 /// use cape_synth::synthetic_body;
 /// use cape_layer::LayerSet;
 ///
-/// // A patch of three vertices on a body that marches.
+/// // A patch of three vertices on a marching body.
 /// let set = patch(&synthetic_body())?.0;
 /// assert_eq!((set.vertices(), set.frames()), (3, 30));
 /// assert_eq!(set.clothing(0, 0)?.faces, [[0, 1, 2]]);
-/// // Sets are directories.
+/// // A set is saved as a directory.
 /// let directory = tempfile::tempdir()?;
 /// set.save(directory.path())?;
 /// let again = LayerSet::load(directory.path())?;
@@ -111,13 +111,13 @@ impl Sequence {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct LayerSet {
-    /// The clothing's triangles, `[faces, 3]`.
+    /// Triangles of the clothing, `[faces, 3]`.
     pub faces: Vec<[u32; 3]>,
-    /// The sequences.
+    /// Sequences.
     pub sequences: Vec<Sequence>,
 }
 
-/// What is written beside the arrays.
+/// Entry of `set.json` for one sequence.
 #[derive(Debug, Serialize, Deserialize)]
 struct Entry {
     name: String,
@@ -128,17 +128,23 @@ struct Entry {
 const INDEX: &str = "set.json";
 
 impl LayerSet {
-    /// A checked set: one topology, frames in step, numbers finite, the same parameters in all.
+    /// A set of sequences.
+    ///
+    /// # Errors
+    /// If there is no sequence, or sequences differ in topology or names of parameters, have
+    /// different numbers of frames of clothing and body, or numbers that are not finite.
     pub fn new(faces: Vec<[u32; 3]>, sequences: Vec<Sequence>) -> Result<Self> {
         let Some(first) = sequences.first() else {
-            return Err(Error::argument("a set without sequences"));
+            return Err(Error::argument("layer set: no sequences, expected at least one"));
         };
         let vertices = first.clothing.len_of(Axis(1));
         let names: Vec<&String> = first.parameters.iter().map(|p| &p.0).collect();
         for sequence in &sequences {
             sequence.check(vertices)?;
             if !sequence.parameters.iter().map(|p| &p.0).eq(names.iter().copied()) {
-                let message = format!("other parameters than {names:?}");
+                let message = format!(
+                    "semantic parameters differ from {names:?}: all sequences of a set need the same"
+                );
                 return Err(Error::sequence(&sequence.name, message));
             }
         }
@@ -152,12 +158,12 @@ impl LayerSet {
         self.sequences.first().map_or(0, |sequence| sequence.clothing.len_of(Axis(1)))
     }
 
-    /// Number of frames of all sequences.
+    /// Total number of frames.
     pub fn frames(&self) -> usize {
         self.sequences.iter().map(Sequence::frames).sum()
     }
 
-    /// Every frame as sequence and frame, in order.
+    /// Index of the sequence and of the frame in it for each frame of the set, in order, `[frames]`.
     pub fn each_frame(&self) -> Vec<(usize, usize)> {
         let frames = |(index, sequence): (usize, &Sequence)| {
             (0..sequence.frames()).map(move |frame| (index, frame)).collect::<Vec<_>>()
@@ -165,35 +171,26 @@ impl LayerSet {
         self.sequences.iter().enumerate().flat_map(frames).collect()
     }
 
-    /// The clothing mesh of a frame.
+    /// Clothing mesh of a frame.
+    ///
+    /// # Errors
+    /// If there is no such frame, or the faces do not fit the vertices.
     pub fn clothing(&self, sequence: usize, frame: usize) -> Result<SurfaceMesh> {
         let clothing = self.sequences.get(sequence).filter(|s| frame < s.frames());
         let Some(clothing) = clothing else {
-            return Err(Error::argument(format!("no frame {frame} of sequence {sequence}")));
+            return Err(Error::argument(format!(
+                "layer set: no frame {frame} of sequence {sequence}"
+            )));
         };
         let clothing = clothing.clothing.index_axis(Axis(0), frame);
         Ok(SurfaceMesh::new("clothing", points(clothing), self.faces.clone())?)
     }
 
-    /// A number that tells sets apart: equal sets have the same, in whatever process.
-    pub fn fingerprint(&self) -> u64 {
-        let mut hash = std::hash::DefaultHasher::new();
-        self.faces.hash(&mut hash);
-        for sequence in &self.sequences {
-            let Sequence { name, clothing, betas, motion, parameters } = sequence;
-            name.hash(&mut hash);
-            let numbers = clothing.iter().chain(betas).chain(&motion.poses);
-            let numbers = numbers.chain(&motion.translations).chain([&motion.frame_rate]);
-            numbers.for_each(|number| number.to_bits().hash(&mut hash));
-            for (name, value) in parameters {
-                (name, value.to_bits()).hash(&mut hash);
-            }
-        }
-        hash.finish()
-    }
-
-    /// Writes `set.json` and one `<name>.npz` for each sequence (float32 clothing) into a directory
-    /// that exists. Every file appears whole or not at all.
+    /// Writes `set.json` and one `<name>.npz` for each sequence, clothing in float32, into
+    /// `directory`, which is created if it is missing. Each file is replaced atomically.
+    ///
+    /// # Errors
+    /// If the directory or a file cannot be written.
     pub fn save(&self, directory: impl AsRef<Path>) -> Result<()> {
         let directory = directory.as_ref();
         std::fs::create_dir_all(directory)
@@ -204,8 +201,11 @@ impl LayerSet {
         write_index(directory, &self.sequences.iter().map(Entry::from_sequence).collect::<Vec<_>>())
     }
 
-    /// Adds a sequence, in place of one of its name, to the set that a directory holds, or begins
-    /// one there.
+    /// Adds a sequence to the set in `directory`, in place of one with the same name; an empty or
+    /// missing set is begun.
+    ///
+    /// # Errors
+    /// If a file cannot be read or written.
     pub fn add(directory: impl AsRef<Path>, faces: &[[u32; 3]], sequence: &Sequence) -> Result<()> {
         let directory = directory.as_ref();
         let mut index =
@@ -216,7 +216,10 @@ impl LayerSet {
         write_index(directory, &index)
     }
 
-    /// Reads what [`save`](Self::save) wrote.
+    /// Reads a set that [`save`](Self::save) or [`add`](Self::add) wrote.
+    ///
+    /// # Errors
+    /// If a file is missing or malformed, or as of [`new`](Self::new).
     pub fn load(directory: impl AsRef<Path>) -> Result<Self> {
         let directory = directory.as_ref();
         let index = read_index(directory)?;
@@ -225,7 +228,7 @@ impl LayerSet {
         for entry in index {
             let (faces, sequence) = read(directory, entry)?;
             if all_faces.as_ref().is_some_and(|known| *known != faces) {
-                let message = "other faces than the sequences before it: every sequence of a set \
+                let message = "faces differ from those of the sequences before: all sequences of a set \
                                must have the same topology";
                 return Err(Error::sequence(&sequence.name, message));
             }
@@ -278,7 +281,10 @@ fn array_file(directory: &Path, name: &str) -> PathBuf {
 fn read(directory: &Path, entry: Entry) -> Result<(Vec<[u32; 3]>, Sequence)> {
     let Entry { name, frame_rate, parameters } = entry;
     if name.contains(['/', '\\']) || name.starts_with('.') {
-        return Err(Error::sequence(&name, "a name that is not a file's"));
+        return Err(Error::sequence(
+            &name,
+            "the name must not contain / or \\, nor begin with a dot: it is a file name",
+        ));
     }
     let path = array_file(directory, &name);
     let mut file = Npz::open(&path)?;
@@ -298,9 +304,10 @@ fn read(directory: &Path, entry: Entry) -> Result<(Vec<[u32; 3]>, Sequence)> {
     Ok((faces, Sequence { name, clothing, betas, motion, parameters }))
 }
 
-/// `poses`, `trans` (or `transl`), `betas` and, unless the rate is given, `mocap_framerate` of an
-/// archive, as AMASS has them.
+/// Arrays `poses`, `trans` or `transl`, `betas` and, unless the frame rate is given,
+/// `mocap_framerate` of an archive of SMPL parameters with the names of AMASS.
 fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(BodyMotion, Vec<f64>)> {
+    let shift = if file.contains("trans") { "trans" } else { "transl" };
     let mut table = |name: &str, columns: Option<usize>| -> Result<Array2<f64>> {
         let array = file.f64(name)?;
         file.expect_shape(name, array.shape(), &[None, columns])?;
@@ -309,17 +316,7 @@ fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(BodyMotion, V
             .into_dimensionality()
             .map_err(|error| cape_core::Error::field(path, name, error.to_string()))?)
     };
-    let poses = table("poses", None)?;
-    let shift = if file.contains("trans") { "trans" } else { "transl" };
-    let mut table = |name: &str| -> Result<Array2<f64>> {
-        let array = file.f64(name)?;
-        file.expect_shape(name, array.shape(), &[None, Some(3)])?;
-        let path = file.path();
-        Ok(array
-            .into_dimensionality()
-            .map_err(|error| cape_core::Error::field(path, name, error.to_string()))?)
-    };
-    let translations = table(shift)?;
+    let (poses, translations) = (table("poses", None)?, table(shift, Some(3))?);
     let betas = if file.contains("betas") {
         file.f64("betas")?.iter().copied().collect()
     } else {
@@ -333,8 +330,12 @@ fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(BodyMotion, V
     Ok((BodyMotion::new(rate, poses, translations)?, betas))
 }
 
-/// BodyMotion and shape coefficients of an archive of SMPL parameters, as AMASS has them: `poses`,
-/// `trans` or `transl`, `betas` (or none), and `mocap_framerate`, unless the rate is given.
+/// Reads the motion and the shape coefficients of an `.npz` archive of SMPL parameters with the
+/// names of AMASS: `poses` `[frames, 72]`, `trans` or `transl` `[frames, 3]`, `betas` (optional),
+/// and `mocap_framerate` unless `frame_rate`, in frames per second, is given.
+///
+/// # Errors
+/// If an array is missing, malformed or not finite.
 pub fn import_motion(
     parameters: impl AsRef<Path>,
     frame_rate: Option<f64>,
@@ -342,9 +343,13 @@ pub fn import_motion(
     read_motion(&mut Npz::open(parameters)?, frame_rate)
 }
 
-/// A sequence of one's own: a directory of `.obj` or `.ply` meshes, whose names sort by frame, and
-/// an archive of SMPL parameters as for [`import_motion`].
-/// Gives the faces with it, for [`LayerSet::new`].
+/// Reads a captured or simulated sequence: a directory of `.obj` or `.ply` meshes in metres, one
+/// for each frame in order of their names, and an archive of SMPL parameters as for
+/// [`import_motion`]. Returns the faces, for [`LayerSet::new`], and the sequence without semantic
+/// parameters.
+///
+/// # Errors
+/// If there are no meshes, their topology differs, or the numbers of frames differ.
 pub fn import(
     name: &str,
     meshes: impl AsRef<Path>,
@@ -367,19 +372,23 @@ pub fn import(
     for path in &paths {
         let mesh = Mesh::load(path)?;
         if faces.as_ref().is_some_and(|faces| *faces != mesh.faces) {
-            let message = format!("{}: other faces than in the frames before", path.display());
+            let message = format!(
+                "{}: faces differ from those of the frames before: all frames must have the same topology",
+                path.display()
+            );
             return Err(Error::sequence(name, message));
         }
         numbers.extend(mesh.vertices.iter().flatten().map(|&x| f64::from(x)));
         faces = Some(mesh.faces);
     }
     let Some(faces) = faces else {
-        let message = format!("{}: no .obj or .ply meshes", directory.display());
+        let message =
+            format!("{}: no .obj or .ply meshes, expected one for each frame", directory.display());
         return Err(Error::sequence(name, message));
     };
     let shape = (paths.len(), numbers.len() / (3 * paths.len()), 3);
     let clothing = Array3::from_shape_vec(shape, numbers)
-        .map_err(|_| Error::sequence(name, "frames of different numbers of vertices"))?;
+        .map_err(|_| Error::sequence(name, "the number of vertices differs between frames"))?;
     let (motion, betas) = import_motion(parameters, frame_rate)?;
     let parameters = Vec::new();
     let sequence = Sequence { name: name.to_owned(), clothing, betas, motion, parameters };
@@ -416,32 +425,21 @@ mod tests {
     }
 
     #[test]
-    fn fingerprints_tell_sets_apart() {
-        let of =
-            |name: &str| LayerSet::new(FACES.to_vec(), vec![sequence(name)]).unwrap().fingerprint();
-        assert_eq!(of("a"), of("a"));
-        assert_ne!(of("a"), of("b"));
-        let mut moved = sequence("a");
-        moved.clothing[(1, 2, 0)] += 1e-6;
-        assert_ne!(LayerSet::new(FACES.to_vec(), vec![moved]).unwrap().fingerprint(), of("a"));
-    }
-
-    #[test]
-    fn what_does_not_fit_is_named() {
+    fn inconsistent_sequences_are_refused() {
         let text = |sequences| LayerSet::new(FACES.to_vec(), sequences).unwrap_err().to_string();
         let mut other = sequence("b");
         other.clothing = Array3::zeros((3, 5, 3));
         assert!(text(vec![sequence("a"), other]).contains("`b`: clothing of 5 vertices"));
         let mut late = sequence("b");
         late.clothing = Array3::zeros((2, 4, 3));
-        assert!(text(vec![sequence("a"), late]).contains("out of step"));
+        assert!(text(vec![sequence("a"), late]).contains("must correspond"));
         let mut broken = sequence("b");
         broken.clothing[(1, 0, 0)] = f64::NAN;
         assert!(text(vec![broken]).contains("frame 1"));
         let mut unlike = sequence("b");
         unlike.parameters.clear();
         assert!(text(vec![sequence("a"), unlike]).contains("parameters"));
-        assert!(text(vec![]).contains("without sequences"));
+        assert!(text(vec![]).contains("no sequences"));
     }
 
     #[test]
@@ -467,7 +465,10 @@ mod tests {
         assert_eq!(found, Sequence { parameters: vec![], ..wanted });
         std::fs::remove_file(meshes.join("0001.ply")).unwrap();
         assert!(
-            import("own", &meshes, &archive, None).unwrap_err().to_string().contains("out of step")
+            import("own", &meshes, &archive, None)
+                .unwrap_err()
+                .to_string()
+                .contains("must correspond")
         );
     }
 }

@@ -1,7 +1,7 @@
-//! Simulated sequences to learn from: exercises of several subjects, in several sizes and materials.
+//! Simulated sequences: exercises of several subjects, in several garment sizes and materials.
 
 use cape_core::SmplModel;
-use cape_synth::{Motion as Movement, MotionStyle};
+use cape_synth::{Motion, MotionStyle};
 use ndarray::{Array2, Axis};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -10,7 +10,7 @@ use crate::{Error, LayerSet, Result, Sequence};
 use cape_cloth::{ClothMaterial, Garment, GarmentMesh, SimulationOptions, SimulationQuality};
 use cape_core::BodyMotion;
 
-/// What a subject does.
+/// A motion of simulated sequences.
 ///
 /// ```
 /// use cape_synth::synthetic_body;
@@ -40,10 +40,10 @@ pub enum Exercise {
 }
 
 impl Exercise {
-    /// All of them.
+    /// All exercises.
     pub const ALL: [Self; 5] = [Self::Walk, Self::Squat, Self::March, Self::Swing, Self::Jump];
 
-    /// The name in files.
+    /// Name in files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Walk => "walk",
@@ -54,8 +54,8 @@ impl Exercise {
         }
     }
 
-    /// Frames of the exercise by a body of 24 joints with an unclothed rest shape `[V, 3]`, feet on
-    /// the floor `y = 0` except in jumps of 15 cm.
+    /// Motion of a body of 24 joints with the unclothed rest shape `[V, 3]`, metres, whose lowest
+    /// point is on the floor `y = 0` except in jumps of 15 cm.
     pub fn motion(
         self,
         model: &SmplModel,
@@ -70,10 +70,10 @@ impl Exercise {
             _ => MotionStyle::default(),
         };
         let movement = match self {
-            Self::Walk | Self::March => Movement::WalkMarch,
-            Self::Squat => Movement::Squats,
-            Self::Swing => Movement::TwistTilt,
-            Self::Jump => Movement::JumpingJacks,
+            Self::Walk | Self::March => Motion::WalkMarch,
+            Self::Squat => Motion::Squats,
+            Self::Swing => Motion::TwistTilt,
+            Self::Jump => Motion::JumpingJacks,
         };
         let rows: Vec<([f64; 72], [f64; 3])> = (0..frames)
             .into_par_iter()
@@ -97,7 +97,7 @@ impl Exercise {
     }
 }
 
-/// A full grid of subjects, sizes, materials and exercises, in one topology.
+/// A full factorial design of subjects, garment sizes, materials and exercises, in one topology.
 ///
 /// ```
 /// use cape_cloth::{Garment, GarmentKind};
@@ -109,57 +109,55 @@ impl Exercise {
 ///     exercises: vec![Exercise::Walk, Exercise::Squat],
 ///     ..Design::new(skirt)
 /// };
-/// let names: Vec<String> = design.cells().iter().map(|take| take.name()).collect();
+/// let names: Vec<String> = design.cells().iter().map(|cell| cell.name()).collect();
 /// assert_eq!(names.len(), 4);
 /// assert_eq!(names[3], "s00_z01_m00_squat");
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Design {
-    /// Shape coefficients of the subjects.
+    /// Shape coefficients β of the subjects.
     pub subjects: Vec<Vec<f64>>,
-    /// Sizes of one garment; the first is made for the mean body, the others resized from it.
+    /// Sizes of one garment; the first is sewn for the mean body, the others are resized from it.
     pub sizes: Vec<Garment>,
-    /// Materials.
+    /// Cloth materials.
     pub materials: Vec<ClothMaterial>,
-    /// What is done.
+    /// Exercises.
     pub exercises: Vec<Exercise>,
-    /// Frames of every sequence.
+    /// Frames of each sequence.
     pub frames: usize,
-    /// Frames a second.
+    /// Frames per second.
     pub frame_rate: f64,
-    /// How it is simulated.
+    /// Options of the cloth simulation.
     pub simulation: SimulationOptions,
 }
 
-/// One cell of a [`Design`], by index.
-///
-/// See [`Design`] for an example.
+/// One combination of a [`Design`], by index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct DesignCell {
-    /// The subject.
+    /// Index of the subject.
     pub subject: usize,
-    /// The size.
+    /// Index of the garment size.
     pub size: usize,
-    /// The material.
+    /// Index of the material.
     pub material: usize,
-    /// What is done.
+    /// Exercise.
     pub exercise: Exercise,
 }
 
 impl DesignCell {
-    /// The name of its sequence.
+    /// Name of the sequence, such as `s00_z01_m00_squat`.
     pub fn name(&self) -> String {
         let Self { subject, size, material, exercise } = self;
         format!("s{subject:02}_z{size:02}_m{material:02}_{}", exercise.name())
     }
 }
 
-/// Names of the semantic parameters of simulated sequences: size, then material.
+/// Names of the semantic parameters of simulated sequences: garment size, then material.
 pub const PARAMETERS: [&str; 8] =
     ["length", "width", "sleeve", "log_density", "log_stretch", "log_bend", "damping", "friction"];
 
 impl Design {
-    /// One subject of mean shape in one garment of usual cut and material, all exercises.
+    /// One subject of mean shape in one garment of the default material, in all exercises.
     pub fn new(garment: Garment) -> Self {
         Self {
             subjects: vec![vec![]],
@@ -172,40 +170,49 @@ impl Design {
         }
     }
 
-    /// All cells of the grid.
+    /// All combinations, exercises fastest.
     pub fn cells(&self) -> Vec<DesignCell> {
-        let mut takes = Vec::new();
+        let mut cells = Vec::new();
         for subject in 0..self.subjects.len() {
             for size in 0..self.sizes.len() {
                 for material in 0..self.materials.len() {
                     for &exercise in &self.exercises {
-                        takes.push(DesignCell { subject, size, material, exercise });
+                        cells.push(DesignCell { subject, size, material, exercise });
                     }
                 }
             }
         }
-        takes
+        cells
     }
 
-    /// The garment for the mean body, of the first size.
+    /// Sews the garment of the first size for the mean body.
+    ///
+    /// # Errors
+    /// If there is no size or it is out of range.
     pub fn sew(&self, model: &SmplModel) -> Result<GarmentMesh> {
-        let first = self.sizes.first().ok_or_else(|| Error::argument("a design without sizes"))?;
+        let first = self
+            .sizes
+            .first()
+            .ok_or_else(|| Error::argument("design: no garment sizes, expected at least one"))?;
         Ok(first.sew(model, &model.rest_shape(&[])?)?)
     }
 
-    /// Simulates one cell; tells with it how that went.
+    /// Simulates one combination: the sequence and the quality of its simulation.
+    ///
+    /// # Errors
+    /// If the combination is not in the design, or the simulation diverges.
     pub fn simulate(
         &self,
         model: &SmplModel,
         sewn: &GarmentMesh,
-        take: DesignCell,
+        cell: DesignCell,
     ) -> Result<(Sequence, SimulationQuality)> {
-        let missing = || Error::argument(format!("{take:?} is not in the design"));
-        let betas = self.subjects.get(take.subject).ok_or_else(missing)?;
-        let size = self.sizes.get(take.size).ok_or_else(missing)?;
-        let material = self.materials.get(take.material).ok_or_else(missing)?;
+        let missing = || Error::argument(format!("design: {cell:?} is out of range"));
+        let betas = self.subjects.get(cell.subject).ok_or_else(missing)?;
+        let size = self.sizes.get(cell.size).ok_or_else(missing)?;
+        let material = self.materials.get(cell.material).ok_or_else(missing)?;
         let shape = model.rest_shape(betas)?;
-        let motion = take.exercise.motion(model, &shape, self.frames, self.frame_rate)?;
+        let motion = cell.exercise.motion(model, &shape, self.frames, self.frame_rate)?;
         let sewn = sewn.resize(model, size)?;
         let result =
             self.simulation.run(model, &shape, (&sewn, material), &motion, &mut |_, _| {})?;
@@ -213,7 +220,7 @@ impl Design {
         let named = PARAMETERS.iter().zip(numbers).map(|(name, x)| ((*name).to_owned(), x));
         let quality = result.quality();
         let sequence = Sequence {
-            name: take.name(),
+            name: cell.name(),
             clothing: result.frames,
             betas: betas.clone(),
             motion,
@@ -222,21 +229,25 @@ impl Design {
         Ok((sequence, quality))
     }
 
-    /// Simulates all cells, side by side. `watch` is told those done and their number.
+    /// Simulates all combinations in parallel. `watch` is called with the number of finished
+    /// sequences and of all.
+    ///
+    /// # Errors
+    /// As of [`simulate`](Self::simulate).
     pub fn set(
         &self,
         model: &SmplModel,
         watch: &(dyn Fn(usize, usize) + Sync),
     ) -> Result<LayerSet> {
         let sewn = self.sew(model)?;
-        let takes = self.cells();
+        let cells = self.cells();
         let done = std::sync::atomic::AtomicUsize::new(0);
-        let sequences = takes
+        let sequences = cells
             .par_iter()
-            .map(|&take| {
-                let (sequence, _) = self.simulate(model, &sewn, take)?;
+            .map(|&cell| {
+                let (sequence, _) = self.simulate(model, &sewn, cell)?;
                 let done = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-                watch(done, takes.len());
+                watch(done, cells.len());
                 Ok(sequence)
             })
             .collect::<Result<_>>()?;
@@ -244,8 +255,8 @@ impl Design {
     }
 }
 
-/// A sequence's clothing with the body's own vertices after it, and the faces of both: for layers
-/// that are to include the body.
+/// A sequence whose clothing is followed by the vertices of its body, with the faces of both: a layer
+/// that includes the body, as the paper's captured sequences do.
 pub fn append_body(
     model: &SmplModel,
     faces: &[[u32; 3]],

@@ -14,7 +14,7 @@ use burn::{
     module::{Module, ModuleMapper, ModuleVisitor, Param},
     tensor::{Device, Gradients, Tensor, TensorData},
 };
-use cape_core::tensors::host;
+use cape_core::tensors::to_host;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
 use crate::{Error, Result};
@@ -107,7 +107,7 @@ impl ParamRef<'_> {
 
     /// Values in row-major order, copied to the host.
     pub fn read(&self) -> Vec<f32> {
-        host(self.tensor.value())
+        to_host(self.tensor.value())
     }
 
     /// Gradient in row-major order without autodiff, `[numbers]`; `None` if `gradients` has none of

@@ -1,4 +1,4 @@
-//! Animated PNG files, which every browser shows.
+//! Animated PNG files.
 
 use std::{io::Write, path::Path};
 
@@ -6,22 +6,22 @@ use cape_core::write_atomically;
 
 use crate::{Error, Image, Result};
 
-/// Writes pictures of one size as an animated PNG that plays for ever, atomically.
+/// Writes images of equal size as an endlessly repeated animated PNG, atomically.
 ///
 /// # Errors
-/// If there is no picture, sizes differ, or the file cannot be written.
+/// If there is no image, sizes differ, or the file cannot be written.
 pub fn save_animation(
     path: impl AsRef<Path>,
     frames: &[Image],
     frames_per_second: u16,
 ) -> Result<()> {
     let Some(first) = frames.first() else {
-        return Err(Error::Argument("an animation of no pictures".into()));
+        return Err(Error::Argument("animation without images: expected at least 1".into()));
     };
     let (width, height) = (first.width(), first.height());
     if let Some(other) = frames.iter().find(|f| (f.width(), f.height()) != (width, height)) {
         return Err(Error::Argument(format!(
-            "an animation of pictures of {width}×{height} and of {}×{} pixels",
+            "animation of images of {width}×{height} and {}×{} pixels: expected equal sizes",
             other.width(),
             other.height()
         )));
@@ -47,7 +47,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_picture_is_in_the_file() {
+    fn all_images_are_in_the_file() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.png");
         let frames: Vec<Image> =
@@ -67,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_of_several_sizes_are_refused() {
+    fn images_of_different_sizes_are_rejected() {
         let frames = [(2, 2), (3, 2)].map(|(w, h)| Image::new(w, h, [0; 4]).unwrap());
         assert!(save_animation("x.png", &frames, 10).is_err());
         assert!(save_animation("x.png", &[], 10).is_err());

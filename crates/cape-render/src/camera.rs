@@ -1,14 +1,12 @@
 use cape_core::Mesh;
 use glam::{Mat4, Vec3};
 
-/// How depth shows.
-///
-/// See [`Camera`] for an example.
+/// Camera projection.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Projection {
-    /// Distant things look smaller; the vertical field of view, radians.
+    /// Perspective projection with a vertical field of view, radians.
     Perspective(f32),
-    /// Distant things look as large as near ones.
+    /// Orthographic projection.
     Orthographic,
 }
 
@@ -18,25 +16,23 @@ impl Default for Projection {
     }
 }
 
-/// Where the camera stands around a body that faces +z.
-///
-/// See [`Camera`] for an example.
+/// Direction from which the camera sees a body that faces +z.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum View {
-    /// Facing the body.
+    /// Front view.
     Front,
     /// Half-way between the front and the body's left side.
     ThreeQuarter,
-    /// At the body's left (+x).
+    /// View of the body's left side, from +x.
     Side,
-    /// Behind the body.
+    /// Back view.
     Back,
     /// Half-way between the back and the body's right side.
     BackThreeQuarter,
 }
 
 impl View {
-    /// Angle around the y axis from the front, radians, towards the body's left.
+    /// Azimuth around y, radians: 0 in front, positive towards the body's left.
     pub const fn azimuth(self) -> f32 {
         use std::f32::consts::PI;
         match self {
@@ -49,7 +45,7 @@ impl View {
     }
 }
 
-/// An axis-aligned box, metres.
+/// Axis-aligned bounding box, metres.
 ///
 /// ```
 /// use cape_render::Bounds;
@@ -61,14 +57,14 @@ impl View {
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
-    /// The smallest coordinates.
+    /// Smallest coordinates.
     pub min: Vec3,
-    /// The largest coordinates.
+    /// Largest coordinates.
     pub max: Vec3,
 }
 
 impl Bounds {
-    /// The box around the finite ones of `points`; `None` if there are none.
+    /// Bounding box of the finite `points`; `None` without any.
     pub fn from_points<'a>(points: impl IntoIterator<Item = &'a [f32; 3]>) -> Option<Self> {
         let mut points = points.into_iter().map(|&p| Vec3::from(p)).filter(|p| p.is_finite());
         let first = points.next()?;
@@ -78,17 +74,17 @@ impl Bounds {
         }))
     }
 
-    /// The box around all vertices of `meshes`; `None` if there are none.
+    /// Bounding box of the vertices of `meshes`; `None` without any.
     pub fn from_meshes<'a>(meshes: impl IntoIterator<Item = &'a Mesh>) -> Option<Self> {
         Self::from_points(meshes.into_iter().flat_map(|mesh| &mesh.vertices))
     }
 
-    /// The middle.
+    /// Centre, metres.
     pub fn centre(&self) -> Vec3 {
         (self.min + self.max) * 0.5
     }
 
-    /// Half the diagonal.
+    /// Half the diagonal, at least 0.1 mm, metres.
     pub fn radius(&self) -> f32 {
         ((self.max - self.min).length() * 0.5).max(1e-4)
     }
@@ -105,7 +101,7 @@ impl Bounds {
     }
 }
 
-/// A camera: world to clip space, with depth from 0 (near) to 1 (far).
+/// Camera: transform from world to clip space, with depth from 0 (near) to 1 (far).
 ///
 /// ```
 /// use cape_synth::synthetic_body;
@@ -115,10 +111,10 @@ impl Bounds {
 /// let bounds = Bounds::from_meshes([&body]).unwrap();
 /// let covered = |view| -> Result<usize> {
 ///     let camera = Camera::framing(&bounds, view, Projection::Orthographic, 1.0);
-///     let picture = silhouette(&body, &camera, 64, 64)?;
-///     Ok(picture.pixels().iter().filter(|pixel| pixel[0] == 255).count())
+///     let image = silhouette(&body, &camera, 64, 64)?;
+///     Ok(image.pixels().iter().filter(|pixel| pixel[0] == 255).count())
 /// };
-/// // In the T-pose the arms are seen from the front, but hardly from the side.
+/// // In the T-pose the front view covers more pixels than the side view.
 /// assert!(covered(View::Front)? > covered(View::Side)?);
 /// # Ok::<(), cape_render::Error>(())
 /// ```
@@ -131,10 +127,10 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Looks from `eye` at `target`, y up, showing depths from `near` to `far` metres.
+    /// Camera at `eye` that looks at `target`, y up, with clipping planes `near` and `far`, metres.
     ///
-    /// `aspect` is width over height. An orthographic camera shows as much as a perspective one
-    /// with a field of view of half a radian at the target's distance.
+    /// `aspect` is width over height. An orthographic camera has the extent of a perspective one with a
+    /// field of view of 0.5 radians at the target.
     pub fn look_at(
         eye: Vec3,
         target: Vec3,
@@ -152,14 +148,13 @@ impl Camera {
         Self::new(eye, target, projection_matrix, projection == Projection::Orthographic)
     }
 
-    /// Frames `bounds` from `view`, a little from above, leaving a margin around it.
-    ///
-    /// `aspect` is width over height of the picture.
+    /// Camera that frames `bounds` from `view`, slightly elevated, with a margin; `aspect` is width over
+    /// height.
     pub fn framing(bounds: &Bounds, view: View, projection: Projection, aspect: f32) -> Self {
         Self::orbit(bounds, view.azimuth(), 0.1, projection, aspect)
     }
 
-    /// Like [`Camera::framing`], from any azimuth and elevation (radians).
+    /// [`framing`](Self::framing) from any azimuth and elevation, radians.
     pub fn orbit(
         bounds: &Bounds,
         azimuth: f32,
@@ -179,9 +174,9 @@ impl Camera {
         let corners = bounds.corners().map(|corner| axes.transform_vector3(corner - centre));
         match projection {
             Projection::Orthographic => {
-                let reach = |[x, y]: [f32; 2]| (x / aspect).max(y);
+                let extent = |[x, y]: [f32; 2]| (x / aspect).max(y);
                 let half = MARGIN
-                    * corners.iter().map(|c| reach([c.x.abs(), c.y.abs()])).fold(1e-4, f32::max);
+                    * corners.iter().map(|c| extent([c.x.abs(), c.y.abs()])).fold(1e-4, f32::max);
                 let eye = centre + direction * (2.0 * radius);
                 let matrix = Mat4::orthographic_rh(
                     -half * aspect,
@@ -214,7 +209,7 @@ impl Camera {
         Self { view, clip: projection * view, eye, orthographic }
     }
 
-    /// Unit vector from a point of the scene towards the camera.
+    /// Unit vector from `point` towards the camera.
     pub(crate) fn towards(&self, point: Vec3) -> Vec3 {
         if self.orthographic {
             self.view.row(2).truncate()
@@ -223,7 +218,7 @@ impl Camera {
         }
     }
 
-    /// The ray through the picture at (`x`, `y`) in −1…1, y up: origin and unit direction.
+    /// Origin and unit direction of the ray at image position (`x`, `y`), −1 to 1, y up.
     pub(crate) fn ray(inverse: &Mat4, x: f32, y: f32) -> (Vec3, Vec3) {
         let from = inverse.project_point3(Vec3::new(x, y, 0.0));
         let to = inverse.project_point3(Vec3::new(x, y, 1.0));

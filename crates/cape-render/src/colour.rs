@@ -1,7 +1,7 @@
-//! Colours for numbers.
+//! Colour map of scalar values.
 
-/// Nine colours of the map "viridis" (CC0), evenly spaced, which stay apart for colour-blind eyes
-/// and in grey.
+/// Nine evenly spaced colours of the map "viridis" (CC0), which is perceptually uniform, for colour
+/// blindness and in grey too.
 const VIRIDIS: [[f32; 3]; 9] = [
     [0.267, 0.005, 0.329],
     [0.279, 0.175, 0.483],
@@ -14,8 +14,8 @@ const VIRIDIS: [[f32; 3]; 9] = [
     [0.993, 0.906, 0.144],
 ];
 
-/// The colour, sRGB from 0 to 1, of a number from 0 to 1: dark blue, green, yellow. Numbers outside
-/// get the colour of the end they are beyond, and what is not a number is grey.
+/// sRGB colour, 0 to 1, of a value from 0 to 1 (dark blue, green, yellow). Values outside are clamped;
+/// NaN is grey.
 pub fn colormap(value: f32) -> [f32; 3] {
     if value.is_nan() {
         return [0.5; 3];
@@ -32,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ends_middle_and_beyond() {
+    fn values_are_interpolated_and_clamped() {
         assert_eq!(colormap(-1.0), VIRIDIS[0]);
         assert_eq!(colormap(2.0), VIRIDIS[8]);
         assert_eq!(colormap(0.5), VIRIDIS[4]);

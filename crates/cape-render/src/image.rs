@@ -8,10 +8,10 @@ use cape_core::write_atomically;
 
 use crate::{Error, Result};
 
-/// The most pixels a side of an image may have.
+/// Largest width and height of an image, pixels.
 pub const MAX_SIDE: u32 = 16_384;
 
-/// An 8-bit sRGB picture with straight alpha, row 0 at the top.
+/// 8-bit sRGB image with straight alpha, row 0 at the top.
 ///
 /// ```
 /// use cape_render::Image;
@@ -35,7 +35,10 @@ pub struct Image {
 }
 
 impl Image {
-    /// A picture of one colour; sides from 1 to [`MAX_SIDE`].
+    /// Creates an image of one colour.
+    ///
+    /// # Errors
+    /// If a side is not from 1 to [`MAX_SIDE`].
     pub fn new(width: u32, height: u32, colour: [u8; 4]) -> Result<Self> {
         if width == 0 || height == 0 || width > MAX_SIDE || height > MAX_SIDE {
             return Err(Error::Argument(format!(
@@ -45,33 +48,33 @@ impl Image {
         Ok(Self { width, height, pixels: vec![colour; width as usize * height as usize] })
     }
 
-    /// Pixels in a row.
+    /// Width, pixels.
     pub const fn width(&self) -> u32 {
         self.width
     }
 
-    /// Number of rows.
+    /// Height, pixels.
     pub const fn height(&self) -> u32 {
         self.height
     }
 
-    /// All pixels, row by row, `[height · width]`.
+    /// RGBA pixels, row by row, `[height · width]`.
     pub fn pixels(&self) -> &[[u8; 4]] {
         &self.pixels
     }
 
-    /// All pixels, row by row, `[height · width]`.
+    /// Mutable RGBA pixels, row by row, `[height · width]`.
     pub fn pixels_mut(&mut self) -> &mut [[u8; 4]] {
         &mut self.pixels
     }
 
-    /// The pixel at column `x` of row `y`, if there is one.
+    /// RGBA pixel at column `x` and row `y`; `None` outside the image.
     pub fn get(&self, x: u32, y: u32) -> Option<[u8; 4]> {
         (x < self.width && y < self.height)
             .then(|| self.pixels[y as usize * self.width as usize + x as usize])
     }
 
-    /// Lays `colour` over the pixel at (`x`, `y`) with the given opacity; outside is ignored.
+    /// Blends `colour` over the pixel at (`x`, `y`) with `opacity`, 0 to 1; ignored outside the image.
     pub fn blend(&mut self, x: i64, y: i64, colour: [u8; 3], opacity: f32) {
         let (Ok(x), Ok(y)) = (u32::try_from(x), u32::try_from(y)) else { return };
         if x >= self.width || y >= self.height {
@@ -81,7 +84,7 @@ impl Image {
         *pixel = over(*pixel, colour, opacity.clamp(0.0, 1.0));
     }
 
-    /// Lays `other` over this picture with its top left corner at (`x`, `y`).
+    /// Blends `other` over this image with its top left corner at (`x`, `y`).
     pub fn draw(&mut self, other: &Self, x: i64, y: i64) {
         for (row, line) in other.pixels.chunks_exact(other.width as usize).enumerate() {
             for (column, &[r, g, b, a]) in line.iter().enumerate() {
@@ -91,12 +94,12 @@ impl Image {
         }
     }
 
-    /// Writes a PNG, atomically: a reader sees the old file or the whole new one.
+    /// Writes a PNG file, atomically.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         Ok(write_atomically(path, |file| self.encode(file))?)
     }
 
-    /// Writes a PNG to `sink`.
+    /// Writes the image as PNG to `sink`.
     pub fn encode(&self, mut sink: impl Write) -> std::io::Result<()> {
         let mut encoder = png::Encoder::new(&mut sink, self.width, self.height);
         encoder.set_color(png::ColorType::Rgba);
@@ -108,7 +111,7 @@ impl Image {
         sink.flush()
     }
 
-    /// Reads an 8-bit PNG, with or without alpha.
+    /// Reads a PNG file, converted to 8 bits and RGBA.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let format = |message: String| cape_core::Error::format(path, message);
@@ -120,7 +123,7 @@ impl Image {
         let mut image = Self::new(width, height, [0; 4])?;
         let size = reader
             .output_buffer_size()
-            .ok_or_else(|| format("picture too large for memory".into()))?;
+            .ok_or_else(|| format("image too large for memory".into()))?;
         let mut bytes = vec![0; size];
         let frame = reader.next_frame(&mut bytes).map_err(|error| format(error.to_string()))?;
         let to_rgba: fn(&[u8]) -> [u8; 4] = match frame.color_type {

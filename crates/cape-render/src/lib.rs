@@ -1,9 +1,11 @@
-//! A small software renderer for meshes, and plots, to PNG.
+//! Software renderer of meshes, and line plots, to PNG images.
 //!
-//! No window, no GPU: [`render`] draws [`cape_core::Mesh`]es into an [`Image`] with a depth buffer,
-//! smooth or flat shading, textures, a three-light studio, soft shadows and supersampling, on all
-//! cores and with the same picture whatever their number. [`silhouette`] draws what a mesh covers, [`contact_sheet`] puts pictures side by side, [`Plot`] draws
-//! curves.
+//! [`render`] rasterises [`cape_core::Mesh`]es ([`Object`]) seen by a [`Camera`] into an [`Image`], with
+//! depth buffer, smooth or flat shading, textures, three-point lighting, soft shadows and supersampling.
+//! It needs neither window nor GPU, uses all cores, and gives the same image for any number of threads.
+//! [`portrait`] frames a single object, [`silhouette`] draws the mask of a mesh, [`visible_faces`] the
+//! visible triangle of each pixel, [`contact_sheet`] a grid of labelled images, [`Plot`] curves over
+//! axes, [`save_animation`] writes an animated PNG.
 //!
 //! ```
 //! use cape_synth::synthetic_body;
@@ -11,10 +13,10 @@
 //!
 //! let body = synthetic_body().mesh();
 //! let style = Style { width: 48, height: 64, ..Style::default() };
-//! let picture = portrait(Object::new(&body), View::ThreeQuarter, &style)?;
-//! assert_eq!((picture.width(), picture.height()), (48, 64));
-//! // There is a body in the middle, and only the background in the corner.
-//! assert_ne!(picture.get(24, 32), picture.get(0, 0));
+//! let image = portrait(Object::new(&body), View::ThreeQuarter, &style)?;
+//! assert_eq!((image.width(), image.height()), (48, 64));
+//! // The centre shows the body, the corner the background.
+//! assert_ne!(image.get(24, 32), image.get(0, 0));
 //! # Ok::<(), cape_render::Error>(())
 //! ```
 

@@ -1,6 +1,6 @@
 use crate::{Image, Result, TextSize};
 
-/// Colours of series in turn, distinguishable with common colour blindness.
+/// Colours of the series in order, distinguishable with common colour blindness.
 const COLOURS: [[u8; 3]; 7] = [
     [31, 105, 180],
     [214, 96, 20],
@@ -10,23 +10,21 @@ const COLOURS: [[u8; 3]; 7] = [
     [150, 120, 20],
     [90, 90, 90],
 ];
-/// Pixels of a dash and of the gap after it, for series whose colour is in use already.
+/// Lengths of dash and gap, pixels, for series that repeat a colour.
 const DASH: [f64; 2] = [7.0, 5.0];
 const INK: [u8; 3] = [50, 52, 56];
 const GRID: [u8; 3] = [222, 224, 228];
 
-/// A line of a plot.
-///
-/// See [`Plot`] for an example.
+/// Line of a plot.
 #[derive(Debug, Clone, Default)]
 pub struct Series {
-    /// What the legend says.
+    /// Name in the legend; not listed if empty.
     pub name: String,
-    /// `(x, y)`, in the order they are joined; the line breaks at values that are not finite.
+    /// Points (x, y) in order; the line breaks at non-finite values.
     pub points: Vec<(f64, f64)>,
 }
 
-/// Lines over common axes.
+/// Line plot of several series.
 ///
 /// ```
 /// use cape_render::{Plot, Series};
@@ -42,39 +40,39 @@ pub struct Series {
 ///     log_y: true,
 ///     series: vec![loss],
 /// };
-/// let picture = plot.draw(320, 240)?;
-/// assert_eq!((picture.width(), picture.height()), (320, 240));
-/// // Smaller plots would not be legible.
+/// let image = plot.draw(320, 240)?;
+/// assert_eq!((image.width(), image.height()), (320, 240));
+/// // The smallest width is 160 pixels.
 /// assert_eq!(plot.draw(20, 20)?.width(), 160);
 /// # Ok::<(), cape_render::Error>(())
 /// ```
 #[derive(Debug, Clone, Default)]
 pub struct Plot {
-    /// Written above.
+    /// Title above the plot.
     pub title: String,
-    /// Written below the x axis.
+    /// Label of the x axis.
     pub x_label: String,
-    /// Written along the y axis.
+    /// Label of the y axis.
     pub y_label: String,
-    /// Whether y is logarithmic; values that are not positive then break the line.
+    /// Use a logarithmic y axis, on which non-positive values break the line.
     pub log_y: bool,
-    /// The lines.
+    /// Series, drawn in order.
     pub series: Vec<Series>,
 }
 
-/// A data axis and where it lies on the picture.
+/// Axis with its range and its position in the image.
 struct Axis {
     low: f64,
     high: f64,
     log: bool,
-    /// Pixels of `low` and `high`.
+    /// Pixel positions of `low` and `high`.
     from: f64,
     to: f64,
 }
 
 impl Axis {
-    /// An axis holding all finite `values` with a little room around them.
-    fn around(values: impl Iterator<Item = f64>, log: bool, room: f64, pixels: [f64; 2]) -> Self {
+    /// Axis of the range of the finite `values` with a relative margin `room`.
+    fn fit(values: impl Iterator<Item = f64>, log: bool, room: f64, pixels: [f64; 2]) -> Self {
         let usable = values.filter(|v| v.is_finite() && (!log || *v > 0.0));
         let scaled = usable.map(|v| if log { v.log10() } else { v });
         let (mut low, mut high) =
@@ -90,14 +88,14 @@ impl Axis {
         Self { low: low - margin, high: high + margin, log, from: pixels[0], to: pixels[1] }
     }
 
-    /// Where `value` lies, if the axis can show it.
-    fn place(&self, value: f64) -> Option<f64> {
+    /// Pixel position of `value`; `None` if it is not finite or has no logarithm.
+    fn position(&self, value: f64) -> Option<f64> {
         let scaled = if self.log { value.log10() } else { value };
         let t = (scaled - self.low) / (self.high - self.low);
         scaled.is_finite().then_some(self.from + t * (self.to - self.from))
     }
 
-    /// Round values along the axis and how they are written.
+    /// Tick values and labels, about `about` of them.
     fn ticks(&self, about: f64) -> Vec<(f64, String)> {
         if self.log {
             let decades = self.high - self.low;
@@ -114,7 +112,7 @@ impl Axis {
                 .filter(|decade| decade.rem_euclid(skip) == 0)
                 .flat_map(|decade| factors.iter().map(move |f| f * 10_f64.powi(decade as i32)))
                 .filter(|value| (self.low..=self.high).contains(&value.log10()))
-                .map(|value| (value, number(value, value)))
+                .map(|value| (value, format_tick(value, value)))
                 .collect();
         }
         let rough = (self.high - self.low) / about;
@@ -126,12 +124,12 @@ impl Axis {
             .unwrap_or(rough);
         let first = (self.low / step).ceil() as i64;
         let last = (self.high / step).floor() as i64;
-        (first..=last).map(|i| (i as f64 * step, number(i as f64 * step, step))).collect()
+        (first..=last).map(|i| (i as f64 * step, format_tick(i as f64 * step, step))).collect()
     }
 }
 
-/// Writes `value` with as many digits as `step` needs.
-fn number(value: f64, step: f64) -> String {
+/// Formats `value` with the digits of `step`.
+fn format_tick(value: f64, step: f64) -> String {
     let largest = value.abs().max(step);
     if value == 0.0 {
         "0".into()
@@ -148,24 +146,24 @@ fn number(value: f64, step: f64) -> String {
 }
 
 impl Plot {
-    /// Draws the plot; sides of at least 160 and 120 pixels.
+    /// Draws the plot at a size of at least 160×120 pixels.
     pub fn draw(&self, width: u32, height: u32) -> Result<Image> {
         let (width, height) = (width.max(160), height.max(120));
         let mut image = Image::new(width, height, [255; 4])?;
         let (left, top) = (76.0, if self.title.is_empty() { 14.0 } else { 44.0 });
         let (right, bottom) = (f64::from(width) - 18.0, f64::from(height) - 52.0);
         let all = || self.series.iter().flat_map(|series| series.points.iter());
-        let x_axis = Axis::around(all().map(|p| p.0), false, 0.0, [left, right]);
-        let y_axis = Axis::around(all().map(|p| p.1), self.log_y, 0.05, [bottom, top]);
+        let x_axis = Axis::fit(all().map(|p| p.0), false, 0.0, [left, right]);
+        let y_axis = Axis::fit(all().map(|p| p.1), self.log_y, 0.05, [bottom, top]);
 
         self.frame(&mut image, &x_axis, &y_axis);
-        for (series, look) in self.series.iter().zip(looks()) {
+        for (series, style) in self.series.iter().zip(line_styles()) {
             let line: Vec<_> = series
                 .points
                 .iter()
-                .map(|&(x, y)| Some((x_axis.place(x)?, y_axis.place(y)?)))
+                .map(|&(x, y)| Some((x_axis.position(x)?, y_axis.position(y)?)))
                 .collect();
-            look.stroke(&mut image, line, 2.0);
+            style.stroke(&mut image, line, 2.0);
         }
         self.legend(&mut image, right, top);
         Ok(image)
@@ -175,14 +173,14 @@ impl Plot {
         let small = TextSize::Small;
         let (left, right, top, bottom) = (x_axis.from, x_axis.to, y_axis.to, y_axis.from);
         for (value, label) in y_axis.ticks((bottom - top) / 55.0) {
-            let Some(y) = y_axis.place(value) else { continue };
+            let Some(y) = y_axis.position(value) else { continue };
             let y = y.round() + 0.5;
             stroke(image, &[Some((left, y)), Some((right, y))], 1.0, GRID);
             let x = left as i64 - i64::from(small.width(&label)) - 7;
             image.text(&label, x, y as i64 - 8, small, INK);
         }
         for (value, label) in x_axis.ticks((right - left) / 90.0) {
-            let Some(x) = x_axis.place(value) else { continue };
+            let Some(x) = x_axis.position(value) else { continue };
             let x = x.round() + 0.5;
             stroke(image, &[Some((x, top)), Some((x, bottom))], 1.0, GRID);
             let start = x as i64 - i64::from(small.width(&label)) / 2;
@@ -202,7 +200,7 @@ impl Plot {
 
     fn legend(&self, image: &mut Image, right: f64, top: f64) {
         let small = TextSize::Small;
-        let named = || self.series.iter().zip(looks()).filter(|s| !s.0.name.is_empty());
+        let named = || self.series.iter().zip(line_styles()).filter(|s| !s.0.name.is_empty());
         let Some(widest) = named().map(|(series, _)| small.width(&series.name)).max() else {
             return;
         };
@@ -213,23 +211,23 @@ impl Plot {
                 image.blend(x + column, top as i64 + 4 + row, [255; 3], 0.85);
             }
         }
-        for (row, (series, look)) in named().enumerate() {
+        for (row, (series, style)) in named().enumerate() {
             let y = top as i64 + 8 + 20 * row as i64;
             let middle = y as f64 + 8.5;
             let start = x as f64 + 6.0;
-            look.stroke(image, vec![Some((start, middle)), Some((start + 22.0, middle))], 2.5);
+            style.stroke(image, vec![Some((start, middle)), Some((start + 22.0, middle))], 2.5);
             image.text(&series.name, x + 36, y, small, INK);
         }
     }
 }
 
-/// How the lines of a plot look, in turn: every colour, then every colour dashed.
-fn looks() -> impl Iterator<Item = LineStyle> {
-    let of = |dashed| COLOURS.map(|colour| LineStyle { colour, dashed });
-    [of(false), of(true)].into_iter().flatten().cycle()
+/// Styles of the series in order: all colours solid, then all colours dashed.
+fn line_styles() -> impl Iterator<Item = LineStyle> {
+    let styles = |dashed| COLOURS.map(|colour| LineStyle { colour, dashed });
+    [styles(false), styles(true)].into_iter().flatten().cycle()
 }
 
-/// How a line looks.
+/// Colour and dashing of a line.
 #[derive(Debug, Clone, Copy)]
 struct LineStyle {
     colour: [u8; 3],
@@ -243,7 +241,7 @@ impl LineStyle {
     }
 }
 
-/// A line cut into dashes along its length.
+/// Cuts a line into dashes along its length.
 fn dashes(line: &[Option<(f64, f64)>]) -> Vec<Option<(f64, f64)>> {
     let mut cut = Vec::new();
     let (mut on, mut left) = (true, DASH[0]);
@@ -253,18 +251,18 @@ fn dashes(line: &[Option<(f64, f64)>]) -> Vec<Option<(f64, f64)>> {
             continue;
         };
         let length = (to.0 - from.0).hypot(to.1 - from.1);
-        let at = |way: f64| {
-            let t = way / length;
+        let at = |distance: f64| {
+            let t = distance / length;
             Some((from.0 + t * (to.0 - from.0), from.1 + t * (to.1 - from.1)))
         };
-        let mut way = 0.0;
-        while way < length {
-            let end = (way + left).min(length);
+        let mut distance = 0.0;
+        while distance < length {
+            let end = (distance + left).min(length);
             if on {
-                cut.extend([at(way), at(end)]);
+                cut.extend([at(distance), at(end)]);
             }
-            left -= end - way;
-            way = end;
+            left -= end - distance;
+            distance = end;
             if left <= 1e-9 {
                 on = !on;
                 left = DASH[usize::from(!on)];
@@ -275,7 +273,7 @@ fn dashes(line: &[Option<(f64, f64)>]) -> Vec<Option<(f64, f64)>> {
     cut
 }
 
-/// Draws a line with round joints; `None` breaks it. Coverage is by distance to the line.
+/// Draws an antialiased line with round joins; `None` breaks it.
 fn stroke(image: &mut Image, line: &[Option<(f64, f64)>], width: f64, colour: [u8; 3]) {
     let (columns, rows) = (image.width() as usize, image.height() as usize);
     let mut cover = vec![0_f32; columns * rows];
@@ -312,7 +310,7 @@ mod tests {
     use super::*;
 
     fn axis(low: f64, high: f64, log: bool) -> Axis {
-        Axis::around([low, high].into_iter(), log, 0.0, [0.0, 100.0])
+        Axis::fit([low, high].into_iter(), log, 0.0, [0.0, 100.0])
     }
 
     #[test]
@@ -359,9 +357,9 @@ mod tests {
             None,
         ];
         assert_eq!(cut, expected);
-        let looks: Vec<LineStyle> = looks().take(2 * COLOURS.len() + 1).collect();
-        assert!(!looks[COLOURS.len() - 1].dashed && looks[COLOURS.len()].dashed);
-        assert!(!looks[2 * COLOURS.len()].dashed);
+        let styles: Vec<LineStyle> = line_styles().take(2 * COLOURS.len() + 1).collect();
+        assert!(!styles[COLOURS.len() - 1].dashed && styles[COLOURS.len()].dashed);
+        assert!(!styles[2 * COLOURS.len()].dashed);
     }
 
     #[test]

@@ -1,52 +1,56 @@
 use rayon::prelude::*;
 
-/// Marks a sample that no triangle covers.
+/// Face index of samples without a triangle.
 pub(crate) const EMPTY: u32 = u32::MAX;
-/// Positions are rounded to this fraction of a sample, so that coverage is exact integer arithmetic.
+/// Fixed-point positions per sample, so that coverage is exact integer arithmetic.
 const SUBSAMPLES: i64 = 256;
-/// Rows of samples drawn by one task.
+/// Rows of samples per parallel task.
 pub(crate) const BAND: usize = 16;
-/// Coordinates beyond this many samples are not drawn (the edge functions would overflow).
-const REACH: f32 = 1e6;
+/// Largest coordinate that is drawn, samples; edge functions of larger ones would overflow.
+const MAX_COORDINATE: f32 = 1e6;
 
-/// A vertex on the picture.
+/// Vertex in image space.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Point {
-    /// Position in 1/256 samples, y down.
+    /// Horizontal position, 1/256 samples.
     pub(crate) x: i64,
-    /// Position in 1/256 samples, y down.
+    /// Vertical position, 1/256 samples, downwards.
     pub(crate) y: i64,
-    /// Depth, affine in picture space, nearest first.
+    /// Depth, affine in image space, increasing with distance.
     pub(crate) z: f32,
     /// Reciprocal of the clip-space w, for perspective-correct interpolation.
     pub(crate) inverse_w: f32,
-    /// False where the point cannot be drawn: behind the camera, far outside or not finite.
+    /// False for points behind the camera, far outside the image or not finite.
     pub(crate) valid: bool,
 }
 
 impl Point {
-    /// The point at clip coordinates `[x, y, z, w]` on a picture of `width`×`height` samples.
+    /// Point at clip coordinates `[x, y, z, w]` in an image of `width`×`height` samples.
     pub(crate) fn project([x, y, z, w]: [f32; 4], width: usize, height: usize) -> Self {
         let inverse_w = w.recip();
         let sx = (x * inverse_w * 0.5 + 0.5) * width as f32;
         let sy = (0.5 - y * inverse_w * 0.5) * height as f32;
         let z = z * inverse_w;
-        let valid = w > 0.0 && z >= 0.0 && z.is_finite() && sx.abs() < REACH && sy.abs() < REACH;
+        let valid = w > 0.0
+            && z >= 0.0
+            && z.is_finite()
+            && sx.abs() < MAX_COORDINATE
+            && sy.abs() < MAX_COORDINATE;
         let round = |s: f32| if valid { (s * SUBSAMPLES as f32).round() as i64 } else { 0 };
         Self { x: round(sx), y: round(sy), z, inverse_w, valid }
     }
 }
 
-/// Which triangle is seen at each sample, and how deep.
+/// Visible triangle and depth of each sample.
 #[derive(Debug)]
 pub(crate) struct Visibility {
-    /// `[height · width]`, [`EMPTY`] where nothing is seen.
+    /// Face index, `[height · width]`; [`EMPTY`] without a triangle.
     pub(crate) face: Vec<u32>,
-    /// `[height · width]`, infinity where nothing is seen.
+    /// Depth, `[height · width]`; infinite without a triangle.
     pub(crate) depth: Vec<f32>,
 }
 
-/// A triangle set up for scanning: orientation fixed so that its inside is positive.
+/// Triangle set up for scan conversion, oriented so that the edge functions are positive inside.
 struct Triangle {
     corners: [Point; 3],
     area: i64,
@@ -66,7 +70,7 @@ impl Triangle {
         (area > 0).then_some(Self { corners, area })
     }
 
-    /// Calls `hit` with every covered column of `row` and its depth.
+    /// Calls `hit` with each covered column of `row` and its depth.
     fn scan(&self, row: usize, width: usize, mut hit: impl FnMut(usize, f32)) {
         let Some((first, last)) = span(self.corners.each_ref(), |p| p.x, width) else { return };
         let [a, b, c] = &self.corners;
@@ -74,7 +78,7 @@ impl Triangle {
         let edges = [(b, c), (c, a), (a, b)];
         let mut value = edges.map(|(p, q)| edge(p, q, x, y));
         let step = edges.map(|(p, q)| (p.y - q.y) * SUBSAMPLES);
-        // Top-left rule: a sample exactly on a shared edge belongs to one of its triangles.
+        // Top-left rule: a sample on a shared edge belongs to exactly one triangle.
         let bias = edges.map(|(p, q)| i64::from(!(q.y < p.y || (q.y == p.y && q.x > p.x))));
         let scale = (self.area as f32).recip();
         for column in first..=last {
@@ -90,7 +94,7 @@ impl Triangle {
     }
 }
 
-/// First and last sample (inclusive) whose centre a triangle may cover along one axis.
+/// First and last sample whose centre a triangle may cover along one axis.
 fn span(corners: [&Point; 3], axis: fn(&Point) -> i64, limit: usize) -> Option<(usize, usize)> {
     let [a, b, c] = corners.map(axis);
     let low = (a.min(b).min(c) - SUBSAMPLES / 2 + SUBSAMPLES - 1).div_euclid(SUBSAMPLES).max(0);
@@ -106,20 +110,18 @@ fn edge(p: &Point, q: &Point, x: i64, y: i64) -> i64 {
     (q.x - p.x) * (y - p.y) - (q.y - p.y) * (x - p.x)
 }
 
-/// Triangles sorted by the bands of rows that they touch, so that bands can be drawn by themselves.
-///
-/// The outcome does not depend on who draws a band when.
+/// Triangles binned by bands of rows, which are drawn independently of each other.
 pub(crate) struct Bands<'a> {
     points: &'a [Point],
     faces: &'a [[u32; 3]],
     size: [usize; 2],
     rows: usize,
-    /// Faces that may cover a sample of each band, ascending.
+    /// Faces that may cover samples of each band, ascending.
     members: Vec<Vec<u32>>,
 }
 
 impl<'a> Bands<'a> {
-    /// Bands of `rows` rows (at least 1). Every index in `faces` must be below `points.len()`.
+    /// Bins `faces` into bands of `rows` rows, at least 1. All indices must be below `points.len()`.
     pub(crate) fn new(
         points: &'a [Point],
         faces: &'a [[u32; 3]],
@@ -143,13 +145,13 @@ impl<'a> Bands<'a> {
         Self { points, faces, size, rows, members }
     }
 
-    /// Whether no triangle can be seen in a band.
+    /// True if a band has no triangles.
     pub(crate) fn is_empty(&self, band: usize) -> bool {
         self.members[band].is_empty()
     }
 
-    /// Draws a band with a depth buffer into `face`, all [`EMPTY`], and `depth`, all infinite, row by
-    /// row; the first of two triangles at equal depth wins.
+    /// Draws a band with a depth test into `face`, initially [`EMPTY`], and `depth`, initially infinite,
+    /// row by row; the first of two triangles of equal depth wins.
     pub(crate) fn draw(&self, band: usize, face: &mut [u32], depth: &mut [f32]) {
         let [width, height] = self.size;
         let top = band * self.rows;
@@ -172,7 +174,7 @@ impl<'a> Bands<'a> {
     }
 }
 
-/// Draws a whole picture; the first of two triangles at equal depth wins.
+/// Draws all triangles; the first of two of equal depth wins.
 pub(crate) fn rasterise(
     points: &[Point],
     faces: &[[u32; 3]],
@@ -193,7 +195,7 @@ pub(crate) fn rasterise(
     seen
 }
 
-/// Perspective-correct barycentric coordinates of a sample's centre on a triangle.
+/// Perspective-correct barycentric coordinates of the centre of a sample.
 pub(crate) fn barycentric(corners: [&Point; 3], column: usize, row: usize) -> [f32; 3] {
     let [a, b, c] = corners;
     let (x, y) = (centre(column), centre(row));
@@ -273,7 +275,7 @@ mod tests {
 
     #[test]
     fn barycentrics_are_perspective_correct() {
-        // An edge from w = 1 to w = 3: half-way on the picture is a quarter of the way in space.
+        // An edge from w = 1 to w = 3: half-way in the image is a quarter of the way in space.
         let mut points = [point(0.0, 0.0, 0.0), point(9.0, 0.0, 0.0), point(0.0, 9.0, 0.0)];
         points[1].inverse_w = 1.0 / 3.0;
         points[2].inverse_w = 1.0;
@@ -293,7 +295,7 @@ mod tests {
     }
 
     proptest! {
-        /// A fan around an inner point tiles its polygon: no sample missed or hit twice.
+        /// A fan around an inner point tiles its polygon.
         #[test]
         fn a_fan_covers_every_sample_exactly_once(
             centre in (8.0f32..24.0, 8.0f32..24.0),

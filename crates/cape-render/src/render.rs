@@ -10,22 +10,20 @@ use crate::{
     },
 };
 
-/// Samples of a pixel.
-const MOST_SAMPLES: usize = 64;
+/// Largest number of samples per pixel.
+const MAX_SAMPLES: usize = 64;
 
-/// How normals vary over a surface.
-///
-/// See [`Object`] for an example.
+/// Interpolation of the normals over a face.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Shading {
-    /// Between those of vertices.
+    /// Interpolated vertex normals.
     #[default]
     Smooth,
-    /// Not at all within a face, which shows the triangles.
+    /// Face normals, which show the triangles.
     Flat,
 }
 
-/// A mesh in a scene.
+/// Mesh in a scene, with its material, vertex colours or texture.
 ///
 /// ```
 /// use cape_synth::synthetic_body;
@@ -46,20 +44,20 @@ pub enum Shading {
 /// ```
 #[derive(Debug, Clone, Copy)]
 pub struct Object<'a> {
-    /// The surface.
+    /// Mesh.
     pub mesh: &'a Mesh,
-    /// sRGB colours from 0 to 1, one a vertex, `[vertices, 3]`.
+    /// sRGB vertex colours, 0 to 1, `[vertices, 3]`.
     pub colours: Option<&'a [[f32; 3]]>,
-    /// How it answers light.
+    /// Reflectance.
     pub material: Material,
-    /// A picture on it, instead of colours.
+    /// Texture, which replaces colours.
     pub texture: Option<Texture<'a>>,
-    /// How normals vary over it.
+    /// Interpolation of the normals.
     pub shading: Shading,
 }
 
 impl<'a> Object<'a> {
-    /// `mesh` in the default material.
+    /// Object of the default material and smooth shading.
     pub fn new(mesh: &'a Mesh) -> Self {
         Self {
             mesh,
@@ -70,37 +68,35 @@ impl<'a> Object<'a> {
         }
     }
 
-    /// The same with a colour for each vertex.
+    /// Sets sRGB vertex colours, 0 to 1, `[vertices, 3]`.
     #[must_use]
     pub fn with_colours(self, colours: &'a [[f32; 3]]) -> Self {
         Self { colours: Some(colours), ..self }
     }
 
-    /// The same with a picture on it.
+    /// Sets the texture.
     #[must_use]
     pub fn with_texture(self, texture: Texture<'a>) -> Self {
         Self { texture: Some(texture), ..self }
     }
 
-    /// The same with its triangles to be seen.
+    /// Sets flat shading.
     #[must_use]
     pub fn with_flat_shading(self) -> Self {
         Self { shading: Shading::Flat, ..self }
     }
 }
 
-/// What is behind the scene.
-///
-/// See [`Style`] for an example.
+/// Background of an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Background {
-    /// sRGB colours at the top and at the bottom of the picture.
+    /// Vertical gradient of sRGB colours, top and bottom, 0 to 1.
     Gradient([f32; 3], [f32; 3]),
-    /// Nothing: alpha is the coverage.
+    /// Transparent: alpha is the coverage by the scene.
     Transparent,
 }
 
-/// How a scene is drawn.
+/// Image size, sampling, background and shadows of a rendering.
 ///
 /// ```
 /// use cape_synth::synthetic_body;
@@ -114,24 +110,24 @@ pub enum Background {
 ///     floor: false,
 ///     ..Style::default()
 /// };
-/// let picture = portrait(Object::new(&body), View::Front, &cut_out)?;
-/// let alpha = |x, y| picture.get(x, y).unwrap()[3];
+/// let image = portrait(Object::new(&body), View::Front, &cut_out)?;
+/// let alpha = |x, y| image.get(x, y).unwrap()[3];
 /// assert_eq!((alpha(16, 16), alpha(0, 0)), (255, 0));
 /// # Ok::<(), cape_render::Error>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Style {
-    /// Pixels in a row.
+    /// Width, pixels.
     pub width: u32,
-    /// Number of rows.
+    /// Height, pixels.
     pub height: u32,
-    /// Samples along each side of a pixel, 1 to 8.
+    /// Samples per pixel along each axis, 1 to 8.
     pub samples: u32,
-    /// What is behind the scene.
+    /// Background of the image.
     pub background: Background,
-    /// Whether a floor at the scene's lowest point takes its contact shadow.
+    /// Draw a contact shadow on a floor at the lowest point of the scene.
     pub floor: bool,
-    /// Whether the key light throws shadows and crevices get less of the sky's.
+    /// Draw shadows of the key light and ambient occlusion.
     pub shadows: bool,
 }
 
@@ -148,7 +144,7 @@ impl Default for Style {
     }
 }
 
-/// What the faces of an object have in common.
+/// Appearance of the faces of an object.
 struct Appearance<'a> {
     first_face: u32,
     gloss: f32,
@@ -161,11 +157,11 @@ struct Scene<'a> {
     vertices: Vec<Vec3>,
     normals: Vec<Vec3>,
     colours: Vec<Vec3>,
-    /// Part of the sky each vertex sees, where that is drawn.
+    /// Ambient visibility of the vertices, if shadows are drawn.
     sky: Option<Vec<f32>>,
     faces: Vec<[u32; 3]>,
-    /// Of each object, in the order of their faces.
-    looks: Vec<Appearance<'a>>,
+    /// Appearance of each object, in the order of the faces.
+    appearances: Vec<Appearance<'a>>,
     bounds: Bounds,
 }
 
@@ -181,7 +177,7 @@ impl<'a> Scene<'a> {
             colours: Vec::new(),
             sky: None,
             faces: Vec::new(),
-            looks: Vec::new(),
+            appearances: Vec::new(),
             bounds,
         };
         for (index, object) in objects.iter().enumerate() {
@@ -198,7 +194,7 @@ impl<'a> Scene<'a> {
         }
         if let Some(f) = mesh.faces.iter().position(|f| f.iter().any(|&i| i as usize >= count)) {
             return Err(Error::Argument(format!(
-                "object {index}: face {f} names a vertex beyond the mesh's {count}"
+                "object {index}: face {f} has a vertex index out of range for {count} vertices"
             )));
         }
         match colours {
@@ -216,15 +212,16 @@ impl<'a> Scene<'a> {
         }
         let offset = self.vertices.len() as u32;
         let first_face = self.faces.len() as u32;
-        self.looks.push(Appearance { first_face, gloss: material.gloss, texture, shading });
+        self.appearances.push(Appearance { first_face, gloss: material.gloss, texture, shading });
         self.vertices.extend(mesh.vertices.iter().map(|&v| Vec3::from(v)));
         self.faces.extend(mesh.faces.iter().map(|face| face.map(|i| i + offset)));
         self.normals.extend(vertex_normals(mesh));
         Ok(())
     }
 
-    fn look_of(&self, face: u32) -> &Appearance<'a> {
-        &self.looks[self.looks.partition_point(|look| look.first_face <= face) - 1]
+    fn appearance(&self, face: u32) -> &Appearance<'a> {
+        let after = self.appearances.partition_point(|object| object.first_face <= face);
+        &self.appearances[after - 1]
     }
 
     fn surface(&self, camera: &Camera, face: u32, weights: [f32; 3]) -> ShadingPoint {
@@ -234,11 +231,11 @@ impl<'a> Scene<'a> {
         };
         let position = blend(&self.vertices);
         let eye = camera.towards(position);
-        let look = self.look_of(face);
+        let appearance = self.appearance(face);
         let [a, b, c] = corners.map(|i| self.vertices[i]);
         let flat = (b - a).cross(c - a);
         let flipped = flat.dot(eye) < 0.0;
-        let normal = match look.shading {
+        let normal = match appearance.shading {
             Shading::Smooth => blend(&self.normals).normalize_or(eye),
             Shading::Flat => flat.normalize_or(eye),
         };
@@ -246,27 +243,31 @@ impl<'a> Scene<'a> {
             position,
             normal: if flipped { -normal } else { normal },
             eye,
-            albedo: match &look.texture {
-                Some(texture) => texture.at((face - look.first_face) as usize, weights),
+            albedo: match &appearance.texture {
+                Some(texture) => texture.at((face - appearance.first_face) as usize, weights),
                 None => blend(&self.colours),
             },
             sky: self
                 .sky
                 .as_ref()
                 .map_or(1.0, |sky| (0..3).map(|i| sky[corners[i]] * weights[i]).sum()),
-            gloss: look.gloss,
+            gloss: appearance.gloss,
         }
     }
 }
 
-/// Draws `objects` as `camera` sees them.
+/// Renders `objects` as seen by `camera`.
 ///
-/// Triangles that reach behind the camera are left out. The same call gives the same picture
-/// whatever the number of threads.
+/// Triangles that reach behind the camera are omitted. The image does not depend on the number of
+/// threads.
+///
+/// # Errors
+/// If the meshes have no vertices, an object is inconsistent, or the size or number of samples is out of
+/// range.
 pub fn render(objects: &[Object<'_>], camera: &Camera, style: &Style) -> Result<Image> {
     if !(1..=8).contains(&style.samples) {
         return Err(Error::Argument(format!(
-            "{} samples along a pixel's side: expected 1 to 8",
+            "{} samples per pixel along each axis: expected 1 to 8",
             style.samples
         )));
     }
@@ -303,7 +304,7 @@ pub fn render(objects: &[Object<'_>], camera: &Camera, style: &Style) -> Result<
     image.pixels_mut().par_chunks_mut(size).enumerate().for_each_init(
         || (vec![EMPTY; width * rows], vec![f32::INFINITY; width * rows]),
         |(face, depth), (band, pixels)| {
-            let seen = (!bands.is_empty(band)).then(|| {
+            let visible = (!bands.is_empty(band)).then(|| {
                 face.fill(EMPTY);
                 depth.fill(f32::INFINITY);
                 bands.draw(band, face, depth);
@@ -312,8 +313,8 @@ pub fn render(objects: &[Object<'_>], camera: &Camera, style: &Style) -> Result<
             let top = band * (rows / samples);
             for (row, line) in pixels.chunks_exact_mut(style.width as usize).enumerate() {
                 for (column, pixel) in line.iter_mut().enumerate() {
-                    let (light, covered) = seen.map_or((Vec3::ZERO, 0.0), |seen| {
-                        let samples = Samples { seen, top: band * rows, width, side: samples };
+                    let (light, covered) = visible.map_or((Vec3::ZERO, 0.0), |visible| {
+                        let samples = Samples { visible, top: band * rows, width, side: samples };
                         samples.gather(&scene, camera, &lights, &points, column, top + row)
                     });
                     *pixel = backdrop.compose(light, covered, column, top + row);
@@ -324,7 +325,10 @@ pub fn render(objects: &[Object<'_>], camera: &Camera, style: &Style) -> Result<
     Ok(image)
 }
 
-/// Draws one object from a standard view, framed.
+/// Renders one object, framed from a standard view.
+///
+/// # Errors
+/// See [`render`].
 pub fn portrait(object: Object<'_>, view: View, style: &Style) -> Result<Image> {
     let bounds = Bounds::from_meshes([object.mesh])
         .ok_or_else(|| Error::Argument("nothing to draw: the mesh has no vertices".into()))?;
@@ -333,19 +337,19 @@ pub fn portrait(object: Object<'_>, view: View, style: &Style) -> Result<Image> 
     render(&[object], &camera, style)
 }
 
-/// The faces seen at the samples of a band of rows.
+/// Visible faces of the samples of a band of rows.
 struct Samples<'a> {
-    seen: &'a [u32],
+    visible: &'a [u32],
     /// First row of samples of the band.
     top: usize,
     /// Samples in a row.
     width: usize,
-    /// Samples along a pixel's side.
+    /// Samples per pixel along each axis.
     side: usize,
 }
 
 impl Samples<'_> {
-    /// Sum of the radiance of a pixel's covered samples, and their part of all.
+    /// Radiance of a pixel, summed over covered samples, and its coverage, 0 to 1.
     fn gather(
         &self,
         scene: &Scene<'_>,
@@ -356,12 +360,12 @@ impl Samples<'_> {
         row: usize,
     ) -> (Vec3, f32) {
         let side = self.side;
-        // One of the samples in which a face is seen stands for all of them.
-        let mut faces = [(EMPTY, 0, [0; 2]); MOST_SAMPLES];
+        // A face is shaded once per pixel, at the first of its samples.
+        let mut faces = [(EMPTY, 0, [0; 2]); MAX_SAMPLES];
         let (mut distinct, mut count) = (0, 0);
         for y in row * side..(row + 1) * side {
             let start = (y - self.top) * self.width + column * side;
-            for (x, &face) in self.seen[start..start + side].iter().enumerate() {
+            for (x, &face) in self.visible[start..start + side].iter().enumerate() {
                 if face == EMPTY {
                     continue;
                 }
@@ -388,7 +392,7 @@ impl Samples<'_> {
     }
 }
 
-/// Rolls highlights off smoothly towards 1 instead of clipping them.
+/// Tone mapping that compresses highlights towards 1.
 fn tone(light: Vec3) -> Vec3 {
     const KNEE: f32 = 0.7;
     let roll = |l: f32| {
@@ -402,7 +406,7 @@ fn tone(light: Vec3) -> Vec3 {
     Vec3::new(roll(light.x), roll(light.y), roll(light.z))
 }
 
-/// What is behind and below the scene.
+/// Background and floor behind the scene.
 struct Backdrop {
     ends: Option<[Vec3; 2]>,
     floor: Option<ContactShadow>,
@@ -433,7 +437,7 @@ impl Backdrop {
             let [r, g, b] = to_srgb(light + behind * ((1.0 - covered) * (1.0 - shadow)));
             return [r, g, b, 255];
         }
-        // Straight alpha: the shadow is black over whatever comes below.
+        // Straight alpha: the shadow is black.
         let alpha = covered + (1.0 - covered) * shadow;
         if alpha <= 0.0 {
             return [0; 4];

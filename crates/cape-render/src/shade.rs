@@ -1,4 +1,4 @@
-//! Light: a key with a shadow map, a fill, a rim, and an occluded hemisphere.
+//! Lighting: key light with shadow map, fill light, rim light, and ambient light with occlusion.
 
 use std::sync::LazyLock;
 
@@ -12,21 +12,19 @@ use crate::{
     raster::{Point, rasterise},
 };
 
-/// Directions from which a vertex may see the sky.
+/// Number of directions of ambient occlusion.
 const SKY_DIRECTIONS: usize = 16;
-/// Side of the depth map of each of them.
+/// Side of the depth map of each direction, samples.
 const SKY_MAP: usize = 128;
-/// Side of the key light's depth map.
+/// Side of the shadow map of the key light, samples.
 const KEY_MAP: usize = 768;
 
-/// How a surface answers light.
-///
-/// See [`Object`](crate::Object) for an example.
+/// Reflectance of a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Material {
-    /// sRGB colour, 0 to 1, where vertices have none of their own.
+    /// sRGB colour, 0 to 1, of objects without vertex colours.
     pub colour: [f32; 3],
-    /// Strength of the highlight, 0 (cloth) to 1 (polished).
+    /// Strength of the specular highlight, 0 (cloth) to 1 (polished).
     pub gloss: f32,
 }
 
@@ -36,7 +34,7 @@ impl Default for Material {
     }
 }
 
-/// Area-weighted unit normals, `[vertices]`; zero where all faces around a vertex are degenerate.
+/// Area-weighted unit normals of the vertices, `[vertices]`; zero without non-degenerate faces.
 pub(crate) fn vertex_normals(mesh: &Mesh) -> Vec<Vec3> {
     let mut normals = vec![Vec3::ZERO; mesh.vertices.len()];
     for &face in &mesh.faces {
@@ -54,8 +52,8 @@ pub(crate) fn to_linear(srgb: [f32; 3]) -> Vec3 {
     Vec3::from(srgb.map(|s| decode(s.clamp(0.0, 1.0))))
 }
 
-/// Steps from black to white of the table below; a step near black, where the curve is steepest, is a
-/// fifth of an 8-bit one.
+/// Entries of the sRGB table; near black, where the curve is steepest, an entry is a fifth of an 8-bit
+/// step.
 const SRGB_STEPS: usize = 16_384;
 
 pub(crate) fn to_srgb(linear: Vec3) -> [u8; 3] {
@@ -72,14 +70,14 @@ pub(crate) fn to_srgb(linear: Vec3) -> [u8; 3] {
     steps.to_array().map(|step| table[step as usize])
 }
 
-/// An orthographic depth map of the scene.
+/// Orthographic depth map of the scene.
 struct DepthMap {
     matrix: Mat4,
     side: usize,
     depth: Vec<f32>,
-    /// Metres a sample is wide.
+    /// Width of a sample, metres.
     texel: f32,
-    /// Metres from depth 0 to depth 1.
+    /// Distance from depth 0 to depth 1, metres.
     range: f32,
 }
 
@@ -104,9 +102,9 @@ impl DepthMap {
         Self { matrix, side, depth, texel: range / side as f32, range }
     }
 
-    /// How much of the light arrives at `point`, 0 to 1: the mean of `TAPS`×`TAPS` bilinear samples.
-    /// `EDGE` is one more than that.
-    fn lit<const TAPS: usize, const EDGE: usize>(&self, point: Vec3, bias: f32) -> f32 {
+    /// Visibility of the light at `point`, 0 to 1: mean of `TAPS`×`TAPS` bilinear samples. `EDGE` is
+    /// `TAPS + 1`.
+    fn visibility<const TAPS: usize, const EDGE: usize>(&self, point: Vec3, bias: f32) -> f32 {
         const { assert!(EDGE == TAPS + 1) };
         let clip = self.matrix.project_point3(point);
         let x = (clip.x * 0.5 + 0.5) * self.side as f32 - 0.5;
@@ -120,7 +118,7 @@ impl DepthMap {
         };
         let across = weights(x - x.floor());
         let down = weights(y - y.floor());
-        let first = |of: f32| of.floor() as i64 - (TAPS as i64 - 1) / 2;
+        let first = |x: f32| x.floor() as i64 - (TAPS as i64 - 1) / 2;
         let (left, top) = (first(x), first(y));
         let most = self.side as i64 - EDGE as i64;
         let sum: f32 = if (0..=most).contains(&left) && (0..=most).contains(&top) {
@@ -147,7 +145,7 @@ impl DepthMap {
     }
 }
 
-/// The lights of a studio that turns with the camera, and what the scene hides from them.
+/// Lights fixed to the camera, with the shadow map of the key light.
 pub(crate) struct Lights {
     key: Vec3,
     fill: Vec3,
@@ -155,16 +153,16 @@ pub(crate) struct Lights {
     shadow: Option<DepthMap>,
 }
 
-/// What shading knows of one point of a surface.
+/// Shading inputs of one surface point.
 pub(crate) struct ShadingPoint {
     pub(crate) position: Vec3,
-    /// Unit, towards the camera's side.
+    /// Unit normal on the side of the camera.
     pub(crate) normal: Vec3,
-    /// Unit, towards the camera.
+    /// Unit vector towards the camera.
     pub(crate) eye: Vec3,
-    /// Linear colour.
+    /// Linear albedo.
     pub(crate) albedo: Vec3,
-    /// Part of the sky that is seen, 0 to 1.
+    /// Ambient visibility (1 − occlusion), 0 to 1.
     pub(crate) sky: f32,
     pub(crate) gloss: f32,
 }
@@ -197,7 +195,7 @@ impl Lights {
             Some(map) if facing > 0.0 => {
                 let slope = (1.0 - facing * facing).max(0.0).sqrt();
                 let lifted = position + normal * (2.0 * map.texel * slope);
-                facing * map.lit::<5, 6>(lifted, 1.5 * map.texel)
+                facing * map.visibility::<5, 6>(lifted, 1.5 * map.texel)
             }
             _ => facing.max(0.0),
         };
@@ -213,7 +211,7 @@ impl Lights {
     }
 }
 
-/// Part of the sky each vertex sees, weighted by the cosine, from depth maps around the scene.
+/// Ambient visibility of each vertex, cosine-weighted over depth maps around the scene, `[vertices]`.
 pub(crate) fn sky_visibility(
     vertices: &[Vec3],
     normals: &[Vec3],
@@ -223,7 +221,7 @@ pub(crate) fn sky_visibility(
     let maps: Vec<(Vec3, f32, DepthMap)> = (0..SKY_DIRECTIONS)
         .into_par_iter()
         .map(|i| {
-            // Fibonacci spiral; the floor returns some light, so directions from below count less.
+            // Fibonacci spiral; directions from below count less, as the floor reflects some light.
             let y = 1.0 - (2 * i + 1) as f32 / SKY_DIRECTIONS as f32;
             let angle = i as f32 * 2.399_963_2;
             let direction =
@@ -236,23 +234,23 @@ pub(crate) fn sky_visibility(
         .par_iter()
         .zip(normals)
         .map(|(&vertex, &normal)| {
-            let (mut seen, mut all) = (0.0, 0.0);
+            let (mut visible, mut all) = (0.0, 0.0);
             for (direction, weight, map) in &maps {
                 let cosine = normal.dot(*direction);
                 if cosine > 0.05 {
                     let lifted = vertex + normal * (1.2 * map.texel);
                     all += weight * cosine;
-                    seen += weight * cosine * map.lit::<1, 2>(lifted, 0.8 * map.texel);
+                    visible += weight * cosine * map.visibility::<1, 2>(lifted, 0.8 * map.texel);
                 }
             }
-            if all > 0.0 { seen / all } else { 1.0 }
+            if all > 0.0 { visible / all } else { 1.0 }
         })
         .collect()
 }
 
-/// Darkening of the floor where the scene is close above it.
+/// Contact shadow on the floor below the scene.
 pub(crate) struct ContactShadow {
-    /// Height of the floor.
+    /// Height of the floor, metres.
     pub(crate) y: f32,
     origin: [f32; 2],
     texel: f32,
@@ -263,7 +261,7 @@ pub(crate) struct ContactShadow {
 impl ContactShadow {
     pub(crate) fn new(vertices: &[Vec3], faces: &[[u32; 3]], bounds: &Bounds) -> Self {
         const SIDE: usize = 192;
-        /// Heights above the floor, as parts of the scene's size, at which the shadow fades.
+        /// Fading heights of the shadow above the floor, relative to the radius of the scene.
         const FADE: [f32; 2] = [0.02, 0.16];
         let radius = bounds.radius() * 1.6;
         let centre = bounds.centre();
@@ -295,7 +293,7 @@ impl ContactShadow {
         Self { y: bounds.min.y, origin, texel, side: SIDE, dark: dark.collect() }
     }
 
-    /// Darkness, 0 to 1, of the floor at (`x`, `z`).
+    /// Darkness of the floor at (`x`, `z`), 0 to 1.
     pub(crate) fn at(&self, x: f32, z: f32) -> f32 {
         let u = (x - self.origin[0]) / self.texel - 0.5;
         let v = (z - self.origin[1]) / self.texel - 0.5;
@@ -313,7 +311,7 @@ impl ContactShadow {
     }
 }
 
-/// Box filter along rows, transposing; outside counts as zero.
+/// Box filter along rows with transposed output; values outside are zero.
 fn box_blur(values: &[f32], side: usize, reach: usize) -> Vec<f32> {
     let mut out = vec![0.0; values.len()];
     let scale = 1.0 / (2 * reach + 1) as f32;
@@ -366,10 +364,10 @@ mod tests {
         let faces = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]];
         let bounds = Bounds { min: Vec3::new(-1.0, 0.0, -1.0), max: Vec3::new(1.0, 0.3, 1.0) };
         let map = DepthMap::new(&vertices, &faces, &bounds, Vec3::Y, 256);
-        assert_eq!(map.lit::<3, 4>(Vec3::new(0.0, 0.0, 0.0), 0.01), 0.0);
-        assert_eq!(map.lit::<3, 4>(Vec3::new(0.0, 0.3, 0.0), 0.01), 1.0);
-        assert_eq!(map.lit::<3, 4>(Vec3::new(0.8, 0.0, 0.8), 0.01), 1.0);
-        let edge = map.lit::<3, 4>(Vec3::new(0.5, 0.0, 0.0), 0.01);
+        assert_eq!(map.visibility::<3, 4>(Vec3::new(0.0, 0.0, 0.0), 0.01), 0.0);
+        assert_eq!(map.visibility::<3, 4>(Vec3::new(0.0, 0.3, 0.0), 0.01), 1.0);
+        assert_eq!(map.visibility::<3, 4>(Vec3::new(0.8, 0.0, 0.8), 0.01), 1.0);
+        let edge = map.visibility::<3, 4>(Vec3::new(0.5, 0.0, 0.0), 0.01);
         assert!(edge > 0.05 && edge < 0.95, "{edge}");
     }
 }

@@ -1,35 +1,37 @@
 use crate::{Error, Image, Result, TextSize};
 
-/// A picture on a contact sheet and what is written under it.
+/// Image on a contact sheet with its label.
 ///
 /// ```
 /// use cape_render::{Image, Tile, contact_sheet};
 ///
 /// let picture = Image::new(40, 30, [90, 120, 150, 255])?;
 /// let tile = |label: &str| Tile { image: picture.clone(), label: label.into() };
-/// let sheet = contact_sheet(&[tile("bare"), tile("worn")], 2, None)?;
+/// let sheet = contact_sheet(&[tile("bare"), tile("clothed")], 2, None)?;
 /// // Two cells between gaps of 8 pixels; 16 rows for a label and a gap below each.
 /// assert_eq!((sheet.width(), sheet.height()), (8 + 2 * 48, 8 + 30 + 8 + 16 + 8));
 /// # Ok::<(), cape_render::Error>(())
 /// ```
 #[derive(Debug, Clone)]
 pub struct Tile {
-    /// The picture.
+    /// Image.
     pub image: Image,
-    /// One line, shortened if it is wider than the picture; may be empty.
+    /// Label of one line, truncated to the width of the image; may be empty.
     pub label: String,
 }
 
-/// Puts `tiles` on a grid with `columns` columns, row by row, under an optional `title`.
+/// Arranges `tiles` in a grid of `columns` columns, row by row, under an optional `title`. Cells have
+/// the size of the largest image.
 ///
-/// Every cell is as large as the largest picture.
+/// # Errors
+/// If there is no tile or no column, or the sheet would be too large.
 pub fn contact_sheet(tiles: &[Tile], columns: usize, title: Option<&str>) -> Result<Image> {
     const GAP: u32 = 8;
     const PAPER: [u8; 4] = [250, 250, 251, 255];
     const INK: [u8; 3] = [40, 42, 46];
     if tiles.is_empty() || columns == 0 {
         return Err(Error::Argument(
-            "contact sheet: expected at least one picture and one column".into(),
+            "contact sheet: expected at least one image and one column".into(),
         ));
     }
     let columns = columns.min(tiles.len());
@@ -82,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_to_lay_out_is_an_error() {
+    fn an_empty_sheet_is_an_error() {
         assert!(contact_sheet(&[], 2, None).is_err());
     }
 }

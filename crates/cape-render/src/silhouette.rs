@@ -6,17 +6,17 @@ use crate::{
     raster::{EMPTY, Point, rasterise},
 };
 
-/// Where `mesh` is on the picture: white on black, a pixel being white where its centre is covered.
+/// Silhouette of `mesh`: white pixels, whose centre is covered, on black.
 ///
 /// # Errors
-/// If the picture has no pixels, a vertex is not finite, or a face names a vertex that is not there.
+/// If the image has no pixels, a vertex is not finite, or a vertex index is out of range.
 pub fn silhouette(mesh: &Mesh, camera: &Camera, width: u32, height: u32) -> Result<Image> {
     let count = mesh.vertices.len();
     if mesh.faces.iter().flatten().any(|&i| i as usize >= count)
         || mesh.vertices.iter().flatten().any(|x| !x.is_finite())
     {
         return Err(Error::Argument(
-            "silhouette: expected finite vertices, and faces between them".into(),
+            "silhouette: expected finite vertices, and faces with vertex indices in range".into(),
         ));
     }
     let mut image = Image::new(width, height, [0, 0, 0, 255])?;
@@ -25,8 +25,8 @@ pub fn silhouette(mesh: &Mesh, camera: &Camera, width: u32, height: u32) -> Resu
         Point::project((camera.clip * Vec3::from(v).extend(1.0)).to_array(), columns, rows)
     };
     let points: Vec<Point> = mesh.vertices.iter().map(project).collect();
-    let seen = rasterise(&points, &mesh.faces, columns, rows);
-    for (pixel, face) in image.pixels_mut().iter_mut().zip(seen.face) {
+    let visible = rasterise(&points, &mesh.faces, columns, rows);
+    for (pixel, face) in image.pixels_mut().iter_mut().zip(visible.face) {
         if face != EMPTY {
             *pixel = [255; 4];
         }

@@ -2,7 +2,7 @@ use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_wid
 
 use crate::Image;
 
-/// Letter sizes, by line height in pixels.
+/// Font size by line height.
 ///
 /// ```
 /// use cape_render::{Image, TextSize};
@@ -47,16 +47,15 @@ impl TextSize {
 }
 
 impl Image {
-    /// Writes one line with its top left corner at (`x`, `y`).
-    ///
-    /// Letters outside ASCII appear as question marks.
+    /// Draws a line of text with its top left corner at (`x`, `y`). Characters missing in the font
+    /// appear as question marks.
     pub fn text(&mut self, text: &str, x: i64, y: i64, size: TextSize, colour: [u8; 3]) {
         draw(text, size, |column, row, opacity| {
             self.blend(x + column, y + row, colour, opacity);
         });
     }
 
-    /// Writes one line upwards, with the bottom left corner of its first letter at (`x`, `y`).
+    /// Draws a line of text upwards, starting at (`x`, `y`).
     pub fn text_upwards(&mut self, text: &str, x: i64, y: i64, size: TextSize, colour: [u8; 3]) {
         draw(text, size, |column, row, opacity| {
             self.blend(x + row, y - column, colour, opacity);
@@ -64,7 +63,7 @@ impl Image {
     }
 }
 
-/// Calls `dot` with column, row and opacity of everything inked.
+/// Calls `dot` with column, row and opacity of each pixel of the text.
 fn draw(text: &str, size: TextSize, mut dot: impl FnMut(i64, i64, f32)) {
     let letter = get_raster_width(FontWeight::Regular, size.raster());
     for (position, character) in text.chars().enumerate() {

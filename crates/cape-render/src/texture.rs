@@ -3,7 +3,7 @@ use glam::{Vec2, Vec3};
 
 use crate::{Error, Image, Result, shade::to_linear};
 
-/// A picture on a surface.
+/// Texture of a mesh: coordinates and image.
 ///
 /// ```
 /// use cape_core::{Mesh, obj::Uv};
@@ -24,19 +24,19 @@ use crate::{Error, Image, Result, shade::to_linear};
 /// ```
 #[derive(Debug, Clone, Copy)]
 pub struct Texture<'a> {
-    /// Where the corners of the mesh's faces are on it; the origin is at the bottom left.
+    /// Texture coordinates of the face corners; origin at the bottom left.
     pub uv: &'a Uv,
-    /// The picture; it repeats in both directions.
+    /// Image, repeated in both directions.
     pub image: &'a Image,
 }
 
 impl Texture<'_> {
-    /// Whether there are coordinates for each of `faces` faces.
+    /// Checks the coordinates for a mesh of `faces` faces.
     pub(crate) fn check(&self, object: usize, faces: usize) -> Result<()> {
         let points = self.uv.coordinates.len();
         if self.uv.faces.len() != faces {
             return Err(Error::Argument(format!(
-                "object {object}: texture coordinates of {} faces for {faces}",
+                "object {object}: texture coordinates of {} faces, expected {faces}",
                 self.uv.faces.len()
             )));
         }
@@ -44,14 +44,14 @@ impl Texture<'_> {
             || self.uv.coordinates.iter().flatten().any(|x| !x.is_finite())
         {
             return Err(Error::Argument(format!(
-                "object {object}: texture coordinates that are not finite, or beyond the {points} \
-                 there are"
+                "object {object}: a texture coordinate is not finite, or an index out of range for \
+                 {points}"
             )));
         }
         Ok(())
     }
 
-    /// The linear colour at a point of a face, by its barycentric coordinates.
+    /// Linear colour at the barycentric coordinates `weights` of a face, bilinearly interpolated.
     pub(crate) fn at(&self, face: usize, weights: [f32; 3]) -> Vec3 {
         let corners = self.uv.faces[face].map(|i| Vec2::from(self.uv.coordinates[i as usize]));
         let point = corners[0] * weights[0] + corners[1] * weights[1] + corners[2] * weights[2];

@@ -4,16 +4,16 @@ use crate::{
     raster::{EMPTY, Point, rasterise},
 };
 
-/// Coordinates beyond this many pixels are not drawn.
-const REACH: f64 = 1e6;
+/// Largest coordinate that is drawn, pixels.
+const MAX_COORDINATE: f64 = 1e6;
 
-/// Which triangle is seen at the centre of each pixel, `[height · width]`, `None` where none is.
+/// Index of the visible triangle at the centre of each pixel, `[height · width]`; `None` without one.
 ///
-/// `points` are columns and rows, y down, and distances from the camera, which must be above 0 to be
-/// seen; what is nearer hides what is farther, in perspective.
+/// `points` are `[column, row, distance]`, pixels (y down) and distance from the camera; points of
+/// distance 0 or less are not drawn. Depth is interpolated in perspective.
 ///
 /// # Errors
-/// If the picture has no pixels or too many, or a face names a point that is not there.
+/// If the image has no pixels or too many, or a point index is out of range.
 pub fn visible_faces(
     points: &[[f64; 3]],
     faces: &[[u32; 3]],
@@ -22,12 +22,12 @@ pub fn visible_faces(
 ) -> Result<Vec<Option<u32>>> {
     if width == 0 || height == 0 || width > MAX_SIDE || height > MAX_SIDE {
         return Err(Error::Argument(format!(
-            "picture of {width}×{height} pixels: each side must be from 1 to {MAX_SIDE}"
+            "image of {width}×{height} pixels: each side must be from 1 to {MAX_SIDE}"
         )));
     }
     if let Some(face) = faces.iter().find(|face| face.iter().any(|&i| i as usize >= points.len())) {
         return Err(Error::Argument(format!(
-            "face {face:?}, but there are {} points",
+            "face {face:?} is out of range for {} points",
             points.len()
         )));
     }
@@ -37,9 +37,12 @@ pub fn visible_faces(
 }
 
 fn point(&[x, y, distance]: &[f64; 3]) -> Point {
-    let valid = distance > 0.0 && distance.is_finite() && x.abs() < REACH && y.abs() < REACH;
+    let valid = distance > 0.0
+        && distance.is_finite()
+        && x.abs() < MAX_COORDINATE
+        && y.abs() < MAX_COORDINATE;
     let round = |s: f64| if valid { (s * 256.0).round() as i64 } else { 0 };
-    // The reciprocal of the distance is affine on the picture.
+    // The reciprocal of the distance is affine in image space.
     Point { x: round(x), y: round(y), z: -(distance.recip() as f32), inverse_w: 1.0, valid }
 }
 

@@ -1,4 +1,4 @@
-//! Whole pictures: what is seen where, independence of threads, and a small snapshot.
+//! Rendered images: visibility, independence of the number of threads, and a small snapshot.
 
 use cape_core::{Mesh, obj::Uv};
 use cape_render::{

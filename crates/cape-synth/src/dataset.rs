@@ -1,5 +1,5 @@
-//! Synthetic capture sessions: subjects, outfits and movements, frame by frame, and their files in
-//! the layout of the CAPE release.
+//! Synthetic capture sequences of subjects, outfits and motions, and their files in the layout of the
+//! CAPE release.
 
 use std::{
     fs,
@@ -21,7 +21,7 @@ use cape_core::{
     npy::{NpzWriter, write_npy},
 };
 
-/// What to synthesise.
+/// Specification of a synthetic data set.
 ///
 /// ```
 /// use cape_core::Outfit;
@@ -41,15 +41,15 @@ use cape_core::{
 pub struct SynthSpec {
     /// Number of subjects.
     pub subjects: usize,
-    /// Frames of every sequence.
+    /// Number of frames per sequence.
     pub frames_per_sequence: usize,
-    /// All randomness follows from it.
+    /// Random seed.
     pub seed: u64,
-    /// Frames a second.
+    /// Frames per second.
     pub frame_rate: f64,
-    /// Outfits that every subject wears.
+    /// Outfits of every subject.
     pub outfits: Vec<Outfit>,
-    /// Movements that every subject performs in every outfit.
+    /// Motions of every subject in every outfit.
     pub motions: Vec<Motion>,
 }
 
@@ -72,17 +72,17 @@ impl SynthSpec {
         (0..self.subjects).map(subject_name).collect()
     }
 
-    /// Movements that train, in order.
+    /// Motions of the training split, in order.
     pub fn train_motions(&self) -> Vec<Motion> {
         self.motions.iter().copied().filter(|motion| !motion.is_test()).collect()
     }
 
-    /// Movements held out for testing, in order.
+    /// Motions of the test split, in order.
     pub fn test_motions(&self) -> Vec<Motion> {
         self.motions.iter().copied().filter(|motion| motion.is_test()).collect()
     }
 
-    /// All takes: for each subject, each outfit, each movement.
+    /// All sequences, ordered by subject, outfit and motion.
     pub fn sequences(&self) -> Vec<SynthSequence> {
         (0..self.subjects)
             .flat_map(|subject| {
@@ -117,32 +117,32 @@ impl SynthSpec {
     }
 }
 
-/// One sequence: a subject in an outfit performing a movement.
+/// Sequence of a data set: subject, outfit and motion.
 ///
 /// ```
 /// use cape_core::Outfit;
 /// use cape_synth::{Motion, SynthSequence};
 ///
-/// let take = SynthSequence { subject: 0, outfit: Outfit::LongLong, motion: Motion::Hips };
-/// assert_eq!(take.name(), "longlong_hips");
+/// let sequence = SynthSequence { subject: 0, outfit: Outfit::LongLong, motion: Motion::Hips };
+/// assert_eq!(sequence.name(), "longlong_hips");
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct SynthSequence {
-    /// Number of the subject, from 0.
+    /// Index of the subject, from 0.
     pub subject: usize,
-    /// What is worn.
+    /// Outfit of the subject.
     pub outfit: Outfit,
-    /// What is done.
+    /// Motion of the subject.
     pub motion: Motion,
 }
 
 impl SynthSequence {
-    /// The subject's name in files.
+    /// Name of the subject in files.
     pub fn subject_name(&self) -> String {
         subject_name(self.subject)
     }
 
-    /// The sequence's name in files, outfit first, as in the release.
+    /// Name of the sequence in files, `outfit_motion` as in the CAPE release.
     pub fn name(&self) -> String {
         format!("{}_{}", self.outfit, self.motion)
     }
@@ -152,37 +152,35 @@ fn subject_name(subject: usize) -> String {
     format!("s{:04}", subject + 1)
 }
 
-/// One frame of a take.
-///
-/// See [`CaptureGenerator`] for an example.
+/// One frame of a sequence.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SynthFrame {
-    /// Clothed vertices in canonical space: minimal body plus displacement, metres, `[V, 3]`.
+    /// Clothed vertices in canonical space: minimal shape plus displacement, metres, `[V, 3]`.
     pub v_cano: Array2<f32>,
-    /// Clothed vertices, posed, metres, `[V, 3]`.
+    /// Posed clothed vertices, metres, `[V, 3]`.
     pub v_posed: Array2<f32>,
-    /// 24 axis-angles, `[72]`.
+    /// Pose in axis-angle, radians, `[72]`.
     pub pose: Array1<f64>,
     /// Translation that puts the lowest vertex on the floor `y = 0`, metres, `[3]`.
     pub transl: Array1<f64>,
 }
 
-/// A generator of synthetic frames for a body.
+/// Generator of the frames of a synthetic data set.
 ///
 /// ```
 /// use cape_synth::{CaptureGenerator, SynthSpec, synthetic_body};
 ///
 /// let body = synthetic_body();
-/// let synth = CaptureGenerator::new(&body, SynthSpec::default())?;
-/// let session = synth.prepare(synth.spec().sequences()[0])?;
-/// let frame = synth.frame(&session, 3)?;
+/// let captures = CaptureGenerator::new(&body, SynthSpec::default())?;
+/// let generator = captures.prepare(captures.spec().sequences()[0])?;
+/// let frame = captures.frame(&generator, 3)?;
 /// assert_eq!((frame.v_posed.dim(), frame.pose.len()), ((6890, 3), 72));
 /// // The lowest vertex is on the floor.
 /// let floor = frame.v_posed.column(1).iter().copied().fold(f32::INFINITY, f32::min);
 /// assert!(floor.abs() < 1e-6);
-/// // In canonical space a frame is the subject's body and its clothes.
-/// let clothes = synth.displacement(&session, 3)?;
-/// let expected = session.minimal() + &clothes;
+/// // In canonical space a frame is minimal shape plus displacement.
+/// let displacement = captures.displacement(&generator, 3)?;
+/// let expected = generator.minimal() + &displacement;
 /// assert!((frame.v_cano.mapv(f64::from) - expected).iter().all(|x| x.abs() < 1e-6));
 /// # Ok::<(), cape_core::Error>(())
 /// ```
@@ -193,88 +191,84 @@ pub struct CaptureGenerator<'a> {
     spec: SynthSpec,
 }
 
-/// A take with all that its frames share.
-///
-/// See [`CaptureGenerator`] for an example.
+/// Data that all frames of a sequence share: motion style, fitted outfit and minimal shape.
 #[derive(Debug, Clone)]
 pub struct SequenceGenerator {
-    take: SynthSequence,
+    sequence: SynthSequence,
     style: MotionStyle,
-    fitting: FittedOutfit,
+    fitted: FittedOutfit,
     minimal: Array2<f64>,
 }
 
 impl SequenceGenerator {
-    /// Who, in what, doing what.
+    /// Subject, outfit and motion.
     pub fn sequence(&self) -> SynthSequence {
-        self.take
+        self.sequence
     }
 
-    /// What is worn, laid out on the body.
-    pub fn fitted_outfit(&self) -> &FittedOutfit {
-        &self.fitting
-    }
-
-    /// The subject's unclothed rest vertices, metres, `[V, 3]`.
+    /// Minimal shape of the subject (unclothed rest vertices), metres, `[V, 3]`.
     pub fn minimal(&self) -> &Array2<f64> {
         &self.minimal
     }
 }
 
 impl<'a> CaptureGenerator<'a> {
-    /// A generator for `model`, which must have SMPL's 24 joints.
+    /// Creates a generator for `model`.
+    ///
+    /// # Errors
+    /// If the specification is invalid or the body does not have SMPL's 24 joints.
     pub fn new(model: &'a SmplModel, spec: SynthSpec) -> Result<Self> {
         spec.check()?;
         Ok(Self { model, wardrobe: Wardrobe::new(model, spec.seed)?, spec })
     }
 
-    /// What is synthesised.
+    /// Specification of the data set.
     pub fn spec(&self) -> &SynthSpec {
         &self.spec
     }
 
-    /// The garments.
+    /// Wardrobe of all subjects.
     pub fn wardrobe(&self) -> &Wardrobe<'a> {
         &self.wardrobe
     }
 
-    /// A subject's unclothed rest vertices, metres, `[V, 3]`.
+    /// Minimal shape of a subject (unclothed rest vertices), metres, `[V, 3]`.
     pub fn minimal(&self, subject: usize) -> Result<Array2<f64>> {
         self.model.rest_shape(&self.wardrobe.betas(subject))
     }
 
-    /// Prepares a take.
-    pub fn prepare(&self, take: SynthSequence) -> Result<SequenceGenerator> {
-        let SynthSequence { subject, outfit, motion } = take;
+    /// Prepares the generation of a sequence.
+    pub fn prepare(&self, sequence: SynthSequence) -> Result<SequenceGenerator> {
+        let SynthSequence { subject, outfit, motion } = sequence;
         let path = [4, subject as u64, outfit.index() as u64, motion as u64];
         let style =
             MotionStyle::random(&mut ChaCha8Rng::seed_from_u64(mix_seed(self.spec.seed, &path)));
         let garment = self.wardrobe.outfit_style(subject, outfit, motion as usize);
         Ok(SequenceGenerator {
-            take,
+            sequence,
             style,
-            fitting: self.wardrobe.fit(garment),
+            fitted: self.wardrobe.fit(garment),
             minimal: self.minimal(subject)?,
         })
     }
 
-    /// The pose of a frame, `[72]`.
-    pub fn pose(&self, session: &SequenceGenerator, frame: usize) -> [f64; 72] {
-        session.take.motion.pose(&session.style, self.time(frame))
+    /// Pose of a frame in axis-angle, radians, `[72]`.
+    pub fn pose(&self, generator: &SequenceGenerator, frame: usize) -> [f64; 72] {
+        generator.sequence.motion.pose(&generator.style, self.time(frame))
     }
 
-    /// The clothing displacement of a frame with scan noise, metres, `[V, 3]`.
-    pub fn displacement(&self, session: &SequenceGenerator, frame: usize) -> Result<Array2<f64>> {
-        let pose = self.pose(session, frame);
+    /// Clothing displacement of a frame with scan noise, metres, `[V, 3]`.
+    pub fn displacement(&self, generator: &SequenceGenerator, frame: usize) -> Result<Array2<f64>> {
+        let pose = self.pose(generator, frame);
         let noise = Some(frame as u64);
-        self.wardrobe.displacement(&session.fitting, &pose, self.time(frame), noise)
+        self.wardrobe.displacement(&generator.fitted, &pose, self.time(frame), noise)
     }
 
-    /// One frame of a take.
-    pub fn frame(&self, session: &SequenceGenerator, frame: usize) -> Result<SynthFrame> {
-        let pose = self.pose(session, frame);
-        let displacement = self.displacement(session, frame)?;
-        let minimal = &session.minimal;
+    /// Generates one frame of a sequence.
+    pub fn frame(&self, generator: &SequenceGenerator, frame: usize) -> Result<SynthFrame> {
+        let pose = self.pose(generator, frame);
+        let displacement = self.displacement(generator, frame)?;
+        let minimal = &generator.minimal;
         let posed = self.model.pose_shape(minimal, &pose, [0.0; 3], Some(&displacement))?.vertices;
         let floor = posed.column(1).iter().copied().fold(f64::INFINITY, f64::min);
         let transl = Array1::from_vec(vec![0.0, -floor, 0.0]);
@@ -286,20 +280,20 @@ impl<'a> CaptureGenerator<'a> {
         })
     }
 
-    /// All frames of a take, computed in parallel.
-    pub fn frames(&self, take: SynthSequence) -> Result<Vec<SynthFrame>> {
-        let session = self.prepare(take)?;
+    /// Generates all frames of a sequence, in parallel.
+    pub fn frames(&self, sequence: SynthSequence) -> Result<Vec<SynthFrame>> {
+        let generator = self.prepare(sequence)?;
         let frames = 0..self.spec.frames_per_sequence;
-        frames.into_par_iter().map(|frame| self.frame(&session, frame)).collect()
+        frames.into_par_iter().map(|frame| self.frame(&generator, frame)).collect()
     }
 
-    /// Writes everything under `root` in the layout of the CAPE release.
+    /// Writes the data set under `root` in the layout of the CAPE release.
     ///
     /// `sequences/<subject>/<outfit>_<motion>/<outfit>_<motion>.000001.npz` and so on with `v_cano`,
     /// `v_posed` (float32), `pose` and `transl` (float64);
     /// `minimal_body_shape/<subject>/<subject>_minimal.npy`; `body.npz`, the body in SMPL's layout;
-    /// `clothing_verts_idx.npy`. Every file appears whole or not at all. `progress` is told the
-    /// frames written and their total, after every sequence.
+    /// `clothing_verts_idx.npy`. Files are written atomically. `progress` gets the numbers of written
+    /// and of all frames after every sequence.
     pub fn write(
         &self,
         root: impl AsRef<Path>,
@@ -316,17 +310,17 @@ impl<'a> CaptureGenerator<'a> {
             create(&directory)?;
             write_npy(directory.join(format!("{name}_minimal.npy")), &self.minimal(subject)?)?;
         }
-        let takes = self.spec.sequences();
-        let total = takes.len() * self.spec.frames_per_sequence;
+        let sequences = self.spec.sequences();
+        let total = sequences.len() * self.spec.frames_per_sequence;
         progress(0, total);
-        for (done, &take) in takes.iter().enumerate() {
-            let name = take.name();
-            let directory = root.join("sequences").join(take.subject_name()).join(&name);
+        for (done, &sequence) in sequences.iter().enumerate() {
+            let name = sequence.name();
+            let directory = root.join("sequences").join(sequence.subject_name()).join(&name);
             create(&directory)?;
-            let session = self.prepare(take)?;
+            let generator = self.prepare(sequence)?;
             (0..self.spec.frames_per_sequence).into_par_iter().try_for_each(|frame| {
                 let path = directory.join(format!("{name}.{:06}.npz", frame + 1));
-                write_frame(path, &self.frame(&session, frame)?)
+                write_frame(path, &self.frame(&generator, frame)?)
             })?;
             progress((done + 1) * self.spec.frames_per_sequence, total);
         }

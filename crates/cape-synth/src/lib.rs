@@ -1,5 +1,10 @@
-//! Synthetic stand-ins for licensed data: a body in SMPL's layout, motions, a procedural wardrobe and
-//! captures in the raw layout of the CAPE data set.
+//! Synthetic data in place of licensed data, for tests, demonstrations and benchmarks.
+//!
+//! [`synthetic_body`] is a body in SMPL's layout (6890 vertices, 24 joints) built from an implicit
+//! surface. [`Motion`]s are named joint-angle curves. A [`Wardrobe`] computes procedural clothing as
+//! displacements of the rest vertices, with folds that depend on the pose. [`CaptureGenerator`] combines
+//! them into capture sequences in the raw layout of the CAPE data set. Everything is determined by a
+//! seed.
 //!
 //! ```
 //! use cape_core::Outfit;
@@ -7,11 +12,11 @@
 //!
 //! let body = synthetic_body();
 //! let wardrobe = Wardrobe::new(&body, 7)?;
-//! let worn = wardrobe.fit(wardrobe.outfit_style(0, Outfit::ShortLong, 0));
+//! let fitted = wardrobe.fit(wardrobe.outfit_style(0, Outfit::ShortLong, 0));
 //! let pose = [0.0; 72];
-//! let clothes = wardrobe.displacement(&worn, &pose, 0.0, None)?;
-//! let dressed = body.pose(&[1.0, -0.5], &pose, [0.0; 3], Some(&clothes))?;
-//! assert_eq!(dressed.vertices.dim(), (6890, 3));
+//! let displacement = wardrobe.displacement(&fitted, &pose, 0.0, None)?;
+//! let clothed = body.pose(&[1.0, -0.5], &pose, [0.0; 3], Some(&displacement))?;
+//! assert_eq!(clothed.vertices.dim(), (6890, 3));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 

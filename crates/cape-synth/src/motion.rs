@@ -1,4 +1,4 @@
-//! Named movements as smooth joint-angle curves.
+//! Named motions as smooth joint-angle curves.
 
 use std::{
     f64::consts::{PI, TAU},
@@ -12,7 +12,7 @@ use rand::Rng;
 use super::regions::joint;
 use crate::Error;
 
-/// A movement that a synthetic subject performs.
+/// Motion of a synthetic subject.
 ///
 /// ```
 /// use cape_synth::{Motion, MotionStyle};
@@ -21,22 +21,22 @@ use crate::Error;
 /// assert!(!motion.is_test());
 /// let pose = motion.pose(&MotionStyle::default(), 0.4);
 /// assert_eq!(pose.len(), 72);
-/// // A slower subject gets there later.
+/// // A slower subject has another pose at the same time.
 /// let slow = MotionStyle { tempo: 0.5, ..MotionStyle::default() };
 /// assert_ne!(motion.pose(&slow, 0.4), pose);
 /// # Ok::<(), cape_core::Error>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Motion {
-    /// Marching on the spot.
+    /// Marching in place.
     WalkMarch,
     /// Deep knee bends with the arms forward.
     Squats,
-    /// Both arms to the side, up, and forward.
+    /// Moving both arms sideways, up and forward.
     MoveArms,
-    /// Turning and leaning of the upper body.
+    /// Twisting and tilting the upper body.
     TwistTilt,
-    /// Bowing, and leaning back.
+    /// Bending forward and backward.
     BendBackAndFront,
     /// Straight punches.
     Punching,
@@ -44,24 +44,24 @@ pub enum Motion {
     Hips,
     /// Standing with small shifts of weight.
     Simple,
-    /// Elbows up and down with the hands at the chest.
+    /// Raising and lowering the elbows, hands at the chest.
     ChickenWings,
-    /// Arms like wings, standing on one leg.
+    /// Standing on one leg, arms spread.
     FlyingEagle,
     /// Circling arms.
     ShouldersMill,
     /// Stepping apart and raising the arms overhead.
     JumpingJacks,
-    /// Bending and turning towards one foot, then the other.
+    /// Bending and twisting towards each foot in turn.
     BendTwist,
-    /// Kicking.
+    /// Kicking a ball.
     Soccer,
-    /// One held pose flowing into the next.
+    /// Transitions between held poses.
     PoseModel,
 }
 
 impl Motion {
-    /// Every movement.
+    /// All motions.
     pub const ALL: [Self; 15] = [
         Self::WalkMarch,
         Self::Squats,
@@ -80,15 +80,15 @@ impl Motion {
         Self::PoseModel,
     ];
 
-    /// The movements held out for testing.
+    /// Motions of the test split.
     pub const TEST: [Self; 3] = [Self::BendTwist, Self::Soccer, Self::PoseModel];
 
-    /// Whether the movement is held out for testing.
+    /// True if the motion belongs to the test split.
     pub fn is_test(self) -> bool {
         Self::TEST.contains(&self)
     }
 
-    /// The name used in directory and file names.
+    /// Name of the motion in directory and file names.
     pub const fn name(self) -> &'static str {
         match self {
             Self::WalkMarch => "walk_march",
@@ -109,7 +109,7 @@ impl Motion {
         }
     }
 
-    /// Seconds of one repetition at normal tempo.
+    /// Duration of one repetition at normal tempo, seconds.
     fn period(self) -> f64 {
         match self {
             Self::WalkMarch => 1.3,
@@ -123,18 +123,18 @@ impl Motion {
         }
     }
 
-    /// The pose `[72]` (24 axis-angles, radians) at `time` seconds.
+    /// Pose in axis-angle at `time` seconds, radians, `[72]`.
     pub fn pose(self, style: &MotionStyle, time: f64) -> [f64; 72] {
         let t = TAU * time * style.tempo / self.period() + style.phase;
-        let mut figure = PoseBuilder::standing(style, time);
-        self.perform(&mut figure, t, style);
-        figure.axis_angles()
+        let mut builder = PoseBuilder::standing(style, time);
+        self.perform(&mut builder, t, style);
+        builder.axis_angles()
     }
 
     fn perform(self, f: &mut PoseBuilder, t: f64, style: &MotionStyle) {
         let a = style.amplitude;
         let (s, c) = t.sin_cos();
-        // From 0 through 1 and back, once a repetition.
+        // 0 to 1 and back once per repetition.
         let swell = 0.5 - 0.5 * c;
         let slow = (0.5 * t).sin();
         match self {
@@ -293,22 +293,20 @@ impl FromStr for Motion {
     }
 }
 
-/// How one subject performs a movement.
-///
-/// See [`Motion`] for an example.
+/// Individual style in which a subject performs a motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MotionStyle {
-    /// Where in the repetition it starts, radians.
+    /// Phase at time 0, radians.
     pub phase: f64,
-    /// Speed relative to normal.
+    /// Speed relative to the normal tempo.
     pub tempo: f64,
-    /// Size of the movement relative to normal.
+    /// Amplitude relative to the normal one.
     pub amplitude: f64,
-    /// How far left and right differ, 0 to 1.
+    /// Asymmetry between left and right, 0 to 1.
     pub asymmetry: f64,
-    /// Direction the subject faces, radians around y from +z.
+    /// Heading of the subject, radians around y from +z.
     pub heading: f64,
-    /// Personal offsets of posture, about 0 ± 1.
+    /// Posture offsets: stoop, roll of the shoulders, spread of the legs, nod; each about 0 ± 1.
     pub posture: [f64; 4],
 }
 
@@ -326,7 +324,7 @@ impl Default for MotionStyle {
 }
 
 impl MotionStyle {
-    /// A random style.
+    /// Draws a random style.
     pub fn random(rng: &mut impl Rng) -> Self {
         Self {
             phase: rng.random_range(0.0..TAU),
@@ -339,45 +337,45 @@ impl MotionStyle {
     }
 }
 
-/// Arms hanging: radians from the horizontal.
+/// Elevation of hanging arms, radians from the horizontal.
 const HANG: f64 = -1.3;
 
-/// Local rotations of all joints under construction.
+/// Builder of a pose from the postures of spine and limbs.
 struct PoseBuilder {
     rotations: [DQuat; joint::COUNT],
-    /// How far the pelvis leans forward, and each shin relative to it, radians.
+    /// Forward lean of the pelvis, and of each shin relative to it, radians.
     lean: f64,
     shins: [f64; 2],
 }
 
 impl PoseBuilder {
-    /// Upright, arms hanging, breathing.
+    /// Upright posture with hanging arms and breathing.
     fn standing(style: &MotionStyle, time: f64) -> Self {
         let rotations = [DQuat::IDENTITY; joint::COUNT];
-        let mut figure = Self { rotations, lean: 0.0, shins: [0.0; 2] };
+        let mut builder = Self { rotations, lean: 0.0, shins: [0.0; 2] };
         let [stoop, roll, spread, nod] = style.posture;
         for side in 0..2 {
-            figure.arm(side, HANG, 0.05, 0.0, 0.2);
-            figure.leg(side, 0.02, 0.05 + 0.03 * spread, 0.04);
+            builder.arm(side, HANG, 0.05, 0.0, 0.2);
+            builder.leg(side, 0.02, 0.05 + 0.03 * spread, 0.04);
             let tilt = 0.06 * roll * sign(side);
-            figure.turn(joint::COLLARS[side], DQuat::from_rotation_z(tilt));
+            builder.turn(joint::COLLARS[side], DQuat::from_rotation_z(tilt));
         }
         let breath = 0.012 * (TAU * time / 3.7 + style.phase).sin();
-        figure.turn(joint::SPINE[2], DQuat::from_rotation_x(0.05 * stoop + breath));
-        figure.turn(joint::NECK, DQuat::from_rotation_x(0.08 * nod - 0.05 * stoop));
-        figure.turn(joint::PELVIS, DQuat::from_rotation_y(style.heading));
-        figure
+        builder.turn(joint::SPINE[2], DQuat::from_rotation_x(0.05 * stoop + breath));
+        builder.turn(joint::NECK, DQuat::from_rotation_x(0.08 * nod - 0.05 * stoop));
+        builder.turn(joint::PELVIS, DQuat::from_rotation_y(style.heading));
+        builder
     }
 
     fn turn(&mut self, joint: usize, rotation: DQuat) {
         self.rotations[joint] *= rotation;
     }
 
-    /// An arm raised from the horizontal, swung forward about the left-right axis, reaching
-    /// forward about the vertical, and bent at the elbow; radians.
+    /// Sets an arm: elevation from the horizontal, forward swing about the left–right axis, forward
+    /// reach about the vertical axis, elbow flexion; radians.
     fn arm(&mut self, side: usize, raise: f64, swing: f64, reach: f64, elbow: f64) {
         let sign = sign(side);
-        // The collarbone takes part from the horizontal up.
+        // The clavicle follows elevations above the horizontal.
         let collar = 0.22 * (raise + 0.4).max(0.0);
         self.rotations[joint::COLLARS[side]] =
             DQuat::from_rotation_z(sign * collar) * DQuat::from_rotation_y(-0.15 * sign * reach);
@@ -388,7 +386,7 @@ impl PoseBuilder {
         self.rotations[joint::WRISTS[side]] = DQuat::from_rotation_z(-sign * 0.08);
     }
 
-    /// A leg lifted forward, spread, and bent at the knee; radians.
+    /// Sets a leg: hip flexion, abduction, knee flexion; radians.
     fn leg(&mut self, side: usize, flexion: f64, spread: f64, knee: f64) {
         let sign = sign(side);
         let knee = knee.max(0.0);
@@ -400,7 +398,7 @@ impl PoseBuilder {
         self.shins[side] = knee - flexion;
     }
 
-    /// The spine bent forward, tilted to the right, turned to the left; radians.
+    /// Sets the spine: forward bend, tilt to the right, twist to the left; radians.
     fn spine(&mut self, bend: f64, tilt: f64, twist: f64) {
         for (joint, share) in joint::SPINE.into_iter().zip([0.35, 0.35, 0.3]) {
             let turn = DQuat::from_rotation_y(share * twist)
@@ -412,7 +410,7 @@ impl PoseBuilder {
         self.rotations[joint::HEAD] = look;
     }
 
-    /// The whole body bent forward, tilted to the right, turned to the left; radians.
+    /// Rotates the whole body: forward bend, tilt to the right, turn to the left; radians.
     fn root(&mut self, bend: f64, tilt: f64, twist: f64) {
         self.lean += bend;
         self.turn(
@@ -423,7 +421,7 @@ impl PoseBuilder {
         );
     }
 
-    /// The pose, with the feet kept as level as ankles allow.
+    /// Pose in axis-angle `[72]`, with the feet levelled within the range of the ankles.
     fn axis_angles(mut self) -> [f64; 72] {
         for (ankle, shin) in joint::ANKLES.into_iter().zip(self.shins) {
             let level = (-0.8 * (self.lean + shin)).clamp(-0.7, 0.5);
@@ -439,7 +437,7 @@ impl PoseBuilder {
     }
 }
 
-/// +1 for the left side, −1 for the right.
+/// Sign of a body side: +1 left, −1 right.
 fn sign(side: usize) -> f64 {
     if side == 0 { 1.0 } else { -1.0 }
 }
@@ -459,7 +457,7 @@ mod tests {
     }
 
     #[test]
-    fn movements_are_smooth_and_within_a_persons_reach() {
+    fn motions_are_smooth_and_within_joint_limits() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         for motion in Motion::ALL {
             let style = MotionStyle::random(&mut rng);
@@ -481,18 +479,18 @@ mod tests {
     }
 
     #[test]
-    fn bending_goes_the_human_way() {
-        // A raised left arm points up, a bent elbow forward, a bent knee back.
-        let mut figure = PoseBuilder::standing(&MotionStyle::default(), 0.0);
-        figure.arm(0, 1.0, 0.0, 0.0, 1.0);
-        let arm = figure.rotations[joint::COLLARS[0]] * figure.rotations[joint::SHOULDERS[0]];
+    fn joints_bend_in_anatomical_directions() {
+        // A raised left arm points up, a flexed elbow forward, a flexed knee back.
+        let mut builder = PoseBuilder::standing(&MotionStyle::default(), 0.0);
+        builder.arm(0, 1.0, 0.0, 0.0, 1.0);
+        let arm = builder.rotations[joint::COLLARS[0]] * builder.rotations[joint::SHOULDERS[0]];
         assert!((arm * DVec3::X).y > 0.8);
-        assert!((figure.rotations[joint::ELBOWS[0]] * DVec3::X).z > 0.8);
-        figure.arm(1, 0.0, 0.0, 1.2, 1.0);
-        assert!((figure.rotations[joint::SHOULDERS[1]] * DVec3::NEG_X).z > 0.8);
-        assert!((figure.rotations[joint::ELBOWS[1]] * DVec3::NEG_X).z > 0.8);
-        figure.leg(0, 1.0, 0.0, 1.0);
-        assert!((figure.rotations[joint::HIPS[0]] * DVec3::NEG_Y).z > 0.8);
-        assert!((figure.rotations[joint::KNEES[0]] * DVec3::NEG_Y).z < -0.8);
+        assert!((builder.rotations[joint::ELBOWS[0]] * DVec3::X).z > 0.8);
+        builder.arm(1, 0.0, 0.0, 1.2, 1.0);
+        assert!((builder.rotations[joint::SHOULDERS[1]] * DVec3::NEG_X).z > 0.8);
+        assert!((builder.rotations[joint::ELBOWS[1]] * DVec3::NEG_X).z > 0.8);
+        builder.leg(0, 1.0, 0.0, 1.0);
+        assert!((builder.rotations[joint::HIPS[0]] * DVec3::NEG_Y).z > 0.8);
+        assert!((builder.rotations[joint::KNEES[0]] * DVec3::NEG_Y).z < -0.8);
     }
 }

@@ -1,4 +1,4 @@
-//! Poses by name or from a file: SMPL's, SMPL+H's (as AMASS has them) or SMPL-X's.
+//! Poses by name, or from a file of SMPL, SMPL+H (AMASS) or SMPL-X poses.
 
 use std::path::Path;
 
@@ -10,18 +10,22 @@ use cape_core::{
     npy::{Npz, expect_shape, read_f64},
 };
 
-/// Joints 16 and 17, the shoulders: where their axis-angles begin.
+/// Offsets of the axis-angles of the shoulders (joints 16 and 17) in a pose.
 const SHOULDERS: [usize; 2] = [3 * 16, 3 * 17];
-/// How far the arms hang below the horizontal in an A-pose, radians.
-const A_POSE: f32 = 0.8;
-/// The instant at which movements are caught, seconds.
-const INSTANT: f64 = 0.45;
+/// Angle of the arms below the horizontal in the pose `a-pose`, radians (about 46°).
+///
+/// This is the pose of pictures and synthetic captures; stored results contain its value. The A-pose
+/// in which clothing offsets are measured, [`StandardPose::A`](cape_core::smpl::StandardPose), is
+/// lowered by exactly 45°.
+const CAPTURE_A_POSE_ANGLE: f32 = 0.8;
+/// Time at which [`preset`] samples a motion, seconds.
+const SAMPLE_TIME: f64 = 0.45;
 
-/// One pose by its name (`t-pose`, `a-pose`, `walk` or another movement), or all poses of a `.npy`,
-/// `.npz` (`poses` or `pose`) or `.csv` file, with a name for each.
+/// Named poses: one by its name (`t-pose`, `a-pose`, `walk` or a motion), or all poses of a `.npy`,
+/// `.npz` (array `poses` or `pose`) or `.csv` file.
 ///
 /// # Errors
-/// If there is no pose of that name, or the file is not rows of 72, 156 or 165 finite numbers.
+/// If the name is unknown, or the file does not hold rows of 72, 156 or 165 finite numbers.
 pub fn poses(text: &str) -> Result<Vec<(String, BodyPose)>> {
     if let Some(pose) = preset(text) {
         return Ok(vec![(text.to_owned(), pose)]);
@@ -43,10 +47,10 @@ pub fn poses(text: &str) -> Result<Vec<(String, BodyPose)>> {
     numbers(path, field, &array)
 }
 
-/// `seconds` of a movement by name at `frames_per_second`, or all poses of a file.
+/// Poses of a named motion for `seconds` at `frames_per_second`, or all poses of a file.
 ///
 /// # Errors
-/// As of [`poses`].
+/// See [`poses`].
 pub fn motion_poses(text: &str, seconds: f64, frames_per_second: f64) -> Result<Vec<BodyPose>> {
     let name = if text == "walk" { Motion::WalkMarch.name() } else { text };
     if let Some(motion) = Motion::ALL.into_iter().find(|motion| motion.name() == name) {
@@ -58,22 +62,22 @@ pub fn motion_poses(text: &str, seconds: f64, frames_per_second: f64) -> Result<
     Ok(poses(text)?.into_iter().map(|(_, pose)| pose).collect())
 }
 
-/// The pose of that name: an instant of a movement, or `t-pose` or `a-pose`.
+/// Pose called `name`: `t-pose`, `a-pose`, or a sample of a motion.
 pub fn preset(name: &str) -> Option<BodyPose> {
     match name {
         "t-pose" => return Some([0.0; 72]),
         "a-pose" => {
             let mut pose = [0.0; 72];
-            // Turning about z lowers the left arm (+x) by a negative angle.
-            pose[SHOULDERS[0] + 2] = -A_POSE;
-            pose[SHOULDERS[1] + 2] = A_POSE;
+            // A negative rotation about z lowers the left arm (+x).
+            pose[SHOULDERS[0] + 2] = -CAPTURE_A_POSE_ANGLE;
+            pose[SHOULDERS[1] + 2] = CAPTURE_A_POSE_ANGLE;
             return Some(pose);
         }
         _ => {}
     }
     let name = if name == "walk" { Motion::WalkMarch.name() } else { name };
     let motion = Motion::ALL.into_iter().find(|motion| motion.name() == name)?;
-    Some(motion.pose(&MotionStyle::default(), INSTANT).map(|angle| angle as f32))
+    Some(motion.pose(&MotionStyle::default(), SAMPLE_TIME).map(|angle| angle as f32))
 }
 
 fn has_extension(path: &Path, expected: &str) -> bool {
@@ -86,7 +90,7 @@ fn from_archive(path: &Path) -> Result<(&'static str, ArrayD<f64>)> {
     Ok((field, archive.f64(field)?))
 }
 
-/// Rows of numbers; a first row of names is left out.
+/// Reads rows of numbers; a first row of names is skipped.
 fn from_csv(path: &Path) -> Result<ArrayD<f64>> {
     let text = std::fs::read_to_string(path).map_err(|error| Error::io(path, error))?;
     let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
@@ -97,7 +101,7 @@ fn from_csv(path: &Path) -> Result<ArrayD<f64>> {
             Ok(row) => row,
             Err(_) if rows == 0 => continue,
             Err(_) => {
-                let message = format!("line {}: expected numbers between commas", index + 1);
+                let message = format!("line {}: expected comma-separated numbers", index + 1);
                 return Err(Error::format(path, message));
             }
         };
@@ -112,10 +116,11 @@ fn from_csv(path: &Path) -> Result<ArrayD<f64>> {
         .map_err(|error| Error::Argument(format!("{}: {error}", path.display())))
 }
 
-/// Numbers of a pose in files for SMPL, SMPL+H (as AMASS has them) and SMPL-X. The first 22 joints
-/// are the same in all of them; of hands, which clothes do not follow, none is taken from the latter.
+/// Numbers per pose in files of SMPL, SMPL+H (AMASS) and SMPL-X. The first 22 joints are the same in
+/// all three; hand poses of the latter two are ignored.
 const WIDTHS: [usize; 3] = [72, 156, 165];
-const BODY: usize = 66;
+/// Numbers of the 22 joints that the three models share.
+const SHARED: usize = 66;
 
 fn numbers(path: &Path, field: &str, array: &ArrayD<f64>) -> Result<Vec<(String, BodyPose)>> {
     let width = array.shape().last().copied().filter(|width| WIDTHS.contains(width));
@@ -130,16 +135,16 @@ fn numbers(path: &Path, field: &str, array: &ArrayD<f64>) -> Result<Vec<(String,
         return Err(Error::field(path, field, message));
     }
     if array.is_empty() {
-        return Err(Error::field(path, field, "there is no pose"));
+        return Err(Error::field(path, field, "holds no pose"));
     }
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let angles: Vec<f32> = array.iter().map(|&angle| angle as f32).collect();
     let poses: Vec<BodyPose> = angles
         .chunks(width)
         .map(|row| {
-            let taken = if width == 72 { 72 } else { BODY };
+            let used = if width == 72 { 72 } else { SHARED };
             let mut pose: BodyPose = [0.0; 72];
-            pose[..taken].copy_from_slice(&row[..taken]);
+            pose[..used].copy_from_slice(&row[..used]);
             pose
         })
         .collect();
@@ -155,7 +160,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn presets_are_known_by_name() {
+    fn presets_have_names() {
         assert_eq!(poses("t-pose").unwrap()[0].1, [0.0; 72]);
         assert_ne!(poses("walk").unwrap()[0].1, [0.0; 72]);
         assert_eq!(poses("walk").unwrap()[0].1, poses("walk_march").unwrap()[0].1);

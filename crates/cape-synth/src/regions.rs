@@ -1,13 +1,13 @@
-//! Where on the body a vertex is, in the terms a tailor uses: along a sleeve, around a leg, above a
-//! hem. Derived from template, blend weights and rest joints alone, so that it works on any body in
-//! SMPL's layout.
+//! Garment coordinates of the body's vertices: position along and around limbs and torso, distance
+//! from hems. They derive from template, blend weights and rest joints, so that they exist for any
+//! body in SMPL's layout.
 
 use glam::DVec3;
 
 use crate::{Error, Result};
 use cape_core::SmplModel;
 
-/// SMPL's joints that garments hang on.
+/// Indices of SMPL's joints.
 pub(super) mod joint {
     pub(crate) const PELVIS: usize = 0;
     pub(crate) const HIPS: [usize; 2] = [1, 2];
@@ -25,31 +25,31 @@ pub(super) mod joint {
     pub(crate) const COUNT: usize = 24;
 }
 
-/// Parts of limbs that clothes may cover, as fractions of the limb's length.
-const LAST_SLEEVE: f64 = 0.95;
-const LAST_LEG: f64 = 0.935;
-/// Blend weight of head, hands or feet from which on a vertex is bare.
+/// Ends of the coverable parts of arms and legs, as fractions of the limb length.
+const MAX_SLEEVE_END: f64 = 0.95;
+const MAX_LEG_END: f64 = 0.935;
+/// Blend weight of head, hands or feet above which a vertex is uncovered.
 const BARE_WEIGHT: f64 = 0.25;
 
-/// A vertex in the coordinates of an arm or a leg.
+/// Position of a vertex in the coordinates of an arm or leg.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LimbSite {
-    /// Distance along the limb from shoulder or hip over its length to wrist or ankle.
+    /// Position along the limb, 0 at shoulder or hip, 1 at wrist or ankle.
     pub(super) along: f64,
-    /// The limb's length, metres.
+    /// Length of the limb, metres.
     pub(super) length: f64,
-    /// Unit, along the limb's bone, away from the body.
+    /// Direction of the nearest bone away from the body, unit.
     pub(super) axis: DVec3,
-    /// Unit, from the bone to the vertex.
+    /// Direction from the bone to the vertex, unit.
     pub(super) radial: DVec3,
-    /// Metres from the bone.
+    /// Distance from the bone, metres.
     pub(super) radius: f64,
     /// Angle around the bone from the front, radians.
     pub(super) angle: f64,
 }
 
 impl LimbSite {
-    /// `joints`: shoulder, elbow, wrist or hip, knee, ankle.
+    /// Projects `point` onto the limb with `joints` shoulder, elbow, wrist or hip, knee, ankle.
     fn new(point: DVec3, joints: [DVec3; 3]) -> Self {
         let bones = [joints[1] - joints[0], joints[2] - joints[1]];
         let lengths = bones.map(|bone| bone.length().max(1e-6));
@@ -57,7 +57,7 @@ impl LimbSite {
         let project = |bone: usize| {
             let axis = bones[bone] / lengths[bone];
             let mut t = (point - joints[bone]).dot(axis);
-            // Beyond shoulder and wrist the end bones go on; between them they meet at the elbow.
+            // The bones extend beyond shoulder and wrist and meet at the elbow.
             t = if bone == 0 { t.min(lengths[0]) } else { t.max(0.0) };
             let offset = point - joints[bone] - axis * t;
             (offset.length(), t + if bone == 1 { lengths[0] } else { 0.0 }, axis, offset)
@@ -70,37 +70,37 @@ impl LimbSite {
         Self { along: distance / length, length, axis, radial, radius, angle }
     }
 
-    /// Unit tangent around the limb.
+    /// Tangent around the limb, unit.
     pub(super) fn around(&self) -> DVec3 {
         self.axis.cross(self.radial)
     }
 }
 
-/// All that clothing needs to know about a vertex of the rest body.
+/// Garment coordinates of a vertex of the rest body.
 #[derive(Debug, Clone)]
 pub(super) struct VertexSite {
     pub(super) position: DVec3,
     pub(super) normal: DVec3,
-    /// 0 for the body's left (+x), 1 for its right.
+    /// Body side: 0 left (+x), 1 right.
     pub(super) side: usize,
-    /// Blend weight of this side's arm from the shoulder on, and of its leg from the hip on.
+    /// Sums of the blend weights of this side's arm and leg.
     pub(super) arm_weight: f64,
     pub(super) leg_weight: f64,
     pub(super) arm: LimbSite,
     pub(super) leg: LimbSite,
     /// Height on the torso: 0 at the pelvis, 1 at the neck.
     pub(super) height: f64,
-    /// Angle around the torso's vertical axis, 0 in front, positive to the left.
+    /// Angle around the vertical axis of the torso, radians, 0 in front, positive to the left.
     pub(super) angle: f64,
-    /// Mean length of the edges around the vertex.
+    /// Mean length of the edges at the vertex, metres.
     pub(super) edge: f64,
-    /// Joints that move the vertex and their weights, heaviest first.
+    /// Four joints of largest blend weight with their weights, in descending order.
     pub(super) bones: [(usize, f64); 4],
-    /// Whether clothes may lie here: not on head, hands and feet.
+    /// True if garments may cover the vertex: all but head, hands and feet.
     pub(super) clothed: bool,
 }
 
-/// The sites of all vertices, and the rest joints.
+/// Garment coordinates of all vertices, and the rest joints, metres.
 #[derive(Debug, Clone)]
 pub(super) struct Regions {
     pub(super) sites: Vec<VertexSite>,
@@ -111,7 +111,7 @@ impl Regions {
     pub(super) fn new(model: &SmplModel) -> Result<Self> {
         if model.joints() != joint::COUNT {
             return Err(Error::Argument(format!(
-                "body with {} joints: clothes need SMPL's {}",
+                "body of {} joints: garments need SMPL's {}",
                 model.joints(),
                 joint::COUNT
             )));
@@ -161,8 +161,8 @@ fn site(
 
     let neckline = neck.lerp(joints[joint::HEAD], 0.35).y;
     let above = position.y > neckline && arm_weight < 0.5;
-    let hand = arm_weight > 0.5 && arm.along > LAST_SLEEVE;
-    let foot = leg_weight > 0.5 && leg.along > LAST_LEG;
+    let hand = arm_weight > 0.5 && arm.along > MAX_SLEEVE_END;
+    let foot = leg_weight > 0.5 && leg.along > MAX_LEG_END;
     let bare = weights[joint::HEAD]
         .max(sum(&[joint::HANDS]) + sum(&[joint::WRISTS]) * 0.4)
         .max(sum(&[joint::FEET]) + sum(&[joint::ANKLES]) * 0.4);
@@ -186,7 +186,7 @@ fn site(
     }
 }
 
-/// Area-weighted unit normals.
+/// Area-weighted unit normals of the vertices.
 fn normals(points: &[DVec3], faces: &[[u32; 3]]) -> Vec<DVec3> {
     let mut normals = vec![DVec3::ZERO; points.len()];
     for face in faces {
@@ -198,7 +198,7 @@ fn normals(points: &[DVec3], faces: &[[u32; 3]]) -> Vec<DVec3> {
     normals.into_iter().map(DVec3::normalize_or_zero).collect()
 }
 
-/// Mean length of the edges at each vertex.
+/// Mean length of the edges at each vertex, metres.
 fn edges(points: &[DVec3], faces: &[[u32; 3]]) -> Vec<f64> {
     let mut sums = vec![(0.0, 0); points.len()];
     for face in faces {

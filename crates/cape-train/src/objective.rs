@@ -1,7 +1,7 @@
 //! Evaluation of CAPE's training objective (§4.2) and its gradients.
 
 use burn::tensor::{Gradients, Tensor};
-use cape_core::tensors::host;
+use cape_core::tensors::to_host;
 use cape_infer::DeviceBatch;
 use cape_model::{
     Cape, Discriminator, Generator, Graphs, LossConfig, Posterior,
@@ -36,7 +36,7 @@ macro_rules! losses {
         impl LossTensors {
             /// Copies all values to the host at once.
             fn read(self) -> Losses {
-                let values = host(Tensor::cat(vec![$(self.$name),*], 0).detach());
+                let values = to_host(Tensor::cat(vec![$(self.$name),*], 0).detach());
                 let mut values = values.into_iter().map(f64::from);
                 Losses { $($name: values.next().unwrap_or(f64::NAN),)* }
             }

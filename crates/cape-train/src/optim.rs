@@ -13,7 +13,7 @@ use burn::{
 use cape_model::weights::{HostArray, Weights, for_each_parameter, map_parameters};
 
 use crate::{Error, Result};
-use cape_core::tensors::host;
+use cape_core::tensors::to_host;
 use cape_infer::OptimiserKind;
 
 /// Suffix of the names of second moments in [`Optimiser::state`].
@@ -113,7 +113,7 @@ impl Optimiser {
     pub fn state(&self) -> Weights {
         let array = |shape: &[usize], flat: &Tensor<1>| HostArray {
             shape: shape.to_vec(),
-            values: host(flat.clone()),
+            values: to_host(flat.clone()),
         };
         let mut state = Weights::new();
         for (name, Moments { shape, first, second }) in &self.moments {
@@ -198,7 +198,7 @@ pub fn global_norm<M: Module>(module: &M, gradients: &Gradients) -> f64 {
     if squares.is_empty() {
         return 0.0;
     }
-    host(Tensor::cat(squares, 0)).into_iter().map(f64::from).sum::<f64>().sqrt()
+    to_host(Tensor::cat(squares, 0)).into_iter().map(f64::from).sum::<f64>().sqrt()
 }
 
 /// Copies the gradients of all parameters of `module` to the host, by the path of the parameter.
@@ -206,7 +206,7 @@ pub fn collect_gradients<M: Module>(module: &M, gradients: &Gradients) -> Weight
     let mut found = Weights::new();
     for_each_parameter(module, |parameter| {
         if let Some(gradient) = parameter.gradient(gradients) {
-            let array = HostArray { shape: parameter.shape.to_vec(), values: host(gradient) };
+            let array = HostArray { shape: parameter.shape.to_vec(), values: to_host(gradient) };
             found.insert(parameter.path.to_owned(), array);
         }
     });

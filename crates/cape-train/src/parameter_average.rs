@@ -6,7 +6,7 @@ use burn::{module::Module, tensor::Tensor};
 use cape_model::weights::{self, HostArray, Weights, for_each_parameter, map_parameters};
 
 use crate::Result;
-use cape_core::tensors::host;
+use cape_core::tensors::to_host;
 
 /// Exponential moving average over training steps of every parameter of a module.
 ///
@@ -48,7 +48,7 @@ impl ParameterAverage {
     /// Averages by the path of the parameter, for a checkpoint.
     pub(crate) fn state(&self) -> Weights {
         let arrays = self.values.iter().map(|(name, (shape, flat))| {
-            let values = host(flat.clone());
+            let values = to_host(flat.clone());
             (name.clone(), HostArray { shape: shape.clone(), values })
         });
         arrays.collect()

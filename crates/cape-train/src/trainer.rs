@@ -22,7 +22,7 @@ use crate::{
     objective::{Losses, StepInput},
     validate::{PreviewFn, ValidationResult, Validator},
 };
-use cape_core::tensors::tensor2;
+use cape_core::tensors::from_array2;
 use cape_data::{
     DisplacementStatistics, Loader, LoaderOptions, LoaderState, PackedSet, Split, StepBatches,
     steps_per_epoch,
@@ -398,7 +398,7 @@ impl Trainer {
         });
         let input = StepInput {
             frames: to_device(generator, &self.device),
-            epsilon: epsilon.map(|epsilon| tensor2(epsilon, &self.device)),
+            epsilon: epsilon.map(|epsilon| from_array2(epsilon, &self.device)),
             real: discriminator.map(|batch| to_device(batch, &self.device)),
         };
         let logged = (step + 1).is_multiple_of(train.log_steps as u64);

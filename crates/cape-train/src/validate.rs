@@ -10,7 +10,7 @@ use crate::{
     Result,
     objective::{Losses, reconstruct, reconstruction_terms},
 };
-use cape_core::tensors::host;
+use cape_core::tensors::to_host;
 use cape_data::{DisplacementStatistics, HostBatch, PackedSet, sequential};
 use cape_infer::to_device;
 use cape_stats::errors::{ErrorStats, ErrorSummary, vertex_errors_mm};
@@ -103,9 +103,9 @@ impl Validator<'_> {
             losses.edge += weight * terms.edge;
             losses.kl += weight * terms.kl;
             latent = result.posterior.mean.dims()[1];
-            codes.extend(host(result.posterior.mean));
-            let mut predicted = host(result.displacement);
-            let mut truth = host(frames.displacement);
+            codes.extend(to_host(result.posterior.mean));
+            let mut predicted = to_host(result.displacement);
+            let mut truth = to_host(frames.displacement);
             self.statistics.denormalise(&mut predicted);
             self.statistics.denormalise(&mut truth);
             let pairs = predicted.chunks(size).zip(truth.chunks(size));

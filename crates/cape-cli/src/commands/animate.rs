@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use cape_core::{BodyPose, Outfit, obj, parse_device, ply};
-use cape_infer::{AnimatedBody, BodySpec, Run, write_json};
+use cape_infer::{AnimatedBody, BodySpec, Run, batches, write_json};
 use cape_render::{Bounds, Camera, Image, Object, Projection, Style, View, render, save_animation};
 use cape_synth::poses::motion_poses;
 use clap::{Args, ValueEnum};
@@ -17,9 +17,6 @@ use crate::{
     latent_sampler::LatentSampler,
     priors::PriorArgs,
 };
-
-/// Frames decoded and posed at a time.
-const BATCH: usize = 16;
 
 /// Move a dressed body through a movement, the code being fixed.
 ///
@@ -142,10 +139,12 @@ impl AnimateArgs {
     ) -> Result<Array3<f32>> {
         let mut parts = Vec::new();
         console.while_showing("decode", "frames", |progress| {
-            for (index, chunk) in poses.chunks(BATCH).enumerate() {
-                let codes = code.select(Axis(0), &vec![0; chunk.len()]);
-                parts.push(run.decode(&codes, chunk, &vec![self.outfit; chunk.len()])?);
-                progress(index * BATCH + chunk.len(), poses.len());
+            for rows in batches(poses.len()) {
+                let done = rows.end;
+                let bodies = self.body_specs(&poses[rows]);
+                let codes = code.select(Axis(0), &vec![0; bodies.len()]);
+                parts.push(run.decode_displacements(&codes, &bodies)?);
+                progress(done, poses.len());
             }
             Ok::<_, Error>(())
         })?;
@@ -187,10 +186,10 @@ impl AnimateArgs {
         let mut camera = None;
         let mut pictures = Vec::new();
         console.while_showing("write", "frames", |progress| {
-            for (index, chunk) in poses.chunks(BATCH).enumerate() {
-                let first = index * BATCH;
-                let worn = displacement.slice(s![first..first + chunk.len(), .., ..]).to_owned();
-                let bodies = painter.pose_clothed(&worn, &self.body_specs(chunk))?;
+            for rows in batches(poses.len()) {
+                let first = rows.start;
+                let worn = displacement.slice(s![rows.clone(), .., ..]).to_owned();
+                let bodies = painter.pose_clothed(&worn, &self.body_specs(&poses[rows]))?;
                 if camera.is_none() {
                     camera = view_of(&bodies);
                 }

@@ -2,8 +2,8 @@ use std::{path::PathBuf, time::Instant};
 
 use cape_core::{Outfit, npy::write_npy, parse_device, ply};
 use cape_fit::{
-    BodyFit, ClothedConfig, ClothedFit, DressedBody, DressedSurface, Keypoints, Mask,
-    PinholeCamera, read_keypoints, silhouette::render,
+    BodyFit, ClothedConfig, ClothedFit, DressedBody, DressedSurface, FitProblem, ImageObservation,
+    Keypoints, Mask, PinholeCamera, read_keypoints, silhouette::render,
 };
 use cape_infer::{AnimatedBody, BodySpec, Run, write_json};
 use cape_render::{Image, Tile, contact_sheet};
@@ -112,21 +112,19 @@ impl FitArgs {
         };
         let stages = 1 + outfits.len();
         let FitInput { camera, mask, keypoints, .. } = &observed;
-        let (bare, mut fits) = console.while_showing("fit", "stages", |progress| {
+        let image = ImageObservation { camera, keypoints, mask };
+        let (bare, fits) = console.while_showing("fit", "stages", |progress| {
             let bare = smplify.fit(camera, keypoints, None)?;
             progress(1, stages);
-            let mut fits = Vec::new();
-            for (index, &outfit) in outfits.iter().enumerate() {
-                let body = DressedBody::new(&run, outfit)?;
-                let fit =
-                    smplify.fit_clothed(&body, camera, keypoints, mask, &bare, &config.clothed)?;
-                fits.push(fit);
-                progress(2 + index, stages);
-            }
+            let body = DressedBody::new(&run, outfits[0])?;
+            let bodies: Vec<DressedBody> =
+                outfits.iter().map(|&outfit| body.with_outfit(outfit)).collect();
+            let clothed = &config.clothed;
+            let fits = smplify.fit_outfits(&bodies, &image, &bare, clothed, &mut |done, _| {
+                progress(1 + done, stages);
+            })?;
             Ok::<_, cape_fit::Error>((bare, fits))
         })?;
-        let energy = |fit: &ClothedFit| fit.terms.weighted(&config.clothed);
-        fits.sort_by(|a, b| energy(a).total_cmp(&energy(b)));
         let tried: Vec<OutfitFit> =
             fits.iter().map(|fit| OutfitFit::from_fit(fit, &config.clothed)).collect();
         let worn = |fit: &ClothedFit| chosen.is_none_or(|outfit| fit.outfit == outfit);
@@ -192,7 +190,7 @@ impl OutfitFit {
 
 impl Report {
     /// Why the fit cannot be trusted, if it cannot.
-    fn problem(&self) -> Option<&String> {
+    fn problem(&self) -> Option<&FitProblem> {
         self.bare.problem.as_ref().or(self.clothed.problem.as_ref())
     }
 

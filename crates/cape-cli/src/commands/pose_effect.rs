@@ -6,6 +6,7 @@ use cape_render::{
     Bounds, Camera, Object, Projection, Style, Tile, View, colormap, contact_sheet, portrait,
     render,
 };
+use cape_stats::errors::distance_mm;
 use cape_synth::poses::poses;
 use clap::Args;
 use ndarray::{Array3, Axis, concatenate};
@@ -102,7 +103,7 @@ impl PoseEffectArgs {
             .vertices
             .iter()
             .zip(&rigid[1].mesh.vertices)
-            .map(|(with, without)| millimetres(with, without))
+            .map(|(with, without)| distance_mm(*with, *without))
             .collect();
 
         let mut canonical = run.body().mesh();
@@ -157,17 +158,12 @@ fn first(text: &str) -> Result<BodyPose> {
     found.first().map(|(_, pose)| *pose).ok_or_else(|| Error::message(format!("{text}: no pose")))
 }
 
-fn millimetres(a: &[f32; 3], b: &[f32; 3]) -> f64 {
-    let squares = a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2));
-    1000.0 * squares.sum::<f64>().sqrt()
-}
-
 /// Length of the difference of two displacements at every vertex, millimetres.
 fn changes(worn: &Array3<f32>) -> Vec<f64> {
     let rows = worn.index_axis(Axis(0), 0);
     let others = worn.index_axis(Axis(0), 1);
     let pairs = rows.rows().into_iter().zip(others.rows());
-    pairs.map(|(a, b)| millimetres(&[a[0], a[1], a[2]], &[b[0], b[1], b[2]])).collect()
+    pairs.map(|(a, b)| distance_mm([a[0], a[1], a[2]], [b[0], b[1], b[2]])).collect()
 }
 
 /// Mean change of clothing vertices by the joint that moves them most.

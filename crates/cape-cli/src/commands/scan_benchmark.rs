@@ -1,27 +1,29 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use cape_core::parse_device;
 use cape_data::{PackedSet, Split};
+use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
 use cape_fit::scan::{
     ScanConfig,
-    benchmark::{ScanBenchmarkOptions, ScanCase, ScanError, scan_benchmark},
+    benchmark::{ScanBenchmark, ScanBenchmarkOptions, ScanCase, ScanError, ScanTrial},
 };
 use cape_infer::{Run, write_json};
 use clap::Args;
 use serde::Serialize;
+use serde_json::json;
 
 use crate::{
     arguments::{GlobalArgs, at_least_one},
     console::Console,
     error::{Error, Result},
-    files,
     table::Table,
 };
 
 /// Measure how well clothed bodies are found again from scans with noise and holes.
 ///
 /// Points of held-out clothes on bodies of random shape are fitted, the outfit being known, at
-/// every level of noise and of holes. Writes benchmark.json. `cape fit-benchmark RUN --scans` is the
+/// every level of noise and of holes. Writes benchmark.json. Finished scans are kept in scans/: run
+/// the same command again to resume. `cape fit-benchmark RUN --scans` is the
 /// same.
 #[derive(Debug, Args)]
 #[command(
@@ -38,7 +40,7 @@ pub(crate) struct ScanBenchmarkArgs {
     /// Packed set with the held-out frames; by default the run's own.
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Directory to write; it must be empty or missing.
+    /// Directory to write, or to resume in.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Held-out frames, evenly spaced.
@@ -53,6 +55,10 @@ pub(crate) struct ScanBenchmarkArgs {
     /// Shares of the surface that are missing, 0 to 0.9.
     #[arg(long, default_value = "0,0.2", value_delimiter = ',', value_name = "SHARE,…")]
     holes: Vec<f64>,
+    /// Discard results of other settings, inputs or versions in --out and compute them afresh;
+    /// matching results are kept.
+    #[arg(long)]
+    overwrite: bool,
 }
 
 #[derive(Debug, Serialize)]
@@ -82,7 +88,6 @@ impl ScanBenchmarkArgs {
         if let Some(noise) = self.noise.iter().find(|noise| !(0.0..=100.0).contains(*noise)) {
             return Err(Error::message(format!("--noise {noise}: expected 0 to 100")));
         }
-        files::require_empty(&self.out)?;
         let run = Run::open(&self.run, &device)?;
         let data = match &self.data {
             Some(data) => data.clone(),
@@ -97,14 +102,21 @@ impl ScanBenchmarkArgs {
             seed: global.seed.unwrap_or(1),
         };
         let frames = options.frames.min(set.frames());
-        let total = frames * options.noises.len() * options.holes.len();
-        let mut cases = Vec::with_capacity(total);
+        let config = ScanConfig::default();
+        let store = self.store(&run, &data, &options, &config)?;
+        let benchmark = ScanBenchmark::new(&run, &set, options.clone(), &config)?;
+        let trials = benchmark.trials();
+        let mut cases = Vec::with_capacity(trials.len());
         console.while_showing("fit", "scans", |progress| {
-            scan_benchmark(&run, &set, &options, &ScanConfig::default(), &mut |case| {
-                cases.push(case);
-                progress(cases.len(), total);
-                Ok(())
-            })
+            for &trial in &trials {
+                let name = item(trial);
+                cases.push(match store.read(&name)? {
+                    Some(case) => case,
+                    None => store.write(&name, &benchmark.case(trial)?)?,
+                });
+                progress(cases.len(), trials.len());
+            }
+            Ok::<_, Error>(())
         })?;
         let mut levels = Vec::new();
         for &noise in &options.noises {
@@ -117,11 +129,38 @@ impl ScanBenchmarkArgs {
                 ));
             }
         }
-        files::create_dir(&self.out)?;
         let report = Report { out: self.out, frames, levels, cases };
-        write_json(&report.out.join("benchmark.json"), &report)?;
+        write_json(&store.claim("benchmark.json")?, &report)?;
         console.result(&report, || report.text())
     }
+
+    /// Finished scans in --out. A scan is the same whatever other frames and levels there are.
+    fn store(
+        &self,
+        run: &Run,
+        data: &Path,
+        options: &ScanBenchmarkOptions,
+        config: &ScanConfig,
+    ) -> Result<ResultStore> {
+        let ScanBenchmarkOptions { points, seed, .. } = options;
+        let settings = json!({ "points": points, "seed": seed, "config": config });
+        let settings = StoreSettings::new("fit benchmark scan", &settings)?
+            .with_run(run)?
+            .with_packed_set(data, &[Split::Test])?;
+        let options = StoreOptions {
+            overwrite: self.overwrite,
+            earlier: &["benchmark.json"],
+            ..StoreOptions::default()
+        };
+        let store = ResultStore::open(&self.out, settings, options)?;
+        store.begin()?;
+        Ok(store)
+    }
+}
+
+/// Name of a scan's file.
+fn item(ScanTrial { frame, noise, hole }: ScanTrial) -> String {
+    format!("scans/{frame:06}-noise-{noise}-hole-{hole}.json")
 }
 
 impl NoiseLevel {

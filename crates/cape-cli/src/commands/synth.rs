@@ -67,7 +67,8 @@ impl SynthArgs {
         files::require_empty(&self.out)?;
         let split = split_of(&spec);
         let (sequences, vertices) = (spec.sequences().len(), body.vertices());
-        let synth = cape_synth::CaptureGenerator::new(&body, spec).doing(|| "dressing the body".into())?;
+        let synth =
+            cape_synth::CaptureGenerator::new(&body, spec).doing(|| "dressing the body".into())?;
         console.while_showing("synth", "frames", |progress| synth.write(&self.out, progress))?;
         files::write_text(&self.out.join(SPLIT_FILE), &split.to_toml()?)?;
         let report = Report {

@@ -6,7 +6,7 @@ use cape::{core::npy::NpzWriter, render::Image};
 use ndarray::Array2;
 use serde_json::Value;
 
-use crate::support::{Packed, contents, trained};
+use crate::support::{Packed, contents, trained, truncate};
 
 #[test]
 fn held_out_frames_are_fitted_and_measured() {
@@ -41,8 +41,29 @@ fn held_out_frames_are_fitted_and_measured() {
     assert_eq!(without_times(&again), without_times(&results));
     data.run(&command.replace("--noise 1", "--noise 2")).failed_saying(&[
         "settings.json",
-        "options.noise",
+        "`settings.options.noise`",
+        "--overwrite",
         "--out",
+    ]);
+    let item = data.at("fits/frames").join(&frames[0].0);
+    truncate(&item);
+    data.run(&command).failed_saying(&[item.to_str().unwrap(), "remove this file"]);
+    fs::write(&item, &frames[0].1).unwrap();
+    let train = "train --data @/packed --out @/other --preset tiny --epochs 1 --batch 4 --seed 5";
+    data.run(train).succeeded();
+    let other = command.replace(&run, "@/other");
+    data.run(&other).failed_saying(&["`inputs.checkpoint`", "SHA-256", "`inputs.run_config`"]);
+    assert!(contents(&data.at("fits/frames")).contains(&frames[0]));
+    data.run(&format!("{other} --overwrite")).succeeded();
+    assert!(!contents(&data.at("fits/frames")).contains(&frames[0]));
+    let earlier = data.at("earlier");
+    fs::create_dir(&earlier).unwrap();
+    fs::write(earlier.join("settings.json"), r#"{"version": "0.1.0", "data": "packed"}"#).unwrap();
+    data.run(&command.replace("@/fits", "@/earlier")).failed_saying(&[
+        "earlier/settings.json",
+        "lacks `kind`",
+        "`inputs`",
+        "--overwrite",
     ]);
 
     data.run(&format!("fit-benchmark {run} --dropped 2 --out @/no")).failed_saying(&["--dropped"]);

@@ -11,11 +11,12 @@ use std::{
 use cape::{
     core::{Mesh, npy::NpzWriter},
     layer::LayerSet,
+    synth::synthetic_body,
 };
 use ndarray::Axis;
 use tempfile::TempDir;
 
-use crate::support::{Ran, cape, run_line};
+use crate::support::{Ran, cape, contents, run_line, truncate};
 
 /// A short march in a coarse skirt.
 fn skirt() -> &'static Path {
@@ -194,6 +195,11 @@ fn sequences_are_imported_and_odd_ones_told() {
 #[test]
 fn a_report_is_written_and_kept() {
     let place = tempfile::tempdir().unwrap();
+    let mut body = synthetic_body();
+    let [known_body, larger_body] = ["known.npz", "larger.npz"].map(|name| place.path().join(name));
+    body.save(&known_body).unwrap();
+    body.v_template.mapv_inplace(|x| 1.03 * x);
+    body.save(&larger_body).unwrap();
     // Two marches and a size more, of which one is the other a little larger.
     let known = LayerSet::load(skirt()).unwrap();
     let mut larger = known.sequences[0].clone();
@@ -204,8 +210,12 @@ fn a_report_is_written_and_kept() {
     let sequences = vec![known.sequences[0].clone(), larger];
     LayerSet::new(known.faces.clone(), sequences).unwrap().save(&set).unwrap();
     let out = place.path().join("report");
-    let line =
-        format!("layer report {} --components 4 --out {} --json", set.display(), out.display());
+    let line = format!(
+        "layer report {} --body {} --components 4 --out {} --json",
+        set.display(),
+        known_body.display(),
+        out.display()
+    );
     let first = run_line(&line);
     let report: serde_json::Value = serde_json::from_str(&first.out).expect(&first.err);
     assert_eq!(report["reconstruction"].as_array().unwrap().len(), 2);
@@ -225,8 +235,41 @@ fn a_report_is_written_and_kept() {
     assert!(again.err.contains("marches, fit: done before"), "{}", again.err);
     assert_eq!(again.out, first.out);
     assert_eq!(fs::read(out.join("report.html")).unwrap(), page);
-    let other = run_line(&format!("{line} --neighbours 2"));
+
+    // Results of another body or other settings are not mistaken for these, and stay.
+    let results = contents(&out.join("results"));
+    run_line(&line.replace("known.npz", "larger.npz")).failed_saying(&[
+        "results/marches/settings.json",
+        "`inputs.body`",
+        "known.npz",
+        "larger.npz",
+        "--overwrite",
+        "--out",
+    ]);
+    run_line(&format!("{line} --neighbours 2")).failed_saying(&[
+        "`settings.association.neighbours`",
+        "4",
+        "2",
+        "--overwrite",
+    ]);
+    assert!(contents(&out.join("results")) == results);
+    let other = run_line(&format!("{line} --neighbours 2 --overwrite"));
     assert!(!other.err.contains("done before"), "{}", other.err);
+    other.succeeded();
+    let fit = out.join("results/marches/fit.json");
+    truncate(&fit);
+    run_line(&format!("{line} --neighbours 2"))
+        .failed_saying(&["results/marches/fit.json", "remove this file"]);
+    fs::remove_file(&fit).unwrap();
+    let again = run_line(&format!("{line} --neighbours 2"));
+    assert_eq!(again.err.matches("done before").count(), 2, "{}", again.err);
+    again.succeeded();
+
+    let foreign = place.path().join("foreign");
+    fs::create_dir(&foreign).unwrap();
+    fs::write(foreign.join("thesis.tex"), "").unwrap();
+    run_line(&format!("layer report {} --overwrite --out {}", set.display(), foreign.display()))
+        .failed_saying(&["thesis.tex", "another --out"]);
 }
 
 #[test]

@@ -87,6 +87,16 @@ fn scans_of_held_out_bodies_are_measured() {
     let report = data.run(&format!("fit-benchmark {run} --scans {options} --out @/scans")).json();
     assert_eq!(report["cases"].as_array().unwrap().len(), 2, "{report}");
     assert!(report["levels"][1]["error"]["clothed"].as_f64().unwrap() > 0.0);
+    // Finished scans are kept, and other levels may be added.
+    let more = options.replace("--noise 0,5", "--noise 5,8");
+    let more = data.run(&format!("fit-benchmark {run} --scans {more} --out @/scans")).json();
+    assert_eq!(more["levels"][0], report["levels"][1]);
+    data.run(&format!("fit-benchmark {run} --scans --points 500 --out @/scans")).failed_saying(&[
+        "`settings.points`",
+        "600",
+        "500",
+        "--overwrite",
+    ]);
     data.run(&format!("scan-benchmark {run} --holes 2 --out @/no")).failed_saying(&["--holes"]);
 }
 

@@ -11,7 +11,7 @@ use std::{
 use cape::{core::npy::write_npy, infer::RunConfig, render::Image};
 use serde_json::Value;
 
-use crate::support::{Packed, Ran, cape, contents};
+use crate::support::{Packed, Ran, cape, contents, truncate};
 
 const LONG: &str = "--preset tiny --epochs 12 --batch 4 --checkpoint-steps 3 --keep 2";
 
@@ -191,10 +191,56 @@ fn every_row_of_the_table_is_trained_measured_and_kept() {
     assert_eq!(again.err.matches("done before").count(), 7, "{}", again.err);
     assert_eq!(again.json()["lines"], report["lines"]);
     assert!(frames.is_file());
-    let other =
-        data.run(&line.replace("--epochs 1", "--epochs 2").replace("--seeds 2", "--seeds 1"));
-    assert_eq!(other.err.matches("done before").count(), 0, "{}", other.err);
     data.run("table2 --data @/raw --out @/nothing").failed_saying(&["train_disp.npy"]);
+}
+
+#[test]
+fn rows_of_other_settings_or_data_are_not_replaced_unasked() {
+    let data = Packed::new();
+    let line = "table2 --data @/packed --out @/table --preset tiny --epochs 1 --rows";
+    data.run(&format!("{line} mean,cape")).succeeded();
+    let before = contents(&data.at("table"));
+    data.run(&line.replace("--epochs 1", "--epochs 2").replace("--rows", "--rows mean,cape"))
+        .failed_saying(&["table/cape/seed-1/settings.json", "`settings.train.epochs`", "2"]);
+    fs::copy(data.at("packed/test/test_disp.npy"), data.at("kept.npy")).unwrap();
+    let mut displacement = fs::read(data.at("packed/test/test_disp.npy")).unwrap();
+    *displacement.last_mut().unwrap() ^= 1;
+    fs::write(data.at("packed/test/test_disp.npy"), displacement).unwrap();
+    data.run(&format!("{line} mean,cape")).failed_saying(&[
+        "table/mean/seed-1/settings.json",
+        "`inputs.data`",
+        "SHA-256",
+        "--overwrite",
+        "--out",
+    ]);
+    fs::copy(data.at("kept.npy"), data.at("packed/test/test_disp.npy")).unwrap();
+    assert!(contents(&data.at("table")) == before);
+
+    // Rows and seeds may be added; the mean does not depend on the training.
+    let more = data.run(&format!("{line} mean,pca,cape --seeds 2"));
+    assert_eq!(more.err.matches("done before").count(), 2, "{}", more.err);
+    more.succeeded();
+    let notes = data.at("table/cape/seed-1/notes.txt");
+    fs::write(&notes, "mine").unwrap();
+    let longer = line.replace("--epochs 1", "--epochs 2");
+    let other = data.run(&format!("{longer} mean,cape --overwrite"));
+    assert_eq!(other.err.matches("done before").count(), 1, "{}", other.err);
+    other.succeeded();
+    assert!(notes.is_file() && data.at("table/cape/seed-2/result.json").is_file());
+
+    let result = data.at("table/mean/seed-1/result.json");
+    truncate(&result);
+    data.run(&format!("{line} mean")).failed_saying(&["mean/seed-1/result.json", "remove this"]);
+
+    // Directories of others, and of versions without settings.json.
+    data.run("table2 --data @/packed --out @/packed --rows mean")
+        .failed_saying(&["is not empty", "another --out"]);
+    let earlier = data.at("earlier/mean/seed-1");
+    fs::create_dir_all(&earlier).unwrap();
+    fs::write(earlier.join("result.json"), "{}").unwrap();
+    let line = "table2 --data @/packed --out @/earlier --rows mean";
+    data.run(line).failed_saying(&["mean/seed-1", "settings.json", "--overwrite"]);
+    data.run(&format!("{line} --overwrite")).succeeded();
 }
 
 #[test]

@@ -1,10 +1,10 @@
-//! Simple surfaces: grids and spheres.
+//! Grids and spheres.
 
 use glam::DVec3;
 
 use super::SurfaceMesh;
 
-/// A grid of `n × m` vertices in a map of (u, v) in the unit square, triangles alternating.
+/// Grid of `n × m` vertices at `place(u, v)`, (u, v) in the unit square; diagonals alternate.
 pub fn grid(n: usize, m: usize, place: impl Fn(f64, f64) -> DVec3) -> SurfaceMesh {
     let at = |i: usize, j: usize| (i * m + j) as u32;
     let mut surface = SurfaceMesh::default();
@@ -27,7 +27,7 @@ pub fn grid(n: usize, m: usize, place: impl Fn(f64, f64) -> DVec3) -> SurfaceMes
     surface
 }
 
-/// A closed sphere around the origin, outward: an octahedron whose faces are split `splits` times.
+/// Closed sphere around the origin, oriented outwards: an octahedron subdivided `splits` times.
 pub fn sphere(radius: f64, splits: usize) -> SurfaceMesh {
     let mut vertices = vec![DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Y, -DVec3::Z];
     let mut faces: Vec<[u32; 3]> = vec![

@@ -5,90 +5,89 @@ use ndarray::ArrayView2;
 
 use crate::{Error, Mesh, Result, expect_finite};
 
-/// A triangle mesh in `f64`.
+/// Triangle surface in `f64`, for geometric computations ([`Mesh`] is its `f32` form for files).
 ///
 /// ```
-/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
-/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_core::geometry::SurfaceMesh;
+/// use cape_core::geometry::{SurfaceMesh, primitives::sphere};
 ///
-/// let surface = octahedron(1.0);
+/// // Without subdivision the sphere is an octahedron.
+/// let surface = sphere(1.0, 0);
 /// assert_eq!((surface.face_normals().len(), surface.edges().len()), (8, 12));
 /// assert!((surface.volume() - 4.0 / 3.0).abs() < 1e-12);
 /// assert!((surface.mean_edge() - 2f64.sqrt()).abs() < 1e-12);
 /// assert!(surface.boundary().iter().all(|&open| !open));
-/// // Faces must be of vertices that are there.
+/// // Vertex 6 does not exist.
 /// assert!(SurfaceMesh::new("clothing", surface.vertices, vec![[0, 1, 6]]).is_err());
-/// # Ok(())
-/// # }
 /// ```
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct SurfaceMesh {
-    /// Positions, metres, `[vertices]`.
+    /// Vertex positions, metres, `[vertices]`.
     pub vertices: Vec<DVec3>,
     /// Vertex indices of each triangle, counter-clockwise seen from outside, `[faces, 3]`.
     pub faces: Vec<[u32; 3]>,
 }
 
 impl SurfaceMesh {
-    /// A checked surface: every face refers to vertices that are there, all numbers are finite.
-    /// `mesh` names it in errors.
+    /// Builds a surface; `mesh` is its name in errors.
+    ///
+    /// # Errors
+    /// If there is no face, a vertex index is out of range, or a coordinate is not finite.
     pub fn new(mesh: &'static str, vertices: Vec<DVec3>, faces: Vec<[u32; 3]>) -> Result<Self> {
         let count = vertices.len();
         if faces.is_empty() {
-            return Err(Error::surface(mesh, format!("{count} vertices and no faces")));
+            return Err(Error::surface(mesh, format!("has {count} vertices and no faces")));
         }
         if let Some((at, face)) =
             faces.iter().enumerate().find(|(_, face)| face.iter().any(|&v| v as usize >= count))
         {
-            let message = format!("face {at} is {face:?}, but there are {count} vertices");
+            let message = format!("face {at} is {face:?}, out of range for {count} vertices");
             return Err(Error::surface(mesh, message));
         }
         expect_finite(mesh, vertices.iter().flat_map(AsRef::<[f64; 3]>::as_ref))?;
         Ok(Self { vertices, faces })
     }
 
-    /// From positions `[vertices, 3]`, metres.
+    /// Builds a surface from vertex positions `[vertices, 3]`, metres.
     pub fn from_rows(
         mesh: &'static str,
         vertices: ArrayView2<'_, f64>,
         faces: &[[u32; 3]],
     ) -> Result<Self> {
         if vertices.ncols() != 3 {
-            let message = format!("vertices of {} numbers, expected 3", vertices.ncols());
+            let message = format!("vertices have {} coordinates, expected 3", vertices.ncols());
             return Err(Error::surface(mesh, message));
         }
         Self::new(mesh, points(vertices), faces.to_vec())
     }
 
-    /// From a mesh of `f32`.
+    /// Converts a mesh to `f64`.
     pub fn from_mesh(mesh: &'static str, from: &Mesh) -> Result<Self> {
         let vertices = from.vertices.iter().map(|v| DVec3::from(v.map(f64::from))).collect();
         Self::new(mesh, vertices, from.faces.clone())
     }
 
-    /// As a mesh of `f32`, for files and pictures.
+    /// Converts the surface to `f32`.
     pub fn to_mesh(&self) -> Mesh {
         let vertices = self.vertices.iter().map(|v| v.as_vec3().to_array()).collect();
         Mesh { vertices, faces: self.faces.clone() }
     }
 
-    /// Corner positions of a face.
+    /// Positions of the corners of a face, metres.
     pub fn corners(&self, face: usize) -> [DVec3; 3] {
         self.faces[face].map(|v| self.vertices[v as usize])
     }
 
-    /// Unit normals of the faces, `[faces]`; zero where there is no area.
+    /// Unit normals of the faces, `[faces]`; zero for degenerate faces.
     pub fn face_normals(&self) -> Vec<DVec3> {
         face_normals(&self.vertices, &self.faces)
     }
 
-    /// Unit normals of the vertices, faces weighted by their angle there, `[vertices]`.
+    /// Unit normals of the vertices, angle-weighted, `[vertices]`.
     pub fn vertex_normals(&self) -> Vec<DVec3> {
         vertex_normals(&self.vertices, &self.faces, &self.face_normals())
     }
 
-    /// Every undirected edge once, the smaller index first, ascending, `[edges, 2]`.
+    /// Undirected edges, each once, smaller index first, in ascending order, `[edges, 2]`.
     pub fn edges(&self) -> Vec<[u32; 2]> {
         let edge = |p: u32, q: u32| [p.min(q), p.max(q)];
         let mut edges: Vec<[u32; 2]> =
@@ -98,7 +97,7 @@ impl SurfaceMesh {
         edges
     }
 
-    /// Faces around each vertex, ascending, `[vertices, …]`.
+    /// Faces of each vertex, ascending, `[vertices, …]`.
     pub fn vertex_faces(&self) -> Vec<Vec<u32>> {
         let mut around = vec![Vec::new(); self.vertices.len()];
         for (face, corners) in self.faces.iter().enumerate() {
@@ -109,7 +108,7 @@ impl SurfaceMesh {
         around
     }
 
-    /// For each face the face across the edge from its corner `i` to its corner `i + 1`.
+    /// Adjacent faces, `[faces, 3]`: entry `i` shares the edge from corner `i` to corner `i + 1`.
     pub fn neighbours(&self) -> Vec<[Option<u32>; 3]> {
         let mut at: HashMap<[u32; 2], (usize, usize)> = HashMap::new();
         let mut across = vec![[None; 3]; self.faces.len()];
@@ -125,7 +124,7 @@ impl SurfaceMesh {
         across
     }
 
-    /// Vertices on edges that only one face has.
+    /// Boundary flags of the vertices, `[vertices]`: true on edges of a single face.
     pub fn boundary(&self) -> Vec<bool> {
         let mut on = vec![false; self.vertices.len()];
         for (corners, across) in self.faces.iter().zip(self.neighbours()) {
@@ -137,7 +136,7 @@ impl SurfaceMesh {
         on
     }
 
-    /// Signed volume, cubic metres: positive if a closed surface's faces look outward.
+    /// Signed volume of a closed surface, cubic metres; positive for outward orientation.
     pub fn volume(&self) -> f64 {
         (0..self.faces.len())
             .map(|face| {
@@ -156,12 +155,12 @@ impl SurfaceMesh {
     }
 }
 
-/// Rows as points.
+/// Rows `[n, 3]` as points, `[n]`.
 pub fn points(rows: ArrayView2<'_, f64>) -> Vec<DVec3> {
     rows.rows().into_iter().map(|row| DVec3::new(row[0], row[1], row[2])).collect()
 }
 
-/// Unit normals of triangles, `[faces]`; zero where there is no area.
+/// Unit normals of triangles, `[faces]`; zero for degenerate triangles.
 pub fn face_normals(vertices: &[DVec3], faces: &[[u32; 3]]) -> Vec<DVec3> {
     let normal = |face: &[u32; 3]| {
         let [a, b, c] = face.map(|v| vertices[v as usize]);
@@ -170,7 +169,7 @@ pub fn face_normals(vertices: &[DVec3], faces: &[[u32; 3]]) -> Vec<DVec3> {
     faces.iter().map(normal).collect()
 }
 
-/// Angle-weighted pseudo-normals (Bærentzen and Aanæs 2005).
+/// Angle-weighted pseudo-normals (Bærentzen and Aanæs 2005), `[vertices]`.
 fn vertex_normals(vertices: &[DVec3], faces: &[[u32; 3]], face_normals: &[DVec3]) -> Vec<DVec3> {
     let mut sums = vec![DVec3::ZERO; vertices.len()];
     for (face, &normal) in faces.iter().zip(face_normals) {
@@ -182,7 +181,7 @@ fn vertex_normals(vertices: &[DVec3], faces: &[[u32; 3]], face_normals: &[DVec3]
     sums.into_iter().map(DVec3::normalize_or_zero).collect()
 }
 
-/// Angle of a triangle at one of its corners, radians.
+/// Interior angle of a triangle at one of its corners, radians.
 pub fn corner_angle(corners: [DVec3; 3], corner: usize) -> f64 {
     let from = corners[corner];
     let (p, q) = (corners[(corner + 1) % 3] - from, corners[(corner + 2) % 3] - from);

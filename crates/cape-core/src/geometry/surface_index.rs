@@ -1,66 +1,57 @@
 use glam::{DMat3, DVec3};
-use parry3d_f64::{
-    bounding_volume::Aabb,
-    math::Vector,
-    partitioning::{Bvh, BvhBuildStrategy, BvhNode},
-    query::{PointQuery, Ray},
+
+use super::{
+    box_tree::{BoxTree, bounds},
+    surface::{SurfaceMesh, corner_angle, face_normals},
 };
 
-use super::surface::{SurfaceMesh, corner_angle, face_normals};
-
-/// Where a ray meets a surface.
-///
-/// See [`SurfaceIndex`] for an example.
+/// Intersection of a ray with a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RayHit {
-    /// The face.
+    /// Index of the face.
     pub face: u32,
-    /// How far along the ray, metres.
+    /// Distance from the ray's origin, metres.
     pub distance: f64,
-    /// The place.
+    /// Position of the intersection, metres.
     pub point: DVec3,
 }
 
-/// The point of a surface closest to another.
-///
-/// See [`SurfaceIndex`] for an example.
+/// Point of a surface closest to a query point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClosestPoint {
-    /// The face it lies on.
+    /// Index of the face that the point lies on.
     pub face: u32,
-    /// Its barycentric coordinates there.
+    /// Barycentric coordinates of the point on the face.
     pub barycentric: [f64; 3],
-    /// The place.
+    /// Position of the point, metres.
     pub point: DVec3,
-    /// Distance, metres; negative inside.
+    /// Signed distance of the query point, metres; negative inside.
     pub signed_distance: f64,
-    /// Unit direction in which the distance grows.
+    /// Gradient of the signed distance, a unit vector.
     pub outward: DVec3,
 }
 
-/// A surface that answers rays and closest points, at rest or moving.
+/// Bounding-volume hierarchy over the triangles of a surface, static or moving, for closest-point
+/// and ray queries.
 ///
-/// A bounding-volume tree over the boxes of the triangles answers both. For a surface that moves
-/// linearly between two frames the boxes hold the whole sweep, so that the same tree is valid at
-/// every instant ([`at`](Self::at)); distances are signed by angle-weighted pseudo-normals.
+/// For a surface that moves linearly between two frames the bounding boxes enclose the whole sweep,
+/// so that one hierarchy is valid at every time ([`set_time`](Self::set_time)). Distances are signed
+/// by angle-weighted pseudo-normals.
 ///
 /// ```
-/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
-/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// use cape_core::geometry::SurfaceIndex;
+/// use cape_core::geometry::{SurfaceIndex, primitives::sphere};
 /// use glam::DVec3;
 ///
-/// // The faces of an octahedron are 1/√3 from its middle.
-/// let solid = SurfaceIndex::new(&octahedron(1.0));
+/// // The faces of an octahedron of radius 1 are 1/√3 from its centre.
+/// let index = SurfaceIndex::new(&sphere(1.0, 0));
 /// let (outside, inward) = (DVec3::ONE, -DVec3::ONE.normalize());
-/// let hit = solid.cast(outside, inward, 3.0).ok_or("no hit")?;
+/// let hit = index.cast(outside, inward, 3.0).ok_or("no hit")?;
 /// assert!((hit.distance - (3f64.sqrt() - 1.0 / 3f64.sqrt())).abs() < 1e-9);
 /// // Distances are negative inside.
-/// let closest = solid.closest(0.1 * DVec3::ONE, 1.0).ok_or("too far")?;
+/// let closest = index.closest(0.1 * DVec3::ONE, 1.0).ok_or("too far")?;
 /// assert!((closest.signed_distance + 0.7 / 3f64.sqrt()).abs() < 1e-9);
 /// assert!((closest.outward + inward).length() < 1e-9);
-/// # Ok(())
-/// # }
+/// # Ok::<(), &str>(())
 /// ```
 #[derive(Debug, Clone)]
 pub struct SurfaceIndex {
@@ -68,30 +59,25 @@ pub struct SurfaceIndex {
     to: Vec<DVec3>,
     faces: Vec<[u32; 3]>,
     across: Vec<[Option<u32>; 3]>,
-    tree: Bvh,
+    tree: BoxTree,
     now: SurfaceMesh,
     face_normals: Vec<DVec3>,
 }
 
 impl SurfaceIndex {
-    /// A surface at rest.
+    /// Indexes a static surface.
     pub fn new(surface: &SurfaceMesh) -> Self {
         let across = surface.neighbours();
         Self::moving(surface, surface.vertices.clone(), across)
     }
 
-    /// A surface whose vertices move linearly to `to`; `across` are its
-    /// [`neighbours`](SurfaceMesh::neighbours).
+    /// Indexes a surface whose vertices move linearly to `to` as the time goes from 0 to 1; `across`
+    /// is its face adjacency, [`SurfaceMesh::neighbours`].
     pub fn moving(surface: &SurfaceMesh, to: Vec<DVec3>, across: Vec<[Option<u32>; 3]>) -> Self {
-        let boxes = surface.faces.iter().enumerate().map(|(index, face)| {
-            let both = face.iter().flat_map(|&v| [surface.vertices[v as usize], to[v as usize]]);
-            let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-            for p in both {
-                (low, high) = (low.min(p), high.max(p));
-            }
-            (index, Aabb::new(vector(low), vector(high)))
-        });
-        let tree = Bvh::from_iter(BvhBuildStrategy::Binned, boxes);
+        let swept = |face: &[u32; 3]| {
+            bounds(face.iter().flat_map(|&v| [surface.vertices[v as usize], to[v as usize]]))
+        };
+        let tree = BoxTree::new(surface.faces.iter().map(swept));
         let face_normals = surface.face_normals();
         Self {
             from: surface.vertices.clone(),
@@ -104,41 +90,42 @@ impl SurfaceIndex {
         }
     }
 
-    /// Moves the surface to `t` of its way, 0 to 1.
-    pub fn at(&mut self, t: f64) {
+    /// Moves the surface to time `t`, 0 to 1.
+    pub fn set_time(&mut self, t: f64) {
         for ((now, &from), &to) in self.now.vertices.iter_mut().zip(&self.from).zip(&self.to) {
             *now = from.lerp(to, t);
         }
         self.face_normals = face_normals(&self.now.vertices, &self.faces);
     }
 
-    /// The surface where it is now.
+    /// The surface at the current time.
     pub fn surface(&self) -> &SurfaceMesh {
         &self.now
     }
 
-    /// Where a point that rides on the surface, at barycentric coordinates on a face, was at `t`.
-    pub fn offset_point(&self, face: u32, barycentric: [f64; 3], t: f64) -> DVec3 {
+    /// Position at time `t` of the surface point at `barycentric` on `face`, metres.
+    pub fn position_at(&self, face: u32, barycentric: [f64; 3], t: f64) -> DVec3 {
         let corners = self.faces[face as usize].map(|v| v as usize);
         corners.iter().zip(barycentric).map(|(&v, w)| self.from[v].lerp(self.to[v], t) * w).sum()
     }
 
-    /// The first face that a ray (unit `direction`) meets within `reach` metres.
+    /// First intersection of a ray (unit `direction`) within `reach` metres.
     pub fn cast(&self, origin: DVec3, direction: DVec3, reach: f64) -> Option<RayHit> {
-        let ray = Ray::new(vector(origin), vector(direction));
-        let (face, distance) = self.tree.cast_ray(&ray, reach, |face, _| {
-            let distance = ray_meets(origin, direction, self.now.corners(face as usize))?;
+        let (face, distance) = self.tree.cast(origin, direction, reach, |face| {
+            let distance =
+                ray_triangle_distance(origin, direction, self.now.corners(face as usize))?;
             (distance <= reach).then_some(distance)
         })?;
         Some(RayHit { face, distance, point: origin + direction * distance })
     }
 
-    /// The closest point, unless it is further than `reach` metres.
+    /// Closest point of the surface within `reach` metres.
     pub fn closest(&self, point: DVec3, reach: f64) -> Option<ClosestPoint> {
         self.closest_from(point, reach, None)
     }
 
-    /// Like [`closest`](Self::closest), faster if a face close to the point is known.
+    /// [`closest`](Self::closest) with a face near the point as initial `guess`, which speeds up the
+    /// search.
     pub fn closest_from(
         &self,
         point: DVec3,
@@ -149,12 +136,8 @@ impl SurfaceIndex {
             point.distance(closest_on_triangle(point, self.now.corners(face as usize)).0)
         };
         let known = guess.map(|face| (face, distance(face))).filter(|known| known.1 < reach);
-        let from = vector(point);
-        let better = self.tree.find_best(
-            known.map_or(reach, |known| known.1),
-            |node: &BvhNode, _| node.aabb().distance_to_local_point(from, true),
-            |face, _| Some(distance(face)),
-        );
+        let reach = known.map_or(reach, |known| known.1);
+        let better = self.tree.nearest(point, reach, |face| Some(distance(face)));
         let (face, _) = better.or(known)?;
         let (nearest, barycentric) = closest_on_triangle(point, self.now.corners(face as usize));
         let normal = self.pseudo_normal(face as usize, barycentric);
@@ -175,20 +158,20 @@ impl SurfaceIndex {
         Some(ClosestPoint { face, barycentric, point: nearest, signed_distance, outward })
     }
 
-    /// The longest way that a vertex goes from 0 to 1, metres.
+    /// Largest displacement of a vertex from time 0 to 1, metres.
     pub fn largest_displacement(&self) -> f64 {
         self.from.iter().zip(&self.to).map(|(from, to)| from.distance(*to)).fold(0.0, f64::max)
     }
 
-    /// Unit axes of a face where it is now, one per column: its first side, the normal, and what is
-    /// at right angles to both.
+    /// Orthonormal frame of a face at the current time, as columns: first edge, normal, and their
+    /// cross product.
     pub fn axes(&self, face: u32) -> DMat3 {
         let [a, b, _] = self.now.corners(face as usize);
         let (side, normal) = ((b - a).normalize_or_zero(), self.face_normals[face as usize]);
         DMat3::from_cols(side, normal, side.cross(normal))
     }
 
-    /// Normal of the face, edge or vertex that a point of a face lies on.
+    /// Pseudo-normal of the face, edge or vertex that a point of a face lies on.
     fn pseudo_normal(&self, face: usize, barycentric: [f64; 3]) -> DVec3 {
         const ON: f64 = 1e-9;
         let off: Vec<usize> = (0..3).filter(|&i| barycentric[i] > ON).collect();
@@ -205,7 +188,7 @@ impl SurfaceIndex {
         }
     }
 
-    /// Normals of the faces around a corner, weighted by their angles there.
+    /// Angle-weighted normal of the vertex at a corner of a face.
     fn vertex_normal(&self, face: usize, corner: usize) -> DVec3 {
         let vertex = self.faces[face][corner];
         let corner_of = |face: usize| self.faces[face].iter().position(|&v| v == vertex);
@@ -214,11 +197,11 @@ impl SurfaceIndex {
             sum += self.face_normals[face] * corner_angle(self.now.corners(face), corner);
         };
         add(face, corner);
-        // On over the side that ends in the vertex; from a boundary back over the one that starts.
+        // Walk around the vertex over the edge that ends there, then the other way from a boundary.
         for turn in [2, 0] {
             let mut here = (face, corner);
-            // Bounded, because neighbours may be of opposite orientation.
-            for _ in 0..MOST_AROUND {
+            // Bounded: adjacent faces of opposite orientation would make the walk endless.
+            for _ in 0..MAX_VALENCE {
                 let Some(next) = self.across[here.0][(here.1 + turn) % 3] else { break };
                 let next = next as usize;
                 let Some(corner) = corner_of(next) else { break };
@@ -233,16 +216,16 @@ impl SurfaceIndex {
     }
 }
 
-/// Faces that a vertex can have on each side of a face.
-const MOST_AROUND: usize = 100;
+/// Largest number of faces visited around a vertex in one direction.
+const MAX_VALENCE: usize = 100;
 
-fn vector(p: DVec3) -> Vector {
-    Vector::from(p.to_array())
-}
-
-/// Distance along a ray to a triangle (Möller and Trumbore 1997). Triangles are larger by a billionth,
-/// so that no ray slips through between two.
-pub fn ray_meets(origin: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> Option<f64> {
+/// Distance along a ray to a triangle (Möller and Trumbore 1997), metres. Triangles are enlarged by
+/// a relative 1e-9, so that no ray passes between two adjacent ones.
+pub fn ray_triangle_distance(
+    origin: DVec3,
+    direction: DVec3,
+    [a, b, c]: [DVec3; 3],
+) -> Option<f64> {
     const SLACK: f64 = 1e-9;
     let (ab, ac) = (b - a, c - a);
     let across = direction.cross(ac);
@@ -253,7 +236,7 @@ pub fn ray_meets(origin: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> Opti
     (u >= -SLACK && v >= -SLACK && u + v <= 1.0 + SLACK && t >= 0.0).then_some(t)
 }
 
-/// The closest point of a triangle and its barycentric coordinates (Ericson 2005, §5.1.5).
+/// Closest point of a triangle to `p` and its barycentric coordinates (Ericson 2005, §5.1.5).
 pub fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> (DVec3, [f64; 3]) {
     let (ab, ac) = (b - a, c - a);
     let ap = p - a;

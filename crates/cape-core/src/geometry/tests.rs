@@ -17,18 +17,18 @@ fn a_sphere_is_closed_and_outward() {
 }
 
 #[test]
-fn a_moving_solid_is_where_it_is_said_to_be() {
+fn queries_of_a_moving_surface_equal_those_of_the_static_one() {
     let ball = sphere(1.0, 3);
     let to: Vec<DVec3> = ball.vertices.iter().map(|&v| v * 2.0 + DVec3::X).collect();
     let mut moving = SurfaceIndex::moving(&ball, to, ball.neighbours());
-    moving.at(0.5);
+    moving.set_time(0.5);
     let still = SurfaceIndex::new(moving.surface());
     for k in 0..40 {
         let p =
             DVec3::new((f64::from(k)).sin(), (f64::from(k) * 2.3).cos(), 0.1 * f64::from(k) - 2.0);
         let (a, b) = (moving.closest(p, 10.0).unwrap(), still.closest(p, 10.0).unwrap());
         assert!((a.signed_distance - b.signed_distance).abs() < 1e-12);
-        assert!(moving.offset_point(a.face, a.barycentric, 0.5).distance(a.point) < 1e-12);
+        assert!(moving.position_at(a.face, a.barycentric, 0.5).distance(a.point) < 1e-12);
     }
     assert!(moving.closest(DVec3::X * 10.0, 1.0).is_none());
 }
@@ -78,7 +78,7 @@ proptest! {
             .fold(f64::INFINITY, f64::min);
         let found = SurfaceIndex::new(&ball).closest(p, f64::INFINITY).unwrap();
         prop_assert!((found.signed_distance.abs() - brute).abs() < 1e-12);
-        // Inside where every face is in front.
+        // A point is inside a convex surface if it is behind all faces.
         let normals = ball.face_normals();
         let inside = (0..ball.faces.len())
             .all(|face| (p - ball.corners(face)[0]).dot(normals[face]) < 0.0);
@@ -107,7 +107,7 @@ proptest! {
     }
 }
 
-/// Where the ray meets the plane, then on which side of each edge that is.
+/// Reference ray–triangle test: intersection with the plane, then the side of each edge.
 fn by_plane(origin: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> Option<f64> {
     let normal = (b - a).cross(c - a);
     let t = normal.dot(a - origin) / normal.dot(direction);

@@ -1,4 +1,4 @@
-//! The binary part of a `.glb` file and what describes it.
+//! The binary chunk of a `.glb` file with its buffer views and accessors.
 
 use serde_json::{Value, json};
 
@@ -6,7 +6,7 @@ const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;
 const UNSIGNED_BYTE: u32 = 5121;
 
-/// What a part of the buffer is for.
+/// Target of a buffer view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Target {
     Vertices,
@@ -22,7 +22,7 @@ pub(super) struct Buffer {
 }
 
 impl Buffer {
-    /// Appends bytes that are no numbers; the number of their view.
+    /// Appends raw bytes and returns the index of their view.
     pub(super) fn raw(&mut self, bytes: &[u8]) -> usize {
         self.view(bytes, Target::Other)
     }
@@ -68,7 +68,8 @@ impl Buffer {
         self.accessors[accessor]["max"] = json!(fold(f32::NEG_INFINITY, f32::max));
     }
 
-    /// Points or directions, with their extent if `bounded`.
+    /// Appends points or directions, with their minimum and maximum if `bounded`; returns the
+    /// accessor.
     pub(super) fn vec3(&mut self, rows: &[[f32; 3]], target: Target, bounded: bool) -> usize {
         let accessor = self.floats(rows, "VEC3", target);
         if bounded {
@@ -100,7 +101,7 @@ impl Buffer {
         self.floats(matrices, "MAT4", Target::Other)
     }
 
-    /// Times of an animation.
+    /// Appends the times of an animation, seconds; returns the accessor.
     pub(super) fn times(&mut self, times: &[f32]) -> usize {
         let (rows, _) = times.as_chunks::<1>();
         let accessor = self.floats(rows, "SCALAR", Target::Other);
@@ -108,7 +109,7 @@ impl Buffer {
         accessor
     }
 
-    /// Values of an animation.
+    /// Appends the sampled values of an animation; returns the accessor.
     pub(super) fn values<const N: usize>(&mut self, rows: &[[f32; N]], kind: &str) -> usize {
         self.floats(rows, kind, Target::Other)
     }

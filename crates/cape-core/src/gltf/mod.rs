@@ -1,9 +1,9 @@
-//! glTF 2.0 binary files (`.glb`) of skinned, animated bodies, for Blender, three.js and the like.
+//! glTF 2.0 binary files (`.glb`) of skinned, animated bodies.
 //!
-//! A [`SkinnedMesh`] is a body in clothes with SMPL's skeleton and blend weights; [`Keyframe`]s turn its
-//! joints. What skinning alone cannot do, pose blend shapes and clothes that change with the pose,
-//! is stored beside it as one morph target a keyframe, so that every keyframe shows exactly the
-//! vertices that this library computes for it. Units are metres, seconds and radians; y points up.
+//! A [`SkinnedMesh`] is a clothed body with SMPL's skeleton and blend weights, [`Keyframe`]s are its
+//! poses. Pose blend shapes and pose-dependent clothing, which skinning cannot express, are stored
+//! as one morph target per keyframe, so that every keyframe shows exactly the vertices that this
+//! library computes. Units are metres, seconds and radians; y points up.
 
 mod buffer;
 mod skin;
@@ -23,7 +23,7 @@ const MAGIC: u32 = 0x4654_6c67;
 const JSON_CHUNK: u32 = 0x4e4f_534a;
 const BINARY_CHUNK: u32 = 0x004e_4942;
 
-/// A body in clothes, at rest.
+/// Clothed body in the rest pose with its skeleton, blend weights and appearance.
 ///
 /// ```
 /// use cape_core::gltf::{self, SkinnedMesh, Keyframe};
@@ -31,7 +31,7 @@ const BINARY_CHUNK: u32 = 0x004e_4942;
 ///
 /// let body = synthetic_body();
 /// let rest = body.rest_shape(&[1.0])?;
-/// let figure = SkinnedMesh {
+/// let skinned = SkinnedMesh {
 ///     name: "waving",
 ///     body: &body,
 ///     joints: body.rest_joints(&rest)?,
@@ -46,15 +46,15 @@ const BINARY_CHUNK: u32 = 0x004e_4942;
 ///     let offset = body.pose_offsets(&pose)?;
 ///     Ok(Keyframe { time, pose, transl: [0.0; 3], offset })
 /// };
-/// let file = gltf::encode(&figure, &[keyframe(0.0, 0.0)?, keyframe(0.5, 1.2)?])?;
+/// let file = gltf::encode(&skinned, &[keyframe(0.0, 0.0)?, keyframe(0.5, 1.2)?])?;
 /// assert_eq!(&file[..4], b"glTF");
-/// // Times must rise.
-/// assert!(gltf::encode(&figure, &[keyframe(0.5, 0.0)?, keyframe(0.0, 1.2)?]).is_err());
+/// // Times must increase.
+/// assert!(gltf::encode(&skinned, &[keyframe(0.5, 0.0)?, keyframe(0.0, 1.2)?]).is_err());
 /// # Ok::<(), cape_core::Error>(())
 /// ```
 #[derive(Debug, Clone)]
 pub struct SkinnedMesh<'a> {
-    /// Its name in the file.
+    /// Name of the mesh in the file.
     pub name: &'a str,
     /// Skeleton, blend weights and triangles.
     pub body: &'a SmplModel,
@@ -62,16 +62,16 @@ pub struct SkinnedMesh<'a> {
     pub rest: Array2<f64>,
     /// Rest joints, metres, `[J, 3]`.
     pub joints: Array2<f64>,
-    /// sRGB from 0 to 1, `[V, 3]`.
+    /// sRGB vertex colours, 0 to 1, `[V, 3]`.
     pub colours: Option<&'a [[f32; 3]]>,
-    /// Where the texture goes.
+    /// Texture coordinates and image.
     pub texture: Option<GltfTexture<'a>>,
-    /// Further morph targets with their names, such as shape directions: offsets of rest vertices,
-    /// metres, `[V, 3]`, weight 0 at first.
+    /// Additional named morph targets of weight 0, such as shape directions: offsets of the rest
+    /// vertices, metres, `[V, 3]`.
     pub targets: Vec<(String, Array2<f64>)>,
 }
 
-/// A picture and its coordinates on the body.
+/// Texture of a body: coordinates and image.
 ///
 /// ```
 /// use cape_core::{gltf::{self, SkinnedMesh, GltfTexture}, obj::Uv};
@@ -79,7 +79,7 @@ pub struct SkinnedMesh<'a> {
 ///
 /// let body = synthetic_body();
 /// let uv = Uv { coordinates: vec![[0.5, 0.5]], faces: vec![[0; 3]; body.faces.len()] };
-/// let figure = SkinnedMesh {
+/// let skinned = SkinnedMesh {
 ///     name: "textured",
 ///     body: &body,
 ///     rest: body.v_template.clone(),
@@ -88,65 +88,63 @@ pub struct SkinnedMesh<'a> {
 ///     texture: Some(GltfTexture { uv: &uv, image: None }),
 ///     targets: Vec::new(),
 /// };
-/// let file = gltf::encode(&figure, &[])?;
+/// let file = gltf::encode(&skinned, &[])?;
 /// assert!(String::from_utf8_lossy(&file).contains("TEXCOORD_0"));
 /// # Ok::<(), cape_core::Error>(())
 /// ```
 #[derive(Debug, Clone, Copy)]
 pub struct GltfTexture<'a> {
-    /// Coordinates of the corners of the body's faces.
+    /// Texture coordinates of the body's face corners.
     pub uv: &'a Uv,
-    /// The contents of a PNG or JPEG file, if there is one.
+    /// Bytes of a PNG or JPEG file.
     pub image: Option<&'a [u8]>,
 }
 
-/// A moment of an animation.
-///
-/// See [`SkinnedMesh`] for an example.
+/// Pose, translation and vertex offsets of a body at one time of an animation.
 #[derive(Debug, Clone)]
 pub struct Keyframe {
-    /// When, seconds.
+    /// Time, seconds.
     pub time: f32,
-    /// Axis-angle rotations of all joints, radians, `[3 J]`.
+    /// Pose in axis-angle, radians, `[3·J]`.
     pub pose: Vec<f64>,
-    /// Where the body is, metres.
+    /// Translation of the body, metres.
     pub transl: [f64; 3],
-    /// What is added to the rest vertices before skinning, metres, `[V, 3]`: pose blend shapes and
-    /// what differs from the rest clothes.
+    /// Offset of the rest vertices before skinning, metres, `[V, 3]`: pose blend shapes plus the
+    /// difference of the clothing displacement from the one in [`SkinnedMesh::rest`].
     pub offset: Array2<f64>,
 }
 
-/// Writes a figure, atomically: in its rest pose without keyframes, in the pose of a single one, or
-/// animated by several.
+/// Writes a `.glb` file, atomically: in the rest pose without keyframes, in the pose of a single
+/// keyframe, or animated by several.
 ///
 /// # Errors
-/// If shapes do not fit the body, if times do not rise, or if the file cannot be written.
-pub fn write(path: impl AsRef<Path>, figure: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<()> {
+/// If shapes do not fit the body, times do not increase, or the file cannot be written.
+pub fn write(path: impl AsRef<Path>, skinned: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<()> {
     let path = path.as_ref();
-    let bytes = encode(figure, keyframes)?;
+    let bytes = encode(skinned, keyframes)?;
     write_atomically(path, |file| file.write_all(&bytes))
 }
 
-/// The bytes of a `.glb` file; see [`write()`].
+/// Encodes a `.glb` file in memory; see [`write()`].
 ///
 /// # Errors
-/// As [`write()`].
-pub fn encode(figure: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<Vec<u8>> {
-    check(figure, keyframes)?;
-    let joint_count = figure.body.joints();
+/// See [`write()`].
+pub fn encode(skinned: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<Vec<u8>> {
+    check(skinned, keyframes)?;
+    let joint_count = skinned.body.joints();
     let mut buffer = Buffer::default();
-    let corners = UvVertices::new(figure);
+    let corners = UvVertices::new(skinned);
 
-    let mesh = mesh(figure, keyframes, &corners, &mut buffer);
-    let inverse_bind = inverse_bind(figure, &mut buffer);
+    let mesh = mesh(skinned, keyframes, &corners, &mut buffer);
+    let inverse_bind = inverse_bind(skinned, &mut buffer);
     let mut nodes: Vec<Value> =
-        (0..joint_count).map(|joint| joint_node(figure, joint, keyframes.first())).collect();
+        (0..joint_count).map(|joint| joint_node(skinned, joint, keyframes.first())).collect();
     let mesh_node = nodes.len();
-    nodes.push(json!({ "name": figure.name, "mesh": 0, "skin": 0 }));
+    nodes.push(json!({ "name": skinned.name, "mesh": 0, "skin": 0 }));
     let mut document = json!({
         "asset": { "version": "2.0", "generator": concat!("cape ", env!("CARGO_PKG_VERSION")) },
         "scene": 0,
-        "scenes": [{ "name": figure.name, "nodes": [0, mesh_node] }],
+        "scenes": [{ "name": skinned.name, "nodes": [0, mesh_node] }],
         "nodes": nodes,
         "meshes": [mesh],
         "skins": [{
@@ -161,9 +159,9 @@ pub fn encode(figure: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<Vec<u8>> {
         }],
     });
     if keyframes.len() > 1 {
-        document["animations"] = json!([animation(figure, keyframes, mesh_node, &mut buffer)]);
+        document["animations"] = json!([animation(skinned, keyframes, mesh_node, &mut buffer)]);
     }
-    if let Some(image) = figure.texture.and_then(|texture| texture.image) {
+    if let Some(image) = skinned.texture.and_then(|texture| texture.image) {
         let view = buffer.raw(image);
         document["images"] = json!([{ "bufferView": view, "mimeType": mime_type(image)? }]);
         document["samplers"] = json!([{ "magFilter": 9729, "minFilter": 9987 }]);
@@ -197,31 +195,33 @@ fn assemble(document: &Value, mut binary: Vec<u8>) -> Result<Vec<u8>> {
     Ok(file)
 }
 
-fn check(figure: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<()> {
-    let (v, j) = (figure.body.vertices(), figure.body.joints());
-    let expect = |what: &str, found: &[usize], expected: &[usize]| {
+fn check(skinned: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<()> {
+    let (v, j) = (skinned.body.vertices(), skinned.body.joints());
+    let expect = |name: &str, found: &[usize], expected: &[usize]| {
         if found == expected {
             return Ok(());
         }
-        Err(Error::Argument(format!("glTF: {what} of shape {found:?}, expected {expected:?}")))
+        Err(Error::Argument(format!("glTF: {name} of shape {found:?}, expected {expected:?}")))
     };
     if j > 256 {
-        return Err(Error::Argument(format!("glTF: {j} joints, expected at most 256")));
+        return Err(Error::Argument(format!("glTF: body of {j} joints, expected at most 256")));
     }
-    expect("rest vertices", figure.rest.shape(), &[v, 3])?;
-    expect("joints", figure.joints.shape(), &[j, 3])?;
-    if let Some(colours) = figure.colours {
+    expect("rest vertices", skinned.rest.shape(), &[v, 3])?;
+    expect("joints", skinned.joints.shape(), &[j, 3])?;
+    if let Some(colours) = skinned.colours {
         expect("colours", &[colours.len(), 3], &[v, 3])?;
     }
-    if let Some(texture) = &figure.texture {
-        let faces = figure.body.faces.len();
+    if let Some(texture) = &skinned.texture {
+        let faces = skinned.body.faces.len();
         expect("texture coordinates", &[texture.uv.faces.len(), 3], &[faces, 3])?;
         let points = texture.uv.coordinates.len();
         if texture.uv.faces.iter().flatten().any(|&point| point as usize >= points) {
-            return Err(Error::Argument("glTF: a face has no texture point".into()));
+            return Err(Error::Argument(format!(
+                "glTF: a texture coordinate index is out of range for {points} coordinates"
+            )));
         }
     }
-    for (name, target) in &figure.targets {
+    for (name, target) in &skinned.targets {
         expect(name, target.shape(), &[v, 3])?;
     }
     for (index, frame) in keyframes.iter().enumerate() {
@@ -231,7 +231,9 @@ fn check(figure: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<()> {
     if !keyframes.is_sorted_by(|a, b| a.time < b.time)
         || keyframes.iter().any(|frame| !(frame.time.is_finite() && frame.time >= 0.0))
     {
-        return Err(Error::Argument("glTF: times of keyframes do not rise from 0".into()));
+        return Err(Error::Argument(
+            "glTF: keyframe times must be finite, at least 0 and increasing".into(),
+        ));
     }
     Ok(())
 }
@@ -240,23 +242,23 @@ fn mime_type(image: &[u8]) -> Result<&'static str> {
     match image {
         [0x89, b'P', b'N', b'G', ..] => Ok("image/png"),
         [0xff, 0xd8, 0xff, ..] => Ok("image/jpeg"),
-        _ => Err(Error::Argument("glTF: a texture is a PNG or a JPEG file".into())),
+        _ => Err(Error::Argument("glTF: the texture image must be a PNG or JPEG file".into())),
     }
 }
 
-/// Vertices as glTF has them: one for each pair of a vertex and a texture point.
+/// Vertices of the glTF mesh: one for each pair of body vertex and texture coordinate in use.
 struct UvVertices {
-    /// The body's vertex of each.
+    /// Body vertex of each glTF vertex.
     vertex: Vec<u32>,
     uv: Option<Vec<[f32; 2]>>,
     indices: Vec<u32>,
 }
 
 impl UvVertices {
-    fn new(figure: &SkinnedMesh) -> Self {
-        let faces = figure.body.faces.as_flattened();
-        let Some(GltfTexture { uv, .. }) = &figure.texture else {
-            let vertex = (0..figure.body.vertices() as u32).collect();
+    fn new(skinned: &SkinnedMesh) -> Self {
+        let faces = skinned.body.faces.as_flattened();
+        let Some(GltfTexture { uv, .. }) = &skinned.texture else {
+            let vertex = (0..skinned.body.vertices() as u32).collect();
             return Self { vertex, uv: None, indices: faces.to_vec() };
         };
         let mut known = std::collections::HashMap::new();
@@ -267,7 +269,7 @@ impl UvVertices {
                 *known.entry(pair).or_insert_with(|| {
                     let [u, v] = uv.coordinates[pair.1 as usize];
                     vertex.push(pair.0);
-                    // The origin of glTF's textures is above, that of OBJ's below.
+                    // The texture origin is the top left in glTF, the bottom left in OBJ.
                     points.push([u, 1.0 - v]);
                     vertex.len() as u32 - 1
                 })
@@ -287,15 +289,15 @@ impl UvVertices {
 }
 
 fn mesh(
-    figure: &SkinnedMesh,
+    skinned: &SkinnedMesh,
     keyframes: &[Keyframe],
     corners: &UvVertices,
     buffer: &mut Buffer,
 ) -> Value {
     let rest: Vec<[f32; 3]> =
-        figure.rest.rows().into_iter().map(|v| [v[0] as f32, v[1] as f32, v[2] as f32]).collect();
-    let surface = Mesh { vertices: rest, faces: figure.body.faces.clone() };
-    // A vertex of no triangle has no normal; glTF wants one of length 1.
+        skinned.rest.rows().into_iter().map(|v| [v[0] as f32, v[1] as f32, v[2] as f32]).collect();
+    let surface = Mesh { vertices: rest, faces: skinned.body.faces.clone() };
+    // Isolated vertices have no normal; glTF requires unit length.
     let normals: Vec<[f32; 3]> = surface
         .vertex_normals()
         .into_iter()
@@ -308,12 +310,12 @@ fn mesh(
     if let Some(points) = &corners.uv {
         attributes["TEXCOORD_0"] = json!(buffer.vec2(points));
     }
-    if let Some(colours) = figure.colours {
+    if let Some(colours) = skinned.colours {
         let linear: Vec<[f32; 3]> = colours.iter().map(|colour| colour.map(linear)).collect();
         attributes["COLOR_0"] =
             json!(buffer.vec3(&corners.gather(&linear), Target::Vertices, false));
     }
-    for (set, influences) in skin::influences(figure.body).into_iter().enumerate() {
+    for (set, influences) in skin::influences(skinned.body).into_iter().enumerate() {
         let joints: Vec<[u8; 4]> = influences.iter().map(|four| four.map(|(j, _)| j)).collect();
         let weights: Vec<[f32; 4]> = influences.iter().map(|four| four.map(|(_, w)| w)).collect();
         attributes[format!("JOINTS_{set}")] = json!(buffer.joints(&corners.gather(&joints)));
@@ -322,9 +324,9 @@ fn mesh(
     let indices = buffer.indices(&corners.indices);
     let mut primitive = json!({ "attributes": attributes, "indices": indices, "material": 0 });
 
-    let mut names: Vec<String> = figure.targets.iter().map(|(name, _)| name.clone()).collect();
+    let mut names: Vec<String> = skinned.targets.iter().map(|(name, _)| name.clone()).collect();
     let mut weights = vec![0.0; names.len()];
-    let offsets = figure.targets.iter().map(|(_, target)| target);
+    let offsets = skinned.targets.iter().map(|(_, target)| target);
     let mut targets: Vec<Value> = Vec::new();
     for target in offsets.chain(keyframes.iter().map(|frame| &frame.offset)) {
         let rows = corners.rows(target);
@@ -334,7 +336,7 @@ fn mesh(
         names.push(format!("frame {index}"));
         weights.push(if index == 0 { 1.0 } else { 0.0 });
     }
-    let mut mesh = json!({ "name": figure.name });
+    let mut mesh = json!({ "name": skinned.name });
     if !targets.is_empty() {
         primitive["targets"] = Value::Array(targets);
         mesh["weights"] = json!(weights);
@@ -344,16 +346,16 @@ fn mesh(
     mesh
 }
 
-/// sRGB to the linear colours of glTF.
+/// Converts an sRGB component to linear.
 fn linear(x: f32) -> f32 {
     let x = x.clamp(0.0, 1.0);
     if x <= 0.04045 { x / 12.92 } else { ((x + 0.055) / 1.055).powf(2.4) }
 }
 
-/// Where a joint is relative to its parent.
-fn local(figure: &SkinnedMesh, joint: usize) -> DVec3 {
-    let at = |joint: usize| DVec3::from_array([0, 1, 2].map(|axis| figure.joints[[joint, axis]]));
-    figure.body.parents[joint].map_or_else(|| at(joint), |parent| at(joint) - at(parent))
+/// Translation of a joint relative to its parent, metres.
+fn local(skinned: &SkinnedMesh, joint: usize) -> DVec3 {
+    let at = |joint: usize| DVec3::from_array([0, 1, 2].map(|axis| skinned.joints[[joint, axis]]));
+    skinned.body.parents[joint].map_or_else(|| at(joint), |parent| at(joint) - at(parent))
 }
 
 fn rotation(frame: &Keyframe, joint: usize) -> [f32; 4] {
@@ -361,20 +363,20 @@ fn rotation(frame: &Keyframe, joint: usize) -> [f32; 4] {
     DQuat::from_scaled_axis(DVec3::from_array(axis_angle)).as_quat().to_array()
 }
 
-fn joint_node(figure: &SkinnedMesh, joint: usize, frame: Option<&Keyframe>) -> Value {
+fn joint_node(skinned: &SkinnedMesh, joint: usize, frame: Option<&Keyframe>) -> Value {
     let name = joints::JOINT_NAMES
         .get(joint)
         .map_or_else(|| format!("joint {joint}"), ToString::to_string);
-    let mut at = local(figure, joint);
-    if let (None, Some(frame)) = (figure.body.parents[joint], frame) {
+    let mut at = local(skinned, joint);
+    if let (None, Some(frame)) = (skinned.body.parents[joint], frame) {
         at += DVec3::from_array(frame.transl);
     }
     let mut node = json!({ "name": name, "translation": at.as_vec3().to_array() });
     if let Some(frame) = frame {
         node["rotation"] = json!(rotation(frame, joint));
     }
-    let children: Vec<usize> = (0..figure.body.joints())
-        .filter(|&child| figure.body.parents[child] == Some(joint))
+    let children: Vec<usize> = (0..skinned.body.joints())
+        .filter(|&child| skinned.body.parents[child] == Some(joint))
         .collect();
     if !children.is_empty() {
         node["children"] = json!(children);
@@ -382,8 +384,8 @@ fn joint_node(figure: &SkinnedMesh, joint: usize, frame: Option<&Keyframe>) -> V
     node
 }
 
-fn inverse_bind(figure: &SkinnedMesh, buffer: &mut Buffer) -> usize {
-    let matrices: Vec<[f32; 16]> = figure
+fn inverse_bind(skinned: &SkinnedMesh, buffer: &mut Buffer) -> usize {
+    let matrices: Vec<[f32; 16]> = skinned
         .joints
         .rows()
         .into_iter()
@@ -396,41 +398,43 @@ fn inverse_bind(figure: &SkinnedMesh, buffer: &mut Buffer) -> usize {
 }
 
 fn animation(
-    figure: &SkinnedMesh,
+    skinned: &SkinnedMesh,
     keyframes: &[Keyframe],
     mesh_node: usize,
     buffer: &mut Buffer,
 ) -> Value {
     let times: Vec<f32> = keyframes.iter().map(|frame| frame.time - keyframes[0].time).collect();
-    let input = buffer.times(&times);
+    let time_accessor = buffer.times(&times);
     let (mut samplers, mut channels) = (Vec::new(), Vec::new());
     let mut add = |node: usize, path: &str, output: usize| {
         channels.push(json!({
             "sampler": samplers.len(),
             "target": { "node": node, "path": path },
         }));
-        samplers.push(json!({ "input": input, "output": output, "interpolation": "LINEAR" }));
+        samplers
+            .push(json!({ "input": time_accessor, "output": output, "interpolation": "LINEAR" }));
     };
-    for joint in 0..figure.body.joints() {
-        let mut turns: Vec<[f32; 4]> =
+    for joint in 0..skinned.body.joints() {
+        let mut rotations: Vec<[f32; 4]> =
             keyframes.iter().map(|frame| rotation(frame, joint)).collect();
-        // Of the two quaternions of a rotation the one nearer to the one before, so that the way
-        // between them is the short one.
-        for index in 1..turns.len() {
-            let dot: f32 = turns[index].iter().zip(&turns[index - 1]).map(|(a, b)| a * b).sum();
+        // Of the two quaternions of a rotation take the one nearer to the previous keyframe's, so that
+        // interpolation takes the shorter arc.
+        for index in 1..rotations.len() {
+            let dot: f32 =
+                rotations[index].iter().zip(&rotations[index - 1]).map(|(a, b)| a * b).sum();
             if dot < 0.0 {
-                turns[index] = turns[index].map(|x| -x);
+                rotations[index] = rotations[index].map(|x| -x);
             }
         }
-        add(joint, "rotation", buffer.values(&turns, "VEC4"));
+        add(joint, "rotation", buffer.values(&rotations, "VEC4"));
     }
-    let root = local(figure, 0);
-    let places: Vec<[f32; 3]> = keyframes
+    let root = local(skinned, 0);
+    let translations: Vec<[f32; 3]> = keyframes
         .iter()
         .map(|frame| (root + DVec3::from_array(frame.transl)).as_vec3().to_array())
         .collect();
-    add(0, "translation", buffer.values(&places, "VEC3"));
-    let before = figure.targets.len();
+    add(0, "translation", buffer.values(&translations, "VEC3"));
+    let before = skinned.targets.len();
     let width = before + keyframes.len();
     let weights: Vec<[f32; 1]> = (0..keyframes.len() * width)
         .map(|at| [if at % width == before + at / width { 1.0 } else { 0.0 }])

@@ -1,17 +1,17 @@
-//! Blend weights as glTF has them: sets of four joints a vertex.
+//! Blend weights as glTF stores them: sets of four joints per vertex.
 
 use crate::SmplModel;
 
-/// Weights smaller than this are left out.
+/// Smallest blend weight that is written.
 const NEGLIGIBLE: f64 = 1e-5;
-/// Sets of four that a vertex may have.
-const MOST_SETS: usize = 4;
+/// Largest number of sets of four joints per vertex.
+const MAX_SETS: usize = 4;
 
-/// A joint and its weight, four times.
+/// Four joints of a vertex with their weights.
 pub(super) type JointInfluences = [(u8, f32); 4];
 
-/// For each set, the joints and weights of every vertex, the heaviest first; weights of a vertex
-/// sum to 1 over all sets. SMPL's own weights fit into one set.
+/// Joint influences of all vertices, `[sets][V]`, heaviest first; the weights of a vertex sum to 1
+/// over all sets. SMPL's weights fit into one set.
 pub(super) fn influences(body: &SmplModel) -> Vec<Vec<JointInfluences>> {
     let vertices: Vec<Vec<(u8, f32)>> = body
         .weights
@@ -25,7 +25,7 @@ pub(super) fn influences(body: &SmplModel) -> Vec<Vec<JointInfluences>> {
                 .map(|(joint, &weight)| (joint as u8, weight))
                 .collect();
             kept.sort_by(|a, b| b.1.total_cmp(&a.1));
-            kept.truncate(4 * MOST_SETS);
+            kept.truncate(4 * MAX_SETS);
             let sum: f64 = kept.iter().map(|(_, weight)| weight).sum();
             let share = |(joint, weight): (u8, f64)| (joint, (weight / sum) as f32);
             if kept.is_empty() { vec![(0, 1.0)] } else { kept.into_iter().map(share).collect() }

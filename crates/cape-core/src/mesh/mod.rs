@@ -8,7 +8,7 @@ use crate::{Error, Result, obj, ply};
 
 pub use report::MeshReport;
 
-/// A triangle mesh.
+/// Triangle mesh in `f32`.
 ///
 /// ```
 /// use cape_core::Mesh;
@@ -29,14 +29,14 @@ pub use report::MeshReport;
 /// ```
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Mesh {
-    /// Vertex positions in metres, `[vertices, 3]`.
+    /// Vertex positions, metres, `[vertices, 3]`.
     pub vertices: Vec<[f32; 3]>,
     /// Vertex indices of each triangle, counter-clockwise seen from outside, `[faces, 3]`.
     pub faces: Vec<[u32; 3]>,
 }
 
 impl Mesh {
-    /// Reads an `.obj` or `.ply` file, by its extension.
+    /// Reads an `.obj` or `.ply` file; the extension selects the format.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         match MeshFormat::from_path(path.as_ref())? {
             MeshFormat::Obj => Ok(obj::read(path)?.mesh),
@@ -44,7 +44,7 @@ impl Mesh {
         }
     }
 
-    /// Writes an `.obj` or binary `.ply` file, by its extension.
+    /// Writes an `.obj` or binary `.ply` file; the extension selects the format.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         match MeshFormat::from_path(path.as_ref())? {
             MeshFormat::Obj => obj::write(path, self, None),
@@ -52,20 +52,19 @@ impl Mesh {
         }
     }
 
-    /// Positions of a face's corners; `None` if it refers to a vertex that is not there.
+    /// Positions of the corners of a face, metres; `None` if a vertex index is out of range.
     pub fn corners(&self, face: [u32; 3]) -> Option<[Vec3; 3]> {
         let corner = |index: u32| self.vertices.get(index as usize).map(|&v| Vec3::from(v));
         Some([corner(face[0])?, corner(face[1])?, corner(face[2])?])
     }
 
-    /// Unit normal of each face, `[faces, 3]`; zero where it has none (no area, or out of range).
+    /// Unit normals of the faces, `[faces, 3]`; zero for degenerate or out-of-range faces.
     pub fn face_normals(&self) -> Vec<[f32; 3]> {
         let normal = |&face| self.scaled_normal(face).normalize_or_zero().into();
         self.faces.iter().map(normal).collect()
     }
 
-    /// Unit normal of each vertex, the mean of its faces' weighted by their areas,
-    /// `[vertices, 3]`; zero where there is none.
+    /// Unit normals of the vertices, area-weighted, `[vertices, 3]`; zero for isolated vertices.
     pub fn vertex_normals(&self) -> Vec<[f32; 3]> {
         let mut sums = vec![Vec3::ZERO; self.vertices.len()];
         for &face in &self.faces {
@@ -79,12 +78,12 @@ impl Mesh {
         sums.into_iter().map(|sum| sum.normalize_or_zero().into()).collect()
     }
 
-    /// Normal of a face, twice its area long.
+    /// Normal of a face, with twice the face area as its length.
     fn scaled_normal(&self, face: [u32; 3]) -> Vec3 {
         self.corners(face).map_or(Vec3::ZERO, |[a, b, c]| (b - a).cross(c - a))
     }
 
-    /// Every undirected edge once, the smaller index first, ascending, `[edges, 2]`.
+    /// Undirected edges, each once, smaller index first, in ascending order, `[edges, 2]`.
     pub fn edges(&self) -> Vec<[u32; 2]> {
         let mut edges: Vec<[u32; 2]> =
             self.faces.iter().flat_map(|&face| face_edges(face)).collect();
@@ -93,7 +92,8 @@ impl Mesh {
         edges
     }
 
-    /// Smallest and largest coordinates, metres; `None` without vertices.
+    /// Axis-aligned bounding box as smallest and largest coordinates, metres; `None` without
+    /// vertices.
     pub fn bounding_box(&self) -> Option<[[f32; 3]; 2]> {
         let mut vertices = self.vertices.iter().map(|&v| Vec3::from(v));
         let first = vertices.next()?;
@@ -101,19 +101,19 @@ impl Mesh {
         Some([low.into(), high.into()])
     }
 
-    /// Vertices − edges + faces: 2 for a closed surface in one piece without handles.
+    /// Euler characteristic `V − E + F`: 2 for a connected closed surface of genus 0.
     pub fn euler_characteristic(&self) -> i64 {
         let count = |n: usize| n as i64;
         count(self.vertices.len()) - count(self.edges().len()) + count(self.faces.len())
     }
 
-    /// Everything unusual about the mesh.
+    /// Report of degenerate, duplicate, boundary and other irregular elements.
     pub fn validate(&self) -> MeshReport {
         MeshReport::from_mesh(self)
     }
 }
 
-/// The three undirected edges of a face, the smaller index first.
+/// Undirected edges of a face, smaller index first.
 fn face_edges([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]].map(|[p, q]| [p.min(q), p.max(q)])
 }
@@ -134,7 +134,7 @@ impl MeshFormat {
     }
 }
 
-/// Reads a mesh file whole.
+/// Bytes of a mesh file.
 pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     fs::read(path).map_err(|source| Error::io(path, source))
 }
@@ -143,7 +143,7 @@ pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
 pub(crate) mod tests {
     use super::*;
 
-    /// A unit cube of 12 triangles, outward.
+    /// Unit cube of 12 triangles, oriented outwards.
     pub(crate) fn cube() -> Mesh {
         let vertices = (0..8u8).map(|i| [i & 1, i >> 1 & 1, i >> 2].map(f32::from)).collect();
         let quads: [[u32; 4]; 6] =
@@ -153,7 +153,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_cube_measures_up() {
+    fn properties_of_a_cube() {
         let cube = cube();
         assert_eq!(cube.edges().len(), 18);
         assert_eq!(cube.euler_characteristic(), 2);
@@ -166,7 +166,7 @@ pub(crate) mod tests {
             assert!(Vec3::from(normal).dot(outward) > 0.5);
             assert!((Vec3::from(normal).length() - 1.0).abs() < 1e-6);
         }
-        assert!(cube.validate().is_closed_manifold());
+        assert_eq!(cube.validate(), MeshReport::default());
     }
 
     #[test]
@@ -182,7 +182,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn strange_meshes_do_not_panic() {
+    fn inconsistent_meshes_do_not_panic() {
         let mesh = Mesh { vertices: vec![[0.0; 3]], faces: vec![[0, 7, 1], [0, 0, 0]] };
         assert_eq!(mesh.vertex_normals(), [[0.0; 3]]);
         assert_eq!(mesh.face_normals(), [[0.0; 3]; 2]);

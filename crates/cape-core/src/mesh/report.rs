@@ -2,10 +2,11 @@ use std::{collections::HashSet, fmt};
 
 use super::{Mesh, face_edges};
 
-/// Area below this times the square of the longest edge counts as none.
-const NO_AREA: f64 = 1e-10;
+/// Twice the area of a degenerate face, relative to the square of its longest edge.
+const DEGENERATE_AREA: f64 = 1e-10;
 
-/// What is unusual about a mesh, by index. All lists are ascending and empty for a closed manifold.
+/// Irregular elements of a mesh, by index. All lists are ascending, and empty for a closed
+/// manifold.
 ///
 /// ```
 /// use cape_core::Mesh;
@@ -15,26 +16,26 @@ const NO_AREA: f64 = 1e-10;
 ///     faces: vec![[0, 1, 2]],
 /// };
 /// let report = triangle.validate();
-/// assert!(report.is_usable() && !report.is_closed_manifold());
+/// assert_ne!(report, Default::default());
 /// assert_eq!(report.boundary_edges, [[0, 1], [0, 2], [1, 2]]);
 /// assert_eq!(report.isolated, [3]);
 /// assert_eq!(report.to_string(), "3 boundary edges, 1 isolated vertices");
 /// ```
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct MeshReport {
-    /// Faces that refer to vertices that are not there.
+    /// Faces with a vertex index out of range.
     pub out_of_range: Vec<usize>,
-    /// Faces without area: a corner repeated, or all in a line.
+    /// Faces without area: repeated or collinear corners.
     pub degenerate: Vec<usize>,
-    /// Faces with the same corners as an earlier one, in any order.
+    /// Faces with the corners of an earlier face, in any order.
     pub duplicate: Vec<usize>,
-    /// Edges with one face.
+    /// Edges of a single face.
     pub boundary_edges: Vec<[u32; 2]>,
-    /// Edges with more than two faces.
+    /// Edges of more than two faces.
     pub non_manifold_edges: Vec<[u32; 2]>,
-    /// Vertices of no face.
+    /// Vertices without faces.
     pub isolated: Vec<usize>,
-    /// Vertices with a coordinate that is not finite.
+    /// Vertices with a NaN or infinite coordinate.
     pub non_finite: Vec<usize>,
 }
 
@@ -55,7 +56,7 @@ impl MeshReport {
             let [a, b, c] = corners.map(|corner| corner.as_dvec3());
             let (u, v) = (b - a, c - a);
             let longest = u.length_squared().max(v.length_squared()).max((c - b).length_squared());
-            if u.cross(v).length() <= NO_AREA * longest {
+            if u.cross(v).length() <= DEGENERATE_AREA * longest {
                 report.degenerate.push(index);
             }
             let mut key = face;
@@ -79,17 +80,6 @@ impl MeshReport {
         report.non_finite = vertices().filter(|index| !finite(index)).collect();
         report
     }
-
-    /// Whether nothing is wrong and every edge has two faces.
-    pub fn is_closed_manifold(&self) -> bool {
-        *self == Self::default()
-    }
-
-    /// Whether faces and coordinates can be computed with at all; borders, shared edges, isolated
-    /// vertices and duplicates can.
-    pub fn is_usable(&self) -> bool {
-        self.out_of_range.is_empty() && self.degenerate.is_empty() && self.non_finite.is_empty()
-    }
 }
 
 impl fmt::Display for MeshReport {
@@ -106,7 +96,7 @@ impl fmt::Display for MeshReport {
         let found: Vec<String> = counts
             .iter()
             .filter(|(count, _)| *count > 0)
-            .map(|(count, what)| format!("{count} {what}"))
+            .map(|(count, name)| format!("{count} {name}"))
             .collect();
         f.write_str(if found.is_empty() { "closed manifold" } else { "" })?;
         f.write_str(&found.join(", "))
@@ -118,12 +108,11 @@ mod tests {
     use crate::mesh::tests::cube;
 
     #[test]
-    fn every_fault_is_found_where_it_is() {
+    fn irregular_elements_are_listed() {
         let mut mesh = cube();
         assert_eq!(mesh.validate().to_string(), "closed manifold");
         mesh.faces.pop();
         assert_eq!(mesh.validate().boundary_edges, [[1, 5], [1, 7], [5, 7]]);
-        assert!(mesh.validate().is_usable());
 
         let mut mesh = cube();
         mesh.vertices.push([0.5, 0.5, 2.0]);
@@ -140,7 +129,6 @@ mod tests {
         assert_eq!(report.non_finite, [9]);
         assert!(report.non_manifold_edges.contains(&[0, 1]));
         assert!(report.boundary_edges.contains(&[0, 8]));
-        assert!(!report.is_usable());
         assert!(report.to_string().starts_with("1 faces out of range, 1 degenerate faces"));
     }
 }

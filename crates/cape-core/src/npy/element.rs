@@ -4,11 +4,9 @@ use std::io::{self, Read};
 
 use super::header::{NpyHeader, NpyKind, NpyType};
 
-/// A number that arrays are read into and written from: `f32`, `f64`, `i64`, `u32` or `u8`.
+/// Element type of arrays in memory: `f32`, `f64`, `i64`, `u32` or `u8` (sealed).
 ///
-/// Sealed.
-///
-/// A file of any number type is read as the one that is asked for:
+/// Files of any numeric dtype convert to the requested type:
 ///
 /// ```
 /// use cape_core::npy::{read_npy, write_npy};
@@ -23,7 +21,7 @@ use super::header::{NpyHeader, NpyKind, NpyType};
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub trait NpyElement: Copy + private::Sealed + 'static {
-    /// NumPy's description of the type as this crate writes it.
+    /// NumPy's dtype string of the type.
     #[doc(hidden)]
     const DESCR: &'static str;
     #[doc(hidden)]
@@ -82,7 +80,7 @@ integer!(i64, "<i8");
 integer!(u32, "<u4");
 integer!(u8, "|u1");
 
-/// The value of an IEEE half-precision number.
+/// Value of an IEEE half-precision number.
 fn half(bits: u16) -> f64 {
     let mantissa = f64::from(bits & 0x3ff);
     let magnitude = match (bits >> 10) & 0x1f {
@@ -94,7 +92,7 @@ fn half(bits: u16) -> f64 {
     if bits >> 15 == 0 { magnitude } else { -magnitude }
 }
 
-/// Why an array could not be read.
+/// Reason why an array cannot be read.
 pub(super) enum ReadError {
     Io(io::Error),
     Content(String),
@@ -105,9 +103,8 @@ fn not_numbers(found: &NpyType) -> ReadError {
     ReadError::Content(format!("holds `{found}`, expected numbers{hint}"))
 }
 
-/// Reads the elements that follow `header`, in the file's order.
-///
-/// The caller has checked that the source is long enough for what the header claims.
+/// Reads the elements after `header`, in the order of the file. The caller has checked that the
+/// source is long enough for the shape in the header.
 pub(super) fn read_elements<T: NpyElement>(
     header: &NpyHeader,
     elements: usize,
@@ -145,7 +142,7 @@ pub(super) fn read_elements<T: NpyElement>(
         let now = left.min(buffer.len() / size);
         let bytes = &mut buffer[..now * size];
         reader.read_exact(bytes).map_err(|source| match source.kind() {
-            io::ErrorKind::UnexpectedEof => ReadError::Content("its data end early".into()),
+            io::ErrorKind::UnexpectedEof => ReadError::Content("unexpected end of data".into()),
             _ => ReadError::Io(source),
         })?;
         match (kind, size) {

@@ -1,15 +1,13 @@
-//! The header of a `.npy` file: magic, version, and a Python dictionary literal.
+//! Header of a `.npy` file: magic bytes, version, and a Python dictionary literal.
 
 use std::{fmt, io::Read};
 
-/// Longest header text accepted, bytes. NumPy itself refuses more than 10,000.
+/// Longest accepted header, bytes; the limit of NumPy is 10,000.
 const MAX_HEADER: usize = 1 << 16;
-/// Most axes accepted; NumPy 2 allows 64.
+/// Largest accepted number of axes, that of NumPy 2.
 const MAX_AXES: usize = 64;
 
-/// What one element is.
-///
-/// See [`NpyHeader`] for an example.
+/// Kind of an array element.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum NpyKind {
     /// IEEE floating point.
@@ -20,20 +18,18 @@ pub enum NpyKind {
     Uint,
     /// Boolean, one byte.
     Bool,
-    /// Something this crate does not read (Python objects, text, records, complex numbers …).
+    /// Unsupported dtype (Python objects, strings, records, complex numbers …), as written.
     Other(String),
 }
 
-/// The element type of an array file.
-///
-/// See [`NpyHeader`] for an example.
+/// Element type (dtype) of an array file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NpyType {
-    /// What one element is.
+    /// Kind of the elements.
     pub kind: NpyKind,
     /// Bytes per element (0 for [`NpyKind::Other`]).
     pub size: usize,
-    /// Whether the most significant byte comes first.
+    /// True if the most significant byte comes first.
     pub big_endian: bool,
 }
 
@@ -65,7 +61,7 @@ impl NpyType {
 }
 
 impl NpyType {
-    /// Whether the elements are pickled Python objects.
+    /// True if the elements are pickled Python objects.
     pub fn is_object(&self) -> bool {
         matches!(&self.kind, NpyKind::Other(text) if text.trim_start_matches(['|', '<', '=']).starts_with('O'))
     }
@@ -89,7 +85,7 @@ impl fmt::Display for NpyType {
     }
 }
 
-/// What a `.npy` file says about its array.
+/// Header of a `.npy` file.
 ///
 /// ```
 /// use cape_core::npy::{NpyKind, NpyType, npy_header, write_npy};
@@ -107,9 +103,9 @@ impl fmt::Display for NpyType {
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NpyHeader {
-    /// Element type.
+    /// Element type (dtype).
     pub dtype: NpyType,
-    /// Whether the first axis varies fastest.
+    /// True for Fortran order: the first axis varies fastest.
     pub fortran: bool,
     /// Length of each axis; empty for a scalar.
     pub shape: Vec<usize>,
@@ -118,7 +114,7 @@ pub struct NpyHeader {
 }
 
 impl NpyHeader {
-    /// Number of elements and of data bytes; `None` when they do not fit in memory's address range.
+    /// Number of elements and of data bytes; `None` if they exceed the address range.
     pub fn elements_and_bytes(&self) -> Option<(usize, usize)> {
         let elements = self.shape.iter().try_fold(1usize, |n, &axis| n.checked_mul(axis))?;
         let bytes = elements.checked_mul(self.dtype.size)?;
@@ -126,9 +122,9 @@ impl NpyHeader {
         Some((elements, bytes))
     }
 
-    /// Reads a header, leaving `reader` at the first element. The error says what is wrong.
+    /// Reads a header and leaves `reader` at the first element.
     pub(crate) fn read(reader: &mut impl Read) -> Result<Self, String> {
-        let short = |_| "ends inside the .npy header".to_owned();
+        let short = |_| "unexpected end in the .npy header".to_owned();
         let mut start = [0u8; 8];
         reader.read_exact(&mut start).map_err(|_| "too short for a .npy array".to_owned())?;
         if &start[..6] != b"\x93NUMPY" {
@@ -153,13 +149,13 @@ impl NpyHeader {
         let mut text = vec![0; length];
         reader.read_exact(&mut text).map_err(short)?;
         let text =
-            std::str::from_utf8(&text).map_err(|_| "the .npy header is not text".to_owned())?;
+            std::str::from_utf8(&text).map_err(|_| "the .npy header is not UTF-8".to_owned())?;
         let (dtype, fortran, shape) = Literal { rest: text.trim() }.header()?;
         Ok(Self { dtype, fortran, shape, data_offset: before + length })
     }
 
-    /// The bytes of a version 1 header for a C-order array, padded so that data starts at a
-    /// multiple of 64.
+    /// Bytes of a version 1 header of a C-order array, padded so that the data start at a multiple of
+    /// 64 bytes.
     pub fn bytes(descr: &str, shape: &[usize]) -> Vec<u8> {
         let axes: Vec<String> = shape.iter().map(usize::to_string).collect();
         let axes = axes.join(", ") + if shape.len() == 1 { "," } else { "" };
@@ -175,7 +171,7 @@ impl NpyHeader {
     }
 }
 
-/// A scanner for the dictionary literal of a header.
+/// Scanner of the dictionary literal in a header.
 struct Literal<'a> {
     rest: &'a str,
 }

@@ -1,7 +1,7 @@
-//! NumPy's array files: `.npy` (one array) and `.npz` (a ZIP archive of arrays).
+//! NumPy array files: `.npy` (one array) and `.npz` (ZIP archive of arrays).
 //!
-//! Numbers of any NumPy type, byte order and memory order are converted on reading; what a header
-//! claims is checked against the bytes that are there before anything is allocated.
+//! Reading converts any numeric dtype, byte order and memory order. Sizes in headers are checked
+//! against the length of the file before memory is allocated.
 
 mod element;
 mod header;
@@ -23,15 +23,15 @@ pub use header::{NpyHeader, NpyKind, NpyType};
 
 use crate::{AtomicFile, Error, Result, pickle::Pickle, write_atomically};
 
-/// Deflate cannot expand a byte to more than this many.
+/// Largest expansion ratio of Deflate.
 const MAX_DEFLATE_RATIO: u64 = 1032;
 
-/// An array of more bytes than this is refused if it is compressed to less than one in
-/// [`BOMB_RATIO`]: what would fill the memory from a small file.
+/// Size in bytes from which an array compressed by more than [`BOMB_RATIO`] is rejected, so that a
+/// small file cannot fill the memory.
 const BOMB_SIZE: u64 = 64 << 20;
 const BOMB_RATIO: u64 = 100;
 
-/// The file, and the array in it where there are several, that an error is about.
+/// File, and array in an archive, that errors name.
 #[derive(Clone, Copy)]
 struct Source<'a> {
     path: &'a Path,
@@ -46,7 +46,7 @@ impl Source<'_> {
         }
     }
 
-    /// Reads an array of at most `available` bytes, header included.
+    /// Reads an array from at most `available` bytes, header included.
     fn read<T: NpyElement>(self, mut reader: impl Read, available: u64) -> Result<ArrayD<T>> {
         let header = NpyHeader::read(&mut reader).map_err(|message| self.error(message))?;
         let elements = self.check_size(&header, available)?;
@@ -55,7 +55,7 @@ impl Source<'_> {
                 ReadError::Io(source) => self.error(format!("cannot be read: {source}")),
                 ReadError::Content(message) => self.error(message),
             })?;
-        // The checksum of a ZIP entry is verified when its end is met.
+        // The ZIP reader verifies the checksum at the end of the entry.
         reader.read(&mut [0]).map_err(|source| self.error(format!("cannot be read: {source}")))?;
         let shape = IxDyn(&header.shape).set_f(header.fortran);
         let array = ArrayD::from_shape_vec(shape, values)
@@ -63,7 +63,7 @@ impl Source<'_> {
         Ok(if header.fortran { array.as_standard_layout().into_owned() } else { array })
     }
 
-    /// Reads the objects of an array file of at most `available` bytes.
+    /// Reads an array of objects from at most `available` bytes.
     fn objects(self, reader: &mut impl Read, available: u64) -> Result<Pickle> {
         let header = NpyHeader::read(reader).map_err(|message| self.error(message))?;
         if !header.dtype.is_object() {
@@ -77,16 +77,16 @@ impl Source<'_> {
         Pickle::parse(self.path, pickle)
     }
 
-    /// Number of elements, once their bytes are known to be there.
+    /// Number of elements; an error if fewer bytes than their size are available.
     fn check_size(self, header: &NpyHeader, available: u64) -> Result<usize> {
-        let claims = || format!("claims shape {:?} of `{}`", header.shape, header.dtype);
+        let declared = || format!("header declares shape {:?} of `{}`", header.shape, header.dtype);
         let (elements, bytes) = header
             .elements_and_bytes()
-            .ok_or_else(|| self.error(format!("{}, more than memory can hold", claims())))?;
+            .ok_or_else(|| self.error(format!("{}, more than memory can hold", declared())))?;
         let present = available.saturating_sub(header.data_offset as u64);
         if bytes as u64 > present {
             return Err(
-                self.error(format!("{}: {bytes} bytes, but only {present} are there", claims()))
+                self.error(format!("{}: {bytes} bytes, but the file has {present}", declared()))
             );
         }
         Ok(elements)
@@ -102,7 +102,7 @@ fn open(path: &Path) -> Result<(BufReader<File>, u64)> {
     Ok((BufReader::with_capacity(1 << 16, file), metadata.len()))
 }
 
-/// The array of `header` whose data are all of `bytes`. The error says what is wrong.
+/// Decodes the array of `header` whose data are `bytes`.
 pub(crate) fn read_array<T: NpyElement>(
     header: &NpyHeader,
     bytes: &[u8],
@@ -110,11 +110,11 @@ pub(crate) fn read_array<T: NpyElement>(
     let NpyHeader { dtype, fortran, shape, .. } = header;
     let (elements, size) = header
         .elements_and_bytes()
-        .ok_or_else(|| format!("claims shape {shape:?}, more than memory can hold"))?;
-    // What is not numbers has no size, and is refused with its name below.
+        .ok_or_else(|| format!("header declares shape {shape:?}, more than memory can hold"))?;
+    // Unsupported dtypes have size 0; `read_elements` rejects them.
     if size != bytes.len() && dtype.size > 0 {
         return Err(format!(
-            "claims shape {shape:?} of `{dtype}`: {size} bytes, but {} are there",
+            "header declares shape {shape:?} of `{dtype}`: {size} bytes, but there are {}",
             bytes.len()
         ));
     }
@@ -134,7 +134,7 @@ pub fn read_objects(path: impl AsRef<Path>) -> Result<Pickle> {
     Source { path, name: None }.objects(&mut reader, length)
 }
 
-/// Reads a `.npy` file, converting its numbers to `T`.
+/// Reads a `.npy` file, converted to `T`.
 pub fn read_npy<T: NpyElement>(path: impl AsRef<Path>) -> Result<ArrayD<T>> {
     let path = path.as_ref();
     let (reader, length) = open(path)?;
@@ -146,18 +146,13 @@ pub fn read_f64(path: impl AsRef<Path>) -> Result<ArrayD<f64>> {
     read_npy(path)
 }
 
-/// Reads a `.npy` file as `f32`.
-pub fn read_f32(path: impl AsRef<Path>) -> Result<ArrayD<f32>> {
-    read_npy(path)
-}
-
 /// Reads a `.npy` file as `i64`; a value that is not a whole number in range is an error.
 pub fn read_i64(path: impl AsRef<Path>) -> Result<ArrayD<i64>> {
     read_npy(path)
 }
 
-/// Reads the header of a `.npy` file and checks that the data it claims are there, so that the
-/// file can be mapped into memory.
+/// Reads the header of a `.npy` file and checks that the file has all the data, so that it can be
+/// memory-mapped.
 pub fn npy_header(path: impl AsRef<Path>) -> Result<NpyHeader> {
     let path = path.as_ref();
     let (mut reader, length) = open(path)?;
@@ -191,7 +186,7 @@ fn write_array<T: NpyElement, D: Dimension>(
     writer.write_all(&bytes)
 }
 
-/// Checks the shape of array `field` of `path`; `None` stands for any length.
+/// Checks the shape of array `field` of `path`; an expected length of `None` matches any.
 pub fn expect_shape(
     path: impl AsRef<Path>,
     field: &str,
@@ -208,7 +203,7 @@ pub fn expect_shape(
     Err(Error::field(path, field, format!("shape {found:?}, expected [{}]", expected.join(", "))))
 }
 
-/// An open `.npz` archive.
+/// Open `.npz` archive.
 ///
 /// ```
 /// use cape_core::npy::{Npz, NpzWriter};
@@ -253,27 +248,27 @@ impl Npz {
         Ok(Self { path, length, archive, names })
     }
 
-    /// The file.
+    /// Path of the archive.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Names of the arrays, in the file's order.
+    /// Names of the arrays, in the order of the file.
     pub fn names(&self) -> Vec<String> {
         self.names.clone()
     }
 
-    /// Whether there is an array `name`.
+    /// True if the archive has an array `name`.
     pub fn contains(&self, name: &str) -> bool {
         self.names.iter().any(|found| found == name)
     }
 
-    /// Reads array `name`, converting its numbers to `T`.
+    /// Reads array `name`, converted to `T`.
     pub fn get<T: NpyElement>(&mut self, name: &str) -> Result<ArrayD<T>> {
         self.with_entry(name, |source, entry, size| source.read(entry, size))
     }
 
-    /// Whether array `name` holds pickled Python objects.
+    /// True if array `name` holds pickled Python objects.
     pub fn is_object(&mut self, name: &str) -> Result<bool> {
         self.with_entry(name, |source, mut entry, _| {
             let header = NpyHeader::read(&mut entry).map_err(|message| source.error(message))?;
@@ -305,14 +300,14 @@ impl Npz {
         };
         if compressed > *length || size > possible {
             return Err(source.error(format!(
-                "the archive claims {size} bytes of data in {compressed}, which is impossible \
-                 in a file of {length}"
+                "corrupt archive: {size} bytes of data compressed to {compressed} are impossible in \
+                 a file of {length} bytes"
             )));
         }
         if size > BOMB_SIZE && size / BOMB_RATIO > compressed {
             return Err(source.error(format!(
-                "claims {size} bytes of data in {compressed}: no array of measurements compresses \
-                 like that"
+                "rejected as a decompression bomb: {size} bytes of data compressed to {compressed}, \
+                 more than {BOMB_RATIO} times"
             )));
         }
         read(source, entry, size)
@@ -333,7 +328,7 @@ impl Npz {
         self.get(name)
     }
 
-    /// Checks the shape of an array read from this archive; `None` stands for any length.
+    /// Checks the shape of array `name`; an expected length of `None` matches any.
     pub fn expect_shape(
         &self,
         name: &str,
@@ -344,9 +339,7 @@ impl Npz {
     }
 }
 
-/// Writes a `.npz` archive, atomically: nothing appears before [`finish`](Self::finish).
-///
-/// See [`Npz`] for an example.
+/// Writer of a `.npz` archive, which appears under its name at [`finish`](Self::finish).
 pub struct NpzWriter {
     path: PathBuf,
     options: FileOptions,
@@ -359,13 +352,13 @@ impl NpzWriter {
         let file = AtomicFile::create(&path)?;
         Ok(Self {
             path: path.as_ref().to_owned(),
-            // A fixed time stamp (ZIP's 1980-01-01): equal arrays make equal files.
+            // ZIP's default time stamp (1980-01-01), so that equal arrays give equal files.
             options: FileOptions::default().compression_method(CompressionMethod::Stored),
             archive: ZipWriter::new(file),
         })
     }
 
-    /// Compresses the arrays added from here on with deflate.
+    /// Compresses the arrays added from now on with Deflate.
     #[must_use]
     pub fn deflate(mut self) -> Self {
         self.options = self.options.compression_method(CompressionMethod::Deflated);
@@ -386,7 +379,7 @@ impl NpzWriter {
         write_array(archive, array).map_err(|source| Error::io(&*path, source))
     }
 
-    /// Adds a text as NumPy's bytes scalar (`np.bytes_`).
+    /// Adds a string as a NumPy bytes scalar (`np.bytes_`).
     pub fn add_text(&mut self, name: &str, text: &str) -> Result<()> {
         let Self { path, options, archive } = self;
         archive
@@ -399,7 +392,7 @@ impl NpzWriter {
             .map_err(|source| Error::io(&*path, source))
     }
 
-    /// Completes the archive and puts it in place.
+    /// Completes the archive and renames it to its path.
     pub fn finish(mut self) -> Result<()> {
         let file = self
             .archive

@@ -1,30 +1,29 @@
 //! A line search for the strong Wolfe conditions (Nocedal & Wright 2006, algorithms 3.5 and 3.6).
 
-/// Share of the slope that a step must at least gain.
+/// Constant `c₁` of the sufficient-decrease condition.
 const DECREASE: f64 = 1e-4;
-/// Share of the slope that may be left.
+/// Constant `c₂` of the curvature condition.
 const CURVATURE: f64 = 0.9;
-/// Evaluations in one search.
+/// Largest number of evaluations per search.
 const EVALUATIONS: usize = 25;
-/// How much longer each next step is while the function still falls.
+/// Growth factor of the step while the function decreases.
 const EXPANSION: f64 = 3.0;
 
-/// A point on the line.
+/// Sample of the function on the search line.
 #[derive(Debug, Clone)]
 pub(super) struct Point {
-    /// Distance along the direction.
+    /// Step length along the direction.
     pub(super) step: f64,
-    /// Value of the function; infinite where it has none.
+    /// Value of the function; infinite outside its domain.
     pub(super) value: f64,
     /// Derivative along the direction.
     pub(super) slope: f64,
-    /// The gradient there.
+    /// Gradient of the function.
     pub(super) gradient: Vec<f64>,
 }
 
-/// Finds a step from `start`, which is at 0 and goes downhill, that satisfies the strong Wolfe
-/// conditions; or, where none is found in time, the lowest that was seen to decrease the function.
-/// `None` if there is none.
+/// Finds a step from `start` (step 0, negative slope) that satisfies the strong Wolfe conditions, or,
+/// after [`EVALUATIONS`], the lowest sample with sufficient decrease; `None` if there is none.
 pub(super) fn search<E>(
     start: &Point,
     first: f64,
@@ -38,18 +37,18 @@ pub(super) fn search<E>(
     let mut step = first;
     for _ in 0..EVALUATIONS {
         let point = at(step)?;
-        let worse = !decreases(&point) || (low.step > 0.0 && point.value >= low.value);
-        if worse {
+        let too_high = !decreases(&point) || (low.step > 0.0 && point.value >= low.value);
+        if too_high {
             high = Some(point);
         } else if flat(&point) {
             return Ok(Some(point));
         } else {
-            // The minimum lies between this point and the one that its slope points to.
-            let turned = match &high {
+            // The minimum lies between this sample and the one that its slope points to.
+            let past_minimum = match &high {
                 None => point.slope > 0.0,
                 Some(high) => point.slope * (high.step - low.step) >= 0.0,
             };
-            if turned {
+            if past_minimum {
                 high = Some(std::mem::replace(&mut low, point));
             } else {
                 low = point;
@@ -57,7 +56,7 @@ pub(super) fn search<E>(
         }
         step = match &high {
             None => EXPANSION * step,
-            Some(high) => between(&low, high),
+            Some(high) => interpolate(&low, high),
         };
         if high.as_ref().is_some_and(|high| (high.step - low.step).abs() <= 1e-12 * first) {
             break;
@@ -66,8 +65,8 @@ pub(super) fn search<E>(
     Ok((low.step > 0.0).then_some(low))
 }
 
-/// The minimum of the cubic through both points with their slopes, kept away from both.
-fn between(low: &Point, high: &Point) -> f64 {
+/// Minimum of the cubic through both samples and slopes, at least a tenth of the interval from both.
+fn interpolate(low: &Point, high: &Point) -> f64 {
     let width = high.step - low.step;
     let middle = low.step + 0.5 * width;
     if !(high.value.is_finite() && high.slope.is_finite()) {
@@ -96,7 +95,7 @@ mod tests {
     }
 
     proptest! {
-        /// On a quartic with a cliff: the conditions hold, whatever the first step.
+        /// On a quartic with a bounded domain, from any first step.
         #[test]
         fn steps_satisfy_the_strong_wolfe_conditions(
             centre in 0.1f64..20.0, bend in 0.0f64..3.0, first in 0.001f64..100.0,
@@ -119,8 +118,8 @@ mod tests {
     }
 
     #[test]
-    fn without_a_decrease_there_is_no_step() {
-        // The slope lies.
+    fn no_step_is_found_without_a_decrease() {
+        // The slope of the start is wrong: the function increases.
         let start = Point { step: 0.0, value: 1.0, slope: -1.0, gradient: vec![] };
         let at = |step: f64| Ok::<_, Infallible>(point(step, |x| 1.0 + x, |_| 1.0));
         assert!(search(&start, 1.0, at).unwrap().is_none());

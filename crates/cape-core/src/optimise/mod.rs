@@ -1,8 +1,7 @@
-//! Minimisation by limited-memory BFGS (Nocedal & Wright 2006, algorithm 7.5) over plain vectors.
+//! Minimisation by limited-memory BFGS (Nocedal & Wright 2006, algorithm 7.5) of functions of vectors.
 //!
-//! Burn's optimiser of that name works on the tensors of a module in `f32`; the functions here are
-//! summed in `f64`, and need their line search to see where they have no value, so the method has a
-//! module of its own.
+//! Burn's L-BFGS optimises the tensors of a module in `f32`. The objectives here are evaluated in
+//! `f64` and may be infinite in parts of their domain, which the line search must handle.
 
 mod line_search;
 
@@ -12,14 +11,14 @@ use serde::{Deserialize, Serialize};
 
 use line_search::{Point, search};
 
-/// When to stop, and how much to remember.
+/// Options of L-BFGS: history and convergence criteria.
 ///
 /// ```
 /// use std::convert::Infallible;
 ///
 /// use cape_core::optimise::{LbfgsOptions, StopReason, minimise};
 ///
-/// // Rosenbrock's valley, whose lowest point is (1, 1).
+/// // Rosenbrock's function, whose minimum is at (1, 1).
 /// let options = LbfgsOptions { gain: 0.0, ..LbfgsOptions::default() };
 /// let minimum = minimise(vec![-1.2, 1.0], &options, |x, gradient| {
 ///     let (a, b) = (1.0 - x[0], x[1] - x[0] * x[0]);
@@ -34,13 +33,13 @@ use line_search::{Point, search};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LbfgsOptions {
-    /// Steps whose curvature is remembered.
+    /// Number of curvature pairs kept.
     pub history: usize,
-    /// Most steps.
+    /// Largest number of iterations.
     pub steps: usize,
-    /// Largest component of the gradient at which it has converged.
+    /// Gradient tolerance: converged if no component exceeds it.
     pub gradient: f64,
-    /// Gain of a step, relative to the value, below which it has converged.
+    /// Relative decrease of the objective per iteration below which it has converged.
     pub gain: f64,
 }
 
@@ -50,45 +49,41 @@ impl Default for LbfgsOptions {
     }
 }
 
-/// Why a minimisation ended.
-///
-/// See [`LbfgsOptions`] for an example.
+/// Reason why a minimisation stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StopReason {
-    /// The gradient vanished.
+    /// Converged: the gradient is below the tolerance.
     Gradient,
-    /// Steps gained nothing any more.
+    /// Converged: the objective no longer decreases.
     Gain,
-    /// The line search found no lower point.
+    /// The line search found no decrease.
     LineSearchFailed,
-    /// All steps were made.
+    /// Iteration limit reached.
     Steps,
-    /// Who watched had seen enough.
+    /// Stopped by the callback.
     Callback,
 }
 
-/// What a minimisation came to.
-///
-/// See [`LbfgsOptions`] for an example.
+/// Result of a minimisation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Minimum {
-    /// Where.
+    /// Position of the minimum.
     pub x: Vec<f64>,
-    /// The value there.
+    /// Value of the objective there.
     pub value: f64,
-    /// Values at the start and after every step.
+    /// Values of the objective at the start and after each iteration.
     pub curve: Vec<f64>,
-    /// How often the function was evaluated.
+    /// Number of evaluations of the objective.
     pub evaluations: usize,
-    /// Why it ended.
+    /// Reason for stopping.
     pub stop: StopReason,
 }
 
-/// Minimises from `x`. The function writes its gradient and returns its value; where the value is
-/// not finite the line search turns back.
+/// Minimises `function` from `x`. The function writes its gradient and returns its value, which may
+/// be infinite or NaN outside its domain.
 ///
 /// # Errors
-/// Those of the function.
+/// Errors of the function.
 pub fn minimise<E>(
     x: Vec<f64>,
     options: &LbfgsOptions,
@@ -97,15 +92,15 @@ pub fn minimise<E>(
     minimise_while(x, options, function, |_, _| true)
 }
 
-/// As [`minimise`], as long as `go_on` wants it, which sees every new point and its value.
+/// [`minimise`] that stops when `keep_going(x, value)`, called after each iteration, returns false.
 ///
 /// # Errors
-/// Those of the function.
+/// Errors of the function.
 pub fn minimise_while<E>(
     x: Vec<f64>,
     options: &LbfgsOptions,
     mut function: impl FnMut(&[f64], &mut [f64]) -> Result<f64, E>,
-    mut go_on: impl FnMut(&[f64], f64) -> bool,
+    mut keep_going: impl FnMut(&[f64], f64) -> bool,
 ) -> Result<Minimum, E> {
     let mut evaluations = 0;
     let mut evaluate = |x: &[f64], direction: &[f64], step: f64| -> Result<Point, E> {
@@ -118,7 +113,7 @@ pub fn minimise_while<E>(
         Ok(Point { step, value: if finite { value } else { f64::INFINITY }, slope, gradient })
     };
     let mut x = x;
-    let mut memory = LbfgsHistory { pairs: VecDeque::new(), most: options.history.max(1) };
+    let mut history = LbfgsHistory { pairs: VecDeque::new(), capacity: options.history.max(1) };
     let mut now = evaluate(&x, &vec![0.0; x.len()], 0.0)?;
     let mut curve = vec![now.value];
     let (steps, mut stop) = if now.value.is_finite() {
@@ -132,32 +127,32 @@ pub fn minimise_while<E>(
             stop = StopReason::Gradient;
             break;
         }
-        let mut direction = memory.direction(&now.gradient);
+        let mut direction = history.direction(&now.gradient);
         now.slope = dot(&now.gradient, &direction);
         if now.slope >= 0.0 {
-            memory.pairs.clear();
+            history.pairs.clear();
             direction = now.gradient.iter().map(|g| -g).collect();
             now.slope = -dot(&now.gradient, &now.gradient);
         }
-        let first = if memory.pairs.is_empty() { 1.0 / (1.0 + steepest) } else { 1.0 };
+        let first = if history.pairs.is_empty() { 1.0 / (1.0 + steepest) } else { 1.0 };
         now.step = 0.0;
         let Some(next) = search(&now, first, |step| evaluate(&x, &direction, step))? else {
-            if memory.pairs.is_empty() {
+            if history.pairs.is_empty() {
                 stop = StopReason::LineSearchFailed;
                 break;
             }
-            // What is remembered may mislead: once more downhill.
-            memory.pairs.clear();
+            // The history may be misleading: restart with steepest descent.
+            history.pairs.clear();
             continue;
         };
         let change: Vec<f64> = direction.iter().map(|d| next.step * d).collect();
-        let bend = next.gradient.iter().zip(&now.gradient).map(|(a, b)| a - b).collect();
+        let gradient_change = next.gradient.iter().zip(&now.gradient).map(|(a, b)| a - b).collect();
         x.iter_mut().zip(&change).for_each(|(x, d)| *x += d);
-        memory.push(change, bend);
+        history.push(change, gradient_change);
         let gain = now.value - next.value;
         now = next;
         curve.push(now.value);
-        if !go_on(&x, now.value) {
+        if !keep_going(&x, now.value) {
             stop = StopReason::Callback;
             break;
         }
@@ -169,43 +164,42 @@ pub fn minimise_while<E>(
     Ok(Minimum { x, value: now.value, curve, evaluations, stop })
 }
 
-/// Changes of point and gradient, newest last.
+/// Curvature pairs: changes of position and gradient, newest last.
 struct LbfgsHistory {
     pairs: VecDeque<(Vec<f64>, Vec<f64>)>,
-    most: usize,
+    capacity: usize,
 }
 
 impl LbfgsHistory {
-    /// Pairs without positive curvature are of no use.
-    fn push(&mut self, change: Vec<f64>, bend: Vec<f64>) {
-        let curvature = dot(&change, &bend);
-        if curvature <= 1e-12 * dot(&bend, &bend).sqrt() * dot(&change, &change).sqrt() {
+    /// Adds a pair, unless its curvature is not positive.
+    fn push(&mut self, s: Vec<f64>, y: Vec<f64>) {
+        if dot(&s, &y) <= 1e-12 * dot(&y, &y).sqrt() * dot(&s, &s).sqrt() {
             return;
         }
-        if self.pairs.len() == self.most {
+        if self.pairs.len() == self.capacity {
             self.pairs.pop_front();
         }
-        self.pairs.push_back((change, bend));
+        self.pairs.push_back((s, y));
     }
 
-    /// The quasi-Newton direction, by the two loops over the pairs.
+    /// Quasi-Newton direction by the two-loop recursion.
     fn direction(&self, gradient: &[f64]) -> Vec<f64> {
         let mut q: Vec<f64> = gradient.iter().map(|g| -g).collect();
-        let mut shares = Vec::with_capacity(self.pairs.len());
-        for (change, bend) in self.pairs.iter().rev() {
-            let share = dot(change, &q) / dot(change, bend);
-            add(&mut q, -share, bend);
-            shares.push(share);
+        let mut alphas = Vec::with_capacity(self.pairs.len());
+        for (s, y) in self.pairs.iter().rev() {
+            let alpha = dot(s, &q) / dot(s, y);
+            add_scaled(&mut q, -alpha, y);
+            alphas.push(alpha);
         }
-        if let Some((change, bend)) = self.pairs.back() {
-            let scale = dot(change, bend) / dot(bend, bend);
+        if let Some((s, y)) = self.pairs.back() {
+            let scale = dot(s, y) / dot(y, y);
             for q in &mut q {
                 *q *= scale;
             }
         }
-        for ((change, bend), share) in self.pairs.iter().zip(shares.iter().rev()) {
-            let other = dot(bend, &q) / dot(change, bend);
-            add(&mut q, share - other, change);
+        for ((s, y), alpha) in self.pairs.iter().zip(alphas.iter().rev()) {
+            let beta = dot(y, &q) / dot(s, y);
+            add_scaled(&mut q, alpha - beta, s);
         }
         q
     }
@@ -215,7 +209,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-fn add(to: &mut [f64], scale: f64, from: &[f64]) {
+fn add_scaled(to: &mut [f64], scale: f64, from: &[f64]) {
     to.iter_mut().zip(from).for_each(|(to, from)| *to += scale * from);
 }
 
@@ -234,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn rosenbrocks_valley_is_followed_to_its_end() {
+    fn rosenbrocks_function_is_minimised() {
         let found = run(vec![-1.2, 1.0, -1.2, 1.0], |x, g| {
             let mut sum = 0.0;
             for pair in 0..2 {
@@ -252,8 +246,8 @@ mod tests {
     }
 
     #[test]
-    fn functions_that_fail_in_places_are_walked_around() {
-        // −ln x + x has no value left of 0.
+    fn infinite_values_and_errors_are_handled() {
+        // −ln x + x is undefined for x ≤ 0.
         let found = run(vec![50.0], |x, g| {
             g[0] = 1.0 - 1.0 / x[0];
             x[0] - x[0].ln()
@@ -266,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn directions_of_very_different_bend_are_all_minimised() {
+    fn ill_conditioned_quadratic_forms_are_minimised() {
         let scales: Vec<f64> = (0..30).map(|k| 1.2f64.powi(k - 10)).collect();
         let centre: Vec<f64> = (0..30).map(|k| f64::from(k).sin()).collect();
         let options = LbfgsOptions { gain: 0.0, gradient: 1e-8, ..LbfgsOptions::default() };
@@ -291,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn every_step_in_the_valley_goes_down() {
+    fn every_iteration_decreases_the_objective() {
         let options = LbfgsOptions { gain: 0.0, gradient: 1e-8, ..LbfgsOptions::default() };
         let found = minimise(vec![-1.2, 1.0], &options, |x, g| {
             let (a, b) = (1.0 - x[0], x[1] - x[0] * x[0]);
@@ -305,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_search_survives_walls() {
+    fn the_line_search_handles_domain_boundaries() {
         let found = run(vec![9.0], |x, g| {
             if x[0] <= 0.0 {
                 g[0] = f64::NAN;
@@ -320,7 +314,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(32))]
 
-        /// Quadratic forms have their minimum where a linear system says.
+        /// Reference: the linear system of the minimum of a quadratic form.
         #[test]
         fn quadratic_forms_are_solved(
             entries in prop::collection::vec(-1.0f64..1.0, 36),

@@ -1,4 +1,4 @@
-//! NumPy's arrays, scalars and element types.
+//! NumPy arrays, scalars and dtypes.
 
 use ndarray::{ArrayD, IxDyn};
 
@@ -12,18 +12,18 @@ use crate::{
     npy::{NpyElement, NpyHeader, NpyKind, NpyType, read_array},
 };
 
-/// Views and object arrays inside one another.
+/// Largest nesting depth of views and object arrays.
 pub(super) const MAX_DEPTH: usize = 32;
-/// What looking at one value costs of what may be taken out of a file, bytes.
+/// Bytes charged to the memory limit for each visited value.
 const VISIT: usize = 32;
 
-/// An array as it was stored.
+/// Array as stored in the pickle.
 pub(super) enum StoredArray<'a> {
     Numbers {
         dtype: NpyType,
         shape: Vec<usize>,
         fortran: bool,
-        /// The order that axes are put in, after all.
+        /// Permutation of the axes, applied last.
         axes: Option<Vec<usize>>,
         bytes: Value<'a>,
     },
@@ -35,17 +35,17 @@ pub(super) enum StoredArray<'a> {
 }
 
 impl<'a> Value<'a> {
-    /// Numbers as an array: a NumPy array or scalar, a chumpy array or view (its value), a list of
-    /// numbers or of equally long lists, or one number.
+    /// Array of numbers: a NumPy array or scalar, the value of a chumpy array or view, nested lists of
+    /// numbers, or one number (0-dimensional).
     pub fn array<T: NpyElement>(&self) -> Result<ArrayD<T>> {
         self.array_within(MAX_DEPTH)
     }
 
     pub(super) fn array_within<T: NpyElement>(&self, depth: usize) -> Result<ArrayD<T>> {
         let Some(depth) = depth.checked_sub(1) else {
-            return Err(self.error(format!("more than {MAX_DEPTH} arrays inside one another")));
+            return Err(self.error(format!("more than {MAX_DEPTH} nested arrays")));
         };
-        // Lists that hold one another several times are looked at as often.
+        // An object referenced several times is visited several times.
         self.charge(VISIT)?;
         if let Some((class, object)) = self.object() {
             return match class.kind {
@@ -72,7 +72,7 @@ impl<'a> Value<'a> {
         Ok(ArrayD::from_elem(IxDyn(&[]), value))
     }
 
-    /// One array of several of one shape.
+    /// Stacks arrays of equal shape along a new first axis.
     fn stack<T: NpyElement>(
         &self,
         elements: impl ExactSizeIterator<Item = Self>,
@@ -122,7 +122,7 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// The elements of an array of objects, in its order, with its shape.
+    /// Shape and elements of an array of objects, row-major.
     pub fn objects(&self) -> Result<(Vec<usize>, Vec<Self>)> {
         match self.stored()? {
             StoredArray::Objects { shape, elements, .. } => Ok((shape, elements)),
@@ -132,7 +132,7 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// An object array of no dimensions stands for what it holds.
+    /// Element of a 0-dimensional object array; other values unchanged.
     pub(super) fn unwrap_scalar(&self) -> Result<Self> {
         match self.object() {
             Some((class, _)) if class.kind == ClassKind::NdArray => match self.stored()? {
@@ -150,7 +150,8 @@ impl<'a> Value<'a> {
             // __setstate__(version, shape, dtype, Fortran order, data); the version may be missing.
             Some((class, object)) if class.kind == ClassKind::NdArray => {
                 let state = self.part(object.state, "state").elements();
-                let state = state.ok_or_else(|| self.error("is an array without a state"))?;
+                let state =
+                    state.ok_or_else(|| self.error("is an array without `__setstate__`"))?;
                 let ([_, shape, dtype, fortran, data] | [shape, dtype, fortran, data]) = &state[..]
                 else {
                     return Err(self.error("is an array with an unknown state"));
@@ -164,7 +165,7 @@ impl<'a> Value<'a> {
                     Some([data, dtype, shape, order]) => {
                         self.assemble(shape, dtype, order.text()? == "F", data)
                     }
-                    // Permuted: laid out in C order, with the axes in another.
+                    // C order with permuted axes.
                     Some([data, dtype, shape, _, axes]) => {
                         match self.assemble(shape, dtype, false, data)? {
                             StoredArray::Numbers { dtype, shape, bytes, .. } if !axes.is_none() => {
@@ -205,17 +206,17 @@ impl<'a> Value<'a> {
                 self.charge(2 * items.len() * size_of::<Value>())?;
                 items.iter().map(|&item| self.with(item)).collect::<Vec<_>>()
             }
-            _ => return Err(self.error("is an array of objects without a list of them")),
+            _ => return Err(self.error("is an object array without a list of elements")),
         };
         let count = shape.iter().try_fold(1usize, |n, &axis| n.checked_mul(axis));
         if count != Some(elements.len()) {
-            let message = format!("claims shape {shape:?}, but has {} objects", elements.len());
+            let message = format!("has shape {shape:?}, but {} objects", elements.len());
             return Err(self.error(message));
         }
         Ok(StoredArray::Objects { shape, fortran, elements })
     }
 
-    /// An order of `count` axes.
+    /// Permutation of `count` axes.
     pub(super) fn permutation(&self, axes: &Self, count: usize) -> Result<Vec<usize>> {
         let axes = self.shape(axes)?;
         let mut sorted = axes.clone();
@@ -223,10 +224,10 @@ impl<'a> Value<'a> {
         if sorted.iter().copied().eq(0..count) {
             return Ok(axes);
         }
-        Err(self.error(format!("puts {count} axes in the order {axes:?}")))
+        Err(self.error(format!("axes {axes:?} are not a permutation of {count} axes")))
     }
 
-    /// Whether this is an array of booleans.
+    /// True for an array of booleans.
     pub(super) fn is_mask(&self) -> bool {
         matches!(self.stored(), Ok(StoredArray::Numbers { dtype, .. }) if dtype.kind == NpyKind::Bool)
     }
@@ -235,7 +236,7 @@ impl<'a> Value<'a> {
         let axes = match shape.elements() {
             Some(axes) if axes.len() <= 64 => axes,
             None if matches!(shape.item, Item::Int(_)) => vec![shape.clone()],
-            _ => return Err(self.error("has no usable shape")),
+            _ => return Err(self.error("has a shape that is not a tuple of at most 64 integers")),
         };
         axes.iter()
             .map(|axis| {
@@ -262,7 +263,7 @@ impl<'a> Value<'a> {
 
     /// `dtype('f8', align, copy)` with the state `(version, '<', …)`.
     fn dtype(&self, dtype: &Self) -> Result<NpyType> {
-        let fault = || self.error("has no usable element type");
+        let fault = || self.error("has an unsupported dtype");
         let (class, object) = dtype.object().ok_or_else(fault)?;
         if class.kind != ClassKind::DType {
             return Err(fault());

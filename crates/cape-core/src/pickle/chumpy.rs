@@ -1,4 +1,4 @@
-//! The values of chumpy's arrays and views.
+//! Values of chumpy's arrays and views.
 
 use ndarray::{ArrayD, IxDyn};
 
@@ -26,8 +26,8 @@ impl Value<'_> {
                 }
             }
             _ => Err(self.error(format!(
-                "is a `{class}`, whose value would have to be computed; save its value instead \
-                 (`numpy.array(x.r)`)"
+                "is a `{class}`, an expression that this reader does not evaluate; save its value \
+                 instead (`numpy.array(x.r)`)"
             ))),
         }
     }
@@ -37,7 +37,7 @@ impl Value<'_> {
         let array: ArrayD<T> = self.require("a")?.array_within(depth)?;
         let indices = self.require("idxs")?;
         if indices.is_mask() {
-            return Err(indices.error("is a mask, expected indices"));
+            return Err(indices.error("is a boolean mask, expected indices"));
         }
         let indices: ArrayD<i64> = indices.array_within(depth)?;
         self.charge(indices.len() * size_of::<T>())?;
@@ -45,10 +45,14 @@ impl Value<'_> {
         let selected = indices.iter().map(|&index| {
             // Python counts negative indices from the end.
             let from_start = if index < 0 { index + values.len() as i64 } else { index };
-            usize::try_from(from_start)
-                .ok()
-                .and_then(|at| values.get(at).copied())
-                .ok_or_else(|| self.error(format!("selects element {index} of {}", values.len())))
+            usize::try_from(from_start).ok().and_then(|at| values.get(at).copied()).ok_or_else(
+                || {
+                    self.error(format!(
+                        "index {index} is out of range for {} elements",
+                        values.len()
+                    ))
+                },
+            )
         });
         let selected =
             ArrayD::from_shape_vec(IxDyn(indices.shape()), selected.collect::<Result<_>>()?)
@@ -56,7 +60,7 @@ impl Value<'_> {
         self.reshaped(selected, "preferred_shape", depth)
     }
 
-    /// `array` in the shape that attribute `name` holds, if there is one. One axis may be −1.
+    /// `array` reshaped to attribute `name`, if present. One axis may be −1.
     fn reshaped<T: NpyElement>(
         &self,
         array: ArrayD<T>,
@@ -84,6 +88,6 @@ impl Value<'_> {
         let length = array.len();
         array
             .into_shape_with_order(IxDyn(&axes))
-            .map_err(|_| self.error(format!("{length} numbers do not make the shape {axes:?}")))
+            .map_err(|_| self.error(format!("cannot reshape {length} numbers to {axes:?}")))
     }
 }

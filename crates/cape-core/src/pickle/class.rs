@@ -1,10 +1,10 @@
-//! The names that are let through.
+//! Allow list of classes and functions.
 
-/// A class or function that a pickle names.
+/// Class or function that a pickle refers to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Class {
     pub(super) kind: ClassKind,
-    /// Module and name, with a dot between.
+    /// Qualified name, `module.name`.
     pub(super) name: String,
 }
 
@@ -32,14 +32,14 @@ pub(super) enum ClassKind {
     Csc,
     Csr,
     Coo,
-    /// Anything of chumpy's.
+    /// Any class of chumpy.
     Chumpy,
-    /// Data whose class nothing here depends on.
+    /// Data whose class does not matter.
     Record,
 }
 
 impl Class {
-    /// The class `name` of `module`, if it is one of those that may be read.
+    /// The class `name` of `module`, if it is on the allow list.
     pub(super) fn find(module: &str, name: &str) -> Option<Self> {
         let kind = kind(module, name)?;
         Some(Self { kind, name: format!("{module}.{name}") })
@@ -85,7 +85,7 @@ fn numpy(module: &str, name: &str) -> Option<ClassKind> {
         ("numpy", "ndarray" | "matrix" | "memmap")
         | ("numpy.matrixlib.defmatrix", "matrix")
         | ("numpy.core.memmap" | "numpy._core.memmap", "memmap") => ClassKind::NdArray,
-        // The state of a random generator that an estimator was made with.
+        // State of the random generator of a scikit-learn estimator.
         _ if module.starts_with("numpy.random") => match name {
             "RandomState"
             | "Generator"
@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_data_get_through() {
+    fn only_data_classes_are_allowed() {
         for (module, name) in [
             ("os", "system"),
             ("posix", "system"),

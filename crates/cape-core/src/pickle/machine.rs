@@ -1,4 +1,4 @@
-//! The stack machine that a pickle is a program for.
+//! Stack machine of the pickle protocol.
 
 use std::collections::HashMap;
 
@@ -8,18 +8,18 @@ use super::{
     text::{raw_unicode, string_literal},
 };
 
-/// Newest protocol read.
+/// Newest supported protocol.
 const NEWEST: u8 = 5;
-/// Values on the stack at once. Python's own pickler keeps a thousand, tuples may be longer.
+/// Largest stack size. Python's pickler uses about a thousand entries; tuples may be longer.
 const MAX_STACK: usize = 1 << 20;
-/// Bytes of a class's name or of a number in the text protocol.
+/// Longest class name or number in the text protocol, bytes.
 const MAX_LINE: usize = 1 << 10;
-/// Memos beyond one for each object.
+/// Memo entries allowed beyond one for each object.
 const SPARE_MEMOS: usize = 1 << 10;
 
 type Result<T, E = String> = std::result::Result<T, E>;
 
-/// What a program built.
+/// Objects built by a pickle program.
 pub(super) struct ObjectGraph {
     pub(super) nodes: Vec<Node>,
     pub(super) classes: Vec<Class>,
@@ -31,7 +31,7 @@ pub(super) fn run(source: &[u8]) -> Result<ObjectGraph> {
     let mut machine = Machine {
         source,
         at: 0,
-        // A container takes two bytes at least, one to make it and one to put it somewhere.
+        // A container takes at least two bytes: one to create it, one to store it.
         max_nodes: source.len() / 2 + (1 << 16),
         stack: Vec::new(),
         marks: Vec::new(),
@@ -57,7 +57,7 @@ struct Machine<'a> {
     at: usize,
     max_nodes: usize,
     stack: Vec<Item>,
-    /// Heights of the stack that `MARK` noted.
+    /// Stack heights at the open MARKs.
     marks: Vec<usize>,
     memo: HashMap<u64, Item>,
     nodes: Vec<Node>,
@@ -65,7 +65,7 @@ struct Machine<'a> {
 }
 
 impl<'a> Machine<'a> {
-    /// Runs one instruction; the result once there is one.
+    /// Executes one instruction; returns the root object at STOP.
     fn step(&mut self) -> Result<Option<Item>> {
         let [code] = self.bytes()?;
         match code {
@@ -76,7 +76,7 @@ impl<'a> Machine<'a> {
                     return Err(format!("protocol {protocol}, expected at most {NEWEST}"));
                 }
             }
-            // A frame says how many bytes belong together; nothing depends on it.
+            // FRAME: a length that is not needed.
             0x95 => drop(self.bytes::<8>()?),
 
             b'(' => self.marks.push(self.stack.len()),
@@ -139,9 +139,9 @@ impl<'a> Machine<'a> {
             }
             b'U' | b'C' => self.byte_string(1)?,
             b'T' => {
-                // Python 2's length has a sign.
+                // The length is signed.
                 if self.source.get(self.at + 3).is_some_and(|&high| high >= 0x80) {
-                    return Err("a string of negative length".into());
+                    return Err("string of negative length".into());
                 }
                 self.byte_string(4)?;
             }
@@ -199,14 +199,14 @@ impl<'a> Machine<'a> {
                     _ => self.memo_key(code)?,
                 };
                 let top = self.top()?;
-                // Only containers, texts and objects are memoised.
+                // Only containers, strings and objects are memoised.
                 if self.memo.len() > self.nodes.len() + SPARE_MEMOS {
-                    return Err("more memos than objects".into());
+                    return Err("more memo entries than objects".into());
                 }
                 self.memo.insert(key, top);
             }
             b'g' | b'h' | b'j' => {
-                // The three ways to write a number are the same for both.
+                // GET, BINGET and LONG_BINGET encode the key as PUT, BINPUT and LONG_BINPUT.
                 let key = self.memo_key(match code {
                     b'g' => b'p',
                     b'h' => b'q',
@@ -234,7 +234,7 @@ impl<'a> Machine<'a> {
             0x92 => {
                 let keywords = self.pop()?;
                 if !matches!(self.node(keywords), Some(Node::Dict(entries)) if entries.is_empty()) {
-                    return Err("an object made with keyword arguments".into());
+                    return Err("object created with keyword arguments".into());
                 }
                 let arguments = self.pop()?;
                 let class = self.pop()?;
@@ -252,7 +252,7 @@ impl<'a> Machine<'a> {
             b'o' => {
                 let items = self.pop_mark()?;
                 let [class, arguments @ ..] = &*items else {
-                    return Err("an object without a class".into());
+                    return Err("object without a class".into());
                 };
                 self.put(Node::Tuple(arguments.into()))?;
                 let arguments = self.pop()?;
@@ -263,7 +263,7 @@ impl<'a> Machine<'a> {
                 let top = self.top()?;
                 match self.node_mut(top) {
                     Some(Node::Object(object)) => object.state = state,
-                    _ => return Err("a state for something that is not an object".into()),
+                    _ => return Err("state for a value that is not an object".into()),
                 }
             }
 
@@ -279,7 +279,7 @@ impl<'a> Machine<'a> {
         let taken = self.source.get(self.at..).and_then(|rest| rest.get(..length));
         let taken = taken.ok_or_else(|| {
             let left = self.source.len().saturating_sub(self.at);
-            format!("ends early: {length} bytes should follow, {left} do")
+            format!("unexpected end: {length} bytes expected, {left} left")
         })?;
         self.at += length;
         Ok(taken)
@@ -298,11 +298,14 @@ impl<'a> Machine<'a> {
         Ok(&rest[..end])
     }
 
-    /// A line that holds a number or a name.
+    /// Line with a number or a name.
     fn line(&mut self) -> Result<&'a [u8]> {
         let line = self.whole_line()?.trim_ascii();
         if line.len() > MAX_LINE {
-            return Err(format!("a number or name of {} bytes", line.len()));
+            return Err(format!(
+                "number or name of {} bytes, expected at most {MAX_LINE}",
+                line.len()
+            ));
         }
         Ok(line)
     }
@@ -311,7 +314,7 @@ impl<'a> Machine<'a> {
         Ok(u32::from_le_bytes(self.bytes()?) as usize)
     }
 
-    /// The place of bytes that follow their length.
+    /// Range of a byte string that follows its length of `width` bytes.
     fn span(&mut self, width: u8) -> Result<Bytes> {
         let length = match width {
             1 => usize::from(self.bytes::<1>()?[0]),
@@ -333,7 +336,7 @@ impl<'a> Machine<'a> {
         self.put(Node::Text(bytes))
     }
 
-    /// A two's complement integer, the lowest byte first.
+    /// Little-endian two's complement integer.
     fn long(&mut self, length: usize) -> Result<()> {
         let bytes = self.take(length)?;
         let sign = match bytes.last() {
@@ -359,7 +362,7 @@ impl<'a> Machine<'a> {
     fn put(&mut self, node: Node) -> Result<()> {
         let number = self.nodes.len();
         if number >= self.max_nodes {
-            return Err("more objects than a file of its size can hold".into());
+            return Err("more objects than a file of this size can define".into());
         }
         self.nodes.push(node);
         self.push(Item::Node(number as u32))
@@ -369,7 +372,7 @@ impl<'a> Machine<'a> {
         self.stack.last().copied().ok_or_else(|| "the stack is empty".to_owned())
     }
 
-    /// Takes the top value; values below the latest mark are out of reach.
+    /// Pops the top value; values below the last MARK are not accessible.
     fn pop(&mut self) -> Result<Item> {
         let floor = self.marks.last().copied().unwrap_or(0);
         match self.stack.pop() {
@@ -413,7 +416,7 @@ impl<'a> Machine<'a> {
         match self.node_mut(top) {
             Some(Node::List(list) | Node::Set(list)) => list.extend(items),
             Some(Node::Object(object)) => object.list.extend(items),
-            _ => return Err("elements for something that is not a list".into()),
+            _ => return Err("elements for a value that is not a list".into()),
         }
         Ok(())
     }
@@ -424,7 +427,7 @@ impl<'a> Machine<'a> {
         match self.node_mut(top) {
             Some(Node::Dict(dict)) => dict.extend(entries),
             Some(Node::Object(object)) => object.entries.extend(entries),
-            _ => return Err("entries for something that is not a dictionary".into()),
+            _ => return Err("entries for a value that is not a dictionary".into()),
         }
         Ok(())
     }
@@ -432,8 +435,10 @@ impl<'a> Machine<'a> {
     fn memo_key(&mut self, code: u8) -> Result<u64> {
         Ok(match code {
             b'p' => match decimal(self.line()?)? {
-                Item::Int(key) => u64::try_from(key).map_err(|_| format!("memo {key}"))?,
-                _ => return Err("a memo without a number".into()),
+                Item::Int(key) => {
+                    u64::try_from(key).map_err(|_| format!("negative memo key {key}"))?
+                }
+                _ => return Err("memo key that is not an integer".into()),
             },
             b'q' => self.bytes::<1>()?[0].into(),
             _ => u32::from_le_bytes(self.bytes()?).into(),
@@ -442,14 +447,17 @@ impl<'a> Machine<'a> {
 
     fn name(&self, item: Item) -> Result<Vec<u8>> {
         let Some(Node::Text(bytes) | Node::Bytes(bytes)) = self.node(item) else {
-            return Err("the name of a class is not a text".into());
+            return Err("class name that is not a string".into());
         };
         let bytes = match bytes {
             Bytes::Source(range) => &self.source[range.clone()],
             Bytes::Owned(bytes) => bytes,
         };
         if bytes.len() > MAX_LINE {
-            return Err(format!("a name of {} bytes", bytes.len()));
+            return Err(format!(
+                "class name of {} bytes, expected at most {MAX_LINE}",
+                bytes.len()
+            ));
         }
         Ok(bytes.to_vec())
     }
@@ -458,8 +466,8 @@ impl<'a> Machine<'a> {
         let (module, name) = (String::from_utf8_lossy(module), String::from_utf8_lossy(name));
         let class = Class::find(&module, &name).ok_or_else(|| {
             format!(
-                "names `{}.{}`, which is neither NumPy's, SciPy's or chumpy's data nor Python's \
-                 own: refused",
+                "`{}.{}` is not allowed: only data of NumPy, SciPy, chumpy, scikit-learn and \
+                 Python itself is read",
                 module.escape_debug(),
                 name.escape_debug()
             )
@@ -478,7 +486,7 @@ impl<'a> Machine<'a> {
     fn class_of(&self, item: Item) -> Result<u32> {
         match self.node(item) {
             Some(Node::Class(number)) => Ok(*number),
-            _ => Err("calls something that is not a class".into()),
+            _ => Err("call of a value that is not a class".into()),
         }
     }
 
@@ -489,7 +497,7 @@ impl<'a> Machine<'a> {
                 Some(Node::Tuple(arguments)) if !arguments.is_empty() => {
                     self.class_of(arguments[0])?
                 }
-                _ => return Err("an instance of nothing".into()),
+                _ => return Err("instance without a class".into()),
             };
         }
         self.put(Node::Object(Box::new(Object {
@@ -510,7 +518,7 @@ fn pairs(items: &[Item]) -> Result<Vec<(Item, Item)>> {
     Ok(pairs.iter().map(|&[key, value]| (key, value)).collect())
 }
 
-/// An integer or a boolean of the text protocol: `12`, `12L`, `01` for true and `00` for false.
+/// Integer or boolean of the text protocol: `12`, `12L`, `01` for true, `00` for false.
 fn decimal(line: &[u8]) -> Result<Item> {
     match line {
         b"00" => return Ok(Item::Bool(false)),

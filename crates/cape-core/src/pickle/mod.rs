@@ -1,14 +1,12 @@
-//! Python's pickles, read as data.
+//! Reader of Python pickles that builds data and executes nothing.
 //!
-//! A pickle is a program that may call anything. This reader runs only the part that builds data:
-//! nothing is imported and nothing is called. A class is a name beside the state that was stored
-//! for it, and only the names that body files and clothing models are made of are let through:
-//! NumPy's arrays, SciPy's sparse matrices, chumpy's arrays and views, scikit-learn's mixtures and
-//! Python's own containers. Any other name is an error that says which.
+//! A pickle is a program that may call any function. This reader interprets only the instructions
+//! that build data: it imports and calls nothing. Classes come from an allow list of what body files
+//! and clothing models contain (NumPy arrays, SciPy sparse matrices, chumpy arrays and views,
+//! scikit-learn mixtures, Python containers); any other class is an error with its name.
 //!
-//! All protocols are read (0 to 5), and what Python 2 wrote. Memory is a small multiple of the
-//! file's size, whatever the file says: strings and arrays stay where they are in the file until
-//! they are asked for.
+//! Protocols 0 to 5 and files of Python 2 are supported. Memory is bounded by a multiple of the file
+//! size, for malicious files too: strings and arrays are copied out of the file on demand.
 
 mod array;
 mod chumpy;
@@ -33,13 +31,13 @@ pub use value::Value;
 use crate::{Error, Result};
 use node::{Item, Node};
 
-/// Largest file read, bytes. The largest body files are a tenth of it.
+/// Largest accepted file, bytes; ten times the largest body files.
 const MAX_FILE: u64 = 4 << 30;
-/// Bytes that arrays taken out of a file may take, per byte of the file: one-byte numbers become
-/// eight, and a file may be asked for the same array a few times.
+/// Limit of the bytes copied out of a file, per byte of the file: one-byte numbers become eight-byte
+/// ones, and the same array may be read several times.
 const MAX_EXPANSION: u64 = 64;
 
-/// A pickle in memory.
+/// Decoded pickle in memory.
 ///
 /// ```
 /// use cape_core::pickle::Pickle;
@@ -54,7 +52,7 @@ const MAX_EXPANSION: u64 = 64;
 /// let missing = body.require("shapedirs").err().unwrap();
 /// assert_eq!(missing.to_string(), "body.pkl: `shapedirs`: missing");
 ///
-/// // What would run is refused, not run.
+/// // A pickle that calls a function is rejected.
 /// assert!(Pickle::parse("evil.pkl", b"cos\nsystem\n(S'ls'\ntR.".to_vec()).is_err());
 /// # Ok::<(), cape_core::Error>(())
 /// ```
@@ -64,25 +62,25 @@ pub struct Pickle {
     nodes: Vec<Node>,
     classes: Vec<class::Class>,
     root: Item,
-    /// Bytes that may still be taken out.
+    /// Remaining bytes that may be copied out.
     allowance: Cell<u64>,
 }
 
 impl Pickle {
-    /// Reads a file.
+    /// Reads a pickle file.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let length = fs::metadata(path).map_err(|source| Error::io(path, source))?.len();
         if length > MAX_FILE {
             return Err(Error::format(
                 path,
-                format!("a pickle of {length} bytes, expected at most {MAX_FILE}"),
+                format!("pickle of {length} bytes, expected at most {MAX_FILE}"),
             ));
         }
         Self::parse(path, fs::read(path).map_err(|source| Error::io(path, source))?)
     }
 
-    /// Reads a pickle from memory; errors name `path`.
+    /// Decodes a pickle in memory; errors name `path`.
     pub fn parse(path: impl AsRef<Path>, source: Vec<u8>) -> Result<Self> {
         let path = path.as_ref();
         let allowance = (source.len() as u64).saturating_mul(MAX_EXPANSION).saturating_add(1 << 20);
@@ -92,20 +90,20 @@ impl Pickle {
         Ok(Self { path: path.to_owned(), source, nodes, classes, root, allowance })
     }
 
-    /// The object that was pickled.
+    /// The pickled object.
     pub fn root(&self) -> Value<'_> {
         Value::new(self, self.root, String::new())
     }
 
-    /// The file.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Whether a file that starts with these bytes may be a pickle.
+    /// True if `bytes` may be the start of a pickle.
     pub fn is_start(bytes: &[u8]) -> bool {
-        // Protocol 2 and later say so; protocols 0 and 1 start with a dictionary, a list, a tuple
-        // or the name of a class.
+        // Protocols from 2 on start with a PROTO instruction, protocols 0 and 1 with a dictionary, a
+        // list, a tuple or a class.
         matches!(bytes, [0x80, 2..=5, ..] | [b'(' | b'}' | b']' | b'c', ..])
     }
 }

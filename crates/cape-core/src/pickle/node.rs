@@ -1,20 +1,20 @@
-//! What a pickle is made of.
+//! Object graph of a pickle.
 
 use std::ops::Range;
 
-/// A value: small ones themselves, others by their number in [`super::Pickle`].
+/// A value: scalars in place, other objects by their index in [`super::Pickle`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Item {
     None,
     Bool(bool),
     Int(i64),
-    /// An integer of more than 64 bits; nothing asks for one.
+    /// An integer of more than 64 bits, whose value is not kept.
     Long,
     Float(f64),
     Node(u32),
 }
 
-/// Bytes in the file, or bytes that had to be decoded.
+/// Range of the file, or decoded bytes.
 #[derive(Debug)]
 pub(super) enum Bytes {
     Source(Range<usize>),
@@ -24,19 +24,19 @@ pub(super) enum Bytes {
 #[derive(Debug)]
 pub(super) enum Node {
     Bytes(Bytes),
-    /// UTF-8, checked when it is asked for.
+    /// UTF-8, checked on access.
     Text(Bytes),
     List(Vec<Item>),
     Tuple(Box<[Item]>),
-    /// Keys and values in the order they were set in.
+    /// Keys and values in insertion order.
     Dict(Vec<(Item, Item)>),
     Set(Vec<Item>),
-    /// A name, by its number in [`super::Pickle`].
+    /// Index of a class in [`super::Pickle`].
     Class(u32),
     Object(Box<Object>),
 }
 
-/// An instance: what its class was called with, and the state that was set afterwards.
+/// An instance: constructor arguments, and the state set by BUILD.
 #[derive(Debug)]
 pub(super) struct Object {
     pub(super) class: u32,

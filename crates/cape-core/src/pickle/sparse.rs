@@ -1,11 +1,11 @@
-//! SciPy's sparse matrices.
+//! SciPy sparse matrices.
 
 use ndarray::{Array2, ArrayD};
 
 use super::{class::ClassKind, value::Value};
 use crate::{Result, npy::NpyElement};
 
-/// A sparse matrix by its entries; entries at one place add up.
+/// Sparse matrix as coordinate triplets; duplicate entries are summed.
 ///
 /// ```
 /// use cape_core::npy::read_objects;
@@ -23,19 +23,19 @@ use crate::{Result, npy::NpyElement};
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Triplets {
-    /// Rows and columns.
+    /// Numbers of rows and columns.
     pub shape: [usize; 2],
     /// Row of each entry.
     pub rows: Vec<usize>,
     /// Column of each entry.
     pub columns: Vec<usize>,
-    /// Each entry's value.
+    /// Value of each entry.
     pub values: Vec<f64>,
 }
 
 impl Triplets {
-    /// The entries of compressed rows (SciPy's `indptr`, `indices`, `data`), checked: the error
-    /// names the array at fault and says what is wrong with it.
+    /// Converts compressed rows (SciPy's `indptr`, `indices`, `data`); the error is the name of the
+    /// invalid array and the reason.
     pub(crate) fn from_compressed(
         shape: [usize; 2],
         starts: &[i64],
@@ -64,7 +64,7 @@ impl Triplets {
         Self { shape: [columns, rows], rows: c, columns: r, values }
     }
 
-    /// The matrix with its zeros. The caller has checked that its shape is a reasonable one.
+    /// Dense matrix; the caller has checked that the shape is of reasonable size.
     pub(crate) fn dense(&self) -> Array2<f64> {
         let mut dense = Array2::zeros(self.shape);
         for ((&row, &column), &value) in self.rows.iter().zip(&self.columns).zip(&self.values) {
@@ -81,26 +81,24 @@ fn in_range(
     end: usize,
 ) -> Result<Vec<usize>, (&'static str, String)> {
     if indices.len() != count {
-        return Err((name, format!("{} indices for {count} values", indices.len())));
+        return Err((name, format!("{} indices, expected {count}, one per value", indices.len())));
     }
     let checked = indices.iter().enumerate().map(|(at, &index)| {
-        usize::try_from(index)
-            .ok()
-            .filter(|&index| index < end)
-            .ok_or_else(|| (name, format!("{index} at {at}, expected less than {end}")))
+        usize::try_from(index).ok().filter(|&index| index < end).ok_or_else(|| {
+            (name, format!("index {index} at position {at}, expected less than {end}"))
+        })
     });
     checked.collect()
 }
 
 impl Value<'_> {
-    /// Whether this is one of SciPy's sparse matrices (compressed columns or rows, coordinates), or
-    /// an array of no dimensions that holds one.
+    /// True for a SciPy sparse matrix (CSC, CSR or COO) or a 0-dimensional array that holds one.
     pub fn is_sparse(&self) -> bool {
         let kind = self.unwrap_scalar().ok().and_then(|value| Some(value.object()?.0.kind));
         matches!(kind, Some(ClassKind::Csc | ClassKind::Csr | ClassKind::Coo))
     }
 
-    /// The entries of a sparse matrix.
+    /// Entries of a sparse matrix.
     pub fn sparse(&self) -> Result<Triplets> {
         let matrix = self.unwrap_scalar()?;
         let kind = match matrix.object() {
@@ -116,7 +114,7 @@ impl Value<'_> {
         };
         let shape = match matrix.get("_shape").or_else(|| matrix.get("shape")) {
             Some(shape) => self.shape(&shape)?,
-            None => return Err(matrix.error("is a sparse matrix without a shape")),
+            None => return Err(matrix.error("is a sparse matrix without a `shape`")),
         };
         let &[rows, columns] = &shape[..] else {
             return Err(matrix.error(format!("has shape {shape:?}, expected two axes")));
@@ -150,7 +148,7 @@ impl Value<'_> {
         }
     }
 
-    /// A matrix of shape `expected`, dense or sparse, with its zeros.
+    /// Dense values of a dense or sparse matrix of shape `expected`.
     pub fn matrix(&self, expected: [usize; 2]) -> Result<Array2<f64>> {
         let wrong =
             |found: &[usize]| Err(self.error(format!("shape {found:?}, expected {expected:?}")));
@@ -169,7 +167,7 @@ impl Value<'_> {
         array.into_dimensionality().map_err(|source| self.error(source.to_string()))
     }
 
-    /// Array `name` without its shape.
+    /// Elements of array `name`, flattened.
     fn flat<T: NpyElement>(&self, name: &str) -> Result<Vec<T>> {
         let array: ArrayD<T> = self.require(name)?.array()?;
         Ok(array.into_iter().collect())

@@ -27,7 +27,7 @@ fn parse(source: &[u8]) -> Result<Pickle> {
     Pickle::parse("test.pkl", source.to_vec())
 }
 
-/// Everything a caller may ask of any value, for inputs that nobody wrote.
+/// Calls every accessor on the values of a pickle.
 fn exercise(pickle: &Pickle) {
     let root = pickle.root();
     let mut values = vec![root.clone()];
@@ -41,7 +41,7 @@ fn exercise(pickle: &Pickle) {
 }
 
 #[test]
-fn every_way_to_store_a_body_gives_the_same_body() {
+fn all_encodings_of_a_body_are_equal() {
     let expected = SmplModel::load(fixtures().join("expected.npz")).unwrap();
     let paths = named("body_");
     assert!(paths.len() >= 11, "{paths:?}");
@@ -52,7 +52,7 @@ fn every_way_to_store_a_body_gives_the_same_body() {
 }
 
 #[test]
-fn what_is_refused_is_named() {
+fn errors_name_the_cause() {
     let message = |name: &str| {
         SmplModel::load(fixtures().join(format!("bad_{name}.pkl"))).unwrap_err().to_string()
     };
@@ -60,7 +60,7 @@ fn what_is_refused_is_named() {
         ("system", "`posix.system`"),
         ("eval", "`builtins.eval`"),
         ("fromfile", "fromfile`"),
-        ("truncated", "ends early"),
+        ("truncated", "unexpected end"),
         ("weights", "`weights`: shape [4, 3], expected [5, 3]"),
         ("missing", "`posedirs`: missing"),
         ("computed", "chumpy.ch_ops.add"),
@@ -121,7 +121,7 @@ fn numbers_and_lists_become_arrays() {
 }
 
 #[test]
-fn what_was_set_last_holds() {
+fn a_later_entry_replaces_an_earlier_one() {
     let pickle = parse(b"(S'a'\nI1\nS'b'\nI2\ndS'a'\nI3\ns.").unwrap();
     assert_eq!(pickle.root().require("a").unwrap().int().unwrap(), 3);
     assert_eq!(pickle.root().keys(), ["a", "b", "a"]);
@@ -132,8 +132,8 @@ fn what_was_set_last_holds() {
 #[test]
 fn programs_that_are_not_data_are_refused() {
     for (source, expected) in [
-        (&b""[..], "ends early"),
-        (b"N", "ends early"),
+        (&b""[..], "unexpected end"),
+        (b"N", "unexpected end"),
         (b".", "stack is empty"),
         (b"(.", "stack is empty"),
         (b"(1.", "stack is empty"),
@@ -146,18 +146,18 @@ fn programs_that_are_not_data_are_refused() {
         (b"cos\nsystem\n(S'x'\ntR.", "`os.system`"),
         (b"(ios\nsystem\n.", "`os.system`"),
         (b"\x8c\x02os\x8c\x06system\x93.", "`os.system`"),
-        (b"NN\x93.", "not a text"),
+        (b"NN\x93.", "not a string"),
         (b"N)R.", "not a class"),
         (b"N)}\x92.", "not a class"),
         (b"c__builtin__\nset\n)}NNs\x92.", "keyword arguments"),
-        (b"ccopy_reg\n_reconstructor\n)R.", "an instance of nothing"),
+        (b"ccopy_reg\n_reconstructor\n)R.", "without a class"),
         (b"Nb.", "the stack is empty"),
         (b"NNb.", "not an object"),
         (b"NNa.", "not a list"),
         (b"](NNu.", "not a dictionary"),
         (b"}(Nu.", "a key without a value"),
-        (b"\x8e\xff\xff\xff\xff\xff\xff\xff\x7f.", "ends early"),
-        (b"X\xff\xff\xff\x7f.", "ends early"),
+        (b"\x8e\xff\xff\xff\xff\xff\xff\xff\x7f.", "unexpected end"),
+        (b"X\xff\xff\xff\x7f.", "unexpected end"),
         (b"T\xff\xff\xff\xff.", "negative length"),
         (b"S'a.", "ends inside a line"),
         (b"S'a\n.", "without quotes"),
@@ -174,7 +174,7 @@ fn programs_that_are_not_data_are_refused() {
 
 #[test]
 fn memory_stays_in_proportion() {
-    // A list that holds one array many times over: 8 MB of numbers from 200 kB of file.
+    // A list of one array 1000 times: 8 MB of numbers from 200 kB of file.
     let bytes = vec![7u8; 100_000];
     let mut source =
         b"\x80\x02cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85U\x01b\x87R(\
@@ -191,26 +191,26 @@ fn memory_stays_in_proportion() {
     let root = pickle.root();
     assert_eq!(root.elements().unwrap()[0].array::<f64>().unwrap().len(), bytes.len());
     let message = root.array::<f64>().unwrap_err().to_string();
-    assert!(message.contains("out of proportion"), "{message}");
+    assert!(message.contains("exceed the memory limit"), "{message}");
 
-    // Lists of lists of lists, each twice: two to the thirtieth visits to nothing.
+    // Nested lists, each referenced twice: 2³⁰ visits of empty lists.
     let mut doubled = b"]q\x00".to_vec();
     for level in 0..30u8 {
         doubled.extend([b"](h".as_slice(), &[level], b"h", &[level], b"eq", &[level + 1]].concat());
     }
     doubled.push(b'.');
     let message = parse(&doubled).unwrap().root().array::<f64>().unwrap_err().to_string();
-    assert!(message.contains("out of proportion"), "{message}");
+    assert!(message.contains("exceed the memory limit"), "{message}");
     let holds_itself = [b"]q\x00(".to_vec(), b"h\x00".repeat(200_000), b"e.".to_vec()].concat();
     assert!(parse(&holds_itself).unwrap().root().array::<f64>().is_err());
     let memos = [b"N".to_vec(), b"\x94".repeat(5000), b".".to_vec()].concat();
     assert!(parse(&memos).is_err());
 
-    // Objects that are never used cost less than the file allows.
+    // Unused objects count towards the limit.
     assert!(parse(&b"]".repeat(1 << 20)).is_err());
     let deep = [b"]".repeat(60_000), b"a".repeat(59_999), b".".to_vec()].concat();
     let message = parse(&deep).unwrap().root().array::<f64>().unwrap_err().to_string();
-    assert!(message.contains("inside one another"), "{message}");
+    assert!(message.contains("nested arrays"), "{message}");
 }
 
 #[test]

@@ -1,10 +1,10 @@
-//! The escapes of the text protocol.
+//! Escape sequences of the text protocol.
 
 /// Decodes a Python 2 string literal with its quotes, e.g. `'a\x00b'`.
 pub(super) fn string_literal(line: &[u8]) -> Result<Box<[u8]>, String> {
     let line = line.trim_ascii();
     let ([b'\'', quoted @ .., b'\''] | [b'"', quoted @ .., b'"']) = line else {
-        return Err("a string without quotes".into());
+        return Err("string literal without quotes".into());
     };
     let mut out = Vec::with_capacity(quoted.len());
     let mut rest = quoted;
@@ -14,7 +14,9 @@ pub(super) fn string_literal(line: &[u8]) -> Result<Box<[u8]>, String> {
             out.push(*first);
             continue;
         }
-        let [code, after @ ..] = rest else { return Err("a string that ends in `\\`".into()) };
+        let [code, after @ ..] = rest else {
+            return Err("string literal that ends in `\\`".into());
+        };
         rest = after;
         match code {
             b'\n' => {}
@@ -29,7 +31,7 @@ pub(super) fn string_literal(line: &[u8]) -> Result<Box<[u8]>, String> {
             b'x' => {
                 let (value, used) = number(rest, 2, 16);
                 if used != 2 {
-                    return Err("a malformed `\\x` in a string".into());
+                    return Err("malformed `\\x` in a string literal".into());
                 }
                 out.push(value as u8);
                 rest = &rest[used..];
@@ -62,13 +64,13 @@ pub(super) fn raw_unicode(line: &[u8]) -> Result<Box<[u8]>, String> {
         };
         let (value, used) = number(&rest[1..], digits, 16);
         let decoded = char::from_u32(value).filter(|_| used == digits);
-        out.push(decoded.ok_or("a malformed `\\u` in a text")?);
+        out.push(decoded.ok_or("malformed `\\u` in a Unicode string")?);
         rest = &rest[1 + used..];
     }
     Ok(out.into_bytes().into())
 }
 
-/// The number that at most `digits` digits make, and how many there are.
+/// Value of the first at most `digits` digits, and their count.
 fn number(bytes: &[u8], digits: usize, radix: u32) -> (u32, usize) {
     let values = bytes.iter().take(digits).map_while(|&byte| char::from(byte).to_digit(radix));
     values.fold((0, 0), |(value, used), digit| (value * radix + digit, used + 1))
@@ -79,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn escapes_are_pythons() {
+    fn escapes_agree_with_python() {
         let literal = br"'a\n\\\'\x00\xff\101\7z\q'";
         assert_eq!(*string_literal(literal).unwrap(), *b"a\n\\'\x00\xffA\x07z\\q");
         assert_eq!(*string_literal(b"\"it's\"\r").unwrap(), *b"it's");

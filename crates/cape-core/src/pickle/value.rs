@@ -1,4 +1,4 @@
-//! Looking into a pickle.
+//! Access to the objects of a pickle.
 
 use std::borrow::Cow;
 
@@ -9,9 +9,7 @@ use super::{
 };
 use crate::{Error, Result};
 
-/// One object of a pickle. It knows its place, so that errors can name it.
-///
-/// See [`Pickle`] for an example.
+/// One object of a pickle with its path (`a.b.0`), which errors name.
 #[derive(Clone)]
 pub struct Value<'a> {
     pub(super) pickle: &'a Pickle,
@@ -24,7 +22,7 @@ impl<'a> Value<'a> {
         Self { pickle, item, name }
     }
 
-    /// Another object, which belongs to this one as `part`.
+    /// The object `item`, a component of this one called `part`.
     pub(super) fn part(&self, item: Item, part: &str) -> Self {
         let name = match self.name.as_str() {
             "" => part.to_owned(),
@@ -33,12 +31,12 @@ impl<'a> Value<'a> {
         Self { pickle: self.pickle, item, name }
     }
 
-    /// Another object at the same place.
+    /// The object `item` under the path of this one.
     pub(super) fn with(&self, item: Item) -> Self {
         Self { item, ..self.clone() }
     }
 
-    /// An error about this object.
+    /// Creates an error about this object.
     pub fn error(&self, message: impl Into<String>) -> Error {
         match self.name.as_str() {
             "" => Error::format(&self.pickle.path, message),
@@ -60,26 +58,26 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// The class of an instance, e.g. `numpy.ndarray`.
+    /// Qualified class name of an instance, e.g. `numpy.ndarray`.
     pub fn class(&self) -> Option<&'a str> {
         self.object().map(|(class, _)| class.name.as_str())
     }
 
-    /// Whether this is Python's `None`.
+    /// True for Python's `None`.
     pub fn is_none(&self) -> bool {
         self.item == Item::None
     }
 
-    /// The entry `key` of a dictionary, or the attribute `key` of an object.
+    /// Entry `key` of a dictionary, or attribute `key` of an object.
     pub fn get(&self, key: &str) -> Option<Self> {
         let entries = self.entries()?;
-        // What was set last holds.
+        // A later entry replaces an earlier one of the same key.
         let (_, item) =
             entries.iter().rev().find(|(found, _)| self.raw(*found) == Some(key.as_bytes()))?;
         Some(self.part(*item, key))
     }
 
-    /// The entry `key`, or an error that names it.
+    /// [`get`](Self::get), with an error if `key` is missing.
     pub fn require(&self, key: &str) -> Result<Self> {
         if self.entries().is_none() {
             return Err(self.error(format!("is {}, expected a dictionary", self.describe())));
@@ -87,7 +85,7 @@ impl<'a> Value<'a> {
         self.get(key).ok_or_else(|| self.part(Item::None, key).error("missing"))
     }
 
-    /// The keys of a dictionary, or the names of an object's attributes.
+    /// Keys of a dictionary, or names of the attributes of an object.
     pub fn keys(&self) -> Vec<String> {
         let entries = self.entries().into_iter().flatten();
         entries.filter_map(|(key, _)| Some(self.part(*key, "key").text().ok()?.into())).collect()
@@ -120,13 +118,13 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// The elements of a list or tuple.
+    /// Elements of a list or tuple.
     pub fn elements(&self) -> Option<Vec<Self>> {
         let items = self.items()?;
         Some(items.iter().enumerate().map(|(at, &item)| self.part(item, &at.to_string())).collect())
     }
 
-    /// An integer, or a boolean as 0 or 1.
+    /// Value of an integer, or of a boolean as 0 or 1.
     pub fn int(&self) -> Result<i64> {
         match self.item {
             Item::Int(value) => Ok(value),
@@ -135,12 +133,12 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// A text; Python 2's byte strings are read as Latin-1.
+    /// Value of a string; byte strings of Python 2 are decoded as Latin-1.
     pub fn text(&self) -> Result<Cow<'a, str>> {
         match self.node() {
             Some(Node::Text(bytes)) => std::str::from_utf8(self.slice(bytes))
                 .map(Cow::Borrowed)
-                .map_err(|_| self.error("is not UTF-8 text")),
+                .map_err(|_| self.error("is not valid UTF-8")),
             Some(Node::Bytes(bytes)) => {
                 let bytes = self.slice(bytes);
                 Ok(match std::str::from_utf8(bytes) {
@@ -151,11 +149,11 @@ impl<'a> Value<'a> {
                     }
                 })
             }
-            _ => Err(self.error(format!("is {}, expected a text", self.describe()))),
+            _ => Err(self.error(format!("is {}, expected a string", self.describe()))),
         }
     }
 
-    /// Bytes, however they were written.
+    /// Value of a byte string in any of its encodings.
     pub(super) fn bytes(&self) -> Result<Cow<'a, [u8]>> {
         if let Some(Node::Bytes(bytes)) = self.node() {
             return Ok(Cow::Borrowed(self.slice(bytes)));
@@ -167,7 +165,7 @@ impl<'a> Value<'a> {
             let arguments = self.part(object.arguments, "arguments").elements();
             let first = arguments.and_then(|arguments| arguments.into_iter().next());
             match (class.kind, first) {
-                // Python 3 writes bytes for protocols 0 to 2 as texts, to be encoded again.
+                // Python 3 writes bytes for protocols 0 to 2 as a string and a call of `encode`.
                 (ClassKind::Encode | ClassKind::Bytes, Some(first)) => match first.node() {
                     Some(Node::Bytes(bytes)) => return Ok(Cow::Borrowed(self.slice(bytes))),
                     Some(Node::Text(_)) => return first.latin1(),
@@ -209,7 +207,7 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// Takes `bytes` from what may be copied out of the file.
+    /// Deducts `bytes` from the limit of what may be copied out of the file.
     pub(super) fn charge(&self, bytes: usize) -> Result<()> {
         let allowance = &self.pickle.allowance;
         match allowance.get().checked_sub(bytes as u64) {
@@ -218,13 +216,13 @@ impl<'a> Value<'a> {
                 Ok(())
             }
             None => Err(self.error(format!(
-                "{bytes} bytes more, which is out of proportion to a file of {}",
+                "{bytes} more bytes exceed the memory limit for a file of {} bytes",
                 self.pickle.source.len()
             ))),
         }
     }
 
-    /// What this is, for error messages.
+    /// Kind of the object, for error messages.
     pub(super) fn describe(&self) -> String {
         match self.item {
             Item::None => "None".into(),
@@ -233,7 +231,7 @@ impl<'a> Value<'a> {
             Item::Float(_) => "a number".into(),
             Item::Node(_) => match self.node() {
                 None | Some(Node::Bytes(_)) => "bytes".into(),
-                Some(Node::Text(_)) => "a text".into(),
+                Some(Node::Text(_)) => "a string".into(),
                 Some(Node::List(_)) => "a list".into(),
                 Some(Node::Tuple(_)) => "a tuple".into(),
                 Some(Node::Dict(_)) => "a dictionary".into(),

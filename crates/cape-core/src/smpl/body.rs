@@ -1,7 +1,7 @@
-//! The body as differentiable tensor functions.
+//! The body as differentiable tensor operations.
 //!
-//! Inside, vertices are kept as planes `[n, 3, V]`: blend shapes and skinning are then one matrix
-//! product each, and everything per vertex runs over contiguous memory.
+//! Vertices are stored as planes `[n, 3, V]` internally: blend shapes and skinning are then one
+//! matrix product each, and per-vertex operations run over contiguous memory.
 
 use std::sync::Arc;
 
@@ -16,25 +16,21 @@ use super::{
 };
 use crate::{Error, Result, devices};
 
-/// How each joint is turned, relative to its parent.
-///
-/// See [`Smpl`] for an example.
+/// Joint rotations θ relative to the parents.
 #[derive(Debug, Clone)]
 pub enum Pose {
-    /// Axis-angles, radians, `[n, 3·J]`.
+    /// Axis-angle vectors, radians, `[n, 3·J]`.
     AxisAngle(Tensor<2>),
     /// Rotation matrices, `[n, J, 3, 3]`.
     Rotations(Tensor<4>),
 }
 
-/// What a batch of bodies is made from.
-///
-/// See [`Smpl`] for an example.
+/// Parameters of a batch of `n` bodies.
 #[derive(Debug, Clone)]
 pub struct SmplInput {
-    /// Shape coefficients β, `[n, b]`; fewer than the body has stand for zeros.
+    /// Shape coefficients β, `[n, b]`; missing ones are zero.
     pub betas: Tensor<2>,
-    /// Pose θ.
+    /// Joint rotations θ.
     pub pose: Pose,
     /// Translation, metres, `[n, 3]`.
     pub transl: Tensor<2>,
@@ -42,30 +38,28 @@ pub struct SmplInput {
     pub displacement: Option<Tensor<3>>,
 }
 
-/// A batch of posed bodies.
-///
-/// See [`Smpl`] for an example.
+/// Batch of `n` posed bodies.
 #[derive(Debug, Clone)]
 pub struct SmplOutput {
-    /// Metres, `[n, V, 3]`.
+    /// Vertices, metres, `[n, V, 3]`.
     pub vertices: Tensor<3>,
-    /// Metres, `[n, J, 3]`.
+    /// Joints, metres, `[n, J, 3]`.
     pub joints: Tensor<3>,
 }
 
-/// The joints at one depth of the kinematic tree.
+/// Joints of one depth of the kinematic tree.
 #[derive(Debug, Clone)]
 struct JointLevel {
     joints: Tensor<1, Int>,
-    /// Position of each joint's parent within the depth above.
+    /// Index of each joint's parent among the joints of the previous depth.
     parents: Tensor<1, Int>,
 }
 
-/// An SMPL body on a device (CAPE eq. 1–2), differentiable in all its inputs.
+/// SMPL body on a device (CAPE eq. 1–2), differentiable in all its inputs.
 ///
-/// Inputs must live on the same device, with or without autodiff as the body's; they are converted
-/// to its precision, which the outputs have. On the CPU in `f32` and without autodiff,
-/// [`forward`](Self::forward) is one pass over the body instead of a series of tensor operations.
+/// Inputs must be on the device of the body, with autodiff if it has it, and are converted to its
+/// precision. On the CPU in `f32` without autodiff, [`forward`](Self::forward) is one fused pass
+/// instead of a series of tensor operations.
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -82,7 +76,7 @@ struct JointLevel {
 /// })?;
 /// assert_eq!(bodies.vertices.dims(), [2, 6890, 3]);
 /// assert_eq!(bodies.joints.dims(), [2, 24, 3]);
-/// // The second body is the first, three metres further on.
+/// // The second body is translated by 3 m.
 /// let moved = bodies.joints.clone().slice([1..2]) - bodies.joints.slice([0..1]);
 /// let z: f32 = moved.slice([0..1, 0..24, 2..3]).mean().into_scalar();
 /// assert!((z - 3.0).abs() < 1e-5);
@@ -92,36 +86,42 @@ struct JointLevel {
 pub struct Smpl {
     vertices: usize,
     joints: usize,
-    /// `T̄`, planes `[1, 3·V]`.
+    /// Template `T̄`, planes, `[1, 3·V]`.
     template: Tensor<2>,
-    /// `[B, 3·V]`, planes.
+    /// Shape directions, planes, `[B, 3·V]`.
     shape_directions: Tensor<2>,
-    /// `[9·(J − 1), 3·V]`, planes.
+    /// Pose directions, planes, `[9·(J − 1), 3·V]`.
     pose_directions: Tensor<2>,
-    /// Joints of the template, `[1, 3·J]`, and how they follow β, `[B, 3·J]`.
+    /// Joints of the template, `[1, 3·J]`, and their shape directions, `[B, 3·J]`.
     template_joints: Tensor<2>,
     joint_directions: Tensor<2>,
     /// Transposed regressor, `[V, J]`.
     regressor: Tensor<2>,
     /// Transposed blend weights, `[J, V]`.
     weights: Tensor<2>,
-    /// Below the root.
+    /// Depths of the kinematic tree below the root.
     depths: Vec<JointLevel>,
-    /// Each joint's parent (the root its own), and each joint's place in the order of depths.
+    /// Parent of each joint (the root its own), and index of each joint in the order of depths.
     parents: Tensor<1, Int>,
     order: Tensor<1, Int>,
-    /// For inference on the CPU.
+    /// Fused forward pass on the CPU.
     pub(super) cpu: Option<Arc<CpuBody>>,
 }
 
 impl Smpl {
-    /// Uploads a body in `f32`; refuses one whose arrays do not fit together.
+    /// Uploads a body in `f32`.
+    ///
+    /// # Errors
+    /// If [`SmplModel::validate`] fails.
     pub fn new(model: &SmplModel, device: &Device) -> Result<Self> {
         Self::with_precision(model, device, FloatDType::F32)
     }
 
-    /// Uploads a body that computes in `precision`. With `F64`, where the device has it, unposing
-    /// is exact even where blended transforms are nearly singular.
+    /// Uploads a body in `precision`. In `F64`, unposing is accurate for nearly singular blended
+    /// transforms too.
+    ///
+    /// # Errors
+    /// If [`SmplModel::validate`] fails or the device does not support the precision.
     pub fn with_precision(
         model: &SmplModel,
         device: &Device,
@@ -130,9 +130,9 @@ impl Smpl {
         model.validate()?;
         let dtype = DType::from(precision);
         if !device.supports_dtype(dtype) {
-            return Err(Error::Argument(format!("the device cannot compute in {dtype:?}")));
+            return Err(Error::Argument(format!("the device does not support {dtype:?}")));
         }
-        let plain = dtype == DType::F32 && !device.is_autodiff() && devices().contains(device);
+        let fused = dtype == DType::F32 && !device.is_autodiff() && devices().contains(device);
         let device = &(device, dtype);
         let (v, j, b) = (model.vertices(), model.joints(), model.betas());
         // [V, 3, K] → [K, 3, V] → [K, 3·V]
@@ -160,7 +160,7 @@ impl Smpl {
             depths,
             parents: indices(&parents, device.0),
             order,
-            cpu: plain.then(|| Arc::new(CpuBody::new(model))),
+            cpu: fused.then(|| Arc::new(CpuBody::new(model))),
         })
     }
 
@@ -179,22 +179,22 @@ impl Smpl {
         self.shape_directions.dims()[0]
     }
 
-    /// `tensor` in the body's precision.
+    /// Casts `tensor` to the precision of the body.
     pub(super) fn convert<const D: usize>(&self, tensor: Tensor<D>) -> Tensor<D> {
         tensor.cast(self.template.dtype())
     }
 
-    /// The device the body lives on.
+    /// Device of the body.
     pub fn device(&self) -> Device {
         self.template.device()
     }
 
-    /// The unclothed rest shape `T̄ + B_S(β)`: `[n, b]` → `[n, V, 3]`.
+    /// Unclothed rest shapes `T̄ + B_S(β)`, metres: `[n, b]` → `[n, V, 3]`.
     pub fn rest_shape(&self, betas: Tensor<2>) -> Result<Tensor<3>> {
         Ok(self.rest_shape_planes(betas)?.swap_dims(1, 2))
     }
 
-    /// The body's rest joints `J(β)`: `[n, b]` → `[n, J, 3]`.
+    /// Rest joints `J(β)`, metres: `[n, b]` → `[n, J, 3]`.
     pub fn rest_joints(&self, betas: Tensor<2>) -> Result<Tensor<3>> {
         let [n, b] = self.check_betas(&betas)?;
         let moved = match b {
@@ -207,7 +207,7 @@ impl Smpl {
         Ok(moved.reshape([n, self.joints, 3]))
     }
 
-    /// Joints of any rest vertices: `[n, V, 3]` → `[n, J, 3]`.
+    /// Rest joints regressed from rest vertices, metres: `[n, V, 3]` → `[n, J, 3]`.
     pub fn regress_joints(&self, rest: Tensor<3>) -> Result<Tensor<3>> {
         let n = self.check_vertices("rest vertices", &rest)?;
         let rows = self.convert(rest).swap_dims(1, 2).reshape([n * 3, self.vertices]);
@@ -234,13 +234,13 @@ impl Smpl {
         Ok(rotations)
     }
 
-    /// The pose blend shapes `B_P(θ)` of rotations `[n, J, 3, 3]` → `[n, V, 3]`.
+    /// Pose blend shapes `B_P(θ)`, metres: rotations `[n, J, 3, 3]` → `[n, V, 3]`.
     pub fn pose_offsets(&self, rotations: Tensor<4>) -> Result<Tensor<3>> {
         let rotations = self.rotations(Pose::Rotations(rotations))?;
         Ok(self.pose_planes(rotations).swap_dims(1, 2))
     }
 
-    /// The unposed body `T(β, θ)` (CAPE eq. 1), `[n, V, 3]`.
+    /// Unposed bodies `T(β, θ)` (CAPE eq. 1), metres, `[n, V, 3]`.
     pub fn unposed_template(&self, betas: Tensor<2>, pose: Pose) -> Result<Tensor<3>> {
         let rotations = self.rotations(pose)?;
         let shape = self.rest_shape_planes(betas)?;
@@ -248,8 +248,8 @@ impl Smpl {
         Ok((shape + self.pose_planes(rotations)).swap_dims(1, 2))
     }
 
-    /// Linear blend skinning `W`: moves rest vertices `[n, V, 3]`, pose blend shapes included, with
-    /// the given rest joints `[n, J, 3]`, rotations `[n, J, 3, 3]` and translation `[n, 3]`.
+    /// Linear blend skinning `W` of rest vertices `[n, V, 3]` (pose blend shapes included) by rest
+    /// joints `[n, J, 3]`, rotations `[n, J, 3, 3]` and translations `[n, 3]`; lengths in metres.
     pub fn skin(
         &self,
         rest: Tensor<3>,
@@ -267,8 +267,11 @@ impl Smpl {
         Ok(SmplOutput { vertices, joints: joints + transl.swap_dims(1, 2) })
     }
 
-    /// Undoes [`skin`](Self::skin): posed vertices `[n, V, 3]` → rest vertices, pose blend shapes
-    /// included. An error if a vertex's blended transform is singular.
+    /// Inverse of [`skin`](Self::skin): posed vertices `[n, V, 3]` → rest vertices, pose blend shapes
+    /// included.
+    ///
+    /// # Errors
+    /// If shapes disagree or the blended transform of a vertex is singular.
     pub fn inverse_skin(
         &self,
         posed: Tensor<3>,
@@ -291,7 +294,7 @@ impl Smpl {
         Ok((rest / determinant).swap_dims(1, 2))
     }
 
-    /// Undoes [`forward`](Self::forward): posed, possibly clothed vertices `[n, V, 3]` back to the
+    /// Inverse of [`forward`](Self::forward): maps posed, possibly clothed vertices `[n, V, 3]` to the
     /// canonical space of the rest shape, `T̄ + B_S(β) + S_clo` (pose blend shapes removed), so that
     /// `unpose(…) − rest_shape(β)` is the clothing displacement.
     pub fn unpose(
@@ -327,8 +330,8 @@ impl Smpl {
         offsets.reshape([n, 3, self.vertices])
     }
 
-    /// Posed joints `[n, J, 3]`, and every vertex's blended transform: a matrix `[n, 3, 3, V]` and
-    /// a shift `[n, 3, V]`.
+    /// Posed joints `[n, J, 3]`, and the blended transforms of the vertices: matrices `[n, 3, 3, V]`
+    /// and translations `[n, 3, V]`.
     fn blended(
         &self,
         rest_joints: Tensor<3>,
@@ -339,7 +342,7 @@ impl Smpl {
         let global = self.global_transforms(rest.clone(), self.convert(rotations));
         let turn = global.clone().narrow(3, 0, 3);
         let at = global.narrow(3, 3, 1);
-        // Acting on rest positions rather than joint-local ones.
+        // Relative to rest positions instead of joint-local ones.
         let shift = at.clone() - turn.clone().matmul(rest);
         let over_vertices = |per_joint: Tensor<4>, numbers: usize| {
             let rows = per_joint.reshape([n, j, numbers]).swap_dims(1, 2).reshape([n * numbers, j]);
@@ -353,7 +356,7 @@ impl Smpl {
         )
     }
 
-    /// Where each joint's frame goes, `[n, J, 3, 4]`, one depth of the tree at a time.
+    /// Global transforms of the joint frames, `[n, J, 3, 4]`, depth by depth.
     fn global_transforms(&self, rest: Tensor<4>, rotations: Tensor<4>) -> Tensor<4> {
         let offsets = rest.clone() - rest.clone().select(1, self.parents.clone());
         let local = Tensor::cat(vec![rotations.clone(), offsets], 3);
@@ -402,8 +405,8 @@ impl Smpl {
     fn check_regular(&self, determinant: &Tensor<3>) -> Result<()> {
         let determinants: Vec<f64> =
             determinant.clone().detach().try_into_vec_as().map_err(|source| failed(&source))?;
-        let lost = |d: &f64| d.is_nan() || d.abs() < SINGULAR;
-        match determinants.iter().position(lost) {
+        let is_singular = |d: &f64| d.is_nan() || d.abs() < SINGULAR;
+        match determinants.iter().position(is_singular) {
             None => Ok(()),
             Some(at) => Err(singular(at % self.vertices, determinants[at])),
         }
@@ -429,7 +432,7 @@ fn indices(values: &[usize], device: &Device) -> Tensor<1, Int> {
     Tensor::from_data(TensorData::new(values, [count]), device)
 }
 
-/// The tree below its root, by depth, and each joint's place in the concatenation of all depths.
+/// Joints below the root by depth, and index of each joint in the concatenation of all depths.
 fn depths(parents: &[Option<usize>], device: &Device) -> (Vec<JointLevel>, Tensor<1, Int>) {
     let mut depth_of = vec![0; parents.len()];
     for (joint, parent) in parents.iter().enumerate() {
@@ -476,5 +479,5 @@ pub(super) fn same_batch(name: &str, found: usize, expected: usize) -> Result<()
     if found == expected {
         return Ok(());
     }
-    Err(Error::Argument(format!("{name}: batch of {found}, but betas are a batch of {expected}")))
+    Err(Error::Argument(format!("{name}: batch of {found}, expected {expected} as for betas")))
 }

@@ -6,22 +6,19 @@ use super::{
 };
 use crate::{Error, Result};
 
-/// Where a dressed body's joints come from.
-///
-/// See [`ClothedSmpl`] for an example.
+/// Rest joints of a clothed body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum JointSource {
-    /// `J(β)` of the body under the clothes (CAPE eq. 4).
+    /// `J(β)` of the unclothed body (CAPE eq. 4).
     #[default]
     Body,
-    /// Regressed from the clothed template, as the authors' release does by writing
-    /// `minimal shape + displacement` into the template: joints move with the clothes by a few
-    /// millimetres.
+    /// Joints regressed from the clothed template, as in the authors' release, which stores
+    /// `minimal shape + displacement` as the template: clothing moves the joints by a few millimetres.
     ClothedTemplate,
 }
 
-/// A body with an additive clothing term: `T_clo = T(β, θ) + S_clo(z, θ, c)`, then posed
-/// (CAPE eq. 3–4).
+/// SMPL body with an additive clothing term, `T_clo = T(β, θ) + S_clo(z, θ, c)`, posed by linear
+/// blend skinning (CAPE eq. 3–4).
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -29,21 +26,21 @@ pub enum JointSource {
 /// use cape_synth::synthetic_body;
 ///
 /// let (body, device) = (synthetic_body(), Device::default());
-/// let dressed = ClothedSmpl::new(Smpl::new(&body, &device)?)
+/// let clothed = ClothedSmpl::new(Smpl::new(&body, &device)?)
 ///     .with_joints(JointSource::Body)
 ///     .with_mask(&ClothingMask::from_weights(&body)?)?;
-/// let input = |clothes| SmplInput {
+/// let input = |displacement| SmplInput {
 ///     betas: Tensor::zeros([1, 10], &device),
 ///     pose: Pose::AxisAngle(Tensor::zeros([1, 72], &device)),
 ///     transl: Tensor::zeros([1, 3], &device),
-///     displacement: clothes,
+///     displacement,
 /// };
-/// let bare = dressed.forward(input(None))?;
-/// let worn = dressed.forward(input(Some(Tensor::ones([1, 6890, 3], &device) * 0.01)))?;
-/// // Clothes move no joints, and vertices by no more than they are thick.
-/// let joints: f32 = (worn.joints - bare.joints).abs().max().into_scalar();
+/// let bare = clothed.forward(input(None))?;
+/// let covered = clothed.forward(input(Some(Tensor::ones([1, 6890, 3], &device) * 0.01)))?;
+/// // The displacement moves vertices by its length, and no joints.
+/// let joints: f32 = (covered.joints - bare.joints).abs().max().into_scalar();
 /// assert_eq!(joints, 0.0);
-/// let vertices: f32 = (worn.vertices - bare.vertices).abs().max().into_scalar();
+/// let vertices: f32 = (covered.vertices - bare.vertices).abs().max().into_scalar();
 /// assert!((vertices - 0.01).abs() < 1e-5);
 /// # Ok::<(), cape_core::Error>(())
 /// ```
@@ -56,24 +53,26 @@ pub struct ClothedSmpl {
 }
 
 impl ClothedSmpl {
-    /// Dresses `smpl`: joints from the body, displacements applied everywhere.
+    /// Creates the clothed body: joints of the unclothed body, displacements of all vertices.
     pub fn new(smpl: Smpl) -> Self {
         Self { smpl, joints: JointSource::Body, mask: None }
     }
 
-    /// Chooses where joints come from.
+    /// Selects the rest joints.
     #[must_use]
     pub fn with_joints(mut self, joints: JointSource) -> Self {
         self.joints = joints;
         self
     }
 
-    /// Applies displacements on clothing vertices only.
+    /// Restricts displacements to clothing vertices.
     pub fn with_mask(mut self, mask: &ClothingMask) -> Result<Self> {
         let (covered, v) = (mask.covered(), self.smpl.vertices());
         if covered.len() != v {
             let found = covered.len();
-            return Err(Error::Argument(format!("mask of {found} vertices, expected {v}")));
+            return Err(Error::Argument(format!(
+                "clothing mask of {found} vertices, expected {v}"
+            )));
         }
         let values: Vec<f32> = covered.iter().map(|&covered| f32::from(covered)).collect();
         let values = TensorData::new(values, [1, v, 1]);
@@ -81,12 +80,12 @@ impl ClothedSmpl {
         Ok(self)
     }
 
-    /// The body under the clothes.
+    /// The unclothed body.
     pub fn body(&self) -> &Smpl {
         &self.smpl
     }
 
-    /// The posed, dressed body; bare where the input has no displacement.
+    /// Posed body, clothed if the input has a displacement.
     pub fn forward(&self, mut input: SmplInput) -> Result<SmplOutput> {
         let v = self.smpl.vertices();
         if let Some(displacement) = &input.displacement {
@@ -98,17 +97,18 @@ impl ClothedSmpl {
             }
         }
         if let Some(mask) = &self.mask {
-            input.displacement =
-                input.displacement.map(|clothes| self.smpl.convert(clothes) * mask.clone());
+            input.displacement = input
+                .displacement
+                .map(|displacement| self.smpl.convert(displacement) * mask.clone());
         }
         let joints = match (self.joints, &input.displacement) {
             (JointSource::ClothedTemplate, Some(displacement)) => {
-                // Regression is linear: the body's joints, moved by the clothes.
+                // The regressor is linear: joints of the body plus those of the displacement.
                 let moved = self.smpl.regress_joints(displacement.clone())?;
                 Some(self.smpl.rest_joints(input.betas.clone())? + moved)
             }
             _ => None,
         };
-        self.smpl.forward_about(input, joints)
+        self.smpl.forward_with_joints(input, joints)
     }
 }

@@ -1,15 +1,15 @@
-//! Shape coefficients of a given rest shape.
+//! Least-squares shape coefficients of a rest shape.
 
 use ndarray::{Array1, Array2, s};
 
 use super::SmplModel;
 use crate::{Error, Result};
 
-/// Relative size of what is added to the diagonal of the normal equations, so that directions that
-/// are no use (zeros in some files) get no weight instead of any.
+/// Ridge of the normal equations, relative to the mean of their diagonal, so that zero shape
+/// directions (as some files have) get coefficient 0.
 const RIDGE: f64 = 1e-10;
 
-/// The body nearest to a rest shape.
+/// Shape coefficients fitted to a rest shape, and their residual.
 ///
 /// ```
 /// use cape_synth::synthetic_body;
@@ -23,24 +23,24 @@ const RIDGE: f64 = 1e-10;
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct ShapeFit {
-    /// Shape coefficients `β`.
+    /// Shape coefficients β, `[count]`.
     pub betas: Vec<f64>,
-    /// Root mean square distance of the vertices, metres.
+    /// Root mean square vertex distance, metres.
     pub rms: f64,
-    /// Largest distance of a vertex, metres.
+    /// Largest vertex distance, metres.
     pub largest: f64,
 }
 
 impl SmplModel {
-    /// The first `count` shape coefficients (all, if there are fewer) of an unclothed rest shape
-    /// `[V, 3]`, metres, by least squares: `T̄ + B_S(β) ≈ shape`.
+    /// Fits the first `count` shape coefficients (at most all) to an unclothed rest shape `[V, 3]`,
+    /// metres, by least squares: `T̄ + B_S(β) ≈ shape`.
     ///
     /// # Errors
-    /// If the shape has another number of vertices or numbers that are not finite.
+    /// If the shape is not `[V, 3]` or not finite.
     pub fn fit_betas(&self, shape: &Array2<f64>, count: usize) -> Result<ShapeFit> {
         self.expect_vertices("shape", shape)?;
         if shape.iter().any(|x| !x.is_finite()) {
-            return Err(Error::Argument("shape: has numbers that are not finite".into()));
+            return Err(Error::Argument("shape: a coordinate is not finite".into()));
         }
         let count = count.min(self.betas());
         let rows = 3 * self.vertices();
@@ -52,8 +52,8 @@ impl SmplModel {
         let difference =
             difference.to_shape(rows).map_err(|source| Error::Argument(source.to_string()))?;
         let betas = solve(directions.t().dot(&directions), directions.t().dot(&difference));
-        let left = &difference - &directions.dot(&betas);
-        let squares: Vec<f64> = left
+        let residual = &difference - &directions.dot(&betas);
+        let squares: Vec<f64> = residual
             .as_slice()
             .unwrap_or_default()
             .as_chunks::<3>()
@@ -69,7 +69,7 @@ impl SmplModel {
     }
 }
 
-/// Solves the normal equations by Cholesky's decomposition.
+/// Solves the normal equations `a x = b` by Cholesky decomposition; `x` is `b` on entry.
 fn solve(mut a: Array2<f64>, mut x: Array1<f64>) -> Array1<f64> {
     let n = x.len();
     let ridge = RIDGE * a.diag().sum() / n.max(1) as f64;
@@ -115,9 +115,8 @@ mod tests {
         assert!(fit.rms < 1e-6 && fit.largest < 1e-6);
     }
 
-    /// At the least squares the residual is at right angles to every direction.
     #[test]
-    fn what_no_shape_reaches_is_the_residual() {
+    fn residuals_are_orthogonal_to_the_shape_directions() {
         let body = random_model();
         let shape =
             Array2::from_shape_fn((body.vertices(), 3), |(v, c)| ((3 * v + c) as f64).cos());
@@ -133,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn directions_of_no_use_get_no_weight() {
+    fn zero_directions_get_zero_coefficients() {
         let mut body = random_model();
         body.shapedirs.slice_mut(s![.., .., 1]).fill(0.0);
         let fit = body.fit_betas(&body.rest_shape(&vec![1.0; body.betas()]).unwrap(), 300).unwrap();

@@ -1,4 +1,4 @@
-//! Posing: in tensor operations, or in one pass where nobody asks for gradients.
+//! Forward pass: composed tensor operations, or one fused pass on the CPU without gradients.
 
 use burn::tensor::{DType, Tensor, TensorData};
 
@@ -10,14 +10,14 @@ use super::{
 use crate::Result;
 
 impl Smpl {
-    /// The posed body, clothed where a displacement is given: `T_clo = T(β, θ) + S_clo`, with
-    /// joints of the body (CAPE eq. 2–4).
+    /// Posed body, clothed if a displacement is given, `T_clo = T(β, θ) + S_clo`, with the joints of
+    /// the unclothed body (CAPE eq. 2–4).
     pub fn forward(&self, input: SmplInput) -> Result<SmplOutput> {
-        self.forward_about(input, None)
+        self.forward_with_joints(input, None)
     }
 
-    /// [`forward`](Self::forward) about other rest joints than the body's, `[n, J, 3]`.
-    pub(super) fn forward_about(
+    /// [`forward`](Self::forward) with given rest joints, metres, `[n, J, 3]`.
+    pub(super) fn forward_with_joints(
         &self,
         input: SmplInput,
         rest_joints: Option<Tensor<3>>,
@@ -34,7 +34,7 @@ impl Smpl {
         }
     }
 
-    /// [`forward_about`](Self::forward_about) in tensor operations.
+    /// [`forward_with_joints`](Self::forward_with_joints) in tensor operations.
     pub(super) fn forward_composed(
         &self,
         input: SmplInput,
@@ -61,17 +61,18 @@ impl Smpl {
             [_, 0] => TensorData::new(Vec::<f32>::new(), [n, 0]),
             _ => self.read(input.betas)?,
         };
-        let (pose, by_angle) = match input.pose {
+        let (pose, axis_angle) = match input.pose {
             Pose::AxisAngle(angles) => (self.read(angles)?, true),
             Pose::Rotations(rotations) => (self.read(rotations)?, false),
         };
         let transl = self.read(input.transl)?;
-        let displacement = input.displacement.map(|clothes| self.read(clothes)).transpose()?;
+        let displacement =
+            input.displacement.map(|displacement| self.read(displacement)).transpose()?;
         let rest_joints = rest_joints.map(|joints| self.read(joints)).transpose()?;
         let pose = numbers(&pose)?;
         let (vertices, joints) = body.pose(BodyBatch {
             betas: numbers(&betas)?,
-            turns: if by_angle {
+            rotations: if axis_angle {
                 JointRotations::AxisAngles(pose)
             } else {
                 JointRotations::Rotations(pose)
@@ -90,7 +91,7 @@ impl Smpl {
         })
     }
 
-    /// Size of the batch.
+    /// Checks all shapes and returns the batch size.
     fn check_input(&self, input: &SmplInput) -> Result<usize> {
         let [n, _] = self.check_betas(&input.betas)?;
         let found = match &input.pose {
@@ -113,22 +114,22 @@ impl Smpl {
         Ok(n)
     }
 
-    /// The numbers of `tensor` in the body's precision.
+    /// Values of `tensor` in the precision of the body.
     fn read<const D: usize>(&self, tensor: Tensor<D>) -> Result<TensorData> {
         self.convert(tensor).try_into_data().map_err(|source| failed(&source))
     }
 }
 
-/// Whether any of a batch's tensors can take part in a gradient.
+/// True if any of the tensors is on an autodiff device.
 fn tracked(input: &SmplInput, rest_joints: Option<&Tensor<3>>) -> bool {
     let pose = match &input.pose {
         Pose::AxisAngle(angles) => angles.device(),
         Pose::Rotations(rotations) => rotations.device(),
     };
-    let clothes = input.displacement.iter().chain(rest_joints).map(Tensor::device);
+    let optional = input.displacement.iter().chain(rest_joints).map(Tensor::device);
     [input.betas.device(), pose, input.transl.device()]
         .into_iter()
-        .chain(clothes)
+        .chain(optional)
         .any(|device| device.is_autodiff())
 }
 

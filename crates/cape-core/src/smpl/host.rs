@@ -1,4 +1,4 @@
-//! The body in `f64` on the host: plain and clear, for data preparation and as an oracle.
+//! Evaluation of the body in `f64` on the host, for data preparation and as the reference in tests.
 
 use glam::{DAffine3, DMat3, DVec3};
 use ndarray::{Array1, Array2, ArrayView1, s};
@@ -6,19 +6,17 @@ use ndarray::{Array1, Array2, ArrayView1, s};
 use super::SmplModel;
 use crate::{Error, Result, joints::rotation};
 
-/// A posed body.
-///
-/// See [`SmplModel`] for an example.
+/// Vertices and joints of a posed body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PosedBody {
-    /// `[V, 3]`, metres.
+    /// Vertices, metres, `[V, 3]`.
     pub vertices: Array2<f64>,
-    /// `[J, 3]`, metres.
+    /// Joints, metres, `[J, 3]`.
     pub joints: Array2<f64>,
 }
 
 impl SmplModel {
-    /// The unclothed rest shape `T̄ + B_S(β)`, `[V, 3]`. Missing betas are zero.
+    /// Unclothed rest shape `T̄ + B_S(β)`, metres, `[V, 3]`; missing coefficients are zero.
     pub fn rest_shape(&self, betas: &[f64]) -> Result<Array2<f64>> {
         if betas.len() > self.betas() {
             return Err(Error::Argument(format!(
@@ -34,24 +32,24 @@ impl SmplModel {
         Ok(shape)
     }
 
-    /// Rest joints of a rest shape: `J_regressor · shape`, `[J, 3]`.
+    /// Rest joints of a rest shape, `J_regressor · shape`, metres, `[J, 3]`.
     pub fn rest_joints(&self, shape: &Array2<f64>) -> Result<Array2<f64>> {
         self.expect_vertices("shape", shape)?;
         Ok(self.joint_regressor.dot(shape))
     }
 
-    /// The pose blend shapes `B_P(θ)`, `[V, 3]`, of axis-angles `[3·J]`.
+    /// Pose blend shapes `B_P(θ)` of axis-angles `[3·J]`, metres, `[V, 3]`.
     pub fn pose_offsets(&self, pose: &[f64]) -> Result<Array2<f64>> {
         Ok(self.offsets(&self.rotations(pose)?))
     }
 
-    /// The unposed body `T(β, θ)` (CAPE eq. 1), `[V, 3]`.
+    /// Unposed body `T(β, θ)` (CAPE eq. 1), metres, `[V, 3]`.
     pub fn unposed_template(&self, betas: &[f64], pose: &[f64]) -> Result<Array2<f64>> {
         Ok(self.rest_shape(betas)? + self.pose_offsets(pose)?)
     }
 
-    /// The posed body (CAPE eq. 2), clothed where `displacement` `[V, 3]` is given (eq. 3–4);
-    /// joints come from the body.
+    /// Posed body (CAPE eq. 2) with the joints of the unclothed body; clothed if `displacement`
+    /// `[V, 3]`, metres, is given (eq. 3–4).
     pub fn pose(
         &self,
         betas: &[f64],
@@ -93,8 +91,8 @@ impl SmplModel {
         Ok(PosedBody { vertices, joints })
     }
 
-    /// Undoes [`pose`](Self::pose): posed, possibly clothed vertices `[V, 3]` back to the canonical
-    /// space of the rest shape, `T̄ + B_S(β) + S_clo` (pose blend shapes removed), so that
+    /// Inverse of [`pose`](Self::pose): maps posed, possibly clothed vertices `[V, 3]` to the
+    /// canonical space of the rest shape, `T̄ + B_S(β) + S_clo` (pose blend shapes removed), so that
     /// `unpose(…) − rest_shape(β)` is the clothing displacement.
     pub fn unpose(
         &self,
@@ -134,8 +132,8 @@ impl SmplModel {
         Ok(canonical - self.offsets(&rotations))
     }
 
-    /// Every vertex's blended joint transform `T_j(θ) = Σ_k w_{j,k} G_k(θ)`, translation included,
-    /// which takes an unposed vertex to its place; `[V]`, for an unclothed rest shape `[V, 3]`.
+    /// Blended joint transforms `T_j(θ) = Σ_k w_{j,k} G_k(θ)` plus `transl`, from unposed to posed
+    /// vertices, `[V]`, of a body given by its unclothed rest shape `[V, 3]`.
     pub fn vertex_transforms(
         &self,
         shape: &Array2<f64>,
@@ -188,7 +186,7 @@ impl SmplModel {
         offsets
     }
 
-    /// Where each joint's frame goes, `[J]`.
+    /// Global transforms of the joint frames, `[J]`.
     fn global_transforms(&self, rotations: &[DMat3], rest: &Array2<f64>) -> Vec<DAffine3> {
         let mut globals: Vec<DAffine3> = Vec::with_capacity(rotations.len());
         for (joint, (&rotation, parent)) in rotations.iter().zip(&self.parents).enumerate() {
@@ -205,7 +203,7 @@ impl SmplModel {
     }
 }
 
-/// Blends whose determinant is below this cannot be undone.
+/// Smallest determinant of a blended transform that is inverted.
 pub(super) const SINGULAR: f64 = 1e-6;
 
 pub(super) fn singular(vertex: usize, determinant: f64) -> Error {
@@ -219,7 +217,7 @@ fn point(row: ArrayView1<f64>) -> DVec3 {
     DVec3::new(row[0], row[1], row[2])
 }
 
-/// Transforms that act on rest positions instead of joint-local ones.
+/// Joint transforms of rest positions, from transforms of joint-local positions.
 fn relative_to_rest(globals: &[DAffine3], rest: &Array2<f64>) -> Vec<DAffine3> {
     let moved = |(global, rest): (&DAffine3, _)| *global * DAffine3::from_translation(-point(rest));
     globals.iter().zip(rest.rows()).map(moved).collect()
@@ -280,7 +278,7 @@ mod tests {
 
     #[test]
     fn a_rigid_vertex_follows_its_chain() {
-        // Joint 3 hangs on 2, which hangs on 0: a vertex bound to 3 alone moves by the product.
+        // Chain of joints 0, 2, 3: a vertex of joint 3 alone moves by the product of the transforms.
         let mut model = random_model();
         model.posedirs.fill(0.0);
         model.weights.row_mut(0).assign(&ndarray::array![0.0, 0.0, 0.0, 1.0]);

@@ -8,12 +8,12 @@ use crate::{
     npy::{expect_shape, read_i64, write_npy},
 };
 
-/// Joints that move skin only: ankles, feet, head, wrists and hands.
+/// Joints of uncovered skin: ankles, feet, head, wrists and hands.
 const BARE_JOINTS: [usize; 9] = [7, 8, 10, 11, 15, 20, 21, 22, 23];
-/// A vertex that follows those joints by more than this much of its weight is bare.
+/// Sum of the blend weights of those joints above which a vertex is uncovered.
 const BARE_WEIGHT: f64 = 0.1;
 
-/// Which vertices clothing covers; the displacement of all others is zero when a body is dressed.
+/// Clothing vertices of a body; the displacement of all other vertices is zero.
 ///
 /// ```
 /// use cape_core::ClothingMask;
@@ -22,7 +22,7 @@ const BARE_WEIGHT: f64 = 0.1;
 /// let mask = ClothingMask::from_indices(6, &[5, 1, 2])?;
 /// assert_eq!(mask.indices().collect::<Vec<_>>(), [1, 2, 5]);
 /// assert_eq!(mask.covered(), [false, true, true, false, false, true]);
-/// // Head, hands and feet stay bare.
+/// // Head, hands and feet are uncovered.
 /// let derived = ClothingMask::from_weights(&synthetic_body())?;
 /// assert!((1..6890).contains(&derived.count()));
 /// # Ok::<(), cape_core::Error>(())
@@ -33,18 +33,20 @@ pub struct ClothingMask {
 }
 
 impl ClothingMask {
-    /// The mask that covers the vertices listed, of `vertices` in all.
+    /// Mask that covers `indices` of a body of `vertices` vertices.
     pub fn from_indices(vertices: usize, indices: &[usize]) -> Result<Self> {
         let mut covered = vec![false; vertices];
         for &index in indices {
             *covered.get_mut(index).ok_or_else(|| {
-                Error::Argument(format!("clothing vertex {index}, but there are {vertices}"))
+                Error::Argument(format!(
+                    "clothing vertex {index} is out of range for {vertices} vertices"
+                ))
             })? = true;
         }
         Ok(Self { covered })
     }
 
-    /// Reads a list of vertex indices such as the release's `clothing_verts_idx.npy`.
+    /// Reads a list of vertex indices such as `clothing_verts_idx.npy` of the CAPE release.
     pub fn load(path: impl AsRef<Path>, vertices: usize) -> Result<Self> {
         let path = path.as_ref();
         let array = read_i64(path)?;
@@ -53,7 +55,10 @@ impl ClothingMask {
         for &index in &array {
             let slot = usize::try_from(index).ok().and_then(|index| covered.get_mut(index));
             *slot.ok_or_else(|| {
-                Error::format(path, format!("vertex {index}, but there are {vertices}"))
+                Error::format(
+                    path,
+                    format!("vertex {index} is out of range for {vertices} vertices"),
+                )
             })? = true;
         }
         Ok(Self { covered })
@@ -64,13 +69,15 @@ impl ClothingMask {
         write_npy::<i64, Ix1>(path, &Array1::from_iter(self.indices().map(|index| index as i64)))
     }
 
-    /// A mask derived from blend weights: all but head, hands, feet and toes, and the fringes of
-    /// wrists and ankles that follow them. An approximation of the hand-made list of the release;
-    /// for bodies with SMPL's 24 joints only.
+    /// Mask derived from blend weights: all vertices but those of head, hands, feet and toes, an
+    /// approximation of the list in the CAPE release.
+    ///
+    /// # Errors
+    /// If the body does not have SMPL's 24 joints.
     pub fn from_weights(model: &SmplModel) -> Result<Self> {
         if model.joints() != crate::joints::JOINTS {
             return Err(Error::Argument(format!(
-                "a clothing mask can be derived for SMPL's 24 joints only, not for {}",
+                "body of {} joints: a clothing mask can be derived for SMPL's 24 only",
                 model.joints()
             )));
         }
@@ -80,12 +87,12 @@ impl ClothingMask {
         Ok(Self { covered: model.weights.rows().into_iter().map(|row| !bare(row)).collect() })
     }
 
-    /// Whether each vertex is covered, `[V]`.
+    /// Cover flags of the vertices, `[V]`.
     pub fn covered(&self) -> &[bool] {
         &self.covered
     }
 
-    /// The covered vertices, ascending.
+    /// Indices of the covered vertices, ascending.
     pub fn indices(&self) -> impl Iterator<Item = usize> + '_ {
         (0..self.covered.len()).filter(|&index| self.covered[index])
     }
@@ -110,7 +117,7 @@ mod tests {
         assert_eq!(mask.indices().collect::<Vec<_>>(), [1, 2, 5]);
         assert_eq!(mask.count(), 3);
         let message = ClothingMask::load(&path, 5).unwrap_err().to_string();
-        assert!(message.contains("vertex 5, but there are 5"), "{message}");
+        assert!(message.contains("vertex 5 is out of range for 5 vertices"), "{message}");
         assert!(ClothingMask::from_indices(5, &[5]).is_err());
     }
 
@@ -119,7 +126,7 @@ mod tests {
         let mut model = crate::smpl::test_model::random_model();
         assert!(ClothingMask::from_weights(&model).is_err());
         model.weights = ndarray::Array2::zeros((12, 24));
-        // Vertex i follows joint i wholly, except that vertex 0 has a trace of the left wrist.
+        // Vertex i has weight 1 at joint i; vertex 0 has a small weight at the left wrist too.
         for vertex in 0..12 {
             model.weights[[vertex, vertex]] = 1.0;
         }

@@ -1,7 +1,8 @@
-//! SMPL: a body mesh as a function of shape and pose, bare and clothed.
+//! SMPL: a body mesh as a function of shape and pose, unclothed or clothed.
 //!
-//! [`SmplModel`] holds the arrays of a body file and evaluates it in `f64` on the host; [`Smpl`] is
-//! the same body on a device, differentiable; [`ClothedSmpl`] adds CAPE's clothing term.
+//! [`SmplModel`] holds the arrays of a body file and evaluates the body in `f64` on the host;
+//! [`Smpl`] is the same body as differentiable tensor operations on a device; [`ClothedSmpl`] adds
+//! CAPE's clothing term.
 
 mod body;
 mod clothed;

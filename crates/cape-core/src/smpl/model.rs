@@ -2,10 +2,9 @@ use ndarray::{Array2, Array3};
 
 use crate::{Error, Mesh, Result};
 
-/// The arrays of an SMPL-like body: what `M(β, θ) = W(T̄ + B_S(β) + B_P(θ), J(β), θ, 𝒲)` (CAPE
-/// eq. 1–2) is made of.
+/// Arrays of an SMPL-like body `M(β, θ) = W(T̄ + B_S(β) + B_P(θ), J(β), θ, 𝒲)` (CAPE eq. 1–2).
 ///
-/// `V` vertices, `J` joints (24), `B` shape directions (10 to 300). Metres.
+/// `V` vertices, `J` joints (24 in SMPL), `B` shape directions (10 to 300); lengths in metres.
 ///
 /// ```
 /// use cape_core::SmplModel;
@@ -18,7 +17,7 @@ use crate::{Error, Mesh, Result};
 /// body.save(&path)?;
 /// assert_eq!(SmplModel::load(&path)?, body);
 ///
-/// // Unposing undoes posing.
+/// // Unposing is the inverse of posing.
 /// let mut pose = [0.0; 72];
 /// pose[3 * 18] = 0.8;
 /// let betas = [1.0, -0.5];
@@ -30,27 +29,27 @@ use crate::{Error, Mesh, Result};
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct SmplModel {
-    /// Template `T̄`, `[V, 3]`.
+    /// Template vertices `T̄`, metres, `[V, 3]`.
     pub v_template: Array2<f64>,
     /// Shape directions of `B_S`, `[V, 3, B]`.
     pub shapedirs: Array3<f64>,
     /// Pose directions of `B_P`, `[V, 3, 9·(J − 1)]`.
     pub posedirs: Array3<f64>,
-    /// Rows that average rest vertices into rest joints, `[J, V]`.
+    /// Joint regressor, from rest vertices to rest joints, `[J, V]`.
     pub joint_regressor: Array2<f64>,
     /// Blend weights `𝒲`, `[V, J]`.
     pub weights: Array2<f64>,
-    /// Each joint's parent, which comes before it; `None` for the root, joint 0. `[J]`.
+    /// Parent of each joint, an earlier one; `None` for the root, joint 0. `[J]`.
     pub parents: Vec<Option<usize>>,
     /// Vertex indices of each triangle, `[faces, 3]`.
     pub faces: Vec<[u32; 3]>,
 }
 
-/// What is wrong with one array of a body.
+/// Error in one array of a body.
 pub(super) struct FieldError {
-    /// The array, by its name in body files.
+    /// Name of the array in body files.
     pub(super) field: &'static str,
-    /// What was found, and what was expected.
+    /// Found and expected content.
     pub(super) message: String,
 }
 
@@ -70,7 +69,7 @@ impl SmplModel {
         self.shapedirs.dim().2
     }
 
-    /// Length of the pose blend shapes' input, `9·(J − 1)`.
+    /// Number of pose directions, `9·(J − 1)`.
     pub fn pose_blends(&self) -> usize {
         9 * self.joints().saturating_sub(1)
     }
@@ -80,15 +79,15 @@ impl SmplModel {
         self.mesh_with(&self.v_template)
     }
 
-    /// The body's triangles with other vertices, metres, `[V, 3]`.
+    /// Mesh of the body's triangles and the given vertices, metres, `[V, 3]`.
     pub fn mesh_with(&self, vertices: &Array2<f64>) -> Mesh {
         let vertices =
             vertices.rows().into_iter().map(|v| [v[0] as f32, v[1] as f32, v[2] as f32]).collect();
         Mesh { vertices, faces: self.faces.clone() }
     }
 
-    /// Checks that the arrays fit together: shapes, the order of joints, faces in range, finite
-    /// numbers. A body read by [`load`](Self::load) has passed.
+    /// Checks shapes, the order of the joints, the range of the faces, and that all numbers are
+    /// finite. [`load`](Self::load) does so too.
     pub fn validate(&self) -> Result<()> {
         self.check().map_err(|FieldError { field, message }| {
             Error::Argument(format!("body: `{field}`: {message}"))

@@ -2,8 +2,8 @@
 
 use burn::tensor::{DType, Device, Tensor};
 
-/// Squared angle below which the series are used. They are exact to rounding there, and so are
-/// their derivatives, where the closed forms divide two vanishing numbers.
+/// Squared angle below which power series replace the closed forms, whose derivatives are 0 / 0 at
+/// angle 0. The series and their derivatives are exact to rounding there.
 const SERIES_BELOW: f64 = 0.25;
 
 /// Rotation matrices of axis-angles: `[m, 3]` → `[m, 3, 3]`, smooth at angle 0.
@@ -15,7 +15,7 @@ pub fn rodrigues(axis_angle: Tensor<2>) -> Tensor<3> {
     let squared = axis_angle.clone().square().sum_dim(1);
     let small = squared.clone().lower_scalar(SERIES_BELOW);
 
-    // Where the series holds, the closed forms see a harmless angle: 0 · ∞ never meets a gradient.
+    // The closed forms get angle 1 where the series are used, so that no gradient is 0 · ∞.
     let safe = squared.clone().mask_fill(small.clone(), 1.0);
     let angle = safe.clone().sqrt();
     let half_sine = (angle.clone() * 0.5).sin();
@@ -33,7 +33,7 @@ pub fn rodrigues(axis_angle: Tensor<2>) -> Tensor<3> {
     let a = a.mask_where(small.clone(), a_series);
     let b = b.mask_where(small, b_series);
 
-    // v · generators = the rows of [v]ₓ.
+    // v · generators = [v]ₓ, row-major.
     let generators = Tensor::<2>::from_floats(
         [
             [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
@@ -50,12 +50,12 @@ pub fn rodrigues(axis_angle: Tensor<2>) -> Tensor<3> {
     rotation.reshape([m, 3, 3])
 }
 
-/// The 3 × 3 identity, row-major, `[1, 9]`.
+/// 3 × 3 identity matrix, row-major, `[1, 9]`.
 pub(super) fn identity(device: &Device, dtype: DType) -> Tensor<2> {
     Tensor::<2>::from_floats([[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]], device).cast(dtype)
 }
 
-/// Horner's scheme, constant term first.
+/// Polynomial of `x` by Horner's scheme; coefficients in ascending order.
 fn polynomial(x: &Tensor<2>, coefficients: [f64; 6]) -> Tensor<2> {
     let [rest @ .., last] = coefficients;
     let highest = x.clone() * 0.0 + last;

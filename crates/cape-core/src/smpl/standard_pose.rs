@@ -1,10 +1,15 @@
-/// The pose in which offsets are measured, the paper's θ₀.
+/// Standard pose θ₀ (Yang et al. 2018) in which offsets from the body are measured.
+///
+/// Its A-pose lowers the arms by 45°, half-way between the T-pose and hanging arms, so that sleeves
+/// and armpits are equally far from both. The pose named `a-pose` for pictures and captures
+/// (`cape_synth::poses`) lowers them by 0.8 rad ≈ 46°; stored offsets depend on this one, so that
+/// the two stay separate.
 ///
 /// ```
 /// use cape_core::smpl::StandardPose;
 ///
 /// assert_eq!(StandardPose::T.angles(24), [0.0; 72]);
-/// // The shoulders alone are turned, by 45°.
+/// // Only the shoulders are rotated, by 45°.
 /// let lowered = StandardPose::A.angles(24);
 /// let turned: Vec<f64> = lowered.into_iter().filter(|angle| *angle != 0.0).collect();
 /// assert_eq!(turned.len(), 2);
@@ -12,27 +17,30 @@
 /// ```
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum StandardPose {
-    /// Arms lowered by 45°.
+    /// A-pose: arms lowered by 45°.
     #[default]
     A,
-    /// SMPL's rest pose.
+    /// T-pose, SMPL's rest pose.
     T,
-    /// Any axis-angles, `[3 · joints]`, radians.
+    /// Pose in axis-angle, radians, `[3 · joints]`.
     Other(Vec<f64>),
 }
 
+/// Angle of the arms below the horizontal in [`StandardPose::A`], radians.
+const A_POSE_ANGLE: f64 = std::f64::consts::FRAC_PI_4;
+
 impl StandardPose {
-    /// The pose's axis-angles, `[3 · joints]`, radians.
+    /// The pose in axis-angle, radians, `[3 · joints]`.
     pub fn angles(&self, joints: usize) -> Vec<f64> {
         let mut pose = vec![0.0; 3 * joints];
         match self {
             Self::T => {}
             Self::Other(angles) => pose.clone_from(angles),
             Self::A => {
-                // The shoulders, about z.
-                for (joint, turn) in [(16, -1.0), (17, 1.0)] {
-                    if let Some(angle) = pose.get_mut(3 * joint + 2) {
-                        *angle = turn * std::f64::consts::FRAC_PI_4;
+                // Rotations of the shoulders about z.
+                for (shoulder, sign) in [(16, -1.0), (17, 1.0)] {
+                    if let Some(angle) = pose.get_mut(3 * shoulder + 2) {
+                        *angle = sign * A_POSE_ANGLE;
                     }
                 }
             }

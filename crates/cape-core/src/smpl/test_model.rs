@@ -1,4 +1,4 @@
-//! A small random body for tests.
+//! Small random body for tests.
 
 use ndarray::{Array, Array2, Array3, Dimension, ShapeBuilder};
 use rand::{Rng, SeedableRng};
@@ -15,7 +15,7 @@ pub(crate) fn random<D: Dimension, S: ShapeBuilder<Dim = D>>(
     Array::from_shape_simple_fn(shape, || rng.random_range(-scale..scale))
 }
 
-/// 12 vertices, 4 joints (a chain of two beside a single one), 2 shape directions.
+/// Random body of 12 vertices, 4 joints and 2 shape directions.
 pub(crate) fn random_model() -> SmplModel {
     let rng = &mut ChaCha8Rng::seed_from_u64(7);
     let (v, j) = (12, 4);

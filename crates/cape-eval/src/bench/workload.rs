@@ -10,7 +10,7 @@ use cape_model::{CapeConfig, Discriminator, Generator, Graphs};
 use cape_synth::synthetic_body;
 
 use crate::{Error, Result};
-use cape_core::tensors::tensor2;
+use cape_core::tensors::from_array2;
 use cape_infer::{DeviceBatch, RunConfig, build_graphs, normal};
 use cape_train::{
     learner::{Learner, UpdateOptions},
@@ -78,7 +78,7 @@ impl Workload {
         run.validate()?;
         let graphs = build_graphs(&run, mesh, &device)?;
         let learner = Learner::new(&run, graphs, &device)?;
-        let epsilon = tensor2(normal(seed, 0, batch, config.latent), &device);
+        let epsilon = from_array2(normal(seed, 0, batch, config.latent), &device);
         let vertices = learner.graphs().generator.vertices()[0];
         let input = StepInput {
             frames: frames(batch, vertices, seed, 1, &device),
@@ -111,7 +111,7 @@ impl Workload {
             discriminator: model.discriminator.as_ref().map(Module::valid),
             graphs: graphs.clone(),
             frames: frames(batch, graphs.generator.vertices()[0], self.seed, 5, &device),
-            code: tensor2(normal(self.seed, 7, batch, self.latent), &device),
+            code: from_array2(normal(self.seed, 7, batch, self.latent), &device),
             device,
         }
     }
@@ -161,10 +161,10 @@ impl InferenceWorkload {
 
 /// Random frames from two streams of the seed.
 fn frames(batch: usize, vertices: usize, seed: u64, stream: u64, device: &Device) -> DeviceBatch {
-    let displacement = tensor2(normal(seed, stream, batch, vertices * 3), device);
+    let displacement = from_array2(normal(seed, stream, batch, vertices * 3), device);
     DeviceBatch {
         displacement: displacement.reshape([batch, vertices, 3]),
-        pose_feature: tensor2(normal(seed, stream + 1, batch, POSE_FEATURE), device),
+        pose_feature: from_array2(normal(seed, stream + 1, batch, POSE_FEATURE), device),
         outfit: Tensor::ones([batch, 4], device) * 0.25,
     }
 }

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use cape_core::SmplModel;
 use serde::{Deserialize, Serialize};
 
-pub use cape_stats::resample::ConfidenceInterval;
+pub use cape_stats::bootstrap::ConfidenceInterval;
 pub use runs::{check_comparable, common_data, training_seconds};
 pub use table::{ComparisonRow, ComparisonTable};
 

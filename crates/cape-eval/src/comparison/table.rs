@@ -2,7 +2,10 @@
 
 use serde::Serialize;
 
-use cape_stats::resample::{Cluster, ConfidenceInterval, clusters, interval, sign_test};
+use cape_stats::{
+    bootstrap::{Cluster, ConfidenceInterval, clusters, mean_interval},
+    paired_test::sign_flip_test,
+};
 
 use super::{MethodResults, RunErrors};
 use crate::surface_detail::SurfaceDetail;
@@ -164,14 +167,10 @@ impl ComparisonRow {
         let comparable = reference.first().is_some_and(|other| names(other) == names(results[0]));
         let against = comparable.then(|| {
             let theirs = averaged(reference);
-            let differences: Vec<Cluster> = own
-                .iter()
-                .zip(&theirs)
-                .map(|(a, b)| Cluster { sum: a.sum - b.sum, count: a.count })
-                .collect();
-            let count: f64 = differences.iter().map(|d| d.count).sum();
-            let sum: f64 = differences.iter().map(|d| d.sum).sum();
-            (sum / count, sign_test(&differences))
+            let differences: Vec<f64> =
+                own.iter().zip(&theirs).map(|(a, b)| a.sum - b.sum).collect();
+            let count: f64 = own.iter().map(|cluster| cluster.count).sum();
+            (differences.iter().sum::<f64>() / count, sign_flip_test(&differences))
         });
         let by = |of: &dyn Fn(&GroupedSummary) -> Vec<(String, f64)>| -> Vec<(String, f64)> {
             let names = of(&results[0].sampled);
@@ -198,7 +197,7 @@ impl ComparisonRow {
             std: over(&|r| r.sampled.overall.std),
             median: over(&|r| r.sampled.overall.median),
             between_seeds,
-            interval: interval(&own),
+            interval: mean_interval(&own),
             posterior_mean: over(&|r| r.mean.overall.mean),
             detail: SurfaceDetail {
                 edge_mm: over(&|r| r.detail.edge_mm),

@@ -1,10 +1,10 @@
 //! Interpenetration: clothing vertices inside the body.
 
-use cape_core::Mesh;
-use parry3d_f64::{
-    math::Vector,
-    query::PointQuery,
-    shape::{TriMesh, TriMeshFlags},
+use std::collections::HashMap;
+
+use cape_core::{
+    Mesh,
+    geometry::{SurfaceIndex, SurfaceMesh},
 };
 use rayon::prelude::*;
 
@@ -17,26 +17,42 @@ pub(super) fn inside_share(
     clothing: &[usize],
     body: &Mesh,
 ) -> Result<f64> {
-    let vector = |p: [f32; 3]| Vector::from(p.map(f64::from));
-    let vertices = body.vertices.iter().map(|&v| vector(v)).collect();
-    let solid = TriMesh::with_flags(vertices, body.faces.clone(), TriMeshFlags::ORIENTED).map_err(
-        |error| {
-            Error::data(format!(
-                "the run's body is not a closed, consistently oriented mesh: {error}"
-            ))
-        },
-    )?;
+    let surface = SurfaceMesh::from_mesh("body", body)?;
+    expect_oriented(&surface.faces)?;
+    let solid = SurfaceIndex::new(&surface);
     let inside: usize = displacements
         .par_iter()
         .map(|row| {
             let within = |&&vertex: &&usize| {
-                let at = |i: usize| body.vertices[vertex][i] + row[3 * vertex + i];
-                solid.contains_local_point(vector([at(0), at(1), at(2)]))
+                let at =
+                    [0, 1, 2].map(|i| f64::from(body.vertices[vertex][i] + row[3 * vertex + i]));
+                let closest = solid.closest(at.into(), f64::INFINITY);
+                closest.is_some_and(|closest| closest.signed_distance < 0.0)
             };
             clothing.iter().filter(within).count()
         })
         .sum();
     Ok(inside as f64 / (displacements.len() * clothing.len()).max(1) as f64)
+}
+
+/// An error unless every face has three different corners and neighbouring faces run through their
+/// common edge in opposite directions: otherwise inside and outside are not defined.
+fn expect_oriented(faces: &[[u32; 3]]) -> Result<()> {
+    let mut edges: HashMap<[u32; 2], usize> = HashMap::new();
+    for (face, &[a, b, c]) in faces.iter().enumerate() {
+        if a == b || b == c || c == a {
+            return Err(Error::data(format!("body: face {face} has one corner twice")));
+        }
+        for edge in [[a, b], [b, c], [c, a]] {
+            if let Some(other) = edges.insert(edge, face) {
+                return Err(Error::data(format!(
+                    "body: faces {other} and {face} have the edge {edge:?} in the same direction: \
+                     orient all faces outward"
+                )));
+            }
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -60,6 +76,14 @@ mod tests {
             }
         }
         mesh
+    }
+
+    #[test]
+    fn faces_of_opposite_orientation_are_refused() {
+        let mut body = cubes();
+        body.faces[3].swap(0, 1);
+        let message = inside_share(&[], &[], &body).unwrap_err().to_string();
+        assert!(message.contains("same direction"), "{message}");
     }
 
     #[test]

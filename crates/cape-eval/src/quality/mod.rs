@@ -18,7 +18,7 @@ pub use sets::SetDistances;
 use crate::{Error, Result, quality::classify::OutfitCentroids};
 use cape_core::ProgressFn;
 use cape_data::{PackedSet, Split};
-use cape_infer::Run;
+use cape_infer::{BodySpec, Run};
 
 /// Options of [`quality`](quality()).
 ///
@@ -28,7 +28,7 @@ use cape_infer::Run;
 /// use burn::tensor::Device;
 /// use cape_core::silent;
 /// use cape_eval::quality::{QualityOptions, quality, standard_normal};
-/// use cape_infer::Run;
+/// use cape_infer::{BodySpec, Run};
 ///
 /// let directory = trained()?;
 /// let [packed, run] = ["packed", "run"].map(|name| directory.path().join(name));
@@ -199,7 +199,12 @@ fn decoded(
     poses: &[[f32; 72]],
     outfits: &[Outfit],
 ) -> Result<Vec<Vec<f32>>> {
-    let decoded = run.decode(codes, poses, outfits)?;
+    let bodies: Vec<BodySpec> = poses
+        .iter()
+        .zip(outfits)
+        .map(|(&pose, &outfit)| BodySpec { betas: Vec::new(), pose, outfit })
+        .collect();
+    let decoded = run.decode_displacements(codes, &bodies)?;
     Ok(decoded.axis_iter(Axis(0)).map(|frame| frame.iter().copied().collect()).collect())
 }
 

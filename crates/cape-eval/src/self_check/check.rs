@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::{Fixtures, ModelUnderTest};
 use crate::Result;
-use cape_core::{ProgressFn, tensors::host};
+use cape_core::{ProgressFn, tensors::to_host};
 use cape_infer::{DeviceBatch, OptimiserKind, RateSchedule, RunConfig, TrainConfig, to_device};
 use cape_stats::errors::{ErrorStats, vertex_errors_mm};
 use cape_train::{
@@ -151,8 +151,8 @@ fn overfit(
 fn error_mm(fixtures: &Fixtures, learner: &Learner, frames: &DeviceBatch) -> Result<f64> {
     let generator = learner.valid_generator();
     let result = reconstruct(&generator, learner.graphs(), frames, None);
-    let mut predicted = host(result.displacement);
-    let mut truth = host(frames.displacement.clone());
+    let mut predicted = to_host(result.displacement);
+    let mut truth = to_host(frames.displacement.clone());
     fixtures.statistics.denormalise(&mut predicted);
     fixtures.statistics.denormalise(&mut truth);
     let size = fixtures.set.vertices() * 3;
@@ -273,7 +273,9 @@ fn check_codes(fixtures: &Fixtures, config: &RunConfig, learner: &Learner) -> Re
     for chosen in chosen.chunks(config.train.batch) {
         let batch = fixtures.set.batch(chosen, Some(&fixtures.statistics))?;
         let frames = to_device(batch, &fixtures.device.clone().inner());
-        codes.extend(host(reconstruct(&generator, learner.graphs(), &frames, None).posterior.mean));
+        codes.extend(to_host(
+            reconstruct(&generator, learner.graphs(), &frames, None).posterior.mean,
+        ));
     }
     let active = active_units(&codes, config.model.latent);
     Ok(Finding {

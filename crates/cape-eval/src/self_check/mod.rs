@@ -13,7 +13,7 @@ pub use check::{CheckOptions, CheckReport, Finding, check};
 pub use rate::{RatePoint, RateSearchOptions, RateSearchReport, find_rate};
 
 use crate::{Error, Result};
-use cape_core::tensors::tensor2;
+use cape_core::tensors::from_array2;
 use cape_data::{
     DisplacementStatistics, Loader, LoaderOptions, LoaderState, PackedSet, Split, StepBatches,
     steps_per_epoch,
@@ -133,7 +133,7 @@ impl StepInputs {
         let StepBatches { generator, discriminator, .. } = self.loader.step()?;
         let count = generator.frames.len();
         let noise = |latent| normal(self.seed, (1 << 32) + self.step, count, latent);
-        let epsilon = self.latent.map(|latent| tensor2(noise(latent), &self.device));
+        let epsilon = self.latent.map(|latent| from_array2(noise(latent), &self.device));
         self.step += 1;
         Ok(StepInput {
             frames: to_device(generator, &self.device),

@@ -1,6 +1,6 @@
 //! Measuring a row, and fitting those that are not trained.
 
-use std::{fs, path::Path, sync::Arc, time::Instant};
+use std::{sync::Arc, time::Instant};
 
 use burn::tensor::Device;
 use ndarray::{Array2, Axis};
@@ -12,7 +12,7 @@ use crate::{
 };
 use cape_core::ProgressFn;
 use cape_data::{DisplacementStatistics, PackedSet, Split, principal_components};
-use cape_infer::{Run, write_json};
+use cape_infer::Run;
 use cape_stats::pca::PcaOptions;
 
 const PCA: &str = "pca.npz";
@@ -31,7 +31,7 @@ impl Table2Job {
         let set = Arc::new(PackedSet::open(&grid.data, Split::Test)?);
         let mut frames = FigureFrames::new(&self.shown, set.vertices());
         let measured = if self.row.is_trained() {
-            let run = Run::open(&self.run_directory(), device)?;
+            let run = Run::open(self.run_directory(), device)?;
             measure_run(&run, &set, self.seed, progress, &mut |row, predicted, _| {
                 frames.push(row, predicted);
                 Ok(())
@@ -42,20 +42,12 @@ impl Table2Job {
         let result = RowResult {
             row: self.row,
             seed: self.seed,
-            key: self.key.clone(),
             seconds: if self.row.is_trained() { seconds } else { start.elapsed().as_secs_f64() },
             measured,
         };
-        create_dir(&self.directory)?;
         // The result comes last: where it is, its frames are too.
-        let path = self.directory.join(RESULT);
-        if path.exists() {
-            fs::remove_file(&path).map_err(|source| Error::io(&path, source))?;
-        }
-        frames.save(self.directory.join(FRAMES))?;
-        write_json(&path, &result)?;
-        // As it will be read from now on, to the last digit.
-        Ok(self.result().unwrap_or(result))
+        frames.save(self.store.claim(FRAMES)?)?;
+        self.store.write(RESULT, &result)
     }
 
     fn measure_fitted(
@@ -101,17 +93,12 @@ impl Table2Job {
         let components = self.config.model.latent.min(rows.saturating_sub(1));
         let options = PcaOptions { components, seed: self.seed, ..PcaOptions::default() };
         let pca = principal_components(&grid.data, &options, progress)?;
-        create_dir(&self.directory)?;
-        pca.save(self.directory.join(PCA))?;
+        pca.save(self.store.claim(PCA)?)?;
         Ok(Box::new(move |truth| {
             let rows = Array2::from_shape_vec((1, truth.len()), truth.to_vec())
                 .map_err(|error| Error::argument(error.to_string()))?;
-            let decoded = pca.decode(&pca.encode(&rows.view()).view());
+            let decoded = pca.decode(pca.encode(rows.view())?.view())?;
             Ok(decoded.index_axis(Axis(0), 0).to_vec())
         }))
     }
-}
-
-fn create_dir(path: &Path) -> Result<()> {
-    fs::create_dir_all(path).map_err(|source| Error::io(path, source))
 }

@@ -1,10 +1,12 @@
 //! CAPE's table 2: every method under one protocol.
 //!
-//! A [`Table2Job`] is one row with one seed in a directory of its own: it is trained (or fitted),
-//! measured on the test frames, and leaves a `result.json` with a key of its configuration and
-//! data, so that it is not done again unless either changed, and the [`FigureFrames`] that pictures
-//! show. [`methods`] are what a [`ComparisonTable`](crate::comparison::ComparisonTable) puts side
-//! by side.
+//! A [`Table2Job`] is one row with one seed. It is trained (or fitted) and measured on the test frames in
+//! a [`ResultStore`] of its own, `<row>/seed-<seed>`, and leaves a `result.json` and the
+//! [`FigureFrames`] that pictures show. The settings of its store are those that this row depends on
+//! (its configuration with the seed; of PCA the number of components; of the mean shape none), its
+//! inputs the packed set, the body and the clothing vertices. Rows and seeds can therefore be added,
+//! and directories of rows moved together from several machines. [`methods`] are what a
+//! [`ComparisonTable`](crate::comparison::ComparisonTable) puts side by side.
 
 mod frames;
 mod measure;
@@ -12,14 +14,14 @@ mod rows;
 
 use std::{
     fs,
-    io::Read,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use burn::tensor::Device;
 use cape_core::{SmplModel, smpl::ClothingMask};
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
+use serde_json::json;
 
 pub use frames::{FigureFrames, select_frames};
 pub use rows::Table2Row;
@@ -27,13 +29,45 @@ pub use rows::Table2Row;
 use crate::{
     Error, Result,
     comparison::{MethodResults, RunErrors},
+    store::{ResultStore, StoreOptions, StoreSettings, unreadable},
 };
-use cape_data::{PackedSet, Split};
+use cape_data::{
+    PackedSet, Split,
+    raw::{BODY_FILE, CLOTHING_FILE},
+};
 use cape_infer::{RunConfig, RunPaths, body_and_clothing, checkpoint};
 use cape_train::{Trainer, TrainerOptions};
 
 const RESULT: &str = "result.json";
 const FRAMES: &str = "frames.npz";
+const RUN: &str = "run";
+
+/// Tables and pictures that versions without settings.json left.
+const EARLIER_TABLES: [&str; 8] = [
+    "table2.json",
+    "table2.md",
+    "table2.csv",
+    "table2.tex",
+    "report.html",
+    "reconstructions.png",
+    "error_maps.png",
+    "histograms.png",
+];
+/// Files of a row that versions without settings.json left.
+const EARLIER_ROW: [&str; 12] = [
+    "result.json",
+    "key.txt",
+    "frames.npz",
+    "pca.npz",
+    "run/config.toml",
+    "run/data.json",
+    "run/stats.npz",
+    "run/body.npz",
+    "run/clothing_verts_idx.npy",
+    "run/metrics.jsonl",
+    "run/checkpoints/",
+    "run/tensorboard/",
+];
 
 /// Options that all rows share.
 ///
@@ -42,7 +76,7 @@ const FRAMES: &str = "frames.npz";
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use burn::tensor::Device;
 /// use cape_core::silent;
-/// use cape_eval::table2::{Table2Options, Table2Row, hash_of, methods, select_frames};
+/// use cape_eval::table2::{Table2Options, Table2Row, methods, select_frames};
 ///
 /// let directory = captures()?;
 /// let data = directory.path().join("packed");
@@ -51,20 +85,20 @@ const FRAMES: &str = "frames.npz";
 ///     body: None,
 ///     clothing: None,
 ///     config: small_config(),
-///     data_hash: hash_of(&data)?,
 ///     shown: select_frames(&data)?,
 ///     data,
+///     overwrite: false,
 /// };
 /// // Two seeds of CAPE, and one of what is not trained.
 /// let jobs = grid.jobs(&[Table2Row::Mean, Table2Row::Cape], 2)?;
 /// let rows: Vec<Table2Row> = jobs.iter().map(|job| job.row).collect();
 /// assert_eq!(rows, [Table2Row::Mean, Table2Row::Cape, Table2Row::Cape]);
-/// assert!(jobs[0].result().is_none());
+/// assert!(jobs[0].result()?.is_none());
 /// let result = jobs[0].measure(&grid, 0.0, &Device::default(), &mut silent)?;
 /// assert_eq!(result.row, Table2Row::Mean);
 /// assert!(result.measured.sampled.overall.mean > 0.0);
 /// // Done once, it is kept, with its reconstructions of the frames to be shown.
-/// assert!(jobs[0].result().is_some());
+/// assert!(jobs[0].result()?.is_some());
 /// assert_eq!(jobs[0].frames()?.rows, grid.shown);
 /// assert_eq!(methods(&[result]).0.len(), 1);
 /// # Ok(())
@@ -82,10 +116,10 @@ pub struct Table2Options {
     pub clothing: Option<PathBuf>,
     /// CAPE's configuration.
     pub config: RunConfig,
-    /// The packed set's [`hash_of`].
-    pub data_hash: String,
-    /// Its [`select_frames`].
+    /// Test frames of the pictures, as [`select_frames`] gives them.
     pub shown: Vec<usize>,
+    /// Discard rows of other settings, data or versions instead of refusing them.
+    pub overwrite: bool,
 }
 
 /// One row with one seed.
@@ -98,7 +132,7 @@ pub struct Table2Job {
     /// Directory of the job.
     pub directory: PathBuf,
     config: RunConfig,
-    key: String,
+    store: Arc<ResultStore>,
     shown: Vec<usize>,
 }
 
@@ -109,8 +143,6 @@ pub struct RowResult {
     pub row: Table2Row,
     /// Its seed.
     pub seed: u64,
-    /// SHA-256 of configuration and data.
-    key: String,
     /// Seconds of training or fitting.
     pub seconds: f64,
     /// Errors on the test frames.
@@ -142,34 +174,46 @@ pub fn methods(results: &[RowResult]) -> (Vec<MethodResults<'_>>, Option<usize>)
 
 impl Table2Options {
     /// The jobs of these rows, every trained one with `seeds` seeds.
+    ///
+    /// # Errors
+    /// If a row was begun with other settings, inputs or another version and is not to be overwritten.
+    /// Nothing is written before a job starts.
     pub fn jobs(&self, rows: &[Table2Row], seeds: u64) -> Result<Vec<Table2Job>> {
+        let inputs = self.inputs()?;
         let mut jobs = Vec::new();
         for &row in rows {
             for seed in 0..if row.is_trained() { seeds } else { 1 } {
                 let mut config = row.configure(&self.config);
                 config.train.seed = self.config.train.seed + seed;
                 config.validate()?;
-                let text = toml::to_string(&config)
-                    .map_err(|error| Error::argument(format!("settings: {error}")))?;
-                let mut hash = Sha256::new();
-                for part in [row.name(), &text, &self.data_hash, env!("CARGO_PKG_VERSION")] {
-                    hash.update(part);
-                    hash.update("\0");
-                }
-                jobs.push(Table2Job {
-                    row,
-                    seed: config.train.seed,
-                    directory: self
-                        .out
-                        .join(row.name())
-                        .join(format!("seed-{}", config.train.seed)),
-                    key: format!("{:x}", hash.finalize()),
-                    config,
-                    shown: self.shown.clone(),
-                });
+                let seed = config.train.seed;
+                let directory = self.out.join(row.name()).join(format!("seed-{seed}"));
+                let settings = inputs.with_settings(&row_settings(row, &config))?;
+                let options = StoreOptions {
+                    overwrite: self.overwrite,
+                    earlier: &EARLIER_ROW,
+                    ..StoreOptions::default()
+                };
+                let store = Arc::new(ResultStore::open(&directory, settings, options)?);
+                let shown = self.shown.clone();
+                jobs.push(Table2Job { row, seed, directory, config, store, shown });
             }
         }
         Ok(jobs)
+    }
+
+    /// What all rows depend on.
+    fn inputs(&self) -> Result<StoreSettings> {
+        let given = |path: &Option<PathBuf>, own: &str| {
+            let own = self.data.join(own);
+            path.clone().or_else(|| own.exists().then_some(own))
+        };
+        let body = given(&self.body, BODY_FILE);
+        let clothing = given(&self.clothing, CLOTHING_FILE);
+        StoreSettings::new("table2, row", &())?
+            .with_packed_set(&self.data, &[Split::Train, Split::Test])?
+            .with_optional_input("body", body.as_deref(), "no body")?
+            .with_optional_input("clothing", clothing.as_deref(), "derived from the body")
     }
 
     /// The body and the clothing vertices of frames like those of `set`.
@@ -178,61 +222,95 @@ impl Table2Options {
     }
 }
 
-/// A hash of a packed set's arrays.
-pub fn hash_of(data: &Path) -> Result<String> {
-    let mut hash = Sha256::new();
-    let mut buffer = vec![0; 1 << 20];
-    for part in [Split::Train, Split::Test] {
-        for what in ["disp", "rot", "clo_label"] {
-            let path = part.path(data, what);
-            let mut file = fs::File::open(&path).map_err(|source| Error::io(&path, source))?;
-            loop {
-                let read = file.read(&mut buffer).map_err(|source| Error::io(&path, source))?;
-                if read == 0 {
-                    break;
-                }
-                hash.update(&buffer[..read]);
-            }
+/// Settings that a row's results depend on.
+fn row_settings(row: Table2Row, config: &RunConfig) -> serde_json::Value {
+    match row {
+        Table2Row::Mean => json!({ "row": row }),
+        Table2Row::Pca => {
+            json!({ "row": row, "components": config.model.latent, "seed": config.train.seed })
         }
+        _ => json!({
+            "row": row,
+            "model": config.model,
+            "loss": config.loss,
+            "train": config.train,
+            "weighting": config.weighting,
+        }),
     }
-    Ok(format!("{:x}", hash.finalize()))
+}
+
+/// The directory of a table, with tables and pictures of all rows; the rows have stores of their own
+/// inside it.
+pub fn open_store(out: &Path, overwrite: bool) -> Result<ResultStore> {
+    let mut beside = Table2Row::ALL.map(Table2Row::name).to_vec();
+    // Where a packed set may be that was made for it.
+    beside.extend(["data", "raw"]);
+    let options = StoreOptions { overwrite, earlier: &EARLIER_TABLES, beside: &beside };
+    ResultStore::open(out, StoreSettings::new("table2", &())?, options)
 }
 
 impl Table2Job {
-    /// Result of the job; `None` if it is not done, or configuration or data have changed since.
-    pub fn result(&self) -> Option<RowResult> {
-        let text = fs::read(self.directory.join(RESULT)).ok()?;
-        let result: RowResult = serde_json::from_slice(&text).ok()?;
-        let frames = self.frames().ok()?;
-        (result.key == self.key && frames.rows == self.shown).then_some(result)
+    /// Result of the job; `None` if it is not done.
+    ///
+    /// # Errors
+    /// If a file of a finished job cannot be read; it is named.
+    pub fn result(&self) -> Result<Option<RowResult>> {
+        let Some(result) = self.store.read::<RowResult>(RESULT)? else { return Ok(None) };
+        if !self.store.path(FRAMES).exists() {
+            return Ok(None);
+        }
+        let frames = self.frames()?;
+        Ok((frames.rows == self.shown).then_some(result))
     }
 
     /// Reconstructions of the frames shown, once it is done.
     pub fn frames(&self) -> Result<FigureFrames> {
-        FigureFrames::load(self.directory.join(FRAMES))
+        let path = self.store.path(FRAMES);
+        FigureFrames::load(&path).map_err(|error| unreadable(&path, &error.to_string()))
     }
 
     fn run_directory(&self) -> PathBuf {
-        self.directory.join("run")
+        self.store.path(RUN)
     }
 
-    /// The trainer that goes on with it; none for rows that are not trained. A run of another
-    /// configuration or other data in its place is removed.
+    /// The trainer that resumes it from its newest checkpoint, or begins it; none for rows that are not
+    /// trained.
+    ///
+    /// # Errors
+    /// If there are files in the place of its run that the training did not write.
     pub fn trainer(&self, grid: &Table2Options, device: &Device) -> Result<Option<Trainer>> {
         if !self.row.is_trained() {
             return Ok(None);
         }
         let root = self.run_directory();
-        let marker = self.directory.join("key.txt");
-        let ours = fs::read_to_string(&marker).is_ok_and(|key| key == self.key);
-        if ours && !checkpoint::list(&RunPaths::new(&root).checkpoints())?.is_empty() {
+        let paths = RunPaths::new(&root);
+        let files =
+            [paths.config(), paths.data(), paths.statistics(), paths.body(), paths.clothing()];
+        let name = |path: &Path, end: &str| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            format!("{RUN}/{name}{end}")
+        };
+        let mut names: Vec<String> = files.iter().map(|path| name(path, "")).collect();
+        names.push(name(&paths.metrics(), ""));
+        names.extend([paths.checkpoints(), paths.events()].map(|path| name(&path, "/")));
+        self.store.begin()?;
+        if checkpoint::list(&paths.checkpoints())?.is_empty() {
+            // What was interrupted before its first checkpoint has nothing to resume from.
+            for name in &names {
+                self.store.discard(name)?;
+            }
+            if let Some(other) = fs::read_dir(&root).ok().and_then(|mut files| files.next()) {
+                let path = other.map_err(|source| Error::io(&root, source))?.path();
+                let message = "is not a file of this training: move it elsewhere";
+                return Err(Error::format(path, message));
+            }
+        }
+        for name in &names {
+            self.store.list(name)?;
+        }
+        if !checkpoint::list(&paths.checkpoints())?.is_empty() {
             return Trainer::resume(&root, Some(&grid.data), device).map(Some);
         }
-        if root.exists() {
-            fs::remove_dir_all(&root).map_err(|source| Error::io(&root, source))?;
-        }
-        fs::create_dir_all(&self.directory).map_err(|source| Error::io(&self.directory, source))?;
-        fs::write(&marker, &self.key).map_err(|source| Error::io(&marker, source))?;
         let options = TrainerOptions {
             data: grid.data.clone(),
             body: grid.body.clone(),

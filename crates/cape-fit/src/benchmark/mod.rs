@@ -1,5 +1,5 @@
-//! How well clothed bodies are found again (CAPE §6.3, tables 3 and 4): held-out clothes on bodies of
-//! random shape, seen by a camera of our own, whose truth is known.
+//! Benchmark of image fitting on renderings with known ground truth (CAPE §6.3; table 4 of the arXiv
+//! version, table 3 of the CVPR version): held-out clothing on bodies of random shape.
 
 mod scene;
 mod summary;
@@ -16,27 +16,25 @@ pub use scene::Scene;
 pub use summary::{BenchmarkSummary, MethodScores, OutfitSummary, ValueSummary};
 
 use crate::{
-    BodyFit, BodyParameters, ClothedConfig, ClothedFit, DressedBody, Error, Result, Smplify,
-    aligned_error, silhouette::render,
+    BodyParameters, ClothedConfig, DressedBody, Error, FitProblem, ImageObservation, Result,
+    Smplify, aligned_error, silhouette::render,
 };
 
-/// What is seen.
-///
-/// See [`Benchmark`] for an example.
+/// Options of the image fitting benchmark.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BenchmarkOptions {
     /// Held-out frames, evenly spaced in each outfit.
     pub frames: usize,
-    /// Side of the pictures, pixels.
+    /// Side of the images, pixels.
     pub side: u32,
-    /// Standard deviation of keypoints, pixels.
+    /// Standard deviation of the keypoints, pixels.
     pub noise: f64,
-    /// Share of joints that the detector misses.
+    /// Share of joints without a detection, 0 to 1.
     pub dropped: f64,
-    /// Share of pixels beside the silhouette's edge that are taken for the other side.
+    /// Share of pixels beside the outline of the silhouette that are flipped, 0 to 1.
     pub ragged: f64,
-    /// Fixes shapes and noise.
+    /// Random seed of shapes and noise.
     pub seed: u64,
 }
 
@@ -46,47 +44,43 @@ impl Default for BenchmarkOptions {
     }
 }
 
-/// Errors after scale and translation are taken out (eq. 12–13), at clothing vertices.
-///
-/// See [`BenchmarkSummary`] for an example.
+/// Errors at clothing vertices after alignment by scale and translation (CAPE eq. 12).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FitError {
     /// Mean squared distance, m².
     pub squared: f64,
     /// Mean distance, millimetres.
     pub distance_mm: f64,
-    /// Of the silhouettes.
+    /// Intersection over union of the rendered and the given silhouette, 0 to 1.
     pub intersection_over_union: f64,
-    /// What it took.
+    /// Duration of the fit, seconds.
     pub seconds: f64,
 }
 
-/// One frame of the benchmark, and what was found.
-///
-/// See [`BenchmarkSummary`] for an example.
+/// Result of one frame of the benchmark.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BenchmarkCase {
-    /// Number of the held-out frame.
+    /// Index of the held-out frame.
     pub frame: usize,
     /// Subject and sequence.
     pub capture: String,
-    /// What is worn.
+    /// Outfit.
     pub outfit: Outfit,
-    /// Of SMPLify alone.
+    /// Error of the unclothed body of SMPLify.
     pub bare: FitError,
-    /// Of CAPE's clothed body; of the bare one, where the clothed one could not be fitted at all.
+    /// Error of the clothed body; that of the unclothed one if the clothed fit failed.
     pub clothed: FitError,
-    /// Why the fit cannot be trusted, if it cannot.
-    pub problem: Option<String>,
-    /// SMPLify's body.
+    /// Problem of the fit, if it is unreliable.
+    pub problem: Option<FitProblem>,
+    /// Unclothed body of SMPLify.
     pub bare_body: BodyParameters,
-    /// The body under the clothes.
+    /// Body under the clothing.
     pub clothed_body: BodyParameters,
-    /// The clothes, `[latent]`; none, where they could not be fitted.
+    /// Latent code of the clothing, `[latent]`; empty if the clothed fit failed.
     pub code: Vec<f64>,
 }
 
-/// Frames to fit, and what fits them.
+/// Held-out frames, the fitter and its configuration.
 ///
 /// ```no_run
 /// use burn::tensor::Device;
@@ -123,10 +117,10 @@ pub struct Benchmark<'a> {
 }
 
 impl<'a> Benchmark<'a> {
-    /// For held-out frames of `set` in the clothes of `run`, the outfit being known.
+    /// Benchmark of held-out frames of `set` with the clothing model of `run`; outfits are given.
     ///
     /// # Errors
-    /// If the set does not suit the run.
+    /// If the set has another number of vertices than the body.
     pub fn new(
         run: &'a Run,
         set: &'a PackedSet,
@@ -136,23 +130,23 @@ impl<'a> Benchmark<'a> {
     ) -> Result<Self> {
         if set.vertices() != run.body().vertices() {
             return Err(Error::argument(format!(
-                "frames of {} vertices, but the body has {}",
+                "benchmark: frames of {} vertices, but the body has {}",
                 set.vertices(),
                 run.body().vertices()
             )));
         }
-        let bodies = Outfit::ALL.iter().map(|&outfit| DressedBody::new(run, outfit));
-        let bodies = bodies.collect::<Result<_>>()?;
+        let body = DressedBody::new(run, Outfit::ALL[0])?;
+        let bodies = Outfit::ALL.iter().map(|&outfit| body.with_outfit(outfit)).collect();
         Ok(Self { run, set, smplify, config, options, bodies })
     }
 
-    /// Numbers of the frames: as many of each outfit, as far as there are, evenly spaced over
-    /// subjects and movements.
+    /// Indices of the frames: equal numbers of each outfit if available, evenly spaced over
+    /// subjects and motions.
     pub fn frames(&self) -> Vec<usize> {
         spread(self.set.outfits(), self.options.frames)
     }
 
-    /// What is to be seen in a frame, and the truth.
+    /// Observations and ground truth of a frame.
     ///
     /// # Errors
     /// If the frame cannot be read.
@@ -160,10 +154,10 @@ impl<'a> Benchmark<'a> {
         Scene::new(self.run, self.set, frame, &self.options)
     }
 
-    /// Fits a frame from its silhouette, keypoints and outfit.
+    /// Fits a frame from its keypoints, silhouette and outfit.
     ///
     /// # Errors
-    /// If the frame cannot be read, or shows too little to place a body at all.
+    /// If the frame cannot be read, or has too few keypoints to place a body.
     pub fn case(&self, frame: usize) -> Result<BenchmarkCase> {
         let Scene { camera, keypoints, mask, truth } = &self.scene(frame)?;
         let outfit = self.set.outfits()[frame];
@@ -172,12 +166,12 @@ impl<'a> Benchmark<'a> {
         let bare = self.smplify.fit(camera, keypoints, None)?;
         let bare_seconds = start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let fit =
-            match self.smplify.fit_clothed(dressed, camera, keypoints, mask, &bare, self.config) {
-                Ok(fit) => Ok(fit),
-                Err(Error::Failed(reason)) => Err(reason),
-                Err(error) => return Err(error),
-            };
+        let image = ImageObservation { camera, keypoints, mask };
+        let fit = match self.smplify.fit_clothed(dressed, &image, &bare, self.config) {
+            Ok(fit) => Ok(fit),
+            Err(Error::Failed(reason)) => Err(reason),
+            Err(error) => return Err(error),
+        };
         let clothed_seconds = start.elapsed().as_secs_f64();
         let error = |vertices: &[DVec3], seconds: f64| {
             let error = aligned_error(vertices, truth, self.run.clothing())?;
@@ -202,13 +196,13 @@ impl<'a> Benchmark<'a> {
             code: Vec::new(),
         };
         match fit {
-            Err(reason) => Ok(BenchmarkCase { problem: Some(reason), ..case }),
+            Err(reason) => Ok(BenchmarkCase { problem: Some(FitProblem::Failed(reason)), ..case }),
             Ok(fit) => Ok(BenchmarkCase {
                 clothed: error(
                     dressed.surface(&fit.parameters, &fit.code)?.vertices(),
                     clothed_seconds,
                 )?,
-                problem: problem(&bare, &fit),
+                problem: bare.problem.or(fit.problem),
                 clothed_body: fit.parameters,
                 code: fit.code,
                 ..case
@@ -216,10 +210,10 @@ impl<'a> Benchmark<'a> {
         }
     }
 
-    /// The surfaces that were found, bare and clothed: vertices in metres, `[V]` each.
+    /// Vertices of the fitted surfaces, unclothed and clothed, metres, `[V]` each.
     ///
     /// # Errors
-    /// If the case is of another model.
+    /// If the case is of another clothing model.
     pub fn surfaces(&self, case: &BenchmarkCase) -> Result<[Vec<DVec3>; 2]> {
         let bare = self.unclothed(&case.bare_body)?;
         if case.code.is_empty() {
@@ -230,27 +224,27 @@ impl<'a> Benchmark<'a> {
         Ok([bare, clothed.vertices().to_vec()])
     }
 
-    /// Triangles of all surfaces.
+    /// Triangles of the body, `[F, 3]`.
     pub fn faces(&self) -> &[[u32; 3]] {
         &self.run.body().faces
     }
 
-    /// Unclothed vertices, metres.
+    /// Vertices of an unclothed body, metres, `[V]`.
     fn unclothed(&self, body: &BodyParameters) -> Result<Vec<DVec3>> {
         let posed = self.run.body().pose(&body.betas, &body.pose, body.transl, None)?;
         Ok(posed.vertices.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2])).collect())
     }
 }
 
-/// `count` places in a list of outfits, at most all: evenly spaced in those of each outfit, and not
-/// at the same places of each.
+/// Indices of at most `count` entries of a list of outfits, evenly spaced among the entries of each
+/// outfit, with a different offset for each.
 fn spread(outfits: &[Outfit], count: usize) -> Vec<usize> {
     let of_outfit = |outfit: Outfit| -> Vec<usize> {
         (0..outfits.len()).filter(|&at| outfits[at] == outfit).collect()
     };
     let mut groups: Vec<Vec<usize>> = Outfit::ALL.map(of_outfit).to_vec();
     groups.retain(|group| !group.is_empty());
-    // From the smallest, so that larger ones make up for what it lacks.
+    // From the smallest group, so that larger ones compensate for missing entries.
     groups.sort_by_key(Vec::len);
     let kinds = groups.len();
     let (mut found, mut left) = (Vec::new(), count.min(outfits.len()));
@@ -262,10 +256,6 @@ fn spread(outfits: &[Outfit], count: usize) -> Vec<usize> {
     }
     found.sort_unstable();
     found
-}
-
-fn problem(bare: &BodyFit, clothed: &ClothedFit) -> Option<String> {
-    bare.problem.clone().or(clothed.problem.clone())
 }
 
 #[cfg(test)]

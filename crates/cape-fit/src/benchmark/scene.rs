@@ -8,28 +8,26 @@ use rand_distr::StandardNormal;
 use super::BenchmarkOptions;
 use crate::{Detector, Keypoint, Keypoints, Mask, PinholeCamera, Result, silhouette::render};
 
-/// Where bodies stand, metres in front of the camera.
+/// Translation of the bodies in the frame of the camera, metres.
 const PLACE: DVec3 = DVec3::new(0.0, 0.15, -3.3);
-/// Shape coefficients that vary.
+/// Number of random shape coefficients.
 const SHAPES: usize = 4;
 
-/// What a frame shows, and what is behind it.
-///
-/// See [`Benchmark`](super::Benchmark) for an example.
+/// Observations of a frame and its ground truth.
 #[derive(Debug, Clone)]
 pub struct Scene {
-    /// The camera.
+    /// Camera.
     pub camera: PinholeCamera,
-    /// What the detector saw.
+    /// Keypoints of the simulated detector.
     pub keypoints: Keypoints,
-    /// The silhouette.
+    /// Silhouette.
     pub mask: Mask,
-    /// The true surface, `[vertices]`, metres.
+    /// Vertices of the true clothed surface, metres, `[V]`.
     pub truth: Vec<DVec3>,
 }
 
 impl Scene {
-    /// The same for the same frame and options, whatever other frames there are.
+    /// Scene of a frame; its random numbers depend on the seed and the frame only.
     pub(super) fn new(
         run: &Run,
         set: &PackedSet,
@@ -66,7 +64,7 @@ impl Scene {
     }
 }
 
-/// The mask with some of the pixels beside its edge on the other side of it.
+/// The mask with the share `share` of the pixels beside its outline flipped.
 fn perturb_outline(mask: &Mask, share: f64, rng: &mut ChaCha8Rng) -> Result<Mask> {
     let (width, height) = (mask.width() as usize, mask.height() as usize);
     let inside = mask.covered();

@@ -5,50 +5,44 @@ use super::{BenchmarkCase, FitError};
 use crate::Result;
 use cape_stats::PairedComparison;
 
-/// Mean and median of the cases' values.
-///
-/// See [`BenchmarkSummary`] for an example.
+/// Mean, median and maximum of a value over the cases.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ValueSummary {
     /// Mean.
     pub mean: f64,
     /// Median.
     pub median: f64,
-    /// The largest.
+    /// Maximum.
     pub most: f64,
 }
 
-/// How well one method did.
-///
-/// See [`BenchmarkSummary`] for an example.
+/// Scores of one method over the cases.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct MethodScores {
     /// Mean squared distance at clothing vertices, m².
     pub squared: ValueSummary,
-    /// Mean distance there, millimetres.
+    /// Mean distance at clothing vertices, millimetres.
     pub distance_mm: ValueSummary,
-    /// Of the silhouettes.
+    /// Intersection over union of the silhouettes, 0 to 1.
     pub intersection_over_union: ValueSummary,
-    /// Seconds for an image.
+    /// Duration of a fit, seconds.
     pub seconds: ValueSummary,
 }
 
-/// The cases in one outfit.
-///
-/// See [`BenchmarkSummary`] for an example.
+/// Scores of the cases in one outfit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct OutfitSummary {
-    /// What is worn.
+    /// Outfit.
     pub outfit: Outfit,
-    /// Images.
+    /// Number of images.
     pub images: usize,
-    /// Of SMPLify alone.
+    /// Scores of the unclothed body of SMPLify.
     pub bare: MethodScores,
-    /// Of CAPE's clothed body.
+    /// Scores of the clothed body.
     pub clothed: MethodScores,
 }
 
-/// What a benchmark came to.
+/// Summary of the benchmark.
 ///
 /// ```
 /// use cape_core::Outfit;
@@ -57,7 +51,7 @@ pub struct OutfitSummary {
 ///     benchmark::{BenchmarkCase, FitError, BenchmarkSummary},
 /// };
 ///
-/// // Three images where clothes bring the error from 20 mm to 10 mm.
+/// // Three images where clothing reduces the error from 20 mm to 10 mm.
 /// let error = |distance_mm: f64| FitError {
 ///     squared: 1e-6 * distance_mm * distance_mm,
 ///     distance_mm,
@@ -84,28 +78,28 @@ pub struct OutfitSummary {
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BenchmarkSummary {
-    /// Images.
+    /// Number of images.
     pub images: usize,
-    /// Different captures among them.
+    /// Number of different captures.
     pub captures: usize,
-    /// Of SMPLify alone.
+    /// Scores of the unclothed body of SMPLify.
     pub bare: MethodScores,
-    /// Of CAPE's clothed body.
+    /// Scores of the clothed body.
     pub clothed: MethodScores,
-    /// Of the squared distances, CAPE against SMPLify alone.
+    /// Comparison of the squared distances, m², clothed against unclothed.
     pub squared: PairedComparison,
-    /// Of the distances, millimetres.
+    /// Comparison of the distances, millimetres, clothed against unclothed.
     pub distance_mm: PairedComparison,
-    /// Fits that say that they cannot be trusted.
+    /// Number of unreliable fits.
     pub failed: usize,
-    /// Of the squared distances of the others; nothing, if all have failed.
+    /// Comparison of the squared distances of the reliable fits; `None` if there is none.
     pub squared_of_trusted: Option<PairedComparison>,
-    /// Outfit by outfit.
+    /// Summaries by outfit.
     pub outfits: Vec<OutfitSummary>,
 }
 
 impl BenchmarkSummary {
-    /// Of all cases; `seed` fixes the bootstrap.
+    /// Summary of `cases`; `seed` is the random seed of the bootstrap.
     ///
     /// # Errors
     /// If there is no case.
@@ -178,7 +172,7 @@ fn score(cases: &[&BenchmarkCase], method: fn(&BenchmarkCase) -> &FitError) -> M
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::BodyParameters;
+    use crate::{BodyParameters, FitProblem};
 
     fn case(frame: usize, squared: [f64; 2], problem: Option<&str>) -> BenchmarkCase {
         let error = |squared: f64| FitError {
@@ -194,7 +188,7 @@ mod tests {
             outfit: Outfit::ALL[frame % 2],
             bare: error(squared[0]),
             clothed: error(squared[1]),
-            problem: problem.map(str::to_owned),
+            problem: problem.map(|reason| FitProblem::Failed(reason.to_owned())),
             bare_body: body.clone(),
             clothed_body: body,
             code: vec![0.5],

@@ -1,31 +1,31 @@
 use std::fmt;
 
-/// What numbers a detector's keypoints have.
+/// Keypoint layout of a detector.
 ///
 /// ```
 /// use cape_fit::Detector;
 ///
 /// assert_eq!(Detector::from_point_count(17), Some(Detector::Coco17));
 /// assert_eq!(Detector::from_point_count(5), None);
-/// // BODY_25 has a point between the hips, which stands for the pelvis.
+/// // BODY_25 has a point between the hips, which corresponds to the pelvis.
 /// assert!(Detector::Body25.joints().contains(&(8, 0)));
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Detector {
-    /// OpenPose's 25 points of body and feet.
+    /// BODY_25 of OpenPose: body and feet.
     Body25,
-    /// OpenPose's 18 points: those of COCO and the neck.
+    /// COCO layout of OpenPose with 18 points: those of COCO and the neck.
     Coco18,
-    /// The 17 points that COCO is annotated with.
+    /// The 17 annotated points of COCO.
     Coco17,
-    /// SMPL's own 24 joints.
+    /// The 24 joints of SMPL.
     Smpl24,
 }
 
-/// `(keypoint, joint)`: a detector's point and the joint of SMPL that it stands for, both by
-/// number. The orders are those that OpenPose and COCO publish for their output formats. Points of
-/// the face and the feet are points of the skin, not joints, and stand for none; of the joints,
-/// hips and neck are those where detectors and SMPL differ most, by a few centimetres.
+/// Pairs `(keypoint, joint)` of a keypoint and the corresponding joint of SMPL, by index. The
+/// orders are those of the published output formats of OpenPose and COCO. Points of the face and
+/// the feet lie on the skin and have no joint; hips and neck of detectors and of SMPL differ by a
+/// few centimetres.
 type Table = &'static [(usize, usize)];
 
 const BODY_25: Table = &[
@@ -104,10 +104,10 @@ const SMPL_24: Table = &[
 ];
 
 impl Detector {
-    /// Every layout.
+    /// All layouts.
     pub const ALL: [Self; 4] = [Self::Body25, Self::Coco18, Self::Coco17, Self::Smpl24];
 
-    /// Number of points of a person.
+    /// Number of keypoints of a person.
     pub const fn points(self) -> usize {
         match self {
             Self::Body25 => 25,
@@ -117,12 +117,12 @@ impl Detector {
         }
     }
 
-    /// The layout of so many points.
+    /// Layout with this number of keypoints.
     pub fn from_point_count(points: usize) -> Option<Self> {
         Self::ALL.into_iter().find(|detector| detector.points() == points)
     }
 
-    /// `(keypoint, joint)`: the points that stand for joints of SMPL.
+    /// Pairs `(keypoint, joint)` of keypoints and corresponding joints of SMPL, by index.
     pub const fn joints(self) -> &'static [(usize, usize)] {
         match self {
             Self::Body25 => BODY_25,
@@ -152,7 +152,7 @@ mod tests {
 
     #[test]
     fn every_joint_is_named_once_and_sides_are_kept() {
-        // Mirroring swaps `l_` and `r_`: as many of each, limb by limb.
+        // Left and right joints occur in pairs.
         for detector in Detector::ALL {
             let mut joints: Vec<usize> = detector.joints().iter().map(|&(_, j)| j).collect();
             joints.sort_unstable();

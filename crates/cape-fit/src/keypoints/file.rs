@@ -1,4 +1,4 @@
-//! Reading of what detectors write.
+//! Keypoint files of detectors.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::{Detector, Keypoint, Keypoints};
 use crate::{Error, Result};
 
-/// Everyone in an image.
+/// Keypoints of all people in an image.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -17,7 +17,7 @@ use crate::{Error, Result};
 /// use cape_synth::synthetic_body;
 /// use cape_fit::{PinholeCamera, read_keypoints};
 ///
-/// // Keypoints as OpenPose writes them, read back.
+/// // Keypoints in an archive, read back.
 /// let (_, keypoints) = seen(&synthetic_body(), &PinholeCamera::new(512, 512, None)?)?;
 /// let directory = tempfile::tempdir()?;
 /// let archive = directory.path().join("keypoints.npz");
@@ -45,49 +45,51 @@ impl People {
         self.people.len()
     }
 
-    /// Whether there is nobody.
+    /// True if there is no person.
     pub fn is_empty(&self) -> bool {
         self.people.is_empty()
     }
 
-    /// All of them, in the file's order.
+    /// Keypoints of all people in the order of the file.
     pub fn all(&self) -> &[Keypoints] {
         &self.people
     }
 
-    /// The person of that number, from 0; the only one, where none is named.
+    /// Keypoints of the person with the index `person`; without an index, of the only person.
     ///
     /// # Errors
-    /// If there is nobody, no such person, or several and none is named.
+    /// If there is no such person, or there are several and `person` is `None`.
     pub fn choose(self, person: Option<usize>) -> Result<Keypoints> {
         let count = self.people.len();
         let refuse = |message: String| Err(Error::Observation(message));
         match (person, count) {
-            (_, 0) => refuse("the keypoints are of nobody".into()),
+            (_, 0) => refuse("the file contains no person".into()),
             (None, 2..) => refuse(format!(
-                "the keypoints are of {count} people: choose one, 0 to {}",
+                "the file contains {count} people: choose one by its index, 0 to {}",
                 count - 1
             )),
             (person, _) => {
                 let person = person.unwrap_or(0);
                 match self.people.into_iter().nth(person) {
                     Some(keypoints) => Ok(keypoints),
-                    None => refuse(format!("person {person}: the file has 0 to {}", count - 1)),
+                    None => {
+                        refuse(format!("person {person}: expected an index of 0 to {}", count - 1))
+                    }
                 }
             }
         }
     }
 }
 
-/// Reads OpenPose's JSON (`people`, each `pose_keypoints_2d`, BODY_25 or COCO-18), COCO's JSON
-/// (results, a list of objects with `keypoints`; or an annotation file with `annotations`), or an
-/// `.npz` with `keypoints` `[points, 3]` or `[people, points, 3]`: x, y, confidence.
+/// Reads keypoints: JSON of OpenPose (`people` with `pose_keypoints_2d`, BODY_25 or COCO-18), JSON
+/// of COCO (a list of results with `keypoints`, or an object with `annotations`), or an `.npz`
+/// archive with `keypoints` `[points, 3]` or `[people, points, 3]`, each x, y (pixels) and
+/// confidence.
 ///
-/// A file of annotations or results must be of one image. Visibility flags (0, 1, 2) count as seen
-/// from 1 on.
+/// Results and annotations must be of one image. Visibility flags of 1 and 2 are confidence 1.
 ///
 /// # Errors
-/// If the file is none of these; the error names the entry.
+/// If the file has none of these formats; the error has the entry.
 pub fn read_keypoints(path: impl AsRef<Path>) -> Result<People> {
     let path = path.as_ref();
     let extension = path.extension().unwrap_or_default();
@@ -99,7 +101,7 @@ pub fn read_keypoints(path: impl AsRef<Path>) -> Result<People> {
             .map_err(|error| Error::format(path, format!("not JSON: {error}")))?;
         from_json(path, &json)
     } else {
-        Err(Error::format(path, "keypoints are read from .json or .npz"))
+        Err(Error::format(path, "unsupported file type: expected .json or .npz"))
     }
 }
 
@@ -148,7 +150,7 @@ fn one_image(path: &Path, name: &str, entries: &[Value]) -> Result<()> {
         Some(at) => Err(Error::field(
             path,
             format!("{name}[{at}].image_id"),
-            "differs from the first's: expected the people of one image",
+            "differs from that of the first entry: expected the people of one image",
         )),
     }
 }
@@ -165,7 +167,7 @@ fn numbers(path: &Path, field: &str, value: Option<&Value>) -> Result<Vec<f64>> 
     list(path, field, value)?.iter().map(number).collect()
 }
 
-/// Of x, y and confidence for each point.
+/// Keypoints from x, y and confidence of each point.
 fn keypoints(path: &Path, field: &str, numbers: &[f64]) -> Result<Keypoints> {
     let (points, rest) = numbers.as_chunks::<3>();
     let Some(detector) = Detector::from_point_count(points.len()).filter(|_| rest.is_empty())
@@ -256,9 +258,9 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn malformed_files_name_the_entry() {
         let cases = [
-            ("{\"people\": []}", "nobody"),
+            ("{\"people\": []}", "no person"),
             ("{\"people\": [{}]}", "people[0].pose_keypoints_2d"),
             ("{\"people\": [{\"pose_keypoints_2d\": [1, 2, 3]}]}", "3 numbers, expected 75"),
             ("{\"people\": 3}", "expected a list"),

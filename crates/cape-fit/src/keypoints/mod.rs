@@ -1,4 +1,4 @@
-//! Keypoints of one person in an image, and the files that detectors write them to.
+//! Keypoints of a person in an image, and keypoint files of detectors.
 
 mod detector;
 mod file;
@@ -8,31 +8,29 @@ pub use file::{People, read_keypoints};
 
 use crate::{Error, Result};
 
-/// A point that a detector saw.
-///
-/// See [`Keypoints`] for an example.
+/// A detected keypoint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Keypoint {
     /// Column, pixels from the left edge.
     pub x: f64,
     /// Row, pixels from the upper edge.
     pub y: f64,
-    /// How sure the detector is, 0 (not seen) to 1.
+    /// Confidence of the detector, 0 (not detected) to 1.
     pub confidence: f64,
 }
 
-/// One person's keypoints.
+/// Keypoints of one person.
 ///
 /// ```
 /// use cape_fit::{Detector, Keypoint, Keypoints};
 ///
-/// // All that was seen is the middle of the hips.
+/// // Only the point between the hips is detected.
 /// let mut points = vec![Keypoint { x: 0.0, y: 0.0, confidence: 0.0 }; 25];
 /// points[8] = Keypoint { x: 100.0, y: 200.0, confidence: 0.9 };
 /// let keypoints = Keypoints::new(Detector::Body25, points)?;
-/// let sightings = keypoints.detections(0.5);
-/// assert_eq!((sightings.len(), sightings[0].joint, sightings[0].at.x), (1, 0, 100.0));
-/// // In an image of half the size.
+/// let detections = keypoints.detections(0.5);
+/// assert_eq!((detections.len(), detections[0].joint, detections[0].at.x), (1, 0, 100.0));
+/// // The same in an image of half the size.
 /// assert_eq!(keypoints.scaled(0.5).points()[8].y, 100.0);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -42,28 +40,26 @@ pub struct Keypoints {
     points: Vec<Keypoint>,
 }
 
-/// A joint of SMPL as it was seen.
-///
-/// See [`Keypoints`] for an example.
+/// Detection of a joint of SMPL.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KeypointDetection {
-    /// The joint's number.
+    /// Index of the joint.
     pub joint: usize,
-    /// Where it was seen, and how surely.
+    /// Keypoint of the joint.
     pub at: Keypoint,
 }
 
 impl Keypoints {
-    /// Points in the order of `detector`; confidences above 1 are taken as 1.
+    /// Keypoints in the order of `detector`; confidences above 1 are clamped to 1.
     ///
     /// # Errors
-    /// If there are more or fewer than the detector has, or a number is not finite or a confidence
-    /// negative.
+    /// If the number of points differs from the detector's, a number is not finite, or a confidence
+    /// is negative.
     pub fn new(detector: Detector, points: Vec<Keypoint>) -> Result<Self> {
         let (found, expected) = (points.len(), detector.points());
         if found != expected {
             return Err(Error::Observation(format!(
-                "{found} keypoints, but {detector} has {expected}"
+                "{found} keypoints, expected the {expected} of {detector}"
             )));
         }
         let unusable = |point: &Keypoint| {
@@ -81,30 +77,30 @@ impl Keypoints {
         Ok(Self { detector, points: points.into_iter().map(capped).collect() })
     }
 
-    /// Whose order the points are in.
+    /// Layout of the points.
     pub fn detector(&self) -> Detector {
         self.detector
     }
 
-    /// All points, those that were not seen included.
+    /// All points, including those that are not detected.
     pub fn points(&self) -> &[Keypoint] {
         &self.points
     }
 
-    /// As OpenPose writes a person: x, y and confidence for each point.
+    /// JSON of OpenPose with one person: x, y and confidence of each point.
     pub fn to_openpose(&self) -> serde_json::Value {
         let numbers: Vec<f64> = self.points.iter().flat_map(|p| [p.x, p.y, p.confidence]).collect();
         serde_json::json!({ "version": 1.3, "people": [{ "pose_keypoints_2d": numbers }] })
     }
 
-    /// The same in an image `scale` times as large.
+    /// The same keypoints in an image scaled by `scale`.
     #[must_use]
     pub fn scaled(&self, scale: f64) -> Self {
         let scaled = |p: &Keypoint| Keypoint { x: p.x * scale, y: p.y * scale, ..*p };
         Self { detector: self.detector, points: self.points.iter().map(scaled).collect() }
     }
 
-    /// The joints of SMPL that were seen with at least that confidence.
+    /// Detections of SMPL joints with at least the confidence `confidence`, and above 0.
     pub fn detections(&self, confidence: f64) -> Vec<KeypointDetection> {
         let table = self.detector.joints().iter();
         let seen = table.map(|&(point, joint)| KeypointDetection { joint, at: self.points[point] });
@@ -117,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sightings_are_those_of_enough_confidence() {
+    fn detections_have_enough_confidence() {
         let mut points = vec![Keypoint { x: 1.0, y: 2.0, confidence: 0.0 }; 25];
         points[4] = Keypoint { x: 5.0, y: 6.0, confidence: 1.2 };
         points[7].confidence = 0.3;

@@ -1,38 +1,39 @@
-//! How well held-out clothed bodies are found again from synthetic scans.
+//! Benchmark of scan fitting on synthetic scans of held-out clothed bodies.
 
 use std::time::Instant;
 
 use cape_core::Outfit;
 use cape_data::PackedSet;
 use cape_infer::Run;
+use cape_stats::errors::mean_distance_mm;
 use glam::{DQuat, DVec3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::{
     FreeFormConfig, Scan, ScanConfig, ScanFit, ScanFitter, ScanInit, Unit, UpAxis,
     energy::surface_distance, free_displacement, sample::sample_faces,
 };
-use crate::{Error, PosePrior, Result};
+use crate::{Error, FitProblem, PosePrior, Result};
 
-/// Shape coefficients that are drawn.
+/// Number of random shape coefficients.
 const SHAPES: usize = 4;
 /// Radius of a hole, metres.
 const HOLE: f64 = 0.12;
-/// How far from the origin people stand, metres.
+/// Largest coordinate of the bodies' translations, metres.
 const FAR: f64 = 2.0;
 
-/// What is scanned, and how badly.
+/// Options of the scan fitting benchmark.
 ///
 /// ```no_run
 /// use burn::tensor::Device;
-/// use cape_fit::scan::{ScanConfig, benchmark::{ScanBenchmarkOptions, scan_benchmark}};
+/// use cape_fit::scan::{ScanConfig, benchmark::{ScanBenchmark, ScanBenchmarkOptions}};
 /// use cape_data::{PackedSet, Split};
 /// use cape_infer::Run;
 ///
-/// // Two scans of each of four frames: whole, and with a tenth missing.
+/// // Two scans of each of four frames: complete, and with a tenth of the surface missing.
 /// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
 /// let set = PackedSet::open("data/packed".as_ref(), Split::Test)?;
 /// let options = ScanBenchmarkOptions {
@@ -42,135 +43,170 @@ const FAR: f64 = 2.0;
 ///     holes: vec![0.0, 0.1],
 ///     seed: 1,
 /// };
-/// scan_benchmark(&run, &set, &options, &ScanConfig::default(), &mut |case| {
+/// let benchmark = ScanBenchmark::new(&run, &set, options, &ScanConfig::default())?;
+/// for trial in benchmark.trials() {
+///     let case = benchmark.case(trial)?;
 ///     println!("{} {:.0} %: {:.1} mm", case.capture, 100.0 * case.hole, case.error.clothed);
-///     Ok(())
-/// })?;
+/// }
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScanBenchmarkOptions {
     /// Held-out frames, evenly spaced.
     pub frames: usize,
-    /// Points of a scan without holes.
+    /// Number of points of a scan without holes.
     pub points: usize,
     /// Standard deviations of the points' coordinates, metres.
     pub noises: Vec<f64>,
-    /// Shares of the surface that are missing, 0 to 1.
+    /// Missing shares of the surface, 0 to 1.
     pub holes: Vec<f64>,
-    /// Fixes shapes, places, points and noise.
+    /// Random seed of shapes, translations, points and noise.
     pub seed: u64,
 }
 
-/// Errors of one scan's fit, millimetres.
-///
-/// See [`ScanBenchmarkOptions`] for an example.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+/// Errors of the fit to one scan; distances in millimetres.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScanError {
-    /// Mean distance of clothing vertices from the true ones, in the mean clothes.
+    /// Mean distance of clothing vertices from the ground truth, in the mean clothing.
     pub mean_clothes: f64,
-    /// In the clothes that were found.
+    /// Mean distance of clothing vertices from the ground truth, in the fitted clothing.
     pub clothed: f64,
-    /// Of the true clothes themselves, encoded and decoded: what the model can say.
+    /// Mean distance of clothing vertices from the ground truth, with the true clothing encoded and
+    /// decoded: the model's reconstruction error.
     pub encoded: f64,
-    /// After every vertex went where the scan is.
+    /// Mean distance of clothing vertices from the ground truth, after the free-form displacement.
     pub displaced: f64,
-    /// Of all vertices of the body under the clothes.
+    /// Mean distance of all vertices of the body under the clothing from the ground truth.
     pub bare: f64,
-    /// Mean distance of the true surface from that in the clothes that were found.
+    /// Mean distance of the true vertices from the fitted surface.
     pub surface: f64,
-    /// And from the displaced one.
+    /// Mean distance of the true vertices from the displaced surface.
     pub displaced_surface: f64,
-    /// What the fit took.
+    /// Duration of the fit, seconds.
     pub seconds: f64,
-    /// What the displacement took.
+    /// Duration of the free-form displacement, seconds.
     pub displacement_seconds: f64,
 }
 
-/// One scan of the benchmark.
-///
-/// See [`ScanBenchmarkOptions`] for an example.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// Result of one scan of the benchmark.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ScanCase {
-    /// Number of the held-out frame.
+    /// Index of the held-out frame.
     pub frame: usize,
     /// Subject and sequence.
     pub capture: String,
-    /// What is worn.
+    /// Outfit.
     pub outfit: Outfit,
-    /// Standard deviation of the points, metres.
+    /// Standard deviation of the points' coordinates, metres.
     pub noise: f64,
-    /// Share of the surface that is missing.
+    /// Missing share of the surface, 0 to 1.
     pub hole: f64,
-    /// How far off it is.
+    /// Errors.
     pub error: ScanError,
-    /// Why the fit cannot be trusted, if it cannot.
-    pub problem: Option<String>,
+    /// Problem of the fit, if it is unreliable.
+    pub problem: Option<FitProblem>,
 }
 
-/// A true surface and the body under it, metres, `[vertices]`.
+/// Ground truth: clothed surface and the body under it, metres, `[V]` each.
 struct GroundTruth {
     surface: Vec<DVec3>,
     bare: Vec<DVec3>,
-    /// The surface in what the true clothes' code is decoded to.
+    /// Surface in the encoded and decoded true clothing.
     encoded: Vec<DVec3>,
 }
 
-/// Fits scans of held-out frames of `set` in the clothes of `run`, the outfit being known; `each`
-/// gets every one in turn.
-///
-/// # Errors
-/// If the set does not suit the run, or a fit fails altogether.
-pub fn scan_benchmark(
-    run: &Run,
-    set: &PackedSet,
-    options: &ScanBenchmarkOptions,
-    config: &ScanConfig,
-    each: &mut dyn FnMut(ScanCase) -> Result<()>,
-) -> Result<()> {
-    if set.vertices() != run.body().vertices() {
-        return Err(Error::argument(format!(
-            "frames of {} vertices, but the body has {}",
-            set.vertices(),
-            run.body().vertices()
-        )));
-    }
-    let prior = PosePrior::synthetic()?;
-    let start = ScanInit::default_poses(&prior);
-    let fitter =
-        |&outfit: &Outfit| ScanFitter::new(run, &[outfit], None, prior.clone(), config.clone());
-    let fitters: Vec<ScanFitter> = Outfit::ALL.iter().map(fitter).collect::<Result<_>>()?;
-    let count = options.frames.min(set.frames());
-    for index in 0..count {
-        let frame = index * set.frames() / count.max(1);
-        let outfit = set.outfits()[frame];
-        for &noise in &options.noises {
-            for &hole in &options.holes {
-                // The same person in the same place, whatever the noise.
-                let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
-                rng.set_stream(frame as u64);
-                let truth = truth(run, set, frame, &mut rng)?;
-                let scan = simulate_scan(run, &truth, options.points, noise, hole, &mut rng)?;
-                let fitter = &fitters[outfit.index()];
-                let clock = Instant::now();
-                let fit = fitter.fit(&scan, &start, UpAxis::Y, &mut |_, _| {})?;
-                let seconds = clock.elapsed().as_secs_f64();
-                each(ScanCase {
-                    frame,
-                    capture: set.capture(frame),
-                    outfit,
-                    noise,
-                    hole,
-                    error: error(run, fitter, &truth, &scan, &fit, seconds)?,
-                    problem: fit.problem,
-                })?;
-            }
-        }
-    }
-    Ok(())
+/// Conditions of one scan.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScanTrial {
+    /// Index of the held-out frame.
+    pub frame: usize,
+    /// Standard deviation of the points' coordinates, metres.
+    pub noise: f64,
+    /// Missing share of the surface, 0 to 1.
+    pub hole: f64,
 }
 
-/// A held-out frame on a body of random shape, somewhere, facing anywhere.
+/// Simulated scans of held-out frames of a packed set, and the fitters of a run for them; outfits
+/// are given.
+#[derive(Debug)]
+pub struct ScanBenchmark<'a> {
+    run: &'a Run,
+    set: &'a PackedSet,
+    options: ScanBenchmarkOptions,
+    start: ScanInit,
+    fitters: Vec<ScanFitter>,
+}
+
+impl<'a> ScanBenchmark<'a> {
+    /// Benchmark of frames of `set` with the clothing model of `run`.
+    ///
+    /// # Errors
+    /// If the set has another number of vertices than the body.
+    pub fn new(
+        run: &'a Run,
+        set: &'a PackedSet,
+        options: ScanBenchmarkOptions,
+        config: &ScanConfig,
+    ) -> Result<Self> {
+        if set.vertices() != run.body().vertices() {
+            return Err(Error::argument(format!(
+                "benchmark: frames of {} vertices, but the body has {}",
+                set.vertices(),
+                run.body().vertices()
+            )));
+        }
+        let prior = PosePrior::synthetic()?;
+        let start = ScanInit::default_poses(&prior);
+        let fitter =
+            |&outfit: &Outfit| ScanFitter::new(run, &[outfit], None, prior.clone(), config.clone());
+        let fitters = Outfit::ALL.iter().map(fitter).collect::<Result<_>>()?;
+        Ok(Self { run, set, options, start, fitters })
+    }
+
+    /// Trials of all frames, noise levels and shares of holes; their results do not depend on each
+    /// other.
+    pub fn trials(&self) -> Vec<ScanTrial> {
+        let ScanBenchmarkOptions { noises, holes, .. } = &self.options;
+        let count = self.options.frames.min(self.set.frames());
+        let mut trials = Vec::with_capacity(count * noises.len() * holes.len());
+        for index in 0..count {
+            let frame = index * self.set.frames() / count;
+            for &noise in noises {
+                trials.extend(holes.iter().map(|&hole| ScanTrial { frame, noise, hole }));
+            }
+        }
+        trials
+    }
+
+    /// Simulates and fits the scan of a trial.
+    ///
+    /// # Errors
+    /// If the frame cannot be read, or the fit fails.
+    pub fn case(&self, ScanTrial { frame, noise, hole }: ScanTrial) -> Result<ScanCase> {
+        let Self { run, set, options, start, fitters } = self;
+        let outfit = set.outfits()[frame];
+        // The same body and translation for all noise levels.
+        let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+        rng.set_stream(frame as u64);
+        let truth = truth(run, set, frame, &mut rng)?;
+        let scan = simulate_scan(run, &truth, options.points, noise, hole, &mut rng)?;
+        let fitter = &fitters[outfit.index()];
+        let clock = Instant::now();
+        let fit = fitter.fit(&scan, start, UpAxis::Y, &mut |_, _| {})?;
+        let seconds = clock.elapsed().as_secs_f64();
+        Ok(ScanCase {
+            frame,
+            capture: set.capture(frame),
+            outfit,
+            noise,
+            hole,
+            error: error(run, fitter, &truth, &scan, &fit, seconds)?,
+            problem: fit.problem,
+        })
+    }
+}
+
+/// Ground truth of a held-out frame on a body of random shape, translation and yaw.
 fn truth(run: &Run, set: &PackedSet, frame: usize, rng: &mut ChaCha8Rng) -> Result<GroundTruth> {
     let (displacement, mut wearer) = cape_infer::registration(set, frame)?;
     let shapes = SHAPES.min(run.body().betas());
@@ -191,7 +227,7 @@ fn truth(run: &Run, set: &PackedSet, frame: usize, rng: &mut ChaCha8Rng) -> Resu
     })
 }
 
-/// Points of the surface, with noise, but for those in holes.
+/// Random points of the surface with noise, without those in holes.
 fn simulate_scan(
     run: &Run,
     truth: &GroundTruth,
@@ -201,7 +237,7 @@ fn simulate_scan(
     rng: &mut ChaCha8Rng,
 ) -> Result<Scan> {
     let samples = sample_faces(&truth.surface, &run.body().faces, count, rng);
-    let samples = samples.ok_or_else(|| Error::argument("the body's faces have no area"))?;
+    let samples = samples.ok_or_else(|| Error::argument("body: the faces have no area"))?;
     let mut points: Vec<DVec3> = samples.into_iter().map(|sample| sample.at).collect();
     let wanted = ((1.0 - hole) * points.len() as f64) as usize;
     while points.len() > wanted {
@@ -230,8 +266,7 @@ fn error(
 ) -> Result<ScanError> {
     let all: Vec<usize> = (0..truth.bare.len()).collect();
     let off = |found: &[DVec3], truth: &[DVec3], vertices: &[usize]| {
-        let sum: f64 = vertices.iter().map(|&v| found[v].distance(truth[v])).sum();
-        1000.0 * sum / vertices.len().max(1) as f64
+        mean_distance_mm(vertices.iter().map(|&v| (found[v].to_array(), truth[v].to_array())))
     };
     let surface = fitter.surface(fit)?;
     let clock = Instant::now();

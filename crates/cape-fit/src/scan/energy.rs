@@ -1,10 +1,10 @@
-//! How far a scan and a body's surface are apart, both ways.
+//! Bidirectional robust distance between a scan and the surface of a body.
 //!
 //! `E_D = Σ_i ρ(‖s_i − nearest on the body‖) / n + w Σ_v a_v ρ(‖b_v − nearest on the scan‖)` over
-//! samples `s_i` of the scan and vertices `b_v` of the body with the shares `a_v` of its surface,
-//! with Geman and McClure's ρ. Nearest points are found anew at every evaluation; where they slide
-//! along a surface the distance does not change to first order, so that the gradient is exact with
-//! each fixed to its triangle.
+//! samples `s_i` of the scan and vertices `b_v` of the body with the shares `a_v` of its area, and
+//! the Geman–McClure penalty ρ. Nearest points are updated at every evaluation. Sliding along a
+//! surface does not change the distance to first order, so the gradient with nearest points fixed
+//! to their triangles is exact.
 
 use glam::DVec3;
 use rand::SeedableRng;
@@ -19,27 +19,27 @@ use super::{
 };
 use crate::body_energy::geman_mcclure;
 
-/// Nearest points are looked for up to so many times the size of errors that are rather mistakes.
+/// Reach of the search for nearest points, in units of the Geman–McClure scale σ.
 const REACH: f64 = 10.0;
-/// Surface of a person, m²: how close the points of a scan lie follows from their number.
+/// Surface area of a person, m², for the spacing of the points of a scan.
 const SURFACE: f64 = 1.9;
-/// Distance of a place on a surface from the nearest of points that are strewn over it, which one
-/// in a hundred exceeds, by the square root of the surface for each point.
+/// 99th percentile of the distance of a surface point from the nearest of random points, in units
+/// of the square root of the area for each point.
 const SIDEWAYS: f64 = 1.2;
-/// A scan whose normals agree with the body's at less than this share is inside out.
+/// Share of agreeing normals below which a scan is inside out.
 const INSIDE_OUT: f64 = 0.35;
 
-/// A scan, ready to be compared with.
+/// Samples and nearest-point index of a scan.
 #[derive(Debug, Clone)]
 pub(crate) struct ScanTarget<'a> {
     samples: Vec<SurfaceSample>,
     tree: SurfaceTree<'a>,
-    /// Between points, metres; 0 with triangles between.
+    /// Mean spacing of the points, metres; 0 for meshes.
     spacing: f64,
 }
 
 impl<'a> ScanTarget<'a> {
-    /// Of at most `count` points of the scan.
+    /// Target with `count` samples of a mesh, or at most `count` points of a cloud.
     pub(crate) fn new(scan: &'a Scan, count: usize, seed: u64) -> Self {
         let samples = sample_scan(scan, count, &mut ChaCha8Rng::seed_from_u64(seed));
         if scan.faces().is_empty() {
@@ -54,18 +54,18 @@ impl<'a> ScanTarget<'a> {
         Self { samples, tree: SurfaceTree::from_faces(scan.points(), scan.faces()), spacing: 0.0 }
     }
 
-    /// The points to compare with.
+    /// Samples in random order.
     pub(crate) fn samples(&self) -> &[SurfaceSample] {
         &self.samples
     }
 
-    /// The scan itself.
+    /// Nearest-point index of the scan.
     pub(crate) fn tree(&self) -> &SurfaceTree<'a> {
         &self.tree
     }
 
-    /// Turns the scan's normals, or forgets them, if they do not agree with those of a body that is
-    /// roughly in place; whether they were of use as they are.
+    /// Reverses the normals of the scan if most disagree with those of a roughly placed body, or
+    /// drops them if they are inconsistent. Returns true if they are kept as they are.
     pub(crate) fn orient(&mut self, vertices: &[DVec3], faces: &[[u32; 3]]) -> bool {
         let tree = SurfaceTree::from_faces(vertices, faces);
         let with: Vec<f64> = self
@@ -94,34 +94,33 @@ impl<'a> ScanTarget<'a> {
     }
 }
 
-/// Both directions of `E_D`, square metres.
-///
-/// See [`ScanFitter`](super::ScanFitter) for an example.
+/// Both directions of `E_D`, m².
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScanTerms {
-    /// From the scan to the body.
+    /// Mean penalty of the samples of the scan.
     pub to_body: f64,
-    /// From the body to the scan.
+    /// Area-weighted mean penalty of the vertices of the body.
     pub to_scan: f64,
 }
 
-/// What a body is compared with in one stage.
+/// The distance energy `E_D` of one stage.
 #[derive(Debug, Clone)]
 pub(crate) struct ScanEnergy<'a> {
     target: &'a ScanTarget<'a>,
     faces: &'a [[u32; 3]],
-    /// Of the surface around each vertex; 0 where the scan has a hole.
+    /// Share of the area around each vertex, `[V]`; 0 over holes of the scan.
     shares: Vec<f64>,
     samples: usize,
-    /// Size of errors that are rather mistakes, metres.
+    /// Geman–McClure scale σ (outlier threshold), metres.
     robust_scale: f64,
-    /// Weight of the way from the body to the scan.
+    /// Weight `w` of the direction from the body to the scan.
     back: f64,
 }
 
 impl<'a> ScanEnergy<'a> {
-    /// From at most `samples` points of the scan to a surface that is now at `vertices`, and back
-    /// with the weight `back`, from where the scan has no holes.
+    /// Energy with at most `samples` samples of the scan, and the weight `back` for the direction
+    /// from the body to the scan. Vertices over holes, determined for the surface at `vertices`,
+    /// metres, are left out.
     pub(crate) fn new(
         target: &'a ScanTarget<'a>,
         vertices: &[DVec3],
@@ -135,7 +134,7 @@ impl<'a> ScanEnergy<'a> {
             if back <= 0.0 {
                 return None;
             }
-            // Over a hole the scan is nearest sideways.
+            // Over a hole the nearest point of the scan is sideways.
             let (_, nearest) = target.tree.nearest(vertex, normal, REACH * robust_scale)?;
             let off = nearest.at - vertex;
             let sideways = off.reject_from_normalized(normal.try_normalize()?).length();
@@ -149,7 +148,8 @@ impl<'a> ScanEnergy<'a> {
         Self { target, faces, shares, samples, robust_scale, back }
     }
 
-    /// The terms of a surface; the gradient of `scale · E_D` is added to `forces`.
+    /// Terms of a surface, vertices in metres, `[V]`; the gradient of `scale · E_D` is added to
+    /// `forces` `[V]`.
     pub(crate) fn evaluate(
         &self,
         vertices: &[DVec3],
@@ -197,7 +197,7 @@ impl<'a> ScanEnergy<'a> {
         terms
     }
 
-    /// `E_D` of its terms.
+    /// Energy `E_D`, m².
     pub(crate) fn total(&self, terms: &ScanTerms) -> f64 {
         terms.to_body + self.back * terms.to_scan
     }
@@ -224,22 +224,20 @@ pub(crate) fn surface_distance(points: &[DVec3], vertices: &[DVec3], faces: &[[u
     1000.0 * all.iter().sum::<f64>() / points.len().max(1) as f64
 }
 
-/// How far a surface is from a scan, millimetres.
-///
-/// See [`FreeFormSurface`](super::FreeFormSurface) for an example.
+/// Distances of the samples of a scan from a surface, millimetres.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScanDistance {
-    /// Half of the scan's points are nearer to the surface.
+    /// Median distance.
     pub median: f64,
-    /// Mean distance of the scan's points.
+    /// Mean distance.
     pub mean: f64,
-    /// 95 % of the scan's points are nearer.
+    /// 95th percentile of the distances.
     pub most: f64,
-    /// Share of the surface that the scan has nothing opposite to, 0 to 1.
+    /// Share of the surface over holes of the scan, 0 to 1.
     pub unseen: f64,
 }
 
-/// The distances of the scan's samples from a surface.
+/// Distances of the samples of a scan from a surface.
 pub(crate) fn distance(
     target: &ScanTarget<'_>,
     vertices: &[DVec3],
@@ -281,7 +279,7 @@ mod tests {
         Scan::new(vertices, None, faces, Unit::M).unwrap()
     }
 
-    /// Over changes of a few directions, of a surface that is apart from the scan.
+    /// Along a few directions, of a surface at some distance from the scan.
     #[test]
     fn the_gradient_agrees_with_finite_differences() {
         for with_faces in [true, false] {

@@ -1,4 +1,4 @@
-//! Scans from files, and what is wrong with them.
+//! Scans from files, and checks of their size and unit.
 
 use std::path::Path;
 
@@ -9,12 +9,12 @@ use serde::{Deserialize, Serialize};
 use super::sample::spread;
 use crate::{Error, Result};
 
-/// Fewest points that tell of a body.
+/// Fewest points of a scan.
 const FEWEST: usize = 200;
-/// Largest extents that a person has, standing, lying or stretched, metres.
+/// Range of the largest extent of a person in any pose, metres.
 const PERSON: [f64; 2] = [0.5, 3.0];
 
-/// What a scan is measured in.
+/// Unit of length of a scan.
 ///
 /// ```
 /// use cape_fit::scan::Unit;
@@ -35,10 +35,10 @@ pub enum Unit {
 }
 
 impl Unit {
-    /// All of them.
+    /// All units.
     pub const ALL: [Self; 3] = [Self::M, Self::Cm, Self::Mm];
 
-    /// Its sign.
+    /// Symbol.
     pub const fn name(self) -> &'static str {
         match self {
             Self::M => "m",
@@ -47,7 +47,7 @@ impl Unit {
         }
     }
 
-    /// Its length.
+    /// Length of the unit, metres.
     pub const fn metres(self) -> f64 {
         match self {
             Self::M => 1.0,
@@ -62,23 +62,23 @@ impl std::str::FromStr for Unit {
 
     fn from_str(text: &str) -> Result<Self> {
         let known = Self::ALL.into_iter().find(|unit| unit.name() == text);
-        known.ok_or_else(|| Error::argument(format!("unit `{text}`: expected m, cm or mm")))
+        known.ok_or_else(|| Error::argument(format!("unit `{text}`, expected m, cm or mm")))
     }
 }
 
-/// A scanned person: points, with triangles between them or none. Metres.
+/// A scan of a person: a point cloud or a triangle mesh, metres.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use cape_fit::scan::{Scan, Unit, distances_to};
 ///
-/// // The points of a body, read as metres.
+/// // The vertices of a body in metres.
 /// let (points, _) = person();
 /// let scan = Scan::new(points.clone(), None, Vec::new(), Unit::M)?;
 /// assert_eq!((scan.points().len(), scan.faces().len()), (points.len(), 0));
 /// assert!(distances_to(&scan, &points[..10]).iter().all(|&far| far < 1e-9));
-/// // Nobody is that small.
+/// // Below the size of a person.
 /// assert!(Scan::new(points, None, Vec::new(), Unit::Mm).is_err());
 /// # Ok(())
 /// # }
@@ -91,11 +91,12 @@ pub struct Scan {
 }
 
 impl Scan {
-    /// Of points with or without unit normals, and triangles, if there are any.
+    /// A scan of points in `unit`, `[n]`, with optional normals `[n]`, and triangles, empty for a
+    /// point cloud.
     ///
     /// # Errors
-    /// If there are too few points, numbers are not finite, normals are not as many as points, a
-    /// triangle names a point that is not there, or the whole is not as large as a person.
+    /// If there are too few points, numbers are not finite, the number of normals differs, a face
+    /// index is out of range, or the extent is not that of a person.
     pub fn new(
         points: Vec<DVec3>,
         normals: Option<Vec<DVec3>>,
@@ -104,22 +105,23 @@ impl Scan {
     ) -> Result<Self> {
         let refuse = |message: String| Err(Error::Observation(message));
         if points.len() < FEWEST {
-            return refuse(format!(
-                "a scan of {} points, expected at least {FEWEST}",
-                points.len()
-            ));
+            return refuse(format!("scan: {} points, expected at least {FEWEST}", points.len()));
         }
         if let Some(index) = points.iter().position(|point| !point.is_finite()) {
-            return refuse(format!("point {index} is not finite: {}", points[index]));
+            return refuse(format!("scan: point {index} is not finite: {}", points[index]));
         }
         if let Some(normals) = &normals
             && normals.len() != points.len()
         {
-            return refuse(format!("{} normals for {} points", normals.len(), points.len()));
+            return refuse(format!(
+                "scan: {} normals for {} points, expected one for each point",
+                normals.len(),
+                points.len()
+            ));
         }
         let outside = |face: &&[u32; 3]| face.iter().any(|&at| at as usize >= points.len());
         if let Some(face) = faces.iter().find(outside) {
-            return refuse(format!("face {face:?}, but there are {} points", points.len()));
+            return refuse(format!("scan: face {face:?}, expected indices below {}", points.len()));
         }
         let points: Vec<DVec3> = points.into_iter().map(|point| point * unit.metres()).collect();
         check_size(&points, unit)?;
@@ -139,7 +141,7 @@ impl Scan {
         let (mesh, normals) = match (is("ply"), is("obj")) {
             (true, _) => ply::read_with_normals(path)?,
             (_, true) => (obj::read(path)?.mesh, None),
-            _ => return Err(Error::format(path, "expected a scan, .ply or .obj")),
+            _ => return Err(Error::format(path, "unsupported file type: expected .ply or .obj")),
         };
         let vectors = |rows: Vec<[f32; 3]>| -> Vec<DVec3> {
             rows.into_iter().map(|row| DVec3::from_array(row.map(f64::from))).collect()
@@ -152,25 +154,25 @@ impl Scan {
         })
     }
 
-    /// Metres, `[points]`.
+    /// Points, metres, `[n]`.
     pub fn points(&self) -> &[DVec3] {
         &self.points
     }
 
-    /// Unit normals where the scan has them, `[points]`.
+    /// Unit normals, `[n]`; `None` if unknown.
     pub fn normals(&self) -> Option<&[DVec3]> {
         self.normals.as_deref()
     }
 
-    /// Triangles, if there are any.
+    /// Triangles, `[faces]`; empty for a point cloud.
     pub fn faces(&self) -> &[[u32; 3]] {
         &self.faces
     }
 }
 
-/// Refuses what is not as large as a person, and says which unit would make it one.
+/// An error unless the extent is that of a person, with a better unit if there is one.
 fn check_size(points: &[DVec3], unit: Unit) -> Result<()> {
-    // Without the outermost points, which may be strays.
+    // Without 1 % outliers at each end.
     let extent = spread(points, 0.01).max_element();
     let [least, most] = PERSON;
     if (least..=most).contains(&extent) {
@@ -179,11 +181,11 @@ fn check_size(points: &[DVec3], unit: Unit) -> Result<()> {
     let units = extent / unit.metres();
     let fits = |other: &Unit| (least..=most).contains(&(units * other.metres()));
     let advice = match Unit::ALL.iter().find(|&other| *other != unit && fits(other)) {
-        Some(other) => format!("it seems to be in {0}: give --unit {0}", other.name()),
-        None => "this is no person in metres, centimetres or millimetres".into(),
+        Some(other) => format!("use the unit {0} (--unit {0})", other.name()),
+        None => "check that it contains one person".into(),
     };
     Err(Error::Observation(format!(
-        "the scan is {units:.4} {} long where a person is {least} to {most} m: {advice}",
+        "scan: extent {units:.4} {}, expected {least} to {most} m: {advice}",
         unit.name()
     )))
 }
@@ -208,7 +210,7 @@ mod tests {
         assert!(message(cloud(1000.0), Unit::M).contains("--unit mm"));
         assert!(message(cloud(100.0), Unit::M).contains("--unit cm"));
         assert!(message(cloud(1.0), Unit::Mm).contains("--unit m"));
-        assert!(message(cloud(1e5), Unit::M).contains("no person"));
+        assert!(message(cloud(1e5), Unit::M).contains("one person"));
         let scan = Scan::new(cloud(1000.0), None, Vec::new(), Unit::Mm).unwrap();
         let metres = cloud(1.0);
         assert!(scan.points().iter().zip(&metres).all(|(a, b)| a.distance(*b) < 1e-9));
@@ -222,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_scan_is_refused() {
+    fn invalid_scans_are_refused() {
         assert!(message(Vec::new(), Unit::M).contains("0 points"));
         assert!(message(cloud(1.0)[..50].to_vec(), Unit::M).contains("50 points"));
         let mut broken = cloud(1.0);
@@ -232,7 +234,7 @@ mod tests {
         assert!(few.unwrap_err().to_string().contains("1 normals"));
         let wrong = Scan::new(cloud(1.0), None, vec![[0, 1, 600]], Unit::M);
         assert!(wrong.unwrap_err().to_string().contains("[0, 1, 600]"));
-        // Normals that are all zero are none.
+        // Zero normals count as unknown.
         let zero = Scan::new(cloud(1.0), Some(vec![DVec3::ZERO; 600]), Vec::new(), Unit::M);
         assert_eq!(zero.unwrap().normals(), None);
     }

@@ -1,4 +1,4 @@
-//! Clothed bodies from scans.
+//! Fit of clothed bodies to scans.
 
 use cape_core::{Outfit, SmplModel};
 use cape_infer::Run;
@@ -13,60 +13,55 @@ use super::{
     stage::{ScanConfig, ScanStage, Unknowns},
 };
 use crate::{
-    BodyParameters, BodyTerms, DressedBody, Error, LbfgsOptions, PosePrior, Result, Skeleton,
+    BodyParameters, BodyTerms, DressedBody, Error, FitProblem, LbfgsOptions, PosePrior, Result,
+    Skeleton,
     body_energy::prior_terms,
     dressed_body::{DressedSurface, FixedClothing},
     parameters::{BETAS_AT, solve},
 };
 
-/// The terms of the energy, unweighted.
-///
-/// See [`ScanFitter`] for an example.
+/// Unweighted terms of the energy.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScanFitTerms {
-    /// Those of priors, and of joints if some are known.
+    /// Priors, and the joint term if joints are known.
     pub body: BodyTerms,
-    /// `E_D`.
+    /// Distance energy `E_D`, m².
     pub distance: ScanTerms,
-    /// `‖z‖²`.
+    /// Code prior `‖z‖²`.
     pub code: f64,
 }
 
-/// A clothed body that explains a scan.
-///
-/// See [`ScanFitter`] for an example.
+/// Clothed body fitted to a scan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ScanFit {
-    /// The body under the clothes, in the scan's space, metres.
+    /// Body under the clothing in the frame of the scan, metres.
     pub parameters: BodyParameters,
-    /// The clothes, `[latent]`.
+    /// Latent code of the clothing, `[latent]`.
     pub code: Vec<f64>,
-    /// What is worn.
+    /// Outfit.
     pub outfit: Outfit,
-    /// The body as it was before the clothes were solved for.
+    /// Body before the clothing stages.
     pub before_clothes: BodyParameters,
-    /// Energy of each outfit that was tried.
+    /// Energy of each outfit after its first clothing stage.
     pub outfits: Vec<(Outfit, f64)>,
     /// Terms of the energy.
     pub terms: ScanFitTerms,
-    /// Energy after every step of every stage that led here.
+    /// Energy after each optimiser step, one curve for each stage.
     pub curves: Vec<Vec<f64>>,
-    /// How far the scan is from the surface.
+    /// Distances of the scan from the surface.
     pub distance: ScanDistance,
-    /// How often a body was evaluated.
+    /// Number of evaluations of the body.
     pub evaluations: usize,
-    /// Whether the scan's normals pointed outwards, if it has any.
+    /// True if the normals of the scan were used as given; false if they were reversed or dropped.
     pub normals_as_given: bool,
-    /// Why the fit cannot be trusted, if it cannot.
-    pub problem: Option<String>,
+    /// Problem of the fit, if it is unreliable.
+    pub problem: Option<FitProblem>,
 }
 
-/// Steps that were made, of how many at most.
-///
-/// See [`ScanFitter`] for an example.
+/// Progress callback: steps done and of all at most.
 pub type ScanProgressFn<'a> = dyn FnMut(usize, usize) + 'a;
 
-/// Fits a run's clothed bodies to scans.
+/// Fitter of the clothed bodies of a run to scans.
 ///
 /// ```no_run
 /// use burn::tensor::Device;
@@ -98,12 +93,12 @@ pub struct ScanFitter {
 }
 
 impl ScanFitter {
-    /// For one of several outfits, and for any shape or that of one subject, by its unclothed rest
-    /// shape `[V, 3]`, metres.
+    /// A fitter that chooses among `outfits`, for any body shape or, with `minimal`, for the
+    /// subject with that unclothed rest shape `[V, 3]`, metres.
     ///
     /// # Errors
-    /// If there is no outfit, the shape or the run's files do not suit one another, or the
-    /// configuration is impossible.
+    /// If there is no outfit, the shape has another size or is not finite, or the configuration is
+    /// out of range.
     pub fn new(
         run: &Run,
         outfits: &[Outfit],
@@ -113,22 +108,25 @@ impl ScanFitter {
     ) -> Result<Self> {
         config.check()?;
         if outfits.is_empty() {
-            return Err(Error::argument("no outfit to fit"));
+            return Err(Error::argument("scan fit: no outfits, expected at least one"));
         }
         let mut body = run.body().clone();
         if let Some(minimal) = minimal {
             if minimal.dim() != body.v_template.dim() || minimal.iter().any(|x| !x.is_finite()) {
                 return Err(Error::argument(format!(
-                    "minimal shape {:?}, expected {:?}, finite",
+                    "scan fit: minimal shape {:?}, expected finite numbers of shape {:?}",
                     minimal.shape(),
                     body.v_template.shape()
                 )));
             }
             body.v_template.assign(minimal);
         }
-        let dressed = |&outfit: &Outfit| match minimal {
-            Some(minimal) => DressedBody::from_subject(run, outfit, minimal),
-            None => DressedBody::new(run, outfit),
+        let first = *outfits
+            .first()
+            .ok_or_else(|| Error::argument("scan fit: no outfits, expected at least one"))?;
+        let dressed = match minimal {
+            Some(minimal) => DressedBody::from_subject(run, first, minimal)?,
+            None => DressedBody::new(run, first)?,
         };
         let mut mean_clothes = Array2::zeros(body.v_template.dim());
         for &vertex in run.clothing() {
@@ -136,7 +134,7 @@ impl ScanFitter {
         }
         Ok(Self {
             skeleton: Skeleton::new(&body)?,
-            outfits: outfits.iter().map(dressed).collect::<Result<_>>()?,
+            outfits: outfits.iter().map(|&outfit| dressed.with_outfit(outfit)).collect(),
             mean_clothes,
             shape_is_known: minimal.is_some(),
             body,
@@ -145,31 +143,31 @@ impl ScanFitter {
         })
     }
 
-    /// The body, of the subject's shape if that is known.
+    /// Body model, with the shape of the subject if it is known.
     pub fn body(&self) -> &SmplModel {
         &self.body
     }
 
-    /// The rest shape of a fit's body without clothes, metres, `[V, 3]`.
+    /// Unclothed rest shape of a fit, metres, `[V, 3]`.
     ///
     /// # Errors
-    /// If the body has too many shape coefficients.
+    /// If the fit has too many shape coefficients.
     pub fn minimal(&self, fit: &ScanFit) -> Result<Array2<f64>> {
         Ok(self.body.rest_shape(&fit.parameters.betas)?)
     }
 
-    /// The body without clothes, metres, `[V]`.
+    /// Vertices of the unclothed body, metres, `[V]`.
     ///
     /// # Errors
-    /// If sizes do not suit the body.
+    /// If sizes do not fit the body.
     pub fn unclothed(&self, body: &BodyParameters) -> Result<Vec<DVec3>> {
         self.pose_surface(body, None)
     }
 
-    /// The body in the clothes that people wear on average, metres, `[V]`.
+    /// Vertices of the body in the mean clothing of the training set, metres, `[V]`.
     ///
     /// # Errors
-    /// If sizes do not suit the body.
+    /// If sizes do not fit the body.
     pub fn with_mean_clothing(&self, body: &BodyParameters) -> Result<Vec<DVec3>> {
         self.pose_surface(body, Some(&self.mean_clothes))
     }
@@ -183,20 +181,22 @@ impl ScanFitter {
         Ok(posed.vertices.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2])).collect())
     }
 
-    /// A fit's clothed surface, metres, `[V]`.
+    /// Vertices of the clothed surface of a fit, metres, `[V]`.
     ///
     /// # Errors
-    /// If the fit is not of these bodies.
+    /// If the fit is of another outfit or model.
     pub fn surface(&self, fit: &ScanFit) -> Result<Vec<DVec3>> {
         let dressed = self.outfits.iter().find(|dressed| dressed.outfit() == fit.outfit);
-        let dressed = dressed.ok_or_else(|| Error::argument("a fit in another outfit"))?;
+        let dressed = dressed.ok_or_else(|| {
+            Error::argument("scan fit: the outfit of the fit is not among those of the fitter")
+        })?;
         Ok(dressed.surface(&fit.parameters, &fit.code)?.vertices().to_vec())
     }
 
-    /// The clothed body that explains a scan best; the person's head is towards `up`.
+    /// Fits a clothed body to a scan of a person whose head is towards `up`.
     ///
     /// # Errors
-    /// If what is known of the pose is none, or the person lies or hangs the other way.
+    /// If `start` has no usable pose, or the person in the scan is upright along another axis.
     pub fn fit(
         &self,
         scan: &Scan,
@@ -226,7 +226,7 @@ impl ScanFitter {
         let surface = first.surface_in(&clothes, &pad_betas(&bodies[0]))?;
         let normals_as_given = target.orient(surface.vertices(), first.faces());
 
-        let scene = |dressed, clothes| ScanProblem {
+        let problem = |dressed, clothes| ScanProblem {
             fitter: self,
             dressed,
             clothes,
@@ -235,7 +235,7 @@ impl ScanFitter {
             betas,
         };
 
-        let in_mean = scene(first, Some(&clothes));
+        let in_mean = problem(first, Some(&clothes));
         let mut best: Option<Candidate> = None;
         let (tried, refined) = bare.split_at(bare.len().min(1));
         for body in &bodies {
@@ -245,23 +245,23 @@ impl ScanFitter {
                 best = Some(attempt);
             }
         }
-        let best = best.ok_or_else(|| Error::Failed("there is no body to begin with".into()))?;
+        let best = best.ok_or_else(|| Error::Failed("scan fit: no initial body".into()))?;
         let bare = in_mean.descend(best, refined, &mut counter)?;
 
         let (tried, refined) = clothed.split_at(1);
         let (mut best, mut outfits): (Option<(Candidate, &DressedBody)>, _) = (None, Vec::new());
         for dressed in &self.outfits {
-            let attempt = scene(dressed, None).descend(bare.clone(), tried, &mut counter)?;
+            let attempt = problem(dressed, None).descend(bare.clone(), tried, &mut counter)?;
             outfits.push((dressed.outfit(), attempt.value));
             if best.as_ref().is_none_or(|(other, _)| attempt.value < other.value) {
                 best = Some((attempt, dressed));
             }
         }
-        let (attempt, dressed) = best.ok_or_else(|| Error::Failed("there is no outfit".into()))?;
-        let scene = scene(dressed, None);
-        let found = scene.descend(attempt, refined, &mut counter)?;
+        let (attempt, dressed) = best.ok_or_else(|| Error::Failed("scan fit: no outfit".into()))?;
+        let problem = problem(dressed, None);
+        let found = problem.descend(attempt, refined, &mut counter)?;
         let evaluations = counter.evaluations;
-        let mut fit = scene.outcome(&found, clothed[clothed.len() - 1])?;
+        let mut fit = problem.outcome(&found, clothed[clothed.len() - 1])?;
         fit.before_clothes = BodyParameters::from_vector(&bare.x, betas);
         (fit.outfits, fit.evaluations, fit.normals_as_given) =
             (outfits, evaluations, normals_as_given);
@@ -269,7 +269,7 @@ impl ScanFitter {
     }
 }
 
-/// Devices want no tensors without numbers.
+/// The body with at least one shape coefficient: devices do not support empty tensors.
 fn pad_betas(body: &BodyParameters) -> BodyParameters {
     let mut body = body.clone();
     if body.betas.is_empty() {
@@ -278,7 +278,7 @@ fn pad_betas(body: &BodyParameters) -> BodyParameters {
     body
 }
 
-/// A body on its way: unknowns `[3 + 72 + betas + latent]`.
+/// State of the optimisation: unknowns `[3 + 72 + betas + latent]`.
 #[derive(Debug, Clone)]
 struct Candidate {
     x: Vec<f64>,
@@ -292,7 +292,7 @@ impl Candidate {
     }
 }
 
-/// Steps made and to be made.
+/// Progress of the optimisation steps.
 struct StepCounter<'p, 'a> {
     done: usize,
     total: usize,
@@ -321,19 +321,19 @@ impl<'p, 'a> StepCounter<'p, 'a> {
         (self.progress)(self.done.min(self.total), self.total);
     }
 
-    /// An evaluation in a stage: about one a step.
+    /// Counts an evaluation within a stage, about one for each step.
     fn count_evaluation(&mut self, within: usize) {
         self.evaluations += 1;
         (self.progress)((self.done + within).min(self.total), self.total);
     }
 }
 
-/// What bodies are compared with.
+/// Energy of a body in the scan.
 #[derive(Clone, Copy)]
 struct ScanProblem<'a> {
     fitter: &'a ScanFitter,
     dressed: &'a DressedBody,
-    /// If they are not to be solved for.
+    /// Fixed clothing; `None` if the code is an unknown.
     clothes: Option<&'a FixedClothing>,
     target: &'a ScanTarget<'a>,
     start: &'a ScanInit,
@@ -384,7 +384,7 @@ impl ScanProblem<'_> {
         Ok(ScanFitTerms { body, distance, code: code.iter().map(|z| z * z).sum() })
     }
 
-    /// Through stages, one after the other.
+    /// Optimises stage by stage.
     fn descend(
         &self,
         mut attempt: Candidate,
@@ -439,20 +439,13 @@ impl ScanProblem<'_> {
     }
 }
 
-fn problem(distance: &ScanDistance, config: &ScanConfig) -> Option<String> {
+fn problem(distance: &ScanDistance, config: &ScanConfig) -> Option<FitProblem> {
     let [median, most] = [config.accepted, config.accepted_most].map(|metres| 1000.0 * metres);
     if distance.median.is_nan() || distance.median > median {
-        return Some(format!(
-            "half of the scan is further than {:.1} mm from the surface: more than {median:.0} mm",
-            distance.median
-        ));
+        return Some(FitProblem::ScanDistance { median_mm: distance.median, limit_mm: median });
     }
-    (distance.most > most).then(|| {
-        format!(
-            "5 % of the scan are further than {:.0} mm from the surface: more than {most:.0} mm",
-            distance.most
-        )
-    })
+    (distance.most > most)
+        .then_some(FitProblem::ScanOutliers { percentile_95_mm: distance.most, limit_mm: most })
 }
 
 #[cfg(test)]

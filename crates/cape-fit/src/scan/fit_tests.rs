@@ -17,7 +17,7 @@ fn fitter(config: ScanConfig) -> ScanFitter {
     }
 }
 
-/// The true body in its clothes, as points.
+/// Vertices of the true clothed body, as a point cloud.
 fn scan(fitter: &ScanFitter) -> (Scan, Vec<DVec3>) {
     let (body, code) = truth();
     let surface = fitter.outfits[0].surface(&body, &code).unwrap();
@@ -34,7 +34,7 @@ fn gradients_of_the_energy_agree_with_finite_differences() {
     let start = ScanInit::Poses(Vec::new());
     let (body, code) = truth();
     let betas = body.betas.len();
-    let scene = ScanProblem {
+    let problem = ScanProblem {
         fitter: &fitter,
         dressed: &fitter.outfits[0],
         clothes: None,
@@ -47,9 +47,9 @@ fn gradients_of_the_energy_agree_with_finite_differences() {
         *value += 0.02 * (1.7 * at as f64 + 0.4).sin();
     }
     let stage = ScanStage { samples: 1500, robust_scale: 0.1, ..fitter.config.stages[3] };
-    let distances = scene.distances(&x, &stage).unwrap();
+    let distances = problem.distances(&x, &stage).unwrap();
     let total = |x: &[f64], gradient: &mut [f64]| {
-        let terms = scene.evaluate(x, &distances, stage.distance, gradient).unwrap();
+        let terms = problem.evaluate(x, &distances, stage.distance, gradient).unwrap();
         terms.body.weighted(&fitter.config.body)
             + stage.distance * distances.total(&terms.distance)
             + fitter.config.code * terms.code

@@ -1,9 +1,9 @@
-//! What a scan has that no code of clothes says.
+//! Free-form displacement of a fitted surface to a scan, beyond the space of the clothing model.
 //!
 //! `E(d) = E_D(b + d) + (λ_L Σ_v ‖(L d)_v‖² + λ_0 Σ_v ‖d_v‖²) / V` over displacements `d_v` of the
-//! fitted surface's vertices, with the umbrella Laplacian `(L d)_v = d_v − mean of its neighbours'`:
-//! where the scan has noise or holes the displacement goes on smoothly, and comes to an end. `E_D`
-//! is from the scan to the surface alone: the way back would draw vertices to the edges of holes.
+//! vertices of the fitted surface, with the umbrella Laplacian `(L d)_v = d_v − mean of its
+//! neighbours'`: over noise and holes the displacement continues smoothly and decays. `E_D` is from
+//! the scan to the surface only: the other direction would attract vertices to the edges of holes.
 
 use cape_core::optimise::{LbfgsOptions, minimise};
 use glam::DVec3;
@@ -15,23 +15,21 @@ use super::{
 };
 use crate::{Error, Result, body_energy::check_weight};
 
-/// How freely vertices leave a fitted surface.
-///
-/// See [`FreeFormSurface`] for an example.
+/// Configuration of the free-form displacement.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FreeFormConfig {
-    /// λ_L, of the displacement's roughness.
+    /// Weight λ_L of the Laplacian of the displacement.
     pub smooth: f64,
-    /// λ_0, of its size.
+    /// Weight λ_0 of the length of the displacement.
     pub small: f64,
-    /// Points of the scan.
+    /// Number of samples of the scan.
     pub samples: usize,
-    /// Size of errors that are rather mistakes, metres, one round after the other.
+    /// Geman–McClure scales σ (outlier thresholds) of the two rounds, metres.
     pub robust_scale: [f64; 2],
-    /// Most steps of the optimiser in each round.
+    /// Optimiser steps in each round, at most.
     pub steps: usize,
-    /// Fixes which points are taken.
+    /// Random seed of the samples.
     pub seed: u64,
 }
 
@@ -48,7 +46,7 @@ impl Default for FreeFormConfig {
     }
 }
 
-/// A surface whose vertices went where the scan is.
+/// Surface after the free-form displacement.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -56,7 +54,7 @@ impl Default for FreeFormConfig {
 /// use cape_fit::scan::{FreeFormConfig, Scan, Unit, free_displacement};
 /// use glam::DVec3;
 ///
-/// // A scan that the surface already fits leaves it where it is.
+/// // A surface that fits the scan already stays in place.
 /// let (vertices, faces) = person();
 /// let scan = Scan::new(vertices.clone(), None, Vec::new(), Unit::M)?;
 /// let config = FreeFormConfig { samples: 500, steps: 2, ..FreeFormConfig::default() };
@@ -68,20 +66,21 @@ impl Default for FreeFormConfig {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct FreeFormSurface {
-    /// Metres, `[V]`.
+    /// Vertices, metres, `[V]`.
     pub vertices: Vec<DVec3>,
-    /// How far the scan is from it.
+    /// Distances of the scan from the surface.
     pub distance: ScanDistance,
     /// Mean length of the displacement, millimetres.
     pub moved: f64,
-    /// Energy after every step of each round, mm².
+    /// Energy after each optimiser step, one curve for each round, mm².
     pub curves: Vec<Vec<f64>>,
 }
 
-/// Lets the vertices of a fitted surface go where the scan is; `progress` hears steps of how many.
+/// Displaces the vertices of a fitted surface (metres, `[V]`, triangles `[F]`) to a scan.
+/// `progress` is called with the number of steps done and of all at most.
 ///
 /// # Errors
-/// If the configuration is impossible.
+/// If a weight is negative or not finite.
 pub fn free_displacement(
     scan: &Scan,
     vertices: &[DVec3],
@@ -122,7 +121,7 @@ pub fn free_displacement(
     })
 }
 
-/// In mm², of displacements in millimetres, `[3 V]`.
+/// Energy, mm², of displacements in millimetres, `[3 V]`, and its gradient.
 fn energy(
     vertices: &[DVec3],
     x: &[f64],
@@ -132,7 +131,7 @@ fn energy(
     gradient: &mut [f64],
 ) -> f64 {
     let mut forces = vec![DVec3::ZERO; vertices.len()];
-    // Square metres by metres, as mm² by millimetres.
+    // 1e3 converts the derivative of m² by m to mm² by mm.
     let terms = distances.evaluate(&displaced(vertices, x), 1e3, &mut forces);
     let d: Vec<DVec3> = x.as_chunks::<3>().0.iter().map(|&d| DVec3::from_array(d)).collect();
     let rough = umbrella.apply(&d);
@@ -152,9 +151,9 @@ fn displaced(vertices: &[DVec3], x: &[f64]) -> Vec<DVec3> {
     vertices.iter().zip(d).map(|(&v, &d)| v + DVec3::from_array(d) * 1e-3).collect()
 }
 
-/// `(L d)_v = d_v − mean of its neighbours'`.
+/// Umbrella Laplacian `(L d)_v = d_v − mean of its neighbours'`.
 struct UmbrellaOperator {
-    /// Neighbours of vertex `v` are those from `starts[v]` to `starts[v + 1]`.
+    /// Neighbours of vertex `v` are at `starts[v]..starts[v + 1]`.
     starts: Vec<usize>,
     neighbours: Vec<u32>,
 }

@@ -1,4 +1,4 @@
-//! Bodies to begin a fit to a scan with.
+//! Initial bodies of a fit to a scan.
 
 use cape_core::SmplModel;
 use cape_synth::poses::preset;
@@ -11,36 +11,37 @@ use crate::{
     parameters::solve,
 };
 
-/// A scan that fits another way up with less than this part of the energy lies or hangs.
+/// Energy of a placement along another up axis, relative to the given one, below which the scan is
+/// rejected.
 const OTHER_WAY: f64 = 0.6;
-/// Poses that are tried another way up.
+/// Number of poses that are placed along the other up axes.
 const OTHERS: usize = 3;
-/// Strengths of the pose prior while a body is drawn to known joints.
+/// Weights of the pose prior in the stages of the fit to known joints.
 const JOINT_STAGES: [f64; 3] = [10.0, 2.0, 0.5];
 
-/// What is known of a scanned body's pose.
+/// Prior knowledge of the pose of a scanned body.
 ///
 /// ```
 /// use cape_fit::{PosePrior, scan::ScanInit};
 ///
-/// // The poses that people are in, where nothing is known.
+/// // Common poses, if nothing is known.
 /// let start = ScanInit::default_poses(&PosePrior::synthetic()?);
 /// assert!(matches!(start, ScanInit::Poses(poses) if poses.iter().all(|pose| pose.len() == 72)));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub enum ScanInit {
-    /// Rough poses, one of which it may be in, wherever it stands: axis-angles `[72]`, of which the
-    /// pelvis's counts.
+    /// Candidate poses in axis-angle, radians, `[72]` each, global orientation included; the
+    /// placement is estimated.
     Poses(Vec<Vec<f64>>),
-    /// Its joints.
+    /// Known joint positions.
     Joints(KnownJoints),
-    /// A body that is roughly in place.
+    /// A body in an approximate pose and placement.
     Body(BodyParameters),
 }
 
 impl ScanInit {
-    /// What people often do: the prior's poses, standing with the arms down or stretched out.
+    /// Common poses: A-pose, T-pose and the means of the pose prior.
     pub fn default_poses(prior: &PosePrior) -> Self {
         let often = prior.means().rows().into_iter();
         let often = often.map(|pose| [&[0.0; 3], &pose.to_vec()[..]].concat());
@@ -50,7 +51,7 @@ impl ScanInit {
     }
 }
 
-/// An axis of the scan's space.
+/// Up axis of a scan.
 ///
 /// ```
 /// use cape_fit::scan::UpAxis;
@@ -68,7 +69,7 @@ pub struct UpAxis {
 }
 
 impl UpAxis {
-    /// +y, as SMPL has it.
+    /// Up axis +y, as in SMPL.
     pub const Y: Self = Self { axis: 1, negative: false };
 
     const ALL: [Self; 6] = {
@@ -78,7 +79,7 @@ impl UpAxis {
         [up(1, false), up(1, true), up(2, false), up(2, true), up(0, false), up(0, true)]
     };
 
-    /// As people write it.
+    /// Name, such as `-z`.
     pub const fn name(self) -> &'static str {
         match (self.axis, self.negative) {
             (0, false) => "x",
@@ -90,7 +91,7 @@ impl UpAxis {
         }
     }
 
-    /// The turn that brings it to +y.
+    /// Rotation from this axis to +y.
     pub fn to_y(self) -> DQuat {
         DQuat::from_rotation_arc(self.direction(), DVec3::Y)
     }
@@ -106,25 +107,25 @@ impl std::str::FromStr for UpAxis {
     fn from_str(text: &str) -> Result<Self> {
         let known = Self::ALL.into_iter().find(|up| up.name() == text.trim_start_matches('+'));
         known.ok_or_else(|| {
-            Error::argument(format!("axis `{text}`: expected x, y, z, -x, -y or -z"))
+            Error::argument(format!("axis `{text}`, expected x, y, z, -x, -y or -z"))
         })
     }
 }
 
-/// The body that scans are of, with what is known of people.
+/// Body model and priors of a fit to a scan.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ScanSubject<'a> {
     pub(crate) body: &'a SmplModel,
     pub(crate) skeleton: &'a Skeleton,
     pub(crate) prior: &'a PosePrior,
-    /// Shape coefficients that are solved for, or 0.
+    /// Number of shape coefficients to fit.
     pub(crate) betas: usize,
-    /// What bodies wear at first, metres, `[V, 3]`.
+    /// Initial clothing displacements, metres, `[V, 3]`.
     pub(crate) clothes: &'a ndarray::Array2<f64>,
 }
 
 impl ScanInit {
-    /// How many bodies [`initial_bodies`] finds at most, and how often it calls back.
+    /// Largest number of bodies of [`initial_bodies`], and number of its calls of `placed`.
     pub(crate) fn count(&self, most: usize) -> [usize; 2] {
         match self {
             Self::Poses(poses) => [poses.len().min(most), poses.len() + OTHERS.min(poses.len())],
@@ -133,9 +134,10 @@ impl ScanInit {
     }
 }
 
-/// At most `count` bodies in place, the most likely first; `placed` is called from time to time.
+/// At most `count` initial bodies in order of ascending energy; `placed` is called after each
+/// placement.
 pub(crate) fn initial_bodies(
-    kind: &ScanSubject<'_>,
+    subject: &ScanSubject<'_>,
     target: &ScanTarget<'_>,
     start: &ScanInit,
     up: UpAxis,
@@ -146,38 +148,38 @@ pub(crate) fn initial_bodies(
         ScanInit::Body(body) => {
             body.check()?;
             let mut body = body.clone();
-            body.betas.resize(kind.betas, 0.0);
+            body.betas.resize(subject.betas, 0.0);
             Ok(vec![body])
         }
-        ScanInit::Joints(joints) => Ok(vec![init_from_joints(kind, joints)?]),
-        ScanInit::Poses(poses) => init_from_poses(kind, target, poses, up, count, placed),
+        ScanInit::Joints(joints) => Ok(vec![init_from_joints(subject, joints)?]),
+        ScanInit::Poses(poses) => init_from_poses(subject, target, poses, up, count, placed),
     }
 }
 
 fn init_from_poses(
-    kind: &ScanSubject<'_>,
+    subject: &ScanSubject<'_>,
     target: &ScanTarget<'_>,
     poses: &[Vec<f64>],
     up: UpAxis,
     count: usize,
     placed: &mut dyn FnMut(),
 ) -> Result<Vec<BodyParameters>> {
-    let faces = &kind.body.faces;
+    let faces = &subject.body.faces;
     let (mut found, mut surfaces) = (Vec::new(), Vec::new());
     for pose in poses {
-        let body = BodyParameters::new(pose.clone(), vec![0.0; kind.betas])?;
-        let vertices = surface(kind, &body)?;
+        let body = BodyParameters::new(pose.clone(), vec![0.0; subject.betas])?;
+        let vertices = surface(subject, &body)?;
         if let Some(placing) = rigid::place(target, &vertices, faces, up.direction())
             && placing.energy.is_finite()
         {
-            found.push((apply_rigid(kind, &body, &placing.rigid), placing.energy));
+            found.push((apply_rigid(subject, &body, &placing.rigid), placing.energy));
         }
         surfaces.push(vertices);
         placed();
     }
     found.sort_by(|a, b| a.1.total_cmp(&b.1));
     let Some(&(_, least)) = found.first() else {
-        return Err(Error::Failed("no pose to begin with can be placed in the scan".into()));
+        return Err(Error::Failed("scan fit: no initial pose can be placed in the scan".into()));
     };
     let mut best = (up, f64::INFINITY);
     for vertices in surfaces.iter().take(OTHERS) {
@@ -191,9 +193,9 @@ fn init_from_poses(
     }
     let (other, energy) = best;
     if energy < OTHER_WAY * least {
-        let how = if other.axis == up.axis { "is upside down" } else { "lies on its side" };
+        let how = if other.axis == up.axis { "upside down" } else { "on its side" };
         return Err(Error::Observation(format!(
-            "the scan {how}: a person fits it with the head towards {0}, not {1}: give --up {0}",
+            "scan: the person is {how}: up axis {1}, but {0} fits better: use --up {0}",
             other.name(),
             up.name()
         )));
@@ -201,19 +203,19 @@ fn init_from_poses(
     Ok(found.into_iter().take(count).map(|(body, _)| body).collect())
 }
 
-/// A body that has its joints where they are known, from whichever common pose comes closest.
-fn init_from_joints(kind: &ScanSubject<'_>, joints: &KnownJoints) -> Result<BodyParameters> {
+/// Body fitted to known joints from the means of the pose prior; the fit of lowest energy.
+fn init_from_joints(subject: &ScanSubject<'_>, joints: &KnownJoints) -> Result<BodyParameters> {
     let weights = JOINT_STAGES.map(|pose| BodyWeights { pose, ..<_>::default() });
     let options = LbfgsOptions { steps: 100, gain: 1e-6, ..<_>::default() };
     let mut best: Option<(Vec<f64>, f64)> = None;
-    for pose in kind.prior.means().rows() {
+    for pose in subject.prior.means().rows() {
         let pose = [&[0.0; 3], &pose.to_vec()[..]].concat();
-        let body = BodyParameters::new(pose, vec![0.0; kind.betas])?;
-        let posed = kind.skeleton.pose(&body.betas, &body.pose, DVec3::ZERO)?;
+        let body = BodyParameters::new(pose, vec![0.0; subject.betas])?;
+        let posed = subject.skeleton.pose(&body.betas, &body.pose, DVec3::ZERO)?;
         let pairs = joints.positions().iter().map(|&(joint, at)| (posed.joints()[joint], at, 1.0));
         let pairs: Vec<_> = pairs.collect();
         let Some(rigid) = RigidTransform::between(&pairs) else { continue };
-        let mut x = apply_rigid(kind, &body, &rigid).to_vector();
+        let mut x = apply_rigid(subject, &body, &rigid).to_vector();
         let mut value = f64::INFINITY;
         for weights in &weights {
             let found = solve(
@@ -221,11 +223,11 @@ fn init_from_joints(kind: &ScanSubject<'_>, joints: &KnownJoints) -> Result<Body
                 |_| true,
                 &options,
                 |x, gradient| {
-                    let priors = prior_terms(kind.prior, x, kind.betas, weights, gradient);
+                    let priors = prior_terms(subject.prior, x, subject.betas, weights, gradient);
                     let seen = joints.energy(
-                        kind.skeleton,
+                        subject.skeleton,
                         x,
-                        kind.betas,
+                        subject.betas,
                         0.02,
                         weights.joints,
                         gradient,
@@ -240,24 +242,24 @@ fn init_from_joints(kind: &ScanSubject<'_>, joints: &KnownJoints) -> Result<Body
         }
     }
     let (x, _) = best.ok_or_else(|| {
-        Error::Observation("the joints are all in one place: no body can be placed".into())
+        Error::Observation("joints: all in one place, expected the joints of a person".into())
     })?;
-    Ok(BodyParameters::from_vector(&x, kind.betas))
+    Ok(BodyParameters::from_vector(&x, subject.betas))
 }
 
-/// A body's surface in the clothes that bodies wear at first.
-fn surface(kind: &ScanSubject<'_>, body: &BodyParameters) -> Result<Vec<DVec3>> {
-    let posed = kind.body.pose(&body.betas, &body.pose, body.transl, Some(kind.clothes))?;
+/// Vertices of a body in the initial clothing, metres, `[V]`.
+fn surface(subject: &ScanSubject<'_>, body: &BodyParameters) -> Result<Vec<DVec3>> {
+    let posed = subject.body.pose(&body.betas, &body.pose, body.transl, Some(subject.clothes))?;
     Ok(posed.vertices.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2])).collect())
 }
 
-/// The body after a rigid movement.
+/// The body after a rigid transform.
 fn apply_rigid(
-    kind: &ScanSubject<'_>,
+    subject: &ScanSubject<'_>,
     body: &BodyParameters,
     rigid: &RigidTransform,
 ) -> BodyParameters {
-    let pelvis = kind.skeleton.rest(&body.betas)[0];
+    let pelvis = subject.skeleton.rest(&body.betas)[0];
     let own = DQuat::from_scaled_axis(DVec3::from_slice(&body.pose[..3]));
     let turn = DMat3::from_quat(own);
     let orientation = DQuat::from_mat3(&(rigid.rotation * turn)).to_scaled_axis();
@@ -278,7 +280,7 @@ mod tests {
         testing::BODY,
     };
 
-    fn with_kind<T>(work: impl FnOnce(&ScanSubject<'_>) -> T) -> T {
+    fn with_subject<T>(work: impl FnOnce(&ScanSubject<'_>) -> T) -> T {
         let clothes = Array2::zeros(BODY.v_template.dim());
         work(&ScanSubject {
             body: &BODY,
@@ -299,12 +301,12 @@ mod tests {
 
     #[test]
     fn moving_a_body_moves_its_surface() {
-        with_kind(|kind| {
+        with_subject(|subject| {
             let body = walking();
             let turn = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(0.4, -1.0, 2.0)));
             let rigid = RigidTransform { rotation: turn, translation: DVec3::new(1.0, 0.0, -3.0) };
-            let before = surface(kind, &body).unwrap();
-            let after = surface(kind, &apply_rigid(kind, &body, &rigid)).unwrap();
+            let before = surface(subject, &body).unwrap();
+            let after = surface(subject, &apply_rigid(subject, &body, &rigid)).unwrap();
             for (&before, after) in before.iter().zip(after) {
                 assert!(rigid.apply(before).distance(after) < 1e-9);
             }
@@ -313,16 +315,16 @@ mod tests {
 
     #[test]
     fn bodies_are_found_by_their_joints() {
-        with_kind(|kind| {
+        with_subject(|subject| {
             let body = walking();
             let posed = BODY.pose(&body.betas, &body.pose, body.transl, None).unwrap().joints;
             let at = |row: ndarray::ArrayView1<f64>| Some(DVec3::new(row[0], row[1], row[2]));
             let mut joints: Vec<_> = posed.rows().into_iter().map(at).collect();
             joints[20] = None;
             let known = KnownJoints::new(&joints).unwrap();
-            let found = init_from_joints(kind, &known).unwrap();
+            let found = init_from_joints(subject, &known).unwrap();
             let posed =
-                kind.skeleton.pose(&found.betas, &found.pose, DVec3::from_array(found.transl));
+                subject.skeleton.pose(&found.betas, &found.pose, DVec3::from_array(found.transl));
             for &(joint, at) in known.positions() {
                 assert!(posed.as_ref().unwrap().joints()[joint].distance(at) < 0.02);
             }
@@ -330,20 +332,26 @@ mod tests {
     }
 
     #[test]
-    fn people_on_their_heads_are_told_so() {
-        with_kind(|kind| {
+    fn upside_down_scans_are_rejected() {
+        with_subject(|subject| {
             let body = walking();
-            let upside_down: Vec<DVec3> =
-                surface(kind, &body).unwrap().iter().map(|v| DVec3::new(v.x, -v.y, -v.z)).collect();
+            let upside_down: Vec<DVec3> = surface(subject, &body)
+                .unwrap()
+                .iter()
+                .map(|v| DVec3::new(v.x, -v.y, -v.z))
+                .collect();
             let scan = Scan::new(upside_down, None, Vec::new(), Unit::M).unwrap();
             let target = ScanTarget::new(&scan, 1000, 1);
             let start = ScanInit::Poses(vec![body.pose.clone()]);
-            let message = initial_bodies(kind, &target, &start, UpAxis::Y, 1, &mut || {})
+            let message = initial_bodies(subject, &target, &start, UpAxis::Y, 1, &mut || {})
                 .unwrap_err()
                 .to_string();
             assert!(message.contains("upside down") && message.contains("--up -y"), "{message}");
             let up = "-y".parse().unwrap();
-            assert_eq!(initial_bodies(kind, &target, &start, up, 3, &mut || {}).unwrap().len(), 1);
+            assert_eq!(
+                initial_bodies(subject, &target, &start, up, 3, &mut || {}).unwrap().len(),
+                1
+            );
             assert!("w".parse::<UpAxis>().is_err());
         });
     }

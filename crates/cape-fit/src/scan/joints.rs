@@ -1,4 +1,4 @@
-//! Joints whose places in space are known.
+//! Known joint positions in the frame of a scan.
 
 use std::path::Path;
 
@@ -11,12 +11,12 @@ use crate::{
     parameters::{BETAS_AT, POSE_AT, transl},
 };
 
-/// Fewest joints that place a body.
+/// Fewest known joints that place a body.
 const FEWEST: usize = 4;
-/// Errors that are rather mistakes, in standard deviations.
+/// Geman–McClure scale σ (outlier threshold) in standard deviations.
 const ROBUST: f64 = 6.0;
 
-/// Joints in a scan's space.
+/// Known joint positions in the frame of a scan.
 ///
 /// ```
 /// use cape_synth::synthetic_body;
@@ -24,10 +24,10 @@ const ROBUST: f64 = 6.0;
 ///
 /// let joints = Skeleton::new(&synthetic_body())?.rest(&[]);
 /// let mut known: Vec<_> = joints.into_iter().map(Some).collect();
-/// // The hands are not known.
+/// // All joints but the hands are known.
 /// known[22..].fill(None);
 /// assert!(KnownJoints::new(&known).is_ok());
-/// // One joint does not place a body.
+/// // One joint is too few.
 /// known[1..].fill(None);
 /// assert!(KnownJoints::new(&known).is_err());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -36,14 +36,14 @@ const ROBUST: f64 = 6.0;
 pub struct KnownJoints(Vec<(usize, DVec3)>);
 
 impl KnownJoints {
-    /// SMPL's 24 joints, metres; `None` where one is not known.
+    /// Positions of SMPL's 24 joints, metres; `None` if unknown.
     ///
     /// # Errors
-    /// If there are not 24, or too few are known.
+    /// If there are not 24, or fewer than 4 are known.
     pub fn new(joints: &[Option<DVec3>]) -> Result<Self> {
         if joints.len() != JOINTS {
             return Err(Error::Observation(format!(
-                "{} joints, expected SMPL's {JOINTS}",
+                "joints: {} joints, expected SMPL's {JOINTS}",
                 joints.len()
             )));
         }
@@ -51,18 +51,18 @@ impl KnownJoints {
         let known: Vec<_> = known.filter_map(|(joint, at)| Some((joint, (*at)?))).collect();
         if known.len() < FEWEST {
             return Err(Error::Observation(format!(
-                "{} joints are known, expected at least {FEWEST}",
+                "joints: {} joints are known, expected at least {FEWEST}",
                 known.len()
             )));
         }
         Ok(Self(known))
     }
 
-    /// Reads `[24, 3]`, metres, from `.npy` or JSON; joints with a number that is not finite (or
-    /// is `null`) are not known.
+    /// Reads positions `[24, 3]`, metres, from `.npy` or JSON; joints with a non-finite number or
+    /// `null` are unknown.
     ///
     /// # Errors
-    /// If the file is neither, or as of [`new`](Self::new).
+    /// If the file is malformed, or as of [`new`](Self::new).
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let rows: Vec<Vec<f64>> = if path.extension().is_some_and(|is| is == "npy") {
@@ -73,7 +73,7 @@ impl KnownJoints {
         } else {
             let text = std::fs::read(path).map_err(|source| Error::io(path, source))?;
             let rows: Vec<Vec<Option<f64>>> = serde_json::from_slice(&text).map_err(|error| {
-                Error::format(path, format!("expected a list of 24 places [x, y, z]: {error}"))
+                Error::format(path, format!("expected a list of 24 positions [x, y, z]: {error}"))
             })?;
             let number = |x: Option<f64>| x.unwrap_or(f64::NAN);
             rows.into_iter().map(|row| row.into_iter().map(number).collect()).collect()
@@ -90,22 +90,22 @@ impl KnownJoints {
         Self::new(&joints).map_err(|error| Error::format(path, error.to_string()))
     }
 
-    /// The joints, in units of which one is so many metres.
+    /// Positions multiplied by `metres`, the length of their unit.
     #[must_use]
     pub fn scaled(&self, metres: f64) -> Self {
         Self(self.0.iter().map(|&(joint, at)| (joint, at * metres)).collect())
     }
 
-    /// Numbers and places.
+    /// Indices and positions, metres, of the known joints.
     pub(crate) fn positions(&self) -> &[(usize, DVec3)] {
         &self.0
     }
 
-    /// In halves of squared deviations, robust, at the unknowns `[3 + 72 + betas, …]`; the gradient
-    /// times `scale` is added to `gradient`.
+    /// Half the robust squared errors in units of `deviation`, metres, at the unknowns `[3 + 72 +
+    /// betas, …]`; `scale` times the gradient is added to `gradient`.
     ///
     /// # Errors
-    /// If sizes do not suit the body.
+    /// If sizes do not fit the body.
     pub(crate) fn energy(
         &self,
         skeleton: &Skeleton,
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn files_name_what_is_wrong() {
+    fn malformed_files_name_the_joint() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("joints.json");
         let load = |text: String| {

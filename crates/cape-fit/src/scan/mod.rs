@@ -1,9 +1,9 @@
-//! Clothed bodies fitted to scans: points or meshes, with holes and noise.
+//! Clothed bodies fitted to scans: point clouds or meshes, with holes and noise.
 //!
-//! [`ScanFitter`] finds β, θ, translation and code of the clothed body whose surface a [`Scan`] is
-//! of, by robust distances both ways, from coarse to fine: rigidly, in pose, in shape, in clothes.
-//! [`free_displacement`] then lets every vertex leave what the model can say, which makes a
-//! registration of the scan. Unlike an image's, a scan's space may be anywhere and of any side up.
+//! [`ScanFitter`] fits shape, pose, translation and latent code of a clothed body to a [`Scan`] by
+//! robust bidirectional surface distances, from coarse to fine: rigid placement, pose, shape,
+//! clothing. [`free_displacement`] then moves every vertex to the scan, beyond the space of the
+//! model, which gives a [`Registration`]. Scans may have any position and any up axis.
 
 pub mod benchmark;
 mod energy;

@@ -1,89 +1,72 @@
+use cape_core::geometry::{BoxTree, closest_on_triangle, face_normals};
 use glam::DVec3;
-use parry3d_f64::{
-    bounding_volume::Aabb,
-    math::Vector,
-    partitioning::{Bvh, BvhBuildStrategy, BvhNode},
-    query::{PointQuery, PointQueryWithLocation},
-    shape::Triangle,
-};
 
 use crate::silhouette::SurfacePoint;
 
 /// The point of a surface that is nearest to another.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct NearestPoint {
-    /// Where it lies on the surface.
+    /// The point by face and barycentric weights.
     pub(crate) on: SurfacePoint,
-    /// Where that is, metres.
+    /// Position, metres.
     pub(crate) at: DVec3,
 }
 
-/// Triangles, or else points alone, in a bounding-volume tree.
+/// Triangles, or a cloud of points, in a bounding-volume hierarchy, with a normal for each that
+/// [`nearest`](Self::nearest) can be restricted by.
+///
+/// [`SurfaceIndex`](cape_core::geometry::SurfaceIndex) signs distances by pseudo-normals and needs a
+/// surface of faces; scans may have none, and have normals of their own that may be reversed.
 #[derive(Debug, Clone)]
 pub(crate) struct SurfaceTree<'a> {
     vertices: &'a [DVec3],
     faces: &'a [[u32; 3]],
-    /// Of faces or, where there are none, of points; empty if unknown.
+    /// Unit normals of the faces, or of the points where there are no faces; empty if unknown.
     normals: Vec<DVec3>,
-    boxes: Bvh,
+    boxes: BoxTree,
 }
 
 impl<'a> SurfaceTree<'a> {
-    /// Of triangles, which must name vertices that are there.
+    /// A tree of triangles; `faces` must be valid indices into `vertices`.
     pub(crate) fn from_faces(vertices: &'a [DVec3], faces: &'a [[u32; 3]]) -> Self {
-        let corners = |face: &[u32; 3]| face.map(|corner| vertices[corner as usize]);
-        let boxes = faces.iter().map(corners).enumerate().map(|(index, [a, b, c])| {
-            (index, Aabb::new(vector(a.min(b).min(c)), vector(a.max(b).max(c))))
-        });
-        let boxes = Bvh::from_iter(BvhBuildStrategy::Binned, boxes);
-        let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a).normalize_or_zero();
-        let normals = faces.iter().map(corners).map(normal).collect();
-        Self { vertices, faces, normals, boxes }
+        let boxes = BoxTree::from_elements(faces, vertices);
+        Self { vertices, faces, normals: face_normals(vertices, faces), boxes }
     }
 
-    /// Of points, with their normals or none.
+    /// A tree of points; `normals` has one for each point, or is empty.
     pub(crate) fn from_points(vertices: &'a [DVec3], normals: Vec<DVec3>) -> Self {
-        let boxes = vertices.iter().enumerate().map(|(index, &at)| {
-            let at = vector(at);
-            (index, Aabb::new(at, at))
-        });
-        let boxes = Bvh::from_iter(BvhBuildStrategy::Binned, boxes);
+        let boxes = BoxTree::new(vertices.iter().map(|&at| [at; 2]));
         Self { vertices, faces: &[], normals, boxes }
     }
 
-    /// Turns what is inside to the outside.
+    /// Reverses all normals.
     pub(crate) fn flip(&mut self) {
         self.normals.iter_mut().for_each(|normal| *normal = -*normal);
     }
 
-    /// Forgets which side is outside.
+    /// Drops all normals.
     pub(crate) fn forget_normals(&mut self) {
         self.normals.clear();
     }
 
-    /// The normal of a face or point; zero if it has none.
+    /// Unit normal of a face or point; zero if unknown.
     pub(crate) fn normal(&self, element: usize) -> DVec3 {
         self.normals.get(element).copied().unwrap_or_default()
     }
 
-    /// The nearest point, of those less than `reach` metres away that do not face away from
-    /// `normal`, which may be zero, and what it lies on.
+    /// The face or point nearest to `point` and the nearest point on it, among those closer than
+    /// `reach` metres whose normal does not face away from `normal`; a zero `normal` allows all.
     pub(crate) fn nearest(
         &self,
         point: DVec3,
         normal: DVec3,
         reach: f64,
     ) -> Option<(usize, NearestPoint)> {
-        let from = vector(point);
-        let (element, _) = self.boxes.find_best(
-            reach,
-            |node: &BvhNode, _| node.aabb().distance_to_local_point(from, true),
-            |element, _| {
-                let element = element as usize;
-                let same_side = self.normal(element).dot(normal) >= 0.0;
-                same_side.then(|| self.on(element, point).at.distance(point))
-            },
-        )?;
+        let (element, _) = self.boxes.nearest(point, reach, |element| {
+            let element = element as usize;
+            let same_side = self.normal(element).dot(normal) >= 0.0;
+            same_side.then(|| self.on(element, point).at.distance(point))
+        })?;
         Some((element as usize, self.on(element as usize, point)))
     }
 
@@ -93,18 +76,11 @@ impl<'a> SurfaceTree<'a> {
             let on = SurfacePoint { corners: [corner; 3], weights: [1.0, 0.0, 0.0] };
             return NearestPoint { on, at: self.vertices[element] };
         };
-        let [a, b, c] = corners.map(|corner| self.vertices[corner as usize]);
-        let triangle = Triangle::new(vector(a), vector(b), vector(c));
-        let (_, location) = triangle.project_local_point_and_get_location(vector(point), false);
-        // In a triangle's own plane there is no other answer than weights.
-        let weights = location.barycentric_coordinates().unwrap_or([1.0, 0.0, 0.0]);
+        let (_, weights) =
+            closest_on_triangle(point, corners.map(|corner| self.vertices[corner as usize]));
         let on = SurfacePoint { corners, weights };
         NearestPoint { on, at: on.at(self.vertices) }
     }
-}
-
-fn vector(point: DVec3) -> Vector {
-    Vector::from(point.to_array())
 }
 
 #[cfg(test)]
@@ -113,7 +89,7 @@ mod tests {
 
     use super::*;
 
-    /// Of a finely divided triangle.
+    /// Least distance from a point to a grid of 200 steps on a triangle.
     fn brute(point: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
         const STEPS: usize = 200;
         let mut least = f64::INFINITY;
@@ -161,7 +137,7 @@ mod tests {
 
     #[test]
     fn the_far_side_is_not_the_nearest() {
-        // Two sides of a plate, of which the nearer faces away.
+        // The two sides of a plate; the nearer one faces away.
         let corner = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
         let vertices =
             [0.0, 0.1].map(|z| [corner(-1.0, -1.0, z), corner(1.0, -1.0, z), corner(0.0, 2.0, z)]);

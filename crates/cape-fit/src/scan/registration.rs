@@ -1,4 +1,4 @@
-//! Registrations as the CAPE release has them.
+//! Registrations in the raw layout of the CAPE data set.
 
 use std::path::{Path, PathBuf};
 
@@ -12,25 +12,23 @@ use ndarray::Array2;
 
 use crate::{BodyParameters, Error, Result, parameters::POSE};
 
-/// Differences of rest shapes, metres, that are no other subject.
+/// Tolerance of the rest shapes of one subject, metres.
 const SAME: f64 = 1e-5;
 
-/// Where a registration goes in a raw tree.
-///
-/// See [`Registration`] for an example.
+/// Location of a frame in a raw data set.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FrameLocation {
-    /// The subject.
+    /// Subject.
     pub subject: String,
-    /// What is worn.
+    /// Outfit.
     pub outfit: Outfit,
-    /// The movement.
+    /// Sequence.
     pub sequence: String,
-    /// Number of the frame in it.
+    /// Number of the frame in the sequence.
     pub number: usize,
 }
 
-/// A surface in motion with the body under it.
+/// Registration of a frame: a clothed surface and the body under it.
 ///
 /// ```
 /// use cape_core::Outfit;
@@ -38,7 +36,7 @@ pub struct FrameLocation {
 /// use cape_fit::{BodyParameters, scan::{FrameLocation, Registration}};
 /// use glam::DVec3;
 ///
-/// // A bare body in its rest pose, 1 m up.
+/// // An unclothed body in its rest pose, raised by 1 m.
 /// let body = synthetic_body();
 /// let minimal = body.rest_shape(&[])?;
 /// let mut parameters = BodyParameters::new(vec![0.0; 72], Vec::new())?;
@@ -49,7 +47,7 @@ pub struct FrameLocation {
 /// let registration = Registration { body, minimal, parameters, vertices: &vertices };
 /// let unposed = registration.frame()?.v_cano;
 /// assert!((&unposed - minimal).iter().all(|gap| gap.abs() < 1e-9));
-/// // It becomes a frame of a raw tree.
+/// // Write it as a frame of a raw data set.
 /// let (root, subject, sequence) = (tempfile::tempdir()?, "anna".into(), "scan".into());
 /// let place = FrameLocation { subject, outfit: Outfit::LongLong, sequence, number: 1 };
 /// assert!(registration.write(&root.path().join("raw"), &place, &[100, 101])?.exists());
@@ -57,44 +55,46 @@ pub struct FrameLocation {
 /// ```
 #[derive(Debug, Clone, Copy)]
 pub struct Registration<'a> {
-    /// Skeleton and skin.
+    /// Body model.
     pub body: &'a SmplModel,
-    /// The subject's unclothed rest shape, metres, `[V, 3]`.
+    /// Unclothed rest shape of the subject, metres, `[V, 3]`.
     pub minimal: &'a Array2<f64>,
-    /// Pose and translation; the shape is that of `minimal`.
+    /// Pose and translation; shape coefficients are ignored in favour of `minimal`.
     pub parameters: &'a BodyParameters,
-    /// The clothed surface, metres, `[V]`.
+    /// Vertices of the clothed surface, metres, `[V]`.
     pub vertices: &'a [DVec3],
 }
 
 impl Registration<'_> {
-    /// The frame: posed, and unposed by the body's own transforms.
+    /// Raw frame with the posed and the canonical clothed surface.
     ///
     /// # Errors
-    /// If sizes do not agree, or a vertex cannot be unposed.
+    /// If sizes differ, or a vertex cannot be unposed.
     pub fn frame(&self) -> Result<RawFrame> {
         let rows: Vec<[f64; 3]> = self.vertices.iter().map(DVec3::to_array).collect();
         let v_posed = Array2::from(rows);
         let BodyParameters { transl, pose, .. } = self.parameters;
         let v_cano = self.body.unpose_shape(&v_posed, self.minimal, pose, *transl)?;
         let pose = pose.as_slice().try_into().map_err(|_| {
-            Error::argument(format!("pose of {} numbers, expected {POSE}", pose.len()))
+            Error::argument(format!("body: a pose of {} numbers, expected {POSE}", pose.len()))
         })?;
         Ok(RawFrame { v_cano, v_posed, pose, transl: *transl })
     }
 
-    /// Writes it into the raw tree `root`, which is begun if it is not there, with the body, its
-    /// clothing vertices and a split by which every frame is packed for training; returns the path.
+    /// Writes the frame into the raw data set `root` and returns its path. A missing data set is
+    /// created with the body, the clothing vertices `clothing` and a split with all frames in the
+    /// training set.
     ///
     /// # Errors
-    /// If the tree has that subject with another shape, or a file cannot be read or written.
+    /// If a name is invalid, the subject has another rest shape in the data set, or a file cannot
+    /// be read or written.
     pub fn write(&self, root: &Path, place: &FrameLocation, clothing: &[usize]) -> Result<PathBuf> {
         let FrameLocation { subject, outfit, sequence, number } = place;
         for (what, name) in [("subject", subject), ("sequence", sequence)] {
             let plain = |c: char| c.is_ascii_alphanumeric() || "_-".contains(c);
             if name.is_empty() || !name.chars().all(plain) {
                 return Err(Error::argument(format!(
-                    "{what} `{name}`: expected letters, digits, - and _"
+                    "{what} `{name}`, expected letters, digits, - and _"
                 )));
             }
         }
@@ -107,7 +107,8 @@ impl Registration<'_> {
             if !same {
                 return Err(Error::format(
                     minimal_path,
-                    "is another body than the one fitted: give it as the subject's minimal shape",
+                    "differs from the rest shape of the fit: fit with it as the minimal shape of the \
+                     subject",
                 ));
             }
         } else {
@@ -204,7 +205,7 @@ mod tests {
 
         let other = BODY.rest_shape(&[1.0]).unwrap();
         let refused = Registration { minimal: &other, ..registration }.write(&tree, &place, &[1]);
-        assert!(refused.unwrap_err().to_string().contains("another body"));
+        assert!(refused.unwrap_err().to_string().contains("differs from the rest shape"));
         place.subject = "../up".into();
         assert!(registration.write(&tree, &place, &[1]).is_err());
     }

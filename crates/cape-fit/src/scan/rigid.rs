@@ -1,4 +1,5 @@
-//! Where a body stands in a scan: iterated closest points, robust and annealed, from all sides.
+//! Rigid placement of a body in a scan: robust, annealed iterative closest points (ICP) from
+//! several yaw angles.
 
 use std::f64::consts::TAU;
 
@@ -9,16 +10,16 @@ use rayon::prelude::*;
 use super::{energy::ScanTarget, nearest::SurfaceTree};
 use crate::body_energy::geman_mcclure;
 
-/// Sizes of errors that are rather mistakes, metres, from the first matching to the last.
+/// Geman–McClure scales σ (outlier thresholds) of the first and the last iteration, metres.
 const ROBUST: [f64; 2] = [0.4, 0.1];
-/// Matchings of a start.
+/// Number of ICP iterations.
 const MATCHINGS: usize = 16;
-/// Points of the scan, and of the body, that are matched.
+/// Number of matched points of the scan, and of the body.
 const POINTS: usize = 300;
-/// Directions that a body is first taken to face.
+/// Number of initial yaw angles.
 const FACINGS: usize = 4;
 
-/// A rigid movement `x ↦ R x + t`.
+/// A rigid transform `x ↦ R x + t`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct RigidTransform {
     pub(crate) rotation: DMat3,
@@ -34,7 +35,8 @@ impl RigidTransform {
         self.rotation.transpose() * (point - self.translation)
     }
 
-    /// The one that minimises `Σ w ‖R x + t − y‖²` over pairs `(x, y, w)` (Kabsch 1976).
+    /// Rigid transform that minimises `Σ w ‖R x + t − y‖²` over pairs `(x, y, w)` (Kabsch 1976);
+    /// `None` without positive weights.
     pub(crate) fn between(pairs: &[(DVec3, DVec3, f64)]) -> Option<Self> {
         let weight: f64 = pairs.iter().map(|pair| pair.2).sum();
         if !(weight > 0.0 && weight.is_finite()) {
@@ -49,22 +51,23 @@ impl RigidTransform {
         }
         let svd = spread.svd(true, true);
         let (u, v_t) = (svd.u?, svd.v_t?);
-        let mut keep_hands = Matrix3::identity();
-        keep_hands[(2, 2)] = (u * v_t).determinant().signum();
-        let rotation = u * keep_hands * v_t;
+        let mut reflection = Matrix3::identity();
+        reflection[(2, 2)] = (u * v_t).determinant().signum();
+        let rotation = u * reflection * v_t;
         let rotation = DMat3::from_cols_slice(rotation.as_slice());
         Some(Self { rotation, translation: to - rotation * from })
     }
 }
 
-/// A rigid movement of a body onto a scan and what remains, m².
+/// A rigid transform of a body onto a scan, and its energy, m².
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RigidAlignment {
     pub(crate) rigid: RigidTransform,
     pub(crate) energy: f64,
 }
 
-/// Places a body, upright along `up` in the scan, facing each of several sides; the best.
+/// Placement of lowest energy of a body upright along `up` in the scan, over several initial yaw
+/// angles.
 pub(crate) fn place(
     target: &ScanTarget<'_>,
     vertices: &[DVec3],
@@ -129,7 +132,7 @@ fn iterate(
     RigidAlignment { rigid, energy }
 }
 
-/// Of each coordinate.
+/// Median of each coordinate, metres.
 fn median(points: impl Iterator<Item = DVec3>) -> DVec3 {
     let points: Vec<DVec3> = points.collect();
     let of = |axis: usize| {

@@ -1,4 +1,4 @@
-//! Points of surfaces.
+//! Samples of surfaces.
 
 use glam::DVec3;
 use rand::{Rng, seq::SliceRandom};
@@ -6,14 +6,14 @@ use rand_chacha::ChaCha8Rng;
 
 use super::Scan;
 
-/// A point with the direction that is outside, zero if that is unknown.
+/// A point, metres, with its unit normal, zero if unknown.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct SurfaceSample {
     pub(crate) at: DVec3,
     pub(crate) normal: DVec3,
 }
 
-/// Extents along the axes of the points but for a share of them at either end.
+/// Extents of points along the axes, metres, without the share `share` of outliers at each end.
 pub(crate) fn spread(points: &[DVec3], share: f64) -> DVec3 {
     let extent = |axis: usize| {
         let mut values: Vec<f64> = points.iter().map(|point| point[axis]).collect();
@@ -27,8 +27,8 @@ pub(crate) fn spread(points: &[DVec3], share: f64) -> DVec3 {
     DVec3::new(extent(0), extent(1), extent(2))
 }
 
-/// `count` points of a scan in random order: of its triangles by their area, or else of its points,
-/// of which there may be fewer.
+/// Samples of a scan in random order: `count` points uniform over its triangles, or at most `count`
+/// of its points.
 pub(crate) fn sample_scan(scan: &Scan, count: usize, rng: &mut ChaCha8Rng) -> Vec<SurfaceSample> {
     if let Some(samples) = sample_faces(scan.points(), scan.faces(), count, rng) {
         return samples;
@@ -40,7 +40,7 @@ pub(crate) fn sample_scan(scan: &Scan, count: usize, rng: &mut ChaCha8Rng) -> Ve
     order.into_iter().take(count).map(sample).collect()
 }
 
-/// `count` points of triangles, evenly over their area; `None` if they have none.
+/// `count` random points uniform over the area of triangles; `None` if they have no area.
 pub(crate) fn sample_faces(
     vertices: &[DVec3],
     faces: &[[u32; 3]],
@@ -72,13 +72,13 @@ pub(crate) fn sample_faces(
     Some((0..count).map(sample).collect())
 }
 
-/// Normal of a face, twice its area long.
+/// Normal of a face with twice its area as length.
 fn across(vertices: &[DVec3], face: [u32; 3]) -> DVec3 {
     let [a, b, c] = face.map(|corner| vertices[corner as usize]);
     (b - a).cross(c - a)
 }
 
-/// Unit normals of vertices, and the share of the surface around each.
+/// Unit normals of vertices, `[V]`, and the share of the surface area of each, `[V]`.
 pub(crate) fn vertex_frames(vertices: &[DVec3], faces: &[[u32; 3]]) -> (Vec<DVec3>, Vec<f64>) {
     let mut normals = vec![DVec3::ZERO; vertices.len()];
     let mut shares = vec![0.0f64; vertices.len()];

@@ -1,38 +1,34 @@
-//! Stages of a fit to a scan, coarse to fine.
+//! Coarse-to-fine stages of a fit to a scan.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{BodyWeights, Error, Result, body_energy::check_weight};
 
-/// What a stage solves for.
-///
-/// See [`ScanConfig`] for an example.
+/// Unknowns of a stage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Unknowns {
-    /// Place and pose, in the mean clothes.
+    /// Translation and pose, in the mean clothing.
     Pose,
-    /// Place, pose and shape, in the mean clothes.
+    /// Translation, pose and shape, in the mean clothing.
     Shape,
-    /// Everything, with the clothes' code.
+    /// Translation, pose, shape and latent code.
     Clothes,
 }
 
-/// One stage.
-///
-/// See [`ScanConfig`] for an example.
+/// One stage of a fit to a scan.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScanStage {
-    /// What is solved for.
+    /// Unknowns.
     pub unknowns: Unknowns,
-    /// Size of errors that are rather mistakes, metres.
+    /// Geman–McClure scale σ (outlier threshold), metres.
     pub robust_scale: f64,
-    /// Points of the scan.
+    /// Number of samples of the scan.
     pub samples: usize,
-    /// Most steps of the optimiser.
+    /// Optimiser steps, at most.
     pub steps: usize,
-    /// λ_D of the surfaces' mean squared distance, per square metre.
+    /// Weight λ_D of the distance energy `E_D`, 1/m².
     pub distance: f64,
 }
 
@@ -48,12 +44,12 @@ impl ScanStage {
     }
 }
 
-/// How clothed bodies are fitted to scans.
+/// Configuration of a fit to a scan.
 ///
 /// ```
 /// use cape_fit::scan::{ScanConfig, Unknowns};
 ///
-/// // Coarse to fine: every stage solves for as much as the last one, and is less robust.
+/// // Coarse to fine: unknowns grow and outlier thresholds shrink from stage to stage.
 /// let stages = ScanConfig::default().stages;
 /// assert!(stages.is_sorted_by_key(|stage| stage.unknowns));
 /// assert!(stages.is_sorted_by(|first, second| first.robust_scale >= second.robust_scale));
@@ -62,25 +58,25 @@ impl ScanStage {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ScanConfig {
-    /// Shape coefficients solved for, at most those of the body.
+    /// Number of shape coefficients to fit, at most those of the body.
     pub betas: usize,
-    /// Stages, in order of what they solve for.
+    /// Stages, ordered by their unknowns.
     pub stages: Vec<ScanStage>,
-    /// Starts for which the first stage is tried.
+    /// Number of initial bodies in the first stage.
     pub starts: usize,
-    /// Weight of the way from the body to the scan beside that from the scan to the body.
+    /// Weight of the distance from the body to the scan, relative to that from the scan to the body.
     pub back: f64,
-    /// Weights of priors and of 3D joints, if some are known.
+    /// Weights of the priors and of known joints.
     pub body: BodyWeights,
-    /// λ_z of the code's squared length.
+    /// Weight λ_z of the code prior `‖z‖²`.
     pub code: f64,
     /// Standard deviation of known joints, metres.
     pub joint_deviation: f64,
-    /// Median distance of the scan's points above which the fit is said to have failed, metres.
+    /// Largest median distance of the scan in a reliable fit, metres.
     pub accepted: f64,
-    /// The distance that 95 % of the scan's points may not exceed, metres.
+    /// Largest 95th percentile of the distances of the scan in a reliable fit, metres.
     pub accepted_most: f64,
-    /// Fixes which points are taken.
+    /// Random seed of the samples.
     pub seed: u64,
 }
 
@@ -108,7 +104,7 @@ impl Default for ScanConfig {
 }
 
 impl ScanConfig {
-    /// Refuses what cannot be solved.
+    /// An error if a field is out of range or the stages are not in order.
     pub(crate) fn check(&self) -> Result<()> {
         self.body.check()?;
         let weights = [("back", self.back), ("code", self.code)];
@@ -119,7 +115,7 @@ impl ScanConfig {
         for (field, value) in positive.chain([("joint_deviation", self.joint_deviation)]) {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(Error::argument(format!(
-                    "configuration: `{field}` of {value}, expected above 0"
+                    "configuration: `{field}` {value}, expected above 0"
                 )));
             }
         }
@@ -130,12 +126,12 @@ impl ScanConfig {
             return Ok(());
         }
         Err(Error::argument(
-            "configuration: `stages`, `starts`: expected stages with samples, in order of what \
-             they solve for, the last for clothes, and at least one start",
+            "configuration: `stages`, `starts`: expected stages with samples, in order of their unknowns, the \
+             last with clothes, and at least one start",
         ))
     }
 
-    /// The most points of a scan that a stage takes.
+    /// Largest number of samples of a stage.
     pub(crate) fn samples(&self) -> usize {
         self.stages.iter().map(|stage| stage.samples).max().unwrap_or(0)
     }

@@ -1,17 +1,18 @@
 //! Exact distance transforms in linear time.
 //!
-//! Both metrics are separable: the nearest covered pixel is found along columns first, and among
-//! those along rows; for the Euclidean distance by the lower envelope of parabolas (Felzenszwalb &
-//! Huttenlocher 2012), for the Manhattan distance by one pass in each direction.
+//! Both metrics are separable: the nearest covered pixel is found in each column first, then among
+//! these along each row, by the lower envelope of parabolas for the Euclidean distance
+//! (Felzenszwalb and Huttenlocher 2012) and by one pass in each direction for the Manhattan
+//! distance.
 
 use super::Mask;
 
-/// Each pixel's distance to the nearest covered one, and which that is.
+/// Distance of each pixel to the nearest covered pixel, and the index of that pixel.
 ///
 /// ```
 /// use cape_fit::{Mask, silhouette::{euclidean, manhattan}};
 ///
-/// // From the upper left pixel, the only one covered, to the lower right one.
+/// // Only the upper left pixel is covered; the distance of the lower right one.
 /// let covered = (0..5 * 4).map(|pixel| pixel == 0).collect();
 /// let mask = Mask::new(5, 4, covered)?;
 /// assert_eq!((euclidean(&mask).distance()[19], manhattan(&mask).distance()[19]), (5.0, 7.0));
@@ -26,21 +27,20 @@ pub struct DistanceField {
 }
 
 impl DistanceField {
-    /// Distances, pixels, `[height · width]`; infinite where nothing is covered at all.
+    /// Distances, pixels, `[height · width]`; infinite if no pixel is covered.
     pub fn distance(&self) -> &[f64] {
         &self.distance
     }
 
-    /// Numbers of the nearest covered pixels, `[height · width]`; of no meaning where nothing is
-    /// covered at all.
+    /// Indices of the nearest covered pixels, `[height · width]`; undefined if no pixel is covered.
     pub fn site(&self) -> &[u32] {
         &self.site
     }
 
-    /// The distance at a column and row and its gradient. Between the centres of pixels, where it
-    /// is exact, it is a Catmull–Rom spline: unlike a bilinear one it has no kinks, which would be at
-    /// the very points that surfaces are matched at. Outside the picture it grows by the distance
-    /// from it.
+    /// Distance at a column and row, pixels, and its gradient, by Catmull–Rom interpolation between
+    /// the pixel centres, where it is exact. Unlike bilinear interpolation it has no kinks at the
+    /// centres, at which surfaces are matched. Outside the image the distance from the image is
+    /// added.
     pub fn sample(&self, x: f64, y: f64) -> (f64, [f64; 2]) {
         let height = self.distance.len() / self.width;
         let (columns, beyond_x) = InterpolationTaps::new(x - 0.5, self.width);
@@ -62,7 +62,7 @@ impl DistanceField {
     }
 }
 
-/// The four centres around a coordinate, their weights, and the derivatives of these.
+/// The four pixel centres around a coordinate, their weights, and the derivatives of the weights.
 struct InterpolationTaps {
     at: [usize; 4],
     weights: [f64; 4],
@@ -70,7 +70,8 @@ struct InterpolationTaps {
 }
 
 impl InterpolationTaps {
-    /// And how far the coordinate is beyond the first or last centre.
+    /// Taps of a coordinate among `count` pixels, and its signed distance beyond the first or last
+    /// centre.
     fn new(at: f64, count: usize) -> (Self, f64) {
         let inside = at.clamp(0.0, (count - 1) as f64);
         let cell = inside.floor();
@@ -95,7 +96,7 @@ impl InterpolationTaps {
     }
 }
 
-/// Euclidean distances to the covered pixels of a mask.
+/// Euclidean distance transform of a mask.
 pub fn euclidean(mask: &Mask) -> DistanceField {
     let columns = down_columns(mask);
     let width = mask.width() as usize;
@@ -113,7 +114,7 @@ pub fn euclidean(mask: &Mask) -> DistanceField {
     DistanceField { width, distance, site }
 }
 
-/// Manhattan (L1) distances to the covered pixels of a mask, as CAPE compares silhouettes by.
+/// Manhattan (L1) distance transform of a mask, as in the silhouette term of CAPE.
 pub fn manhattan(mask: &Mask) -> DistanceField {
     let mut all = down_columns(mask);
     let width = mask.width() as usize;
@@ -128,14 +129,14 @@ pub fn manhattan(mask: &Mask) -> DistanceField {
     }
 }
 
-/// The nearest covered pixel so far.
+/// Nearest covered pixel so far, and its distance.
 #[derive(Debug, Clone, Copy)]
 struct NearestPixel {
     distance: f64,
     at: u32,
 }
 
-/// Each pixel's nearest covered pixel in its column.
+/// Nearest covered pixel of each pixel in its column.
 fn down_columns(mask: &Mask) -> Vec<NearestPixel> {
     let (width, height) = (mask.width() as usize, mask.height() as usize);
     let own = |(at, &covered): (usize, &bool)| NearestPixel {
@@ -164,19 +165,19 @@ fn spread(row: &mut [NearestPixel], order: impl Iterator<Item = usize>) {
     }
 }
 
-/// One pixel farther than the neighbour's.
+/// Propagates the nearest pixel of `from` to its neighbour `to`.
 fn pass(sites: &mut [NearestPixel], from: usize, to: usize) {
     if sites[from].distance + 1.0 < sites[to].distance {
         sites[to] = NearestPixel { distance: sites[from].distance + 1.0, ..sites[from] };
     }
 }
 
-/// The lower envelope of one parabola for each column.
+/// Lower envelope of the parabolas of a row, one for each column.
 #[derive(Debug, Default)]
 struct LowerEnvelope {
-    /// Column, height at its apex, site; and from where on it is the lowest.
+    /// Column and height of the apex, site, and start of the interval where the parabola is lowest.
     parabolas: Vec<(f64, f64, u32, f64)>,
-    /// The parabola at the last column asked for.
+    /// Index of the parabola at the last queried column.
     now: usize,
 }
 
@@ -188,7 +189,7 @@ impl LowerEnvelope {
             let (x, height) = (column as f64, site.distance * site.distance);
             let mut from = f64::NEG_INFINITY;
             while let Some(&(other, above, _, start)) = self.parabolas.last() {
-                // Where the two cross.
+                // Intersection of the two parabolas.
                 from = (height + x * x - above - other * other) / (2.0 * (x - other));
                 if from > start {
                     break;
@@ -200,7 +201,7 @@ impl LowerEnvelope {
         }
     }
 
-    /// Height and site at a column; columns must be asked for in rising order.
+    /// Height and site at a column; columns must be queried in ascending order.
     fn lowest(&mut self, column: usize) -> (f64, u32) {
         let x = column as f64;
         while self.parabolas.get(self.now + 1).is_some_and(|next| next.3 <= x) {
@@ -270,7 +271,7 @@ mod tests {
         ) {
             prop_assume!(mask.area() > 0);
             let field = manhattan(&mask);
-            // Away from the last centres, beyond which it is continued.
+            // Away from the outermost centres, where extrapolation starts.
             let height = field.distance.len() / field.width;
             let away = |v: f64, count: usize| {
                 (v - 0.5).abs() > 1e-3 && (v + 0.5 - count as f64).abs() > 1e-3

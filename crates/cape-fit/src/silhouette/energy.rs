@@ -1,17 +1,17 @@
-//! The silhouette term `E_S` (CAPE eq. 11).
+//! Silhouette term `E_S` (CAPE eq. 10).
 //!
-//! `E_S` sums, over the pixels of the rendered silhouette, their Manhattan distance to the image's
-//! silhouette, and back; pixels inside the other silhouette count nothing. For its derivative,
-//! pixels stand for points of the surface: a rendered pixel for the point that is seen there, which
-//! takes the distance field's value where it goes; a pixel of the image for the nearest point of
-//! the rendered outline, on the occluding contour, which it draws to itself. A contour moves as its
-//! points do (sliding along the surface does not move it, to first order), so the second is the
-//! derivative of the sum over the image; the first is that over the rendered silhouette but for the
-//! growth of the area that a point stands for, small while silhouettes are close. Surfaces that
-//! have moved far are matched anew.
+//! `E_S` sums the Manhattan distances of the pixels of the rendered silhouette to the silhouette of
+//! the image, and vice versa; pixels in both silhouettes contribute nothing. Its derivative matches
+//! pixels with points of the surface instead of using a differentiable renderer: a rendered pixel
+//! is the visible surface point, at which the distance field is sampled; a pixel of the image is
+//! matched with the nearest point of the rendered outline, on the occluding contour. Sliding along
+//! the surface does not move the contour to first order, so the second sum has the exact
+//! derivative; the first omits the change of the area of each rendered point, which is small while
+//! the silhouettes are close. Surfaces that have moved far are matched again.
 //!
-//! [`SilhouetteEnergy::with_softness`] compares what surfaces cover [softly](super::render_softly) instead: exact,
-//! with no matching, but blind to what is further off than a few pixels.
+//! [`SilhouetteEnergy::with_softness`] compares the coverage of a [soft
+//! rendering](super::render_softly) instead: the derivative is exact without matching, but vanishes
+//! beyond a few pixels.
 
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
@@ -24,11 +24,12 @@ use super::{
 };
 use crate::{Error, PinholeCamera, Result};
 
-/// Distances in a coordinate below which their size is rounded off, pixels: the derivative of |d|
-/// jumps at 0.
+/// Radius within which the absolute value of a coordinate difference is rounded, pixels: the
+/// derivative of
+/// |d| is discontinuous at 0.
 const ROUNDING: f64 = 0.5;
 
-/// An image's silhouette, to compare surfaces with.
+/// Silhouette of an image at one scale, for comparison with surfaces.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -36,7 +37,7 @@ const ROUNDING: f64 = 0.5;
 /// use cape_fit::{PinholeCamera, silhouette::{SilhouetteEnergy, render}};
 /// use glam::DVec3;
 ///
-/// // A surface matches its own silhouette; its neighbour costs something.
+/// // A surface matches its own silhouette; a translated one does not.
 /// let camera = PinholeCamera::new(100, 100, Some(100.0))?;
 /// let (vertices, faces) = square(1.0);
 /// let mask = render(&vertices, &faces, &camera)?.mask().clone();
@@ -55,50 +56,49 @@ pub struct SilhouetteEnergy {
     camera: PinholeCamera,
     target: Mask,
     field: DistanceField,
-    /// Metres per pixel at the person, over the silhouette's area.
+    /// Width of a pixel at the distance of the person, metres, divided by the area of the
+    /// silhouette, pixels.
     scale: f64,
-    /// Width of soft edges, pixels, if coverage is compared.
+    /// Width of soft edges, pixels; `None` compares distances.
     softness: Option<f64>,
 }
 
-/// Both directions of `E_S`: means over the image's silhouette, metres at the person's distance.
-///
-/// See [`SilhouetteEnergy`] for an example.
+/// Both directions of `E_S` (CAPE eq. 10), divided by the area of the image's silhouette, metres at
+/// the distance of the person.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct SilhouetteTerms {
-    /// Of the rendered silhouette's pixels to the image's.
+    /// Sum over the rendered silhouette of the distances to the image's silhouette.
     pub rendered: f64,
-    /// Of the image's to the rendered one's.
+    /// Sum over the image's silhouette of the distances to the rendered silhouette.
     pub image: f64,
 }
 
 impl SilhouetteTerms {
-    /// The sum.
+    /// Sum of both directions, `E_S`.
     pub fn total(&self) -> f64 {
         self.rendered + self.image
     }
 }
 
-/// A surface matched with the image's silhouette.
-///
-/// See [`SilhouetteEnergy`] for an example.
+/// A surface matched with the silhouette of the image.
 #[derive(Debug, Clone)]
 pub struct SilhouetteMatch<'a> {
     energy: &'a SilhouetteEnergy,
-    /// Where the surface is seen.
+    /// Visible surface points, one for each rendered pixel.
     rendered: Vec<SurfacePoint>,
-    /// Pixels of the image outside the rendered silhouette, and the contour's nearest points.
+    /// Pixels of the image's silhouette outside the rendered one, and the nearest contour points.
     image: Vec<(DVec2, SurfacePoint)>,
-    /// Of the surface, if coverage is compared.
+    /// Faces of the surface for soft silhouettes; empty otherwise.
     faces: Vec<[u32; 3]>,
 }
 
 impl SilhouetteEnergy {
-    /// For an image's silhouette, compared at most `side` pixels wide and high; `pixel` is the width
-    /// of a pixel of `mask` in metres at the person's distance.
+    /// Silhouette `mask` of an image, scaled to at most `side` pixels; `pixel` is the width of a
+    /// pixel of `mask` at the distance of the person, metres.
     ///
     /// # Errors
-    /// If the mask is not of the camera's image, or covers nothing or everything, even at that size.
+    /// If the mask has another size than the camera's image, or covers nothing or everything at
+    /// this scale.
     pub fn new(camera: &PinholeCamera, mask: &Mask, side: u32, pixel: f64) -> Result<Self> {
         mask.check(camera)?;
         let small = camera.downscaled_to(side);
@@ -109,9 +109,9 @@ impl SilhouetteEnergy {
         Ok(Self { field: manhattan(&target), camera: small, target, scale, softness: None })
     }
 
-    /// The same silhouette, compared by what a surface with edges `softness` pixels wide covers of
-    /// each pixel: `Σ (A − mask)²`, in the same units, so that an outline that is off by two pixels
-    /// counts as much.
+    /// The same silhouette, compared by the soft coverage `A` of each pixel with edges `softness`
+    /// pixels wide: `Σ (A − mask)²`, in the same units, so that the values agree for an outline
+    /// that is off by two pixels.
     ///
     /// # Errors
     /// If the softness is not positive.
@@ -120,20 +120,21 @@ impl SilhouetteEnergy {
         Ok(Self { softness: Some(softness), ..self })
     }
 
-    /// The image's silhouette at the size of the comparison.
+    /// Silhouette of the image at the scale of the comparison.
     pub fn target(&self) -> &Mask {
         &self.target
     }
 
-    /// The camera of the comparison.
+    /// Camera at the scale of the comparison.
     pub fn camera(&self) -> &PinholeCamera {
         &self.camera
     }
 
-    /// Matches a surface with the silhouette, both ways.
+    /// Matches a surface (vertices in metres, `[V]`, triangles `[F]`) with the silhouette in both
+    /// directions.
     ///
     /// # Errors
-    /// If nothing of the surface is in the image.
+    /// If the surface is outside the image.
     pub fn match_surface(
         &self,
         vertices: &[DVec3],
@@ -166,7 +167,8 @@ impl SilhouetteEnergy {
 }
 
 impl SilhouetteMatch<'_> {
-    /// The terms for the surface at `vertices`; `weight` times the gradient is added to `gradient`.
+    /// Terms of the surface at `vertices`, metres, `[V]`; `weight` times the gradient is added to
+    /// `gradient` `[V]`.
     pub fn evaluate(
         &self,
         vertices: &[DVec3],
@@ -222,7 +224,7 @@ impl SilhouetteMatch<'_> {
     }
 }
 
-/// `√(d² + r²) − r`, and its derivative.
+/// Rounded absolute value `√(d² + r²) − r`, and its derivative.
 fn rounded(d: f64) -> (f64, f64) {
     let size = d.hypot(ROUNDING);
     (size - ROUNDING, d / size)
@@ -235,7 +237,7 @@ mod tests {
 
     type Change = fn(f64) -> (Vec<DVec3>, Vec<[u32; 3]>);
 
-    /// The synthetic body, raised, made wider, and moved to the right.
+    /// The synthetic body, raised, scaled in width and translated along x.
     fn body(width: f64, shift: f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
         let body = &*BODY;
         let rows = body.v_template.rows().into_iter();
@@ -254,7 +256,7 @@ mod tests {
         SilhouetteEnergy::new(&camera, &mask, 160, 0.01).unwrap()
     }
 
-    /// Sums over pixels as the paper defines them.
+    /// Both sums of CAPE eq. 10 by brute force.
     fn sums(energy: &SilhouetteEnergy, vertices: &[DVec3], faces: &[[u32; 3]]) -> [f64; 2] {
         let rendered = render(vertices, faces, energy.camera()).unwrap().mask().clone();
         let covered = |mask: &Mask| -> Vec<[i64; 2]> {
@@ -284,7 +286,7 @@ mod tests {
             let terms = matched.evaluate(&vertices, 0.0, &mut vec![DVec3::ZERO; vertices.len()]);
             let expected = sums(&energy, &vertices, &faces);
             assert!((terms.rendered - expected[0]).abs() < 0.03 * expected[0] + 1e-6, "{terms:?}");
-            // Rounding off takes at most ROUNDING from each of two coordinates.
+            // Rounding subtracts at most ROUNDING in each of two coordinates.
             let taken = 2.0 * ROUNDING * energy.scale * matched.image.len() as f64;
             assert!(terms.image <= 1.001 * expected[1] + 1e-6, "{terms:?} {expected:?}");
             assert!(terms.image >= expected[1] - taken, "{terms:?} {expected:?}");
@@ -300,7 +302,7 @@ mod tests {
         let energy = energy(&truth, &faces);
         let (vertices, _) = body(1.05, 0.13);
         let matched = energy.match_surface(&vertices, &faces).unwrap();
-        // Directions: every vertex by its own random vector.
+        // Directions: each vertex along its own pseudo-random vector.
         let mode = |which: usize, i: usize| {
             let phase = (i * (which + 3)) as f64 * 0.7;
             DVec3::new(phase.sin(), (1.3 * phase).cos(), (0.4 * phase).sin()) * 0.2
@@ -325,8 +327,8 @@ mod tests {
         }
     }
 
-    /// The derivative of the paper's sums themselves, over changes of some pixels, but for the growth
-    /// of what rendered pixels stand for.
+    /// Differences of the sums of eq. 10 over changes of some pixels, up to the neglected change of
+    /// area.
     #[test]
     fn the_gradient_is_that_of_the_sums() {
         let (truth, faces) = body(1.0, 0.0);

@@ -5,10 +5,10 @@ use cape_render::Image;
 use super::distance::manhattan;
 use crate::{Error, PinholeCamera, Result, keypoints::KeypointDetection};
 
-/// Distance within which a joint counts as on the mask, of the image's longer side.
+/// Largest distance of a joint on the mask, as a share of the longer side of the image.
 const NEAR: f64 = 0.02;
 
-/// The pixels that a person covers.
+/// Binary mask of the pixels that a person covers.
 ///
 /// ```
 /// use cape_fit::Mask;
@@ -29,21 +29,21 @@ pub struct Mask {
 }
 
 impl Mask {
-    /// Rows of pixels, `[height · width]`.
+    /// A mask of `width` × `height` pixels from flags, row by row, `[height · width]`.
     ///
     /// # Errors
-    /// If there are more or fewer.
+    /// If the number of flags differs.
     pub fn new(width: u32, height: u32, covered: Vec<bool>) -> Result<Self> {
         if covered.len() != width as usize * height as usize {
             return Err(Error::Observation(format!(
-                "mask of {} pixels, expected {width}×{height}",
+                "mask: {} pixels, expected {width}×{height}",
                 covered.len()
             )));
         }
         Ok(Self { width, height, covered })
     }
 
-    /// The pixels of a picture that are light and opaque.
+    /// Mask of the light, opaque pixels of an image.
     pub fn from_image(image: &Image) -> Self {
         let light = |&[r, g, b, a]: &[u8; 4]| a > 127 && u16::from(r.max(g).max(b)) > 127;
         Self {
@@ -53,18 +53,18 @@ impl Mask {
         }
     }
 
-    /// Reads a PNG: light pixels are covered.
+    /// Reads a mask from a PNG: light pixels are covered.
     ///
     /// # Errors
-    /// If the file is no PNG.
+    /// If the file is not a PNG.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         Ok(Self::from_image(&Image::load(path)?))
     }
 
-    /// The mask as a picture, white on black.
+    /// Image of the mask, white on black.
     ///
     /// # Errors
-    /// If the mask has no pixels or too many for a picture.
+    /// If the mask is empty or too large for an image.
     pub fn to_image(&self) -> Result<Image> {
         let mut image = Image::new(self.width, self.height, [0, 0, 0, 255])?;
         for (pixel, &covered) in image.pixels_mut().iter_mut().zip(&self.covered) {
@@ -75,17 +75,17 @@ impl Mask {
         Ok(image)
     }
 
-    /// Columns.
+    /// Width, pixels.
     pub fn width(&self) -> u32 {
         self.width
     }
 
-    /// Rows.
+    /// Height, pixels.
     pub fn height(&self) -> u32 {
         self.height
     }
 
-    /// Whether each pixel is covered, `[height · width]`.
+    /// Flags of the covered pixels, row by row, `[height · width]`.
     pub fn covered(&self) -> &[bool] {
         &self.covered
     }
@@ -95,7 +95,7 @@ impl Mask {
         self.covered.iter().filter(|&&covered| covered).count()
     }
 
-    /// Refuses a mask that cannot be of a person in the camera's image.
+    /// Checks that the mask can be of a person in the image of a camera.
     ///
     /// # Errors
     /// If it has another size than the image, or covers nothing or everything.
@@ -103,7 +103,7 @@ impl Mask {
         let refuse = |message: String| Err(Error::Observation(message));
         if (self.width, self.height) != (camera.width(), camera.height()) {
             return refuse(format!(
-                "mask of {}×{} pixels, but the image has {}×{}",
+                "mask: {}×{} pixels, expected the {}×{} of the image",
                 self.width,
                 self.height,
                 camera.width(),
@@ -111,34 +111,31 @@ impl Mask {
             ));
         }
         match self.area() {
-            0 => refuse("the mask is empty: nobody is in the image".into()),
+            0 => refuse("mask: empty, expected the silhouette of a person".into()),
             area if area == self.covered.len() => {
-                refuse("the mask covers the whole image: there is no silhouette".into())
+                refuse("mask: covers the whole image, expected the silhouette of a person".into())
             }
             _ => Ok(()),
         }
     }
 
-    /// Refuses a mask that most of a person's joints are not on: it is of another size, another image
-    /// or another person.
-    ///
-    /// # Errors
-    /// Saying how many are.
-    pub(crate) fn expect_joints(&self, sightings: &[KeypointDetection]) -> Result<()> {
+    /// An error if less than half of the detected joints are on the mask: it is of another size,
+    /// image or person.
+    pub(crate) fn expect_joints(&self, detections: &[KeypointDetection]) -> Result<()> {
         let nearest = manhattan(self);
         let near = NEAR * f64::from(self.width.max(self.height));
         let on = |s: &&KeypointDetection| nearest.sample(s.at.x, s.at.y).0 <= near;
-        let (count, found) = (sightings.len(), sightings.iter().filter(on).count());
+        let (count, found) = (detections.len(), detections.iter().filter(on).count());
         if 2 * found >= count {
             return Ok(());
         }
         Err(Error::Observation(format!(
-            "{found} of {count} joints are on the mask: it is of another size, another image or \
-             another person than the keypoints"
+            "mask: {found} of {count} joints are on it, expected at least half: check that mask and keypoints \
+             are of the same person and image size"
         )))
     }
 
-    /// The mask on a picture of another size: a pixel is covered where more than half of it was.
+    /// The mask at another size: a pixel is covered if more than half of its area is.
     #[must_use]
     pub fn resize(&self, width: u32, height: u32) -> Self {
         if (width, height) == (self.width, self.height) {
@@ -164,14 +161,14 @@ impl Mask {
         Self { width, height, covered }
     }
 
-    /// Covered by both over covered by either; 1 where neither covers anything.
+    /// Intersection over union of two masks, 0 to 1; 1 if both are empty.
     ///
     /// # Errors
     /// If the sizes differ.
     pub fn intersection_over_union(&self, other: &Self) -> Result<f64> {
         if (self.width, self.height) != (other.width, other.height) {
             return Err(Error::argument(format!(
-                "masks of {}×{} and {}×{} pixels",
+                "masks: {}×{} and {}×{} pixels, expected the same size",
                 self.width, self.height, other.width, other.height
             )));
         }
@@ -182,7 +179,8 @@ impl Mask {
     }
 }
 
-/// For each of `to` cells the cells of `from` that it overlaps, and by how much.
+/// Overlapping cells of a grid of `from` cells, with the overlaps, for each cell of a grid of `to`
+/// cells.
 fn shares(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
     let scale = f64::from(from) / f64::from(to);
     let cell = |at: u32| {
@@ -230,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn masks_of_others_are_refused() {
+    fn masks_off_the_joints_are_refused() {
         let mask = disc(100);
         let joints = |places: &[(f64, f64)]| -> Vec<KeypointDetection> {
             let at = |&(x, y): &(f64, f64)| Keypoint { x, y, confidence: 1.0 };
@@ -243,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn masks_of_nobody_are_refused() {
+    fn masks_without_silhouette_are_refused() {
         let camera = PinholeCamera::new(20, 20, None).unwrap();
         let message = |mask: Mask| mask.check(&camera).unwrap_err().to_string();
         assert!(disc(20).check(&camera).is_ok());

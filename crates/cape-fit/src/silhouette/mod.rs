@@ -1,4 +1,4 @@
-//! Silhouettes: what an image shows of a person's outline, and how well a surface matches it.
+//! Silhouettes: masks, distance transforms, rendering, and the silhouette energy `E_S` (CAPE eq. 10).
 
 mod distance;
 mod energy;

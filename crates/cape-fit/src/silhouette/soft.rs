@@ -1,30 +1,30 @@
-//! Soft silhouettes (Liu et al. 2019, *Soft Rasterizer*): how much of every pixel a surface covers
-//! as a smooth function of its vertices.
+//! Soft silhouettes (Liu et al. 2019, *Soft Rasterizer*): the coverage of each pixel as a smooth
+//! function of the vertices.
 //!
-//! A triangle covers a pixel by `D = sigmoid(±d² / σ²)`, with the distance `d` of the pixel's centre
-//! from the triangle's outline and the sign of its being inside, and the surface by
-//! `A = 1 − Π (1 − D)`: with `σ → 0` what a renderer says. With `t = ±d² / σ²` the derivative is
-//! `∂A/∂t = (1 − A) D`, and that of `d²` by the ends of the nearest side follows from the nearest
-//! point's place on it. Where many small triangles meet at an outline they cover more together: the
-//! silhouette is wider than the surface by about σ, so that σ should be less than a pixel.
+//! A triangle covers a pixel by `D = sigmoid(±d² / σ²)`, with the distance `d` of the pixel's
+//! centre from the outline of the triangle, positive inside, and a surface by `A = 1 − Π (1 − D)`,
+//! which converges to hard rendering for `σ → 0`. With `t = ±d² / σ²` the derivative is `∂A/∂t = (1
+//! − A) D`; that of `d²` with respect to the ends of the nearest side follows from the position of
+//! the nearest point on it. Many small triangles at an outline add up: the silhouette is about σ
+//! wider than the surface, so σ should be below a pixel.
 //!
-//! The picture is cut into bands of rows, whatever the number of threads, and their gradients are
-//! added in order, so that the same surface has the same gradient to the last bit.
+//! The image is divided into bands of rows, independent of the number of threads, whose gradients
+//! are added in order: results are deterministic to the last bit.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use crate::{Error, PinholeCamera, Result, camera::depth};
 
-/// Rows of a band.
+/// Rows of pixels in a band.
 const BAND: usize = 16;
-/// `t` below which a triangle covers nothing of a pixel: sigmoid(−9) is 1/8000, and is taken off
-/// everywhere, so that no pixel drops out with a jump.
+/// Cut-off of `−t` beyond which a triangle is neglected: sigmoid(−9) is 1/8000. Its contribution is
+/// subtracted everywhere, so that the coverage is continuous.
 const FAINT: f64 = 9.0;
-/// Depths nearer than this are not drawn, metres.
+/// Least depth of rendered triangles, metres.
 const NEAREST: f64 = 0.05;
 
-/// What a surface covers, softly.
+/// Soft rendering of a surface.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -32,13 +32,13 @@ const NEAREST: f64 = 0.05;
 /// use cape_fit::{PinholeCamera, silhouette::render_softly};
 /// use glam::DVec3;
 ///
-/// // A square of 50 pixels.
+/// // A square with a side of 50 pixels.
 /// let camera = PinholeCamera::new(100, 100, Some(100.0))?;
 /// let (vertices, faces) = square(1.0);
 /// let soft = render_softly(&vertices, &faces, &camera, 0.5)?;
 /// let area: f64 = soft.coverage().iter().sum();
 /// assert!((area / 2500.0 - 1.0).abs() < 0.1);
-/// // Moving it altogether changes nothing of that.
+/// // A translation does not change its area.
 /// let mut forces = vec![DVec3::ZERO; 4];
 /// soft.pull_back(&vertices, &vec![1.0; 100 * 100], &mut forces);
 /// assert!(forces.iter().map(|force| force.x).sum::<f64>().abs() < 1e-6);
@@ -50,18 +50,17 @@ pub struct SoftRendering<'a> {
     camera: PinholeCamera,
     faces: &'a [[u32; 3]],
     softness: f64,
-    /// Vertices in the image.
+    /// Projected vertices, pixels, `[V]`.
     pixels: Vec<DVec2>,
-    /// Faces that reach into each band, ascending.
+    /// Faces that overlap each band, ascending.
     bands: Vec<Vec<u32>>,
     coverage: Vec<f64>,
 }
 
-/// Renders a mesh, vertices in metres `[vertices]`, triangles `[faces]`, with edges `softness`
-/// pixels wide.
+/// Renders a mesh (vertices in metres, `[V]`, triangles `[F]`) with edges `softness` pixels wide.
 ///
 /// # Errors
-/// If a face names a vertex that is not there, or the softness is not positive.
+/// If a face index is out of range, or the softness is not positive.
 pub fn render_softly<'a>(
     vertices: &[DVec3],
     faces: &'a [[u32; 3]],
@@ -72,7 +71,7 @@ pub fn render_softly<'a>(
     let outside = |face: &&[u32; 3]| face.iter().any(|&at| at as usize >= vertices.len());
     if let Some(face) = faces.iter().find(outside) {
         let count = vertices.len();
-        return Err(Error::argument(format!("face {face:?}, but there are {count} vertices")));
+        return Err(Error::argument(format!("face {face:?}, expected indices below {count}")));
     }
     Ok(draw(vertices, faces, camera, softness))
 }
@@ -81,10 +80,10 @@ pub(super) fn check_softness(softness: f64) -> Result<()> {
     if softness > 0.0 && softness.is_finite() {
         return Ok(());
     }
-    Err(Error::argument(format!("softness of {softness} pixels, expected above 0")))
+    Err(Error::argument(format!("softness {softness} pixels, expected above 0")))
 }
 
-/// [`render_softly`] of faces and a softness that are known to be good.
+/// [`render_softly`] with valid faces and softness.
 pub(super) fn draw<'a>(
     vertices: &[DVec3],
     faces: &'a [[u32; 3]],
@@ -112,9 +111,9 @@ pub(super) fn draw<'a>(
     let mut rendering =
         SoftRendering { camera: *camera, faces, softness, pixels, bands, coverage: Vec::new() };
     coverage.par_chunks_mut(BAND * width).enumerate().for_each(|(band, slots)| {
-        // Logarithms of what is left uncovered.
+        // Logarithms of the uncovered share.
         let nothing = softplus(-FAINT);
-        rendering.each(band, |at, touch| slots[at] -= softplus(touch.t) - nothing);
+        rendering.each(band, |at, fragment| slots[at] -= softplus(fragment.t) - nothing);
         for slot in slots {
             *slot = 1.0 - slot.exp();
         }
@@ -124,31 +123,31 @@ pub(super) fn draw<'a>(
 }
 
 impl SoftRendering<'_> {
-    /// The covered part of each pixel, 0 to 1, `[height · width]`.
+    /// Coverage of each pixel, 0 to 1, `[height · width]`.
     pub fn coverage(&self) -> &[f64] {
         &self.coverage
     }
 
-    /// Adds the gradient of what has the gradient `by_coverage` `[height · width]` by the coverage
-    /// to that by the vertices.
+    /// Adds the gradient of a function of the coverage with respect to the vertices to `forces`
+    /// `[V]`; `by_coverage` `[height · width]` is its gradient with respect to the coverage.
     pub fn pull_back(&self, vertices: &[DVec3], by_coverage: &[f64], forces: &mut [DVec3]) {
         let width = self.camera.width() as usize;
-        let of_band = |band: usize| {
+        let band_gradient = |band: usize| {
             let first = band * BAND * width;
             let mut sums: Vec<(u32, DVec2)> = Vec::new();
-            self.each(band, |at, touch| {
+            self.each(band, |at, fragment| {
                 let left = 1.0 - self.coverage[first + at];
                 let by = by_coverage[first + at] * left;
                 if by != 0.0 {
-                    let [start, end] = touch.by_ends(by * sigmoid(touch.t));
-                    add(&mut sums, touch.side[0], start);
-                    add(&mut sums, touch.side[1], end);
+                    let [start, end] = fragment.by_ends(by * sigmoid(fragment.t));
+                    add(&mut sums, fragment.side[0], start);
+                    add(&mut sums, fragment.side[1], end);
                 }
             });
             sums
         };
         let bands: Vec<Vec<(u32, DVec2)>> =
-            (0..self.bands.len()).into_par_iter().map(of_band).collect();
+            (0..self.bands.len()).into_par_iter().map(band_gradient).collect();
         let mut by_pixels = vec![DVec2::ZERO; vertices.len()];
         for (vertex, sum) in bands.into_iter().flatten() {
             by_pixels[vertex as usize] += sum;
@@ -158,8 +157,8 @@ impl SoftRendering<'_> {
         }
     }
 
-    /// Every pixel of a band, counted from its first, with every triangle that covers some of it, in
-    /// order.
+    /// Calls `with` for each pixel of a band, counted from its first, and each triangle that covers
+    /// it, in a fixed order.
     fn each(&self, band: usize, mut with: impl FnMut(usize, Fragment)) {
         let (width, height) = (self.camera.width() as usize, self.camera.height() as usize);
         let reach = self.softness * FAINT.sqrt();
@@ -172,9 +171,9 @@ impl SoftRendering<'_> {
             for row in rows.start.max(first)..rows.end.min(end) {
                 for column in columns.clone() {
                     let centre = DVec2::new(column as f64 + 0.5, row as f64 + 0.5);
-                    let touch = Fragment::new(centre, corners, at, self.softness);
-                    if touch.t > -FAINT {
-                        with((row - first) * width + column, touch);
+                    let fragment = Fragment::new(centre, corners, at, self.softness);
+                    if fragment.t > -FAINT {
+                        with((row - first) * width + column, fragment);
                     }
                 }
             }
@@ -182,8 +181,8 @@ impl SoftRendering<'_> {
     }
 }
 
-/// Adds to the latest sum of that vertex if it is among the last few: a triangle's pixels follow
-/// one another.
+/// Adds `by` to the sum of a vertex if it is among the last four, else begins a new one:
+/// consecutive pixels have the same triangle.
 fn add(sums: &mut Vec<(u32, DVec2)>, vertex: u32, by: DVec2) {
     match sums.iter_mut().rev().take(4).find(|(known, _)| *known == vertex) {
         Some((_, sum)) => *sum += by,
@@ -191,15 +190,15 @@ fn add(sums: &mut Vec<(u32, DVec2)>, vertex: u32, by: DVec2) {
     }
 }
 
-/// A pixel and a triangle.
+/// Coverage of a pixel by a triangle.
 #[derive(Debug, Clone, Copy)]
 struct Fragment {
     /// `±d² / σ²`, positive inside.
     t: f64,
-    /// Ends of the side that is nearest, and where on it the nearest point is, 0 to 1.
+    /// Ends of the nearest side, and position of the nearest point on it, 0 to 1.
     side: [u32; 2],
     along: f64,
-    /// `±2 / σ²` times the way from the nearest point to the pixel.
+    /// `±2 / σ²` times the vector from the nearest point to the pixel.
     pull: DVec2,
 }
 
@@ -230,17 +229,17 @@ impl Fragment {
         }
     }
 
-    /// Gradients by the ends of the side of what has the gradient `by` by `t`.
+    /// Gradients with respect to the ends of the side, from the gradient `by` with respect to `t`.
     fn by_ends(&self, by: f64) -> [DVec2; 2] {
         [self.pull * (-by * (1.0 - self.along)), self.pull * (-by * self.along)]
     }
 }
 
-/// The pixels whose centres are within `reach` of the range of three coordinates.
+/// Range of pixels with centres within `reach` of the range of three coordinates.
 fn span(at: [f64; 3], reach: f64, count: usize) -> std::ops::Range<usize> {
     let low = at.iter().copied().fold(f64::INFINITY, f64::min) - reach - 0.5;
     let high = at.iter().copied().fold(f64::NEG_INFINITY, f64::max) + reach - 0.5;
-    // Out of range, and NaN, become the nearest end.
+    // Values out of range and NaN are clamped.
     let start = low.ceil().max(0.0) as usize;
     let end = ((high.floor() + 1.0).max(0.0) as usize).min(count);
     start.min(end)..end
@@ -250,7 +249,7 @@ fn sigmoid(t: f64) -> f64 {
     1.0 / (1.0 + (-t).exp())
 }
 
-/// `log(1 + eᵗ)`.
+/// Softplus `log(1 + eᵗ)`.
 fn softplus(t: f64) -> f64 {
     t.max(0.0) + (-t.abs()).exp().ln_1p()
 }
@@ -295,7 +294,7 @@ mod tests {
         assert_gradient(&x, &gradient, 1e-3, value);
     }
 
-    /// With hard edges on a finer grid, averaged over the pixels of a coarser one.
+    /// Hard rendering, also supersampled.
     #[test]
     fn without_softness_it_is_what_a_renderer_covers() {
         let vertices = body(1.0, 0.0);
@@ -307,7 +306,7 @@ mod tests {
         let off = pairs().filter(|&(a, &b)| (a - f64::from(b)).abs() > 0.01).count();
         assert!(off <= 12, "{off} pixels");
 
-        // Supersampled four times in either direction, against as many soft pixels.
+        // Supersampled four times in both directions.
         let fine = PinholeCamera::new(384, 384, None).unwrap();
         let covered = render(&vertices, faces, &fine).unwrap().mask().clone();
         let soft = render_softly(&vertices, faces, &fine, 1e-3).unwrap();

@@ -1,4 +1,4 @@
-//! What a camera sees of a surface, pixel by pixel.
+//! Visible points of a surface for each pixel of a camera.
 
 use cape_render::visible_faces;
 use glam::{DVec2, DVec3};
@@ -6,25 +6,24 @@ use glam::{DVec2, DVec3};
 use super::Mask;
 use crate::{PinholeCamera, Result, camera::depth};
 
-/// A point that stays on its triangle when the surface moves.
-///
-/// See [`Rendering`] for an example.
+/// A point of a surface by triangle and barycentric weights, which moves with the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SurfacePoint {
-    /// Vertices of the triangle.
+    /// Vertex indices of the triangle.
     pub corners: [u32; 3],
     /// Barycentric weights.
     pub weights: [f64; 3],
 }
 
 impl SurfacePoint {
-    /// Where it is, metres.
+    /// Position, metres.
     pub fn at(&self, vertices: &[DVec3]) -> DVec3 {
         let parts = self.corners.iter().zip(self.weights);
         parts.map(|(&corner, weight)| vertices[corner as usize] * weight).sum()
     }
 
-    /// Adds the gradient by the point to that by the vertices.
+    /// Adds the gradient with respect to the point to the gradients with respect to the vertices,
+    /// `[V]`.
     pub fn pull_back(&self, gradient: DVec3, by_vertices: &mut [DVec3]) {
         for (&corner, weight) in self.corners.iter().zip(self.weights) {
             by_vertices[corner as usize] += gradient * weight;
@@ -32,7 +31,7 @@ impl SurfacePoint {
     }
 }
 
-/// A surface as a camera sees it.
+/// Rendering of a surface: silhouette and visible face of each pixel.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -40,7 +39,7 @@ impl SurfacePoint {
 /// use cape_fit::{PinholeCamera, silhouette::render};
 /// use glam::DVec3;
 ///
-/// // A square of 50 pixels, and what is seen of it beside the middle.
+/// // A square with a side of 50 pixels, and the surface point at the pixel beside the centre.
 /// let camera = PinholeCamera::new(100, 100, Some(100.0))?;
 /// let (vertices, faces) = square(1.0);
 /// let rendering = render(&vertices, &faces, &camera)?;
@@ -54,41 +53,41 @@ impl SurfacePoint {
 #[derive(Debug, Clone)]
 pub struct Rendering {
     mask: Mask,
-    seen: Vec<Option<u32>>,
+    visible: Vec<Option<u32>>,
     pixels: Vec<DVec2>,
 }
 
-/// Renders the silhouette of a mesh: vertices in metres `[vertices]`, triangles `[faces]`.
+/// Renders a mesh: vertices in metres, `[V]`, triangles `[F]`.
 ///
 /// # Errors
-/// If a face names a vertex that is not there.
+/// If a face index is out of range.
 pub fn render(vertices: &[DVec3], faces: &[[u32; 3]], camera: &PinholeCamera) -> Result<Rendering> {
     let pixels: Vec<DVec2> = vertices.iter().map(|&vertex| camera.project(vertex)).collect();
     let points: Vec<[f64; 3]> =
         vertices.iter().zip(&pixels).map(|(vertex, p)| [p.x, p.y, -vertex.z]).collect();
-    let seen = visible_faces(&points, faces, camera.width(), camera.height())?;
-    let covered = seen.iter().map(Option::is_some).collect();
-    Ok(Rendering { mask: Mask::new(camera.width(), camera.height(), covered)?, seen, pixels })
+    let visible = visible_faces(&points, faces, camera.width(), camera.height())?;
+    let covered = visible.iter().map(Option::is_some).collect();
+    Ok(Rendering { mask: Mask::new(camera.width(), camera.height(), covered)?, visible, pixels })
 }
 
 impl Rendering {
-    /// The silhouette.
+    /// Silhouette.
     pub fn mask(&self) -> &Mask {
         &self.mask
     }
 
-    /// The point of the surface at the centre of a covered pixel; `None` elsewhere.
+    /// Surface point at the centre of a pixel; `None` if the pixel is not covered.
     pub fn point(
         &self,
         pixel: usize,
         vertices: &[DVec3],
         faces: &[[u32; 3]],
     ) -> Option<SurfacePoint> {
-        let corners = faces[self.seen[pixel]? as usize];
+        let corners = faces[self.visible[pixel]? as usize];
         let width = self.mask.width() as usize;
         let centre = DVec2::new((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
         let [a, b, c] = corners.map(|corner| self.pixels[corner as usize] - centre);
-        // Affine in the image, and over the depths in space.
+        // Perspective-correct barycentric weights.
         let areas = [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)];
         let weights: [f64; 3] =
             std::array::from_fn(|i| areas[i] / depth(vertices[corners[i] as usize]));

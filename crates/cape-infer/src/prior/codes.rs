@@ -1,4 +1,4 @@
-//! Codes of training frames.
+//! Latent codes of training frames.
 
 use std::path::Path;
 
@@ -9,25 +9,20 @@ use crate::{Error, Result, Run};
 use cape_core::ProgressFn;
 use cape_data::{PackedSet, Split};
 
-/// Frames encoded at a time.
-const BATCH: usize = 16;
-
-/// Posterior means of frames, with the outfits they are of.
-///
-/// See [`Prior`](super::Prior) for an example.
+/// Posterior means of frames, each with its outfit.
 #[derive(Debug, Clone)]
 pub struct LatentCodes {
     latent: usize,
     rows: Vec<(Outfit, Vec<f64>)>,
-    /// Steps of training of the checkpoint that encoded them, if one did.
+    /// Training step of the checkpoint that encoded them, if known.
     step: Option<u64>,
 }
 
 impl LatentCodes {
-    /// Of codes of `latent` numbers each.
+    /// Codes with their outfits, each of `latent` numbers.
     ///
     /// # Errors
-    /// If a code has another size.
+    /// If a code has another length.
     pub fn new(latent: usize, rows: Vec<(Outfit, Vec<f64>)>) -> Result<Self> {
         match rows.iter().find(|(_, code)| code.len() != latent) {
             Some((_, code)) => {
@@ -37,7 +32,7 @@ impl LatentCodes {
         }
     }
 
-    /// The posterior means of at most `frames` training frames of the packed set in `data`, evenly
+    /// Posterior means of at most `frames` training frames of the packed set in `data`, evenly
     /// spaced.
     pub fn from_training(
         run: &Run,
@@ -49,9 +44,9 @@ impl LatentCodes {
         let rows = run.statistics().training_rows(set.frames());
         let step = rows.len().div_ceil(frames.max(1)).max(1);
         let rows: Vec<usize> = rows.step_by(step).collect();
-        let latent = run.config().model.latent;
+        let latent = run.latent();
         let mut codes = Vec::with_capacity(rows.len());
-        for chunk in rows.chunks(BATCH) {
+        for chunk in rows.chunks(crate::BATCH) {
             for (&row, mean) in chunk.iter().zip(run.encode_frames(&set, chunk)?.rows()) {
                 let code = mean.iter().map(|&x| f64::from(x)).collect();
                 codes.push((set.outfits()[row], code));
@@ -61,12 +56,12 @@ impl LatentCodes {
         Ok(Self { step: Some(run.progress().step), ..Self::new(latent, codes)? })
     }
 
-    /// Numbers of a code.
+    /// Length of a code.
     pub fn latent(&self) -> usize {
         self.latent
     }
 
-    /// Steps of training of the checkpoint that encoded them, if one did.
+    /// Training step of the checkpoint that encoded them, if known.
     pub fn step(&self) -> Option<u64> {
         self.step
     }
@@ -76,12 +71,12 @@ impl LatentCodes {
         self.rows.len()
     }
 
-    /// Whether there is none.
+    /// True if there are no codes.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
 
-    /// The codes of an outfit, or all, `[n, latent]`.
+    /// Codes of one outfit, or all, `[n, latent]`.
     pub fn for_outfit(&self, outfit: Option<Outfit>) -> Array2<f64> {
         let rows = || self.rows.iter().filter(|(worn, _)| outfit.is_none_or(|o| o == *worn));
         let mut codes = Array2::zeros((rows().count(), self.latent));

@@ -1,8 +1,8 @@
-//! Where codes are after training (Ghosh et al. 2020, as in CAPE's appendix C).
+//! Densities of latent codes, fitted after training (Ghosh et al. 2020; CAPE §6.2 [14]).
 //!
-//! A decoder is at its best where the encoder puts clothes, which is never quite the standard normal
-//! prior. A density fitted to the posterior means of the training frames, after training, is drawn
-//! from instead: a [`Mixture`] of normal distributions or a [`KernelDensity`], for all outfits
+//! The aggregate posterior of a trained encoder differs from the standard normal prior, and the
+//! decoder reconstructs best under the aggregate posterior. Samples are therefore drawn from a
+//! density fitted to the posterior means of training frames: a [`Mixture`] of normal distributions or a [`KernelDensity`], for all outfits
 //! together or for each by itself.
 
 mod codes;
@@ -29,27 +29,24 @@ const JOINT: &str = "all";
 
 const STEP: &str = "step";
 
-/// What is fitted.
-///
-/// See [`Prior`] for an example.
+/// Kind of density to fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DensityKind {
-    /// A mixture of so many normal distributions.
+    /// A Gaussian mixture with this number of components.
     Mixture(usize),
-    /// A mixture of up to so many, as many as the Bayesian information criterion asks for.
+    /// A Gaussian mixture with up to this number of components, chosen by the Bayesian information
+    /// criterion.
     MixtureUpTo(usize),
-    /// A kernel density.
+    /// A kernel density estimate.
     Kernel,
 }
 
-/// A density of codes.
-///
-/// See [`Prior`] for an example.
+/// A density of latent codes.
 #[derive(Debug, Clone)]
 pub enum Density {
-    /// A mixture of normal distributions.
+    /// A Gaussian mixture.
     Mixture(Mixture),
-    /// A kernel density.
+    /// A kernel density estimate.
     Kernel(KernelDensity),
 }
 
@@ -151,8 +148,8 @@ impl Prior {
         self.groups.iter().map(|(&outfit, density)| (outfit, density))
     }
 
-    /// Codes for an outfit, `[n, latent]`; deviations from what was seen are multiplied by
-    /// `temperature`. An outfit that no density is for has the standard normal prior.
+    /// Codes for an outfit, `[n, latent]`; deviations from the component means are
+    /// multiplied by `temperature`. An outfit without a density is drawn from the standard normal.
     pub fn sample(&self, outfit: Outfit, n: usize, temperature: f64, seed: u64) -> Array2<f32> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(outfit.index() as u64);
@@ -200,7 +197,7 @@ impl Prior {
     /// Reads what [`save`](Self::save) wrote.
     ///
     /// # Errors
-    /// If an array is missing or not what it should be; the error names the file.
+    /// If an array is missing or invalid; the error names the file.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let mut file = Npz::open(path)?;

@@ -1,34 +1,35 @@
-//! Which body vertices a clothing vertex follows (Yang et al. 2018, §3.1).
+//! Association of clothing vertices with body vertices in one frame (Yang et al. 2018, §3.1).
 //!
-//! One frame decides: rays from the body find [`sparse`](SparseCorrespondences) pairs, and pairs vote for their
-//! surroundings on both meshes, which gives every clothing vertex the [`Association`]'s weights
-//! over `n_f` body vertices.
+//! Rays from the body find [`SparseCorrespondences`]; each pair votes for the neighbourhoods of its
+//! two vertices, weighted by geodesic distance (eq. 2), and the most probable `n_f` body vertices
+//! of each clothing vertex are its [`Association`]. [`EdgeChangeStudy`] measures seams:
+//! neighbouring clothing vertices that follow different limbs.
 
 mod dense;
+mod edge_change;
 mod sparse;
 #[cfg(test)]
 mod tests;
 
 pub use dense::{Association, Completion};
+pub use edge_change::{EdgeChange, EdgeChangeStudy, UnposedClothing};
 pub use sparse::{Correspondence, RayStatistics, SparseCorrespondences};
 
 use crate::{Error, Result, geometry::GeodesicMetric};
 use cape_core::geometry::SurfaceMesh;
 
-/// How clothing vertices are tied to body vertices.
-///
-/// See [`Association`] for an example.
+/// Options of the association.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AssociateOptions {
-    /// Length of the rays, metres; the paper's 15 cm.
+    /// Length of the rays, metres; 15 cm in the paper.
     pub reach: f64,
-    /// σ of the votes, metres; the paper's 1 cm.
+    /// Standard deviation σ of the votes (eq. 2), metres; 1 cm in the paper.
     pub sigma: f64,
-    /// Geodesic distance up to which a pair votes, on either mesh, metres; the paper's 3 cm.
+    /// Geodesic distance on either mesh up to which a pair votes, metres; 3 cm in the paper.
     pub support: f64,
-    /// Body vertices for each clothing vertex, `n_f`.
+    /// Number of body vertices for each clothing vertex, `n_f`.
     pub neighbours: usize,
-    /// How distances over the meshes are measured.
+    /// Metric of the geodesic distances.
     pub metric: GeodesicMetric,
 }
 
@@ -45,10 +46,10 @@ impl Default for AssociateOptions {
 }
 
 impl AssociateOptions {
-    /// Ties `clothing` to `body`, in one frame and both in metres.
+    /// Associates the vertices of `clothing` with those of `body`, both of one frame, in metres.
     ///
     /// # Errors
-    /// If an option is out of its domain, no ray meets the clothing, or the body is inside out.
+    /// If an option is out of range, no ray hits the clothing, or the body's faces are reversed.
     pub fn associate(&self, body: &SurfaceMesh, clothing: &SurfaceMesh) -> Result<Association> {
         self.check(body)?;
         let pairs = SparseCorrespondences::find(body, clothing, self.reach)?;
@@ -60,13 +61,15 @@ impl AssociateOptions {
             [("reach", self.reach), ("sigma", self.sigma), ("support", self.support)]
         {
             if !(value.is_finite() && value > 0.0) {
-                return Err(Error::argument(format!("{name} of {value} m: expected more than 0")));
+                return Err(Error::argument(format!(
+                    "association: {name} {value} m, expected above 0"
+                )));
             }
         }
         let most = body.vertices.len();
         if self.neighbours == 0 || self.neighbours > most {
             return Err(Error::argument(format!(
-                "{} body vertices for each clothing vertex: expected 1 to {most}",
+                "association: {} body vertices for each clothing vertex, expected 1 to {most}",
                 self.neighbours
             )));
         }

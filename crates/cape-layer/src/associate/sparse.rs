@@ -3,50 +3,46 @@ use rayon::prelude::*;
 use crate::{Error, Result};
 use cape_core::geometry::{SurfaceIndex, SurfaceMesh};
 
-/// A clothing vertex and the body vertex whose ray found it.
-///
-/// See [`SparseCorrespondences`] for an example.
+/// A clothing vertex and the body vertex whose ray hit it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Correspondence {
-    /// The clothing vertex.
+    /// Index of the clothing vertex.
     pub clothing: u32,
-    /// The body vertex.
+    /// Index of the body vertex.
     pub body: u32,
     /// Length of the ray, metres.
     pub distance: f64,
 }
 
-/// What the rays met; tells flipped normals and misplaced meshes.
-///
-/// See [`SparseCorrespondences`] for an example.
+/// Counts of ray hits, which reveal reversed normals and misplaced meshes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct RayStatistics {
-    /// Rays cast: one for each body vertex that has a normal.
+    /// Rays: one for each body vertex that has a normal.
     pub rays: usize,
-    /// Rays that met the clothing.
+    /// Rays that hit the clothing.
     pub hits: usize,
-    /// Hits on the clothing's outer side: of hands on a skirt, or of all of the body if the
-    /// clothing's faces are flipped.
+    /// Hits on the outer side of the clothing: a hand beside a skirt, or all hits if the clothing's
+    /// faces are reversed.
     pub on_outer_side: usize,
-    /// Hits behind another part of the body: of one leg on the other's side of a skirt.
+    /// Hits behind another part of the body, such as through the other leg of a skirt.
     pub blocked: usize,
-    /// Rays that would have met the clothing in the opposite direction, into the body.
+    /// Rays that hit the clothing in the opposite direction, into the body.
     pub behind: usize,
     /// Clothing vertices inside the body.
     pub inside: usize,
 }
 
 impl RayStatistics {
-    /// Whether most rays met the clothing from its outer side: its faces look towards the body.
+    /// True if most rays hit the outer side of the clothing: its faces point towards the body.
     pub fn clothing_is_flipped(&self) -> bool {
         2 * self.on_outer_side > self.hits
     }
 }
 
-/// How far from its vertex a ray starts that looks for the body, metres.
+/// Distance from its vertex at which the ray that tests for occlusion by the body starts, metres.
 const OFF_THE_SKIN: f64 = 1e-3;
 
-/// A pair that a ray found.
+/// A pair that a ray found, with the reasons to reject it.
 #[derive(Debug, Clone, Copy)]
 struct RayPair {
     pair: Correspondence,
@@ -73,18 +69,21 @@ struct RayPair {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct SparseCorrespondences {
-    /// By ascending clothing vertex.
+    /// Pairs in ascending order of their clothing vertex.
     pub pairs: Vec<Correspondence>,
-    /// What the rays met.
+    /// Counts of ray hits.
     pub statistics: RayStatistics,
 }
 
 impl SparseCorrespondences {
-    /// Casts a ray of `reach` metres along the outward normal of every body vertex; where it first
-    /// meets the clothing, the closest corner of the face it meets is the body vertex's. Left out are
-    /// rays that meet the clothing from the other side than most do, as a hand's beside a skirt, and
-    /// rays that another part of the body is in the way of. Of several body vertices that claim one
-    /// clothing vertex, the one with the shortest ray keeps it; of equal ones, the first.
+    /// Casts a ray of `reach` metres along the outward normal of every body vertex and pairs the
+    /// vertex with the closest corner of the first clothing face that the ray hits. Rays that hit
+    /// the minority side of the clothing (a hand beside a skirt) and rays that another part of the
+    /// body blocks are rejected. Each clothing vertex keeps the pair with the shortest ray, the
+    /// lowest body vertex among equal ones.
+    ///
+    /// # Errors
+    /// If no ray hits the clothing, or more do against the normals than along them.
     pub fn find(body: &SurfaceMesh, clothing: &SurfaceMesh, reach: f64) -> Result<Self> {
         let (solid, flesh) = (SurfaceIndex::new(clothing), SurfaceIndex::new(body));
         let sides = clothing.face_normals();
@@ -130,13 +129,13 @@ impl SparseCorrespondences {
                 statistics.blocked += usize::from(met.blocked);
             }
         }
-        let usual = statistics.clothing_is_flipped();
+        let majority = statistics.clothing_is_flipped();
         let mut kept: Vec<Option<Correspondence>> = vec![None; clothing.vertices.len()];
         for RayPair { pair, on_outer_side, blocked } in
             seen.into_iter().flatten().filter_map(|(met, _)| met)
         {
             let place = &mut kept[pair.clothing as usize];
-            if on_outer_side == usual
+            if on_outer_side == majority
                 && !blocked
                 && place.is_none_or(|held| pair.distance < held.distance)
             {
@@ -158,7 +157,7 @@ impl SparseCorrespondences {
     }
 }
 
-/// Clothing vertices inside the body.
+/// Number of clothing vertices inside the body.
 fn inside(body: &SurfaceIndex, clothing: &SurfaceMesh) -> usize {
     let within = |p| body.closest(p, f64::INFINITY).is_some_and(|near| near.signed_distance < 0.0);
     clothing.vertices.par_iter().filter(|&&p| within(p)).count()

@@ -143,7 +143,7 @@ fn weights_agree_with_the_formula() {
 }
 
 #[test]
-fn what_rays_miss_is_completed_and_counted() {
+fn vertices_without_hits_are_completed_and_counted() {
     let body = sphere(0.1, 4);
     // A long cone, far below the ball's reach, and a scrap that touches nothing.
     let mut skirt = grid(40, 30, |u, v| {

@@ -1,6 +1,6 @@
 use crate::{LayerSet, Sequence};
 
-/// What sequences of a set differ in, and what can be new to a layer.
+/// A property in which the sequences of a set differ, and which can be held out.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -8,7 +8,7 @@ use crate::{LayerSet, Sequence};
 /// use cape_synth::synthetic_body;
 /// use cape_layer::{LayerSet, Sequence, experiment::Factor};
 ///
-/// // The same patch in two sequences, named for different movements.
+/// // The same patch in two sequences with the names of different motions.
 /// let march = patch(&synthetic_body())?.0.sequences.remove(0);
 /// let walk = Sequence { name: "anna_walk".into(), ..march.clone() };
 /// let set = LayerSet::new(vec![[0, 1, 2]], vec![march, walk])?;
@@ -21,34 +21,32 @@ use crate::{LayerSet, Sequence};
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Factor {
-    /// The body's shape coefficients.
+    /// Shape coefficients of the body.
     Shape,
-    /// The movement: what follows the last `_` of a sequence's name.
+    /// Motion: the part of a sequence's name after the last `_`.
     Motion,
-    /// Parameters other than sizes.
+    /// Material: semantic parameters other than garment sizes.
     Material,
-    /// Sizes: parameters named length, width, sleeve or size.
+    /// Garment size: semantic parameters named length, width, sleeve or size.
     Fit,
 }
 
-/// Sequences that are alike in a factor.
-///
-/// See [`Factor`] for an example.
+/// Sequences with one value of a factor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SequenceGroup {
-    /// What they have in common, for people.
+    /// Value of the factor, as text.
     pub label: String,
-    /// Their numbers in the set, ascending.
+    /// Indices of the sequences in the set, ascending.
     pub sequences: Vec<usize>,
 }
 
 const SIZES: [&str; 4] = ["length", "width", "sleeve", "size"];
 
 impl Factor {
-    /// All of them.
+    /// All factors.
     pub const ALL: [Self; 4] = [Self::Shape, Self::Motion, Self::Material, Self::Fit];
 
-    /// The name in tables.
+    /// Name in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Shape => "shape",
@@ -58,8 +56,8 @@ impl Factor {
         }
     }
 
-    /// Sequences of the set by this factor, in the order of their first ones. There is one group if
-    /// they do not differ in it.
+    /// Sequences of the set by the value of this factor, in order of first occurrence; one group if
+    /// they do not differ.
     pub fn groups(self, set: &LayerSet) -> Vec<SequenceGroup> {
         let mut groups: Vec<SequenceGroup> = Vec::new();
         for (index, sequence) in set.sequences.iter().enumerate() {

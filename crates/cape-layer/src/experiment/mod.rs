@@ -1,22 +1,30 @@
-//! The paper's experiments on any set: reconstruction (table 1), regression (table 2), and
-//! prediction for bodies, motions, materials and sizes that were not learned from (§5.4).
+//! The paper's experiments on any set: reconstruction (§4, table 1), regression (§4.3, table 2),
+//! and prediction of body shapes, motions (§5.1), materials (§5.2) and garment sizes (§5.3) that
+//! are not in the training set.
 
 mod factor;
+mod run;
 #[cfg(test)]
 mod tests;
 mod unposed;
 
-use ndarray::{Array2, ArrayView2, Axis};
+use cape_stats::errors::distance_mm;
+use ndarray::{ArrayView1, ArrayView2};
+use serde::Serialize;
 
 pub use factor::{Factor, SequenceGroup};
+pub use run::{
+    ExampleFrame, Experiment, ExperimentOutcome, ExperimentResults, ReconstructionResult,
+    RegressionResult,
+};
 pub use unposed::UnposedSet;
 
 use crate::{
-    LayerPca,
+    Pca,
     regress::{FeatureOptions, SemanticParameters, TrainedRegressor, TrainingOptions},
 };
 
-/// Distances between clothing vertices and their true places, millimetres.
+/// Distances of clothing vertices from the ground truth, millimetres.
 ///
 /// ```
 /// use cape_layer::experiment::LayerError;
@@ -30,19 +38,19 @@ use crate::{
 pub struct LayerError {
     /// Mean over vertices and frames.
     pub mean: f64,
-    /// Largest of all.
+    /// Largest over vertices and frames.
     pub largest: f64,
 }
 
 impl LayerError {
-    /// Between positions `[vertices, 3]`, metres.
+    /// Distances between positions `[vertices, 3]`, metres.
     pub fn between(found: ArrayView2<'_, f64>, truth: ArrayView2<'_, f64>) -> Self {
         let far = distances(found, truth);
         let mean = far.iter().sum::<f64>() / far.len().max(1) as f64;
         Self { mean, largest: far.into_iter().fold(0.0, f64::max) }
     }
 
-    /// Of several frames of as many vertices.
+    /// Mean and largest of frames with equal numbers of vertices.
     pub fn over(frames: &[Self]) -> Self {
         Self {
             mean: frames.iter().map(|e| e.mean).sum::<f64>() / frames.len().max(1) as f64,
@@ -53,22 +61,23 @@ impl LayerError {
 
 /// Distances between positions `[vertices, 3]` in metres: millimetres, `[vertices]`.
 pub fn distances(found: ArrayView2<'_, f64>, truth: ArrayView2<'_, f64>) -> Vec<f64> {
-    let apart: Array2<f64> = &found - &truth;
-    apart.map_axis(Axis(1), |d| 1e3 * d.dot(&d).sqrt()).to_vec()
+    let point = |row: ArrayView1<'_, f64>| [row[0], row[1], row[2]];
+    let pairs = found.rows().into_iter().zip(truth.rows());
+    pairs.map(|(found, truth)| distance_mm(point(found), point(truth))).collect()
 }
 
-/// What is learned, and how.
-///
-/// See [`UnposedSet`] for an example.
-#[derive(Debug, Clone, PartialEq)]
+/// Options of principal components and regression.
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LearningOptions {
-    /// Principal components that are predicted; the paper's 40.
+    /// Number of principal components; the paper has 40 for one subject in one clothing, 100 for
+    /// several.
     pub components: usize,
-    /// What is seen of the motion.
+    /// Motion features.
     pub features: FeatureOptions,
-    /// Numbers that more semantic parameters are reduced to; the paper's 4 for a material.
+    /// Most inputs of semantic parameters, to which more are reduced; the paper's 4 for a material
+    /// (§5.2).
     pub semantics: Option<usize>,
-    /// How the network is trained.
+    /// Options of the training.
     pub training: TrainingOptions,
 }
 
@@ -83,33 +92,30 @@ impl Default for LearningOptions {
     }
 }
 
-/// A space of offsets and the way into it.
-///
-/// See [`UnposedSet`] for an example.
+/// Principal components of offsets and the regressor of their coordinates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainedModel {
-    /// The space, of frames that trained.
-    pub pca: LayerPca,
-    /// What is seen of semantic parameters.
+    /// Principal components of the training frames.
+    pub pca: Pca,
+    /// Reduction of the semantic parameters.
     pub semantics: SemanticParameters,
-    /// The regressor and its course. Frames are numbered among those that were learned from.
+    /// Regressor with its training curve and split. Frames are numbered among those of the training
+    /// call.
     pub outcome: TrainedRegressor,
 }
 
-/// What was learned and its errors.
-///
-/// See [`UnposedSet`] for an example.
+/// A trained model and its errors, millimetres.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RegressionReport {
-    /// What was learned.
+    /// Trained model.
     pub trained_model: TrainedModel,
-    /// Over frames that trained, `E_train`.
+    /// Error of the prediction on the training frames, `E_train`.
     pub train: LayerError,
-    /// Over frames that did not, `E_pred`.
+    /// Error of the prediction on the held-out frames, `E_pred`.
     pub predict: LayerError,
-    /// Over those, of the first components' coordinates of the frames themselves: what the space
-    /// alone costs.
+    /// Error of the held-out frames' own coordinates in the components: the least error of a
+    /// prediction.
     pub space: LayerError,
-    /// Over those, of the mean of the frames that trained: what knowing nothing costs.
+    /// Error of the mean of the training frames on the held-out frames.
     pub mean_baseline: LayerError,
 }

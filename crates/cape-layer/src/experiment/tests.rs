@@ -1,6 +1,6 @@
 use cape_core::SmplModel;
-use cape_synth::{Motion as Movement, MotionStyle, synthetic_body};
-use ndarray::Array3;
+use cape_synth::{Motion, MotionStyle, synthetic_body};
+use ndarray::{Array2, Array3, Axis};
 
 use super::*;
 use crate::{AssociateOptions, Layer, LayerSet, sequence::Sequence};
@@ -12,7 +12,7 @@ fn set(model: &SmplModel) -> LayerSet {
     let (frames, rate) = (60, 30.0);
     let style = MotionStyle::default();
     let poses: Vec<f64> =
-        (0..frames).flat_map(|f| Movement::WalkMarch.pose(&style, f as f64 / rate)).collect();
+        (0..frames).flat_map(|f| Motion::WalkMarch.pose(&style, f as f64 / rate)).collect();
     let poses = Array2::from_shape_vec((frames, 72), poses).unwrap();
     let motion = BodyMotion::new(rate, poses, Array2::zeros((frames, 3))).unwrap();
     let shape = model.rest_shape(&[]).unwrap();
@@ -63,23 +63,18 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
     let mut two = set.clone();
     two.sequences.push(Sequence { name: "again".into(), ..set.sequences[0].clone() });
     let both = UnposedSet::new(&model, &two, &association, &standard).unwrap();
-    let same = both.transfer(&[1], &learning, &mut |_| {}).unwrap();
+    let same = both.leave_out(&[1], &learning, &mut |_| {}).unwrap();
     assert_eq!(same.trained_model, regression.trained_model, "the held-out sequence plays no part");
     let worst = regression.train.mean.max(regression.predict.mean);
     assert!(same.predict.mean < worst, "{:?}", same.predict);
-    assert!(both.transfer(&[], &learning, &mut |_| {}).is_err());
+    assert!(both.leave_out(&[], &learning, &mut |_| {}).is_err());
     let many = LearningOptions { components: 60, ..learning };
     let error = unposed.regression(&[0], &many, &mut |_| {}).unwrap_err().to_string();
     assert!(error.contains("60 principal components of 48 frames"), "{error}");
 
     let layer = Layer {
-        faces: set.faces.clone(),
-        association: association.clone(),
         standard: StandardPose::Other(StandardPose::A.angles(24)),
-        pca: regression.trained_model.pca.clone(),
-        features: FeatureOptions::default(),
-        semantics: regression.trained_model.semantics.clone(),
-        regressor: regression.trained_model.outcome.regressor.clone(),
+        ..unposed.layer(&regression.trained_model, FeatureOptions::default())
     };
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("layer.npz");

@@ -4,14 +4,15 @@ use rayon::prelude::*;
 
 use super::{LayerError, LearningOptions, RegressionReport, TrainedModel};
 use crate::{
-    Association, ComponentSelection, Error, LayerPca, Result,
+    Association, ComponentSelection, Error, Layer, Pca, Result,
     offsets::OffsetFrame,
     regress::{Epoch, FeatureOptions, SemanticParameters},
     sequence::LayerSet,
 };
 use cape_core::smpl::StandardPose;
 
-/// A set whose clothing is tied to its bodies and freed from their poses.
+/// The offsets of all frames of a set from the body in the standard pose (eq. 4), as rows for
+/// principal components and regression.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -20,17 +21,17 @@ use cape_core::smpl::StandardPose;
 /// use cape_core::smpl::StandardPose;
 /// use cape_layer::{experiment::{LearningOptions, UnposedSet}, regress::TrainingOptions};
 ///
-/// // A patch that rises and falls as its wearer marches.
+/// // A patch that rises and falls with the knees of a marching body.
 /// let body = synthetic_body();
 /// let (set, association) = patch(&body)?;
 /// let unposed = UnposedSet::new(&body, &set, &association, &StandardPose::default())?;
 /// assert_eq!(unposed.rows.dim(), (30, 9));
-/// // One component reconstructs it; a small network predicts it better than its mean does.
+/// // One component reconstructs it; a small network predicts it better than the mean does.
 /// assert!(unposed.reconstruction(&[1])?[0][0].largest < 1e-6);
 /// let training = TrainingOptions { hidden: vec![4], patience: 10, ..TrainingOptions::default() };
 /// let learning = LearningOptions { components: 1, training, ..LearningOptions::default() };
 /// let regression = unposed.regression(&[0], &learning, &mut |_| {})?;
-/// assert_eq!(regression.trained_model.pca.len(), 1);
+/// assert_eq!(regression.trained_model.pca.latent(), 1);
 /// assert!(regression.predict.mean < regression.mean_baseline.mean);
 /// # Ok(())
 /// # }
@@ -39,14 +40,19 @@ use cape_core::smpl::StandardPose;
 pub struct UnposedSet<'a> {
     set: &'a LayerSet,
     association: &'a Association,
-    /// What carries the clothing in each frame.
+    standard: StandardPose,
+    /// Transforms of the clothing in each frame.
     offset_frames: Vec<OffsetFrame>,
-    /// Offsets, a row for each frame of [`LayerSet::each_frame`], metres, `[frames, 3 · n_v · n_f]`.
+    /// Offsets, one row for each frame of [`LayerSet::each_frame`], metres, `[frames, 3 · n_v ·
+    /// n_f]`.
     pub rows: Array2<f64>,
 }
 
 impl<'a> UnposedSet<'a> {
-    /// Takes the poses out of all frames.
+    /// Unposes all frames.
+    ///
+    /// # Errors
+    /// If the association does not fit the set, or a frame cannot be unposed.
     pub fn new(
         model: &SmplModel,
         set: &'a LayerSet,
@@ -62,24 +68,32 @@ impl<'a> UnposedSet<'a> {
                 let body = sequence.body(model, frame, standard)?;
                 let clothing = sequence.clothing.index_axis(Axis(0), frame);
                 let offsets = association.offsets(&body, clothing)?;
-                Ok((offsets.into_iter().collect(), association.carry(&body)?))
+                Ok((offsets.into_iter().collect(), association.offset_frame(&body)?))
             })
             .collect::<Result<Vec<_>>>()?
             .into_iter()
             .unzip();
         let rows = Array2::from_shape_vec((frames.len(), numbers), rows.concat())
             .map_err(|error| Error::argument(error.to_string()))?;
-        Ok(Self { set, association, offset_frames, rows })
+        Ok(Self { set, association, standard: standard.clone(), offset_frames, rows })
     }
 
-    /// Frames of the sequences numbered `sequences`, and the others, in order.
+    /// The set.
+    pub fn set(&self) -> &'a LayerSet {
+        self.set
+    }
+
+    /// Frames of the sequences with the indices `sequences`, and the other frames, both ascending.
     pub fn frames_of(&self, sequences: &[usize]) -> (Vec<usize>, Vec<usize>) {
         let each = self.set.each_frame();
         (0..each.len()).partition(|&frame| sequences.contains(&each[frame].0))
     }
 
-    /// Clothing of offsets `[n, 3 · n_v · n_f]` on the bodies of the frames numbered `frames`, in
-    /// order: metres, `[n_v, 3]` each.
+    /// Clothing of offsets `[n, 3 · n_v · n_f]`, one row for each of `frames`, on the bodies of those
+    /// frames: metres, `[n_v, 3]` each.
+    ///
+    /// # Errors
+    /// If shapes differ or there is no such frame.
     pub fn posed_clothing(
         &self,
         frames: &[usize],
@@ -87,7 +101,7 @@ impl<'a> UnposedSet<'a> {
     ) -> Result<Vec<Array2<f64>>> {
         if offsets.nrows() != frames.len() {
             return Err(Error::argument(format!(
-                "offsets of {} frames, expected {}",
+                "offsets of {} frames, expected {}, one row for each frame",
                 offsets.nrows(),
                 frames.len()
             )));
@@ -97,19 +111,24 @@ impl<'a> UnposedSet<'a> {
             .par_iter()
             .zip(offsets.axis_iter(Axis(0)).into_par_iter())
             .map(|(&index, offsets)| {
-                let carrier = self
-                    .offset_frames
-                    .get(index)
-                    .ok_or_else(|| Error::argument(format!("no frame {index} in the set")))?;
+                let offset_frame = self.offset_frames.get(index).ok_or_else(|| {
+                    Error::argument(format!(
+                        "layer set: no frame {index} of {}",
+                        self.offset_frames.len()
+                    ))
+                })?;
                 let offsets = offsets
                     .into_shape_with_order(shape)
                     .map_err(|error| Error::argument(error.to_string()))?;
-                carrier.dress(self.association, offsets)
+                offset_frame.dress(self.association, offsets)
             })
             .collect()
     }
 
-    /// Errors of offsets `[n, 3 · n_v · n_f]` for the frames numbered `frames`, in order.
+    /// Errors of the clothing of offsets `[n, 3 · n_v · n_f]`, one row for each of `frames`.
+    ///
+    /// # Errors
+    /// As of [`posed_clothing`](Self::posed_clothing).
     pub fn errors(
         &self,
         frames: &[usize],
@@ -117,37 +136,47 @@ impl<'a> UnposedSet<'a> {
     ) -> Result<Vec<LayerError>> {
         let found = self.posed_clothing(frames, offsets)?;
         let each = self.set.each_frame();
-        let of = |(found, &index): (Array2<f64>, &usize)| {
+        let error = |(found, &index): (Array2<f64>, &usize)| {
             let (sequence, frame) = each[index];
             let truth = self.set.sequences[sequence].clothing.index_axis(Axis(0), frame);
             LayerError::between(found.view(), truth)
         };
-        Ok(found.into_iter().zip(frames).map(of).collect())
+        Ok(found.into_iter().zip(frames).map(error).collect())
     }
 
-    /// Reconstruction error of each sequence by its own principal components (table 1): for each of
-    /// `counts` (all, if there are fewer), and with all components last. `[sequences, counts + 1]`
+    /// Reconstruction error of each sequence by its own principal components (table 1), with each of
+    /// `counts` components, and with all last, `[sequences, counts + 1]`.
+    ///
+    /// # Errors
+    /// If a sequence has fewer than two frames.
     pub fn reconstruction(&self, counts: &[usize]) -> Result<Vec<Vec<LayerError>>> {
         let sequences = 0..self.set.sequences.len();
         sequences.map(|sequence| self.reconstruction_of(sequence, counts)).collect()
     }
 
-    /// The same of one sequence, `[counts + 1]`.
+    /// [`reconstruction`](Self::reconstruction) of one sequence, `[counts + 1]`.
+    ///
+    /// # Errors
+    /// If the sequence has fewer than two frames.
     pub fn reconstruction_of(&self, sequence: usize, counts: &[usize]) -> Result<Vec<LayerError>> {
         let (frames, _) = self.frames_of(&[sequence]);
         let rows = self.rows.select(Axis(0), &frames);
-        let all = LayerPca::fit(rows.view(), ComponentSelection::All)?;
+        let all = Pca::from_snapshots(rows.view(), ComponentSelection::All)?;
         let codes = all.encode(rows.view())?;
-        let kept = counts.iter().copied().chain([all.len()]);
+        let kept = counts.iter().copied().chain([all.latent()]);
         kept.map(|count| {
             let pca = all.truncated(count);
-            let codes = codes.slice(ndarray::s![.., ..pca.len()]);
+            let codes = codes.slice(ndarray::s![.., ..pca.latent()]);
             Ok(LayerError::over(&self.errors(&frames, pca.decode(codes)?.view())?))
         })
         .collect()
     }
 
-    /// Inputs of the regression, `[frames, inputs]`, and which of them are semantic parameters.
+    /// Inputs of the regression, `[frames, inputs]`, and a flag for each that is true for semantic
+    /// parameters, `[inputs]`.
+    ///
+    /// # Errors
+    /// If the semantic parameters are not those of the set.
     pub fn inputs(
         &self,
         features: &FeatureOptions,
@@ -171,8 +200,11 @@ impl<'a> UnposedSet<'a> {
         Ok((inputs, noisy))
     }
 
-    /// Regression of the sequences numbered `sequences` (table 2): errors of clothing predicted for
-    /// the frames that trained and for the held-out ones among them.
+    /// Trains on the sequences with the indices `sequences` and measures the errors on their
+    /// training and validation frames (table 2). `watch` is called after each iteration.
+    ///
+    /// # Errors
+    /// If there are too few frames for the components, or an option is out of range.
     pub fn regression(
         &self,
         sequences: &[usize],
@@ -186,9 +218,12 @@ impl<'a> UnposedSet<'a> {
         self.measure_errors(trained_model, &frames, &held, learning)
     }
 
-    /// Regression of all sequences but those numbered `held`, whose error is the prediction's: new
-    /// bodies, motions, materials or sizes, as the set has them.
-    pub fn transfer(
+    /// Trains on all sequences except those with the indices `held` and measures the error of the
+    /// prediction on these: new body shapes, motions, materials or garment sizes (§5.1–5.3).
+    ///
+    /// # Errors
+    /// If no sequence or every sequence is held out, or as of [`regression`](Self::regression).
+    pub fn leave_out(
         &self,
         held: &[usize],
         learning: &LearningOptions,
@@ -197,7 +232,7 @@ impl<'a> UnposedSet<'a> {
         let (new, known) = self.frames_of(held);
         if new.is_empty() || known.is_empty() {
             return Err(Error::argument(format!(
-                "{} of {} frames held out: expected some, not all",
+                "layer set: {} of {} frames held out, expected some but not all",
                 new.len(),
                 new.len() + known.len()
             )));
@@ -206,8 +241,10 @@ impl<'a> UnposedSet<'a> {
         self.measure_errors(trained_model, &known, &new, learning)
     }
 
-    /// Clothing that is predicted for the frames numbered `frames`, in order: metres, `[n_v, 3]`
-    /// each.
+    /// Predicted clothing of `frames`, metres, `[n_v, 3]` each.
+    ///
+    /// # Errors
+    /// If the model is of another set, or there is no such frame.
     pub fn predict(
         &self,
         trained_model: &TrainedModel,
@@ -217,6 +254,19 @@ impl<'a> UnposedSet<'a> {
         self.posed_clothing(frames, self.predicted_offsets(trained_model, features, frames)?.view())
     }
 
+    /// Layer of a trained model with this set's association and standard pose.
+    pub fn layer(&self, trained_model: &TrainedModel, features: FeatureOptions) -> Layer {
+        Layer {
+            faces: self.set.faces.clone(),
+            association: self.association.clone(),
+            standard: self.standard.clone(),
+            pca: trained_model.pca.clone(),
+            features,
+            semantics: trained_model.semantics.clone(),
+            regressor: trained_model.outcome.regressor.clone(),
+        }
+    }
+
     fn predicted_offsets(
         &self,
         trained_model: &TrainedModel,
@@ -224,7 +274,8 @@ impl<'a> UnposedSet<'a> {
         frames: &[usize],
     ) -> Result<Array2<f64>> {
         let inputs = self.inputs(features, &trained_model.semantics)?.0.select(Axis(0), frames);
-        trained_model.pca.decode(trained_model.outcome.regressor.predict(inputs.view())?.view())
+        let codes = trained_model.outcome.regressor.predict(inputs.view())?;
+        Ok(trained_model.pca.decode(codes.view())?)
     }
 
     fn learn(
@@ -237,16 +288,17 @@ impl<'a> UnposedSet<'a> {
         let semantics = self.semantics(frames, *semantics)?;
         let (inputs, noisy) = self.inputs(features, &semantics)?;
         let rows = self.rows.select(Axis(0), frames);
-        // Held-out frames play no part in the space.
+        // The components are those of the training frames only.
         let fitted = rows.select(Axis(0), &training.split(frames.len()).0);
-        let pca = LayerPca::fit(fitted.view(), ComponentSelection::Components(*components))?;
+        let keep = ComponentSelection::Components(*components);
+        let pca = Pca::from_snapshots(fitted.view(), keep)?;
         let codes = pca.encode(rows.view())?;
         let inputs = inputs.select(Axis(0), frames);
         let outcome = training.train(inputs.view(), codes.view(), &noisy, watch)?;
         Ok(TrainedModel { pca, semantics, outcome })
     }
 
-    /// Of the sequences that `frames` are of.
+    /// Reduction of the semantic parameters of the sequences that contain `frames`.
     fn semantics(&self, frames: &[usize], most: Option<usize>) -> Result<SemanticParameters> {
         let each = self.set.each_frame();
         let mut sequences: Vec<usize> = frames.iter().map(|&frame| each[frame].0).collect();

@@ -1,5 +1,5 @@
-//! Geodesics within the association's support, by method, against exact ones. To see the table:
-//! `cargo test --release --workspace --lib -- --nocapture methods_are_compared`
+//! Error of geodesic metrics within the support of the association. The table is printed by
+//! `cargo test --release -p cape-layer --lib -- --nocapture methods_are_compared`.
 
 use std::{f64::consts::PI, time::Instant};
 
@@ -15,7 +15,8 @@ use super::{
     tests::{exact, straight_lines},
 };
 
-/// Distances by heat (Crane et al. 2013), with cotangent weights and a time of one squared edge.
+/// The heat method (Crane et al. 2013) with cotangent weights and a time step of one squared mean
+/// edge.
 struct HeatMethod<'a> {
     surface: &'a SurfaceMesh,
     diffusion: Cholesky<f64, Dyn>,
@@ -82,7 +83,7 @@ impl<'a> HeatMethod<'a> {
     }
 }
 
-/// Mean and largest relative error, and microseconds a source.
+/// Mean and largest relative error, and microseconds per source.
 struct ComparisonLine {
     mean: f64,
     largest: f64,

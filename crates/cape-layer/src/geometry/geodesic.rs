@@ -4,17 +4,14 @@ use glam::DVec3;
 
 use cape_core::geometry::SurfaceMesh;
 
-/// How lengths over a surface are measured.
-///
-/// See [`Geodesics`] for an example.
+/// Metric of geodesic distances on a triangle mesh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum GeodesicMetric {
-    /// Along edges (Dijkstra): never too short, up to 15 % too long on regular triangles, whatever
-    /// their size.
+    /// Along edges (Dijkstra): never too short, up to 15 % too long on regular triangles of any size.
     Graph,
-    /// Across triangles: each is unfolded into the plane of the source as its two nearer corners
-    /// see it (Novotni and Klein 2002). Exact on a plane; on curved surfaces the error vanishes
-    /// with the size of the triangles.
+    /// Across triangles, each unfolded into a plane with the virtual source that the distances of
+    /// its two nearer corners define (Novotni and Klein 2002). Exact on a plane; on curved surfaces
+    /// the error vanishes with the size of the triangles.
     #[default]
     Unfolded,
 }
@@ -48,7 +45,7 @@ pub struct Geodesics {
 }
 
 impl Geodesics {
-    /// Prepares a surface.
+    /// Distances on a surface.
     pub fn new(surface: &SurfaceMesh, metric: GeodesicMetric) -> Self {
         Self {
             vertices: surface.vertices.clone(),
@@ -58,7 +55,8 @@ impl Geodesics {
         }
     }
 
-    /// Vertices within `reach` metres of `source` and their distances, by ascending vertex.
+    /// Vertices within `reach` metres of the vertex `source` and their distances, metres, by
+    /// ascending vertex.
     pub fn within(&self, source: u32, reach: f64) -> Vec<(u32, f64)> {
         let mut distances: HashMap<u32, f64> = HashMap::from([(source, 0.0)]);
         let mut front = BinaryHeap::from([HeapEntry { distance: 0.0, vertex: source }]);
@@ -84,7 +82,7 @@ impl Geodesics {
         found
     }
 
-    /// Distance of `target` over the triangle of `vertex`, `target` and a third corner.
+    /// Distance of `target` through the triangle of `vertex`, `target` and, if known, a third corner.
     fn step(&self, distance: f64, vertex: u32, third: Option<(f64, u32)>, target: u32) -> f64 {
         let at = |v: u32| self.vertices[v as usize];
         let along = distance + at(vertex).distance(at(target));
@@ -98,8 +96,8 @@ impl Geodesics {
     }
 }
 
-/// Distance of corner `c` from the source that is `da` from corner `a` and `db` from corner `b`,
-/// in the triangle's plane, if the straight line to it crosses the side `ab`.
+/// Distance of corner `c` from the virtual source at distances `da` from corner `a` and `db` from
+/// corner `b` in the plane of the triangle, if the straight line from it crosses the side `ab`.
 fn unfold([a, b, c]: [DVec3; 3], [da, db]: [f64; 2]) -> Option<f64> {
     let base = a.distance(b);
     if base == 0.0 {
@@ -123,7 +121,7 @@ fn unfold([a, b, c]: [DVec3; 3], [da, db]: [f64; 2]) -> Option<f64> {
     (-slack..=base + slack).contains(&crossing).then(|| (cx - x).hypot(cy + y))
 }
 
-/// The corners of a face other than `vertex`.
+/// Corners of a face other than `vertex`.
 fn others([a, b, c]: [u32; 3], vertex: u32) -> [u32; 2] {
     if a == vertex {
         [b, c]
@@ -143,7 +141,7 @@ struct HeapEntry {
 impl Eq for HeapEntry {}
 
 impl Ord for HeapEntry {
-    /// The nearest is the greatest: `BinaryHeap` pops it first.
+    /// Reversed by distance: `BinaryHeap` pops the greatest entry first.
     fn cmp(&self, other: &Self) -> Ordering {
         other.distance.total_cmp(&self.distance).then(other.vertex.cmp(&self.vertex))
     }

@@ -107,8 +107,8 @@ pub(super) fn exact(lines: &[Vec<f64>], source: u32) -> Vec<f64> {
     }
 }
 
-/// What a source sees through one side of a face, unfolded into the plane: the side's ends, and the
-/// directions between which it is seen.
+/// The view of a source through one side of a face, unfolded into the plane: the ends of the side,
+/// and the directions that bound the view.
 struct Window {
     face: usize,
     side: usize,

@@ -1,16 +1,19 @@
 use glam::{DMat3, DVec3};
 use ndarray::{Array2, ArrayView2};
+use serde::Serialize;
 
 use cape_core::BodyMotion;
 
-/// What the clothing depends on.
+/// Motion features of each frame (§3.3): global velocity, joint angles and joint angular velocities.
+///
+/// The direction of gravity in the frame of the root is an addition to the paper's features.
 ///
 /// ```
 /// use cape_core::BodyMotion;
 /// use cape_layer::regress::FeatureOptions;
 /// use ndarray::Array2;
 ///
-/// // A body that moves 10 cm forward in each tenth of a second.
+/// // A body that moves forward at 1 m/s.
 /// let way = Array2::from_shape_fn((5, 3), |(frame, axis)| 0.1 * frame as f64 * [0.0, 0.0, 1.0][axis]);
 /// let motion = BodyMotion::new(10.0, Array2::zeros((5, 72)), way)?;
 /// let features = FeatureOptions { angles: false, angular_speeds: false, ..FeatureOptions::default() };
@@ -19,17 +22,17 @@ use cape_core::BodyMotion;
 /// assert!(rows.rows().into_iter().all(|row| (row[2] - 1.0).abs() < 1e-9));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FeatureOptions {
-    /// Whether the global speed is used: of the root, in the body's own directions, m/s.
+    /// Use the velocity of the root in the frame of the root, `[3]`, m/s.
     pub speed: bool,
-    /// Whether the joints' angles are used: axis-angles without the root's, radians. Of the root
-    /// only the direction of gravity in its frame is.
+    /// Use the direction of gravity in the frame of the root, `[3]`, and the axis-angles of the other
+    /// joints, `[3 · (joints − 1)]`, radians.
     pub angles: bool,
-    /// Whether the joints' angular speeds are used, rad/s.
+    /// Use the angular velocities of all joints, each in its own frame, `[3 · joints]`, rad/s.
     pub angular_speeds: bool,
-    /// Standard deviation of the Gaussian that smooths speeds, seconds. Speeds are central
-    /// differences at the capture rate (one-sided at both ends).
+    /// Standard deviation of the Gaussian that smooths velocities, seconds. Velocities are central
+    /// differences of the frames, one-sided at both ends.
     pub smoothing: f64,
 }
 
@@ -40,7 +43,7 @@ impl Default for FeatureOptions {
 }
 
 impl FeatureOptions {
-    /// How many numbers describe a frame of a body of `joints` joints, without semantic parameters.
+    /// Number of features of a body of `joints` joints.
     pub fn len(&self, joints: usize) -> usize {
         let turned = 3 * joints.saturating_sub(1);
         3 * usize::from(self.speed)
@@ -48,7 +51,7 @@ impl FeatureOptions {
             + (turned + 3) * usize::from(self.angular_speeds)
     }
 
-    /// One row for each frame, `[frames, len]`.
+    /// Features of each frame, `[frames, len]`.
     pub fn rows(&self, motion: &BodyMotion) -> Array2<f64> {
         let (frames, numbers) = motion.poses.dim();
         let joints = numbers / 3;
@@ -76,7 +79,7 @@ impl FeatureOptions {
     }
 }
 
-/// Angular velocities in each joint's own frame, rad/s, `[frames, 3 · joints]`.
+/// Angular velocities of the joints, each in its own frame, rad/s, `[frames, 3 · joints]`.
 fn turns(motion: &BodyMotion) -> Array2<f64> {
     let (frames, numbers) = motion.poses.dim();
     let mut turns = Array2::zeros((frames, numbers));
@@ -99,12 +102,12 @@ fn rotation(motion: &BodyMotion, frame: usize, joint: usize) -> DMat3 {
     DMat3::from_quat(glam::DQuat::from_scaled_axis(DVec3::from_array(angles)))
 }
 
-/// The frames before and after, as far as there are some.
+/// Frames before and after, clamped to the sequence.
 fn around(frame: usize, frames: usize) -> (usize, usize) {
     (frame.saturating_sub(1), (frame + 1).min(frames - 1))
 }
 
-/// Rates of change, a second.
+/// Central differences per second.
 fn differences(values: ArrayView2<'_, f64>, rate: f64) -> Array2<f64> {
     let frames = values.nrows();
     Array2::from_shape_fn(values.dim(), |(frame, k)| {
@@ -113,7 +116,7 @@ fn differences(values: ArrayView2<'_, f64>, rate: f64) -> Array2<f64> {
     })
 }
 
-/// Means weighted by a Gaussian of `sigma` frames, renormalised at the ends.
+/// Columns smoothed by a Gaussian of `sigma` frames, renormalised at both ends.
 fn smoothed(values: &Array2<f64>, sigma: f64) -> Array2<f64> {
     if sigma.is_nan() || sigma <= 0.0 {
         return values.clone();

@@ -1,8 +1,8 @@
-//! Regression of clothing from motion, size and material (Yang et al. 2018, §3.3).
+//! Regression of clothing from motion, garment size and material (Yang et al. 2018, §3.3).
 //!
-//! [`FeatureOptions`] turn a sequence of poses, and [`SemanticParameters`] sizes and materials, into rows of numbers; a
-//! [`Network`] trained by [`TrainingOptions`] maps them to coordinates in the space of principal
-//! components; a [`Regressor`] holds both ends' scales and is one file.
+//! [`FeatureOptions`] computes motion features and [`SemanticParameters`] reduces garment sizes and
+//! materials; a [`Network`], trained by [`TrainingOptions`], maps both to coordinates in the
+//! principal components. A [`Regressor`] is the network with the scales of its inputs and targets.
 
 mod features;
 mod network;

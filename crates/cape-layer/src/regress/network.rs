@@ -5,11 +5,13 @@ use rayon::prelude::*;
 
 use crate::{Error, Result};
 
-/// Rows whose errors are summed together; fixed, so that sums do not depend on the threads.
+/// Rows whose errors are summed by one thread; fixed, so that sums do not depend on the number of
+/// threads.
 const PIECE: usize = 64;
 
-/// A fully connected network with hyperbolic tangents between its layers and a linear output.
+/// A multilayer perceptron in `f64` with tanh units and a linear output.
 ///
+/// Written here rather than with Burn, because L-BFGS with a line search needs gradients in `f64`.
 /// All weights and biases are one vector: for each layer its matrix `[outputs, inputs]`, row by
 /// row, then its biases `[outputs]`.
 ///
@@ -20,7 +22,7 @@ const PIECE: usize = 64;
 /// // Without hidden layers a network is linear: 2 x + 1.
 /// let network = Network::new(&[1, 1], arr1(&[2.0, 1.0]))?;
 /// assert_eq!(network.forward(arr2(&[[0.0], [3.0]]).view())?, arr2(&[[1.0], [7.0]]));
-/// // It has as many parameters as its sizes say.
+/// // The sizes determine the number of parameters.
 /// assert!(Network::new(&[1, 1], arr1(&[2.0])).is_err());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -31,8 +33,11 @@ pub struct Network {
 }
 
 impl Network {
-    /// A network of random weights (Glorot and Bengio 2010) and no biases; `sizes` are the numbers
-    /// of inputs, of each hidden layer's units, and of outputs.
+    /// A network with random weights (Glorot and Bengio 2010) and zero biases; `sizes` are the
+    /// numbers of inputs, of units of each hidden layer, and of outputs.
+    ///
+    /// # Errors
+    /// If there are fewer than two sizes or one is 0.
     pub fn random(sizes: &[usize], rng: &mut ChaCha8Rng) -> Result<Self> {
         check(sizes)?;
         let mut parameters = Vec::new();
@@ -44,7 +49,10 @@ impl Network {
         Ok(Self { sizes: sizes.to_vec(), parameters: Array1::from_vec(parameters) })
     }
 
-    /// A network of given parameters.
+    /// A network with given parameters.
+    ///
+    /// # Errors
+    /// If `sizes` are invalid, or the parameters are not finite or of another number.
     pub fn new(sizes: &[usize], parameters: Array1<f64>) -> Result<Self> {
         check(sizes)?;
         let expected: usize = sizes.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum();
@@ -73,10 +81,13 @@ impl Network {
     }
 
     /// Outputs `[n, outputs]` of inputs `[n, inputs]`.
+    ///
+    /// # Errors
+    /// If the inputs have another number of columns.
     pub fn forward(&self, inputs: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
         if inputs.ncols() != self.sizes[0] {
             return Err(Error::argument(format!(
-                "{} inputs to a network of {}",
+                "network: {} inputs, expected {}",
                 inputs.ncols(),
                 self.sizes[0]
             )));
@@ -93,7 +104,7 @@ impl Network {
         Ok(values)
     }
 
-    /// Mean over rows and outputs of the squared error, and its gradient in `parameters`, by
+    /// Mean squared error over rows and outputs, and its gradient with respect to `parameters`, by
     /// backpropagation.
     pub(super) fn error_and_gradient(
         &self,
@@ -156,7 +167,7 @@ impl Network {
 }
 
 struct Layer<'a> {
-    /// Where its parameters start.
+    /// Index of the first parameter.
     start: usize,
     /// `[outputs, inputs]`.
     weights: ArrayView2<'a, f64>,
@@ -178,7 +189,7 @@ fn layers<'a>(sizes: &[usize], parameters: ArrayView1<'a, f64>) -> Vec<Layer<'a>
         let count = pair[0] * pair[1];
         let (weights, after) = rest.split_at(Axis(0), count);
         let (biases, after) = after.split_at(Axis(0), pair[1]);
-        // The lengths were checked when the network was made.
+        // The constructors check the number of parameters.
         if let Ok(weights) = weights.into_shape_with_order((pair[1], pair[0])) {
             layers.push(Layer { start, weights, biases });
         }
@@ -191,7 +202,7 @@ fn layers<'a>(sizes: &[usize], parameters: ArrayView1<'a, f64>) -> Vec<Layer<'a>
 fn check(sizes: &[usize]) -> Result<()> {
     if sizes.len() < 2 || sizes.contains(&0) {
         return Err(Error::argument(format!(
-            "a network of sizes {sizes:?}: expected 2 or more, none 0"
+            "network: sizes {sizes:?}, expected two or more, none 0"
         )));
     }
     Ok(())

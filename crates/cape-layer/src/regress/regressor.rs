@@ -7,10 +7,10 @@ use super::Network;
 use crate::{Error, Result};
 use cape_core::expect_finite;
 
-/// Standard deviations from its mean beyond which an input counts no further.
+/// Standardised inputs are clamped to this many standard deviations.
 const FURTHEST: f64 = 3.0;
 
-/// Means and standard deviations of columns.
+/// Mean and standard deviation of each column.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Standardiser {
     mean: Array1<f64>,
@@ -18,7 +18,7 @@ pub(super) struct Standardiser {
 }
 
 impl Standardiser {
-    /// Of rows `[n, numbers]`; a column that never changes has deviation 1.
+    /// Statistics of rows `[n, numbers]`; a constant column gets deviation 1.
     pub(super) fn from_rows(rows: ArrayView2<'_, f64>) -> Self {
         let count = rows.nrows().max(1) as f64;
         let mean = rows.sum_axis(Axis(0)) / count;
@@ -33,8 +33,8 @@ impl Standardiser {
         (&rows - &self.mean) / &self.deviation
     }
 
-    /// As [`apply`](Self::apply), but no further from the mean than [`FURTHEST`]: a joint that hardly
-    /// moved in training must not decide everything when it does later.
+    /// [`apply`](Self::apply), clamped to [`FURTHEST`] standard deviations: a joint that hardly
+    /// moved in training must not dominate the prediction when it moves later.
     pub(super) fn bounded(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {
         self.apply(rows).mapv_into(|x| x.clamp(-FURTHEST, FURTHEST))
     }
@@ -43,14 +43,14 @@ impl Standardiser {
         &self.mean
     }
 
-    /// Adds both to an archive, as `<name>_mean` and `<name>_deviation`.
+    /// Adds `<name>_mean` and `<name>_deviation` to an archive.
     pub(super) fn write(&self, file: &mut NpzWriter, name: &str) -> Result<()> {
         file.add(&format!("{name}_mean"), &self.mean)?;
         file.add(&format!("{name}_deviation"), &self.deviation)?;
         Ok(())
     }
 
-    /// Reads what [`write`](Self::write) added.
+    /// Reads the arrays that [`write`](Self::write) added.
     pub(super) fn read(file: &mut Npz, name: &str) -> Result<Self> {
         let mean = vector(file, &format!("{name}_mean"))?;
         let deviation = vector(file, &format!("{name}_deviation"))?;
@@ -63,9 +63,7 @@ impl Standardiser {
     }
 }
 
-/// A trained network between standardised inputs and targets.
-///
-/// See [`TrainingOptions`](super::TrainingOptions) for an example.
+/// A trained network with standardised inputs and targets.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Regressor {
     inputs: Standardiser,
@@ -86,7 +84,7 @@ impl Regressor {
             || targets.mean.len() != targets.deviation.len()
         {
             return Err(Error::argument(format!(
-                "a network of sizes {sizes:?} between {} inputs and {} targets",
+                "regressor: network sizes {sizes:?}, expected {} inputs and {} outputs",
                 inputs.mean.len(),
                 targets.mean.len()
             )));
@@ -99,13 +97,16 @@ impl Regressor {
         &self.network
     }
 
-    /// Targets `[n, outputs]` of inputs `[n, inputs]`, both in their own units. Inputs further than
-    /// three standard deviations from the mean that was learned from are taken as if they were not. Frames do not
-    /// depend on each other: an animation can be predicted frame by frame as it arrives.
+    /// Targets `[n, outputs]` of inputs `[n, inputs]`, both in their own units. Inputs are clamped
+    /// to three standard deviations of the training set. Rows are independent: frames can be
+    /// predicted one at a time.
+    ///
+    /// # Errors
+    /// If inputs are not finite or have another number of columns.
     pub fn predict(&self, inputs: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
         if inputs.ncols() != self.inputs.mean.len() {
             return Err(Error::argument(format!(
-                "{} inputs, but the regressor was trained with {}",
+                "regressor: {} inputs, expected {}",
                 inputs.ncols(),
                 self.inputs.mean.len()
             )));
@@ -114,14 +115,14 @@ impl Regressor {
         Ok(self.targets.undo(&self.network.forward(self.inputs.bounded(inputs).view())?))
     }
 
-    /// Writes everything as one `.npz`, atomically.
+    /// Writes the regressor as one `.npz` archive, atomically.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let mut file = NpzWriter::create(path)?;
         self.write(&mut file)?;
         Ok(file.finish()?)
     }
 
-    /// Adds everything to an archive.
+    /// Adds the arrays to an archive.
     pub(crate) fn write(&self, file: &mut NpzWriter) -> Result<()> {
         let sizes: Array1<i64> = self.network.sizes().iter().map(|&n| n as i64).collect();
         file.add("sizes", &sizes)?;
@@ -130,15 +131,15 @@ impl Regressor {
         self.targets.write(file, "target")
     }
 
-    /// Reads what [`save`](Self::save) wrote.
+    /// Reads a regressor that [`save`](Self::save) wrote.
     ///
     /// # Errors
-    /// If an array is missing, does not fit the others, or is not finite; it is named.
+    /// If an array is missing, not finite, or inconsistent with the others; the error has its name.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         Self::read(&mut Npz::open(path)?)
     }
 
-    /// Reads what [`write`](Self::write) added.
+    /// Reads the arrays that [`write`](Self::write) added.
     pub(crate) fn read(file: &mut Npz) -> Result<Self> {
         let path = file.path().to_owned();
         let fault = |field: &str, message: String| cape_core::Error::field(&path, field, message);

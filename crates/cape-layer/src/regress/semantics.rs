@@ -2,21 +2,21 @@ use cape_core::npy::{Npz, NpzWriter};
 use ndarray::{Array1, Array2, ArrayView2, Axis};
 
 use super::regressor::Standardiser;
-use crate::{ComponentSelection, Error, LayerPca, Result};
+use crate::{ComponentSelection, Error, Pca, Result};
 use cape_core::expect_finite;
 
-/// Semantic parameters of sequences, sizes and materials, and what the regression sees of them:
-/// standardised, and, where there are more than wanted, reduced to principal components (§5.4 of the
-/// paper reduces a material to 4).
+/// Semantic parameters of sequences (garment sizes, §5.3, and materials, §5.2) as inputs of the
+/// regression: standardised, and reduced to principal components if many vary. The paper reduces
+/// the 39 parameters of a material to 4.
 ///
 /// ```
 /// use cape_layer::regress::SemanticParameters;
 /// use ndarray::arr2;
 ///
-/// // Two sequences, of different length and of one width.
+/// // Two sequences of different garment length and equal width.
 /// let names = vec!["length".to_owned(), "width".to_owned()];
 /// let semantics = SemanticParameters::from_rows(names, arr2(&[[0.8, 1.1], [1.2, 1.1]]).view(), None)?;
-/// // What is not named is as in the mean, which the regression sees as zeros.
+/// // Other parameters keep their mean, which reduces to zeros.
 /// let parameters = semantics.with(&[("length".into(), 1.0)])?;
 /// assert!((parameters[1] - 1.1).abs() < 1e-9);
 /// assert!(semantics.reduced(&parameters)?.iter().all(|number| number.abs() < 1e-9));
@@ -26,13 +26,17 @@ use cape_core::expect_finite;
 pub struct SemanticParameters {
     names: Vec<String>,
     scale: Standardiser,
-    /// Directions in standardised parameters, `[numbers, parameters]`.
+    /// Components in the space of standardised parameters, `[inputs, parameters]`.
     components: Array2<f64>,
 }
 
 impl SemanticParameters {
-    /// Of sequences with these parameters, `[sequences, names]`. If more than `most` of them vary,
-    /// they are reduced to that many numbers.
+    /// Statistics of the parameters of sequences, `[sequences, names]`. If more than `most`
+    /// parameters vary, they are reduced to `most` principal components, but at most sequences less
+    /// one.
+    ///
+    /// # Errors
+    /// If there is not one name for each parameter, or a parameter is not finite.
     pub fn from_rows(
         names: Vec<String>,
         sequences: ArrayView2<'_, f64>,
@@ -40,7 +44,7 @@ impl SemanticParameters {
     ) -> Result<Self> {
         if names.len() != sequences.ncols() {
             return Err(Error::argument(format!(
-                "{} names of {} semantic parameters",
+                "semantic parameters: {} names for {} parameters",
                 names.len(),
                 sequences.ncols()
             )));
@@ -52,33 +56,37 @@ impl SemanticParameters {
         let components = match most {
             Some(most) if varied.count() > most => {
                 let most = most.min(sequences.nrows() - 1);
-                LayerPca::fit(standardised.view(), ComponentSelection::Components(most))?.components
+                let keep = ComponentSelection::Components(most);
+                Pca::from_snapshots(standardised.view(), keep)?.components
             }
             _ => Array2::eye(names.len()),
         };
         Ok(Self { names, scale, components })
     }
 
-    /// The parameters' names, in order.
+    /// Names of the parameters, in order.
     pub fn names(&self) -> &[String] {
         &self.names
     }
 
-    /// How many numbers the regression sees.
+    /// Number of inputs of the regression.
     pub fn len(&self) -> usize {
         self.components.nrows()
     }
 
-    /// Whether it sees none.
+    /// True if there is no input.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// What the regression sees of parameters in the order of [`names`](Self::names).
+    /// Inputs of the regression, `[len]`, of parameters in the order of [`names`](Self::names).
+    ///
+    /// # Errors
+    /// If the number of parameters differs, or one is not finite.
     pub fn reduced(&self, parameters: &[f64]) -> Result<Vec<f64>> {
         if parameters.len() != self.names.len() {
             return Err(Error::argument(format!(
-                "{} semantic parameters, expected {}: {}",
+                "semantic parameters: {} values, expected {}: {}",
                 parameters.len(),
                 self.names.len(),
                 self.names.join(", ")
@@ -89,13 +97,16 @@ impl SemanticParameters {
         Ok(self.scale.apply(row.view()).dot(&self.components.t()).into_iter().collect())
     }
 
-    /// All parameters, from some by name; the others have the mean that was learned from.
+    /// All parameters in order, some given by name; the others have the mean of the training set.
+    ///
+    /// # Errors
+    /// If a name is not known.
     pub fn with(&self, named: &[(String, f64)]) -> Result<Vec<f64>> {
         let mut parameters = self.scale.mean().to_vec();
         for (name, value) in named {
             let Some(at) = self.names.iter().position(|known| known == name) else {
                 return Err(Error::argument(format!(
-                    "no semantic parameter `{name}`: expected {}",
+                    "semantic parameter `{name}` is unknown: expected {}",
                     if self.names.is_empty() { "none".into() } else { self.names.join(", ") }
                 )));
             };
@@ -104,7 +115,7 @@ impl SemanticParameters {
         Ok(parameters)
     }
 
-    /// Adds everything to an archive.
+    /// Adds the arrays to an archive.
     pub(crate) fn write(&self, file: &mut NpzWriter) -> Result<()> {
         let names: Array1<i64> = self.names.join("\n").bytes().map(i64::from).collect();
         file.add("semantic_names", &names)?;
@@ -113,7 +124,7 @@ impl SemanticParameters {
         Ok(())
     }
 
-    /// Reads what [`write`](Self::write) added.
+    /// Reads the arrays that [`write`](Self::write) added.
     pub(crate) fn read(file: &mut Npz) -> Result<Self> {
         let path = file.path().to_owned();
         let fault = |field: &str, message: String| cape_core::Error::field(&path, field, message);
@@ -152,7 +163,7 @@ mod tests {
         assert_eq!(plain.len(), 3, "only two vary");
         let seen = plain.reduced(&[4.0, 5.0, 6.0]).unwrap();
         assert!(seen.iter().all(|x| x.abs() < 1e-12), "the mean: {seen:?}");
-        // Two parameters that say the same are one number.
+        // Two proportional parameters reduce to one number.
         let reduced = SemanticParameters::from_rows(names(3), rows.view(), Some(1)).unwrap();
         assert_eq!(reduced.len(), 1);
         let [a, b] = [[1.0, 5.0, 0.0], [7.0, 5.0, 12.0]].map(|p| reduced.reduced(&p).unwrap()[0]);

@@ -7,29 +7,27 @@ use cape_core::BodyMotion;
 use super::FeatureOptions;
 use crate::Result;
 
-/// A frame whose features are known.
-///
-/// See [`FeatureStream`] for an example.
+/// A frame with its complete features.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StreamedFrame {
-    /// Its number, from 0.
+    /// Frame number, from 0.
     pub frame: usize,
     /// Axis-angles, radians, `[3 · joints]`.
     pub pose: Vec<f64>,
     /// Translation, metres.
     pub transl: [f64; 3],
-    /// Its features, `[len]`.
+    /// Features, `[len]`.
     pub row: Vec<f64>,
 }
 
-/// The rows of [`FeatureOptions::rows`], the same numbers, of a motion that arrives frame by frame. A row
-/// comes as soon as the frames that its speeds depend on have: one frame later, or, if speeds are
-/// smoothed, as many as the Gaussian is cut off at.
+/// The rows of [`FeatureOptions::rows`] for a motion that arrives frame by frame, bit for bit. A
+/// row is returned as soon as its velocities are complete: one frame later, or, with smoothing, as
+/// many frames later as the Gaussian is wide.
 ///
 /// ```
 /// use cape_layer::regress::{FeatureStream, FeatureOptions};
 ///
-/// // A frame's speeds are known when the next frame is.
+/// // The velocities of a frame are complete with the next frame.
 /// let mut stream = FeatureStream::new(FeatureOptions::default(), 30.0);
 /// assert!(stream.push(&[0.0; 72], [0.0; 3])?.is_none());
 /// let first = stream.push(&[0.0; 72], [0.0, 0.0, 0.1])?.ok_or("no frame")?;
@@ -43,24 +41,25 @@ pub struct FeatureStream {
     features: FeatureOptions,
     frame_rate: f64,
     reach: usize,
-    /// Frames that rows still depend on; the first is number `first`.
+    /// Frames that later rows depend on; the first has number `first`.
     window: VecDeque<(Vec<f64>, [f64; 3])>,
     first: usize,
     next: usize,
 }
 
 impl FeatureStream {
-    /// Of a motion of so many frames a second.
+    /// A stream of a motion with `frame_rate` frames per second.
     pub fn new(features: FeatureOptions, frame_rate: f64) -> Self {
         let sigma = (features.smoothing * frame_rate).max(0.0);
         let reach = 1 + (3.0 * sigma).ceil() as usize;
         Self { features, frame_rate, reach, window: VecDeque::new(), first: 0, next: 0 }
     }
 
-    /// Takes the next frame; gives the one whose row is complete by it.
+    /// Adds the next frame, axis-angles `[3 · joints]`, radians, and a translation, metres; returns
+    /// the frame whose row this completes.
     ///
     /// # Errors
-    /// If the frame has another number of joints than those before, or is not finite.
+    /// If the number of joints differs from the frames before, or numbers are not finite.
     pub fn push(&mut self, pose: &[f64], transl: [f64; 3]) -> Result<Option<StreamedFrame>> {
         self.window.push_back((pose.to_vec(), transl));
         let seen = self.first + self.window.len();
@@ -70,7 +69,7 @@ impl FeatureStream {
         self.emit().map(Some)
     }
 
-    /// The next of the frames that are left when no more come; none at last.
+    /// The next remaining frame after the last one was pushed; `None` at the end.
     pub fn finish(&mut self) -> Result<Option<StreamedFrame>> {
         if self.next == self.first + self.window.len() {
             return Ok(None);
@@ -83,8 +82,11 @@ impl FeatureStream {
         let count = self.window.len().min(at + self.reach + 1);
         let joints = self.window[0].0.len();
         let angles = self.window.iter().take(count).flat_map(|(pose, _)| pose).copied().collect();
-        let poses = Array2::from_shape_vec((count, joints), angles)
-            .map_err(|error| crate::Error::argument(format!("poses of one motion: {error}")))?;
+        let poses = Array2::from_shape_vec((count, joints), angles).map_err(|error| {
+            crate::Error::argument(format!(
+                "pose: the number of joints changed within the motion: {error}"
+            ))
+        })?;
         let translations = Array2::from_shape_fn((count, 3), |(f, k)| self.window[f].1[k]);
         let motion = BodyMotion::new(self.frame_rate, poses, translations)?;
         let row = self.features.rows(&motion).row(at).to_vec();

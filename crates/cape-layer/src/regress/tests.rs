@@ -57,7 +57,7 @@ fn a_smooth_function_is_learned_and_generalises() {
     let rms = off.mapv(|d| d * d).mean().unwrap().sqrt();
     let spread = new_y.std_axis(Axis(0), 0.0).mean().unwrap();
     assert!(rms < 0.05 * spread, "{rms} of {spread} after {}", outcome.epochs.len());
-    // The same again, whatever the threads.
+    // The same result for any number of threads.
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let again = pool.install(|| training.train(x.view(), y.view(), &noisy, &mut |_| {}).unwrap());
     assert_eq!(again, outcome);
@@ -80,7 +80,7 @@ fn inputs_far_from_all_seen_count_no_further() {
 
 #[test]
 fn training_stops_when_validation_rises() {
-    // Pure noise: there is nothing to learn but the frames themselves.
+    // Pure noise: only overfitting reduces the training error.
     let (x, y) = (random(60, 5, 1), random(60, 2, 2));
     let noisy = [true; 5];
     let training = TrainingOptions { copies: 2, ..TrainingOptions::default() };
@@ -101,7 +101,7 @@ fn a_regressor_is_one_file() {
     regressor.save(&path).unwrap();
     let back = Regressor::load(&path).unwrap();
     assert_eq!(back, regressor);
-    // Frame by frame as all at once.
+    // Frame by frame equals all at once.
     let whole = back.predict(x.view()).unwrap();
     let one = back.predict(x.slice(s![7..8, ..])).unwrap();
     assert!((&one.row(0) - &whole.row(7)).iter().all(|d| d.abs() < 1e-12));

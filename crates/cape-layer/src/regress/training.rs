@@ -5,18 +5,19 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate};
 use rand::{Rng, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
+use serde::Serialize;
 
 use super::{Network, Regressor, regressor::Standardiser};
 use crate::{Error, Result};
 use cape_core::expect_finite;
 
-/// How a regressor is trained.
+/// Options of the training of a regressor (§3.3).
 ///
 /// ```
 /// use cape_layer::regress::TrainingOptions;
 /// use ndarray::Array2;
 ///
-/// // A straight line is learned from 40 points of it.
+/// // Learn a straight line from 40 points.
 /// let x = Array2::from_shape_fn((40, 1), |(row, _)| row as f64);
 /// let y = x.mapv(|x| 2.0 * x + 1.0);
 /// let training = TrainingOptions { hidden: vec![4], patience: 20, ..TrainingOptions::default() };
@@ -28,21 +29,22 @@ use cape_core::expect_finite;
 /// assert!(off.iter().all(|gap| gap.abs() < 8.0));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TrainingOptions {
-    /// Units of the hidden layers; the paper's 60 and 80.
+    /// Units of the hidden layers; 60 and 80 in the paper.
     pub hidden: Vec<usize>,
-    /// Share of the frames that validate; the paper's 20 %.
+    /// Share of the frames for validation; 20 % in the paper.
     pub validation: f64,
-    /// Rises of the validation error in a row that are borne; the paper's 0.
+    /// Consecutive rises of the validation error after which training continues; the paper stops when
+    /// the error starts to increase, 0.
     pub patience: usize,
-    /// Copies of the training frames with noise.
+    /// Copies of the training frames with Gaussian noise on the noisy inputs.
     pub copies: usize,
-    /// Standard deviation of the noise on noisy inputs, relative to that of the input.
+    /// Standard deviation of the noise, relative to that of the input.
     pub noise: f64,
-    /// The minimisation.
+    /// Options of L-BFGS.
     pub minimiser: LbfgsOptions,
-    /// Fixes weights, split and noise.
+    /// Random seed of weights, split and noise.
     pub seed: u64,
 }
 
@@ -65,36 +67,32 @@ impl Default for TrainingOptions {
     }
 }
 
-/// One iteration, for a progress display. Errors are means of squares of standardised targets.
-///
-/// See [`TrainingOptions`] for an example.
+/// One iteration. Errors are mean squared errors of the standardised targets.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Epoch {
-    /// Counted from 1.
+    /// Iteration number, from 1.
     pub iteration: usize,
-    /// Error of training frames.
+    /// Error on the training frames.
     pub training: f64,
-    /// Error of validation frames.
+    /// Error on the validation frames.
     pub validation: f64,
 }
 
-/// A trained regressor and how it got there.
-///
-/// See [`TrainingOptions`] for an example.
+/// A trained regressor, its training curve and its split.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainedRegressor {
-    /// The weights of the lowest validation error.
+    /// Regressor with the weights of the lowest validation error.
     pub regressor: Regressor,
-    /// Every iteration.
+    /// Errors after each iteration.
     pub epochs: Vec<Epoch>,
-    /// Frames that trained, ascending.
+    /// Training frames, ascending.
     pub training_frames: Vec<usize>,
-    /// Frames that validated, ascending.
+    /// Validation frames, ascending.
     pub validation_frames: Vec<usize>,
 }
 
 impl TrainingOptions {
-    /// Which of `frames` frames train and which validate, both ascending; fixed by the seed.
+    /// Random split of `frames` frames by the seed: training and validation frames, both ascending.
     pub fn split(&self, frames: usize) -> (Vec<usize>, Vec<usize>) {
         let mut order: Vec<usize> = (0..frames).collect();
         order.shuffle(&mut ChaCha8Rng::seed_from_u64(self.seed));
@@ -106,12 +104,14 @@ impl TrainingOptions {
         (training, order)
     }
 
-    /// Learns `targets` `[frames, outputs]` from `inputs` `[frames, inputs]`. Inputs and targets are
-    /// standardised; `noisy` says which inputs get noise in the additional copies, usually the
-    /// semantic parameters.
+    /// Trains a regressor from `inputs` `[frames, inputs]` to `targets` `[frames, outputs]` by
+    /// L-BFGS on the mean squared error of the standardised targets. `noisy` marks the inputs that
+    /// get noise in the additional copies, usually the semantic parameters. `watch` is called after
+    /// each iteration.
     ///
     /// # Errors
-    /// If the frames do not fit together, are fewer than two of each kind, or are not finite.
+    /// If shapes differ, there are fewer than two frames, numbers are not finite, or an option is
+    /// out of range.
     pub fn train(
         &self,
         inputs: ArrayView2<'_, f64>,
@@ -207,26 +207,29 @@ impl TrainingOptions {
     ) -> Result<()> {
         if inputs.nrows() != targets.nrows() || inputs.nrows() < 2 {
             return Err(Error::argument(format!(
-                "{} rows of inputs and {} of targets: expected as many, at least 2",
+                "training: {} rows of inputs and {} of targets, expected equal numbers, at least 2",
                 inputs.nrows(),
                 targets.nrows()
             )));
         }
         if noisy.len() != inputs.ncols() {
             return Err(Error::argument(format!(
-                "noise for {} inputs of {}",
+                "training: {} noise flags, expected one for each of {} inputs",
                 noisy.len(),
                 inputs.ncols()
             )));
         }
         if !(self.validation > 0.0 && self.validation < 1.0) {
             return Err(Error::argument(format!(
-                "{} of the frames validate: expected a share between 0 and 1",
+                "training: validation share {}, expected between 0 and 1",
                 self.validation
             )));
         }
         if !(self.noise >= 0.0 && self.noise.is_finite()) {
-            return Err(Error::argument(format!("noise {}: expected 0 or more", self.noise)));
+            return Err(Error::argument(format!(
+                "training: noise {}, expected 0 or more",
+                self.noise
+            )));
         }
         expect_finite("inputs", inputs)?;
         Ok(expect_finite("targets", targets)?)

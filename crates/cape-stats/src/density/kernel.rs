@@ -1,4 +1,4 @@
-//! Kernel densities: a normal distribution around every code that was seen.
+//! Gaussian kernel density estimation.
 
 use ndarray::{Array2, ArrayView2};
 use rand::Rng;
@@ -7,7 +7,7 @@ use rand_distr::StandardNormal;
 
 use crate::{Error, Result};
 
-/// Points with a normal distribution of the same width around each.
+/// Kernel density: an isotropic normal distribution around each point.
 ///
 /// ```
 /// use cape_stats::density::KernelDensity;
@@ -19,7 +19,7 @@ use crate::{Error, Result};
 /// let rng = &mut ChaCha8Rng::seed_from_u64(7);
 /// let drawn = density.sample(20, 1.0, rng);
 /// assert!(drawn.rows().into_iter().all(|x| (x[0] - x[1]).abs() < 1.0));
-/// // Without width, the points themselves are drawn.
+/// // At temperature 0 the samples are the points themselves.
 /// let points = density.sample(20, 0.0, rng);
 /// assert!(points.iter().all(|&x| x == 0.0 || x == 5.0));
 /// # Ok::<(), cape_core::Error>(())
@@ -30,26 +30,33 @@ pub struct KernelDensity {
     bandwidth: f64,
 }
 
-/// Bandwidths tried, relative to Scott's.
+/// Bandwidths tried, in quarter octaves below (and half as many above) Scott's rule.
 const STEPS: i32 = 12;
 
 impl KernelDensity {
-    /// Around points `[n, d]`, of the given standard deviation.
+    /// Density of points `[n, d]` with kernels of standard deviation `bandwidth`.
     ///
     /// # Errors
     /// If there is no point, one is not finite, or `bandwidth` is not positive.
     pub fn new(points: Array2<f64>, bandwidth: f64) -> Result<Self> {
         if points.is_empty() || !points.iter().all(|x| x.is_finite()) {
-            return Err(Error::argument("kernel density: expected points that are finite"));
+            return Err(Error::argument(
+                "kernel density: expected at least one point, and finite numbers",
+            ));
         }
         if !(bandwidth > 0.0 && bandwidth.is_finite()) {
-            return Err(Error::argument(format!("kernel density: a bandwidth of {bandwidth}")));
+            return Err(Error::argument(format!(
+                "kernel density: bandwidth {bandwidth}, expected a positive number"
+            )));
         }
         Ok(Self { points, bandwidth })
     }
 
-    /// Around points `[n, d]`, of the width under which each point is likeliest given the others,
-    /// among multiples of Scott's rule.
+    /// Fits the bandwidth to points `[n, d]`: the multiple of Scott's rule of largest leave-one-out
+    /// likelihood.
+    ///
+    /// # Errors
+    /// If there is no point, or a number is not finite.
     pub fn fit(points: ArrayView2<'_, f64>) -> Result<Self> {
         let (n, d) = points.dim();
         let scott = (n.max(1) as f64).powf(-1.0 / (d as f64 + 4.0));
@@ -69,17 +76,17 @@ impl KernelDensity {
         Ok(Self { bandwidth: best.unwrap_or(base), ..density })
     }
 
-    /// Standard deviation of every kernel.
+    /// Standard deviation of the kernels.
     pub fn bandwidth(&self) -> f64 {
         self.bandwidth
     }
 
-    /// `[n, d]`.
+    /// Points of the density, `[n, d]`.
     pub fn points(&self) -> &Array2<f64> {
         &self.points
     }
 
-    /// Points drawn from the density, `[n, d]`; kernels are `temperature` times as wide.
+    /// Draws `n` samples, `[n, d]`; the bandwidth is multiplied by `temperature`.
     pub fn sample(&self, n: usize, temperature: f64, rng: &mut ChaCha8Rng) -> Array2<f64> {
         let (count, d) = self.points.dim();
         let mut drawn = Array2::zeros((n, d));
@@ -101,7 +108,7 @@ impl KernelDensity {
     }
 }
 
-/// Mean log-density of every point under the kernels of the others.
+/// Mean leave-one-out log-likelihood of the points.
 fn leave_one_out(squares: &Array2<f64>, d: usize, bandwidth: f64) -> f64 {
     let n = squares.nrows() as f64;
     let scale = -0.5 / (bandwidth * bandwidth);
@@ -142,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn widths_suit_the_points() {
+    fn bandwidths_fit_the_points() {
         let mut rng = ChaCha8Rng::seed_from_u64(4);
         let mut normal = |n: usize, scale: f64| {
             Array2::from_shape_simple_fn((n, 2), || scale * rng.sample::<f64, _>(StandardNormal))
@@ -151,7 +158,7 @@ mod tests {
         let many = KernelDensity::fit(normal(800, 1.0).view()).unwrap().bandwidth();
         let wide = KernelDensity::fit(normal(800, 20.0).view()).unwrap().bandwidth();
         assert!(many < few && (10.0..40.0).contains(&(wide / many)), "{few} {many} {wide}");
-        // Two tight clusters far apart want kernels of the clusters' size, not of their distance.
+        // The bandwidth of two distant clusters is their width, not their distance.
         let mut clusters = normal(200, 0.01);
         for mut row in clusters.rows_mut().into_iter().take(100) {
             row += 50.0;

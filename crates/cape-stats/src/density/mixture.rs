@@ -1,4 +1,7 @@
-//! Gaussian mixtures with full covariances, fitted by expectation–maximisation in f64.
+//! Gaussian mixtures with full covariances, fitted by expectation–maximisation in `f64`.
+//!
+//! Own implementation rather than a library: weights, means and covariances must be settable (stored
+//! priors and the pose prior of SMPLify), and equal seeds must give equal bits.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use ndarray::{Array1, Array2, Array3, ArrayView2, Axis};
@@ -8,21 +11,19 @@ use rand_distr::StandardNormal;
 
 use crate::{Error, Result};
 
-/// How a mixture is fitted.
-///
-/// See [`Mixture`] for an example.
+/// Options of expectation–maximisation.
 #[derive(Debug, Clone, Copy)]
 pub struct MixtureOptions {
-    /// Most steps of expectation–maximisation.
+    /// Largest number of iterations.
     pub steps: usize,
-    /// Gain of the mean log-likelihood below which it has converged.
+    /// Increase of the mean log-likelihood below which the fit has converged.
     pub tolerance: f64,
-    /// Added to the diagonal of every covariance, relative to the mean variance of the data: keeps
-    /// components of few or equal points from collapsing.
+    /// Ridge of the covariances relative to the mean variance of the data, which keeps components of
+    /// few or equal points from collapsing.
     pub regularisation: f64,
-    /// Fits from other starts, of which the likeliest is kept.
+    /// Number of random initialisations; the fit of largest likelihood is kept.
     pub starts: usize,
-    /// Fixes the starts.
+    /// Random seed of the initialisations.
     pub seed: u64,
 }
 
@@ -32,7 +33,7 @@ impl Default for MixtureOptions {
     }
 }
 
-/// A mixture of normal distributions.
+/// Gaussian mixture with full covariances.
 ///
 /// ```
 /// use cape_stats::density::{Mixture, MixtureOptions};
@@ -58,10 +59,11 @@ pub struct Mixture {
 }
 
 impl Mixture {
-    /// Of weights `[components]`, means `[components, d]` and covariances `[components, d, d]`.
+    /// Creates a mixture of weights `[components]`, means `[components, d]` and covariances
+    /// `[components, d, d]`.
     ///
     /// # Errors
-    /// If shapes do not agree, weights are not a distribution, or a covariance is not positive
+    /// If shapes disagree, weights are negative or do not sum to 1, or a covariance is not positive
     /// definite.
     pub fn new(
         weights: &Array1<f64>,
@@ -71,7 +73,7 @@ impl Mixture {
         let (count, d) = means.dim();
         if count == 0 || weights.len() != count || covariances.dim() != (count, d, d) {
             return Err(Error::argument(format!(
-                "mixture of weights {:?}, means {:?}, covariances {:?}",
+                "mixture: weights {:?}, means {:?} and covariances {:?}, expected [k], [k, d], [k, d, d]",
                 weights.dim(),
                 means.dim(),
                 covariances.dim()
@@ -82,7 +84,9 @@ impl Mixture {
         }
         let sum: f64 = weights.sum();
         if !(weights.iter().all(|&w| w >= 0.0) && (sum - 1.0).abs() < 1e-3) {
-            return Err(Error::argument(format!("mixture: weights that add up to {sum}")));
+            return Err(Error::argument(format!(
+                "mixture: weights sum to {sum}, expected non-negative weights that sum to 1"
+            )));
         }
         let mut factors = Vec::new();
         for (component, covariance) in covariances.axis_iter(Axis(0)).enumerate() {
@@ -102,11 +106,10 @@ impl Mixture {
         })
     }
 
-    /// Fits `components` normal distributions to points `[n, d]`; of fewer points than that, as many
-    /// as there are points.
+    /// Fits a mixture of `components` (at most `n`) to points `[n, d]`.
     ///
     /// # Errors
-    /// If there is no point, or one is not finite.
+    /// If there is no point or no component, or a number is not finite.
     pub fn fit(
         points: ArrayView2<'_, f64>,
         components: usize,
@@ -114,7 +117,9 @@ impl Mixture {
     ) -> Result<Self> {
         let (n, d) = points.dim();
         if n == 0 || d == 0 || components == 0 {
-            let message = format!("a mixture of {components} components for {n} points of {d}");
+            let message = format!(
+                "mixture of {components} components for {n} points of {d} numbers: expected at least 1 of each"
+            );
             return Err(Error::argument(message));
         }
         if !points.iter().all(|x| x.is_finite()) {
@@ -135,11 +140,10 @@ impl Mixture {
                 best = Some(found);
             }
         }
-        best.map(|(_, mixture)| mixture)
-            .ok_or_else(|| Error::argument("mixture: nothing could be fitted"))
+        best.map(|(_, mixture)| mixture).ok_or_else(|| Error::argument("mixture: no fit succeeded"))
     }
 
-    /// Fits mixtures of 1 to `most` components and keeps the one of the lowest [`bic`](Self::bic).
+    /// Fits mixtures of 1 to `most` components and returns the one of lowest [`bic`](Self::bic).
     pub fn fit_by_bic(
         points: ArrayView2<'_, f64>,
         most: usize,
@@ -154,7 +158,7 @@ impl Mixture {
             }
         }
         best.map(|(_, mixture)| mixture)
-            .ok_or_else(|| Error::argument("mixture: there is no point to fit one to"))
+            .ok_or_else(|| Error::argument("mixture: expected at least one point"))
     }
 
     /// Number of components.
@@ -162,22 +166,22 @@ impl Mixture {
         self.weights.len()
     }
 
-    /// Numbers of a point.
+    /// Dimension `d` of the points.
     pub fn dimensions(&self) -> usize {
         self.means[0].len()
     }
 
-    /// Shares of the components, `[components]`.
+    /// Weights of the components, `[components]`.
     pub fn weights(&self) -> Array1<f64> {
         self.weights.iter().copied().collect()
     }
 
-    /// `[components, d]`.
+    /// Means of the components, `[components, d]`.
     pub fn means(&self) -> Array2<f64> {
         Array2::from_shape_fn((self.components(), self.dimensions()), |(k, i)| self.means[k][i])
     }
 
-    /// `[components, d, d]`.
+    /// Covariances of the components, `[components, d, d]`.
     pub fn covariances(&self) -> Array3<f64> {
         let (count, d) = (self.components(), self.dimensions());
         let mut all = Array3::zeros((count, d, d));
@@ -193,28 +197,28 @@ impl Mixture {
         all
     }
 
-    /// Logarithm of the density at a point `[d]`.
+    /// Log-density at a point `[d]`.
     pub fn log_density(&self, point: &[f64]) -> f64 {
         log_sum(&self.log_joint(&DVector::from_column_slice(point)))
     }
 
-    /// Logarithms of weight times density for every component.
+    /// Log of weight times density of each component, `[components]`.
     fn log_joint(&self, point: &DVector<f64>) -> Vec<f64> {
         (0..self.components())
             .map(|k| {
                 let factor = &self.factors[k];
                 let lower = factor.l_dirty();
-                let mut from = point - &self.means[k];
-                // Only the lower triangle is read.
-                lower.solve_lower_triangular_mut(&mut from);
+                let mut deviation = point - &self.means[k];
+                // Only the lower triangle is used.
+                lower.solve_lower_triangular_mut(&mut deviation);
                 let volume: f64 = lower.diagonal().iter().map(|x| x.ln()).sum();
                 let size = point.len() as f64 * (2.0 * std::f64::consts::PI).ln();
-                self.weights[k].ln() - volume - 0.5 * (size + from.norm_squared())
+                self.weights[k].ln() - volume - 0.5 * (size + deviation.norm_squared())
             })
             .collect()
     }
 
-    /// The Bayesian information criterion for points `[n, d]`: lower is better.
+    /// Bayesian information criterion for points `[n, d]`; lower is better.
     pub fn bic(&self, points: ArrayView2<'_, f64>) -> f64 {
         let (count, d) = (self.components() as f64, self.dimensions() as f64);
         let parameters = count - 1.0 + count * d + count * d * (d + 1.0) / 2.0;
@@ -223,8 +227,7 @@ impl Mixture {
         parameters * (points.nrows() as f64).ln() - 2.0 * likelihood
     }
 
-    /// Points drawn from the mixture, `[n, d]`; deviations from their component's mean are
-    /// multiplied by `temperature`.
+    /// Draws `n` samples, `[n, d]`; deviations from the means are multiplied by `temperature`.
     pub fn sample(&self, n: usize, temperature: f64, rng: &mut ChaCha8Rng) -> Array2<f64> {
         let d = self.dimensions();
         let mut points = Array2::zeros((n, d));
@@ -240,7 +243,7 @@ impl Mixture {
     }
 }
 
-/// An index drawn by weights.
+/// Draws an index with probability proportional to its weight.
 pub(super) fn sample_index(weights: &[f64], rng: &mut ChaCha8Rng) -> usize {
     let mut left = rng.random::<f64>() * weights.iter().sum::<f64>();
     for (index, weight) in weights.iter().enumerate() {
@@ -249,7 +252,7 @@ pub(super) fn sample_index(weights: &[f64], rng: &mut ChaCha8Rng) -> usize {
             return index;
         }
     }
-    // Rounding may leave a rest: the last that can be drawn.
+    // Rounding may leave a remainder: the last index of positive weight.
     weights.iter().rposition(|&weight| weight > 0.0).unwrap_or(0)
 }
 
@@ -262,16 +265,16 @@ fn log_sum(logs: &[f64]) -> f64 {
     }
 }
 
-/// Expectation–maximisation under way.
+/// State of expectation–maximisation.
 struct ExpectationMaximisation<'a> {
     points: &'a [DVector<f64>],
-    /// What is added to every variance.
+    /// Ridge of the covariances.
     floor: f64,
     mixture: Mixture,
 }
 
 impl<'a> ExpectationMaximisation<'a> {
-    /// Starts from centres spread by k-means++ and the points nearest to each.
+    /// Initialises by k-means++ centres and the points nearest to each.
     fn new(
         points: &'a [DVector<f64>],
         components: usize,
@@ -282,15 +285,15 @@ impl<'a> ExpectationMaximisation<'a> {
         let centre = points.iter().sum::<DVector<f64>>() / points.len() as f64;
         let spread: f64 = points.iter().map(|point| (point - &centre).norm_squared()).sum();
         let variance = spread / (points.len() * d) as f64;
-        // Equal points have no spread: anything small will do.
+        // Equal points have variance 0: any small ridge.
         let floor =
             if variance > 0.0 { options.regularisation.max(1e-12) * variance } else { 1e-6 };
-        let centres = spread_out(points, components, rng);
-        let mut shares = vec![vec![0.0; components]; points.len()];
-        for (share, point) in shares.iter_mut().zip(points) {
+        let centres = kmeans_plus_plus(points, components, rng);
+        let mut responsibilities = vec![vec![0.0; components]; points.len()];
+        for (responsibility, point) in responsibilities.iter_mut().zip(points) {
             let distances = centres.iter().map(|centre| (point - centre).norm_squared());
             let nearest = distances.enumerate().min_by(|a, b| a.1.total_cmp(&b.1));
-            share[nearest.map_or(0, |(index, _)| index)] = 1.0;
+            responsibility[nearest.map_or(0, |(index, _)| index)] = 1.0;
         }
         let mixture = Mixture {
             weights: vec![1.0 / components as f64; components],
@@ -298,28 +301,28 @@ impl<'a> ExpectationMaximisation<'a> {
             factors: vec![identity(d, variance.max(floor)); components],
         };
         let mut fit = Self { points, floor, mixture };
-        fit.maximise(&shares);
+        fit.maximise(&responsibilities);
         fit
     }
 
-    /// The mean log-likelihood it came to, and the mixture.
+    /// Iterates to convergence; returns the mean log-likelihood and the mixture.
     fn run(mut self, options: &MixtureOptions) -> (f64, Mixture) {
         let mut before = f64::NEG_INFINITY;
         for _ in 0..options.steps {
-            let (likelihood, shares) = self.expect();
+            let (likelihood, responsibilities) = self.expect();
             if likelihood - before < options.tolerance {
                 return (likelihood, self.mixture);
             }
             before = likelihood;
-            self.maximise(&shares);
+            self.maximise(&responsibilities);
         }
         (self.expect().0, self.mixture)
     }
 
-    /// Mean log-likelihood, and every point's shares in the components.
+    /// E step: mean log-likelihood, and responsibilities `[n][components]`.
     fn expect(&self) -> (f64, Vec<Vec<f64>>) {
         let mut sum = 0.0;
-        let shares = self
+        let responsibilities = self
             .points
             .iter()
             .map(|point| {
@@ -329,26 +332,26 @@ impl<'a> ExpectationMaximisation<'a> {
                 joint.iter().map(|log| (log - all).exp()).collect()
             })
             .collect();
-        (sum / self.points.len() as f64, shares)
+        (sum / self.points.len() as f64, responsibilities)
     }
 
-    /// A component that no point belongs to keeps its place and loses its weight.
-    fn maximise(&mut self, shares: &[Vec<f64>]) {
+    /// M step. A component without points keeps its mean and gets weight 0.
+    fn maximise(&mut self, responsibilities: &[Vec<f64>]) {
         let d = self.points[0].len();
         for k in 0..self.mixture.components() {
-            let weight: f64 = shares.iter().map(|share| share[k]).sum();
+            let weight: f64 = responsibilities.iter().map(|responsibility| responsibility[k]).sum();
             self.mixture.weights[k] = weight / self.points.len() as f64;
             if weight < 1e-9 {
                 continue;
             }
             let mut mean = DVector::zeros(d);
-            for (point, share) in self.points.iter().zip(shares) {
-                mean.axpy(share[k] / weight, point, 1.0);
+            for (point, responsibility) in self.points.iter().zip(responsibilities) {
+                mean.axpy(responsibility[k] / weight, point, 1.0);
             }
             let mut covariance = DMatrix::from_diagonal_element(d, d, self.floor);
-            for (point, share) in self.points.iter().zip(shares) {
-                let from = point - &mean;
-                covariance.ger(share[k] / weight, &from, &from, 1.0);
+            for (point, responsibility) in self.points.iter().zip(responsibilities) {
+                let deviation = point - &mean;
+                covariance.ger(responsibility[k] / weight, &deviation, &deviation, 1.0);
             }
             self.mixture.means[k] = mean;
             if let Some(factor) = Cholesky::new(covariance) {
@@ -362,8 +365,12 @@ fn identity(d: usize, variance: f64) -> Cholesky<f64, Dyn> {
     Cholesky::pack_dirty(DMatrix::from_diagonal_element(d, d, variance.sqrt()))
 }
 
-/// k-means++: each next centre is drawn by its squared distance to those there are.
-fn spread_out(points: &[DVector<f64>], count: usize, rng: &mut ChaCha8Rng) -> Vec<DVector<f64>> {
+/// k-means++ centres: each next one is drawn in proportion to the squared distance from the others.
+fn kmeans_plus_plus(
+    points: &[DVector<f64>],
+    count: usize,
+    rng: &mut ChaCha8Rng,
+) -> Vec<DVector<f64>> {
     let mut centres = vec![points[rng.random_range(0..points.len())].clone()];
     let mut distances = vec![f64::INFINITY; points.len()];
     while centres.len() < count {
@@ -380,7 +387,7 @@ fn spread_out(points: &[DVector<f64>], count: usize, rng: &mut ChaCha8Rng) -> Ve
 mod tests {
     use super::*;
 
-    /// Three well separated normals in the plane, in shares of 1 : 2 : 3.
+    /// Three well separated normal distributions in the plane, of weights 1 : 2 : 3.
     fn truth() -> Mixture {
         let weights = Array1::from(vec![1.0 / 6.0, 2.0 / 6.0, 3.0 / 6.0]);
         let means = Array2::from(vec![[-4.0, 0.0], [3.0, 3.0], [0.0, -5.0]]);
@@ -402,9 +409,9 @@ mod tests {
         let found = Mixture::fit(points.view(), 3, &MixtureOptions::default()).unwrap();
         for k in 0..3 {
             let expected = truth();
-            let from = |j: usize| (&found.means[j] - &expected.means[k]).norm();
-            let nearest = (0..3).min_by(|&a, &b| from(a).total_cmp(&from(b))).unwrap();
-            assert!(from(nearest) < 0.1);
+            let deviation = |j: usize| (&found.means[j] - &expected.means[k]).norm();
+            let nearest = (0..3).min_by(|&a, &b| deviation(a).total_cmp(&deviation(b))).unwrap();
+            assert!(deviation(nearest) < 0.1);
             assert!((found.weights[nearest] - expected.weights[k]).abs() < 0.02);
             let [a, b] = [&found, &expected].map(Mixture::covariances);
             let difference = &a.index_axis(Axis(0), nearest) - &b.index_axis(Axis(0), k);
@@ -415,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn densities_are_those_of_the_formula() {
+    fn densities_agree_with_the_formula() {
         let mixture = truth();
         for point in [[0.0, 0.0], [-4.0, 1.0], [10.0, -3.0]] {
             let mut sum = 0.0;
@@ -434,7 +441,7 @@ mod tests {
     }
 
     #[test]
-    fn every_step_of_a_fit_is_likelier_than_the_last() {
+    fn every_iteration_increases_the_likelihood() {
         let points = points(300);
         let points: Vec<DVector<f64>> =
             points.rows().into_iter().map(|r| DVector::from_vec(r.to_vec())).collect();
@@ -443,15 +450,15 @@ mod tests {
             ExpectationMaximisation::new(&points, 4, &options, &mut ChaCha8Rng::seed_from_u64(2));
         let mut before = f64::NEG_INFINITY;
         for _ in 0..60 {
-            let (likelihood, shares) = fit.expect();
+            let (likelihood, responsibilities) = fit.expect();
             assert!(likelihood >= before - 1e-9, "{before} {likelihood}");
             before = likelihood;
-            fit.maximise(&shares);
+            fit.maximise(&responsibilities);
         }
     }
 
     #[test]
-    fn degenerate_points_are_fitted_all_the_same() {
+    fn degenerate_points_are_fitted() {
         let options = MixtureOptions::default();
         let same = Array2::from_elem((20, 3), 2.0);
         let found = Mixture::fit(same.view(), 4, &options).unwrap();
@@ -468,7 +475,7 @@ mod tests {
     }
 
     #[test]
-    fn without_temperature_samples_are_the_means() {
+    fn samples_of_temperature_zero_are_the_means() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         for row in truth().sample(20, 0.0, &mut rng).rows() {
             let at = DVector::from_vec(row.to_vec());

@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-/// Counts of errors in bins of equal width.
+/// Histogram of errors in bins of equal width.
 ///
 /// ```
 /// use cape_stats::errors::ErrorStats;
@@ -19,16 +19,19 @@ use serde::{Deserialize, Serialize};
 pub struct Histogram {
     /// Width of a bin, millimetres.
     pub bin_mm: f64,
-    /// Errors in each bin, from 0; empty bins at the end are left out.
+    /// Number of errors per bin, from 0 mm; trailing empty bins are omitted.
     pub counts: Vec<u64>,
-    /// Errors above the last bin there could be.
+    /// Number of errors beyond the last bin.
     pub beyond: u64,
 }
 
 impl Histogram {
-    /// Adds another one's counts; both must have bins of the same width.
+    /// Adds the counts of a histogram of the same bin width.
+    ///
+    /// # Panics
+    /// If the bin widths differ.
     pub fn add(&mut self, other: &Self) {
-        assert_eq!(self.bin_mm, other.bin_mm, "histograms of different bins");
+        assert_eq!(self.bin_mm, other.bin_mm, "histograms of different bin widths");
         self.counts.resize(self.counts.len().max(other.counts.len()), 0);
         for (sum, count) in self.counts.iter_mut().zip(&other.counts) {
             *sum += count;
@@ -36,12 +39,12 @@ impl Histogram {
         self.beyond += other.beyond;
     }
 
-    /// All errors.
+    /// Number of errors.
     pub fn total(&self) -> u64 {
         self.counts.iter().sum::<u64>() + self.beyond
     }
 
-    /// Middle of every bin and its share of all errors per millimetre.
+    /// Centre (millimetres) and density (per millimetre) of each bin.
     pub fn density(&self) -> Vec<(f64, f64)> {
         let unit = self.total().max(1) as f64 * self.bin_mm;
         let point =
@@ -49,8 +52,8 @@ impl Histogram {
         self.counts.iter().enumerate().map(point).collect()
     }
 
-    /// The end of the bin that the given share of all errors is reached in; of the last one if it
-    /// lies beyond.
+    /// Quantile, millimetres: the upper end of the bin in which `share` of all errors is reached, or of
+    /// the last bin.
     pub fn quantile(&self, share: f64) -> f64 {
         let enough = share * self.total() as f64;
         let mut seen = 0;

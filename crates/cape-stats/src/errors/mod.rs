@@ -1,5 +1,5 @@
-//! Reconstruction errors in millimetres (Table 2 of the paper): streaming mean, standard deviation
-//! and median of per-vertex Euclidean errors.
+//! Reconstruction errors (table 2 of the paper): streaming mean, standard deviation and median of
+//! per-vertex Euclidean errors, millimetres.
 
 mod histogram;
 
@@ -12,26 +12,23 @@ pub use histogram::Histogram;
 
 use crate::{Error, Result};
 
-/// Statistics of a set of errors.
-///
-/// See [`ErrorStats`] for an example.
+/// Summary statistics of a set of errors.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ErrorSummary {
     /// Mean, mm.
     pub mean: f64,
     /// Population standard deviation, mm.
     pub std: f64,
-    /// Median, mm; to 0.0005 mm below a metre and to 1/32768 of its value above.
+    /// Median, mm; accurate to 0.0005 mm below 1 m and to 1/32768 of its value above.
     pub median: f64,
     /// Number of errors (frames × vertices).
     pub count: u64,
 }
 
-/// Errors in millimetres, reduced as they come.
+/// Streaming statistics of errors in millimetres.
 ///
-/// Mean and deviation are combined in f64 from each push's own two-pass values; the median is read
-/// off a histogram of at most 24 MB, however many errors there are. The same pushes in the same
-/// order give the same bits.
+/// Mean and standard deviation combine the two-pass values of each push in `f64`; the median comes from
+/// a histogram of at most 24 MB. The same pushes in the same order give the same bits.
 ///
 /// ```
 /// use cape_stats::errors::{ErrorStats, vertex_errors_mm};
@@ -50,14 +47,14 @@ pub struct ErrorStats {
     count: u64,
     mean: f64,
     squares: f64,
-    unusable: bool,
+    has_invalid: bool,
     histogram: Vec<u64>,
 }
 
-/// Errors below this many millimetres have bins of [`BINS_PER_MM`]; above, bins are relative.
+/// Limit between bins of width 1 / [`BINS_PER_MM`] and bins of relative width, millimetres.
 const LINEAR_MM: f32 = 1024.0;
 const BINS_PER_MM: f32 = 1000.0;
-/// Bits of the f32 fraction that a relative bin ignores: 14 remain.
+/// Fraction bits of an `f32` within one relative bin; 14 of 23 select the bin.
 const TAIL_SHIFT: u32 = 9;
 const LINEAR_BINS: usize = (LINEAR_MM * BINS_PER_MM) as usize;
 
@@ -69,7 +66,7 @@ fn bin(error: f32) -> usize {
     }
 }
 
-/// The value that stands for every error in a bin: its middle.
+/// Centre of a bin, millimetres.
 fn middle(bin: usize) -> f64 {
     if bin < LINEAR_BINS {
         (bin as f64 + 0.5) / f64::from(BINS_PER_MM)
@@ -80,13 +77,13 @@ fn middle(bin: usize) -> f64 {
 }
 
 impl ErrorStats {
-    /// No errors yet.
+    /// Empty statistics.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Adds errors in millimetres (usually one frame's). A negative, infinite or NaN error makes
-    /// every statistic NaN.
+    /// Adds errors in millimetres, usually of one frame. A negative, infinite or NaN error makes all
+    /// statistics NaN.
     pub fn push(&mut self, errors: &[f32]) {
         if errors.is_empty() {
             return;
@@ -101,7 +98,7 @@ impl ErrorStats {
         self.count += errors.len() as u64;
         for &error in errors {
             if !(error.is_finite() && error >= 0.0) {
-                self.unusable = true;
+                self.has_invalid = true;
                 continue;
             }
             let bin = bin(error);
@@ -112,9 +109,9 @@ impl ErrorStats {
         }
     }
 
-    /// The statistics so far; NaN where there is nothing to summarise.
+    /// Summary of the errors so far; NaN without errors.
     pub fn summary(&self) -> ErrorSummary {
-        if self.count == 0 || self.unusable {
+        if self.count == 0 || self.has_invalid {
             return ErrorSummary {
                 mean: f64::NAN,
                 std: f64::NAN,
@@ -130,7 +127,7 @@ impl ErrorStats {
         }
     }
 
-    /// Counts in `bins` bins of the given width; errors that are no lengths are left out.
+    /// Histogram of `bins` bins of width `bin_mm`, without negative and non-finite errors.
     pub fn histogram(&self, bin_mm: f64, bins: usize) -> Histogram {
         let mut histogram = Histogram { bin_mm, ..Histogram::default() };
         for (fine, &count) in self.histogram.iter().enumerate().filter(|(_, count)| **count > 0) {
@@ -147,7 +144,7 @@ impl ErrorStats {
         histogram
     }
 
-    /// The error of the given rank, counted from 0.
+    /// Error of rank `rank`, from 0, millimetres.
     fn ranked(&self, rank: u64) -> f64 {
         let mut seen = 0;
         let bin = self.histogram.iter().position(|&n| {
@@ -158,7 +155,7 @@ impl ErrorStats {
     }
 }
 
-/// Errors over everything, for each outfit and for each sequence.
+/// Streaming error statistics over all frames, by outfit and by sequence.
 ///
 /// ```
 /// use cape_core::Outfit;
@@ -179,26 +176,24 @@ pub struct GroupedErrors {
     sequences: BTreeMap<String, ErrorStats>,
 }
 
-/// What [`GroupedErrors`] holds, summarised.
-///
-/// See [`GroupedErrors`] for an example.
+/// Summary of [`GroupedErrors`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GroupedSummary {
-    /// All frames.
+    /// Statistics of all frames.
     pub overall: ErrorSummary,
-    /// By outfit; only those that occur.
+    /// Statistics by outfit, of the outfits that occur.
     pub outfits: BTreeMap<Outfit, ErrorSummary>,
-    /// By sequence name; empty if the data does not say which frame is of which sequence.
+    /// Statistics by sequence name; empty if sequence names are unknown.
     pub sequences: BTreeMap<String, ErrorSummary>,
 }
 
 impl GroupedErrors {
-    /// No errors yet.
+    /// Empty statistics.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Adds one frame's errors in millimetres.
+    /// Adds the errors of one frame, millimetres.
     pub fn push(&mut self, outfit: Outfit, sequence: Option<&str>, errors: &[f32]) {
         self.overall.push(errors);
         self.outfits.entry(outfit).or_default().push(errors);
@@ -212,12 +207,12 @@ impl GroupedErrors {
         }
     }
 
-    /// All errors.
+    /// Statistics of all errors.
     pub fn overall(&self) -> &ErrorStats {
         &self.overall
     }
 
-    /// The statistics so far.
+    /// Summary of the errors so far.
     pub fn summary(&self) -> GroupedSummary {
         GroupedSummary {
             overall: self.overall.summary(),
@@ -227,28 +222,52 @@ impl GroupedErrors {
     }
 }
 
-/// Euclidean distance in millimetres between two frames' vertices at `vertices`.
+/// Euclidean distance between two points in metres: millimetres.
 ///
-/// `predicted` and `truth` are de-normalised displacements (or positions) in metres, `[V, 3]`.
+/// ```
+/// use cape_stats::errors::{distance_mm, mean_distance_mm};
+///
+/// assert!((distance_mm([0.003, 0.0, 0.0], [0.0, 0.004, 0.0]) - 5.0).abs() < 1e-12);
+/// let pairs = [([0.0f32; 3], [0.0; 3]), ([1.0, 0.0, 0.0], [0.0; 3])];
+/// assert_eq!(mean_distance_mm(pairs), 500.0);
+/// ```
+pub fn distance_mm<T: Into<f64>>(a: [T; 3], b: [T; 3]) -> f64 {
+    let squares = a.into_iter().zip(b).map(|(a, b)| (a.into() - b.into()).powi(2));
+    1000.0 * squares.sum::<f64>().sqrt()
+}
+
+/// Mean of [`distance_mm`] over pairs of points in metres: millimetres; 0 without pairs.
+pub fn mean_distance_mm<T: Into<f64>>(pairs: impl IntoIterator<Item = ([T; 3], [T; 3])>) -> f64 {
+    let (mut sum, mut count) = (0.0, 0usize);
+    for (a, b) in pairs {
+        sum += distance_mm(a, b);
+        count += 1;
+    }
+    sum / count.max(1) as f64
+}
+
+/// Euclidean distances between two frames at `vertices`, millimetres, `[vertices]`.
+///
+/// `predicted` and `truth` are denormalised displacements (or positions), metres, `[V, 3]`.
 pub fn vertex_errors_mm(predicted: &[f32], truth: &[f32], vertices: &[usize]) -> Result<Vec<f32>> {
     if predicted.len() != truth.len() {
         return Err(Error::argument(format!(
-            "cannot compare a frame of {} numbers with one of {}",
+            "frames of {} and {} numbers cannot be compared: expected equal lengths",
             predicted.len(),
             truth.len()
         )));
     }
     let ((predicted, rest), (truth, _)) = (predicted.as_chunks::<3>(), truth.as_chunks::<3>());
     if !rest.is_empty() {
-        return Err(Error::argument(format!("{} numbers after the last whole vertex", rest.len())));
+        return Err(Error::argument(format!(
+            "{} numbers after the last vertex, expected 3 per vertex",
+            rest.len()
+        )));
     }
     let error = |&v: &usize| match (predicted.get(v), truth.get(v)) {
-        (Some(a), Some(b)) => {
-            let squares = a.iter().zip(b).map(|(&a, &b)| (f64::from(a) - f64::from(b)).powi(2));
-            Ok((1000.0 * squares.sum::<f64>().sqrt()) as f32)
-        }
+        (Some(&a), Some(&b)) => Ok(distance_mm(a, b) as f32),
         _ => Err(Error::argument(format!(
-            "vertex {v} is to be compared, but frames have {} vertices",
+            "vertex {v} is out of range for frames of {} vertices",
             truth.len()
         ))),
     };
@@ -301,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_and_unusable_errors_give_nan() {
+    fn missing_and_invalid_errors_give_nan() {
         assert!(ErrorStats::new().summary().median.is_nan());
         for bad in [f32::NAN, f32::INFINITY, -1.0] {
             let mut stats = ErrorStats::new();

@@ -21,10 +21,10 @@ impl Pca {
         file.finish()
     }
 
-    /// Reads what [`save`](Self::save) wrote.
+    /// Reads components written by [`save`](Self::save).
     ///
     /// # Errors
-    /// If an array is missing, has another shape, or numbers that are not finite; it is named.
+    /// If an array is missing, has another shape, or is not finite.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let mut file = Npz::open(path)?;
@@ -50,11 +50,11 @@ impl Pca {
         };
         for (field, values) in [("mean", &read.mean), ("explained_variance", &read.variances)] {
             if values.iter().any(|x| !x.is_finite()) {
-                return Err(Error::field(path, field, "has numbers that are not finite"));
+                return Err(Error::field(path, field, "has a number that is not finite"));
             }
         }
         if read.components.iter().any(|x| !x.is_finite()) {
-            return Err(Error::field(path, "components", "has numbers that are not finite"));
+            return Err(Error::field(path, "components", "has a number that is not finite"));
         }
         Ok(read)
     }

@@ -1,39 +1,42 @@
-//! Principal components of clothing: the linear baseline of CAPE's table 2, and a clothing space by
-//! itself.
+//! Principal component analysis of streamed data, the linear baseline of CAPE's table 2.
 //!
-//! [`Pca::fit`] needs a few rows and the components in memory, never all data: it reads every row
-//! once for each block of a Krylov space of the covariance, and stops when the components satisfy
-//! the eigenvalue equation to a stated error. 31,036 frames of 6890 vertices take about a dozen
-//! passes.
+//! [`Pca::fit`] is block Krylov iteration: each block of the Krylov space of the covariance takes one
+//! pass over the rows, until the components satisfy the eigenvalue equation to a tolerance; 31,036
+//! frames of 6890 vertices take about 12 passes. Own implementation rather than a library: it streams
+//! rows in bounded memory (a few rows and the Krylov space, never all data), in `f64`, with the same bits
+//! for any number of threads.
+//!
+//! [`Pca::from_snapshots`] takes few rows in memory and finds all components.
 
 mod file;
 mod krylov;
+mod snapshots;
 #[cfg(test)]
 mod tests;
 
 use ndarray::{Array1, Array2, ArrayView2, Axis};
 use rayon::prelude::*;
 
+pub use snapshots::ComponentSelection;
+
 use crate::{Error, Result};
 use cape_core::ProgressFn;
 
-/// Rows read at a time by one thread.
-const ROWS: usize = 48;
-/// Such pieces summed side by side; fixed, so that sums do not depend on the number of threads.
-const PIECES: usize = 8;
+/// Rows per chunk, the unit of work of a thread.
+const CHUNK_ROWS: usize = 48;
+/// Chunks processed in parallel; fixed, so that sums do not depend on the number of threads.
+const CHUNKS: usize = 8;
 
-/// How to find principal components.
-///
-/// See [`Pca`] for an example.
+/// Options of principal component analysis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PcaOptions {
-    /// How many; the paper's 18.
+    /// Number of components; 18 in the paper.
     pub components: usize,
     /// Largest residual `‖C v − λ v‖` of a component, relative to the largest variance.
     pub tolerance: f64,
-    /// Passes over the data at most.
+    /// Largest number of passes over the data.
     pub passes: usize,
-    /// Fixes the start of the iteration.
+    /// Random seed of the initial block.
     pub seed: u64,
 }
 
@@ -43,13 +46,13 @@ impl Default for PcaOptions {
     }
 }
 
-/// A linear space around a mean.
+/// Linear model: mean and principal components.
 ///
 /// ```
 /// use cape_core::silent;
 /// use cape_stats::pca::{Pca, PcaOptions};
 ///
-/// // Points on the line through (0, 1) with the slope ¾.
+/// // Points on the line through (0, 1) of slope ¾.
 /// let row = |i: usize| Ok(vec![4.0 * i as f64, 3.0 * i as f64 + 1.0]);
 /// let options = PcaOptions { components: 1, ..PcaOptions::default() };
 /// let pca = Pca::fit(5, 2, &options, &row, &mut silent)?;
@@ -61,26 +64,26 @@ impl Default for PcaOptions {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pca {
-    /// The mean row, `[numbers]`.
+    /// Mean, `[numbers]`.
     pub mean: Array1<f64>,
-    /// Orthonormal directions, the most varied first, `[components, numbers]`.
+    /// Orthonormal principal directions, in order of decreasing variance, `[components, numbers]`.
     pub components: Array2<f64>,
-    /// (Population) variance along each, `[components]`.
+    /// Population variance along each component, `[components]`.
     pub variances: Array1<f64>,
-    /// Variance along all directions together.
+    /// Total variance (trace of the covariance).
     pub total_variance: f64,
-    /// Largest residual of the eigenvalue equation, relative to the largest variance: no variance
-    /// is further off than that.
+    /// Largest residual of the eigenvalue equation relative to the largest variance, a bound of the
+    /// error of the variances. NaN if it is not known.
     pub residual: f64,
 }
 
 impl Pca {
-    /// Fits to `count` rows of `numbers` numbers, read by index. `progress` counts rows read, in
-    /// all passes together; their number is not known before.
+    /// Fits components to `count` rows of `numbers` numbers, read by index with `row`. `progress` gets
+    /// the rows read in the current pass and their number.
     ///
     /// # Errors
-    /// If there is nothing to fit, more components are asked for than there can be, a row cannot be
-    /// read, or the passes allowed do not reach the tolerance.
+    /// If the number of components is 0 or exceeds the rank, a row cannot be read, or the tolerance is
+    /// not reached within the passes.
     pub fn fit(
         count: usize,
         numbers: usize,
@@ -109,28 +112,46 @@ impl Pca {
         })
     }
 
-    /// How many components there are.
+    /// Number of components.
     pub fn latent(&self) -> usize {
         self.components.nrows()
     }
 
-    /// Share of the variance that the components explain.
+    /// Explained share of the total variance.
     pub fn explained(&self) -> f64 {
         if self.total_variance > 0.0 { self.variances.sum() / self.total_variance } else { 1.0 }
     }
 
-    /// Coordinates of rows `[n, numbers]` along the components, `[n, components]`.
-    pub fn encode(&self, rows: &ArrayView2<f64>) -> Array2<f64> {
-        (rows - &self.mean).dot(&self.components.t())
+    /// Projects rows onto the components: `[n, numbers]` → `[n, components]`.
+    ///
+    /// # Errors
+    /// If the rows have another number of columns than the mean.
+    pub fn encode(&self, rows: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
+        expect_columns("rows", rows, self.mean.len())?;
+        Ok((&rows - &self.mean).dot(&self.components.t()))
     }
 
-    /// Rows `[n, numbers]` of coordinates `[n, components]`.
-    pub fn decode(&self, codes: &ArrayView2<f64>) -> Array2<f64> {
-        codes.dot(&self.components) + &self.mean
+    /// Reconstructs rows from coordinates: `[n, components]` → `[n, numbers]`.
+    ///
+    /// # Errors
+    /// If there is not one coordinate for each component.
+    pub fn decode(&self, codes: ArrayView2<'_, f64>) -> Result<Array2<f64>> {
+        expect_columns("codes", codes, self.latent())?;
+        Ok(codes.dot(&self.components) + &self.mean)
     }
 }
 
-/// Rows that are read when they are needed.
+fn expect_columns(name: &str, rows: ArrayView2<'_, f64>, expected: usize) -> Result<()> {
+    if rows.ncols() == expected {
+        return Ok(());
+    }
+    Err(Error::argument(format!(
+        "principal components: {name} of {} numbers, expected {expected}",
+        rows.ncols()
+    )))
+}
+
+/// Source of rows, read on demand.
 struct RowSource<'a> {
     count: usize,
     numbers: usize,
@@ -138,8 +159,8 @@ struct RowSource<'a> {
 }
 
 impl RowSource<'_> {
-    fn piece(&self, first: usize) -> Result<Array2<f64>> {
-        let rows = ROWS.min(self.count - first);
+    fn chunk(&self, first: usize) -> Result<Array2<f64>> {
+        let rows = CHUNK_ROWS.min(self.count - first);
         let mut values = Vec::with_capacity(rows * self.numbers);
         for index in first..first + rows {
             values.extend((self.read)(index)?);
@@ -148,26 +169,26 @@ impl RowSource<'_> {
             .map_err(|error| Error::argument(format!("rows from {first}: {error}")))
     }
 
-    /// Calls `work` for every piece of rows and `add` with its results, in order.
+    /// Calls `work` for each chunk of rows in parallel, and `add` with the results in order.
     fn for_each<T: Send>(
         &self,
         work: impl Fn(Array2<f64>) -> T + Sync,
         mut add: impl FnMut(T),
         progress: &mut ProgressFn,
     ) -> Result<()> {
-        let firsts: Vec<usize> = (0..self.count).step_by(ROWS).collect();
-        for firsts in firsts.chunks(PIECES) {
+        let firsts: Vec<usize> = (0..self.count).step_by(CHUNK_ROWS).collect();
+        for firsts in firsts.chunks(CHUNKS) {
             let results: Vec<Result<T>> =
-                firsts.par_iter().map(|&first| Ok(work(self.piece(first)?))).collect();
+                firsts.par_iter().map(|&first| Ok(work(self.chunk(first)?))).collect();
             for result in results {
                 add(result?);
             }
-            progress((firsts[firsts.len() - 1] + ROWS).min(self.count), self.count);
+            progress((firsts[firsts.len() - 1] + CHUNK_ROWS).min(self.count), self.count);
         }
         Ok(())
     }
 
-    /// The mean row, and the sum of the variances of all numbers.
+    /// Mean row and total variance.
     fn mean(&self, progress: &mut ProgressFn) -> Result<(Array1<f64>, f64)> {
         let mut mean = Array1::zeros(self.numbers);
         let mut squares = Array1::zeros(self.numbers);
@@ -189,7 +210,7 @@ impl RowSource<'_> {
         Ok((mean, squares.sum() / before))
     }
 
-    /// The covariance times a block of columns `[numbers, columns]`.
+    /// Product of the covariance and a block of columns `[numbers, columns]`.
     fn covariance(
         &self,
         mean: &Array1<f64>,

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use cape_core::silent;
 
-/// Random rows whose variance falls from direction to direction.
+/// Random rows with exponentially decreasing variances.
 fn data(count: usize, numbers: usize, decay: f64) -> Array2<f64> {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let mut random = |shape| Array2::from_shape_simple_fn(shape, || rng.random_range(-1.0..1.0));
@@ -60,23 +60,23 @@ fn agrees_with_a_plain_decomposition() {
     }
 }
 
-/// What the components leave is the variance they do not explain.
+/// The mean squared residual is the unexplained variance.
 #[test]
 fn reconstruction_leaves_the_unexplained_variance() {
     let data = data(200, 50, 0.1);
     let pca = fit(&data, 18).unwrap();
-    let codes = pca.encode(&data.view());
+    let codes = pca.encode(data.view()).unwrap();
     assert_eq!(codes.dim(), (200, 18));
-    let left = &data - &pca.decode(&codes.view());
+    let left = &data - &pca.decode(codes.view()).unwrap();
     let mean_square = (&left * &left).sum() / 200.0;
     let expected = pca.total_variance * (1.0 - pca.explained());
     assert!((mean_square - expected).abs() < 1e-9 * pca.total_variance);
-    let again = pca.encode(&pca.decode(&codes.view()).view());
+    let again = pca.encode(pca.decode(codes.view()).unwrap().view()).unwrap();
     assert!((again - &codes).iter().all(|x| x.abs() < 1e-9));
 }
 
 #[test]
-fn data_of_few_directions_end_early() {
+fn data_of_low_rank_converge_early() {
     let mut data = data(100, 40, 0.0);
     for k in 3..40 {
         let copy = data.column(k % 3).to_owned();
@@ -105,14 +105,14 @@ fn any_number_of_threads_gives_the_same_bits_and_files_keep_them() {
     assert_eq!(Pca::load(&path).unwrap(), pca);
     let broken = Pca { mean: Array1::from_elem(30, f64::NAN), ..pca.clone() };
     broken.save(&path).unwrap();
-    assert!(Pca::load(&path).unwrap_err().to_string().contains("`mean`: has numbers"));
+    assert!(Pca::load(&path).unwrap_err().to_string().contains("`mean`: has a number"));
     let broken = Pca { mean: Array1::zeros(29), ..pca };
     broken.save(&path).unwrap();
     assert!(Pca::load(&path).unwrap_err().to_string().contains("`mean`: shape [29]"));
 }
 
 #[test]
-fn what_cannot_be_fitted_is_said() {
+fn invalid_fits_are_errors() {
     let data = data(10, 20, 0.1);
     let message = fit(&data, 10).unwrap_err().to_string();
     assert!(message.contains("10 principal components of 10 frames: expected 1 to 9"), "{message}");

@@ -1,4 +1,5 @@
-//! Pose directions that undo what linear blending does to bent and twisted joints.
+//! Pose directions that compensate the volume loss of linear blend skinning at bent and twisted
+//! joints.
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -8,16 +9,15 @@ use super::{
 };
 use cape_core::joints::JOINTS;
 
-/// Entries of a rotation matrix.
+/// Number of entries of a rotation matrix.
 const ENTRIES: usize = 9;
-/// Corrections smaller than this at every sampled rotation are left out, metres per entry.
+/// Smallest correction that is kept, metres per entry of `R − I`.
 const NEGLIGIBLE: f64 = 1e-7;
 
-/// The pose directions of joints 1 to 23, `[6890][23 · 9]` metres per entry of `R_j − I`,
-/// row-major.
+/// Pose directions of joints 1 to 23, metres per entry of `R_j − I` (row-major), `[6890][23 · 9]`.
 ///
-/// Where a share `s` of the weights follows joint `j`, linear blending moves a rest offset `q` by
-/// `B = (1 − s) I + s R`, which shrinks it. The target is `R^s q`, which keeps its length (as dual
+/// For a share `s` of the weights at joint `j`, linear blending maps a rest offset `q` by
+/// `B = (1 − s) I + s R`, which shortens it. The target is `R^s q`, which keeps its length (as dual
 /// quaternion skinning does), so the correction before skinning is `B⁻¹ R^s q − q`. For each
 /// vertex the directions are the least-squares fit of that, over rotations sampled in the joint's
 /// range, by a linear function of `R − I`. The correction is linear in `q`, so the fit is a
@@ -29,7 +29,7 @@ pub(super) fn pose_directions(
 ) -> Vec<Vec<DVec3>> {
     let mut directions = vec![vec![DVec3::ZERO; (JOINTS - 1) * ENTRIES]; skin.vertices.len()];
     for joint in 1..JOINTS {
-        let table = Table::new(&samples(joint));
+        let table = CorrectionTable::new(&samples(joint));
         let strength = strength(joint);
         for (v, direction) in directions.iter_mut().enumerate() {
             let share: f64 = (joint..JOINTS)
@@ -51,8 +51,7 @@ pub(super) fn pose_directions(
     directions
 }
 
-/// How much of the correction to apply: at the wide joints of shoulder and hip, where muscles give
-/// way to each other, keeping the whole length would make them bulge.
+/// Share of the correction to apply; at hips and shoulders the full correction would bulge.
 fn strength(joint: usize) -> f64 {
     match joint {
         1 | 2 | 16 | 17 => 0.6,
@@ -60,9 +59,9 @@ fn strength(joint: usize) -> f64 {
     }
 }
 
-/// Rotations in the range of a joint, as an even lattice of rotation vectors.
+/// Rotations in the range of motion of a joint, on a lattice of rotation vectors.
 fn samples(joint: usize) -> Vec<DMat3> {
-    // Largest rotation about x, y and z in radians.
+    // Largest rotation about x, y and z, radians.
     let reach = match joint {
         1 | 2 => DVec3::new(1.9, 0.8, 0.9),
         4 | 5 => DVec3::new(2.1, 0.4, 0.3),
@@ -89,18 +88,18 @@ fn samples(joint: usize) -> Vec<DMat3> {
     samples
 }
 
-/// For shares 0, 1/N, …, 1: nine matrices, one for each entry of `R − I`, that map a rest offset
-/// to its correction.
-struct Table {
+/// Nine matrices for each share 0, 1/N, …, 1, one per entry of `R − I`, that map a rest offset to its
+/// correction.
+struct CorrectionTable {
     rows: Vec<[DMat3; ENTRIES]>,
 }
 
-impl Table {
+impl CorrectionTable {
     const STEPS: usize = 32;
 
     fn new(rotations: &[DMat3]) -> Self {
         let features: Vec<[f64; ENTRIES]> = rotations.iter().map(entries).collect();
-        // A little ridge keeps combinations of entries that rotations hardly excite small.
+        // The ridge bounds combinations of entries that rotations hardly vary.
         let ridge = 1e-3 * rotations.len() as f64;
         let mut normal = [[0.0; ENTRIES]; ENTRIES];
         for f in &features {
@@ -119,8 +118,8 @@ impl Table {
                 for (rotation, f) in rotations.iter().zip(&features) {
                     let blended = DMat3::IDENTITY * (1.0 - share) + *rotation * share;
                     let part = DQuat::IDENTITY.slerp(DQuat::from_mat3(rotation), share);
-                    let wanted = blended.inverse() * DMat3::from_quat(part) - DMat3::IDENTITY;
-                    moment.iter_mut().zip(f).for_each(|(m, &f)| *m += wanted * f);
+                    let target = blended.inverse() * DMat3::from_quat(part) - DMat3::IDENTITY;
+                    moment.iter_mut().zip(f).for_each(|(m, &f)| *m += target * f);
                 }
                 solve(&factor, moment)
             })
@@ -136,7 +135,7 @@ impl Table {
     }
 }
 
-/// `R − I`, row-major.
+/// Entries of `R − I`, row-major.
 fn entries(rotation: &DMat3) -> [f64; ENTRIES] {
     (rotation.transpose() - DMat3::IDENTITY).to_cols_array()
 }

@@ -1,6 +1,6 @@
-//! The numbers of the figure: joints and the parts its surface is blended from.
+//! Joint positions and implicit parts of the synthetic body.
 //!
-//! A neutral adult of about 1.70 m in a T-pose, left half (x ≥ 0), in metres.
+//! A neutral adult of about 1.70 m in the T-pose, left half (x ≥ 0), in metres.
 
 use glam::{DQuat, DVec3};
 
@@ -8,16 +8,16 @@ use cape_core::joints::{JOINTS, PARENTS};
 
 use super::sdf::{Blob, BodySdf, CrossSection, Primitive, SdfPart, Tube};
 
-/// The joint that `joint` hangs on; the root hangs on itself.
+/// Parent of `joint`; the root is its own parent.
 pub(super) fn parent(joint: usize) -> usize {
     PARENTS[joint].unwrap_or(0)
 }
 
-/// The joint on the other side of the body.
+/// Mirror joint on the other side of the body.
 pub(super) const MIRRORED: [usize; JOINTS] =
     [0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22];
 
-/// Joint positions, `[24]`.
+/// Joint positions, metres, `[24]`.
 pub(super) fn joints() -> [DVec3; JOINTS] {
     const LEFT_AND_MIDDLE: [(usize, [f64; 3]); 15] = [
         (0, [0.0, -0.228, 0.006]),
@@ -44,16 +44,16 @@ pub(super) fn joints() -> [DVec3; JOINTS] {
     joints
 }
 
-/// The implicit surface of the whole figure.
+/// Signed distance field of the whole body.
 pub(super) fn body_sdf() -> BodySdf {
-    let mut figure = BodySdf::default();
-    torso(&mut figure);
-    neck_and_head(&mut figure);
-    leg(&mut figure);
-    foot(&mut figure);
-    arm(&mut figure);
-    hand(&mut figure);
-    figure
+    let mut sdf = BodySdf::default();
+    torso(&mut sdf);
+    neck_and_head(&mut sdf);
+    leg(&mut sdf);
+    foot(&mut sdf);
+    arm(&mut sdf);
+    hand(&mut sdf);
+    sdf
 }
 
 fn v(x: f64, y: f64, z: f64) -> DVec3 {
@@ -61,11 +61,11 @@ fn v(x: f64, y: f64, z: f64) -> DVec3 {
 }
 
 fn ellipsoid(centre: DVec3, radii: DVec3) -> Primitive {
-    turned_ellipsoid(centre, radii, DVec3::ZERO)
+    rotated_ellipsoid(centre, radii, DVec3::ZERO)
 }
 
-fn turned_ellipsoid(centre: DVec3, radii: DVec3, turn: DVec3) -> Primitive {
-    Primitive::Ellipsoid { centre, radii, turn: DQuat::from_scaled_axis(turn) }
+fn rotated_ellipsoid(centre: DVec3, radii: DVec3, axis_angle: DVec3) -> Primitive {
+    Primitive::Ellipsoid { centre, radii, rotation: DQuat::from_scaled_axis(axis_angle) }
 }
 
 fn chain(nodes: &[([f64; 3], f64)]) -> Primitive {
@@ -75,12 +75,12 @@ fn chain(nodes: &[([f64; 3], f64)]) -> Primitive {
 }
 
 fn blob(centre: DVec3, spread: DVec3, millimetres: f64) -> Blob {
-    Blob { centre, spread, amount: millimetres / 1000.0 }
+    Blob { centre, spread, amplitude: millimetres / 1000.0 }
 }
 
-/// A tube along y, symmetric in x: rows of (y, centre x, half-width, front z, back z).
+/// Tube along y, symmetric in x, of rows (y, centre x, half-width, front z, back z).
 fn column(exponent: f64, caps: [f64; 2], rows: &[[f64; 5]]) -> Primitive {
-    let stations: Vec<CrossSection> = rows
+    let sections: Vec<CrossSection> = rows
         .iter()
         .map(|&[at, x, half, front, back]| CrossSection {
             at,
@@ -88,10 +88,10 @@ fn column(exponent: f64, caps: [f64; 2], rows: &[[f64; 5]]) -> Primitive {
             half: [half, half, (front - back) / 2.0, (front - back) / 2.0],
         })
         .collect();
-    Primitive::Tube(Tube::new(1, exponent, caps, &stations))
+    Primitive::Tube(Tube::new(1, exponent, caps, &sections))
 }
 
-fn torso(figure: &mut BodySdf) {
+fn torso(sdf: &mut BodySdf) {
     let trunk = column(
         2.35,
         [0.03, 0.03],
@@ -111,24 +111,25 @@ fn torso(figure: &mut BodySdf) {
             [0.280, 0.0, 0.060, 0.030, -0.070],
         ],
     );
-    figure.parts.push(SdfPart::new(trunk, 0.03));
+    sdf.parts.push(SdfPart::new(trunk, 0.03));
     // Pectorals, shoulder blades, the broad muscle of the back, buttocks.
     let parts = [
         (
-            turned_ellipsoid(v(0.072, 0.122, 0.062), v(0.074, 0.056, 0.043), v(0.0, 0.25, 0.12)),
+            rotated_ellipsoid(v(0.072, 0.122, 0.062), v(0.074, 0.056, 0.043), v(0.0, 0.25, 0.12)),
             0.03,
         ),
-        (turned_ellipsoid(v(0.082, 0.140, -0.088), v(0.052, 0.078, 0.034), v(0.0, 0.0, 0.2)), 0.04),
+        (
+            rotated_ellipsoid(v(0.082, 0.140, -0.088), v(0.052, 0.078, 0.034), v(0.0, 0.0, 0.2)),
+            0.04,
+        ),
         (ellipsoid(v(0.102, 0.095, -0.036), v(0.046, 0.125, 0.056)), 0.05),
         (
-            turned_ellipsoid(v(0.074, -0.315, -0.058), v(0.074, 0.082, 0.074), v(0.0, 0.0, 0.0)),
+            rotated_ellipsoid(v(0.074, -0.315, -0.058), v(0.074, 0.082, 0.074), v(0.0, 0.0, 0.0)),
             0.04,
         ),
     ];
-    figure
-        .parts
-        .extend(parts.into_iter().map(|(form, blend)| SdfPart::new(form, blend).mirrored()));
-    figure.blobs.extend([
+    sdf.parts.extend(parts.into_iter().map(|(form, blend)| SdfPart::new(form, blend).mirrored()));
+    sdf.blobs.extend([
         // Furrow of the spine, breastbone, mid-line of the belly, navel.
         blob(v(0.0, 0.10, -0.115), v(0.016, 0.090, 0.05), -5.0),
         blob(v(0.0, -0.08, -0.080), v(0.016, 0.080, 0.05), -6.0),
@@ -148,7 +149,7 @@ fn torso(figure: &mut BodySdf) {
     ]);
 }
 
-fn neck_and_head(figure: &mut BodySdf) {
+fn neck_and_head(sdf: &mut BodySdf) {
     let neck = column(
         2.0,
         [0.02, 0.02],
@@ -160,17 +161,17 @@ fn neck_and_head(figure: &mut BodySdf) {
             [0.400, 0.0, 0.056, 0.060, -0.052],
         ],
     );
-    figure.parts.push(SdfPart::new(neck, 0.035));
+    sdf.parts.push(SdfPart::new(neck, 0.035));
     let trapezius = chain(&[
         ([0.018, 0.325, -0.040], 0.026),
         ([0.052, 0.276, -0.045], 0.026),
         ([0.100, 0.246, -0.040], 0.025),
         ([0.170, 0.230, -0.030], 0.022),
     ]);
-    figure.parts.push(SdfPart::new(trapezius, 0.05).mirrored());
+    sdf.parts.push(SdfPart::new(trapezius, 0.05).mirrored());
 
     let skull = ellipsoid(v(0.0, 0.4534, 0.0139), v(0.0777, 0.0966, 0.1008));
-    figure.parts.push(SdfPart::new(skull, 0.03));
+    sdf.parts.push(SdfPart::new(skull, 0.03));
     let face = column(
         2.1,
         [0.012, 0.03],
@@ -183,7 +184,7 @@ fn neck_and_head(figure: &mut BodySdf) {
             [0.466, 0.0, 0.0693, 0.1095, -0.0008],
         ],
     );
-    figure.parts.push(SdfPart::new(face, 0.03));
+    sdf.parts.push(SdfPart::new(face, 0.03));
     let middle = [
         // Muzzle, chin, nose.
         (ellipsoid(v(0.0, 0.3652, 0.0916), v(0.034, 0.031, 0.025)), 0.025),
@@ -197,7 +198,7 @@ fn neck_and_head(figure: &mut BodySdf) {
             0.01,
         ),
     ];
-    figure.parts.extend(middle.into_iter().map(|(form, blend)| SdfPart::new(form, blend)));
+    sdf.parts.extend(middle.into_iter().map(|(form, blend)| SdfPart::new(form, blend)));
     let sides = [
         // Cheek, cheek bone, jaw, brow, eye, wing of the nose.
         (ellipsoid(v(0.0347, 0.3862, 0.079), v(0.0284, 0.0336, 0.0273)), 0.03),
@@ -207,12 +208,10 @@ fn neck_and_head(figure: &mut BodySdf) {
         (ellipsoid(v(0.0326, 0.4335, 0.0925), v(0.0140, 0.0095, 0.0140)), 0.003),
         (ellipsoid(v(0.0115, 0.3972, 0.1147), v(0.0086, 0.0076, 0.011)), 0.008),
     ];
-    figure
-        .parts
-        .extend(sides.into_iter().map(|(form, blend)| SdfPart::new(form, blend).mirrored()));
+    sdf.parts.extend(sides.into_iter().map(|(form, blend)| SdfPart::new(form, blend).mirrored()));
     let ear = [
         (
-            turned_ellipsoid(
+            rotated_ellipsoid(
                 v(0.0785, 0.424, -0.001),
                 v(0.0100, 0.0265, 0.0180),
                 v(0.15, -0.45, -0.14),
@@ -221,8 +220,8 @@ fn neck_and_head(figure: &mut BodySdf) {
         ),
         (ellipsoid(v(0.0750, 0.398, 0.006), v(0.0075, 0.012, 0.010)), 0.012),
     ];
-    figure.parts.extend(ear.into_iter().map(|(form, blend)| SdfPart::new(form, blend)));
-    figure.blobs.extend([
+    sdf.parts.extend(ear.into_iter().map(|(form, blend)| SdfPart::new(form, blend)));
+    sdf.blobs.extend([
         // Eye sockets, temples.
         blob(v(0.0326, 0.4330, 0.1074), v(0.0163, 0.0105, 0.0315), -7.5),
         blob(v(0.0326, 0.4180, 0.1000), v(0.0150, 0.0055, 0.0300), -2.5),
@@ -240,7 +239,7 @@ fn neck_and_head(figure: &mut BodySdf) {
     ]);
 }
 
-fn leg(figure: &mut BodySdf) {
+fn leg(sdf: &mut BodySdf) {
     let leg = column(
         2.0,
         [0.05, 0.02],
@@ -261,8 +260,8 @@ fn leg(figure: &mut BodySdf) {
             [-0.240, 0.082, 0.076, 0.060, -0.070],
         ],
     );
-    figure.parts.push(SdfPart::new(leg, 0.035).mirrored());
-    figure.blobs.extend([
+    sdf.parts.push(SdfPart::new(leg, 0.035).mirrored());
+    sdf.blobs.extend([
         // Outer and inner thigh muscles above the knee, kneecap and the hollows beside it.
         blob(v(0.150, -0.540, 0.030), v(0.03, 0.090, 0.04), 4.0),
         blob(v(0.070, -0.625, 0.040), v(0.02, 0.035, 0.03), 5.0),
@@ -282,7 +281,7 @@ fn leg(figure: &mut BodySdf) {
     ]);
 }
 
-fn foot(figure: &mut BodySdf) {
+fn foot(sdf: &mut BodySdf) {
     // Along z: centre x, half-widths inner and outer, centre y, down, up.
     let rows: [[f64; 7]; 8] = [
         [-0.066, 0.094, 0.026, 0.026, -1.128, 0.024, 0.024],
@@ -294,7 +293,7 @@ fn foot(figure: &mut BodySdf) {
         [0.115, 0.109, 0.044, 0.044, -1.141, 0.013, 0.013],
         [0.128, 0.109, 0.040, 0.040, -1.143, 0.010, 0.010],
     ];
-    let stations: Vec<CrossSection> = rows
+    let sections: Vec<CrossSection> = rows
         .iter()
         .map(|&[at, x, inner, outer, y, down, up]| CrossSection {
             at,
@@ -302,10 +301,10 @@ fn foot(figure: &mut BodySdf) {
             half: [inner, outer, down, up],
         })
         .collect();
-    let sole = Primitive::Tube(Tube::new(2, 2.5, [0.018, 0.010], &stations));
-    figure.parts.push(SdfPart::new(sole, 0.03));
+    let sole = Primitive::Tube(Tube::new(2, 2.5, [0.018, 0.010], &sections));
+    sdf.parts.push(SdfPart::new(sole, 0.03));
     let instep = chain(&[([0.097, -1.075, -0.020], 0.030), ([0.100, -1.112, 0.050], 0.020)]);
-    figure.parts.push(SdfPart::new(instep, 0.03));
+    sdf.parts.push(SdfPart::new(instep, 0.03));
     let toes: [([f64; 3], [f64; 3], f64); 5] = [
         ([0.079, -1.140, 0.110], [0.080, -1.142, 0.156], 0.0135),
         ([0.1015, -1.141, 0.118], [0.103, -1.1445, 0.158], 0.0098),
@@ -314,16 +313,16 @@ fn foot(figure: &mut BodySdf) {
         ([0.1490, -1.144, 0.090], [0.154, -1.1465, 0.118], 0.0084),
     ];
     for (base, tip, radius) in toes {
-        figure.parts.push(SdfPart::new(chain(&[(base, radius), (tip, radius * 0.95)]), 0.008));
+        sdf.parts.push(SdfPart::new(chain(&[(base, radius), (tip, radius * 0.95)]), 0.008));
     }
-    figure.blobs.extend([
+    sdf.blobs.extend([
         // Arch of the foot, ball, Achilles tendon.
         blob(v(0.070, -1.148, 0.020), v(0.020, 0.014, 0.032), -7.0),
         blob(v(0.072, -1.145, 0.100), v(0.014, 0.014, 0.018), 3.0),
     ]);
 }
 
-fn arm(figure: &mut BodySdf) {
+fn arm(sdf: &mut BodySdf) {
     // Along x: centre y, half-widths down and up, centre z, back and front.
     let rows: [[f64; 7]; 14] = [
         [0.120, 0.200, 0.046, 0.046, -0.025, 0.056, 0.050],
@@ -341,7 +340,7 @@ fn arm(figure: &mut BodySdf) {
         [0.682, 0.216, 0.020, 0.020, -0.045, 0.029, 0.028],
         [0.705, 0.216, 0.018, 0.018, -0.045, 0.031, 0.031],
     ];
-    let stations: Vec<CrossSection> = rows
+    let sections: Vec<CrossSection> = rows
         .iter()
         .map(|&[at, y, down, up, z, back, front]| CrossSection {
             at,
@@ -349,12 +348,12 @@ fn arm(figure: &mut BodySdf) {
             half: [down, up, back, front],
         })
         .collect();
-    let arm = Primitive::Tube(Tube::new(0, 2.0, [0.03, 0.01], &stations));
-    figure.parts.push(SdfPart::new(arm, 0.035));
+    let arm = Primitive::Tube(Tube::new(0, 2.0, [0.03, 0.01], &sections));
+    sdf.parts.push(SdfPart::new(arm, 0.035));
     let deltoid =
-        turned_ellipsoid(v(0.190, 0.220, -0.026), v(0.070, 0.039, 0.056), v(0.0, 0.0, -0.10));
-    figure.parts.push(SdfPart::new(deltoid, 0.03));
-    figure.blobs.extend([
+        rotated_ellipsoid(v(0.190, 0.220, -0.026), v(0.070, 0.039, 0.056), v(0.0, 0.0, -0.10));
+    sdf.parts.push(SdfPart::new(deltoid, 0.03));
+    sdf.blobs.extend([
         // Biceps (front), triceps (back), end of the deltoid, elbow point, flexors of the forearm.
         blob(v(0.325, 0.218, 0.010), v(0.045, 0.022, 0.02), 5.0),
         blob(v(0.310, 0.212, -0.080), v(0.050, 0.024, 0.02), 5.0),
@@ -367,7 +366,7 @@ fn arm(figure: &mut BodySdf) {
     ]);
 }
 
-fn hand(figure: &mut BodySdf) {
+fn hand(sdf: &mut BodySdf) {
     // Along x: centre y, half-widths down and up, centre z, back and front.
     let rows: [[f64; 7]; 5] = [
         [0.690, 0.216, 0.018, 0.018, -0.045, 0.028, 0.028],
@@ -376,7 +375,7 @@ fn hand(figure: &mut BodySdf) {
         [0.765, 0.216, 0.013, 0.013, -0.046, 0.042, 0.042],
         [0.778, 0.216, 0.011, 0.012, -0.046, 0.041, 0.041],
     ];
-    let stations: Vec<CrossSection> = rows
+    let sections: Vec<CrossSection> = rows
         .iter()
         .map(|&[at, y, down, up, z, back, front]| CrossSection {
             at,
@@ -384,8 +383,8 @@ fn hand(figure: &mut BodySdf) {
             half: [down, up, back, front],
         })
         .collect();
-    let palm = Primitive::Tube(Tube::new(0, 2.5, [0.01, 0.008], &stations));
-    figure.parts.push(SdfPart::new(palm, 0.012));
+    let palm = Primitive::Tube(Tube::new(0, 2.5, [0.01, 0.008], &sections));
+    sdf.parts.push(SdfPart::new(palm, 0.012));
     // Index, middle, ring and little finger: knuckle, middle joint, end joint, tip.
     let fingers: [[([f64; 3], f64); 4]; 4] = [
         [
@@ -414,7 +413,7 @@ fn hand(figure: &mut BodySdf) {
         ],
     ];
     for finger in &fingers {
-        figure.parts.push(SdfPart::new(chain(finger), 0.005));
+        sdf.parts.push(SdfPart::new(chain(finger), 0.005));
     }
     let thumb = chain(&[
         ([0.706, 0.210, -0.026], 0.0150),
@@ -422,8 +421,8 @@ fn hand(figure: &mut BodySdf) {
         ([0.764, 0.202, 0.024], 0.0112),
         ([0.790, 0.200, 0.038], 0.0090),
     ]);
-    figure.parts.push(SdfPart::new(thumb, 0.010));
-    figure.blobs.extend([
+    sdf.parts.push(SdfPart::new(thumb, 0.010));
+    sdf.blobs.extend([
         // Hollow of the palm, heel of the hand, knuckles.
         blob(v(0.745, 0.200, -0.046), v(0.022, 0.012, 0.014), -4.0),
         blob(v(0.730, 0.202, -0.072), v(0.025, 0.012, 0.012), 3.0),
@@ -434,7 +433,7 @@ fn hand(figure: &mut BodySdf) {
     ]);
 }
 
-/// Edge length wanted at `p`, up to a common factor: finer on face, hands and feet.
+/// Target edge length at `p` up to a common factor: finer on face, hands and feet.
 pub(super) fn edge_size(p: DVec3) -> f64 {
     let x = p.x.abs();
     let hand = ramp(x, 0.60, 0.73);
@@ -459,7 +458,7 @@ pub(super) fn edge_size(p: DVec3) -> f64 {
     size
 }
 
-/// Smooth step from 0 at `low` to 1 at `high`, with vanishing first and second derivatives there.
+/// Quintic smooth step from 0 at `low` to 1 at `high`.
 pub(super) fn ramp(x: f64, low: f64, high: f64) -> f64 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * t * (t * (6.0 * t - 15.0) + 10.0)

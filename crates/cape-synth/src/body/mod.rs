@@ -1,8 +1,8 @@
-//! A synthetic body in SMPL's layout, made from nothing but numbers.
+//! A synthetic body in SMPL's layout, built from an implicit surface.
 //!
-//! An implicit figure ([`figure`]) is polygonised ([`polygonise`]) and remeshed ([`remesh`]) to
-//! SMPL's counts; weights and regressor ([`rig`]), shape directions ([`shape`]) and pose
-//! directions ([`blend`]) are derived from the mesh and the figure's joints.
+//! A signed distance field ([`figure`]) is polygonised ([`polygonise`]) and remeshed ([`remesh`]) to
+//! SMPL's numbers of vertices and faces; blend weights and joint regressor ([`rig`]), shape directions
+//! ([`shape`]) and pose directions ([`blend`]) derive from the mesh and the joint positions.
 
 mod blend;
 mod figure;
@@ -22,17 +22,24 @@ use cape_core::{
     joints::{JOINTS, PARENTS},
 };
 
-/// Vertices of the synthetic body, as many as SMPL's.
+/// Number of vertices of the synthetic body, that of SMPL.
 pub const VERTICES: usize = 6890;
-/// Triangles of the synthetic body, as many as SMPL's.
+/// Number of triangles of the synthetic body, that of SMPL.
 pub const FACES: usize = 13776;
 
-/// The synthetic body: a neutral adult of 1.70 m in SMPL's axes, T-pose and kinematic tree, with
-/// 6890 vertices, 13776 faces, 10 shape and 207 pose directions.
+/// Synthetic body: a neutral adult of 1.70 m in SMPL's axes, T-pose and kinematic tree, with 6890
+/// vertices, 13776 faces, 10 shape directions and 207 pose directions.
 ///
-/// The same on every call. Closed, of genus 0, its own mirror image in x = 0. Shape directions, one
-/// standard deviation each: stature, weight, limb length, legs against trunk, shoulder width, hip
-/// width, belly, chest, muscle, head size.
+/// The mesh is closed, of genus 0, symmetric in x = 0, and the same on every call. Shape directions,
+/// one standard deviation each: stature, weight, limb length, leg length relative to the trunk, shoulder
+/// width, hip width, belly, chest, muscle, head size.
+///
+/// ```
+/// use cape_synth::{BODY_VERTICES, synthetic_body};
+///
+/// let body = synthetic_body();
+/// assert_eq!((body.vertices(), body.joints(), body.betas()), (BODY_VERTICES, 24, 10));
+/// ```
 pub fn synthetic_body() -> SmplModel {
     let skin = surface::symmetric_mesh(&figure::body_sdf());
     let joints = figure::joints();

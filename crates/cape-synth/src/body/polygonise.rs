@@ -1,4 +1,4 @@
-//! Marching tetrahedra over the half space x ≥ 0, following the surface from a seed.
+//! Marching tetrahedra over the half space x ≥ 0, restricted to the surface connected to a seed.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -14,15 +14,15 @@ const TETRAHEDRA: [([usize; 4], bool); 6] = [
     ([0, 4, 6, 7], false),
 ];
 
-/// A rectilinear grid of samples.
+/// Rectilinear sampling grid.
 pub(super) struct Grid {
-    /// Ascending sample positions along x, y and z.
+    /// Ascending sample positions along x, y and z, metres.
     pub(super) lines: [Vec<f64>; 3],
 }
 
 impl Grid {
-    /// A grid over the box from `low` to `high`: spacing `coarse`, but `fine` inside the given
-    /// range of each axis.
+    /// Grid over the box from `low` to `high` of spacing `coarse`, refined to `fine` within `ranges` of
+    /// the axes.
     pub(super) fn new(
         low: DVec3,
         high: DVec3,
@@ -57,7 +57,7 @@ impl Grid {
     }
 }
 
-/// Samples of the field, taken when first asked for.
+/// Lazily evaluated samples of the field.
 struct Samples<'a, F> {
     grid: &'a Grid,
     field: F,
@@ -67,7 +67,7 @@ struct Samples<'a, F> {
 impl<F: Fn(DVec3) -> f64> Samples<'_, F> {
     fn at(&mut self, corner: usize) -> f32 {
         if self.values[corner].is_nan() {
-            // Never exactly on the surface, so that no triangle collapses to a grid point.
+            // Not exactly 0, so that no triangle collapses to a grid point.
             let value = (self.field)(self.grid.position(corner)) as f32;
             self.values[corner] = if value.abs() < 1e-6 { 1e-6 } else { value };
         }
@@ -75,9 +75,9 @@ impl<F: Fn(DVec3) -> f64> Samples<'_, F> {
     }
 }
 
-/// The connected zero surface of `field` through the first cell found going up (+y) from `inside`:
-/// vertices and outward-oriented triangles. Where the grid starts, at its lowest x, the surface
-/// has a boundary in that plane.
+/// Vertices and outward-oriented triangles of the connected zero surface of `field` through the first
+/// surface cell above (+y) `inside`. The surface has a boundary in the plane of the lowest x of the
+/// grid.
 pub(super) fn polygonise(
     grid: &Grid,
     field: impl Fn(DVec3) -> f64,
@@ -130,7 +130,7 @@ pub(super) fn polygonise(
     (mesh.vertices, mesh.faces)
 }
 
-/// The triangles collected so far.
+/// Collects the triangles of the marched cells.
 #[derive(Default)]
 struct TriangleCollector {
     vertices: Vec<DVec3>,

@@ -1,32 +1,32 @@
-//! Remeshing of half a figure to evenly sized, well-shaped triangles.
+//! Remeshing of the half surface to well-shaped triangles of prescribed size.
 //!
-//! The half surface lies in x ≥ 0 and is bounded by one closed curve in the plane x = 0; its mirror
-//! image completes it. Operations keep the whole (mirrored) surface a manifold: besides the usual
-//! conditions, no edge but those of the boundary curve may join two boundary vertices.
+//! The half surface lies in x ≥ 0 with one closed boundary curve in the plane x = 0; its mirror image
+//! completes it. All operations keep the completed surface a manifold: besides the usual conditions,
+//! only edges of the boundary curve may join two boundary vertices.
 
 use glam::DVec3;
 
-/// A triangle surface under change.
+/// Triangle mesh with edge split, collapse and flip operations.
 pub(super) struct EditableMesh<'a> {
-    /// Vertex positions; removed vertices keep a meaningless one.
+    /// Vertex positions, metres; undefined for removed vertices.
     pub(super) position: Vec<DVec3>,
     face: Vec<[u32; 3]>,
-    /// Faces around each vertex, empty for removed vertices.
+    /// Faces of each vertex; empty for removed vertices.
     around: Vec<Vec<u32>>,
-    /// Wanted edge length at each vertex.
+    /// Target edge length at each vertex.
     size: Vec<f64>,
     boundary: Vec<bool>,
     field: &'a dyn Fn(DVec3) -> f64,
 }
 
-/// What a mesh edge joins: the faces that share it and their opposite corners.
+/// Faces of an edge and their opposite corners.
 struct Edge {
     faces: Vec<u32>,
     opposite: Vec<u32>,
 }
 
 impl<'a> EditableMesh<'a> {
-    /// Takes over a surface; `field` is the wanted edge length up to a common factor.
+    /// Creates the mesh; `field` is the target edge length up to a common factor.
     pub(super) fn new(
         position: Vec<DVec3>,
         face: Vec<[u32; 3]>,
@@ -43,7 +43,7 @@ impl<'a> EditableMesh<'a> {
         Self { position, face, around, size, boundary, field }
     }
 
-    /// Number of vertices of the surface together with its mirror image.
+    /// Number of vertices of the surface completed by its mirror image.
     pub(super) fn mirrored_count(&self) -> usize {
         (0..self.position.len())
             .filter(|&v| !self.around[v].is_empty())
@@ -51,7 +51,7 @@ impl<'a> EditableMesh<'a> {
             .sum()
     }
 
-    /// The live vertices and faces, renumbered.
+    /// Vertices and faces, renumbered without the removed ones.
     pub(super) fn finish(&self) -> (Vec<DVec3>, Vec<[u32; 3]>) {
         let mut number = vec![u32::MAX; self.position.len()];
         let mut position = Vec::new();
@@ -67,7 +67,7 @@ impl<'a> EditableMesh<'a> {
         self.face.iter().copied().filter(|f| f[0] != f[1])
     }
 
-    /// Every edge once, from its lower to its higher vertex.
+    /// All edges, each once, lower vertex index first.
     fn edges(&self) -> Vec<[u32; 2]> {
         let mut edges = Vec::with_capacity(self.face.len() * 3 / 2);
         for [a, b, c] in self.live_faces() {
@@ -111,7 +111,7 @@ impl<'a> EditableMesh<'a> {
         (b - a).cross(c - a)
     }
 
-    /// Length of edge `ab` relative to the wanted one.
+    /// Length of edge `ab` relative to the target.
     fn relative_length(&self, [a, b]: [u32; 2]) -> f64 {
         let (a, b) = (a as usize, b as usize);
         self.position[a].distance(self.position[b]) * 2.0 / (self.size[a] + self.size[b])
@@ -137,18 +137,18 @@ impl<'a> EditableMesh<'a> {
         }
     }
 
-    /// Merges the ends of edge `ab` if that keeps the surface sound and makes no edge longer
-    /// (relatively) than `longest`.
+    /// Collapses edge `ab`, unless the surface would not stay a manifold or an edge would exceed
+    /// `longest` times its target length. Returns true if it was collapsed.
     fn collapse(&mut self, a: u32, b: u32, longest: f64) -> bool {
-        // `gone` merges into `kept`; a boundary vertex stays on the boundary.
-        let (kept, gone) = if self.boundary[b as usize] { (b, a) } else { (a, b) };
-        let edge = self.edge(kept, gone);
-        let along = self.boundary[gone as usize];
+        // `removed` merges into `kept`; a boundary vertex stays on the boundary.
+        let (kept, removed) = if self.boundary[b as usize] { (b, a) } else { (a, b) };
+        let edge = self.edge(kept, removed);
+        let along = self.boundary[removed as usize];
         if along && edge.faces.len() != 1 {
             return false;
         }
-        let (near_kept, near_gone) = (self.neighbours(kept), self.neighbours(gone));
-        let common = near_kept.iter().filter(|v| near_gone.contains(v)).count();
+        let (near_kept, near_removed) = (self.neighbours(kept), self.neighbours(removed));
+        let common = near_kept.iter().filter(|v| near_removed.contains(v)).count();
         if common != edge.faces.len() {
             return false;
         }
@@ -158,13 +158,13 @@ impl<'a> EditableMesh<'a> {
                 return false;
             }
         }
-        let faces_left = self.around[kept as usize].len() + self.around[gone as usize].len();
+        let faces_left = self.around[kept as usize].len() + self.around[removed as usize].len();
         if faces_left < if along { 5 } else { 8 } {
             return false;
         }
         let on_plane = self.boundary[kept as usize];
         if on_plane && !along {
-            let touches = near_gone
+            let touches = near_removed
                 .iter()
                 .any(|&v| v != kept && self.boundary[v as usize] && !near_kept.contains(&v));
             if touches {
@@ -174,16 +174,16 @@ impl<'a> EditableMesh<'a> {
         let to = if on_plane && !along {
             self.position[kept as usize]
         } else {
-            (self.position[kept as usize] + self.position[gone as usize]) / 2.0
+            (self.position[kept as usize] + self.position[removed as usize]) / 2.0
         };
         let size = self.size[kept as usize];
-        for &v in near_kept.iter().chain(&near_gone) {
+        for &v in near_kept.iter().chain(&near_removed) {
             let length = self.position[v as usize].distance(to) * 2.0;
-            if v != kept && v != gone && length > longest * (size + self.size[v as usize]) {
+            if v != kept && v != removed && length > longest * (size + self.size[v as usize]) {
                 return false;
             }
         }
-        let ends = [kept, gone];
+        let ends = [kept, removed];
         for end in ends {
             for &f in &self.around[end as usize] {
                 if edge.faces.contains(&f) {
@@ -201,12 +201,12 @@ impl<'a> EditableMesh<'a> {
             self.around[o as usize].retain(|&g| g != f);
             self.around[kept as usize].retain(|&g| g != f);
         }
-        for f in std::mem::take(&mut self.around[gone as usize]) {
+        for f in std::mem::take(&mut self.around[removed as usize]) {
             if edge.faces.contains(&f) {
                 continue;
             }
             let corners = &mut self.face[f as usize];
-            *corners = corners.map(|v| if v == gone { kept } else { v });
+            *corners = corners.map(|v| if v == removed { kept } else { v });
             self.around[kept as usize].push(f);
         }
         self.position[kept as usize] = to;
@@ -214,14 +214,14 @@ impl<'a> EditableMesh<'a> {
         true
     }
 
-    /// Faces around `v` in the whole, mirrored surface, less the regular six.
+    /// Valence of `v` in the completed surface, less the regular six.
     fn excess(&self, v: u32) -> i64 {
         let count = self.around[v as usize].len() as i64;
         if self.boundary[v as usize] { 2 * count - 6 } else { count - 6 }
     }
 
-    /// Replaces the diagonal `ab` of its two triangles by the other one if that brings valences
-    /// nearer to six, or, at equal valences, if it makes the smaller angles larger.
+    /// Flips edge `ab` if valences get closer to six or, at equal valences, triangles better shaped.
+    /// Returns true if it was flipped.
     fn flip(&mut self, a: u32, b: u32) -> bool {
         let edge = self.edge(a, b);
         let (&[f, g], &[c, d]) = (&edge.faces[..], &edge.opposite[..]) else { return false };
@@ -237,11 +237,11 @@ impl<'a> EditableMesh<'a> {
             return false;
         }
         let p = |v: u32| self.position[v as usize];
-        // Orient so that face f reads (a, b, c).
+        // Orient such that face f is (a, b, c).
         let corners = self.face[f as usize];
         let at = corners.iter().position(|&v| v == a).unwrap_or(0);
         let (a, b) = if corners[(at + 1) % 3] == b { (a, b) } else { (b, a) };
-        let quality = |x, y, z| shape(p(x), p(y), p(z));
+        let quality = |x, y, z| shape_quality(p(x), p(y), p(z));
         let old = quality(a, b, c).min(quality(b, a, d));
         let new = quality(a, d, c).min(quality(d, b, c));
         if (after == before && new <= old + 1e-3) || new < 0.5 * old.min(0.6) {
@@ -266,7 +266,7 @@ impl<'a> EditableMesh<'a> {
         true
     }
 
-    /// Collapses edges shorter than `shortest` of the wanted length, in passes until few are left.
+    /// Collapses edges shorter than `shortest` times the target length, in passes until few remain.
     pub(super) fn coarsen(&mut self, scale: f64, shortest: f64) {
         for _ in 0..12 {
             let mut changed = 0;
@@ -285,7 +285,7 @@ impl<'a> EditableMesh<'a> {
         }
     }
 
-    /// Splits edges longer than `longest` of the wanted length.
+    /// Splits edges longer than `longest` times the target length.
     pub(super) fn refine(&mut self, scale: f64, longest: f64) {
         for [a, b] in self.edges() {
             if self.relative_length([a, b]) > longest * scale {
@@ -307,8 +307,8 @@ impl<'a> EditableMesh<'a> {
         }
     }
 
-    /// Moves every vertex a `step` of the way to its neighbours' mean within the tangent plane,
-    /// then onto the surface by `project`.
+    /// Tangential smoothing: moves each vertex by `step` towards the mean of its neighbours within the
+    /// tangent plane, then onto the surface by `project`.
     pub(super) fn relax(&mut self, step: f64, project: &dyn Fn(DVec3) -> DVec3) {
         let moved: Vec<DVec3> = (0..self.position.len() as u32)
             .map(|v| self.relaxed(v, step).map_or(self.position[v as usize], project))
@@ -353,8 +353,8 @@ impl<'a> EditableMesh<'a> {
         Some(here + (towards - normal * towards.dot(normal)) * step)
     }
 
-    /// Splits or collapses single edges, the most deserving first, until the surface with its
-    /// mirror image has exactly `count` vertices. False if no allowed operation was left.
+    /// Splits the longest or collapses the shortest edges until the completed surface has exactly
+    /// `count` vertices. Returns false if no permitted operation remains.
     pub(super) fn settle(&mut self, count: usize) -> bool {
         while self.mirrored_count() != count {
             let now = self.mirrored_count();
@@ -380,8 +380,8 @@ impl<'a> EditableMesh<'a> {
     }
 }
 
-/// Shape of a triangle: 1 equilateral, 0 degenerate (4√3 area / sum of squared edges).
-pub(super) fn shape(a: DVec3, b: DVec3, c: DVec3) -> f64 {
+/// Shape quality of a triangle, 4√3 · area / Σ edge²: 1 equilateral, 0 degenerate.
+pub(super) fn shape_quality(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     let area = (b - a).cross(c - a).length();
     let edges = (b - a).length_squared() + (c - b).length_squared() + (a - c).length_squared();
     2.0 * 3.0_f64.sqrt() * area / edges.max(f64::MIN_POSITIVE)

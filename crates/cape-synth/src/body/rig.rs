@@ -1,4 +1,4 @@
-//! Blend weights and the joint regressor.
+//! Blend weights and joint regressor.
 
 use glam::{DMat4, DVec3, DVec4};
 
@@ -11,8 +11,8 @@ use cape_core::joints::JOINTS;
 /// Blend weights of one vertex, `[24]`.
 pub(super) type Weights = [f64; JOINTS];
 
-/// How far each vertex follows each joint, `[6890][24]`: at most four joints a vertex, rows sum
-/// to 1, mirror images of each other.
+/// Blend weights of all vertices, `[6890][24]`: at most four joints per vertex, rows sum to 1,
+/// symmetric in x = 0.
 pub(super) fn blend_weights(skin: &SymmetricMesh) -> Vec<Weights> {
     let around = neighbours(skin.vertices.len(), &skin.faces);
     let mut rows: Vec<Weights> = skin.vertices.iter().map(|&p| row(p)).collect();
@@ -28,7 +28,7 @@ pub(super) fn blend_weights(skin: &SymmetricMesh) -> Vec<Weights> {
             })
             .collect();
     }
-    // Sums over neighbours run in different orders on the two sides: make both the same.
+    // The summation order differs between the two sides: symmetrise.
     (0..rows.len())
         .map(|v| {
             let m = skin.mirror[v] as usize;
@@ -47,7 +47,7 @@ pub(super) fn blend_weights(skin: &SymmetricMesh) -> Vec<Weights> {
         .collect()
 }
 
-/// Keeps the four largest weights, fading the smaller ones out so that the result is continuous.
+/// Keeps the four largest weights, less the fifth, so that the result is continuous.
 fn four_largest(row: Weights) -> Weights {
     let mut sorted = row;
     sorted.sort_by(|a, b| b.total_cmp(a));
@@ -57,8 +57,8 @@ fn four_largest(row: Weights) -> Weights {
     kept.map(|w| w / sum)
 }
 
-/// The weights before smoothing: each joint takes over a share of what its parent carries, which
-/// rises from 0 to 1 across the joint.
+/// Weights before smoothing: each joint takes a share of the weight of its parent, which rises from 0
+/// to 1 across the joint.
 fn row(p: DVec3) -> Weights {
     let mut carried = [1.0; JOINTS];
     let mut row = [0.0; JOINTS];
@@ -72,7 +72,7 @@ fn row(p: DVec3) -> Weights {
     row.map(|w| w.max(0.0))
 }
 
-/// Whether `joint` hangs on `ancestor`.
+/// True if `ancestor` is an ancestor of `joint` in the kinematic tree.
 pub(super) fn is_ancestor(ancestor: usize, joint: usize) -> bool {
     let mut at = joint;
     while at != 0 {
@@ -84,7 +84,7 @@ pub(super) fn is_ancestor(ancestor: usize, joint: usize) -> bool {
     false
 }
 
-/// The share of its parent's motion that `joint` takes over at rest position `p`.
+/// Share of the parent's weight that `joint` takes at rest position `p`.
 fn share(joint: usize, p: DVec3) -> f64 {
     if MIRRORED[joint] < joint {
         return share(MIRRORED[joint], DVec3::new(-p.x, p.y, p.z));
@@ -92,8 +92,7 @@ fn share(joint: usize, p: DVec3) -> f64 {
     let DVec3 { x, y, z } = p;
     let neck = || ramp(y + 0.38 * z, 0.225, 0.300);
     match joint {
-        // Thigh: below a plane from the crotch up to the hip bone, on its own side (which
-        // the two thighs share only at the crotch).
+        // Thigh: below a plane from the crotch to the hip bone, on its own side.
         1 => {
             let groin = -0.375 + 0.75 * x.abs().min(0.17) - 0.02 * ramp(-z, -0.02, 0.08);
             let shared = 0.002 + 0.028 * (1.0 - ramp(-y, 0.360, 0.420));
@@ -124,14 +123,14 @@ fn share(joint: usize, p: DVec3) -> f64 {
     }
 }
 
-/// One sparse row of the regressor: vertices and their weights.
-pub(super) type Row = Vec<(usize, f64)>;
+/// Sparse row of the joint regressor: vertex indices and weights.
+pub(super) type RegressorRow = Vec<(usize, f64)>;
 
-/// For each joint the vertices around it and weights that average them to the joint exactly,
-/// sum to 1 and are positive: of all such weights those nearest (in relative entropy) to a
-/// Gaussian around the joint.
-pub(super) fn joint_regressor(skin: &SymmetricMesh, joints: &[DVec3; JOINTS]) -> Vec<Row> {
-    let mut rows: Vec<Row> = joints.iter().map(|&joint| regressor_row(skin, joint)).collect();
+/// Sparse rows of the joint regressor, `[24]`: positive weights of nearby vertices that sum to 1 and
+/// average exactly to the joint, of minimal relative entropy to a Gaussian around it.
+pub(super) fn joint_regressor(skin: &SymmetricMesh, joints: &[DVec3; JOINTS]) -> Vec<RegressorRow> {
+    let mut rows: Vec<RegressorRow> =
+        joints.iter().map(|&joint| regressor_row(skin, joint)).collect();
     for right in (0..JOINTS).filter(|&j| MIRRORED[j] < j) {
         rows[right] =
             rows[MIRRORED[right]].iter().map(|&(v, w)| (skin.mirror[v] as usize, w)).collect();
@@ -140,7 +139,7 @@ pub(super) fn joint_regressor(skin: &SymmetricMesh, joints: &[DVec3; JOINTS]) ->
     rows
 }
 
-fn regressor_row(skin: &SymmetricMesh, joint: DVec3) -> Row {
+fn regressor_row(skin: &SymmetricMesh, joint: DVec3) -> RegressorRow {
     let mut near: Vec<(f64, usize)> =
         skin.vertices.iter().enumerate().map(|(v, p)| (p.distance_squared(joint), v)).collect();
     near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -149,16 +148,21 @@ fn regressor_row(skin: &SymmetricMesh, joint: DVec3) -> Row {
         let mut ring: Vec<(usize, f64)> =
             near[..count].iter().map(|&(d, v)| (v, (-0.5 * d / near[count - 1].0).exp())).collect();
         ring.sort_by_key(|&(v, _)| v);
-        if let Some(row) = least_informative(skin, joint, &ring) {
+        if let Some(row) = minimum_entropy_row(skin, joint, &ring) {
             return row;
         }
-        // The joint is not well inside these vertices' hull: take more.
+        // The joint is not well inside the hull of these vertices: take more.
         count = (count * 3 / 2).min(near.len());
     }
 }
 
-/// Newton's method on the dual of: minimise relative entropy to `prior` subject to the moments.
-fn least_informative(skin: &SymmetricMesh, joint: DVec3, prior: &[(usize, f64)]) -> Option<Row> {
+/// Weights of minimal relative entropy to `prior` that sum to 1 and average to `joint`, by Newton's
+/// method on the dual problem; `None` if there are none.
+fn minimum_entropy_row(
+    skin: &SymmetricMesh,
+    joint: DVec3,
+    prior: &[(usize, f64)],
+) -> Option<RegressorRow> {
     const SCALE: f64 = 20.0;
     const LARGEST: f64 = 0.2;
     let features: Vec<DVec4> =
@@ -178,11 +182,11 @@ fn least_informative(skin: &SymmetricMesh, joint: DVec3, prior: &[(usize, f64)])
         }
         multiplier -= (hessian.inverse() * gradient).clamp_length_max(2.0);
     }
-    let row: Row = prior.iter().zip(weights).map(|(&(v, _), w)| (v, w)).collect();
-    let miss = row.iter().map(|&(v, w)| skin.vertices[v] * w).sum::<DVec3>() - joint;
+    let row: RegressorRow = prior.iter().zip(weights).map(|(&(v, _), w)| (v, w)).collect();
+    let error = row.iter().map(|&(v, w)| skin.vertices[v] * w).sum::<DVec3>() - joint;
     let sum: f64 = row.iter().map(|r| r.1).sum();
-    let sound = miss.length() < 1e-10
+    let valid = error.length() < 1e-10
         && (sum - 1.0).abs() < 1e-10
         && row.iter().all(|r| r.1.is_finite() && r.1 < LARGEST);
-    sound.then_some(row)
+    valid.then_some(row)
 }

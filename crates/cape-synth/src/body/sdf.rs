@@ -1,47 +1,47 @@
-//! A small sculpting kit: implicit parts that blend smoothly into one surface.
+//! Signed distance field of smoothly blended implicit parts.
 //!
-//! Every part returns roughly the signed distance in metres, negative inside. The whole figure is
-//! mirrored in the plane x = 0, so parts are given for the left side only (x ≥ 0).
+//! Each part gives an approximate signed distance in metres, negative inside. The field is symmetric
+//! in x = 0; parts are given for the left side (x ≥ 0).
 
 use glam::{DMat3, DQuat, DVec3};
 
-/// Points farther than this from a part's box are taken to be outside its influence.
+/// Distance from the bounding box of a part beyond which it has no influence, metres.
 const MARGIN: f64 = 0.02;
 
-/// A cross-section of a [`Tube`]: where it is along the axis, its centre and its four half-widths.
+/// Cross-section of a [`Tube`]; lengths in metres.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CrossSection {
-    /// Position along the tube's axis.
+    /// Position along the axis of the tube.
     pub(super) at: f64,
-    /// Centre in the two other coordinates (in the order x, y, z with the axis left out).
+    /// Centre in the two coordinates other than the axis, in the order x, y, z.
     pub(super) centre: [f64; 2],
     /// Half-widths towards −u, +u, −v, +v.
     pub(super) half: [f64; 4],
 }
 
-/// A generalised cylinder along a coordinate axis, with super-elliptic cross-sections
-/// interpolated monotonically between stations.
+/// Generalised cylinder along a coordinate axis, with superelliptic cross-sections and monotone cubic
+/// interpolation between them.
 #[derive(Debug, Clone)]
 pub(super) struct Tube {
     axis: usize,
     exponent: f64,
     caps: [f64; 2],
     at: Vec<f64>,
-    /// Value and slope of the six channels at each station.
+    /// Values and slopes of the six channels at each cross-section.
     values: Vec<[f64; 6]>,
     slopes: Vec<[f64; 6]>,
 }
 
 impl Tube {
-    /// A tube through `stations` (ascending); `caps` are the lengths of its rounded ends.
+    /// Tube through cross-sections in ascending order; `caps` are the lengths of its rounded ends.
     pub(super) fn new(
         axis: usize,
         exponent: f64,
         caps: [f64; 2],
-        stations: &[CrossSection],
+        sections: &[CrossSection],
     ) -> Self {
-        let at: Vec<f64> = stations.iter().map(|s| s.at).collect();
-        let values: Vec<[f64; 6]> = stations
+        let at: Vec<f64> = sections.iter().map(|s| s.at).collect();
+        let values: Vec<[f64; 6]> = sections
             .iter()
             .map(|s| {
                 let ([u, v], [a, b, c, d]) = (s.centre, s.half);
@@ -52,7 +52,7 @@ impl Tube {
         Self { axis, exponent, caps, at, values, slopes }
     }
 
-    /// The six interpolated channels at axis position `t` (inside the range of the stations).
+    /// Interpolated channels at axis position `t`, within the range of the cross-sections.
     fn section(&self, t: f64) -> [f64; 6] {
         let i = self.at[1..self.at.len() - 1].iter().take_while(|&&a| a <= t).count();
         let width = self.at[i + 1] - self.at[i];
@@ -99,7 +99,7 @@ impl Tube {
     }
 }
 
-/// Slopes of the monotone cubic through the stations (Fritsch–Butland): no overshoot.
+/// Slopes of the monotone cubic through the cross-sections (Fritsch and Butland 1984).
 fn monotone_slopes(at: &[f64], values: &[[f64; 6]]) -> Vec<[f64; 6]> {
     let secant = |i: usize, c: usize| (values[i + 1][c] - values[i][c]) / (at[i + 1] - at[i]);
     let last = at.len() - 1;
@@ -123,7 +123,7 @@ fn monotone_slopes(at: &[f64], values: &[[f64; 6]]) -> Vec<[f64; 6]> {
         .collect()
 }
 
-/// First-order distance to the unit ball of the `n`-norm scaled by `radii`.
+/// First-order distance to the unit ball of the `n`-norm, scaled by `radii`.
 fn scaled_norm_distance(d: DVec3, radii: DVec3, n: f64) -> f64 {
     let q = d.abs() / radii;
     let (norm, gradient) = if n == 2.0 {
@@ -140,7 +140,7 @@ fn scaled_norm_distance(d: DVec3, radii: DVec3, n: f64) -> f64 {
     (norm - 1.0) / gradient.length()
 }
 
-/// The form of a [`SdfPart`].
+/// Geometric primitive of a [`SdfPart`].
 #[derive(Debug, Clone)]
 pub(super) enum Primitive {
     /// A generalised cylinder.
@@ -154,7 +154,7 @@ pub(super) enum Primitive {
         /// Semi-axes.
         radii: DVec3,
         /// Rotation of the semi-axes.
-        turn: DQuat,
+        rotation: DQuat,
     },
 }
 
@@ -166,8 +166,8 @@ impl Primitive {
                 .windows(2)
                 .map(|pair| cone_distance(p, pair[0], pair[1]))
                 .fold(f64::INFINITY, f64::min),
-            Self::Ellipsoid { centre, radii, turn } => {
-                scaled_norm_distance(turn.inverse() * (p - centre), *radii, 2.0)
+            Self::Ellipsoid { centre, radii, rotation } => {
+                scaled_norm_distance(rotation.inverse() * (p - centre), *radii, 2.0)
             }
         }
     }
@@ -180,8 +180,8 @@ impl Primitive {
                     (low.min(c - r), high.max(c + r))
                 })
             }
-            Self::Ellipsoid { centre, radii, turn } => {
-                let axes = DMat3::from_quat(*turn);
+            Self::Ellipsoid { centre, radii, rotation } => {
+                let axes = DMat3::from_quat(*rotation);
                 let reach =
                     DVec3::from_array(std::array::from_fn(|i| (axes.row(i) * radii).length()));
                 (centre - reach, centre + reach)
@@ -190,98 +190,98 @@ impl Primitive {
     }
 }
 
-/// Distance to two spheres joined by a (radius-interpolated) cone.
+/// Approximate distance to two spheres joined by a cone.
 fn cone_distance(p: DVec3, (a, ra): (DVec3, f64), (b, rb): (DVec3, f64)) -> f64 {
     let axis = b - a;
     let t = ((p - a).dot(axis) / axis.length_squared()).clamp(0.0, 1.0);
     (p - a - axis * t).length() - (ra + (rb - ra) * t)
 }
 
-/// One implicit part and how softly it joins those before it.
+/// Implicit part with the width of its blend with earlier parts.
 #[derive(Debug, Clone)]
 pub(super) struct SdfPart {
-    form: Primitive,
+    primitive: Primitive,
     blend: f64,
-    /// Whether the mirrored part on the other side is blended with this one near x = 0.
+    /// True if the part blends with its mirror image near x = 0.
     paired: bool,
     low: DVec3,
     high: DVec3,
 }
 
 impl SdfPart {
-    /// A part that joins what came before it within `blend` metres.
-    pub(super) fn new(form: Primitive, blend: f64) -> Self {
-        let (low, high) = form.bounds();
+    /// Part that blends with earlier parts within `blend` metres.
+    pub(super) fn new(primitive: Primitive, blend: f64) -> Self {
+        let (low, high) = primitive.bounds();
         let reach = blend + MARGIN;
-        Self { form, blend, paired: false, low: low - reach, high: high + reach }
+        Self { primitive, blend, paired: false, low: low - reach, high: high + reach }
     }
 
-    /// The same part, blended with its mirror image across x = 0.
+    /// The part blended with its mirror image in x = 0.
     pub(super) fn mirrored(mut self) -> Self {
         self.paired = true;
         self
     }
 
-    fn join(&self, so_far: f64, p: DVec3) -> f64 {
+    fn blend_with(&self, distance: f64, p: DVec3) -> f64 {
         if p.cmplt(self.low).any() || p.cmpgt(self.high).any() {
-            return so_far;
+            return distance;
         }
-        let mut d = self.form.distance(p);
+        let mut d = self.primitive.distance(p);
         if self.paired && p.x < 2.0 * self.blend {
-            let other = self.form.distance(DVec3::new(-p.x, p.y, p.z));
+            let other = self.primitive.distance(DVec3::new(-p.x, p.y, p.z));
             d = smooth_min(d, other, self.blend);
         }
-        smooth_min(so_far, d, self.blend)
+        smooth_min(distance, d, self.blend)
     }
 }
 
-/// A soft dab of clay on (or, with a negative amount, a thumb's dent in) the surface.
+/// Gaussian displacement of the surface, outwards or (negative) inwards.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Blob {
-    /// Centre.
+    /// Centre, metres.
     pub(super) centre: DVec3,
-    /// Standard deviations along the three axes.
+    /// Standard deviations along the axes, metres.
     pub(super) spread: DVec3,
-    /// Height in metres.
-    pub(super) amount: f64,
+    /// Height, metres.
+    pub(super) amplitude: f64,
 }
 
 impl Blob {
-    /// Height of the dab at `p`.
+    /// Displacement at `p`, metres.
     pub(super) fn height(&self, p: DVec3) -> f64 {
         let q = ((p - self.centre) / self.spread).length_squared();
-        if q > 16.0 { 0.0 } else { self.amount * ((-0.5 * q).exp() - (-8.0_f64).exp()) }
+        if q > 16.0 { 0.0 } else { self.amplitude * ((-0.5 * q).exp() - (-8.0_f64).exp()) }
     }
 }
 
-/// The minimum of `a` and `b`, rounded off (twice differentiably) where they differ by less than `k`.
+/// Twice differentiable minimum of `a` and `b`, rounded where they differ by less than `k`.
 fn smooth_min(a: f64, b: f64, k: f64) -> f64 {
     let h = (k - (a - b).abs()).max(0.0) / k;
     a.min(b) - h * h * h * k / 6.0
 }
 
-/// A mirrored figure of blended parts and dabs.
+/// Signed distance field of the body, symmetric in x = 0.
 #[derive(Debug, Clone, Default)]
 pub(super) struct BodySdf {
-    /// Blended in order.
+    /// Parts, blended in order.
     pub(super) parts: Vec<SdfPart>,
-    /// Added to the blended parts.
+    /// Displacements of the blended surface.
     pub(super) blobs: Vec<Blob>,
 }
 
 impl BodySdf {
-    /// Approximate signed distance at `p`, negative inside.
+    /// Approximate signed distance at `p`, metres; negative inside.
     pub(super) fn distance(&self, p: DVec3) -> f64 {
         let p = DVec3::new(p.x.abs(), p.y, p.z);
         let far = 1.0;
-        let d = self.parts.iter().fold(far, |d, part| part.join(d, p));
+        let d = self.parts.iter().fold(far, |d, part| part.blend_with(d, p));
         if d > 2.0 * MARGIN {
             return d;
         }
-        d - self.blobs.iter().map(|dab| dab.height(p)).sum::<f64>()
+        d - self.blobs.iter().map(|blob| blob.height(p)).sum::<f64>()
     }
 
-    /// Distance and gradient at `p` by differences over a small tetrahedron.
+    /// Distance and gradient at `p` by finite differences over a tetrahedron.
     pub(super) fn distance_and_gradient(&self, p: DVec3) -> (f64, DVec3) {
         const STEP: f64 = 1e-5;
         const CORNERS: [DVec3; 4] = [
@@ -300,7 +300,7 @@ impl BodySdf {
         (value, gradient)
     }
 
-    /// `p` moved onto the surface by `steps` Newton steps, each at most 5 mm long.
+    /// Projects `p` onto the surface by `steps` Newton steps of at most 5 mm.
     pub(super) fn project(&self, mut p: DVec3, steps: usize) -> DVec3 {
         for _ in 0..steps {
             let (d, gradient) = self.distance_and_gradient(p);

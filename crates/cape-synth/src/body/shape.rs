@@ -1,4 +1,4 @@
-//! Ten directions in which people's shapes differ.
+//! Ten shape directions of the synthetic body.
 
 use glam::DVec3;
 
@@ -12,19 +12,19 @@ use cape_core::joints::JOINTS;
 /// Number of shape directions.
 pub(super) const DIRECTIONS: usize = 10;
 
-/// A local swelling along the surface normal: centre, spread and height at one standard
-/// deviation, millimetres, on both sides of the body.
+/// Gaussian displacement along the surface normal on both sides of the body: centre and spread,
+/// metres, height at one standard deviation, millimetres.
 type Bulge = ([f64; 3], [f64; 3], f64);
 
-/// How the body changes per standard deviation of one direction: relative growth of each joint's
-/// part along x, y and z (`(joint, growth)`, left joints standing for both sides), and swellings.
+/// Change of the body per standard deviation of one direction: relative growth of the part of each
+/// joint along x, y and z (`(joint, growth)`; left joints stand for both sides), and local bulges.
 struct ShapeDirection {
     growth: &'static [(usize, [f64; 3])],
-    swellings: &'static [Bulge],
+    bulges: &'static [Bulge],
 }
 
-/// Stature; weight; limb length; legs against trunk; shoulder width; hip width; belly; chest;
-/// muscle; head size.
+/// Stature; weight; limb length; leg length relative to the trunk; shoulder width; hip width; belly;
+/// chest; muscle; head size.
 const SHAPES: [ShapeDirection; DIRECTIONS] = [
     ShapeDirection {
         growth: &[
@@ -44,7 +44,7 @@ const SHAPES: [ShapeDirection; DIRECTIONS] = [
             (7, [0.022, 0.022, 0.034]),
             (10, [0.022, 0.022, 0.034]),
         ],
-        swellings: &[],
+        bulges: &[],
     },
     ShapeDirection {
         growth: &[
@@ -63,7 +63,7 @@ const SHAPES: [ShapeDirection; DIRECTIONS] = [
             (4, [0.065, 0.0, 0.065]),
             (7, [0.025, 0.0, 0.010]),
         ],
-        swellings: &[
+        bulges: &[
             ([0.045, -0.120, 0.090], [0.070, 0.075, 0.060], 7.0),
             ([0.125, -0.150, 0.000], [0.040, 0.070, 0.080], 5.0),
             ([0.075, -0.310, -0.110], [0.060, 0.070, 0.050], 5.0),
@@ -83,7 +83,7 @@ const SHAPES: [ShapeDirection; DIRECTIONS] = [
             (7, [0.0, 0.0, 0.024]),
             (10, [0.0, 0.0, 0.024]),
         ],
-        swellings: &[],
+        bulges: &[],
     },
     ShapeDirection {
         growth: &[
@@ -95,7 +95,7 @@ const SHAPES: [ShapeDirection; DIRECTIONS] = [
             (1, [0.0, 0.032, 0.0]),
             (4, [0.0, 0.032, 0.0]),
         ],
-        swellings: &[],
+        bulges: &[],
     },
     ShapeDirection {
         growth: &[
@@ -104,18 +104,18 @@ const SHAPES: [ShapeDirection; DIRECTIONS] = [
             (16, [0.0, 0.020, 0.020]),
             (6, [0.012, 0.0, 0.0]),
         ],
-        swellings: &[([0.120, 0.090, -0.040], [0.040, 0.070, 0.070], 3.0)],
+        bulges: &[([0.120, 0.090, -0.040], [0.040, 0.070, 0.070], 3.0)],
     },
     ShapeDirection {
         growth: &[(0, [0.062, 0.0, 0.020]), (1, [0.030, 0.0, 0.015]), (3, [0.016, 0.0, 0.0])],
-        swellings: &[
+        bulges: &[
             ([0.165, -0.330, 0.000], [0.035, 0.070, 0.070], 5.0),
             ([0.080, -0.320, -0.115], [0.055, 0.065, 0.050], 4.0),
         ],
     },
     ShapeDirection {
         growth: &[(3, [0.012, 0.0, 0.020]), (6, [0.006, 0.0, 0.015])],
-        swellings: &[
+        bulges: &[
             ([0.030, -0.110, 0.105], [0.060, 0.075, 0.060], 9.0),
             ([0.030, -0.030, 0.100], [0.060, 0.060, 0.060], 4.0),
             ([0.120, -0.110, 0.020], [0.040, 0.050, 0.060], 4.0),
@@ -123,7 +123,7 @@ const SHAPES: [ShapeDirection; DIRECTIONS] = [
     },
     ShapeDirection {
         growth: &[(9, [0.016, 0.0, 0.030]), (6, [0.008, 0.0, 0.012])],
-        swellings: &[
+        bulges: &[
             ([0.075, 0.100, 0.100], [0.042, 0.042, 0.050], 9.0),
             ([0.080, 0.130, -0.110], [0.060, 0.070, 0.040], 2.0),
         ],
@@ -137,7 +137,7 @@ const SHAPES: [ShapeDirection; DIRECTIONS] = [
             (1, [0.018, 0.0, 0.018]),
             (4, [0.022, 0.0, 0.022]),
         ],
-        swellings: &[
+        bulges: &[
             ([0.190, 0.240, -0.025], [0.050, 0.030, 0.060], 6.0),
             ([0.310, 0.225, 0.015], [0.050, 0.030, 0.025], 5.0),
             ([0.300, 0.212, -0.080], [0.055, 0.030, 0.025], 5.0),
@@ -152,12 +152,12 @@ const SHAPES: [ShapeDirection; DIRECTIONS] = [
     },
     ShapeDirection {
         growth: &[(15, [0.034, 0.034, 0.034]), (12, [0.015, 0.010, 0.015])],
-        swellings: &[],
+        bulges: &[],
     },
 ];
 
-/// The shape directions, metres per standard deviation, `[10][6890]`: mutually orthogonal and
-/// symmetric; a later direction is what it adds to the earlier ones.
+/// Shape directions, metres per standard deviation, `[10][6890]`: symmetric in x = 0 and orthogonalised
+/// in order.
 pub(super) fn shape_directions(
     skin: &SymmetricMesh,
     weights: &[Weights],
@@ -192,7 +192,7 @@ fn displacement(
         growth[joint] = DVec3::from_array(along);
         growth[MIRRORED[joint]] = growth[joint];
     }
-    // The end of a chain moves by what the parts between it and the pelvis grow.
+    // A joint moves by the growth of the parts between it and the pelvis.
     let mut moved = [DVec3::ZERO; JOINTS];
     for joint in 1..JOINTS {
         let above = parent(joint);
@@ -207,24 +207,24 @@ fn displacement(
             let p = skin.vertices[v];
             let grown: DVec3 =
                 (0..JOINTS).map(|j| (moved[j] + growth[j] * (p - joints[j])) * weights[v][j]).sum();
-            let d = grown + normals[v] * swelling(shape.swellings, p);
+            let d = grown + normals[v] * bulge_height(shape.bulges, p);
             let x = if skin.vertices[v].x == 0.0 { 0.0 } else { d.x };
             DVec3::new(side * x, d.y, d.z)
         })
         .collect()
 }
 
-/// Sum of the swellings' heights at `p`, metres.
-fn swelling(swellings: &[Bulge], p: DVec3) -> f64 {
+/// Sum of the bulges at `p`, metres.
+fn bulge_height(bulges: &[Bulge], p: DVec3) -> f64 {
     let mirrored = DVec3::new(-p.x, p.y, p.z);
-    swellings
+    bulges
         .iter()
         .map(|&(centre, spread, height)| {
             let bell = |p: DVec3| {
                 let q = (p - DVec3::from_array(centre)) / DVec3::from_array(spread);
                 (-0.5 * q.length_squared()).exp() * height / 1000.0
             };
-            // One on the mid-line is not counted twice.
+            // A bulge on the mid-line counts once.
             if centre[0] == 0.0 { bell(p) } else { bell(p) + bell(mirrored) }
         })
         .sum()

@@ -1,4 +1,4 @@
-//! From the implicit figure to its mesh of 6890 vertices.
+//! Mesh of 6890 vertices of the body's signed distance field.
 
 use glam::DVec3;
 
@@ -9,23 +9,24 @@ use super::{
     sdf::BodySdf,
 };
 
-/// A closed mesh that is its own mirror image in x = 0.
+/// Closed mesh, symmetric in x = 0.
 pub(super) struct SymmetricMesh {
-    /// Positions, `[6890]`.
+    /// Vertex positions, metres, `[6890]`.
     pub(super) vertices: Vec<DVec3>,
-    /// Outward-oriented triangles, `[13776]`.
+    /// Triangles, oriented outwards, `[13776]`.
     pub(super) faces: Vec<[u32; 3]>,
-    /// The mirror image of each vertex; itself in the plane x = 0.
+    /// Index of the mirror image of each vertex, `[6890]`.
     pub(super) mirror: Vec<u32>,
 }
 
-/// The mesh of `figure`'s sculpture.
-pub(super) fn symmetric_mesh(sculpture: &BodySdf) -> SymmetricMesh {
-    let (position, face) = half(sculpture);
+/// Symmetric mesh of the zero surface of `sdf`.
+pub(super) fn symmetric_mesh(sdf: &BodySdf) -> SymmetricMesh {
+    let (position, face) = half(sdf);
     mirrored(&position, &face)
 }
 
-fn half(sculpture: &BodySdf) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+/// Vertices and triangles of the half surface in x ≥ 0.
+fn half(sdf: &BodySdf) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     let grid = Grid::new(
         DVec3::new(0.0, -1.2, -0.18),
         DVec3::new(0.90, 0.60, 0.20),
@@ -34,35 +35,35 @@ fn half(sculpture: &BodySdf) -> (Vec<DVec3>, Vec<[u32; 3]>) {
         [[0.68, 0.90], [0.18, 0.25], [-0.11, 0.06]],
     );
     let inside = DVec3::new(0.0, 0.3, 0.0);
-    let (position, face) = polygonise(&grid, |p| sculpture.distance(p), inside);
+    let (position, face) = polygonise(&grid, |p| sdf.distance(p), inside);
     let mut surface = EditableMesh::new(position, face, &figure::edge_size);
     let mut scale = 0.0206;
     surface.coarsen(0.5 * scale, 0.8);
-    surface.relax(0.5, &|p| sculpture.project(p, 1));
+    surface.relax(0.5, &|p| sdf.project(p, 1));
     surface.coarsen(scale, 0.75);
     for _ in 0..ROUNDS {
         surface.refine(scale, 1.36);
         surface.coarsen(scale, 0.74);
         surface.regularise();
-        surface.relax(0.6, &|p| sculpture.project(p, 1));
-        surface.relax(0.6, &|p| sculpture.project(p, 1));
+        surface.relax(0.6, &|p| sdf.project(p, 1));
+        surface.relax(0.6, &|p| sdf.project(p, 1));
         scale *= (surface.mirrored_count() as f64 / VERTICES as f64).sqrt();
     }
     let settled = surface.settle(VERTICES);
-    debug_assert!(settled, "the figure is the same on every call, and its count is tested");
+    debug_assert!(settled, "the vertex count of the body is constant and tested");
     for _ in 0..8 {
         surface.regularise();
-        surface.relax(0.6, &|p| sculpture.project(p, 1));
+        surface.relax(0.6, &|p| sdf.project(p, 1));
     }
-    surface.relax(0.3, &|p| sculpture.project(p, 3));
+    surface.relax(0.3, &|p| sdf.project(p, 3));
     surface.finish()
 }
 
-/// Rounds of remeshing; the mesh hardly changes after them.
+/// Rounds of remeshing until convergence.
 const ROUNDS: usize = 10;
 
-/// The half surface with its mirror image, numbered outwards in rings from the top of the head so
-/// that neighbours are near each other in memory.
+/// Joins the half surface with its mirror image; vertices are numbered in rings from the top of the
+/// head, so that neighbours are close in memory.
 fn mirrored(position: &[DVec3], face: &[[u32; 3]]) -> SymmetricMesh {
     let mut image = Vec::with_capacity(position.len());
     let mut vertices = position.to_vec();
@@ -107,7 +108,7 @@ fn mirrored(position: &[DVec3], face: &[[u32; 3]]) -> SymmetricMesh {
     }
 }
 
-/// Vertices in breadth-first order from the highest one.
+/// Vertex indices in breadth-first order from the highest vertex.
 fn rings(vertices: &[DVec3], faces: &[[u32; 3]]) -> Vec<u32> {
     let around = neighbours(vertices.len(), faces);
     let top = (0..vertices.len()).max_by(|&a, &b| vertices[a].y.total_cmp(&vertices[b].y));
@@ -128,7 +129,7 @@ fn rings(vertices: &[DVec3], faces: &[[u32; 3]]) -> Vec<u32> {
     order
 }
 
-/// The vertices adjacent to each vertex of a closed, oriented mesh.
+/// Adjacent vertices of each vertex of a closed, oriented mesh.
 pub(super) fn neighbours(vertices: usize, faces: &[[u32; 3]]) -> Vec<Vec<u32>> {
     let mut around = vec![Vec::with_capacity(8); vertices];
     for &[a, b, c] in faces {
@@ -139,7 +140,7 @@ pub(super) fn neighbours(vertices: usize, faces: &[[u32; 3]]) -> Vec<Vec<u32>> {
     around
 }
 
-/// Unit vertex normals (area-weighted).
+/// Area-weighted unit normals of the vertices.
 pub(super) fn normals(vertices: &[DVec3], faces: &[[u32; 3]]) -> Vec<DVec3> {
     let mut normals = vec![DVec3::ZERO; vertices.len()];
     for face in faces {

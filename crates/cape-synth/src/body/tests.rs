@@ -3,7 +3,7 @@ use std::{collections::HashMap, sync::LazyLock};
 use glam::DVec3;
 use ndarray::{Array2, Axis};
 
-use super::{FACES, VERTICES, figure, remesh::shape, synthetic_body};
+use super::{FACES, VERTICES, figure, remesh::shape_quality, synthetic_body};
 use cape_core::{SmplModel, joints::JOINTS};
 
 static BODY: LazyLock<SmplModel> = LazyLock::new(synthetic_body);
@@ -12,8 +12,8 @@ fn points(array: &Array2<f64>) -> Vec<DVec3> {
     array.rows().into_iter().map(|r| DVec3::new(r[0], r[1], r[2])).collect()
 }
 
-fn shaped(direction: usize, amount: f64) -> Array2<f64> {
-    &BODY.v_template + &(&BODY.shapedirs.index_axis(Axis(2), direction) * amount)
+fn with_shape(direction: usize, coefficient: f64) -> Array2<f64> {
+    &BODY.v_template + &(&BODY.shapedirs.index_axis(Axis(2), direction) * coefficient)
 }
 
 fn joints(vertices: &Array2<f64>) -> Vec<DVec3> {
@@ -30,7 +30,7 @@ fn volume(vertices: &[DVec3], faces: &[[u32; 3]]) -> f64 {
         .sum()
 }
 
-/// The body turned at some joints, with or without its pose directions.
+/// The body posed by `rotations` of joints, with or without pose directions.
 fn posed(rotations: &[(usize, DVec3)], corrected: bool) -> Vec<DVec3> {
     static PLAIN: LazyLock<SmplModel> = LazyLock::new(|| {
         let mut body = BODY.clone();
@@ -56,7 +56,7 @@ fn closed_manifold_of_genus_zero_with_smpl_counts() {
             *directed.entry(edge).or_default() += 1;
         }
     }
-    // Each edge once in each direction: two faces an edge, consistently oriented.
+    // Each edge once per direction: two consistently oriented faces per edge.
     assert!(directed.iter().all(|(&(a, b), &n)| n == 1 && directed.contains_key(&(b, a))));
     let edges = directed.len() / 2;
     assert_eq!(VERTICES as i64 - edges as i64 + FACES as i64, 2);
@@ -66,7 +66,7 @@ fn closed_manifold_of_genus_zero_with_smpl_counts() {
     }
     assert!(valence.iter().all(|n| (4..=8).contains(n)));
     assert!(valence.iter().filter(|&&n| n == 6).count() * 10 > VERTICES * 7);
-    // The faces around a vertex form one fan: as many reachable around it as there are.
+    // The faces of a vertex form one fan.
     let next: HashMap<(u32, u32), u32> =
         BODY.faces.iter().flat_map(|&[a, b, c]| [((a, b), c), ((b, c), a), ((c, a), b)]).collect();
     let mut fan = vec![0; VERTICES];
@@ -92,7 +92,7 @@ fn triangles_are_well_shaped_and_face_outwards() {
     assert!((0.05..0.08).contains(&volume), "{volume} m³");
     for f in &BODY.faces {
         let [a, b, c] = f.map(|v| vertices[v as usize]);
-        assert!(shape(a, b, c) > 0.6);
+        assert!(shape_quality(a, b, c) > 0.6);
         let angle = [(a, b, c), (b, c, a), (c, a, b)]
             .map(|(p, q, r)| (q - p).angle_between(r - p).to_degrees());
         assert!(angle.iter().all(|&d| d > 28.0), "{angle:?} at {a}");
@@ -103,16 +103,16 @@ fn triangles_are_well_shaped_and_face_outwards() {
 
 #[test]
 fn vertices_lie_on_the_figure() {
-    let sculpture = figure::body_sdf();
+    let sdf = figure::body_sdf();
     for p in points(&BODY.v_template) {
-        let off = sculpture.distance(p).abs();
+        let off = sdf.distance(p).abs();
         assert!(off < 2e-4, "{off} m at {p}");
     }
 }
 
 #[test]
 fn limbs_stay_apart_at_rest() {
-    let sculpture = figure::body_sdf();
+    let sdf = figure::body_sdf();
     // Between the legs, under the arms, between the fingers.
     let free = [
         [0.0, -0.45, 0.0],
@@ -124,7 +124,7 @@ fn limbs_stay_apart_at_rest() {
         [0.81, 0.213, -0.076],
     ];
     for p in free {
-        assert!(sculpture.distance(DVec3::from_array(p)) > 1e-3, "{p:?}");
+        assert!(sdf.distance(DVec3::from_array(p)) > 1e-3, "{p:?}");
     }
 }
 
@@ -180,7 +180,7 @@ fn weights_are_sparse_smooth_and_sum_to_one() {
 }
 
 #[test]
-fn regressor_hits_the_joints() {
+fn the_regressor_gives_the_joints() {
     for (row, (found, wanted)) in BODY
         .joint_regressor
         .rows()
@@ -200,7 +200,7 @@ fn every_call_makes_the_same_body() {
 }
 
 #[test]
-fn shape_directions_are_orthogonal_and_mean_what_they_say() {
+fn shape_directions_are_orthogonal_and_change_the_named_measure() {
     let directions = BODY.shapedirs.view().into_shape_with_order((VERTICES * 3, 10)).unwrap();
     let gram = directions.t().dot(&directions);
     for i in 0..10 {
@@ -214,13 +214,13 @@ fn shape_directions_are_orthogonal_and_mean_what_they_say() {
     };
     let rest = &BODY.v_template;
     let litres = |v: &Array2<f64>| volume(&points(v), &BODY.faces) * 1000.0;
-    let grown = stature(&shaped(0, 1.0)) - stature(rest);
+    let grown = stature(&with_shape(0, 1.0)) - stature(rest);
     assert!((0.05..0.08).contains(&grown), "{grown}");
-    let heavier = litres(&shaped(1, 1.0)) - litres(rest);
+    let heavier = litres(&with_shape(1, 1.0)) - litres(rest);
     assert!((6.0..14.0).contains(&heavier), "{heavier}");
-    assert!((stature(&shaped(1, 1.0)) - stature(rest)).abs() < 0.02);
+    assert!((stature(&with_shape(1, 1.0)) - stature(rest)).abs() < 0.02);
     let change = |direction: usize, a: usize, b: usize| {
-        let after = joints(&shaped(direction, 1.0));
+        let after = joints(&with_shape(direction, 1.0));
         let before = joints(rest);
         after[a].distance(after[b]) - before[a].distance(before[b])
     };
@@ -237,8 +237,8 @@ fn shape_directions_are_orthogonal_and_mean_what_they_say() {
         assert!(change / least > 1.0, "direction {direction}, joints {a} and {b}: {change}");
     }
     for direction in 0..10 {
-        for amount in [-2.0, 2.0] {
-            let body = shaped(direction, amount);
+        for coefficient in [-2.0, 2.0] {
+            let body = with_shape(direction, coefficient);
             assert!((1.5..1.9).contains(&stature(&body)));
             assert!((38.0..90.0).contains(&litres(&body)));
         }

@@ -1,5 +1,5 @@
-//! How loose cloth bridges the body's hollows: it hangs from chest, shoulder blades, seat and
-//! thighs instead of following waist, spine and calf.
+//! Offsets of hanging cloth, which bridges concave parts of the body: it hangs from chest, shoulder
+//! blades, seat and thighs instead of following waist, spine and calves.
 
 use std::f64::consts::TAU;
 
@@ -7,14 +7,14 @@ use glam::DVec3;
 
 use crate::regions::{LimbSite, Regions, VertexSite, joint};
 
-/// Directions around a tube.
+/// Number of sampled directions around a tube.
 const DIRECTIONS: usize = 32;
 /// Distance between cross-sections, metres.
 const STEP: f64 = 0.015;
-/// Farthest that cloth is from the skin it bridges, metres.
-const FARTHEST: f64 = 0.06;
+/// Largest distance of bridging cloth from the skin, metres.
+const MAX_GAP: f64 = 0.06;
 
-/// From a vertex to where straight-hanging cloth is, metres, for each tube of cloth it may be in.
+/// Offset from a vertex to straight-hanging cloth, metres, for each garment part that may cover it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct DrapeOffsets {
     pub(super) body: DVec3,
@@ -22,17 +22,17 @@ pub(super) struct DrapeOffsets {
     pub(super) leg: DVec3,
 }
 
-/// The convex outline of a body part's cross-sections, each at most a little narrower than the one
-/// before, as cloth hangs.
+/// Convex hulls of the cross-sections of a body part, whose width decreases downwards by at most a
+/// given taper.
 struct ConvexTube {
     first: f64,
-    /// Distance from the axis by direction, `[sections][DIRECTIONS]`.
+    /// Distance from the axis by direction, metres, `[sections][DIRECTIONS]`.
     radius: Vec<[f64; DIRECTIONS]>,
 }
 
 impl ConvexTube {
-    /// `points`: distance along the axis, distance from it, and angle around it. Cloth narrows by
-    /// `taper` metres a metre.
+    /// Builds the tube of `points` (distance along the axis, distance from it, angle around it) over a
+    /// range along the axis. The width decreases by at most `taper` metres per metre.
     fn new(points: &[[f64; 3]], [first, last]: [f64; 2], taper: f64) -> Self {
         let sections = ((last - first) / STEP).ceil().max(1.0) as usize;
         let angle = |direction: usize| direction as f64 / DIRECTIONS as f64 * TAU;
@@ -62,7 +62,7 @@ impl ConvexTube {
         Self { first, radius }
     }
 
-    /// Distance from the axis, interpolated; `None` before the first section.
+    /// Interpolated distance from the axis, metres; `None` before the first section.
     fn radius(&self, along: f64, around: f64) -> Option<f64> {
         let row = (along - self.first) / STEP;
         if row < 0.0 {
@@ -81,7 +81,7 @@ impl ConvexTube {
     }
 }
 
-/// The hang of every vertex.
+/// Drape offsets of all vertices.
 pub(super) fn drape_offsets(regions: &Regions) -> Vec<DrapeOffsets> {
     let Regions { sites, joints } = regions;
     let chest = joints[joint::SHOULDERS[0]].y.min(joints[joint::SHOULDERS[1]].y) - 0.06;
@@ -115,7 +115,7 @@ pub(super) fn drape_offsets(regions: &Regions) -> Vec<DrapeOffsets> {
     let legs = tubes(|site| &site.leg, |site| site.leg_weight, 0.12, 0.055);
 
     let gap = |tube: &ConvexTube, [along, radius, around]: [f64; 3]| {
-        tube.radius(along, around).map_or(0.0, |hull| (hull - radius).clamp(0.0, FARTHEST))
+        tube.radius(along, around).map_or(0.0, |hull| (hull - radius).clamp(0.0, MAX_GAP))
     };
     sites
         .iter()
@@ -142,7 +142,7 @@ mod tests {
         for i in 0..400 {
             let t = f64::from(i % 100) / 50.0 - 1.0;
             let (x, y) = [(t, 1.0), (1.0, t), (t, -1.0), (-1.0, t)][i as usize / 100];
-            // Dents in the sides do not show.
+            // Concave parts of the sides do not change the hull.
             let dent = if t.abs() < 0.5 { 0.7 } else { 1.0 };
             points.push([0.0, x.hypot(y) * dent, x.atan2(y)]);
         }

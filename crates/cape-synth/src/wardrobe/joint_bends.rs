@@ -1,36 +1,36 @@
-//! What a pose does to the joints under the clothes.
+//! Bending and twisting of the joints that fold the cloth.
 
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::regions::{Regions, joint};
 use cape_core::SmplModel;
 
-/// A joint that folds the cloth around it.
+/// Bend and twist of one joint.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct JointBend {
-    /// Rest position of the joint.
+    /// Rest position of the joint, metres.
     pub(super) centre: DVec3,
-    /// Unit, along the bone that turns, away from the body.
+    /// Direction of the bone below the joint, unit.
     pub(super) axis: DVec3,
-    /// Unit, towards the inside of the bend; zero if straight.
+    /// Direction towards the inside of the bend, unit; zero if straight.
     pub(super) inside: DVec3,
-    /// Radians of bending.
+    /// Bend angle, radians.
     pub(super) angle: f64,
-    /// Radians of turning about the bone.
-    pub(super) turn: f64,
+    /// Twist angle about the bone, radians.
+    pub(super) twist: f64,
 }
 
 impl JointBend {
     fn new(centre: DVec3, end: DVec3, rotation: DVec3) -> Self {
         let axis = (end - centre).normalize_or(DVec3::Y);
-        let turn = rotation.dot(axis);
-        let across = rotation - axis * turn;
+        let twist = rotation.dot(axis);
+        let across = rotation - axis * twist;
         let inside = rotation.cross(axis).normalize_or_zero();
-        Self { centre, axis, inside, angle: across.length(), turn }
+        Self { centre, axis, inside, angle: across.length(), twist }
     }
 }
 
-/// A pose as the clothes feel it. Pairs are left and right.
+/// Joint bends of a pose; pairs are left and right.
 #[derive(Debug, Clone)]
 pub(super) struct JointBends {
     pub(super) elbows: [JointBend; 2],
@@ -38,12 +38,12 @@ pub(super) struct JointBends {
     pub(super) hips: [JointBend; 2],
     pub(super) knees: [JointBend; 2],
     pub(super) waist: JointBend,
-    /// Straight down in each joint's rest frame.
+    /// Direction of gravity in the rest frame of each joint, `[J]`.
     pub(super) down: Vec<DVec3>,
 }
 
 impl JointBends {
-    /// `pose`: an axis-angle a joint.
+    /// Decomposes `pose`, one axis-angle per joint.
     pub(super) fn new(model: &SmplModel, regions: &Regions, pose: &[DVec3]) -> Self {
         let rest = &regions.joints;
         let pair = |centre: [usize; 2], end: [usize; 2], parts: [Option<[usize; 2]>; 2]| {
@@ -82,7 +82,7 @@ mod tests {
         let bend = JointBend::new(DVec3::ZERO, DVec3::NEG_Y, DVec3::new(0.7, 0.2, 0.0));
         // A knee: turning about +x moves the shin backwards.
         assert!(bend.inside.abs_diff_eq(DVec3::NEG_Z, 1e-12));
-        assert!((bend.angle - 0.7).abs() < 1e-12 && (bend.turn + 0.2).abs() < 1e-12);
+        assert!((bend.angle - 0.7).abs() < 1e-12 && (bend.twist + 0.2).abs() < 1e-12);
         let moved = DQuat::from_rotation_x(0.7) * DVec3::NEG_Y;
         assert!(moved.dot(bend.inside) > 0.5);
     }

@@ -1,14 +1,14 @@
-//! Clothes as displacements of a body's rest vertices.
+//! Clothing as displacements of a body's rest vertices.
 //!
-//! Garments are described in a tailor's coordinates (`regions`): a shirt ends at a fraction of
-//! the arm and at a height above the hips, so that the same garment fits any body in SMPL's layout.
-//! A [`OutfitStyle`] is one person's, put on anew for every sequence; the pose then throws folds at elbows, shoulders, waist,
-//! hips and knees, shifts the cloth along the body and lets it sag.
+//! Garments are described in garment coordinates (`regions`): a sleeve ends at a fraction of the arm,
+//! a hem at a height above the hips, so that the same garment fits any body in SMPL's layout. An
+//! [`OutfitStyle`] has the parameters of the garments of one subject in one sequence; the pose adds
+//! folds at elbows, shoulders, waist, hips and knees, shifts the cloth along the body and lets it sag.
 
 mod drape;
 mod drape_offsets;
-mod garment;
 mod joint_bends;
+mod outfit_style;
 
 use glam::DVec3;
 use ndarray::Array2;
@@ -21,13 +21,13 @@ use crate::{Error, Result};
 use cape_core::{Outfit, SmplModel};
 use drape::{DrapeContext, HemDistances};
 use drape_offsets::{DrapeOffsets, drape_offsets};
-pub use garment::OutfitStyle;
 use joint_bends::JointBends;
+pub use outfit_style::OutfitStyle;
 
-/// Standard deviation of the simulated scanner's noise, metres.
+/// Standard deviation of the simulated scan noise, metres.
 const SCAN_NOISE: f64 = 0.00015;
 
-/// Garments for a body.
+/// Procedural garments for a body.
 ///
 /// ```
 /// use cape_core::Outfit;
@@ -35,12 +35,12 @@ const SCAN_NOISE: f64 = 0.00015;
 ///
 /// let body = synthetic_body();
 /// let wardrobe = Wardrobe::new(&body, 7)?;
-/// let fitting = wardrobe.fit(wardrobe.outfit_style(0, Outfit::ShortShort, 0));
-/// assert_eq!(fitting.outfit_style().outfit, Outfit::ShortShort);
-/// // Clothes are where either garment covers the body, and nowhere else.
-/// let clothes = wardrobe.displacement(&fitting, &[0.0; 72], 0.0, None)?;
-/// for (moved, [upper, lower]) in clothes.rows().into_iter().zip(fitting.coverage()) {
-///     assert!(upper || lower || moved.iter().all(|&x| x == 0.0));
+/// let fitted = wardrobe.fit(wardrobe.outfit_style(0, Outfit::ShortShort, 0));
+/// assert_eq!(fitted.outfit_style().outfit, Outfit::ShortShort);
+/// // Displacements are zero outside both garments.
+/// let displacement = wardrobe.displacement(&fitted, &[0.0; 72], 0.0, None)?;
+/// for (vertex, [upper, lower]) in displacement.rows().into_iter().zip(fitted.coverage()) {
+///     assert!(upper || lower || vertex.iter().all(|&x| x == 0.0));
 /// }
 /// # Ok::<(), cape_core::Error>(())
 /// ```
@@ -52,44 +52,45 @@ pub struct Wardrobe<'a> {
     seed: u64,
 }
 
-/// A garment laid out on its wearer: what does not depend on the pose.
-///
-/// See [`Wardrobe`] for an example.
+/// Outfit fitted to the body: style, and coverage of the vertices, which are independent of the pose.
 #[derive(Debug, Clone)]
 pub struct FittedOutfit {
-    garment: OutfitStyle,
+    style: OutfitStyle,
     hem_distances: Vec<HemDistances>,
 }
 
 impl FittedOutfit {
-    /// What is worn.
+    /// Style of the outfit.
     pub fn outfit_style(&self) -> &OutfitStyle {
-        &self.garment
+        &self.style
     }
 
-    /// Whether upper and lower garment cover each vertex, `[vertices]`.
+    /// Cover flags of upper and lower garment, `[V, 2]`.
     pub fn coverage(&self) -> Vec<[bool; 2]> {
         self.hem_distances
             .iter()
-            .map(|reach| [reach.shirt.cover > 0.0, reach.trousers.cover > 0.0])
+            .map(|hems| [hems.shirt.cover > 0.0, hems.trousers.cover > 0.0])
             .collect()
     }
 }
 
 impl<'a> Wardrobe<'a> {
-    /// A wardrobe for `model`, which must have SMPL's 24 joints; all of it follows from `seed`.
+    /// Creates the wardrobe of a random `seed` for `model`.
+    ///
+    /// # Errors
+    /// If the body does not have SMPL's 24 joints.
     pub fn new(model: &'a SmplModel, seed: u64) -> Result<Self> {
         let regions = Regions::new(model)?;
         Ok(Self { model, drape_offsets: drape_offsets(&regions), regions, seed })
     }
 
-    /// Vertices that clothes may cover: all but head, hands and feet, ascending.
+    /// Indices of the vertices that garments may cover (all but head, hands and feet), ascending.
     pub fn clothing_vertices(&self) -> Vec<usize> {
         let sites = self.regions.sites.iter().enumerate();
         sites.filter(|(_, site)| site.clothed).map(|(index, _)| index).collect()
     }
 
-    /// The shape coefficients of a subject, at most 10 of the body's.
+    /// Shape coefficients of a subject, at most 10.
     pub fn betas(&self, subject: usize) -> Vec<f64> {
         let rng = &mut ChaCha8Rng::seed_from_u64(mix_seed(self.seed, &[1, subject as u64]));
         (0..self.model.betas().min(10))
@@ -97,29 +98,32 @@ impl<'a> Wardrobe<'a> {
             .collect()
     }
 
-    /// The state of `outfit` on `subject` in the sequence numbered `sequence`.
+    /// Style of `outfit` on `subject` in the sequence of index `sequence`.
     pub fn outfit_style(&self, subject: usize, outfit: Outfit, sequence: usize) -> OutfitStyle {
         let path = [2, subject as u64, outfit.index() as u64, sequence as u64];
         let random = |path| OutfitStyle::random(outfit, mix_seed(self.seed, path));
         random(&path[..3]).with_fit_of(random(&path))
     }
 
-    /// Lays `garment` out on the body.
-    pub fn fit(&self, garment: OutfitStyle) -> FittedOutfit {
+    /// Fits an outfit to the body.
+    pub fn fit(&self, style: OutfitStyle) -> FittedOutfit {
         let sites = self.regions.sites.iter();
         let hem_distances =
-            sites.map(|site| HemDistances::new(&self.regions, site, &garment)).collect();
-        FittedOutfit { garment, hem_distances }
+            sites.map(|site| HemDistances::new(&self.regions, site, &style)).collect();
+        FittedOutfit { style, hem_distances }
     }
 
-    /// The clothing displacement in canonical space, metres, `[vertices, 3]`.
+    /// Clothing displacement in canonical space, metres, `[V, 3]`.
     ///
-    /// `pose` holds 24 axis-angles `[72]`; `time` (seconds) drives sway and slow shifts; `noise`
-    /// numbers the frame's scan, whose registration also misses the wearer's minimal shape smoothly
-    /// by a millimetre; `None` leaves both out.
+    /// `pose` is in axis-angle, `[72]`; `time` (seconds) drives sway and slow shifts; `noise` is the
+    /// seed of the scan noise of a frame, with a smooth registration error of about a millimetre;
+    /// `None` leaves both out.
+    ///
+    /// # Errors
+    /// If the pose does not have 72 numbers.
     pub fn displacement(
         &self,
-        fitting: &FittedOutfit,
+        fitted: &FittedOutfit,
         pose: &[f64],
         time: f64,
         noise: Option<u64>,
@@ -130,19 +134,19 @@ impl<'a> Wardrobe<'a> {
         }
         let pose: Vec<DVec3> = joints.iter().map(|&angles| DVec3::from(angles)).collect();
         let bends = JointBends::new(self.model, &self.regions, &pose);
-        let frame = DrapeContext { garment: &fitting.garment, bends: &bends, time };
+        let context = DrapeContext { style: &fitted.style, bends: &bends, time };
         let mut rng = noise
-            .map(|number| ChaCha8Rng::seed_from_u64(mix_seed(fitting.garment.seed, &[3, number])));
+            .map(|number| ChaCha8Rng::seed_from_u64(mix_seed(fitted.style.seed, &[3, number])));
         let mut values = Vec::with_capacity(3 * self.regions.sites.len());
-        let laid = self.drape_offsets.iter().zip(&fitting.hem_distances);
-        for (site, (hang, reach)) in self.regions.sites.iter().zip(laid) {
-            let moved = frame.displacement(site, hang, reach);
+        let per_site = self.drape_offsets.iter().zip(&fitted.hem_distances);
+        for (site, (drape, hems)) in self.regions.sites.iter().zip(per_site) {
+            let displacement = context.displacement(site, drape, hems);
             let Some(rng) = &mut rng else {
-                values.extend(moved.to_array());
+                values.extend(displacement.to_array());
                 continue;
             };
-            let moved = moved + fitting.garment.misfit(site.position);
-            for value in moved.to_array() {
+            let scanned = displacement + fitted.style.registration_error(site.position);
+            for value in scanned.to_array() {
                 values.push(value + SCAN_NOISE * rng.sample::<f64, _>(StandardNormal));
             }
         }
@@ -151,7 +155,7 @@ impl<'a> Wardrobe<'a> {
     }
 }
 
-/// A seed for one thing out of many, by SplitMix64 over its path.
+/// Derives a seed from `seed` and a path of indices by SplitMix64.
 pub(super) fn mix_seed(seed: u64, path: &[u64]) -> u64 {
     path.iter().fold(seed, |state, &step| {
         let mut z = state

@@ -18,7 +18,7 @@ use crate::{
     interrupt::Interrupt,
 };
 use report::Report;
-use store::{CaseStore, StoredSettings};
+use store::{CaseStore, FrameInputs};
 
 /// Exit code of an interrupted benchmark: 128 + SIGINT.
 const INTERRUPTED: u8 = 130;
@@ -28,7 +28,7 @@ const INTERRUPTED: u8 = 130;
 /// Held-out clothes on bodies of random shape are drawn; from silhouette, keypoints and outfit alone
 /// they are fitted, by SMPLify and by CAPE. Writes results.json, errors.png, and of the best, the
 /// median and the worst fits.png and what `cape fit` can be tried on. Finished frames are kept in
-/// frames/: the same command goes on where it was interrupted.
+/// frames/: run the same command again to resume.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  cape fit-benchmark run --out fits\n  cape fit-benchmark run \
                         --noise 3 --dropped 0.1 --ragged 0.3 --out noisy")]
@@ -57,6 +57,10 @@ pub(crate) struct FitBenchmarkArgs {
     /// Share of pixels beside the silhouette's edge that are on the wrong side, 0 to 1.
     #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
     ragged: f64,
+    /// Discard results of other settings, inputs or versions in --out and compute them afresh;
+    /// matching results are kept.
+    #[arg(long)]
+    overwrite: bool,
     #[command(flatten)]
     method: FitMethodArgs,
 }
@@ -73,16 +77,14 @@ impl FitBenchmarkArgs {
         };
         let set = PackedSet::open(&data, Split::Test)?;
         let smplify = self.method.smplify(run.body(), &config)?;
-        let settings = StoredSettings {
-            version: env!("CARGO_PKG_VERSION"),
-            checkpoint: run.checkpoint().to_owned(),
-            data,
-            held_out: set.frames(),
-            pose_prior: self.method.pose_prior.clone(),
+        let inputs = FrameInputs {
+            run: &run,
+            data: &data,
+            pose_prior: self.method.pose_prior.as_deref(),
             options,
             config: &config,
         };
-        let store = CaseStore::open(&self.out, &settings)?;
+        let store = CaseStore::open(&self.out, &inputs, self.overwrite)?;
         let interrupt = Interrupt::listen(console)?;
         let benchmark = Benchmark::new(&run, &set, &smplify, &config.clothed, options)?;
         let frames = benchmark.frames();
@@ -96,7 +98,7 @@ impl FitBenchmarkArgs {
                     case
                 } else {
                     let found = benchmark.case(frame);
-                    store.keep(found.doing(|| format!("fitting frame {frame}"))?)?
+                    store.keep(&found.doing(|| format!("fitting frame {frame}"))?)?
                 };
                 cases.push(case);
                 progress(cases.len(), frames.len());
@@ -104,17 +106,23 @@ impl FitBenchmarkArgs {
             Ok::<_, Error>(true)
         })?;
         if !whole {
-            console.note("interrupted and saved; the same command goes on");
+            console.note(
+                "interrupted; finished frames are saved, run the same command again to resume",
+            );
             return Ok(ExitCode::from(INTERRUPTED));
         }
         let chosen = pictures::chosen(&cases);
         for (name, case) in &chosen {
+            for file in ["keypoints.json", "mask.png", "image.png"] {
+                store.files().claim(&format!("{name}/{file}"))?;
+            }
             pictures::inputs(&benchmark, &self.out.join(name), case)?;
         }
-        pictures::sheet(&benchmark, &chosen)?.save(self.out.join("fits.png"))?;
-        pictures::errors(&cases)?.save(self.out.join("errors.png"))?;
+        pictures::sheet(&benchmark, &chosen)?.save(store.files().claim("fits.png")?)?;
+        pictures::errors(&cases)?.save(store.files().claim("errors.png")?)?;
+        let results = store.files().claim("results.json")?;
         let report = Report::new(self.out, options, cases)?;
-        write_json(&report.out.join("results.json"), &report)?;
+        write_json(&results, &report)?;
         console.result(&report, || report.text())?;
         Ok(ExitCode::SUCCESS)
     }

@@ -1,126 +1,86 @@
 //! Finished frames on disk, and the settings they belong to.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
+use std::path::Path;
 
+use cape_data::Split;
+use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
 use cape_fit::{
     FitConfig,
     benchmark::{BenchmarkCase, BenchmarkOptions},
 };
-use cape_infer::write_json;
-use serde::Serialize;
-use serde_json::Value;
+use cape_infer::Run;
+use serde_json::json;
 
-use crate::{
-    error::{Error, Result},
-    files,
-};
+use crate::error::Result;
 
-const SETTINGS: &str = "settings.json";
-const FRAMES: &str = "frames";
+/// What versions without SHA-256 of the inputs left.
+const EARLIER: [&str; 14] = [
+    "settings.json",
+    "frames/*.json",
+    "results.json",
+    "errors.png",
+    "fits.png",
+    "best/keypoints.json",
+    "best/mask.png",
+    "best/image.png",
+    "median/keypoints.json",
+    "median/mask.png",
+    "median/image.png",
+    "worst/keypoints.json",
+    "worst/mask.png",
+    "worst/image.png",
+];
 
-/// What a finished frame depends on.
-#[derive(Debug, Serialize)]
-pub(super) struct StoredSettings<'a> {
-    pub(super) version: &'static str,
-    pub(super) checkpoint: PathBuf,
-    pub(super) data: PathBuf,
-    /// Frames of the set.
-    pub(super) held_out: usize,
-    pub(super) pose_prior: Option<PathBuf>,
+/// Everything that a finished frame depends on.
+#[derive(Debug)]
+pub(super) struct FrameInputs<'a> {
+    pub(super) run: &'a Run,
+    pub(super) data: &'a Path,
+    pub(super) pose_prior: Option<&'a Path>,
     pub(super) options: BenchmarkOptions,
     pub(super) config: &'a FitConfig,
 }
 
 /// A benchmark's directory.
 #[derive(Debug)]
-pub(super) struct CaseStore {
-    frames: PathBuf,
-}
+pub(super) struct CaseStore(ResultStore);
 
 impl CaseStore {
-    /// Of a new directory, or of one with frames of the same settings.
-    pub(super) fn open(out: &Path, settings: &StoredSettings<'_>) -> Result<Self> {
-        let path = out.join(SETTINGS);
-        let store = Self { frames: out.join(FRAMES) };
-        let now = serde_json::to_value(settings)
-            .map_err(|error| Error::message(format!("settings: {error}")))?;
-        if path.exists() {
-            let before: Value = read(&path)?;
-            // As they come back from a file.
-            let now: Value = serde_json::from_str(&now.to_string())
-                .map_err(|error| Error::message(format!("settings: {error}")))?;
-            if let Some(field) = difference("", &before, &now) {
-                return Err(Error::message(format!(
-                    "{}: frames were fitted with another `{field}`: choose another --out",
-                    path.display()
-                )));
-            }
-            return Ok(store);
-        }
-        files::require_empty(out)?;
-        files::create_dir(&store.frames)?;
-        write_json(&path, &now)?;
-        Ok(store)
+    /// The store in `out`. A frame is the same whatever other frames there are, so that their number
+    /// is no setting.
+    pub(super) fn open(out: &Path, inputs: &FrameInputs<'_>, overwrite: bool) -> Result<Self> {
+        let FrameInputs { run, data, pose_prior, options, config } = inputs;
+        let BenchmarkOptions { frames: _, side, noise, dropped, ragged, seed } = options;
+        let options = json!({
+            "side": side, "noise": noise, "dropped": dropped, "ragged": ragged, "seed": seed,
+        });
+        let settings = json!({ "options": options, "config": config });
+        let settings = StoreSettings::new("fit benchmark image", &settings)?
+            .with_run(run)?
+            .with_packed_set(data, &[Split::Test])?
+            .with_optional_input("pose_prior", *pose_prior, "prior of synthetic motions")?;
+        let options = StoreOptions { overwrite, earlier: &EARLIER, ..StoreOptions::default() };
+        let store = ResultStore::open(out, settings, options)?;
+        store.begin()?;
+        Ok(Self(store))
     }
 
-    fn path(&self, frame: usize) -> PathBuf {
-        self.frames.join(format!("{frame:06}.json"))
+    /// The directory with its list of files.
+    pub(super) fn files(&self) -> &ResultStore {
+        &self.0
     }
 
     /// A finished frame.
     pub(super) fn case(&self, frame: usize) -> Result<Option<BenchmarkCase>> {
-        let path = self.path(frame);
-        if path.exists() { read(&path).map(Some) } else { Ok(None) }
+        Ok(self.0.read(&item(frame))?)
     }
 
     /// Keeps a frame, and returns it as it will be read.
-    pub(super) fn keep(&self, case: BenchmarkCase) -> Result<BenchmarkCase> {
-        let path = self.path(case.frame);
-        write_json(&path, &case)?;
-        read(&path)
+    pub(super) fn keep(&self, case: &BenchmarkCase) -> Result<BenchmarkCase> {
+        Ok(self.0.write(&item(case.frame), case)?)
     }
 }
 
-fn read<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T> {
-    let text = fs::read(path).map_err(|error| Error::io(path, error))?;
-    let value = serde_json::from_slice(&text);
-    Ok(value.map_err(|error| cape_core::Error::format(path, error.to_string()))?)
-}
-
-/// The first field in which two values differ.
-fn difference(field: &str, a: &Value, b: &Value) -> Option<String> {
-    match (a, b) {
-        (Value::Object(first), Value::Object(second)) => {
-            let names = first.keys().chain(second.keys());
-            names.into_iter().find_map(|name| {
-                let inner = if field.is_empty() { name.clone() } else { format!("{field}.{name}") };
-                let part = |map: &serde_json::Map<String, Value>| {
-                    map.get(name).cloned().unwrap_or(Value::Null)
-                };
-                difference(&inner, &part(first), &part(second))
-            })
-        }
-        _ => (a != b).then(|| field.to_owned()),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use serde_json::json;
-
-    use super::*;
-
-    #[test]
-    fn differences_are_named() {
-        let before = json!({"data": "a", "options": {"noise": 0.5, "seed": 1}});
-        let named = |after: Value| difference("", &before, &after);
-        assert_eq!(named(before.clone()), None);
-        let other = json!({"data": "a", "options": {"noise": 0.5, "seed": 2}});
-        assert_eq!(named(other).as_deref(), Some("options.seed"));
-        let more = json!({"data": "a", "options": {"noise": 0.5, "seed": 1}, "more": 3});
-        assert_eq!(named(more).as_deref(), Some("more"));
-    }
+fn item(frame: usize) -> String {
+    format!("frames/{frame:06}.json")
 }

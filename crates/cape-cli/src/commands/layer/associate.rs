@@ -3,13 +3,15 @@ use std::{
     time::Instant,
 };
 
-use cape_core::{SmplModel, ply};
-use cape_core::{geometry::SurfaceMesh, smpl::StandardPose};
+use cape_core::{geometry::SurfaceMesh, ply};
 use cape_infer::write_json;
-use cape_layer::{AssociateOptions, LayerSet};
+use cape_layer::{
+    LayerSet,
+    associate::{EdgeChange, EdgeChangeStudy, UnposedClothing},
+};
 use cape_render::{Image, Tile, View, contact_sheet};
 use clap::Args;
-use ndarray::{Array2, ArrayView2, Axis};
+use ndarray::Axis;
 use serde::Serialize;
 
 use super::{
@@ -26,8 +28,6 @@ use crate::{
 const HEIGHT: u32 = 330;
 /// Change of an edge's length that gets the brightest colour.
 const TORN: f64 = 1.0;
-/// Frames that are searched for the one to show.
-const SEARCHED: usize = 24;
 
 /// Tie clothing to the body, and show how.
 ///
@@ -63,19 +63,6 @@ pub(super) struct AssociateArgs {
     shown: Option<usize>,
 }
 
-/// How unposing changes the lengths of the clothing's edges.
-#[derive(Debug, Clone, Serialize)]
-pub(super) struct EdgeChange {
-    /// Body vertices for each clothing vertex.
-    neighbours: usize,
-    /// Mean change of an edge's length, relative to it.
-    mean_change: f64,
-    /// Of the hundredth of the edges that change most, the least.
-    percentile_99: f64,
-    /// Largest change.
-    largest_change: f64,
-}
-
 #[derive(Debug, Serialize)]
 struct Report {
     out: PathBuf,
@@ -108,16 +95,20 @@ impl AssociateArgs {
         let seconds = start.elapsed().as_secs_f64();
         files::create_dir(&self.out)?;
         draw(&tied, &self.out)?;
-        let standard = self.association_args.standard();
+        let study = EdgeChangeStudy {
+            model: &model,
+            set: &set,
+            body: &tied.body,
+            clothing: &tied.clothing,
+            standard: self.association_args.standard(),
+        };
         let shown = match self.shown {
             Some(shown) => shown,
-            None => most_torn(&model, &set, &tied, &standard)?,
+            None => study.most_torn(&tied.association)?,
         };
-        let options = self.association_args.options();
-        let seams =
-            EdgeChangeStudy { model: &model, set: &set, tied: &tied, standard, options, shown };
-        let (image, seams) = seams.compare(&self.compare)?;
-        image.save(self.out.join("seams.png"))?;
+        let unposed = study.compare(shown, &self.association_args.options(), &self.compare)?;
+        seams_picture(&study, shown, &unposed)?.save(self.out.join("seams.png"))?;
+        let seams = unposed.into_iter().map(|unposed| unposed.change).collect();
         let association = &tied.association;
         let statistics = &association.statistics;
         let report = Report {
@@ -190,116 +181,29 @@ pub(super) fn draw(tied: &AssociationOutput, out: &Path) -> Result {
     Ok(contact_sheet(&tiles, tiles.len(), None)?.save(out.join("association.png"))?)
 }
 
-/// Clothing of one frame, unposed by associations of different width.
-struct EdgeChangeStudy<'a> {
-    model: &'a SmplModel,
-    set: &'a LayerSet,
-    tied: &'a AssociationOutput,
-    standard: StandardPose,
-    options: AssociateOptions,
+/// A contact sheet of a frame of the set as it is, and unposed by each association, with the edges that
+/// change most in the brightest colours.
+fn seams_picture(
+    study: &EdgeChangeStudy<'_>,
     shown: usize,
-}
-
-impl EdgeChangeStudy<'_> {
-    /// The frame, and what it looks like with its pose taken out for each of `counts`.
-    fn compare(&self, counts: &[usize]) -> Result<(Image, Vec<EdgeChange>)> {
-        let each = self.set.each_frame();
-        let &(sequence, frame) = each.get(self.shown).ok_or_else(|| {
-            let message = format!("--shown {}: there are {}", self.shown, each.len());
-            crate::error::Error::message(message)
-        })?;
-        let faces = &self.set.faces;
-        let sequence = &self.set.sequences[sequence];
-        let body = sequence.body(self.model, frame, &self.standard)?;
-        let posed = sequence.clothing.index_axis(Axis(0), frame);
-        let edges = self.tied.clothing.edges();
-        let mut unposed = Vec::new();
-        for &neighbours in counts {
-            let options = AssociateOptions { neighbours, ..self.options };
-            let association = options.associate(&self.tied.body, &self.tied.clothing)?;
-            unposed.push(association.unpose(&body, posed)?);
-        }
-        let clothing = mesh_of(posed, faces);
-        let under: Vec<[f32; 3]> = body.posed.iter().map(|v| v.as_vec3().to_array()).collect();
-        let under = cape_core::Mesh { vertices: under, faces: self.model.faces.clone() };
-        let stage = PictureCamera::around([&under, &clothing], View::Front, HEIGHT)?;
-        let mut tiles =
-            vec![Tile { image: stage.show(Some(&under), &clothing, None)?, label: "posed".into() }];
-        let meshes: Vec<_> = unposed.iter().map(|v| mesh_of(v.view(), faces)).collect();
-        let mut seams = Vec::new();
-        for ((&neighbours, vertices), mesh) in counts.iter().zip(&unposed).zip(&meshes) {
-            let changes = changes(&edges, posed, vertices.view());
-            let mut worst = vec![0.0f64; posed.nrows()];
-            for (&[a, b], &change) in edges.iter().zip(&changes) {
-                for v in [a as usize, b as usize] {
-                    worst[v] = worst[v].max(change);
-                }
-            }
-            let stage = PictureCamera::around([mesh], View::Front, HEIGHT)?;
-            let image = stage.show(None, mesh, Some(&shades(&worst, TORN)))?;
-            tiles.push(Tile { image, label: format!("following {neighbours}") });
-            seams.push(EdgeChange::from_changes(neighbours, changes));
-        }
-        let title = "change of edges, 0 to 100 %, when the pose is taken out";
-        Ok((contact_sheet(&tiles, tiles.len(), Some(title))?, seams))
+    unposed: &[UnposedClothing],
+) -> Result<Image> {
+    let (sequence, frame) = study.set.each_frame()[shown];
+    let sequence = &study.set.sequences[sequence];
+    let body = sequence.body(study.model, frame, &study.standard)?;
+    let faces = &study.set.faces;
+    let clothing = mesh_of(sequence.clothing.index_axis(Axis(0), frame), faces);
+    let under: Vec<[f32; 3]> = body.posed.iter().map(|v| v.as_vec3().to_array()).collect();
+    let under = cape_core::Mesh { vertices: under, faces: study.model.faces.clone() };
+    let stage = PictureCamera::around([&under, &clothing], View::Front, HEIGHT)?;
+    let mut tiles =
+        vec![Tile { image: stage.show(Some(&under), &clothing, None)?, label: "posed".into() }];
+    for UnposedClothing { vertices, vertex_changes, change } in unposed {
+        let mesh = mesh_of(vertices.view(), faces);
+        let stage = PictureCamera::around([&mesh], View::Front, HEIGHT)?;
+        let image = stage.show(None, &mesh, Some(&shades(vertex_changes, TORN)))?;
+        tiles.push(Tile { image, label: format!("following {}", change.neighbours) });
     }
-}
-
-impl EdgeChange {
-    fn from_changes(neighbours: usize, mut changes: Vec<f64>) -> Self {
-        changes.sort_by(f64::total_cmp);
-        let at = |share: f64| {
-            let index = (share * changes.len() as f64) as usize;
-            changes.get(index.min(changes.len().saturating_sub(1))).copied().unwrap_or(0.0)
-        };
-        Self {
-            neighbours,
-            mean_change: changes.iter().sum::<f64>() / changes.len().max(1) as f64,
-            percentile_99: at(0.99),
-            largest_change: at(1.0),
-        }
-    }
-}
-
-/// The frame whose edges change most if every clothing vertex follows its first body vertex alone.
-fn most_torn(
-    model: &SmplModel,
-    set: &LayerSet,
-    tied: &AssociationOutput,
-    standard: &StandardPose,
-) -> Result<usize> {
-    let first = tied.association.indices.slice(ndarray::s![.., ..1]).to_owned();
-    let alone =
-        cape_layer::Association::new(first.clone(), Array2::ones(first.dim()), model.vertices())?;
-    let each = set.each_frame();
-    let edges = tied.clothing.edges();
-    let mut best = (0.0, 0);
-    for index in (0..each.len()).step_by(each.len().div_ceil(SEARCHED)) {
-        let (sequence, frame) = each[index];
-        let sequence = &set.sequences[sequence];
-        let posed = sequence.clothing.index_axis(Axis(0), frame);
-        let unposed = alone.unpose(&sequence.body(model, frame, standard)?, posed)?;
-        let total: f64 = changes(&edges, posed, unposed.view()).iter().sum();
-        if total > best.0 {
-            best = (total, index);
-        }
-    }
-    Ok(best.1)
-}
-
-/// Changes of the edges' lengths, relative to those before.
-fn changes(
-    edges: &[[u32; 2]],
-    before: ArrayView2<'_, f64>,
-    after: ArrayView2<'_, f64>,
-) -> Vec<f64> {
-    let length = |vertices: ArrayView2<'_, f64>, [a, b]: [u32; 2]| {
-        let along = &vertices.row(a as usize) - &vertices.row(b as usize);
-        along.dot(&along).sqrt()
-    };
-    let change = |&edge: &[u32; 2]| {
-        let from = length(before, edge).max(1e-9);
-        (length(after, edge) - from).abs() / from
-    };
-    edges.iter().map(change).collect()
+    let title = "change of edges, 0 to 100 %, when the pose is taken out";
+    Ok(contact_sheet(&tiles, tiles.len(), Some(title))?)
 }

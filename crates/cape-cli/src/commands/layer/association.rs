@@ -8,6 +8,7 @@ use cape_layer::{
     regress::{FeatureOptions, TrainingOptions},
 };
 use clap::{Args, ValueEnum};
+use serde::Serialize;
 
 use crate::{
     arguments::at_least_one,
@@ -16,7 +17,7 @@ use crate::{
 };
 
 /// How clothing is tied to the body.
-#[derive(Debug, Clone, Args)]
+#[derive(Debug, Clone, Args, Serialize)]
 pub(super) struct AssociationArgs {
     /// Body vertices for each clothing vertex.
     #[arg(long, default_value_t = 4, value_name = "N", value_parser = at_least_one)]
@@ -43,7 +44,8 @@ impl Default for AssociationArgs {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub(super) enum StandardPoseName {
     APose,
     TPose,

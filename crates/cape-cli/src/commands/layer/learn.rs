@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use cape_infer::write_json;
 use cape_layer::{
-    Layer, LayerSet,
+    LayerSet,
     experiment::{LayerError, UnposedSet},
 };
 use clap::Args;
@@ -101,15 +101,7 @@ impl LearnArgs {
         })?;
 
         files::create_dir(&self.out)?;
-        let layer = Layer {
-            faces: set.faces.clone(),
-            association: association.clone(),
-            standard: self.association_args.standard(),
-            pca: regression.trained_model.pca.clone(),
-            features: learning.features,
-            semantics: regression.trained_model.semantics.clone(),
-            regressor: regression.trained_model.outcome.regressor.clone(),
-        };
+        let layer = unposed.layer(&regression.trained_model, learning.features);
         layer.save(self.out.join("layer.npz"))?;
         associate::draw(&tied, &self.out)?;
         let rows = set.sequences.iter().zip(table).map(|(sequence, errors)| Row {

@@ -9,7 +9,8 @@ use cape_core::parse_device;
 use cape_data::{PackedSet, Split};
 use cape_eval::{
     comparison::ComparisonTable,
-    table2::{RowResult, Table2Job, Table2Options, Table2Row, hash_of, methods, select_frames},
+    store::ResultStore,
+    table2::{RowResult, Table2Job, Table2Options, Table2Row, methods, open_store, select_frames},
 };
 use cape_infer::{RunConfig, write_json};
 use cape_model::CapeConfig;
@@ -33,9 +34,9 @@ const INTERRUPTED: u8 = 130;
 
 /// Train and evaluate every row of the paper's table 2 under one protocol.
 ///
-/// PCA, CoMA, CAPE and its ablations, each in a directory of its own under --out. Rows that are done
-/// are kept unless their settings or data changed; an interrupted grid goes on where it was. Writes
-/// table2.md, .csv, .json and .tex, reconstructions, error maps, histograms, and report.html with all
+/// PCA, CoMA, CAPE and its ablations, each in a directory of its own under --out. Finished rows are
+/// kept: run the same command again to resume. Rows of other settings or data are an error, unless
+/// --overwrite is given. Writes table2.md, .csv, .json and .tex, reconstructions, error maps, histograms, and report.html with all
 /// of it.
 #[derive(Debug, Args)]
 #[command(
@@ -74,6 +75,10 @@ pub(crate) struct Table2Args {
     /// Clothing vertices, for packed sets without clothing_verts_idx.npy.
     #[arg(long, value_name = "FILE.npy")]
     clothing: Option<PathBuf>,
+    /// Discard rows of other settings, inputs or versions in --out and compute them afresh;
+    /// matching rows are kept.
+    #[arg(long)]
+    overwrite: bool,
 }
 
 #[derive(Debug, Serialize)]
@@ -88,30 +93,32 @@ impl Table2Args {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result<ExitCode> {
         let start = Instant::now();
         let device = parse_device(&global.device)?;
-        files::create_dir(&self.out)?;
+        let store = open_store(&self.out, self.overwrite)?;
         let data = match &self.data {
             Some(data) => data.clone(),
-            None => quick::data(&self.out, console)?,
+            None => quick::data(&store, console)?,
         };
-        let (data_hash, shown) = (hash_of(&data)?, select_frames(&data)?);
+        PackedSet::open(&data, Split::Train)?;
+        let shown = select_frames(&data)?;
         let grid = Table2Options {
             data,
             out: self.out.clone(),
             body: self.body.clone(),
             clothing: self.clothing.clone(),
             config: self.configured(global)?,
-            data_hash,
             shown,
+            overwrite: self.overwrite,
         };
         let rows = if self.rows.is_empty() { Table2Row::ALL.to_vec() } else { self.rows.clone() };
         let jobs = grid.jobs(&rows, self.seeds as u64)?;
+        store.begin()?;
         let interrupt = Interrupt::listen(console)?;
         let mut results = Vec::new();
         let mut clock = RemainingTime::new(&jobs);
         for (index, job) in jobs.iter().enumerate() {
             let title =
                 format!("[{}/{}] {}, seed {}", index + 1, jobs.len(), job.row.name(), job.seed);
-            if let Some(result) = job.result() {
+            if let Some(result) = job.result()? {
                 console.note(&format!("{title}: done before"));
                 clock.pass(job);
                 results.push(result);
@@ -121,7 +128,7 @@ impl Table2Args {
             if let Some(result) = done(&grid, job, &device, console, &interrupt).doing(|| title)? {
                 results.push(result);
             } else {
-                console.note("interrupted and saved; the same command goes on");
+                console.note("interrupted and saved: run the same command again to resume");
                 return Ok(ExitCode::from(INTERRUPTED));
             }
             clock.pass(job);
@@ -129,7 +136,7 @@ impl Table2Args {
         let (methods, cape) = methods(&results);
         let table = ComparisonTable::new(&methods, cape);
         let report = Report { out: self.out, seconds: start.elapsed().as_secs_f64(), table };
-        write(&report, &grid, &jobs, &results)?;
+        write(&store, &report, &grid, &jobs, &results)?;
         console.result(&report, || report.text())?;
         Ok(ExitCode::SUCCESS)
     }
@@ -206,24 +213,27 @@ impl RemainingTime {
 }
 
 fn write(
+    store: &ResultStore,
     report: &Report,
     grid: &Table2Options,
     jobs: &[Table2Job],
     results: &[RowResult],
 ) -> Result {
-    let at = |name: &str| report.out.join(name);
+    for name in ["table2.md", "table2.csv", "table2.tex"] {
+        store.claim(name)?;
+    }
     comparison::write(&report.out, "table2", &report.table)?;
-    write_json(&at("table2.json"), report)?;
+    write_json(&store.claim("table2.json")?, report)?;
 
     let set = PackedSet::open(&grid.data, Split::Test)?;
     let (body, mask) = grid.body(&set)?;
     let shown = first_seeds(jobs)?;
     let reconstructions = figures::reconstructions(&set, &body, &mask, &grid.shown, &shown)?;
-    reconstructions.save(at("reconstructions.png"))?;
+    reconstructions.save(store.claim("reconstructions.png")?)?;
     let maps = figures::maps(&body, &methods(results).0)?;
-    maps.save(at("error_maps.png"))?;
+    maps.save(store.claim("error_maps.png")?)?;
     let histograms = comparison::histograms(&report.table)?;
-    histograms.save(at("histograms.png"))?;
+    histograms.save(store.claim("histograms.png")?)?;
     let figures = [
         HtmlFigure {
             title: "Reconstructions",
@@ -245,7 +255,7 @@ fn write(
         },
     ];
     let html = report::page(&report.table, grid, &figures)?;
-    files::write_text(&at("report.html"), &html)
+    files::write_text(&store.claim("report.html")?, &html)
 }
 
 /// What the first seed of every row made of the frames shown.

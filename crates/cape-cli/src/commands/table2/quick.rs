@@ -1,19 +1,13 @@
 //! Data and recipe of `--quick`.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
+use std::path::PathBuf;
 
 use cape_data::{PackOptions, pack};
+use cape_eval::store::ResultStore;
 use cape_infer::{OptimiserKind, RateSchedule, RunConfig, TrainConfig};
 use cape_synth::{CaptureGenerator, synthetic_body};
 
-use crate::{
-    commands::demo,
-    console::Console,
-    error::{Error, Result},
-};
+use crate::{commands::demo, console::Console, error::Result};
 
 /// Twice as many frames as the demo has: what counts is what is held out.
 const SUBJECTS: usize = 12;
@@ -34,15 +28,15 @@ pub(super) fn config() -> RunConfig {
     config
 }
 
-/// Synthetic captures, packed, in `out/data`; those of an earlier call are kept.
-pub(super) fn data(out: &Path, console: Console) -> Result<PathBuf> {
-    let packed = out.join("data");
-    if packed.join("stats.txt").exists() {
+/// Synthetic captures, packed, in `data` of the table's directory; those of an earlier call are kept.
+pub(super) fn data(store: &ResultStore, console: Console) -> Result<PathBuf> {
+    let [packed, raw] = ["data", "raw"].map(|name| store.path(name));
+    if store.owns("data/") && packed.join("stats.txt").exists() {
         return Ok(packed);
     }
-    let raw = out.join("raw");
-    if raw.exists() {
-        fs::remove_dir_all(&raw).map_err(|error| Error::io(&raw, error))?;
+    store.discard("raw/")?;
+    for name in ["data/", ".data.cape-partial/", "raw/"] {
+        store.list(name)?;
     }
     let body = synthetic_body();
     let (spec, split) = demo::captures(SUBJECTS, FRAMES, 1);
@@ -52,6 +46,6 @@ pub(super) fn data(out: &Path, console: Console) -> Result<PathBuf> {
     console.while_showing("pack", "frames", |progress| {
         pack(&raw, &packed, &split, options, progress)
     })?;
-    fs::remove_dir_all(&raw).map_err(|error| Error::io(&raw, error))?;
+    store.discard("raw/")?;
     Ok(packed)
 }

@@ -2,7 +2,8 @@
 
 use std::fmt::Write as _;
 
-use cape_eval::{comparison::ComparisonTable, table2::Table2Options};
+use cape_data::Split;
+use cape_eval::{comparison::ComparisonTable, store::packed_set_sha256, table2::Table2Options};
 
 use crate::{
     console::seconds,
@@ -11,7 +12,11 @@ use crate::{
 };
 
 /// Tables, figures, configuration, versions and the data's hash, all in one text.
-pub(super) fn page(table: &ComparisonTable, grid: &Table2Options, figures: &[HtmlFigure]) -> Result<String> {
+pub(super) fn page(
+    table: &ComparisonTable,
+    grid: &Table2Options,
+    figures: &[HtmlFigure],
+) -> Result<String> {
     let mut body = String::new();
     let (header, rows) = table.rows();
     let class = |line| if table.is_reference(line) { "reference" } else { "" };
@@ -35,6 +40,7 @@ pub(super) fn page(table: &ComparisonTable, grid: &Table2Options, figures: &[Htm
     for figure in figures {
         body += &figure.html()?;
     }
+    let data_hash = packed_set_sha256(&grid.data, &[Split::Train, Split::Test])?;
     let config = toml::to_string(&grid.config)
         .map_err(|error| Error::message(format!("settings: {error}")))?;
     let _ = writeln!(
@@ -42,7 +48,7 @@ pub(super) fn page(table: &ComparisonTable, grid: &Table2Options, figures: &[Htm
         "<h2>How</h2><p>cape {} · data {} (SHA-256 {}) · trained in {}</p><pre>{}</pre>",
         env!("CARGO_PKG_VERSION"),
         escaped(&grid.data.display().to_string()),
-        grid.data_hash,
+        data_hash,
         seconds(table.lines.iter().map(|line| line.seconds).sum()),
         escaped(&config)
     );

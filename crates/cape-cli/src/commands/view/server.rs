@@ -11,7 +11,7 @@ use axum::{
     Router,
     body::Bytes,
     extract::{
-        State, DefaultBodyLimit, Path, Request as HttpRequest,
+        DefaultBodyLimit, Path, Request as HttpRequest, State,
         ws::{Message as MotionFrame, WebSocket, WebSocketUpgrade},
     },
     http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header},
@@ -110,11 +110,7 @@ fn router(site: Arc<ServerState>) -> Router {
 }
 
 /// Lets in who knows the secret and comes from the page itself.
-async fn guard(
-    State(site): State<Arc<ServerState>>,
-    request: HttpRequest,
-    next: Next,
-) -> Response {
+async fn guard(State(site): State<Arc<ServerState>>, request: HttpRequest, next: Next) -> Response {
     let allowed = is_here(&site, request.headers()) && knows(&site, request.uri());
     let mut response =
         if allowed { next.run(request).await } else { StatusCode::NOT_FOUND.into_response() };
@@ -190,10 +186,7 @@ async fn download(State(site): State<Arc<ServerState>>, body: Bytes) -> Response
     }
 }
 
-async fn socket(
-    State(site): State<Arc<ServerState>>,
-    upgrade: WebSocketUpgrade,
-) -> Response {
+async fn socket(State(site): State<Arc<ServerState>>, upgrade: WebSocketUpgrade) -> Response {
     upgrade.max_message_size(MOST_BYTES).on_upgrade(move |socket| handle_socket(socket, site))
 }
 

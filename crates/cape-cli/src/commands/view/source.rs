@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use cape_core::{Mesh, Outfit, joints::JOINT_NAMES, obj, ply};
 use cape_data::{PackedSet, Split, raw::name_of};
 use cape_infer::{AnimatedBody, BodySpec, Run, directions_by_effect};
+use cape_stats::errors::distance_mm;
 use cape_synth::{Motion, poses};
 use ndarray::{Array2, Array3};
 use serde_json::{Value, json};
@@ -107,16 +108,16 @@ impl Source<'_> {
             .find(|person| person.layer == ViewLayer::Clothed)
             .or(people.first())
             .ok_or_else(|| Error::message("nothing is shown"))?;
-        let directory = tempfile::tempdir().map_err(|error| Error::io("download", error))?;
-        let path = directory.path().join("mesh");
+        let mut bytes = Vec::new();
         if download.format == FileFormat::Ply {
             let colours: Vec<[u8; 3]> =
                 person.colours.iter().copied().map(crate::dressed_mesh::eight_bit).collect();
-            ply::write(&path, &person.mesh, Some(&colours))?;
+            ply::write_to(&mut bytes, &person.mesh, Some(&colours))
         } else {
-            obj::write(&path, &person.mesh, None)?;
+            obj::write_to(&mut bytes, &person.mesh, None, None)
         }
-        std::fs::read(&path).map_err(|error| Error::io(&path, error))
+        .map_err(|error| Error::io("download", error))?;
+        Ok(bytes)
     }
 }
 
@@ -190,8 +191,7 @@ impl<'a> RunSource<'a> {
             if let (Some(truth), ViewLayer::Clothed) = (&truth, layer) {
                 for &vertex in self.run.clothing() {
                     let (a, b) = (mesh.vertices[vertex], truth.mesh.vertices[vertex]);
-                    let squares = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b));
-                    errors[vertex] = squares.sum::<f32>().sqrt();
+                    errors[vertex] = (1e-3 * distance_mm(a, b)) as f32;
                 }
             }
             people.push(Person { layer, mesh, colours, distances, errors });

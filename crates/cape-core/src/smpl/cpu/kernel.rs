@@ -1,16 +1,16 @@
-//! Blend shapes and skinning of a range of vertices. One generic source, compiled for each
-//! instruction set and chosen at run time.
+//! Blend shapes and skinning of a range of vertices: generic SIMD code, compiled for each instruction
+//! set and dispatched at run time.
 
 use pulp::{Simd, WithSimd};
 
 use super::tiles::{TILE, TileRow, Tiles};
 
-/// Bodies whose coefficients and transforms stay in the second-level cache; a multiple of every
-/// number of [`sides`].
+/// Bodies processed together, so that their coefficients and transforms stay in the L2 cache; a
+/// multiple of every number in [`group_widths`].
 const GROUP: usize = 48;
 
-/// Numbers of bodies that can be summed side by side, in registers.
-fn sides() -> &'static [usize] {
+/// Numbers of bodies whose sums fit into the registers together.
+fn group_widths() -> &'static [usize] {
     struct GroupWidths;
     impl WithSimd for GroupWidths {
         type Output = &'static [usize];
@@ -26,35 +26,36 @@ fn sides() -> &'static [usize] {
     pulp::Arch::new().dispatch(GroupWidths)
 }
 
-/// Coordinates of a tile's vertices.
+/// Coordinates x, y, z of the vertices of a tile.
 type Points = [TileRow; 3];
 
-/// The rows of a joint's transform of rest positions, the shift last.
+/// Rows `[R | t]` of a joint's transform of rest positions.
 pub(super) type Transform = [[f32; 4]; 3];
 
-/// Coefficients of all directions that anybody of the batch uses.
+/// Coefficients of the directions with a nonzero coefficient in any body of the batch.
 pub(super) struct Coefficients {
-    /// Numbers of these directions, ascending, `[used]`.
+    /// Indices of these directions, ascending, `[used]`.
     used: Vec<usize>,
-    /// `[⌈n / side⌉, used, side]`, filled up with zeros.
+    /// Coefficients, zero-padded, `[⌈n / side⌉, used, side]`.
     packed: Vec<f32>,
-    /// Bodies computed side by side.
+    /// Number of bodies computed together.
     side: usize,
 }
 
 impl Coefficients {
-    /// From `rows`, `[n, K]`.
+    /// Packs coefficients `rows`, `[n, K]`.
     pub(super) fn pack(rows: &[f32], directions: usize) -> Self {
         let n = rows.len() / directions;
-        let fewest = sides().iter().copied().min_by_key(|side| n.next_multiple_of(*side));
-        let side = if n == 1 { 1 } else { fewest.unwrap_or(1) };
-        let mut moves = vec![false; directions];
+        let least_padding =
+            group_widths().iter().copied().min_by_key(|side| n.next_multiple_of(*side));
+        let side = if n == 1 { 1 } else { least_padding.unwrap_or(1) };
+        let mut nonzero = vec![false; directions];
         for row in rows.chunks_exact(directions) {
-            for (moves, &coefficient) in moves.iter_mut().zip(row) {
-                *moves |= coefficient != 0.0;
+            for (nonzero, &coefficient) in nonzero.iter_mut().zip(row) {
+                *nonzero |= coefficient != 0.0;
             }
         }
-        let used: Vec<usize> = (0..directions).filter(|&k| moves[k]).collect();
+        let used: Vec<usize> = (0..directions).filter(|&k| nonzero[k]).collect();
         let mut packed = vec![0.0; n.div_ceil(side) * used.len() * side];
         let blocks = packed.chunks_exact_mut((used.len() * side).max(1));
         for (block, rows) in blocks.zip(rows.chunks(side * directions)) {
@@ -68,24 +69,24 @@ impl Coefficients {
     }
 }
 
-/// A range of vertices of every body in a batch of `n`.
+/// Range of vertices of all bodies in a batch of `n`.
 pub(super) struct VertexRange<'a> {
     pub tiles: &'a Tiles,
     /// First tile of the range.
     pub first: usize,
     pub coefficients: &'a Coefficients,
-    /// `[n, J]`.
+    /// Joint transforms, `[n, J]`.
     pub transforms: &'a [Transform],
-    /// Added to posed positions, `[n, 3]`.
+    /// Translations of the posed bodies, metres, `[n, 3]`.
     pub transl: &'a [f32],
-    /// Added to rest positions, `[n, V, 3]`.
+    /// Displacements of the rest vertices, metres, `[n, V, 3]`.
     pub displacement: Option<&'a [f32]>,
-    /// The range of each body, `[n]` of `[vertices of the range, 3]`.
+    /// Output of each body, `[n]` of `[vertices of the range, 3]`.
     pub out: Vec<&'a mut [f32]>,
 }
 
 impl VertexRange<'_> {
-    /// Fills `out`.
+    /// Computes the posed vertices into `out`.
     pub(super) fn run(self) {
         pulp::Arch::new().dispatch(self);
     }
@@ -112,7 +113,7 @@ impl WithSimd for VertexRange<'_> {
 }
 
 impl VertexRange<'_> {
-    /// With `SIDE` bodies side by side and `WIDE` vectors for the vertices of a tile.
+    /// Processes `SIDE` bodies together, with `WIDE` SIMD vectors per tile row.
     #[inline(always)]
     fn tiles<S: Simd, const SIDE: usize, const WIDE: usize>(mut self, simd: S) {
         let used = &self.coefficients.used[..];
@@ -138,7 +139,7 @@ impl VertexRange<'_> {
                         blend_one::<S, WIDE>(simd, &directions, used, coefficients, rest);
                     }
                 } else {
-                    // One axis of a tile stays in the first-level cache.
+                    // The directions of one axis of a tile stay in the L1 cache.
                     for (axis, directions) in directions.into_iter().enumerate() {
                         let rest = rest.as_chunks_mut::<SIDE>().0.iter_mut();
                         for (block, rest) in blocks.clone().zip(rest) {
@@ -174,7 +175,7 @@ impl VertexRange<'_> {
     }
 }
 
-/// A line as vectors.
+/// Tile row as SIMD vectors.
 #[inline(always)]
 fn vectors<S: Simd, const WIDE: usize>(line: &TileRow) -> &[S::f32s; WIDE] {
     &S::as_simd_f32s(&line.0).0.as_chunks().0[0]
@@ -185,8 +186,8 @@ fn store<S: Simd, const WIDE: usize>(values: [S::f32s; WIDE], line: &mut TileRow
     S::as_mut_simd_f32s(&mut line.0).0.copy_from_slice(&values);
 }
 
-/// One coordinate of `SIDE` bodies' rest positions: sums of `directions` `[K]` by `coefficients`
-/// `[used]`.
+/// One coordinate of the rest positions of `SIDE` bodies: `directions` `[K]` weighted by
+/// `coefficients` `[used]` and summed.
 #[inline(always)]
 fn blend<S: Simd, const SIDE: usize, const WIDE: usize>(
     simd: S,
@@ -210,7 +211,7 @@ fn blend<S: Simd, const SIDE: usize, const WIDE: usize>(
     }
 }
 
-/// [`blend`] of one body: all axes at once, in one pass over `directions`.
+/// [`blend`] of all axes of one body, in one pass over `directions`.
 #[inline(always)]
 fn blend_one<S: Simd, const WIDE: usize>(
     simd: S,
@@ -233,7 +234,7 @@ fn blend_one<S: Simd, const WIDE: usize>(
     }
 }
 
-/// Moves a tile of one body by `transforms` `[J]`: the tile's `bones` move its vertices by
+/// Linear blend skinning of a tile of one body by `transforms` `[J]` of the joints `bones` with
 /// `weights`.
 #[inline(always)]
 fn skin<S: Simd, const WIDE: usize>(

@@ -1,7 +1,7 @@
-//! Posing on the CPU without gradients: blend shapes and skinning in one pass over the body, tile
-//! by tile, with nothing the size of `[n, V, 3, 4]` in memory.
+//! Fused forward pass on the CPU without gradients: blend shapes and skinning, tile by tile, without
+//! an intermediate array of size `[n, V, 3, 4]`.
 //!
-//! Every number is summed in the same order whatever the batch and the number of threads.
+//! The order of summation is independent of the batch size and the number of threads.
 
 mod kernel;
 mod tiles;
@@ -16,51 +16,51 @@ use self::{
 use super::SmplModel;
 use crate::joints::rotation;
 
-/// Tiles that are computed one after the other on one thread.
-const PIECE: usize = 8;
-/// Bodies from which on joints are worth several threads.
-const MANY: usize = 8;
+/// Tiles per parallel task.
+const TILES_PER_TASK: usize = 8;
+/// Smallest batch whose joints are computed in parallel.
+const PARALLEL_BATCH: usize = 8;
 
-/// A body laid out for posing on the CPU.
+/// Body packed for the fused forward pass.
 #[derive(Debug)]
 pub(super) struct CpuBody {
     tiles: Tiles,
-    /// Shape directions `B`.
+    /// Number of shape directions `B`.
     betas: usize,
     parents: Vec<Option<usize>>,
-    /// `J(0)`, `[J]`, and how it follows β, `[B, J]`; in the model's precision.
+    /// Joints of the template, `[J]`, and their shape directions, `[B, J]`, in `f64`.
     template_joints: Vec<DVec3>,
     joint_directions: Vec<DVec3>,
 }
 
-/// Rotations of a batch, row-major.
+/// Joint rotations of a batch, row-major.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum JointRotations<'a> {
-    /// Radians, `[n, J, 3]`.
+    /// Axis-angle vectors, radians, `[n, J, 3]`.
     AxisAngles(&'a [f32]),
-    /// `[n, J, 3, 3]`.
+    /// Rotation matrices, `[n, J, 3, 3]`.
     Rotations(&'a [f32]),
 }
 
-/// What a batch of `n` bodies is made from; row-major, shapes checked by the caller.
+/// Parameters of a batch of `n` bodies, row-major; the caller has checked the shapes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BodyBatch<'a> {
-    /// `[n, b]`, `b ≤ B`.
+    /// Shape coefficients, `[n, b]`, `b ≤ B`.
     pub betas: &'a [f32],
-    pub turns: JointRotations<'a>,
-    /// Metres, `[n, 3]`.
+    pub rotations: JointRotations<'a>,
+    /// Translations, metres, `[n, 3]`.
     pub transl: &'a [f32],
-    /// Metres, `[n, V, 3]`.
+    /// Clothing displacements, metres, `[n, V, 3]`.
     pub displacement: Option<&'a [f32]>,
-    /// Rest joints if they are not the body's, metres, `[n, J, 3]`.
+    /// Rest joints that replace those of the body, metres, `[n, J, 3]`.
     pub rest_joints: Option<&'a [f32]>,
 }
 
-/// One body's coefficients `[K]`, transforms `[J]` and posed joints `[J, 3]`.
+/// Output slices of one body: coefficients `[K]`, transforms `[J]`, posed joints `[J, 3]`.
 type BodySlots<'a> = ((&'a mut [f32], &'a mut [Transform]), &'a mut [f32]);
 
 impl CpuBody {
-    /// Lays out a valid body.
+    /// Packs a valid body.
     pub(super) fn new(model: &SmplModel) -> Self {
         let joints = |vertices: ndarray::ArrayView2<f64>| {
             let joints = model.joint_regressor.dot(&vertices);
@@ -88,7 +88,7 @@ impl CpuBody {
         let prepare = |(body, ((coefficients, transforms), joints)): (usize, BodySlots)| {
             self.prepare(batch, body, coefficients, transforms, joints);
         };
-        if n < MANY {
+        if n < PARALLEL_BATCH {
             coefficients
                 .chunks_mut(k)
                 .zip(transforms.chunks_mut(j))
@@ -101,36 +101,36 @@ impl CpuBody {
                 .zip(transforms.par_chunks_mut(j))
                 .zip(joints.par_chunks_mut(3 * j))
                 .enumerate()
-                .with_min_len(MANY / 2)
+                .with_min_len(PARALLEL_BATCH / 2)
                 .for_each(prepare);
         }
         let coefficients = Coefficients::pack(&coefficients, k);
 
         let mut vertices = vec![0.0; n * 3 * v];
-        let piece = PIECE * TILE;
-        let mut pieces: Vec<Vec<&mut [f32]>> = Vec::new();
-        pieces.resize_with(v.div_ceil(piece), || Vec::with_capacity(n));
+        let stride = TILES_PER_TASK * TILE;
+        let mut tasks: Vec<Vec<&mut [f32]>> = Vec::new();
+        tasks.resize_with(v.div_ceil(stride), || Vec::with_capacity(n));
         for body in vertices.chunks_exact_mut(3 * v) {
-            for (pieces, part) in pieces.iter_mut().zip(body.chunks_mut(3 * piece)) {
-                pieces.push(part);
+            for (task, part) in tasks.iter_mut().zip(body.chunks_mut(3 * stride)) {
+                task.push(part);
             }
         }
-        pieces.into_par_iter().enumerate().with_max_len(1).for_each(|(piece, out)| {
-            let work = VertexRange {
+        tasks.into_par_iter().enumerate().with_max_len(1).for_each(|(task, out)| {
+            let range = VertexRange {
                 tiles: &self.tiles,
-                first: piece * PIECE,
+                first: task * TILES_PER_TASK,
                 coefficients: &coefficients,
                 transforms: &transforms,
                 transl: batch.transl,
                 displacement: batch.displacement,
                 out,
             };
-            work.run();
+            range.run();
         });
         (vertices, joints)
     }
 
-    /// One body's coefficients `[K]`, transforms `[J]` and posed joints `[J, 3]`.
+    /// Computes the coefficients `[K]`, transforms `[J]` and posed joints `[J, 3]` of one body.
     fn prepare(
         &self,
         batch: BodyBatch,
@@ -145,30 +145,30 @@ impl CpuBody {
             Some(joints) => points(row(joints, body, 3 * self.parents.len())),
             None => self.rest_joints(betas),
         };
-        let turns = turns(batch.turns, body, self.parents.len());
+        let rotations = joint_rotations(batch.rotations, body, self.parents.len());
         let transl = points(row(batch.transl, body, 3))[0];
 
         coefficients[0] = 1.0;
         coefficients[1..][..betas.len()].copy_from_slice(betas);
         let (feature, _) = coefficients[1 + self.betas..].as_chunks_mut::<9>();
-        for (feature, &turn) in feature.iter_mut().zip(&turns[1..]) {
+        for (feature, &rotation) in feature.iter_mut().zip(&rotations[1..]) {
             // Column-major of the transpose is row-major.
-            *feature = (turn - DMat3::IDENTITY).transpose().to_cols_array().map(|x| x as f32);
+            *feature = (rotation - DMat3::IDENTITY).transpose().to_cols_array().map(|x| x as f32);
         }
 
-        let mut globals: Vec<DAffine3> = Vec::with_capacity(turns.len());
+        let mut globals: Vec<DAffine3> = Vec::with_capacity(rotations.len());
         let (joints, _) = joints.as_chunks_mut::<3>();
         for (joint, (slot, transform)) in joints.iter_mut().zip(transforms).enumerate() {
             let global = match self.parents[joint] {
-                None => DAffine3::from_mat3_translation(turns[joint], rest[joint]),
+                None => DAffine3::from_mat3_translation(rotations[joint], rest[joint]),
                 Some(parent) => {
                     let offset = rest[joint] - rest[parent];
-                    globals[parent] * DAffine3::from_mat3_translation(turns[joint], offset)
+                    globals[parent] * DAffine3::from_mat3_translation(rotations[joint], offset)
                 }
             };
             globals.push(global);
             *slot = (global.translation + transl).as_vec3().to_array();
-            // Acting on rest positions rather than joint-local ones.
+            // Relative to rest positions instead of joint-local ones.
             let shift = global.translation - global.matrix3 * rest[joint];
             let columns =
                 [global.matrix3.x_axis, global.matrix3.y_axis, global.matrix3.z_axis, shift];
@@ -199,8 +199,8 @@ fn points(values: &[f32]) -> Vec<DVec3> {
 }
 
 /// Rotation matrices of one body, `[J]`.
-fn turns(turns: JointRotations, body: usize, joints: usize) -> Vec<DMat3> {
-    match turns {
+fn joint_rotations(rotations: JointRotations, body: usize, joints: usize) -> Vec<DMat3> {
+    match rotations {
         JointRotations::AxisAngles(angles) => {
             let (angles, _) = row(angles, body, 3 * joints).as_chunks::<3>();
             angles.iter().map(|angle| rotation(angle.map(f64::from))).collect()

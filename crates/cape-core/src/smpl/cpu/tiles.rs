@@ -1,33 +1,32 @@
-//! A body's arrays in the order in which the kernel reads them.
+//! Arrays of a body in the memory order of the kernel.
 
 use crate::SmplModel;
 
-/// Vertices of a tile: a cache line of numbers.
+/// Vertices per tile: the `f32` numbers of a cache line.
 pub(super) const TILE: usize = 16;
 
-/// A number for every vertex of a tile.
+/// One number for each vertex of a tile.
 #[derive(Debug, Clone, Copy, Default)]
 #[repr(align(64))]
 pub(super) struct TileRow(pub [f32; TILE]);
 
-/// A body cut into tiles of vertices, in `f32`. The last tile is filled up with vertices that
-/// nothing moves.
+/// Body in tiles of vertices, in `f32`. The last tile is padded with vertices without weights.
 #[derive(Debug)]
 pub(super) struct Tiles {
     vertices: usize,
-    /// Template, `B` shape directions, `9·(J − 1)` pose directions: `K` of them.
+    /// Number `K` of directions: template, `B` shape and `9·(J − 1)` pose directions.
     directions: usize,
-    /// `[tiles, 3, K]`.
+    /// Directions, `[tiles, 3, K]`.
     rest: Vec<TileRow>,
-    /// Joints that move each tile, from `starts[tile]` on, and by how much each of its vertices.
+    /// Joints with influence on each tile, from `starts[tile]` on, and the weights of its vertices.
     bones: Vec<u32>,
     weights: Vec<TileRow>,
-    /// `[tiles + 1]`.
+    /// Offsets into `bones` and `weights`, `[tiles + 1]`.
     starts: Vec<usize>,
 }
 
 impl Tiles {
-    /// Of a valid body.
+    /// Packs a valid body.
     pub(super) fn new(model: &SmplModel) -> Self {
         let v = model.vertices();
         let (shapes, poses) = (model.betas(), model.pose_blends());
@@ -62,22 +61,22 @@ impl Tiles {
         Self { vertices: v, directions, rest, bones, weights, starts }
     }
 
-    /// Vertices `V` of the body.
+    /// Number of vertices `V`.
     pub(super) fn vertices(&self) -> usize {
         self.vertices
     }
 
-    /// Directions `K`.
+    /// Number of directions `K`.
     pub(super) fn count(&self) -> usize {
         self.directions
     }
 
-    /// Directions of one coordinate of a tile's vertices, `[K]`.
+    /// Directions of one coordinate of a tile, `[K]`.
     pub(super) fn directions(&self, tile: usize, axis: usize) -> &[TileRow] {
         &self.rest[(tile * 3 + axis) * self.directions..][..self.directions]
     }
 
-    /// Joints that move a tile, and by how much, `[bones]`.
+    /// Joints with influence on a tile and the weights of its vertices, `[bones]`.
     pub(super) fn bones(&self, tile: usize) -> (&[u32], &[TileRow]) {
         let bones = self.starts[tile]..self.starts[tile + 1];
         (&self.bones[bones.clone()], &self.weights[bones])

@@ -1,18 +1,18 @@
-//! Bodies that are not SMPL's, told apart from broken SMPL files.
+//! Detection of SMPL-H, SMPL-X, FLAME and MANO files, which get an error of their own.
 
 use std::path::Path;
 
 use super::source::Source;
 use crate::{Error, Result};
 
-const NEEDED: &str = "expected SMPL's own body of 24 joints \
+const EXPECTED: &str = "expected SMPL's own body of 24 joints \
                       (`SMPL_MALE.pkl`, `basicmodel_m_lbs_10_207_0_v1.0.0.pkl` or the like)";
 
 fn refuse(path: &Path, family: &str) -> Error {
-    Error::format(path, format!("is a {family} body, {NEEDED}"))
+    Error::format(path, format!("is a {family} body, {EXPECTED}"))
 }
 
-/// Refuses other families by arrays that only they have.
+/// Rejects other model families by arrays that SMPL does not have.
 pub(super) fn refuse_others(source: &Source) -> Result<()> {
     let has = |name| source.contains(name);
     let family = if has("lmk_faces_idx") || has("expr_dirs") || has("lmk_bary_coords") {
@@ -27,7 +27,7 @@ pub(super) fn refuse_others(source: &Source) -> Result<()> {
     Err(refuse(source.path(), family))
 }
 
-/// Refuses other families by their number of joints.
+/// Rejects other model families by their number of joints.
 pub(super) fn refuse_joints(path: &Path, joints: usize) -> Result<()> {
     match joints {
         52 => Err(refuse(path, "SMPL-H")),

@@ -1,4 +1,4 @@
-//! Body files: the official `.npz` layout and the official pickles.
+//! Body files in the official `.npz` and pickle layouts.
 
 mod family;
 mod source;
@@ -17,25 +17,25 @@ use crate::{
     pickle::Triplets,
 };
 
-/// The root's parent as the official files store it, −1 in 32 bits.
+/// Parent of the root in the official files, −1 as an unsigned 32-bit number.
 const NO_PARENT: i64 = u32::MAX as i64;
 
 impl SmplModel {
-    /// Reads a body in one of the official layouts, `.npz` or pickle, whichever the file is.
+    /// Reads a body in the official `.npz` or pickle layout.
     ///
     /// Arrays: `v_template` `[V, 3]`, `shapedirs` `[V, 3, B]`, `posedirs` `[V, 3, 9·(J − 1)]` or
     /// flattened to `[3·V, 9·(J − 1)]`, `weights` `[V, J]`, `kintree_table` `[2, J]` (parents over
     /// joint numbers; the root's parent is 2³² − 1 or −1), `f` `[faces, 3]`, and `J_regressor`
-    /// `[J, V]`, dense, one of SciPy's sparse matrices, or as its compressed rows in
+    /// `[J, V]`, dense, a SciPy sparse matrix, or its compressed rows in
     /// `J_regressor_data`, `J_regressor_indices`, `J_regressor_indptr` and, optionally,
     /// `J_regressor_shape`. Other arrays are ignored.
     ///
-    /// Pickles are read as data by [`Pickle`](crate::pickle::Pickle), without Python and without
-    /// chumpy: chumpy's arrays and views give their values.
+    /// [`Pickle`](crate::pickle::Pickle) reads pickles without Python and evaluates chumpy arrays and
+    /// views.
     ///
     /// # Errors
-    /// An array that is missing or malformed, by name; a body of another family (SMPL-H, SMPL-X,
-    /// MANO), with what is needed instead; a pickle that names a class which is not data.
+    /// If an array is missing or malformed, the body is of another family (SMPL-H, SMPL-X, MANO), or a
+    /// pickle contains a class that is not allowed.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let mut source = Source::open(path)?;
@@ -61,7 +61,7 @@ impl SmplModel {
         }
     }
 
-    /// Writes the body in the official `.npz` layout, with a dense regressor, compressed.
+    /// Writes the body in the official `.npz` layout, compressed, with a dense joint regressor.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         self.validate()?;
         let mut npz = NpzWriter::create(path)?.deflate();
@@ -80,7 +80,7 @@ impl SmplModel {
     }
 }
 
-/// Array `name`, its shape checked.
+/// Reads array `name` and checks its shape.
 fn array<D: Dimension>(
     source: &mut Source,
     name: &str,
@@ -113,7 +113,7 @@ fn joint_regressor(source: &mut Source, j: usize, v: usize) -> Result<Array2<f64
     if source.contains("J_regressor_shape") {
         let shape = source.array::<i64>("J_regressor_shape")?;
         if shape.iter().copied().ne([j as i64, v as i64]) {
-            let message = format!("{shape}, expected [{j}, {v}]");
+            let message = format!("is {shape}, expected [{j}, {v}]");
             return Err(Error::field(source.path(), "J_regressor_shape", message));
         }
     }

@@ -1,4 +1,4 @@
-//! Where a body's arrays come from.
+//! Source of the arrays of a body: `.npz` archive or pickle.
 
 use std::{fs::File, io::Read, path::Path};
 
@@ -17,7 +17,7 @@ pub(super) enum Source {
 }
 
 impl Source {
-    /// Opens the file as what its first bytes say it is.
+    /// Opens a file, whose first bytes select the format.
     pub(super) fn open(path: &Path) -> Result<Self> {
         let mut start = Vec::new();
         let file = File::open(path).map_err(|source| Error::io(path, source))?;
@@ -78,7 +78,7 @@ impl Source {
     }
 }
 
-/// An error about a pickle inside an archive, with the array's name.
+/// Adds the name of the archive's array to an error about a pickle in it.
 fn within(path: &Path, name: &str, error: Error) -> Error {
     match error {
         Error::Format { message, .. } => Error::field(path, name, message),

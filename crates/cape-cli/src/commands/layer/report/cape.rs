@@ -5,11 +5,14 @@ use std::{path::Path, sync::Arc};
 use burn::tensor::Device;
 use cape_core::BodyMotion;
 use cape_data::{DisplacementStatistics, PackedSet, Split};
-use cape_eval::{ErrorSamples, EvalOptions, PosteriorUse, reconstruct_test, table2::hash_of};
-use cape_infer::{BodySpec, Run, write_json};
+use cape_eval::{
+    ErrorSamples, EvalOptions, PosteriorUse, reconstruct_test,
+    store::{ResultStore, StoreOptions, StoreSettings},
+};
+use cape_infer::{BodySpec, Run, batches};
 use cape_layer::{experiment::LearningOptions, regress::FeatureOptions};
-use cape_stats::pca::PcaOptions;
-use ndarray::{Array1, Array2, Axis, concatenate};
+use cape_stats::{errors::mean_distance_mm, pca::PcaOptions};
+use ndarray::{Array1, Array2, ArrayView2, Axis, concatenate};
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -17,8 +20,8 @@ use crate::{
     error::{Error, Result},
 };
 
-/// Test frames decoded at a time.
-const BATCH: usize = 16;
+/// Name of the file of a finished comparison.
+const COMPARISON: &str = "comparison.json";
 /// Codes drawn for the frames that show how samples differ, and how many frames.
 const SAMPLES: usize = 8;
 const SAMPLED_FRAMES: usize = 24;
@@ -41,17 +44,16 @@ pub(super) struct MethodComparison {
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct CapeComparison {
-    key: String,
     pub(super) frames: usize,
     pub(super) methods: Vec<MethodComparison>,
 }
 
-/// The comparison on a run's data, kept as `path`.
+/// The comparison on a run's data, kept in the directory `out`.
 pub(super) fn compare(
     root: &Path,
     data: Option<&Path>,
     learning: &LearningOptions,
-    path: &Path,
+    (out, overwrite): (&Path, bool),
     device: &Device,
     console: Console,
 ) -> Result<CapeComparison> {
@@ -60,24 +62,22 @@ pub(super) fn compare(
         Some(data) => data.to_owned(),
         None => run.data()?,
     };
-    let checkpoint = run.checkpoint().display();
-    let key = format!("{checkpoint} {} {learning:?}", hash_of(&data)?);
-    let kept = || -> Option<CapeComparison> {
-        let kept: CapeComparison = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
-        (kept.key == key).then_some(kept)
-    };
-    if let Some(kept) = kept() {
+    let settings = StoreSettings::new("layer report, comparison with CAPE", learning)?
+        .with_run(&run)?
+        .with_packed_set(&data, &[Split::Train, Split::Test])?;
+    let options = StoreOptions { overwrite, ..StoreOptions::default() };
+    let store = ResultStore::open(out, settings, options)?;
+    if let Some(kept) = store.read(COMPARISON)? {
         console.note("comparison with CAPE: done before");
         return Ok(kept);
     }
+    store.begin()?;
     let test = Arc::new(PackedSet::open(&data, Split::Test)?);
     let bench = ComparisonContext { run: &run, data: &data, test: &test, learning, console };
     let mut methods = bench.linear()?;
     methods.push(bench.cape()?);
-    let comparison = CapeComparison { key: key.clone(), frames: test.frames(), methods };
-    write_json(path, &comparison)?;
-    // As it will be read from now on, to the last digit.
-    Ok(kept().unwrap_or(comparison))
+    let comparison = CapeComparison { frames: test.frames(), methods };
+    Ok(store.write(COMPARISON, &comparison)?)
 }
 
 struct ComparisonContext<'a> {
@@ -117,18 +117,18 @@ impl ComparisonContext<'_> {
         })?;
         let encode = |set: &PackedSet, row: usize| -> Result<Array1<f64>> {
             let displacement = Array1::from_vec(set.displacement_row(row)?).insert_axis(Axis(0));
-            Ok(pca.encode(&displacement.view()).remove_axis(Axis(0)))
+            Ok(pca.encode(displacement.view())?.remove_axis(Axis(0)))
         };
-        let decode = |code: Array1<f64>| {
-            pca.decode(&code.insert_axis(Axis(0)).view()).remove_axis(Axis(0)).to_vec()
+        let decode = |code: Array1<f64>| -> Result<Vec<f64>> {
+            Ok(pca.decode(code.insert_axis(Axis(0)).view())?.remove_axis(Axis(0)).to_vec())
         };
-        let reconstruction_mm = self.error(|row| Ok(decode(encode(self.test, row)?)))?;
+        let reconstruction_mm = self.error(|row| decode(encode(self.test, row)?))?;
         // As many numbers as CAPE has.
         let few = self.run.config().model.latent.min(components);
         let few_mm = self.error(|row| {
             let mut code = encode(self.test, row)?;
             code.slice_mut(ndarray::s![few..]).fill(0.0);
-            Ok(decode(code))
+            decode(code)
         })?;
         let mean_mm = self.error(|_| Ok(pca.mean.to_vec()))?;
 
@@ -145,7 +145,7 @@ impl ComparisonContext<'_> {
         let all: Vec<usize> = (0..self.test.frames()).collect();
         let (inputs, _) = self::inputs(self.test, &all)?;
         let predicted = regressor.regressor.predict(inputs.view())?;
-        let prediction_mm = self.error(|row| Ok(decode(predicted.row(row).to_owned())))?;
+        let prediction_mm = self.error(|row| decode(predicted.row(row).to_owned()))?;
         let plain = MethodComparison {
             method: "principal components".into(),
             code: components,
@@ -177,21 +177,21 @@ impl ComparisonContext<'_> {
         let reconstruction_mm = meter.summary().overall.mean;
         let latent = run.config().model.latent;
         let wearers: Vec<BodySpec> = (0..test.frames())
-            .map(|row| Ok(cape_infer::registration(&test, row)?.1))
+            .map(|row| Ok(cape_infer::registration(test, row)?.1))
             .collect::<Result<_>>()?;
         let mut meter = self.meter();
         self.console.while_showing("predict", "frames", |progress| {
-            for (index, chunk) in wearers.chunks(BATCH).enumerate() {
+            for rows in batches(wearers.len()) {
+                let (chunk, done) = (&wearers[rows.clone()], rows.end);
                 let worn =
                     run.decode_displacements(&Array2::zeros((chunk.len(), latent)), chunk)?;
-                for (offset, worn) in worn.outer_iter().enumerate() {
-                    let row = index * BATCH + offset;
+                for (row, worn) in rows.zip(worn.outer_iter()) {
                     let found: Vec<f32> = worn.iter().copied().collect();
                     let truth: Vec<f32> =
                         test.displacement_row(row)?.into_iter().map(|x| x as f32).collect();
                     meter.push(test, row, &found, &truth)?;
                 }
-                progress((index + 1) * BATCH, wearers.len());
+                progress(done, wearers.len());
             }
             Ok::<_, Error>(())
         })?;
@@ -203,10 +203,9 @@ impl ComparisonContext<'_> {
             let worn = run.decode_displacements(&codes, &vec![wearer.clone(); SAMPLES])?;
             let mean = worn.sum_axis(Axis(0)) / SAMPLES as f32;
             for sample in worn.outer_iter() {
-                let off = &sample - &mean;
-                let of = |&v: &usize| 1e3 * f64::from(off.row(v).dot(&off.row(v)).sqrt());
-                let clothing = run.clothing();
-                spreads.push(clothing.iter().map(of).sum::<f64>() / clothing.len().max(1) as f64);
+                let point = |of: ArrayView2<'_, f32>, v: usize| [0, 1, 2].map(|axis| of[[v, axis]]);
+                let pairs = run.clothing().iter().map(|&v| (point(sample, v), point(mean.view(), v)));
+                spreads.push(mean_distance_mm(pairs));
             }
         }
         Ok(MethodComparison {

@@ -1,9 +1,9 @@
 //! Pictures of clothing beside the truth, with its errors.
 
 use cape_core::{Mesh, SmplModel};
-use cape_layer::experiment::{LayerError, distances};
+use cape_layer::experiment::{ExampleFrame, LayerError, distances};
 use cape_render::{Image, Tile, View, contact_sheet};
-use ndarray::{Array2, ArrayView2, Axis};
+use ndarray::{ArrayView2, Axis};
 
 use super::jobs::NamedSet;
 use crate::{
@@ -16,32 +16,8 @@ const HEIGHT: u32 = 300;
 /// Error that gets the brightest colour, millimetres.
 const BRIGHTEST: f64 = 30.0;
 
-/// Clothing of one frame of a set.
-pub(super) struct FrameFigure {
-    label: String,
-    frame: usize,
-    /// None for the truth.
-    clothing: Option<Array2<f64>>,
-}
-
-impl FrameFigure {
-    pub(super) fn new(label: String, frame: usize, clothing: Array2<f64>) -> Self {
-        Self { label, frame, clothing: Some(clothing) }
-    }
-
-    /// The frame numbered `frame` as it is.
-    pub(super) fn truth(named: &NamedSet, frame: usize) -> Self {
-        let (sequence, of) = named.set.each_frame()[frame];
-        let name = &named.set.sequences[sequence].name;
-        // The subject, size and material are said elsewhere.
-        let movement = name.rsplit_once('_').map_or(name.as_str(), |(_, last)| last);
-        let label = format!("{movement}, frame {of}");
-        Self { label, frame, clothing: None }
-    }
-}
-
 /// The truth, and what is shown in colours by its errors; all of a frame from one place.
-pub(super) fn errors(model: &SmplModel, named: &NamedSet, shown: &[FrameFigure]) -> Result<Image> {
+pub(super) fn errors(model: &SmplModel, named: &NamedSet, shown: &[ExampleFrame]) -> Result<Image> {
     let each = named.set.each_frame();
     let mut tiles = Vec::new();
     for shown in shown {
@@ -65,7 +41,7 @@ fn tile(
     body: &Mesh,
     true_mesh: &Mesh,
     truth: ArrayView2<'_, f64>,
-    shown: &FrameFigure,
+    shown: &ExampleFrame,
     faces: &[[u32; 3]],
 ) -> Result<Tile> {
     let Some(clothing) = &shown.clothing else {

@@ -9,8 +9,12 @@ mod tables;
 use std::{fmt::Write as _, path::PathBuf};
 
 use cape_core::{SmplModel, parse_device};
+use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
 use cape_infer::write_json;
-use cape_layer::LayerSet;
+use cape_layer::{
+    LayerSet,
+    experiment::{Experiment, ExperimentResults, ReconstructionResult, RegressionResult},
+};
 use cape_render::Image;
 use clap::Args;
 use serde::Serialize;
@@ -29,10 +33,7 @@ use crate::{
     html::{self, HtmlFigure},
 };
 use cape::{CapeComparison, compare};
-use jobs::{
-    Experiment, ExperimentContext, ExperimentResults, NamedSet, ReconstructionResult,
-    RegressionResult,
-};
+use jobs::{ExperimentContext, NamedSet};
 use sets::{SetSize, simulated};
 use tables::ReportTable;
 
@@ -47,8 +48,8 @@ const FULL: (usize, f64) = (110, 25.0);
 /// prediction of those that were left out, one value after the other. Without sets it simulates its
 /// own: a garment on two subjects in five movements, in eight fabrics, and in eight sizes.
 ///
-/// What is done is kept in --out unless settings or data change; an interrupted report goes on where
-/// it was. Writes report.html, report.json, a .csv for each table and a .png for each picture.
+/// Finished experiments are kept in --out: run the same command again to resume. Results of other
+/// settings, another body or other sets are an error, unless --overwrite is given. Writes report.html, report.json, a .csv for each table and a .png for each picture.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape layer report --quick --out quick\n  cape layer report skirts \
@@ -82,6 +83,10 @@ pub(super) struct ReportArgs {
     /// The packed set to compare on; by default the one that the run was trained on.
     #[arg(long, value_name = "DIR", requires = "cape")]
     data: Option<PathBuf>,
+    /// Discard results of other settings, inputs or versions in --out and compute them afresh;
+    /// matching results are kept.
+    #[arg(long)]
+    overwrite: bool,
     #[command(flatten)]
     association_args: AssociationArgs,
     #[command(flatten)]
@@ -118,8 +123,8 @@ struct FigureRow {
 impl ReportArgs {
     pub(super) fn run(mut self, global: &GlobalArgs, console: Console) -> Result {
         let model = body(self.body.as_deref())?;
-        let kept = self.out.join("results");
-        files::create_dir(&kept)?;
+        let store = self.store()?;
+        let results = store.path("results");
         if self.quick {
             // A quarter of its frames is all that trains a new motion.
             self.learning_args.components = self.learning_args.components.min(QUICK.0 / 2);
@@ -130,9 +135,16 @@ impl ReportArgs {
             model: &model,
             learning,
             association_args: self.association_args.clone(),
-            kept: &kept,
+            body: self.body.as_deref(),
+            results: &results,
+            overwrite: self.overwrite,
             console,
         };
+        // All are checked before the first is computed.
+        let stores = sets
+            .iter()
+            .map(|named| laboratory.store(named).doing(|| format!("set {}", named.name)))
+            .collect::<Result<Vec<_>>>()?;
         let mut written = OutputPaths {
             out: self.out.clone(),
             sets: sets.iter().map(SetDescription::new).collect(),
@@ -141,11 +153,11 @@ impl ReportArgs {
             comparison: None,
         };
         let mut shown = Vec::new();
-        for named in &sets {
+        for (named, results) in sets.iter().zip(&stores) {
             let doing = || format!("set {}", named.name);
-            shown.push(self.association(&model, named, console).doing(doing)?);
-            for (job, outcome, image) in laboratory.work(named).doing(doing)? {
-                let ExperimentResults { reconstructed, regressed, .. } = outcome;
+            shown.push(self.association(&model, named, results, console).doing(doing)?);
+            for (job, outcome, image) in laboratory.work(named, results).doing(doing)? {
+                let ExperimentResults { reconstructed, regressed } = outcome;
                 written.reconstruction.extend(reconstructed);
                 written.regression.extend(regressed);
                 shown.push(FigureRow::new(named, job, image));
@@ -153,16 +165,38 @@ impl ReportArgs {
         }
         if let Some(run) = &self.cape {
             let device = parse_device(&global.device)?;
-            let (data, kept) = (self.data.as_deref(), kept.join("cape.json"));
-            let found = compare(run, data, &laboratory.learning, &kept, &device, console);
+            let (data, kept) = (self.data.as_deref(), (&*store.path("comparison"), self.overwrite));
+            let found = compare(run, data, &laboratory.learning, kept, &device, console);
             written.comparison = Some(found.doing(|| "comparison with CAPE".into())?);
         }
         let tables = written.tables();
-        self.write(&written, &tables, &shown)?;
+        self.write(&store, &written, &tables, &shown)?;
         console.result(&written, || {
             let texts: Vec<String> = tables.iter().map(ReportTable::text).collect();
             format!("{}\n\n{}", texts.join("\n\n"), self.out.join("report.html").display())
         })
+    }
+
+    /// The directory of tables and pictures; every set has a store of its own inside it.
+    fn store(&self) -> Result<ResultStore> {
+        let options = StoreOptions {
+            overwrite: self.overwrite,
+            earlier: &[
+                "report.html",
+                "report.json",
+                "reconstruction.csv",
+                "regression.csv",
+                "new.csv",
+                "cape.csv",
+                "results/*.json",
+                "results/*.png",
+            ],
+            beside: &["sets", "results", "comparison"],
+        };
+        let settings = StoreSettings::new("layer report", &())?;
+        let store = ResultStore::open(&self.out, settings, options)?;
+        store.begin()?;
+        Ok(store)
     }
 
     fn sets(&self, model: &SmplModel, console: Console) -> Result<Vec<NamedSet>> {
@@ -175,15 +209,17 @@ impl ReportArgs {
                 resolution: 1e-3 * self.resolution.unwrap_or(resolution),
             };
             let out = self.out.join("sets");
-            for (name, set) in simulated(model, &out, size, self.garment.into(), console)? {
-                named.push(NamedSet { name, set });
+            let bodies = (model, self.body.as_deref());
+            let designs = (size, self.garment.into());
+            for (name, set) in simulated(bodies, &out, designs, self.overwrite, console)? {
+                named.push(NamedSet { directory: out.join(&name), name, set });
             }
         }
         for (index, path) in self.sets.iter().enumerate() {
             let stem = path.file_name().map_or("set".into(), |name| name.to_string_lossy());
             let known = named.iter().any(|other: &NamedSet| other.name == stem);
             let name = if known { format!("{stem}-{index}") } else { stem.into_owned() };
-            named.push(NamedSet { name, set: LayerSet::load(path)? });
+            named.push(NamedSet { name, directory: path.clone(), set: LayerSet::load(path)? });
         }
         Ok(named)
     }
@@ -193,11 +229,11 @@ impl ReportArgs {
         &self,
         model: &SmplModel,
         named: &NamedSet,
+        store: &ResultStore,
         console: Console,
     ) -> Result<FigureRow> {
         let tied = self.association_args.associate(model, &named.set, console)?;
-        let directory = self.out.join("results").join(format!("{}-association", named.name));
-        files::create_dir(&directory)?;
+        let directory = store.claim("association/")?;
         associate::draw(&tied, &directory)?;
         let statistics = &tied.association.statistics;
         Ok(FigureRow {
@@ -215,15 +251,21 @@ impl ReportArgs {
         })
     }
 
-    fn write(&self, written: &OutputPaths, tables: &[ReportTable], shown: &[FigureRow]) -> Result {
-        write_json(&self.out.join("report.json"), written)?;
+    fn write(
+        &self,
+        store: &ResultStore,
+        written: &OutputPaths,
+        tables: &[ReportTable],
+        shown: &[FigureRow],
+    ) -> Result {
+        write_json(&store.claim("report.json")?, written)?;
         let mut page = written.described();
         for table in tables {
-            files::write_text(&self.out.join(format!("{}.csv", table.name)), &table.csv())?;
+            files::write_text(&store.claim(&format!("{}.csv", table.name))?, &table.csv())?;
             page += &table.html();
         }
         for FigureRow { name, title, caption, image } in shown {
-            image.save(self.out.join(format!("{name}.png")))?;
+            image.save(store.claim(&format!("{name}.png"))?)?;
             page += &HtmlFigure { title, caption, image }.html()?;
         }
         let settings = format!("{:#?}", (&self.association_args, &self.learning_args));
@@ -234,13 +276,13 @@ impl ReportArgs {
             html::escaped(&settings)
         );
         let page = html::page("Clothing layers", "Statistics of clothing layers", &page);
-        files::write_text(&self.out.join("report.html"), &page)
+        files::write_text(&store.claim("report.html")?, &page)
     }
 }
 
 impl SetDescription {
     fn new(named: &NamedSet) -> Self {
-        let NamedSet { name, set } = named;
+        let NamedSet { name, set, .. } = named;
         Self {
             name: name.clone(),
             sequences: set.sequences.len(),
@@ -297,7 +339,7 @@ impl OutputPaths {
                       that of the others' mean: between the two a prediction can be."
                 .into(),
             header: heads(&["set", "sequence", "trained", "held out", "E_train", "E_pred"]),
-            rows: seen.iter().map(|line| line.cells([&line.set, &line.name])).collect(),
+            rows: seen.iter().map(|line| cells(line, [&line.set, &line.name])).collect(),
         });
         if !new.is_empty() {
             tables.push(ReportTable {
@@ -308,7 +350,7 @@ impl OutputPaths {
                           regression."
                         .into(),
                 header: heads(&["new", "left out", "trained", "predicted", "E_train", "E_pred"]),
-                rows: new.iter().map(|line| line.cells([&line.factor, &line.name])).collect(),
+                rows: new.iter().map(|line| cells(line, [&line.factor, &line.name])).collect(),
             });
         }
         tables.extend(self.comparison.as_ref().map(compared));
@@ -339,15 +381,13 @@ impl OutputPaths {
     }
 }
 
-impl RegressionResult {
-    fn cells(&self, names: [&str; 2]) -> Vec<String> {
-        let mut cells: Vec<String> = names.into_iter().map(str::to_owned).collect();
-        cells.extend([self.trained, self.frames].map(|count| count.to_string()));
-        let errors = [self.train_mm, self.predict_mm, self.space_mm, self.baseline_mm];
-        cells.extend(errors.map(|error| format!("{error:.2}")));
-        cells.push(self.iterations.to_string());
-        cells
-    }
+fn cells(line: &RegressionResult, names: [&str; 2]) -> Vec<String> {
+    let mut cells: Vec<String> = names.into_iter().map(str::to_owned).collect();
+    cells.extend([line.trained, line.frames].map(|count| count.to_string()));
+    let errors = [line.train_mm, line.predict_mm, line.space_mm, line.baseline_mm];
+    cells.extend(errors.map(|error| format!("{error:.2}")));
+    cells.push(line.iterations.to_string());
+    cells
 }
 
 fn heads(names: &[&str]) -> Vec<String> {

@@ -1,20 +1,18 @@
 //! Simulated sets for the report, if there are no others.
 
-use std::{fs, path::Path};
+use std::path::Path;
 
 use cape_cloth::{ClothMaterial, Garment, GarmentKind};
 use cape_core::SmplModel;
+use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
 use cape_layer::{
     LayerSet,
     synth::{Design, Exercise},
 };
 use rayon::prelude::*;
+use serde_json::json;
 
-use crate::{
-    console::Console,
-    error::{Error, Result},
-    files,
-};
+use crate::{console::Console, error::Result};
 
 /// What the simulated sets are of.
 #[derive(Debug, Clone, Copy)]
@@ -84,40 +82,64 @@ fn designs(size: SetSize, kind: GarmentKind) -> Vec<(&'static str, Design)> {
     ]
 }
 
-/// Simulates what is not there yet, sequence by sequence, and gives the sets with their names.
+/// Simulates what is not there yet, sequence by sequence, and gives the sets with their names. Every
+/// set is a store in `out`, of its design and the body.
 pub(super) fn simulated(
-    model: &SmplModel,
+    (model, body): (&SmplModel, Option<&Path>),
     out: &Path,
-    size: SetSize,
-    kind: GarmentKind,
+    (size, kind): (SetSize, GarmentKind),
+    overwrite: bool,
     console: Console,
 ) -> Result<Vec<(String, LayerSet)>> {
+    let designs = designs(size, kind);
+    // All are checked before the first is simulated.
+    let stores = designs
+        .iter()
+        .map(|(name, design)| store(&out.join(name), design, body, overwrite))
+        .collect::<Result<Vec<_>>>()?;
     let mut sets = Vec::new();
-    for (name, design) in designs(size, kind) {
-        let directory = out.join(name);
-        let (text, made) = (format!("{design:?}\n"), directory.join("design.txt"));
-        if fs::read_to_string(&made).ok().as_ref() != Some(&text) {
-            if directory.exists() {
-                fs::remove_dir_all(&directory).map_err(|error| Error::io(&directory, error))?;
-            }
-            files::create_dir(&directory)?;
-            files::write_text(&made, &text)?;
-        }
+    for ((name, design), store) in designs.into_iter().zip(&stores) {
+        store.begin()?;
         let set = console.while_showing(name, "sequences", |progress| {
-            simulate(model, &directory, &design, progress)
+            simulate(model, store, &design, progress)
         })?;
         sets.push((name.to_owned(), set));
     }
     Ok(sets)
 }
 
-/// The design's set, each sequence kept as it is made, so that an interrupted simulation goes on.
+/// The store of a simulated set.
+fn store(
+    directory: &Path,
+    design: &Design,
+    body: Option<&Path>,
+    overwrite: bool,
+) -> Result<ResultStore> {
+    let Design { subjects, sizes, materials, exercises, frames, frame_rate, simulation } = design;
+    let settings = json!({
+        "subjects": subjects,
+        "sizes": sizes,
+        "materials": materials,
+        "exercises": exercises,
+        "frames": frames,
+        "frame_rate": frame_rate,
+        "simulation": format!("{simulation:?}"),
+    });
+    let settings = StoreSettings::new("layer report, simulated set", &settings)?
+        .with_optional_input("body", body, "synthetic body")?;
+    let options =
+        StoreOptions { overwrite, earlier: &["design.txt", "set.json"], ..StoreOptions::default() };
+    Ok(ResultStore::open(directory, settings, options)?)
+}
+
+/// The design's set, each sequence kept as it is made, so that an interrupted simulation resumes.
 fn simulate(
     model: &SmplModel,
-    directory: &Path,
+    store: &ResultStore,
     design: &Design,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<LayerSet> {
+    let directory = store.root();
     let takes = design.cells();
     let done = if directory.join("set.json").exists() {
         LayerSet::load(directory)?.sequences
@@ -134,6 +156,8 @@ fn simulate(
                 some.par_iter().map(|&take| design.simulate(model, &sewn, take)).collect();
             for result in results {
                 let (sequence, _) = result?;
+                store.list("set.json")?;
+                store.list(&format!("{}.npz", sequence.name))?;
                 LayerSet::add(directory, &sewn.surface.faces, &sequence)?;
             }
         }

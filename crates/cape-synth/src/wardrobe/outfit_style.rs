@@ -1,4 +1,4 @@
-//! The state of one set of clothes: what differs between two takes of the same outfit.
+//! Parameters of the garments of one subject in one sequence.
 
 use std::f64::consts::{PI, TAU};
 
@@ -9,70 +9,69 @@ use rand_distr::StandardNormal;
 
 use cape_core::Outfit;
 
-/// Number of waves in a crumple pattern.
+/// Number of waves of the crumple pattern.
 pub(super) const WAVES: usize = 14;
 
-/// Number of waves in a registration's misfit, and the size of each: 0.6 mm an axis together.
-const MISFIT_WAVES: usize = 8;
-const MISFIT: f64 = 0.0003;
+/// Number of waves of the registration error.
+const REGISTRATION_WAVES: usize = 8;
+/// Amplitude of a wave of the registration error, metres; 0.6 mm per axis for all waves.
+const REGISTRATION_AMPLITUDE: f64 = 0.0003;
 
-/// How one person wears one outfit in one sequence.
+/// Style of an outfit: the parameters of its garments on one subject in one sequence.
 ///
-/// The clothes themselves, their cut and where they like to fold, are a person's own; how they were
-/// put on differs from sequence to sequence. Constant over a sequence's frames and independent of
-/// the pose. Lengths are metres, positions along limbs fractions of the limb.
-///
-/// See [`Wardrobe`](crate::Wardrobe) for an example.
+/// Cut and preferred folds belong to the subject; slip, twist and lean vary between sequences. All are
+/// constant over the frames of a sequence and independent of the pose. Lengths are in metres,
+/// positions along limbs in fractions of the limb.
 #[derive(Debug, Clone)]
 pub struct OutfitStyle {
-    /// What is worn.
+    /// Outfit.
     pub outfit: Outfit,
     pub(super) seed: u64,
     pub(super) shirt: Shirt,
     pub(super) trousers: Trousers,
     pub(super) crumple: Vec<Wave>,
-    /// Phase and speed of the sway.
+    /// Phase (radians) and relative speed of the sway.
     pub(super) sway: [f64; 2],
-    /// How registrations of the wearer miss the minimal shape.
-    misfit: Vec<Wave>,
+    /// Smooth error of registrations of the subject.
+    registration_error: Vec<Wave>,
 }
 
 /// The upper garment. Pairs are left and right.
 #[derive(Debug, Clone)]
 pub(super) struct Shirt {
-    /// Ease of the body at the hem.
+    /// Ease (distance from the skin) of the body of the shirt at the hem.
     pub(super) ease: f64,
-    /// How far it hangs straight instead of following the body, 0 to 1.
+    /// Share by which the cloth hangs straight instead of following the body, 0 to 1.
     pub(super) drape: f64,
     /// Ease of the sleeves.
     pub(super) sleeve_ease: f64,
-    /// Where the sleeves end.
+    /// Positions of the sleeve ends along the arms.
     pub(super) sleeve_end: [f64; 2],
-    /// Lowering of the collar.
+    /// Downward shift of the collar.
     pub(super) collar: f64,
     /// Height of the hem above the hips.
     pub(super) hem: f64,
-    /// Rise of the hem per metre to the left and to the front.
+    /// Slope of the hem to the left and to the front.
     pub(super) hem_slope: [f64; 2],
-    /// Waviness of the hem, and its phase.
+    /// Amplitude and phase (radians) of the wave of the hem.
     pub(super) hem_wave: [f64; 2],
-    /// Whether it is worn inside the trousers.
+    /// True if the shirt is tucked into the trousers.
     pub(super) tucked: bool,
-    /// How far the cloth is turned around the body, tangentially at the hem.
+    /// Tangential shift around the body at the hem.
     pub(super) twist: f64,
-    /// Turn of each sleeve around the arm, tangentially.
+    /// Tangential shift of each sleeve around the arm.
     pub(super) sleeve_twist: [f64; 2],
     /// Shift of each sleeve along the arm.
     pub(super) sleeve_slide: [f64; 2],
-    /// Shift of the body upwards.
+    /// Upward shift of the body of the shirt.
     pub(super) ride: f64,
     /// Shift of the hem to the left and to the front.
     pub(super) lean: [f64; 2],
-    /// Vertical folds around the hem: number, phase, slant.
+    /// Vertical folds around the hem: number, phase (radians), slant.
     pub(super) folds: [f64; 3],
-    /// Second, coarser set of vertical folds.
+    /// Second, coarser set of vertical folds: number, phase (radians), slant.
     pub(super) gathers: [f64; 3],
-    /// Phases of the sleeves' folds.
+    /// Phases of the sleeve folds, radians.
     pub(super) sleeve_phase: [f64; 2],
 }
 
@@ -81,37 +80,37 @@ pub(super) struct Shirt {
 pub(super) struct Trousers {
     /// Ease of the legs.
     pub(super) ease: f64,
-    /// How far the legs hang straight instead of following the body, 0 to 1.
+    /// Share by which the legs hang straight instead of following the body, 0 to 1.
     pub(super) drape: f64,
-    /// Growth of the ease towards the cuff.
+    /// Relative growth of the ease towards the cuff.
     pub(super) flare: f64,
-    /// Where the legs end.
+    /// Positions of the cuffs along the legs.
     pub(super) leg_end: [f64; 2],
-    /// Raising of the waistband.
+    /// Upward shift of the waistband.
     pub(super) waist: f64,
-    /// Sagging of the seat.
+    /// Extra ease of the seat.
     pub(super) seat: f64,
-    /// Turn of each leg of the cloth around the leg, tangentially at the cuff.
+    /// Tangential shift of each trouser leg at the cuff.
     pub(super) twist: [f64; 2],
-    /// Shift of each leg of the cloth along the leg.
+    /// Shift of each trouser leg along the leg.
     pub(super) slide: [f64; 2],
-    /// Size and phases of the folds that stack above the cuffs.
+    /// Amplitude and phases (radians) of the folds that stack above the cuffs.
     pub(super) stack: f64,
     pub(super) stack_phase: [f64; 2],
-    /// Phases of the lengthwise folds.
+    /// Phases of the lengthwise folds, radians.
     pub(super) fold_phase: [f64; 2],
 }
 
-/// One wave of the random pattern of dents.
+/// Plane wave of a random displacement pattern.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Wave {
-    /// Radians per metre.
+    /// Wave vector, radians per metre.
     pub(super) vector: DVec3,
     pub(super) phase: f64,
     pub(super) amplitude: f64,
-    /// Direction in which the cloth shifts along the surface with the dent.
+    /// Tangential shift of the cloth that accompanies the wave, metres.
     pub(super) drag: DVec3,
-    /// How far its phase follows the bending of the waist.
+    /// Phase per radian of waist bend.
     pub(super) follow: f64,
 }
 
@@ -122,12 +121,13 @@ impl OutfitStyle {
         let trousers = Trousers::random(outfit.long_legs(), rng);
         let crumple = (0..WAVES).map(|_| Wave::random(rng)).collect();
         let sway = [rng.random_range(0.0..TAU), rng.random_range(0.5..1.1)];
-        let misfit = (0..MISFIT_WAVES).map(|_| Wave::random_misfit(rng)).collect();
-        Self { outfit, seed, shirt, trousers, crumple, sway, misfit }
+        let registration_error =
+            (0..REGISTRATION_WAVES).map(|_| Wave::random_registration_error(rng)).collect();
+        Self { outfit, seed, shirt, trousers, crumple, sway, registration_error }
     }
 
-    /// These clothes, put on as `other` clothes are: what slips, turns and leans is taken from
-    /// those, and folds move a little.
+    /// Combines the cut of this outfit with the fit of `other`: slip, twist and lean come from `other`,
+    /// and the phases of the folds shift a little.
     pub(super) fn with_fit_of(self, other: Self) -> Self {
         let waves = self.crumple.into_iter().zip(&other.crumple);
         Self {
@@ -137,27 +137,27 @@ impl OutfitStyle {
             trousers: self.trousers.with_fit_of(&other.trousers),
             crumple: waves
                 .map(|(wave, other)| Wave {
-                    phase: shift_phase(wave.phase, other.phase, 2.0 * NUDGE),
+                    phase: shift_phase(wave.phase, other.phase, 2.0 * PHASE_SHIFT),
                     amplitude: 0.8 * wave.amplitude + 0.6 * other.amplitude,
                     ..wave
                 })
                 .collect(),
             sway: other.sway,
-            misfit: self.misfit,
+            registration_error: self.registration_error,
         }
     }
 
-    /// How far a registration of the wearer is from the minimal shape without any clothes, metres.
-    pub(super) fn misfit(&self, position: DVec3) -> DVec3 {
-        let waves = self.misfit.iter();
+    /// Smooth error of a registration at a rest position, metres.
+    pub(super) fn registration_error(&self, position: DVec3) -> DVec3 {
+        let waves = self.registration_error.iter();
         waves.map(|wave| wave.drag * (wave.vector.dot(position) + wave.phase).sin()).sum()
     }
 }
 
-/// How far folds move between sequences, as a share of half a turn.
-const NUDGE: f64 = 0.12;
+/// Largest phase shift of folds between sequences, as a share of π.
+const PHASE_SHIFT: f64 = 0.12;
 
-/// `phase` moved by up to `share` of half a turn, as the angle `other` says.
+/// Shifts `phase` by `share · (other − π)`, `other` in [0, 2π).
 fn shift_phase(phase: f64, other: f64, share: f64) -> f64 {
     phase + share * (other - PI)
 }
@@ -189,21 +189,24 @@ impl Shirt {
     }
 
     fn with_fit_of(self, other: &Self) -> Self {
-        let moved = |[count, phase, slant]: [f64; 3], other: [f64; 3]| {
-            [count, shift_phase(phase, other[1], NUDGE), slant + 0.3 * other[2]]
+        let shifted = |[count, phase, slant]: [f64; 3], other: [f64; 3]| {
+            [count, shift_phase(phase, other[1], PHASE_SHIFT), slant + 0.3 * other[2]]
         };
         Self {
             hem_slope: [0, 1].map(|i| 0.7 * self.hem_slope[i] + 0.7 * other.hem_slope[i]),
-            hem_wave: [self.hem_wave[0], shift_phase(self.hem_wave[1], other.hem_wave[1], NUDGE)],
+            hem_wave: [
+                self.hem_wave[0],
+                shift_phase(self.hem_wave[1], other.hem_wave[1], PHASE_SHIFT),
+            ],
             twist: other.twist,
             sleeve_twist: other.sleeve_twist,
             sleeve_slide: other.sleeve_slide,
             ride: other.ride,
             lean: other.lean,
-            folds: moved(self.folds, other.folds),
-            gathers: moved(self.gathers, other.gathers),
+            folds: shifted(self.folds, other.folds),
+            gathers: shifted(self.gathers, other.gathers),
             sleeve_phase: [0, 1]
-                .map(|i| shift_phase(self.sleeve_phase[i], other.sleeve_phase[i], NUDGE)),
+                .map(|i| shift_phase(self.sleeve_phase[i], other.sleeve_phase[i], PHASE_SHIFT)),
             ..self
         }
     }
@@ -230,14 +233,15 @@ impl Trousers {
     }
 
     fn with_fit_of(self, other: &Self) -> Self {
-        let moved =
-            |own: [f64; 2], other: [f64; 2]| [0, 1].map(|i| shift_phase(own[i], other[i], NUDGE));
+        let shifted = |own: [f64; 2], other: [f64; 2]| {
+            [0, 1].map(|i| shift_phase(own[i], other[i], PHASE_SHIFT))
+        };
         Self {
             waist: 0.7 * self.waist + 0.7 * other.waist,
             twist: other.twist,
             slide: other.slide,
-            stack_phase: moved(self.stack_phase, other.stack_phase),
-            fold_phase: moved(self.fold_phase, other.fold_phase),
+            stack_phase: shifted(self.stack_phase, other.stack_phase),
+            fold_phase: shifted(self.fold_phase, other.fold_phase),
             ..self
         }
     }
@@ -259,20 +263,20 @@ impl Wave {
 }
 
 impl Wave {
-    fn random_misfit(rng: &mut ChaCha8Rng) -> Self {
+    fn random_registration_error(rng: &mut ChaCha8Rng) -> Self {
         let length = rng.random_range(0.15..0.6);
         let random = |rng: &mut ChaCha8Rng| DVec3::from_array(std::array::from_fn(|_| normal(rng)));
         Self {
             vector: random(rng).normalize_or(DVec3::Y) * (TAU / length),
             phase: angle(rng),
             amplitude: 0.0,
-            drag: MISFIT * random(rng),
+            drag: REGISTRATION_AMPLITUDE * random(rng),
             follow: 0.0,
         }
     }
 }
 
-/// Standard normal, cut at ±2.2.
+/// Standard normal sample, clamped to ±2.2.
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
     rng.sample::<f64, _>(StandardNormal).clamp(-2.2, 2.2)
 }
