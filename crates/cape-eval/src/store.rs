@@ -46,12 +46,10 @@ use crate::{Error, Result};
 
 /// Name of the file with everything that results depend on.
 const SETTINGS: &str = "settings.json";
-/// Name of the file that lists what the store wrote, one path a line.
+/// Name of the file that lists what the store wrote, one path per line.
 const FILES: &str = "files.txt";
 
-/// How a directory is opened as a [`ResultStore`].
-///
-/// See [`ResultStore`] for an example.
+/// Options of opening a directory as a [`ResultStore`].
 #[derive(Debug, Clone, Copy, Default)]
 pub struct StoreOptions<'a> {
     /// Discard results of other settings, inputs or versions instead of refusing them.

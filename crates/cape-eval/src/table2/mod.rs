@@ -202,7 +202,7 @@ impl Table2Options {
         Ok(jobs)
     }
 
-    /// What all rows depend on.
+    /// Settings and inputs that all rows depend on.
     fn inputs(&self) -> Result<StoreSettings> {
         let given = |path: &Option<PathBuf>, own: &str| {
             let own = self.data.join(own);
