@@ -21,8 +21,6 @@ const DIGITS: usize = 12;
 
 /// Settings, program version and inputs that the results in a [`ResultStore`](super::ResultStore)
 /// depend on; the contents of its settings.json.
-///
-/// See [`ResultStore`](super::ResultStore) for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StoreSettings {
     /// Command and part of it that the results are of.
