@@ -13,7 +13,7 @@ use serde_json::json;
 
 use crate::error::Result;
 
-/// Files of versions without SHA-256 of the inputs.
+/// Files from versions that did not record the SHA-256 of the inputs.
 const EARLIER: [&str; 14] = [
     "settings.json",
     "frames/*.json",
