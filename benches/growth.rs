@@ -1,4 +1,4 @@
-//! How an update grows with the batch and with the mesh: examples times vertices a second, which
+//! Time of an update over batch size and mesh size: examples times vertices a second, which
 //! stay the same where time is linear in both.
 
 #![allow(missing_docs)] // criterion's macro makes a public function

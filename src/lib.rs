@@ -59,7 +59,7 @@ pub mod prelude {
     pub use burn::tensor::{Device, Tensor};
     pub use cape_core::{BodyPose, Mesh, Outfit, SmplModel};
     pub use cape_graph::MeshPyramid;
-    pub use cape_infer::{AnimatedBody, BodySpec, Run, RunConfig};
+    pub use cape_infer::{AnimatedBody, BodySpec, ClothedModel, Run, RunConfig};
     pub use cape_model::CapeConfig;
     pub use cape_train::Trainer;
 }

@@ -141,7 +141,7 @@ pub fn outputs(fixture: &mut Fixture, model: &Cape, report: &mut dyn FnMut(Strin
     ));
 }
 
-/// Which of our blocks a tap such as `tap/cnp_d:conv2+` is of; none for names of another kind.
+/// Block of a recorded tensor such as `tap/cnp_d:conv2+`; none for names of another kind.
 fn tap_of(name: &str) -> Option<(&'static str, usize)> {
     let (method, block) = name.rsplit_once(':')?;
     let fake = block.ends_with('+');

@@ -82,7 +82,7 @@ fn joints(directory: &Path, report: &mut dyn FnMut(String)) {
     report(format!("`J` the same in {checked} pickles"));
 }
 
-/// Where a malicious file would leave something.
+/// Path that a malicious file would write to.
 fn places() -> Vec<PathBuf> {
     let here = std::env::current_dir().unwrap();
     let mut found: Vec<PathBuf> = [Path::new("/tmp"), &here]

@@ -26,12 +26,12 @@ use crate::{
 };
 
 const TOLERANCE: f64 = 1e-4;
-/// How far weights are moved to get to the other side of a bend, relative.
+/// Relative change of the weights that crosses a kink of the leaky ReLU.
 const NEARBY: f32 = 1e-6;
 const ATTEMPTS: u64 = 24;
 /// Steps of a run that may be beside a bend.
 const BENDS: usize = 2;
-/// Of how far each variable moved.
+/// Relative to the movement of each variable.
 const WEIGHTS: f64 = 0.01;
 
 #[derive(Deserialize)]

@@ -14,8 +14,6 @@ use crate::{
 };
 
 /// Graph of a convolution on the host: the rescaled Laplacian and the pooling, if any.
-///
-/// See [`GraphBackend`](crate::GraphBackend) for an example.
 #[derive(Debug)]
 pub struct HostGraph {
     laplacian: Arc<CsrWithTranspose>,

@@ -55,8 +55,6 @@ pub fn cheb_features(x: Tensor<3>, laplacian: &SparseMatrix, order: usize) -> Te
 }
 
 /// Constant terms and activation of a convolution.
-///
-/// See [`ConvGraph`] for an example.
 #[derive(Debug, Clone, Default)]
 pub struct Epilogue {
     /// Coefficients of the constant terms, `[batch, r, out]`, `r` up to the order:

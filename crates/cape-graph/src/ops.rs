@@ -16,8 +16,6 @@ use burn::backend::{
 use crate::{composed, conv_graph::HostGraph, sparse::CsrWithTranspose};
 
 /// Optional tensor of an operation: Burn's dispatch takes no [`Option`].
-///
-/// See [`GraphBackend`] for an example.
 #[derive(Debug, Clone, ExtensionType)]
 pub enum OptionalTensor<B: Backend> {
     /// A tensor.
@@ -51,8 +49,6 @@ impl<B: Backend> From<Option<FloatTensor<B>>> for OptionalTensor<B> {
 }
 
 /// Sparse matrix of a product.
-///
-/// See [`GraphBackend`] for an example.
 #[derive(Debug, Clone, ExtensionType)]
 pub struct SparseOperand<B: Backend> {
     /// Concatenated CSR row starts and column indices of one or more matrices, i32.
@@ -73,8 +69,6 @@ impl<B: Backend> SparseOperand<B> {
 }
 
 /// Graph of a convolution, on the device and on the host.
-///
-/// See [`GraphBackend`] for an example.
 #[derive(Debug, Clone, ExtensionType)]
 pub struct DeviceGraph<B: Backend> {
     /// Concatenated CSR row starts and column indices of the graph's matrices, i32.
@@ -86,8 +80,6 @@ pub struct DeviceGraph<B: Backend> {
 }
 
 /// Order and activation of a convolution.
-///
-/// See [`GraphBackend`] for an example.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ConvSpec {
     /// Number of Chebyshev terms `K`.
@@ -112,8 +104,6 @@ pub struct EpilogueInputs<B: Backend> {
 }
 
 /// Inputs of [`GraphBackend::cheb_conv`].
-///
-/// See [`GraphBackend`] for an example.
 #[derive(Debug, Clone, ExtensionType)]
 pub struct ChebConvInputs<B: Backend> {
     /// Features, `[batch, vertices, channels]`.

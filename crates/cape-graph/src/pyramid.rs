@@ -42,8 +42,6 @@ pub struct MeshPyramid {
 }
 
 /// Level of a pyramid: a mesh and its graph.
-///
-/// See [`MeshPyramid`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Level {
     pub(crate) surface: Surface,
@@ -51,8 +49,6 @@ pub struct Level {
 }
 
 /// Maps between a level and the next coarser one.
-///
-/// See [`MeshPyramid`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Transition {
     pub(crate) down: Vec<u32>,

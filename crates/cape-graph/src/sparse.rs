@@ -11,8 +11,6 @@ use sprs::CsMat;
 use crate::ops::SparseOperand;
 
 /// Matrix in compressed sparse rows (CSR), f32.
-///
-/// See [`SparseMatrix`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Csr {
     cols: usize,
@@ -50,8 +48,6 @@ impl Csr {
 }
 
 /// Sparse matrix and its transpose: the operands of a product and of its gradient.
-///
-/// See [`SparseMatrix`] for an example.
 #[derive(Debug, PartialEq)]
 pub struct CsrWithTranspose {
     matrix: Csr,

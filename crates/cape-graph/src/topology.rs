@@ -152,8 +152,6 @@ impl Surface {
 
 /// Numbers of edges of a mesh. A closed manifold has neither boundary nor non-manifold edges;
 /// simplification may create the latter.
-///
-/// See [`Surface`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct EdgeCounts {
     /// Number of edges.

@@ -12,8 +12,6 @@ use crate::{Error, Result};
 
 /// Method of interpolation from a level to the next finer one. Trained weights depend on it, so it
 /// is saved with the pyramid.
-///
-/// See [`MeshPyramid`](crate::MeshPyramid) for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Weighting {
