@@ -22,7 +22,7 @@ use crate::{BodyParameters, Error, Result};
 /// };
 /// use cape_infer::Run;
 ///
-/// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
+/// let run = Run::open("runs/cape", &Device::default())?;
 /// let dressed = DressedBody::new(&run, Outfit::LongLong)?;
 /// // The bare body behind keypoints, then the clothed one that fills the silhouette.
 /// let mask = Mask::load("mask.png")?;

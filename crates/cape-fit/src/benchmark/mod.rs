@@ -91,7 +91,7 @@ pub struct BenchmarkCase {
 /// use cape_data::{PackedSet, Split};
 /// use cape_infer::Run;
 ///
-/// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
+/// let run = Run::open("runs/cape", &Device::default())?;
 /// let set = PackedSet::open("data/packed".as_ref(), Split::Test)?;
 /// let smplify = Smplify::new(run.body(), PosePrior::synthetic()?, SmplifyConfig::default())?;
 /// let config = ClothedConfig::default();

@@ -33,7 +33,7 @@ const FAR: f64 = 2.0;
 /// use cape_infer::Run;
 ///
 /// // Two scans of each of four frames: complete, and with a tenth of the surface missing.
-/// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
+/// let run = Run::open("runs/cape", &Device::default())?;
 /// let set = PackedSet::open("data/packed".as_ref(), Split::Test)?;
 /// let options = ScanBenchmarkOptions {
 ///     frames: 4,

@@ -69,7 +69,7 @@ pub type ScanProgressFn<'a> = dyn FnMut(usize, usize) + 'a;
 /// use cape_fit::{PosePrior, scan::{Scan, ScanConfig, ScanFitter, ScanInit, Unit, UpAxis}};
 /// use cape_infer::Run;
 ///
-/// let run = Run::open("runs/cape".as_ref(), &Device::default())?;
+/// let run = Run::open("runs/cape", &Device::default())?;
 /// let prior = PosePrior::synthetic()?;
 /// let start = ScanInit::default_poses(&prior);
 /// let fitter = ScanFitter::new(&run, &Outfit::ALL, None, prior, ScanConfig::default())?;

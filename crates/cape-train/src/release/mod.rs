@@ -42,7 +42,7 @@ use cape_infer::{
 /// let device = Device::default();
 /// let report = import("checkpoints/CAPE_male", &options, "cape-male", &device)?;
 /// assert!(report.parameters > 0);
-/// let run = Run::open("cape-male".as_ref(), &device)?;
+/// let run = Run::open("cape-male", &device)?;
 /// # Ok::<(), cape_train::Error>(())
 /// ```
 #[derive(Debug, Clone)]
