@@ -6,7 +6,7 @@ mod mesh;
 
 use burn::tensor::{Device, Distribution, Tensor};
 use cape::graph::{
-    ConvEnd, ConvGraph, DevicePyramid, GroupNorm, MeshPyramid, Surface, Weighting, cheb_conv,
+    ConvGraph, DevicePyramid, Epilogue, GroupNorm, MeshPyramid, Surface, Weighting, cheb_conv,
     norm_conv, sparse_matmul,
 };
 use criterion::{Criterion, criterion_group, criterion_main};
@@ -54,8 +54,8 @@ fn levels(criterion: &mut Criterion) {
             bencher.iter(|| sparse_matmul(x.clone(), &laplacian));
         });
         let conv = |x: Tensor<3>, weight: Tensor<2>| {
-            let rows = Some(Tensor::ones([BATCH, 1, output], &x.device()));
-            cheb_conv(x, weight, graph, 2, ConvEnd { rows, slope: Some(0.2) })
+            let constant_terms = Some(Tensor::ones([BATCH, 1, output], &x.device()));
+            cheb_conv(x, weight, graph, 2, Epilogue { constant_terms, slope: Some(0.2) })
         };
         group.bench_function(format!("chebyshev forward {name}"), |bencher| {
             bencher.iter(|| conv(x.clone(), weight.clone()));

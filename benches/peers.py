@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Times `cape bench` and PyTorch implementations of CAPE in turn and prints the ratios.
+"""Times `cape eval speed` and PyTorch implementations of CAPE in turn and prints the ratios.
 
     cargo build --release --workspace --bins --benches
     python3 benches/peers.py --peers DIR --python PYTHON [--rounds 3] [--threads 2]
@@ -24,7 +24,7 @@ def run(*command):
 
 
 def ours(threads):
-    return json.loads(run(a.cape, 'bench', '--json', '--threads', threads))
+    return json.loads(run(a.cape, 'eval', 'speed', '--json', '--threads', threads))
 
 
 def peer(work, implementation, batch, threads):

@@ -14,7 +14,7 @@ const ENTRY_POINTS: [(&str, &[&str]); 13] = [
     ("cape-cloth", &["Cloth", "Garment"]),
     ("cape-core", &["ClothedSmpl", "Mesh", "Outfit", "Smpl", "SmplModel", "SurfaceIndex"]),
     ("cape-data", &["Loader", "PackedSet", "SplitSpec"]),
-    ("cape-eval", &["ComparisonTable", "EvalOptions"]),
+    ("cape-eval", &["ComparisonTable", "EvalOptions", "ResultStore"]),
     ("cape-fit", &["DressedBody", "Keypoints", "PinholeCamera", "PosePrior", "Smplify"]),
     ("cape-graph", &["DevicePyramid", "MeshPyramid", "SparseMatrix", "Surface"]),
     ("cape-infer", &["Prior", "Run", "RunConfig"]),

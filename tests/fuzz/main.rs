@@ -31,8 +31,7 @@ use cape::{
 };
 use ndarray::{Array2, arr1};
 use peak_alloc::PeakAlloc;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;

@@ -1,4 +1,4 @@
-//! What comparing commands say and write alike.
+//! Tables and histograms of commands that compare methods.
 
 use std::path::Path;
 
@@ -7,10 +7,10 @@ use cape_render::{Image, Plot, Series};
 
 use crate::{error::Result, files, table};
 
-/// Part of the errors that the histogram's axis must hold of every method.
+/// Share of every method's errors that the histogram's axis covers at least.
 const SHARE: f64 = 0.99;
 
-/// The table for people.
+/// The table as text.
 pub(crate) fn text(table: &ComparisonTable) -> String {
     let (header, rows) = table.rows();
     let mut text = table::Table::new(header);
@@ -30,7 +30,7 @@ pub(crate) fn write(out: &Path, name: &str, table: &ComparisonTable) -> Result {
     Ok(())
 }
 
-/// How errors are distributed, a line a method.
+/// Densities of the errors, one curve per method.
 pub(crate) fn histograms(table: &ComparisonTable) -> Result<Image> {
     let ends = table.lines.iter().map(|line| line.histogram.quantile(SHARE));
     let end = ends.fold(0.0, f64::max);

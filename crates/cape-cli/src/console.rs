@@ -1,4 +1,4 @@
-//! What the user sees: results on standard output, progress and notes on standard error.
+//! Output: results on standard output, progress and notes on standard error.
 
 use std::io::{IsTerminal, Write};
 
@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::error::{Error, Result};
 
-/// Where results and progress go.
+/// Output of a command.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Console {
     json: bool,
@@ -19,7 +19,7 @@ impl Console {
         Self { json, quiet }
     }
 
-    /// Prints a command's result: as JSON if asked for, else as text for people.
+    /// Prints a command's result, as JSON with `--json`, else as text.
     pub(crate) fn result<T: Serialize>(self, value: &T, text: impl FnOnce() -> String) -> Result {
         let text = if self.json {
             serde_json::to_string_pretty(value)
@@ -28,20 +28,17 @@ impl Console {
             text()
         };
         let mut out = std::io::stdout().lock();
-        writeln!(out, "{text}").and_then(|()| out.flush()).map_err(|error| match error.kind() {
-            std::io::ErrorKind::BrokenPipe => Error::OutputClosed,
-            _ => Error::io("standard output", error),
-        })
+        writeln!(out, "{text}").and_then(|()| out.flush()).map_err(Error::output)
     }
 
-    /// Says something that is not the result.
+    /// Prints a note on standard error, unless `--quiet`.
     pub(crate) fn note(self, text: &str) {
         if !self.quiet {
             eprintln!("{text}");
         }
     }
 
-    /// Whether bars are shown.
+    /// True if progress bars are shown.
     pub(crate) fn shows_bars(self) -> bool {
         !self.quiet && std::io::stderr().is_terminal()
     }
@@ -82,7 +79,7 @@ impl Console {
     }
 }
 
-/// A duration as people say it.
+/// A duration in seconds, minutes or hours.
 pub(crate) fn seconds(seconds: f64) -> String {
     let whole = seconds as u64;
     match whole {

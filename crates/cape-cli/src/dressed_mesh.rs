@@ -1,4 +1,4 @@
-//! Sampled clothes on posed bodies, and their pictures.
+//! Dressed bodies in colours, and their pictures.
 
 use cape_core::{Mesh, Outfit, SmplModel};
 use cape_infer::{BodySpec, ClothedBody, Run, batches};
@@ -7,23 +7,24 @@ use ndarray::{Array2, Array3, ArrayView2, Axis};
 
 use crate::error::Result;
 
-/// Displacements from here, metres, look like cloth, and from [`CLOTH`] on wholly so.
+/// Length of displacement at which the colour begins to change from skin to cloth, metres.
 const SKIN: f32 = 0.0025;
+/// Length of displacement from which on the colour is that of cloth, metres.
 const CLOTH: f32 = 0.0038;
-/// How often these distances are averaged over neighbours.
+/// Rounds of averaging these lengths over neighbours.
 const SMOOTHINGS: usize = 5;
-/// Pelvis, spine and collars: under cloth in every outfit.
+/// Pelvis, spine and collars: covered in every outfit.
 const TRUNK: [usize; 6] = [0, 3, 6, 9, 13, 14];
-/// Joints that move legs, for telling trousers from shirt.
+/// Joints of the legs, which tell trousers from shirt.
 const LEGS: [usize; 8] = [1, 2, 4, 5, 7, 8, 10, 11];
 
 const SKIN_COLOUR: [f32; 3] = [0.83, 0.69, 0.60];
 const TROUSERS: [f32; 3] = [0.27, 0.31, 0.40];
 
-/// A body in clothes.
+/// A dressed body.
 #[derive(Debug, Clone)]
 pub(crate) struct DressedMesh {
-    /// The surface, posed, metres.
+    /// Posed surface, metres.
     pub(crate) mesh: Mesh,
     /// sRGB from 0 to 1, `[vertices, 3]`.
     pub(crate) colours: Vec<[f32; 3]>,
@@ -31,8 +32,7 @@ pub(crate) struct DressedMesh {
     pub(crate) distances: Vec<f32>,
 }
 
-/// Bodies in the clothes of `codes` `[n, latent]`, one for each of `wearers`; `each` gets every one
-/// in turn.
+/// Dresses each of the bodies `wearers` by its row of `codes` `[n, latent]` and passes it to `each`.
 pub(crate) fn dress(
     run: &Run,
     codes: &Array2<f32>,
@@ -52,7 +52,7 @@ pub(crate) fn dress(
     Ok(())
 }
 
-/// Knows where cloth is on a run's body.
+/// Colours dressed bodies of a run.
 pub(crate) struct DressedRenderer<'a> {
     run: &'a Run,
     legs: Vec<f32>,
@@ -73,7 +73,7 @@ impl<'a> DressedRenderer<'a> {
         Self { run, legs: share(&LEGS), trunk: share(&TRUNK), neighbours }
     }
 
-    /// Bodies in given clothes: displacements `[n, vertices, 3]` in metres.
+    /// Bodies with displacements `[n, vertices, 3]`, metres.
     pub(crate) fn pose_clothed(
         &self,
         displacement: &Array3<f32>,
@@ -97,7 +97,7 @@ impl<'a> DressedRenderer<'a> {
         }
     }
 
-    /// Colours that show where there is cloth: on the trunk, and where the surface leaves the skin.
+    /// Colours of skin and cloth: cloth is on the trunk and where displacements are long.
     fn colours(&self, displacement: ArrayView2<f32>, outfit: Outfit) -> Vec<[f32; 3]> {
         let distance = displacement.rows().into_iter().map(|d| d.dot(&d).sqrt()).collect();
         let distance = self.neighbours.smoothed(distance);
@@ -114,7 +114,7 @@ impl<'a> DressedRenderer<'a> {
     }
 }
 
-/// Bodies without clothes.
+/// Bodies without clothing.
 pub(crate) fn unclothed_meshes(run: &Run, wearers: &[BodySpec]) -> Result<Vec<DressedMesh>> {
     let count = run.body().vertices();
     let bodies = run.pose_unclothed(wearers)?.into_iter();
@@ -132,7 +132,7 @@ fn distances(covered: &[bool], displacement: ArrayView2<f32>) -> Vec<f32> {
     rows.map(|(d, &covered)| if covered { d.dot(&d).sqrt() } else { 0.0 }).collect()
 }
 
-/// Both directions of every side of every triangle.
+/// Edges of all triangles, in both directions.
 struct EdgeNeighbours(Vec<[u32; 2]>);
 
 impl EdgeNeighbours {
@@ -140,7 +140,7 @@ impl EdgeNeighbours {
         Self(body.faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect())
     }
 
-    /// Averages over neighbours a few times, so that a fold that touches the skin is no hole.
+    /// Averages over neighbours, so that folds that touch the skin keep the colour of cloth.
     fn smoothed(&self, mut values: Vec<f32>) -> Vec<f32> {
         for _ in 0..SMOOTHINGS {
             let mut sums: Vec<(f32, f32)> = values.iter().map(|&value| (value, 1.0)).collect();
@@ -173,7 +173,7 @@ fn mix(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
 }
 
 impl DressedMesh {
-    /// A picture from the given side, in its colours or with a texture.
+    /// Picture from the given side, in vertex colours or with a texture.
     pub(crate) fn picture(&self, from: View, size: [u32; 2], on: Option<Texture>) -> Result<Image> {
         let style = Style { width: size[0], height: size[1], ..Style::default() };
         let object = Object::new(&self.mesh);
@@ -189,7 +189,7 @@ impl DressedMesh {
         self.colours.iter().copied().map(eight_bit).collect()
     }
 
-    /// Colours by the length of the displacement, up to `longest` metres.
+    /// Colours vertices by the length of their displacement, up to `longest` metres.
     pub(crate) fn colour_by_distance(&mut self, longest: f32) {
         self.colours = self.distances.iter().map(|length| colormap(length / longest)).collect();
     }

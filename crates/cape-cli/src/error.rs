@@ -3,7 +3,7 @@ use std::path::Path;
 /// Result of the command line's operations.
 pub(crate) type Result<T = (), E = Error> = std::result::Result<T, E>;
 
-/// What ends a command early.
+/// Error of a command.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum Error {
     #[error(transparent)]
@@ -20,13 +20,13 @@ pub(crate) enum Error {
     Fit(#[from] cape_fit::Error),
     #[error(transparent)]
     Render(#[from] cape_render::Error),
-    /// The command's own objection; says what was expected.
+    /// Error of the command itself, with what was expected.
     #[error("{0}")]
     Message(String),
-    /// What was being done when something else failed.
+    /// Error with the operation that failed.
     #[error("{doing}")]
     Context { doing: String, source: Box<Error> },
-    /// Nobody reads standard output any more, as behind `| head`.
+    /// Standard output was closed, as by `| head`.
     #[error("standard output was closed")]
     OutputClosed,
 }
@@ -39,9 +39,17 @@ impl Error {
     pub(crate) fn io(path: impl AsRef<Path>, source: std::io::Error) -> Self {
         cape_core::Error::io(path, source).into()
     }
+
+    /// Error in writing to standard output.
+    pub(crate) fn output(source: std::io::Error) -> Self {
+        match source.kind() {
+            std::io::ErrorKind::BrokenPipe => Self::OutputClosed,
+            _ => Self::io("standard output", source),
+        }
+    }
 }
 
-/// Says what was being done when an error came up.
+/// Adds the operation that failed to an error.
 pub(crate) trait Context<T> {
     fn doing(self, doing: impl FnOnce() -> String) -> Result<T>;
 }
@@ -52,7 +60,7 @@ impl<T, E: Into<Error>> Context<T> for Result<T, E> {
     }
 }
 
-/// The error and its causes, one a line. A cause that its consequence already quotes is left out.
+/// The error and its causes, one per line. A cause that the line above quotes is left out.
 pub(crate) fn report(error: &dyn std::error::Error) -> String {
     let mut text = format!("error: {error}");
     let mut said = error.to_string();

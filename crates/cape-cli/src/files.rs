@@ -1,4 +1,4 @@
-//! Small things about files and directories.
+//! File and directory helpers.
 
 use std::{fs, io::Write, path::Path};
 
@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::error::{Error, Result};
 
-/// Whether `path` is a directory with nothing in it, or is not there at all.
+/// Returns an error unless `path` is missing or an empty directory.
 pub(crate) fn require_empty(path: &Path) -> Result {
     let Ok(metadata) = fs::metadata(path) else { return Ok(()) };
     let occupied = if metadata.is_dir() {
@@ -17,7 +17,7 @@ pub(crate) fn require_empty(path: &Path) -> Result {
     };
     if occupied {
         return Err(Error::message(format!(
-            "{} exists already: remove it, or choose another --out",
+            "{} already exists and is not empty: remove it or choose another --out",
             path.display()
         )));
     }
@@ -32,7 +32,7 @@ pub(crate) fn write_text(path: &Path, text: &str) -> Result {
     write_bytes(path, text.as_bytes())
 }
 
-/// Writes each of `lines` as JSON on a line.
+/// Writes `lines` as JSON, one per line.
 pub(crate) fn write_json_lines(path: &Path, lines: &[impl Serialize]) -> Result {
     let mut text = String::new();
     for line in lines {

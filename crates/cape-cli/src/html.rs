@@ -1,4 +1,4 @@
-//! Pieces of reports: tables, figures and the page around them, all in one text.
+//! Self-contained HTML reports: tables, figures and the page around them.
 
 use std::fmt::Write as _;
 
@@ -47,7 +47,7 @@ pub(crate) fn page(title: &str, heading: &str, body: &str) -> String {
     )
 }
 
-/// A table of a header and rows, each with its class, which may be empty.
+/// A table of a header and rows, each with a CSS class, which may be empty.
 pub(crate) fn table<'a>(
     header: &[String],
     rows: impl Iterator<Item = (&'a str, Vec<String>)>,
@@ -64,7 +64,7 @@ pub(crate) fn table<'a>(
     text + "</table></div>"
 }
 
-/// Text without characters that mean something in HTML.
+/// Text with HTML's special characters escaped.
 pub(crate) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -12,12 +12,12 @@ use crate::{
     error::{Error, Result},
 };
 
-/// Whether the user asked to stop: with Ctrl-C, or by a termination signal.
+/// Request to stop, by Ctrl-C or a termination signal.
 #[derive(Debug, Clone)]
 pub(crate) struct Interrupt(Arc<AtomicBool>);
 
 impl Interrupt {
-    /// Takes over interrupts: the first is remembered, the second ends the process.
+    /// Handles interrupts: the first is recorded, the second ends the process.
     pub(crate) fn listen(console: Console) -> Result<Self> {
         let asked = Arc::new(AtomicBool::new(false));
         let seen = asked.clone();

@@ -1,4 +1,4 @@
-//! Latent codes named on the command line.
+//! Latent codes given on the command line.
 
 use std::{fs, path::Path};
 
@@ -13,7 +13,7 @@ use crate::{
     priors::PriorArgs,
 };
 
-/// How codes that are not given are drawn.
+/// Model and prior for codes of the command line.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LatentSampler<'a> {
     pub(crate) run: &'a Run,
@@ -31,8 +31,8 @@ struct CodeLine {
 }
 
 impl LatentSampler<'_> {
-    /// The code that `text` names: `mean`; `seed:N`, drawn; `frame:K`, of a held-out frame of the
-    /// run's data; or a file, .npy of `[latent]` or `[n, latent]`, or samples.jsonl, with `:ROW`.
+    /// The code named by `text`: `mean` (zeros); `seed:N`, sampled; `frame:K`, of a test frame of the
+    /// run; or row `:ROW` of a .npy file of `[latent]` or `[n, latent]`, or of samples.jsonl.
     pub(crate) fn code(&self, text: &str) -> Result<Code> {
         let latent = self.run.config().model.latent;
         let code = if text == "mean" {
@@ -49,14 +49,14 @@ impl LatentSampler<'_> {
         };
         if code.len() != latent || code.iter().any(|x| !x.is_finite()) {
             return Err(Error::message(format!(
-                "{text}: a code of {} numbers, expected {latent}, all finite",
+                "{text}: code has {} values, expected {latent} finite ones",
                 code.len()
             )));
         }
         Ok(code)
     }
 
-    /// The sum of codes that a text such as `frame:3 - frame:10 + seed:1` describes, with its terms.
+    /// The sum of codes given by a text such as `frame:3 - frame:10 + seed:1`, and its terms.
     pub(crate) fn sum(&self, text: &str) -> Result<(Code, Vec<(String, Code)>)> {
         let mut sum = vec![0.0; self.run.config().model.latent];
         let mut terms = Vec::new();
@@ -83,7 +83,7 @@ impl LatentSampler<'_> {
 
 fn malformed(text: &str) -> Error {
     Error::message(format!(
-        "`{text}`: expected codes with + or - and spaces between, such as `frame:3 - frame:10 + seed:1`"
+        "`{text}`: expected codes with + or - and spaces between them, such as `frame:3 - frame:10 + seed:1`"
     ))
 }
 
@@ -101,7 +101,9 @@ fn from_file(text: &str) -> Result<Vec<f32>> {
         _ => (Path::new(text), 0),
     };
     let extension = path.extension().unwrap_or_default();
-    let missing = |rows: usize| Error::message(format!("{}: row {row} of {rows}", path.display()));
+    let missing = |rows: usize| {
+        Error::message(format!("{}: no row {row}: the file has {rows} rows", path.display()))
+    };
     if extension.eq_ignore_ascii_case("jsonl") {
         let lines = fs::read_to_string(path).map_err(|error| Error::io(path, error))?;
         let line = lines.lines().nth(row).ok_or_else(|| missing(lines.lines().count()))?;

@@ -2,7 +2,7 @@
 //!
 //! Results go to standard output (as JSON with `--json`), everything else to standard error.
 
-mod arguments;
+mod cli;
 mod commands;
 mod comparison;
 mod console;
@@ -10,11 +10,11 @@ mod dashboard;
 mod dressed_mesh;
 mod error;
 mod files;
-mod fitting;
 mod html;
 mod interrupt;
 mod latent_sampler;
 mod mesh_file;
+mod options;
 mod priors;
 mod registration;
 mod table;
@@ -22,18 +22,26 @@ mod training;
 
 use std::process::ExitCode;
 
-use clap::Parser;
-
-use arguments::{Cli, forwarded};
+use cli::Cli;
 use console::Console;
 use error::Error;
 
-/// Runs the command line on the process's arguments and returns its exit code: 0 for success, 1 for
-/// an error, 2 for arguments that cannot be understood, 130 for a training that was interrupted.
+/// The tree of commands with its help, for tools that list or document it.
+///
+/// ```
+/// let command = cape_cli::command();
+/// assert!(command.find_subcommand("sample").is_some());
+/// ```
+pub fn command() -> clap::Command {
+    cli::command()
+}
+
+/// Runs the command line on the process's arguments and returns its exit code: 0 for success, 1 for an
+/// error, 2 for wrong usage, 130 for an interrupted command that can be resumed.
 pub fn main() -> ExitCode {
-    let Cli { global, command } = Cli::parse_from(forwarded(std::env::args_os()));
-    let console = Console::new(global.json, global.quiet);
-    match use_threads(global.threads).and_then(|()| command.run(&global, console)) {
+    let cli = Cli::from_arguments();
+    let console = Console::new(cli.global.json, cli.global.quiet);
+    match use_threads(cli.global.threads).and_then(|()| cli.run(console)) {
         Ok(code) => code,
         Err(Error::OutputClosed) => ExitCode::SUCCESS,
         Err(error) => {

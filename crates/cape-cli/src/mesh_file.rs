@@ -5,7 +5,7 @@ use cape_graph::Surface;
 
 use crate::error::Result;
 
-/// Whether the file's extension is `expected`, in any case.
+/// True if the file's extension is `expected`, in upper or lower case.
 pub(crate) fn has_extension(path: &Path, expected: &str) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(expected))
 }
@@ -18,7 +18,7 @@ pub(crate) fn read_surface(path: &Path) -> Result<Surface> {
     Ok(Surface::from(&Mesh::load(path)?))
 }
 
-/// The same in single precision.
+/// Reads a mesh in single precision.
 #[cfg(feature = "view")]
 pub(crate) fn read_mesh(path: &Path) -> Result<Mesh> {
     Ok(if is_body(path) { SmplModel::load(path)?.mesh() } else { Mesh::load(path)? })

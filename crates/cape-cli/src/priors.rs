@@ -1,4 +1,4 @@
-//! What codes are drawn from.
+//! Priors of latent codes.
 
 use cape_core::Outfit;
 use cape_infer::{Run, prior::Prior};
@@ -28,14 +28,13 @@ impl PriorName {
     }
 }
 
-/// What codes are drawn from, as commands ask for it.
+/// Prior and temperature of sampled codes.
 #[derive(Debug, Clone, Copy, Args)]
 pub(crate) struct PriorArgs {
-    /// What codes are drawn from: the standard normal prior, or the mixture or kernel density that
-    /// `cape fit-prior` fitted.
-    #[arg(long, value_enum, default_value_t = PriorName::Normal)]
+    /// Prior of latent codes: standard normal, or a density fitted by `cape model prior`.
+    #[arg(long, value_enum, default_value_t = PriorName::Normal, value_name = "PRIOR")]
     pub(crate) prior: PriorName,
-    /// Factor on how far codes are from what is typical: below 1 plainer, above 1 wilder.
+    /// Sampling temperature: below 1 closer to the mean, above 1 more varied.
     #[arg(long, default_value_t = 1.0, value_name = "T")]
     pub(crate) temperature: f64,
 }
@@ -46,11 +45,11 @@ impl PriorArgs {
         if temperature.is_finite() && temperature >= 0.0 {
             return Ok(temperature);
         }
-        Err(Error::message(format!("--temperature {temperature}: expected 0 or more")))
+        Err(Error::message(format!("--temperature {temperature}: must be at least 0")))
     }
 
-    /// `n` codes for each of `outfits`, one outfit's below the other's, `[outfits · n, latent]`. From
-    /// the standard normal prior they are the same for all outfits.
+    /// Codes `[outfits · n, latent]`, `n` per outfit, outfit by outfit. From the standard normal prior
+    /// they are the same for all outfits.
     pub(crate) fn codes(
         &self,
         run: &Run,
@@ -71,7 +70,7 @@ impl PriorArgs {
     }
 }
 
-/// The density that was fitted to the run's codes; none for the standard normal prior.
+/// The density fitted to the run's codes; none for the standard normal prior.
 pub(crate) fn load_prior(run: &Run, name: PriorName, console: Console) -> Result<Option<Prior>> {
     if name == PriorName::Normal {
         return Ok(None);
@@ -79,7 +78,7 @@ pub(crate) fn load_prior(run: &Run, name: PriorName, console: Console) -> Result
     let path = run.paths().prior(name.name());
     if !path.exists() {
         return Err(Error::message(format!(
-            "{}: not there yet: make it by `cape fit-prior {} --kind {}`",
+            "{}: not found: fit it by `cape model prior {} --kind {}`",
             path.display(),
             run.paths().root().display(),
             name.name()
@@ -89,14 +88,14 @@ pub(crate) fn load_prior(run: &Run, name: PriorName, console: Console) -> Result
     let latent = run.config().model.latent;
     if prior.latent() != latent {
         return Err(Error::message(format!(
-            "{}: codes of {} numbers, the model's have {latent}",
+            "{}: latent dimension {}, but the model has {latent}: fit the prior again",
             path.display(),
             prior.latent()
         )));
     }
     if prior.step().is_some_and(|step| step != run.progress().step) {
         console.note(&format!(
-            "{} was fitted to another checkpoint: fit it again for this one",
+            "warning: {} was fitted to another checkpoint: fit it again by `cape model prior`",
             path.display()
         ));
     }

@@ -1,4 +1,4 @@
-//! Registrations named on the command line: clothes as they were captured, and who wore them.
+//! Registrations given on the command line: captured clothing and the body that wears it.
 
 use std::path::{Path, PathBuf};
 
@@ -10,41 +10,41 @@ use clap::Args;
 use ndarray::{Array2, Array3, Axis, Ix2};
 
 use crate::{
-    arguments::outfit,
     error::{Error, Result},
+    options::outfit,
 };
 
-/// What else is known of a registration.
+/// Outfit and body of a registration, where the file does not tell them.
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct KnownBodyArgs {
-    /// What a registration wears; by default as its directory says.
-    #[arg(long = "was", value_name = "OUTFIT", value_parser = outfit)]
+    /// Outfit of the registration [default: from the name of its directory].
+    #[arg(long = "was", value_name = "OUTFIT", value_parser = outfit())]
     pub(crate) outfit_worn: Option<Outfit>,
-    /// The body under the clothes, .npy of [vertices, 3]; by default the raw tree's.
+    /// Minimal body shape, .npy of [vertices, 3] [default: from the raw tree of the frame].
     #[arg(long, value_name = "FILE.npy")]
     pub(crate) minimal: Option<PathBuf>,
 }
 
-/// Clothes as they were registered.
+/// Registered clothing of a frame.
 #[derive(Debug, Clone)]
 pub(crate) struct RegistrationFile {
-    /// `[1, vertices, 3]`, metres.
+    /// Canonical displacements, `[1, vertices, 3]`, metres.
     pub(crate) displacement: Array3<f32>,
     pub(crate) wearer: BodySpec,
-    /// The body under the clothes, `[vertices, 3]`; packed sets keep none.
+    /// Minimal body shape, `[vertices, 3]`, metres; none for frames of packed sets.
     pub(crate) minimal: Option<Array2<f64>>,
-    /// Distance of the body that the betas describe from that, millimetres.
+    /// RMS distance of the body of the fitted betas from the minimal shape, millimetres.
     pub(crate) residual_mm: Option<f64>,
 }
 
 impl RegistrationFile {
-    /// A frame's `.npz` with pose and `v_cano`, or `v_posed`; or `frame:K` of the run's held-out
-    /// data.
+    /// Reads a frame's `.npz` with `pose` and `v_cano` or `v_posed`, or `frame:K`, a test frame of the
+    /// run.
     pub(crate) fn read(run: &Run, text: &str, known: &KnownBodyArgs) -> Result<Self> {
         if let Some(frame) = text.strip_prefix("frame:") {
-            let frame = frame
-                .parse()
-                .map_err(|_| Error::message(format!("`{text}`: expected frame:NUMBER")))?;
+            let frame = frame.parse().map_err(|_| {
+                Error::message(format!("`{text}`: expected frame:K with a whole number K"))
+            })?;
             let set = PackedSet::open(&run.data()?, Split::Test)?;
             let (displacement, mut wearer) = cape_infer::registration(&set, frame)?;
             wearer.outfit = known.outfit_worn.unwrap_or(wearer.outfit);
@@ -53,7 +53,7 @@ impl RegistrationFile {
         let path = Path::new(text);
         let Some(outfit) = known.outfit_worn.or_else(|| outfit_of(path)) else {
             return Err(Error::message(format!(
-                "{}: its directory does not say what is worn: give --was OUTFIT",
+                "{}: the name of its directory does not begin with an outfit: give it by --was OUTFIT",
                 path.display()
             )));
         };
@@ -85,12 +85,12 @@ impl RegistrationFile {
     }
 }
 
-/// The body under the clothes in the raw tree that a frame is in.
+/// The minimal body shape from the raw tree of a frame.
 fn minimal_of(frame: &Path, vertices: usize) -> Result<Array2<f64>> {
     let subject = frame.ancestors().nth(2).and_then(Path::file_name);
     let (Some(subject), Some(root)) = (subject, frame.ancestors().nth(4)) else {
         return Err(Error::message(format!(
-            "{}: is not in a raw tree: give the body under the clothes by --minimal",
+            "{}: not in a raw tree: give the minimal body shape by --minimal FILE.npy",
             frame.display()
         )));
     };
@@ -111,7 +111,7 @@ pub(crate) fn read_shape(path: &Path, vertices: usize) -> Result<Array2<f64>> {
     Ok(array.into_dimensionality::<Ix2>().map_err(|_| fault(&shape))?)
 }
 
-/// What the directory of a capture says is worn: its name begins with the outfit.
+/// The outfit that the name of a capture's directory begins with.
 fn outfit_of(frame: &Path) -> Option<Outfit> {
     let capture = frame.parent()?.file_name()?.to_string_lossy().into_owned();
     capture.split('_').next()?.parse().ok()

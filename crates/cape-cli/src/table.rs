@@ -1,3 +1,6 @@
+//! Plain text tables. comfy-table and tabled draw the rule of a header through the padding of its
+//! cells; here two spaces part columns in header, rule and rows alike.
+
 /// A plain table: columns separated by spaces, a rule under the header. Columns of numbers are
 /// right-aligned.
 #[derive(Debug, Clone, Default)]

@@ -1,4 +1,4 @@
-//! Training as it is watched: a bar for each epoch, a line at its end.
+//! Progress of training: a bar per epoch, a line at its end.
 
 use std::ops::ControlFlow;
 
@@ -15,7 +15,7 @@ use crate::{
     error::Result,
 };
 
-/// Trains until the end, or until `stop` says so after a step.
+/// Trains until the end, or until `stop` returns true after a step.
 pub(crate) fn run(
     trainer: &mut Trainer,
     console: Console,
@@ -39,8 +39,8 @@ pub(crate) fn run(
     Ok(outcome?)
 }
 
-/// Draws frames beside their reconstructions, on the body at rest. A picture that cannot be drawn
-/// is left out: training matters more.
+/// Pictures of frames and their reconstructions on the rest body. A picture that cannot be drawn is
+/// left out, so that training continues.
 fn preview_fn(body: Mesh) -> PreviewFn {
     Box::new(move |previews| {
         let style = Style { width: 240, height: 300, ..Style::default() };
@@ -74,7 +74,7 @@ struct EpochDisplay {
     console: Console,
     epochs: usize,
     bar: ProgressBar,
-    /// Of the current epoch: steps seen, their losses and seconds added up.
+    /// Number of steps of the current epoch so far; sums of their losses and seconds follow.
     seen: usize,
     reconstruction: f64,
     edge: f64,
@@ -101,8 +101,8 @@ impl EpochDisplay {
             } => {
                 let line = self.line(*epoch, Some(*millimetres));
                 let accuracy = discriminator_accuracy
-                    .map_or(String::new(), |share| format!("  D right {:.0} %", 100.0 * share));
-                self.print_line(&format!("{line}  {active_units} active{accuracy}"));
+                    .map_or(String::new(), |share| format!("  D accuracy {:.0} %", 100.0 * share));
+                self.print_line(&format!("{line}  {active_units} active dimensions{accuracy}"));
             }
             TrainEvent::Checkpoint { .. } => {}
         }
@@ -122,7 +122,7 @@ impl EpochDisplay {
         self.bar.set_position(step as u64);
         let left = (self.epochs - epoch.min(self.epochs)) * steps + steps - step.min(steps);
         self.bar.set_message(format!(
-            "rec {:.3} edge {:.3} kl {:.1} gan {:.2}/{:.2} · all done in {}",
+            "rec {:.3} edge {:.3} kl {:.1} gan {:.2}/{:.2} · {} left in total",
             losses.reconstruction,
             losses.edge,
             losses.kl,
@@ -132,7 +132,7 @@ impl EpochDisplay {
         ));
     }
 
-    /// What an epoch came to.
+    /// Mean losses of an epoch.
     fn line(&self, epoch: usize, validation: Option<f64>) -> String {
         let count = self.seen.max(1) as f64;
         let validation = validation.map_or(String::new(), |mm| format!("  validation {mm:6.2} mm"));

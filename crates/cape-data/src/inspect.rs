@@ -24,7 +24,7 @@ use cape_core::ProgressFn;
 /// Options of [`inspect`](inspect()).
 ///
 /// ```
-/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use cape_core::silent;
 /// use cape_data::inspect::{InspectOptions, inspect};

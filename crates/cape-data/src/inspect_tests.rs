@@ -107,23 +107,23 @@ fn sound_data_raise_no_warning() {
 }
 
 #[test]
-fn what_usually_goes_wrong_is_said() {
-    let says = |root: &tempfile::TempDir, expected: &str| {
+fn common_mistakes_give_warnings() {
+    let warns = |root: &tempfile::TempDir, expected: &str| {
         let warnings = look(root.path()).warnings;
         assert!(warnings.iter().any(|warning| warning.contains(expected)), "{warnings:?}");
     };
-    says(&tree(1000.0, |_| frame(0.015, 0.0, 1.0)), "millimetres");
-    says(&tree(100.0, |_| frame(0.015, 0.0, 1.0)), "centimetres");
-    says(&tree(1.0, |_| frame(0.5, 0.0, 1.0)), "too large for clothing");
-    says(&tree(1.0, |_| frame(0.0, 0.0, 1.0)), "no clothing");
-    says(&tree(1.0, |_| frame(0.015, 0.02, 1.0)), "head, hands and feet");
-    says(&tree(1.0, |_| frame(0.015, 0.0, 90.0)), "degrees");
-    says(&tree(1.0, |_| frame(0.015, 0.0, 0.0)), "are zero");
+    warns(&tree(1000.0, |_| frame(0.015, 0.0, 1.0)), "millimetres");
+    warns(&tree(100.0, |_| frame(0.015, 0.0, 1.0)), "centimetres");
+    warns(&tree(1.0, |_| frame(0.5, 0.0, 1.0)), "too large for clothing");
+    warns(&tree(1.0, |_| frame(0.0, 0.0, 1.0)), "no clothing");
+    warns(&tree(1.0, |_| frame(0.015, 0.02, 1.0)), "head, hands and feet");
+    warns(&tree(1.0, |_| frame(0.015, 0.0, 90.0)), "degrees");
+    warns(&tree(1.0, |_| frame(0.015, 0.0, 0.0)), "are zero");
     let posed = |_| {
         let frame = frame(0.015, 0.0, 1.0);
         RawFrame { v_posed: frame.v_cano.clone(), ..frame }
     };
-    says(&tree(1.0, posed), "unpose the meshes first");
+    warns(&tree(1.0, posed), "unpose the meshes first");
 
     let root = tree(1.0, |_| frame(0.015, 0.0, 1.0));
     fs::create_dir_all(root.path().join("sequences/a/coat_walk")).unwrap();
@@ -131,14 +131,14 @@ fn what_usually_goes_wrong_is_said() {
     fs::create_dir_all(root.path().join("sequences/a/longlong_run")).unwrap();
     let broken = root.path().join("sequences/a/longlong_walk/longlong_walk.000001.npz");
     fs::write(broken, "x").unwrap();
-    says(&root, "coat_walk");
-    says(&root, "b: no minimal shape");
-    says(&root, "a/longlong_run: 0 frames");
-    says(&root, "1 of 8 examined frames cannot be used");
+    warns(&root, "coat_walk");
+    warns(&root, "b: no minimal shape");
+    warns(&root, "a/longlong_run: 0 frames");
+    warns(&root, "1 of 8 examined frames cannot be used");
     fs::remove_file(raw::minimal_path(root.path(), "a")).unwrap();
-    says(&root, "a: no minimal shape");
+    warns(&root, "a: no minimal shape");
     fs::remove_file(root.path().join(CLOTHING_FILE)).unwrap();
-    says(&root, "clothing vertices are unknown");
+    warns(&root, "clothing vertices are unknown");
     let empty = tempfile::tempdir().unwrap();
     let message = inspect(empty.path(), &options(), &mut silent).unwrap_err().to_string();
     assert!(message.contains("neither raw data"), "{message}");

@@ -7,6 +7,7 @@ use std::{
     time::UNIX_EPOCH,
 };
 
+use cape_core::hex;
 use sha2::{Digest, Sha256};
 
 use super::{
@@ -128,5 +129,5 @@ pub(super) fn plan_hash<'a>(
             hash.update(since.map_or(0, |since| since.as_nanos()).to_le_bytes());
         }
     }
-    Ok(format!("{:x}", hash.finalize()))
+    Ok(hex(hash.finalize()))
 }

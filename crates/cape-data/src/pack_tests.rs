@@ -312,7 +312,7 @@ fn an_interrupted_packing_goes_on_to_the_same_bytes() {
             })
         });
         assert!(interrupted.is_err() && rest.is_dir() && !out.exists());
-        // What was written after the last entry, and half an entry.
+        // Rows after the last entry of the log, and a truncated entry.
         let journal = rest.join("journal.txt");
         fs::write(&journal, fs::read_to_string(&journal).unwrap() + "pack").unwrap();
         let path = rest.join("train/train_pose.npy");
@@ -324,7 +324,7 @@ fn an_interrupted_packing_goes_on_to_the_same_bytes() {
         assert!(!rest.exists());
         fs::remove_dir_all(&out).unwrap();
     }
-    // What is not there any more is not relied upon.
+    // Rows that are lost are packed again.
     let interrupted = std::panic::catch_unwind(|| {
         pack(root.path(), &out, &split, PackOptions::default(), &mut |done, _| {
             assert!(done < 60, "interrupted");

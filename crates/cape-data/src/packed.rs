@@ -89,7 +89,7 @@ pub struct HostBatch {
 /// by this crate or by the official tools.
 ///
 /// ```
-/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
+/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use cape_core::Outfit;
 /// use cape_core::silent;

@@ -20,8 +20,8 @@
 //!   resumes; one that cannot be read is an error that names its file.
 //! - Everything written is listed in files.txt before it is written, a directory that is filled as a
 //!   whole with `/` at the end. Only what is listed is ever removed, and only to overwrite; overwriting
-//!   removes results of other settings and keeps matching ones. A directory with files of anybody else
-//!   is refused, as are the results of another command.
+//!   removes results of other settings and keeps matching ones. A directory with other files is refused,
+//!   as are the results of another command.
 //! - Nothing is written or removed before [`begin`](ResultStore::begin) or the first item, so that
 //!   many stores can be checked before the first is touched.
 
@@ -46,12 +46,10 @@ use crate::{Error, Result};
 
 /// Name of the file with everything that results depend on.
 const SETTINGS: &str = "settings.json";
-/// Name of the file that lists what the store wrote, one path a line.
+/// Name of the file that lists what the store wrote, one path per line.
 const FILES: &str = "files.txt";
 
-/// How a directory is opened as a [`ResultStore`].
-///
-/// See [`ResultStore`] for an example.
+/// Options for opening a directory as a [`ResultStore`].
 #[derive(Debug, Clone, Copy, Default)]
 pub struct StoreOptions<'a> {
     /// Discard results of other settings, inputs or versions instead of refusing them.
@@ -156,7 +154,7 @@ impl ResultStore {
         Ok(())
     }
 
-    /// Lists `name` as the store's, to be written by somebody else. With `/` at the end it is a
+    /// Lists `name` as the store's, to be written by other code. With `/` at the end it is a
     /// directory that is filled as a whole.
     ///
     /// # Errors
@@ -231,6 +229,7 @@ impl ResultStore {
 
 /// The error that a finished item cannot be read.
 pub fn unreadable(path: &Path, reason: &str) -> Error {
+    let reason = reason.strip_prefix(&format!("{}: ", path.display())).unwrap_or(reason);
     let message = format!("cannot be read: {reason}: remove this file to compute it again");
     Error::format(path, message)
 }

@@ -197,8 +197,7 @@ mod tests {
     use cape_core::joints::JOINT_NAMES;
     use cape_synth::{Motion, MotionStyle};
     use ndarray::{Array1, Array2, Array3};
-    use rand::{Rng, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
+    use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
     use super::*;
     use crate::{

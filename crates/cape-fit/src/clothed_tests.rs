@@ -7,8 +7,7 @@ use cape_model::{Cape, CapeConfig};
 use cape_synth::{Motion, MotionStyle};
 use glam::DVec3;
 use ndarray::Array2;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 use crate::{
     BodyParameters, ClothedConfig, Detector, DressedBody, ImageObservation, Keypoint, Keypoints,

@@ -76,8 +76,7 @@ pub(crate) fn mirror_trunk_lean(skeleton: &Skeleton, x: &[f64], betas: usize) ->
 
 #[cfg(test)]
 mod tests {
-    use rand::{Rng, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
+    use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
     use super::*;
     use crate::{PinholeCamera, testing::BODY};

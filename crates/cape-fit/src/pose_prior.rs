@@ -10,8 +10,7 @@ use cape_stats::density::{Mixture, MixtureOptions};
 use cape_synth::{Motion, MotionStyle};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use ndarray::{Array1, Array2, Array3, ArrayD, ArrayView2, Axis, Dimension, s};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::{SeedableRng, rngs::ChaCha8Rng};
 
 use crate::{Error, Result};
 

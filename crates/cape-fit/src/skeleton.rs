@@ -212,8 +212,7 @@ fn left_jacobian(v: DVec3) -> DMat3 {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
-    use rand::{Rng, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
+    use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
     use super::*;
     use crate::testing::{BODY, assert_gradient};

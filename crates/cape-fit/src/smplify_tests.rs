@@ -5,8 +5,7 @@ use std::f64::consts::PI;
 use cape_core::SmplModel;
 use cape_synth::{Motion, MotionStyle};
 use glam::{DQuat, DVec3};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 use crate::{
     BodyFit, BodyParameters, Detector, Keypoint, Keypoints, PinholeCamera, PosePrior, Smplify,

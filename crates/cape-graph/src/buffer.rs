@@ -1,31 +1,33 @@
 #![allow(unsafe_code)] // Burn takes foreign memory through an unsafe constructor.
 
-//! Memory of tensors, reused from one operation to the next: an allocator would return buffers of
-//! this size to the system and fetch them page by page again.
+//! Pool of the memory of tensors on the CPU: an allocator would return buffers of this size to the
+//! system and fault in every page again.
 
 use std::{
     collections::BTreeMap,
     ops::{Deref, DerefMut},
-    sync::{Mutex, PoisonError},
+    sync::{Mutex, MutexGuard, PoisonError},
 };
 
-/// Floats in a cache line.
+/// Number of floats in a cache line.
 const LINE: usize = 16;
-/// Shorter buffers are left to the allocator.
+/// Length, in floats, from which buffers are pooled.
 const SMALLEST: usize = 1 << 14;
-/// Floats kept for later at most.
-const KEPT: usize = 1 << 30;
+/// Limit of the pool in floats: 4 GiB.
+const LIMIT: usize = 1 << 30;
 
 static IDLE: Mutex<Idle> = Mutex::new(Idle { buffers: BTreeMap::new(), total: 0 });
 
+/// Buffers that are not in use.
 struct Idle {
-    /// By length.
+    /// Buffers by length.
     buffers: BTreeMap<usize, Vec<Vec<f32>>>,
+    /// Number of floats in all of them.
     total: usize,
 }
 
 impl Idle {
-    /// The shortest buffer of at least that length, unless most of it would be wasted.
+    /// The shortest buffer of at least `len` floats, but at most a quarter longer.
     fn take(&mut self, len: usize) -> Option<Vec<f32>> {
         let (&size, buffers) = self.buffers.range_mut(len..=len + len / 4).next()?;
         let buffer = buffers.pop();
@@ -37,14 +39,29 @@ impl Idle {
     }
 
     fn put(&mut self, buffer: Vec<f32>) {
-        if self.total + buffer.len() <= KEPT {
+        if self.total + buffer.len() <= LIMIT {
             self.total += buffer.len();
             self.buffers.entry(buffer.len()).or_default().push(buffer);
         }
     }
+
+    /// Frees all buffers; returns their size in floats.
+    fn release(&mut self) -> usize {
+        self.buffers.clear();
+        std::mem::take(&mut self.total)
+    }
 }
 
-/// Floats that start at a cache line; their memory is kept for the next buffer of that size.
+fn idle() -> MutexGuard<'static, Idle> {
+    IDLE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Frees the pool; returns its size in bytes.
+pub(crate) fn release() -> usize {
+    idle().release() * size_of::<f32>()
+}
+
+/// Floats aligned to a cache line, whose memory returns to the pool.
 #[derive(Debug, Default)]
 pub(crate) struct Buffer {
     memory: Vec<f32>,
@@ -53,17 +70,16 @@ pub(crate) struct Buffer {
 }
 
 impl Buffer {
-    /// Of `len` numbers, unspecified ones.
+    /// Buffer of `len` unspecified values.
     pub(crate) fn take(len: usize) -> Self {
         let size = len + LINE;
-        let idle = || IDLE.lock().unwrap_or_else(PoisonError::into_inner).take(size);
-        let memory = if size < SMALLEST { None } else { idle() };
+        let memory = if size < SMALLEST { None } else { idle().take(size) };
         let memory = memory.unwrap_or_else(|| allocate(size));
         let start = memory.as_ptr().align_offset(LINE * size_of::<f32>()).min(LINE);
         Self { memory, start, len }
     }
 
-    /// Of `len` zeros.
+    /// Buffer of `len` zeros.
     pub(crate) fn zeros(len: usize) -> Self {
         let mut buffer = Self::take(len);
         buffer.fill(0.0);
@@ -80,12 +96,12 @@ fn allocate(size: usize) -> Vec<f32> {
     memory
 }
 
-/// Bytes from which pages of 2 MB are asked for.
+/// Size, in bytes, from which pages of 2 MB are requested.
 #[cfg(target_os = "linux")]
 const LARGE: usize = 4 << 20;
 
-/// Asks for pages of 2 MB: rows of a layer are pages apart, and the processor remembers the
-/// addresses of a few dozen pages only. It is advice; without it nothing but speed changes.
+/// Advises the system to use pages of 2 MB: rows of a layer are pages apart, and the processor caches
+/// the addresses of a few dozen pages only. It affects speed alone.
 #[cfg(target_os = "linux")]
 fn prefer_large_pages(memory: &[f32]) {
     const PAGE: usize = 4096;
@@ -116,7 +132,7 @@ impl Drop for Buffer {
     fn drop(&mut self) {
         if self.memory.len() >= SMALLEST {
             let memory = std::mem::take(&mut self.memory);
-            IDLE.lock().unwrap_or_else(PoisonError::into_inner).put(memory);
+            idle().put(memory);
         }
     }
 }
@@ -144,8 +160,8 @@ mod bytes {
         ) -> Result<&mut [MaybeUninit<u8>], AccessError> {
             let numbers: &mut [f32] = self;
             let (data, len) = (numbers.as_mut_ptr(), size_of_val(numbers));
-            // SAFETY: the same memory, as bytes that may be anything; the caller writes no
-            // uninitialised ones, and every bit pattern is a float.
+            // SAFETY: the same memory as possibly uninitialised bytes; the caller writes initialised
+            // bytes only, and every bit pattern is a float.
             Ok(unsafe { std::slice::from_raw_parts_mut(data.cast(), len) })
         }
 
@@ -163,5 +179,33 @@ mod bytes {
             // SAFETY: all of the buffer is initialised.
             unsafe { Self::from_controller(Box::new(buffer), len) }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn buffers_are_reused_up_to_a_quarter_longer_and_released() {
+        let mut idle = Idle { buffers: BTreeMap::new(), total: 0 };
+        idle.put(vec![0.0; 1250]);
+        assert!(idle.take(999).is_none() && idle.take(1251).is_none());
+        assert_eq!(idle.take(1000).unwrap().len(), 1250);
+        assert_eq!((idle.total, idle.buffers.len()), (0, 0));
+        idle.put(vec![0.0; 30]);
+        idle.put(vec![0.0; 12]);
+        assert_eq!(idle.release(), 42);
+        assert!(idle.take(30).is_none());
+    }
+
+    #[test]
+    fn the_pool_keeps_no_more_than_its_limit() {
+        let mut idle = Idle { buffers: BTreeMap::new(), total: LIMIT - 10 };
+        idle.put(vec![0.0; 11]);
+        assert!(idle.take(11).is_none());
+        idle.put(vec![0.0; 10]);
+        assert_eq!(idle.total, LIMIT);
+        assert!(idle.take(10).is_some());
     }
 }

@@ -1,88 +1,86 @@
-//! The operations in terms of Burn's own, for backends without a fused kernel.
+//! Operations composed of Burn's own, for backends without a fused kernel.
 
 use std::sync::Arc;
 
 use burn::{
-    backend::{
-        Backend, TensorMetadata, get_or_init_device_settings,
-        tensor::{FloatTensor, IntTensor},
-    },
+    backend::{Backend, TensorMetadata, get_or_init_device_settings, tensor::FloatTensor},
     tensor::{DType, Shape, TensorData},
 };
 
 use crate::{
-    operator::Operator,
-    ops::{ConvSpec, EndSpec, GraphBackend, NormConvSpec},
-    sparse::SparsePair,
+    ops::{
+        ChebConvGradients, ChebConvInputs, ChebConvSaved, ConvSpec, DeviceGraph, EpilogueInputs,
+        GraphBackend, GroupNormGradients, GroupNormInputs, NormConvGradients, NormConvInputs,
+        OptionalTensor, RequestedGradients, SparseOperand,
+    },
+    sparse::CsrWithTranspose,
 };
 
-/// The graph of a convolution: its structure on the device and on the host.
-pub(crate) struct Graph<B: Backend> {
-    pub index: IntTensor<B>,
-    pub value: FloatTensor<B>,
-    pub operator: Arc<Operator>,
-}
-
-impl<B: GraphBackend> Graph<B> {
-    fn multiply(&self, x: FloatTensor<B>, by: &Arc<SparsePair>, transpose: bool) -> FloatTensor<B> {
-        B::sparse_matmul(x, self.index.clone(), self.value.clone(), by.clone(), transpose)
-    }
-
-    /// `alpha · A x + beta · base` (or `Aᵀ x`).
-    fn accumulate(
-        &self,
-        x: FloatTensor<B>,
-        base: FloatTensor<B>,
-        by: &Arc<SparsePair>,
-        transpose: bool,
-        [alpha, beta]: [f64; 2],
-    ) -> FloatTensor<B> {
-        let (index, value) = (self.index.clone(), self.value.clone());
-        B::sparse_accumulate(x, base, index, value, by.clone(), transpose, alpha, beta)
+impl<B: GraphBackend> DeviceGraph<B> {
+    fn operand(&self, matrix: &Arc<CsrWithTranspose>, transpose: bool) -> SparseOperand<B> {
+        SparseOperand {
+            structure: self.structure.clone(),
+            values: self.values.clone(),
+            matrix: matrix.clone(),
+            transpose,
+        }
     }
 
     /// `2 A x − before`, or `A x` without a term before.
     fn recur(
         &self,
         x: FloatTensor<B>,
-        by: &Arc<SparsePair>,
+        matrix: &Arc<CsrWithTranspose>,
         before: Option<&FloatTensor<B>>,
     ) -> FloatTensor<B> {
+        let a = self.operand(matrix, false);
         match before {
-            Some(before) => self.accumulate(x, before.clone(), by, false, [2.0, -1.0]),
-            None => self.multiply(x, by, false),
+            Some(before) => B::sparse_accumulate(x, before.clone(), a, 2.0, -1.0),
+            None => B::sparse_matmul(x, a),
         }
     }
 
-    /// The kept vertices of `x`.
-    fn select(&self, x: FloatTensor<B>) -> FloatTensor<B> {
-        match self.operator.pool() {
-            Some(pool) => self.multiply(x, &pool.selection, false),
+    /// `alpha · Aᵀ x + base`.
+    fn accumulate_transposed(
+        &self,
+        x: FloatTensor<B>,
+        base: FloatTensor<B>,
+        matrix: &Arc<CsrWithTranspose>,
+        alpha: f64,
+    ) -> FloatTensor<B> {
+        B::sparse_accumulate(x, base, self.operand(matrix, true), alpha, 1.0)
+    }
+
+    /// Values of `x` at the kept vertices.
+    fn gather(&self, x: FloatTensor<B>) -> FloatTensor<B> {
+        match self.host.pool() {
+            Some(pool) => B::sparse_matmul(x, self.operand(&pool.selection, false)),
             None => x,
         }
     }
 
-    /// The gradient of [`select`](Self::select).
-    fn spread(&self, grad: FloatTensor<B>) -> FloatTensor<B> {
-        match self.operator.pool() {
-            Some(pool) => self.multiply(grad, &pool.selection, true),
+    /// Values at the kept vertices among all, 0 elsewhere: the gradient of
+    /// [`gather`](Self::gather).
+    fn scatter(&self, grad: FloatTensor<B>) -> FloatTensor<B> {
+        match self.host.pool() {
+            Some(pool) => B::sparse_matmul(grad, self.operand(&pool.selection, true)),
             None => grad,
         }
     }
 
     /// `[T_0(L̃)x, …, T_{K−1}(L̃)x]` at the kept vertices.
     fn basis(&self, x: FloatTensor<B>, order: usize) -> Vec<FloatTensor<B>> {
-        let laplacian = self.operator.laplacian();
-        let mut kept = vec![self.select(x.clone())];
+        let laplacian = self.host.laplacian();
+        let mut kept = vec![self.gather(x.clone())];
         let mut whole = vec![x];
         for k in 1..order {
             let previous = whole[k - 1].clone();
             let before = k.checked_sub(2);
             let kept_before = before.map(|before| &kept[before]);
-            let next = self.recur(previous.clone(), self.operator.kept_laplacian(), kept_before);
+            let next = self.recur(previous.clone(), self.host.kept_laplacian(), kept_before);
             kept.push(next.clone());
             if k + 1 < order {
-                whole.push(match self.operator.pool() {
+                whole.push(match self.host.pool() {
                     Some(_) => self.recur(previous, laplacian, before.map(|before| &whole[before])),
                     None => next,
                 });
@@ -91,11 +89,13 @@ impl<B: GraphBackend> Graph<B> {
         kept
     }
 
-    /// `T_0(L̃)1 … T_{count−1}(L̃)1` at the kept vertices, `[1, kept, count]`.
-    fn sums(&self, count: usize) -> FloatTensor<B> {
-        let sums = self.operator.sums(count).to_vec();
-        let data = TensorData::new(sums, [1, self.operator.kept(), count]);
-        B::float_from_data(data, &self.value.device())
+    /// Chebyshev basis of the constant function at the kept vertices, `[batch, kept, count]`.
+    fn constant_basis(&self, batch: usize, count: usize) -> FloatTensor<B> {
+        let kept = self.host.kept();
+        let basis = self.host.constant_basis(count).to_vec();
+        let data = TensorData::new(basis, [1, kept, count]);
+        let basis = B::float_from_data(data, &self.values.device());
+        B::float_expand(basis, shape([batch, kept, count]))
     }
 }
 
@@ -137,45 +137,37 @@ fn term_weights<B: Backend>(weight: FloatTensor<B>, order: usize) -> Vec<FloatTe
                 weight.clone(),
                 &[(0..channels).into(), (k..k + 1).into(), (0..out).into()],
             );
-            B::float_reshape(term, Shape::from(vec![channels, out]))
+            B::float_reshape(term, shape([channels, out]))
         })
         .collect()
 }
 
+/// `[batch · vertices, channels]`.
 fn flat<B: Backend>(x: FloatTensor<B>) -> FloatTensor<B> {
     let [batch, vertices, channels] = dims::<B>(&x);
-    B::float_reshape(x, Shape::from(vec![batch * vertices, channels]))
+    B::float_reshape(x, shape([batch * vertices, channels]))
 }
 
-pub(crate) fn cheb_conv<B: GraphBackend>(
-    x: FloatTensor<B>,
-    weight: FloatTensor<B>,
-    rows: FloatTensor<B>,
-    graph: &Graph<B>,
-    spec: ConvSpec,
-) -> FloatTensor<B> {
-    let rows = match spec.rows {
-        0 => None,
-        1 => Some(rows),
-        count => {
-            let [batch, kept] = [dims::<B>(&x)[0], graph.operator.kept()];
-            let sums = B::float_expand(graph.sums(count), shape([batch, kept, count]));
-            Some(B::float_matmul(sums, rows))
-        }
-    };
-    convolve::<B>(x, weight, rows, graph, spec.order, spec.slope)
+pub(crate) fn cheb_conv<B: GraphBackend>(inputs: ChebConvInputs<B>) -> FloatTensor<B> {
+    let ChebConvInputs { x, weight, constant_terms, graph, spec } = inputs;
+    let addend = constant_terms.into_option().map(|terms| {
+        let [batch, count, _] = dims::<B>(&terms);
+        // A single term is a bias: T_0(L̃)1 = 1.
+        if count == 1 { terms } else { B::float_matmul(graph.constant_basis(batch, count), terms) }
+    });
+    convolve::<B>(x, weight, addend, &graph, spec)
 }
 
-/// `f(Σ_k D T_k(L̃) x W_k + rows)`; `rows` as in [`GraphBackend::conv_end`].
+/// `f(Σ_k D T_k(L̃) x W_k + addend)`; `addend` as in [`GraphBackend::epilogue`].
 fn convolve<B: GraphBackend>(
     x: FloatTensor<B>,
     weight: FloatTensor<B>,
-    rows: Option<FloatTensor<B>>,
-    graph: &Graph<B>,
-    order: usize,
-    slope: Option<f64>,
+    addend: Option<FloatTensor<B>>,
+    graph: &DeviceGraph<B>,
+    spec: ConvSpec,
 ) -> FloatTensor<B> {
-    let dims = [dims::<B>(&x)[0], graph.operator.kept(), weight.shape()[1]];
+    let ConvSpec { order, slope } = spec;
+    let dims = [dims::<B>(&x)[0], graph.host.kept(), weight.shape()[1]];
     let terms = graph.basis(x, order);
     let mut products: Vec<FloatTensor<B>> = terms
         .into_iter()
@@ -184,72 +176,88 @@ fn convolve<B: GraphBackend>(
             B::float_reshape(B::float_matmul(flat::<B>(term), weight), shape(dims))
         })
         .collect();
-    // The last sum is made with what follows it.
-    let last = products.split_off(order.max(2) - 1).pop();
+    // The last product is added by the epilogue.
+    let product = products.split_off(order.max(2) - 1).pop();
     let sum = products
         .into_iter()
         .reduce(B::float_add)
         .unwrap_or_else(|| unreachable!("order is at least 1"));
-    if last.is_none() && rows.is_none() && slope.is_none() {
+    if product.is_none() && addend.is_none() && slope.is_none() {
         return sum;
     }
-    let spec = EndSpec { term: last.is_some(), rows: rows.is_some(), slope };
-    let unused = sum.clone();
-    B::conv_end(sum, last.unwrap_or_else(|| unused.clone()), rows.unwrap_or(unused), spec)
+    B::epilogue(EpilogueInputs { sum, product: product.into(), addend: addend.into(), slope })
 }
 
-#[allow(clippy::too_many_arguments)]
 pub(crate) fn cheb_conv_backward<B: GraphBackend>(
-    x: FloatTensor<B>,
-    weight: FloatTensor<B>,
-    y: FloatTensor<B>,
+    saved: ChebConvSaved<B>,
     grad: FloatTensor<B>,
-    graph: &Graph<B>,
-    spec: ConvSpec,
-    want_x: bool,
-    want_weight: bool,
-) -> (FloatTensor<B>, FloatTensor<B>, FloatTensor<B>) {
-    let [batch, _, channels] = dims::<B>(&x);
-    let (kept, out, order) = (graph.operator.kept(), weight.shape()[1], spec.order);
+    requested: RequestedGradients,
+) -> ChebConvGradients<B> {
+    let ChebConvSaved { x, weight, y, graph, spec, constant_terms } = saved;
     let (grad, sums) = match spec.slope {
         Some(slope) => {
-            let (grad, sums) = B::conv_end_backward(y, grad, slope);
+            let OptionalTensor::Some(y) = y else {
+                panic!("cheb_conv_backward: with an activation, the output `y` is required")
+            };
+            let (grad, sums) = B::epilogue_backward(y, grad, slope);
             (grad, Some(sums))
         }
         None => (grad, None),
     };
-    let grad_rows = match spec.rows {
-        0 => grad.clone(),
-        1 => sums.unwrap_or_else(|| B::float_sum_dim(grad.clone(), 1)),
-        rows => {
-            let sums = B::float_expand(graph.sums(rows), shape([batch, kept, rows]));
-            B::float_matmul(B::float_swap_dims(sums, 1, 2), grad.clone())
+    let constant_terms = match constant_terms {
+        0 => None,
+        1 => Some(sums.unwrap_or_else(|| B::float_sum_dim(grad.clone(), 1))),
+        count => {
+            let basis = graph.constant_basis(dims::<B>(&grad)[0], count);
+            Some(B::float_matmul(B::float_swap_dims(basis, 1, 2), grad.clone()))
         }
     };
-
-    let flat_grad = flat::<B>(grad);
-    let grad_weight = if want_weight {
-        let terms = graph.basis(x.clone(), order).into_iter().map(|term| {
-            let product = B::float_matmul(B::float_transpose(flat::<B>(term)), flat_grad.clone());
-            B::float_reshape(product, shape([channels, 1, out]))
-        });
-        B::float_reshape(B::float_cat(terms.collect(), 1), shape([channels * order, out]))
-    } else {
-        weight.clone()
-    };
-    if !want_x {
-        return (x, grad_weight, grad_rows);
+    let order = spec.order;
+    let grad_weight =
+        requested.weight.then(|| weight_gradient::<B>(x, grad.clone(), &graph, order));
+    let grad_x = requested.x.then(|| input_gradient::<B>(weight, grad, &graph, order));
+    ChebConvGradients {
+        x: grad_x.into(),
+        weight: grad_weight.into(),
+        constant_terms: constant_terms.into(),
     }
+}
 
+/// `Σ_b (D T_k(L̃) x[b])ᵀ grad[b]` in rows `channel · K + k`, `[channels · K, out]`.
+fn weight_gradient<B: GraphBackend>(
+    x: FloatTensor<B>,
+    grad: FloatTensor<B>,
+    graph: &DeviceGraph<B>,
+    order: usize,
+) -> FloatTensor<B> {
+    let ([_, _, channels], [_, _, out]) = (dims::<B>(&x), dims::<B>(&grad));
+    let grad = flat::<B>(grad);
+    let terms = graph.basis(x, order).into_iter().map(|term| {
+        let product = B::float_matmul(B::float_transpose(flat::<B>(term)), grad.clone());
+        B::float_reshape(product, shape([channels, 1, out]))
+    });
+    B::float_reshape(B::float_cat(terms.collect(), 1), shape([channels * order, out]))
+}
+
+/// `Σ_k T_k(L̃)ᵀ Dᵀ grad W_kᵀ` by the recurrence in reverse, `[batch, vertices, channels]`.
+fn input_gradient<B: GraphBackend>(
+    weight: FloatTensor<B>,
+    grad: FloatTensor<B>,
+    graph: &DeviceGraph<B>,
+    order: usize,
+) -> FloatTensor<B> {
+    let [batch, kept, _] = dims::<B>(&grad);
+    let channels = weight.shape()[0] / order;
+    let grad = flat::<B>(grad);
     let mut kept_terms: Vec<FloatTensor<B>> = term_weights::<B>(weight, order)
         .into_iter()
         .map(|weight| {
-            let product = B::float_matmul(flat_grad.clone(), B::float_transpose(weight));
+            let product = B::float_matmul(grad.clone(), B::float_transpose(weight));
             B::float_reshape(product, shape([batch, kept, channels]))
         })
         .collect();
     let last = kept_terms.split_off(order.max(2) - 1).pop();
-    let laplacian = graph.operator.laplacian();
+    let laplacian = graph.host.laplacian();
     if order > 2
         && let Some(last) = &last
     {
@@ -257,102 +265,91 @@ pub(crate) fn cheb_conv_backward<B: GraphBackend>(
         kept_terms[order - 3] = B::float_sub(before, last.clone());
     }
     let mut terms: Vec<FloatTensor<B>> =
-        kept_terms.into_iter().map(|term| graph.spread(term)).collect();
+        kept_terms.into_iter().map(|term| graph.scatter(term)).collect();
     if let Some(last) = last {
-        let factors = [if order > 2 { 2.0 } else { 1.0 }, 1.0];
+        let alpha = if order > 2 { 2.0 } else { 1.0 };
         let base = terms[order - 2].clone();
-        let kept_laplacian = graph.operator.kept_laplacian();
-        terms[order - 2] = graph.accumulate(last, base, kept_laplacian, true, factors);
+        terms[order - 2] =
+            graph.accumulate_transposed(last, base, graph.host.kept_laplacian(), alpha);
     }
     for k in (2..order.max(2) - 1).rev() {
         let (term, base) = (terms[k].clone(), terms[k - 1].clone());
-        terms[k - 1] = graph.accumulate(term, base, laplacian, true, [2.0, 1.0]);
+        terms[k - 1] = graph.accumulate_transposed(term, base, laplacian, 2.0);
         terms[k - 2] = B::float_sub(terms[k - 2].clone(), terms[k].clone());
     }
     let first = terms[0].clone();
-    let grad_x = match terms.get(1) {
-        Some(second) => graph.accumulate(second.clone(), first, laplacian, true, [1.0, 1.0]),
+    match terms.get(1) {
+        Some(second) => graph.accumulate_transposed(second.clone(), first, laplacian, 1.0),
         None => first,
-    };
-    (grad_x, grad_weight, grad_rows)
-}
-
-/// What is normalised and multiplied.
-pub(crate) struct NormInputs<B: Backend> {
-    pub x: FloatTensor<B>,
-    pub constant: FloatTensor<B>,
-    pub gamma: FloatTensor<B>,
-    pub beta: FloatTensor<B>,
-    pub weight: FloatTensor<B>,
-}
-
-impl<B: Backend> NormInputs<B> {
-    /// Features and constant channels at every vertex.
-    fn channels(&self, constant: usize) -> FloatTensor<B> {
-        if constant == 0 {
-            return self.x.clone();
-        }
-        let [batch, vertices, _] = dims::<B>(&self.x);
-        let tiled = B::float_reshape(self.constant.clone(), shape([batch, 1, constant]));
-        let tiled = B::float_expand(tiled, shape([batch, vertices, constant]));
-        B::float_cat(vec![self.x.clone(), tiled], 2)
     }
 }
 
-pub(crate) fn norm_conv<B: GraphBackend>(
-    inputs: NormInputs<B>,
-    base: FloatTensor<B>,
-    graph: &Graph<B>,
-    spec: NormConvSpec,
+/// Features and constant channels at every vertex, `[batch, vertices, channels + c]`.
+fn append_constant<B: Backend>(
+    x: FloatTensor<B>,
+    constant: Option<FloatTensor<B>>,
 ) -> FloatTensor<B> {
-    let NormConvSpec { order, groups, epsilon, constant, add } = spec;
-    let x = inputs.channels(constant);
-    let active = B::group_norm_relu(x, inputs.gamma, inputs.beta, groups, epsilon);
-    convolve::<B>(active, inputs.weight, add.then_some(base), graph, order, None)
+    let Some(constant) = constant else { return x };
+    let [batch, vertices, _] = dims::<B>(&x);
+    let count = constant.shape()[1];
+    let tiled = B::float_reshape(constant, shape([batch, 1, count]));
+    let tiled = B::float_expand(tiled, shape([batch, vertices, count]));
+    B::float_cat(vec![x, tiled], 2)
 }
 
-#[allow(clippy::type_complexity)]
+pub(crate) fn norm_conv<B: GraphBackend>(inputs: NormConvInputs<B>) -> FloatTensor<B> {
+    let NormConvInputs { norm, constant, weight, base, graph, order } = inputs;
+    let x = append_constant::<B>(norm.x, constant.into_option());
+    let active = B::group_norm_relu(GroupNormInputs { x, ..norm });
+    let spec = ConvSpec { order, slope: None };
+    convolve::<B>(active, weight, base.into_option(), &graph, spec)
+}
+
 pub(crate) fn norm_conv_backward<B: GraphBackend>(
-    inputs: NormInputs<B>,
+    inputs: NormConvInputs<B>,
     grad: FloatTensor<B>,
-    graph: &Graph<B>,
-    spec: NormConvSpec,
-) -> (FloatTensor<B>, FloatTensor<B>, FloatTensor<B>, FloatTensor<B>, FloatTensor<B>) {
-    let NormConvSpec { order, groups, epsilon, constant, .. } = spec;
-    let [batch, vertices, channels] = dims::<B>(&inputs.x);
-    let x = inputs.channels(constant);
-    let NormInputs { gamma, beta, weight, .. } = inputs;
-    let active = B::group_norm_relu(x.clone(), gamma.clone(), beta.clone(), groups, epsilon);
-    let spec = ConvSpec { order, rows: 0, slope: None };
-    let (grad, grad_weight, _) =
-        cheb_conv_backward::<B>(active, weight, x.clone(), grad, graph, spec, true, true);
-    let (grad, grad_gamma, grad_beta) =
-        B::group_norm_relu_backward(x, gamma, beta, grad, groups, epsilon);
-    if constant == 0 {
-        return (grad.clone(), grad, grad_gamma, grad_beta, grad_weight);
+) -> NormConvGradients<B> {
+    let NormConvInputs { norm, constant, weight, graph, order, .. } = inputs;
+    let [batch, vertices, channels] = dims::<B>(&norm.x);
+    let constant = constant.into_option();
+    let constants = constant.as_ref().map_or(0, |constant| constant.shape()[1]);
+    let x = append_constant::<B>(norm.x, constant);
+    let norm = GroupNormInputs { x, ..norm };
+    let active = B::group_norm_relu(norm.clone());
+    let grad_weight = weight_gradient::<B>(active, grad.clone(), &graph, order);
+    let grad_active = input_gradient::<B>(weight, grad, &graph, order);
+    let gradients = B::group_norm_relu_backward(norm, grad_active);
+    if constants == 0 {
+        let constant = OptionalTensor::None;
+        return NormConvGradients { norm: gradients, constant, weight: grad_weight };
     }
+    let all = gradients.x;
     let part = |from: usize, to: usize| {
-        let all = [(0..batch).into(), (0..vertices).into(), (from..to).into()];
-        B::float_slice(grad.clone(), &all)
+        let ranges = [(0..batch).into(), (0..vertices).into(), (from..to).into()];
+        B::float_slice(all.clone(), &ranges)
     };
-    let grad_constant = B::float_sum_dim(part(channels, channels + constant), 1);
-    let grad_constant = B::float_reshape(grad_constant, shape([batch, constant]));
-    (part(0, channels), grad_constant, grad_gamma, grad_beta, grad_weight)
+    let constant = B::float_sum_dim(part(channels, channels + constants), 1);
+    NormConvGradients {
+        norm: GroupNormGradients { x: part(0, channels), ..gradients },
+        constant: OptionalTensor::Some(B::float_reshape(constant, shape([batch, constants]))),
+        weight: grad_weight,
+    }
 }
 
+/// `[channels]` as `[1, 1, channels]`.
 fn row<B: Backend>(x: FloatTensor<B>) -> FloatTensor<B> {
     let channels = x.shape()[0];
-    B::float_reshape(x, Shape::from(vec![1, 1, channels]))
+    B::float_reshape(x, shape([1, 1, channels]))
 }
 
-/// Sum over all but the channels.
+/// Sums over batch and vertices, `[channels]`.
 fn channel_sum<B: Backend>(x: FloatTensor<B>) -> FloatTensor<B> {
     let channels = x.shape()[2];
     let sum = B::float_sum_dim(B::float_sum_dim(x, 1), 0);
-    B::float_reshape(sum, Shape::from(vec![channels]))
+    B::float_reshape(sum, shape([channels]))
 }
 
-/// `x` where `sign` is positive, `slope · x` elsewhere.
+/// `x` at positive `sign`, `slope · x` elsewhere.
 fn gate<B: Backend>(x: FloatTensor<B>, sign: FloatTensor<B>, slope: f64) -> FloatTensor<B> {
     let bool_dtype = get_or_init_device_settings::<B>(&sign.device()).bool_dtype;
     let off = B::float_lower_equal_elem(sign, 0.0.into(), bool_dtype);
@@ -360,21 +357,19 @@ fn gate<B: Backend>(x: FloatTensor<B>, sign: FloatTensor<B>, slope: f64) -> Floa
     B::float_mask_where(x, off, scaled)
 }
 
-pub(crate) fn conv_end<B: Backend>(
-    sum: FloatTensor<B>,
-    term: FloatTensor<B>,
-    rows: FloatTensor<B>,
-    spec: EndSpec,
-) -> FloatTensor<B> {
-    let y = if spec.term { B::float_add(sum, term) } else { sum };
-    let y = if spec.rows { B::float_add(y, rows) } else { y };
-    match spec.slope {
+pub(crate) fn epilogue<B: Backend>(inputs: EpilogueInputs<B>) -> FloatTensor<B> {
+    let EpilogueInputs { sum, product, addend, slope } = inputs;
+    let y = [product, addend]
+        .into_iter()
+        .filter_map(OptionalTensor::into_option)
+        .fold(sum, B::float_add);
+    match slope {
         Some(slope) => gate::<B>(y.clone(), y, slope),
         None => y,
     }
 }
 
-pub(crate) fn conv_end_backward<B: Backend>(
+pub(crate) fn epilogue_backward<B: Backend>(
     y: FloatTensor<B>,
     grad: FloatTensor<B>,
     slope: f64,
@@ -401,17 +396,18 @@ pub(crate) fn bias_leaky_relu_backward<B: Backend>(
     (grad.clone(), channel_sum::<B>(grad))
 }
 
-/// Mean over (vertices × channels in group), spread back: `[batch, 1, channels]`.
+/// Mean over vertices and the channels of each group, repeated for each of its channels:
+/// `[batch, 1, channels]`.
 fn group_mean<B: Backend>(x: FloatTensor<B>, groups: usize) -> FloatTensor<B> {
     let [batch, _, channels] = dims::<B>(&x);
-    let width = channels / groups;
-    let mean = B::float_mean_dim(x, 1);
-    let mean = B::float_reshape(mean, Shape::from(vec![batch, groups, width]));
-    let mean = B::float_expand(B::float_mean_dim(mean, 2), Shape::from(vec![batch, groups, width]));
-    B::float_reshape(mean, Shape::from(vec![batch, 1, channels]))
+    let grouped = shape([batch, groups, channels / groups]);
+    let mean = B::float_reshape(B::float_mean_dim(x, 1), grouped.clone());
+    let mean = B::float_expand(B::float_mean_dim(mean, 2), grouped);
+    B::float_reshape(mean, shape([batch, 1, channels]))
 }
 
-/// The normalised input and the inverse standard deviations `[batch, 1, channels]`.
+/// The normalised input, `[batch, vertices, channels]`, and the inverse standard deviations,
+/// `[batch, 1, channels]`.
 fn normalise<B: Backend>(
     x: FloatTensor<B>,
     groups: usize,
@@ -425,26 +421,18 @@ fn normalise<B: Backend>(
     (B::float_mul(centred, inverse.clone()), inverse)
 }
 
-pub(crate) fn group_norm_relu<B: Backend>(
-    x: FloatTensor<B>,
-    gamma: FloatTensor<B>,
-    beta: FloatTensor<B>,
-    groups: usize,
-    epsilon: f64,
-) -> FloatTensor<B> {
+pub(crate) fn group_norm_relu<B: Backend>(inputs: GroupNormInputs<B>) -> FloatTensor<B> {
+    let GroupNormInputs { x, gamma, beta, groups, epsilon } = inputs;
     let (unit, _) = normalise::<B>(x, groups, epsilon);
     let affine = B::float_add(B::float_mul(unit, row::<B>(gamma)), row::<B>(beta));
     B::float_clamp_min(affine, 0.0.into())
 }
 
 pub(crate) fn group_norm_relu_backward<B: Backend>(
-    x: FloatTensor<B>,
-    gamma: FloatTensor<B>,
-    beta: FloatTensor<B>,
+    inputs: GroupNormInputs<B>,
     grad: FloatTensor<B>,
-    groups: usize,
-    epsilon: f64,
-) -> (FloatTensor<B>, FloatTensor<B>, FloatTensor<B>) {
+) -> GroupNormGradients<B> {
+    let GroupNormInputs { x, gamma, beta, groups, epsilon } = inputs;
     let (unit, inverse) = normalise::<B>(x, groups, epsilon);
     let gamma = row::<B>(gamma);
     let affine = B::float_add(B::float_mul(unit.clone(), gamma.clone()), row::<B>(beta));
@@ -455,5 +443,5 @@ pub(crate) fn group_norm_relu_backward<B: Backend>(
     let first = group_mean::<B>(upstream.clone(), groups);
     let second = group_mean::<B>(B::float_mul(upstream.clone(), unit.clone()), groups);
     let grad_x = B::float_sub(B::float_sub(upstream, first), B::float_mul(unit, second));
-    (B::float_mul(grad_x, inverse), grad_gamma, grad_beta)
+    GroupNormGradients { x: B::float_mul(grad_x, inverse), gamma: grad_gamma, beta: grad_beta }
 }

@@ -2,18 +2,18 @@ use burn::tensor::{Device, Tensor};
 use sprs::CsMat;
 
 use crate::{
+    conv_graph::ConvGraph,
     functions::sparse_matmul,
-    operator::ConvGraph,
     pyramid::{Level, MeshPyramid, Transition},
     sparse::SparseMatrix,
 };
 
-/// How far a row of an up-sampling may sum from 1, f32's rounding.
+/// Tolerance of the row sums of an interpolation, the rounding of f32.
 const ROUNDING: f64 = 1e-6;
 
-/// A pyramid's matrices on a device: what graph networks need of a mesh.
+/// Matrices of a pyramid on a device.
 ///
-/// Level 0 is the input mesh; transition `i` leads from level `i` to level `i + 1`.
+/// Level 0 is the input mesh; transition `i` maps between level `i` and level `i + 1`.
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -28,7 +28,7 @@ const ROUNDING: f64 = 1e-6;
 /// assert!(graphs.is_identity(0) && !graphs.is_identity(1));
 /// assert_eq!((graphs.graph(1).kept(), graphs.pooled(1).kept()), (6890, 1723));
 ///
-/// // Barycentric weights preserve what is the same everywhere.
+/// // Barycentric weights preserve constants.
 /// assert!(graphs.up_preserves_constants(1));
 /// let up = graphs.up(Tensor::ones([1, 1723, 2], &device), 1);
 /// let error: f32 = (up - 1.0).abs().max().into_scalar();
@@ -57,8 +57,8 @@ impl DevicePyramid {
         Self::new(&laplacians, &down, &up, device)
     }
 
-    /// Uploads the rescaled Laplacians `L̃` of every level and the matrices of every transition;
-    /// a transition of `None` is the identity.
+    /// Uploads the rescaled Laplacian `L̃` of every level and the matrices of every transition; `None`
+    /// is the identity.
     ///
     /// # Panics
     /// If the matrices' shapes do not chain.
@@ -71,7 +71,9 @@ impl DevicePyramid {
         let vertices: Vec<usize> = laplacians.iter().map(CsMat::rows).collect();
         assert!(
             down.len() + 1 == vertices.len() && up.len() == down.len(),
-            "a pyramid of {} levels has one transition less",
+            "DevicePyramid: {} selections and {} interpolations for {} levels, expected one fewer",
+            down.len(),
+            up.len(),
             vertices.len()
         );
         for (i, pair) in vertices.windows(2).enumerate() {
@@ -81,7 +83,7 @@ impl DevicePyramid {
             };
             assert!(
                 fits(&down[i], (pair[1], pair[0])) && fits(&up[i], (pair[0], pair[1])),
-                "transition {i} does not lead from {} to {} vertices and back",
+                "DevicePyramid: shapes of transition {i}, between {} and {} vertices",
                 pair[0],
                 pair[1]
             );
@@ -103,7 +105,7 @@ impl DevicePyramid {
         }
     }
 
-    /// Number of transitions; there is one level more.
+    /// Number of transitions, one fewer than levels.
     pub fn transitions(&self) -> usize {
         self.down.len()
     }
@@ -113,30 +115,30 @@ impl DevicePyramid {
         &self.vertices
     }
 
-    /// The graph of a level.
+    /// Graph of a level.
     pub fn graph(&self, level: usize) -> &ConvGraph {
         &self.graphs[level]
     }
 
-    /// The graph of a level for a convolution that transition `level` follows: its output is that
-    /// of level `level + 1`.
+    /// Graph of a level for a convolution followed by transition `level`: the output is on level
+    /// `level + 1`.
     pub fn pooled(&self, level: usize) -> &ConvGraph {
         self.pooled[level].as_ref().unwrap_or(&self.graphs[level])
     }
 
-    /// Whether [`up`](Self::up) changes nothing, because both levels are the same.
+    /// True if both levels are the same, so that [`up`](Self::up) is the identity.
     pub fn is_identity(&self, transition: usize) -> bool {
         self.up[transition].is_none()
     }
 
-    /// Whether what is the same at every vertex stays so when it is up-sampled. It does with
-    /// barycentric weights; those of the release do not always sum to 1.
+    /// True if [`up`](Self::up) preserves features that are constant over the vertices. Barycentric
+    /// weights do; those of the release need not sum to 1.
     pub fn up_preserves_constants(&self, transition: usize) -> bool {
         self.preserving[transition]
     }
 
-    /// Keeps the vertices of `x: [batch, vertices, channels]` that survive into level
-    /// `transition + 1`.
+    /// Selects the vertices of level `transition + 1` from `x: [batch, vertices, channels]` of level
+    /// `transition`.
     pub fn down(&self, x: Tensor<3>, transition: usize) -> Tensor<3> {
         match &self.down[transition] {
             Some(matrix) => sparse_matmul(x, matrix),
@@ -144,7 +146,7 @@ impl DevicePyramid {
         }
     }
 
-    /// Interpolates `x: [batch, vertices, channels]` of level `transition + 1` on level
+    /// Interpolates `x: [batch, vertices, channels]` from level `transition + 1` to level
     /// `transition`.
     pub fn up(&self, x: Tensor<3>, transition: usize) -> Tensor<3> {
         match &self.up[transition] {

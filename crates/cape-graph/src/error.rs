@@ -3,7 +3,7 @@ use std::path::PathBuf;
 /// Result of this crate's operations.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What can go wrong with meshes, their pyramids and the pyramids' files.
+/// Error of meshes, pyramids and files of pyramids.
 ///
 /// ```
 /// use cape_graph::{Error, MeshPyramid, Surface, Weighting};
@@ -27,13 +27,13 @@ pub enum Error {
     /// A mesh has no faces.
     #[error("mesh: no faces ({vertices} vertices): a triangle mesh is needed, not a point cloud")]
     NoFaces {
-        /// How many vertices it has.
+        /// Number of vertices.
         vertices: usize,
     },
     /// A mesh has fewer than four vertices.
     #[error("mesh: {vertices} vertices: at least 4 are needed")]
     TooFewVertices {
-        /// How many vertices it has.
+        /// Number of vertices.
         vertices: usize,
     },
     /// A vertex coordinate is NaN or infinite.
@@ -41,7 +41,7 @@ pub enum Error {
     NonFinite {
         /// The vertex.
         vertex: usize,
-        /// Where it is.
+        /// Its position, metres.
         position: [f64; 3],
     },
     /// A face names a vertex that does not exist.
@@ -53,7 +53,7 @@ pub enum Error {
         face: usize,
         /// The vertex it names.
         vertex: u32,
-        /// How many vertices there are.
+        /// Number of vertices.
         vertices: usize,
     },
     /// A face repeats a vertex or has no area.
@@ -75,7 +75,7 @@ pub enum Error {
     IsolatedVertex {
         /// The first such vertex.
         vertex: usize,
-        /// How many there are.
+        /// Number of such vertices.
         count: usize,
     },
     /// A simplification factor is not a finite number of at least 1.
@@ -89,50 +89,50 @@ pub enum Error {
         /// Its value.
         value: f64,
     },
-    /// A factor asks for fewer than four vertices.
+    /// A factor leads to fewer than four vertices.
     #[error(
         "pyramid: simplifying {vertices} vertices to {target}: a level needs at least 4, use fewer \
          levels or smaller factors"
     )]
     Target {
-        /// Vertices before.
+        /// Number of vertices before.
         vertices: usize,
-        /// Vertices asked for.
+        /// Requested number of vertices.
         target: usize,
     },
-    /// Simplification ran out of edges, or the surface vanished, before the target.
+    /// No edges or no faces were left before simplification reached its target.
     #[error(
         "pyramid: simplifying {vertices} vertices to {target} left {reached} vertices and {faces} \
-         faces: small separate pieces vanish before large ones shrink; remove them or use smaller \
-         factors"
+         faces: small separate components vanish before large ones are simplified; remove them or \
+         use smaller factors"
     )]
     Collapsed {
-        /// Vertices before.
+        /// Number of vertices before.
         vertices: usize,
-        /// Vertices asked for.
+        /// Requested number of vertices.
         target: usize,
-        /// Vertices left.
+        /// Number of remaining vertices.
         reached: usize,
-        /// Faces left.
+        /// Number of remaining faces.
         faces: usize,
     },
-    /// A given matrix or list does not fit the others.
+    /// A matrix or list is invalid or does not fit the others.
     #[error("pyramid: `{name}`: {message}")]
     Part {
         /// The matrix or list, with its level (`A0`, `D2`, `faces 3`).
         name: String,
-        /// What was found, and what was expected.
+        /// Found and expected content.
         message: String,
     },
-    /// A file cannot be read or written, or is not what it must be.
+    /// A file cannot be read or written, or has unexpected content.
     #[error(transparent)]
     File(#[from] cape_core::Error),
-    /// A directory cannot be made.
-    #[error("{}: {source}", path.display())]
+    /// A directory cannot be created.
+    #[error("cannot create directory {}: {source}", path.display())]
     Directory {
         /// The directory.
         path: PathBuf,
-        /// The system's reason.
+        /// Cause reported by the system.
         source: std::io::Error,
     },
 }

@@ -1,4 +1,4 @@
-//! Pyramids for other programs: SciPy matrices and OBJ meshes.
+//! Export of pyramids as SciPy matrices and OBJ meshes.
 
 use std::io::Write;
 use std::path::Path;
@@ -14,9 +14,9 @@ use crate::store::make_directory;
 use crate::topology::Surface;
 
 impl MeshPyramid {
-    /// Write every matrix as `A_i.npz`, `D_i.npz` and `U_i.npz`, readable by
-    /// `scipy.sparse.load_npz`, and every level as `level_i.obj`, into `directory`, which is made
-    /// if it is missing. `D_i` leads from level `i` to level `i + 1`, `U_i` back.
+    /// Writes every matrix as `A_i.npz`, `D_i.npz` and `U_i.npz`, readable by
+    /// `scipy.sparse.load_npz`, and every level as `level_i.obj` into `directory`, which is created
+    /// if it is missing. `D_i` maps level `i` to level `i + 1`, `U_i` level `i + 1` to level `i`.
     pub fn export_scipy(&self, directory: impl AsRef<Path>) -> Result<()> {
         let directory = directory.as_ref();
         make_directory(directory)?;
@@ -43,7 +43,7 @@ fn write_scipy(path: &Path, matrix: &CsMat<f64>) -> Result<()> {
     Ok(file.finish()?)
 }
 
-/// In full precision, so that the level can be compared exactly.
+/// Writes vertices with full precision, so that levels can be compared exactly.
 fn write_obj(path: &Path, surface: &Surface) -> Result<()> {
     write_atomically(path, |file| {
         for [x, y, z] in &surface.vertices {
@@ -65,7 +65,7 @@ mod tests {
     use crate::upsample::Weighting;
 
     #[test]
-    fn matrices_are_written_as_scipy_names_them() {
+    fn matrices_have_the_field_names_of_scipy() {
         let surface = Surface {
             vertices: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.1]],
             faces: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]],

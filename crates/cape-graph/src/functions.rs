@@ -6,8 +6,10 @@ use burn::{
 };
 
 use crate::{
-    operator::ConvGraph,
-    ops::{ConvSpec, GraphBackend, NormConvSpec},
+    conv_graph::ConvGraph,
+    ops::{
+        ChebConvInputs, ConvSpec, GraphBackend, GroupNormInputs, NormConvInputs, OptionalTensor,
+    },
     sparse::SparseMatrix,
 };
 
@@ -18,7 +20,7 @@ use crate::{
 /// - output: `[batch, A.rows(), channels]`
 ///
 /// # Panics
-/// If `x` is not f32 or its vertices are not the matrix's columns.
+/// If `x` is not f32 or has other than `A.cols()` vertices.
 pub fn sparse_matmul(x: Tensor<3>, a: &SparseMatrix) -> Tensor<3> {
     check_f32("sparse_matmul", &x);
     let [_, vertices, _] = x.dims();
@@ -29,16 +31,10 @@ pub fn sparse_matmul(x: Tensor<3>, a: &SparseMatrix) -> Tensor<3> {
         a.rows(),
         a.cols()
     );
-    Tensor::from_dispatch(Dispatch::sparse_matmul(
-        x.into_dispatch(),
-        a.index.clone().into_dispatch(),
-        a.value.clone().into_dispatch(),
-        a.pair.clone(),
-        false,
-    ))
+    Tensor::from_dispatch(Dispatch::sparse_matmul(x.into_dispatch(), a.operand()))
 }
 
-/// The Chebyshev features `[T_0(L̃)x, …, T_{K−1}(L̃)x]` of every channel, the terms of one channel
+/// Chebyshev features `[T_0(L̃)x, …, T_{K−1}(L̃)x]` of every channel, the terms of one channel
 /// adjacent.
 ///
 /// # Shapes
@@ -58,22 +54,22 @@ pub fn cheb_features(x: Tensor<3>, laplacian: &SparseMatrix, order: usize) -> Te
     Tensor::stack::<4>(terms, 3).reshape([batch, vertices, channels * order])
 }
 
-/// What a convolution ends with.
+/// Constant terms and activation of a convolution.
 ///
 /// See [`ConvGraph`] for an example.
 #[derive(Debug, Clone, Default)]
-pub struct ConvEnd {
-    /// Rows for each example, `[batch, r, out]` with `r` up to the order: `Σ_k T_k(L̃)1 · row_k` is
-    /// added. One row is a bias; as many as the order are what the convolution makes of channels
-    /// that are the same at every vertex.
-    pub rows: Option<Tensor<3>>,
-    /// Slope of a leaky ReLU, positive.
+pub struct Epilogue {
+    /// Coefficients of the constant terms, `[batch, r, out]`, `r` up to the order:
+    /// `Σ_r T_r(L̃)1 · constant_terms[r]` is added. A single one is a bias; as many as the order are
+    /// the convolution of channels that are constant over the vertices.
+    pub constant_terms: Option<Tensor<3>>,
+    /// Negative slope of a leaky ReLU, positive.
     pub slope: Option<f64>,
 }
 
-/// Chebyshev graph convolution `y = f(Σ_k D T_k(L̃) x W_k + Σ_k D T_k(L̃)1 · row_k)` with all that
-/// commutes with the graph's selection `D`, if it has one: nothing is computed at the vertices that
-/// it drops.
+/// Chebyshev graph convolution
+/// `y = f(Σ_k D T_k(L̃) x W_k + Σ_r D T_r(L̃)1 · constant_terms[r])`, `f` being the leaky ReLU and `D`
+/// the selection of the graph, if any: nothing is computed at the vertices that it drops.
 ///
 /// # Shapes
 /// - `x`: `[batch, vertices, channels]`
@@ -87,64 +83,64 @@ pub fn cheb_conv(
     weight: Tensor<2>,
     graph: &ConvGraph,
     order: usize,
-    end: ConvEnd,
+    epilogue: Epilogue,
 ) -> Tensor<3> {
     check_f32("cheb_conv", &x);
     check_f32("cheb_conv", &weight);
     check_conv("cheb_conv", &x, x.dims()[2], &weight, graph, order);
     let [batch, vertices, channels] = x.dims();
     let [_, out] = weight.dims();
-    let ConvEnd { rows, slope } = end;
-    if let Some(rows) = &rows {
-        check_f32("cheb_conv", rows);
-        let [examples, count, width] = rows.dims();
+    let Epilogue { constant_terms, slope } = epilogue;
+    if let Some(terms) = &constant_terms {
+        check_f32("cheb_conv", terms);
+        let [examples, count, width] = terms.dims();
         assert!(
             examples == batch && width == out && (1..=order).contains(&count),
-            "cheb_conv: rows are [{examples}, {count}, {width}], expected [{batch}, 1 to {order}, \
-             {out}]"
+            "cheb_conv: constant terms are [{examples}, {count}, {width}], expected [{batch}, 1 to \
+             {order}, {out}]"
         );
     }
     assert!(slope.is_none_or(|slope| slope > 0.0), "cheb_conv: slope must be positive");
     if order == 2 && 2 * out < channels && graph.kept() == vertices && slope.is_none() {
-        return product_first(x, weight, graph, rows);
+        return product_first(x, weight, graph, constant_terms);
     }
-    let spec = ConvSpec { order, rows: rows.as_ref().map_or(0, |rows| rows.dims()[1]), slope };
-    let rows = rows.unwrap_or_else(|| Tensor::zeros([1, 1, 1], &x.device()));
-    Tensor::from_dispatch(Dispatch::cheb_conv(
-        x.into_dispatch(),
-        weight.into_dispatch(),
-        rows.into_dispatch(),
-        graph.index.clone().into_dispatch(),
-        graph.value.clone().into_dispatch(),
-        graph.operator.clone(),
-        spec,
-    ))
+    Tensor::from_dispatch(Dispatch::cheb_conv(ChebConvInputs {
+        x: x.into_dispatch(),
+        weight: weight.into_dispatch(),
+        constant_terms: optional(constant_terms),
+        graph: graph.tensors(),
+        spec: ConvSpec { order, slope },
+    }))
 }
 
-/// A convolution of order 2 to few channels, `x W_0 + L̃ (x W_1)`: the graph is applied to the
+fn optional<const D: usize>(tensor: Option<Tensor<D>>) -> OptionalTensor<Dispatch> {
+    tensor.map(Tensor::into_dispatch).into()
+}
+
+/// Convolution of order 2 to few channels, `x W_0 + L̃ (x W_1)`: the Laplacian is applied to the
 /// products, which are narrower than `x`.
 fn product_first(
     x: Tensor<3>,
     weight: Tensor<2>,
     graph: &ConvGraph,
-    rows: Option<Tensor<3>>,
+    constant_terms: Option<Tensor<3>>,
 ) -> Tensor<3> {
     let [batch, vertices, channels] = x.dims();
     let [_, out] = weight.dims();
     // Both products of a channel are adjacent: rows `channel · 2 + k` become columns `k · out + j`.
     let weight = weight.reshape([channels, 2 * out]);
-    let rows = rows.map(|rows| {
-        let [_, count, _] = rows.dims();
-        let missing = Tensor::zeros([batch, 2 - count, out], &rows.device());
-        let rows = if count < 2 { Tensor::cat(vec![rows, missing], 1) } else { rows };
-        rows.reshape([batch, 1, 2 * out])
+    let constant_terms = constant_terms.map(|terms| {
+        let [_, count, _] = terms.dims();
+        let missing = Tensor::zeros([batch, 2 - count, out], &terms.device());
+        let terms = if count < 2 { Tensor::cat(vec![terms, missing], 1) } else { terms };
+        terms.reshape([batch, 1, 2 * out])
     });
-    let products = cheb_conv(x, weight, graph, 1, ConvEnd { rows, slope: None });
+    let products = cheb_conv(x, weight, graph, 1, Epilogue { constant_terms, slope: None });
     let part = |k: usize| products.clone().slice([0..batch, 0..vertices, k * out..(k + 1) * out]);
     part(0) + sparse_matmul(part(1), &graph.laplacian())
 }
 
-/// Group normalisation with its parameters.
+/// Parameters of a group normalisation.
 ///
 /// ```
 /// use burn::tensor::{Device, Tensor};
@@ -173,15 +169,27 @@ pub struct GroupNorm {
     pub gamma: Tensor<1>,
     /// Shift, `[channels]`.
     pub beta: Tensor<1>,
-    /// Groups of consecutive channels.
+    /// Number of groups of consecutive channels.
     pub groups: usize,
     /// Added to the variance.
     pub epsilon: f64,
 }
 
+impl GroupNorm {
+    fn inputs(self, x: Tensor<3>) -> GroupNormInputs<Dispatch> {
+        GroupNormInputs {
+            x: x.into_dispatch(),
+            gamma: self.gamma.into_dispatch(),
+            beta: self.beta.into_dispatch(),
+            groups: self.groups,
+            epsilon: self.epsilon,
+        }
+    }
+}
+
 /// `base + cheb_conv(group_norm_relu([x, constant]))`: normalisation, ReLU and convolution without
-/// the normalised features in memory. `constant` are channels that are the same at every vertex of
-/// an example; they follow the features' and take part in the normalisation.
+/// the normalised features in memory. The channels of `constant` are the same at every vertex of an
+/// example; they follow those of the features and take part in the normalisation.
 ///
 /// # Shapes
 /// - `x`: `[batch, vertices, channels]`
@@ -201,7 +209,6 @@ pub fn norm_conv(
     order: usize,
     base: Option<Tensor<3>>,
 ) -> Tensor<3> {
-    let GroupNorm { gamma, beta, groups, epsilon } = norm;
     check_f32("norm_conv", &x);
     check_f32("norm_conv", &weight);
     let [batch, _, features] = x.dims();
@@ -209,34 +216,25 @@ pub fn norm_conv(
     if let Some(constant) = &constant {
         check_f32("norm_conv", constant);
         let [examples, count] = constant.dims();
-        assert_eq!(examples, batch, "norm_conv: examples of the constant channels");
-        assert_eq!(order, 1, "norm_conv: the order with constant channels");
+        assert_eq!(examples, batch, "norm_conv: batch size of the constant channels");
+        assert_eq!(order, 1, "norm_conv: order of a convolution with constant channels");
         channels += count;
     }
     check_conv("norm_conv", &x, channels, &weight, graph, order);
-    check_norm("norm_conv", channels, &gamma, &beta, groups);
+    check_norm("norm_conv", channels, &norm);
     let [_, out] = weight.dims();
     if let Some(base) = &base {
         check_f32("norm_conv", base);
         assert_eq!(base.dims(), [batch, graph.kept(), out], "norm_conv: shape of the base");
     }
-    let spec =
-        NormConvSpec { order, groups, epsilon, constant: channels - features, add: base.is_some() };
-    let device = x.device();
-    let constant = constant.unwrap_or_else(|| Tensor::zeros([1, 1], &device));
-    let base = base.unwrap_or_else(|| Tensor::zeros([1, 1, 1], &device));
-    Tensor::from_dispatch(Dispatch::norm_conv(
-        x.into_dispatch(),
-        constant.into_dispatch(),
-        gamma.into_dispatch(),
-        beta.into_dispatch(),
-        weight.into_dispatch(),
-        base.into_dispatch(),
-        graph.index.clone().into_dispatch(),
-        graph.value.clone().into_dispatch(),
-        graph.operator.clone(),
-        spec,
-    ))
+    Tensor::from_dispatch(Dispatch::norm_conv(NormConvInputs {
+        norm: norm.inputs(x),
+        constant: optional(constant),
+        weight: weight.into_dispatch(),
+        base: optional(base),
+        graph: graph.tensors(),
+        order,
+    }))
 }
 
 /// `leaky_relu(x + bias)`.
@@ -261,26 +259,13 @@ pub fn bias_leaky_relu(x: Tensor<3>, bias: Tensor<1>, slope: f64) -> Tensor<3> {
 ///
 /// # Shapes
 /// - `x`, output: `[batch, vertices, channels]`
-/// - `gamma`, `beta`: `[channels]`
 ///
 /// # Panics
-/// If `groups` does not divide the channels, tensors are not f32, or shapes disagree.
-pub fn group_norm_relu(
-    x: Tensor<3>,
-    gamma: Tensor<1>,
-    beta: Tensor<1>,
-    groups: usize,
-    epsilon: f64,
-) -> Tensor<3> {
+/// If the groups do not divide the channels, tensors are not f32, or shapes disagree.
+pub fn group_norm_relu(x: Tensor<3>, norm: GroupNorm) -> Tensor<3> {
     check_f32("group_norm_relu", &x);
-    check_norm("group_norm_relu", x.dims()[2], &gamma, &beta, groups);
-    Tensor::from_dispatch(Dispatch::group_norm_relu(
-        x.into_dispatch(),
-        gamma.into_dispatch(),
-        beta.into_dispatch(),
-        groups,
-        epsilon,
-    ))
+    check_norm("group_norm_relu", x.dims()[2], &norm);
+    Tensor::from_dispatch(Dispatch::group_norm_relu(norm.inputs(x)))
 }
 
 fn check_f32<const D: usize>(operation: &str, tensor: &Tensor<D>) {
@@ -309,17 +294,12 @@ fn check_conv(
     );
 }
 
-fn check_norm(
-    operation: &str,
-    channels: usize,
-    gamma: &Tensor<1>,
-    beta: &Tensor<1>,
-    groups: usize,
-) {
+fn check_norm(operation: &str, channels: usize, norm: &GroupNorm) {
+    let GroupNorm { gamma, beta, groups, .. } = norm;
     check_f32(operation, gamma);
     check_f32(operation, beta);
     assert!(
-        groups > 0 && channels.is_multiple_of(groups),
+        *groups > 0 && channels.is_multiple_of(*groups),
         "{operation}: {groups} groups do not divide {channels} channels"
     );
     assert_eq!(gamma.dims(), [channels], "{operation}: gamma for {channels} channels");

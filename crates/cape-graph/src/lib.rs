@@ -1,9 +1,9 @@
 //! Mesh pyramids by quadric simplification, and sparse graph kernels as a Burn backend extension.
 //!
-//! A [`MeshPyramid`] holds a mesh at falling resolutions, with the graph of each and the selections
-//! and interpolations between them. A [`SparseMatrix`] is a fixed matrix (a Laplacian, a pooling or
-//! an up-sampling) uploaded to a device once; [`sparse_matmul`] and [`cheb_conv`] multiply tensors
-//! `[batch, vertices, channels]` by it, with gradients, on every backend compiled in.
+//! A [`MeshPyramid`] holds a mesh at decreasing resolutions, with the graph of each level and the
+//! selections and interpolations between levels. A [`SparseMatrix`] is a fixed matrix (a Laplacian,
+//! a pooling or an up-sampling) on a device; [`sparse_matmul`] and [`cheb_conv`] multiply tensors
+//! `[batch, vertices, channels]` by it, with gradients, on every backend that is compiled in.
 //!
 //! ```
 //! use burn::tensor::{Device, Tensor};
@@ -27,12 +27,12 @@ mod backends;
 #[cfg(any(feature = "flex", feature = "ndarray"))]
 mod buffer;
 mod composed;
+mod conv_graph;
 mod device;
 mod error;
 mod export;
 mod functions;
 mod laplacian;
-mod operator;
 mod ops;
 mod parts;
 mod peak;
@@ -44,20 +44,25 @@ mod topology;
 mod upsample;
 mod vector;
 
+pub use backends::release_buffers;
+pub use conv_graph::{ConvGraph, HostGraph};
 pub use device::DevicePyramid;
 pub use error::{Error, Result};
 pub use functions::{
-    ConvEnd, GroupNorm, bias_leaky_relu, cheb_conv, cheb_features, group_norm_relu, norm_conv,
+    Epilogue, GroupNorm, bias_leaky_relu, cheb_conv, cheb_features, group_norm_relu, norm_conv,
     sparse_matmul,
 };
 pub use laplacian::{normalized_laplacian, rescaled_laplacian};
-pub use operator::{ConvGraph, Operator};
-pub use ops::{ConvSpec, EndSpec, GraphBackend, NormConvSpec};
+pub use ops::{
+    ChebConvGradients, ChebConvInputs, ChebConvSaved, ConvSpec, DeviceGraph, EpilogueInputs,
+    GraphBackend, GroupNormGradients, GroupNormInputs, NormConvGradients, NormConvInputs,
+    OptionalTensor, RequestedGradients, SparseOperand,
+};
 pub use parts::{PyramidParts, sparse_from_triplets};
 pub use peak::peak_gflops;
 pub use pyramid::{Level, MeshPyramid, Transition};
 pub use quadric::{Simplified, simplify};
-pub use sparse::{Csr, SparseMatrix, SparsePair};
+pub use sparse::{Csr, CsrWithTranspose, SparseMatrix};
 pub use store::{read_sparse, write_sparse};
 pub use topology::{EdgeCounts, Surface};
 pub use upsample::{Weighting, upsample};

@@ -1,4 +1,4 @@
-//! Pyramids put together from given matrices.
+//! Pyramids from given matrices.
 
 use sprs::{CsMat, TriMat};
 
@@ -7,12 +7,12 @@ use crate::topology::Surface;
 use crate::upsample::Weighting;
 use crate::{Error, Result};
 
-/// How far a stored identity or a row of barycentric weights may be from exact.
+/// Tolerance of the entries of a stored identity and of the sums of barycentric weights.
 const ROUNDING: f64 = 1e-6;
 
-/// What a pyramid is put together from: matrices computed elsewhere.
+/// Matrices of a pyramid that were computed elsewhere.
 ///
-/// A square with an apex, and the square without it:
+/// A square with an apex, and the square alone:
 ///
 /// ```
 /// use cape_graph::{MeshPyramid, PyramidParts, Surface, Weighting, sparse_from_triplets};
@@ -21,7 +21,7 @@ const ROUNDING: f64 = 1e-6;
 ///     vertices: vec![[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.], [0.5, 0.5, 1.]],
 ///     faces: vec![[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]],
 /// };
-/// // The apex goes; it is half-way between two opposite corners.
+/// // The apex is dropped; it is interpolated half-way between two opposite corners.
 /// let (fine, coarse) = (surface.adjacency(), 4);
 /// let around = sparse_from_triplets(
 ///     "A1", (coarse, coarse), &[0, 0, 1, 1, 2, 2, 3, 3], &[1, 3, 0, 2, 1, 3, 2, 0], &[1.0; 8])?;
@@ -42,22 +42,22 @@ const ROUNDING: f64 = 1e-6;
 /// ```
 #[derive(Debug, Clone, Default)]
 pub struct PyramidParts {
-    /// The mesh of level 0; its faces may be missing.
+    /// Mesh of level 0; its faces may be empty.
     pub surface: Surface,
-    /// Adjacency of every level, `[vertices, vertices]`; only the pattern of non-zeros counts.
+    /// Adjacency of every level, `[vertices, vertices]`; only the pattern of non-zeros is used.
     pub adjacency: Vec<CsMat<f64>>,
-    /// `D` from each level to the next, `[coarse, fine]`, a single 1 in every row.
+    /// Selections `D` from each level to the next, `[coarse, fine]`, a single 1 in every row.
     pub down: Vec<CsMat<f64>>,
-    /// `U` from each level's successor back to it, `[fine, coarse]`.
+    /// Interpolations `U` from each level's successor to it, `[fine, coarse]`.
     pub up: Vec<CsMat<f64>>,
-    /// Faces of levels 1, 2, …; missing or empty where they are not known.
+    /// Faces of levels 1, 2, …; missing or empty if unknown.
     pub faces: Vec<Vec<[u32; 3]>>,
-    /// How `up` was computed.
+    /// Method by which `up` was computed.
     pub weighting: Weighting,
 }
 
 impl MeshPyramid {
-    /// Put a pyramid together from given matrices, after checking that they fit each other.
+    /// Builds a pyramid from given matrices, after validating them against each other.
     pub fn from_parts(parts: PyramidParts) -> Result<Self> {
         let PyramidParts { surface, adjacency, down, up, mut faces, weighting } = parts;
         let count = adjacency.len();
@@ -65,12 +65,19 @@ impl MeshPyramid {
             if found + 1 != count {
                 return Err(Error::part(
                     name,
-                    format!("{found} matrices for {count} levels of `A`, expected one fewer"),
+                    format!(
+                        "{found} matrices for {count} levels of `A`, expected {}",
+                        count.max(1) - 1
+                    ),
                 ));
             }
         }
         if faces.len() >= count {
-            let message = format!("{} lists for the {count} levels after level 0", faces.len());
+            let message = format!(
+                "{} lists, expected at most {}, one for each level after level 0",
+                faces.len(),
+                count - 1
+            );
             return Err(Error::part("faces", message));
         }
         faces.resize_with(count - 1, Vec::new);
@@ -90,8 +97,8 @@ impl MeshPyramid {
     }
 }
 
-/// The matrix `[rows, columns]`, CSR, with the given entries; those that share a place are summed.
-/// Every row must have one, as rows of all matrices of a pyramid do. `name` is for the errors.
+/// Matrix `[rows, columns]`, CSR, with the given entries; entries at the same place are summed.
+/// Every row must have an entry, as in all matrices of a pyramid. `name` appears in errors.
 pub fn sparse_from_triplets(
     name: &str,
     (rows, columns): (usize, usize),
@@ -220,7 +227,7 @@ fn transition(
     Ok(if snap { identity } else { transition })
 }
 
-/// Entries that are not zero, row by row.
+/// Non-zero entries, row by row.
 fn nonzeros(matrix: &CsMat<f64>) -> impl Iterator<Item = ((usize, usize), f64)> {
     let csr = matrix.to_csr();
     let entries: Vec<_> = csr.iter().map(|(&value, at)| (at, value)).collect();

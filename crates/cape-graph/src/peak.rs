@@ -1,18 +1,19 @@
-//! How fast this machine can multiply and add.
+//! Peak rate of multiply-adds of this machine.
 
 use std::{hint::black_box, time::Instant};
 
 use pulp::{Simd, WithSimd};
 
-/// Shortest run, seconds: long against the waking of threads.
+/// Minimal duration of a run, seconds: much longer than waking the threads.
 const RUN: f64 = 0.05;
+/// Number of runs.
 const RUNS: usize = 9;
 
-/// Multiply-adds in registers that all threads of rayon's pool reach together, in GFLOP/s, counting
-/// two operations each: what no kernel of this build exceeds on this machine.
+/// Peak rate of all threads of rayon's pool together, GFLOP/s, with two operations for each
+/// multiply-add in registers: an upper bound for every kernel of this build on this machine.
 ///
-/// Measured with the best instruction set that is compiled in, over about half a second; the
-/// fastest of several runs, because other programs only ever slow one down.
+/// It is measured with the best instruction set that is compiled in, over about half a second, as
+/// the fastest of several runs, because other programs can only slow a run down.
 pub fn peak_gflops() -> f64 {
     let mut rounds = 1 << 16;
     while Run::of(rounds).seconds < RUN {
@@ -39,7 +40,7 @@ impl Run {
     }
 }
 
-/// Multiply-adds each of which needs the one before in its chain; returns the operations done.
+/// Chains of dependent multiply-adds; returns the number of operations.
 struct Chains {
     rounds: u64,
 }
@@ -50,7 +51,7 @@ impl WithSimd for Chains {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> u64 {
         // Enough chains to hide the latency, few enough for the registers: 32 with AVX-512 and
-        // NEON, else 16.
+        // NEON, otherwise 16.
         match S::F32_LANES {
             4 | 16 => self.run::<S, 24>(simd),
             _ => self.run::<S, 12>(simd),

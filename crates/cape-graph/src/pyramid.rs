@@ -1,4 +1,4 @@
-//! A mesh at falling resolutions and the maps between them.
+//! Mesh at decreasing resolutions, with the maps between them.
 
 use sprs::CsMat;
 
@@ -8,8 +8,8 @@ use crate::topology::{EdgeCounts, Surface};
 use crate::upsample::{Weighting, upsample};
 use crate::{Error, Result};
 
-/// A mesh at falling resolutions: level 0 is the mesh itself, and transition `i` leads from level
-/// `i` to level `i + 1` and back.
+/// Mesh at decreasing resolutions: level 0 is the mesh itself, and transition `i` maps between level
+/// `i` and level `i + 1`.
 ///
 /// ```
 /// use cape_synth::synthetic_body;
@@ -23,7 +23,7 @@ use crate::{Error, Result};
 /// assert_eq!(laplacian.shape(), (3445, 3445));
 /// assert!(laplacian.diag_iter().all(|entry| entry == Some(&1.0)));
 ///
-/// // Coarse vertices are fine ones, and fine vertices are means of coarse ones.
+/// // Coarse vertices are a selection of the fine ones, which are weighted means of coarse ones.
 /// let transition = &pyramid.transitions()[0];
 /// assert_eq!(transition.down().len(), 3445);
 /// let sums = transition.up().outer_iterator().map(|row| row.data().iter().sum::<f64>());
@@ -41,7 +41,7 @@ pub struct MeshPyramid {
     pub(crate) weighting: Weighting,
 }
 
-/// One mesh of a pyramid with its graph.
+/// Level of a pyramid: a mesh and its graph.
 ///
 /// See [`MeshPyramid`] for an example.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,7 +50,7 @@ pub struct Level {
     pub(crate) adjacency: CsMat<f64>,
 }
 
-/// The maps between a finer level and the next coarser one.
+/// Maps between a level and the next coarser one.
 ///
 /// See [`MeshPyramid`] for an example.
 #[derive(Debug, Clone, PartialEq)]
@@ -60,7 +60,7 @@ pub struct Transition {
 }
 
 impl MeshPyramid {
-    /// Simplify `mesh` once per factor, each time to `ceil(n / factor)` vertices; a factor of 1
+    /// Simplifies `mesh` once for each factor, from `n` to `ceil(n / factor)` vertices; a factor of 1
     /// repeats the level.
     pub fn build(mesh: impl Into<Surface>, factors: &[f64], weighting: Weighting) -> Result<Self> {
         let refused = |&(_, &value): &(usize, &f64)| !(value.is_finite() && value >= 1.0);
@@ -97,7 +97,7 @@ impl MeshPyramid {
         &self.transitions
     }
 
-    /// How the up-sampling weights were computed.
+    /// Method by which the interpolation weights were computed.
     pub fn weighting(&self) -> Weighting {
         self.weighting
     }
@@ -112,17 +112,17 @@ impl Level {
         Self { adjacency: surface.adjacency(), surface }
     }
 
-    /// The mesh. A pyramid put together without faces has none here.
+    /// The mesh. It has no faces in a pyramid built from matrices without faces.
     pub fn surface(&self) -> &Surface {
         &self.surface
     }
 
-    /// How many vertices there are.
+    /// Number of vertices.
     pub fn vertex_count(&self) -> usize {
         self.surface.vertices.len()
     }
 
-    /// How many edges there are, and how many are on a boundary or not manifold.
+    /// Numbers of edges, boundary edges and non-manifold edges.
     pub fn edge_counts(&self) -> EdgeCounts {
         self.surface.edge_counts()
     }
@@ -148,24 +148,24 @@ impl Transition {
         Self { down: (0..vertices as u32).collect(), up: CsMat::eye(vertices) }
     }
 
-    /// `D` as a list: which fine vertex each coarse vertex is.
+    /// Selection `D` as the index of the fine vertex of each coarse vertex, `[coarse]`.
     pub fn down(&self) -> &[u32] {
         &self.down
     }
 
-    /// `D` as a matrix `[coarse, fine]`, CSR, a single 1 in every row.
+    /// Selection `D` as a matrix, `[coarse, fine]`, CSR, a single 1 in every row.
     pub fn down_matrix(&self) -> CsMat<f64> {
         let (fine, coarse) = self.up.shape();
         let columns = self.down.iter().map(|&vertex| vertex as usize).collect();
         CsMat::new((coarse, fine), (0..=coarse).collect(), columns, vec![1.0; coarse])
     }
 
-    /// `U`, `[fine, coarse]`, CSR, one to three weights in every row.
+    /// Interpolation `U`, `[fine, coarse]`, CSR, one to three weights in every row.
     pub fn up(&self) -> &CsMat<f64> {
         &self.up
     }
 
-    /// Whether both levels are the same and both maps do nothing, as a factor of 1 makes them.
+    /// True if both levels are the same and both maps the identity, as for a factor of 1.
     pub fn is_identity(&self) -> bool {
         let (fine, coarse) = self.up.shape();
         fine == coarse && *self == Self::identity(fine)

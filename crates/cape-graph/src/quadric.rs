@@ -1,15 +1,15 @@
 //! Quadric edge collapse restricted to subset placement: a collapse keeps one of its two vertices,
-//! so that every level's vertices are a selection of the finest level's.
+//! so that the vertices of every level are a selection of those of the finest level.
 //!
-//! Which vertices survive decides what trained weights mean, so the order of collapses, ties
-//! included, is that of the original algorithm: a binary heap of `(cost, edge)` whose edges are
-//! renamed in place when a vertex is destroyed.
+//! Trained weights depend on the selection, so the order of collapses, including ties, is that of
+//! the original algorithm: a binary heap of `(cost, edge)` whose edges are renamed in place when a
+//! vertex is removed.
 
 use crate::topology::Surface;
 use crate::vector::{V3, cross, dot, sub};
 use crate::{Error, Result};
 
-/// A simplified mesh.
+/// Simplified mesh.
 ///
 /// ```
 /// use cape_graph::{Surface, simplify};
@@ -24,7 +24,7 @@ use crate::{Error, Result};
 /// };
 /// let simplified = simplify(&octahedron, 5)?;
 /// assert_eq!(simplified.kept.len(), 5);
-/// // Vertices are kept where they are.
+/// // The kept vertices are not moved.
 /// for (&kept, vertex) in simplified.kept.iter().zip(&simplified.surface.vertices) {
 ///     assert_eq!(octahedron.vertices[kept as usize], *vertex);
 /// }
@@ -32,14 +32,14 @@ use crate::{Error, Result};
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simplified {
-    /// The vertices that were kept, as ascending indices into the input's.
+    /// Indices of the kept vertices in the input, ascending.
     pub kept: Vec<u32>,
-    /// The kept vertices and the faces that remain between them.
+    /// The kept vertices and the remaining faces.
     pub surface: Surface,
 }
 
-/// Collapse edges of `surface`, cheapest first, until at most `target` vertices are left. A mesh
-/// that has no more than `target` vertices comes back as it is.
+/// Collapses edges of `surface` in the order of their cost until at most `target` vertices are left.
+/// A mesh of at most `target` vertices is returned unchanged.
 pub fn simplify(surface: &Surface, target: usize) -> Result<Simplified> {
     let vertices = surface.vertices.len();
     if target < 4 {
@@ -62,10 +62,10 @@ pub fn simplify(surface: &Surface, target: usize) -> Result<Simplified> {
         let cost = collapse.cost([r, c]);
         if cost.cheapest() > popped {
             queue.push(cost.cheapest(), [r, c], &mut collapse.names);
-        } else if cost.destroy_c < cost.destroy_r {
-            collapse.destroy(c, r);
+        } else if cost.remove_c < cost.remove_r {
+            collapse.remove(c, r);
         } else {
-            collapse.destroy(r, c);
+            collapse.remove(r, c);
         }
     }
 
@@ -77,12 +77,12 @@ pub fn simplify(surface: &Surface, target: usize) -> Result<Simplified> {
     Ok(simplified)
 }
 
-/// Squared distance to a set of planes, as the upper triangle of a symmetric 4 × 4 matrix.
+/// Sum of squared distances to a set of planes: the upper triangle of a symmetric 4 × 4 matrix.
 #[derive(Debug, Clone, Copy, Default)]
 struct Quadric([f64; 10]);
 
 impl Quadric {
-    /// The plane of a triangle; nothing if it has no area.
+    /// Quadric of the plane of a triangle; zero for a triangle without area.
     fn of_plane([a, b, c]: [V3; 3]) -> Self {
         let normal = cross(sub(b, a), sub(c, a));
         let length = dot(normal, normal).sqrt();
@@ -107,29 +107,29 @@ impl Quadric {
     }
 }
 
-/// What an edge `[r, c]` costs, by the vertex that is destroyed.
+/// Cost of collapsing the edge `[r, c]`, by the vertex that is removed.
 struct Cost {
-    destroy_r: f64,
-    destroy_c: f64,
+    remove_r: f64,
+    remove_c: f64,
 }
 
 impl Cost {
     fn cheapest(&self) -> f64 {
-        if self.destroy_r < self.destroy_c { self.destroy_r } else { self.destroy_c }
+        if self.remove_r < self.remove_c { self.remove_r } else { self.remove_c }
     }
 }
 
-/// A mesh while it is being simplified.
+/// State of the simplification of a mesh.
 struct Collapse<'a> {
     surface: &'a Surface,
     quadrics: Vec<Quadric>,
-    /// Faces with destroyed vertices replaced; `None` once a face has degenerated.
+    /// Faces with removed vertices replaced; `None` for a face that has degenerated.
     faces: Vec<Option<[u32; 3]>>,
-    /// Faces around each vertex; may list faces that are gone.
+    /// Faces at each vertex; may include degenerated faces.
     around: Vec<Vec<u32>>,
-    /// How many faces each vertex still has.
+    /// Number of remaining faces at each vertex.
     uses: Vec<u32>,
-    /// How many vertices still have a face.
+    /// Number of vertices with a remaining face.
     alive: usize,
     names: Names,
 }
@@ -161,15 +161,15 @@ impl<'a> Collapse<'a> {
         let [r, c] = edge.map(|v| v as usize);
         let quadric = self.quadrics[r].plus(self.quadrics[c]);
         Cost {
-            destroy_r: quadric.at(self.surface.vertices[c]),
-            destroy_c: quadric.at(self.surface.vertices[r]),
+            remove_r: quadric.at(self.surface.vertices[c]),
+            remove_c: quadric.at(self.surface.vertices[r]),
         }
     }
 
-    /// Replace vertex `destroyed` by `kept` everywhere.
-    fn destroy(&mut self, destroyed: u32, kept: u32) {
-        self.names.0[destroyed as usize] = kept;
-        let (d, k) = (destroyed as usize, kept as usize);
+    /// Replaces vertex `removed` by `kept` in every face.
+    fn remove(&mut self, removed: u32, kept: u32) {
+        self.names.0[removed as usize] = kept;
+        let (d, k) = (removed as usize, kept as usize);
         self.quadrics[k] = self.quadrics[k].plus(self.quadrics[d]);
         for index in std::mem::take(&mut self.around[d]) {
             let Some(face) = &mut self.faces[index as usize] else { continue };
@@ -180,7 +180,7 @@ impl<'a> Collapse<'a> {
                     self.release(vertex);
                 }
             } else {
-                for vertex in face.iter_mut().filter(|vertex| **vertex == destroyed) {
+                for vertex in face.iter_mut().filter(|vertex| **vertex == removed) {
                     *vertex = kept;
                 }
                 self.around[k].push(index);
@@ -188,12 +188,12 @@ impl<'a> Collapse<'a> {
                     self.alive += 1;
                 }
                 self.uses[k] += 1;
-                self.release(destroyed);
+                self.release(removed);
             }
         }
     }
 
-    /// Vertex `vertex` has one face less.
+    /// Removes a face from the count of a vertex.
     fn release(&mut self, vertex: u32) {
         let uses = &mut self.uses[vertex as usize];
         *uses -= 1;
@@ -218,7 +218,7 @@ impl<'a> Collapse<'a> {
     }
 }
 
-/// What every vertex is called now: itself, or the vertex that it was merged into (a forest).
+/// Current name of every vertex: itself, or the vertex that it was merged into (a forest).
 struct Names(Vec<u32>);
 
 impl Names {
@@ -236,10 +236,11 @@ impl Names {
     }
 }
 
-/// A binary min-heap of `(cost, edge)` in which equal costs are ordered by the edges' *current*
-/// names. Renaming can break the heap property among equal costs, so the outcome then depends on
-/// how elements move, and the standard library's heap does not say. Here: a popped root is replaced
-/// by the last element, which sinks to the bottom along the smaller children and rises again.
+/// Binary min-heap of `(cost, edge)` in which equal costs are ordered by the *current* names of the
+/// edges. Renaming can break the heap property among equal costs, so that the result depends on the
+/// movement of elements, which the heap of the standard library leaves unspecified. In this one, a
+/// popped root is replaced by the last element, which sinks to the bottom along the smaller children
+/// and rises again.
 #[derive(Default)]
 struct Queue(Vec<(f64, [u32; 2])>);
 
@@ -258,7 +259,7 @@ impl Queue {
         self.rise(self.0.len() - 1, names);
     }
 
-    /// The cheapest edge by its vertices' current names, with the cost it was pushed with.
+    /// Cost and current name of the cheapest edge; the cost is that of its push.
     fn pop(&mut self, names: &mut Names) -> Option<(f64, [u32; 2])> {
         if self.0.is_empty() {
             return None;

@@ -2,38 +2,38 @@
 
 use std::sync::Arc;
 
-use burn::tensor::{Device, Int, Tensor};
+use burn::{
+    backend::Dispatch,
+    tensor::{DType, Device, Int, Tensor, TensorData},
+};
 use sprs::CsMat;
 
-use crate::operator::Arrays;
+use crate::ops::SparseOperand;
 
-/// A matrix in compressed sparse rows, f32.
+/// Matrix in compressed sparse rows (CSR), f32.
 ///
 /// See [`SparseMatrix`] for an example.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Csr {
     cols: usize,
-    start: Vec<u32>,
-    column: Vec<u32>,
-    value: Vec<f32>,
+    indptr: Vec<u32>,
+    indices: Vec<u32>,
+    data: Vec<f32>,
 }
 
 impl Csr {
     fn new(matrix: &CsMat<f64>) -> Self {
         Self {
             cols: matrix.cols(),
-            start: matrix.indptr().as_slice().map_or_else(
-                || std::iter::once(0).chain(row_ends(matrix)).collect(),
-                |starts| starts.iter().map(|&start| start as u32).collect(),
-            ),
-            column: matrix.indices().iter().map(|&column| column as u32).collect(),
-            value: matrix.data().iter().map(|&value| value as f32).collect(),
+            indptr: matrix.proper_indptr().iter().map(|&start| start as u32).collect(),
+            indices: matrix.indices().iter().map(|&column| column as u32).collect(),
+            data: matrix.data().iter().map(|&value| value as f32).collect(),
         }
     }
 
     /// Number of rows.
     pub fn rows(&self) -> usize {
-        self.start.len() - 1
+        self.indptr.len() - 1
     }
 
     /// Number of columns.
@@ -41,86 +41,122 @@ impl Csr {
         self.cols
     }
 
-    /// Columns and values of one row's entries.
+    /// Columns and values of the entries of one row.
     #[inline]
     pub fn row(&self, row: usize) -> (&[u32], &[f32]) {
-        let span = self.start[row] as usize..self.start[row + 1] as usize;
-        (&self.column[span.clone()], &self.value[span])
+        let span = self.indptr[row] as usize..self.indptr[row + 1] as usize;
+        (&self.indices[span.clone()], &self.data[span])
     }
 }
 
-fn row_ends(matrix: &CsMat<f64>) -> impl Iterator<Item = u32> {
-    let mut end = 0;
-    matrix.outer_iterator().map(move |row| {
-        end += row.nnz() as u32;
-        end
-    })
-}
-
-/// A sparse matrix and its transpose, for a product and its gradient.
+/// Sparse matrix and its transpose: the operands of a product and of its gradient.
 ///
 /// See [`SparseMatrix`] for an example.
 #[derive(Debug, PartialEq)]
-pub struct SparsePair {
-    forward: Csr,
-    backward: Csr,
+pub struct CsrWithTranspose {
+    matrix: Csr,
+    transpose: Csr,
     first_index: usize,
     first_value: usize,
 }
 
-impl SparsePair {
-    /// From any sparse matrix, whose structure will start at those places of a device's arrays.
-    pub(crate) fn new(matrix: &CsMat<f64>, first_index: usize, first_value: usize) -> Self {
-        let csr = matrix.to_csr();
-        let transposed = matrix.transpose_view().to_csr();
-        Self { forward: Csr::new(&csr), backward: Csr::new(&transposed), first_index, first_value }
-    }
-
-    /// Appends row starts and columns, and values, of the matrix and then of its transpose.
-    pub(crate) fn append(&self, index: &mut Vec<i32>, value: &mut Vec<f32>) {
-        for csr in [&self.forward, &self.backward] {
-            index.extend(csr.start.iter().chain(&csr.column).map(|&index| index as i32));
-            value.extend(&csr.value);
+impl CsrWithTranspose {
+    /// From any sparse matrix. `first_index` and `first_value` are its offsets in the arrays of a
+    /// device, see [`CsrArrays`].
+    fn new(matrix: &CsMat<f64>, first_index: usize, first_value: usize) -> Self {
+        Self {
+            matrix: Csr::new(&matrix.to_csr()),
+            transpose: Csr::new(&matrix.transpose_view().to_csr()),
+            first_index,
+            first_value,
         }
     }
 
     /// The matrix, `[rows, columns]`.
-    pub fn forward(&self) -> &Csr {
-        &self.forward
+    pub fn matrix(&self) -> &Csr {
+        &self.matrix
     }
 
     /// Its transpose, `[columns, rows]`.
-    pub fn backward(&self) -> &Csr {
-        &self.backward
+    pub fn transpose(&self) -> &Csr {
+        &self.transpose
     }
 
-    /// The matrix, or its transpose.
+    /// The matrix or, if `transpose`, its transpose.
     pub fn oriented(&self, transpose: bool) -> &Csr {
-        if transpose { &self.backward } else { &self.forward }
+        if transpose { &self.transpose } else { &self.matrix }
     }
 
-    /// Where the structure of one orientation starts in a device's index and value arrays.
+    /// Offsets of one orientation in the arrays of a device.
     #[cfg(any(feature = "wgpu", feature = "cuda"))]
-    pub(crate) fn offsets(&self, transpose: bool) -> Offsets {
-        let entries = self.forward.value.len();
-        let skipped = if transpose { entries } else { 0 };
-        let start =
-            self.first_index + if transpose { self.forward.start.len() + entries } else { 0 };
-        let csr = self.oriented(transpose);
-        Offsets { start, column: start + csr.start.len(), value: self.first_value + skipped }
+    pub(crate) fn offsets(&self, transpose: bool) -> CsrOffsets {
+        let entries = self.matrix.data.len();
+        let (skipped_indices, skipped_values) =
+            if transpose { (self.matrix.indptr.len() + entries, entries) } else { (0, 0) };
+        let indptr = self.first_index + skipped_indices;
+        CsrOffsets {
+            indptr,
+            indices: indptr + self.oriented(transpose).indptr.len(),
+            data: self.first_value + skipped_values,
+        }
     }
 }
 
-/// See [`SparsePair::offsets`].
+/// Offsets of a CSR matrix in [`CsrArrays`].
 #[cfg(any(feature = "wgpu", feature = "cuda"))]
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Offsets {
-    pub start: usize,
-    pub column: usize,
-    pub value: usize,
+pub(crate) struct CsrOffsets {
+    pub indptr: usize,
+    pub indices: usize,
+    pub data: usize,
 }
 
-/// A sparse matrix that operations of this crate multiply tensors by; cheap to clone.
+/// Arrays of several sparse matrices and their transposes, one after the other, as they are
+/// uploaded to a device.
+#[derive(Default)]
+pub(crate) struct CsrArrays {
+    /// `indptr` and `indices` of each matrix, then of its transpose.
+    structure: Vec<i32>,
+    /// Values of each matrix, then of its transpose.
+    values: Vec<f32>,
+}
+
+impl CsrArrays {
+    pub(crate) fn push(&mut self, matrix: &CsMat<f64>) -> Arc<CsrWithTranspose> {
+        let pair = CsrWithTranspose::new(matrix, self.structure.len(), self.values.len());
+        for csr in [&pair.matrix, &pair.transpose] {
+            self.structure.extend(csr.indptr.iter().chain(&csr.indices).map(|&i| i as i32));
+            self.values.extend(&csr.data);
+        }
+        Arc::new(pair)
+    }
+
+    pub(crate) fn upload(self, device: &Device) -> DeviceArrays {
+        let device = device.clone().inner();
+        let (indices, values) = (self.structure.len(), self.values.len());
+        DeviceArrays {
+            structure: Tensor::from_data(
+                TensorData::new(self.structure, [indices]),
+                (&device, DType::I32),
+            ),
+            values: Tensor::from_data(
+                TensorData::new(self.values, [values]),
+                (&device, DType::F32),
+            ),
+        }
+    }
+}
+
+/// [`CsrArrays`] on a device.
+#[derive(Debug, Clone)]
+pub(crate) struct DeviceArrays {
+    /// Concatenated `indptr` and `indices`, i32.
+    pub structure: Tensor<1, Int>,
+    /// Concatenated values, f32.
+    pub values: Tensor<1>,
+}
+
+/// Sparse matrix that operations of this crate multiply tensors by; cheap to clone.
 ///
 /// Its structure and values are constants: no gradient flows into them.
 ///
@@ -137,42 +173,48 @@ pub(crate) struct Offsets {
 /// let y: Vec<f32> = sparse_matmul(x, &a).into_data().try_into_vec().unwrap();
 /// assert_eq!(y, [6.0, 5.0]);
 ///
-/// // On the host there are the matrix and its transpose, for the gradient.
-/// let (forward, transposed) = (a.host().forward(), a.host().backward());
-/// assert_eq!(forward.row(0), (&[2][..], &[2.0][..]));
-/// assert_eq!((transposed.rows(), transposed.row(0)), (3, (&[1][..], &[5.0][..])));
+/// // The host keeps the matrix and its transpose, which the gradient needs.
+/// let (matrix, transpose) = (a.host().matrix(), a.host().transpose());
+/// assert_eq!(matrix.row(0), (&[2][..], &[2.0][..]));
+/// assert_eq!((transpose.rows(), transpose.row(0)), (3, (&[1][..], &[5.0][..])));
 /// # Ok::<(), cape_graph::Error>(())
 /// ```
 #[derive(Debug, Clone)]
 pub struct SparseMatrix {
-    pub(crate) pair: Arc<SparsePair>,
-    /// Row starts and columns of the matrix, then of its transpose, from its first index on.
-    pub(crate) index: Tensor<1, Int>,
-    /// Values of the matrix, then of its transpose, from its first value on.
-    pub(crate) value: Tensor<1>,
+    pub(crate) host: Arc<CsrWithTranspose>,
+    pub(crate) arrays: DeviceArrays,
 }
 
 impl SparseMatrix {
-    /// Uploads `matrix` to `device`, once.
+    /// Uploads `matrix` to `device`.
     pub fn new(matrix: &CsMat<f64>, device: &Device) -> Self {
-        let mut arrays = Arrays::default();
-        let pair = arrays.push(matrix);
-        let (index, value) = arrays.upload(device);
-        Self { pair, index, value }
+        let mut arrays = CsrArrays::default();
+        let host = arrays.push(matrix);
+        Self { host, arrays: arrays.upload(device) }
     }
 
     /// Number of rows.
     pub fn rows(&self) -> usize {
-        self.pair.forward.rows()
+        self.host.matrix.rows()
     }
 
     /// Number of columns.
     pub fn cols(&self) -> usize {
-        self.pair.forward.cols()
+        self.host.matrix.cols()
     }
 
-    /// The matrix on the host.
-    pub fn host(&self) -> &SparsePair {
-        &self.pair
+    /// The matrix and its transpose on the host.
+    pub fn host(&self) -> &CsrWithTranspose {
+        &self.host
+    }
+
+    /// The matrix as an operand of [`GraphBackend`](crate::GraphBackend).
+    pub(crate) fn operand(&self) -> SparseOperand<Dispatch> {
+        SparseOperand {
+            structure: self.arrays.structure.clone().into_dispatch(),
+            values: self.arrays.values.clone().into_dispatch(),
+            matrix: self.host.clone(),
+            transpose: false,
+        }
     }
 }

@@ -1,10 +1,9 @@
-//! Pyramids on disk: one `.npz`, and a cache keyed by content.
+//! Files of pyramids, `.npz`.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use cape_core::npy::{Npz, NpzWriter};
 use ndarray::{Array1, Array2, ArrayD, arr0, arr1};
-use sha2::{Digest, Sha256};
 use sprs::CsMat;
 
 use crate::parts::{PyramidParts, sparse_from_triplets};
@@ -13,13 +12,13 @@ use crate::topology::Surface;
 use crate::upsample::Weighting;
 use crate::{Error, Result};
 
-/// Changes when the file's layout, or what a pyramid of given inputs is, changes.
+/// Version of the file layout.
 const VERSION: i64 = 1;
 
 impl MeshPyramid {
-    /// Save as one `.npz`, atomically. Per level `i` it holds `v{i}` `[n, 3]`, `f{i}` `[m, 3]`
-    /// (none if unknown) and `A{i}`, per transition `D{i}` and `U{i}`, the matrices as triplets
-    /// (see [`read_sparse`]); beside them `weighting` (ASCII) and `version`.
+    /// Saves the pyramid as one `.npz`, atomically. For level `i` the file holds `v{i}` `[n, 3]`,
+    /// `f{i}` `[m, 3]` (empty if unknown) and `A{i}`, for transition `i` it holds `D{i}` and `U{i}`,
+    /// the matrices as triplets (see [`read_sparse`]); and `weighting` (ASCII) and `version`.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let mut file = NpzWriter::create(path)?;
         file.add("version", &arr0(VERSION))?;
@@ -38,7 +37,7 @@ impl MeshPyramid {
         Ok(file.finish()?)
     }
 
-    /// Load what [`MeshPyramid::save`] saved; its parts are checked as by
+    /// Loads a file of [`MeshPyramid::save`]. Its parts are checked as by
     /// [`MeshPyramid::from_parts`].
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let file = &mut Npz::open(path)?;
@@ -47,7 +46,7 @@ impl MeshPyramid {
         };
         let version = file.i64("version")?;
         if version.iter().ne([&VERSION]) {
-            let message = format!("{version}, expected {VERSION}: build the pyramid again");
+            let message = format!("version {version}, expected {VERSION}: build the pyramid again");
             return Err(field(file, "version", message));
         }
         let weighting = file.get::<u8>("weighting")?;
@@ -71,49 +70,6 @@ impl MeshPyramid {
         }
         Self::from_parts(parts)
     }
-
-    /// The pyramid from its file in `cache` if there is a sound one, or else built and saved there.
-    /// The file's name is a hash of everything that the result depends on. The directory is made if
-    /// it is missing.
-    pub fn build_cached(
-        mesh: impl Into<Surface>,
-        factors: &[f64],
-        weighting: Weighting,
-        cache: impl AsRef<Path>,
-    ) -> Result<Self> {
-        let surface = mesh.into();
-        let path = cached_path(&surface, factors, weighting, cache.as_ref());
-        let usable = |pyramid: &Self| {
-            pyramid.weighting == weighting
-                && pyramid.transitions.len() == factors.len()
-                && pyramid.levels[0].surface == surface
-        };
-        if let Some(pyramid) = Self::load(&path).ok().filter(usable) {
-            return Ok(pyramid);
-        }
-        let pyramid = Self::build(surface, factors, weighting)?;
-        make_directory(cache.as_ref())?;
-        pyramid.save(&path)?;
-        Ok(pyramid)
-    }
-}
-
-/// Where [`MeshPyramid::build_cached`] keeps a pyramid.
-fn cached_path(surface: &Surface, factors: &[f64], weighting: Weighting, cache: &Path) -> PathBuf {
-    let mut hash = Sha256::new();
-    hash.update(b"cape pyramid");
-    hash.update(VERSION.to_le_bytes());
-    hash.update(weighting.name());
-    for length in [surface.vertices.len(), surface.faces.len(), factors.len()] {
-        hash.update((length as u64).to_le_bytes());
-    }
-    for x in surface.vertices.as_flattened().iter().chain(factors) {
-        hash.update(x.to_le_bytes());
-    }
-    for vertex in surface.faces.as_flattened() {
-        hash.update(vertex.to_le_bytes());
-    }
-    cache.join(format!("pyramid-{:x}.npz", hash.finalize()))
 }
 
 pub(crate) fn make_directory(path: &Path) -> Result<()> {
@@ -121,7 +77,7 @@ pub(crate) fn make_directory(path: &Path) -> Result<()> {
         .map_err(|source| Error::Directory { path: path.to_owned(), source })
 }
 
-/// Read the sparse matrix that an archive holds as triplets: `<name>_shape` `[2]`, `<name>_row`,
+/// Reads a sparse matrix from its triplets in an archive: `<name>_shape` `[2]`, `<name>_row`,
 /// `<name>_col` and `<name>_val` `[entries]`.
 pub fn read_sparse(file: &mut Npz, name: &str) -> Result<CsMat<f64>> {
     let shape_name = format!("{name}_shape");
@@ -132,7 +88,7 @@ pub fn read_sparse(file: &mut Npz, name: &str) -> Result<CsMat<f64>> {
             Error::File(cape_core::Error::field(
                 file.path(),
                 &shape_name,
-                format!("{shape}, expected two sizes"),
+                format!("{shape}, expected two non-negative sizes"),
             ))
         })
     };
@@ -144,7 +100,7 @@ pub fn read_sparse(file: &mut Npz, name: &str) -> Result<CsMat<f64>> {
     sparse_from_triplets(name, shape, &rows, &columns, &values)
 }
 
-/// Write a sparse matrix as [`read_sparse`] reads it.
+/// Writes a sparse matrix as triplets, see [`read_sparse`].
 pub fn write_sparse(file: &mut NpzWriter, name: &str, matrix: &CsMat<f64>) -> Result<()> {
     let rows: Array1<i64> = matrix.iter().map(|(_, (row, _))| row as i64).collect();
     let columns: Array1<i64> = matrix.iter().map(|(_, (_, column))| column as i64).collect();
@@ -174,7 +130,7 @@ fn faces(file: &mut Npz, name: &str) -> Result<Vec<[u32; 3]>> {
             Error::File(cape_core::Error::field(
                 file.path(),
                 name,
-                format!("vertex {vertex} cannot exist"),
+                format!("vertex index {vertex}, expected 0 to {}", u32::MAX),
             ))
         })
     };
@@ -204,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_saved_is_loaded() {
+    fn a_saved_pyramid_is_loaded_unchanged() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("pyramid.npz");
         for weighting in [Weighting::Barycentric, Weighting::Release] {
@@ -212,49 +168,6 @@ mod tests {
             pyramid.save(&path).unwrap();
             assert_eq!(MeshPyramid::load(&path).unwrap(), pyramid);
         }
-    }
-
-    #[test]
-    fn a_damaged_cache_is_built_again() {
-        let directory = tempfile::tempdir().unwrap();
-        let cache = directory.path().join("made/as/needed");
-        let build = |factor| {
-            MeshPyramid::build_cached(octahedron(), &[factor], Weighting::Release, &cache).unwrap()
-        };
-        let pyramid = build(1.2);
-        let path = cached_path(&octahedron(), &[1.2], Weighting::Release, &cache);
-        let bytes = std::fs::read(&path).unwrap();
-        for damage in [0, 10, bytes.len() / 2, bytes.len() - 1] {
-            std::fs::write(&path, &bytes[..damage]).unwrap();
-            MeshPyramid::load(&path).unwrap_err();
-            assert_eq!(build(1.2), pyramid);
-            assert_eq!(std::fs::read(&path).unwrap(), bytes);
-        }
-        // A sound file of something else under this name.
-        let other = build(1.3);
-        other.save(&path).unwrap();
-        MeshPyramid::build(octahedron(), &[], Weighting::Release).unwrap().save(&path).unwrap();
-        assert_eq!(build(1.2), pyramid);
-        assert_eq!(std::fs::read_dir(&cache).unwrap().count(), 2);
-    }
-
-    #[test]
-    fn the_cache_tells_inputs_apart() {
-        let path = |surface: &Surface, factors: &[f64], weighting| {
-            cached_path(surface, factors, weighting, Path::new("cache"))
-        };
-        let mut moved = octahedron();
-        moved.vertices[3][1] -= 1e-12;
-        let mut turned = octahedron();
-        turned.faces[0].rotate_left(1);
-        let paths = std::collections::BTreeSet::from([
-            path(&octahedron(), &[2.0], Weighting::Barycentric),
-            path(&octahedron(), &[2.0], Weighting::Release),
-            path(&octahedron(), &[2.0, 1.0], Weighting::Barycentric),
-            path(&moved, &[2.0], Weighting::Barycentric),
-            path(&turned, &[2.0], Weighting::Barycentric),
-        ]);
-        assert_eq!(paths.len(), 5);
     }
 
     #[test]

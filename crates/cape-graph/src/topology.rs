@@ -1,4 +1,4 @@
-//! Surfaces in double precision, their checks, edges and adjacency.
+//! Surfaces in double precision: validation, edges and adjacency.
 
 use std::collections::HashMap;
 
@@ -8,10 +8,10 @@ use sprs::{CsMat, TriMat};
 use crate::vector::{cross, dot, sub};
 use crate::{Error, Result};
 
-/// Twice a triangle's area over its longest edge squared, below which it has no area.
+/// Twice the area of a triangle over its longest edge squared, up to which it is degenerate.
 const FLATNESS: f64 = 1e-12;
 
-/// A triangle mesh in double precision, which simplification and projection need.
+/// Triangle mesh in double precision, for simplification and projection.
 ///
 /// ```
 /// use cape_synth::synthetic_body;
@@ -42,7 +42,7 @@ impl From<&Mesh> for Surface {
     }
 }
 
-/// The body's template.
+/// Template of the body.
 impl From<&SmplModel> for Surface {
     fn from(body: &SmplModel) -> Self {
         let vertices = body.v_template.rows().into_iter().map(|v| [v[0], v[1], v[2]]).collect();
@@ -66,9 +66,9 @@ impl From<&Surface> for Surface {
 }
 
 impl Surface {
-    /// Whether a pyramid can be built on this mesh: at least four vertices, all finite and all
-    /// used by a face, and faces that name existing, distinct vertices and have an area.
-    /// Boundaries and non-manifold edges are fine, see [`Surface::edge_counts`].
+    /// Returns an error unless a pyramid can be built of this mesh: it needs at least four vertices,
+    /// all finite and all used by a face, and faces of existing, distinct vertices with an area.
+    /// Boundaries and non-manifold edges are allowed, see [`Surface::edge_counts`].
     pub fn validate(&self) -> Result<()> {
         if self.faces.is_empty() {
             return Err(Error::NoFaces { vertices: self.vertices.len() });
@@ -86,7 +86,7 @@ impl Surface {
         Ok(())
     }
 
-    /// [`Surface::validate`] without the areas, which levels made by simplification may lack.
+    /// [`Surface::validate`] without the areas: simplification may make faces degenerate.
     pub(crate) fn validate_topology(&self) -> Result<()> {
         let vertices = self.vertices.len();
         if vertices < 4 {
@@ -117,7 +117,7 @@ impl Surface {
         Ok(())
     }
 
-    /// How many edges there are, and how many of them do not have exactly two faces.
+    /// Number of edges, and of those without exactly two faces.
     pub fn edge_counts(&self) -> EdgeCounts {
         let mut faces_at: HashMap<[u32; 2], u32> = HashMap::new();
         for edge in face_edges(&self.faces) {
@@ -130,7 +130,7 @@ impl Surface {
         }
     }
 
-    /// The undirected edges `[a, b]`, a < b, sorted.
+    /// Undirected edges `[a, b]`, `a < b`, sorted.
     pub fn edges(&self) -> Vec<[u32; 2]> {
         let mut edges: Vec<_> = face_edges(&self.faces).collect();
         edges.sort_unstable();
@@ -150,17 +150,17 @@ impl Surface {
     }
 }
 
-/// What the edges of a mesh are like. A closed manifold has neither boundary nor non-manifold
-/// edges; simplification may create the latter.
+/// Numbers of edges of a mesh. A closed manifold has neither boundary nor non-manifold edges;
+/// simplification may create the latter.
 ///
 /// See [`Surface`] for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct EdgeCounts {
-    /// All edges.
+    /// Number of edges.
     pub edges: usize,
-    /// Edges with one face.
+    /// Number of edges with one face.
     pub boundary: usize,
-    /// Edges with three faces or more.
+    /// Number of edges with three faces or more.
     pub non_manifold: usize,
 }
 

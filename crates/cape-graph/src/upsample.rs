@@ -1,4 +1,4 @@
-//! Upsampling weights: where each fine vertex projects onto the coarse surface.
+//! Interpolation weights from the projections of fine vertices onto the coarse surface.
 
 use parry3d_f64::math::Vector;
 use parry3d_f64::query::PointQueryWithLocation;
@@ -10,24 +10,24 @@ use crate::topology::Surface;
 use crate::vector::{V3, dot, sub};
 use crate::{Error, Result};
 
-/// How a level's values are interpolated from the next coarser one's. Trained weights depend on it,
-/// so it is saved with the pyramid.
+/// Method of interpolation from a level to the next finer one. Trained weights depend on it, so it
+/// is saved with the pyramid.
 ///
 /// See [`MeshPyramid`](crate::MeshPyramid) for an example.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Weighting {
-    /// Barycentric weights of the closest point on its triangle: rows sum to 1, never negative.
+    /// Barycentric weights of the closest point in its triangle: non-negative, summing to 1.
     #[default]
     Barycentric,
-    /// What the authors' released weights were trained with. Inside a triangle and on a vertex as
-    /// above; on an edge, the least-squares solution of `[va vb] w ≈ fine vertex` (not its closest
-    /// point), whose rows need not sum to 1.
+    /// Weights of the authors' released models. Inside a triangle and on a vertex as above; on an
+    /// edge, the least-squares solution of `[va vb] w ≈ fine vertex` (not its closest point), which
+    /// need not sum to 1.
     Release,
 }
 
 impl Weighting {
-    /// The name under which it is saved.
+    /// Name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Barycentric => "barycentric",
@@ -35,16 +35,16 @@ impl Weighting {
         }
     }
 
-    /// The weighting saved under `name`.
+    /// Weighting by its name in files.
     pub fn from_name(name: &str) -> Option<Self> {
         [Self::Barycentric, Self::Release].into_iter().find(|weighting| weighting.name() == name)
     }
 }
 
-/// Interpolation matrix `[fine vertices, coarse vertices]`, CSR, from the vertices of a mesh to
-/// `fine`: at most three weights a row, those of the point of `coarse` closest to the fine vertex.
+/// Interpolation matrix `[fine vertices, coarse vertices]`, CSR: in every row up to three weights,
+/// those of the point of `coarse` closest to the fine vertex.
 ///
-/// `kept[i]` is the fine vertex that coarse vertex `i` is; those rows have a single 1.
+/// `kept[i]` is the index in `fine` of coarse vertex `i`; the rows of these vertices have a single 1.
 pub fn upsample(
     fine: &[[f64; 3]],
     coarse: &Surface,
@@ -74,7 +74,7 @@ pub fn upsample(
     Ok(CsMat::new((fine.len(), coarse.vertices.len()), indptr, indices, data))
 }
 
-/// The weights of one row, by coarse vertex.
+/// Weights of one row, with the indices of the coarse vertices.
 fn weights(
     vertex: V3,
     coarse: &Surface,
@@ -103,7 +103,7 @@ fn weights(
     row
 }
 
-/// The `w` that minimises `|w₀ a + w₁ b − p|`, unless `a` and `b` are parallel.
+/// Minimiser `w` of `|w₀ a + w₁ b − p|`; `None` if `a` and `b` are parallel.
 fn least_squares(a: V3, b: V3, p: V3) -> Option<[f64; 2]> {
     let along = dot(a, b) / dot(a, a);
     let across = sub(b, a.map(|x| along * x));

@@ -1,4 +1,4 @@
-//! The few vector operations that quadrics and projections need, in double precision.
+//! Vectors in double precision, for quadrics and projections.
 
 pub(crate) type V3 = [f64; 3];
 

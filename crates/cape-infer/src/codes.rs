@@ -1,8 +1,7 @@
 //! Latent codes: the standard normal prior, paths between codes, directions by effect.
 
 use ndarray::{Array2, Axis};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 
 use crate::{BodySpec, ClothedModel, Error, Result};
@@ -104,6 +103,13 @@ mod tests {
     use ndarray::array;
 
     use super::*;
+
+    #[test]
+    fn a_seed_stands_for_the_same_numbers_for_good() {
+        let expected =
+            array![[0.4387562, -1.128422, -0.4192663], [-0.52634203, 0.3544089, 1.3286909]];
+        assert_eq!(normal(3, 0, 2, 3), expected);
+    }
 
     #[test]
     fn interpolation_turns_directions_and_blends_lengths() {

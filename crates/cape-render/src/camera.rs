@@ -1,5 +1,8 @@
 use cape_core::Mesh;
-use glam::{Mat4, Vec3};
+use glam::{
+    Mat4, Vec3,
+    camera::rh::{proj::directx, view},
+};
 
 /// Camera projection.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -139,10 +142,10 @@ impl Camera {
         [near, far]: [f32; 2],
     ) -> Self {
         let projection_matrix = match projection {
-            Projection::Perspective(fov) => Mat4::perspective_rh(fov, aspect, near, far),
+            Projection::Perspective(fov) => directx::perspective(fov, aspect, near, far),
             Projection::Orthographic => {
                 let half = 0.25_f32.tan() * eye.distance(target);
-                Mat4::orthographic_rh(-half * aspect, half * aspect, -half, half, near, far)
+                directx::orthographic(-half * aspect, half * aspect, -half, half, near, far)
             }
         };
         Self::new(eye, target, projection_matrix, projection == Projection::Orthographic)
@@ -170,7 +173,7 @@ impl Camera {
             azimuth.cos() * elevation.cos(),
         );
         let (centre, radius) = (bounds.centre(), bounds.radius());
-        let axes = Mat4::look_at_rh(direction, Vec3::ZERO, Vec3::Y);
+        let axes = view::look_at_mat4(direction, Vec3::ZERO, Vec3::Y);
         let corners = bounds.corners().map(|corner| axes.transform_vector3(corner - centre));
         match projection {
             Projection::Orthographic => {
@@ -178,7 +181,7 @@ impl Camera {
                 let half = MARGIN
                     * corners.iter().map(|c| extent([c.x.abs(), c.y.abs()])).fold(1e-4, f32::max);
                 let eye = centre + direction * (2.0 * radius);
-                let matrix = Mat4::orthographic_rh(
+                let matrix = directx::orthographic(
                     -half * aspect,
                     half * aspect,
                     -half,
@@ -196,7 +199,7 @@ impl Camera {
                     .map(|c| (c.x.abs() / (tan * aspect)).max(c.y.abs() / tan) + c.z)
                     .fold(1.05 * radius, f32::max);
                 let near = (distance - 1.5 * radius).max(distance * 0.02);
-                let matrix = Mat4::perspective_rh(fov, aspect, near, distance + 2.5 * radius);
+                let matrix = directx::perspective(fov, aspect, near, distance + 2.5 * radius);
                 Self::new(centre + direction * distance, centre, matrix, false)
             }
         }
@@ -205,7 +208,7 @@ impl Camera {
     pub(crate) fn new(eye: Vec3, target: Vec3, projection: Mat4, orthographic: bool) -> Self {
         let forward = (target - eye).normalize_or(Vec3::NEG_Z);
         let up = if forward.y.abs() > 0.999 { Vec3::Z } else { Vec3::Y };
-        let view = Mat4::look_to_rh(eye, forward, up);
+        let view = view::look_to_mat4(eye, forward, up);
         Self { view, clip: projection * view, eye, orthographic }
     }
 

@@ -3,7 +3,7 @@
 use std::sync::LazyLock;
 
 use cape_core::Mesh;
-use glam::{Mat4, Vec3};
+use glam::{Mat4, Vec3, camera::rh::proj::directx};
 use rayon::prelude::*;
 
 use crate::{
@@ -92,7 +92,7 @@ impl DepthMap {
         let radius = bounds.radius() * 1.02;
         let eye = bounds.centre() + from * radius;
         let range = 2.0 * radius;
-        let projection = Mat4::orthographic_rh(-radius, radius, -radius, radius, 0.0, range);
+        let projection = directx::orthographic(-radius, radius, -radius, radius, 0.0, range);
         let matrix = Camera::new(eye, bounds.centre(), projection, true).clip;
         let points: Vec<_> = vertices
             .iter()

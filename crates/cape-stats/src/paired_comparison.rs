@@ -84,8 +84,7 @@ fn compare_means(first: &[f64], second: &[f64], images: impl Iterator<Item = usi
 
 #[cfg(test)]
 mod tests {
-    use rand::{Rng, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
+    use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
     use rand_distr::StandardNormal;
 
     use super::*;

@@ -5,8 +5,7 @@
 
 use std::f64::consts::PI;
 
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 /// Largest number of differences for which all sign changes are enumerated.
 const EXACT_SIGNS: usize = 14;

@@ -7,7 +7,7 @@ use std::{
 };
 
 use glam::{DQuat, DVec3};
-use rand::Rng;
+use rand::{Rng, RngExt};
 
 use super::regions::joint;
 use crate::Error;
@@ -445,8 +445,7 @@ fn sign(side: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand::SeedableRng;
-    use rand_chacha::ChaCha8Rng;
+    use rand::{SeedableRng, rngs::ChaCha8Rng};
 
     #[test]
     fn names_parse_back() {

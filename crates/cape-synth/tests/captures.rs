@@ -1,4 +1,4 @@
-//! The synthetic wardrobe against the statistics of real captures, and against a linear model.
+//! Statistics of the synthetic wardrobe compared with those of real captures, and with a linear model.
 
 use std::{collections::HashSet, sync::OnceLock};
 
@@ -27,7 +27,7 @@ fn distance(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
     1000.0 * mean_length(&(a - b))
 }
 
-/// Displacements on clothing vertices, millimetres, one row a frame, of training or test motions.
+/// Displacements on clothing vertices, millimetres, one row per frame, of training or test motions.
 fn displacements(synth: &CaptureGenerator<'_>, clothing: &[usize], test: bool) -> Array2<f64> {
     let spec = synth.spec();
     let takes: Vec<_> =
@@ -236,7 +236,7 @@ fn garments_last_a_sequence_and_are_not_a_function_of_the_pose() {
     let scan = |number| wear(0, Motion::Simple, Some(number));
     let (noise, misfit) = (distance(&scan(1), &scan(2)), distance(&first, &scan(1)));
     assert!(other_state > 3.0 && other_pose > 1.5, "{other_state} {other_pose} mm");
-    // The mean length of the difference of two normal 3-vectors with 0.15 mm a coordinate.
+    // The mean length of the difference of two normal 3-vectors with 0.15 mm per coordinate.
     let expected = 0.15 * 2f64.sqrt() * (8.0 / std::f64::consts::PI).sqrt();
     assert!((noise - expected).abs() < 0.02, "{noise} mm");
     assert!((0.5..2.5).contains(&misfit), "{misfit} mm");

@@ -35,7 +35,7 @@ const EPSILON: f64 = 1e-8;
 /// let device = Device::default().autodiff();
 /// let layer = Initialiser::new(1, 0.1, &device).linear(1, 1);
 /// // The gradient of w x + b at x = 1 is (1, 1).
-/// let gradients = layer.forward(Tensor::ones([1, 1], &device)).sum().backward();
+/// let gradients = layer.forward(Tensor::<2>::ones([1, 1], &device)).sum().backward();
 /// let norm = global_norm(&layer, &gradients);
 /// assert!((norm - 2f64.sqrt()).abs() < 1e-6);
 /// let mut optimiser = Optimiser::new(OptimiserKind::Sgd, 0.9, 5.0);

@@ -2,7 +2,7 @@
 //! TensorFlow.
 //!
 //! An event file is a sequence of records (length, masked CRC-32C of the length, payload, masked
-//! CRC-32C of the payload), each payload a protobuf `Event`. Only what is needed is encoded:
+//! CRC-32C of the payload), each payload a protobuf `Event`. Only the fields in use are encoded:
 //! `wall_time = 1` (double), `step = 2` (varint), `file_version = 3` (string),
 //! `summary = 5 { value = 1 { tag = 1 (string), … } }` with one of `simple_value = 2` (float),
 //! `image = 4 { height = 1, width = 2, colorspace = 3 (varints), encoded_image_string = 4 }` and

@@ -249,7 +249,7 @@ impl Trainer {
         trainer
             .learner
             .restore(&saved)
-            .map_err(|error| Error::format(&newest, format!("does not match the run: {error}")))?;
+            .map_err(|error| Error::format(&newest, format!("does not suit the run: {error}")))?;
         trainer.forget_metrics_after(trainer.progress.step)?;
         Ok(trainer)
     }

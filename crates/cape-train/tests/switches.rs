@@ -13,8 +13,7 @@ use cape_train::{
     objective::{StepInput, evaluate},
     optim::collect_gradients,
 };
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 /// A torus of 12 × 8 vertices.
 fn torus() -> Surface {

@@ -1,74 +1,61 @@
 use std::path::PathBuf;
 
-use cape_core::{BodyPose, Outfit, obj, parse_device, ply};
+use cape_core::{BodyPose, Outfit, obj, ply};
 use cape_infer::{AnimatedBody, BodySpec, Run, batches, write_json};
 use cape_render::{Bounds, Camera, Image, Object, Projection, Style, View, render, save_animation};
 use cape_synth::poses::motion_poses;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, concatenate, s};
 use serde::Serialize;
 
 use crate::{
-    arguments::{GlobalArgs, outfit},
     console::Console,
     dressed_mesh::{DressedMesh, DressedRenderer},
     error::{Error, Result},
     files,
     latent_sampler::LatentSampler,
+    options::{FileKind, GlobalArgs, OutfitArgs, OutputArgs, RunArgs, ShapeArgs, kinds, positive},
     priors::PriorArgs,
 };
 
-/// Move a dressed body through a movement, the code being fixed.
+/// Animate a dressed body by a motion with a fixed latent code.
 ///
-/// As one animated glTF file, as meshes frame by frame, or as pictures and an animated PNG.
+/// Writes pictures and an animated PNG, a mesh per frame, or one animated glTF file, and animation.json
+/// with measures of smoothness.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  cape animate run --motion squats --format png --out squats\n  \
-                        cape animate run --motion amass.npz --outfit shortlong --format glb --out walk"
+    after_help = "Examples:\n  cape animate runs/cape --motion squats --format png --out squats\n  cape \
+                  animate runs/cape --motion amass.npz --outfit shortlong --format glb --out walking"
 )]
 pub(crate) struct AnimateArgs {
-    /// A training run.
-    #[arg(value_name = "RUN")]
-    run: PathBuf,
-    /// Directory to write; it must be empty or missing.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// A movement (walk, squats, punching, …), or a file of poses: .npz with `poses`, as AMASS has
-    /// them, .npy or .csv.
+    #[command(flatten)]
+    run: RunArgs,
+    #[command(flatten)]
+    output: OutputArgs,
+    /// Synthetic motion (walk, squats, …) or file of poses, .npz (AMASS), .npy or .csv.
     #[arg(long, default_value = "walk", value_name = "MOTION")]
     motion: String,
-    /// Length of a movement, seconds; files are taken whole.
-    #[arg(long, default_value_t = 2.0, value_name = "S")]
+    /// Duration of a synthetic motion in seconds.
+    #[arg(long, default_value_t = 2.0, value_name = "S", value_parser = positive)]
     seconds: f64,
-    /// Frames a second.
+    /// Frames per second.
     #[arg(long, default_value_t = 15, value_name = "FPS", value_parser = clap::value_parser!(u16).range(1..=240))]
     fps: u16,
-    /// What is worn.
-    #[arg(long, default_value = "longlong", value_name = "OUTFIT", value_parser = outfit)]
-    outfit: Outfit,
-    /// Shape coefficients of the body; missing ones are zero.
-    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "B,B,…")]
-    betas: Vec<f32>,
-    /// The clothes' code: mean, seed:N, frame:K of the run's held-out data, FILE.npy:ROW or
-    /// samples.jsonl:ROW; by default one is drawn.
+    #[command(flatten)]
+    outfit: OutfitArgs,
+    #[command(flatten)]
+    shape: ShapeArgs,
+    /// Latent code: mean, seed:N, frame:K, FILE.npy:ROW or samples.jsonl:ROW [default: sampled].
     #[arg(long, value_name = "CODE")]
     code: Option<String>,
     #[command(flatten)]
     drawn: PriorArgs,
-    /// What is written: pictures with an animated PNG, meshes, or one glTF file.
-    #[arg(long, value_enum, default_value_t = Format::Png)]
-    format: Format,
-    /// Side of the pictures, pixels.
+    /// File format: png writes pictures and an animation, glb one animated file.
+    #[arg(long, default_value = "png", value_name = "FORMAT", value_parser = kinds([FileKind::Png, FileKind::Glb, FileKind::Obj, FileKind::Ply]))]
+    format: FileKind,
+    /// Side of the pictures in pixels.
     #[arg(long, default_value_t = 512, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=4096))]
     size: u32,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Format {
-    Png,
-    Glb,
-    Obj,
-    Ply,
 }
 
 #[derive(Debug, Serialize)]
@@ -78,52 +65,41 @@ struct Report {
     outfit: Outfit,
     code: Vec<f32>,
     seed: u64,
-    /// Mean speed of clothing vertices in canonical space, millimetres a second.
+    /// Mean speed of clothing vertices in canonical space, millimetres per second.
     speed: f64,
-    /// Mean acceleration of them, metres a second squared: what flickers is large.
+    /// Mean acceleration of them, metres per second squared; large if clothing flickers.
     acceleration: f64,
 }
 
 impl AnimateArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
-        let device = parse_device(&global.device)?;
-        if !(self.seconds.is_finite() && self.seconds > 0.0) {
-            return Err(Error::message(format!(
-                "--seconds {}: expected more than 0",
-                self.seconds
-            )));
-        }
         let poses = motion_poses(&self.motion, self.seconds, f64::from(self.fps))?;
-        files::require_empty(&self.out)?;
-        let run = Run::open(&self.run, &device)?;
-        if self.betas.len() > run.body().betas() || self.betas.iter().any(|b| !b.is_finite()) {
-            let most = run.body().betas();
-            return Err(Error::message(format!("--betas: expected at most {most} finite numbers")));
-        }
-        let seed = global.seed.unwrap_or(1);
+        self.output.require_empty()?;
+        let run = self.run.open(global)?;
+        let betas = self.shape.betas(run.body())?;
+        let (seed, outfit) = (global.seed(), self.outfit.outfit);
         let code = match &self.code {
             Some(name) => {
-                let draw =
-                    LatentSampler { run: &run, drawn: self.drawn, outfit: self.outfit, console };
+                let draw = LatentSampler { run: &run, drawn: self.drawn, outfit, console };
                 Array1::from(draw.code(name)?).insert_axis(Axis(0))
             }
-            None => self.drawn.codes(&run, &[self.outfit], 1, seed, console)?,
+            None => self.drawn.codes(&run, &[outfit], 1, seed, console)?,
         };
-        files::create_dir(&self.out)?;
-        let displacement = self.frames(&run, &code, &poses, console)?;
+        files::create_dir(&self.output.out)?;
+        let displacement = self.frames(&run, &code, &betas, &poses, console)?;
         match self.format {
-            Format::Glb => self.write_glb(&run, &code, &poses)?,
-            _ => self.write_frames(&run, &poses, &displacement, console)?,
+            FileKind::Glb => self.write_glb(&run, &code, &betas, &poses)?,
+            _ => self.write_frames(&run, &betas, &poses, &displacement, console)?,
         }
         let [speed, acceleration] = smoothness(&displacement, run.clothing(), f64::from(self.fps));
         let report = Report {
             frames: poses.len(),
-            outfit: self.outfit,
+            outfit,
             code: code.row(0).to_vec(),
             seed,
             speed,
             acceleration,
-            out: self.out,
+            out: self.output.out,
         };
         write_json(&report.out.join("animation.json"), &report)?;
         console.result(&report, || report.text())
@@ -134,6 +110,7 @@ impl AnimateArgs {
         &self,
         run: &Run,
         code: &Array2<f32>,
+        betas: &[f32],
         poses: &[BodyPose],
         console: Console,
     ) -> Result<Array3<f32>> {
@@ -141,7 +118,7 @@ impl AnimateArgs {
         console.while_showing("decode", "frames", |progress| {
             for rows in batches(poses.len()) {
                 let done = rows.end;
-                let bodies = self.body_specs(&poses[rows]);
+                let bodies = self.body_specs(betas, &poses[rows]);
                 let codes = code.select(Axis(0), &vec![0; bodies.len()]);
                 parts.push(run.decode_displacements(&codes, &bodies)?);
                 progress(done, poses.len());
@@ -152,32 +129,39 @@ impl AnimateArgs {
         concatenate(Axis(0), &views).map_err(|error| Error::message(error.to_string()))
     }
 
-    fn write_glb(&self, run: &Run, code: &Array2<f32>, poses: &[BodyPose]) -> Result {
-        let first = self.body_specs(&poses[..1]);
+    fn write_glb(
+        &self,
+        run: &Run,
+        code: &Array2<f32>,
+        betas: &[f32],
+        poses: &[BodyPose],
+    ) -> Result {
+        let first = self.body_specs(betas, &poses[..1]);
         let dressed = DressedRenderer::new(run)
             .pose_clothed(&run.decode_displacements(code, &first)?, &first)?;
         let performance = AnimatedBody {
             name: "animation",
             code: code.clone(),
-            betas: &self.betas,
-            outfit: self.outfit,
+            betas,
+            outfit: self.outfit.outfit,
             poses: poses.to_vec(),
             frames_per_second: f32::from(self.fps),
             shape_targets: 0,
             colours: dressed.first().map(|dressed| &dressed.colours[..]),
             texture: None,
         };
-        Ok(performance.save(run, self.out.join("animation.glb"))?)
+        Ok(performance.save(run, self.output.out.join("animation.glb"))?)
     }
 
-    fn body_specs(&self, poses: &[BodyPose]) -> Vec<BodySpec> {
-        let outfit = self.outfit;
-        poses.iter().map(|&pose| BodySpec { betas: self.betas.clone(), pose, outfit }).collect()
+    fn body_specs(&self, betas: &[f32], poses: &[BodyPose]) -> Vec<BodySpec> {
+        let outfit = self.outfit.outfit;
+        poses.iter().map(|&pose| BodySpec { betas: betas.to_vec(), pose, outfit }).collect()
     }
 
     fn write_frames(
         &self,
         run: &Run,
+        betas: &[f32],
         poses: &[BodyPose],
         displacement: &Array3<f32>,
         console: Console,
@@ -189,16 +173,17 @@ impl AnimateArgs {
             for rows in batches(poses.len()) {
                 let first = rows.start;
                 let worn = displacement.slice(s![rows.clone(), .., ..]).to_owned();
-                let bodies = painter.pose_clothed(&worn, &self.body_specs(&poses[rows]))?;
+                let bodies = painter.pose_clothed(&worn, &self.body_specs(betas, &poses[rows]))?;
                 if camera.is_none() {
                     camera = view_of(&bodies);
                 }
                 for (offset, body) in bodies.iter().enumerate() {
                     let name = format!("frame-{:05}", first + offset);
-                    let path = |extension: &str| self.out.join(format!("{name}.{extension}"));
+                    let path =
+                        |extension: &str| self.output.out.join(format!("{name}.{extension}"));
                     match (self.format, &camera) {
-                        (Format::Obj, _) => obj::write(path("obj"), &body.mesh, None)?,
-                        (Format::Ply, _) => {
+                        (FileKind::Obj, _) => obj::write(path("obj"), &body.mesh, None)?,
+                        (FileKind::Ply, _) => {
                             ply::write(path("ply"), &body.mesh, Some(&body.colours_8_bit()))?;
                         }
                         (_, Some(camera)) => {
@@ -214,7 +199,7 @@ impl AnimateArgs {
             Ok::<_, Error>(())
         })?;
         if !pictures.is_empty() {
-            save_animation(self.out.join("animation.png"), &pictures, self.fps)?;
+            save_animation(self.output.out.join("animation.png"), &pictures, self.fps)?;
         }
         Ok(())
     }
@@ -225,7 +210,7 @@ impl AnimateArgs {
     }
 }
 
-/// One camera for all frames: around the first ones, with room to move.
+/// Camera for all frames, around the first ones with a margin for the motion.
 fn view_of(bodies: &[DressedMesh]) -> Option<Camera> {
     let bounds = Bounds::from_meshes(bodies.iter().map(|body| &body.mesh))?;
     Some(Camera::framing(&bounds, View::ThreeQuarter, Projection::Perspective(0.42), 1.0))
@@ -255,7 +240,7 @@ fn smoothness(displacement: &Array3<f32>, clothing: &[usize], rate: f64) -> [f64
 impl Report {
     fn text(&self) -> String {
         format!(
-            "{} frames of {} in {}\nclothes move over the body by {:.0} mm/s, changing by {:.2} m/s²",
+            "{} frames of {} in {}\ncanonical clothing: mean speed {:.0} mm/s, mean acceleration {:.2} m/s²",
             self.frames,
             self.outfit,
             self.out.display(),

@@ -1,33 +1,17 @@
-//! One module for each command.
+//! One module for each command, by group.
 
 pub(crate) mod animate;
-pub(crate) mod bench;
-pub(crate) mod compare;
+pub(crate) mod data;
 pub(crate) mod demo;
-pub(crate) mod encode;
 pub(crate) mod eval;
-pub(crate) mod eval_samples;
-pub(crate) mod export;
 pub(crate) mod fit;
-pub(crate) mod fit_benchmark;
-pub(crate) mod fit_pose_prior;
-pub(crate) mod fit_prior;
-pub(crate) mod fit_scan;
-pub(crate) mod generate;
-pub(crate) mod import;
 pub(crate) mod info;
-pub(crate) mod inspect;
 pub(crate) mod layer;
-pub(crate) mod pack;
-pub(crate) mod pose_effect;
-pub(crate) mod pyramid;
+pub(crate) mod model;
 pub(crate) mod redress;
 pub(crate) mod sample;
-pub(crate) mod scan_benchmark;
-pub(crate) mod synth;
 pub(crate) mod table2;
 pub(crate) mod train;
-pub(crate) mod unpose;
 pub(crate) mod vary;
 #[cfg(feature = "view")]
 pub(crate) mod view;

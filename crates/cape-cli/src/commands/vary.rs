@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
-use cape_core::{Outfit, parse_device, ply};
-use cape_infer::{BodySpec, Run, directions_by_effect, interpolate_codes, walk_codes};
+use cape_core::{Outfit, ply};
+use cape_infer::{BodySpec, directions_by_effect, interpolate_codes, walk_codes};
 use cape_render::{
     Bounds, Camera, Object, Projection, Style, Tile, View, contact_sheet, render, save_animation,
 };
@@ -11,86 +11,75 @@ use ndarray::Array2;
 use serde::Serialize;
 
 use crate::{
-    arguments::{GlobalArgs, at_least_one, outfit},
     console::Console,
     dressed_mesh::{DressedMesh, dress},
     error::{Error, Result},
     files,
     latent_sampler::LatentSampler,
+    options::{GlobalArgs, OutfitArgs, OutputArgs, RunArgs, ShapeArgs, at_least_one},
     priors::PriorArgs,
 };
 
-/// Change one of code, pose, outfit and shape, the rest being fixed (the paper's figures 1, 5 and 6).
+/// Vary code, pose, outfit or shape while the rest is fixed (figures 1, 5 and 6 of the paper).
 ///
-/// Or go from one code to another, walk among codes, follow the directions with the largest effect,
-/// or add and subtract codes. Writes a picture, coloured meshes and variations.jsonl.
+/// --by selects the factor: code; pose, along a motion; outfit; shape, the first coefficient from -2 to
+/// 2; direction, the latent dimensions of largest effect from -2 to 2; between, from one code to another;
+/// walk, a closed path through codes as an animation; sum, sums of codes. Writes a picture, coloured
+/// meshes and variations.jsonl.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  cape vary run --by outfit --rows 3 --out outfits\n  \
-                        cape vary run --by between --codes seed:1,frame:20 --out between\n  \
-                        cape vary run --by sum --sum \"frame:3 - frame:10 + seed:1\" --out sum")]
+#[command(after_help = "Examples:\n  cape vary runs/cape --by outfit --rows 3 --out outfits\n  \
+                        cape vary runs/cape --by between --codes seed:1,frame:20 --out between\n  \
+                        cape vary runs/cape --by sum --sum \"frame:3 - frame:10 + seed:1\" --out sum")]
 pub(crate) struct VaryArgs {
-    /// A training run.
-    #[arg(value_name = "RUN")]
-    run: PathBuf,
-    /// Directory to write; it must be empty or missing.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// What changes from left to right.
-    #[arg(long, value_enum, default_value_t = VariationKind::Code)]
+    #[command(flatten)]
+    run: RunArgs,
+    #[command(flatten)]
+    output: OutputArgs,
+    /// Factor that varies from left to right.
+    #[arg(long, value_enum, default_value_t = VariationKind::Code, value_name = "FACTOR")]
     by: VariationKind,
-    /// Bodies in a row, or frames of a walk.
+    /// Bodies per row, or frames of a walk.
     #[arg(long, default_value_t = 6, value_name = "N", value_parser = at_least_one)]
     columns: usize,
-    /// Rows, each with a code of its own; with `--by direction`, directions.
+    /// Number of rows, each of another code, or with --by direction of another direction.
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = at_least_one)]
     rows: usize,
-    /// Codes that rows use, or to go between or walk among: mean, seed:N, frame:K of the run's
-    /// held-out data, FILE.npy:ROW or samples.jsonl:ROW. Drawn where none is given.
+    /// Latent codes: mean, seed:N, frame:K, FILE.npy:ROW or samples.jsonl:ROW [default: sampled].
     #[arg(long, value_delimiter = ',', value_name = "CODE,…")]
     codes: Vec<String>,
-    /// Codes to add and subtract, with `--by sum`.
+    /// Sum of codes for --by sum, such as "frame:3 - frame:10 + seed:1".
     #[arg(long, value_name = "SUM", required_if_eq("by", "sum"))]
     sum: Option<String>,
-    /// The pose, as for `cape sample`.
+    /// Pose: t-pose, a-pose, a motion, or the first pose of a file.
     #[arg(long, default_value = "a-pose", value_name = "POSE")]
     pose: String,
-    /// The movement whose moments are shown with `--by pose`.
+    /// Motion for --by pose.
     #[arg(long, default_value = "walk", value_name = "MOTION")]
     motion: String,
-    /// What is worn.
-    #[arg(long, default_value = "longlong", value_name = "OUTFIT", value_parser = outfit)]
-    outfit: Outfit,
-    /// Shape coefficients of the body; missing ones are zero.
-    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "B,B,…")]
-    betas: Vec<f32>,
+    #[command(flatten)]
+    outfit: OutfitArgs,
+    #[command(flatten)]
+    shape: ShapeArgs,
     #[command(flatten)]
     drawn: PriorArgs,
-    /// Write the picture only.
+    /// Write no meshes.
     #[arg(long)]
     no_meshes: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum VariationKind {
-    /// Codes.
     Code,
-    /// Moments of a movement.
     Pose,
-    /// The four outfits.
     Outfit,
-    /// The first shape coefficient, -2 to 2.
     Shape,
-    /// The directions of the code with the largest effect, -2 to 2.
     Direction,
-    /// From one code to another.
     Between,
-    /// Round through some codes, as an animation.
     Walk,
-    /// Terms, and their sum.
     Sum,
 }
 
-/// One body, and a line of variations.jsonl.
+/// A body, and its line of variations.jsonl.
 #[derive(Debug, Clone, Serialize)]
 struct VariationCell {
     label: String,
@@ -110,11 +99,11 @@ struct Report {
 
 impl VaryArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
-        let device = parse_device(&global.device)?;
-        files::require_empty(&self.out)?;
-        let run = Run::open(&self.run, &device)?;
-        let draw = LatentSampler { run: &run, drawn: self.drawn, outfit: self.outfit, console };
-        let (mut cells, columns) = self.cells(&draw, global.seed.unwrap_or(1))?;
+        self.output.require_empty()?;
+        let run = self.run.open(global)?;
+        let outfit = self.outfit.outfit;
+        let draw = LatentSampler { run: &run, drawn: self.drawn, outfit, console };
+        let (mut cells, columns) = self.cells(&draw, global.seed())?;
         if !self.no_meshes {
             for (index, cell) in cells.iter_mut().enumerate() {
                 cell.file = Some(format!("{index:03}.ply"));
@@ -124,12 +113,16 @@ impl VaryArgs {
         let codes = Array2::from_shape_vec((cells.len(), run.config().model.latent), codes)
             .map_err(|error| Error::message(error.to_string()))?;
         let wearers: Vec<BodySpec> = cells.iter().map(VariationCell::body_spec).collect();
-        files::create_dir(&self.out)?;
+        files::create_dir(&self.output.out)?;
         let mut bodies = Vec::with_capacity(cells.len());
         console.while_showing("dress", "bodies", |progress| {
             dress(&run, &codes, &wearers, |index, body| {
                 if let Some(file) = &cells[index].file {
-                    ply::write(self.out.join(file), &body.mesh, Some(&body.colours_8_bit()))?;
+                    ply::write(
+                        self.output.out.join(file),
+                        &body.mesh,
+                        Some(&body.colours_8_bit()),
+                    )?;
                 }
                 bodies.push(body);
                 progress(index + 1, cells.len());
@@ -137,21 +130,21 @@ impl VaryArgs {
             })
         })?;
         let picture = self.picture(&bodies, &cells, columns, console)?;
-        files::write_json_lines(&self.out.join("variations.jsonl"), &cells)?;
-        let report = Report { bodies: cells.len(), picture, out: self.out };
+        files::write_json_lines(&self.output.out.join("variations.jsonl"), &cells)?;
+        let report = Report { bodies: cells.len(), picture, out: self.output.out };
         console
             .result(&report, || format!("{} bodies\n{}", report.bodies, report.picture.display()))
     }
 
-    /// All bodies, row by row, and how many are in a row.
+    /// All bodies, row by row, and the number of columns.
     fn cells(&self, draw: &LatentSampler, seed: u64) -> Result<(Vec<VariationCell>, usize)> {
         let all = poses(&self.pose)?;
         let pose = all.first().map_or([0.0; 72], |(_, pose)| *pose);
         let fixed = VariationCell {
             label: String::new(),
             file: None,
-            outfit: self.outfit,
-            betas: self.betas.clone(),
+            outfit: self.outfit.outfit,
+            betas: self.shape.betas(draw.run.body())?,
             pose: pose.to_vec(),
             code: Vec::new(),
         };
@@ -187,7 +180,7 @@ impl VaryArgs {
             VariationKind::Shape => {
                 for (_, code) in self.rows_of_codes(draw, self.rows, seed)? {
                     cells.extend(spread(columns).map(|beta| {
-                        let mut betas = self.betas.clone();
+                        let mut betas = fixed.betas.clone();
                         betas.resize(betas.len().max(1), 0.0);
                         betas[0] = beta;
                         let label = format!("beta {beta:+.1}");
@@ -246,7 +239,7 @@ impl VaryArgs {
         Ok((cells, columns))
     }
 
-    /// As many codes, with labels: those given, or else drawn ones.
+    /// `n` codes with labels: those of `--codes`, or sampled ones.
     fn rows_of_codes(
         &self,
         draw: &LatentSampler,
@@ -261,7 +254,7 @@ impl VaryArgs {
         }
         if self.codes.len() != n {
             return Err(Error::message(format!(
-                "--codes: {} given, but {n} needed",
+                "--codes: {} codes given, but {n} needed",
                 self.codes.len()
             )));
         }
@@ -291,20 +284,20 @@ impl VaryArgs {
             Ok::<_, Error>(())
         })?;
         if self.by == VariationKind::Walk {
-            let path = self.out.join("walk.png");
+            let path = self.output.out.join("walk.png");
             save_animation(&path, &pictures, 15)?;
             return Ok(path);
         }
         let labels = cells.iter().map(|cell| cell.label.clone());
         let tiles: Vec<Tile> =
             pictures.into_iter().zip(labels).map(|(image, label)| Tile { image, label }).collect();
-        let path = self.out.join("variations.png");
+        let path = self.output.out.join("variations.png");
         contact_sheet(&tiles, columns, None)?.save(&path)?;
         Ok(path)
     }
 }
 
-/// `n` numbers from -2 to 2.
+/// `n` evenly spaced numbers from -2 to 2.
 fn spread(n: usize) -> impl Iterator<Item = f32> {
     (0..n).map(move |i| if n == 1 { 0.0 } else { -2.0 + 4.0 * i as f32 / (n - 1) as f32 })
 }

@@ -2,7 +2,7 @@ use cape_train::TrainEvent;
 
 use crate::error::{Error, Result};
 
-/// A dashboard that was not built: there is never one.
+/// Dashboard of a build without the feature `tui`; there is none.
 #[derive(Debug)]
 pub(crate) enum Dashboard {}
 
@@ -25,9 +25,7 @@ impl Dashboard {
 }
 
 fn absent() -> Error {
-    Error::message(
-        "this cape was built without its dashboard; build it with `--features tui` for --tui",
-    )
+    Error::message("--tui: this build has no dashboard: build cape with `--features tui`")
 }
 
 pub(crate) const fn ask_to_stop() -> bool {

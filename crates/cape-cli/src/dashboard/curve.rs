@@ -9,7 +9,7 @@ pub(super) struct Curve {
     /// Values in a point.
     stride: usize,
     full: Vec<(f64, f64)>,
-    /// Of the point that is not full yet: sums of both coordinates and their count.
+    /// Sums of both coordinates of the point that is not full yet, and their count.
     open: (f64, f64, usize),
     smoother: Smoother,
 }

@@ -87,7 +87,7 @@ fn draw_progress(frame: &mut Frame, area: Rect, state: &DashboardState) {
     }
 }
 
-/// What is known now, as names and values.
+/// Current values by name.
 fn numbers(state: &DashboardState) -> Vec<(&'static str, String)> {
     let mut numbers = Vec::new();
     if let Some(now) = &state.now {
@@ -104,7 +104,7 @@ fn numbers(state: &DashboardState) -> Vec<(&'static str, String)> {
                 ("discriminator", short(losses.gan_discriminator)),
             ]);
             if let Some(accuracy) = state.curves.accuracy.last() {
-                numbers.push(("judged rightly", format!("{:.0} %", 100.0 * accuracy)));
+                numbers.push(("discriminator accuracy", format!("{:.0} %", 100.0 * accuracy)));
             }
         }
     }
@@ -223,7 +223,7 @@ fn draw_panel(frame: &mut Frame, area: Rect, panel: &Panel, logarithmic: bool) {
     let (Some((start, end)), Some((low, high))) =
         (range(all().map(|(x, _)| x)), range(all().map(|(_, y)| y)))
     else {
-        frame.render_widget(Paragraph::new("nothing yet").style(FAINT).block(block), area);
+        frame.render_widget(Paragraph::new("no data yet").style(FAINT).block(block), area);
         return;
     };
     let datasets = points.iter().zip(colours).map(|(points, colour)| {
@@ -294,7 +294,7 @@ mod tests {
     use super::*;
     use crate::dashboard::state::tests::busy;
 
-    /// What is on a terminal of this size, a string a line.
+    /// Content of a terminal of this size, a string per line.
     fn screen(state: &DashboardState, width: u16, height: u16) -> Vec<String> {
         let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
         terminal.draw(|frame| draw(frame, state)).unwrap();
@@ -322,7 +322,7 @@ mod tests {
             "reconstruction 0.208   edge 0.0525   KL 42.00   regularisation 0   generator 0.839   \
              discriminator 1.231"
                 .to_owned(),
-            "judged rightly 61 %   validation 10.00 mm   best 10.00 mm (epoch 2)   active units 7   \
+            "discriminator accuracy 61 %   validation 10.00 mm   best 10.00 mm (epoch 2)   active units 7   \
              rate 0.00480   step 500 ms"
                 .to_owned(),
             "memory 920 MB (at most 920)".to_owned(),
@@ -359,7 +359,7 @@ mod tests {
             [
                 "reconstruction 0.208   edge 0.0525   KL 42.00",
                 "regularisation 0   generator 0.839   discriminator 1.231",
-                "judged rightly 61 %   validation 10.00 mm",
+                "discriminator accuracy 61 %   validation 10.00 mm",
                 "best 10.00 mm (epoch 2)   active units 7   rate 0.00480",
                 "step 500 ms   memory 920 MB (at most 920)",
             ],

@@ -33,9 +33,9 @@ const FRAME: Duration = Duration::from_millis(100);
 const IDLE: Duration = Duration::from_secs(1);
 
 // A process has one terminal, which a panic or a signal has to find.
-/// Whether the terminal is the dashboard's.
+/// True while the dashboard has the terminal.
 static SHOWN: AtomicBool = AtomicBool::new(false);
-/// Whether the user asked to stop.
+/// True if the user asked to stop.
 static STOP: AtomicBool = AtomicBool::new(false);
 /// Held while a picture is written.
 static DRAWING: Mutex<()> = Mutex::new(());
@@ -49,33 +49,33 @@ pub(crate) struct Dashboard {
 }
 
 impl Dashboard {
-    /// Whether there can be a dashboard here, before anything else is done.
+    /// Returns an error if there can be no dashboard.
     pub(crate) fn check() -> Result {
         if io::stderr().is_terminal() {
             return Ok(());
         }
-        Err(Error::message("--tui needs a terminal, and standard error is none"))
+        Err(Error::message("--tui requires standard error to be a terminal"))
     }
 
     /// Takes over the terminal at standard error; standard output is left to the result.
     pub(crate) fn start(title: &str, epochs: usize) -> Result<Self> {
         Self::check()?;
         let terminal = enter_screen()
-            .map_err(|error| Error::message(format!("--tui: the terminal says: {error}")))?;
+            .map_err(|error| Error::message(format!("--tui: terminal error: {error}")))?;
         let state = Arc::new(Mutex::new(DashboardState::new(title, epochs)));
         let (start, seen) = (Instant::now(), state.clone());
         let thread = thread::spawn(move || show(terminal, &seen, start));
         Ok(Self { state, start, thread: Some(thread) })
     }
 
-    /// Takes note of what training reports.
+    /// Records an event of training.
     pub(crate) fn on_event(&mut self, event: &TrainEvent) {
         let mut state = locked(&self.state);
         state.elapsed = self.start.elapsed();
         state.on_event(event);
     }
 
-    /// Whether the user asked to stop after this step.
+    /// True if the user asked to stop after this step.
     #[allow(clippy::unused_self, reason = "only who has the dashboard may ask it")]
     pub(crate) fn asked_to_stop(&mut self) -> bool {
         STOP.load(Ordering::SeqCst)
@@ -188,7 +188,7 @@ fn show(mut screen: Screen, state: &Mutex<DashboardState>, start: Instant) {
     }
 }
 
-/// What a key does.
+/// Handles a key.
 fn press(key: KeyEvent, state: &mut DashboardState) {
     match key.code {
         KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => {

@@ -1,4 +1,4 @@
-//! What the dashboard knows.
+//! State of the dashboard.
 
 use std::{path::PathBuf, time::Duration};
 
@@ -16,9 +16,9 @@ pub(super) struct DashboardState {
     pub(super) epochs: usize,
     /// Since the dashboard was started.
     pub(super) elapsed: Duration,
-    /// Whether losses are drawn on a logarithmic scale.
+    /// True if losses are drawn on a logarithmic scale.
     pub(super) logarithmic: bool,
-    /// Whether training stops after its current step.
+    /// True if training stops after the current step.
     pub(super) stopping: bool,
     pub(super) now: Option<CurrentStep>,
     pub(super) validation: Option<ValidationState>,
@@ -26,7 +26,7 @@ pub(super) struct DashboardState {
     /// Resident, megabytes: now and at most.
     pub(super) memory: Option<(f64, f64)>,
     pub(super) curves: Curves,
-    /// Whether there is a discriminator, as far as losses show it.
+    /// True if a discriminator shows in the losses.
     pub(super) adversarial: bool,
     /// Steps done and time at the first step seen.
     first: Option<(u64, Duration)>,

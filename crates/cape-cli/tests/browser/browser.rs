@@ -14,7 +14,7 @@ use serde::Deserialize;
 
 const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
 const PATIENCE: Duration = Duration::from_mins(1);
-/// What the harness says on the console, to show that the console is listened to.
+/// Message of the harness on the console, which shows that the console is listened to.
 const GREETING: &str = "cape: the page was measured";
 
 /// Measures the page once it and all images are loaded. The page is in a frame, whose width can be
@@ -49,7 +49,7 @@ addEventListener("load", () => {
 });
 "#;
 
-/// Which colours the reader prefers.
+/// Preferred colour scheme.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Scheme {
     Dark,
@@ -70,7 +70,7 @@ pub(crate) struct Shot {
     pub(crate) page: Page,
 }
 
-/// What was measured inside.
+/// Measurements in the page.
 #[derive(Debug, Deserialize)]
 pub(crate) struct Page {
     pub(crate) title: String,

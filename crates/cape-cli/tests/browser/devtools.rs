@@ -90,7 +90,7 @@ impl Live {
         live
     }
 
-    /// Where downloads arrive.
+    /// Directory of downloads.
     pub(crate) fn downloads(&self) -> std::path::PathBuf {
         self.place.path().join("downloads")
     }
@@ -104,7 +104,7 @@ impl Live {
         answer["result"]["value"].take()
     }
 
-    /// What is to be seen.
+    /// Screenshot of the page.
     pub(crate) fn screenshot(&mut self) -> Image {
         let answer = self.ask("Page.captureScreenshot", &json!({"format": "png"}));
         let bytes = STANDARD.decode(answer["data"].as_str().unwrap()).unwrap();

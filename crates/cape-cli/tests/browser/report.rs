@@ -37,7 +37,7 @@ fn shown(name: &str, view: View) -> Option<Shot> {
     Some(shot)
 }
 
-/// What must hold in every view.
+/// Checks that hold in every view.
 fn check(shot: &Shot, view: View) {
     assert_eq!((shot.image.width(), shot.image.height()), (view.width, view.height));
     assert_eq!(shot.page.console_errors, [""; 0]);
@@ -127,7 +127,7 @@ fn pixels(image: &Image, rect: Rect) -> impl Iterator<Item = [u8; 4]> {
         .filter_map(|(x, y)| image.get(x, y))
 }
 
-/// How many different colours there are inside `rect`.
+/// Number of different colours inside `rect`.
 fn colours(image: &Image, rect: Rect) -> usize {
     pixels(image, rect).collect::<std::collections::HashSet<_>>().len()
 }

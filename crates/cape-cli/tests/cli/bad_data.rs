@@ -96,15 +96,15 @@ fn raw_frames_that_cannot_be_used_are_left_out_or_refused() {
         file.add("pose", &ndarray::Array1::<f64>::zeros(72)).unwrap();
         file.finish().unwrap();
 
-        let report = data.run("pack @/raw --out @/again --json").json();
+        let report = data.run("data pack @/raw --out @/again --json").json();
         let reason = report["broken"][0]["reason"].as_str().unwrap();
         assert!(reason.contains("vertex 7") && reason.contains("not finite"), "{reason}");
-        data.run("pack @/raw --out @/strict --strict")
+        data.run("data pack @/raw --out @/strict --strict")
             .failed_saying(&["longlong_walk.000004.npz", "vertex 7"]);
         assert!(!data.at("strict").exists());
 
         truncate(&frame);
-        let report = data.run("pack @/raw --out @/third --json").json();
+        let report = data.run("data pack @/raw --out @/third --json").json();
         assert_eq!(report["broken"].as_array().unwrap().len(), 1);
     }
 }
@@ -113,7 +113,7 @@ fn raw_frames_that_cannot_be_used_are_left_out_or_refused() {
 fn a_truncated_minimal_shape() {
     let data = Packed::new();
     truncate(&data.at("raw/minimal_body_shape/ann/ann_minimal.npy"));
-    data.run("pack @/raw --out @/again").failed_saying(&["ann_minimal.npy"]);
+    data.run("data pack @/raw --out @/again").failed_saying(&["ann_minimal.npy"]);
 }
 
 #[test]
@@ -123,7 +123,7 @@ fn empty_data() {
     raw.push("sequences/ann");
     fs::remove_dir_all(&raw).unwrap();
     fs::create_dir(&raw).unwrap();
-    data.run("pack @/raw --out @/again").failed_saying(&["raw"]);
+    data.run("data pack @/raw --out @/again").failed_saying(&["raw"]);
     assert!(!data.at("again").exists());
 
     write_npy(data.at("packed/train/train_disp.npy"), &Array3::<f64>::zeros((0, VERTICES, 3)))
@@ -131,8 +131,8 @@ fn empty_data() {
     train(&data).failed_saying(&["train_disp.npy", "no frames"]);
 
     fs::create_dir(data.at("nothing")).unwrap();
-    data.run("pack @/nothing --out @/again").failed_saying(&["no split.toml", "--preset"]);
-    data.run("info @/nothing").failed_saying(&["not a directory that cape knows"]);
+    data.run("data pack @/nothing --out @/again").failed_saying(&["no split.toml", "--preset"]);
+    data.run("info @/nothing").failed_saying(&["unknown kind of directory"]);
 }
 
 #[test]
@@ -140,7 +140,7 @@ fn sequences_too_short_to_cut() {
     let root = tempfile::tempdir().unwrap();
     let raw = root.path().join("raw");
     write_raw(&raw, 4);
-    let words = ["pack", raw.to_str().unwrap(), "--out", "unused"];
+    let words = ["data", "pack", raw.to_str().unwrap(), "--out", "unused"];
     crate::support::run(words).failed_saying(&["raw"]);
 }
 
@@ -155,7 +155,7 @@ fn one_frame_is_enough_to_train_on() {
     fs::remove_file(data.at("packed/train/train_frames.csv")).unwrap();
     fs::remove_file(data.at("packed/stats.npz")).unwrap();
     train(&data).succeeded();
-    data.run("eval @/run --data @/packed").succeeded();
+    data.run("eval run @/run --data @/packed").succeeded();
 }
 
 #[test]
@@ -206,7 +206,7 @@ fn meshes_that_cannot_be_simplified() {
     ] {
         fs::write(&path, &text).unwrap();
         let out = root.path().join("out");
-        let words = ["pyramid", path.to_str().unwrap(), "--out", out.to_str().unwrap()];
+        let words = ["model", "pyramid", path.to_str().unwrap(), "--out", out.to_str().unwrap()];
         let ran = crate::support::run(words);
         let said = if ran.err.contains("mesh: ") {
             said.replace("mesh.obj", "mesh: ")

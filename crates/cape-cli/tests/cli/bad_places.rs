@@ -9,9 +9,9 @@ fn output_below_a_file() {
     let data = Packed::new();
     fs::write(data.at("file"), "").unwrap();
     for line in [
-        "synth --out @/file/raw --subjects 1 --frames-per-sequence 1",
-        "pack @/raw --out @/file/packed",
-        "pyramid @/packed/body.npz --factors 1.5 --out @/file/levels",
+        "data synth --out @/file/raw --subjects 1 --frames-per-sequence 1",
+        "data pack @/raw --out @/file/packed",
+        "model pyramid @/packed/body.npz --factors 1.5 --out @/file/levels",
         "train --data @/packed --out @/file/run --preset tiny",
     ] {
         data.run(line).failed_saying(&["file", "Not a directory"]);
@@ -27,13 +27,13 @@ fn output_below_a_file() {
 #[test]
 fn output_that_exists() {
     let data = Packed::new();
-    data.run("synth --out @/raw").failed_saying(&["raw exists already"]);
-    data.run("pack @/raw --out @/packed").failed_saying(&["packed exists already"]);
+    data.run("data synth --out @/raw").failed_saying(&["raw already exists"]);
+    data.run("data pack @/raw --out @/packed").failed_saying(&["packed already exists"]);
     data.run("train --data @/packed --out @/raw --preset tiny")
         .failed_saying(&["raw", "not empty"]);
-    data.run("demo --out @/raw --minutes 1").failed_saying(&["raw exists already"]);
+    data.run("demo --out @/raw --minutes 1").failed_saying(&["raw already exists"]);
     let line = format!("sample {}/run --out {}", trained().root().display(), data.root().display());
-    run_line(&line).failed_saying(&["exists already"]);
+    run_line(&line).failed_saying(&["already exists"]);
 }
 
 /// Runs a command line under a limit on the size of files, of which a full disk is a special case:
@@ -55,7 +55,7 @@ fn a_full_disk_leaves_no_half_checkpoint_and_keeps_the_last_good_one() {
     let line = "train --data @/packed --out @/run --preset tiny --epochs 2 --batch 8";
     with_small_files(&data, line).failed_saying(&[".safetensors", "File too large"]);
     assert_eq!(fs::read_dir(data.at("run/checkpoints")).unwrap().count(), 0);
-    data.run("eval @/run --data @/packed").failed_saying(&["no checkpoint yet"]);
+    data.run("eval run @/run --data @/packed").failed_saying(&["no checkpoint yet"]);
     data.run("train --out @/run --resume").failed_saying(&["no checkpoint to resume from"]);
 
     // The same again, with one good checkpoint to fall back on.
@@ -83,9 +83,9 @@ fn runs_of_another_configuration_are_not_resumed() {
     let run = trained().at("run");
     let line = |rest: &str| format!("train --out {} --resume {rest}", run.display());
     run_line(&line("--batch 8"))
-        .failed_saying(&["another configuration", "`train.batch` is 4 there, but 8 is asked for"]);
-    run_line(&line("--preset narrow")).failed_saying(&["another configuration", "`model."]);
-    run_line(&line("--seed 9")).failed_saying(&["`train.seed` is 1 there, but 9 is asked for"]);
+        .failed_saying(&["of another configuration", "`train.batch` is 4, but the options say 8"]);
+    run_line(&line("--preset narrow")).failed_saying(&["of another configuration", "`model."]);
+    run_line(&line("--seed 9")).failed_saying(&["`train.seed` is 1, but the options say 9"]);
     run_line(&line("--preset tiny --batch 4")).succeeded();
 }
 
@@ -111,7 +111,7 @@ fn runs_on_other_data_are_not_resumed_or_evaluated() {
 fn directories_that_are_no_runs() {
     let packed = trained().at("packed");
     let packed = packed.display();
-    run_line(&format!("eval {packed} --data {packed}")).failed_saying(&["config.toml"]);
+    run_line(&format!("eval run {packed} --data {packed}")).failed_saying(&["config.toml"]);
     run_line(&format!("sample {packed} --out unused")).failed_saying(&["config.toml"]);
     run_line(&format!("train --out {packed} --resume")).failed_saying(&["config.toml"]);
 }
@@ -133,7 +133,7 @@ fn a_run_with_other_weights() {
 #[test]
 fn devices() {
     let run = trained().at("run");
-    let line = |device: &str| format!("eval {} --data unused --device {device}", run.display());
+    let line = |device: &str| format!("eval run {} --data unused --device {device}", run.display());
     run_line(&line("tpu")).failed_saying(&["unknown device `tpu`", "expected flex"]);
     run_line(&line("flex:1")).failed_saying(&["flex takes no index"]);
     for name in ["ndarray", "wgpu", "cuda"] {

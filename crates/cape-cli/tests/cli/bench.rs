@@ -4,7 +4,7 @@ use crate::support::{run, run_line};
 
 #[test]
 fn a_benchmark_reports_positive_numbers() {
-    let report = run_line("bench --json --batch 1 --preset tiny --threads 1").json();
+    let report = run_line("eval speed --json --batch 1 --preset tiny --threads 1").json();
     let number = |key: &str| {
         let value = report[key].as_f64();
         value.unwrap_or_else(|| panic!("`{key}` is not a number: {report}"))
@@ -38,11 +38,11 @@ fn a_benchmark_reports_positive_numbers() {
 #[test]
 fn impossible_benchmarks_are_refused() {
     for (option, value) in [("--threads", "0"), ("--batch", "0"), ("--batch", "1000000")] {
-        let ran = run(["bench", option, value]);
+        let ran = run(["eval", "speed", option, value]);
         assert_eq!(ran.code, Some(2), "{}", ran.err);
         assert_eq!(ran.out, "");
         let said = format!("invalid value '{value}' for '{option} <N>': must be ");
         assert!(ran.err.contains(&said), "{}", ran.err);
     }
-    run_line("bench --device tpu").failed_saying(&["unknown device `tpu`"]);
+    run_line("eval speed --device tpu").failed_saying(&["unknown device `tpu`"]);
 }

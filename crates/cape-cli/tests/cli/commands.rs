@@ -1,4 +1,4 @@
-//! What each command says and writes when all is well, and how it takes its arguments.
+//! Output and files of each command on valid input, and the parsing of arguments.
 
 use std::fs;
 
@@ -13,15 +13,34 @@ use crate::support::{Packed, VERTICES, contents, pose_of, run, run_line, trained
 
 #[test]
 fn every_command_explains_itself() {
-    for command in [
-        "synth", "inspect", "unpose", "pack", "pyramid", "train", "eval", "table2", "compare",
-        "sample", "import", "export", "info", "bench", "demo",
-    ] {
-        let help = run([command, "--help"]).succeeded();
-        assert!(help.contains("Example") && help.contains(&format!("cape {command} ")), "{help}");
-        assert!(help.contains("--device") && help.contains("--json"), "{help}");
-    }
+    explains_itself(&cape_cli::command(), &[]);
     assert!(run(["--version"]).succeeded().contains(env!("CARGO_PKG_VERSION")));
+}
+
+/// Checks the help of a command and of all below it.
+fn explains_itself(command: &clap::Command, path: &[&str]) {
+    let help = |option: &str| run(path.iter().copied().chain([option])).succeeded();
+    let text = help("--help");
+    assert_eq!(text, help("-h"), "{path:?}");
+    let words = ["cape"].iter().chain(path).copied().collect::<Vec<_>>().join(" ");
+    assert!(text.contains("Example") && text.contains(&format!("{words} ")), "{text}");
+    assert!(text.contains("--device") && text.contains("--json"), "{text}");
+    for inner in command.get_subcommands() {
+        explains_itself(inner, &[path, &[inner.get_name()]].concat());
+    }
+}
+
+#[test]
+fn completions_and_man_pages_are_written() {
+    for shell in ["bash", "zsh", "fish"] {
+        assert!(run(["completions", shell]).succeeded().contains("table2"), "{shell}");
+    }
+    let root = tempfile::tempdir().unwrap();
+    run(["man", root.path().to_str().unwrap()]).succeeded();
+    for page in ["cape.1", "cape-data-synth.1", "cape-fit-benchmark-image.1"] {
+        let text = fs::read_to_string(root.path().join(page)).unwrap();
+        assert!(text.contains("SYNOPSIS"), "{page}");
+    }
 }
 
 #[test]
@@ -30,20 +49,24 @@ fn arguments_that_cannot_be_understood_exit_with_2() {
         "",
         "dance",
         "train --out run",
-        "pack raw",
-        "pack raw --out packed --preset male --split split.toml",
-        "pack raw --out packed --preset children",
+        "data pack raw",
+        "data pack raw --out packed --preset male --split split.toml",
+        "data pack raw --out packed --preset children",
         "train --data packed --out run --preset huge",
-        "eval run --data packed --posterior median",
-        "compare --data packed",
+        "eval run run --data packed --posterior median",
+        "eval compare --data packed",
         "sample run --out samples --outfit kilt",
         "sample run --out samples --n 0",
-        "pyramid mesh.obj --out levels --factors 2,two",
+        "sample run --out samples --fps 0",
+        "fit benchmark image run --out fits --dropped 2",
+        "fit benchmark scan run --out scans --holes -1",
+        "animate run --out moved --seconds nan",
+        "model pyramid mesh.obj --out levels --factors 2,two",
         "demo --minutes -1",
         "info . --threads 0",
-        "bench --threads 0",
-        "bench --batch 0",
-        "bench --preset huge",
+        "eval speed --threads 0",
+        "eval speed --batch 0",
+        "eval speed --preset huge",
     ] {
         let ran = run_line(line);
         assert_eq!(ran.code, Some(2), "{line}: {}", ran.err);
@@ -58,7 +81,8 @@ fn synthetic_captures_are_repeatable_and_pack() {
     let at = |name: &str| root.path().join(name).display().to_string();
     let synth = |name: &str, seed: &str| {
         let out = at(name);
-        let words = ["synth", "--out", &out, "--subjects", "1", "--frames-per-sequence", "5"];
+        let words =
+            ["data", "synth", "--out", &out, "--subjects", "1", "--frames-per-sequence", "5"];
         let report = run(words.into_iter().chain(["--seed", seed, "--json"])).json();
         assert_eq!(report["vertices"], 6890);
         assert_eq!(report["frames"].as_u64(), report["sequences"].as_u64().map(|n| 5 * n));
@@ -70,7 +94,7 @@ fn synthetic_captures_are_repeatable_and_pack() {
     assert!(one == contents(&root.path().join("two")));
     assert!(one != contents(&root.path().join("three")));
 
-    let report = run(["pack", &at("one"), "--out", &at("packed"), "--json"]).json();
+    let report = run(["data", "pack", &at("one"), "--out", &at("packed"), "--json"]).json();
     assert_eq!(report["broken"], Value::Array(Vec::new()));
     assert_eq!(report["missing"], Value::Array(Vec::new()));
     assert!(report["test_frames"].as_u64() > Some(0), "{report}");
@@ -83,7 +107,7 @@ fn a_pyramid_is_written_for_other_programs() {
     let data = trained();
     let out = data.root().join("levels");
     let report =
-        data.run("pyramid @/packed/body.npz --factors 1,1.5,2 --out @/levels --json").json();
+        data.run("model pyramid @/packed/body.npz --factors 1,1.5,2 --out @/levels --json").json();
     let levels = report["levels"].as_array().unwrap();
     let vertices: Vec<u64> = levels.iter().map(|l| l["vertices"].as_u64().unwrap()).collect();
     assert_eq!(vertices, [98, 98, 66, 33]);
@@ -95,7 +119,7 @@ fn a_pyramid_is_written_for_other_programs() {
     assert_eq!(up.i64("shape").unwrap().into_raw_vec_and_offset().0, [98, 66]);
     assert!(data.run("info @/levels").succeeded().contains("98 98 66 33"));
     assert!(
-        data.run("pyramid @/levels/level_1.obj --factors 2 --out @/more")
+        data.run("model pyramid @/levels/level_1.obj --factors 2 --out @/more")
             .succeeded()
             .contains("49")
     );
@@ -104,7 +128,7 @@ fn a_pyramid_is_written_for_other_programs() {
 #[test]
 fn evaluation_is_repeatable_and_kept() {
     let data = trained();
-    let mean = data.run("eval @/run --data @/packed --posterior mean --json").json();
+    let mean = data.run("eval run @/run --data @/packed --posterior mean --json").json();
     let text = fs::read_to_string(data.at("run/eval.json")).unwrap();
     assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), mean);
     assert_eq!(mean["frames"], 16);
@@ -115,12 +139,12 @@ fn evaluation_is_repeatable_and_kept() {
     assert!(mean["model"]["sequences"]["jump"]["median"].is_number());
 
     let sample = |seed: u64| {
-        data.run(&format!("eval @/run --data @/packed --batch 5 --seed {seed} --json")).json()
+        data.run(&format!("eval run @/run --data @/packed --batch 5 --seed {seed} --json")).json()
     };
     assert_eq!(sample(1), sample(1));
     assert_ne!(sample(1)["model"], sample(2)["model"]);
     assert_eq!(sample(1)["mean_shape"], sample(2)["mean_shape"]);
-    let table = data.run("eval @/run --data @/packed").succeeded();
+    let table = data.run("eval run @/run --data @/packed").succeeded();
     for word in ["all", "longlong", "jump", "mean shape", "±"] {
         assert!(table.contains(word), "{table}");
     }
@@ -182,7 +206,7 @@ fn bad_requests_for_samples() {
         ("--pose handstand", "unknown pose `handstand`"),
         ("--pose @/bad.npy", "expected [_, 72]"),
         ("--pose @/gone.npy", "gone.npy"),
-        ("--betas 1,2,3", "--betas: 3, but the body has 2"),
+        ("--betas 1,2,3", "--betas: 3 coefficients, but the body has 2"),
         ("--betas nan", "not a finite number"),
     ] {
         data.run(&format!("sample @/run --out @/bad-samples {rest}")).failed_saying(&[said]);
@@ -197,9 +221,9 @@ fn info_knows_what_things_are() {
     for (path, kind) in [
         ("raw", "raw captures"),
         ("packed", "packed set"),
-        ("run", "training run"),
-        ("run/config.toml", "settings of a training run"),
-        ("raw/split.toml", "split into training and test"),
+        ("run", "run"),
+        ("run/config.toml", "configuration of a run"),
+        ("raw/split.toml", "split into training and test sequences"),
         ("run/body.npz", "body in SMPL's layout"),
         ("run/stats.npz", "normalisation statistics"),
         ("raw/sequences/ann/longlong_walk/longlong_walk.000001.npz", "captured frame"),
@@ -211,10 +235,10 @@ fn info_knows_what_things_are() {
     let step = fs::read_dir(data.at("run/checkpoints")).unwrap().next().unwrap().unwrap().path();
     let weights = run(["info", step.join("model.safetensors").to_str().unwrap(), "--json"]).json();
     assert_eq!(weights["kind"], "weights");
-    assert_eq!(weights["tensors that are not finite"], 0);
+    assert_eq!(weights["tensors with non-finite values"], 0);
     data.run("info @/nowhere").failed_saying(&["nowhere", "No such file"]);
     fs::write(data.at("notes.txt"), "").unwrap();
-    data.run("info @/notes.txt").failed_saying(&["not a kind of file that cape knows"]);
+    data.run("info @/notes.txt").failed_saying(&["unknown kind of file"]);
 }
 
 #[test]
@@ -223,6 +247,6 @@ fn quiet_says_nothing_but_the_result() {
     let ran = data.run("train --data @/packed --out @/run --preset tiny --epochs 1 --quiet");
     assert_eq!(ran.err, "");
     assert!(ran.succeeded().contains("best validation"));
-    let ran = data.run("eval @/run --data @/packed --json");
+    let ran = data.run("eval run @/run --data @/packed --json");
     assert_eq!(ran.err, "");
 }

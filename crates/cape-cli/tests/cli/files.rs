@@ -27,7 +27,8 @@ fn released() -> (Packed, Vec<(String, HostArray)>) {
         "train --data @/packed --out @/run --preset tiny --epochs 1 --batch 4 --weighting release",
     )
     .succeeded();
-    data.run("export @/run --npz @/weights.npz --safetensors @/weights.safetensors").succeeded();
+    data.run("model export @/run --npz @/weights.npz --safetensors @/weights.safetensors")
+        .succeeded();
     let mut npz = Npz::open(data.at("weights.npz")).unwrap();
     let variables: Vec<(String, HostArray)> = npz
         .names()
@@ -42,7 +43,7 @@ fn released() -> (Packed, Vec<(String, HostArray)>) {
     (data, variables)
 }
 
-const IMPORT: &str = "import --tf-checkpoint @/tf --stats @/run/stats.npz --body @/run/body.npz \
+const IMPORT: &str = "model import --tf-checkpoint @/tf --stats @/run/stats.npz --body @/run/body.npz \
                       --clothing @/run/clothing_verts_idx.npy --factors 1,2,1,1";
 
 #[test]
@@ -65,7 +66,7 @@ fn an_official_checkpoint_becomes_the_same_run() {
     fs::write(data.at("cape.yaml"), "name: test\nnz: 6\nlr: 0.002\nlambda_gan: 0.2\n").unwrap();
 
     let ran = data.run(&format!("{IMPORT} --config @/cape.yaml --out @/imported --json"));
-    assert!(ran.err.contains("settings not used: name"), "{}", ran.err);
+    assert!(ran.err.contains("settings ignored: name"), "{}", ran.err);
     let report = ran.json();
     assert_eq!(report["step"], 4);
     assert_eq!(report["variables"], variables.len());
@@ -80,7 +81,7 @@ fn an_official_checkpoint_becomes_the_same_run() {
     assert!(config.contains("weighting = \"release\""), "{config}");
 
     // What comes out again is what went in.
-    data.run("export @/imported --npz @/again.npz").succeeded();
+    data.run("model export @/imported --npz @/again.npz").succeeded();
     assert_eq!(fs::read(data.at("again.npz")).unwrap(), fs::read(data.at("weights.npz")).unwrap());
     let velocities = data.at("imported/checkpoints/step-00000004/generator_momentum.safetensors");
     let velocity = &weights::load(&velocities).unwrap()["encoder.mean.weight"];
@@ -88,7 +89,7 @@ fn an_official_checkpoint_becomes_the_same_run() {
     assert!(velocity.values.iter().zip(&weight.values).all(|(v, w)| *v == 0.5 * w));
 
     // It evaluates, and trains on once it is told on what.
-    data.run("eval @/imported --data @/packed --map @/errors.ply").succeeded();
+    data.run("eval run @/imported --data @/packed --map @/errors.ply").succeeded();
     assert_eq!(Mesh::load(data.at("errors.ply")).unwrap().vertices.len(), VERTICES);
     data.run("train --out @/imported --resume").failed_saying(&["no record of its packed set"]);
     data.run("train --out @/imported --data @/packed --resume").succeeded();
@@ -113,7 +114,7 @@ fn checkpoints_that_do_not_fit_are_named() {
     let mut changed = variables.clone();
     changed
         .push(("generator/encoder/extra".into(), HostArray { shape: vec![1], values: vec![0.0] }));
-    import(&changed, &["generator/encoder/extra", "not a variable of this configuration"]);
+    import(&changed, &["generator/encoder/extra", "no such variable"]);
     let mut changed = without(name);
     changed.push((name.into(), HostArray { shape: vec![5], values: vec![0.0; 5] }));
     import(&changed, &[name, "log_variance.bias", "[5]"]);
@@ -225,12 +226,12 @@ fn pickled_bodies_are_taken_wherever_a_body_is() {
 #[test]
 fn data_are_inspected() {
     let data = trained();
-    let said = data.run("inspect @/raw").succeeded();
+    let said = data.run("data inspect @/raw").succeeded();
     assert!(said.starts_with("raw data, 96 frames") && said.contains("ann"), "{said}");
-    let found = data.run("inspect @/packed --frames 2 --json").json();
+    let found = data.run("data inspect @/packed --frames 2 --json").json();
     assert_eq!((&found["kind"], &found["vertices"]), (&"packed".into(), &VERTICES.into()));
     assert!(found["clothing_mm"]["mean"].as_f64() > Some(0.0));
-    data.run("inspect @/run").failed_saying(&["neither raw data"]);
+    data.run("data inspect @/run").failed_saying(&["neither raw data"]);
 }
 
 #[test]
@@ -250,13 +251,13 @@ fn own_registrations_are_unposed_and_packed() {
         file.add("transl", &arr1(&transl)).unwrap();
         file.finish().unwrap();
     }
-    let report = data.run("unpose @/raw --body @/raw/body.npz --out @/unposed --json").json();
+    let report = data.run("data unpose @/raw --body @/raw/body.npz --out @/unposed --json").json();
     assert_eq!((&report["frames"], &report["broken"]), (&96.into(), &Value::Array(Vec::new())));
     assert!(report["subjects"][0]["residual_mm"].as_f64() < Some(1e-6));
-    data.run("pack @/unposed --split @/raw/split.toml --out @/again").succeeded();
+    data.run("data pack @/unposed --split @/raw/split.toml --out @/again").succeeded();
     let read =
         |name: &str| cape::core::npy::read_f64(data.at(name).join("train/train_disp.npy")).unwrap();
     let difference = read("again") - read("packed");
     assert!(difference.iter().all(|d| d.abs() < 1e-9));
-    data.run("unpose @/raw --body @/uv.obj --out @/b").failed_saying(&["uv.obj"]);
+    data.run("data unpose @/raw --body @/uv.obj --out @/b").failed_saying(&["uv.obj"]);
 }

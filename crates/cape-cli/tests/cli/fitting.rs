@@ -13,7 +13,7 @@ fn held_out_frames_are_fitted_and_measured() {
     let (data, run) = (Packed::new(), trained().at("run").display().to_string());
     fs::write(data.at("few.toml"), CONFIG).unwrap();
     let options = "--frames 2 --size 128 --noise 1 --dropped 0.1 --ragged 0.1 --config @/few.toml";
-    let command = format!("fit-benchmark {run} {options} --out @/fits");
+    let command = format!("fit benchmark image {run} {options} --out @/fits");
     let report = data.run(&format!("{command} --json")).json();
     assert_eq!(report["cases"].as_array().unwrap().len(), 2);
     for kind in ["bare", "clothed"] {
@@ -66,7 +66,7 @@ fn held_out_frames_are_fitted_and_measured() {
         "--overwrite",
     ]);
 
-    data.run(&format!("fit-benchmark {run} --dropped 2 --out @/no")).failed_saying(&["--dropped"]);
+    data.run(&format!("fit benchmark image {run} --dropped 2 --out @/no")).misused(&["--dropped"]);
     fs::write(data.at("few.toml"), "[clothed]\ncode = -1").unwrap();
     data.run(&command).failed_saying(&["few.toml", "code"]);
     assert!(!data.at("no").exists());
@@ -104,14 +104,14 @@ fn strip(value: &mut Value) {
     }
 }
 
-/// What [`person`] makes, as `cape fit` takes it.
+/// Files of [`person`] as arguments of `cape fit image`.
 const SEEN: &str = "@/seen/best/keypoints.json --mask @/seen/best/mask.png";
 
-/// What a person looks like, in seen/best, and few.toml with few steps.
+/// Writes keypoints and mask of a person to seen/best, and few.toml with few steps.
 fn person(data: &Packed, run: &str) {
     fs::write(data.at("few.toml"), CONFIG).unwrap();
     let options = "--frames 1 --size 128 --config @/few.toml --out @/seen";
-    data.run(&format!("fit-benchmark {run} {options}")).succeeded();
+    data.run(&format!("fit benchmark image {run} {options}")).succeeded();
 }
 
 #[test]
@@ -119,7 +119,7 @@ fn a_person_is_fitted_to_an_image() {
     let (data, run) = (Packed::new(), trained().at("run").display().to_string());
     person(&data, &run);
     fs::write(data.at("few.toml"), CONFIG.replace("accepted = 0.0", "accepted = 0.3")).unwrap();
-    let fit = |rest: &str| data.run(&format!("fit {run} {SEEN} --config @/few.toml {rest}"));
+    let fit = |rest: &str| data.run(&format!("fit image {run} {SEEN} --config @/few.toml {rest}"));
     let report = fit("--image @/seen/best/image.png --out @/fit --json").json();
     assert_eq!(report["outfits"].as_array().unwrap().len(), 4);
     assert_eq!(report["clothed"]["outfit"], report["outfits"][0]["outfit"]);
@@ -137,28 +137,28 @@ fn a_person_is_fitted_to_an_image() {
     // Someone who wears what explains the image worst is told so.
     let worst = report["outfits"][3]["outfit"].as_str().unwrap();
     let ran = fit(&format!("--outfit {worst} --compare-outfits --out @/other"));
-    assert!(ran.err.contains("explains the image better"), "{}", ran.err);
+    assert!(ran.err.contains("has a lower energy"), "{}", ran.err);
 
-    // A fit that cannot be trusted is written, and is an error.
+    // A fit that is unreliable is written, and is an error.
     fs::write(data.at("few.toml"), CONFIG.replace("accepted = 0.0", "accepted = 0.999")).unwrap();
-    fit("--outfit longlong --out @/failed").failed_saying(&["cannot be trusted", "0.999"]);
+    fit("--outfit longlong --out @/failed").failed_saying(&["is unreliable", "0.999"]);
     assert!(data.at("failed/fit.json").exists());
 }
 
 #[test]
 fn pose_priors_are_fitted_and_used() {
     let (data, run) = (Packed::new(), trained().at("run").display().to_string());
-    let report = data.run("fit-pose-prior @/packed --components 2 --out @/prior.npz --json").json();
+    let report = data.run("fit pose-prior @/packed --components 2 --out @/prior.npz --json").json();
     assert_eq!(report["components"], 2);
     person(&data, &run);
     data.run(&format!(
-        "fit {run} {SEEN} --outfit longlong --config @/few.toml \
+        "fit image {run} {SEEN} --outfit longlong --config @/few.toml \
          --pose-prior @/prior.npz --out @/fit"
     ))
     .succeeded();
-    data.run("fit-pose-prior @/nowhere.npz --out @/no.npz").failed_saying(&["nowhere.npz"]);
-    data.run("fit-pose-prior @/packed --out @/no.pkl").failed_saying(&["no.pkl", ".npz"]);
-    data.run(&format!("fit {run} {SEEN} --pose-prior @/few.toml --out @/no"))
+    data.run("fit pose-prior @/nowhere.npz --out @/no.npz").failed_saying(&["nowhere.npz"]);
+    data.run("fit pose-prior @/packed --out @/no.pkl").failed_saying(&["no.pkl", ".npz"]);
+    data.run(&format!("fit image {run} {SEEN} --pose-prior @/few.toml --out @/no"))
         .failed_saying(&["few.toml"]);
 }
 
@@ -179,7 +179,9 @@ fn what_cannot_be_fitted_is_said() {
     fs::write(data.at("two.json"), people(&[person(&seen), person(&seen)])).unwrap();
     fs::write(data.at("broken.json"), "{").unwrap();
     let fit = |keypoints: &str, mask: &str| {
-        data.run(&format!("fit {run} @/{keypoints} --mask @/{mask} --outfit longlong --out @/no"))
+        data.run(&format!(
+            "fit image {run} @/{keypoints} --mask @/{mask} --outfit longlong --out @/no"
+        ))
     };
     fit("unseen.json", "empty.png").failed_saying(&["mask is empty"]);
     // Where there is no silhouette, or another's.
@@ -199,7 +201,7 @@ fn what_cannot_be_fitted_is_said() {
     file.finish().unwrap();
     fit("infinite.npz", "half.png").failed_saying(&["infinite.npz", "finite"]);
     data.run(&format!(
-        "fit {run} @/two.json --person 5 --mask @/half.png --outfit longlong --out @/no"
+        "fit image {run} @/two.json --person 5 --mask @/half.png --outfit longlong --out @/no"
     ))
     .failed_saying(&["two.json", "person 5"]);
     fit("broken.json", "half.png").failed_saying(&["broken.json"]);

@@ -1,4 +1,4 @@
-//! A clothing layer of its own topology: simulated, imported, tied, learnt, predicted, reported.
+//! A clothing layer of its own topology: simulated, imported, tied, learned, predicted, reported.
 
 use std::{
     fs,
@@ -61,19 +61,19 @@ fn import(captured: &TempDir, set: &Path, name: &str) -> Ran {
 }
 
 #[test]
-fn a_skirt_is_learnt_and_predicted() {
+fn a_skirt_is_learned_and_predicted() {
     let place = tempfile::tempdir().unwrap();
     let at = |name: &str| place.path().join(name).display().to_string();
-    let (set, learnt, predicted) = (skirt().display(), at("learnt"), at("predicted"));
+    let (set, learned, predicted) = (skirt().display(), at("learned"), at("predicted"));
     let report =
-        run_line(&format!("layer learn {set} --components 3 --out {learnt} --json")).json();
+        run_line(&format!("layer learn {set} --components 3 --out {learned} --json")).json();
     let errors = report["reconstruction"][0]["errors"].as_array().unwrap();
     let means: Vec<f64> = errors.iter().map(|e| e["mean_mm"].as_f64().unwrap()).collect();
     assert!(means.windows(2).all(|pair| pair[1] <= pair[0]), "{means:?}");
     assert!(*means.last().unwrap() < 1e-3, "{means:?}");
-    let clothing = Mesh::load(format!("{learnt}/clothing.ply")).unwrap();
+    let clothing = Mesh::load(format!("{learned}/clothing.ply")).unwrap();
 
-    let layer = format!("{learnt}/layer.npz");
+    let layer = format!("{learned}/layer.npz");
     let named = "--parameters length=0.9,friction=0.2";
     let line = format!("layer predict {layer} --seconds 0.1 --out {predicted} --json {named}");
     let report = run_line(&line).json();
@@ -83,10 +83,10 @@ fn a_skirt_is_learnt_and_predicted() {
     assert_eq!(fs::read_dir(&predicted).unwrap().count(), 4, "three frames and a picture");
 
     run_line(&format!("layer predict {layer} --out {predicted}"))
-        .failed_saying(&["exists already"]);
+        .failed_saying(&["already exists"]);
     run_line(&format!("layer predict {layer} --parameters collar=1 --out {}", at("other")))
         .failed_saying(&["`collar`", "length"]);
-    run_line(&format!("layer learn {learnt} --out {}", at("other"))).failed_saying(&["learnt"]);
+    run_line(&format!("layer learn {learned} --out {}", at("other"))).failed_saying(&["learned"]);
     run_line(&format!("layer learn {set} --components 40 --out {}", at("other")))
         .failed_saying(&["40 principal components of 6 frames", "expected 1 to 5"]);
 
@@ -232,7 +232,7 @@ fn a_report_is_written_and_kept() {
         assert!(fs::metadata(out.join(name)).unwrap().len() > 0, "{name}");
     }
     let again = run_line(&line);
-    assert!(again.err.contains("marches, fit: done before"), "{}", again.err);
+    assert!(again.err.contains("marches, fit: already done"), "{}", again.err);
     assert_eq!(again.out, first.out);
     assert_eq!(fs::read(out.join("report.html")).unwrap(), page);
 
@@ -254,7 +254,7 @@ fn a_report_is_written_and_kept() {
     ]);
     assert!(contents(&out.join("results")) == results);
     let other = run_line(&format!("{line} --neighbours 2 --overwrite"));
-    assert!(!other.err.contains("done before"), "{}", other.err);
+    assert!(!other.err.contains("already done"), "{}", other.err);
     other.succeeded();
     let fit = out.join("results/marches/fit.json");
     truncate(&fit);
@@ -262,7 +262,7 @@ fn a_report_is_written_and_kept() {
         .failed_saying(&["results/marches/fit.json", "remove this file"]);
     fs::remove_file(&fit).unwrap();
     let again = run_line(&format!("{line} --neighbours 2"));
-    assert_eq!(again.err.matches("done before").count(), 2, "{}", again.err);
+    assert_eq!(again.err.matches("already done").count(), 2, "{}", again.err);
     again.succeeded();
 
     let foreign = place.path().join("foreign");

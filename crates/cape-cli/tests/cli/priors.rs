@@ -18,15 +18,15 @@ fn a_fitted_prior_is_sampled_from_and_says_when_it_is_missing() {
     let sample = |out: &str, options: &str| {
         data.run(&format!("sample @/run --out @/{out} --outfit all --no-picture {options}"))
     };
-    sample("none", "--prior gmm").failed_saying(&["prior-gmm.npz", "cape fit-prior"]);
+    sample("none", "--prior gmm").failed_saying(&["prior-gmm.npz", "cape model prior"]);
     assert!(!data.at("none").exists());
 
-    let report = data.run("fit-prior @/run --json").json();
+    let report = data.run("model prior @/run --json").json();
     assert!(report["codes"].as_u64().unwrap() > 0);
     let groups = report["groups"].as_array().unwrap();
     assert!(groups.iter().all(|group| group["components"].as_u64().unwrap() >= 1));
-    data.run("fit-prior @/run --kind kde --joint").succeeded();
-    data.run("fit-prior @/run --kind kde --components 3").failed_saying(&["--components"]);
+    data.run("model prior @/run --kind kde --joint").succeeded();
+    data.run("model prior @/run --kind kde --components 3").failed_saying(&["--components"]);
 
     sample("gmm", "--prior gmm --n 2 --seed 3").succeeded();
     sample("again", "--prior gmm --n 2 --seed 3").succeeded();
@@ -34,7 +34,7 @@ fn a_fitted_prior_is_sampled_from_and_says_when_it_is_missing() {
     assert_eq!(codes(&data, "gmm"), codes(&data, "again"));
     assert_eq!(codes(&data, "gmm").len(), 8);
     // Without temperature a mixture of one component gives its mean, whatever the seed.
-    data.run("fit-prior @/run --components 1").succeeded();
+    data.run("model prior @/run --components 1").succeeded();
     sample("mean", "--prior gmm --temperature 0 --seed 1").succeeded();
     sample("other", "--prior gmm --temperature 0 --seed 2").succeeded();
     assert_eq!(codes(&data, "mean"), codes(&data, "other"));
@@ -48,8 +48,8 @@ fn a_fitted_prior_is_sampled_from_and_says_when_it_is_missing() {
 fn samples_are_measured_against_held_out_frames() {
     let data = Packed::new();
     data.train().succeeded();
-    data.run("fit-prior @/run").succeeded();
-    let of = |options: &str| data.run(&format!("eval-samples @/run --json {options}")).json();
+    data.run("model prior @/run").succeeded();
+    let of = |options: &str| data.run(&format!("eval samples @/run --json {options}")).json();
     let report = of("--prior gmm");
     for share in ["coverage", "nearest_neighbour_accuracy", "outfit_consistency"] {
         let share = report[share].as_f64().unwrap();
@@ -59,7 +59,7 @@ fn samples_are_measured_against_held_out_frames() {
     assert_eq!(report, of("--prior gmm"));
     assert_eq!(of("--temperature 0")["diversity_mm"][0][1], 0.0);
     assert!(data.at("run/samples.json").exists());
-    let text = data.run("eval-samples @/run").succeeded();
+    let text = data.run("eval samples @/run").succeeded();
     assert!(text.contains("coverage") && text.contains("held-out frames"), "{text}");
 }
 
@@ -67,7 +67,7 @@ fn samples_are_measured_against_held_out_frames() {
 fn the_pose_moves_the_clothes_and_numbers_say_how_much() {
     let data = Packed::new();
     data.train().succeeded();
-    let line = "pose-effect @/run --pose-b squats --out @/effect --json";
+    let line = "eval pose @/run --pose-b squats --out @/effect --json";
     let report = data.run(line).json();
     let number = |key: &str| report[key].as_f64().unwrap();
     assert!(number("mean_mm") > 0.0 && number("largest_mm") >= number("mean_mm"));
@@ -75,9 +75,9 @@ fn the_pose_moves_the_clothes_and_numbers_say_how_much() {
     for name in ["pose_effect.png", "pose_effect.json", "change.ply"] {
         assert!(data.at("effect").join(name).exists(), "{name}");
     }
-    let still = data.run("pose-effect @/run --pose-b a-pose --out @/still --json").json();
+    let still = data.run("eval pose @/run --pose-b a-pose --out @/still --json").json();
     assert_eq!(still["mean_mm"], 0.0);
-    data.run("pose-effect @/run --pose-b somersault --out @/none").failed_saying(&["somersault"]);
+    data.run("eval pose @/run --pose-b somersault --out @/none").failed_saying(&["somersault"]);
 }
 
 #[test]

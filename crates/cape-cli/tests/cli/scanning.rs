@@ -30,7 +30,7 @@ fn a_scan_becomes_a_registration_that_is_packed() {
     ply::write(data.at("scan.ply"), &scan(1000.0), None).unwrap();
     let fit = |out: &str| {
         let options = "--unit mm --outfit longlong --pose t-pose --free-displacement --json";
-        data.run(&format!("fit {run} --scan @/scan.ply {options} --out @/{out}"))
+        data.run(&format!("fit scan {run} --scan @/scan.ply {options} --out @/{out}"))
     };
     let report = fit("fitted").json();
     assert!(report["fit"]["distance"]["median"].as_f64().unwrap() < 12.0, "{report}");
@@ -41,14 +41,14 @@ fn a_scan_becomes_a_registration_that_is_packed() {
     }
     // What was found is a start, and the same again is the same.
     let sure = "--initial @/fitted/fit.json --minimal-shape @/fitted/minimal.npy --outfit longlong";
-    data.run(&format!("fit-scan {run} --scan @/scan.ply --unit mm {sure} --out @/more"))
+    data.run(&format!("fit scan {run} --scan @/scan.ply --unit mm {sure} --out @/more"))
         .succeeded();
     fit("again").succeeded();
     for name in ["clothed.ply", "displaced.ply", "fit.png"] {
         let [a, b] = ["fitted", "again"].map(|out| fs::read(data.at(out).join(name)).unwrap());
         assert!(a == b, "{name}");
     }
-    let packed = data.run("pack @/fitted/raw --out @/packed-scan --json").json();
+    let packed = data.run("data pack @/fitted/raw --out @/packed-scan --json").json();
     assert_eq!(packed["train_frames"], 1, "{packed}");
 }
 
@@ -64,7 +64,7 @@ fn scans_that_are_none_are_refused() {
     fs::write(data.at("nan.obj"), "v 0 nan 0\n").unwrap();
     fs::write(data.at("scan.txt"), "").unwrap();
     let fit = |scan: &str, options: &str| {
-        data.run(&format!("fit {run} --scan @/{scan} --outfit longlong {options} --out @/no"))
+        data.run(&format!("fit scan {run} --scan @/{scan} --outfit longlong {options} --out @/no"))
     };
     fit("mm.ply", "").failed_saying(&["mm.ply", "--unit mm"]);
     fit("few.ply", "").failed_saying(&["few.ply", "20 points"]);
@@ -84,27 +84,29 @@ fn scans_that_are_none_are_refused() {
 fn scans_of_held_out_bodies_are_measured() {
     let (data, run) = (Packed::new(), trained().at("run").display().to_string());
     let options = "--frames 1 --points 600 --noise 0,5 --holes 0.2 --json";
-    let report = data.run(&format!("fit-benchmark {run} --scans {options} --out @/scans")).json();
+    let report = data.run(&format!("fit benchmark scan {run} {options} --out @/scans")).json();
     assert_eq!(report["cases"].as_array().unwrap().len(), 2, "{report}");
     assert!(report["levels"][1]["error"]["clothed"].as_f64().unwrap() > 0.0);
     // Finished scans are kept, and other levels may be added.
     let more = options.replace("--noise 0,5", "--noise 5,8");
-    let more = data.run(&format!("fit-benchmark {run} --scans {more} --out @/scans")).json();
+    let more = data.run(&format!("fit benchmark scan {run} {more} --out @/scans")).json();
     assert_eq!(more["levels"][0], report["levels"][1]);
-    data.run(&format!("fit-benchmark {run} --scans --points 500 --out @/scans")).failed_saying(&[
+    data.run(&format!("fit benchmark scan {run} --points 500 --out @/scans")).failed_saying(&[
         "`settings.points`",
         "600",
         "500",
         "--overwrite",
     ]);
-    data.run(&format!("scan-benchmark {run} --holes 2 --out @/no")).failed_saying(&["--holes"]);
+    data.run(&format!("fit benchmark scan {run} --holes 2 --out @/no")).misused(&["--holes"]);
+    data.run(&format!("fit benchmark scan {run} --holes 0.95 --out @/no"))
+        .failed_saying(&["--holes"]);
 }
 
 #[test]
 fn registrations_are_encoded_and_given_to_others() {
     let (data, run) = (Packed::new(), trained().at("run").display().to_string());
     let frame = "@/raw/sequences/ann/longlong_walk/longlong_walk.000003.npz";
-    let line = format!("encode {run} {frame} frame:1 --decode --out @/codes --json");
+    let line = format!("model encode {run} {frame} frame:1 --decode --out @/codes --json");
     let report = data.run(&line).json();
     let encoded = report["encoded"].as_array().unwrap();
     assert_eq!(encoded.len(), 2, "{report}");

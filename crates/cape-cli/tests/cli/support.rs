@@ -29,7 +29,7 @@ pub(crate) fn cape<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> C
     command
 }
 
-/// What a run of the command came to.
+/// Exit code and output of a command.
 pub(crate) struct Ran {
     pub(crate) code: Option<i32>,
     pub(crate) out: String,
@@ -81,6 +81,16 @@ impl Ran {
             assert!(err.contains(part), "`{part}` is not in:\n{err}");
         }
         assert!(!err.contains("panicked"), "{err}");
+    }
+}
+
+impl Ran {
+    /// Asserts exit code 2, nothing on standard output, and all of `parts` said.
+    #[track_caller]
+    pub(crate) fn misused(self, parts: &[&str]) {
+        let Self { code, out, err } = self;
+        assert_eq!((code, out.as_str()), (Some(2), ""), "{err}");
+        assert!(parts.iter().all(|part| err.contains(part)), "{err}");
     }
 }
 

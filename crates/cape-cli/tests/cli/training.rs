@@ -92,7 +92,7 @@ fn interrupted_and_resumed(options: &str) {
     assert!(command.contains("--resume"), "{err}");
     let ran: Ran = cape(command.split_whitespace()).output().unwrap().into();
     let out = ran.succeeded();
-    assert!(out.contains("next: cape eval"), "{out}");
+    assert!(out.contains("next: cape eval run"), "{out}");
     assert_eq!(states(&data.at("cut")), states(&data.at("whole")));
     assert_eq!(losses(&data.at("cut")), losses(&data.at("whole")));
 }
@@ -163,7 +163,7 @@ fn every_row_of_the_table_is_trained_measured_and_kept() {
     assert_eq!((report["frames"].as_u64(), report["captures"].as_u64()), (Some(16), Some(4)));
     // The mean shape is the evaluation's baseline.
     data.run("train --data @/packed --out @/run --preset tiny --epochs 1 --batch 4").succeeded();
-    let evaluation = data.run("eval @/run --data @/packed --json").json();
+    let evaluation = data.run("eval run @/run --data @/packed --json").json();
     let expected = evaluation["mean_shape"]["overall"]["mean"].as_f64().unwrap();
     assert!((of(0, "mean") - expected).abs() < 1e-4, "{expected}");
 
@@ -181,14 +181,14 @@ fn every_row_of_the_table_is_trained_measured_and_kept() {
 
     // What is done is kept; other settings are not mistaken for it.
     let again = data.run(line);
-    assert_eq!(again.err.matches("done before").count(), 8, "{}", again.err);
+    assert_eq!(again.err.matches("already done").count(), 8, "{}", again.err);
     let again = again.json();
     assert_eq!(again["lines"], report["lines"]);
     // Without the frames that are shown, a row is measured again, not trained.
     let frames = data.at("table/cape/seed-1/frames.npz");
     fs::remove_file(&frames).unwrap();
     let again = data.run(line);
-    assert_eq!(again.err.matches("done before").count(), 7, "{}", again.err);
+    assert_eq!(again.err.matches("already done").count(), 7, "{}", again.err);
     assert_eq!(again.json()["lines"], report["lines"]);
     assert!(frames.is_file());
     data.run("table2 --data @/raw --out @/nothing").failed_saying(&["train_disp.npy"]);
@@ -218,13 +218,13 @@ fn rows_of_other_settings_or_data_are_not_replaced_unasked() {
 
     // Rows and seeds may be added; the mean does not depend on the training.
     let more = data.run(&format!("{line} mean,pca,cape --seeds 2"));
-    assert_eq!(more.err.matches("done before").count(), 2, "{}", more.err);
+    assert_eq!(more.err.matches("already done").count(), 2, "{}", more.err);
     more.succeeded();
     let notes = data.at("table/cape/seed-1/notes.txt");
     fs::write(&notes, "mine").unwrap();
     let longer = line.replace("--epochs 1", "--epochs 2");
     let other = data.run(&format!("{longer} mean,cape --overwrite"));
-    assert_eq!(other.err.matches("done before").count(), 1, "{}", other.err);
+    assert_eq!(other.err.matches("already done").count(), 1, "{}", other.err);
     other.succeeded();
     assert!(notes.is_file() && data.at("table/cape/seed-2/result.json").is_file());
 
@@ -249,7 +249,7 @@ fn runs_are_compared_with_the_first() {
     let train = "train --data @/packed --preset tiny --epochs 1 --batch 4";
     data.run(&format!("{train} --out @/one")).succeeded();
     data.run(&format!("{train} --out @/other/one --seed 5")).succeeded();
-    let line = "compare @/one @/other/one";
+    let line = "eval compare @/one @/other/one";
     let report = data.run(&format!("{line} --out @/table --json")).json();
     let lines = report["lines"].as_array().unwrap();
     assert_eq!((&lines[1]["row"], &report["frames"]), (&"other/one".into(), &16.into()));
@@ -258,7 +258,7 @@ fn runs_are_compared_with_the_first() {
     let difference = lines[1]["against"][0].as_f64().unwrap();
     assert!(difference != 0.0 && (difference - (of(1) - of(0))).abs() < 1e-6, "{report}");
     // What `cape eval` says of the same samples.
-    let evaluation = data.run("eval @/one --data @/packed --json").json();
+    let evaluation = data.run("eval run @/one --data @/packed --json").json();
     assert_eq!(lines[0]["mean"], evaluation["model"]["overall"]["mean"]);
 
     for name in ["compare.md", "compare.csv", "compare.tex", "compare.json"] {
@@ -275,10 +275,10 @@ fn runs_are_compared_with_the_first() {
     data.run(&format!("{line} --data @/moved --quiet")).succeeded();
     data.run("train --data @/moved --out @/third --preset tiny --epochs 1 --batch 4").succeeded();
     fs::create_dir(data.at("packed")).unwrap();
-    data.run("compare @/one @/third").failed_saying(&["third", "moved", "packed"]);
+    data.run("eval compare @/one @/third").failed_saying(&["third", "moved", "packed"]);
     let clothing = data.at("third/clothing_verts_idx.npy");
     write_npy(&clothing, &ndarray::arr1(&[1i64, 2])).unwrap();
-    data.run("compare @/one @/third --data @/moved")
+    data.run("eval compare @/one @/third --data @/moved")
         .failed_saying(&["third", "2 clothing vertices"]);
-    data.run("compare @/one @/nowhere --data @/moved").failed_saying(&["nowhere"]);
+    data.run("eval compare @/one @/nowhere --data @/moved").failed_saying(&["nowhere"]);
 }

@@ -116,7 +116,7 @@ fn a_registration_is_given_other_clothes_and_poses() {
 fn bodies_in_bulk_are_the_same_however_often_it_was_interrupted() {
     let (data, run) = place();
     let generate = |out: &str, options: &str| {
-        data.run(&format!("generate {run} --out @/{out} --seed 5 --json {options}"))
+        data.run(&format!("data generate {run} --out @/{out} --seed 5 --json {options}"))
     };
     assert_eq!(generate("all", "--n 130").json()["made_now"], 130);
     let index = lines(&data, "all/index.jsonl");

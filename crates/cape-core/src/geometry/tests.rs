@@ -78,7 +78,7 @@ proptest! {
             .fold(f64::INFINITY, f64::min);
         let found = SurfaceIndex::new(&ball).closest(p, f64::INFINITY).unwrap();
         prop_assert!((found.signed_distance.abs() - brute).abs() < 1e-12);
-        // Inside where every face is in front.
+        // A point is inside a convex surface if it is behind all faces.
         let normals = ball.face_normals();
         let inside = (0..ball.faces.len())
             .all(|face| (p - ball.corners(face)[0]).dot(normals[face]) < 0.0);

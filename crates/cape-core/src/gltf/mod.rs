@@ -128,7 +128,7 @@ pub fn write(path: impl AsRef<Path>, skinned: &SkinnedMesh, keyframes: &[Keyfram
 /// Encodes a `.glb` file in memory; see [`write()`].
 ///
 /// # Errors
-/// As [`write()`].
+/// See [`write()`].
 pub fn encode(skinned: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<Vec<u8>> {
     check(skinned, keyframes)?;
     let joint_count = skinned.body.joints();

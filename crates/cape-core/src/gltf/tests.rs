@@ -4,7 +4,7 @@ use ndarray::Array3;
 use super::*;
 use crate::smpl::test_model::random_model;
 
-/// A reader of what the writer makes, by the specification.
+/// Reader of `.glb` files by the specification, for what the writer writes.
 struct Glb {
     json: Value,
     binary: Vec<u8>,
@@ -27,7 +27,7 @@ impl Glb {
         usize::try_from(value.as_u64().unwrap()).unwrap()
     }
 
-    /// The numbers of an accessor, row by row.
+    /// Numbers of an accessor, row by row.
     fn numbers(&self, accessor: &Value) -> Vec<Vec<f32>> {
         let accessor = &self.json["accessors"][Self::index(accessor)];
         let view = &self.json["bufferViews"][Self::index(&accessor["bufferView"])];
@@ -60,7 +60,7 @@ impl Glb {
         numbers.chunks(width).map(<[f32]>::to_vec).collect()
     }
 
-    /// Skinned vertices with each joint's local transform and each target's weight given.
+    /// Skinned vertices for local transforms of the joints and weights of the morph targets.
     fn skinned(&self, turns: &[Quat], places: &[Vec3], weights: &[f32]) -> Vec<Vec3> {
         let primitive = &self.json["meshes"][0]["primitives"][0];
         let attributes = &primitive["attributes"];
@@ -238,7 +238,7 @@ fn every_keyframe_of_an_animation_is_posed_as_here() {
         let found = glb.skinned(&turns, &places, &weights);
         assert!(largest(&found, &scene.expected(frame)) < 1e-5, "keyframe {k}");
     }
-    // Neighbouring quaternions are on the same side.
+    // Consecutive quaternions are in the same hemisphere.
     for turns in &turns {
         for pair in turns.windows(2) {
             let dot: f32 = pair[0].iter().zip(&pair[1]).map(|(a, b)| a * b).sum();
@@ -253,7 +253,7 @@ fn every_keyframe_of_an_animation_is_posed_as_here() {
 fn textures_split_vertices_at_seams() {
     let scene = scene();
     let faces = scene.body.faces.len() as u32;
-    // Every corner has a point of its own.
+    // Every face corner has its own texture coordinate.
     let uv = Uv {
         coordinates: (0..3 * faces).map(|i| [i as f32 / (3 * faces) as f32, 0.25]).collect(),
         faces: (0..faces).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect(),

@@ -53,7 +53,7 @@ impl MeshReport {
             for corner in face {
                 used[corner as usize] = true;
             }
-            let [a, b, c] = corners.map(|corner| corner.as_dvec3());
+            let [a, b, c] = corners.map(glam::Vec3::as_dvec3);
             let (u, v) = (b - a, c - a);
             let longest = u.length_squared().max(v.length_squared()).max((c - b).length_squared());
             if u.cross(v).length() <= DEGENERATE_AREA * longest {

@@ -1,8 +1,9 @@
-//! NumPy's array files: `.npy` (one array) and `.npz` (a ZIP archive of arrays).
+//! NumPy array files: `.npy` (one array) and `.npz` (ZIP archive of arrays).
 //!
-//! Numbers of any NumPy type, byte order and memory order are converted on reading; what a header
-//! claims is checked against the bytes that are there before anything is allocated.
+//! Reading converts any numeric dtype, byte order and memory order. Sizes in headers are checked
+//! against the length of the file before memory is allocated.
 
+mod archive;
 mod element;
 mod header;
 
@@ -10,13 +11,16 @@ use std::{
     fs::File,
     io::{self, BufReader, Read, Write},
     path::{Path, PathBuf},
+    sync::{Arc, Mutex, PoisonError},
 };
 
 use ndarray::{ArrayD, ArrayRef, Dimension, IxDyn, ShapeBuilder};
 use zip::{
-    CompressionMethod, ZipArchive, ZipWriter, read::ZipFile, result::ZipError, write::FileOptions,
+    CompressionMethod, DateTime, ZipArchive, ZipWriter, read::ZipFile, result::ZipError,
+    write::SimpleFileOptions,
 };
 
+use archive::ArchiveFile;
 pub use element::NpyElement;
 use element::{ReadError, read_elements};
 pub use header::{NpyHeader, NpyKind, NpyType};
@@ -243,7 +247,8 @@ impl Npz {
         let mut names = Vec::new();
         for index in 0..archive.len() {
             let entry = archive.by_index_raw(index).map_err(unreadable)?;
-            names.extend(entry.name().strip_suffix(".npy").map(str::to_owned));
+            let name = entry.name().map_err(unreadable)?;
+            names.extend(name.strip_suffix(".npy").map(str::to_owned));
         }
         Ok(Self { path, length, archive, names })
     }
@@ -284,7 +289,7 @@ impl Npz {
     fn with_entry<R>(
         &mut self,
         name: &str,
-        read: impl FnOnce(Source<'_>, ZipFile<'_>, u64) -> Result<R>,
+        read: impl FnOnce(Source<'_>, ZipFile<'_, BufReader<File>>, u64) -> Result<R>,
     ) -> Result<R> {
         let Self { path, length, archive, .. } = self;
         let source = Source { path, name: Some(name) };
@@ -342,20 +347,22 @@ impl Npz {
 /// Writer of a `.npz` archive, which appears under its name at [`finish`](Self::finish).
 pub struct NpzWriter {
     path: PathBuf,
-    options: FileOptions,
-    archive: ZipWriter<AtomicFile>,
+    options: SimpleFileOptions,
+    // Goes before `archive`, which completes what it has when dropped.
+    file: Arc<Mutex<AtomicFile>>,
+    archive: ZipWriter<ArchiveFile>,
 }
 
 impl NpzWriter {
     /// Starts an uncompressed archive.
     pub fn create(path: impl AsRef<Path>) -> Result<Self> {
-        let file = AtomicFile::create(&path)?;
-        Ok(Self {
-            path: path.as_ref().to_owned(),
-            // ZIP's default time stamp (1980-01-01), so that equal arrays give equal files.
-            options: FileOptions::default().compression_method(CompressionMethod::Stored),
-            archive: ZipWriter::new(file),
-        })
+        let file = Arc::new(Mutex::new(AtomicFile::create(&path)?));
+        let archive = ZipWriter::new(ArchiveFile::new(Arc::downgrade(&file)));
+        // ZIP's default time stamp (1980-01-01), so that equal arrays give equal files.
+        let options = SimpleFileOptions::default()
+            .compression_method(CompressionMethod::Stored)
+            .last_modified_time(DateTime::default());
+        Ok(Self { path: path.as_ref().to_owned(), options, file, archive })
     }
 
     /// Compresses the arrays added from now on with Deflate.
@@ -372,19 +379,19 @@ impl NpzWriter {
         array: &ArrayRef<T, D>,
     ) -> Result<()> {
         let large = array.len().saturating_mul(size_of::<T>()) as u64 >= u64::from(u32::MAX) / 2;
-        let Self { path, options, archive } = self;
+        let Self { path, options, archive, .. } = self;
         archive
             .start_file(format!("{name}.npy"), options.large_file(large))
-            .map_err(|source| Error::field(&*path, name, source.to_string()))?;
+            .map_err(|failed| unwritable(path, Some(name), failed))?;
         write_array(archive, array).map_err(|source| Error::io(&*path, source))
     }
 
     /// Adds a string as a NumPy bytes scalar (`np.bytes_`).
     pub fn add_text(&mut self, name: &str, text: &str) -> Result<()> {
-        let Self { path, options, archive } = self;
+        let Self { path, options, archive, .. } = self;
         archive
             .start_file(format!("{name}.npy"), *options)
-            .map_err(|source| Error::field(&*path, name, source.to_string()))?;
+            .map_err(|failed| unwritable(path, Some(name), failed))?;
         let header = NpyHeader::bytes(&format!("|S{}", text.len()), &[]);
         archive
             .write_all(&header)
@@ -393,12 +400,22 @@ impl NpzWriter {
     }
 
     /// Completes the archive and renames it to its path.
-    pub fn finish(mut self) -> Result<()> {
-        let file = self
-            .archive
-            .finish()
-            .map_err(|source| Error::io(&self.path, io::Error::from(source)))?;
-        file.commit()
+    pub fn finish(self) -> Result<()> {
+        let Self { path, file, archive, .. } = self;
+        let written = archive.finish().map_err(|failed| unwritable(&path, None, failed))?;
+        match Arc::into_inner(file) {
+            Some(file) if written.is_complete() => {
+                file.into_inner().unwrap_or_else(PoisonError::into_inner).commit()
+            }
+            _ => Err(Error::io(path, io::Error::other("an array could not be written"))),
+        }
+    }
+}
+
+fn unwritable(path: &Path, name: Option<&str>, failed: ZipError) -> Error {
+    match failed {
+        ZipError::Io(source) => Error::io(path, source),
+        other => Source { path, name }.error(other.to_string()),
     }
 }
 

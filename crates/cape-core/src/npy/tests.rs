@@ -155,6 +155,65 @@ fn archives_round_trip() {
     }
 }
 
+/// Writes archives where no file can have more than 128 KiB, in a process of its own.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_disk_is_an_error_and_prints_nothing() {
+    use std::process::Command;
+    const DIRECTORY: &str = "CAPE_TEST_FULL_DISK";
+    if let Some(directory) = std::env::var_os(DIRECTORY) {
+        let path = Path::new(&directory).join("full.npz");
+        let large = Array1::from_shape_fn(200_000, |i| (i as f64).sin());
+        let small = Array1::<f64>::zeros(8000);
+        for deflate in [false, true] {
+            let create = || {
+                let writer = NpzWriter::create(&path).unwrap();
+                if deflate { writer.deflate() } else { writer }
+            };
+            let mut writer = create();
+            let error = writer.add("large", &large).unwrap_err();
+            assert!(matches!(&error, Error::Io { path: at, .. } if *at == path), "{error}");
+            drop(writer);
+            // A failed write does not become a file later.
+            let mut writer = create();
+            assert!(writer.add("large", &large).is_err());
+            let _ = writer.add("small", &small);
+            assert!(writer.finish().is_err());
+        }
+        // Room ends somewhere about the directory of the archive.
+        let mut ends = Vec::new();
+        for count in (200..400).step_by(10) {
+            for finish in [true, false] {
+                let mut writer = NpzWriter::create(&path).unwrap();
+                writer.add("a", &small).unwrap();
+                writer.add("b", &small).unwrap();
+                let added = writer.add("c", &Array1::from_elem(count, 1.0)).is_ok();
+                if finish {
+                    ends.push((added, writer.finish().is_ok()));
+                }
+            }
+        }
+        for end in [(true, true), (true, false)] {
+            assert!(ends.contains(&end), "{ends:?}");
+        }
+        fs::remove_file(&path).unwrap();
+        return;
+    }
+    let directory = tempfile::tempdir().unwrap();
+    let limited = "trap '' XFSZ && ulimit -f 256 && exec \"$@\"";
+    let output = Command::new("sh")
+        .args(["-c", limited, "sh"])
+        .arg(std::env::current_exe().unwrap())
+        .args(["a_full_disk_is_an_error_and_prints_nothing", "--nocapture", "--test-threads", "1"])
+        .env(DIRECTORY, directory.path())
+        .output()
+        .unwrap();
+    assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+    let shown = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && shown.contains("1 passed"), "{shown}");
+    assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 0, "files are left");
+}
+
 #[test]
 fn an_archive_with_an_impossible_claim_is_refused() {
     let directory = tempfile::tempdir().unwrap();

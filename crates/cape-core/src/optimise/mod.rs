@@ -1,4 +1,4 @@
-//! Minimisation by limited-memory BFGS (Nocedal & Wright 2006, algorithm 7.5) over plain vectors.
+//! Minimisation by limited-memory BFGS (Nocedal & Wright 2006, algorithm 7.5) of functions of vectors.
 //!
 //! Burn's L-BFGS optimises the tensors of a module in `f32`. The objectives here are evaluated in
 //! `f64` and may be infinite in parts of their domain, which the line search must handle.
@@ -247,7 +247,7 @@ mod tests {
 
     #[test]
     fn infinite_values_and_errors_are_handled() {
-        // −ln x + x has no value left of 0.
+        // −ln x + x is undefined for x ≤ 0.
         let found = run(vec![50.0], |x, g| {
             g[0] = 1.0 - 1.0 / x[0];
             x[0] - x[0].ln()

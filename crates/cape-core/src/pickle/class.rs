@@ -1,6 +1,6 @@
 //! Allow list of classes and functions.
 
-/// A class or function that a pickle names.
+/// Class or function that a pickle refers to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Class {
     pub(super) kind: ClassKind,

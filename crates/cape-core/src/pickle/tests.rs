@@ -121,7 +121,7 @@ fn numbers_and_lists_become_arrays() {
 }
 
 #[test]
-fn what_was_set_last_holds() {
+fn a_later_entry_replaces_an_earlier_one() {
     let pickle = parse(b"(S'a'\nI1\nS'b'\nI2\ndS'a'\nI3\ns.").unwrap();
     assert_eq!(pickle.root().require("a").unwrap().int().unwrap(), 3);
     assert_eq!(pickle.root().keys(), ["a", "b", "a"]);

@@ -1,15 +1,14 @@
-//! The one-pass forward against tensor operations and against the host, over random sizes.
+//! Fused forward pass compared with tensor operations and with the host, for random sizes.
 
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
 use ndarray::{Array2, Array3, ArrayRef, Dimension, s};
 use proptest::prelude::*;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 use super::{test_model::random, *};
 use crate::devices;
 
-/// Allowed distance, metres, of bodies about a metre in size.
+/// Tolerance for bodies of about a metre, metres.
 const METRES: f64 = 5e-6;
 
 #[derive(Debug, Clone, Copy)]
@@ -18,7 +17,7 @@ struct Sizes {
     vertices: usize,
     joints: usize,
     betas: usize,
-    /// Blend weights of a vertex that are not zero.
+    /// Number of nonzero blend weights of a vertex.
     bones: usize,
 }
 
@@ -68,7 +67,7 @@ struct Inputs {
 }
 
 impl Inputs {
-    /// Numbers that `f32` holds exactly; some joints rest.
+    /// Random inputs that are exact in `f32`; some joints are not rotated.
     fn new(sizes: Sizes, clothed: bool, rng: &mut ChaCha8Rng) -> Self {
         let Sizes { batch: n, vertices, joints, betas, .. } = sizes;
         let mut pose: Array2<f64> = random((n, 3 * joints), 1.0, rng);

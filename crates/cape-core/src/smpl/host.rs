@@ -238,8 +238,7 @@ mod tests {
     use std::f64::consts::PI;
 
     use proptest::prelude::*;
-    use rand::SeedableRng;
-    use rand_chacha::ChaCha8Rng;
+    use rand::{SeedableRng, rngs::ChaCha8Rng};
 
     use super::*;
     use crate::smpl::test_model::{random, random_model};
@@ -278,7 +277,7 @@ mod tests {
 
     #[test]
     fn a_rigid_vertex_follows_its_chain() {
-        // Joint 3 hangs on 2, which hangs on 0: a vertex bound to 3 alone moves by the product.
+        // Chain of joints 0, 2, 3: a vertex of joint 3 alone moves by the product of the transforms.
         let mut model = random_model();
         model.posedirs.fill(0.0);
         model.weights.row_mut(0).assign(&ndarray::array![0.0, 0.0, 0.0, 1.0]);

@@ -126,7 +126,7 @@ mod tests {
         let mut model = crate::smpl::test_model::random_model();
         assert!(ClothingMask::from_weights(&model).is_err());
         model.weights = ndarray::Array2::zeros((12, 24));
-        // Vertex i follows joint i wholly, except that vertex 0 has a trace of the left wrist.
+        // Vertex i has weight 1 at joint i; vertex 0 has a small weight at the left wrist too.
         for vertex in 0..12 {
             model.weights[[vertex, vertex]] = 1.0;
         }

@@ -1,8 +1,7 @@
 //! Small random body for tests.
 
 use ndarray::{Array, Array2, Array3, Dimension, ShapeBuilder};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 use super::SmplModel;
 

@@ -1,11 +1,10 @@
-//! The tensor body against the host's, which is written independently and in `f64`.
+//! Tensor operations compared with the independent implementation on the host in `f64`.
 
 use std::f64::consts::PI;
 
 use burn::tensor::{Device, FloatDType, Tensor, TensorData};
 use ndarray::{Array, Array1, Array2, Array3, ArrayRef, Dimension, s};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::{SeedableRng, rngs::ChaCha8Rng};
 
 use super::{
     test_model::{random, random_model},
@@ -87,7 +86,7 @@ impl Inputs {
     }
 }
 
-/// Central differences of `scalar` in every number that `field` reaches.
+/// Central differences of `scalar` with respect to the numbers of `field`.
 fn differences<S, N: Dimension>(
     state: &mut S,
     field: impl Fn(&mut S) -> &mut Array<f64, N>,
@@ -282,7 +281,7 @@ fn clothes_follow_the_mask_and_the_joint_source() {
             let found = numbers(masked.vertices.clone().narrow(0, row, 1));
             assert_close("masked", &found, &expected.vertices, 2e-6);
         }
-        // The release's way: a body whose rest shape is the clothed one.
+        // As in the authors' release: a body whose rest shape is the clothed one.
         let release = clothed.with_joints(JointSource::ClothedTemplate);
         let output = release.forward(inputs.input(&device)).unwrap();
         for row in 0..BATCH {
@@ -355,7 +354,7 @@ fn rodrigues_is_right_at_every_angle() {
             let expected: Array1<f64> =
                 crate::joints::rotation_matrix(v).as_flattened().to_vec().into();
             assert_close("rotation", &numbers(output.clone().inner()), &expected, 2e-6);
-            // The gradient of a weighted sum, against the host's differences.
+            // Gradient of a weighted sum compared with finite differences on the host.
             let weights: Array1<f64> = (0..9).map(|i| 1.0 + f64::from(i) * 0.7 % 2.0).collect();
             let mut state = Array1::from(v.to_vec());
             let expected = differences(

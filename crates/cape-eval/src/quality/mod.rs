@@ -8,8 +8,7 @@ use std::path::Path;
 
 use cape_core::Outfit;
 use ndarray::{Array2, Axis};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 use serde::Serialize;
 

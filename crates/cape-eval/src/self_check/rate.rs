@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn the_valley_and_the_explosion_are_found() {
+    fn the_valley_and_the_divergence_are_found() {
         let found = report(|rate| {
             let decade = rate.log10();
             let fall = 2.0 - 1.5 / (1.0 + (-6.0 * (decade + 3.0)).exp());
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_none_end_it() {
+    fn losses_that_are_not_finite_end_the_search() {
         let found = report(|rate| if rate > 1e-2 { f64::NAN } else { 1.0 - rate });
         assert!((1e-2..1.2e-2).contains(&found.diverged.unwrap()));
         let mut curve = RateCurve::default();

@@ -55,7 +55,7 @@ pub fn sha256_of_files(root: &Path, names: &[String]) -> Result<String> {
         let file = sha256_of_file(&root.join(name))?;
         hash.update(format!("{file}  {name}\n"));
     }
-    Ok(format!("{:x}", hash.finalize()))
+    Ok(cape_core::hex(hash.finalize()))
 }
 
 fn sha256_of_file(path: &Path) -> Result<String> {
@@ -77,7 +77,7 @@ fn sha256_of_file(path: &Path) -> Result<String> {
             Err(source) => return Err(fault(source)),
         }
     }
-    let hash = format!("{:x}", hash.finalize());
+    let hash = cape_core::hex(hash.finalize());
     known().insert(state, hash.clone());
     Ok(hash)
 }

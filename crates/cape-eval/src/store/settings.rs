@@ -21,11 +21,9 @@ const DIGITS: usize = 12;
 
 /// Settings, program version and inputs that the results in a [`ResultStore`](super::ResultStore)
 /// depend on; the contents of its settings.json.
-///
-/// See [`ResultStore`](super::ResultStore) for an example.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StoreSettings {
-    /// Command and part of it that the results are of.
+    /// Command, and the part of it, that produced the results.
     kind: String,
     /// Version of the program.
     version: String,
@@ -136,7 +134,7 @@ impl StoreSettings {
         self
     }
 
-    /// Command and part of it that the results are of.
+    /// Command, and the part of it, that produced the results.
     pub(super) fn kind(&self) -> &str {
         &self.kind
     }

@@ -42,7 +42,7 @@ const RESULT: &str = "result.json";
 const FRAMES: &str = "frames.npz";
 const RUN: &str = "run";
 
-/// Tables and pictures that versions without settings.json left.
+/// Tables and pictures from versions without settings.json.
 const EARLIER_TABLES: [&str; 8] = [
     "table2.json",
     "table2.md",
@@ -53,7 +53,7 @@ const EARLIER_TABLES: [&str; 8] = [
     "error_maps.png",
     "histograms.png",
 ];
-/// Files of a row that versions without settings.json left.
+/// Files of a row from versions without settings.json.
 const EARLIER_ROW: [&str; 12] = [
     "result.json",
     "key.txt",
@@ -202,7 +202,7 @@ impl Table2Options {
         Ok(jobs)
     }
 
-    /// What all rows depend on.
+    /// Inputs of all rows: packed set, body and clothing vertices.
     fn inputs(&self) -> Result<StoreSettings> {
         let given = |path: &Option<PathBuf>, own: &str| {
             let own = self.data.join(own);
@@ -263,7 +263,7 @@ impl Table2Job {
         Ok((frames.rows == self.shown).then_some(result))
     }
 
-    /// Reconstructions of the frames shown, once it is done.
+    /// Reconstructions of the frames shown; written before the result.
     pub fn frames(&self) -> Result<FigureFrames> {
         let path = self.store.path(FRAMES);
         FigureFrames::load(&path).map_err(|error| unreadable(&path, &error.to_string()))
@@ -273,8 +273,8 @@ impl Table2Job {
         self.store.path(RUN)
     }
 
-    /// The trainer that resumes it from its newest checkpoint, or begins it; none for rows that are not
-    /// trained.
+    /// Trainer of the row, resumed from the newest checkpoint if there is one; none for rows that are
+    /// not trained.
     ///
     /// # Errors
     /// If there are files in the place of its run that the training did not write.

@@ -1,8 +1,7 @@
 use cape_data::PackedSet;
 use cape_infer::Run;
 use glam::DVec3;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 
 use super::BenchmarkOptions;

@@ -7,8 +7,7 @@ use cape_data::PackedSet;
 use cape_infer::Run;
 use cape_stats::errors::mean_distance_mm;
 use glam::{DQuat, DVec3};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 

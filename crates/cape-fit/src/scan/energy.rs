@@ -7,8 +7,7 @@
 //! to their triangles is exact.
 
 use glam::DVec3;
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::{SeedableRng, rngs::ChaCha8Rng};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 

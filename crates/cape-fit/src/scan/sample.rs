@@ -1,8 +1,7 @@
 //! Samples of surfaces.
 
 use glam::DVec3;
-use rand::{Rng, seq::SliceRandom};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, rngs::ChaCha8Rng, seq::SliceRandom};
 
 use super::Scan;
 

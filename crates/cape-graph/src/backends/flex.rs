@@ -1,26 +1,15 @@
-use std::{ops::Deref, sync::Arc};
+use std::ops::Deref;
 
-use burn::backend::{
-    Flex,
-    tensor::{FloatTensor, IntTensor},
-};
+use burn::backend::{Flex, tensor::FloatTensor};
 use burn::tensor::{DType, Shape};
 use burn_flex::{FlexTensor, Layout};
 
-use super::{
-    cpu,
-    host::{self, HostTensor, host_backend},
-};
-use crate::{
-    buffer::Buffer,
-    operator::Operator,
-    ops::{ConvSpec, NormConvSpec},
-    sparse::SparsePair,
-};
+use super::host::{self, HostTensor, host_backend};
+use crate::buffer::Buffer;
 
 host_backend!(Flex);
 
-/// A contiguous tensor.
+/// Contiguous tensor.
 pub(super) struct Values(FlexTensor);
 
 impl Deref for Values {
@@ -35,10 +24,6 @@ impl Deref for Values {
 
 impl HostTensor for FlexTensor {
     type Values = Values;
-
-    fn dims(&self) -> Vec<usize> {
-        self.layout().shape().to_vec()
-    }
 
     fn values(self) -> Values {
         Values(self.to_contiguous())

@@ -1,34 +1,17 @@
 // Burn deprecates its ndarray backend in favour of flex; it is kept while Burn ships it.
 #![allow(deprecated)]
 
-use std::sync::Arc;
-
-use burn::backend::{
-    NdArray, TensorMetadata,
-    tensor::{FloatTensor, IntTensor},
-};
+use burn::backend::{NdArray, TensorMetadata, tensor::FloatTensor};
 use burn::tensor::{Shape, TensorData};
 use burn_ndarray::NdArrayTensor;
 
-use super::{
-    cpu,
-    host::{self, HostTensor, host_backend},
-};
-use crate::{
-    buffer::Buffer,
-    operator::Operator,
-    ops::{ConvSpec, NormConvSpec},
-    sparse::SparsePair,
-};
+use super::host::{self, HostTensor, host_backend};
+use crate::buffer::Buffer;
 
 host_backend!(NdArray);
 
 impl HostTensor for NdArrayTensor {
     type Values = Vec<f32>;
-
-    fn dims(&self) -> Vec<usize> {
-        self.shape().to_vec()
-    }
 
     fn values(self) -> Vec<f32> {
         let NdArrayTensor::F32(storage) = self else {

@@ -1,5 +1,5 @@
 use burn::tensor::{Tensor, activation};
-use cape_graph::{bias_leaky_relu, group_norm_relu};
+use cape_graph::{GroupNorm, bias_leaky_relu, group_norm_relu};
 
 use crate::{
     host,
@@ -10,6 +10,10 @@ use crate::{
 };
 
 const EPSILON: f64 = 1e-3;
+
+fn norm(gamma: &Tensor<1>, beta: &Tensor<1>, groups: usize) -> GroupNorm {
+    GroupNorm { gamma: gamma.clone(), beta: beta.clone(), groups, epsilon: EPSILON }
+}
 
 fn composed_bias_leaky_relu(x: Tensor<3>, bias: Tensor<1>, slope: f64) -> Tensor<3> {
     let [_, _, channels] = x.dims();
@@ -74,7 +78,7 @@ fn bias_leaky_relu_agrees_with_finite_differences() {
     }
 }
 
-/// Inputs of `group_norm_relu`: x off-centre, gamma of both signs.
+/// Inputs of `group_norm_relu`: `x` with a mean other than 0, `gamma` of both signs.
 fn norm_inputs(batch: usize, vertices: usize, channels: usize) -> [Vec<f64>; 3] {
     let mut x = random(25, batch * vertices * channels);
     x.iter_mut().enumerate().for_each(|(i, x)| *x += (i % channels % 3) as f64 * 0.5);
@@ -101,8 +105,7 @@ fn group_norm_relu_agrees_with_its_parts() {
             let inputs = norm_inputs(batch, vertices, channels);
             let shape = [batch, vertices, channels];
             let fused = run(&device, &inputs, &[true; 3], &|x| {
-                let (gamma, beta) = (x[1].clone(), x[2].clone());
-                group_norm_relu(x[0].clone().reshape(shape), gamma, beta, groups, EPSILON)
+                group_norm_relu(x[0].clone().reshape(shape), norm(&x[1], &x[2], groups))
             });
             let composed = run(&device, &inputs, &[true; 3], &|x| {
                 let (gamma, beta) = (x[1].clone(), x[2].clone());
@@ -120,7 +123,7 @@ fn group_norm_relu_agrees_with_finite_differences() {
             let inputs = norm_inputs(batch, vertices, channels);
             let outcome = run(&device, &inputs, &[true; 3], &|x| {
                 let features = x[0].clone().reshape([batch, vertices, channels]);
-                group_norm_relu(features, x[1].clone(), x[2].clone(), groups, EPSILON)
+                group_norm_relu(features, norm(&x[1], &x[2], groups))
             });
             assert_host(&format!("{name}: {groups} groups"), &outcome, &inputs, &|x| {
                 host::group_norm_relu(&x[0], &x[1], &x[2], vertices, groups, EPSILON)
@@ -134,13 +137,8 @@ fn group_norm_relu_of_a_constant_is_beta() {
     for (name, device) in devices() {
         let x = Tensor::full([1, 7, 4], 3.0, &device);
         let beta = [0.5, -0.5, 0.25, 0.0];
-        let y = group_norm_relu(
-            x,
-            upload(&[2.0; 4], [4], &device),
-            upload(&beta, [4], &device),
-            2,
-            1e-5,
-        );
+        let (gamma, beta) = (upload(&[2.0; 4], [4], &device), upload(&beta, [4], &device));
+        let y = group_norm_relu(x, GroupNorm { epsilon: 1e-5, ..norm(&gamma, &beta, 2) });
         for row in values(y).chunks_exact(4) {
             assert_eq!(row, [0.5, 0.0, 0.25, 0.0], "{name}");
         }
@@ -175,8 +173,8 @@ fn activations_take_strided_inputs() {
         (
             "group_norm_relu",
             &|x| {
-                let (gamma, beta) = (parameter(&x[1]), parameter(&x[2]));
-                group_norm_relu(shaped(&x[0]), gamma, beta, 3, EPSILON).swap_dims(0, 1)
+                let norm = norm(&parameter(&x[1]), &parameter(&x[2]), 3);
+                group_norm_relu(shaped(&x[0]), norm).swap_dims(0, 1)
             },
             &|x| {
                 let (gamma, beta) = (parameter(&x[1]), parameter(&x[2]));
@@ -200,7 +198,7 @@ fn activations_leave_their_inputs_alone() {
         let x: Tensor<3> = upload(&before, [2, 5, 3], &device);
         let bias = upload(&random(32, 3), [3], &device);
         bias_leaky_relu(x.clone(), bias.clone(), 0.2);
-        group_norm_relu(x.clone(), bias.clone(), bias, 3, EPSILON);
+        group_norm_relu(x.clone(), norm(&bias, &bias, 3));
         let after: Vec<f64> = values(x).into_iter().map(f64::from).collect();
         assert_eq!(after, before, "{name}");
     }
@@ -215,8 +213,7 @@ fn activations_give_only_the_gradients_asked_for() {
             bias_leaky_relu(x[0].clone().reshape(shape), x[1].clone(), 0.2)
         });
         assert_partial_tracking(&name, &device, &inputs, &|x| {
-            let (gamma, beta) = (x[1].clone(), x[2].clone());
-            group_norm_relu(x[0].clone().reshape(shape), gamma, beta, 2, EPSILON)
+            group_norm_relu(x[0].clone().reshape(shape), norm(&x[1], &x[2], 2))
         });
     }
 }
@@ -226,7 +223,7 @@ fn activations_give_only_the_gradients_asked_for() {
 fn group_norm_relu_refuses_other_groups() {
     let (_, device) = devices().swap_remove(0);
     let parameter = Tensor::ones([4], &device);
-    group_norm_relu(Tensor::zeros([1, 2, 4], &device), parameter.clone(), parameter, 3, EPSILON);
+    group_norm_relu(Tensor::zeros([1, 2, 4], &device), norm(&parameter, &parameter, 3));
 }
 
 #[test]

@@ -1,5 +1,5 @@
 use burn::tensor::{Device, Tensor};
-use cape_graph::{ConvEnd, ConvGraph, cheb_conv, cheb_features};
+use cape_graph::{ConvGraph, Epilogue, cheb_conv, cheb_features};
 
 use crate::{
     host,
@@ -46,10 +46,10 @@ fn composed_conv(x: Tensor<3>, weight: Tensor<2>, dense: &Tensor<3>, order: usiz
 }
 
 fn plain(x: Tensor<3>, weight: Tensor<2>, graph: &ConvGraph, order: usize) -> Tensor<3> {
-    cheb_conv(x, weight, graph, order, ConvEnd::default())
+    cheb_conv(x, weight, graph, order, Epilogue::default())
 }
 
-/// A square matrix, not symmetric so that a missing transposition shows.
+/// Square matrix, not symmetric, so that a missing transposition is detected.
 fn square(vertices: usize, device: &Device) -> (sprs::CsMat<f64>, ConvGraph, Tensor<3>) {
     let matrix = sparse(11, vertices, vertices, 5, vertices.is_multiple_of(2));
     let a = ConvGraph::new(&matrix, None, device);

@@ -1,8 +1,8 @@
-//! Convolutions with what is fused into them: selection, rows, activation, normalisation.
+//! Convolutions with fused selection, constant terms, activation and normalisation.
 
 use burn::tensor::{Device, Tensor, activation};
 use cape_graph::{
-    ConvEnd, ConvGraph, GroupNorm, cheb_conv, cheb_features, group_norm_relu, norm_conv,
+    ConvGraph, Epilogue, GroupNorm, cheb_conv, cheb_features, group_norm_relu, norm_conv,
     sparse_matmul,
 };
 use proptest::prelude::*;
@@ -18,7 +18,7 @@ use crate::{
 
 const EPSILON: f64 = 1e-3;
 
-/// Keeps every second vertex and every seventh, not in order.
+/// Selection of every second and every seventh vertex, in descending order.
 pub(crate) fn selection(vertices: usize) -> CsMat<f64> {
     let mut kept: Vec<usize> = (0..vertices).filter(|v| v % 2 == 0 || v % 7 == 0).collect();
     kept.reverse();
@@ -29,7 +29,7 @@ pub(crate) fn selection(vertices: usize) -> CsMat<f64> {
     matrix.to_csr()
 }
 
-/// What a convolution is tested with.
+/// Extents and options of a tested convolution.
 #[derive(Debug, Clone, Copy)]
 struct Case {
     batch: usize,
@@ -37,7 +37,7 @@ struct Case {
     input: usize,
     output: usize,
     order: usize,
-    rows: usize,
+    constant_terms: usize,
     slope: Option<f64>,
     pooled: bool,
 }
@@ -63,14 +63,14 @@ impl Case {
         }
     }
 
-    /// Features, weights, rows.
+    /// Features, weights, constant terms.
     fn inputs(&self) -> Vec<Vec<f64>> {
         let mut inputs = vec![
             random(52, self.batch * self.vertices * self.input),
             random(53, self.input * self.order * self.output),
         ];
-        if self.rows > 0 {
-            inputs.push(random(54, self.batch * self.rows * self.output));
+        if self.constant_terms > 0 {
+            inputs.push(random(54, self.batch * self.constant_terms * self.output));
         }
         inputs
     }
@@ -79,24 +79,32 @@ impl Case {
         (
             x[0].clone().reshape([self.batch, self.vertices, self.input]),
             x[1].clone().reshape([self.input * self.order, self.output]),
-            x.get(2).map(|rows| rows.clone().reshape([self.batch, self.rows, self.output])),
+            x.get(2).map(|constant_terms| {
+                constant_terms.clone().reshape([self.batch, self.constant_terms, self.output])
+            }),
         )
     }
 
     fn fused(&self, x: &[Tensor<1>], graphs: &Graphs) -> Tensor<3> {
-        let (x, weight, rows) = self.shaped(x);
-        cheb_conv(x, weight, &graphs.graph, self.order, ConvEnd { rows, slope: self.slope })
+        let (x, weight, constant_terms) = self.shaped(x);
+        cheb_conv(
+            x,
+            weight,
+            &graphs.graph,
+            self.order,
+            Epilogue { constant_terms, slope: self.slope },
+        )
     }
 
-    /// The same of separate operations, on all vertices.
+    /// The same composed of separate operations on all vertices.
     fn composed(&self, x: &[Tensor<1>], graphs: &Graphs) -> Tensor<3> {
-        let (x, weight, rows) = self.shaped(x);
+        let (x, weight, constant_terms) = self.shaped(x);
         let laplacian = graphs.whole.laplacian();
         let ones = Tensor::ones([self.batch, self.vertices, 1], &x.device());
         let flat: Tensor<2> = cheb_features(x, &laplacian, self.order).flatten(0, 1);
         let mut y = flat.matmul(weight).reshape([self.batch, self.vertices, self.output]);
-        if let Some(rows) = rows {
-            y = y + cheb_features(ones, &laplacian, self.rows).matmul(rows);
+        if let Some(constant_terms) = constant_terms {
+            y = y + cheb_features(ones, &laplacian, self.constant_terms).matmul(constant_terms);
         }
         if let Some(slope) = self.slope {
             y = activation::leaky_relu(y, slope);
@@ -117,11 +125,11 @@ impl Case {
 }
 
 fn case(batch: usize, vertices: usize, input: usize, output: usize, order: usize) -> Case {
-    Case { batch, vertices, input, output, order, rows: 0, slope: None, pooled: false }
+    Case { batch, vertices, input, output, order, constant_terms: 0, slope: None, pooled: false }
 }
 
 #[test]
-fn convolution_with_all_that_is_fused_agrees_with_its_parts() {
+fn fused_convolution_agrees_with_its_parts() {
     // Blocks of 96 and of 128 vertices, tiles of 4 to 8 by 4 to 32, depths of 512; batches below 8
     // are split inside examples.
     for (name, device) in devices() {
@@ -142,9 +150,9 @@ fn convolution_with_all_that_is_fused_agrees_with_its_parts() {
                 continue;
             }
             for pooled in [false, true] {
-                for rows in [0, 1, case.order] {
+                for constant_terms in [0, 1, case.order] {
                     for slope in [None, Some(0.2)] {
-                        Case { rows, slope, pooled, ..case }.check(&name, &device);
+                        Case { constant_terms, slope, pooled, ..case }.check(&name, &device);
                     }
                 }
             }
@@ -158,13 +166,13 @@ proptest! {
     #[test]
     fn convolution_of_any_size_agrees_with_its_parts(
         (batch, vertices, input, output) in (1usize..20, 1usize..150, 1usize..40, 1usize..70),
-        (order, pooled, slope, rows) in (1usize..5, any::<bool>(), any::<bool>(), 0usize..3),
+        (order, pooled, slope, constant_terms) in (1usize..5, any::<bool>(), any::<bool>(), 0usize..3),
     ) {
         let (name, device) = devices().swap_remove(0);
         prop_assume!(is_cpu(&name) || batch * vertices * input * output < 100_000);
-        let rows = [0, 1, order][rows];
+        let constant_terms = [0, 1, order][constant_terms];
         let slope = slope.then_some(0.2);
-        Case { rows, slope, pooled, ..case(batch, vertices, input, output, order) }
+        Case { constant_terms, slope, pooled, ..case(batch, vertices, input, output, order) }
             .check(&name, &device);
     }
 
@@ -189,10 +197,10 @@ fn fused_convolution_agrees_with_finite_differences() {
     for (name, device) in devices() {
         for order in 1..=4 {
             for (batch, vertices, input, output) in [(1, 5, 2, 3), (3, 4, 1, 2), (11, 3, 2, 1)] {
-                for rows in [1, order] {
+                for constant_terms in [1, order] {
                     let slope = Some(0.2);
                     let case = case(batch, vertices, input, output, order);
-                    let case = Case { rows, slope, pooled: true, ..case };
+                    let case = Case { constant_terms, slope, pooled: true, ..case };
                     let (graphs, inputs) = (case.graphs(&device), case.inputs());
                     let outcome = run(&device, &inputs, &[true; 3], &|x| case.fused(x, &graphs));
                     assert_host(&format!("{name}: {case:?}"), &outcome, &inputs, &|x| {
@@ -205,13 +213,13 @@ fn fused_convolution_agrees_with_finite_differences() {
 }
 
 fn host_conv(case: &Case, graphs: &Graphs, x: &[Vec<f64>]) -> Vec<f64> {
-    let Case { batch, vertices, input, output, order, rows, .. } = *case;
+    let Case { batch, vertices, input, output, order, constant_terms, .. } = *case;
     let mut y = host::cheb_conv(&x[0], &x[1], &graphs.laplacian, input, order);
-    let sums = host::cheb_features(&vec![1.0; vertices], &graphs.laplacian, 1, rows);
+    let basis = host::cheb_features(&vec![1.0; vertices], &graphs.laplacian, 1, constant_terms);
     for (i, y) in y.iter_mut().enumerate() {
         let (example, v, o) = (i / (vertices * output), i / output % vertices, i % output);
-        for r in 0..rows {
-            *y += sums[v * rows + r] * x[2][(example * rows + r) * output + o];
+        for r in 0..constant_terms {
+            *y += basis[v * constant_terms + r] * x[2][(example * constant_terms + r) * output + o];
         }
     }
     let y = host::bias_leaky_relu(&y, &[0.0], case.slope.unwrap_or(1.0));
@@ -219,7 +227,7 @@ fn host_conv(case: &Case, graphs: &Graphs, x: &[Vec<f64>]) -> Vec<f64> {
     graphs.down.as_ref().map_or(y.clone(), |down| host::sparse_matmul(&y, down, output))
 }
 
-/// What a normalised convolution is tested with.
+/// Extents and options of a tested normalised convolution.
 #[derive(Debug, Clone, Copy)]
 struct NormCase {
     conv: Case,
@@ -274,8 +282,8 @@ impl NormCase {
             let tiled = constant.reshape([batch, 1, self.constant]);
             x = Tensor::cat(vec![x, tiled.expand([batch, vertices, self.constant])], 2);
         }
-        let x = group_norm_relu(x, norm.gamma, norm.beta, norm.groups, norm.epsilon);
-        let y = cheb_conv(x, weight, &graphs.graph, self.conv.order, ConvEnd::default());
+        let x = group_norm_relu(x, norm);
+        let y = cheb_conv(x, weight, &graphs.graph, self.conv.order, Epilogue::default());
         match base {
             Some(base) => base + y,
             None => y,
@@ -350,7 +358,7 @@ fn constants_alone_in_a_group_are_their_shift() {
             assert_close(&name, actual, &expected, 1e-5);
         };
         close(&outcome.output, &expected.output);
-        // All but that of the scale of the constants, which is rounding errors there.
+        // All but the gradient of the scale of the constant channels, which consists of rounding errors.
         for i in [0, 1, 3] {
             close(outcome.gradients[i].as_ref().unwrap(), expected.gradients[i].as_ref().unwrap());
         }
@@ -390,7 +398,12 @@ fn normalised_convolution_agrees_with_finite_differences() {
 fn fused_operations_give_only_the_gradients_asked_for() {
     for (name, device) in devices() {
         for batch in [2, 11] {
-            let conv = Case { rows: 1, slope: Some(0.2), pooled: true, ..case(batch, 9, 3, 2, 2) };
+            let conv = Case {
+                constant_terms: 1,
+                slope: Some(0.2),
+                pooled: true,
+                ..case(batch, 9, 3, 2, 2)
+            };
             let graphs = conv.graphs(&device);
             assert_partial_tracking(&name, &device, &conv.inputs(), &|x| conv.fused(x, &graphs));
             let conv = case(batch, 9, 3, 2, 1);

@@ -1,10 +1,10 @@
-//! The operations as plain loops in double precision.
+//! Operations as plain loops in double precision.
 
 use sprs::CsMat;
 
 use crate::support::probe;
 
-/// Central differences of `Σ probe · op(inputs)` in every number of every input.
+/// Central differences of `Σ probe · op(inputs)` with respect to every value of every input.
 pub(crate) fn gradients(
     inputs: &[Vec<f64>],
     op: &dyn Fn(&[Vec<f64>]) -> Vec<f64>,

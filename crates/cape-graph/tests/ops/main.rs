@@ -1,5 +1,5 @@
-//! The graph operations against composed tensor operations and finite differences, on every CPU
-//! device compiled in or on those of `CAPE_TEST_DEVICES=flex,wgpu:cpu`.
+//! Graph operations compared with composed tensor operations and finite differences, on every CPU
+//! device that is compiled in, or on the devices of `CAPE_TEST_DEVICES=flex,wgpu:cpu`.
 
 mod activations;
 mod chebyshev;

@@ -24,7 +24,7 @@ const SIZES: [(usize, usize, usize, usize); 9] = [
     (2, 37, 41, 544),
 ];
 
-/// The matrix with all its zeros, ready to be multiplied by `[batch, columns, channels]`.
+/// Dense matrix, `[1, rows, columns]`.
 pub(crate) fn dense(matrix: &CsMat<f64>, device: &Device) -> Tensor<3> {
     let mut values = vec![0.0; matrix.rows() * matrix.cols()];
     for (&value, (row, col)) in matrix {
@@ -84,7 +84,7 @@ fn agrees_with_finite_differences() {
     }
 }
 
-/// A name, how many numbers it takes, and how it arranges them.
+/// Name of a view, number of its values, and its arrangement of a flat tensor.
 type View<'a> = (&'a str, usize, &'a (dyn Fn(Tensor<1>) -> Tensor<3> + Sync));
 
 #[test]

@@ -1,13 +1,12 @@
-//! Devices, seeded inputs, and running an operation with its gradients.
+//! Devices, seeded inputs, and execution of an operation with its gradients.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use sprs::{CsMat, TriMat};
 
 use crate::host;
 
-/// `CAPE_TEST_DEVICES` (names separated by commas), or every CPU device compiled in.
+/// Devices of `CAPE_TEST_DEVICES` (names separated by commas), or every CPU device compiled in.
 pub(crate) fn devices() -> Vec<(String, Device)> {
     let names = std::env::var("CAPE_TEST_DEVICES").unwrap_or_else(|_| {
         let cpu = |name: &&&str| is_cpu(name);
@@ -28,7 +27,7 @@ pub(crate) fn devices() -> Vec<(String, Device)> {
     devices
 }
 
-/// The devices that run our own CPU kernels; empty when only others are tested.
+/// Tested devices with this crate's CPU kernels.
 pub(crate) fn cpu_devices() -> Vec<(String, Device)> {
     devices().into_iter().filter(|(name, _)| is_cpu(name)).collect()
 }
@@ -37,14 +36,14 @@ pub(crate) fn is_cpu(name: &str) -> bool {
     ["flex", "ndarray"].contains(&name)
 }
 
-/// Uniform in `[-1, 1)`, exactly representable in f32.
+/// Uniform values in `[-1, 1)`, exactly representable in f32.
 pub(crate) fn random(seed: u64, len: usize) -> Vec<f64> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     (0..len).map(|_| f64::from(rng.random_range(-1.0f32..1.0))).collect()
 }
 
-/// A matrix with about `per_row` entries a row, row sums of magnitudes at most 1, the last column
-/// and, if `gaps`, every third row empty.
+/// Matrix with about `per_row` entries in each row, row sums of magnitudes up to 1, and an empty last
+/// column; if `gaps`, every third row is empty as well.
 pub(crate) fn sparse(
     seed: u64,
     rows: usize,
@@ -63,22 +62,22 @@ pub(crate) fn sparse(
     matrix.to_csr()
 }
 
-/// An operation on flat inputs; it gives them their shapes itself.
+/// Operation on flat inputs, which it reshapes.
 pub(crate) type Op<'a> = &'a (dyn Fn(&[Tensor<1>]) -> Tensor<3> + Sync);
 
-/// An operation's output, and the gradients of its inner product with [`probe`].
+/// Output of an operation, and the gradients of its inner product with [`probe`].
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Outcome {
     pub output: Vec<f32>,
     pub gradients: Vec<Option<Vec<f32>>>,
 }
 
-/// What outputs are multiplied by before they are summed into the loss.
+/// Factors of the outputs in the loss, which is their weighted sum, `[len]`.
 pub(crate) fn probe(len: usize) -> Vec<f64> {
     random(0xface, len)
 }
 
-/// Runs `op` with gradients of the inputs that are `tracked`.
+/// Output of `op`, and the gradients of its `tracked` inputs.
 pub(crate) fn run(device: &Device, inputs: &[Vec<f64>], tracked: &[bool], op: Op) -> Outcome {
     let device = device.clone().autodiff();
     let inputs: Vec<Tensor<1>> = inputs
@@ -111,7 +110,7 @@ pub(crate) fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     tensor.into_data().try_into_vec().unwrap()
 }
 
-/// Asserts that `actual` is `expected` to within `tolerance` times its largest magnitude.
+/// Asserts that `actual` equals `expected` within `tolerance` times its largest magnitude.
 pub(crate) fn assert_close(label: &str, actual: &[f32], expected: &[f64], tolerance: f64) {
     assert_eq!(actual.len(), expected.len(), "{label}: lengths");
     let scale = expected.iter().fold(0.0f64, |scale, value| scale.max(value.abs())).max(1e-3);
@@ -125,7 +124,7 @@ pub(crate) fn assert_close(label: &str, actual: &[f32], expected: &[f64], tolera
     }
 }
 
-/// Asserts that two ways to compute the same thing agree, output and all gradients.
+/// Asserts that output and gradients of two implementations agree.
 pub(crate) fn assert_agree(label: &str, actual: &Outcome, expected: &Outcome, tolerance: f64) {
     let wide = |values: &[f32]| -> Vec<f64> { values.iter().map(|&x| f64::from(x)).collect() };
     assert_close(&format!("{label}: output"), &actual.output, &wide(&expected.output), tolerance);
@@ -141,7 +140,7 @@ pub(crate) fn assert_agree(label: &str, actual: &Outcome, expected: &Outcome, to
     }
 }
 
-/// Asserts that an outcome is the host's in double precision, gradients by central differences.
+/// Asserts that an outcome agrees with the host in double precision and with central differences.
 pub(crate) fn assert_host(
     label: &str,
     actual: &Outcome,
@@ -157,7 +156,7 @@ pub(crate) fn assert_host(
     }
 }
 
-/// Asserts that leaving out gradients changes nothing about the output and the other gradients.
+/// Asserts that output and gradients do not depend on which other inputs are tracked.
 pub(crate) fn assert_partial_tracking(label: &str, device: &Device, inputs: &[Vec<f64>], op: Op) {
     let all = run(device, inputs, &vec![true; inputs.len()], op);
     for subset in 1..(1 << inputs.len()) - 1 {

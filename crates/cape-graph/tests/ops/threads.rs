@@ -1,7 +1,7 @@
 //! Results do not depend on the number of threads.
 
 use cape_graph::{
-    ConvEnd, ConvGraph, GroupNorm, bias_leaky_relu, cheb_conv, cheb_features, group_norm_relu,
+    ConvGraph, Epilogue, GroupNorm, bias_leaky_relu, cheb_conv, cheb_features, group_norm_relu,
     norm_conv, sparse_matmul,
 };
 
@@ -42,14 +42,14 @@ fn results_are_the_same_bytes_for_any_number_of_threads() {
                         weight,
                         &graph,
                         order,
-                        ConvEnd::default(),
+                        Epilogue::default(),
                     )
                 }),
                 ("cheb_conv, pooled", &[0, 1, 3], &|x| {
                     let weight = x[1].clone().reshape([input * order, output]);
-                    let rows = x[2].clone().slice(0..1).expand([batch, order, output]);
-                    let end = ConvEnd { rows: Some(rows), slope: Some(0.2) };
-                    cheb_conv(x[0].clone().reshape(shape), weight, &pooled, order, end)
+                    let terms = x[2].clone().slice(0..1).expand([batch, order, output]);
+                    let epilogue = Epilogue { constant_terms: Some(terms), slope: Some(0.2) };
+                    cheb_conv(x[0].clone().reshape(shape), weight, &pooled, order, epilogue)
                 }),
                 ("norm_conv", &[0, 1, 2, 3], &|x| {
                     let weight = x[1].clone().reshape([input * order, output]);
@@ -62,7 +62,8 @@ fn results_are_the_same_bytes_for_any_number_of_threads() {
                 }),
                 ("group_norm_relu", &[0, 2, 3], &|x| {
                     let (gamma, beta) = (x[1].clone(), x[2].clone());
-                    group_norm_relu(x[0].clone().reshape(shape), gamma, beta, 1, 1e-3)
+                    let norm = GroupNorm { gamma, beta, groups: 1, epsilon: 1e-3 };
+                    group_norm_relu(x[0].clone().reshape(shape), norm)
                 }),
             ];
             for (operation, used, op) in operations {

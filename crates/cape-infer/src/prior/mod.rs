@@ -14,8 +14,7 @@ use cape_core::{
     npy::{Npz, NpzWriter},
 };
 use ndarray::{Array0, Array1, Array2, Array3, ArrayD, Axis, Dimension, concatenate};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::{SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::{Distribution, StandardNormal};
 
 pub use codes::LatentCodes;

@@ -1,6 +1,5 @@
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
-use rand::Rng;
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, rngs::ChaCha8Rng};
 use rayon::prelude::*;
 
 use crate::{Error, Result};

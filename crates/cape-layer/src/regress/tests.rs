@@ -1,8 +1,7 @@
 use cape_core::BodyMotion;
 use ndarray::{Array2, Axis, s};
 use proptest::prelude::*;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 use super::*;
 

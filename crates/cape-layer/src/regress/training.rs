@@ -2,8 +2,7 @@ use std::convert::Infallible;
 
 use cape_core::optimise::{LbfgsOptions, minimise_while};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate};
-use rand::{Rng, SeedableRng, seq::SliceRandom};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng, seq::SliceRandom};
 use rand_distr::StandardNormal;
 use serde::Serialize;
 

@@ -2,7 +2,7 @@ use burn::{
     module::{Module, Param},
     tensor::Tensor,
 };
-use cape_graph::{ConvEnd, ConvGraph, cheb_conv};
+use cape_graph::{ConvGraph, Epilogue, cheb_conv};
 
 use crate::{Initialiser, config::LEAKY_SLOPE};
 
@@ -53,13 +53,12 @@ impl ChebConv {
         graph: &ConvGraph,
     ) -> Tensor<3> {
         let [_, _, channels] = x.dims();
-        let (weight, rows) = self.split(channels, condition);
-        cheb_conv(x, weight, graph, self.order, ConvEnd { rows, slope: None })
+        let (weight, constant_terms) = self.split(channels, condition);
+        cheb_conv(x, weight, graph, self.order, Epilogue { constant_terms, slope: None })
     }
 
-    /// Weight rows of the first `channels` channels, `[channels · order, out]`, and the
-    /// contribution of the condition to each Chebyshev term, `[batch, order, out]`, in place of
-    /// channels that repeat at every vertex.
+    /// Weights of the first `channels` channels, `[channels · order, out]`, and the constant terms of
+    /// the condition's channels, `[batch, order, out]`, instead of channels repeated at every vertex.
     pub(super) fn split(
         &self,
         channels: usize,
@@ -147,31 +146,31 @@ impl ConvLayer {
         graph: &ConvGraph,
     ) -> Tensor<3> {
         let [batch, _, channels] = x.dims();
-        let (weight, rows) = self.conv.split(channels, condition);
+        let (weight, terms) = self.conv.split(channels, condition);
         let [_, out] = weight.dims();
         let bias = self.bias.val().reshape([1, 1, out]).expand([batch, 1, out]);
-        let rows = match rows {
+        let terms = match terms {
             None => bias,
-            Some(rows) => {
-                // The bias is constant over the vertices, as T₀ of the condition is.
+            Some(terms) => {
+                // The bias is the same at every vertex, as T_0(L̃)1 is.
                 let order = self.conv.order;
-                let first = rows.clone().slice([0..batch, 0..1, 0..out]) + bias;
+                let first = terms.clone().slice([0..batch, 0..1, 0..out]) + bias;
                 if order > 1 {
-                    Tensor::cat(vec![first, rows.slice([0..batch, 1..order, 0..out])], 1)
+                    Tensor::cat(vec![first, terms.slice([0..batch, 1..order, 0..out])], 1)
                 } else {
                     first
                 }
             }
         };
-        let end = ConvEnd { rows: Some(rows), slope: Some(LEAKY_SLOPE) };
-        cheb_conv(x, weight, graph, self.conv.order, end)
+        let epilogue = Epilogue { constant_terms: Some(terms), slope: Some(LEAKY_SLOPE) };
+        cheb_conv(x, weight, graph, self.conv.order, epilogue)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use burn::tensor::{Device, TensorData};
-    use rand::{Rng, SeedableRng, rngs::SmallRng};
+    use rand::{RngExt, SeedableRng, rngs::SmallRng};
 
     use super::*;
 

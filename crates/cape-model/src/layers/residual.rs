@@ -2,7 +2,7 @@ use burn::{
     module::{Module, Param},
     tensor::Tensor,
 };
-use cape_graph::{ConvEnd, ConvGraph, DevicePyramid, GroupNorm, cheb_conv, norm_conv};
+use cape_graph::{ConvGraph, DevicePyramid, Epilogue, GroupNorm, cheb_conv, norm_conv};
 
 use super::{ChebConv, append, append_unless_preserved};
 use crate::{Initialiser, config::MAX_GROUPS};
@@ -143,13 +143,13 @@ impl ResidualBlock {
     ) -> Tensor<3> {
         let Some(skip) = &self.skip else { return append(x.clone(), condition) };
         let [_, _, channels] = x.dims();
-        let (weight, rows) = skip.split(channels, condition);
+        let (weight, constant_terms) = skip.split(channels, condition);
         let (x, weight) = match origin {
             Some(FactoredFeatures { features, weight: first }) if first.dims()[1] == channels => {
                 (features, first.matmul(weight))
             }
             _ => (x.clone(), weight),
         };
-        cheb_conv(x, weight, graph, 1, ConvEnd { rows, slope: None })
+        cheb_conv(x, weight, graph, 1, Epilogue { constant_terms, slope: None })
     }
 }

@@ -1,8 +1,7 @@
 //! Gaussian kernel density estimation.
 
 use ndarray::{Array2, ArrayView2};
-use rand::Rng;
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 
 use crate::{Error, Result};
@@ -12,8 +11,7 @@ use crate::{Error, Result};
 /// ```
 /// use cape_stats::density::KernelDensity;
 /// use ndarray::array;
-/// use rand::SeedableRng;
-/// use rand_chacha::ChaCha8Rng;
+/// use rand::{SeedableRng, rngs::ChaCha8Rng};
 ///
 /// let density = KernelDensity::new(array![[0.0, 0.0], [5.0, 5.0]], 0.1)?;
 /// let rng = &mut ChaCha8Rng::seed_from_u64(7);

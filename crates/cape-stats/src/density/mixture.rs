@@ -5,8 +5,7 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use ndarray::{Array1, Array2, Array3, ArrayView2, Axis};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 
 use crate::{Error, Result};
@@ -38,8 +37,7 @@ impl Default for MixtureOptions {
 /// ```
 /// use cape_stats::density::{Mixture, MixtureOptions};
 /// use ndarray::array;
-/// use rand::SeedableRng;
-/// use rand_chacha::ChaCha8Rng;
+/// use rand::{SeedableRng, rngs::ChaCha8Rng};
 ///
 /// let identity = array![[[1.0, 0.0], [0.0, 1.0]]];
 /// let mixture = Mixture::new(&array![1.0], &array![[1.0, 2.0]], &identity)?;

@@ -276,8 +276,7 @@ pub fn vertex_errors_mm(predicted: &[f32], truth: &[f32], vertices: &[usize]) ->
 
 #[cfg(test)]
 mod tests {
-    use rand::{Rng, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
+    use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
     use super::*;
 

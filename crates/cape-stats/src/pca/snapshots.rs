@@ -156,8 +156,7 @@ fn orthonormal(mut rows: Array2<f64>) -> Array2<f64> {
 #[cfg(test)]
 mod tests {
     use ndarray::Array1;
-    use rand::{Rng, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
+    use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
     use super::*;
 

@@ -1,7 +1,6 @@
 use nalgebra::DMatrix;
 use ndarray::s;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 use super::*;
 use cape_core::silent;

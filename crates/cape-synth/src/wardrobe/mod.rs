@@ -12,8 +12,7 @@ mod outfit_style;
 
 use glam::DVec3;
 use ndarray::Array2;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 
 use super::regions::{Regions, joint};

@@ -3,8 +3,7 @@
 use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 
 use cape_core::Outfit;

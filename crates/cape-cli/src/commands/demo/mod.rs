@@ -9,7 +9,7 @@ use std::{
 
 use burn::tensor::Device;
 use cape_core::silent;
-use cape_core::{Outfit, obj, parse_device};
+use cape_core::{Outfit, obj};
 use cape_data::{PackOptions, SplitSpec, pack};
 use cape_eval::{EvalOptions, EvalReport, PosteriorUse, evaluate};
 use cape_infer::{
@@ -24,53 +24,46 @@ use cape_train::{TrainEvent, TrainOutcome, Trainer, TrainerOptions};
 use clap::Args;
 
 use crate::{
-    arguments::GlobalArgs,
-    commands::synth::split_of,
+    commands::data::synth::split_of,
     console::Console,
     dressed_mesh::{DressedMesh, dress, unclothed_meshes},
     error::{Context, Error, Result},
-    files, training,
+    files,
+    options::{GlobalArgs, positive},
+    training,
 };
 use outcome::{Report, Stage};
 use pictures::LossCurves;
 
-/// Training frames that show where each outfit's codes are.
+/// Training frames that the prior is fitted to.
 const CODE_FRAMES: usize = 256;
-/// Of the samples: a little closer to the typical outfit than the training frames.
+/// Temperature of the samples.
 const TEMPERATURE: f64 = 0.5;
-/// Part of the time after which training stops; the rest is for evaluation and pictures.
+/// Share of the time for training; the rest is for evaluation and pictures.
 const TRAINING_SHARE: f64 = 0.8;
-/// Marks a directory as a demo's, which the next demo may replace.
+/// File that marks a directory of a demo, which the next demo may replace.
 const MARKER: &str = ".cape-demo";
 const FILES: [&str; 4] = [MARKER, "demo.json", "loss.png", "contact_sheet.png"];
 const DIRECTORIES: [&str; 3] = ["raw", "packed", "run"];
-/// The bare body's file, beside one for each outfit.
+/// Name of the bare body's file.
 const BARE: &str = "bare";
 
-/// Create data, train, evaluate and sample, all in a few minutes.
+/// Create data, train, evaluate and sample in about four minutes.
 ///
-/// Synthetic captures of full size are packed, a narrow model with all eight levels is trained on
-/// them and evaluated on movements it has not seen, and bodies are dressed in clothes it makes up:
-/// meshes, loss.png and contact_sheet.png.
+/// Packs synthetic captures, trains a narrow model on them, evaluates it on held-out motions and samples
+/// dressed bodies. Writes the run, meshes, loss.png and contact_sheet.png.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape demo --out demo --minutes 5")]
 pub(crate) struct DemoArgs {
-    /// Directory to write; an earlier demo there is replaced.
+    /// Directory to write; an earlier demo in it is replaced.
     #[arg(long, default_value = "demo", value_name = "DIR")]
     out: PathBuf,
-    /// Most minutes to take, more or less: training stops in time.
+    /// Approximate time limit in minutes.
     #[arg(long, default_value_t = 5.0, value_name = "M", value_parser = positive)]
     minutes: f64,
 }
 
-fn positive(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(minutes) if minutes > 0.0 && minutes.is_finite() => Ok(minutes),
-        _ => Err("expected a positive number".into()),
-    }
-}
-
-/// What the demo works with.
+/// State of the demo.
 struct DemoContext {
     out: PathBuf,
     seed: u64,
@@ -82,19 +75,14 @@ struct DemoContext {
 impl DemoArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let start = Instant::now();
-        let device = parse_device(&global.device)?;
+        let device = global.device()?;
         prepare(&self.out)?;
-        let mut setting = DemoContext {
-            out: self.out,
-            seed: global.seed.unwrap_or(1),
-            device,
-            console,
-            stages: Vec::new(),
-        };
+        let mut setting =
+            DemoContext { out: self.out, seed: global.seed(), device, console, stages: Vec::new() };
         let deadline = start + Duration::from_secs_f64(60.0 * self.minutes * TRAINING_SHARE);
         setting.data()?;
         let (outcome, losses) = setting.train(deadline)?;
-        let run = Run::open(&setting.path("run"), &setting.device)?;
+        let run = Run::open(setting.path("run"), &setting.device)?;
         let evaluation = setting.evaluate(&run)?;
         setting.pictures(&run, &losses)?;
         let report = Report {
@@ -110,7 +98,7 @@ impl DemoArgs {
     }
 }
 
-/// Synthetic people and their split.
+/// Synthetic captures and their split.
 pub(crate) fn captures(
     subjects: usize,
     frames: usize,
@@ -123,16 +111,16 @@ pub(crate) fn captures(
         frame_rate: 1.5,
         ..cape_synth::SynthSpec::default()
     };
-    // Many takes of few frames, all of which are kept: clothes differ more between takes.
+    // Many short sequences, none of which is cut: clothing varies more between sequences.
     let split = SplitSpec { cut: 0, ..split_of(&spec) };
     (spec, split)
 }
 
-/// Minutes of training on them.
+/// Configuration of a training of a few minutes.
 pub(crate) fn recipe(seed: u64) -> RunConfig {
     RunConfig {
         model: CapeConfig::narrow(),
-        // In so few steps the code must be worth using early, and many small steps get further.
+        // Few steps: a low weight of the KL term keeps the code in use, and small batches give more steps.
         loss: LossConfig { kl: 1e-5, gan: 0.02, ..LossConfig::default() },
         train: TrainConfig {
             epochs: 8,
@@ -149,7 +137,7 @@ pub(crate) fn recipe(seed: u64) -> RunConfig {
     }
 }
 
-/// Makes room: an earlier demo's files go, anything else stays and is an error.
+/// Removes the files of an earlier demo; other files in the directory are an error.
 fn prepare(out: &Path) -> Result {
     if out.join(MARKER).exists() {
         let meshes = Outfit::ALL.map(Outfit::name).into_iter().chain([BARE]);
@@ -176,7 +164,7 @@ impl DemoContext {
         self.out.join(name)
     }
 
-    /// Says what comes, does it, and notes how long it took.
+    /// Runs a stage of the demo and records its time.
     fn stage<T>(
         &mut self,
         name: &'static str,
@@ -194,7 +182,7 @@ impl DemoContext {
     fn data(&mut self) -> Result {
         let raw = self.path("raw");
         let (spec, split) = captures(8, 2, self.seed);
-        self.stage("synth", "eight subjects in four outfits, fifteen movements", |this| {
+        self.stage("synth", "8 subjects in 4 outfits, 15 motions", |this| {
             let body = cape_synth::synthetic_body();
             let synth = cape_synth::CaptureGenerator::new(&body, spec)?;
             let write = |progress: &mut dyn FnMut(usize, usize)| synth.write(&raw, progress);
@@ -217,7 +205,7 @@ impl DemoContext {
 
     fn train(&mut self, deadline: Instant) -> Result<(TrainOutcome, LossCurves)> {
         let config = recipe(self.seed);
-        self.stage("train", "a narrow model with all eight levels", |this| {
+        self.stage("train", "narrow model", |this| {
             let (run, packed) = (this.path("run"), this.path("packed"));
             let options = TrainerOptions::new(packed, config);
             let mut trainer = Trainer::create(&run, options, &this.device)?;
@@ -227,7 +215,7 @@ impl DemoContext {
                 matches!(event, TrainEvent::Step { .. }) && Instant::now() >= deadline
             })?;
             if !outcome.finished {
-                this.console.note("the time for training is up; going on with what was learnt");
+                this.console.note("time limit reached: continuing with the trained model");
             }
             Ok((outcome, losses))
         })
@@ -235,7 +223,7 @@ impl DemoContext {
 
     fn evaluate(&mut self, run: &Run) -> Result<EvalReport> {
         let seed = self.seed;
-        self.stage("evaluate", "movements that were held out", |this| {
+        self.stage("evaluate", "held-out motions", |this| {
             let options = EvalOptions { posterior: PosteriorUse::Mean, seed, batch: 16 };
             let report = this.console.while_showing("evaluate", "frames", |progress| {
                 evaluate(run, &this.path("packed"), options, progress)
@@ -247,8 +235,8 @@ impl DemoContext {
 
     /// Meshes of the bare body and of the four outfits, and the pictures.
     fn pictures(&mut self, run: &Run, losses: &LossCurves) -> Result {
-        self.stage("sample", "four outfits, meshes and pictures", |this| {
-            // After so few steps the codes do not fill the prior yet.
+        self.stage("sample", "meshes and pictures of 4 outfits", |this| {
+            // After few steps the codes do not follow the standard normal prior yet.
             let seen =
                 LatentCodes::from_training(run, &this.path("packed"), CODE_FRAMES, &mut silent)?;
             let options = MixtureOptions::default();
@@ -256,8 +244,9 @@ impl DemoContext {
             let codes = prior.sample_each(TEMPERATURE, this.seed)?;
             let mut rows = Vec::new();
             for (row, &(name, view)) in pictures::POSES.iter().enumerate() {
-                let pose = poses::preset(name)
-                    .ok_or_else(|| Error::message(format!("there is no pose `{name}`")))?;
+                let pose = poses::preset(name).ok_or_else(|| {
+                    Error::message(format!("internal error: unknown pose `{name}`"))
+                })?;
                 let wearers =
                     Outfit::ALL.map(|outfit| BodySpec { betas: Vec::new(), pose, outfit });
                 let mut bodies = unclothed_meshes(run, &wearers[..1])?;

@@ -4,12 +4,12 @@ use cape_train::TrainEvent;
 
 use crate::{dressed_mesh::DressedMesh, error::Result};
 
-/// Poses of the contact sheet, one a row, and from where each is seen.
+/// Poses of the contact sheet, one per row, and their views.
 pub(super) const POSES: [(&str, View); 2] = [("a-pose", View::Front), ("walk", View::ThreeQuarter)];
 
 const TILE: [u32; 2] = [240, 352];
 
-/// Each row's bodies side by side: bare, then the outfits.
+/// Contact sheet with a row per pose: the bare body, then the outfits.
 pub(super) fn contact_sheet(rows: &[(View, Vec<DressedMesh>)]) -> Result<Image> {
     let mut tiles = Vec::new();
     let labels = ["body"].into_iter().chain(Outfit::ALL.map(Outfit::name));
@@ -24,7 +24,7 @@ pub(super) fn contact_sheet(rows: &[(View, Vec<DressedMesh>)]) -> Result<Image> 
     Ok(lay_out(&tiles, labels.len(), None)?)
 }
 
-/// What training reported, for a plot.
+/// Losses by step.
 #[derive(Debug, Clone, Default)]
 pub(super) struct LossCurves {
     train: Vec<(f64, f64)>,

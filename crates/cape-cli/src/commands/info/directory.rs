@@ -31,9 +31,8 @@ pub(super) fn describe(path: &Path) -> Result<FileSummary> {
         super::file::tensorflow(path)
     } else {
         Err(Error::message(format!(
-            "{}: not a directory that cape knows: expected raw data (sequences/), a packed set \
-             (train/train_disp.npy), a training run (config.toml), a pyramid (A_0.npz) or a TensorFlow \
-             checkpoint",
+            "{}: unknown kind of directory: expected raw data (sequences/), a packed set \
+             (train/train_disp.npy), a run (config.toml), a pyramid (A_0.npz) or a TensorFlow checkpoint",
             path.display()
         )))
     }
@@ -43,7 +42,7 @@ fn run(path: &Path) -> Result<FileSummary> {
     let config = RunConfig::load(&path.join("config.toml"))?;
     let checkpoints: Vec<String> =
         entries(&path.join("checkpoints")).unwrap_or_default().iter().map(|p| name(p)).collect();
-    let facts = FileSummary::new("training run").with("checkpoints", checkpoints);
+    let facts = FileSummary::new("run").with("checkpoints", checkpoints);
     let steps = fs::read_to_string(path.join("metrics.jsonl")).unwrap_or_default();
     let evaluated = path.join("eval.json").exists();
     Ok(run_config(facts, &config)
@@ -72,7 +71,7 @@ fn raw_tree(path: &Path) -> Result<FileSummary> {
         .with("captures", captures)
         .with("frames", frames)
         .maybe("vertices", vertices.map(|shape| shape.nrows()))
-        .with("brings", brought(path, &[BODY_FILE, CLOTHING_FILE, SPLIT_FILE])))
+        .with("also contains", brought(path, &[BODY_FILE, CLOTHING_FILE, SPLIT_FILE])))
 }
 
 fn packed(path: &Path) -> Result<FileSummary> {
@@ -98,8 +97,10 @@ fn packed(path: &Path) -> Result<FileSummary> {
                 .with(format!("{part} sequences"), sequences.into_iter().collect::<Vec<_>>());
         }
     }
-    Ok(facts
-        .with("brings", brought(path, &[BODY_FILE, CLOTHING_FILE, SPLIT_FILE, STATISTICS_FILE])))
+    Ok(facts.with(
+        "also contains",
+        brought(path, &[BODY_FILE, CLOTHING_FILE, SPLIT_FILE, STATISTICS_FILE]),
+    ))
 }
 
 fn pyramid(path: &Path) -> Result<FileSummary> {
@@ -112,12 +113,12 @@ fn pyramid(path: &Path) -> Result<FileSummary> {
         let shape = cape_core::npy::Npz::open(&file)?.i64("shape")?;
         vertices.push(shape.first().copied().unwrap_or_default());
     }
-    Ok(FileSummary::new("pyramid for SciPy")
+    Ok(FileSummary::new("mesh pyramid as SciPy matrices")
         .with("levels", vertices.len())
         .with("vertices", vertices))
 }
 
-/// Which of the files `names` are in `path`.
+/// The names among `names` of files in `path`.
 fn brought(path: &Path, names: &[&str]) -> Vec<String> {
     names.iter().filter(|name| path.join(name).exists()).map(ToString::to_string).collect()
 }

@@ -5,7 +5,7 @@ use serde_json::Value;
 
 use crate::table::Table;
 
-/// What something is, and named values about it in the order they are said.
+/// Kind of a file or directory, and named values in order.
 #[derive(Debug, Clone)]
 pub(super) struct FileSummary {
     kind: &'static str,
@@ -50,7 +50,7 @@ impl Serialize for FileSummary {
     }
 }
 
-/// A value without JSON's punctuation.
+/// A value without the punctuation of JSON.
 fn said(value: &Value) -> String {
     match value {
         Value::String(text) => text.clone(),

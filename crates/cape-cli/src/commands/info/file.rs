@@ -17,9 +17,9 @@ use crate::{
     mesh_file::has_extension,
 };
 
-/// Objects of an array that are listed.
+/// Largest number of listed objects of an array.
 const MOST_OBJECTS: usize = 32;
-/// Entries of a pickled dictionary that are listed.
+/// Largest number of listed entries of a pickled dictionary.
 const MOST_KEYS: usize = 200;
 
 pub(super) fn describe(path: &Path) -> Result<FileSummary> {
@@ -33,7 +33,7 @@ pub(super) fn describe(path: &Path) -> Result<FileSummary> {
         Some("safetensors") => parameters(path),
         Some("toml") => settings(path),
         _ => Err(Error::message(format!(
-            "{}: not a kind of file that cape knows: expected .{}",
+            "{}: unknown kind of file: expected .{}",
             path.display(),
             known.join(", .")
         ))),
@@ -72,7 +72,7 @@ fn archive(path: &Path) -> Result<FileSummary> {
     let mut facts = FileSummary::new("NumPy archive");
     for name in archive.names() {
         let shape = archive.f64(&name).map(|array| format!("{:?}", array.shape()));
-        facts = facts.with(name, shape.unwrap_or_else(|_| "not numbers".into()));
+        facts = facts.with(name, shape.unwrap_or_else(|_| "not numeric".into()));
     }
     Ok(facts)
 }
@@ -120,13 +120,13 @@ fn pickle(path: &Path) -> Result<FileSummary> {
     for key in root.keys().into_iter().take(MOST_KEYS) {
         let value = root.get(&key);
         let shape = value.and_then(|value| value.array::<f64>().ok());
-        let shape = shape.map_or("not numbers".into(), |array| format!("{:?}", array.shape()));
+        let shape = shape.map_or("not numeric".into(), |array| format!("{:?}", array.shape()));
         facts = facts.with(key, shape);
     }
     Ok(facts)
 }
 
-/// A TensorFlow checkpoint, by any of its names.
+/// A TensorFlow checkpoint, given by its directory, prefix or .index file.
 pub(super) fn tensorflow(path: &Path) -> Result<FileSummary> {
     let checkpoint = TensorFlowCheckpoint::open(path)?;
     let mut facts = FileSummary::new("TensorFlow checkpoint")
@@ -166,7 +166,7 @@ fn mesh(path: &Path) -> Result<FileSummary> {
         .with("non-manifold edges", edges.non_manifold)
         .with("degenerate faces", report.degenerate.len())
         .with("isolated vertices", report.isolated.len())
-        .with("coordinates not finite", report.non_finite.len())
+        .with("vertices with non-finite coordinates", report.non_finite.len())
         .maybe("height, m", height(&mesh)))
 }
 
@@ -176,20 +176,20 @@ fn parameters(path: &Path) -> Result<FileSummary> {
     let broken = weights.values().filter(|array| array.values.iter().any(|x| !x.is_finite()));
     Ok(FileSummary::new("weights")
         .with("tensors", weights.len())
-        .with("numbers", count)
-        .with("tensors that are not finite", broken.count()))
+        .with("parameters", count)
+        .with("tensors with non-finite values", broken.count()))
 }
 
 fn settings(path: &Path) -> Result<FileSummary> {
     match RunConfig::load(path) {
-        Ok(config) => Ok(run_config(FileSummary::new("settings of a training run"), &config)),
+        Ok(config) => Ok(run_config(FileSummary::new("configuration of a run"), &config)),
         Err(run) => match SplitSpec::from_file(path) {
-            Ok(split) => Ok(FileSummary::new("split into training and test")
+            Ok(split) => Ok(FileSummary::new("split into training and test sequences")
                 .with("subjects", split.subjects)
                 .with("outfits", split.outfits.iter().map(|o| o.name()).collect::<Vec<_>>())
                 .with("training sequences", split.train.sequences.len())
                 .with("test sequences", split.test.sequences.len())),
-            // Which of the two it was meant to be shows in its sections.
+            // The sections tell a split from a configuration.
             Err(split) => {
                 let text = std::fs::read_to_string(path).unwrap_or_default();
                 Err(if text.contains("subjects") { split.into() } else { run.into() })

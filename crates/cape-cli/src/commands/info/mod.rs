@@ -12,14 +12,14 @@ use crate::{
 };
 use facts::FileSummary;
 
-/// Say what a file or directory is, with the essentials.
+/// Describe a file or directory.
 ///
-/// Knows raw data, packed sets, training runs, exported pyramids, TensorFlow checkpoints, bodies,
-/// pyramids, statistics, frames, arrays, pickles, meshes, weights and settings.
+/// Recognises raw data, packed sets, runs, exported pyramids, TensorFlow checkpoints, bodies, pyramids,
+/// statistics, frames, arrays, pickles, meshes, weights and configurations.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  cape info packed\n  cape info body.npz --json")]
 pub(crate) struct InfoArgs {
-    /// What to look at.
+    /// File or directory.
     #[arg(value_name = "PATH")]
     path: PathBuf,
 }

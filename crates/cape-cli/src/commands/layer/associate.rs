@@ -16,40 +16,42 @@ use serde::Serialize;
 
 use super::{
     association::{AssociationArgs, AssociationOutput},
-    body,
     pictures::{PictureCamera, by_place, mesh_of, shades},
 };
 use crate::{
-    arguments::at_least_one, console::Console, dressed_mesh::eight_bit, error::Result, files,
+    console::Console,
+    dressed_mesh::eight_bit,
+    error::Result,
+    files,
+    options::{BodyModelArgs, OutputArgs, at_least_one},
     table::Table,
 };
 
-/// Rows of pixels of a picture.
+/// Height of a picture, pixels.
 const HEIGHT: u32 = 330;
-/// Change of an edge's length that gets the brightest colour.
+/// Relative change of an edge's length that has the brightest colour.
 const TORN: f64 = 1.0;
 
-/// Tie clothing to the body, and show how.
+/// Associate clothing vertices with body vertices.
 ///
-/// Writes association.png, both meshes in colours that say what follows what, the meshes as body.ply
-/// and clothing.ply, and seams.png: clothing with the body's pose taken out, for several numbers of
-/// body vertices that each clothing vertex follows (figure 1 of the paper). Where neighbours follow
-/// different legs, few of them tear the cloth.
+/// Writes body.ply and clothing.ply, in which associated vertices have the same colour, both in
+/// association.png, and seams.png: unposed clothing for several numbers of body vertices per clothing
+/// vertex (figure 1 of the paper). Few body vertices tear cloth whose neighbours follow different legs.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  cape layer associate skirt --compare 1,2,4,16 --out tied")]
-pub(super) struct AssociateArgs {
-    /// Sequences that `cape layer synth` or `cape layer import` wrote.
+#[command(
+    after_help = "Example:\n  cape layer associate skirt --compare 1,2,4,16 --out associated"
+)]
+pub(crate) struct AssociateArgs {
+    /// Set of sequences written by `cape layer synth` or `cape layer import`.
     #[arg(value_name = "SET")]
     set: PathBuf,
-    /// Directory to write; it must be empty or missing.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// The body, .pkl or .npz; by default the synthetic one.
-    #[arg(long, value_name = "SMPL")]
-    body: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+    #[command(flatten)]
+    body: BodyModelArgs,
     #[command(flatten)]
     association_args: AssociationArgs,
-    /// Numbers of body vertices to compare.
+    /// Numbers of body vertices per clothing vertex to compare.
     #[arg(
         long,
         value_delimiter = ',',
@@ -58,7 +60,7 @@ pub(super) struct AssociateArgs {
         value_parser = at_least_one
     )]
     compare: Vec<usize>,
-    /// Frame to compare them in; by default the one that a single body vertex tears most.
+    /// Frame of the comparison [default: the one torn most by a single body vertex].
     #[arg(long, value_name = "K")]
     shown: Option<usize>,
 }
@@ -71,15 +73,15 @@ struct Report {
     rays: usize,
     hits: usize,
     pairs: usize,
-    /// Clothing vertices that needed a wider support, by the number of rings it was widened.
+    /// Number of clothing vertices with widened support, by the number of rings added.
     widened: Vec<usize>,
     isolated: usize,
-    /// Hits that were left out: from the other side of the clothing than most, or through the body.
+    /// Number of hits ignored: on the other side of the clothing than most, or through the body.
     on_outer_side: usize,
     blocked: usize,
     inside_body: usize,
     clothing_is_flipped: bool,
-    /// How long tying took.
+    /// Time of the association.
     seconds: f64,
     shown: usize,
     seams: Vec<EdgeChange>,
@@ -87,14 +89,15 @@ struct Report {
 
 impl AssociateArgs {
     pub(super) fn run(self, console: Console) -> Result {
-        files::require_empty(&self.out)?;
-        let model = body(self.body.as_deref())?;
+        self.output.require_empty()?;
+        let out = self.output.out;
+        let model = self.body.load()?;
         let set = LayerSet::load(&self.set)?;
         let start = Instant::now();
         let tied = self.association_args.associate(&model, &set, console)?;
         let seconds = start.elapsed().as_secs_f64();
-        files::create_dir(&self.out)?;
-        draw(&tied, &self.out)?;
+        files::create_dir(&out)?;
+        draw(&tied, &out)?;
         let study = EdgeChangeStudy {
             model: &model,
             set: &set,
@@ -107,7 +110,7 @@ impl AssociateArgs {
             None => study.most_torn(&tied.association)?,
         };
         let unposed = study.compare(shown, &self.association_args.options(), &self.compare)?;
-        seams_picture(&study, shown, &unposed)?.save(self.out.join("seams.png"))?;
+        seams_picture(&study, shown, &unposed)?.save(out.join("seams.png"))?;
         let seams = unposed.into_iter().map(|unposed| unposed.change).collect();
         let association = &tied.association;
         let statistics = &association.statistics;
@@ -126,7 +129,7 @@ impl AssociateArgs {
             seconds,
             shown,
             seams,
-            out: self.out,
+            out,
         };
         write_json(&report.out.join("association.json"), &report)?;
         console.result(&report, || report.text())
@@ -135,15 +138,15 @@ impl AssociateArgs {
 
 impl Report {
     fn text(&self) -> String {
-        let mut table = Table::new(["body vertices", "mean", "99 %", "largest"]);
+        let mut table = Table::new(["body vertices", "mean", "99th percentile", "largest"]);
         for seam in &self.seams {
             let changes = [seam.mean_change, seam.percentile_99, seam.largest_change];
             let cells = changes.map(|change| format!("{:.1} %", 100.0 * change));
             table.row([seam.neighbours.to_string()].into_iter().chain(cells));
         }
         format!(
-            "{} clothing vertices follow {} body vertices: {} pairs of {} hits, {} vertices \
-             completed, {:.1} s\n\nchange of edges when the pose of frame {} is taken out\n\n{}\n\n{}",
+            "{} clothing vertices associated with {} body vertices: {} pairs from {} hits, {} \
+             vertices completed, {:.1} s\n\nchange of edge lengths by unposing frame {}\n\n{}\n\n{}",
             self.clothing_vertices,
             self.body_vertices,
             self.pairs,
@@ -157,8 +160,8 @@ impl Report {
     }
 }
 
-/// Writes the association: association.png, body.ply and clothing.ply in colours by place on the
-/// body, so that what is tied to each other looks the same.
+/// Writes association.png, body.ply and clothing.ply in colours by position on the body, the same for
+/// associated vertices.
 pub(super) fn draw(tied: &AssociationOutput, out: &Path) -> Result {
     let [body, clothing] = [&tied.body, &tied.clothing].map(SurfaceMesh::to_mesh);
     let of_body = by_place(&tied.body)?;
@@ -202,8 +205,8 @@ fn seams_picture(
         let mesh = mesh_of(vertices.view(), faces);
         let stage = PictureCamera::around([&mesh], View::Front, HEIGHT)?;
         let image = stage.show(None, &mesh, Some(&shades(vertex_changes, TORN)))?;
-        tiles.push(Tile { image, label: format!("following {}", change.neighbours) });
+        tiles.push(Tile { image, label: format!("{} per vertex", change.neighbours) });
     }
-    let title = "change of edges, 0 to 100 %, when the pose is taken out";
+    let title = "change of edge lengths by unposing, 0 to 100 %";
     Ok(contact_sheet(&tiles, tiles.len(), Some(title))?)
 }

@@ -1,4 +1,4 @@
-//! What commands that learn from a set have in common: tying clothing to the body, and settings.
+//! Options of the commands that learn from a set: association and learning.
 
 use cape_core::SmplModel;
 use cape_core::{geometry::SurfaceMesh, smpl::StandardPose};
@@ -7,51 +7,54 @@ use cape_layer::{
     experiment::LearningOptions,
     regress::{FeatureOptions, TrainingOptions},
 };
-use clap::{Args, ValueEnum};
-use serde::Serialize;
+use clap::Args;
+use serde::{Serialize, Serializer};
 
 use crate::{
-    arguments::at_least_one,
     console::Console,
     error::{Error, Result},
+    options::{at_least_one, choices, non_negative, positive},
 };
 
-/// How clothing is tied to the body.
+/// Options of the association of clothing with the body.
 #[derive(Debug, Clone, Args, Serialize)]
 pub(super) struct AssociationArgs {
-    /// Body vertices for each clothing vertex.
+    /// Body vertices per clothing vertex.
     #[arg(long, default_value_t = 4, value_name = "N", value_parser = at_least_one)]
     pub(super) neighbours: usize,
-    /// How far a pair of body and clothing vertex is felt, σ, over both meshes, millimetres.
-    #[arg(long, default_value_t = 10.0, value_name = "MM")]
+    /// Standard deviation σ of the influence of a pair over both meshes, mm.
+    #[arg(long, default_value_t = 10.0, value_name = "MM", value_parser = positive)]
     pub(super) sigma: f64,
-    /// Distance over either mesh beyond which it is not, millimetres.
-    #[arg(long, default_value_t = 30.0, value_name = "MM")]
+    /// Largest distance of the influence of a pair over either mesh, mm.
+    #[arg(long, default_value_t = 30.0, value_name = "MM", value_parser = positive)]
     pub(super) support: f64,
-    /// Frame, counted over all sequences, in which clothing is tied to the body.
+    /// Frame of the association, counted over all sequences.
     #[arg(long, default_value_t = 0, value_name = "K")]
     pub(super) frame: usize,
-    /// The pose that clothing is brought to.
-    #[arg(long, value_enum, default_value_t = StandardPoseName::APose)]
-    pub(super) standard: StandardPoseName,
+    /// Pose of unposed clothing.
+    #[arg(long, default_value = "a-pose", value_name = "POSE", value_parser = choices(STANDARD_POSES))]
+    #[serde(serialize_with = "write_pose")]
+    pub(super) standard: StandardPose,
 }
 
 impl Default for AssociationArgs {
     fn default() -> Self {
         let AssociateOptions { neighbours, sigma, support, .. } = AssociateOptions::default();
         let (sigma, support) = (1e3 * sigma, 1e3 * support);
-        Self { neighbours, sigma, support, frame: 0, standard: StandardPoseName::APose }
+        Self { neighbours, sigma, support, frame: 0, standard: StandardPose::A }
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub(super) enum StandardPoseName {
-    APose,
-    TPose,
+/// Poses of unposed clothing by name.
+const STANDARD_POSES: [(&str, StandardPose); 2] =
+    [("a-pose", StandardPose::A), ("t-pose", StandardPose::T)];
+
+fn write_pose<S: Serializer>(pose: &StandardPose, to: S) -> Result<S::Ok, S::Error> {
+    let name = STANDARD_POSES.iter().find(|(_, known)| known == pose).map(|(name, _)| *name);
+    name.serialize(to)
 }
 
-/// Clothing tied to the body in one frame.
+/// Clothing associated with the body in one frame.
 pub(super) struct AssociationOutput {
     pub(super) body: SurfaceMesh,
     pub(super) clothing: SurfaceMesh,
@@ -60,10 +63,7 @@ pub(super) struct AssociationOutput {
 
 impl AssociationArgs {
     pub(super) fn standard(&self) -> StandardPose {
-        match self.standard {
-            StandardPoseName::APose => StandardPose::A,
-            StandardPoseName::TPose => StandardPose::T,
-        }
+        self.standard.clone()
     }
 
     pub(super) fn options(&self) -> AssociateOptions {
@@ -75,7 +75,7 @@ impl AssociationArgs {
         }
     }
 
-    /// Ties the set's clothing to its body, and says what is odd about them.
+    /// Associates the set's clothing with its body, and notes warnings.
     pub(super) fn associate(
         &self,
         model: &SmplModel,
@@ -84,77 +84,74 @@ impl AssociationArgs {
     ) -> Result<AssociationOutput> {
         let each = set.each_frame();
         let &(sequence, frame) = each.get(self.frame).ok_or_else(|| {
-            Error::message(format!("--frame {}: there are {}", self.frame, each.len()))
+            Error::message(format!("--frame {}: the set has {} frames", self.frame, each.len()))
         })?;
         let body = set.sequences[sequence].body(model, frame, &self.standard())?;
         let body = SurfaceMesh::new("body", body.posed, model.faces.clone())?;
         let clothing = set.clothing(sequence, frame)?;
         let association = self.options().associate(&body, &clothing)?;
         for oddity in warnings(&association) {
-            console.note(&format!("sequence `{}`: {oddity}", set.sequences[sequence].name));
+            console
+                .note(&format!("warning: sequence `{}`: {oddity}", set.sequences[sequence].name));
         }
         Ok(AssociationOutput { body, clothing, association })
     }
 }
 
-/// What the rays from the body say about meshes that can be used but may not be meant.
+/// Problems of the meshes that do not prevent an association.
 fn warnings(association: &Association) -> Vec<String> {
     let statistics = &association.statistics;
     let mut found = Vec::new();
     if statistics.clothing_is_flipped() {
         found.push(format!(
-            "{} of {} rays from the body meet the clothing's outer side: its faces are flipped \
-             (they only matter for pictures)",
+            "{} of {} rays from the body hit the clothing from outside: its faces are flipped \
+             (this affects only pictures)",
             statistics.on_outer_side, statistics.hits
         ));
     }
     if statistics.inside > 0 {
         found.push(format!(
-            "{} of {} clothing vertices are inside the body in the frame that ties them",
+            "{} of {} clothing vertices are inside the body in the frame of the association",
             statistics.inside,
             association.clothing_vertices()
         ));
     }
     if association.completion.isolated > 0 {
         found.push(format!(
-            "{} clothing vertices are in parts that no ray from the body meets: they follow the \
-             nearest part that is met",
+            "{} clothing vertices are in parts that no ray from the body hits: they follow the \
+             nearest part that is hit",
             association.completion.isolated
         ));
     }
     found
 }
 
-/// How clothing is learned.
+/// Options of components and regression.
 #[derive(Debug, Clone, Args)]
 pub(super) struct LearningArgs {
-    /// Principal components that are predicted.
+    /// Number of principal components to predict.
     #[arg(long, default_value_t = 40, value_name = "N", value_parser = at_least_one)]
     pub(super) components: usize,
-    /// Rises of the validation error in a row after which training still goes on.
+    /// Successive rises of the validation error before training stops.
     #[arg(long, default_value_t = 0, value_name = "N")]
     patience: usize,
-    /// Copies of the training frames with noise on the semantic parameters.
+    /// Number of copies of the training frames with noise on semantic parameters.
     #[arg(long, default_value_t = 0, value_name = "N")]
     copies: usize,
-    /// Standard deviation of that noise, relative to that of the parameters.
-    #[arg(long, default_value_t = 0.05, value_name = "S")]
+    /// Standard deviation of that noise relative to that of the parameters.
+    #[arg(long, default_value_t = 0.05, value_name = "S", value_parser = non_negative)]
     noise: f64,
-    /// Numbers that semantic parameters are reduced to if more of them vary.
+    /// Dimension that semantic parameters are reduced to, if more of them vary.
     #[arg(long, default_value_t = 4, value_name = "N", value_parser = at_least_one)]
     reduce: usize,
-    /// Standard deviation of the Gaussian that smooths speeds, seconds.
-    #[arg(long, default_value_t = 0.0, value_name = "S")]
+    /// Standard deviation of Gaussian smoothing of speeds in seconds.
+    #[arg(long, default_value_t = 0.0, value_name = "S", value_parser = non_negative)]
     smoothing: f64,
 }
 
 impl LearningArgs {
-    pub(super) fn learning(&self, seed: u64) -> Result<LearningOptions> {
-        if !(self.smoothing.is_finite() && self.smoothing >= 0.0) {
-            let message = format!("--smoothing {}: expected 0 or more", self.smoothing);
-            return Err(Error::message(message));
-        }
-        Ok(LearningOptions {
+    pub(super) fn learning(&self, seed: u64) -> LearningOptions {
+        LearningOptions {
             components: self.components,
             features: FeatureOptions { smoothing: self.smoothing, ..FeatureOptions::default() },
             semantics: Some(self.reduce),
@@ -165,6 +162,6 @@ impl LearningArgs {
                 seed,
                 ..TrainingOptions::default()
             },
-        })
+        }
     }
 }

@@ -4,45 +4,44 @@ use cape_layer::{LayerSet, import};
 use clap::Args;
 use serde::Serialize;
 
-use super::{association::AssociationArgs, body, named};
+use super::{association::AssociationArgs, named};
 use crate::{
     console::Console,
     error::{Error, Result},
     files,
+    options::{BodyModelArgs, positive},
 };
 
-/// Add a captured or simulated sequence of one's own to a set.
+/// Import a captured or simulated clothing sequence.
 ///
-/// Takes a directory of OBJ or PLY meshes, whose names sort by frame, and SMPL's parameters of the
-/// same frames. All sequences of a set have one topology and the same semantic parameters.
+/// Adds a directory of OBJ or PLY meshes, whose names sort by frame, with the SMPL parameters of the same
+/// frames to a set. All sequences of a set share topology and semantic parameters.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  cape layer import scans/skirt_01 scans/skirt_01.npz --set skirts --name \
                   walk --parameters length=0.85,width=1.1"
 )]
-pub(super) struct ImportArgs {
+pub(crate) struct ImportArgs {
     /// Directory of clothing meshes, .obj or .ply, metres.
     #[arg(value_name = "MESHES")]
     meshes: PathBuf,
-    /// The body in the same frames: poses, trans or transl, betas and mocap_framerate, as AMASS has
-    /// them.
+    /// Motion of the body in the same frames, as in AMASS: poses, trans, betas, mocap_framerate.
     #[arg(value_name = "SMPL.npz")]
     motion: PathBuf,
-    /// Directory of the set; it is made if it is missing.
+    /// Directory of the set; it is created if missing.
     #[arg(long, value_name = "SET")]
     set: PathBuf,
-    /// The sequence's name; what follows its last underscore is the movement's.
+    /// Name of the sequence; the part after the last underscore is that of the motion.
     #[arg(long, value_name = "NAME")]
     name: String,
-    /// Semantic parameters: sizes (length, width, sleeve, size) and others, which are the material's.
+    /// Semantic parameters: length, width, sleeve and size; all others are of the material.
     #[arg(long, value_delimiter = ',', value_name = "NAME=X,…", value_parser = named)]
     parameters: Vec<(String, f64)>,
-    /// Frames a second, if the archive does not say.
-    #[arg(long, value_name = "FPS")]
+    /// Frames per second, if the archive has no mocap_framerate.
+    #[arg(long, value_name = "FPS", value_parser = positive)]
     fps: Option<f64>,
-    /// The body, .pkl or .npz; by default the synthetic one.
-    #[arg(long, value_name = "SMPL")]
-    body: Option<PathBuf>,
+    #[command(flatten)]
+    body: BodyModelArgs,
 }
 
 #[derive(Debug, Serialize)]
@@ -51,17 +50,17 @@ struct Report {
     name: String,
     frames: usize,
     vertices: usize,
-    /// Sequences of the set with this one.
+    /// Number of sequences of the set, this one included.
     sequences: usize,
 }
 
 impl ImportArgs {
     pub(super) fn run(self, console: Console) -> Result {
-        let model = body(self.body.as_deref())?;
+        let model = self.body.load()?;
         let (faces, mut sequence) = import(&self.name, &self.meshes, &self.motion, self.fps)?;
         sequence.parameters.clone_from(&self.parameters);
         let own = LayerSet::new(faces, vec![sequence])?;
-        // What cannot be tied to the body cannot be learned.
+        // Sequences that cannot be associated with the body are refused now.
         AssociationArgs::default().associate(&model, &own, console)?;
         let set = self.joined(own)?;
         files::create_dir(&self.set)?;
@@ -84,7 +83,7 @@ impl ImportArgs {
         })
     }
 
-    /// The set that is there already with the new sequence.
+    /// The existing set with the new sequence.
     fn joined(&self, own: LayerSet) -> Result<LayerSet> {
         if files::require_empty(&self.set).is_ok() {
             return Ok(own);
@@ -92,11 +91,13 @@ impl ImportArgs {
         let LayerSet { faces, mut sequences } = LayerSet::load(&self.set)?;
         if sequences.iter().any(|sequence| sequence.name == self.name) {
             let (name, set) = (&self.name, self.set.display());
-            return Err(Error::message(format!("--name {name}: {set} has such a sequence")));
+            return Err(Error::message(format!(
+                "--name {name}: {set} already has a sequence of this name"
+            )));
         }
         if faces != own.faces {
             return Err(Error::message(format!(
-                "sequence `{}`: other faces than those of {}: every sequence of a set must have the \
+                "sequence `{}`: its faces differ from those of {}: all sequences of a set need the \
                  same topology",
                 self.name,
                 self.set.display()

@@ -11,27 +11,30 @@ use serde::Serialize;
 use super::{
     associate,
     association::{AssociationArgs, LearningArgs},
-    body,
 };
-use crate::{arguments::GlobalArgs, console::Console, error::Result, files, table::Table};
+use crate::{
+    console::Console,
+    error::Result,
+    files,
+    options::{BodyModelArgs, GlobalArgs, OutputArgs},
+    table::Table,
+};
 
-/// Tie clothing to the body, and learn to predict it.
+/// Learn principal components and regression of clothing.
 ///
-/// Writes layer.npz, which `cape layer predict` takes, the reconstruction errors by number of
-/// components and the errors of regression (tables 1 and 2 of the paper) in layer.json, and the
-/// association as coloured meshes and a picture.
+/// Writes layer.npz for `cape layer predict`, layer.json with reconstruction errors by number of
+/// components and regression errors (tables 1 and 2 of the paper), and the association as coloured meshes
+/// and a picture.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  cape layer learn skirt --components 40 --out learnt")]
-pub(super) struct LearnArgs {
-    /// Sequences that `cape layer synth` or `cape layer import` wrote.
+#[command(after_help = "Example:\n  cape layer learn skirt --components 40 --out learned")]
+pub(crate) struct LearnArgs {
+    /// Set of sequences written by `cape layer synth` or `cape layer import`.
     #[arg(value_name = "SET")]
     set: PathBuf,
-    /// Directory to write; it must be empty or missing.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// The body, .pkl or .npz; by default the synthetic one.
-    #[arg(long, value_name = "SMPL")]
-    body: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+    #[command(flatten)]
+    body: BodyModelArgs,
     #[command(flatten)]
     association_args: AssociationArgs,
     #[command(flatten)]
@@ -54,7 +57,7 @@ impl From<LayerError> for Errors {
 struct Row {
     sequence: String,
     frames: usize,
-    /// With 1, 5, as many as are predicted, and all components.
+    /// Errors with 1, 5, as many as are predicted, and all components.
     errors: Vec<Errors>,
 }
 
@@ -74,11 +77,12 @@ struct Report {
 
 impl LearnArgs {
     pub(super) fn run(self, global: &GlobalArgs, console: Console) -> Result {
-        files::require_empty(&self.out)?;
-        let model = body(self.body.as_deref())?;
+        self.output.require_empty()?;
+        let out = self.output.out;
+        let model = self.body.load()?;
         let set = LayerSet::load(&self.set)?;
         let components = self.learning_args.components;
-        let learning = self.learning_args.learning(global.seed.unwrap_or(1))?;
+        let learning = self.learning_args.learning(global.seed());
         let tied = self.association_args.associate(&model, &set, console)?;
         let association = &tied.association;
         let unposed =
@@ -100,10 +104,10 @@ impl LearnArgs {
             all.iter().map(measure).collect::<Result<Vec<_>, _>>()
         })?;
 
-        files::create_dir(&self.out)?;
+        files::create_dir(&out)?;
         let layer = unposed.layer(&regression.trained_model, learning.features);
-        layer.save(self.out.join("layer.npz"))?;
-        associate::draw(&tied, &self.out)?;
+        layer.save(out.join("layer.npz"))?;
+        associate::draw(&tied, &out)?;
         let rows = set.sequences.iter().zip(table).map(|(sequence, errors)| Row {
             sequence: sequence.name.clone(),
             frames: sequence.frames(),
@@ -119,7 +123,7 @@ impl LearnArgs {
             counts,
             train: regression.train.into(),
             predict: regression.predict.into(),
-            out: self.out,
+            out,
         };
         write_json(&report.out.join("layer.json"), &report)?;
         console.result(&report, || report.text())
@@ -140,9 +144,9 @@ impl Report {
             table.row(cells);
         }
         format!(
-            "{}\n\nmean error of reconstruction, mm\n\n{} clothing vertices tied by {} pairs, {} \
-             completed\n{} components hold {:.1} % of the variance\nregression: {:.2} mm over \
-             frames that trained, {:.2} mm over others\n{}",
+            "{}\n\nmean reconstruction error, mm\n\n{} clothing vertices associated by {} pairs, {} \
+             completed\n{} components explain {:.1} % of the variance\nregression error: {:.2} mm on \
+             training frames, {:.2} mm on held-out frames\n{}",
             table.text(),
             self.clothing_vertices,
             self.pairs,

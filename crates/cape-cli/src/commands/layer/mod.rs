@@ -10,30 +10,20 @@ mod predict;
 mod report;
 mod synth;
 
-use std::path::Path;
+use clap::Subcommand;
 
-use cape_core::SmplModel;
-use cape_synth::synthetic_body;
-use clap::{Args, Subcommand};
+use crate::{console::Console, error::Result, options::GlobalArgs};
 
-use crate::{arguments::GlobalArgs, console::Console, error::Result};
-
-/// Clothing of its own topology over a moving body: skirts, dresses, T-shirts, shorts.
+/// Model skirts, dresses, T-shirts: synth, import, associate, learn, predict, report.
 ///
-/// Simulated or imported sequences are tied to the body, freed from its pose, compressed by
-/// principal components and predicted from motion, size and material (Yang et al., ECCV 2018).
-#[derive(Debug, Args)]
-#[command(after_help = "Example:\n  cape layer synth --garment skirt --out skirt\n  \
-                  cape layer learn skirt --out learnt\n  \
-                  cape layer predict learnt/layer.npz --motion squats --out predicted\n  \
-                  cape layer report --quick --out quick")]
-pub(crate) struct LayerArgs {
-    #[command(subcommand)]
-    command: Command,
-}
-
+/// Clothing of its own topology over a moving body (Yang et al., ECCV 2018): simulated or imported
+/// sequences are associated with the body, unposed, compressed by principal components and predicted
+/// from motion, size and material.
 #[derive(Debug, Subcommand)]
-enum Command {
+#[command(after_help = "Example:\n  cape layer synth --garment skirt --out skirt\n  \
+                  cape layer learn skirt --out learned\n  \
+                  cape layer predict learned/layer.npz --motion squats --out predicted")]
+pub(crate) enum LayerCommand {
     Synth(synth::SynthArgs),
     Import(import::ImportArgs),
     Associate(associate::AssociateArgs),
@@ -42,25 +32,17 @@ enum Command {
     Report(report::ReportArgs),
 }
 
-impl LayerArgs {
+impl LayerCommand {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
-        match self.command {
-            Command::Synth(command) => command.run(console),
-            Command::Import(command) => command.run(console),
-            Command::Associate(command) => command.run(console),
-            Command::Learn(command) => command.run(global, console),
-            Command::Predict(command) => command.run(console),
-            Command::Report(command) => command.run(global, console),
+        match self {
+            Self::Synth(command) => command.run(console),
+            Self::Import(command) => command.run(console),
+            Self::Associate(command) => command.run(console),
+            Self::Learn(command) => command.run(global, console),
+            Self::Predict(command) => command.run(console),
+            Self::Report(command) => command.run(global, console),
         }
     }
-}
-
-/// The body that was given, or the synthetic one.
-fn body(path: Option<&Path>) -> Result<SmplModel> {
-    Ok(match path {
-        Some(path) => SmplModel::load(path)?,
-        None => synthetic_body(),
-    })
 }
 
 /// Parses `name=number`.

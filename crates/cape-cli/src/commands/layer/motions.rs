@@ -15,20 +15,20 @@ use crate::{
     mesh_file::has_extension,
 };
 
-/// Numbers of a frame in text: a pose, and a translation after it.
+/// Numbers per frame in text: a pose, optionally followed by a translation.
 const POSE: usize = 72;
 const WITH_TRANSLATION: usize = POSE + 3;
 
-/// A frame: axis-angles, radians, and a translation, metres.
+/// Pose in axis-angle, `[72]`, radians, and translation, metres.
 pub(super) type MotionFrame = (Vec<f64>, [f64; 3]);
 
-/// Frames as they come, and what their source says besides.
+/// Frames of a motion with frame rate and shape, read one by one.
 pub(super) struct MotionFrames {
-    /// How many there will be, if that is known.
+    /// Number of frames, if known.
     pub(super) count: Option<usize>,
-    /// Frames a second.
+    /// Frames per second.
     pub(super) rate: f64,
-    /// Shape coefficients of the body, if the source has them.
+    /// Shape coefficients of the source; empty if it has none.
     pub(super) betas: Vec<f64>,
     source: Source,
 }
@@ -39,12 +39,12 @@ enum Source {
 }
 
 impl MotionFrames {
-    /// `seconds` of a movement by name; the frames of a file (.npz with `poses` and `trans`, or any
-    /// file of poses); rows of text from a .csv file or, with `-`, from standard input, of 72 numbers,
-    /// or 75 with the translation.
+    /// Opens `seconds` of a synthetic motion by name; the frames of a file (.npz with `poses` and `trans`,
+    /// or any file of poses); or rows of 72 numbers, or 75 with the translation, of a .csv file or, with
+    /// `-`, of standard input.
     pub(super) fn open(text: &str, seconds: f64, rate: f64) -> Result<Self> {
         if !(rate.is_finite() && rate > 0.0) {
-            return Err(Error::message(format!("--fps {rate}: expected more than 0")));
+            return Err(Error::message(format!("--fps {rate}: must be more than 0")));
         }
         let path = Path::new(text);
         if text == "-" {
@@ -110,16 +110,16 @@ impl Iterator for MotionFrames {
                         *started = true;
                         return Some(Ok(frame));
                     }
-                    // A row of names above the numbers.
+                    // A header.
                     Err(RowError::NoNumbers) if !*started => *started = true,
                     Err(row) => {
                         let found = match row {
                             RowError::NoNumbers => {
-                                "expected finite numbers between commas".to_owned()
+                                "expected finite numbers separated by commas".to_owned()
                             }
                             RowError::Invalid(count) => format!(
-                                "{count} numbers, expected {POSE} (a pose), or {WITH_TRANSLATION} \
-                                 with the translation"
+                                "{count} numbers, expected {POSE} (pose) or {WITH_TRANSLATION} (pose and \
+                                 translation)"
                             ),
                         };
                         return Some(Err(Error::message(format!("{name}: line {line}: {found}"))));
@@ -130,10 +130,10 @@ impl Iterator for MotionFrames {
     }
 }
 
-/// A row that is no frame.
+/// Error of a row.
 enum RowError {
     NoNumbers,
-    /// A row of so many numbers.
+    /// Wrong number of values.
     Invalid(usize),
 }
 

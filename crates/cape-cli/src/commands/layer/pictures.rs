@@ -1,4 +1,4 @@
-//! Pictures of bodies and the clothing over them.
+//! Pictures of bodies and clothing.
 
 use cape_core::Mesh;
 use cape_core::geometry::SurfaceMesh;
@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 const SKIN: Material = Material { colour: [0.83, 0.69, 0.60], gloss: 0.05 };
 const CLOTH: Material = Material { colour: [0.36, 0.50, 0.66], gloss: 0.02 };
 
-/// A camera that shows all there is of some meshes.
+/// A camera that frames some meshes.
 pub(super) struct PictureCamera {
     camera: Camera,
     style: Style,
@@ -25,7 +25,7 @@ impl PictureCamera {
         height: u32,
     ) -> Result<Self> {
         let bounds = Bounds::from_meshes(meshes)
-            .ok_or_else(|| Error::message("nothing to draw: the meshes have no vertices"))?;
+            .ok_or_else(|| Error::message("the meshes have no vertices to draw"))?;
         let size = bounds.max - bounds.min;
         let aspect = (size.x.max(size.z) / size.y.max(1e-3)).clamp(0.6, 1.2);
         let width = (height as f32 * aspect).round() as u32;
@@ -34,7 +34,7 @@ impl PictureCamera {
         Ok(Self { camera, style })
     }
 
-    /// Clothing, in colours if there are some, over a body if there is one.
+    /// Picture of clothing, optionally in vertex colours and over a body.
     pub(super) fn show(
         &self,
         body: Option<&Mesh>,
@@ -60,11 +60,11 @@ pub(super) fn shades(values: &[f64], most: f64) -> Vec<[f32; 3]> {
     values.iter().map(|&value| colormap((value / most) as f32)).collect()
 }
 
-/// Colours by place in the box around a surface: red grows to its left, green upwards, blue to the
-/// front.
+/// Colours by position in the bounding box: red along x, green along y, blue along z.
 pub(super) fn by_place(surface: &SurfaceMesh) -> Result<Vec<[f32; 3]>> {
     let mesh = surface.to_mesh();
-    let [low, high] = mesh.bounding_box().ok_or_else(|| Error::message("an empty body"))?;
+    let [low, high] =
+        mesh.bounding_box().ok_or_else(|| Error::message("the body has no vertices"))?;
     let share = |v: &[f32; 3]| {
         [0, 1, 2].map(|i| (v[i] - low[i]) / (high[i] - low[i]).max(f32::MIN_POSITIVE))
     };

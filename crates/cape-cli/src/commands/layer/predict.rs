@@ -3,11 +3,10 @@ use std::path::PathBuf;
 use cape_core::Mesh;
 use cape_layer::{Layer, PredictedFrame};
 use cape_render::{Tile, View, contact_sheet};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde::Serialize;
 
 use super::{
-    body,
     motions::MotionFrames,
     named,
     pictures::{PictureCamera, mesh_of},
@@ -16,83 +15,78 @@ use crate::{
     console::Console,
     error::{Error, Result},
     files,
+    options::{BodyModelArgs, FileKind, OutputArgs, ShapeArgs, kinds, positive},
 };
 
-/// Frames shown in the picture, at most.
+/// Largest number of frames in the picture.
 const SHOWN: usize = 6;
-/// Rows of pixels of each.
+/// Height of a frame in the picture, pixels.
 const HEIGHT: u32 = 360;
 
-/// Predict clothing over a body in motion, frame by frame.
+/// Predict clothing over a body in motion.
 ///
-/// For another body under the same clothing change --betas; for another motion --motion; for another
-/// material or fit --parameters. A mesh is written as soon as its frame's speed is known: motions from
-/// standard input may go on for ever. predicted.png shows some frames.
+/// Writes a mesh per frame and predicted.png with some of them. --betas changes the body, --motion its
+/// motion, --parameters material and size. With --motion - poses are read from standard input and each
+/// mesh is written one frame later.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  cape layer predict learnt/layer.npz --motion squats --out predicted\n  \
-                  cape layer predict learnt/layer.npz --betas 2,-1 --out other-body\n  \
-                  cape layer predict learnt/layer.npz --parameters length=1.1,log_bend=-2 --out fit\n  \
-                  tracker | cape layer predict learnt/layer.npz --motion - --out live"
+    after_help = "Examples:\n  cape layer predict learned/layer.npz --motion squats --out predicted\n  \
+                  cape layer predict learned/layer.npz --betas 2,-1 --out other-body\n  \
+                  cape layer predict learned/layer.npz --parameters length=1.1,log_bend=-2 --out longer\n  \
+                  tracker | cape layer predict learned/layer.npz --motion - --out live"
 )]
-pub(super) struct PredictArgs {
-    /// What `cape layer learn` wrote.
+pub(crate) struct PredictArgs {
+    /// Layer written by `cape layer learn`.
     #[arg(value_name = "LAYER.npz")]
     layer: PathBuf,
-    /// Directory to write; it must be empty or missing.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// The body, .pkl or .npz; by default the synthetic one.
-    #[arg(long, value_name = "SMPL")]
-    body: Option<PathBuf>,
-    /// A movement (walk, squats, …); a file of poses, .npz (with trans and betas, as AMASS has them)
-    /// or .npy; or rows of 72 numbers, or 75 with the translation, in a .csv file or, with -, from
-    /// standard input.
+    #[command(flatten)]
+    output: OutputArgs,
+    #[command(flatten)]
+    body: BodyModelArgs,
+    /// Synthetic motion (walk, squats, …), file of poses (.npz, .npy, .csv), or - for standard input.
     #[arg(long, default_value = "walk", value_name = "MOTION")]
     motion: String,
-    /// Length of a movement, seconds.
-    #[arg(long, default_value_t = 2.0, value_name = "S")]
+    /// Duration of a synthetic motion in seconds.
+    #[arg(long, default_value_t = 2.0, value_name = "S", value_parser = positive)]
     seconds: f64,
-    /// Frames a second, where the motion does not say.
-    #[arg(long, default_value_t = 30.0, value_name = "FPS")]
+    /// Frames per second, if the motion has no mocap_framerate.
+    #[arg(long, default_value_t = 30.0, value_name = "FPS", value_parser = positive)]
     fps: f64,
-    /// Shape coefficients of the body; missing ones are zero. By default those of the motion's file.
-    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "B,B,…")]
-    betas: Option<Vec<f64>>,
-    /// Sizes and materials by name; those not named have the mean of what was learned from.
+    #[command(flatten)]
+    shape: ShapeArgs,
+    /// Semantic parameters by name; the others have the mean of the training sequences.
     #[arg(long, value_delimiter = ',', value_name = "NAME=X,…", value_parser = named)]
     parameters: Vec<(String, f64)>,
-    /// What is written.
-    #[arg(long, value_enum, default_value_t = Format::Ply)]
-    format: Format,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Format {
-    Ply,
-    Obj,
+    /// File format.
+    #[arg(long, default_value = "ply", value_name = "FORMAT", value_parser = kinds([FileKind::Ply, FileKind::Obj]))]
+    format: FileKind,
 }
 
 #[derive(Debug, Serialize)]
 struct Report {
     out: PathBuf,
     frames: usize,
-    /// The semantic parameters that were used.
+    /// Semantic parameters.
     parameters: Vec<(String, f64)>,
 }
 
 impl PredictArgs {
     pub(super) fn run(self, console: Console) -> Result {
-        files::require_empty(&self.out)?;
-        let model = body(self.body.as_deref())?;
+        self.output.require_empty()?;
+        let out = self.output.out;
+        let model = self.body.load()?;
         let layer = Layer::load(&self.layer, model.vertices())?;
         let parameters = layer.semantics.with(&self.parameters)?;
         let mut frames = MotionFrames::open(&self.motion, self.seconds, self.fps)?;
-        let shape = model.rest_shape(self.betas.as_ref().unwrap_or(&frames.betas))?;
+        let betas = match self.shape.given() {
+            Some(_) => self.shape.betas(&model)?.into_iter().map(f64::from).collect(),
+            None => frames.betas.clone(),
+        };
+        let shape = model.rest_shape(&betas)?;
         let total = frames.count;
         let mut stream = layer.stream(&model, &shape, frames.rate, &parameters)?;
         let mut gallery = FrameSampler::default();
-        files::create_dir(&self.out)?;
+        files::create_dir(&out)?;
         console.while_showing("predict", "frames", |progress| {
             loop {
                 let predicted = match frames.next().transpose()? {
@@ -106,31 +100,24 @@ impl PredictArgs {
                     },
                 };
                 let mesh = mesh_of(predicted.clothing.view(), &layer.faces);
-                let extension = match self.format {
-                    Format::Ply => "ply",
-                    Format::Obj => "obj",
-                };
+                let extension = self.format.name();
                 let frame = predicted.frame;
-                mesh.save(self.out.join(format!("frame-{frame:05}.{extension}")))?;
+                mesh.save(out.join(format!("frame-{frame:05}.{extension}")))?;
                 gallery.push(&predicted, mesh, &model.faces);
                 progress(frame + 1, total.unwrap_or(frame + 1));
             }
         })?;
-        gallery.save(&self.out)?;
+        gallery.save(&out)?;
         let names = layer.semantics.names().iter().cloned();
-        let report = Report {
-            frames: gallery.seen,
-            parameters: names.zip(parameters).collect(),
-            out: self.out,
-        };
+        let report =
+            Report { frames: gallery.seen, parameters: names.zip(parameters).collect(), out };
         console.result(&report, || {
             format!("{} frames\n{}", report.frames, report.out.join("predicted.png").display())
         })
     }
 }
 
-/// Some frames of a motion whose length is not known, evenly spaced: when there are too many, every
-/// second one is dropped.
+/// Evenly spaced frames of a motion of unknown length: with too many, every second one is dropped.
 #[derive(Default)]
 struct FrameSampler {
     kept: Vec<(usize, Mesh, Mesh)>,
@@ -165,7 +152,7 @@ impl FrameSampler {
             tiles.push(Tile { image, label: format!("frame {frame}") });
         }
         if tiles.is_empty() {
-            return Err(Error::message("--motion: there is no frame"));
+            return Err(Error::message("--motion: no frames"));
         }
         Ok(contact_sheet(&tiles, SHOWN, None)?.save(out.join("predicted.png"))?)
     }

@@ -10,16 +10,15 @@ use cape_layer::{
     LayerSet,
     synth::{Design, DesignCell, Exercise, append_body},
 };
-use clap::{Args, ValueEnum};
+use clap::Args;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::body;
 use crate::{
-    arguments::at_least_one,
     console::Console,
     error::{Error, Result},
     files,
+    options::{BodyModelArgs, ResumableOutputArgs, at_least_one, choices, positive},
     table::Table,
 };
 
@@ -28,48 +27,53 @@ const DONE: &str = "simulation.json";
 
 /// Simulate a garment over moving bodies.
 ///
-/// Every subject does every exercise in every size and material: lists of ratios span a full grid.
-/// Each sequence is saved when it is done; the same command goes on where it was interrupted.
-/// simulation.json tells how far cloth was inside the body and itself, and how much it stretched.
+/// Simulates every combination of subject, exercise, size and material; lists of ratios span a grid.
+/// Writes a set of sequences, and simulation.json with penetration, crossings and strain of each. Run the
+/// same command again to resume.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape layer synth --garment skirt --frames 100 --out skirt\n  \
                   cape layer synth --garment tshirt --subjects=-1,0,1 --widths 1,1.1 \
                   --stiffness 0.1,1 --out shirts"
 )]
-pub(super) struct SynthArgs {
-    /// Directory to write, or to go on with.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+pub(crate) struct SynthArgs {
+    #[command(flatten)]
+    output: ResumableOutputArgs,
     #[command(flatten)]
     plan: SimulationPlan,
 }
 
-/// What is simulated, and what makes two invocations the same.
+/// Settings of a simulation, which its directory belongs to.
 #[derive(Debug, PartialEq, Args, Serialize, Deserialize)]
 struct SimulationPlan {
-    /// What is worn.
-    #[arg(long, value_enum, default_value_t = GarmentName::Skirt)]
-    garment: GarmentName,
-    /// The body, .pkl or .npz; by default the synthetic one.
-    #[arg(long, value_name = "SMPL")]
-    body: Option<PathBuf>,
-    /// Frames of each sequence.
+    /// Garment.
+    #[arg(long, default_value = "skirt", value_name = "GARMENT", value_parser = choices(GARMENTS))]
+    #[serde(serialize_with = "write_garment", deserialize_with = "read_garment")]
+    garment: GarmentKind,
+    #[command(flatten)]
+    #[serde(flatten)]
+    body: BodyModelArgs,
+    /// Frames per sequence.
     #[arg(long, default_value_t = 100, value_name = "N", value_parser = at_least_one)]
     frames: usize,
-    /// Frames a second.
-    #[arg(long, default_value_t = 30.0, value_name = "FPS")]
+    /// Frames per second.
+    #[arg(long, default_value_t = 30.0, value_name = "FPS", value_parser = positive)]
     fps: f64,
-    /// Steps of the simulation a frame.
+    /// Simulation steps per frame.
     #[arg(long, default_value_t = 20, value_name = "N", value_parser = at_least_one)]
     steps: usize,
-    /// Length of triangles' edges, millimetres.
-    #[arg(long, default_value_t = 25.0, value_name = "MM")]
+    /// Edge length of the garment's triangles, mm.
+    #[arg(long, default_value_t = 25.0, value_name = "MM", value_parser = positive)]
     resolution: f64,
-    /// What subjects do: walk, squat, march, swing, jump; by default all.
-    #[arg(long, value_delimiter = ',', value_name = "EXERCISE,…", value_parser = exercise)]
+    /// Exercises [default: all].
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "EXERCISE,…",
+        value_parser = choices(Exercise::ALL.map(|exercise| (exercise.name(), exercise)))
+    )]
     exercises: Vec<Exercise>,
-    /// Subjects, by their first shape coefficient.
+    /// First shape coefficients of the subjects.
     #[arg(
         long,
         value_delimiter = ',',
@@ -78,63 +82,55 @@ struct SimulationPlan {
         value_name = "B,…"
     )]
     subjects: Vec<f64>,
-    /// Lengths of the garment, as ratios to its usual one.
+    /// Lengths of the garment relative to its default.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     lengths: Vec<f64>,
-    /// Widths, as ratios to the usual one.
+    /// Widths of the garment relative to its default.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     widths: Vec<f64>,
-    /// Lengths of sleeves, as ratios to the usual one.
+    /// Lengths of sleeves relative to the default.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     sleeves: Vec<f64>,
-    /// Stiffness of the cloth in stretching and bending, as ratios to that of cotton jersey.
+    /// Stretching and bending stiffness relative to cotton jersey.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     stiffness: Vec<f64>,
-    /// Further ratios of its stiffness in bending alone.
+    /// Additional factors on bending stiffness.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     bending: Vec<f64>,
-    /// Masses of a square metre, as ratios to that of cotton jersey.
+    /// Area densities relative to cotton jersey.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     masses: Vec<f64>,
-    /// Dampings, as ratios to that of cotton jersey.
+    /// Damping relative to cotton jersey.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     damping: Vec<f64>,
-    /// Frictions against the body, as ratios to that of cotton jersey.
+    /// Friction against the body relative to cotton jersey.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     friction: Vec<f64>,
-    /// Let the clothing mesh have the body's vertices after its own.
+    /// Append the body's vertices to the clothing mesh.
     #[arg(long)]
     with_body: bool,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum GarmentName {
-    Tshirt,
-    Shorts,
-    Skirt,
-    Dress,
+/// Garments by name.
+pub(super) const GARMENTS: [(&str, GarmentKind); 4] = [
+    ("tshirt", GarmentKind::TShirt),
+    ("shorts", GarmentKind::Shorts),
+    ("skirt", GarmentKind::Skirt),
+    ("dress", GarmentKind::Dress),
+];
+
+fn write_garment<S: Serializer>(kind: &GarmentKind, to: S) -> Result<S::Ok, S::Error> {
+    let name = GARMENTS.iter().find(|(_, garment)| garment == kind).map(|(name, _)| *name);
+    name.serialize(to)
 }
 
-impl From<GarmentName> for GarmentKind {
-    fn from(kind: GarmentName) -> Self {
-        match kind {
-            GarmentName::Tshirt => Self::TShirt,
-            GarmentName::Shorts => Self::Shorts,
-            GarmentName::Skirt => Self::Skirt,
-            GarmentName::Dress => Self::Dress,
-        }
-    }
+fn read_garment<'de, D: Deserializer<'de>>(from: D) -> Result<GarmentKind, D::Error> {
+    let name = String::deserialize(from)?;
+    let garment = GARMENTS.iter().find(|(garment, _)| *garment == name).map(|(_, kind)| *kind);
+    garment.ok_or_else(|| serde::de::Error::custom(format!("unknown garment `{name}`")))
 }
 
-fn exercise(name: &str) -> Result<Exercise, String> {
-    Exercise::ALL.into_iter().find(|exercise| exercise.name() == name).ok_or_else(|| {
-        let names: Vec<&str> = Exercise::ALL.iter().map(|exercise| exercise.name()).collect();
-        format!("expected one of {}", names.join(", "))
-    })
-}
-
-/// Every value so far in every change.
+/// All combinations of `values` with `ratios`.
 fn vary<T: Copy>(values: &[T], ratios: &[f64], change: impl Fn(T, f64) -> T) -> Vec<T> {
     values
         .iter()
@@ -145,8 +141,7 @@ fn vary<T: Copy>(values: &[T], ratios: &[f64], change: impl Fn(T, f64) -> T) -> 
 
 impl SimulationPlan {
     fn design(&self) -> Design {
-        let kind = GarmentKind::from(self.garment);
-        let garment = Garment { resolution: 1e-3 * self.resolution, ..Garment::new(kind) };
+        let garment = Garment { resolution: 1e-3 * self.resolution, ..Garment::new(self.garment) };
         let sizes = vary(&[garment], &self.lengths, |g, r| Garment { length: g.length * r, ..g });
         let sizes = vary(&sizes, &self.widths, |g, r| Garment { width: g.width * r, ..g });
         let sizes = vary(&sizes, &self.sleeves, |g, r| Garment { sleeve: g.sleeve * r, ..g });
@@ -195,7 +190,7 @@ struct SimulationRecord {
 
 impl SimulationRecord {
     fn new(name: String, quality: &SimulationQuality) -> Self {
-        // Short enough to be read back as they are.
+        // Rounded so that JSON reads them back exactly.
         let rounded = |x: f64| (x * 1e5).round() / 1e5;
         Self {
             name,
@@ -233,7 +228,7 @@ struct Report {
 
 impl SynthArgs {
     pub(super) fn run(self, console: Console) -> Result {
-        let model = body(self.plan.body.as_deref())?;
+        let model = self.plan.body.load()?;
         let design = self.plan.design();
         let sewn = design.sew(&model)?;
         for size in &design.sizes {
@@ -267,26 +262,27 @@ impl SynthArgs {
             simulated_now: left.len(),
             seconds_per_frame: seconds.is_finite().then_some(seconds),
             simulations: done,
-            out: self.out,
+            out: self.output.out,
         };
         console.result(&report, || report.text())
     }
 
-    /// Makes the directory, or reads what is done of the same plan.
+    /// Creates the directory, or reads the finished simulations of the same settings.
     fn begin(&self) -> Result<Vec<SimulationRecord>> {
-        let path = self.out.join(PLAN);
+        let out = &self.output.out;
+        let path = out.join(PLAN);
         if path.exists() {
             if read::<SimulationPlan>(&path)? != self.plan {
                 return Err(Error::message(format!(
                     "{}: holds sequences of other settings: choose another --out",
-                    self.out.display()
+                    out.display()
                 )));
             }
-            let done = self.out.join(DONE);
+            let done = out.join(DONE);
             return if done.exists() { read(&done) } else { Ok(Vec::new()) };
         }
-        files::require_empty(&self.out)?;
-        files::create_dir(&self.out)?;
+        files::require_empty(out)?;
+        files::create_dir(out)?;
         write_json(&path, &self.plan)?;
         Ok(Vec::new())
     }
@@ -306,14 +302,14 @@ impl SynthArgs {
             let faces = &sewn.surface.faces;
             if self.plan.with_body {
                 let (faces, whole) = append_body(model, faces, &sequence)?;
-                LayerSet::add(&self.out, &faces, &whole)?;
+                LayerSet::add(&self.output.out, &faces, &whole)?;
             } else {
-                LayerSet::add(&self.out, faces, &sequence)?;
+                LayerSet::add(&self.output.out, faces, &sequence)?;
             }
             let simulation = SimulationRecord::new(sequence.name, &quality);
             console.note(&format!(
-                "{}: {:.2} mm inside the body at most, {:.4} mm on average, {} edges through cloth, \
-                 lengthened by {:.0} % at most",
+                "{}: penetration {:.2} mm at most, {:.4} mm on average; {} edges through cloth; largest \
+                 strain {:.0} %",
                 simulation.name,
                 simulation.penetration_mm,
                 simulation.mean_penetration_mm,
@@ -321,7 +317,7 @@ impl SynthArgs {
                 1e2 * simulation.strain
             ));
             done.push(simulation);
-            write_json(&self.out.join(DONE), done)?;
+            write_json(&self.output.out.join(DONE), done)?;
         }
         Ok(())
     }
@@ -331,19 +327,19 @@ impl Report {
     fn text(&self) -> String {
         let mut table = Table::new([
             "sequence",
-            "inside, mm",
+            "penetration, mm",
             "mean, mm",
             "crossings",
-            "strain, %",
-            "at most, %",
+            "mean strain, %",
+            "largest, %",
         ]);
         for simulation in &self.simulations {
             table.row(simulation.row());
         }
         let seconds =
-            self.seconds_per_frame.map_or(String::new(), |s| format!(", {s:.3} s a frame"));
+            self.seconds_per_frame.map_or(String::new(), |s| format!(", {s:.3} s per frame"));
         format!(
-            "{}\n\n{} frames of {} vertices in {} sequences, {} of them now{seconds}\n{}",
+            "{}\n\n{} frames of {} vertices in {} sequences, {} of them new{seconds}\n{}",
             table.text(),
             self.frames,
             self.vertices,

@@ -2,8 +2,8 @@ mod target;
 
 use std::path::PathBuf;
 
-use cape_core::{Outfit, parse_device, ply};
-use cape_infer::{BodySpec, Run, write_json};
+use cape_core::{Outfit, ply};
+use cape_infer::{BodySpec, write_json};
 use cape_render::{Tile, View, contact_sheet};
 use cape_synth::poses::poses;
 use clap::Args;
@@ -13,50 +13,44 @@ use serde::Serialize;
 use self::target::{ClothingTransfer, TargetBody};
 
 use crate::{
-    arguments::{GlobalArgs, outfit},
     console::Console,
     dressed_mesh::DressedRenderer,
     error::{Error, Result},
     files,
+    options::{GlobalArgs, OutputArgs, RunArgs, outfit},
     registration::{KnownBodyArgs, RegistrationFile, mean_error},
 };
 
-/// Reconstruct a registration, change its outfit and pose, or give its clothes to others.
+/// Change outfit and pose of a registration, or transfer its clothing to other bodies.
 ///
-/// Its clothes are encoded to a code, and decoded under the pose and outfit it has, under other
-/// outfits, under other poses, and, with --to, on other bodies: in the pose of a registration, else
-/// in its own, with what the model says of clothes in that pose; --exact moves the registered clothes
-/// themselves. Writes coloured meshes, a picture and redress.json with the code and, for other
-/// bodies, how the clothes sit.
+/// Encodes the clothing to a latent code and decodes it in the registration's own pose and outfit, in
+/// other outfits and poses, and with --to on other bodies. Writes coloured meshes, redress.png and
+/// redress.json with the code, the reconstruction error and the fit on other bodies.
 #[derive(Debug, Args)]
-#[command(
-    after_help = "Examples:\n  cape redress run raw/sequences/00032/shortlong_hips/000010.npz --out new\n  \
-                  cape redress run frame:12 --outfit longlong --pose a-pose,squats --out new\n  \
-                  cape redress run frame:12 --to frame:80 --to 2,-1 --out given"
-)]
+#[command(after_help = "Examples:\n  cape redress runs/cape \
+                  raw/sequences/s0001/longlong_squats/longlong_squats.000001.npz --out redressed\n  \
+                  cape redress runs/cape frame:12 --outfit longlong --pose a-pose,squats --out posed\n  \
+                  cape redress runs/cape frame:12 --to frame:20 --to 2,-1 --out given")]
 pub(crate) struct RedressArgs {
-    /// A training run.
-    #[arg(value_name = "RUN")]
-    run: PathBuf,
-    /// A frame's .npz with pose and v_cano, or v_posed; or frame:K of the run's held-out data.
+    #[command(flatten)]
+    run: RunArgs,
+    /// Frame, .npz with pose and v_cano or v_posed, or frame:K for a test frame of the run.
     #[arg(value_name = "REGISTRATION")]
     registration: String,
-    /// Directory to write; it must be empty or missing.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    #[command(flatten)]
+    output: OutputArgs,
     #[command(flatten)]
     known: KnownBodyArgs,
-    /// What is worn instead; by default each outfit.
-    #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…", value_parser = outfit)]
+    /// Other outfits [default: all, or none with --to].
+    #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…", value_parser = outfit())]
     outfit: Vec<Outfit>,
-    /// Further poses, as for `cape sample`.
+    /// Other poses: t-pose, a-pose, motions or files.
     #[arg(long, value_delimiter = ',', value_name = "POSE,…")]
     pose: Vec<String>,
-    /// Another body to give the clothes to: shape coefficients, a body without clothes (.npy of
-    /// [vertices, 3]) or a registration; may be repeated.
+    /// Other body: betas, minimal shape (.npy) or registration; may be repeated.
     #[arg(long, value_name = "BODY", allow_hyphen_values = true)]
     to: Vec<String>,
-    /// Give the registered clothes themselves to other bodies, not what their code is decoded to.
+    /// Transfer the registered displacements instead of decoded ones.
     #[arg(long, requires = "to")]
     exact: bool,
 }
@@ -67,24 +61,24 @@ struct Report {
     outfit: Outfit,
     code: Vec<f32>,
     betas: Vec<f32>,
-    /// Of the body that the betas describe, from the minimal one.
+    /// RMS distance of the body of the fitted betas from the minimal shape, millimetres.
     residual_mm: Option<f64>,
-    /// Mean error of the reconstruction at clothing vertices.
+    /// Mean error of the reconstruction at clothing vertices, millimetres.
     error_mm: f64,
-    /// How the clothes sit on other bodies.
+    /// Clothing on other bodies.
     transferred: Vec<ClothingTransfer>,
     files: Vec<String>,
 }
 
 impl RedressArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
-        let device = parse_device(&global.device)?;
-        files::require_empty(&self.out)?;
+        self.output.require_empty()?;
+        let out = self.output.out;
         let mut others = Vec::new();
         for text in &self.pose {
             others.extend(poses(text)?);
         }
-        let run = Run::open(&self.run, &device)?;
+        let run = self.run.open(global)?;
         let registration = RegistrationFile::read(&run, &self.registration, &self.known)?;
         let read = |text: &String| TargetBody::read(&run, text);
         let targets: Vec<TargetBody> = self.to.iter().map(read).collect::<Result<_>>()?;
@@ -92,7 +86,6 @@ impl RedressArgs {
         let code = run.encode(&registration.displacement, std::slice::from_ref(wearer))?;
 
         let outfits = match &self.outfit[..] {
-            // Other bodies are what is asked for then.
             [] if !targets.is_empty() => Vec::new(),
             [] => Outfit::ALL.to_vec(),
             chosen => chosen.to_vec(),
@@ -132,11 +125,11 @@ impl RedressArgs {
             bodies[1 + row].mesh = target.mesh(&run, &all[1 + row], worn)?;
         }
         let names = ["registration".to_owned()].into_iter().chain(names);
-        files::create_dir(&self.out)?;
+        files::create_dir(&out)?;
         let (mut tiles, mut written) = (Vec::new(), Vec::new());
         for (index, (name, body)) in names.zip(&bodies).enumerate() {
             let file = format!("{index}-{}.ply", name.replace(['/', ' '], "-"));
-            ply::write(self.out.join(&file), &body.mesh, Some(&body.colours_8_bit()))?;
+            ply::write(out.join(&file), &body.mesh, Some(&body.colours_8_bit()))?;
             tiles.push(Tile {
                 image: body.picture(View::ThreeQuarter, [280, 400], None)?,
                 label: name,
@@ -149,7 +142,7 @@ impl RedressArgs {
             let file = written[1 + first_target + index].clone();
             transferred.push(target.measure(&run, &registration, before, file)?);
         }
-        contact_sheet(&tiles, tiles.len().min(6), None)?.save(self.out.join("redress.png"))?;
+        contact_sheet(&tiles, tiles.len().min(6), None)?.save(out.join("redress.png"))?;
         let report = Report {
             outfit: wearer.outfit,
             code: code.row(0).to_vec(),
@@ -158,16 +151,14 @@ impl RedressArgs {
             error_mm,
             transferred,
             files: written,
-            out: self.out,
+            out,
         };
         write_json(&report.out.join("redress.json"), &report)?;
         console.result(&report, || {
             let out = report.out.display();
             let transferred: String =
                 report.transferred.iter().map(ClothingTransfer::text).collect();
-            format!(
-                "reconstructed within {error_mm:.2} mm in the mean\n{transferred}{out}/redress.png"
-            )
+            format!("mean reconstruction error {error_mm:.2} mm\n{transferred}{out}/redress.png")
         })
     }
 }

@@ -1,4 +1,4 @@
-//! Bodies that a registration's clothes move to.
+//! Bodies that the clothing of a registration is transferred to.
 
 use std::path::Path;
 
@@ -13,43 +13,42 @@ use crate::{
     registration::{KnownBodyArgs, RegistrationFile, read_shape},
 };
 
-/// Depths under the skin from which clothes count as inside, metres.
+/// Depth under the skin from which on clothing counts as inside, metres.
 const INSIDE: f64 = 0.001;
-/// How far from the skin a vertex is looked for on it, metres.
+/// Largest distance from the skin at which its closest point is searched, metres.
 const REACH: f64 = 0.5;
 
-/// Another body.
+/// Body to transfer clothing to.
 #[derive(Debug, Clone)]
 pub(super) struct TargetBody {
     pub(super) name: String,
-    /// Rest vertices without clothes, metres, `[vertices, 3]`.
+    /// Rest vertices without clothing, metres, `[vertices, 3]`.
     minimal: Array2<f64>,
     betas: Vec<f32>,
-    /// Of a registration.
+    /// Pose, if the body is that of a registration.
     pub(super) pose: Option<BodyPose>,
 }
 
-/// How clothes sit on another body.
+/// Measures of clothing on another body.
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct ClothingTransfer {
     to: String,
     file: String,
-    /// Mean distance of the clothes from the skin at clothing vertices, millimetres.
+    /// Mean distance of the clothing from the skin at clothing vertices, millimetres.
     distance_mm: f64,
-    /// How much longer or shorter the edges between clothing vertices are than on the body that the
-    /// clothes come from, in the mean.
+    /// Mean relative change of the lengths of edges between clothing vertices from body to body.
     stretch: f64,
     /// Share of clothing vertices that are more than a millimetre under the skin.
     inside: f64,
-    /// And on the body that the clothes come from.
+    /// The same share on the body that the clothing comes from.
     inside_before: f64,
 }
 
 impl ClothingTransfer {
-    /// A line for people.
+    /// The measures as a line of text.
     pub(super) fn text(&self) -> String {
         format!(
-            "on {}: edges change by {:.1} %, {:.1} % of the clothes under the skin (before {:.1} %)\n",
+            "on {}: mean change of edge lengths {:.1} %, {:.1} % of clothing vertices inside the body (before {:.1} %)\n",
             self.to,
             100.0 * self.stretch,
             100.0 * self.inside,
@@ -66,7 +65,7 @@ impl TargetBody {
         if let Ok(betas) = betas {
             let double: Vec<f64> = betas.iter().copied().map(f64::from).collect();
             if double.iter().any(|beta| !beta.is_finite()) {
-                return Err(Error::message(format!("--to {text}: not finite")));
+                return Err(Error::message(format!("--to {text}: coefficients must be finite")));
             }
             let minimal = body.rest_shape(&double)?;
             return Ok(Self { name: format!("betas {text}"), minimal, betas, pose: None });
@@ -79,7 +78,7 @@ impl TargetBody {
             let betas = fit.betas.iter().map(|&beta| beta as f32).collect();
             return Ok(Self { name, minimal, betas, pose: None });
         }
-        // What the other wears does not matter.
+        // The other body's outfit does not matter.
         let known = KnownBodyArgs { outfit_worn: Some(cape_core::Outfit::LongLong), minimal: None };
         let RegistrationFile { wearer, minimal, .. } = RegistrationFile::read(run, text, &known)?;
         let minimal = match minimal {
@@ -90,7 +89,7 @@ impl TargetBody {
         Ok(Self { name, minimal, betas: wearer.betas, pose: Some(wearer.pose) })
     }
 
-    /// Who wears the clothes then, in the target's own pose if it has one.
+    /// The target body in its own pose, if it has one, and the outfit of `before`.
     pub(super) fn body_spec(&self, before: &BodySpec) -> BodySpec {
         BodySpec {
             betas: self.betas.clone(),
@@ -99,7 +98,7 @@ impl TargetBody {
         }
     }
 
-    /// The target in clothes `[vertices, 3]`, in its exact shape.
+    /// Mesh of the target in its exact shape with displacements `[vertices, 3]`.
     pub(super) fn mesh(
         &self,
         run: &Run,
@@ -109,8 +108,8 @@ impl TargetBody {
         posed(run, &self.minimal, &wearer.pose, Some(&on_clothing(run, worn)))
     }
 
-    /// How clothes `[vertices, 3]` sit on it, compared with the body that `before` had: in the pose
-    /// of the registration, so that the bodies alone differ.
+    /// Measures displacements `[vertices, 3]` on this body and on that of `before`, both in the pose of
+    /// the registration.
     pub(super) fn measure(
         &self,
         run: &Run,
@@ -155,7 +154,7 @@ fn covered(run: &Run) -> Vec<bool> {
     covered
 }
 
-/// Displacements where there are clothes, and none elsewhere.
+/// Displacements of clothing vertices; 0 elsewhere.
 fn on_clothing(run: &Run, worn: ArrayView2<'_, f32>) -> Array2<f64> {
     let covered = covered(run);
     Array2::from_shape_fn(worn.dim(), |(vertex, axis)| {

@@ -6,7 +6,7 @@ use cape_core::{
     Outfit,
     gltf::GltfTexture,
     obj::{self, Uv},
-    parse_device, ply,
+    ply,
 };
 use cape_infer::{AnimatedBody, BodySpec, Run};
 use cape_render::{Image, Texture as Painted, Tile, View, contact_sheet};
@@ -17,78 +17,78 @@ use serde::Serialize;
 use names::NameFields;
 
 use crate::{
-    arguments::{GlobalArgs, at_least_one},
     console::Console,
     dressed_mesh::{DressedMesh, dress, unclothed_meshes},
     error::{Error, Result},
     files,
+    options::{
+        FileKind, GlobalArgs, OutfitSelection, OutputArgs, RunArgs, ShapeArgs, at_least_one, kinds,
+        outfit_or, positive,
+    },
     priors::PriorArgs,
     table::Table,
 };
 
-/// Pixels of a picture.
+/// Width and height of a picture, pixels.
 const TILE: [u32; 2] = [320, 420];
-/// Bodies that a contact sheet shows at most.
+/// Largest number of bodies on the contact sheet.
 const MOST_PICTURES: usize = 32;
-/// What textured .obj files refer to.
+/// Material file of textured .obj files.
 const MATERIALS: &str = "body.mtl";
-/// Bodies in a row of it, if there is one outfit.
+/// Bodies per row of the contact sheet, if there is one outfit.
 const COLUMNS: usize = 6;
 
-/// Dress bodies in clothes drawn from a trained model.
+/// Sample clothing and write dressed bodies as meshes.
 ///
-/// Draws codes from the prior, decodes them under a pose and an outfit, and writes posed meshes,
-/// samples.jsonl with what each was made from, and contact_sheet.png. The same code is used for all
-/// poses of a file and, from the standard normal prior, for all outfits.
+/// Samples latent codes from the prior, decodes them for pose and outfit, and writes posed meshes,
+/// samples.jsonl with the parameters of each, and contact_sheet.png. All poses of a file share their
+/// codes, and so do all outfits with the standard normal prior.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  cape sample run --outfit all --pose a-pose --out samples\n  \
-                        cape sample run --outfit longlong --pose dance.npy --n 3 --betas 1,-0.5 \
-                        --format glb --out samples")]
+#[command(
+    after_help = "Examples:\n  cape sample runs/cape --outfit all --pose a-pose --out samples\n  cape \
+                        sample runs/cape --outfit longlong --pose dance.npy --n 3 --betas 1,-0.5 \
+                        --format glb --out dancing"
+)]
 pub(crate) struct SampleArgs {
-    /// A training run.
-    #[arg(value_name = "RUN")]
-    run: PathBuf,
-    /// Directory to write; it must be empty or missing.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// What is worn.
-    #[arg(long, value_enum, default_value_t = OutfitName::All)]
-    outfit: OutfitName,
-    /// t-pose, a-pose, a movement (walk, squats, punching, …), or a file: .npy [72] or [n, 72], or
-    /// .npz with `pose` or `poses`.
+    #[command(flatten)]
+    run: RunArgs,
+    #[command(flatten)]
+    output: OutputArgs,
+    /// Outfit: upper, then lower garment; or all four.
+    #[arg(long, default_value = "all", value_name = "OUTFIT", value_parser = outfit_or("all"))]
+    outfit: OutfitSelection,
+    /// Pose: t-pose, a-pose, a motion (walk, squats, …) or a file, .npy [n, 72] or .npz.
     #[arg(long, default_value = "a-pose", value_name = "POSE")]
     pose: String,
-    /// Shape coefficients of the body; missing ones are zero.
-    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "B,B,…")]
-    betas: Vec<f32>,
-    /// Codes to draw.
+    #[command(flatten)]
+    shape: ShapeArgs,
+    /// Number of latent codes to sample.
     #[arg(long, short, default_value_t = 1, value_name = "K", value_parser = at_least_one)]
     n: usize,
     #[command(flatten)]
     drawn: PriorArgs,
-    /// Kind of mesh file: .ply comes with colours; .glb with colours, skeleton and skin, and with
-    /// the poses of a file as one animation.
-    #[arg(long, value_enum, default_value_t = Format::Obj)]
-    format: Format,
-    /// Names of the files, made of {outfit}, {sample}, {frame}, {pose} and {seed}.
+    /// File format: ply has colours; glb also skeleton and skinning, and animates the poses of a file.
+    #[arg(long, default_value = "obj", value_name = "FORMAT", value_parser = kinds([FileKind::Obj, FileKind::Ply, FileKind::Glb]))]
+    format: FileKind,
+    /// File names from {outfit}, {sample}, {frame}, {pose} and {seed} [default: {outfit}_{sample}].
     #[arg(long, value_name = "TEMPLATE")]
     name: Option<String>,
-    /// Colours of .ply and .glb: cloth and skin, or the length of the displacement.
-    #[arg(long, value_enum, default_value_t = Colours::Cloth)]
+    /// Colours of ply and glb: cloth and skin, or length of the displacement.
+    #[arg(long, value_enum, default_value_t = Colours::Cloth, value_name = "COLOURS")]
     colours: Colours,
-    /// Length of displacement that gets the brightest colour, millimetres.
-    #[arg(long, default_value_t = 50.0, value_name = "MM")]
-    scale: f32,
-    /// Texture coordinates: an OBJ file of the body, such as SMPL's.
+    /// Displacement of the brightest colour, mm.
+    #[arg(long, default_value_t = 50.0, value_name = "MM", value_parser = positive)]
+    scale: f64,
+    /// OBJ file of the body with texture coordinates, such as SMPL's.
     #[arg(long, value_name = "FILE.obj")]
     uv: Option<PathBuf>,
-    /// Texture, PNG or JPEG, for .obj and .glb.
+    /// Texture of obj and glb, PNG or JPEG.
     #[arg(long, value_name = "FILE", requires = "uv")]
     texture: Option<PathBuf>,
-    /// Poses a second of an animation.
-    #[arg(long, default_value_t = 30.0, value_name = "FPS")]
-    fps: f32,
-    /// Shape directions that a .glb gets as morph targets.
+    /// Frames per second of an animated glb.
+    #[arg(long, default_value_t = 30.0, value_name = "FPS", value_parser = positive)]
+    fps: f64,
+    /// Number of shape directions to add to glb as morph targets.
     #[arg(long, default_value_t = 0, value_name = "N")]
     shape_targets: usize,
     /// Write no contact sheet.
@@ -97,35 +97,18 @@ pub(crate) struct SampleArgs {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-#[value(rename_all = "lowercase")]
-enum OutfitName {
-    All,
-    ShortLong,
-    ShortShort,
-    LongShort,
-    LongLong,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Format {
-    Obj,
-    Ply,
-    Glb,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Colours {
     Cloth,
     Displacement,
 }
 
-/// Texture coordinates and picture, as they were given.
+/// Texture coordinates and texture.
 #[derive(Debug, Default)]
 struct TextureInput {
     uv: Option<Uv>,
-    /// The picture's name beside the meshes, and its bytes.
+    /// Name of the texture's file beside the meshes, and its bytes.
     image: Option<(String, Vec<u8>)>,
-    /// The picture, if it is one that can be drawn.
+    /// The texture, if it can be drawn on the contact sheet.
     drawn: Option<Image>,
 }
 
@@ -136,7 +119,7 @@ struct SampleLine {
     outfit: Outfit,
     pose: String,
     axis_angles: Vec<f32>,
-    /// Poses in the file.
+    /// Number of poses in the file.
     frames: usize,
     betas: Vec<f32>,
     seed: u64,
@@ -151,48 +134,23 @@ struct Report {
     picture: Option<PathBuf>,
 }
 
-impl OutfitName {
-    fn outfits(self) -> Vec<Outfit> {
-        match self {
-            Self::All => Outfit::ALL.to_vec(),
-            Self::ShortLong => vec![Outfit::ShortLong],
-            Self::ShortShort => vec![Outfit::ShortShort],
-            Self::LongShort => vec![Outfit::LongShort],
-            Self::LongLong => vec![Outfit::LongLong],
-        }
-    }
-}
-
 impl SampleArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
-        let device = parse_device(&global.device)?;
         let poses = poses(&self.pose)?;
-        if let Some(beta) = self.betas.iter().find(|beta| !beta.is_finite()) {
-            return Err(Error::message(format!("--betas: {beta} is not a finite number")));
-        }
-        files::require_empty(&self.out)?;
-        let run = Run::open(&self.run, &device)?;
-        let most = run.body().betas();
-        if self.betas.len() > most {
-            let given = self.betas.len();
-            return Err(Error::message(format!("--betas: {given}, but the body has {most}")));
-        }
-        for (option, value) in [("--fps", self.fps), ("--scale", self.scale)] {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(Error::message(format!("{option} {value}: expected more than 0")));
-            }
-        }
+        self.output.require_empty()?;
+        let out = &self.output.out;
+        let run = self.run.open(global)?;
+        let betas = self.shape.betas(run.body())?;
         let skin = self.skin(&run)?;
         if skin.image.is_some() && skin.drawn.is_none() {
-            console
-                .note("the contact sheet is without the texture: it can draw whole PNG files only");
+            console.note("the contact sheet is drawn without the texture: only PNG can be drawn");
         }
-        let seed = global.seed.unwrap_or(1);
+        let seed = global.seed();
         let outfits = self.outfit.outfits();
         let codes = self.drawn.codes(&run, &outfits, self.n, seed, console)?;
         // All poses of an animation are in one file, which is listed and drawn in its first.
         let shown = match self.format {
-            Format::Glb => &poses[..1],
+            FileKind::Glb => &poses[..1],
             _ => &poses[..],
         };
         let (mut wearers, mut rows, mut lines) = (Vec::new(), Vec::new(), Vec::new());
@@ -200,11 +158,7 @@ impl SampleArgs {
             for (frame, (pose_name, pose_angles)) in shown.iter().enumerate() {
                 for (place, &outfit) in outfits.iter().enumerate() {
                     let code = sample + place * self.n;
-                    wearers.push(BodySpec {
-                        betas: self.betas.clone(),
-                        pose: *pose_angles,
-                        outfit,
-                    });
+                    wearers.push(BodySpec { betas: betas.clone(), pose: *pose_angles, outfit });
                     rows.push(code);
                     let frames = shown.len();
                     let pose = pose_name;
@@ -215,7 +169,7 @@ impl SampleArgs {
                         pose: pose_name.clone(),
                         frames: poses.len() / shown.len(),
                         axis_angles: pose_angles.to_vec(),
-                        betas: self.betas.clone(),
+                        betas: betas.clone(),
                         seed,
                         sample,
                         code: codes.row(code).to_vec(),
@@ -226,11 +180,11 @@ impl SampleArgs {
         let files: Vec<String> = lines.iter().map(|line| line.file.clone()).collect();
         let codes = codes.select(ndarray::Axis(0), &rows);
         names::require_distinct(files.iter().map(String::as_str))?;
-        files::create_dir(&self.out)?;
-        if let Some((name, image)) = skin.image.as_ref().filter(|_| self.format == Format::Obj) {
-            files::write_bytes(&self.out.join(name), image)?;
+        files::create_dir(out)?;
+        if let Some((name, image)) = skin.image.as_ref().filter(|_| self.format == FileKind::Obj) {
+            files::write_bytes(&out.join(name), image)?;
             let material = format!("newmtl body\nKd 1 1 1\nmap_Kd {name}\n");
-            files::write_text(&self.out.join(MATERIALS), &material)?;
+            files::write_text(&out.join(MATERIALS), &material)?;
         }
         let mut tiles = Vec::new();
         if skin.drawn.is_some() && !self.no_picture {
@@ -244,23 +198,23 @@ impl SampleArgs {
             dress(&run, &codes, &wearers, |index, mut dressed| {
                 let line = &lines[index];
                 if self.colours == Colours::Displacement {
-                    dressed.colour_by_distance(self.scale / 1000.0);
+                    dressed.colour_by_distance(self.scale as f32 / 1000.0);
                 }
-                if self.format == Format::Glb {
+                if self.format == FileKind::Glb {
                     let performance = AnimatedBody {
                         name: line.file.trim_end_matches(".glb"),
                         code: codes.select(ndarray::Axis(0), &[index]),
-                        betas: &self.betas,
+                        betas: &betas,
                         outfit: line.outfit,
                         poses: poses.iter().map(|(_, pose)| *pose).collect(),
-                        frames_per_second: self.fps,
+                        frames_per_second: self.fps as f32,
                         shape_targets: self.shape_targets,
                         colours: skin.image.is_none().then_some(&dressed.colours[..]),
                         texture: skin.texture(),
                     };
-                    performance.save(&run, self.out.join(&line.file))?;
+                    performance.save(&run, out.join(&line.file))?;
                 } else {
-                    self.write(&self.out.join(&line.file), &dressed, &skin)?;
+                    self.write(&out.join(&line.file), &dressed, &skin)?;
                 }
                 if !self.no_picture && index < MOST_PICTURES {
                     tiles.push(tile(&dressed, line, &skin)?);
@@ -269,39 +223,34 @@ impl SampleArgs {
                 Ok(())
             })
         })?;
-        files::write_json_lines(&self.out.join("samples.jsonl"), &lines)?;
+        files::write_json_lines(&out.join("samples.jsonl"), &lines)?;
         let picture = self.picture(&tiles)?;
-        let report = Report { files, picture, out: self.out };
+        let report = Report { files, picture, out: self.output.out };
         console.result(&report, || report.text(&lines))
     }
 
     fn file_name(&self, fields: &NameFields) -> Result<String> {
-        let extension = match self.format {
-            Format::Obj => "obj",
-            Format::Ply => "ply",
-            Format::Glb => "glb",
-        };
         let name = match &self.name {
             Some(template) => names::fill(template, fields)?,
             None => names::default(fields),
         };
-        Ok(format!("{name}.{extension}"))
+        Ok(format!("{name}.{}", self.format.name()))
     }
 
-    /// Reads texture coordinates and picture.
+    /// Reads texture coordinates and texture.
     fn skin(&self, run: &Run) -> Result<TextureInput> {
         let Some(path) = &self.uv else { return Ok(TextureInput::default()) };
         let read = obj::read(path)?;
         let fault = |message: String| Error::message(format!("{}: {message}", path.display()));
         if read.mesh.faces != run.body().faces {
             return Err(fault(format!(
-                "its {} faces are not those of the run's body ({}): texture coordinates need the \
+                "{} faces, which are not those of the run's body ({}): expected an OBJ file of the \
                  same mesh",
                 read.mesh.faces.len(),
                 run.body().faces.len()
             )));
         }
-        let uv = read.uv.ok_or_else(|| fault("has no texture coordinates (vt)".into()))?;
+        let uv = read.uv.ok_or_else(|| fault("no texture coordinates (vt)".into()))?;
         let image = match &self.texture {
             None => None,
             Some(path) => {
@@ -327,7 +276,7 @@ impl SampleArgs {
     }
 
     fn write(&self, path: &Path, dressed: &DressedMesh, skin: &TextureInput) -> Result {
-        if self.format == Format::Ply {
+        if self.format == FileKind::Ply {
             ply::write(path, &dressed.mesh, Some(&dressed.colours_8_bit()))?;
         } else {
             let material = skin.image.is_some().then_some((MATERIALS, "body"));
@@ -341,12 +290,12 @@ impl SampleArgs {
             return Ok(None);
         }
         let columns = match (self.outfit, tiles.len()) {
-            // One of each, and the body beside them.
-            (OutfitName::All, 5) => 5,
-            (OutfitName::All, _) => Outfit::ALL.len(),
+            // One of each beside the body.
+            (OutfitSelection::All, 5) => 5,
+            (OutfitSelection::All, _) => Outfit::ALL.len(),
             _ => COLUMNS,
         };
-        let path = self.out.join("contact_sheet.png");
+        let path = self.output.out.join("contact_sheet.png");
         contact_sheet(tiles, columns, None)?.save(&path)?;
         Ok(Some(path))
     }
@@ -358,7 +307,7 @@ fn tile(dressed: &DressedMesh, line: &SampleLine, skin: &TextureInput) -> Result
 }
 
 impl TextureInput {
-    /// What pictures are drawn with.
+    /// Texture to draw pictures with.
     fn on(&self) -> Option<Painted<'_>> {
         Some(Painted { uv: self.uv.as_ref()?, image: self.drawn.as_ref()? })
     }

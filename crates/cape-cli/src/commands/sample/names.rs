@@ -1,4 +1,4 @@
-//! Names of sampled meshes.
+//! File names of sampled meshes.
 
 use std::collections::HashSet;
 
@@ -6,20 +6,20 @@ use cape_core::Outfit;
 
 use crate::error::{Error, Result};
 
-/// What a name may be made of.
+/// Fields of a name.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct NameFields<'a> {
     pub(super) outfit: Outfit,
-    /// From 0.
+    /// Index of the sample, from 0.
     pub(super) sample: usize,
-    /// From 0, among `frames`.
+    /// Index of the pose among `frames`, from 0.
     pub(super) frame: usize,
     pub(super) frames: usize,
     pub(super) pose: &'a str,
     pub(super) seed: u64,
 }
 
-/// `{outfit}_{sample}`, and `_{frame}` where a sample has several.
+/// `{outfit}_{sample}`, and `_{frame}` if a sample has several.
 pub(super) fn default(fields: &NameFields) -> String {
     let frame = match fields.frames {
         1 => String::new(),
@@ -56,18 +56,18 @@ pub(super) fn fill(template: &str, fields: &NameFields) -> Result<String> {
     name.push_str(rest);
     let plain = |c: char| c.is_alphanumeric() || "-_.+= ".contains(c);
     if name.is_empty() || name.starts_with('.') || !name.chars().all(plain) {
-        return Err(Error::message(format!("--name {template}: `{name}` is not a file's name")));
+        return Err(Error::message(format!("--name {template}: `{name}` is not a file name")));
     }
     Ok(name)
 }
 
-/// Refuses names of which two would be one file.
+/// Returns an error if two names are equal.
 pub(super) fn require_distinct<'a>(names: impl Iterator<Item = &'a str>) -> Result {
     let mut seen = HashSet::new();
     for name in names {
         if !seen.insert(name) {
             return Err(Error::message(format!(
-                "--name: several meshes would be {name}: use {{outfit}}, {{sample}} and {{frame}}"
+                "--name: several meshes would be named {name}: use {{outfit}}, {{sample}} and {{frame}}"
             )));
         }
     }
@@ -94,9 +94,9 @@ mod tests {
         for (template, expected) in [
             ("{cat}", "unknown field `{cat}`"),
             ("{outfit", "without"),
-            ("../{outfit}", "not a file's name"),
-            ("a/b", "not a file's name"),
-            ("", "not a file's name"),
+            ("../{outfit}", "not a file name"),
+            ("a/b", "not a file name"),
+            ("", "not a file name"),
         ] {
             let message = fill(template, &fields).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");

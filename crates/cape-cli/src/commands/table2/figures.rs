@@ -1,4 +1,4 @@
-//! Pictures of bodies: errors on them, and reconstructions beside the truth.
+//! Pictures of errors on the body, and of reconstructions beside the ground truth.
 
 use cape_core::{Mesh, SmplModel, smpl::ClothingMask};
 use cape_data::PackedSet;
@@ -17,17 +17,17 @@ use crate::error::{Error, Result};
 
 const PAPER: [u8; 4] = [250, 250, 251, 255];
 const INK: [u8; 3] = [40, 42, 46];
-/// Where there is no clothing.
+/// Colour of vertices without clothing.
 const BARE: [f32; 3] = [0.75; 3];
 const CLAY: Material = Material { colour: [0.72, 0.71, 0.70], gloss: 0.05 };
 const SIDES: [View; 2] = [View::Front, View::Back];
-/// Rows of pixels of a body with its errors, and of a reconstruction.
+/// Heights of a body with errors and of a reconstruction, pixels.
 const MAP_HEIGHT: u32 = 420;
 const CLAY_HEIGHT: u32 = 300;
-/// Columns of pixels of the bar of colours.
+/// Width of the colour bar, pixels.
 const BAR_WIDTH: u32 = 150;
 
-/// Front and back of the body for every method, in one scale, with its bar.
+/// Front and back of the body coloured by the errors of every method, with a colour bar.
 pub(super) fn maps(body: &SmplModel, methods: &[MethodResults]) -> Result<Image> {
     let mesh = a_posed(body)?;
     let bounds = bounds_of([&mesh])?;
@@ -51,13 +51,13 @@ pub(super) fn maps(body: &SmplModel, methods: &[MethodResults]) -> Result<Image>
     Ok(image)
 }
 
-/// A method's reconstructions of the frames shown.
+/// A method's reconstructions of the frames of the figure.
 pub(super) struct MethodFigure {
     pub(super) label: String,
     pub(super) frames: FigureFrames,
 }
 
-/// The frames shown, front and back, in a line for the truth and one for every method.
+/// Frames, front and back, in a row for the ground truth and one for every method.
 pub(super) fn reconstructions(
     set: &PackedSet,
     body: &SmplModel,
@@ -68,7 +68,7 @@ pub(super) fn reconstructions(
     let mut lines: Vec<(usize, Bounds, Vec<Mesh>)> = Vec::new();
     for (index, &row) in rows.iter().enumerate() {
         let (truth, mut pose, _) = set.frame(row)?;
-        // Which way a body faces in the room is not the clothing's matter.
+        // All bodies face the camera.
         pose[..3].fill(0.0);
         let mut meshes = vec![dressed(body, mask, &pose, truth)?];
         for method in methods {
@@ -115,7 +115,7 @@ fn picture(object: Object, bounds: &Bounds, view: View, style: &Style) -> Result
     Ok(render(&[object], &camera, style)?)
 }
 
-/// Pictures of this height, wide enough for each of `bounds` to fill them.
+/// Style of pictures of this height, wide enough for all `bounds`.
 fn style(height: u32, bounds: &[Bounds]) -> Style {
     let aspect = |bounds: &Bounds| {
         let size = bounds.max - bounds.min;
@@ -154,7 +154,7 @@ fn posed(body: &SmplModel, pose: &[f64], displacement: Option<&Array2<f64>>) -> 
     Ok(Mesh { vertices, faces: body.faces.clone() })
 }
 
-/// Mean error at every vertex, over seeds.
+/// Mean error over seeds at every vertex.
 fn vertex_means(results: &[&RunErrors], vertices: usize) -> Vec<f32> {
     let mean = |vertex: usize| {
         let errors = results.iter().filter_map(|result| result.vertex_means.get(vertex));
@@ -163,7 +163,7 @@ fn vertex_means(results: &[&RunErrors], vertices: usize) -> Vec<f32> {
     (0..vertices).map(mean).collect()
 }
 
-/// A round number of millimetres that nearly all errors are below.
+/// Round number of millimetres above the 98th percentile of the errors.
 fn scale_of<'a>(errors: impl Iterator<Item = &'a f32>) -> f32 {
     let mut sorted: Vec<f32> = errors.copied().filter(|&error| error > 0.0).collect();
     sorted.sort_by(f32::total_cmp);
@@ -172,7 +172,7 @@ fn scale_of<'a>(errors: impl Iterator<Item = &'a f32>) -> f32 {
     rounded.into_iter().find(|&round| round >= high).unwrap_or(high)
 }
 
-/// Colours from 0 to `scale` millimetres, at the right of a sheet that ends at `left`.
+/// Draws the colour bar from 0 to `scale` millimetres right of column `left`.
 fn draw_bar(image: &mut Image, left: u32, scale: f32) {
     let (left, right) = (i64::from(left) + 12, i64::from(left) + 48);
     let (top, bottom) = (48, i64::from(image.height().min(MAP_HEIGHT)) + 12);

@@ -5,7 +5,6 @@ mod report;
 use std::{path::PathBuf, process::ExitCode, time::Instant};
 
 use burn::tensor::Device;
-use cape_core::parse_device;
 use cape_data::{PackedSet, Split};
 use cape_eval::{
     comparison::ComparisonTable,
@@ -18,13 +17,13 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::{
-    arguments::{GlobalArgs, at_least_one},
     comparison,
     console::{Console, seconds},
     error::{Context, Result},
     files,
     html::HtmlFigure,
     interrupt::Interrupt,
+    options::{GlobalArgs, PRESETS, StoreArgs, at_least_one, choices},
     training,
 };
 use figures::MethodFigure;
@@ -32,53 +31,51 @@ use figures::MethodFigure;
 /// Exit code of an interrupted grid: 128 + SIGINT.
 const INTERRUPTED: u8 = 130;
 
-/// Train and evaluate every row of the paper's table 2 under one protocol.
+/// Train and evaluate all rows of the paper's table 2 under one protocol.
 ///
-/// PCA, CoMA, CAPE and its ablations, each in a directory of its own under --out. Finished rows are
-/// kept: run the same command again to resume. Rows of other settings or data are an error, unless
-/// --overwrite is given. Writes table2.md, .csv, .json and .tex, reconstructions, error maps, histograms, and report.html with all
-/// of it.
+/// Trains PCA, CoMA, CAPE and its ablations, each in its own directory under --out. Writes table2.md,
+/// .csv, .json, .tex, pictures of reconstructions and errors, and report.html with all of them. Run the
+/// same command again to resume.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  cape table2 --data packed/male --body SMPL_MALE.pkl --out table2 \
-                        --seeds 3\n  cape table2 --quick --out quick"
+    after_help = "Examples:\n  cape table2 --data packed --out table2 --seeds 3\n  cape table2 --quick \
+                        --out quick"
 )]
 pub(crate) struct Table2Args {
     /// Packed set with training and test frames.
     #[arg(long, value_name = "DIR", required_unless_present = "quick")]
     data: Option<PathBuf>,
-    /// Directory for rows, table, figures and report.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// A narrow model and a short recipe; without --data on synthetic captures made for it.
+    #[command(flatten)]
+    output: StoreArgs,
+    /// Train narrow models briefly, without --data on synthetic captures.
     #[arg(long)]
     quick: bool,
-    /// Rows: mean, pca, coma-4, coma-1, cape, cape-affine, no-discriminator, no-residual, no-edge;
-    /// all if none is named.
-    #[arg(long, value_name = "ROW,ROW,…", value_delimiter = ',')]
+    /// Rows of the table [default: all].
+    #[arg(
+        long,
+        value_name = "ROW,…",
+        value_delimiter = ',',
+        value_parser = choices(Table2Row::ALL.map(|row| (row.name(), row)))
+    )]
     rows: Vec<Table2Row>,
-    /// Seeds of every trained row.
+    /// Number of seeds per trained row.
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = at_least_one)]
     seeds: usize,
-    /// Passes over the training frames.
+    /// Number of epochs.
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     epochs: Option<usize>,
-    /// Settings of CAPE as a TOML file; the other rows differ from it by a switch.
+    /// Configuration of CAPE, TOML, from which the other rows are derived.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["preset", "quick"])]
     config: Option<PathBuf>,
-    /// Architecture of CAPE.
-    #[arg(long, value_parser = ["paper", "detail", "narrow", "tiny"])]
+    /// Architecture of CAPE [default: paper].
+    #[arg(long, value_name = "NAME", value_parser = PRESETS)]
     preset: Option<String>,
-    /// SMPL's body, .pkl or .npz, for packed sets without body.npz.
+    /// SMPL body, .pkl or .npz, if the packed set has no body.npz.
     #[arg(long, value_name = "SMPL")]
     body: Option<PathBuf>,
-    /// Clothing vertices, for packed sets without clothing_verts_idx.npy.
+    /// Indices of the clothing vertices, if the packed set has no clothing_verts_idx.npy.
     #[arg(long, value_name = "FILE.npy")]
     clothing: Option<PathBuf>,
-    /// Discard rows of other settings, inputs or versions in --out and compute them afresh;
-    /// matching rows are kept.
-    #[arg(long)]
-    overwrite: bool,
 }
 
 #[derive(Debug, Serialize)]
@@ -92,21 +89,22 @@ struct Report {
 impl Table2Args {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result<ExitCode> {
         let start = Instant::now();
-        let device = parse_device(&global.device)?;
-        let store = open_store(&self.out, self.overwrite)?;
+        let device = global.device()?;
+        let store = open_store(&self.output.out, self.output.overwrite)?;
         let data = match &self.data {
             Some(data) => data.clone(),
             None => quick::data(&store, console)?,
         };
+        PackedSet::open(&data, Split::Train)?;
         let shown = select_frames(&data)?;
         let grid = Table2Options {
             data,
-            out: self.out.clone(),
+            out: self.output.out.clone(),
             body: self.body.clone(),
             clothing: self.clothing.clone(),
             config: self.configured(global)?,
             shown,
-            overwrite: self.overwrite,
+            overwrite: self.output.overwrite,
         };
         let rows = if self.rows.is_empty() { Table2Row::ALL.to_vec() } else { self.rows.clone() };
         let jobs = grid.jobs(&rows, self.seeds as u64)?;
@@ -118,7 +116,7 @@ impl Table2Args {
             let title =
                 format!("[{}/{}] {}, seed {}", index + 1, jobs.len(), job.row.name(), job.seed);
             if let Some(result) = job.result()? {
-                console.note(&format!("{title}: done before"));
+                console.note(&format!("{title}: already done"));
                 clock.pass(job);
                 results.push(result);
                 continue;
@@ -134,7 +132,7 @@ impl Table2Args {
         }
         let (methods, cape) = methods(&results);
         let table = ComparisonTable::new(&methods, cape);
-        let report = Report { out: self.out, seconds: start.elapsed().as_secs_f64(), table };
+        let report = Report { out: self.output.out, seconds: start.elapsed().as_secs_f64(), table };
         write(&store, &report, &grid, &jobs, &results)?;
         console.result(&report, || report.text())?;
         Ok(ExitCode::SUCCESS)
@@ -160,7 +158,7 @@ impl Table2Args {
     }
 }
 
-/// Trains and measures a job; nothing if it was interrupted.
+/// Trains and measures a job; none if it was interrupted.
 fn done(
     grid: &Table2Options,
     job: &Table2Job,
@@ -182,7 +180,7 @@ fn done(
     Ok(Some(result))
 }
 
-/// How long the rest will take, by what trained rows took so far.
+/// Estimate of the remaining time from the trained rows so far.
 struct RemainingTime {
     start: Instant,
     trained: usize,
@@ -207,7 +205,7 @@ impl RemainingTime {
             return String::new();
         }
         let each = self.start.elapsed().as_secs_f64() / self.trained as f64;
-        format!(" · all done in about {}", seconds(each * self.left as f64))
+        format!(" · about {} left", seconds(each * self.left as f64))
     }
 }
 
@@ -236,14 +234,14 @@ fn write(
     let figures = [
         HtmlFigure {
             title: "Reconstructions",
-            caption: "Test frames and their reconstructions from the posterior's mean, first seed, \
-                      front and back: the mean body in the frame's pose.",
+            caption: "Test frames and their reconstructions from the posterior mean, first seed, front \
+                      and back, on the mean body in the frame's pose.",
             image: &reconstructions,
         },
         HtmlFigure {
             title: "Mean error on the body",
-            caption: "Mean over test frames and seeds of the error of sampled reconstructions at \
-                      every clothing vertex, on the body in an A-pose.",
+            caption: "Error of sampled reconstructions at every clothing vertex, mean over test frames \
+                      and seeds, on the body in A-pose.",
             image: &maps,
         },
         HtmlFigure {
@@ -257,7 +255,7 @@ fn write(
     files::write_text(&store.claim("report.html")?, &html)
 }
 
-/// What the first seed of every row made of the frames shown.
+/// Reconstructions of the frames of the figure by the first seed of every row.
 fn first_seeds(jobs: &[Table2Job]) -> Result<Vec<MethodFigure>> {
     let first = |row| jobs.iter().find(|job| job.row == row);
     Table2Row::ALL

@@ -1,4 +1,4 @@
-//! Data and recipe of `--quick`.
+//! Data and configuration of `--quick`.
 
 use std::path::PathBuf;
 
@@ -9,14 +9,14 @@ use cape_synth::{CaptureGenerator, synthetic_body};
 
 use crate::{commands::demo, console::Console, error::Result};
 
-/// Twice as many frames as the demo has: what counts is what is held out.
+/// Number of subjects and frames per sequence: about twice the demo's frames, for steadier test errors.
 const SUBJECTS: usize = 12;
 const FRAMES: usize = 3;
 
-/// The demo's model, trained by Adam: in so few steps it gets further than momentum.
+/// The demo's configuration with Adam, which converges faster than momentum in few steps.
 pub(super) fn config() -> RunConfig {
     let mut config = demo::recipe(1);
-    // Codes that are a little closer to the prior are found again more easily in new frames.
+    // Codes closer to the prior generalise better to new frames.
     config.loss.kl = 1e-4;
     config.train = TrainConfig {
         epochs: 3,
@@ -28,7 +28,7 @@ pub(super) fn config() -> RunConfig {
     config
 }
 
-/// Synthetic captures, packed, in `data` of the table's directory; those of an earlier call are kept.
+/// Packed synthetic captures in `data` of the table's directory; those of an earlier call are kept.
 pub(super) fn data(store: &ResultStore, console: Console) -> Result<PathBuf> {
     let [packed, raw] = ["data", "raw"].map(|name| store.path(name));
     if store.owns("data/") && packed.join("stats.txt").exists() {

@@ -1,4 +1,4 @@
-//! The report as one HTML file.
+//! The report as a self-contained HTML file.
 
 use std::fmt::Write as _;
 
@@ -11,7 +11,7 @@ use crate::{
     html::{self, HtmlFigure, escaped},
 };
 
-/// Tables, figures, configuration, versions and the data's hash, all in one text.
+/// Tables, figures, configuration, version and the hash of the data.
 pub(super) fn page(
     table: &ComparisonTable,
     grid: &Table2Options,
@@ -45,7 +45,7 @@ pub(super) fn page(
         .map_err(|error| Error::message(format!("settings: {error}")))?;
     let _ = writeln!(
         body,
-        "<h2>How</h2><p>cape {} · data {} (SHA-256 {}) · trained in {}</p><pre>{}</pre>",
+        "<h2>Configuration</h2><p>cape {} · data {} (SHA-256 {}) · trained in {}</p><pre>{}</pre>",
         env!("CARGO_PKG_VERSION"),
         escaped(&grid.data.display().to_string()),
         data_hash,

@@ -6,7 +6,6 @@ use std::{
     process::ExitCode,
 };
 
-use cape_core::parse_device;
 use cape_infer::{RunConfig, RunPaths};
 use cape_model::CapeConfig;
 use cape_train::{TrainOutcome, Trainer, TrainerOptions};
@@ -14,59 +13,57 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::{
-    arguments::{GlobalArgs, default_device},
     console::{Console, seconds},
     dashboard::Dashboard,
     error::{Context, Error, Result},
     interrupt::Interrupt,
+    options::{GlobalArgs, PRESETS, default_device},
     table::Table,
     training,
 };
 use self_check::SelfCheckArgs;
 use settings::{TrainOverrideArgs, set};
 
-/// Exit code of a training that was interrupted and can be resumed: 128 + SIGINT.
+/// Exit code of an interrupted training: 128 + SIGINT.
 const INTERRUPTED: u8 = 130;
 
 /// Train a model on a packed set.
 ///
-/// The run's directory gets everything needed to resume, evaluate and sample: settings, statistics,
-/// body, checkpoints, metrics.jsonl and TensorBoard events. Ctrl-C finishes the step and saves; a
+/// Writes configuration, statistics, body, checkpoints, metrics.jsonl and TensorBoard events to a run's
+/// directory, from which other commands evaluate, sample and fit. Ctrl-C finishes the step and saves; a
 /// second Ctrl-C stops at once.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  cape train --data packed --out run --preset narrow --epochs 20\n  \
-                        cape train --out run --resume\n  \
+    after_help = "Examples:\n  cape train --data packed --out runs/narrow --preset narrow --epochs 20\n  \
+                        cape train --out runs/narrow --resume\n  \
                         cape train --data packed --preset narrow --check\n  \
                         cape train --data packed --preset narrow --find-rate --out rates"
 )]
 pub(crate) struct TrainArgs {
-    /// Packed set; a resumed run remembers its own.
+    /// Packed set [default with --resume: the run's].
     #[arg(long, value_name = "DIR", required_unless_present = "resume")]
     data: Option<PathBuf>,
-    /// The run's directory: empty or missing, or the one to resume.
+    /// Directory of the run: empty or missing, or the one to resume.
     #[arg(long, value_name = "RUN", required_unless_present_any = ["check", "find_rate"])]
     out: Option<PathBuf>,
-    /// Go on from the newest checkpoint in --out.
+    /// Resume from the newest checkpoint in --out.
     #[arg(long)]
     resume: bool,
     #[command(flatten)]
     self_check: SelfCheckArgs,
-    /// Settings as a TOML file; options below override it.
+    /// Configuration, TOML; the options below override it.
     #[arg(long, value_name = "FILE", conflicts_with = "preset")]
     config: Option<PathBuf>,
-    /// Architecture: the paper's, its larger variant for detail, a quarter of its width, or a
-    /// tiny one.
-    #[arg(long, value_parser = ["paper", "detail", "narrow", "tiny"])]
+    /// Architecture; narrow has a quarter of the paper's filters [default: paper].
+    #[arg(long, value_name = "NAME", value_parser = PRESETS)]
     preset: Option<String>,
-    /// SMPL's body, .pkl or .npz, for packed sets without body.npz.
+    /// SMPL body, .pkl or .npz, if the packed set has no body.npz.
     #[arg(long, value_name = "SMPL", conflicts_with = "resume")]
     body: Option<PathBuf>,
-    /// Clothing vertices, for packed sets without clothing_verts_idx.npy; else derived from the
-    /// body's blend weights.
+    /// Indices of the clothing vertices, if the packed set has no clothing_verts_idx.npy.
     #[arg(long, value_name = "FILE.npy", conflicts_with = "resume")]
     clothing: Option<PathBuf>,
-    /// Show progress, losses and curves on the whole terminal.
+    /// Show progress, losses and curves in a full-screen terminal dashboard.
     #[arg(long)]
     tui: bool,
     #[command(flatten)]
@@ -82,7 +79,7 @@ struct Report {
 
 impl TrainArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result<ExitCode> {
-        let device = parse_device(&global.device)?;
+        let device = global.device()?;
         if self.self_check.any() {
             return self.run_self_check(global, console, &device);
         }
@@ -114,13 +111,13 @@ impl TrainArgs {
             return Ok(ExitCode::SUCCESS);
         }
         console.note(&format!(
-            "interrupted and saved; go on with:\n  {}",
+            "interrupted and saved; resume by:\n  {}",
             self.resume_hint(&out, global)
         ));
         Ok(ExitCode::from(INTERRUPTED))
     }
 
-    /// `base` with the configuration file, the preset and the options laid over it.
+    /// The configuration: `base` or the file of --config, overridden by preset and options.
     fn configured(&self, base: RunConfig, global: &GlobalArgs) -> Result<RunConfig> {
         let mut config = match &self.config {
             Some(path) => RunConfig::load(path)?,
@@ -135,15 +132,15 @@ impl TrainArgs {
         Ok(config)
     }
 
-    /// A resumed run keeps its settings: others that are given must be the same.
+    /// Returns an error if an option differs from the configuration of the run to resume.
     fn check_settings(&self, out: &Path, global: &GlobalArgs) -> Result {
         let path = RunPaths::new(out).config();
         let found = RunConfig::load(&path)?;
         let asked = self.configured(found.clone(), global)?;
         let Some(difference) = first_difference(&found, &asked)? else { return Ok(()) };
         Err(Error::message(format!(
-            "{} belongs to a run with another configuration: {difference}; resume without that \
-             setting, or train into another directory",
+            "{} is of another configuration: {difference}: resume without that option, or choose \
+             another --out",
             path.display()
         )))
     }
@@ -194,14 +191,12 @@ fn difference(name: &str, found: &toml::Value, asked: &toml::Value) -> Option<St
                 let path = if name.is_empty() { key.clone() } else { format!("{name}.{key}") };
                 match (left.get(key), right.get(key)) {
                     (Some(left), Some(right)) => difference(&path, left, right),
-                    (Some(_), None) => Some(format!("`{path}` is set there, but not asked for")),
-                    (None, _) => Some(format!("`{path}` is not set there, but asked for")),
+                    (Some(_), None) => Some(format!("`{path}` is set, but not by the options")),
+                    (None, _) => Some(format!("`{path}` is not set, but is by the options")),
                 }
             })
         }
-        _ => {
-            (found != asked).then(|| format!("`{name}` is {found} there, but {asked} is asked for"))
-        }
+        _ => (found != asked).then(|| format!("`{name}` is {found}, but the options say {asked}")),
     }
 }
 
@@ -212,13 +207,13 @@ impl Report {
         table.row(["epochs".to_owned(), epochs.to_string()]);
         table.row(["steps".to_owned(), steps.to_string()]);
         let best = best_validation.map_or("–".to_owned(), |mm| format!("{mm:.2} mm"));
-        table.row(["best validation".to_owned(), best]);
+        table.row(["best validation error".to_owned(), best]);
         let per_step = spent / (*steps).max(1) as f64;
         table.row(["time".to_owned(), format!("{} ({per_step:.2} s/step)", seconds(*spent))]);
         let out = self.out.display();
         let next = if self.outcome.finished {
             format!(
-                "\nnext: cape eval {out} --data PACKED; cape sample {out} --outfit all --out samples"
+                "\nnext: cape eval run {out} --data PACKED; cape sample {out} --outfit all --out samples"
             )
         } else {
             String::new()
@@ -238,10 +233,10 @@ mod tests {
         let mut asked = found.clone();
         asked.train.batch = 4;
         let said = first_difference(&found, &asked).unwrap().unwrap();
-        assert_eq!(said, "`train.batch` is 16 there, but 4 is asked for");
+        assert_eq!(said, "`train.batch` is 16, but the options say 4");
         asked.model.discriminator = None;
         let said = first_difference(&found, &asked).unwrap().unwrap();
-        assert_eq!(said, "`model.discriminator` is set there, but not asked for");
+        assert_eq!(said, "`model.discriminator` is set, but not by the options");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! `--check` and `--find-rate`.
+//! The self check and learning rate search of `--check` and `--find-rate`.
 
 use std::{fmt::Write as _, path::Path, process::ExitCode};
 
@@ -14,26 +14,23 @@ use clap::Args;
 
 use super::TrainArgs;
 use crate::{
-    arguments::{GlobalArgs, at_least_one},
     console::Console,
     error::Result,
     files,
+    options::{GlobalArgs, at_least_one},
     table::Table,
 };
 
-/// What is done instead of training.
+/// Options for checks instead of a training.
 #[derive(Debug, Args)]
 pub(super) struct SelfCheckArgs {
-    /// Do not train, but see whether these settings are sound: a few frames are learnt by heart, and
-    /// after a little training losses fall, the code says something, the discriminator is neither
-    /// dead nor perfect and gradients reach all parts.
+    /// Check the configuration by short trainings instead of training.
     #[arg(long, conflicts_with_all = ["resume", "find_rate", "out"])]
     check: bool,
-    /// Do not train, but try growing learning rates until the loss explodes, and suggest one; with
-    /// --out, rates.csv and rates.png go there.
+    /// Suggest a learning rate by a range test instead of training; curves go to --out.
     #[arg(long, conflicts_with = "resume")]
     find_rate: bool,
-    /// Steps of --check (200, after at most 2500 for learning by heart) or --find-rate (120).
+    /// Steps of --check [default: 200] or --find-rate [default: 120].
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     trial_steps: Option<usize>,
 }
@@ -44,7 +41,7 @@ impl SelfCheckArgs {
     }
 }
 
-/// Exit code where something is not as it should be.
+/// Exit code of a failed check.
 const UNSOUND: u8 = 1;
 
 impl TrainArgs {
@@ -92,20 +89,20 @@ fn findings(report: &CheckReport) -> String {
     }
     let failed = report.findings.iter().filter(|finding| !finding.passed).count();
     let verdict = match failed {
-        0 => "all as it should be".to_owned(),
-        failed => format!("{failed} of {} not as they should be", report.findings.len()),
+        0 => "all checks passed".to_owned(),
+        failed => format!("{failed} of {} checks failed", report.findings.len()),
     };
     format!("{}\n\n{verdict}", table.text())
 }
 
 fn rates(report: &RateSearchReport) -> String {
     let diverged = match report.diverged {
-        Some(rate) => format!("exploded at {rate:.1e}"),
-        None => "did not explode".into(),
+        Some(rate) => format!("diverged at {rate:.1e}"),
+        None => "did not diverge".into(),
     };
     format!(
         "the loss fell fastest at a learning rate of {:.1e}, was lowest at {:.1e} and {diverged}\n\
-         try --peak-rate {:.0e}",
+         suggested: --peak-rate {:.0e}",
         report.steepest, report.lowest, report.suggested
     )
 }

@@ -1,83 +1,75 @@
-//! Settings of a training on the command line.
+//! Options of a training that override its configuration.
 
+use cape_graph::Weighting;
 use cape_infer::{OptimiserKind, RateSchedule, RunConfig};
 use cape_model::AdversarialLoss;
-use clap::{Args, ValueEnum};
+use clap::Args;
 
-use crate::{arguments::at_least_one, commands::pyramid::WeightingName};
+use crate::{
+    commands::model::pyramid::WEIGHTINGS,
+    options::{at_least_one, choices},
+};
 
-/// Settings that override the configuration.
+/// Options that override the configuration.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Settings")]
 pub(super) struct TrainOverrideArgs {
-    /// Passes over the training frames.
+    /// Number of epochs.
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     epochs: Option<usize>,
-    /// Frames in a batch.
+    /// Frames per batch.
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     batch: Option<usize>,
     /// Learning rate after the warm-up.
     #[arg(long, value_name = "RATE")]
     peak_rate: Option<f64>,
-    /// Epochs of warm-up.
+    /// Epochs of learning rate warm-up.
     #[arg(long, value_name = "N")]
     warmup_epochs: Option<f64>,
-    /// How the learning rate falls after the warm-up; the paper's is exponential.
-    #[arg(long, value_enum)]
-    schedule: Option<ScheduleName>,
-    /// How gradients become steps. The paper's is sgd, with momentum; adam wants a --peak-rate of
-    /// about 1e-3.
-    #[arg(long, value_enum)]
-    optimiser: Option<OptimiserName>,
+    /// Learning rate schedule [paper: exponential].
+    #[arg(long, value_name = "NAME", value_parser = choices(SCHEDULES))]
+    schedule: Option<RateSchedule>,
+    /// Optimiser [paper: sgd with momentum]; adam needs a --peak-rate of about 1e-3.
+    #[arg(long, value_name = "NAME", value_parser = choices(OPTIMISERS))]
+    optimiser: Option<OptimiserKind>,
     /// Weight of the Kullback–Leibler term.
     #[arg(long, value_name = "WEIGHT")]
     kl: Option<f64>,
-    /// Epochs over which that weight rises from zero.
+    /// Epochs over which that weight rises from 0.
     #[arg(long, value_name = "N")]
     kl_warmup_epochs: Option<f64>,
-    /// Weight of the adversarial terms.
+    /// Weight of the adversarial loss.
     #[arg(long, value_name = "WEIGHT")]
     gan: Option<f64>,
-    /// What generator and discriminator play for; the paper's is bce, binary cross-entropy.
-    #[arg(long, value_enum)]
-    adversary: Option<AdversarialLossName>,
-    /// Divide the discriminator's weight matrices by their largest singular values.
+    /// Adversarial loss: binary cross-entropy or hinge [paper: bce].
+    #[arg(long, value_name = "NAME", value_parser = choices(ADVERSARIAL_LOSSES))]
+    adversary: Option<AdversarialLoss>,
+    /// Use spectral normalisation in the discriminator.
     #[arg(long)]
     spectral_norm: bool,
-    /// Evaluate and sample from a running average of the weights with this factor, such as 0.999.
+    /// Decay of an exponential moving average of the weights to evaluate and sample with, such as 0.999.
     #[arg(long, value_name = "FACTOR")]
     ema: Option<f64>,
-    /// Steps between checkpoints inside an epoch; 0 saves at the ends of epochs only.
+    /// Steps between checkpoints within an epoch; 0 saves at the end of epochs only.
     #[arg(long, value_name = "N")]
     checkpoint_steps: Option<usize>,
-    /// Newest checkpoints kept, besides the best.
+    /// Number of newest checkpoints to keep besides the best.
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     keep: Option<usize>,
     /// Read the whole training set into memory.
     #[arg(long)]
     preload: bool,
-    /// How up-sampling is weighted.
-    #[arg(long, value_enum)]
-    weighting: Option<WeightingName>,
+    /// Up-sampling weights: barycentric, or those of the authors' release.
+    #[arg(long, value_name = "NAME", value_parser = choices(WEIGHTINGS))]
+    weighting: Option<Weighting>,
 }
 
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum ScheduleName {
-    Exponential,
-    Cosine,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum OptimiserName {
-    Sgd,
-    Adam,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum AdversarialLossName {
-    Bce,
-    Hinge,
-}
+const SCHEDULES: [(&str, RateSchedule); 2] =
+    [("exponential", RateSchedule::Exponential), ("cosine", RateSchedule::Cosine)];
+const OPTIMISERS: [(&str, OptimiserKind); 2] =
+    [("sgd", OptimiserKind::Sgd), ("adam", OptimiserKind::Adam)];
+const ADVERSARIAL_LOSSES: [(&str, AdversarialLoss); 2] =
+    [("bce", AdversarialLoss::Bce), ("hinge", AdversarialLoss::Hinge)];
 
 pub(super) fn set<T>(slot: &mut T, value: Option<T>) {
     if let Some(value) = value {
@@ -86,31 +78,19 @@ pub(super) fn set<T>(slot: &mut T, value: Option<T>) {
 }
 
 impl TrainOverrideArgs {
-    /// Puts what is given in the place of what `config` says.
+    /// Overrides `config` by the options that are given.
     pub(super) fn apply_to(&self, config: &mut RunConfig) {
         let RunConfig { model, loss, train, weighting } = config;
         set(&mut train.epochs, self.epochs);
         set(&mut train.batch, self.batch);
         set(&mut train.peak_rate, self.peak_rate);
         set(&mut train.warmup_epochs, self.warmup_epochs);
-        let schedule = self.schedule.map(|name| match name {
-            ScheduleName::Exponential => RateSchedule::Exponential,
-            ScheduleName::Cosine => RateSchedule::Cosine,
-        });
-        set(&mut train.schedule, schedule);
-        let rule = self.optimiser.map(|name| match name {
-            OptimiserName::Sgd => OptimiserKind::Sgd,
-            OptimiserName::Adam => OptimiserKind::Adam,
-        });
-        set(&mut train.optimiser, rule);
+        set(&mut train.schedule, self.schedule);
+        set(&mut train.optimiser, self.optimiser);
         set(&mut loss.kl, self.kl);
         set(&mut train.kl_warmup_epochs, self.kl_warmup_epochs);
         set(&mut loss.gan, self.gan);
-        let adversary = self.adversary.map(|name| match name {
-            AdversarialLossName::Bce => AdversarialLoss::Bce,
-            AdversarialLossName::Hinge => AdversarialLoss::Hinge,
-        });
-        set(&mut loss.adversary, adversary);
+        set(&mut loss.adversary, self.adversary);
         if let Some(discriminator) = &mut model.discriminator {
             discriminator.spectral_norm |= self.spectral_norm;
         }
@@ -118,6 +98,6 @@ impl TrainOverrideArgs {
         set(&mut train.checkpoint_steps, self.checkpoint_steps);
         set(&mut train.keep, self.keep);
         train.preload |= self.preload;
-        set(weighting, self.weighting.map(Into::into));
+        set(weighting, self.weighting);
     }
 }

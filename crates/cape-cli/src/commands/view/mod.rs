@@ -1,4 +1,4 @@
-//! Looking at people in the browser.
+//! The viewer in the browser.
 
 mod assets;
 mod server;
@@ -6,46 +6,42 @@ mod source;
 mod wire;
 
 use std::{
-    fmt::Write,
     net::{IpAddr, Ipv4Addr, TcpListener},
     path::PathBuf,
     sync::mpsc,
     thread,
 };
 
-use cape_core::parse_device;
 use cape_infer::Run;
 use clap::Args;
-use rand::{Rng, SeedableRng};
 use serde::Serialize;
 
 use crate::{
-    arguments::GlobalArgs,
     console::Console,
     error::{Context, Error, Result},
+    options::{GlobalArgs, positive},
 };
 use server::ServerState;
 use source::{MeshSource, RunSource, Source};
 
-/// Look at dressed people in the browser: turn them, and change code, shape, pose and outfit.
+/// View dressed bodies in the browser; change code, shape, pose and outfit.
 ///
-/// Serves a page to this machine only, at an address with a secret in it, until it is interrupted.
+/// Serves a page to this machine only, at an address with a secret token, until Ctrl-C.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  cape view run\n  cape view dressed.obj\n  \
+#[command(after_help = "Examples:\n  cape view runs/cape\n  cape view dressed.obj\n  \
                         cape view frames --fps 15 --no-open --port 8080")]
 pub(crate) struct ViewArgs {
-    /// A training run; a mesh, .obj, .ply or a body's .npz or .pkl; or a directory of meshes, the
-    /// frames of a sequence.
+    /// Run, mesh (.obj, .ply), SMPL body (.npz, .pkl), or directory of meshes as a sequence.
     #[arg(value_name = "RUN|MESH|SEQUENCE")]
     path: PathBuf,
-    /// Port to listen on; 0 takes a free one.
+    /// Port to listen on; 0 selects a free one.
     #[arg(long, default_value_t = 0, value_name = "PORT")]
     port: u16,
     /// Address to listen on.
     #[arg(long, default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST), value_name = "ADDRESS", hide = true)]
     address: IpAddr,
-    /// Frames a second of a sequence.
-    #[arg(long, default_value_t = 30.0, value_name = "FPS")]
+    /// Frames per second of a sequence.
+    #[arg(long, default_value_t = 30.0, value_name = "FPS", value_parser = positive)]
     fps: f64,
     /// Do not open the browser.
     #[arg(long)]
@@ -65,10 +61,7 @@ impl ViewArgs {
                 self.address
             )));
         }
-        if !(self.fps.is_finite() && self.fps > 0.0) {
-            return Err(Error::message(format!("--fps {}: expected more than 0", self.fps)));
-        }
-        let device = parse_device(&global.device)?;
+        let device = global.device()?;
         let run = if self.path.join("config.toml").exists() {
             Some(Run::open(&self.path, &device)?)
         } else {
@@ -91,21 +84,17 @@ impl ViewArgs {
         let report = Report { url: format!("http://{address}/{token}/") };
         let site = ServerState { token, scene, faces, port: address.port(), jobs };
         let server = thread::spawn(move || server::serve(listener, site));
-        console.result(&report, || format!("{}\nCtrl-C ends it", report.url))?;
+        console.result(&report, || format!("{}\npress Ctrl-C to stop", report.url))?;
         if !self.no_open && open::that_detached(&report.url).is_err() {
-            console.note("no browser could be opened: open the address yourself");
+            console.note("cannot open a browser: open the address by hand");
         }
         server::work(list, |question| source.answer(question), |download| source.file(download));
-        server.join().map_err(|_| Error::message("the server failed"))?
+        server.join().map_err(|_| Error::message("internal error: the server thread failed"))?
     }
 }
 
 /// 128 random bits, hexadecimal.
 fn token() -> String {
-    let mut rng = rand_chacha::ChaCha20Rng::from_os_rng();
-    let bytes: [u8; 16] = rng.random();
-    bytes.iter().fold(String::new(), |mut text, byte| {
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
+    let bytes: [u8; 16] = rand::random();
+    cape_core::hex(bytes)
 }

@@ -1,5 +1,5 @@
-//! A server for one page on this machine. All addresses begin with a secret; requests that other
-//! pages make, by their origin or under another host's name, are refused.
+//! Server of one page to this machine. All addresses begin with a secret token; requests of other
+//! origins or for other host names are refused.
 
 use std::sync::{
     Arc,
@@ -30,7 +30,7 @@ use super::{
 };
 use crate::error::{Error, Result};
 
-/// Bytes of a message from the page at most.
+/// Largest size of a message from the page, bytes.
 const MOST_BYTES: usize = 64 * 1024;
 
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
@@ -43,15 +43,15 @@ const HEADERS: [(HeaderName, &str); 4] = [
     (header::CACHE_CONTROL, "no-store"),
 ];
 
-/// What the thread that owns the model is asked.
+/// Request to the thread that owns the model.
 pub(super) enum ModelRequest {
-    /// A question of a page; `newest` is that page's latest one that supersedes.
+    /// A request of a page; `newest` is the id of that page's latest picture request.
     Ask { request: Request, newest: Arc<AtomicU32>, reply: channel::UnboundedSender<Message> },
-    /// A file.
+    /// A download.
     Save { download: Download, reply: oneshot::Sender<Result<Vec<u8>>> },
 }
 
-/// What does not change while the page is open.
+/// Constant state of the server.
 pub(super) struct ServerState {
     pub(super) token: String,
     pub(super) scene: String,
@@ -85,7 +85,7 @@ pub(super) fn work(
 
 /// Serves the site until the process ends.
 pub(super) fn serve(listener: std::net::TcpListener, site: ServerState) -> Result {
-    let fault = |error: std::io::Error| Error::message(format!("the server: {error}"));
+    let fault = |error: std::io::Error| Error::message(format!("server: {error}"));
     listener.set_nonblocking(true).map_err(fault)?;
     let runtime =
         tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(fault)?;
@@ -109,7 +109,7 @@ fn router(site: Arc<ServerState>) -> Router {
         .with_state(site)
 }
 
-/// Lets in who knows the secret and comes from the page itself.
+/// Admits requests with the token and from the page itself.
 async fn guard(State(site): State<Arc<ServerState>>, request: HttpRequest, next: Next) -> Response {
     let allowed = is_here(&site, request.headers()) && knows(&site, request.uri());
     let mut response =
@@ -123,12 +123,12 @@ async fn guard(State(site): State<Arc<ServerState>>, request: HttpRequest, next:
 fn knows(site: &ServerState, uri: &Uri) -> bool {
     let given = uri.path().split('/').nth(1).unwrap_or_default().as_bytes();
     let token = site.token.as_bytes();
-    // Takes as long whatever is wrong.
+    // In constant time.
     given.len() == token.len()
         && given.iter().zip(token).fold(0, |different, (a, b)| different | (a ^ b)) == 0
 }
 
-/// Whether the browser means this server by its own name, and no other page sent it here.
+/// True if the request is for a name of this server and not from another page.
 fn is_here(site: &ServerState, headers: &HeaderMap) -> bool {
     let text = |name: HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
     let hosts = ["127.0.0.1", "localhost", "[::1]"].map(|host| format!("{host}:{}", site.port));
@@ -190,7 +190,7 @@ async fn socket(State(site): State<Arc<ServerState>>, upgrade: WebSocketUpgrade)
     upgrade.max_message_size(MOST_BYTES).on_upgrade(move |socket| handle_socket(socket, site))
 }
 
-/// One page's conversation.
+/// Connection of one page.
 async fn handle_socket(mut socket: WebSocket, site: Arc<ServerState>) {
     let newest = Arc::new(AtomicU32::new(0));
     let (reply, mut answers) = channel::unbounded_channel();
@@ -300,14 +300,14 @@ mod tests {
             list,
             |question| {
                 asked.borrow_mut().push(question.clone());
-                Err(Error::message("no"))
+                Err(Error::message("not found"))
             },
-            |_| Err(Error::message("no")),
+            |_| Err(Error::message("not found")),
         );
         assert_eq!(asked.into_inner(), [Question::Encode(0), Question::Frame(1)]);
         for id in [2, 3] {
             let Ok(Message::Text(text)) = answers.try_recv() else { panic!("no answer") };
-            assert_eq!(text, format!(r#"{{"id":{id},"error":"no"}}"#));
+            assert_eq!(text, format!(r#"{{"id":{id},"error":"not found"}}"#));
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What there is to see: a run's clothes, or meshes.
+//! Source of the viewer's pictures: a run, or meshes.
 
 use std::path::{Path, PathBuf};
 
@@ -19,11 +19,11 @@ use crate::{
     priors::{PriorArgs, PriorName},
 };
 
-/// Shape coefficients that have sliders.
+/// Largest number of shape coefficients with sliders.
 const SHAPES: usize = 10;
 const CLAY: [f32; 3] = [0.72, 0.71, 0.70];
 
-/// Answers the page's questions, on one thread.
+/// Source of pictures and files.
 pub(super) enum Source<'a> {
     Model(Box<RunSource<'a>>),
     Meshes(MeshSource),
@@ -45,7 +45,7 @@ pub(super) struct MeshSource {
 }
 
 impl Source<'_> {
-    /// The triangles of every picture.
+    /// Faces of every mesh.
     pub(super) fn faces(&self) -> &[[u32; 3]] {
         match self {
             Self::Model(model) => &model.run.body().faces,
@@ -53,7 +53,7 @@ impl Source<'_> {
         }
     }
 
-    /// What the page is told first.
+    /// Description of the source for the page.
     pub(super) fn scene(&self) -> Result<Value> {
         match self {
             Self::Model(model) => model.scene(),
@@ -78,9 +78,9 @@ impl Source<'_> {
             }
             (Self::Model(_), Question::Motion(movement)) => {
                 movement.check()?;
-                // A name, never a path.
+                // Only names, not paths.
                 if poses::preset(&movement.name).is_none() {
-                    return Err(Error::message(format!("no movement `{}`", movement.name)));
+                    return Err(Error::message(format!("unknown motion `{}`", movement.name)));
                 }
                 let poses = poses::motion_poses(&movement.name, movement.seconds, movement.fps)?;
                 Ok(Answer::Poses { poses, fps: movement.fps })
@@ -88,20 +88,20 @@ impl Source<'_> {
             (Self::Meshes(meshes), &Question::Frame(frame)) => {
                 Ok(Answer::People(vec![meshes.person(frame)?]))
             }
-            _ => Err(Error::message("there is no such thing here")),
+            _ => Err(Error::message("not available for this source")),
         }
     }
 
-    /// The file of what is asked for: of the clothed person, if there is one.
+    /// The file of a picture, of the clothed body if it is shown.
     pub(super) fn file(&self, download: &Download) -> Result<Vec<u8>> {
         if download.format == FileFormat::Glb {
             return match (self, &download.question) {
                 (Self::Model(model), Question::Show(show)) => model.glb(show),
-                _ => Err(Error::message("glTF needs a skeleton: take .obj or .ply")),
+                _ => Err(Error::message("glTF is available only for runs: choose .obj or .ply")),
             };
         }
         let Answer::People(people) = self.answer(&download.question)? else {
-            return Err(Error::message("a file of something that cannot be seen"));
+            return Err(Error::message("unsupported download: expected a picture"));
         };
         let person = people
             .iter()
@@ -205,12 +205,14 @@ impl<'a> RunSource<'a> {
             .ok()
             .filter(|code| code.ncols() == latent)
             .ok_or_else(|| {
-                Error::message(format!("z of {} numbers, expected {latent}", show.z.len()))
+                Error::message(format!("z has {} values, expected {latent}", show.z.len()))
             })
     }
 
     fn set(&self) -> Result<&PackedSet> {
-        self.truth.as_ref().ok_or_else(|| Error::message("there are no registrations to show"))
+        self.truth.as_ref().ok_or_else(|| {
+            Error::message("no registrations: the packed set of the run was not found")
+        })
     }
 
     fn code_of(&self, frame: usize) -> Result<Array2<f32>> {
@@ -223,7 +225,7 @@ impl<'a> RunSource<'a> {
         Ok((displacement, BodySpec { betas: vec![0.0; self.shapes()], ..wearer }))
     }
 
-    /// Shape coefficients that have sliders.
+    /// Number of shape coefficients with sliders.
     fn shapes(&self) -> usize {
         self.run.body().betas().min(SHAPES)
     }
@@ -245,7 +247,7 @@ impl<'a> RunSource<'a> {
 }
 
 impl MeshSource {
-    /// A mesh file, or all of a directory in the order of their names.
+    /// Opens a mesh, or all meshes of a directory ordered by name.
     pub(super) fn open(path: &Path, fps: f64) -> Result<Self> {
         let paths = if path.is_dir() {
             let entries = std::fs::read_dir(path).map_err(|error| Error::io(path, error))?;
@@ -264,8 +266,8 @@ impl MeshSource {
         };
         let Some(first) = paths.first() else {
             return Err(Error::message(format!(
-                "{}: expected a run, a mesh (.obj, .ply, or a body's .npz or .pkl), or a directory \
-                 of .obj or .ply files",
+                "{}: no meshes: expected a run, a mesh (.obj, .ply), a body (.npz, .pkl), or a \
+                 directory of .obj or .ply files",
                 path.display()
             )));
         };
@@ -294,11 +296,16 @@ impl MeshSource {
         let mesh = match self.paths.get(frame) {
             Some(_) if frame == 0 => self.first.clone(),
             Some(path) => checked(path)?,
-            None => return Err(Error::message(format!("frame {frame} of {}", self.paths.len()))),
+            None => {
+                return Err(Error::message(format!(
+                    "frame {frame}: the sequence has {} frames",
+                    self.paths.len()
+                )));
+            }
         };
         if mesh.faces != self.first.faces {
             return Err(Error::message(format!(
-                "{}: other triangles than the first frame's",
+                "{}: its faces differ from those of the first frame",
                 self.paths[frame].display()
             )));
         }
@@ -313,7 +320,7 @@ impl MeshSource {
     }
 }
 
-/// A mesh that can be drawn.
+/// Reads a mesh and checks that it can be drawn.
 fn checked(path: &Path) -> Result<Mesh> {
     let mesh = read_mesh(path)?;
     let count = mesh.vertices.len();
@@ -323,9 +330,5 @@ fn checked(path: &Path) -> Result<Mesh> {
     if drawable {
         return Ok(mesh);
     }
-    Err(cape_core::Error::format(
-        path,
-        "expected vertices that are finite, and triangles between them",
-    )
-    .into())
+    Err(cape_core::Error::format(path, "expected finite vertices and faces between them").into())
 }

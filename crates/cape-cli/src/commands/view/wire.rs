@@ -1,4 +1,4 @@
-//! Messages between the page and the server.
+//! Messages between page and server.
 
 use cape_core::{BodyPose, Mesh, Outfit};
 use cape_infer::BodySpec;
@@ -11,11 +11,11 @@ use crate::{
 
 /// "CAPE", little-endian.
 const MAGIC: u32 = 0x4550_4143;
-/// Seconds and frames a second of a movement at most.
+/// Longest motion, seconds, and highest frame rate.
 const MOST_SECONDS: f64 = 60.0;
 const MOST_RATE: f64 = 120.0;
 
-/// What a person beside others is.
+/// Kind of a drawn body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum ViewLayer {
@@ -24,7 +24,7 @@ pub(super) enum ViewLayer {
     Truth,
 }
 
-/// What is to be seen of a run.
+/// Request for a picture of a run.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ShowRequest {
@@ -37,7 +37,7 @@ pub(super) struct ShowRequest {
     pub(super) truth: usize,
 }
 
-/// A code is to be drawn.
+/// Request for a sampled code.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SampleRequest {
@@ -47,7 +47,7 @@ pub(super) struct SampleRequest {
     pub(super) outfit: Outfit,
 }
 
-/// Poses of a movement are asked for.
+/// Request for the poses of a motion.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct MotionRequest {
@@ -59,19 +59,19 @@ pub(super) struct MotionRequest {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Question {
-    /// The picture of a run.
+    /// Picture of a run.
     Show(ShowRequest),
-    /// The picture of a mesh or sequence.
+    /// Picture of a mesh or of a frame of a sequence.
     Frame(usize),
-    /// A code.
+    /// Sampled code.
     Sample(SampleRequest),
-    /// The code, body and pose of a registration.
+    /// Code, body and pose of a registration.
     Encode(usize),
-    /// The poses of a movement.
+    /// Poses of a motion.
     Motion(MotionRequest),
 }
 
-/// A message of the page.
+/// Message of the page.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub(super) struct Request {
     pub(super) id: u32,
@@ -79,7 +79,7 @@ pub(super) struct Request {
     pub(super) question: Question,
 }
 
-/// A file that is asked for.
+/// Request for a file.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub(super) struct Download {
     pub(super) format: FileFormat,
@@ -95,7 +95,7 @@ pub(super) enum FileFormat {
     Glb,
 }
 
-/// One person.
+/// A drawn body.
 #[derive(Debug, Clone)]
 pub(super) struct Person {
     pub(super) layer: ViewLayer,
@@ -107,7 +107,7 @@ pub(super) struct Person {
     pub(super) errors: Vec<f32>,
 }
 
-/// What the server says.
+/// Answer to a request.
 #[derive(Debug, Clone)]
 pub(super) enum Answer {
     People(Vec<Person>),
@@ -117,7 +117,7 @@ pub(super) enum Answer {
 }
 
 impl Question {
-    /// Whether a newer one makes it pointless.
+    /// True if a newer request replaces it.
     pub(super) const fn is_superseded(&self) -> bool {
         matches!(self, Self::Show(_) | Self::Frame(_))
     }
@@ -126,10 +126,10 @@ impl Question {
 impl ShowRequest {
     pub(super) fn body_spec(&self) -> Result<BodySpec> {
         let pose = BodyPose::try_from(self.pose.as_slice()).map_err(|_| {
-            Error::message(format!("pose of {} numbers, expected 72", self.pose.len()))
+            Error::message(format!("pose has {} values, expected 72", self.pose.len()))
         })?;
         if pose.iter().chain(&self.z).chain(&self.betas).any(|x| !x.is_finite()) {
-            return Err(Error::message("numbers that are not finite"));
+            return Err(Error::message("pose, betas and z must be finite"));
         }
         Ok(BodySpec { betas: self.betas.clone(), pose, outfit: self.outfit })
     }
@@ -137,8 +137,9 @@ impl ShowRequest {
 
 impl SampleRequest {
     pub(super) fn prior(&self) -> Result<PriorName> {
-        <PriorName as clap::ValueEnum>::from_str(&self.prior, false)
-            .map_err(|_| Error::message(format!("unknown prior `{}`", self.prior)))
+        <PriorName as clap::ValueEnum>::from_str(&self.prior, false).map_err(|_| {
+            Error::message(format!("unknown prior `{}`: expected normal, gmm or kde", self.prior))
+        })
     }
 }
 
@@ -149,7 +150,8 @@ impl MotionRequest {
             return Ok(());
         }
         Err(Error::message(format!(
-            "{} s at {} a second: expected at most {MOST_SECONDS} s and {MOST_RATE}",
+            "motion of {} s at {} frames per second: expected at most {MOST_SECONDS} s and {MOST_RATE} \
+             frames per second",
             self.seconds, self.fps
         )))
     }
@@ -185,14 +187,14 @@ const NOTHING: Text<'static> = Text {
     error: None,
 };
 
-/// A message to the page.
+/// Message to the page.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Message {
     Text(String),
     Binary(Vec<u8>),
 }
 
-/// An answer, or why there is none.
+/// Message with an answer or an error.
 pub(super) fn encode(id: u32, answer: &Result<Answer>) -> Message {
     let text = match answer {
         Ok(Answer::People(people)) => return Message::Binary(encode_people(id, people)),
@@ -214,7 +216,7 @@ pub(super) fn encode(id: u32, answer: &Result<Answer>) -> Message {
     Message::Text(serde_json::to_string(&text).unwrap_or_default())
 }
 
-/// That something went wrong.
+/// Message with an error.
 pub(super) fn failure(id: u32, error: &str) -> Message {
     let text = Text { id, error: Some(error), ..NOTHING };
     Message::Text(serde_json::to_string(&text).unwrap_or_default())
@@ -255,7 +257,7 @@ mod tests {
             (show.truth, &show.layers[..]),
             (7, &[ViewLayer::Clothed, ViewLayer::Truth][..])
         );
-        assert!(show.body_spec().unwrap_err().to_string().contains("pose of 2 numbers"));
+        assert!(show.body_spec().unwrap_err().to_string().contains("pose has 2 values"));
         for nonsense in
             ["", "7", "{}", r#"{"id":1}"#, r#"{"id":-1,"frame":0}"#, r#"{"id":1,"shut":0}"#]
         {

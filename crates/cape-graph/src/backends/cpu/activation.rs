@@ -2,7 +2,8 @@ use rayon::prelude::*;
 
 use super::simd;
 
-/// Rows whose bias gradients are summed together; independent of the number of threads.
+/// Number of rows with a common partial sum of the bias gradient; independent of the number of
+/// threads.
 const ROWS: usize = 4096;
 
 /// `y = leaky_relu(x + bias)`, in place; `x: [rows, channels]`, `bias: [channels]`.
@@ -23,8 +24,9 @@ pub(in crate::backends) fn bias_leaky_relu(x: &mut [f32], bias: &[f32], slope: f
     });
 }
 
-/// Gradients of [`bias_leaky_relu`] from its output `y`: `grad` becomes the gradient of `x`, and
-/// that of the bias is returned. The slope is positive, so `y` and `x + bias` agree in sign.
+/// Gradients of [`bias_leaky_relu`] from its output `y`: `grad` is replaced by the gradient of `x`,
+/// and that of the bias, `[channels]`, is returned. The slope is positive, so `y` and `x + bias`
+/// agree in sign.
 pub(in crate::backends) fn bias_leaky_relu_backward(
     y: &[f32],
     grad: &mut [f32],

@@ -1,62 +1,61 @@
-//! A Chebyshev convolution with what comes right after it: the sum with a row for each example,
-//! the activation, the selection of vertices.
+//! Chebyshev convolution with its epilogue (constant terms, activation) at the kept vertices.
 
 use rayon::prelude::*;
 
 use super::{
-    kernel::{End, Rows, product},
+    kernel::{Epilogue, Rows, product},
     panels::{Panels, View},
     scratch::with_scratch,
     simd,
     sparse::{accumulate, multiply_rows},
     split::Split,
 };
-use crate::{buffer::Buffer, operator::Operator};
+use crate::{buffer::Buffer, conv_graph::HostGraph};
 
-/// Rows that are taken through a whole convolution together: they stay in the second-level cache.
+/// Number of rows that pass through a whole convolution together: they fit the second-level cache.
 pub(super) const BLOCK: usize = 96;
 
-/// The extents of a convolution.
+/// Extents of a convolution.
 #[derive(Clone, Copy)]
 pub(in crate::backends) struct Conv<'a> {
-    /// The graph.
-    pub operator: &'a Operator,
+    /// Graph.
+    pub graph: &'a HostGraph,
     /// Number of Chebyshev terms `K`.
     pub order: usize,
-    /// Channels in.
+    /// Number of input channels.
     pub input: usize,
-    /// Channels out.
+    /// Number of output channels.
     pub output: usize,
-    /// Number of rows `r` in `Σ_r T_r(L̃)1 · row_r` added to the output.
-    pub rows: usize,
-    /// Slope of the leaky ReLU, if any.
+    /// Number of constant terms `r`: `Σ_r T_r(L̃)1 · term_r` is added to the output.
+    pub constant_terms: usize,
+    /// Negative slope of the leaky ReLU, if any.
     pub slope: Option<f32>,
 }
 
 impl Conv<'_> {
     pub(super) fn vertices(&self) -> usize {
-        self.operator.vertices()
+        self.graph.vertices()
     }
 
     pub(super) fn kept(&self) -> usize {
-        self.operator.kept()
+        self.graph.kept()
     }
 
     pub(super) fn index(&self) -> Option<&[u32]> {
-        self.operator.pool().map(|pool| &pool.vertices[..])
+        self.graph.pool().map(|pool| &pool.vertices[..])
     }
 
-    /// Numbers of one example's input.
+    /// Number of values of one example's input.
     pub(super) fn inputs(&self) -> usize {
         self.vertices() * self.input
     }
 
-    /// Numbers of one example's output.
+    /// Number of values of one example's output.
     pub(super) fn outputs(&self) -> usize {
         self.kept() * self.output
     }
 
-    /// Rows `c · K + k` of the weights for one `k`, `[input, output]`.
+    /// Weights of one term, rows `c · K + k`, `[input, output]`.
     pub(super) fn term<'w>(&self, weight: &'w [f32], k: usize) -> View<'w> {
         View {
             data: &weight[k * self.output..],
@@ -67,28 +66,29 @@ impl Conv<'_> {
         }
     }
 
-    /// How a product ends, and whether rows that differ in weight from vertex to vertex remain to
-    /// be added before the activation.
-    pub(super) fn end<'r>(&self, rows: &'r [f32]) -> (End<'r>, bool) {
-        match self.rows {
-            0 => (End { row: None, slope: self.slope }, false),
-            1 => (End { row: Some(rows), slope: self.slope }, false),
-            _ => (End::default(), true),
+    /// Epilogue of the last product. True if constant terms, whose factors differ from vertex to
+    /// vertex, remain to be added before the activation.
+    pub(super) fn epilogue<'r>(&self, constant_terms: &'r [f32]) -> (Epilogue<'r>, bool) {
+        match self.constant_terms {
+            0 => (Epilogue { bias: None, slope: self.slope }, false),
+            1 => (Epilogue { bias: Some(constant_terms), slope: self.slope }, false),
+            _ => (Epilogue::default(), true),
         }
     }
 
+    /// Packed weights of every term.
     pub(super) fn panels(&self, weight: &[f32]) -> Vec<Panels> {
         (0..self.order).map(|k| Panels::pack(self.term(weight, k))).collect()
     }
 
-    /// Numbers of the terms that [`whole_terms`](Self::whole_terms) computes.
+    /// Number of values that [`whole_terms`](Self::whole_terms) computes.
     pub(super) fn whole(&self) -> usize {
         self.order.saturating_sub(2) * self.inputs()
     }
 
-    /// `T_1(L̃)x … T_{K−2}(L̃)x` at all vertices, one after the other.
+    /// `T_1(L̃)x … T_{K−2}(L̃)x` at all vertices, `[K − 2, vertices, input]`.
     pub(super) fn whole_terms(&self, x: &[f32], terms: &mut [f32], split: Split) {
-        let (a, n) = (self.operator.laplacian().forward(), self.inputs());
+        let (a, n) = (self.graph.laplacian().matrix(), self.inputs());
         for k in 1..self.order.max(2) - 1 {
             let (done, rest) = terms.split_at_mut((k - 1) * n);
             let last = if k == 1 { x } else { &done[(k - 2) * n..] };
@@ -106,7 +106,7 @@ impl Conv<'_> {
         }
     }
 
-    /// Term `k` at the kept vertices, for all but the last term of an order above 1.
+    /// Term `k` at the kept vertices; not the last term of an order above 1.
     pub(super) fn kept_term<'t>(&'t self, k: usize, x: &'t [f32], whole: &'t [f32]) -> Rows<'t> {
         let n = self.inputs();
         let term = if k == 0 { x } else { &whole[(k - 1) * n..][..n] };
@@ -115,7 +115,7 @@ impl Conv<'_> {
 
     /// The last term, `T_{K−1}(L̃)x`, `K > 1`, at the kept vertices from `first` on.
     pub(super) fn last_term(&self, first: usize, x: &[f32], whole: &[f32], out: &mut [f32]) {
-        let a = self.operator.kept_laplacian().forward();
+        let a = self.graph.kept_laplacian().matrix();
         if self.order == 2 {
             multiply_rows(a, first, x, self.input, out);
             return;
@@ -129,12 +129,13 @@ impl Conv<'_> {
     }
 }
 
-/// `y = f(Σ_k D T_k(L̃) x W_k + Σ_r D T_r(L̃)1 · row_r)`, `f` the leaky ReLU, if any;
-/// `x: [batch, vertices, input]`, `weight: [input · K, output]`, `rows: [batch, rows, output]`.
+/// `y = f(Σ_k D T_k(L̃) x W_k + Σ_r D T_r(L̃)1 · term_r)`, `f` the leaky ReLU, if any;
+/// `x: [batch, vertices, input]`, `weight: [input · K, output]`,
+/// `constant_terms: [batch, r, output]`, `y: [batch, kept, output]`.
 pub(in crate::backends) fn cheb_conv(
     x: &[f32],
     weight: &[f32],
-    rows: &[f32],
+    constant_terms: &[f32],
     conv: Conv,
 ) -> Buffer {
     let batch = x.len() / conv.inputs().max(1);
@@ -146,61 +147,97 @@ pub(in crate::backends) fn cheb_conv(
     let split = Split::new(batch);
     y.par_chunks_mut(conv.outputs()).zip(x.par_chunks(conv.inputs())).enumerate().for_each(
         |(example, (y, x))| {
-            let size = conv.rows * conv.output;
-            let rows = &rows[example * size..][..size];
-            forward(x, &panels, rows, false, conv, split, y);
+            let size = conv.constant_terms * conv.output;
+            let constant_terms = &constant_terms[example * size..][..size];
+            let forward = Forward { conv, panels: &panels, constant_terms, add: false, split };
+            forward.run(x, y);
         },
     );
     y
 }
 
-/// One example of [`cheb_conv`]; to `add`, `y` is added to before the activation.
-pub(super) fn forward(
-    x: &[f32],
-    panels: &[Panels],
-    rows: &[f32],
-    add: bool,
-    conv: Conv,
-    split: Split,
-    y: &mut [f32],
-) {
-    let sums = conv.operator.sums(conv.rows.max(1));
-    with_scratch(conv.whole(), |whole| {
-        conv.whole_terms(x, whole, split);
-        let whole = &*whole;
-        split.chunks(y, BLOCK * conv.output, |block, y| {
-            let first = block * BLOCK;
-            let (end, separately) = conv.end(rows);
-            for (k, panels) in panels.iter().enumerate() {
-                let add = add || k > 0;
-                let end = if k + 1 == conv.order { end } else { End::default() };
-                if k == 0 || k + 1 < conv.order {
-                    product(conv.kept_term(k, x, whole).from(first), panels, add, end, y);
-                } else {
-                    with_scratch(y.len() / conv.output * conv.input, |term| {
-                        conv.last_term(first, x, whole, term);
-                        product(Rows::new(term, conv.input), panels, add, end, y);
-                    });
-                }
-            }
-            if separately {
-                finish(y, rows, &sums[first * conv.rows..], conv);
-            }
-        });
-    });
+/// Convolution of one example.
+#[derive(Clone, Copy)]
+pub(super) struct Forward<'a> {
+    /// Extents and graph.
+    pub conv: Conv<'a>,
+    /// Packed weights of every term.
+    pub panels: &'a [Panels],
+    /// Coefficients of the constant terms, `[constant_terms, output]`.
+    pub constant_terms: &'a [f32],
+    /// True to add to the output before the activation, false to overwrite it.
+    pub add: bool,
+    /// Division of the work.
+    pub split: Split,
 }
 
-/// Adds rows and applies the activation.
-fn finish(y: &mut [f32], rows: &[f32], sums: &[f32], conv: Conv) {
+impl Forward<'_> {
+    /// From `x: [vertices, input]` to `y: [kept, output]`.
+    pub(super) fn run(self, x: &[f32], y: &mut [f32]) {
+        let Self { conv, panels, constant_terms, add, split } = self;
+        let basis = conv.graph.constant_basis(conv.constant_terms.max(1));
+        with_scratch(conv.whole(), |whole| {
+            conv.whole_terms(x, whole, split);
+            let whole = &*whole;
+            split.chunks(y, BLOCK * conv.output, |block, y| {
+                let first = block * BLOCK;
+                let (epilogue, separately) = conv.epilogue(constant_terms);
+                for (k, panels) in panels.iter().enumerate() {
+                    let add = add || k > 0;
+                    let epilogue = if k + 1 == conv.order { epilogue } else { Epilogue::default() };
+                    if k == 0 || k + 1 < conv.order {
+                        let term = conv.kept_term(k, x, whole).from(first);
+                        product(term, panels, add, epilogue, y);
+                    } else {
+                        with_scratch(y.len() / conv.output * conv.input, |term| {
+                            conv.last_term(first, x, whole, term);
+                            product(Rows::new(term, conv.input), panels, add, epilogue, y);
+                        });
+                    }
+                }
+                if separately {
+                    add_constant_terms(
+                        y,
+                        constant_terms,
+                        &basis[first * conv.constant_terms..],
+                        conv,
+                    );
+                }
+            });
+        });
+    }
+
+    /// 1×1 convolution of `apply(x)`, which is computed block by block.
+    pub(super) fn run_blockwise(
+        self,
+        x: &[f32],
+        y: &mut [f32],
+        apply: impl Fn(&[f32], &mut [f32]) + Sync,
+    ) {
+        let Self { conv, panels, constant_terms, add, split } = self;
+        split.chunks(y, BLOCK * conv.output, |block, y| {
+            let size = y.len() / conv.output * conv.input;
+            with_scratch(size, |scratch| {
+                apply(&x[block * BLOCK * conv.input..][..size], scratch);
+                let (epilogue, _) = conv.epilogue(constant_terms);
+                product(Rows::new(scratch, conv.input), &panels[0], add, epilogue, y);
+            });
+        });
+    }
+}
+
+/// Adds constant terms, multiplied by their basis `[vertices, constant_terms]`, and applies the
+/// activation.
+fn add_constant_terms(y: &mut [f32], constant_terms: &[f32], basis: &[f32], conv: Conv) {
     let slope = conv.slope.unwrap_or(1.0);
     simd(
         #[inline(always)]
         || {
             for (v, y) in y.chunks_exact_mut(conv.output).enumerate() {
-                let factors = &sums[v * conv.rows..][..conv.rows];
-                for (row, factor) in rows.chunks_exact(conv.output).zip(factors) {
-                    for (y, row) in y.iter_mut().zip(row) {
-                        *y += factor * row;
+                let factors = &basis[v * conv.constant_terms..][..conv.constant_terms];
+                for (term, factor) in constant_terms.chunks_exact(conv.output).zip(factors) {
+                    for (y, term) in y.iter_mut().zip(term) {
+                        *y += factor * term;
                     }
                 }
                 for y in y.iter_mut() {

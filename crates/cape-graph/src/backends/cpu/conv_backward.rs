@@ -1,65 +1,76 @@
-//! The gradients of a convolution.
+//! Gradients of a convolution.
 
 use rayon::prelude::*;
 
 use super::{
     conv::{BLOCK, Conv},
-    kernel::{End, OUTER_ROWS, Packed, Rows, product},
+    kernel::{Epilogue, OUTER_ROWS, Packed, Rows, product},
     panels::Panels,
     scratch::with_scratch,
     simd,
     sparse::accumulate,
     split::{LANES, Split, add_all, vertex_sums},
 };
-use crate::{buffer::Buffer, operator::DROPPED, sparse::Csr};
+use crate::{buffer::Buffer, conv_graph::DROPPED, ops::RequestedGradients, sparse::Csr};
+
+/// Values of the forward pass that the gradients of [`cheb_conv`](super::cheb_conv) need.
+#[derive(Clone, Copy)]
+pub(in crate::backends) struct Saved<'a> {
+    /// Features, `[batch, vertices, input]`.
+    pub x: &'a [f32],
+    /// Weights, `[input · K, output]`.
+    pub weight: &'a [f32],
+    /// Output with an activation, `[batch, kept, output]`; empty without.
+    pub y: &'a [f32],
+}
 
 /// Gradients of [`cheb_conv`](super::cheb_conv).
 pub(in crate::backends) struct ConvGradients {
-    /// Of `x`, if wanted.
+    /// Gradient of the features, if requested.
     pub x: Option<Buffer>,
-    /// Of the weights; empty if not wanted.
-    pub weight: Buffer,
-    /// Of the rows, of each example separately: `[batch, rows, output]`.
-    pub rows: Buffer,
+    /// Gradient of the weights, if requested.
+    pub weight: Option<Buffer>,
+    /// Gradient of the constant terms, `[batch, constant_terms, output]`.
+    pub constant_terms: Buffer,
 }
 
-/// Gradients of [`cheb_conv`](super::cheb_conv), from its output `y` if it has an activation.
+/// Gradients of [`cheb_conv`](super::cheb_conv) from that of its output,
+/// `grad: [batch, kept, output]`.
 pub(in crate::backends) fn cheb_conv_backward(
-    x: &[f32],
-    weight: &[f32],
-    y: &[f32],
+    saved: Saved,
     grad: &[f32],
     conv: Conv,
-    want_x: bool,
-    want_weight: bool,
+    requested: RequestedGradients,
 ) -> ConvGradients {
+    let Saved { x, weight, y } = saved;
     let batch = x.len() / conv.inputs().max(1);
     let split = Split::new(batch);
-    let mut rows = Buffer::zeros(batch * conv.rows * conv.output);
-    let mut grad_x = want_x.then(|| Buffer::take(x.len()));
-    let weights = if want_weight { weight.len() } else { 0 };
-    let mut grad_weight = Buffer::zeros(weights);
+    let mut constant_terms = Buffer::zeros(batch * conv.constant_terms * conv.output);
+    let mut grad_x = requested.x.then(|| Buffer::take(x.len()));
+    let mut grad_weight = requested.weight.then(|| Buffer::zeros(weight.len()));
     if batch == 0 || conv.outputs() == 0 {
-        return ConvGradients { x: grad_x, weight: grad_weight, rows };
+        return ConvGradients { x: grad_x, weight: grad_weight, constant_terms };
     }
-    let panels = if want_x { transposed_panels(weight, conv) } else { Vec::new() };
+    let panels = if requested.x { transposed_panels(weight, conv) } else { Vec::new() };
+    let backward = Backward { conv, panels: &panels, split };
 
     let mut inputs: Vec<Option<&mut [f32]>> = match &mut grad_x {
         Some(grad_x) => grad_x.chunks_mut(conv.inputs()).map(Some).collect(),
         None => (0..batch).map(|_| None).collect(),
     };
-    let mut row_gradients: Vec<&mut [f32]> = if conv.rows > 0 {
-        rows.chunks_mut(conv.rows * conv.output).collect()
+    let mut terms: Vec<&mut [f32]> = if conv.constant_terms > 0 {
+        constant_terms.chunks_mut(conv.constant_terms * conv.output).collect()
     } else {
         (0..batch).map(|_| &mut [][..]).collect()
     };
+    let weights = if requested.weight { weight.len() } else { 0 };
     let sums: Vec<Buffer> = inputs
         .par_chunks_mut(split.group())
-        .zip(row_gradients.par_chunks_mut(split.group()))
+        .zip(terms.par_chunks_mut(split.group()))
         .enumerate()
-        .map(|(group, (inputs, rows))| {
+        .map(|(group, (inputs, terms))| {
             let mut sum = Buffer::zeros(weights);
-            for (i, (grad_x, rows)) in inputs.iter_mut().zip(rows).enumerate() {
+            for (i, (grad_x, terms)) in inputs.iter_mut().zip(terms).enumerate() {
                 let example = group * split.group() + i;
                 let at = |size: usize| example * size..(example + 1) * size;
                 let example = Example {
@@ -67,13 +78,20 @@ pub(in crate::backends) fn cheb_conv_backward(
                     y: if conv.slope.is_some() { &y[at(conv.outputs())] } else { &[] },
                     grad: &grad[at(conv.outputs())],
                 };
-                backward(example, &panels, conv, split, grad_x.as_deref_mut(), &mut sum, rows);
+                let gradients = ExampleGradients {
+                    x: grad_x.as_deref_mut(),
+                    weight: &mut sum,
+                    constant_terms: terms,
+                };
+                backward.run(example, gradients);
             }
             sum
         })
         .collect();
-    add_all(&mut grad_weight, sums.iter().map(|sum| &**sum));
-    ConvGradients { x: grad_x, weight: grad_weight, rows }
+    if let Some(grad_weight) = &mut grad_weight {
+        add_all(grad_weight, sums.iter().map(|sum| &**sum));
+    }
+    ConvGradients { x: grad_x, weight: grad_weight, constant_terms }
 }
 
 /// Panels of `W_kᵀ` for every `k`.
@@ -81,49 +99,66 @@ pub(super) fn transposed_panels(weight: &[f32], conv: Conv) -> Vec<Panels> {
     (0..conv.order).map(|k| Panels::pack(conv.term(weight, k).transposed())).collect()
 }
 
-/// What the gradients of one example are computed from.
+/// Values of one example that its gradients are computed from.
 #[derive(Clone, Copy)]
 pub(super) struct Example<'a> {
+    /// Features, `[vertices, input]`.
     pub x: &'a [f32],
-    /// The output, with an activation.
+    /// Output, `[kept, output]`, of a convolution with an activation.
     pub y: &'a [f32],
+    /// Gradient of the output, `[kept, output]`.
     pub grad: &'a [f32],
 }
 
-/// Gradients of one example: that of `x` is written, the others are added to; nothing is computed
-/// for weights of length 0.
-pub(super) fn backward(
-    example: Example,
-    panels: &[Panels],
-    conv: Conv,
-    split: Split,
-    grad_x: Option<&mut [f32]>,
-    grad_weight: &mut [f32],
-    grad_rows: &mut [f32],
-) {
-    let Example { x, y, grad } = example;
-    let gated = if conv.slope.is_some() { grad.len() } else { 0 };
-    with_scratch(gated, |scratch| {
-        let grad = match conv.slope {
-            Some(slope) => {
-                split.chunks(scratch, BLOCK * conv.output, |block, gated| {
-                    let from = block * BLOCK * conv.output;
-                    gate(&grad[from..], &y[from..], slope, gated);
-                });
-                &*scratch
-            }
-            None => grad,
-        };
-        row_gradient(grad, conv, split, grad_rows);
-        if !grad_weight.is_empty() {
-            weight_gradient(x, grad, conv, split, grad_weight);
-        }
-        if let Some(grad_x) = grad_x {
-            input_gradient(grad, panels, conv, split, grad_x);
-        }
-    });
+/// Gradients that one example contributes to.
+pub(super) struct ExampleGradients<'a> {
+    /// Overwritten, `[vertices, input]`; `None` to skip it.
+    pub x: Option<&'a mut [f32]>,
+    /// Added to, `[input · K, output]`; empty to skip it.
+    pub weight: &'a mut [f32],
+    /// Added to, `[constant_terms, output]`.
+    pub constant_terms: &'a mut [f32],
 }
 
+/// Gradients of a convolution, one example at a time.
+#[derive(Clone, Copy)]
+pub(super) struct Backward<'a> {
+    /// Extents and graph.
+    pub conv: Conv<'a>,
+    /// Panels of `W_kᵀ` for every `k`; empty if no example needs the gradient of `x`.
+    pub panels: &'a [Panels],
+    /// Division of the work.
+    pub split: Split,
+}
+
+impl Backward<'_> {
+    pub(super) fn run(self, example: Example, gradients: ExampleGradients) {
+        let Self { conv, panels, split } = self;
+        let Example { x, y, grad } = example;
+        let gated = if conv.slope.is_some() { grad.len() } else { 0 };
+        with_scratch(gated, |scratch| {
+            let grad = match conv.slope {
+                Some(slope) => {
+                    split.chunks(scratch, BLOCK * conv.output, |block, gated| {
+                        let from = block * BLOCK * conv.output;
+                        gate(&grad[from..], &y[from..], slope, gated);
+                    });
+                    &*scratch
+                }
+                None => grad,
+            };
+            constant_gradient(grad, conv, split, gradients.constant_terms);
+            if !gradients.weight.is_empty() {
+                weight_gradient(x, grad, conv, split, gradients.weight);
+            }
+            if let Some(grad_x) = gradients.x {
+                input_gradient(grad, panels, conv, split, grad_x);
+            }
+        });
+    }
+}
+
+/// Gradient before a leaky ReLU from its output `y`.
 fn gate(grad: &[f32], y: &[f32], slope: f32, out: &mut [f32]) {
     simd(
         #[inline(always)]
@@ -135,13 +170,13 @@ fn gate(grad: &[f32], y: &[f32], slope: f32, out: &mut [f32]) {
     );
 }
 
-/// Adds `Σ_v T_r(L̃)1[v] · g[v]` to every row's gradient.
-fn row_gradient(grad: &[f32], conv: Conv, split: Split, out: &mut [f32]) {
-    if conv.rows == 0 {
+/// Adds `Σ_v T_r(L̃)1[v] · g[v]` to the gradient of every constant term.
+fn constant_gradient(grad: &[f32], conv: Conv, split: Split, out: &mut [f32]) {
+    if conv.constant_terms == 0 {
         return;
     }
-    let (rows, output) = (conv.rows, conv.output);
-    let sums = conv.operator.sums(rows);
+    let (count, output) = (conv.constant_terms, conv.output);
+    let basis = conv.graph.constant_basis(count);
     for (r, out) in out.chunks_exact_mut(output).enumerate() {
         let [totals] = vertex_sums(
             grad.len() / output,
@@ -150,7 +185,7 @@ fn row_gradient(grad: &[f32], conv: Conv, split: Split, out: &mut [f32]) {
             #[inline(always)]
             |[total]: &mut [[f32; LANES]; 1], v, c, width| {
                 let grad = &grad[v * output + c..][..width];
-                let factor = sums[v * rows + r];
+                let factor = basis[v * count + r];
                 for (total, grad) in total[..width].iter_mut().zip(grad) {
                     *total += factor * grad;
                 }
@@ -190,7 +225,7 @@ fn weight_gradient(x: &[f32], grad: &[f32], conv: Conv, split: Split, out: &mut 
     });
 }
 
-/// The contribution of [`OUTER_ROWS`] vertices from `first` on.
+/// Adds the contribution of [`OUTER_ROWS`] vertices from `first` on.
 fn outer_block(x: &[f32], whole: &[f32], grad: &[f32], conv: Conv, first: usize, out: &mut [f32]) {
     let rows = OUTER_ROWS.min(conv.kept() - first);
     let last = if conv.order > 1 { rows * conv.input } else { 0 };
@@ -220,13 +255,13 @@ fn input_gradient(grad: &[f32], panels: &[Panels], conv: Conv, split: Split, out
                 Rows::new(grad, conv.output).from(i * BLOCK),
                 &panels[k],
                 false,
-                End::default(),
+                Epilogue::default(),
                 out,
             );
         });
     };
-    let Some(pool) = conv.operator.pool() else {
-        let a = conv.operator.laplacian().backward();
+    let Some(pool) = conv.graph.pool() else {
+        let a = conv.graph.laplacian().transpose();
         times(0, out);
         with_scratch((conv.order - 1) * kept, |terms| {
             for (k, term) in terms.chunks_exact_mut(kept).enumerate() {
@@ -237,14 +272,14 @@ fn input_gradient(grad: &[f32], panels: &[Panels], conv: Conv, split: Split, out
         return;
     };
 
-    // At the kept vertices first, then spread over all.
+    // At the kept vertices first, then scattered to all.
     with_scratch(conv.order * kept + conv.whole(), |scratch| {
         let (at_kept, terms) = scratch.split_at_mut(conv.order * kept);
         for (k, term) in at_kept.chunks_exact_mut(kept).enumerate() {
             times(k, term);
         }
-        let a = pool.laplacian.backward();
-        let spread = |from: &[f32], last: Option<(f32, &[f32])>, out: &mut [f32]| {
+        let a = pool.laplacian.transpose();
+        let scatter = |from: &[f32], last: Option<(f32, &[f32])>, out: &mut [f32]| {
             split.chunks(out, block, |i, out| {
                 for (v, out) in out.chunks_exact_mut(input).enumerate() {
                     match pool.place[i * BLOCK + v] {
@@ -259,19 +294,19 @@ fn input_gradient(grad: &[f32], panels: &[Panels], conv: Conv, split: Split, out
         };
         let (before, last) = at_kept.split_at_mut((conv.order - 1) * kept);
         match conv.order {
-            1 => spread(last, None, out),
-            2 => spread(before, Some((1.0, last)), out),
+            1 => scatter(last, None, out),
+            2 => scatter(before, Some((1.0, last)), out),
             order => {
                 for (before, last) in before[(order - 3) * kept..].iter_mut().zip(&*last) {
                     *before -= last;
                 }
-                spread(&before[..kept], None, out);
+                scatter(&before[..kept], None, out);
                 for k in 1..order - 1 {
                     let term = &mut terms[(k - 1) * conv.inputs()..][..conv.inputs()];
                     let last = (k + 2 == order).then_some((2.0, &*last));
-                    spread(&before[k * kept..][..kept], last, term);
+                    scatter(&before[k * kept..][..kept], last, term);
                 }
-                fold(conv.operator.laplacian().backward(), terms, conv, split, out);
+                fold(conv.graph.laplacian().transpose(), terms, conv, split, out);
             }
         }
     });

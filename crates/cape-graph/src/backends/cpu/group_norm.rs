@@ -48,9 +48,9 @@ pub(in crate::backends) fn group_norm_relu_backward(
             with_scratch(n, |active| {
                 norm.apply(x, &statistics, affine, active);
                 let sums = norm.sums(x, active, grad, &statistics, split);
-                let (first, second) = norm.means(&sums, affine);
+                let means = norm.means(&sums, affine);
                 grad_x.copy_from_slice(grad);
-                norm.input_gradient(x, active, &statistics, affine, (&first, &second), grad_x);
+                norm.input_gradient(x, active, &statistics, affine, &means, grad_x);
                 sums
             })
         })

@@ -1,27 +1,27 @@
 #![allow(unsafe_code)] // Register tiles read and write through pointers; every extent is asserted first.
 
 //! Matrix products in register tiles: a block of rows times packed panels, and the sum of outer
-//! products of two blocks. One generic source, compiled for each instruction set and chosen at run
-//! time.
+//! products of two blocks. The same generic code is compiled for each instruction set, which is
+//! selected at run time.
 
 use pulp::{Simd, WithSimd};
 
 use super::panels::Panels;
 
-/// Depth of a product that is summed in registers before it goes to memory: a panel of it stays in
-/// the first-level cache.
+/// Depth of a product that is summed in registers before it is written to memory: a panel of this
+/// depth fits the first-level cache.
 const DEPTH: usize = 512;
-/// Vectors of a panel or tile along its columns.
+/// SIMD vectors in a row of a panel or tile.
 const VECTORS: usize = 2;
-/// Rows of a left block of [`outer`] packed side by side; a multiple of every tile's rows.
+/// Columns of a packed strip of the left block of [`Packed::outer`]; a multiple of every tile's rows.
 const STRIP: usize = 48;
-/// Rows of both blocks that [`outer`] packs at once.
+/// Rows of both blocks of [`Packed::outer`] that are packed at once.
 pub(super) const OUTER_ROWS: usize = 128;
 
-/// Rows of one [`product`] at most.
+/// Maximal number of rows of one [`product`].
 const MOST_ROWS: usize = 128;
 
-/// Floats in a row of a panel on this machine: columns of a register tile.
+/// Number of columns of a panel, which are those of a register tile, on this machine.
 pub(super) fn panel_width() -> usize {
     struct Width;
     impl WithSimd for Width {
@@ -40,7 +40,7 @@ const fn width<S: Simd>() -> usize {
     if S::F32_LANES < 8 { 4 * S::F32_LANES } else { VECTORS * S::F32_LANES }
 }
 
-/// Rows of a row-major matrix, in place or selected.
+/// Rows of a row-major matrix, all or some of them.
 #[derive(Clone, Copy)]
 pub(super) struct Rows<'a> {
     data: &'a [f32],
@@ -49,12 +49,12 @@ pub(super) struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    /// Rows of `stride` numbers, all of them.
+    /// All rows, each of `stride` values.
     pub(super) fn new(data: &'a [f32], stride: usize) -> Self {
         Self { data, stride, index: None }
     }
 
-    /// The rows at `index`, or all.
+    /// The rows at `index`; all rows for `None`.
     pub(super) fn selected(data: &'a [f32], stride: usize, index: Option<&'a [u32]>) -> Self {
         Self { data, stride, index }
     }
@@ -66,7 +66,7 @@ impl<'a> Rows<'a> {
         &self.data[row * self.stride..][..self.stride]
     }
 
-    /// From row `first` on.
+    /// The rows from `first` on.
     pub(super) fn from(self, first: usize) -> Self {
         match self.index {
             Some(index) => Self { index: Some(&index[first..]), ..self },
@@ -75,18 +75,18 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// What is done to a product when it is complete.
+/// Bias and activation of a complete product.
 #[derive(Clone, Copy, Default)]
-pub(super) struct End<'a> {
-    /// Added to every row.
-    pub row: Option<&'a [f32]>,
-    /// Slope of a leaky ReLU.
+pub(super) struct Epilogue<'a> {
+    /// Added to every row, `[columns]`.
+    pub bias: Option<&'a [f32]>,
+    /// Negative slope of a leaky ReLU.
     pub slope: Option<f32>,
 }
 
-/// `out = end(a b)`, or `out = end(out + a b)` to `add`: `a: [rows, depth]`,
-/// `out: [rows, columns]`, row-major, of at most [`MOST_ROWS`].
-pub(super) fn product(a: Rows, b: &Panels, add: bool, end: End, out: &mut [f32]) {
+/// `out = epilogue(a b)` or, if `add`, `out = epilogue(out + a b)`; `a: [rows, depth]`,
+/// `out: [rows, columns]`, row-major, at most [`MOST_ROWS`] rows.
+pub(super) fn product(a: Rows, b: &Panels, add: bool, epilogue: Epilogue, out: &mut [f32]) {
     assert!(
         a.stride == b.depth() && b.columns() > 0 && out.len().is_multiple_of(b.columns()),
         "rows of {} and panels of [{}, {}]",
@@ -95,15 +95,15 @@ pub(super) fn product(a: Rows, b: &Panels, add: bool, end: End, out: &mut [f32])
         b.columns()
     );
     assert!(out.len() <= MOST_ROWS * b.columns(), "at most {MOST_ROWS} rows at a time");
-    assert!(end.row.is_none_or(|row| row.len() == b.columns()));
-    pulp::Arch::new().dispatch(Product { a, b, add, end, out });
+    assert!(epilogue.bias.is_none_or(|bias| bias.len() == b.columns()));
+    pulp::Arch::new().dispatch(Product { a, b, add, epilogue, out });
 }
 
 struct Product<'a> {
     a: Rows<'a>,
     b: &'a Panels,
     add: bool,
-    end: End<'a>,
+    epilogue: Epilogue<'a>,
     out: &'a mut [f32],
 }
 
@@ -123,18 +123,18 @@ impl WithSimd for Product<'_> {
 impl Product<'_> {
     #[inline(always)]
     fn run<S: Simd, const ROWS: usize, const VECTORS: usize>(self, simd: S) {
-        let Self { a, b, add, end, out } = self;
+        let Self { a, b, add, epilogue, out } = self;
         let (depth, columns) = (b.depth(), b.columns());
         let rows = out.len() / columns;
         let mut starts = [std::ptr::null::<f32>(); MOST_ROWS];
         for (i, start) in starts.iter_mut().enumerate().take(rows) {
             *start = a.row(i).as_ptr();
         }
-        let mut tails = [[0.0f32; 64]; ROWS];
+        let mut tails = [[0.0f32; TAIL]; ROWS];
         for k in (0..depth.max(1)).step_by(DEPTH) {
             let deep = DEPTH.min(depth - k);
             let add = add || k > 0;
-            let end = if k + deep == depth { end } else { End::default() };
+            let epilogue = if k + deep == depth { epilogue } else { Epilogue::default() };
             for (panel, start) in (0..columns).step_by(width::<S>()).enumerate() {
                 let wide = width::<S>().min(columns - start);
                 let panel = &b.panel(panel)[k * width::<S>()..][..deep * width::<S>()];
@@ -142,8 +142,8 @@ impl Product<'_> {
                     let tall = ROWS.min(rows - first);
                     let out = &mut out[first * columns + start..];
                     assert!(out.len() >= (tall - 1) * columns + wide);
-                    // SAFETY: every row starts a slice of `depth` numbers, `deep` of them from `k`
-                    // on, and the panel has `deep` rows by its slice; `tall` rows of `wide` numbers
+                    // SAFETY: every row starts a slice of `depth` floats, `deep` of them from `k`
+                    // on, and the panel has `deep` rows by its slice; `tall` rows of `wide` floats
                     // of the output are in its slice by the assertion, and tails are wider than a
                     // tile.
                     unsafe {
@@ -154,18 +154,18 @@ impl Product<'_> {
                         );
                         let sums = tile::<S, ROWS, VECTORS>(simd, deep, left, 1, panel.as_ptr());
                         if wide == width::<S>() {
-                            let row = end.row.map(|row| row[start..][..wide].as_ptr());
-                            let out = out.as_mut_ptr();
-                            write(simd, &sums, tall, out, columns, add, row, end.slope);
+                            let bias = epilogue.bias.map(|bias| bias[start..][..wide].as_ptr());
+                            let to = Tile { data: out.as_mut_ptr(), stride: columns, rows: tall };
+                            write(simd, &sums, to, add, bias, epilogue.slope);
                         } else {
-                            let tail = tails[0].as_mut_ptr();
-                            write(simd, &sums, ROWS, tail, 64, false, None, None);
+                            write(simd, &sums, Tile::whole(&mut tails), false, None, None);
                             for (i, tail) in tails.iter().enumerate().take(tall) {
                                 let out = &mut out[i * columns..][..wide];
                                 for (j, (out, tail)) in out.iter_mut().zip(tail).enumerate() {
                                     let sum = if add { *out + tail } else { *tail };
-                                    let sum = end.row.map_or(sum, |row| sum + row[start + j]);
-                                    let slope = end.slope.unwrap_or(1.0);
+                                    let bias = epilogue.bias.map(|bias| bias[start + j]);
+                                    let sum = bias.map_or(sum, |bias| sum + bias);
+                                    let slope = epilogue.slope.unwrap_or(1.0);
                                     *out = if sum > 0.0 { sum } else { slope * sum };
                                 }
                             }
@@ -177,7 +177,7 @@ impl Product<'_> {
     }
 }
 
-/// Two blocks of as many rows, packed for [`outer`].
+/// Two blocks with the same number of rows, packed for [`outer`](Self::outer).
 pub(super) struct Packed<'a> {
     /// `[left / STRIP][rows][STRIP]`.
     left: &'a mut [f32],
@@ -188,23 +188,23 @@ pub(super) struct Packed<'a> {
 }
 
 impl<'a> Packed<'a> {
-    /// Floats of scratch for blocks of that many columns.
+    /// Number of floats of scratch memory for blocks of `left` and `right` columns.
     pub(super) fn scratch(left: usize, right: usize) -> usize {
         (left.next_multiple_of(STRIP) + right.next_multiple_of(panel_width())) * OUTER_ROWS
     }
 
-    /// Room in `scratch`, for up to [`OUTER_ROWS`] rows.
+    /// Blocks of up to [`OUTER_ROWS`] rows in `scratch`.
     pub(super) fn new(scratch: &'a mut [f32], left_columns: usize, right_columns: usize) -> Self {
         let (left, right) = scratch.split_at_mut(left_columns.next_multiple_of(STRIP) * OUTER_ROWS);
         Self { left, left_columns, right, right_columns }
     }
 
-    /// Packs `rows` rows on the left.
+    /// Packs `rows` rows of the left block.
     pub(super) fn pack_left(&mut self, rows: usize, source: Rows) {
         pack::<STRIP>(self.left, self.left_columns, rows, source);
     }
 
-    /// Packs `rows` rows on the right.
+    /// Packs `rows` rows of the right block.
     pub(super) fn pack_right(&mut self, rows: usize, source: Rows) {
         let (right, columns) = (&mut *self.right, self.right_columns);
         match panel_width() {
@@ -214,14 +214,13 @@ impl<'a> Packed<'a> {
         }
     }
 
-    /// `out[i · stride + j] += Σ_r left[r, i] right[r, j]` over the `rows` that were packed, `out`
-    /// from the first row of the left columns.
+    /// `out[i · stride + j] += Σ_r left[r, i] right[r, j]` over the `rows` packed rows.
     pub(super) fn outer(&self, rows: usize, stride: usize, out: &mut [f32]) {
         assert!(
             (1..=OUTER_ROWS).contains(&rows)
                 && self.right_columns <= stride
                 && (self.left_columns - 1) * stride + self.right_columns <= out.len(),
-            "{rows} rows, {} times {} numbers, {stride} apart",
+            "outer product of [{rows}, {}] and [{rows}, {}] with rows {stride} apart",
             self.left_columns,
             self.right_columns,
         );
@@ -270,7 +269,7 @@ impl Outer<'_> {
     fn run<S: Simd, const ROWS: usize, const VECTORS: usize>(self, simd: S) {
         let Self { packed, rows, stride, out } = self;
         let (left_columns, right_columns) = (packed.left_columns, packed.right_columns);
-        let mut tails = [[0.0f32; 64]; ROWS];
+        let mut tails = [[0.0f32; TAIL]; ROWS];
         for (panel, start) in (0..right_columns).step_by(width::<S>()).enumerate() {
             let wide = width::<S>().min(right_columns - start);
             let size = rows * width::<S>();
@@ -282,7 +281,7 @@ impl Outer<'_> {
                 assert!(left.len() >= (rows - 1) * STRIP + ROWS);
                 let out = &mut out[first * stride + start..];
                 assert!(out.len() >= (tall - 1) * stride + wide);
-                // SAFETY: `rows` left numbers, `STRIP` apart, from each of `ROWS` starts, and
+                // SAFETY: `rows` left floats, `STRIP` apart, from each of `ROWS` starts, and
                 // `rows` rows of the right panel are in their slices, by the assertion and the
                 // slice; likewise the output. Tails are wider than a tile.
                 unsafe {
@@ -292,9 +291,10 @@ impl Outer<'_> {
                     let starts: [*const f32; ROWS] = std::array::from_fn(|i| left.as_ptr().add(i));
                     let sums = tile::<S, ROWS, VECTORS>(simd, rows, starts, STRIP, right.as_ptr());
                     if wide == width::<S>() {
-                        write(simd, &sums, tall, out.as_mut_ptr(), stride, true, None, None);
+                        let to = Tile { data: out.as_mut_ptr(), stride, rows: tall };
+                        write(simd, &sums, to, true, None, None);
                     } else {
-                        write(simd, &sums, ROWS, tails[0].as_mut_ptr(), 64, false, None, None);
+                        write(simd, &sums, Tile::whole(&mut tails), false, None, None);
                         for (i, tail) in tails.iter().enumerate().take(tall) {
                             for (out, tail) in out[i * stride..][..wide].iter_mut().zip(tail) {
                                 *out += tail;
@@ -307,10 +307,10 @@ impl Outer<'_> {
     }
 }
 
-/// `Σ_k left[i][k · step] · right[k]` in registers, `right` in rows of `VECTORS` vectors.
+/// `Σ_k left[i][k · step] · right[k]` in registers, `right: [depth, VECTORS]` vectors.
 ///
 /// # Safety
-/// `depth` numbers must be readable from each left pointer, `step` apart, and `depth` rows from
+/// `depth` floats, `step` apart, must be readable from each left pointer, and `depth` rows from
 /// `right`.
 #[inline(always)]
 unsafe fn tile<S: Simd, const ROWS: usize, const VECTORS: usize>(
@@ -340,38 +340,54 @@ unsafe fn tile<S: Simd, const ROWS: usize, const VECTORS: usize>(
     sums
 }
 
-/// Writes, or to `add` adds, the first `tall` rows of a tile to rows `stride` apart, with a row and
-/// a leaky ReLU at the end.
+/// Place of a register tile in memory.
+#[derive(Clone, Copy)]
+struct Tile {
+    data: *mut f32,
+    /// Distance between rows, in floats.
+    stride: usize,
+    /// Number of rows.
+    rows: usize,
+}
+
+/// Columns of the memory for tiles at the right edge of a matrix; more than any register tile has.
+const TAIL: usize = 64;
+
+impl Tile {
+    /// All rows of `tails`.
+    #[inline(always)]
+    fn whole<const ROWS: usize>(tails: &mut [[f32; TAIL]; ROWS]) -> Self {
+        Self { data: tails.as_mut_ptr().cast(), stride: TAIL, rows: ROWS }
+    }
+}
+
+/// Overwrites or, if `add`, adds to the rows of a tile, followed by bias and leaky ReLU.
 ///
 /// # Safety
-/// `tall` rows of `VECTORS` vectors, `stride` apart, must be writable from `out`, and `VECTORS`
-/// vectors readable from `row`.
+/// `VECTORS` vectors must be writable in every row of `to`, and readable from `bias`.
 #[inline(always)]
-#[allow(clippy::too_many_arguments)]
 unsafe fn write<S: Simd, const ROWS: usize, const VECTORS: usize>(
     simd: S,
     sums: &[[S::f32s; VECTORS]; ROWS],
-    tall: usize,
-    out: *mut f32,
-    stride: usize,
+    to: Tile,
     add: bool,
-    row: Option<*const f32>,
+    bias: Option<*const f32>,
     slope: Option<f32>,
 ) {
     let zero = simd.splat_f32s(0.0);
     for (i, sums) in sums.iter().enumerate() {
-        if i < tall {
+        if i < to.rows {
             for (j, &sum) in sums.iter().enumerate() {
                 // SAFETY: in bounds by this function's contract.
                 unsafe {
-                    let out = out.add(i * stride).cast::<S::f32s>().add(j);
+                    let out = to.data.add(i * to.stride).cast::<S::f32s>().add(j);
                     let mut sum = sum;
                     if add {
                         sum = simd.add_f32s(sum, out.read_unaligned());
                     }
-                    if let Some(row) = row {
-                        let row = row.cast::<S::f32s>().add(j).read_unaligned();
-                        sum = simd.add_f32s(sum, row);
+                    if let Some(bias) = bias {
+                        let bias = bias.cast::<S::f32s>().add(j).read_unaligned();
+                        sum = simd.add_f32s(sum, bias);
                     }
                     if let Some(slope) = slope {
                         let scaled = simd.mul_f32s(sum, simd.splat_f32s(slope));
@@ -385,7 +401,7 @@ unsafe fn write<S: Simd, const ROWS: usize, const VECTORS: usize>(
     }
 }
 
-/// Asks for a cache line that will be needed soon.
+/// Prefetches a cache line.
 #[inline(always)]
 fn prefetch(at: *const f32) {
     #[cfg(target_arch = "x86_64")]

@@ -1,8 +1,9 @@
 //! Kernels on slices, shared by the CPU backends.
 //!
-//! Arrays are row-major `[batch, vertices, channels]`. Work is split by example, so that an
-//! example's layer stays in cache, and where examples are few within them; partial sums are taken
-//! over fixed pieces in a fixed order, so that results do not depend on the number of threads.
+//! Arrays are row-major `[batch, vertices, channels]`. The work is divided by example, so that the
+//! features of an example stay in cache, and also within examples if the batch is small. Partial
+//! sums are taken over fixed pieces in a fixed order, so that results do not depend on the number of
+//! threads.
 
 mod activation;
 mod conv;
@@ -18,7 +19,7 @@ mod split;
 
 pub(super) use activation::{bias_leaky_relu, bias_leaky_relu_backward};
 pub(super) use conv::{Conv, cheb_conv};
-pub(super) use conv_backward::cheb_conv_backward;
+pub(super) use conv_backward::{Saved, cheb_conv_backward};
 pub(super) use group_norm::{group_norm_relu, group_norm_relu_backward};
 pub(super) use norm::Norm;
 pub(super) use norm_conv::{Inputs, NormConv, norm_conv, norm_conv_backward};

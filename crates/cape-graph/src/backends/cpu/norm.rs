@@ -5,43 +5,53 @@ use super::{
     split::{LANES, Split, vertex_sums},
 };
 
-/// The extents of a group normalisation.
+/// Extents of a group normalisation.
 #[derive(Clone, Copy)]
 pub(in crate::backends) struct Norm {
-    /// Vertices per example.
+    /// Number of vertices.
     pub vertices: usize,
-    /// Channels of the features.
+    /// Number of channels of the features.
     pub channels: usize,
-    /// Channels after them that are the same at every vertex.
+    /// Number of constant channels, which follow those of the features.
     pub constant: usize,
-    /// Groups of consecutive channels, normalised over (channels in group × vertices).
+    /// Number of groups of consecutive channels, normalised over (channels in group × vertices).
     pub groups: usize,
     /// Added to the variance.
     pub epsilon: f32,
 }
 
-/// What normalises an example: one number for every channel, the constant ones last.
+/// Statistics of an example, repeated for every channel of a group, `[channels + constant]`.
 pub(super) struct Statistics {
     mean: Vec<f32>,
     inverse_deviation: Vec<f32>,
 }
 
-/// Scale and shift after normalisation.
+/// Scale and shift after normalisation, `[channels + constant]`.
 #[derive(Clone, Copy)]
 pub(super) struct Affine<'a> {
     pub gamma: &'a [f32],
     pub beta: &'a [f32],
 }
 
-/// Sums over vertices that the gradients are made of: `Σ g` and `Σ g · unit` for every channel,
-/// `g` the gradient behind the ReLU.
+/// Sums over the vertices for every channel, `g` being the gradient before the ReLU and `unit` the
+/// normalised input: the contributions of an example to the gradients of shift and scale.
 pub(super) struct Sums {
+    /// `Σ g`.
     pub beta: Vec<f64>,
+    /// `Σ g · unit`.
     pub gamma: Vec<f64>,
 }
 
+/// Means over each group, repeated for every channel, `[channels + constant]`.
+pub(super) struct Means {
+    /// Mean of `gamma · g`.
+    first: Vec<f32>,
+    /// Mean of `gamma · g · unit`.
+    second: Vec<f32>,
+}
+
 impl Sums {
-    /// The gradients of scale and shift: sums over examples, in order.
+    /// Gradients of scale and shift, `[channels]` each: sums over the examples, in order.
     pub(super) fn total(examples: &[Self], channels: usize) -> (Vec<f32>, Vec<f32>) {
         let total = |of: fn(&Self) -> &Vec<f64>| {
             let sum = |c: usize| examples.iter().map(|sums| of(sums)[c]).sum::<f64>() as f32;
@@ -52,15 +62,17 @@ impl Sums {
 }
 
 impl Norm {
+    /// Number of channels with the constant ones.
     pub(super) fn all_channels(&self) -> usize {
         self.channels + self.constant
     }
 
+    /// Number of channels of a group.
     fn width(&self) -> usize {
         self.all_channels() / self.groups
     }
 
-    /// Spreads a number for each group, computed from those of its channels.
+    /// Repeats a value for each group, computed from the range of its channels.
     fn per_group(&self, of: impl Fn(std::ops::Range<usize>) -> f64) -> Vec<f32> {
         let width = self.width();
         (0..self.groups)
@@ -70,8 +82,8 @@ impl Norm {
             .collect()
     }
 
-    /// Statistics of one example, in one pass: sums of distances from the first vertex, which is
-    /// near enough to the mean that nothing cancels.
+    /// Statistics of one example in one pass. Differences from the first vertex are summed: it is so
+    /// close to the mean that no digits cancel.
     pub(super) fn statistics(&self, x: &[f32], constant: &[f32], split: Split) -> Statistics {
         let channels = self.channels;
         let pivot = &x[..channels];
@@ -112,7 +124,7 @@ impl Norm {
         Statistics { mean, inverse_deviation }
     }
 
-    /// `relu(unit · gamma + beta)` of some vertices' features.
+    /// `relu(unit · gamma + beta)` of the features of some vertices.
     pub(super) fn apply(&self, x: &[f32], by: &Statistics, affine: Affine, out: &mut [f32]) {
         let channels = self.channels;
         simd(
@@ -124,7 +136,7 @@ impl Norm {
                     for c in 0..channels {
                         let unit = (x[c] - mean[c]) * inverse[c];
                         let affine = unit * gamma[c] + beta[c];
-                        // Not `max`, which would hide what is not a number.
+                        // Not `max`, which would turn NaN into 0.
                         out[c] = if affine < 0.0 { 0.0 } else { affine };
                     }
                 }
@@ -132,7 +144,7 @@ impl Norm {
         );
     }
 
-    /// `relu(unit · gamma + beta)` of the constant channels, and their units.
+    /// `relu(unit · gamma + beta)` and `unit` of the constant channels.
     pub(super) fn apply_constant(
         &self,
         constant: &[f32],
@@ -184,18 +196,17 @@ impl Norm {
         Sums { beta, gamma }
     }
 
-    /// Means over each group of `gamma · Σ g` and `gamma · Σ g · unit`, spread over its channels.
-    pub(super) fn means(&self, sums: &Sums, affine: Affine) -> (Vec<f32>, Vec<f32>) {
+    pub(super) fn means(&self, sums: &Sums, affine: Affine) -> Means {
         let count = (self.vertices * self.width()) as f64;
         let mean = |sums: &[f64]| {
             self.per_group(|span| {
                 span.map(|c| f64::from(affine.gamma[c]) * sums[c]).sum::<f64>() / count
             })
         };
-        (mean(&sums.beta), mean(&sums.gamma))
+        Means { first: mean(&sums.beta), second: mean(&sums.gamma) }
     }
 
-    /// Turns the gradient of the output of [`apply`](Self::apply) into that of its input, for some
+    /// Replaces the gradient of the output of [`apply`](Self::apply) by that of its input, for some
     /// vertices.
     pub(super) fn input_gradient(
         &self,
@@ -203,7 +214,7 @@ impl Norm {
         active: &[f32],
         by: &Statistics,
         affine: Affine,
-        (first, second): (&[f32], &[f32]),
+        means: &Means,
         grad: &mut [f32],
     ) {
         let channels = self.channels;
@@ -212,7 +223,7 @@ impl Norm {
             || {
                 let (mean, inverse) = (&by.mean[..channels], &by.inverse_deviation[..channels]);
                 let gamma = &affine.gamma[..channels];
-                let (first, second) = (&first[..channels], &second[..channels]);
+                let (first, second) = (&means.first[..channels], &means.second[..channels]);
                 let rows = x.chunks_exact(channels).zip(active.chunks_exact(channels));
                 for (grad, (x, active)) in grad.chunks_exact_mut(channels).zip(rows) {
                     for c in 0..channels {
@@ -225,20 +236,21 @@ impl Norm {
         );
     }
 
-    /// Gradient of the constant channels, summed over vertices; `sums` includes theirs.
+    /// Gradient of the constant channels, summed over the vertices, `[constant]`; `sums` includes
+    /// those of the constant channels.
     pub(super) fn constant_gradient(
         &self,
         units: &[f32],
         by: &Statistics,
         affine: Affine,
         sums: &Sums,
-        (first, second): (&[f32], &[f32]),
+        means: &Means,
     ) -> Vec<f32> {
         let vertices = self.vertices as f64;
         let gradient = |(i, &unit): (usize, &f32)| {
             let c = self.channels + i;
             let upstream = f64::from(affine.gamma[c]) * sums.beta[c];
-            let mean = f64::from(first[c]) + f64::from(unit) * f64::from(second[c]);
+            let mean = f64::from(means.first[c]) + f64::from(unit) * f64::from(means.second[c]);
             (f64::from(by.inverse_deviation[c]) * (upstream - vertices * mean)) as f32
         };
         units.iter().enumerate().map(gradient).collect()

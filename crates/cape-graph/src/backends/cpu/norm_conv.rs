@@ -3,9 +3,8 @@
 use rayon::prelude::*;
 
 use super::{
-    conv::{self, BLOCK, Conv},
-    conv_backward::{self, Example, transposed_panels},
-    kernel::{Rows, product},
+    conv::{BLOCK, Conv, Forward},
+    conv_backward::{self, Example, ExampleGradients, transposed_panels},
     norm::{Affine, Norm, Statistics, Sums},
     panels::Panels,
     scratch::with_scratch,
@@ -13,122 +12,109 @@ use super::{
 };
 use crate::buffer::Buffer;
 
-/// `cheb_conv(relu(group_norm([x, constant])))`: the constant channels, of which only a 1×1
-/// convolution may have any, are the same at every vertex.
+/// Extents of `cheb_conv(relu(group_norm([x, constant])))`. The constant channels, which only a 1×1
+/// convolution may have, are the same at every vertex.
 #[derive(Clone, Copy)]
 pub(in crate::backends) struct NormConv<'a> {
-    /// The normalisation.
+    /// Normalisation.
     pub norm: Norm,
-    /// The convolution of the features, without rows and activation.
+    /// Convolution of the features, without constant terms and activation.
     pub conv: Conv<'a>,
 }
 
-/// Constants and parameters.
+/// Inputs and parameters of [`norm_conv`].
 #[derive(Clone, Copy)]
 pub(in crate::backends) struct Inputs<'a> {
-    /// `[batch, vertices, channels]`.
+    /// Features, `[batch, vertices, channels]`.
     pub x: &'a [f32],
-    /// `[batch, constant]`.
+    /// Constant channels, `[batch, constant]`.
     pub constant: &'a [f32],
-    /// `[channels + constant]`.
+    /// Scale, `[channels + constant]`.
     pub gamma: &'a [f32],
-    /// `[channels + constant]`.
+    /// Shift, `[channels + constant]`.
     pub beta: &'a [f32],
-    /// `[(channels + constant) · K, output]`.
+    /// Weights, `[(channels + constant) · K, output]`.
     pub weight: &'a [f32],
 }
 
-/// Gradients of [`norm_conv`].
+/// Gradients of [`norm_conv`], each with the shape of its input.
 pub(in crate::backends) struct NormConvGradients {
-    /// Of the features.
+    /// Gradient of the features.
     pub x: Buffer,
-    /// Of the constant channels.
+    /// Gradient of the constant channels.
     pub constant: Buffer,
-    /// Of the scale.
+    /// Gradient of the scale.
     pub gamma: Vec<f32>,
-    /// Of the shift.
+    /// Gradient of the shift.
     pub beta: Vec<f32>,
-    /// Of the weights.
+    /// Gradient of the weights.
     pub weight: Buffer,
 }
 
+impl<'a> Inputs<'a> {
+    fn affine(&self) -> Affine<'a> {
+        Affine { gamma: self.gamma, beta: self.beta }
+    }
+}
+
 impl<'a> NormConv<'a> {
-    /// The convolution of the features, with the constant channels' row if there are any.
+    /// The convolution of the features, with the constant channels as a constant term.
     fn features(&self) -> Conv<'a> {
-        Conv { rows: usize::from(self.norm.constant > 0), ..self.conv }
+        Conv { constant_terms: usize::from(self.norm.constant > 0), ..self.conv }
     }
 
-    /// Numbers of the features' weights; those of the constant channels follow.
+    /// Number of weights of the features; those of the constant channels follow.
     fn feature_weights(&self) -> usize {
         self.conv.input * self.conv.order * self.conv.output
     }
 
+    /// Features and constant channels of one example.
     fn example<'i>(&self, inputs: Inputs<'i>, example: usize) -> (&'i [f32], &'i [f32]) {
         let (n, constant) = (self.conv.inputs(), self.norm.constant);
         (&inputs.x[example * n..][..n], &inputs.constant[example * constant..][..constant])
     }
 
-    /// What the constant channels add at every vertex.
-    fn row(&self, active: &[f32], weight: &[f32]) -> Vec<f32> {
+    /// Constant term of the active constant channels, `[output]`; empty without any.
+    fn constant_term(&self, active: &[f32], weight: &[f32]) -> Vec<f32> {
         let output = self.conv.output;
-        let mut row = vec![0.0; if active.is_empty() { 0 } else { output }];
+        let mut term = vec![0.0; if active.is_empty() { 0 } else { output }];
         let weights = weight[self.feature_weights()..].chunks_exact(output);
         for (active, weights) in active.iter().zip(weights) {
-            row.iter_mut().zip(weights).for_each(|(row, weight)| *row += active * weight);
+            term.iter_mut().zip(weights).for_each(|(term, weight)| *term += active * weight);
         }
-        row
+        term
     }
 }
 
-/// Writes `cheb_conv(relu(group_norm([x, constant])))` to `y`, or adds it to `add`.
+/// Writes `cheb_conv(relu(group_norm([x, constant])))` to `y: [batch, kept, output]` or, if `add`,
+/// adds it.
 pub(in crate::backends) fn norm_conv(inputs: Inputs, op: NormConv, add: bool, y: &mut [f32]) {
     let NormConv { norm, .. } = op;
     let conv = op.features();
     if y.is_empty() {
         return;
     }
-    let affine = Affine { gamma: inputs.gamma, beta: inputs.beta };
+    let affine = inputs.affine();
     let panels = conv.panels(inputs.weight);
     let split = Split::new(inputs.x.len() / conv.inputs().max(1));
     y.par_chunks_mut(conv.outputs()).enumerate().for_each(|(example, y)| {
         let (x, constant) = op.example(inputs, example);
         let statistics = norm.statistics(x, constant, split);
         let (active, _) = norm.apply_constant(constant, &statistics, affine);
-        let row = op.row(&active, inputs.weight);
+        let constant_terms = &op.constant_term(&active, inputs.weight);
+        let forward = Forward { conv, panels: &panels, constant_terms, add, split };
         if conv.order > 1 || conv.index().is_some() {
             with_scratch(conv.inputs(), |scratch| {
                 apply(norm, x, &statistics, affine, split, scratch);
-                conv::forward(scratch, &panels, &row, add, conv, split, y);
+                forward.run(scratch, y);
             });
         } else {
-            let apply = |x: &[f32], out: &mut [f32]| norm.apply(x, &statistics, affine, out);
-            blockwise(x, &panels[0], &row, add, conv, split, y, apply);
+            forward.run_blockwise(x, y, |x, out| norm.apply(x, &statistics, affine, out));
         }
     });
 }
 
-/// A 1×1 convolution of what `apply` makes of `x`, block by block.
-#[allow(clippy::too_many_arguments)]
-fn blockwise(
-    x: &[f32],
-    panels: &Panels,
-    row: &[f32],
-    add: bool,
-    conv: Conv,
-    split: Split,
-    y: &mut [f32],
-    apply: impl Fn(&[f32], &mut [f32]) + Sync,
-) {
-    split.chunks(y, BLOCK * conv.output, |block, y| {
-        let size = y.len() / conv.output * conv.input;
-        with_scratch(size, |scratch| {
-            apply(&x[block * BLOCK * conv.input..][..size], scratch);
-            let (end, _) = conv.end(row);
-            product(Rows::new(scratch, conv.input), panels, add, end, y);
-        });
-    });
-}
-
+/// [`Norm::apply`] to all vertices of an example.
 fn apply(norm: Norm, x: &[f32], by: &Statistics, affine: Affine, split: Split, out: &mut [f32]) {
     let block = BLOCK * norm.channels;
     split.chunks(out, block, |i, out| {
@@ -136,7 +122,7 @@ fn apply(norm: Norm, x: &[f32], by: &Statistics, affine: Affine, split: Split, o
     });
 }
 
-/// Gradients of [`norm_conv`].
+/// Gradients of [`norm_conv`] from that of its output, `grad: [batch, kept, output]`.
 pub(in crate::backends) fn norm_conv_backward(
     inputs: Inputs,
     grad: &[f32],
@@ -150,6 +136,7 @@ pub(in crate::backends) fn norm_conv_backward(
     let mut grad_constant = Buffer::take(batch * norm.constant);
     let mut grad_weight = Buffer::zeros(inputs.weight.len());
     let panels = transposed_panels(inputs.weight, conv);
+    let backward = Backward { op, inputs, panels: &panels, split };
     let mut constants: Vec<&mut [f32]> = if norm.constant > 0 {
         grad_constant.chunks_mut(norm.constant).collect()
     } else {
@@ -165,11 +152,8 @@ pub(in crate::backends) fn norm_conv_backward(
             let sums = examples.map(|(i, (grad_x, grad_constant))| {
                 let example = group * split.group() + i;
                 let grad = &grad[example * conv.outputs()..][..conv.outputs()];
-                let (x, constant) = op.example(inputs, example);
-                let weights = Weights { all: inputs.weight, transposed: &panels };
-                let affine = Affine { gamma: inputs.gamma, beta: inputs.beta };
                 let out = Outputs { x: grad_x, constant: grad_constant, weight: &mut sum };
-                backward(x, constant, affine, weights, grad, op, split, out)
+                backward.run(example, grad, out)
             });
             let sums = sums.collect();
             (sum, sums)
@@ -181,74 +165,73 @@ pub(in crate::backends) fn norm_conv_backward(
     NormConvGradients { x: grad_x, constant: grad_constant, gamma, beta, weight: grad_weight }
 }
 
-#[derive(Clone, Copy)]
-struct Weights<'a> {
-    all: &'a [f32],
-    transposed: &'a [Panels],
-}
-
+/// Gradients that one example contributes to.
 struct Outputs<'a> {
+    /// Overwritten, `[vertices, channels]`.
     x: &'a mut [f32],
+    /// Overwritten, `[constant]`.
     constant: &'a mut [f32],
+    /// Added to, `[(channels + constant) · K, output]`.
     weight: &'a mut [f32],
 }
 
-/// One example; returns the gradients of scale and shift.
-#[allow(clippy::too_many_arguments)]
-fn backward(
-    x: &[f32],
-    constant: &[f32],
-    affine: Affine,
-    weights: Weights,
-    grad: &[f32],
-    op: NormConv,
+/// Gradients of a normalised convolution, one example at a time.
+#[derive(Clone, Copy)]
+struct Backward<'a> {
+    op: NormConv<'a>,
+    inputs: Inputs<'a>,
+    /// Panels of `W_kᵀ` for every `k`.
+    panels: &'a [Panels],
     split: Split,
-    out: Outputs,
-) -> Sums {
-    let NormConv { norm, .. } = op;
-    let conv = op.features();
-    let statistics = norm.statistics(x, constant, split);
-    with_scratch(conv.inputs(), |active| {
-        apply(norm, x, &statistics, affine, split, active);
-        let active = &*active;
-        let example = Example { x: active, y: &[], grad };
-        let (weight, constant_weight) = out.weight.split_at_mut(op.feature_weights());
-        let mut row = vec![0.0; conv.rows * conv.output];
-        conv_backward::backward(
-            example,
-            weights.transposed,
-            conv,
-            split,
-            Some(&mut *out.x),
-            weight,
-            &mut row,
-        );
-        let mut sums = norm.sums(x, active, out.x, &statistics, split);
+}
 
-        let (active_constant, units) = norm.apply_constant(constant, &statistics, affine);
-        let constant_weights = weights.all[op.feature_weights()..].chunks_exact(conv.output);
-        for (c, ((&active, &unit), weight)) in
-            active_constant.iter().zip(&units).zip(constant_weights).enumerate()
-        {
-            let product: f64 =
-                row.iter().zip(weight).map(|(row, weight)| f64::from(row * weight)).sum();
-            let gated = if active > 0.0 { product } else { 0.0 };
-            sums.beta.push(gated);
-            sums.gamma.push(gated * f64::from(unit));
-            let grad_weight = &mut constant_weight[c * conv.output..][..conv.output];
-            grad_weight.iter_mut().zip(&row).for_each(|(grad, row)| *grad += active * row);
-        }
+impl Backward<'_> {
+    /// Returns the sums that the gradients of scale and shift consist of.
+    fn run(self, example: usize, grad: &[f32], out: Outputs) -> Sums {
+        let Self { op, inputs, panels, split } = self;
+        let (norm, conv, affine) = (op.norm, op.features(), inputs.affine());
+        let (x, constant) = op.example(inputs, example);
+        let statistics = norm.statistics(x, constant, split);
+        with_scratch(conv.inputs(), |active| {
+            apply(norm, x, &statistics, affine, split, active);
+            let active = &*active;
+            let (weight, constant_weight) = out.weight.split_at_mut(op.feature_weights());
+            let mut term = vec![0.0; conv.constant_terms * conv.output];
+            conv_backward::Backward { conv, panels, split }.run(
+                Example { x: active, y: &[], grad },
+                ExampleGradients { x: Some(&mut *out.x), weight, constant_terms: &mut term },
+            );
+            let mut sums = norm.sums(x, active, out.x, &statistics, split);
 
-        let (first, second) = norm.means(&sums, affine);
-        let gradient =
-            norm.constant_gradient(&units, &statistics, affine, &sums, (&first, &second));
-        out.constant.copy_from_slice(&gradient);
-        let block = BLOCK * norm.channels;
-        split.chunks(out.x, block, |i, grad| {
-            let at = i * block..i * block + grad.len();
-            let (x, active) = (&x[at.clone()], &active[at]);
-            norm.input_gradient(x, active, &statistics, affine, (&first, &second), grad);
-        });
-        sums
-    })
+            let (active_constant, units) = norm.apply_constant(constant, &statistics, affine);
+            let weights = inputs.weight[op.feature_weights()..].chunks_exact(conv.output);
+            for (c, ((&active, &unit), weight)) in
+                active_constant.iter().zip(&units).zip(weights).enumerate()
+            {
+                let product: f64 =
+                    term.iter().zip(weight).map(|(term, weight)| f64::from(term * weight)).sum();
+                let gated = if active > 0.0 { product } else { 0.0 };
+                sums.beta.push(gated);
+                sums.gamma.push(gated * f64::from(unit));
+                let grad_weight = &mut constant_weight[c * conv.output..][..conv.output];
+                grad_weight.iter_mut().zip(&term).for_each(|(grad, term)| *grad += active * term);
+            }
+
+            let means = norm.means(&sums, affine);
+            out.constant.copy_from_slice(&norm.constant_gradient(
+                &units,
+                &statistics,
+                affine,
+                &sums,
+                &means,
+            ));
+            let block = BLOCK * norm.channels;
+            split.chunks(out.x, block, |i, grad| {
+                let at = i * block..i * block + grad.len();
+                let (x, active) = (&x[at.clone()], &active[at]);
+                norm.input_gradient(x, active, &statistics, affine, &means, grad);
+            });
+            sums
+        })
+    }
 }

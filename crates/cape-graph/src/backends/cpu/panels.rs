@@ -3,8 +3,8 @@ use rayon::prelude::*;
 use super::kernel::panel_width;
 use crate::buffer::Buffer;
 
-/// A matrix packed for [`product`](super::kernel::product): panels of columns, each of its rows
-/// contiguous, the last panel filled with zeros.
+/// Matrix packed for [`product`](super::kernel::product) into panels of columns, `[depth, width]`
+/// each; the last panel is padded with zeros.
 pub(super) struct Panels {
     data: Buffer,
     depth: usize,
@@ -12,13 +12,13 @@ pub(super) struct Panels {
     width: usize,
 }
 
-/// Panels for one thread: fewer are packed sooner than another thread is woken.
+/// Minimal number of panels for one thread: packing fewer takes less time than waking another.
 const AT_LEAST: usize = 8;
 
-/// A matrix in a slice, with the distances between rows and between columns.
+/// View of a matrix with the strides of rows and columns.
 #[derive(Clone, Copy)]
 pub(super) struct View<'a> {
-    /// Its numbers.
+    /// Values.
     pub data: &'a [f32],
     /// Number of rows.
     pub rows: usize,
@@ -61,8 +61,8 @@ impl Panels {
                     packed[..wide].copy_from_slice(&data[from..from + wide]);
                 }
             } else {
-                // Down a column, its numbers are close together: eight of them at a time fill
-                // the cache lines of the panel.
+                // The values of a column are close together: eight at a time fill the cache
+                // lines of the panel.
                 for (block, packed) in packed.chunks_mut(width * 8).enumerate() {
                     for column in 0..wide {
                         let from = (start + column) * column_stride + block * 8 * row_stride;

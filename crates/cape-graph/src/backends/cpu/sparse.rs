@@ -3,6 +3,7 @@ use rayon::prelude::*;
 use super::simd;
 use crate::{buffer::Buffer, sparse::Csr};
 
+/// Number of rows that a thread computes at once.
 const ROWS: usize = 256;
 
 /// `y[b] = A x[b]`; `x: [batch, columns, channels]`, `y: [batch, rows, channels]`.
@@ -21,7 +22,7 @@ pub(in crate::backends) fn sparse_matmul(x: &[f32], a: &Csr, channels: usize) ->
     y
 }
 
-/// Rows `first..` of `A x` for as many rows as `y` holds.
+/// Rows of `A x` from `first` on, as many as `y` holds.
 pub(super) fn multiply_rows(a: &Csr, first: usize, x: &[f32], channels: usize, y: &mut [f32]) {
     simd(
         #[inline(always)]
@@ -42,7 +43,7 @@ pub(super) fn multiply_rows(a: &Csr, first: usize, x: &[f32], channels: usize, y
     );
 }
 
-/// `y += α A x` for rows `first..` of `A x`, as many as `y` holds.
+/// `y += α A x` for the rows of `A x` from `first` on, as many as `y` holds.
 pub(super) fn accumulate(
     a: &Csr,
     first: usize,
@@ -70,7 +71,7 @@ pub(super) fn accumulate(
     );
 }
 
-/// One row's weighted sum, in pieces of channels that stay in registers.
+/// Weighted sum of one row, in pieces of channels that fit the registers.
 #[inline(always)]
 fn tiles(
     columns: &[u32],

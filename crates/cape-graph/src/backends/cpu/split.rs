@@ -2,11 +2,11 @@ use rayon::prelude::*;
 
 use super::simd;
 
-/// Pieces that a batch's sums are taken over and then added in order, whatever the number of
-/// threads, so that it does not show in the results.
+/// Number of pieces of a batch whose partial sums are added in order. It is fixed so that results do
+/// not depend on the number of threads.
 const PIECES: usize = 8;
 
-/// How the work on a batch is split.
+/// Division of the work on a batch.
 #[derive(Clone, Copy)]
 pub(super) struct Split {
     batch: usize,
@@ -17,18 +17,18 @@ impl Split {
         Self { batch }
     }
 
-    /// Examples whose sums are taken together, one after the other on one thread.
+    /// Number of examples with a common partial sum, taken one after the other on one thread.
     pub(super) fn group(self) -> usize {
         self.batch.div_ceil(PIECES).max(1)
     }
 
-    /// Parts of an example whose sums are taken separately: more than one where there are fewer
+    /// Number of parts of an example with their own partial sums: more than 1 if there are fewer
     /// examples than pieces.
     pub(super) fn parts(self) -> usize {
         (PIECES / self.batch.max(1)).max(1)
     }
 
-    /// Calls `work` with the number of every chunk of `out`, at once if examples are few.
+    /// Calls `work` with the index of every chunk of `out`, in parallel if the batch is small.
     pub(super) fn chunks(
         self,
         out: &mut [f32],
@@ -57,16 +57,16 @@ pub(super) fn add_all<'a>(
     });
 }
 
-/// Vertices summed in f32 before the sum is carried on in f64.
+/// Number of vertices summed in f32 before the sum is continued in f64.
 const BLOCK: usize = 64;
-/// Vertices whose sums are taken together.
+/// Number of vertices with a common partial sum.
 const SEGMENT: usize = 16 * BLOCK;
 
-/// Channels summed together, in registers.
+/// Number of channels summed together, in registers.
 pub(super) const LANES: usize = 32;
 
-/// Sums over vertices for every channel. `add` gets the sums of up to [`LANES`] channels, the
-/// vertex, the first channel and their number.
+/// Sums over the vertices for every channel, `N` arrays of `[channels]`. `add` gets the sums of up to
+/// [`LANES`] channels, the vertex, the first of these channels and their number.
 pub(super) fn vertex_sums<const N: usize>(
     vertices: usize,
     channels: usize,

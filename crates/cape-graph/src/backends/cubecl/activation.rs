@@ -1,88 +1,92 @@
-use burn_cubecl::{kernel::into_contiguous, tensor::CubeTensor};
+use burn_cubecl::{CubeBackend, kernel::into_contiguous, tensor::CubeTensor};
 use cubecl::prelude::*;
 
 use super::{
     THREADS, dims, elementwise, empty,
     reduce::{Tiles, row_sum},
 };
+use crate::ops::EpilogueInputs;
 
-/// `out = f(x + term + rows)`, one thread an element. The strides of `rows` are 0 along what it is
-/// broadcast over. Without `has_term` and so on, what belongs to it is unused.
+/// Strides of an addend, 0 along the axes that it is broadcast over.
+#[derive(CubeType, CubeLaunch)]
+struct Strides {
+    example: usize,
+    vertex: usize,
+}
+
+/// `out = f(sum + product + addend)`, one thread for each element. `f` is the leaky ReLU of `slope`
+/// or, for `None`, the identity.
 #[cube(launch)]
-#[allow(clippy::too_many_arguments)]
-fn end_kernel(
-    x: &Tensor<f32>,
-    term: &Tensor<f32>,
-    rows: &Tensor<f32>,
+fn epilogue_kernel(
+    sum: &Tensor<f32>,
+    product: ComptimeOption<&Tensor<f32>>,
+    addend: ComptimeOption<&Tensor<f32>>,
+    strides: &Strides,
+    slope: ComptimeOption<f32>,
     out: &mut Tensor<f32>,
-    example_stride: usize,
-    vertex_stride: usize,
-    slope: f32,
-    #[comptime] has_term: bool,
-    #[comptime] has_rows: bool,
-    #[comptime] has_slope: bool,
 ) {
     if ABSOLUTE_POS < out.len() {
-        let mut sum = x[ABSOLUTE_POS];
-        if has_term {
-            sum += term[ABSOLUTE_POS];
+        let mut value = sum[ABSOLUTE_POS];
+        #[comptime]
+        match product {
+            ComptimeOption::Some(product) => value += product[ABSOLUTE_POS],
+            ComptimeOption::None => {}
         }
-        if has_rows {
-            let channels = out.shape(2);
-            let vertices = out.shape(1);
-            let channel = ABSOLUTE_POS % channels;
-            let vertex = (ABSOLUTE_POS / channels) % vertices;
-            let example = ABSOLUTE_POS / (channels * vertices);
-            sum += rows[example * example_stride + vertex * vertex_stride + channel];
+        #[comptime]
+        match addend {
+            ComptimeOption::Some(addend) => {
+                let channels = out.shape(2);
+                let vertices = out.shape(1);
+                let channel = ABSOLUTE_POS % channels;
+                let vertex = (ABSOLUTE_POS / channels) % vertices;
+                let example = ABSOLUTE_POS / (channels * vertices);
+                value += addend[example * strides.example + vertex * strides.vertex + channel];
+            }
+            ComptimeOption::None => {}
         }
-        if has_slope {
-            sum = gated(sum, sum, slope);
+        #[comptime]
+        match slope {
+            ComptimeOption::Some(slope) => value = gated(value, value, slope),
+            ComptimeOption::None => {}
         }
-        out[ABSOLUTE_POS] = sum;
+        out[ABSOLUTE_POS] = value;
     }
 }
 
-/// `x` where `sign` is positive, `slope · x` elsewhere.
+/// `x` at positive `sign`, `slope · x` elsewhere.
 #[cube]
 fn gated(x: f32, sign: f32, slope: f32) -> f32 {
     select(sign <= 0.0, slope * x, x)
 }
 
-/// `f(x + term + rows)`, `x` and `term: [batch, vertices, channels]`; `rows` has these dimensions
-/// or 1 instead of the first two, `f` is the leaky ReLU of a slope.
-pub(super) fn end(
-    x: CubeTensor,
-    term: Option<CubeTensor>,
-    rows: Option<CubeTensor>,
-    slope: Option<f64>,
-) -> CubeTensor {
-    let x = into_contiguous(x);
-    let out = empty(&x, &dims(&x));
-    let (has_term, has_rows) = (term.is_some(), rows.is_some());
-    let term = term.map_or_else(|| x.clone(), into_contiguous);
-    let rows = rows.map_or_else(|| x.clone(), into_contiguous);
-    let [row_batch, row_vertices, channels] = dims(&rows);
+/// [`GraphBackend::epilogue`](crate::ops::GraphBackend::epilogue).
+pub(super) fn epilogue(inputs: EpilogueInputs<CubeBackend>) -> CubeTensor {
+    let EpilogueInputs { sum, product, addend, slope } = inputs;
+    let sum = into_contiguous(sum);
+    let out = empty(&sum, &dims(&sum));
+    let product = product.into_option().map(into_contiguous);
+    let addend = addend.into_option().map(into_contiguous);
+    let [batch, vertices, channels] = addend.as_ref().map_or([1; 3], dims);
     let (count, dim) = elementwise(&out);
-    end_kernel::launch(
+    epilogue_kernel::launch(
         &out.client,
         count,
         dim,
-        x.into_tensor_arg(),
-        term.into_tensor_arg(),
-        rows.into_tensor_arg(),
+        sum.into_tensor_arg(),
+        product.map(CubeTensor::into_tensor_arg).into(),
+        addend.map(CubeTensor::into_tensor_arg).into(),
+        StridesLaunch::new(
+            if batch == 1 { 0 } else { vertices * channels },
+            if vertices == 1 { 0 } else { channels },
+        ),
+        slope.map(|slope| slope as f32).into(),
         out.clone().into_tensor_arg(),
-        if row_batch == 1 { 0 } else { row_vertices * channels },
-        if row_vertices == 1 { 0 } else { channels },
-        slope.unwrap_or(1.0) as f32,
-        has_term,
-        has_rows,
-        slope.is_some(),
     );
     out
 }
 
-/// `out = grad` where `y` is positive, `slope · grad` elsewhere, and its sums over each chunk of
-/// vertices, `partial: [batch, chunks, channels]`.
+/// `out = grad` at positive `y`, `slope · grad` elsewhere, and its sums over each chunk of vertices,
+/// `partial: [batch, chunks, channels]`.
 #[cube(launch)]
 fn gate_kernel(
     y: &Tensor<f32>,
@@ -117,8 +121,8 @@ fn gate_kernel(
     }
 }
 
-/// The gradient before a leaky ReLU from its output `y`, and the gradient's sums over each chunk
-/// of vertices, `[batch, chunks, channels]`.
+/// Gradient before a leaky ReLU from its output `y`, `[batch, vertices, channels]`, and the sums of
+/// that gradient over each chunk of vertices, `[batch, chunks, channels]`.
 pub(super) fn gate(y: CubeTensor, grad: CubeTensor, slope: f64) -> (CubeTensor, CubeTensor) {
     let (y, grad) = (into_contiguous(y), into_contiguous(grad));
     let [batch, vertices, channels] = dims(&y);

@@ -1,7 +1,7 @@
-//! Group normalisation with ReLU: moments of tiles, moments of groups, then every element. The
-//! gradients take sums in the same two steps.
+//! Group normalisation with ReLU: moments of tiles, moments of groups, then every element. The sums
+//! of the gradients are computed in the same two steps.
 
-use burn_cubecl::{kernel::into_contiguous, tensor::CubeTensor};
+use burn_cubecl::{CubeBackend, kernel::into_contiguous, tensor::CubeTensor};
 use cubecl::prelude::*;
 
 use super::{
@@ -9,11 +9,12 @@ use super::{
     reduce::{Tiles, column_sums, row_sum},
     reshaped,
 };
+use crate::ops::{GroupNormGradients, GroupNormInputs};
 
-/// Threads that merge the parts of a group.
+/// Number of threads that merge the parts of a group.
 const MERGERS: u32 = 64;
 
-/// How many numbers, their mean, and the sum of squared distances from it.
+/// Count and mean of values, and the sum of squared differences from the mean.
 #[derive(CubeType, Clone, Copy)]
 struct Moments {
     count: f32,
@@ -21,7 +22,7 @@ struct Moments {
     squares: f32,
 }
 
-/// Of both; nothing cancels in it, and numbers that are all the same keep their mean exactly.
+/// Moments of the union. No digits cancel, and the mean of equal values is exact.
 #[cube]
 fn merged(a: Moments, b: Moments) -> Moments {
     let count = a.count + b.count;
@@ -63,7 +64,7 @@ fn row_moments(moments: Moments, rows: u32, width: u32) -> Moments {
 }
 
 /// Moments of each channel over each chunk of vertices: means and then sums of squares,
-/// `partial: [batch, chunks, 2 · channels]`. A thread measures from the first number that it reads.
+/// `partial: [batch, chunks, 2 · channels]`. A thread sums differences from the first value it reads.
 #[cube(launch)]
 fn moments_kernel(x: &Tensor<f32>, partial: &mut Tensor<f32>, chunk: usize) {
     let vertices = x.shape(1);
@@ -100,7 +101,7 @@ fn moments_kernel(x: &Tensor<f32>, partial: &mut Tensor<f32>, chunk: usize) {
 }
 
 /// Mean and inverse standard deviation of every group, `statistics: [batch, groups, 2]`, from the
-/// moments of its channels; one workgroup a group.
+/// moments of its channels; one workgroup for each group.
 #[cube(launch)]
 fn statistics_kernel(
     partial: &Tensor<f32>,
@@ -141,71 +142,78 @@ fn statistics_kernel(
     }
 }
 
-/// `x` normalised.
-#[cube]
-fn unit(x: f32, statistics: &Tensor<f32>, group: usize) -> f32 {
-    (x - statistics[2 * group]) * statistics[2 * group + 1]
+/// Input, statistics and parameters of a group normalisation.
+#[derive(CubeType, CubeLaunch)]
+struct NormTensors {
+    /// `[batch, vertices, channels]`.
+    x: OwnedTensor<f32>,
+    /// Mean and inverse standard deviation of every group, `[batch, groups, 2]`.
+    statistics: OwnedTensor<f32>,
+    /// `[channels]`.
+    gamma: OwnedTensor<f32>,
+    /// `[channels]`.
+    beta: OwnedTensor<f32>,
 }
 
-/// What the ReLU is of, the same to the last bit in both directions.
+/// Index of a channel's group among those of all examples.
+#[cube]
+fn group_of(norm: &NormTensors, example: usize, channel: usize) -> usize {
+    let groups = norm.statistics.shape(1);
+    example * groups + channel / (norm.gamma.len() / groups)
+}
+
+/// Normalised value of `x[place]`.
+#[cube]
+fn unit(norm: &NormTensors, place: usize, group: usize) -> f32 {
+    (norm.x[place] - norm.statistics[2 * group]) * norm.statistics[2 * group + 1]
+}
+
+/// Input of the ReLU, the same to the last bit in both directions.
 #[cube]
 fn affine(unit: f32, gamma: f32, beta: f32) -> f32 {
     fma(unit, gamma, beta)
 }
 
-/// `out = relu(unit · gamma + beta)`, one thread an element.
+/// `out = relu(unit · gamma + beta)`, one thread for each element.
 #[cube(launch)]
-fn relu_kernel(
-    x: &Tensor<f32>,
-    statistics: &Tensor<f32>,
-    gamma: &Tensor<f32>,
-    beta: &Tensor<f32>,
-    out: &mut Tensor<f32>,
-) {
+fn relu_kernel(norm: &NormTensors, out: &mut Tensor<f32>) {
     if ABSOLUTE_POS < out.len() {
         let channels = out.shape(2);
-        let groups = statistics.shape(1);
         let channel = ABSOLUTE_POS % channels;
         let example = ABSOLUTE_POS / (channels * out.shape(1));
-        let group = example * groups + channel / (channels / groups);
-        let unit = unit(x[ABSOLUTE_POS], statistics, group);
-        let affine = affine(unit, gamma[channel], beta[channel]);
-        // Not `max`, which would hide what is not a number.
+        let unit = unit(norm, ABSOLUTE_POS, group_of(norm, example, channel));
+        let affine = affine(unit, norm.gamma[channel], norm.beta[channel]);
+        // Not `max`, which would turn NaN into 0.
         out[ABSOLUTE_POS] = select(affine <= 0.0, 0.0, affine);
     }
 }
 
-/// `Σ g` and then `Σ g · unit` of each channel over each chunk of vertices, `g` the gradient behind
-/// the ReLU: `partial: [batch, chunks, 2 · channels]`.
+/// `Σ g` and then `Σ g · unit` of each channel over each chunk of vertices, `g` being the gradient
+/// before the ReLU: `partial: [batch, chunks, 2 · channels]`.
 #[cube(launch)]
-#[allow(clippy::too_many_arguments)]
 fn gradient_sums_kernel(
-    x: &Tensor<f32>,
+    norm: &NormTensors,
     grad: &Tensor<f32>,
-    statistics: &Tensor<f32>,
-    gamma: &Tensor<f32>,
-    beta: &Tensor<f32>,
     partial: &mut Tensor<f32>,
     chunk: usize,
 ) {
     let mut shared = Shared::new_slice(THREADS);
-    let vertices = x.shape(1);
-    let channels = x.shape(2);
-    let groups = statistics.shape(1);
+    let vertices = grad.shape(1);
+    let channels = grad.shape(2);
     let channel = (CUBE_POS_X * CUBE_DIM_X + UNIT_POS_X) as usize;
     let part = CUBE_POS_Y as usize;
     let example = CUBE_POS_Z as usize;
     let mut first = 0.0f32;
     let mut second = 0.0f32;
     if channel < channels {
-        let group = example * groups + channel / (channels / groups);
-        let gamma = gamma[channel];
-        let beta = beta[channel];
+        let group = group_of(norm, example, channel);
+        let gamma = norm.gamma[channel];
+        let beta = norm.beta[channel];
         let end = min((part + 1) * chunk, vertices);
         let mut vertex = part * chunk + UNIT_POS_Y as usize;
         while vertex < end {
             let place = (example * vertices + vertex) * channels + channel;
-            let unit = unit(x[place], statistics, group);
+            let unit = unit(norm, place, group);
             let g = select(affine(unit, gamma, beta) <= 0.0, 0.0, grad[place]);
             first += g;
             second += g * unit;
@@ -222,7 +230,7 @@ fn gradient_sums_kernel(
 }
 
 /// Means over every group of `g · gamma` and `g · gamma · unit`, `means: [batch, groups, 2]`; one
-/// workgroup of one column a group.
+/// workgroup of one column for each group.
 #[cube(launch)]
 fn gradient_means_kernel(
     partial: &Tensor<f32>,
@@ -258,50 +266,41 @@ fn gradient_means_kernel(
 }
 
 /// `out = (g · gamma − mean(g · gamma) − unit · mean(g · gamma · unit)) · inverse deviation`, one
-/// thread an element.
+/// thread for each element.
 #[cube(launch)]
-#[allow(clippy::too_many_arguments)]
 fn input_gradient_kernel(
-    x: &Tensor<f32>,
+    norm: &NormTensors,
     grad: &Tensor<f32>,
-    statistics: &Tensor<f32>,
     means: &Tensor<f32>,
-    gamma: &Tensor<f32>,
-    beta: &Tensor<f32>,
     out: &mut Tensor<f32>,
 ) {
     if ABSOLUTE_POS < out.len() {
         let channels = out.shape(2);
-        let groups = statistics.shape(1);
         let channel = ABSOLUTE_POS % channels;
         let example = ABSOLUTE_POS / (channels * out.shape(1));
-        let group = example * groups + channel / (channels / groups);
-        let gamma = gamma[channel];
-        let unit = unit(x[ABSOLUTE_POS], statistics, group);
-        let g = select(affine(unit, gamma, beta[channel]) <= 0.0, 0.0, grad[ABSOLUTE_POS]);
+        let group = group_of(norm, example, channel);
+        let gamma = norm.gamma[channel];
+        let unit = unit(norm, ABSOLUTE_POS, group);
+        let affine = affine(unit, gamma, norm.beta[channel]);
+        let g = select(affine <= 0.0, 0.0, grad[ABSOLUTE_POS]);
         let centred = g * gamma - means[2 * group] - unit * means[2 * group + 1];
-        out[ABSOLUTE_POS] = centred * statistics[2 * group + 1];
+        out[ABSOLUTE_POS] = centred * norm.statistics[2 * group + 1];
     }
 }
 
-/// A group normalisation of `x: [batch, vertices, channels]` with its statistics.
+/// Group normalisation of `x: [batch, vertices, channels]` with its statistics.
+#[derive(Clone)]
 pub(super) struct Norm {
     x: CubeTensor,
-    gamma: CubeTensor,
-    beta: CubeTensor,
     /// `[batch, groups, 2]`.
     statistics: CubeTensor,
-    groups: usize,
+    gamma: CubeTensor,
+    beta: CubeTensor,
 }
 
 impl Norm {
-    pub(super) fn new(
-        x: CubeTensor,
-        gamma: CubeTensor,
-        beta: CubeTensor,
-        groups: usize,
-        epsilon: f64,
-    ) -> Self {
+    pub(super) fn new(inputs: GroupNormInputs<CubeBackend>) -> Self {
+        let GroupNormInputs { x, gamma, beta, groups, epsilon } = inputs;
         let [x, gamma, beta] = [x, gamma, beta].map(into_contiguous);
         let [batch, vertices, channels] = dims(&x);
         let tiles = Tiles::new(batch, vertices, channels);
@@ -325,48 +324,44 @@ impl Norm {
             tiles.chunk,
             epsilon as f32,
         );
-        Self { x, gamma, beta, statistics, groups }
+        Self { x, statistics, gamma, beta }
+    }
+
+    fn into_tensors(self) -> NormTensorsLaunch {
+        let tensors = [self.x, self.statistics, self.gamma, self.beta];
+        let [x, statistics, gamma, beta] = tensors.map(CubeTensor::into_tensor_arg);
+        NormTensorsLaunch::new(x, statistics, gamma, beta)
     }
 
     /// `relu(group_norm(x) · gamma + beta)`.
     pub(super) fn relu(self) -> CubeTensor {
         let out = empty(&self.x, &dims(&self.x));
         let (count, dim) = elementwise(&out);
-        relu_kernel::launch(
-            &out.client,
-            count,
-            dim,
-            self.x.into_tensor_arg(),
-            self.statistics.into_tensor_arg(),
-            self.gamma.into_tensor_arg(),
-            self.beta.into_tensor_arg(),
-            out.clone().into_tensor_arg(),
-        );
+        let to = out.clone().into_tensor_arg();
+        relu_kernel::launch(&out.client, count, dim, self.into_tensors(), to);
         out
     }
 
-    /// Gradients of [`relu`](Self::relu) with respect to `x`, `gamma` and `beta`.
-    pub(super) fn relu_backward(self, grad: CubeTensor) -> (CubeTensor, CubeTensor, CubeTensor) {
+    /// Gradients of [`relu`](Self::relu).
+    pub(super) fn relu_backward(self, grad: CubeTensor) -> GroupNormGradients<CubeBackend> {
         let grad = into_contiguous(grad);
         let [batch, vertices, channels] = dims(&self.x);
+        let groups = self.statistics.meta.shape()[1];
         let tiles = Tiles::new(batch, vertices, channels);
         let partial = empty(&self.x, &[batch, tiles.chunks, 2 * channels]);
         gradient_sums_kernel::launch(
-            &self.x.client,
+            &partial.client,
             tiles.count,
             tiles.dim,
-            self.x.clone().into_tensor_arg(),
+            self.clone().into_tensors(),
             grad.clone().into_tensor_arg(),
-            self.statistics.clone().into_tensor_arg(),
-            self.gamma.clone().into_tensor_arg(),
-            self.beta.clone().into_tensor_arg(),
             partial.clone().into_tensor_arg(),
             tiles.chunk,
         );
-        let means = empty(&self.x, &[batch, self.groups, 2]);
+        let means = empty(&self.x, &[batch, groups, 2]);
         gradient_means_kernel::launch(
             &means.client,
-            CubeCount::Static(self.groups as u32, batch.max(1) as u32, 1),
+            CubeCount::Static(groups as u32, batch.max(1) as u32, 1),
             CubeDim::new_2d(1, MERGERS),
             partial.clone().into_tensor_arg(),
             self.gamma.clone().into_tensor_arg(),
@@ -379,16 +374,17 @@ impl Norm {
             &out.client,
             count,
             dim,
-            self.x.into_tensor_arg(),
+            self.into_tensors(),
             grad.into_tensor_arg(),
-            self.statistics.into_tensor_arg(),
             means.into_tensor_arg(),
-            self.gamma.into_tensor_arg(),
-            self.beta.into_tensor_arg(),
             out.clone().into_tensor_arg(),
         );
         let beta = column_sums(partial.clone(), 1, 0..channels);
         let gamma = column_sums(partial, 1, channels..2 * channels);
-        (out, reshaped(gamma, &[channels]), reshaped(beta, &[channels]))
+        GroupNormGradients {
+            x: out,
+            gamma: reshaped(gamma, &[channels]),
+            beta: reshaped(beta, &[channels]),
+        }
     }
 }

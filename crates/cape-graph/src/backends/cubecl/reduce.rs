@@ -7,21 +7,21 @@ use cubecl::prelude::*;
 
 use super::{THREADS, dims, empty};
 
-/// Channels of a tile: a full read of neighbouring numbers.
+/// Maximal number of channels of a tile: one coalesced read.
 const LANES: usize = 32;
-/// Vertices that a thread has at least to sum, unless there are fewer.
+/// Minimal number of vertices that a thread sums, unless there are fewer.
 const DEPTH: usize = 16;
-/// Workgroups that occupy a device.
+/// Number of workgroups that occupy a device.
 const CUBES: usize = 1024;
 
-/// How `[batch, vertices, channels]` is split among workgroups: each takes a tile of channels and
-/// a chunk of one example's vertices, its threads a channel and every `rows`-th vertex.
+/// Division of `[batch, vertices, channels]` among workgroups: each takes a tile of channels and a
+/// chunk of the vertices of one example, each of its threads one channel and every `rows`-th vertex.
 pub(super) struct Tiles {
     pub count: CubeCount,
     pub dim: CubeDim,
-    /// Vertices of a chunk.
+    /// Number of vertices of a chunk.
     pub chunk: usize,
-    /// Chunks of an example, none of them empty.
+    /// Number of chunks of an example, none of them empty.
     pub chunks: usize,
 }
 
@@ -43,11 +43,11 @@ impl Tiles {
     }
 }
 
-/// The sum of `value` over the rows of a workgroup, in its first row.
+/// Sum of `value` over the rows of a workgroup, valid in its first row.
 #[cube]
 pub(super) fn row_sum(value: f32, shared: &mut Shared<[f32]>) -> f32 {
     let place = UNIT_POS as usize;
-    // Others may still be reading an earlier sum.
+    // Other threads may still be reading an earlier sum.
     sync_cube();
     shared[place] = value;
     sync_cube();
@@ -63,7 +63,7 @@ pub(super) fn row_sum(value: f32, shared: &mut Shared<[f32]>) -> f32 {
     shared[UNIT_POS_X as usize]
 }
 
-/// `out[b, c] = Σ_k x[b, k, from + c]`, `x: [batch, count, pitch]` by these extents.
+/// `out[b, c] = Σ_k x[b, k, from + c]`, `x: [batch, count, pitch]`.
 #[cube(launch)]
 fn column_sums_kernel(
     x: &Tensor<f32>,
@@ -90,8 +90,8 @@ fn column_sums_kernel(
     }
 }
 
-/// Sums of some channels of `partial: [batch, count, channels]`, contiguous, over vertices and
-/// within each of the `outer` equal parts of the batch: `[outer, channels of the span]`.
+/// Sums of the channels `span` of `partial: [batch, count, channels]`, contiguous, over the chunks
+/// and over each of the `outer` equal parts of the batch: `[outer, span.len()]`.
 pub(super) fn column_sums(partial: CubeTensor, outer: usize, span: Range<usize>) -> CubeTensor {
     let [batch, count, pitch] = dims(&partial);
     let out = empty(&partial, &[outer, span.len()]);

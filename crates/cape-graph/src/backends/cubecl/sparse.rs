@@ -1,25 +1,37 @@
-use burn_cubecl::{kernel::into_contiguous, tensor::CubeTensor};
+use burn_cubecl::{CubeBackend, kernel::into_contiguous, tensor::CubeTensor};
 use cubecl::prelude::*;
 
 use super::{dims, elementwise, empty};
-use crate::sparse::SparsePair;
+use crate::ops::SparseOperand;
 
-/// `out = A x`, or `alpha · A x + beta · base` unless `alone`: one thread an output element.
-/// `start`, `column` and `first_value` are where the matrix lies in `index` and `value`.
-#[cube(launch)]
-#[allow(clippy::too_many_arguments)]
-fn product_kernel(
-    x: &Tensor<f32>,
-    base: &Tensor<f32>,
-    index: &Tensor<i32>,
-    value: &Tensor<f32>,
-    out: &mut Tensor<f32>,
-    start: usize,
-    column: usize,
-    first_value: usize,
+/// Sparse matrix in the arrays of the device.
+#[derive(CubeType, CubeLaunch)]
+struct Matrix {
+    structure: OwnedTensor<i32>,
+    values: OwnedTensor<f32>,
+    /// Offset of its row starts in `structure`.
+    indptr: usize,
+    /// Offset of its column indices in `structure`.
+    indices: usize,
+    /// Offset of its values in `values`.
+    data: usize,
+}
+
+/// Factors of a product and of its base.
+#[derive(CubeType, CubeLaunch)]
+struct Factors {
     alpha: f32,
     beta: f32,
-    #[comptime] alone: bool,
+}
+
+/// `out = A x`, or `alpha · A x + beta · base` with a base: one thread for each output element.
+#[cube(launch)]
+fn product_kernel(
+    x: &Tensor<f32>,
+    a: &Matrix,
+    base: ComptimeOption<&Tensor<f32>>,
+    factors: &Factors,
+    out: &mut Tensor<f32>,
 ) {
     if ABSOLUTE_POS < out.len() {
         let channels = out.shape(2);
@@ -28,60 +40,57 @@ fn product_kernel(
         let channel = ABSOLUTE_POS % channels;
         let row = (ABSOLUTE_POS / channels) % rows;
         let example = ABSOLUTE_POS / (channels * rows);
-        let from = index[start + row] as usize;
-        let to = index[start + row + 1] as usize;
+        let from = a.structure[a.indptr + row] as usize;
+        let to = a.structure[a.indptr + row + 1] as usize;
         let mut sum = 0.0f32;
         for entry in from..to {
-            let vertex = index[column + entry] as usize;
-            sum +=
-                value[first_value + entry] * x[(example * vertices + vertex) * channels + channel];
+            let vertex = a.structure[a.indices + entry] as usize;
+            let value = a.values[a.data + entry];
+            sum += value * x[(example * vertices + vertex) * channels + channel];
         }
-        if alone {
-            out[ABSOLUTE_POS] = sum;
-        } else {
-            out[ABSOLUTE_POS] = alpha * sum + beta * base[ABSOLUTE_POS];
+        #[comptime]
+        match base {
+            ComptimeOption::Some(base) => {
+                out[ABSOLUTE_POS] = factors.alpha * sum + factors.beta * base[ABSOLUTE_POS];
+            }
+            ComptimeOption::None => {
+                out[ABSOLUTE_POS] = sum;
+            }
         }
     }
 }
 
-/// A product with a sparse matrix on a device.
-pub(super) struct Product<'a> {
-    pub index: CubeTensor,
-    pub value: CubeTensor,
-    pub matrix: &'a SparsePair,
-    pub transpose: bool,
-}
-
-impl Product<'_> {
-    /// `A x`, or `alpha · A x + beta · base`; `x: [batch, columns, channels]`,
-    /// `base: [batch, rows, channels]`.
-    pub(super) fn of(self, x: CubeTensor, add: Option<(CubeTensor, f32, f32)>) -> CubeTensor {
-        let x = into_contiguous(x);
-        let [batch, _, channels] = dims(&x);
-        let out = empty(&x, &[batch, self.matrix.oriented(self.transpose).rows(), channels]);
-        let alone = add.is_none();
-        let (base, alpha, beta) = match add {
-            Some((base, alpha, beta)) => (into_contiguous(base), alpha, beta),
-            None => (x.clone(), 1.0, 0.0),
-        };
-        let offsets = self.matrix.offsets(self.transpose);
-        let (count, dim) = elementwise(&out);
-        product_kernel::launch(
-            &out.client,
-            count,
-            dim,
-            x.into_tensor_arg(),
-            base.into_tensor_arg(),
-            self.index.into_tensor_arg(),
-            self.value.into_tensor_arg(),
-            out.clone().into_tensor_arg(),
-            offsets.start,
-            offsets.column,
-            offsets.value,
-            alpha,
-            beta,
-            alone,
-        );
-        out
-    }
+/// `A x`, or `alpha · A x + beta · base` with `(base, alpha, beta)`; `x: [batch, columns, channels]`,
+/// `base: [batch, rows, channels]`.
+pub(super) fn product(
+    x: CubeTensor,
+    a: SparseOperand<CubeBackend>,
+    base: Option<(CubeTensor, f32, f32)>,
+) -> CubeTensor {
+    let x = into_contiguous(x);
+    let [batch, _, channels] = dims(&x);
+    let out = empty(&x, &[batch, a.rows(), channels]);
+    let (base, factors) = match base {
+        Some((base, alpha, beta)) => (Some(into_contiguous(base)), FactorsLaunch::new(alpha, beta)),
+        None => (None, FactorsLaunch::new(1.0, 0.0)),
+    };
+    let offsets = a.matrix.offsets(a.transpose);
+    let (count, dim) = elementwise(&out);
+    product_kernel::launch(
+        &out.client,
+        count,
+        dim,
+        x.into_tensor_arg(),
+        MatrixLaunch::new(
+            a.structure.into_tensor_arg(),
+            a.values.into_tensor_arg(),
+            offsets.indptr,
+            offsets.indices,
+            offsets.data,
+        ),
+        base.map(CubeTensor::into_tensor_arg).into(),
+        factors,
+        out.clone().into_tensor_arg(),
+    );
+    out
 }

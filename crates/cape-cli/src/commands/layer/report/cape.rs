@@ -68,7 +68,7 @@ pub(super) fn compare(
     let options = StoreOptions { overwrite, ..StoreOptions::default() };
     let store = ResultStore::open(out, settings, options)?;
     if let Some(kept) = store.read(COMPARISON)? {
-        console.note("comparison with CAPE: done before");
+        console.note("comparison with CAPE: already done");
         return Ok(kept);
     }
     store.begin()?;
@@ -204,7 +204,8 @@ impl ComparisonContext<'_> {
             let mean = worn.sum_axis(Axis(0)) / SAMPLES as f32;
             for sample in worn.outer_iter() {
                 let point = |of: ArrayView2<'_, f32>, v: usize| [0, 1, 2].map(|axis| of[[v, axis]]);
-                let pairs = run.clothing().iter().map(|&v| (point(sample, v), point(mean.view(), v)));
+                let pairs =
+                    run.clothing().iter().map(|&v| (point(sample, v), point(mean.view(), v)));
                 spreads.push(mean_distance_mm(pairs));
             }
         }

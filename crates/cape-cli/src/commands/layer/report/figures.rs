@@ -1,4 +1,4 @@
-//! Pictures of clothing beside the truth, with its errors.
+//! Pictures of clothing coloured by error, beside the ground truth.
 
 use cape_core::{Mesh, SmplModel};
 use cape_layer::experiment::{ExampleFrame, LayerError, distances};
@@ -11,12 +11,12 @@ use crate::{
     error::Result,
 };
 
-/// Rows of pixels of a picture.
+/// Height of a picture, pixels.
 const HEIGHT: u32 = 300;
-/// Error that gets the brightest colour, millimetres.
+/// Error of the brightest colour, millimetres.
 const BRIGHTEST: f64 = 30.0;
 
-/// The truth, and what is shown in colours by its errors; all of a frame from one place.
+/// The ground truth, and clothing coloured by error; one camera per frame.
 pub(super) fn errors(model: &SmplModel, named: &NamedSet, shown: &[ExampleFrame]) -> Result<Image> {
     let each = named.set.each_frame();
     let mut tiles = Vec::new();
@@ -32,7 +32,7 @@ pub(super) fn errors(model: &SmplModel, named: &NamedSet, shown: &[ExampleFrame]
         let stage = PictureCamera::around([&body, &true_mesh], View::ThreeQuarter, HEIGHT)?;
         tiles.push(tile(&stage, &body, &true_mesh, truth, shown, &named.set.faces)?);
     }
-    let title = format!("errors from 0 to {BRIGHTEST} mm");
+    let title = format!("error from 0 to {BRIGHTEST} mm");
     Ok(contact_sheet(&tiles, tiles.len(), Some(&title))?)
 }
 

@@ -1,4 +1,4 @@
-//! The experiments on a set, kept so that an interrupted report goes on.
+//! Experiments on a set; finished ones are kept.
 
 use std::path::{Path, PathBuf};
 
@@ -25,7 +25,7 @@ pub(super) struct NamedSet {
     pub(super) set: LayerSet,
 }
 
-/// What all experiments share.
+/// Common settings of the experiments.
 pub(super) struct ExperimentContext<'a> {
     pub(super) model: &'a SmplModel,
     pub(super) learning: LearningOptions,
@@ -68,7 +68,7 @@ impl ExperimentContext<'_> {
         for (job, done) in jobs.into_iter().zip(done) {
             let (outcome, image) = match (done, &unposed) {
                 (Some(done), _) => {
-                    self.console.note(&format!("{}, {}: done before", named.name, job.name()));
+                    self.console.note(&format!("{}, {}: already done", named.name, job.name()));
                     done
                 }
                 (None, Some(unposed)) => {

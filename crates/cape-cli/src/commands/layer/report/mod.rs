@@ -8,7 +8,8 @@ mod tables;
 
 use std::{fmt::Write as _, path::PathBuf};
 
-use cape_core::{SmplModel, parse_device};
+use cape_cloth::GarmentKind;
+use cape_core::SmplModel;
 use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
 use cape_infer::write_json;
 use cape_layer::{
@@ -22,78 +23,68 @@ use serde::Serialize;
 use super::{
     associate,
     association::{AssociationArgs, LearningArgs},
-    body,
-    synth::GarmentName,
+    synth::GARMENTS,
 };
 use crate::{
-    arguments::{GlobalArgs, at_least_one},
     console::Console,
     error::{Context, Result},
     files,
     html::{self, HtmlFigure},
+    options::{BodyModelArgs, GlobalArgs, StoreArgs, at_least_one, choices, positive},
 };
 use cape::{CapeComparison, compare};
 use jobs::{ExperimentContext, NamedSet};
 use sets::{SetSize, simulated};
 use tables::ReportTable;
 
-/// Frames of a sequence and length of edges in millimetres, with --quick and without.
+/// Frames per sequence and edge length in millimetres, with --quick and without.
 const QUICK: (usize, f64) = (16, 50.0);
 const FULL: (usize, f64) = (110, 25.0);
 
-/// Run the paper's experiments on sets of sequences, and write tables and pictures of them.
+/// Run the experiments of Yang et al. on sets of sequences.
 ///
-/// For every set: reconstruction by number of components (table 1), regression of held-out frames
-/// (table 2), and, for each of body shape, motion, material and fit in which its sequences differ,
-/// prediction of those that were left out, one value after the other. Without sets it simulates its
-/// own: a garment on two subjects in five movements, in eight fabrics, and in eight sizes.
-///
-/// Finished experiments are kept in --out: run the same command again to resume. Results of other
-/// settings, another body or other sets are an error, unless --overwrite is given. Writes report.html, report.json, a .csv for each table and a .png for each picture.
+/// For every set: reconstruction by number of components (table 1), regression of held-out frames (table
+/// 2), and prediction of left-out body shapes, motions, materials and sizes. Without sets, simulates its
+/// own: a garment on two subjects in five motions, eight fabrics and eight sizes. Writes report.html,
+/// report.json, tables (.csv) and pictures (.png). Run the same command again to resume.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  cape layer report --quick --out quick\n  cape layer report skirts \
-                  shirts --components 40 --cape run --out report"
+    after_help = "Examples:\n  cape layer report --quick --out quick-report\n  cape layer report \
+                  skirts shirts --components 40 --cape runs/cape --out report"
 )]
-pub(super) struct ReportArgs {
-    /// Sets that `cape layer synth` or `cape layer import` wrote; by default simulated ones.
+pub(crate) struct ReportArgs {
+    /// Sets of sequences [default: simulated].
     #[arg(value_name = "SET")]
     sets: Vec<PathBuf>,
-    /// Directory for sets, tables, pictures and the report.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    #[command(flatten)]
+    output: StoreArgs,
     /// Simulate few short sequences of a coarse garment.
     #[arg(long, conflicts_with = "sets")]
     quick: bool,
-    /// The garment that is simulated.
-    #[arg(long, value_enum, default_value_t = GarmentName::Skirt, conflicts_with = "sets")]
-    garment: GarmentName,
-    /// Frames of each simulated sequence.
+    /// Simulated garment.
+    #[arg(long, default_value = "skirt", value_name = "GARMENT", value_parser = choices(GARMENTS), conflicts_with = "sets")]
+    garment: GarmentKind,
+    /// Frames per simulated sequence.
     #[arg(long, value_name = "N", value_parser = at_least_one, conflicts_with = "sets")]
     frames: Option<usize>,
-    /// Length of the simulated garment's edges, millimetres.
-    #[arg(long, value_name = "MM", conflicts_with = "sets")]
+    /// Edge length of the simulated garment's triangles, mm.
+    #[arg(long, value_name = "MM", value_parser = positive, conflicts_with = "sets")]
     resolution: Option<f64>,
-    /// The body, .pkl or .npz; by default the synthetic one.
-    #[arg(long, value_name = "SMPL")]
-    body: Option<PathBuf>,
-    /// A training run of CAPE to compare with on its test frames, where clothing displaces the body.
+    #[command(flatten)]
+    body: BodyModelArgs,
+    /// Run of CAPE to compare with on displacements of its test frames.
     #[arg(long, value_name = "RUN")]
     cape: Option<PathBuf>,
-    /// The packed set to compare on; by default the one that the run was trained on.
+    /// Packed set of the comparison [default: the one that the run was trained on].
     #[arg(long, value_name = "DIR", requires = "cape")]
     data: Option<PathBuf>,
-    /// Discard results of other settings, inputs or versions in --out and compute them afresh;
-    /// matching results are kept.
-    #[arg(long)]
-    overwrite: bool,
     #[command(flatten)]
     association_args: AssociationArgs,
     #[command(flatten)]
     learning_args: LearningArgs,
 }
 
-/// A set, for programs.
+/// Name and size of a set.
 #[derive(Debug, Serialize)]
 struct SetDescription {
     name: String,
@@ -112,7 +103,7 @@ struct OutputPaths {
     comparison: Option<CapeComparison>,
 }
 
-/// A picture with what is said about it.
+/// A picture with its title and caption.
 struct FigureRow {
     name: String,
     title: String,
@@ -122,22 +113,22 @@ struct FigureRow {
 
 impl ReportArgs {
     pub(super) fn run(mut self, global: &GlobalArgs, console: Console) -> Result {
-        let model = body(self.body.as_deref())?;
+        let model = self.body.load()?;
         let store = self.store()?;
         let results = store.path("results");
         if self.quick {
-            // A quarter of its frames is all that trains a new motion.
+            // Experiments on new motions train on few frames.
             self.learning_args.components = self.learning_args.components.min(QUICK.0 / 2);
         }
-        let learning = self.learning_args.learning(global.seed.unwrap_or(1))?;
+        let learning = self.learning_args.learning(global.seed());
         let sets = self.sets(&model, console)?;
         let laboratory = ExperimentContext {
             model: &model,
             learning,
             association_args: self.association_args.clone(),
-            body: self.body.as_deref(),
+            body: self.body.body.as_deref(),
             results: &results,
-            overwrite: self.overwrite,
+            overwrite: self.output.overwrite,
             console,
         };
         // All are checked before the first is computed.
@@ -146,7 +137,7 @@ impl ReportArgs {
             .map(|named| laboratory.store(named).doing(|| format!("set {}", named.name)))
             .collect::<Result<Vec<_>>>()?;
         let mut written = OutputPaths {
-            out: self.out.clone(),
+            out: self.output.out.clone(),
             sets: sets.iter().map(SetDescription::new).collect(),
             reconstruction: Vec::new(),
             regression: Vec::new(),
@@ -164,8 +155,9 @@ impl ReportArgs {
             }
         }
         if let Some(run) = &self.cape {
-            let device = parse_device(&global.device)?;
-            let (data, kept) = (self.data.as_deref(), (&*store.path("comparison"), self.overwrite));
+            let device = global.device()?;
+            let (data, kept) =
+                (self.data.as_deref(), (&*store.path("comparison"), self.output.overwrite));
             let found = compare(run, data, &laboratory.learning, kept, &device, console);
             written.comparison = Some(found.doing(|| "comparison with CAPE".into())?);
         }
@@ -173,14 +165,14 @@ impl ReportArgs {
         self.write(&store, &written, &tables, &shown)?;
         console.result(&written, || {
             let texts: Vec<String> = tables.iter().map(ReportTable::text).collect();
-            format!("{}\n\n{}", texts.join("\n\n"), self.out.join("report.html").display())
+            format!("{}\n\n{}", texts.join("\n\n"), self.output.out.join("report.html").display())
         })
     }
 
     /// The directory of tables and pictures; every set has a store of its own inside it.
     fn store(&self) -> Result<ResultStore> {
         let options = StoreOptions {
-            overwrite: self.overwrite,
+            overwrite: self.output.overwrite,
             earlier: &[
                 "report.html",
                 "report.json",
@@ -194,7 +186,7 @@ impl ReportArgs {
             beside: &["sets", "results", "comparison"],
         };
         let settings = StoreSettings::new("layer report", &())?;
-        let store = ResultStore::open(&self.out, settings, options)?;
+        let store = ResultStore::open(&self.output.out, settings, options)?;
         store.begin()?;
         Ok(store)
     }
@@ -208,10 +200,10 @@ impl ReportArgs {
                 frames: self.frames.unwrap_or(frames),
                 resolution: 1e-3 * self.resolution.unwrap_or(resolution),
             };
-            let out = self.out.join("sets");
-            let bodies = (model, self.body.as_deref());
-            let designs = (size, self.garment.into());
-            for (name, set) in simulated(bodies, &out, designs, self.overwrite, console)? {
+            let out = self.output.out.join("sets");
+            let bodies = (model, self.body.body.as_deref());
+            let designs = (size, self.garment);
+            for (name, set) in simulated(bodies, &out, designs, self.output.overwrite, console)? {
                 named.push(NamedSet { directory: out.join(&name), name, set });
             }
         }
@@ -224,7 +216,7 @@ impl ReportArgs {
         Ok(named)
     }
 
-    /// The set's association, drawn if it is not there yet.
+    /// Draws the association of a set.
     fn association(
         &self,
         model: &SmplModel,
@@ -240,8 +232,8 @@ impl ReportArgs {
             name: format!("{}-association", named.name),
             title: format!("{}: association", named.name),
             caption: format!(
-                "Clothing in the colours of the body that it follows: {} clothing vertices, {} pairs \
-                 from {} rays that met the clothing, {} vertices completed.",
+                "Clothing in the colours of its associated body vertices: {} clothing vertices, {} \
+                 pairs from {} rays that hit the clothing, {} vertices completed.",
                 tied.association.clothing_vertices(),
                 tied.association.pairs,
                 statistics.hits,
@@ -271,7 +263,7 @@ impl ReportArgs {
         let settings = format!("{:#?}", (&self.association_args, &self.learning_args));
         let _ = writeln!(
             page,
-            "<h2>How</h2><p>cape {}</p><pre>{}</pre>",
+            "<h2>Options</h2><p>cape {}</p><pre>{}</pre>",
             env!("CARGO_PKG_VERSION"),
             html::escaped(&settings)
         );
@@ -297,15 +289,14 @@ impl FigureRow {
         let caption = match job {
             Experiment::Reconstruction => {
                 "The middle frame of the first sequence and its reconstructions by the sequence's \
-                 own components, in colours by their errors."
+                 own components, coloured by error."
             }
             Experiment::Regression => {
-                "Held-out frames of the first sequence and what is predicted for them, in colours by \
-                 the errors."
+                "Held-out frames of the first sequence and their predictions, coloured by error."
             }
             Experiment::Transfer(_) => {
-                "Frames of a value that was left out (of all values the one of median error) and \
-                 what is predicted for them, in colours by the errors."
+                "Frames of a left-out value (the one of median error) and their predictions, \
+                 coloured by error."
             }
         };
         let title = match job {
@@ -334,9 +325,9 @@ impl OutputPaths {
         tables.push(ReportTable {
             name: "regression",
             title: "Regression of held-out frames (table 2), mm".into(),
-            caption: "One frame of five is held out. \u{201c}Space\u{201d} is the error of the held-out \
-                      frames' own coordinates in the components of the others, \u{201c}mean\u{201d} \
-                      that of the others' mean: between the two a prediction can be."
+            caption: "One frame of five is held out. \u{201c}Space\u{201d} is the error of the projection of \
+                      held-out frames on the components of the training frames, the lower bound of \
+                      predictions; \u{201c}mean\u{201d} is the error of the training frames' mean."
                 .into(),
             header: heads(&["set", "sequence", "trained", "held out", "E_train", "E_pred"]),
             rows: seen.iter().map(|line| cells(line, [&line.set, &line.name])).collect(),
@@ -344,10 +335,9 @@ impl OutputPaths {
         if !new.is_empty() {
             tables.push(ReportTable {
                 name: "new",
-                title: "Prediction of what was not learned from, mm".into(),
+                title: "Prediction of left-out values, mm".into(),
                 caption:
-                    "All sequences of the value named are left out of the components and of the \
-                          regression."
+                    "All sequences of the named value are left out of components and regression."
                         .into(),
                 header: heads(&["new", "left out", "trained", "predicted", "E_train", "E_pred"]),
                 rows: new.iter().map(|line| cells(line, [&line.factor, &line.name])).collect(),
@@ -372,8 +362,8 @@ impl OutputPaths {
             name: "reconstruction",
             title: "Reconstruction by number of components (table 1), mm".into(),
             caption:
-                "Mean distance of clothing vertices from their places, by the first components \
-                      of each sequence; with all of them also the largest distance."
+                "Mean distance of clothing vertices from the ground truth with the first components \
+                      of each sequence; with all components also the largest distance."
                     .into(),
             header: header.chain(["all".into(), "largest".into()]).collect(),
             rows: rows.collect(),
@@ -410,7 +400,7 @@ fn compared(comparison: &CapeComparison) -> ReportTable {
     });
     let header = [
         "method",
-        "numbers",
+        "code",
         "parametric",
         "pose-dependent",
         "probabilistic",
@@ -422,9 +412,9 @@ fn compared(comparison: &CapeComparison) -> ReportTable {
         name: "cape",
         title: format!("Displacements of {} test frames, mm", comparison.frames),
         caption:
-            "Reconstruction is by a frame's own code. From pose is what is expected of pose and \
-                  outfit alone: the components' mean, the regression, and CAPE's decoder at the \
-                  prior's mean. Spread is the mean distance of samples from their mean."
+            "Reconstruction is from a frame's own code. From pose is the prediction from pose and \
+                  outfit alone: the mean of the components, the regression, and CAPE's decoder at the \
+                  prior mean. Spread is the mean distance of samples from their mean."
                 .into(),
         header: header.map(str::to_owned).to_vec(),
         rows: rows.collect(),

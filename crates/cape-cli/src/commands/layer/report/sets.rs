@@ -1,4 +1,4 @@
-//! Simulated sets for the report, if there are no others.
+//! Simulated sets for a report without sets.
 
 use std::path::Path;
 
@@ -14,19 +14,19 @@ use serde_json::json;
 
 use crate::{console::Console, error::Result};
 
-/// What the simulated sets are of.
+/// Size of the simulated sets.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SetSize {
-    /// Few subjects, movements, fabrics and sizes.
+    /// True for few subjects, motions, fabrics and sizes.
     pub(super) quick: bool,
-    /// Frames of a sequence.
+    /// Frames per sequence.
     pub(super) frames: usize,
-    /// Length of triangles' edges, metres.
+    /// Edge length of triangles, metres.
     pub(super) resolution: f64,
 }
 
-/// Fabrics: density in kg/m², and how much more stretchable and pliable they are than jersey, how
-/// much more they damp, and their friction against the body.
+/// Fabrics: density in kg/m²; stretching compliance, bending compliance and damping relative to jersey;
+/// friction against the body.
 const FABRICS: [[f64; 5]; 8] = [
     [0.06, 0.5, 6.0, 2.0, 0.25],  // chiffon
     [0.08, 0.3, 4.0, 0.7, 0.15],  // silk
@@ -50,8 +50,8 @@ fn fabric([density, stretch, bend, damping, friction]: [f64; 5]) -> ClothMateria
     }
 }
 
-/// Names and designs: one garment in all movements of two subjects (ten sequences, for tables 1 and
-/// 2, new bodies and new motions), in eight fabrics, and in eight sizes.
+/// Names and designs: one garment in all motions of two subjects (ten sequences, for tables 1 and 2, new
+/// bodies and new motions), in eight fabrics, and in eight sizes.
 fn designs(size: SetSize, kind: GarmentKind) -> Vec<(&'static str, Design)> {
     let garment = Garment { resolution: size.resolution, ..Garment::new(kind) };
     let plain = Design { frames: size.frames, ..Design::new(garment) };
@@ -82,8 +82,7 @@ fn designs(size: SetSize, kind: GarmentKind) -> Vec<(&'static str, Design)> {
     ]
 }
 
-/// Simulates what is not there yet, sequence by sequence, and gives the sets with their names. Every
-/// set is a store in `out`, of its design and the body.
+/// Sets with their names, each a store in `out`; missing sequences are simulated.
 pub(super) fn simulated(
     (model, body): (&SmplModel, Option<&Path>),
     out: &Path,
@@ -132,7 +131,7 @@ fn store(
     Ok(ResultStore::open(directory, settings, options)?)
 }
 
-/// The design's set, each sequence kept as it is made, so that an interrupted simulation resumes.
+/// The design's set; each sequence is saved when it is finished.
 fn simulate(
     model: &SmplModel,
     store: &ResultStore,

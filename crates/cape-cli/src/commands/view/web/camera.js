@@ -20,7 +20,7 @@ export class Camera {
   elevation = RESTING.elevation;
   distance = 4;
   target = [0, 0.9, 0];
-  /// Whether the person fills the picture, because nobody has zoomed or moved it since.
+  /// True while the body fills the picture, until it is zoomed or moved.
   framed = true;
   #transition = null;
   #still = matchMedia("(prefers-reduced-motion: reduce)");
@@ -82,7 +82,7 @@ export class Camera {
     return t < 1;
   }
 
-  /// What is needed to draw pictures of this `aspect`.
+  /// Matrices of pictures of this `aspect`.
   lens(aspect) {
     const { right, up, back } = this.#axes();
     const eye = this.target.map((t, i) => t + this.distance * back[i]);

@@ -26,7 +26,7 @@ export class Link {
     this.#connect();
   }
 
-  /// Whether no picture is waited for.
+  /// True if no picture is awaited.
   get idle() {
     return !this.#wanted && !this.#flying;
   }

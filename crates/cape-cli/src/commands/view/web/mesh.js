@@ -60,7 +60,7 @@ export const union = (a, b) => ({
   maximum: a.maximum.map((high, i) => Math.max(high, b.maximum[i])),
 });
 
-/// Whether the box lies within another one that is larger by `slack` all around.
+/// True if the box lies within another one that is larger by `slack` all around.
 export const within = (box, outer, slack) => [0, 1, 2].every(i =>
   box.minimum[i] >= outer.minimum[i] - slack && box.maximum[i] <= outer.maximum[i] + slack);
 

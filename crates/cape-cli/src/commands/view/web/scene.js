@@ -13,7 +13,7 @@ const STUDIOS = {
   dark: { top: [0.185, 0.2, 0.225], bottom: [0.085, 0.092, 0.105], pool: [0.33, 0.345, 0.375, 0.6] },
 };
 
-/// What a layer has for each vertex, by its name there.
+/// Quantities of a layer per vertex, by name.
 const ATTRIBUTES = [
   { name: "positions", location: POSITION, size: 3 },
   { name: "normals", location: NORMAL, size: 3 },

@@ -147,7 +147,7 @@ void main() {
   result = vec4(pool.rgb * lit * (1.0 - alpha) + dither(), cover);
 }`];
 
-/// How near the lowest surface is to the floor, seen from above: very near, and roughly.
+/// Nearness of the lowest surface to the floor, seen from above: fine and coarse.
 const contact = [`${VERSION}
 layout(location = ${POSITION}) in vec3 position;
 uniform vec2 centre;

@@ -3,7 +3,7 @@
 const SIZE = 160;
 /// Floor around a person, in metres.
 const MARGIN = 0.55;
-/// How far the narrow and the wide shadow are blurred, in metres.
+/// Blur radius of the narrow and the wide shadow, metres.
 const WIDTHS = [0.045, 0.3];
 
 export class Shadows {

@@ -14,7 +14,7 @@ import { save } from "./save.js";
 import { Scene } from "./scene.js";
 import { describe, figures, fileName, layerNames } from "./words.js";
 
-/// How far people may get out of the box that fills the picture, in metres.
+/// Distance by which bodies may leave the box that fills the picture, metres.
 const SLACK = 0.06;
 const MOTION = { seconds: 2, fps: 15 };
 
@@ -254,7 +254,7 @@ class Viewer {
     this.#invalidate();
   }
 
-  /// Whether any layer has values of the quantity; a model's clothes always have displacements.
+  /// True if any layer has values of the quantity; clothing of a model always has displacements.
   #has(quantity) {
     if (quantity === "displacement" && this.#subject.model) return true;
     return this.#statistics.some(values => values[quantity].largest > 0);

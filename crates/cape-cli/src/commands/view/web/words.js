@@ -14,7 +14,7 @@ export const layerNames = (kinds, model) => kinds.map(kind => {
   return model && kinds.includes("truth") ? "reconstruction" : "clothed";
 });
 
-/// What is in the picture, for those who do not see it.
+/// Description of the picture for screen readers.
 export function describe({ who, names, side, colours, wireframe }) {
   const seen = { front: "from the front", back: "from behind", left: "from the left", right: "from the right" }[side];
   const parts = [`${who}, seen ${seen}`];

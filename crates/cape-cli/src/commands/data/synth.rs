@@ -1,0 +1,114 @@
+use std::path::PathBuf;
+
+use cape_data::{
+    SequenceList, SplitSpec,
+    raw::{BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
+};
+use clap::Args;
+use serde::Serialize;
+
+use crate::{
+    console::{Console, seconds},
+    error::{Context, Result},
+    files,
+    options::{BodyModelArgs, GlobalArgs, OutputArgs, at_least_one},
+    table::Table,
+};
+
+/// Create synthetic captures in the raw layout of the CAPE data set.
+///
+/// Subjects in the four outfits perform motions, some of which are held out for testing. Writes the
+/// frames, the body in SMPL's layout (body.npz), the clothing vertices (clothing_verts_idx.npy) and
+/// the split into training and test sequences (split.toml).
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  cape data synth --out raw --subjects 4 --frames-per-sequence 60 --seed 1"
+)]
+pub(crate) struct SynthArgs {
+    #[command(flatten)]
+    output: OutputArgs,
+    /// Number of subjects.
+    #[arg(long, default_value_t = 4, value_name = "N", value_parser = at_least_one)]
+    subjects: usize,
+    /// Frames per sequence.
+    #[arg(long, default_value_t = 60, value_name = "K", value_parser = at_least_one)]
+    frames_per_sequence: usize,
+    #[command(flatten)]
+    body: BodyModelArgs,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    out: PathBuf,
+    subjects: usize,
+    sequences: usize,
+    frames: usize,
+    vertices: usize,
+    clothing_vertices: usize,
+    seconds: f64,
+}
+
+impl SynthArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
+        let start = std::time::Instant::now();
+        let body = self.body.load()?;
+        let spec = cape_synth::SynthSpec {
+            subjects: self.subjects,
+            frames_per_sequence: self.frames_per_sequence,
+            seed: global.seed(),
+            ..cape_synth::SynthSpec::default()
+        };
+        self.output.require_empty()?;
+        let out = self.output.out;
+        let split = split_of(&spec);
+        let (sequences, vertices) = (spec.sequences().len(), body.vertices());
+        let synth = cape_synth::CaptureGenerator::new(&body, spec)
+            .doing(|| "preparing clothing for the body".into())?;
+        console.while_showing("synth", "frames", |progress| synth.write(&out, progress))?;
+        files::write_text(&out.join(SPLIT_FILE), &split.to_toml()?)?;
+        let report = Report {
+            subjects: self.subjects,
+            sequences,
+            frames: sequences * self.frames_per_sequence,
+            vertices,
+            clothing_vertices: synth.wardrobe().clothing_vertices().len(),
+            seconds: start.elapsed().as_secs_f64(),
+            out,
+        };
+        console.result(&report, || report.text())
+    }
+}
+
+/// The split into training and test motions of `spec`.
+pub(crate) fn split_of(spec: &cape_synth::SynthSpec) -> SplitSpec {
+    let names = |motions: Vec<cape_synth::Motion>| SequenceList {
+        sequences: motions.into_iter().map(|motion| motion.name().to_owned()).collect(),
+        exclude: Vec::new(),
+    };
+    SplitSpec {
+        subjects: spec.subject_names(),
+        outfits: spec.outfits.clone(),
+        cut: 2,
+        sample_rate: 1,
+        train: names(spec.train_motions()),
+        test: names(spec.test_motions()),
+    }
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let mut table = Table::default();
+        table.row(["subjects".to_owned(), self.subjects.to_string()]);
+        table.row(["sequences".to_owned(), self.sequences.to_string()]);
+        table.row(["frames".to_owned(), self.frames.to_string()]);
+        table.row(["vertices".to_owned(), self.vertices.to_string()]);
+        table.row(["clothing vertices".to_owned(), self.clothing_vertices.to_string()]);
+        table.row(["time".to_owned(), seconds(self.seconds)]);
+        let out = self.out.display();
+        format!(
+            "{}\n\n{out}: {BODY_FILE}, {CLOTHING_FILE}, {SPLIT_FILE}, sequences/, \
+             minimal_body_shape/\nnext: cape data pack {out} --out {out}-packed",
+            table.text()
+        )
+    }
+}

@@ -1,0 +1,115 @@
+use cape_eval::quality::{QualityOptions, QualityReport, quality, standard_normal};
+use cape_infer::write_json;
+use clap::Args;
+use serde::Serialize;
+
+use crate::{
+    console::Console,
+    error::Result,
+    options::{DataArgs, GlobalArgs, RunArgs, at_least_one},
+    priors::{PriorArgs, load_prior},
+    table::Table,
+};
+
+/// Measure the quality of samples against held-out frames.
+///
+/// Samples a code for every held-out frame, in its pose and outfit, and measures coverage, fidelity and
+/// diversity. Also written to RUN/samples.json.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  cape eval samples runs/cape --prior gmm")]
+pub(crate) struct EvalSamplesArgs {
+    #[command(flatten)]
+    run: RunArgs,
+    #[command(flatten)]
+    data: DataArgs,
+    #[command(flatten)]
+    drawn: PriorArgs,
+    /// Largest number of held-out frames to compare with, evenly spaced.
+    #[arg(long, default_value_t = 200, value_name = "N", value_parser = at_least_one)]
+    frames: usize,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    prior: &'static str,
+    temperature: f64,
+    #[serde(flatten)]
+    quality: QualityReport,
+}
+
+impl EvalSamplesArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
+        let run = self.run.open(global)?;
+        let data = self.data.of(&run)?;
+        let seed = global.seed();
+        let temperature = self.drawn.temperature()?;
+        let options = QualityOptions { frames: self.frames, seed, ..QualityOptions::default() };
+        let prior = load_prior(&run, self.drawn.prior, console)?;
+        let normal = standard_normal(run.config().model.latent, temperature, seed);
+        let found = console.while_showing("measure", "parts", |progress| match &prior {
+            None => quality(&run, &data, &normal, options, progress),
+            Some(prior) => quality(
+                &run,
+                &data,
+                &|outfit, n, call| prior.sample(outfit, n, temperature, seed ^ (call << 8)),
+                options,
+                progress,
+            ),
+        })?;
+        let report = Report { prior: self.drawn.prior.name(), temperature, quality: found };
+        write_json(&run.paths().root().join("samples.json"), &report)?;
+        console.result(&report, || report.text())
+    }
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let QualityReport {
+            frames,
+            coverage,
+            minimum_matching_mm,
+            nearest_neighbour_accuracy,
+            diversity_mm,
+            held_out_diversity_mm,
+            pose_sensitivity_mm,
+            outfit_consistency,
+            classifier_accuracy,
+            inside_body: [inside, inside_held_out],
+        } = &self.quality;
+        let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+        let mut table = Table::new(["", "samples", "held out"]);
+        let mut row = |name: &str, samples: String, held_out: String| {
+            table.row([name.to_owned(), samples, held_out]);
+        };
+        row("coverage", percent(*coverage), String::new());
+        row("minimum matching distance", format!("{minimum_matching_mm:.1} mm"), String::new());
+        row(
+            "1-nearest-neighbour accuracy (best 50 %)",
+            percent(*nearest_neighbour_accuracy),
+            String::new(),
+        );
+        for ((outfit, own), (_, theirs)) in diversity_mm.iter().zip(held_out_diversity_mm) {
+            row(&format!("diversity, {outfit}"), format!("{own:.1} mm"), format!("{theirs:.1} mm"));
+        }
+        row(
+            "mean change per radian of a joint",
+            format!("{pose_sensitivity_mm:.1} mm"),
+            String::new(),
+        );
+        row(
+            "outfit recognised by a classifier",
+            percent(*outfit_consistency),
+            percent(*classifier_accuracy),
+        );
+        row(
+            "clothing vertices inside the body",
+            format!("{:.1} %", 100.0 * inside),
+            format!("{:.1} %", 100.0 * inside_held_out),
+        );
+        let (prior, temperature) = (self.prior, self.temperature);
+        format!(
+            "{}\n\n{frames} held-out frames; prior {prior}, temperature {temperature}",
+            table.text()
+        )
+    }
+}

@@ -1,0 +1,103 @@
+use cape_eval::bench::{BenchReport, bench};
+use cape_model::CapeConfig;
+use clap::Args;
+use serde::Serialize;
+
+use crate::{
+    console::Console,
+    error::Result,
+    options::{GlobalArgs, PRESETS, at_least_one},
+    table::Table,
+};
+
+/// Batch size from which on memory is unlikely to suffice on any machine.
+const TOO_MANY: usize = 4096;
+
+/// Measure the speed of training, decoding and encoding on this machine.
+///
+/// Times updates of generator and discriminator, decoding and encoding for a body of 6890 vertices on
+/// random data, in less than two minutes. The arithmetic of an update is counted as the fewest
+/// operations that it needs and compared with this CPU's peak FLOP rate.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  cape eval speed --threads 4 --json")]
+pub(crate) struct SpeedArgs {
+    /// Frames per batch.
+    #[arg(long, default_value_t = 16, value_name = "N", value_parser = batch_size)]
+    batch: usize,
+    /// Architecture; narrow has a quarter of the paper's filters.
+    #[arg(long, default_value = "paper", value_name = "NAME", value_parser = PRESETS)]
+    preset: String,
+}
+
+fn batch_size(text: &str) -> Result<usize, String> {
+    match at_least_one(text)? {
+        TOO_MANY.. => Err(format!("must be less than {TOO_MANY}")),
+        count => Ok(count),
+    }
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    version: &'static str,
+    preset: String,
+    device: String,
+    #[serde(flatten)]
+    found: BenchReport,
+}
+
+impl SpeedArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
+        let device = global.device()?;
+        let config = CapeConfig::preset(&self.preset)?;
+        let seed = global.seed();
+        let found = console.while_showing("measure", "runs", |progress| {
+            bench(&config, self.batch, seed, &device, progress)
+        })?;
+        let report = Report {
+            version: env!("CARGO_PKG_VERSION"),
+            preset: self.preset,
+            device: global.device.clone(),
+            found,
+        };
+        console.result(&report, || report.text())
+    }
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let Self { version, preset, device, found } = self;
+        let or_dash = |text: Option<String>| text.unwrap_or_else(|| "–".to_owned());
+        let mut table = Table::default();
+        let mut row = |name: &str, value: String| table.row([name.to_owned(), value]);
+        row(
+            &format!("update, batch {}", found.batch),
+            format!("{:.3} s", found.seconds_per_update),
+        );
+        row("examples per second", format!("{:.2}", found.examples_per_second));
+        row("FLOP rate", or_dash(found.gflops.map(|rate| format!("{rate:.1} GFLOP/s"))));
+        row(
+            "peak FLOP rate of the CPU",
+            or_dash(found.peak_gflops.map(|peak| format!("{peak:.1} GFLOP/s"))),
+        );
+        row(
+            "share of the peak",
+            or_dash(found.peak_fraction.map(|part| format!("{:.1} %", 100.0 * part))),
+        );
+        row("decode, batch 1", format!("{:.1} ms", found.decode_ms_batch1));
+        row("decode, batch 16", format!("{:.1} ms", found.decode_ms_batch16));
+        row("encode, batch 16", format!("{:.1} ms", found.encode_ms_batch16));
+        row("peak memory", or_dash(found.peak_rss_mb.map(|mb| format!("{mb:.0} MB"))));
+        let threads = match found.threads {
+            1 => "1 thread".to_owned(),
+            threads => format!("{threads} threads"),
+        };
+        let work = found
+            .gflop_per_update
+            .map_or_else(String::new, |gflop| format!(" of {gflop:.1} GFLOP each"));
+        format!(
+            "{}\n\ncape {version}, {preset} model on {device}, {threads}; median of {} updates{work}",
+            table.text(),
+            found.updates
+        )
+    }
+}

@@ -1,0 +1,128 @@
+mod pictures;
+mod report;
+mod store;
+
+use std::process::ExitCode;
+
+use cape_data::{PackedSet, Split};
+use cape_fit::benchmark::{Benchmark, BenchmarkCase, BenchmarkOptions};
+use cape_infer::write_json;
+use clap::Args;
+
+use super::method::FitMethodArgs;
+use crate::{
+    console::Console,
+    error::{Context, Error, Result},
+    interrupt::Interrupt,
+    options::{DataArgs, GlobalArgs, RunArgs, StoreArgs, at_least_one, non_negative, share},
+};
+use report::Report;
+use store::{CaseStore, FrameInputs};
+
+/// Exit code of an interrupted benchmark: 128 + SIGINT.
+const INTERRUPTED: u8 = 130;
+
+/// Benchmark image fitting against SMPLify on held-out frames (section 6.3 of the paper).
+///
+/// Renders held-out clothing on bodies of random shape and fits them from silhouette, keypoints and
+/// outfit, by SMPLify and with CAPE. Writes results.json and errors.png and, for the best, median and
+/// worst fit, fits.png and input files for `cape fit image`. Run the same command again to resume.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  cape fit benchmark image runs/cape --out fits\n  cape fit benchmark \
+                        image runs/cape --noise 3 --dropped 0.1 --ragged 0.3 --out noisy"
+)]
+pub(crate) struct FitBenchmarkArgs {
+    #[command(flatten)]
+    run: RunArgs,
+    #[command(flatten)]
+    data: DataArgs,
+    #[command(flatten)]
+    output: StoreArgs,
+    /// Number of held-out frames, the same for each outfit, evenly spaced.
+    #[arg(long, default_value_t = 120, value_name = "N", value_parser = at_least_one)]
+    frames: usize,
+    /// Side of the images in pixels.
+    #[arg(long, default_value_t = 512, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=2048))]
+    size: u32,
+    /// Standard deviation of keypoint noise in pixels.
+    #[arg(long, default_value_t = 0.0, value_name = "PIXELS", value_parser = non_negative)]
+    noise: f64,
+    /// Share of missing keypoints.
+    #[arg(long, default_value_t = 0.0, value_name = "SHARE", value_parser = share)]
+    dropped: f64,
+    /// Share of flipped pixels along the silhouette's edge.
+    #[arg(long, default_value_t = 0.0, value_name = "SHARE", value_parser = share)]
+    ragged: f64,
+    #[command(flatten)]
+    method: FitMethodArgs,
+}
+
+impl FitBenchmarkArgs {
+    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result<ExitCode> {
+        let options = self.options(global);
+        let config = self.method.config()?;
+        let run = self.run.open(global)?;
+        let data = self.data.of(&run)?;
+        let set = PackedSet::open(&data, Split::Test)?;
+        let smplify = self.method.smplify(run.body(), &config)?;
+        let inputs = FrameInputs {
+            run: &run,
+            data: &data,
+            pose_prior: self.method.pose_prior.as_deref(),
+            options,
+            config: &config,
+        };
+        let store = CaseStore::open(&self.output.out, &inputs, self.output.overwrite)?;
+        let interrupt = Interrupt::listen(console)?;
+        let benchmark = Benchmark::new(&run, &set, &smplify, &config.clothed, options)?;
+        let frames = benchmark.frames();
+        let mut cases: Vec<BenchmarkCase> = Vec::with_capacity(frames.len());
+        let whole = console.while_showing("fit", "images", |progress| {
+            for &frame in &frames {
+                if interrupt.was_asked() {
+                    return Ok(false);
+                }
+                let case = if let Some(case) = store.case(frame)? {
+                    case
+                } else {
+                    let found = benchmark.case(frame);
+                    store.keep(&found.doing(|| format!("fitting frame {frame}"))?)?
+                };
+                cases.push(case);
+                progress(cases.len(), frames.len());
+            }
+            Ok::<_, Error>(true)
+        })?;
+        if !whole {
+            console.note("interrupted and saved: run the same command again to resume");
+            return Ok(ExitCode::from(INTERRUPTED));
+        }
+        let out = self.output.out;
+        let chosen = pictures::chosen(&cases);
+        for (name, case) in &chosen {
+            for file in ["keypoints.json", "mask.png", "image.png"] {
+                store.files().claim(&format!("{name}/{file}"))?;
+            }
+            pictures::inputs(&benchmark, &out.join(name), case)?;
+        }
+        pictures::sheet(&benchmark, &chosen)?.save(store.files().claim("fits.png")?)?;
+        pictures::errors(&cases)?.save(store.files().claim("errors.png")?)?;
+        let results = store.files().claim("results.json")?;
+        let report = Report::new(out, options, cases)?;
+        write_json(&results, &report)?;
+        console.result(&report, || report.text())?;
+        Ok(ExitCode::SUCCESS)
+    }
+
+    fn options(&self, global: &GlobalArgs) -> BenchmarkOptions {
+        BenchmarkOptions {
+            frames: self.frames,
+            side: self.size,
+            noise: self.noise,
+            dropped: self.dropped,
+            ragged: self.ragged,
+            seed: global.seed(),
+        }
+    }
+}

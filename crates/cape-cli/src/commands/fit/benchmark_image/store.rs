@@ -1,0 +1,86 @@
+//! Finished frames on disk, and the settings they belong to.
+
+use std::path::Path;
+
+use cape_data::Split;
+use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
+use cape_fit::{
+    FitConfig,
+    benchmark::{BenchmarkCase, BenchmarkOptions},
+};
+use cape_infer::Run;
+use serde_json::json;
+
+use crate::error::Result;
+
+/// Files from versions that did not record the SHA-256 of the inputs.
+const EARLIER: [&str; 14] = [
+    "settings.json",
+    "frames/*.json",
+    "results.json",
+    "errors.png",
+    "fits.png",
+    "best/keypoints.json",
+    "best/mask.png",
+    "best/image.png",
+    "median/keypoints.json",
+    "median/mask.png",
+    "median/image.png",
+    "worst/keypoints.json",
+    "worst/mask.png",
+    "worst/image.png",
+];
+
+/// Inputs and settings that finished frames depend on.
+#[derive(Debug)]
+pub(super) struct FrameInputs<'a> {
+    pub(super) run: &'a Run,
+    pub(super) data: &'a Path,
+    pub(super) pose_prior: Option<&'a Path>,
+    pub(super) options: BenchmarkOptions,
+    pub(super) config: &'a FitConfig,
+}
+
+/// A benchmark's directory.
+#[derive(Debug)]
+pub(super) struct CaseStore(ResultStore);
+
+impl CaseStore {
+    /// The store in `out`. A frame is the same whatever other frames there are, so that their number
+    /// is no setting.
+    pub(super) fn open(out: &Path, inputs: &FrameInputs<'_>, overwrite: bool) -> Result<Self> {
+        let FrameInputs { run, data, pose_prior, options, config } = inputs;
+        let BenchmarkOptions { frames: _, side, noise, dropped, ragged, seed } = options;
+        let options = json!({
+            "side": side, "noise": noise, "dropped": dropped, "ragged": ragged, "seed": seed,
+        });
+        let settings = json!({ "options": options, "config": config });
+        let settings = StoreSettings::new("fit benchmark image", &settings)?
+            .with_run(run)?
+            .with_packed_set(data, &[Split::Test])?
+            .with_optional_input("pose_prior", *pose_prior, "prior of synthetic motions")?;
+        let options = StoreOptions { overwrite, earlier: &EARLIER, ..StoreOptions::default() };
+        let store = ResultStore::open(out, settings, options)?;
+        store.begin()?;
+        Ok(Self(store))
+    }
+
+    /// The directory with its list of files.
+    pub(super) fn files(&self) -> &ResultStore {
+        &self.0
+    }
+
+    /// A finished frame.
+    pub(super) fn case(&self, frame: usize) -> Result<Option<BenchmarkCase>> {
+        Ok(self.0.read(&item(frame))?)
+    }
+
+    /// Stores a frame and returns it as it will be read.
+    pub(super) fn keep(&self, case: &BenchmarkCase) -> Result<BenchmarkCase> {
+        Ok(self.0.write(&item(case.frame), case)?)
+    }
+}
+
+fn item(frame: usize) -> String {
+    format!("frames/{frame:06}.json")
+}

@@ -1,0 +1,7 @@
+//! Pictures of fits.
+
+mod curves;
+mod pictures;
+
+pub(super) use curves::energies;
+pub(super) use pictures::{body, cut, difference, mark, mesh, paper, person_box};

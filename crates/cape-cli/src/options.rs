@@ -1,0 +1,302 @@
+//! Options that several commands share, and parsers of their values.
+
+use std::path::{Path, PathBuf};
+
+use burn::tensor::Device;
+use cape_core::{Outfit, SmplModel, parse_device};
+use cape_infer::Run;
+use cape_synth::synthetic_body;
+use clap::{
+    Args,
+    builder::{PossibleValuesParser, TypedValueParser},
+};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    error::{Error, Result},
+    files,
+};
+
+/// Architectures by name.
+pub(crate) const PRESETS: [&str; 4] = ["paper", "detail", "narrow", "tiny"];
+
+/// Options of every command.
+#[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Global options")]
+pub(crate) struct GlobalArgs {
+    /// Device to compute on: flex, ndarray, wgpu[:INDEX] or cuda[:INDEX], if compiled in.
+    #[arg(long, global = true, default_value = default_device(), value_name = "NAME")]
+    pub(crate) device: String,
+    /// Random seed [default: per command].
+    #[arg(long, global = true, value_name = "N")]
+    pub(crate) seed: Option<u64>,
+    /// Print the result on standard output as JSON.
+    #[arg(long, global = true)]
+    pub(crate) json: bool,
+    /// Suppress progress bars and notes.
+    #[arg(long, short, global = true)]
+    pub(crate) quiet: bool,
+    /// Number of CPU threads [default: one per core].
+    #[arg(long, global = true, value_name = "N", value_parser = at_least_one)]
+    pub(crate) threads: Option<usize>,
+}
+
+/// A trained model.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct RunArgs {
+    /// Directory of a trained model, as written by `cape train`.
+    #[arg(value_name = "RUN")]
+    pub(crate) run: PathBuf,
+}
+
+/// Held-out frames to work on.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct DataArgs {
+    /// Packed set [default: the one that RUN was trained on].
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+}
+
+/// A directory for results.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct OutputArgs {
+    /// Directory to write; it must be empty or missing.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+}
+
+/// A directory for results that an interrupted command continues.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct ResumableOutputArgs {
+    /// Directory to write; if it holds results of the same command, they are kept and completed.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+}
+
+/// A directory of finished results, which belong to settings and inputs.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct StoreArgs {
+    /// Directory to write; finished results of the same settings and inputs are kept.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    /// Discard results of other settings, inputs or versions in --out.
+    #[arg(long)]
+    pub(crate) overwrite: bool,
+}
+
+/// A body model.
+#[derive(Debug, Clone, PartialEq, Args, Serialize, Deserialize)]
+pub(crate) struct BodyModelArgs {
+    /// SMPL body, .pkl or .npz [default: the synthetic body].
+    #[arg(long, value_name = "SMPL")]
+    pub(crate) body: Option<PathBuf>,
+}
+
+/// Shape of a body.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct ShapeArgs {
+    /// Shape coefficients of the body, β; missing ones are 0.
+    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "B,B,…")]
+    betas: Vec<f32>,
+}
+
+/// An outfit.
+#[derive(Debug, Clone, Copy, Args)]
+pub(crate) struct OutfitArgs {
+    /// Outfit: upper, then lower garment.
+    #[arg(long, default_value = "longlong", value_name = "OUTFIT", value_parser = outfit())]
+    pub(crate) outfit: Outfit,
+}
+
+/// Kinds of files for bodies and clothing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum FileKind {
+    Glb,
+    Npz,
+    Obj,
+    Ply,
+    Png,
+}
+
+/// One outfit, or all of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum OutfitSelection {
+    All,
+    One(Outfit),
+}
+
+impl GlobalArgs {
+    pub(crate) fn device(&self) -> Result<Device> {
+        Ok(parse_device(&self.device)?)
+    }
+
+    /// The seed, 1 if none is given.
+    pub(crate) fn seed(&self) -> u64 {
+        self.seed.unwrap_or(1)
+    }
+}
+
+impl RunArgs {
+    pub(crate) fn open(&self, global: &GlobalArgs) -> Result<Run> {
+        Ok(Run::open(&self.run, &global.device()?)?)
+    }
+}
+
+impl DataArgs {
+    /// The packed set's directory.
+    pub(crate) fn of(&self, run: &Run) -> Result<PathBuf> {
+        match &self.data {
+            Some(data) => Ok(data.clone()),
+            None => Ok(run.data()?),
+        }
+    }
+}
+
+impl OutputArgs {
+    /// Returns an error if there is something already.
+    pub(crate) fn require_empty(&self) -> Result {
+        files::require_empty(&self.out)
+    }
+}
+
+impl BodyModelArgs {
+    pub(crate) fn load(&self) -> Result<SmplModel> {
+        Ok(match &self.body {
+            Some(path) => SmplModel::load(path)?,
+            None => synthetic_body(),
+        })
+    }
+}
+
+impl ShapeArgs {
+    /// The coefficients, if any are given.
+    pub(crate) fn given(&self) -> Option<&[f32]> {
+        (!self.betas.is_empty()).then_some(&self.betas[..])
+    }
+
+    /// The coefficients for `body`, which must have that many; empty if none are given.
+    pub(crate) fn betas(&self, body: &SmplModel) -> Result<Vec<f32>> {
+        let (given, most) = (self.betas.len(), body.betas());
+        if given > most {
+            return Err(Error::message(format!(
+                "--betas: {given} coefficients, but the body has {most}"
+            )));
+        }
+        if let Some(beta) = self.betas.iter().find(|beta| !beta.is_finite()) {
+            return Err(Error::message(format!("--betas: {beta} is not a finite number")));
+        }
+        Ok(self.betas.clone())
+    }
+}
+
+impl FileKind {
+    /// The extension of its files.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Glb => "glb",
+            Self::Npz => "npz",
+            Self::Obj => "obj",
+            Self::Ply => "ply",
+            Self::Png => "png",
+        }
+    }
+}
+
+impl OutfitSelection {
+    pub(crate) fn outfits(self) -> Vec<Outfit> {
+        match self {
+            Self::All => Outfit::ALL.to_vec(),
+            Self::One(outfit) => vec![outfit],
+        }
+    }
+}
+
+/// The default device: the first that is compiled in.
+pub(crate) fn default_device() -> &'static str {
+    cape_core::DEVICES.first().copied().unwrap_or("flex")
+}
+
+/// Parser of a library's values by their names, which help and errors list.
+pub(crate) fn choices<T: Clone + Send + Sync + 'static, const N: usize>(
+    named: [(&'static str, T); N],
+) -> impl TypedValueParser<Value = T> {
+    let names = PossibleValuesParser::new(named.each_ref().map(|(name, _)| *name));
+    names.try_map(move |text| {
+        let value = named.iter().find(|(name, _)| *name == text).map(|(_, value)| value.clone());
+        value.ok_or("unknown name")
+    })
+}
+
+/// Parser of an outfit.
+pub(crate) fn outfit() -> impl TypedValueParser<Value = Outfit> {
+    choices(Outfit::ALL.map(|outfit| (outfit.name(), outfit)))
+}
+
+/// Parser of an outfit or of `word`, which stands for all.
+pub(crate) fn outfit_or(word: &'static str) -> impl TypedValueParser<Value = OutfitSelection> {
+    let [a, b, c, d] = Outfit::ALL.map(|outfit| (outfit.name(), OutfitSelection::One(outfit)));
+    choices([(word, OutfitSelection::All), a, b, c, d])
+}
+
+/// Parser of one of some kinds of files.
+pub(crate) fn kinds<const N: usize>(
+    kinds: [FileKind; N],
+) -> impl TypedValueParser<Value = FileKind> {
+    choices(kinds.map(|kind| (kind.name(), kind)))
+}
+
+/// Parses a count.
+pub(crate) fn at_least_one(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(0) => Err("must be at least 1".into()),
+        Ok(count) => Ok(count),
+        Err(_) => Err("expected a whole number".into()),
+    }
+}
+
+/// Parses a finite number above 0.
+pub(crate) fn positive(text: &str) -> Result<f64, String> {
+    finite(text)?.filter(|&x| x > 0.0).ok_or_else(|| "must be more than 0".into())
+}
+
+/// Parses a finite number of at least 0.
+pub(crate) fn non_negative(text: &str) -> Result<f64, String> {
+    finite(text)?.filter(|&x| x >= 0.0).ok_or_else(|| "must be at least 0".into())
+}
+
+/// Parses a number from 0 to 1.
+pub(crate) fn share(text: &str) -> Result<f64, String> {
+    finite(text)?.filter(|x| (0.0..=1.0).contains(x)).ok_or_else(|| "must be from 0 to 1".into())
+}
+
+fn finite(text: &str) -> Result<Option<f64>, String> {
+    let number: f64 = text.parse().map_err(|_| "expected a number".to_owned())?;
+    if number.is_finite() { Ok(Some(number)) } else { Err("must be finite".into()) }
+}
+
+/// Returns an error unless `path` ends in `.extension`.
+pub(crate) fn require_extension(option: &str, path: &Path, extension: &str) -> Result {
+    if path.extension().is_some_and(|found| found.eq_ignore_ascii_case(extension)) {
+        return Ok(());
+    }
+    Err(Error::message(format!("{option} {}: expected a .{extension} file", path.display())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_checked() {
+        assert_eq!(at_least_one("3"), Ok(3));
+        assert_eq!(positive("0.5"), Ok(0.5));
+        assert_eq!((non_negative("0"), share("1")), (Ok(0.0), Ok(1.0)));
+        for parser in [positive, non_negative, share] {
+            for text in ["-1", "nan", "inf", "one", ""] {
+                assert!(parser(text).is_err(), "{text}");
+            }
+        }
+        assert!(positive("0").is_err() && share("1.1").is_err() && at_least_one("0").is_err());
+    }
+}

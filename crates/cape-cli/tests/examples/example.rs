@@ -1,0 +1,229 @@
+//! Examples: collected, parsed, and shortened for a run.
+
+use std::{fs, path::Path};
+
+use clap::Command;
+
+/// Options that make a command short, added or put in the place of the example's values.
+const SHORT: [(&str, &[(&str, &str)]); 13] = [
+    ("data synth", &[("--subjects", "1"), ("--frames-per-sequence", "1")]),
+    ("data generate", &[("--n", "4")]),
+    ("train", &[("--epochs", "1"), ("--batch", "64")]),
+    ("eval speed", &[("--preset", "tiny"), ("--batch", "1")]),
+    (
+        "table2",
+        &[("--preset", "tiny"), ("--epochs", "1"), ("--seeds", "1"), ("--rows", "mean,pca,cape")],
+    ),
+    ("animate", &[("--seconds", "0.2"), ("--size", "64")]),
+    ("fit image", &[("--config", "few.toml")]),
+    ("fit benchmark image", &[("--config", "few.toml"), ("--frames", "1"), ("--size", "64")]),
+    (
+        "fit benchmark scan",
+        &[("--frames", "1"), ("--points", "300"), ("--noise", "2"), ("--holes", "0")],
+    ),
+    (
+        "layer synth",
+        &[
+            ("--exercises", "march"),
+            ("--frames", "2"),
+            ("--resolution", "60"),
+            ("--steps", "5"),
+            ("--subjects", "0"),
+            ("--widths", "1"),
+            ("--stiffness", "1"),
+        ],
+    ),
+    ("layer learn", &[("--components", "2")]),
+    ("layer predict", &[("--seconds", "0.1")]),
+    ("layer report", &[("--components", "2")]),
+];
+
+/// Examples that are parsed only: a part of their text, and the reason.
+const NOT_RUN: [(&str, &str); 10] = [
+    ("cape demo", "takes minutes; tests/demo.rs runs it"),
+    ("cape view", "serves until it is interrupted; tests/browser runs it"),
+    ("cape model import", "needs the authors' checkpoint; tests/cli/files.rs imports one"),
+    ("--device cuda", "needs a GPU"),
+    ("--check", "may find problems in the data; tests/cli/trials.rs runs it"),
+    ("--find-rate", "trains many steps; tests/cli/trials.rs runs it"),
+    ("cape table2 --quick", "simulates and trains for minutes"),
+    ("cape layer report --quick", "simulates for a minute; reports on sets are run"),
+    ("cape layer report --frames", "simulates for minutes; reports on sets are run"),
+    ("--preset female", "the sandbox has the release's male subjects only"),
+];
+
+/// A command line that users are shown.
+#[derive(Debug, Clone)]
+pub(crate) struct Example {
+    /// The shell's line, in one.
+    pub(crate) line: String,
+    /// File or help that it is from.
+    source: String,
+}
+
+impl Example {
+    /// Why it is not run, if it is not.
+    pub(crate) fn reason_not_to_run(&self) -> Option<&'static str> {
+        NOT_RUN.iter().find(|(part, _)| self.line.contains(part)).map(|(_, reason)| *reason)
+    }
+
+    /// Parses the words after `cape`.
+    pub(crate) fn parse(&self) -> Result<(), String> {
+        let (_, words, _) = self.parts();
+        let words = words.iter().map(|word| word.replace(['\'', '"'], ""));
+        match cape_cli::command().try_get_matches_from(words) {
+            Ok(_) => Ok(()),
+            Err(error) => Err(format!("{}: {}\n{error}", self.source, self.line)),
+        }
+    }
+
+    /// The line with its outputs below `made`, shortened.
+    pub(crate) fn short(&self, made: &str) -> String {
+        let (before, mut words, after) = self.parts();
+        let command = command_of(&words);
+        let resumes = words.iter().any(|word| word == "--resume");
+        for option in ["--out", "--set", "--raw"] {
+            if let (Some(at), false) = (words.iter().position(|word| word == option), resumes) {
+                words[at + 1] = format!("{made}/{}", words[at + 1]);
+            }
+        }
+        let options = SHORT.iter().find(|(name, _)| *name == command).map_or(&[][..], |s| s.1);
+        for (option, value) in options {
+            let given = format!("{option}=");
+            if let Some(at) = words.iter().position(|word| word == option) {
+                (*value).clone_into(&mut words[at + 1]);
+            } else if let Some(at) = words.iter().position(|word| word.starts_with(&given)) {
+                words[at] = format!("{given}{value}");
+            } else if !(resumes || *option == "--preset" && self.line.contains("--config")) {
+                words.extend([(*option).to_owned(), (*value).to_owned()]);
+            }
+        }
+        let train = command == "train" && !resumes && !self.line.contains("--config");
+        if train {
+            words.retain(|word| word != "--preset" && word != "narrow");
+            words.extend(["--preset".to_owned(), "tiny".to_owned()]);
+        }
+        format!("{before}{}{after}", words.join(" "))
+    }
+
+    pub(crate) fn said(&self, short: &str, why: &str) -> String {
+        format!("{}: {}\nrun as: {short}\n{why}", self.source, self.line)
+    }
+
+    /// The line before `cape`, the words of the command, and what the shell does with its output.
+    fn parts(&self) -> (String, Vec<String>, String) {
+        let start = self.line.find("| cape ").map_or(0, |at| at + 2);
+        let (before, rest) = self.line.split_at(start);
+        let (command, after) = rest.split_at(rest.find(" > ").unwrap_or(rest.len()));
+        (before.to_owned(), words(command), after.to_owned())
+    }
+}
+
+/// Words separated by spaces outside of quotes, with their quotes.
+fn words(text: &str) -> Vec<String> {
+    let (mut words, mut quote) = (vec![String::new()], None);
+    for c in text.chars() {
+        match (c, quote) {
+            ('\'' | '"', None) => quote = Some(c),
+            (c, Some(open)) if c == open => quote = None,
+            (' ', None) => {
+                words.push(String::new());
+                continue;
+            }
+            _ => {}
+        }
+        words.last_mut().unwrap().push(c);
+    }
+    words.retain(|word| !word.is_empty());
+    words
+}
+
+/// Names of commands and subcommands that the words begin with, without `cape`.
+fn command_of(words: &[String]) -> String {
+    let (mut command, mut names) = (cape_cli::command(), Vec::new());
+    for word in &words[1..] {
+        let Some(found) = command.find_subcommand(word).cloned() else { break };
+        command = found;
+        names.push(word.as_str());
+    }
+    names.join(" ")
+}
+
+/// The fault of words that begin with `cape` and a command that does not exist.
+pub(crate) fn unknown_command<'a>(mut words: impl Iterator<Item = &'a str>) -> Option<String> {
+    if words.next() != Some("cape") {
+        return None;
+    }
+    let mut command = cape_cli::command();
+    let name = |word: &str| word.starts_with(|c: char| c.is_ascii_lowercase());
+    for word in words.take_while(|word| name(word)) {
+        if !command.has_subcommands() {
+            break;
+        }
+        match command.find_subcommand(word).cloned() {
+            Some(found) => command = found,
+            None => return Some(format!("no command `{word}`")),
+        }
+    }
+    None
+}
+
+/// The examples of every command's help.
+pub(crate) fn from_help() -> Vec<Example> {
+    let mut examples = Vec::new();
+    collect(&cape_cli::command(), "cape", &mut examples);
+    examples
+}
+
+fn collect(command: &Command, path: &str, examples: &mut Vec<Example>) {
+    let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+    let lines = help.lines().filter(|line| line.starts_with("  "));
+    examples.extend(
+        lines.map(|line| Example { line: line.trim().into(), source: format!("{path} --help") }),
+    );
+    for inner in command.get_subcommands() {
+        collect(inner, &format!("{path} {}", inner.get_name()), examples);
+    }
+}
+
+/// README and the pages of the book, by name.
+pub(crate) fn documents() -> Vec<(String, String)> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let (mut files, mut open) = (vec![root.join("README.md")], vec![root.join("docs/book/src")]);
+    while let Some(directory) = open.pop() {
+        for entry in fs::read_dir(directory).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                open.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "md") {
+                files.push(path);
+            }
+        }
+    }
+    files.sort();
+    let name = |path: &Path| path.strip_prefix(&root).unwrap().display().to_string();
+    files.iter().map(|path| (name(path), fs::read_to_string(path).unwrap())).collect()
+}
+
+/// The command lines in blocks of shell commands.
+pub(crate) fn from_documents() -> Vec<Example> {
+    let mut examples = Vec::new();
+    for (source, text) in documents() {
+        for block in text.split("```").skip(1).step_by(2) {
+            let (language, body) = block.split_once('\n').unwrap_or_default();
+            if !["sh", "console"].contains(&language.trim()) {
+                continue;
+            }
+            for line in body.replace("\\\n", " ").lines() {
+                let line = line.split(" # ").next().unwrap_or_default().trim();
+                let line = line.strip_prefix("$ ").unwrap_or(line);
+                let line = line.replace("cargo run --release -- ", "cape ");
+                let line = line.split_whitespace().collect::<Vec<_>>().join(" ");
+                if line.starts_with("cape ") || line.contains("| cape ") {
+                    examples.push(Example { line, source: source.clone() });
+                }
+            }
+        }
+    }
+    examples
+}
