@@ -81,7 +81,7 @@ fn seeds(directory: &Path) -> Vec<(&'static str, &'static str, Vec<Vec<u8>>)> {
     };
     let named = [("a.weight", array(&[3, 2])), ("b", array(&[4]))];
     let named = named.map(|(name, array)| (name.to_owned(), array));
-    weights::save(&named.into_iter().collect(), &at("1.safetensors")).unwrap();
+    weights::save(&named.into_iter().collect(), at("1.safetensors")).unwrap();
     RunConfig::default().save(&at("1.toml")).unwrap();
     fs::write(at("2.toml"), SplitSpec::male().to_toml().unwrap()).unwrap();
     fs::write(at("1.yaml"), "name: a\nnz: 18\nF: [64, 64]\nlr: 8e-3\nseed: 3\n").unwrap();

@@ -117,11 +117,11 @@ impl Checkpoint {
     }
 
     fn write_into(&self, directory: &Path) -> Result<()> {
-        weights::save(&self.model, &directory.join(MODEL))?;
-        weights::save(&self.generator_momentum, &directory.join(GENERATOR_MOMENTUM))?;
-        weights::save(&self.discriminator_momentum, &directory.join(DISCRIMINATOR_MOMENTUM))?;
+        weights::save(&self.model, directory.join(MODEL))?;
+        weights::save(&self.generator_momentum, directory.join(GENERATOR_MOMENTUM))?;
+        weights::save(&self.discriminator_momentum, directory.join(DISCRIMINATOR_MOMENTUM))?;
         if let Some(average) = &self.average {
-            weights::save(average, &directory.join(AVERAGE))?;
+            weights::save(average, directory.join(AVERAGE))?;
         }
         let path = directory.join(STATE);
         let state = serde_json::to_vec_pretty(&self.progress)
@@ -133,9 +133,9 @@ impl Checkpoint {
     pub fn load(path: &Path) -> Result<Self> {
         Ok(Self {
             progress: load_progress(path)?,
-            model: weights::load(&path.join(MODEL))?,
-            generator_momentum: weights::load(&path.join(GENERATOR_MOMENTUM))?,
-            discriminator_momentum: weights::load(&path.join(DISCRIMINATOR_MOMENTUM))?,
+            model: weights::load(path.join(MODEL))?,
+            generator_momentum: weights::load(path.join(GENERATOR_MOMENTUM))?,
+            discriminator_momentum: weights::load(path.join(DISCRIMINATOR_MOMENTUM))?,
             average: load_average(path)?,
         })
     }
@@ -155,7 +155,7 @@ pub fn load_progress(path: &Path) -> Result<TrainState> {
 
 /// Reads the weights of a checkpoint directory: the generator's averaged ones, where there are any.
 pub fn load_weights(path: &Path) -> Result<Weights> {
-    let mut weights = weights::load(&path.join(MODEL))?;
+    let mut weights = weights::load(path.join(MODEL))?;
     let average = load_average(path)?.unwrap_or_default();
     weights.extend(average.into_iter().map(|(name, array)| (format!("generator.{name}"), array)));
     Ok(weights)

@@ -49,7 +49,7 @@ const IMPORT: &str = "model import --tf-checkpoint @/tf --stats @/run/stats.npz 
 #[test]
 fn an_official_checkpoint_becomes_the_same_run() {
     let (data, variables) = released();
-    let exported = weights::load(&data.at("weights.safetensors")).unwrap();
+    let exported = weights::load(data.at("weights.safetensors")).unwrap();
     assert_eq!(exported.len(), variables.len());
     assert!(variables.iter().any(|(name, _)| name == "generator/decoder/fc1/dense/kernel"));
     let mut saved = variables.clone();

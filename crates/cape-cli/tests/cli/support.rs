@@ -208,8 +208,7 @@ impl Packed {
         let raw = root.path().join("raw");
         write_raw(&raw, frames);
         let options = PackOptions { strict: true, ..PackOptions::default() };
-        pack(&raw, &root.path().join("packed"), &split(), options, &mut cape::core::silent)
-            .unwrap();
+        pack(&raw, root.path().join("packed"), &split(), options, &mut cape::core::silent).unwrap();
         Self(root)
     }
 

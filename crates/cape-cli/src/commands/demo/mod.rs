@@ -226,7 +226,7 @@ impl DemoContext {
         self.stage("evaluate", "held-out motions", |this| {
             let options = EvalOptions { posterior: PosteriorUse::Mean, seed, batch: 16 };
             let report = this.console.while_showing("evaluate", "frames", |progress| {
-                evaluate(run, &this.path("packed"), options, progress)
+                evaluate(run, this.path("packed"), options, progress)
             })?;
             write_json(&run.paths().evaluation(), &report)?;
             Ok(report)

@@ -53,7 +53,7 @@ fn run(path: &Path) -> Result<FileSummary> {
 fn raw_tree(path: &Path) -> Result<FileSummary> {
     let (mut captures, mut frames) = (0, 0);
     let mut sequences = BTreeSet::new();
-    let subjects: Vec<PathBuf> = raw::directories(&path.join("sequences"))?;
+    let subjects: Vec<PathBuf> = raw::directories(path.join("sequences"))?;
     for subject in &subjects {
         for capture in raw::directories(subject)? {
             captures += 1;
