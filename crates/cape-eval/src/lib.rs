@@ -6,6 +6,7 @@
 //! [`bench`](mod@bench) measures speed.
 
 pub mod bench;
+pub mod clothing;
 pub mod comparison;
 pub mod evaluate;
 pub mod quality;

@@ -5,7 +5,7 @@ use cape_infer::{AnimatedBody, BodySpec, Run, batches, write_json};
 use cape_render::{Bounds, Camera, Image, Object, Projection, Style, View, render, save_animation};
 use cape_synth::poses::motion_poses;
 use clap::Args;
-use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, concatenate, s};
+use ndarray::{Array1, Array2, Array3, Axis, concatenate, s};
 use serde::Serialize;
 
 use crate::{
@@ -91,7 +91,8 @@ impl AnimateArgs {
             FileKind::Glb => self.write_glb(&run, &code, &betas, &poses)?,
             _ => self.write_frames(&run, &betas, &poses, &displacement, console)?,
         }
-        let [speed, acceleration] = smoothness(&displacement, run.clothing(), f64::from(self.fps));
+        let [speed, acceleration] =
+            cape_eval::clothing::smoothness(&displacement, run.clothing(), f64::from(self.fps));
         let report = Report {
             frames: poses.len(),
             outfit,
@@ -216,27 +217,6 @@ fn view_of(bodies: &[DressedMesh]) -> Option<Camera> {
     Some(Camera::framing(&bounds, View::ThreeQuarter, Projection::Perspective(0.42), 1.0))
 }
 
-/// Mean speed, mm/s, and mean acceleration, m/s², of clothing vertices in canonical space.
-fn smoothness(displacement: &Array3<f32>, clothing: &[usize], rate: f64) -> [f64; 2] {
-    let frames = displacement.dim().0;
-    let frame = |index: usize| displacement.index_axis(Axis(0), index);
-    let mean = |order: usize, of: &dyn Fn(usize, usize, usize) -> f64| {
-        let mut sum = 0.0;
-        for index in order..frames {
-            for &vertex in clothing {
-                sum += (0..3).map(|axis| of(index, vertex, axis).powi(2)).sum::<f64>().sqrt();
-            }
-        }
-        sum / (frames.saturating_sub(order) * clothing.len()).max(1) as f64
-    };
-    let at = |frame: ArrayView2<f32>, vertex: usize, axis: usize| f64::from(frame[[vertex, axis]]);
-    let speed = mean(1, &|i, v, a| at(frame(i), v, a) - at(frame(i - 1), v, a));
-    let change = mean(2, &|i, v, a| {
-        at(frame(i), v, a) - 2.0 * at(frame(i - 1), v, a) + at(frame(i - 2), v, a)
-    });
-    [1000.0 * speed * rate, change * rate * rate]
-}
-
 impl Report {
     fn text(&self) -> String {
         format!(
@@ -247,28 +227,5 @@ impl Report {
             self.speed,
             self.acceleration
         )
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn smoothness_is_that_of_a_parabola() {
-        // x = 0.5 · 2 m/s² · t² at 10 frames a second.
-        let x = |frame: usize| (0.1 * frame as f64).powi(2) as f32;
-        let moved =
-            Array3::from_shape_fn(
-                (5, 2, 3),
-                |(frame, vertex, axis)| {
-                    if vertex == 1 && axis == 0 { x(frame) } else { 0.0 }
-                },
-            );
-        let [speed, acceleration] = smoothness(&moved, &[1], 10.0);
-        assert!((acceleration - 2.0).abs() < 1e-4, "{acceleration}");
-        assert!((speed - 400.0).abs() < 0.1, "{speed}");
-        assert_eq!(smoothness(&moved, &[0], 10.0), [0.0, 0.0]);
-        assert_eq!(smoothness(&moved.slice(s![..1, .., ..]).to_owned(), &[1], 10.0), [0.0, 0.0]);
     }
 }

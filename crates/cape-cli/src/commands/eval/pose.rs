@@ -1,15 +1,15 @@
 use std::path::PathBuf;
 
-use cape_core::{BodyPose, joints::JOINT_NAMES, ply};
-use cape_infer::{BodySpec, Run, write_json};
+use cape_core::{BodyPose, ply};
+use cape_eval::clothing::{PoseEffect, mean_vertex_distance_mm};
+use cape_infer::{BodySpec, write_json};
 use cape_render::{
     Bounds, Camera, Object, Projection, Style, Tile, View, colormap, contact_sheet, portrait,
     render,
 };
-use cape_stats::errors::distance_mm;
 use cape_synth::poses::poses;
 use clap::Args;
-use ndarray::{Array3, Axis, concatenate};
+use ndarray::{Axis, concatenate};
 use serde::Serialize;
 
 use crate::{
@@ -88,17 +88,11 @@ impl PoseEffectArgs {
             return Err(Error::message("internal error: no mesh was produced"));
         };
 
-        let changes = changes(&worn);
+        let [before, after] = [0, 1].map(|index| worn.index_axis(Axis(0), index));
+        let effect = PoseEffect::new(&run, before, after)?;
+        let changes = &effect.changes_mm;
         let clothing = run.clothing();
-        let count = clothing.len().max(1) as f64;
-        let over = |values: &[f64]| clothing.iter().map(|&v| values[v]).sum::<f64>() / count;
-        let posed: Vec<f64> = in_b
-            .mesh
-            .vertices
-            .iter()
-            .zip(&rigid[1].mesh.vertices)
-            .map(|(with, without)| distance_mm(*with, *without))
-            .collect();
+        let posed_mean_mm = mean_vertex_distance_mm(&in_b.mesh, &rigid[1].mesh, clothing);
 
         let mut canonical = run.body().mesh();
         for (vertex, worn) in canonical.vertices.iter_mut().zip(worn.index_axis(Axis(0), 1).rows())
@@ -136,10 +130,10 @@ impl PoseEffectArgs {
         contact_sheet(&tiles, 4, None)?.save(out.join("pose_effect.png"))?;
 
         let report = Report {
-            mean_mm: over(&changes),
-            largest_mm: clothing.iter().map(|&v| changes[v]).fold(0.0, f64::max),
-            posed_mean_mm: over(&posed),
-            parts: parts(&run, &changes),
+            mean_mm: effect.mean_mm,
+            largest_mm: effect.largest_mm,
+            posed_mean_mm,
+            parts: effect.by_joint.into_iter().take(PARTS).collect(),
             out,
         };
         write_json(&report.out.join("pose_effect.json"), &report)?;
@@ -153,32 +147,6 @@ fn first(text: &str) -> Result<BodyPose> {
         .first()
         .map(|(_, pose)| *pose)
         .ok_or_else(|| Error::message(format!("{text}: has no pose")))
-}
-
-/// Length of the difference of two displacements at every vertex, millimetres.
-fn changes(worn: &Array3<f32>) -> Vec<f64> {
-    let rows = worn.index_axis(Axis(0), 0);
-    let others = worn.index_axis(Axis(0), 1);
-    let pairs = rows.rows().into_iter().zip(others.rows());
-    pairs.map(|(a, b)| distance_mm([a[0], a[1], a[2]], [b[0], b[1], b[2]])).collect()
-}
-
-/// Mean change of clothing vertices by the joint that moves them most.
-fn parts(run: &Run, changes: &[f64]) -> Vec<(String, f64)> {
-    let mut sums = vec![(0.0, 0usize); JOINT_NAMES.len()];
-    for &vertex in run.clothing() {
-        let weights = run.body().weights.row(vertex);
-        let most = weights.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1));
-        if let Some(sum) = most.and_then(|(joint, _)| sums.get_mut(joint)) {
-            *sum = (sum.0 + changes[vertex], sum.1 + 1);
-        }
-    }
-    let named = JOINT_NAMES.iter().zip(sums).filter(|(_, (_, count))| *count > 0);
-    let mut parts: Vec<(String, f64)> =
-        named.map(|(name, (sum, count))| ((*name).to_owned(), sum / count as f64)).collect();
-    parts.sort_by(|a, b| b.1.total_cmp(&a.1));
-    parts.truncate(PARTS);
-    parts
 }
 
 impl Report {

@@ -10,7 +10,7 @@ use clap::Args;
 use ndarray::{Axis, concatenate};
 use serde::Serialize;
 
-use self::target::{ClothingTransfer, TargetBody};
+use self::target::{TargetBody, TransferReport};
 
 use crate::{
     console::Console,
@@ -66,7 +66,7 @@ struct Report {
     /// Mean error of the reconstruction at clothing vertices, millimetres.
     error_mm: f64,
     /// Clothing on other bodies.
-    transferred: Vec<ClothingTransfer>,
+    transferred: Vec<TransferReport>,
     files: Vec<String>,
 }
 
@@ -156,8 +156,7 @@ impl RedressArgs {
         write_json(&report.out.join("redress.json"), &report)?;
         console.result(&report, || {
             let out = report.out.display();
-            let transferred: String =
-                report.transferred.iter().map(ClothingTransfer::text).collect();
+            let transferred: String = report.transferred.iter().map(TransferReport::text).collect();
             format!("mean reconstruction error {error_mm:.2} mm\n{transferred}{out}/redress.png")
         })
     }

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use cape_core::geometry::{SurfaceIndex, SurfaceMesh};
 use cape_core::{BodyPose, Mesh};
+use cape_eval::clothing::{ClothingTransfer, at_clothing, pose_minimal_shape};
 use cape_infer::{BodySpec, Run};
 use ndarray::{Array2, ArrayView2};
 use serde::Serialize;
@@ -12,11 +12,6 @@ use crate::{
     error::{Error, Result},
     registration::{KnownBodyArgs, RegistrationFile, read_shape},
 };
-
-/// Depth under the skin from which on clothing counts as inside, metres.
-const INSIDE: f64 = 0.001;
-/// Largest distance from the skin at which its closest point is searched, metres.
-const REACH: f64 = 0.5;
 
 /// Body to transfer clothing to.
 #[derive(Debug, Clone)]
@@ -29,30 +24,24 @@ pub(super) struct TargetBody {
     pub(super) pose: Option<BodyPose>,
 }
 
-/// Measures of clothing on another body.
+/// Measures of clothing on another body, with the names of body and file.
 #[derive(Debug, Clone, Serialize)]
-pub(super) struct ClothingTransfer {
+pub(super) struct TransferReport {
     to: String,
     file: String,
-    /// Mean distance of the clothing from the skin at clothing vertices, millimetres.
-    distance_mm: f64,
-    /// Mean relative change of the lengths of edges between clothing vertices from body to body.
-    stretch: f64,
-    /// Share of clothing vertices that are more than a millimetre under the skin.
-    inside: f64,
-    /// The same share on the body that the clothing comes from.
-    inside_before: f64,
+    #[serde(flatten)]
+    measures: ClothingTransfer,
 }
 
-impl ClothingTransfer {
+impl TransferReport {
     /// The measures as a line of text.
     pub(super) fn text(&self) -> String {
         format!(
             "on {}: mean change of edge lengths {:.1} %, {:.1} % of clothing vertices inside the body (before {:.1} %)\n",
             self.to,
-            100.0 * self.stretch,
-            100.0 * self.inside,
-            100.0 * self.inside_before
+            100.0 * self.measures.stretch,
+            100.0 * self.measures.inside,
+            100.0 * self.measures.inside_before
         )
     }
 }
@@ -105,7 +94,8 @@ impl TargetBody {
         wearer: &BodySpec,
         worn: ArrayView2<'_, f32>,
     ) -> Result<Mesh> {
-        posed(run, &self.minimal, &wearer.pose, Some(&on_clothing(run, worn)))
+        let displacement = at_clothing(run, worn);
+        Ok(pose_minimal_shape(run, &self.minimal, &wearer.pose, Some(&displacement))?)
     }
 
     /// Measures displacements `[vertices, 3]` on this body and on that of `before`, both in the pose of
@@ -116,72 +106,14 @@ impl TargetBody {
         before: &RegistrationFile,
         worn: ArrayView2<'_, f32>,
         file: String,
-    ) -> Result<ClothingTransfer> {
+    ) -> Result<TransferReport> {
         let pose = &before.wearer.pose;
         let betas: Vec<f64> = before.wearer.betas.iter().copied().map(f64::from).collect();
         let source = match &before.minimal {
             Some(minimal) => minimal.clone(),
             None => run.body().rest_shape(&betas)?,
         };
-        let worn = on_clothing(run, worn);
-        let lengths = |minimal: &Array2<f64>| -> Result<Vec<f64>> {
-            let mesh = posed(run, minimal, pose, Some(&worn))?;
-            let covered = covered(run);
-            let edges = mesh.edges().into_iter();
-            let at = |v: u32| glam::Vec3::from(mesh.vertices[v as usize]);
-            let edges = edges.filter(|edge| edge.iter().all(|&v| covered[v as usize]));
-            Ok(edges.map(|[a, b]| f64::from(at(a).distance(at(b)))).collect())
-        };
-        let (old, new) = (lengths(&source)?, lengths(&self.minimal)?);
-        let stretch = old.iter().zip(&new).map(|(old, new)| (new / old.max(1e-9) - 1.0).abs());
-        let stretch = stretch.sum::<f64>() / old.len().max(1) as f64;
-        let distance = run.clothing().iter().map(|&v| worn.row(v).dot(&worn.row(v)).sqrt());
-        let distance = distance.sum::<f64>() / run.clothing().len().max(1) as f64;
-        Ok(ClothingTransfer {
-            to: self.name.clone(),
-            file,
-            distance_mm: 1000.0 * distance,
-            stretch,
-            inside: inside(run, &self.minimal, pose, &worn)?,
-            inside_before: inside(run, &source, pose, &worn)?,
-        })
+        let measures = ClothingTransfer::measure(run, [&source, &self.minimal], pose, worn)?;
+        Ok(TransferReport { to: self.name.clone(), file, measures })
     }
-}
-
-fn covered(run: &Run) -> Vec<bool> {
-    let mut covered = vec![false; run.body().vertices()];
-    run.clothing().iter().for_each(|&vertex| covered[vertex] = true);
-    covered
-}
-
-/// Displacements of clothing vertices; 0 elsewhere.
-fn on_clothing(run: &Run, worn: ArrayView2<'_, f32>) -> Array2<f64> {
-    let covered = covered(run);
-    Array2::from_shape_fn(worn.dim(), |(vertex, axis)| {
-        if covered[vertex] { f64::from(worn[[vertex, axis]]) } else { 0.0 }
-    })
-}
-
-fn posed(
-    run: &Run,
-    minimal: &Array2<f64>,
-    pose: &BodyPose,
-    worn: Option<&Array2<f64>>,
-) -> Result<Mesh> {
-    let pose = pose.map(f64::from);
-    let posed = run.body().pose_shape(minimal, &pose, [0.0; 3], worn)?;
-    Ok(run.body().mesh_with(&posed.vertices))
-}
-
-/// Share of clothing vertices that are under the skin.
-fn inside(run: &Run, minimal: &Array2<f64>, pose: &BodyPose, worn: &Array2<f64>) -> Result<f64> {
-    let skin =
-        SurfaceIndex::new(&SurfaceMesh::from_mesh("body", &posed(run, minimal, pose, None)?)?);
-    let clothed = posed(run, minimal, pose, Some(worn))?;
-    let under = |&&vertex: &&usize| {
-        let at = glam::DVec3::from_array(clothed.vertices[vertex].map(f64::from));
-        skin.closest(at, REACH).is_some_and(|closest| closest.signed_distance < -INSIDE)
-    };
-    let count = run.clothing().iter().filter(under).count();
-    Ok(count as f64 / run.clothing().len().max(1) as f64)
 }
