@@ -5,6 +5,19 @@
 //! with the official tools. A [`SplitSpec`] selects training and test frames. [`PackedSet`] reads
 //! batches from a packed set, [`DisplacementStatistics`] normalises them, and [`Loader`] draws and
 //! prefetches them for training.
+//!
+//! ```
+//! use cape_data::SplitSpec;
+//!
+//! let split = SplitSpec::preset("male")?;
+//! assert_eq!((split.subjects.len(), split.test.sequences.len()), (7, 4));
+//!
+//! let directory = tempfile::tempdir()?;
+//! let path = directory.path().join("split.toml");
+//! std::fs::write(&path, split.to_toml()?)?;
+//! assert_eq!(SplitSpec::from_file(&path)?, split);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod components;
 pub mod inspect;
