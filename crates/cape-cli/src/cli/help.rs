@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 
-use clap::{Command, CommandFactory, builder::Styles};
+use clap::{Arg, ArgAction, Command, CommandFactory, builder::Styles};
 
 use super::Cli;
 
@@ -48,6 +48,15 @@ fn with_one_page(command: Command) -> Command {
         .help_template(format!(
             "{text}\n\n{{usage-heading}} {{usage}}\n\n{{all-args}}{{after-help}}"
         ))
+        .disable_help_flag(true)
+        .arg(
+            Arg::new("help")
+                .short('h')
+                .long("help")
+                .action(ArgAction::HelpShort)
+                .help("Print help")
+                .display_order(usize::MAX - 1),
+        )
         .mut_subcommands(with_one_page)
 }
 
@@ -124,7 +133,14 @@ mod tests {
         command.clone().debug_assert();
         each(&command, "cape", &mut |command, path| {
             let short = command.clone().render_help().to_string();
-            assert_eq!(short, command.clone().render_long_help().to_string(), "{path}");
+            let shown = |flag: &str| {
+                let words = path.split(' ').chain([flag]);
+                let Err(help) = super::command().try_get_matches_from(words) else {
+                    panic!("{path} {flag}: no help")
+                };
+                help.to_string()
+            };
+            assert_eq!(shown("-h"), shown("--help"), "{path}");
             let example = short.split("Example").nth(1).unwrap_or_default();
             assert!(example.contains(path), "{path}: no example:\n{short}");
             for line in short.lines().filter(|line| !line.contains("cape ")) {

@@ -403,8 +403,10 @@ impl NpzWriter {
     pub fn finish(self) -> Result<()> {
         let Self { path, file, archive, .. } = self;
         let written = archive.finish().map_err(|failed| unwritable(&path, None, failed))?;
+        // Before the file is taken out, after which the archive has none.
+        let complete = written.is_complete();
         match Arc::into_inner(file) {
-            Some(file) if written.is_complete() => {
+            Some(file) if complete => {
                 file.into_inner().unwrap_or_else(PoisonError::into_inner).commit()
             }
             _ => Err(Error::io(path, io::Error::other("an array could not be written"))),
