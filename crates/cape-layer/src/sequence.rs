@@ -75,7 +75,7 @@ impl Sequence {
         }
         if self.motion.frames() != frames {
             return fault(format!(
-                "{frames} frames of clothing but {} of the body: the frames must correspond",
+                "{frames} frames of clothing but {} of the body: clothing and body are out of step",
                 self.motion.frames()
             ));
         }
@@ -373,7 +373,7 @@ pub fn import(
         let mesh = Mesh::load(path)?;
         if faces.as_ref().is_some_and(|faces| *faces != mesh.faces) {
             let message = format!(
-                "{}: faces differ from those of the frames before: all frames must have the same topology",
+                "{}: other faces than in the frames before: all frames must have the same topology",
                 path.display()
             );
             return Err(Error::sequence(name, message));
@@ -432,7 +432,7 @@ mod tests {
         assert!(text(vec![sequence("a"), other]).contains("`b`: clothing of 5 vertices"));
         let mut late = sequence("b");
         late.clothing = Array3::zeros((2, 4, 3));
-        assert!(text(vec![sequence("a"), late]).contains("must correspond"));
+        assert!(text(vec![sequence("a"), late]).contains("out of step"));
         let mut broken = sequence("b");
         broken.clothing[(1, 0, 0)] = f64::NAN;
         assert!(text(vec![broken]).contains("frame 1"));
@@ -465,10 +465,7 @@ mod tests {
         assert_eq!(found, Sequence { parameters: vec![], ..wanted });
         std::fs::remove_file(meshes.join("0001.ply")).unwrap();
         assert!(
-            import("own", &meshes, &archive, None)
-                .unwrap_err()
-                .to_string()
-                .contains("must correspond")
+            import("own", &meshes, &archive, None).unwrap_err().to_string().contains("out of step")
         );
     }
 }

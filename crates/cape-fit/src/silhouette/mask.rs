@@ -111,10 +111,10 @@ impl Mask {
             ));
         }
         match self.area() {
-            0 => refuse("mask: empty, expected the silhouette of a person".into()),
-            area if area == self.covered.len() => {
-                refuse("mask: covers the whole image, expected the silhouette of a person".into())
-            }
+            0 => refuse("the mask is empty, expected the silhouette of a person".into()),
+            area if area == self.covered.len() => refuse(
+                "the mask covers the whole image, expected the silhouette of a person".into(),
+            ),
             _ => Ok(()),
         }
     }
@@ -130,8 +130,8 @@ impl Mask {
             return Ok(());
         }
         Err(Error::Observation(format!(
-            "mask: {found} of {count} joints are on it, expected at least half: check that mask and keypoints \
-             are of the same person and image size"
+            "{found} of {count} joints are on the mask, expected at least half: it is of another size, \
+             another image or another person than the keypoints"
         )))
     }
 
