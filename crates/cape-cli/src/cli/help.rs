@@ -43,11 +43,11 @@ fn with_one_page(command: Command) -> Command {
     let description = command.get_long_about().map(ToString::to_string);
     let about = description.or_else(|| command.get_about().map(ToString::to_string));
     let text = wrapped(&about.unwrap_or_default());
+    let example = example(&command);
+    let page = format!("{text}\n\n{{usage-heading}} {{usage}}\n\n{{all-args}}\n\n{example}");
     command
         .long_about(None::<&'static str>)
-        .help_template(format!(
-            "{text}\n\n{{usage-heading}} {{usage}}\n\n{{all-args}}{{after-help}}"
-        ))
+        .help_template(page)
         .disable_help_flag(true)
         .arg(
             Arg::new("help")
@@ -58,6 +58,11 @@ fn with_one_page(command: Command) -> Command {
                 .display_order(usize::MAX - 1),
         )
         .mut_subcommands(with_one_page)
+}
+
+/// The example, kept out of `{after-help}`, which would wrap its lines.
+fn example(command: &Command) -> String {
+    command.get_after_help().map(ToString::to_string).unwrap_or_default()
 }
 
 /// The help's template with the list of commands, made from the commands themselves.
@@ -75,7 +80,8 @@ fn first_page(command: &Command) -> String {
         }
         page.push('\n');
     }
-    page + "{options}{after-help}"
+    let _ = write!(page, "{header}Options:{header:#}\n{{options}}\n\n{}", example(command));
+    page
 }
 
 fn wrapped(text: &str) -> String {
@@ -127,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn every_command_has_one_page_with_an_example() {
+    fn every_command_has_an_example() {
         let mut command = command();
         command.build();
         command.clone().debug_assert();

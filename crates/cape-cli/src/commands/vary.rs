@@ -254,7 +254,7 @@ impl VaryArgs {
         }
         if self.codes.len() != n {
             return Err(Error::message(format!(
-                "--codes: {} codes given, but {n} needed",
+                "--codes: expected {n}, found {}",
                 self.codes.len()
             )));
         }

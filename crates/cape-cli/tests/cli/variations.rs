@@ -78,7 +78,7 @@ fn codes_are_named_added_and_gone_between() {
         (vec!["--by", "sum", "--sum", "seed:1 seed:2"], "expected codes with + or -"),
         (vec!["--codes", "frame:9999"], "frame 9999"),
         (vec!["--codes", "nonsense"], "unknown code"),
-        (vec!["--by", "between", "--codes", "mean"], "2 needed"),
+        (vec!["--by", "between", "--codes", "mean"], "expected 2, found 1"),
     ] {
         let columns = if options.contains(&"--codes") { vec!["--columns", "1"] } else { vec![] };
         let all: Vec<&str> = options.into_iter().chain(columns).collect();

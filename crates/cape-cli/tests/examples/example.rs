@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 use clap::Command;
 
 /// Options that make a command short, added or put in the place of the example's values.
-const SHORT: [(&str, &[(&str, &str)]); 13] = [
+const SHORT: [(&str, &[(&str, &str)]); 15] = [
     ("data synth", &[("--subjects", "1"), ("--frames-per-sequence", "1")]),
     ("data generate", &[("--n", "4")]),
     ("train", &[("--epochs", "1"), ("--batch", "64")]),
@@ -16,23 +16,25 @@ const SHORT: [(&str, &[(&str, &str)]); 13] = [
     ),
     ("animate", &[("--seconds", "0.2"), ("--size", "64")]),
     ("fit image", &[("--config", "few.toml")]),
-    ("fit benchmark image", &[("--config", "few.toml"), ("--frames", "1"), ("--size", "64")]),
+    ("fit benchmark image", &[("--config", "few.toml"), ("--frames", "1"), ("--size", "128")]),
     (
         "fit benchmark scan",
-        &[("--frames", "1"), ("--points", "300"), ("--noise", "2"), ("--holes", "0")],
+        &[("--frames", "1"), ("--points", "600"), ("--noise", "2"), ("--holes", "0")],
     ),
     (
         "layer synth",
         &[
             ("--exercises", "march"),
             ("--frames", "2"),
-            ("--resolution", "60"),
-            ("--steps", "5"),
+            ("--resolution", "50"),
+            ("--steps", "10"),
             ("--subjects", "0"),
             ("--widths", "1"),
             ("--stiffness", "1"),
         ],
     ),
+    ("fit pose-prior", &[("--components", "1")]),
+    ("model pyramid", &[("--factors", "2")]),
     ("layer learn", &[("--components", "2")]),
     ("layer predict", &[("--seconds", "0.1")]),
     ("layer report", &[("--components", "2")]),

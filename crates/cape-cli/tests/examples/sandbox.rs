@@ -192,7 +192,7 @@ impl Sandbox {
 
     /// Keypoints, masks and a fit.
     fn images(&self) {
-        let options = "--frames 1 --size 64 --config few.toml";
+        let options = "--frames 1 --size 128 --config few.toml";
         self.cape(&format!("fit benchmark image runs/cape {options} --out fits"));
         self.copy("fits/best", "fits/median");
         self.copy("fits/best/keypoints.json", "person_keypoints.json");
@@ -229,7 +229,7 @@ impl Sandbox {
 
     /// A short march in a coarse skirt, as a set, as meshes, and learned.
     fn layers(&self) {
-        let options = "--exercises march --frames 8 --resolution 60 --steps 10";
+        let options = "--exercises march --frames 8 --resolution 50 --steps 10";
         self.cape(&format!("layer synth --garment skirt {options} --out skirt"));
         for name in ["moves", "materials", "fits"] {
             self.copy("skirt", &format!("report/sets/{name}"));
