@@ -27,7 +27,7 @@ impl StagingDirectory {
         let fail = |e| Error::io(out, e);
         if out.exists() && (!out.is_dir() || fs::read_dir(out).map_err(fail)?.next().is_some()) {
             return Err(Error::Data(format!(
-                "{} exists already: remove it, or choose another directory",
+                "{} already exists: remove it, or choose another directory",
                 out.display()
             )));
         }

@@ -212,7 +212,7 @@ fn samples_come_as_animated_gltf_and_textured_meshes() {
 
 #[test]
 fn pickled_bodies_are_taken_wherever_a_body_is() {
-    let fixtures = Path::new("crates/cape-core/fixtures/pickles");
+    let fixtures = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-core/fixtures/pickles"));
     let info =
         |name: &str| crate::support::run(["info", &fixtures.join(name).display().to_string()]);
     let said = info("body_chumpy_python2_protocol2.pkl").succeeded();
