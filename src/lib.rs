@@ -68,3 +68,8 @@ pub mod prelude {
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct ReadmeExamples;
+
+/// The book's examples of the library, compiled as documentation tests.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/book/src/guide/library.md")]
+struct BookExamples;
