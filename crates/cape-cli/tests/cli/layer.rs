@@ -188,7 +188,7 @@ fn sequences_are_imported_and_odd_ones_told() {
         }
     });
     let sunk = import(&sunk, &place.path().join("sunk"), "sunk");
-    assert!(sunk.err.contains("inside the body"), "{}", sunk.err);
+    assert!(sunk.err.contains("out of the body"), "{}", sunk.err);
     assert_eq!(LayerSet::load(&set).unwrap().sequences.len(), 1);
 }
 
