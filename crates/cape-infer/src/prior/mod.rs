@@ -1,4 +1,4 @@
-//! Densities of latent codes, fitted after training (Ghosh et al. 2020; CAPE §6.2 [14]).
+//! Densities of latent codes, fitted after training (Ghosh et al. 2020, as in CAPE §6.2).
 //!
 //! The aggregate posterior of a trained encoder differs from the standard normal prior, and the
 //! decoder reconstructs best under the aggregate posterior. Samples are therefore drawn from a
