@@ -30,7 +30,7 @@ pub(crate) struct PackArgs {
     raw: PathBuf,
     #[command(flatten)]
     output: ResumableOutputArgs,
-    /// Use the paper's subjects and sequences.
+    /// Use the public release's split of the male or female subjects.
     #[arg(long, value_parser = ["male", "female"], conflicts_with = "split")]
     preset: Option<String>,
     /// Split into training and test sequences [default: RAW/split.toml].
