@@ -264,7 +264,7 @@ fn an_existing_set_is_kept_and_a_killed_runs_rest_is_not() {
     pack_to(root.path(), &out, &split()).unwrap();
     assert!(!rest.exists() && !out.join("train/old").exists());
     let message = pack_to(root.path(), &out, &split()).unwrap_err().to_string();
-    assert!(message.contains("exists already"), "{message}");
+    assert!(message.contains("already exists"), "{message}");
     assert!(out.join("train/train_disp.npy").is_file());
     let file = root.path().join("file");
     fs::write(&file, "x").unwrap();

@@ -205,6 +205,6 @@ mod tests {
         }
         assert!(out.join(raw::BODY_FILE).is_file());
         let message = unpose(&out, &out, &body, 10, &mut silent).unwrap_err().to_string();
-        assert!(message.contains("exists already"), "{message}");
+        assert!(message.contains("already exists"), "{message}");
     }
 }
