@@ -92,7 +92,7 @@ pub struct BenchmarkCase {
 /// use cape_infer::Run;
 ///
 /// let run = Run::open("runs/cape", &Device::default())?;
-/// let set = PackedSet::open("data/packed".as_ref(), Split::Test)?;
+/// let set = PackedSet::open("data/packed", Split::Test)?;
 /// let smplify = Smplify::new(run.body(), PosePrior::synthetic()?, SmplifyConfig::default())?;
 /// let config = ClothedConfig::default();
 /// let options = BenchmarkOptions { frames: 8, ..BenchmarkOptions::default() };

@@ -34,7 +34,7 @@ const FAR: f64 = 2.0;
 ///
 /// // Two scans of each of four frames: complete, and with a tenth of the surface missing.
 /// let run = Run::open("runs/cape", &Device::default())?;
-/// let set = PackedSet::open("data/packed".as_ref(), Split::Test)?;
+/// let set = PackedSet::open("data/packed", Split::Test)?;
 /// let options = ScanBenchmarkOptions {
 ///     frames: 4,
 ///     points: 20_000,
