@@ -37,8 +37,8 @@ use crate::{BodyParameters, Error, Result};
 /// let surface = dressed.surface(&fit.parameters, &fit.code)?;
 /// let gradient = surface.pull_back(&vec![glam::DVec3::Y; surface.vertices().len()])?;
 /// assert_eq!(gradient.code.len(), dressed.latent());
-/// // Other bodies in the same clothes.
-/// let clothes = dressed.fixed_clothing(&fit.parameters, &fit.code)?;
+/// // Another body in the mean clothing of the training set.
+/// let clothes = dressed.mean_clothing();
 /// dressed.surface_in(&clothes, &bare.parameters)?;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -131,18 +131,6 @@ impl DressedBody {
         self.expect_code(code)?;
         let code = self.leaf(code);
         self.dress(body, code, |code, rotations| self.decode(code, rotations))
-    }
-
-    /// Displacements of `code` in a body's pose, kept fixed when the pose changes.
-    ///
-    /// # Errors
-    /// If sizes do not suit the model.
-    pub fn fixed_clothing(&self, body: &BodyParameters, code: &[f64]) -> Result<FixedClothing> {
-        body.check()?;
-        self.expect_code(code)?;
-        let pose = Pose::AxisAngle(self.leaf(&body.pose));
-        let rotations = self.model.smpl().body().rotations(pose)?;
-        Ok(FixedClothing(self.decode(self.leaf(code), rotations).detach()))
     }
 
     /// Mean displacements of the training set, of all outfits.

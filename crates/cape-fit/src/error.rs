@@ -20,7 +20,7 @@ pub enum Error {
     Core(#[from] cape_core::Error),
     /// An error of the trained model or its data.
     #[error(transparent)]
-    Train(#[from] cape_infer::Error),
+    Infer(#[from] cape_infer::Error),
     /// An error of reading, writing or rendering images.
     #[error(transparent)]
     Render(#[from] cape_render::Error),

@@ -276,10 +276,8 @@ impl ClothedModel {
         self.expect_codes(codes, bodies)?;
         let mut meshes = Vec::with_capacity(bodies.len());
         for rows in batches(bodies.len()) {
-            let bodies = &bodies[rows.clone()];
-            let codes = from_array2(codes.slice(s![rows, ..]).to_owned(), &self.device);
-            let displacement = self.decode(codes, &self.condition(bodies)?);
-            self.pose(Some(displacement), bodies, &mut meshes)?;
+            let displacement = self.decode_rows(codes, bodies, rows.clone())?;
+            self.pose(Some(displacement), &bodies[rows], &mut meshes)?;
         }
         Ok(meshes)
     }
@@ -296,10 +294,8 @@ impl ClothedModel {
         self.expect_codes(codes, bodies)?;
         let (mut clothed, mut meshes) = (Vec::with_capacity(bodies.len()), Vec::new());
         for rows in batches(bodies.len()) {
-            let bodies = &bodies[rows.clone()];
-            let codes = from_array2(codes.slice(s![rows, ..]).to_owned(), &self.device);
-            let displacement = self.decode(codes, &self.condition(bodies)?);
-            self.pose(Some(displacement.clone()), bodies, &mut meshes)?;
+            let displacement = self.decode_rows(codes, bodies, rows.clone())?;
+            self.pose(Some(displacement.clone()), &bodies[rows], &mut meshes)?;
             let values = to_host(displacement);
             let rows = values.chunks_exact(3 * self.body.vertices());
             for (mesh, values) in meshes.drain(..).zip(rows) {
@@ -326,9 +322,7 @@ impl ClothedModel {
         let (n, vertices) = (bodies.len(), self.body.vertices());
         let mut metres = Vec::with_capacity(n * vertices * 3);
         for rows in batches(n) {
-            let condition = self.condition(&bodies[rows.clone()])?;
-            let codes = from_array2(codes.slice(s![rows, ..]).to_owned(), &self.device);
-            metres.extend(to_host(self.decode(codes, &condition)));
+            metres.extend(to_host(self.decode_rows(codes, bodies, rows)?));
         }
         Array3::from_shape_vec((n, vertices, 3), metres)
             .map_err(|error| Error::argument(error.to_string()))
@@ -403,6 +397,18 @@ impl ClothedModel {
             means.extend(to_host(posterior.mean));
         }
         self.code_rows(frames.len(), means)
+    }
+
+    /// Displacements in metres, `[rows, V, 3]`, of some rows of codes `[n, latent]` and bodies.
+    fn decode_rows(
+        &self,
+        codes: &Array2<f32>,
+        bodies: &[BodySpec],
+        rows: Range<usize>,
+    ) -> Result<Tensor<3>> {
+        let condition = self.condition(&bodies[rows.clone()])?;
+        let codes = from_array2(codes.slice(s![rows, ..]).to_owned(), &self.device);
+        Ok(self.decode(codes, &condition))
     }
 
     /// Appends the meshes of `bodies`, at most a batch, with displacements `[n, V, 3]` in metres.
