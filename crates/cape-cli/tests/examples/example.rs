@@ -54,6 +54,14 @@ const NOT_RUN: [(&str, &str); 10] = [
     ("--preset female", "the sandbox has the release's male subjects only"),
 ];
 
+/// Commands that a build may be without, and the feature that has them.
+const OPTIONAL: [(&str, bool); 1] = [("view", cfg!(feature = "view"))];
+
+/// Commands that this build is without.
+fn is_left_out(command: &str) -> bool {
+    OPTIONAL.iter().any(|(name, built)| *name == command && !built)
+}
+
 /// A command line that users are shown.
 #[derive(Debug, Clone)]
 pub(crate) struct Example {
@@ -72,6 +80,9 @@ impl Example {
     /// Parses the words after `cape`.
     pub(crate) fn parse(&self) -> Result<(), String> {
         let (_, words, _) = self.parts();
+        if words.get(1).is_some_and(|word| is_left_out(word)) {
+            return Ok(());
+        }
         let words = words.iter().map(|word| word.replace(['\'', '"'], ""));
         match cape_cli::command().try_get_matches_from(words) {
             Ok(_) => Ok(()),
@@ -164,6 +175,7 @@ pub(crate) fn unknown_command<'a>(mut words: impl Iterator<Item = &'a str>) -> O
         }
         match command.find_subcommand(word).cloned() {
             Some(found) => command = found,
+            None if is_left_out(word) => return None,
             None => return Some(format!("no command `{word}`")),
         }
     }
