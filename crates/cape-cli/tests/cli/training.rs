@@ -63,7 +63,7 @@ fn an_interrupted_training_resumes_as_if_nothing_had_been() {
 fn so_does_one_with_every_option_away_from_the_paper() {
     interrupted_and_resumed(
         "--optimiser adam --peak-rate 0.001 --schedule cosine --ema 0.9 --kl-warmup-epochs 3 \
-         --adversary hinge --spectral-norm",
+         --adversary hinge --spectral-norm --unit metres --bare-weight 0.5 --clothing-patches",
     );
 }
 
