@@ -225,7 +225,7 @@ mod tests {
         let mut errors = GroupedErrors::new();
         let mut captures: Vec<(String, Vec<f32>)> = Vec::new();
         for &(capture, error) in frames {
-            errors.push(Outfit::LongLong, Some(capture), &[error]);
+            errors.push(Outfit::LONG_LONG, Some(capture), &[error]);
             captures.push((capture.to_owned(), vec![error]));
         }
         RunErrors {

@@ -1,3 +1,5 @@
+use std::collections::BTreeSet;
+
 use cape_core::Outfit;
 use serde::{Deserialize, Serialize};
 
@@ -62,7 +64,7 @@ pub struct OutfitSummary {
 /// let cases = [0, 1, 2].map(|frame| BenchmarkCase {
 ///     frame,
 ///     capture: "anna".into(),
-///     outfit: Outfit::LongLong,
+///     outfit: Outfit::LONG_LONG,
 ///     bare: error(20.0),
 ///     clothed: error(10.0),
 ///     problem: None,
@@ -110,13 +112,14 @@ impl BenchmarkSummary {
         let of_outfit = |outfit| {
             let worn: Vec<&BenchmarkCase> =
                 cases.iter().filter(|case| case.outfit == outfit).collect();
-            (!worn.is_empty()).then(|| OutfitSummary {
+            OutfitSummary {
                 outfit,
                 images: worn.len(),
                 bare: score(&worn, |case| &case.bare),
                 clothed: score(&worn, |case| &case.clothed),
-            })
+            }
         };
+        let outfits: BTreeSet<Outfit> = cases.iter().map(|case| case.outfit).collect();
         let mut captures: Vec<&str> = cases.iter().map(|case| case.capture.as_str()).collect();
         captures.sort_unstable();
         captures.dedup();
@@ -133,7 +136,7 @@ impl BenchmarkSummary {
                 [] => None,
                 trusted => Some(compare_paired(trusted, seed, squared)?),
             },
-            outfits: Outfit::ALL.into_iter().filter_map(of_outfit).collect(),
+            outfits: outfits.into_iter().map(of_outfit).collect(),
         })
     }
 }
@@ -185,7 +188,7 @@ mod tests {
         BenchmarkCase {
             frame,
             capture: format!("capture {}", frame / 2),
-            outfit: Outfit::ALL[frame % 2],
+            outfit: Outfit::PAPER[frame % 2],
             bare: error(squared[0]),
             clothed: error(squared[1]),
             problem: problem.map(|reason| FitProblem::Failed(reason.to_owned())),
