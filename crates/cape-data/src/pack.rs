@@ -161,8 +161,8 @@ pub fn pack(
     let frames = || plans.iter().flat_map(|(_, frames)| frames);
     let total = frames().count();
     let worn: HashSet<Outfit> = frames().map(|frame| frame.outfit).collect();
-    report.missing_outfits = split.outfits.clone();
-    report.missing_outfits.retain(|outfit| !worn.contains(outfit));
+    report.missing_outfits =
+        split.outfits.iter().copied().filter(|outfit| !worn.contains(outfit)).collect();
     if let (true, Some(outfit)) = (options.strict, report.missing_outfits.first()) {
         return Err(Error::Data(format!("{}: no capture of {outfit}", raw.display())));
     }

@@ -6,7 +6,7 @@ use std::{
 
 use cape_core::{
     Outfit, OutfitVocabulary,
-    joints::{CLOTHING_JOINTS, POSE_FEATURE},
+    joints::{CLOTHING_JOINTS, POSE_FEATURE, pose_rotations},
 };
 use ndarray::{Array2, Array3};
 use serde::{Deserialize, Serialize};
@@ -89,8 +89,10 @@ pub struct HostBatch {
     pub outfit: Array2<f32>,
 }
 
-/// Reader of one part of a packed set, frame by frame. The files can be float64 or float32, written
-/// by this crate or by the official tools.
+/// Reader of one part of a packed set, frame by frame, written by this crate or by the official tools.
+/// The arrays can hold floating-point numbers or integers of any size, byte order and memory order; those
+/// in Fortran order are copied to a temporary file. Rotations are computed from poses if the set has
+/// none.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -120,7 +122,8 @@ pub struct HostBatch {
 pub struct PackedSet {
     displacement: RowReader,
     pose: RowReader,
-    rotations: RowReader,
+    /// `None` if rotations are computed from the poses.
+    rotations: Option<RowReader>,
     vocabulary: OutfitVocabulary,
     /// True if the set names its outfits.
     names_outfits: bool,
@@ -151,9 +154,10 @@ impl PackedSet {
             return Err(Error::format(displacement.path(), message));
         }
         let pose = open("pose", &[Some(72)])?;
-        let rotations = open("rot", &[Some(216)])?;
+        let rotations =
+            if part.path(root, "rot").exists() { Some(open("rot", &[Some(216)])?) } else { None };
         let labels = open("clo_label", &[None])?;
-        for other in [&pose, &rotations, &labels] {
+        for other in [Some(&pose), rotations.as_ref(), Some(&labels)].into_iter().flatten() {
             if other.rows() != frames {
                 let message = format!(
                     "{} frames, but {} has {frames}",
@@ -232,16 +236,10 @@ impl PackedSet {
         self.origins.as_deref()
     }
 
-    /// Name of a frame's capture: `subject/outfit_sequence`, or the outfit if the origins are
-    /// unknown.
-    pub fn capture(&self, frame: usize) -> String {
-        match self.origins() {
-            Some(origins) => {
-                let FrameOrigin { subject, outfit, sequence, .. } = &origins[frame];
-                format!("{subject}/{outfit}_{sequence}")
-            }
-            None => self.outfits[frame].to_string(),
-        }
+    /// Name of a frame's capture, `subject/outfit_sequence`; `None` if the origins are unknown.
+    pub fn capture(&self, frame: usize) -> Option<String> {
+        let FrameOrigin { subject, outfit, sequence, .. } = self.origins()?.get(frame)?;
+        Some(format!("{subject}/{outfit}_{sequence}"))
     }
 
     /// Reads all frames into memory as f32.
@@ -309,7 +307,7 @@ impl PackedSet {
         let displacement =
             Array2::from_shape_vec((self.vertices(), 3), self.displacement.row(frame)?)
                 .map_err(|error| Error::argument(error.to_string()))?;
-        Ok((displacement, self.pose.row(frame)?, self.rotations.row(frame)?))
+        Ok((displacement, self.pose.row(frame)?, self.rotations(frame)?))
     }
 
     /// Displacements of one frame, metres, `[3 V]`.
@@ -322,6 +320,16 @@ impl PackedSet {
         Ok(self.pose.row(frame)?.into_iter().map(|x| x as f32).collect())
     }
 
+    /// Rotation matrices of the 24 joints of one frame, row-major, `[216]`.
+    fn rotations(&self, frame: usize) -> Result<Vec<f64>> {
+        match &self.rotations {
+            Some(rotations) => rotations.row(frame),
+            None => {
+                Ok(pose_rotations(&self.pose.row(frame)?)?.as_flattened().as_flattened().to_vec())
+            }
+        }
+    }
+
     fn read_into(
         &self,
         frame: usize,
@@ -329,7 +337,7 @@ impl PackedSet {
         feature: &mut Vec<f32>,
     ) -> Result<()> {
         displacement.extend(self.displacement.row(frame)?.into_iter().map(|x| x as f32));
-        let rotations = self.rotations.row(frame)?;
+        let rotations = self.rotations(frame)?;
         for joint in CLOTHING_JOINTS {
             feature.extend(rotations[9 * joint..][..9].iter().map(|&x| x as f32));
         }

@@ -102,8 +102,8 @@ pub struct ErrorSamples {
 /// Mean error of a test frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameError {
-    /// Capture of the frame, see [`PackedSet::capture`].
-    pub capture: String,
+    /// Capture of the frame if it is known, see [`PackedSet::capture`].
+    pub capture: Option<String>,
     /// Mean error over the clothing vertices, millimetres.
     pub mean: f64,
 }

@@ -134,7 +134,8 @@ pub fn body_and_clothing(
     let body_path = body.map_or_else(|| data.join(BODY_FILE), Path::to_owned);
     if !body_path.exists() {
         return Err(Error::argument(format!(
-            "{}: not found, and the packed set has no body of its own: give the SMPL body (.pkl or .npz)",
+            "{}: not found: the packed set has no body of its own: give the SMPL body, .pkl or .npz \
+             (--body)",
             body_path.display()
         )));
     }

@@ -65,8 +65,8 @@ pub struct FitError {
 pub struct BenchmarkCase {
     /// Index of the held-out frame.
     pub frame: usize,
-    /// Subject and sequence.
-    pub capture: String,
+    /// Subject and sequence, if known.
+    pub capture: Option<String>,
     /// Outfit.
     pub outfit: Outfit,
     /// Error of the unclothed body of SMPLify.

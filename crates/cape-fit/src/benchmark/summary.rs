@@ -82,8 +82,8 @@ pub struct OutfitSummary {
 pub struct BenchmarkSummary {
     /// Number of images.
     pub images: usize,
-    /// Number of different captures.
-    pub captures: usize,
+    /// Number of different captures; `None` if they are unknown.
+    pub captures: Option<usize>,
     /// Scores of the unclothed body of SMPLify.
     pub bare: MethodScores,
     /// Scores of the clothed body.
@@ -120,13 +120,12 @@ impl BenchmarkSummary {
             }
         };
         let outfits: BTreeSet<Outfit> = cases.iter().map(|case| case.outfit).collect();
-        let mut captures: Vec<&str> = cases.iter().map(|case| case.capture.as_str()).collect();
-        captures.sort_unstable();
-        captures.dedup();
+        let captures: Option<BTreeSet<&str>> =
+            cases.iter().map(|case| case.capture.as_deref()).collect();
         let squared = |error: &FitError| error.squared;
         Ok(Self {
             images: cases.len(),
-            captures: captures.len(),
+            captures: captures.map(|captures| captures.len()),
             bare: score(&all, |case| &case.bare),
             clothed: score(&all, |case| &case.clothed),
             squared: compare_paired(&all, seed, squared)?,
@@ -187,7 +186,7 @@ mod tests {
         let body = BodyParameters::new(vec![0.0; 72], Vec::new()).unwrap();
         BenchmarkCase {
             frame,
-            capture: format!("capture {}", frame / 2),
+            capture: Some(format!("capture {}", frame / 2)),
             outfit: Outfit::PAPER[frame % 2],
             bare: error(squared[0]),
             clothed: error(squared[1]),
@@ -207,7 +206,7 @@ mod tests {
             case(3, [2.0, 1.0], None),
         ];
         let summary = BenchmarkSummary::from_cases(&cases, 1).unwrap();
-        assert_eq!((summary.images, summary.captures, summary.failed), (4, 2, 1));
+        assert_eq!((summary.images, summary.captures, summary.failed), (4, Some(2), 1));
         assert_eq!(summary.bare.squared, ValueSummary { mean: 2.0, median: 1.5, most: 4.0 });
         assert_eq!(summary.clothed.squared.median, 1.0);
         assert_eq!((summary.squared.wins, summary.squared.difference), (2, -0.25));

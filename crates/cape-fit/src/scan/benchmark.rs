@@ -48,7 +48,7 @@ const FAR: f64 = 2.0;
 /// let benchmark = ScanBenchmark::new(&run, &set, options, &ScanConfig::default())?;
 /// for trial in benchmark.trials() {
 ///     let case = benchmark.case(trial)?;
-///     println!("{} {:.0} %: {:.1} mm", case.capture, 100.0 * case.hole, case.error.clothed);
+///     println!("{:?} {:.0} %: {:.1} mm", case.capture, 100.0 * case.hole, case.error.clothed);
 /// }
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -95,8 +95,8 @@ pub struct ScanError {
 pub struct ScanCase {
     /// Index of the held-out frame.
     pub frame: usize,
-    /// Subject and sequence.
-    pub capture: String,
+    /// Subject and sequence, if known.
+    pub capture: Option<String>,
     /// Outfit.
     pub outfit: Outfit,
     /// Standard deviation of the points' coordinates, metres.
