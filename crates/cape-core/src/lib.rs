@@ -54,7 +54,7 @@ pub use hex::hex;
 pub use joints::BodyPose;
 pub use mesh::{Mesh, MeshReport};
 pub use motion::BodyMotion;
-pub use outfit::Outfit;
+pub use outfit::{Outfit, OutfitVocabulary};
 pub use progress::{ProgressFn, silent};
 pub use smpl::{
     ClothedSmpl, ClothingMask, JointSource, Pose, Smpl, SmplInput, SmplModel, SmplOutput,

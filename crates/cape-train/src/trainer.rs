@@ -183,8 +183,8 @@ impl Trainer {
         options: TrainerOptions,
         device: &Device,
     ) -> Result<Self> {
-        let paths = create(root.as_ref(), &options)?;
-        let TrainerOptions { data, config, .. } = options;
+        let (paths, config) = create(root.as_ref(), &options)?;
+        let data = options.data;
         let progress = TrainState {
             step: 0,
             loader: LoaderState::new(config.train.seed),
@@ -261,7 +261,8 @@ impl Trainer {
         progress: TrainState,
         device: &Device,
     ) -> Result<Self> {
-        let mut set = PackedSet::open(data, Split::Train)?;
+        let set = PackedSet::open(data, Split::Train)?;
+        let mut set = set.with_vocabulary(&config.model.outfits)?;
         if config.train.preload {
             set.preload(&mut cape_core::silent)?;
         }

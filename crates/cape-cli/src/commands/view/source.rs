@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_core::{Mesh, Outfit, joints::JOINT_NAMES, obj, ply};
+use cape_core::{Mesh, joints::JOINT_NAMES, obj, ply};
 use cape_data::{PackedSet, Split, raw::name_of};
 use cape_infer::{AnimatedBody, BodySpec, Run, directions_by_effect};
 use cape_stats::errors::distance_mm;
@@ -123,15 +123,15 @@ impl Source<'_> {
 
 impl<'a> RunSource<'a> {
     pub(super) fn new(run: &'a Run, console: Console) -> Self {
-        let truth = run.data().ok().and_then(|data| PackedSet::open(&data, Split::Test).ok());
-        let truth = truth.filter(|set| set.vertices() == run.body().vertices());
+        let truth = run.data().ok().and_then(|data| run.open_set(data, Split::Test).ok());
         Self { run, painter: DressedRenderer::new(run), truth, console }
     }
 
     fn scene(&self) -> Result<Value> {
         let run = self.run;
         let at = |name: &str| poses::preset(name).unwrap_or([0.0; 72]);
-        let wearer = BodySpec { betas: Vec::new(), pose: at("a-pose"), outfit: Outfit::LongLong };
+        let wearer =
+            BodySpec { betas: Vec::new(), pose: at("a-pose"), outfit: run.default_outfit() };
         let (order, effect) = directions_by_effect(run, &wearer)?;
         let motions: Vec<&str> = Motion::ALL.iter().map(|motion| motion.name()).collect();
         let named = ["a-pose", "t-pose"].into_iter().chain(motions.iter().copied());
@@ -152,7 +152,8 @@ impl<'a> RunSource<'a> {
                 "order": order,
                 "effect": effect,
                 "betas": self.shapes(),
-                "outfits": Outfit::ALL.map(Outfit::name),
+                "outfits": run.outfits(),
+                "outfit": run.default_outfit(),
                 "poses": poses,
                 "motions": motions,
                 "joints": JOINT_NAMES,
