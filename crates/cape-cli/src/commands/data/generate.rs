@@ -123,13 +123,13 @@ impl GenerateArgs {
             poses: self.poses.clone(),
             outfits: outfits.clone(),
             shape_deviation: self.shape_deviation as f32,
-            prior: self.drawn.prior.name().to_owned(),
+            prior: self.drawn.name(&run).name().to_owned(),
             temperature,
             format: self.format,
             seed: global.seed(),
         };
         self.begin(&plan, &run)?;
-        let prior = load_prior(&run, self.drawn.prior, console)?;
+        let prior = load_prior(&run, self.drawn.name(&run), console)?;
         let dice = BodySampler { plan: &plan, run: &run, poses: &poses, prior: prior.as_ref() };
 
         let (start, mut made) = (Instant::now(), 0);

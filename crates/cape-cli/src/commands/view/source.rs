@@ -67,7 +67,8 @@ impl Source<'_> {
             (Self::Model(model), Question::Sample(sample)) => {
                 let &RunSource { run, console, .. } = &**model;
                 let (outfit, seed) = (sample.outfit, sample.seed);
-                let drawn = PriorArgs { prior: sample.prior()?, temperature: sample.temperature };
+                let drawn =
+                    PriorArgs { prior: Some(sample.prior()?), temperature: sample.temperature };
                 let z = drawn.codes(run, &[outfit], 1, seed, console)?;
                 Ok(Answer::Code { z: z.row(0).to_vec() })
             }
@@ -137,7 +138,7 @@ impl<'a> RunSource<'a> {
         let named = ["a-pose", "t-pose"].into_iter().chain(motions.iter().copied());
         let poses: Vec<Value> =
             named.map(|name| json!({"name": name, "pose": at(name).to_vec()})).collect();
-        let priors: Vec<&str> = [PriorName::Normal, PriorName::Gmm, PriorName::Kde]
+        let priors: Vec<&str> = [PriorName::Gmm, PriorName::Normal, PriorName::Kde]
             .into_iter()
             .filter(|&prior| prior == PriorName::Normal || run.paths().prior(prior.name()).exists())
             .map(PriorName::name)
