@@ -1,6 +1,6 @@
 //! A run with six outfits, from raw captures to evaluation.
 
-use std::{fs, ops::ControlFlow, path::Path};
+use std::{collections::BTreeMap, fs, ops::ControlFlow, path::Path};
 
 use burn::tensor::Device;
 use cape_core::{Outfit, OutfitVocabulary, npy::write_npy, silent};
@@ -145,7 +145,7 @@ fn sets_take_the_outfits_of_a_model() {
     let root = directory.path();
     let only = |names: &[&str]| SplitSpec {
         outfits: names.iter().map(|name| outfit(name)).collect(),
-        labels: Default::default(),
+        labels: BTreeMap::new(),
         ..split()
     };
     packed(root, &only(&["longlong", "jerseyshort", "shortlong"]));

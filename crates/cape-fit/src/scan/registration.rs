@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use cape_core::{ClothingMask, Outfit, SmplModel};
 use cape_data::{
-    SequenceList, SplitSpec,
+    SplitSpec,
     raw::{self, BODY_FILE, CLOTHING_FILE, RawFrame, SPLIT_FILE},
 };
 use glam::DVec3;
