@@ -42,6 +42,7 @@ pub mod optimise;
 mod outfit;
 pub mod pickle;
 pub mod ply;
+mod point_cache;
 mod progress;
 pub mod smpl;
 mod staging;
@@ -55,6 +56,7 @@ pub use joints::BodyPose;
 pub use mesh::{Mesh, MeshReport};
 pub use motion::BodyMotion;
 pub use outfit::Outfit;
+pub use point_cache::PointCache;
 pub use progress::{ProgressFn, silent};
 pub use smpl::{
     ClothedSmpl, ClothingMask, JointSource, Pose, Smpl, SmplInput, SmplModel, SmplOutput,
