@@ -45,6 +45,7 @@ mod outfit;
 pub mod pickle;
 pub mod ply;
 mod point_cache_writer;
+mod point_cache;
 mod progress;
 pub mod smpl;
 mod staging;
@@ -61,6 +62,7 @@ pub use mesh::{Mesh, MeshReport};
 pub use motion::BodyMotion;
 pub use outfit::Outfit;
 pub use point_cache_writer::{PointCacheFormat, PointCacheWriter};
+pub use point_cache::PointCache;
 pub use progress::{ProgressFn, silent};
 pub use smpl::{
     ClothedSmpl, ClothingMask, JointSource, Pose, Smpl, SmplInput, SmplModel, SmplOutput,
