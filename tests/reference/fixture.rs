@@ -143,6 +143,7 @@ impl Settings {
             decoder_conditions,
             variational: true,
             deviation: 0.1,
+            group_channels: None,
             discriminator: Some(discriminator),
         }
     }

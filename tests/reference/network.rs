@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, path::Path};
 use burn::tensor::{Device, Tensor};
 use cape::{
     infer::DeviceBatch,
-    model::{Cape, release, weights},
+    model::{Cape, losses::LossWeights, release, weights},
     train::objective::{StepInput, evaluate},
 };
 
@@ -171,7 +171,8 @@ pub fn step_input(fixture: &mut Fixture, prefix: &str, epsilon: &str) -> StepInp
 
 fn losses(fixture: &mut Fixture, model: &Cape, report: &mut dyn FnMut(String)) {
     let input = step_input(fixture, "in", "eps");
-    let losses = evaluate(model, &fixture.graphs, &fixture.loss, &input).losses;
+    let losses =
+        evaluate(model, &fixture.graphs, &fixture.loss, &LossWeights::default(), &input).losses;
     let mut worst: f64 = 0.0;
     for (name, found) in [
         ("recon", losses.reconstruction),
@@ -193,7 +194,8 @@ fn losses(fixture: &mut Fixture, model: &Cape, report: &mut dyn FnMut(String)) {
 
 fn gradients(fixture: &mut Fixture, model: &Cape, report: &mut dyn FnMut(String)) {
     let input = step_input(fixture, "in", "eps");
-    let evaluation = evaluate(model, &fixture.graphs, &fixture.loss, &input);
+    let evaluation =
+        evaluate(model, &fixture.graphs, &fixture.loss, &LossWeights::default(), &input);
     let shapes: Vec<(String, Vec<usize>)> =
         fixture.variables.iter().map(|(name, array)| (name.clone(), array.shape.clone())).collect();
     let names = release::name_map(&fixture.config, &shapes).unwrap();

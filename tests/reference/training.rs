@@ -10,7 +10,9 @@ use cape::{
     core::npy::Npz,
     infer::OptimiserKind,
     model::{
-        Cape, release,
+        Cape,
+        losses::LossWeights,
+        release,
         weights::{self, HostArray},
     },
     train::{
@@ -178,7 +180,8 @@ struct Compared {
 }
 
 fn compare(model: &Cape, fixture: &Fixture, input: &StepInput, step: &Step) -> Compared {
-    let evaluation = evaluate(model, &fixture.graphs, &fixture.loss, input);
+    let evaluation =
+        evaluate(model, &fixture.graphs, &fixture.loss, &LossWeights::default(), input);
     let losses = evaluation.losses;
     let norm_g = global_norm(&model.generator, &evaluation.generator);
     let norm_d = global_norm(

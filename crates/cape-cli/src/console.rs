@@ -79,13 +79,14 @@ impl Console {
     }
 }
 
-/// A duration in seconds, minutes or hours.
+/// A duration in seconds, minutes, hours or days.
 pub(crate) fn seconds(seconds: f64) -> String {
     let whole = seconds as u64;
     match whole {
         0..10 => format!("{seconds:.1} s"),
         10..120 => format!("{seconds:.0} s"),
         120..7200 => format!("{} min {:02} s", whole / 60, whole % 60),
-        _ => format!("{} h {:02} min", whole / 3600, whole / 60 % 60),
+        7200..172_800 => format!("{} h {:02} min", whole / 3600, whole / 60 % 60),
+        _ => format!("{:.1} days", seconds / 86400.0),
     }
 }

@@ -82,6 +82,8 @@ pub struct EvalReport {
     pub mean_shape: GroupedSummary,
     /// Number of test frames.
     pub frames: usize,
+    /// Number of clothing vertices, at which errors are measured.
+    pub clothing_vertices: usize,
     /// Latent code that was decoded.
     pub posterior: PosteriorUse,
     /// Mean error of the model at every vertex, `[V]`, millimetres; zero at vertices without
@@ -182,6 +184,7 @@ pub fn evaluate(
         model: of_model.summary(),
         mean_shape: of_mean.summary(),
         frames: set.frames(),
+        clothing_vertices: run.clothing().len(),
         posterior: options.posterior,
         vertex_means: of_model.vertex_means(),
     })

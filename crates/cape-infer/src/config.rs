@@ -135,6 +135,24 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
+    /// Sets the number of epochs and scales the warm-ups of learning rate and Kullback–Leibler weight
+    /// with it, so that a shorter training has the same schedule over its whole length.
+    ///
+    /// ```
+    /// use cape_infer::TrainConfig;
+    ///
+    /// let mut config = TrainConfig::default();
+    /// assert_eq!((config.epochs, config.warmup_epochs), (60, 4.0));
+    /// config.scale_to_epochs(15);
+    /// assert_eq!((config.epochs, config.warmup_epochs), (15, 1.0));
+    /// ```
+    pub fn scale_to_epochs(&mut self, epochs: usize) {
+        let factor = epochs as f64 / self.epochs.max(1) as f64;
+        self.epochs = epochs;
+        self.warmup_epochs *= factor;
+        self.kl_warmup_epochs *= factor;
+    }
+
     /// The generator's learning rate at a step counted from 0.
     pub fn rate(&self, step: u64, steps_per_epoch: usize) -> f64 {
         let steps = steps_per_epoch as f64;

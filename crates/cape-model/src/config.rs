@@ -4,8 +4,10 @@ use crate::{Error, Result};
 
 /// Negative slope of every leaky ReLU of the networks.
 pub const LEAKY_SLOPE: f64 = 0.2;
-/// Largest number of groups of a group normalisation.
-pub(crate) const MAX_GROUPS: usize = 32;
+/// Largest number of groups of a group normalisation by the release's rule.
+const MAX_GROUPS: usize = 32;
+/// Channels of a group in this project's presets.
+const GROUP_CHANNELS: usize = 8;
 /// Length of the pose feature: the rotation matrices of the 14 joints that move clothing.
 pub const POSE_FEATURE: usize = 126;
 /// Length of the one-hot outfit label.
@@ -89,6 +91,11 @@ pub struct CapeConfig {
     /// narrower models need a larger one, or the signal vanishes in the encoder.
     #[serde(default = "default_deviation")]
     pub deviation: f64,
+    /// Channels that a group of the group normalisations has at least; `None` is the release's rule of
+    /// `min(32, channels)` groups. At this project's small widths that rule leaves one channel in a
+    /// group, which subtracts conditions that are constant over the vertices.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group_channels: Option<usize>,
     /// Patchwise discriminator; `None` trains without one.
     pub discriminator: Option<DiscriminatorConfig>,
 }
@@ -152,6 +159,7 @@ impl CapeConfig {
             decoder_conditions: DecoderConditions::Everywhere,
             variational: true,
             deviation: default_deviation(),
+            group_channels: None,
             discriminator: Some(DiscriminatorConfig::default()),
         }
     }
@@ -174,6 +182,7 @@ impl CapeConfig {
             filters: vec![32, 32, 32, 32, 64, 64, 128, 128],
             reduce: 32,
             deviation: 0.2,
+            group_channels: Some(GROUP_CHANNELS),
             discriminator: Some(DiscriminatorConfig {
                 filters: vec![16, 16, 32, 32],
                 ..DiscriminatorConfig::default()
@@ -191,6 +200,7 @@ impl CapeConfig {
             reduce: 4,
             pose_embedding: 6,
             outfit_embedding: 2,
+            group_channels: Some(GROUP_CHANNELS),
             discriminator: Some(DiscriminatorConfig {
                 filters: vec![8, 16],
                 factors: vec![2, 2],
@@ -254,9 +264,12 @@ impl CapeConfig {
         {
             return error("filters", format!("must be even for this decoder, not {odd}"));
         }
+        if self.group_channels == Some(0) {
+            return error("group_channels", "must be at least 1".into());
+        }
         if self.decoder == DecoderBlock::Residual {
             for channels in self.normalised_channels() {
-                let groups = channels.min(MAX_GROUPS);
+                let groups = group_count(channels, self.group_channels);
                 if channels % groups != 0 {
                     return error(
                         "filters",
@@ -302,6 +315,14 @@ impl CapeConfig {
     }
 }
 
+/// Number of groups of a group normalisation of `channels` channels.
+pub(crate) fn group_count(channels: usize, group_channels: Option<usize>) -> usize {
+    match group_channels {
+        Some(size) => (channels / size.max(1)).max(1),
+        None => channels.min(MAX_GROUPS),
+    }
+}
+
 fn check_layers(
     filters_field: &str,
     filters: &[usize],
@@ -334,6 +355,16 @@ mod tests {
             CapeConfig::preset(name).unwrap().validate().unwrap();
         }
         assert!(CapeConfig::preset("huge").is_err());
+    }
+
+    #[test]
+    fn groups_have_the_configured_channels() {
+        assert_eq!([3, 32, 288].map(|channels| group_count(channels, None)), [3, 32, 32]);
+        assert_eq!([4, 16, 20, 96].map(|channels| group_count(channels, Some(8))), [1, 2, 2, 12]);
+        let odd = CapeConfig { group_channels: Some(7), ..CapeConfig::narrow() };
+        assert!(odd.validate().unwrap_err().to_string().contains("group normalisation"));
+        let none = CapeConfig { group_channels: Some(0), ..CapeConfig::narrow() };
+        assert!(none.validate().unwrap_err().to_string().contains("group_channels"));
     }
 
     #[test]

@@ -102,7 +102,8 @@ impl Decoder {
             width = if config.decoder == DecoderBlock::Affine { filters / 2 } else { filters };
             blocks.push(match config.decoder {
                 DecoderBlock::Residual => {
-                    DecoderLayer::Residual(ResidualBlock::new(channels, width, order, init))
+                    let groups = config.group_channels;
+                    DecoderLayer::Residual(ResidualBlock::new(channels, width, order, groups, init))
                 }
                 DecoderBlock::Affine => {
                     DecoderLayer::Affine(AffineBlock::new(channels, width, order, init))

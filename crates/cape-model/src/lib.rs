@@ -67,5 +67,5 @@ pub use discriminator::Discriminator;
 pub use encoder::{Encoder, EncoderBlock, Posterior};
 pub use error::{Error, Result};
 pub use init::Initialiser;
-pub use losses::{AdversarialLoss, LossConfig, ReconstructionLoss};
+pub use losses::{AdversarialLoss, DisplacementUnit, LossConfig, ReconstructionLoss};
 pub use model::{Cape, Generator, Graphs};

@@ -1,7 +1,12 @@
 //! A model with its optimisers.
 
 use burn::{module::Module, tensor::Device};
-use cape_model::{Cape, Generator, Graphs, LossConfig, weights};
+use cape_data::DisplacementStatistics;
+use cape_model::{
+    Cape, Generator, Graphs, LossConfig,
+    losses::{LossVertices, LossWeights},
+    weights,
+};
 
 use crate::{
     Result,
@@ -60,6 +65,7 @@ pub struct Learner {
     model: Cape,
     graphs: Graphs,
     loss: LossConfig,
+    loss_weights: LossWeights,
     generator: Optimiser,
     discriminator: Optimiser,
     discriminator_rate_scale: f64,
@@ -104,7 +110,8 @@ pub struct UpdateOptions {
 }
 
 impl Learner {
-    /// Creates a model with initial weights; `device` is an autodiff device.
+    /// Creates a model with initial weights whose losses weigh all vertices and patches the same;
+    /// `device` is an autodiff device.
     pub fn new(config: &RunConfig, graphs: Graphs, device: &Device) -> Result<Self> {
         let train = &config.train;
         let model = Cape::new(&config.model, &graphs, train.seed, device)?;
@@ -113,12 +120,34 @@ impl Learner {
             model,
             graphs,
             loss: config.loss.clone(),
+            loss_weights: LossWeights::default(),
             generator: optimiser(),
             discriminator: optimiser(),
             discriminator_rate_scale: train.discriminator_rate_scale,
             average: (train.ema > 0.0).then(|| ParameterAverage::new(train.ema)),
             steps: 0,
         })
+    }
+
+    /// Creates a model with initial weights whose losses weigh the vertices of a data set as
+    /// configured; `device` is an autodiff device.
+    pub fn for_data(
+        config: &RunConfig,
+        graphs: Graphs,
+        statistics: &DisplacementStatistics,
+        clothing: &[usize],
+        device: &Device,
+    ) -> Result<Self> {
+        let deviations: Vec<f64> = statistics.std().iter().copied().collect();
+        let vertices = LossVertices { deviations: &deviations, clothing };
+        let patches = graphs.discriminator.as_ref();
+        let loss_weights = LossWeights::new(&config.loss, vertices, patches, device)?;
+        Ok(Self { loss_weights, ..Self::new(config, graphs, device)? })
+    }
+
+    /// Weights of vertices and patches in the losses.
+    pub fn loss_weights(&self) -> &LossWeights {
+        &self.loss_weights
     }
 
     /// The model with its current weights.
@@ -149,7 +178,7 @@ impl Learner {
         options: UpdateOptions,
     ) -> Result<UpdateReport, NonFinite> {
         let loss = LossConfig { kl: self.loss.kl * options.kl_share, ..self.loss.clone() };
-        let evaluation = evaluate(&self.model, &self.graphs, &loss, input);
+        let evaluation = evaluate(&self.model, &self.graphs, &loss, &self.loss_weights, input);
         let Cape { generator, discriminator } = &self.model;
         let generator_norm = global_norm(generator, &evaluation.generator);
         let opponent = discriminator.as_ref().zip(evaluation.discriminator.as_ref());

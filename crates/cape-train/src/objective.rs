@@ -5,7 +5,10 @@ use cape_core::tensors::to_host;
 use cape_infer::DeviceBatch;
 use cape_model::{
     Cape, Discriminator, Generator, Graphs, LossConfig, Posterior,
-    losses::{discriminator_adversarial, edge, generator_adversarial, kl, reconstruction},
+    losses::{
+        LossWeights, discriminator_adversarial, edge, generator_adversarial, kl, reconstruction,
+        weighted_mean,
+    },
 };
 use serde::{Deserialize, Serialize};
 
@@ -64,6 +67,12 @@ losses! {
     /// Share of patches, real and fake, that the discriminator classifies correctly; 0 without one.
     #[serde(default)]
     discriminator_accuracy,
+    /// Share of real patches that it classifies correctly.
+    #[serde(default)]
+    discriminator_accuracy_real,
+    /// Share of fake patches that it classifies correctly.
+    #[serde(default)]
+    discriminator_accuracy_fake,
 }
 
 impl Losses {
@@ -78,7 +87,7 @@ impl Losses {
 /// ```
 /// # use cape_core::Mesh;
 /// use burn::tensor::{Device, Tensor};
-/// use cape_model::{Cape, CapeConfig, LossConfig};
+/// use cape_model::{Cape, CapeConfig, LossConfig, losses::LossWeights};
 /// use cape_infer::{DeviceBatch, RunConfig, build_graphs};
 /// use cape_train::{objective::{StepInput, evaluate, reconstruct, reconstruction_terms}, optim::global_norm};
 ///
@@ -103,7 +112,8 @@ impl Losses {
 ///     outfit: Tensor::zeros([2, 4], &device),
 /// };
 /// let input = StepInput { frames, epsilon: None, real: None };
-/// let evaluation = evaluate(&model, &graphs, &config.loss, &input);
+/// let weights = LossWeights::default();
+/// let evaluation = evaluate(&model, &graphs, &config.loss, &weights, &input);
 /// assert_eq!(evaluation.losses.non_finite(), None);
 /// assert!(evaluation.discriminator.is_none());
 /// assert!(global_norm(&model.generator, &evaluation.generator) > 0.0);
@@ -111,7 +121,7 @@ impl Losses {
 /// // The terms without gradients are equal.
 /// let reconstructed = reconstruct(&model.generator, &graphs, &input.frames, None);
 /// assert_eq!(reconstructed.displacement.dims(), [2, 4, 3]);
-/// let terms = reconstruction_terms(&config.loss, &graphs, &reconstructed, &input.frames);
+/// let terms = reconstruction_terms(&config.loss, &weights, &graphs, &reconstructed, &input.frames);
 /// assert!((terms.reconstruction - evaluation.losses.reconstruction).abs() < 1e-6);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -170,15 +180,17 @@ pub fn reconstruct(
 /// Reconstruction, edge and Kullback–Leibler terms without gradients, for validation.
 pub fn reconstruction_terms(
     config: &LossConfig,
+    weights: &LossWeights,
     graphs: &Graphs,
     result: &GeneratorOutput,
     frames: &DeviceBatch,
 ) -> Losses {
-    let (predicted, target) = (&result.displacement, &frames.displacement);
+    let [predicted, target] =
+        [&result.displacement, &frames.displacement].map(|values| weights.apply(values.clone()));
     let value = |loss: Tensor<1>| f64::from(loss.into_scalar::<f32>());
     Losses {
-        reconstruction: value(reconstruction(config.kind, predicted.clone(), target.clone(), None)),
-        edge: value(edge(predicted.clone(), target.clone(), &graphs.edges)),
+        reconstruction: value(reconstruction(config.kind, predicted.clone(), target.clone())),
+        edge: value(edge(predicted, target, &graphs.edges)),
         kl: value(kl(&result.posterior)),
         ..Losses::default()
     }
@@ -190,15 +202,17 @@ pub fn evaluate(
     model: &Cape,
     graphs: &Graphs,
     config: &LossConfig,
+    weights: &LossWeights,
     input: &StepInput,
 ) -> Evaluation {
     let frames = &input.frames;
     let fake = reconstruct(&model.generator, graphs, frames, input.epsilon.clone());
     let zero = || Tensor::<1>::zeros([1], &frames.displacement.device());
 
-    let reconstruction_loss =
-        reconstruction(config.kind, fake.displacement.clone(), frames.displacement.clone(), None);
-    let edge_loss = edge(fake.displacement.clone(), frames.displacement.clone(), &graphs.edges);
+    let [predicted, target] =
+        [&fake.displacement, &frames.displacement].map(|values| weights.apply(values.clone()));
+    let reconstruction_loss = reconstruction(config.kind, predicted.clone(), target.clone());
+    let edge_loss = edge(predicted, target, &graphs.edges);
     let kl_loss = if input.epsilon.is_some() { kl(&fake.posterior) } else { zero() };
     let regularisation = model.generator.regularisation() * config.regularisation;
     let mut total = reconstruction_loss.clone() * config.reconstruction
@@ -211,22 +225,27 @@ pub fn evaluate(
     if let Some((discriminator, graph)) = adversary {
         let frozen = burn::module::Module::no_grad(discriminator.clone());
         let logits = frozen.forward(fake.displacement.clone(), fake.condition.as_ref(), graph);
-        gan_generator = generator_adversarial(config, logits);
+        gan_generator = generator_adversarial(config, logits, weights.patches.as_ref());
         total = total + gan_generator.clone() * config.gan;
     }
     let generator_gradients = total.backward();
 
     let mut gan_discriminator = zero();
     let mut total_discriminator = zero();
-    let mut accuracy = zero();
+    let (mut accuracy_real, mut accuracy_fake) = (zero(), zero());
     let mut discriminator_gradients = None;
     if let (Some((discriminator, _)), Some(real)) = (adversary, &input.real) {
         let [on_real, on_fake] =
             discriminator_logits(discriminator, &model.generator, graphs, real, &fake);
-        let right = on_real.clone().detach().greater_elem(0).float().mean()
-            + on_fake.clone().detach().lower_elem(0).float().mean();
-        accuracy = right * 0.5;
-        gan_discriminator = discriminator_adversarial(config, on_real, on_fake);
+        let patches = weights.patches.as_ref();
+        let [right_real, right_fake] = [
+            on_real.clone().detach().greater_elem(0).float(),
+            on_fake.clone().detach().lower_elem(0).float(),
+        ]
+        .map(|right| weighted_mean(right, patches));
+        accuracy_real = right_real;
+        accuracy_fake = right_fake;
+        gan_discriminator = discriminator_adversarial(config, on_real, on_fake, patches);
         total_discriminator = gan_discriminator.clone() * config.gan;
         discriminator_gradients = Some(total_discriminator.backward());
     }
@@ -240,7 +259,9 @@ pub fn evaluate(
         gan_discriminator,
         total_generator: total,
         total_discriminator,
-        discriminator_accuracy: accuracy,
+        discriminator_accuracy: (accuracy_real.clone() + accuracy_fake.clone()) * 0.5,
+        discriminator_accuracy_real: accuracy_real,
+        discriminator_accuracy_fake: accuracy_fake,
     };
     Evaluation {
         losses: losses.read(),

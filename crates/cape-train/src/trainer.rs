@@ -270,11 +270,12 @@ impl Trainer {
         let mask = ClothingMask::load(paths.clothing(), body.vertices())?;
         let device = device.clone().autodiff();
         let graphs = build_graphs(&config, &body, &device)?;
-        let learner = Learner::new(&config, graphs, &device)?;
+        let clothing: Vec<usize> = mask.indices().collect();
+        let learner = Learner::for_data(&config, graphs, &statistics, &clothing, &device)?;
         Ok(Self {
             set: Arc::new(set),
             statistics: Arc::new(statistics),
-            clothing: mask.indices().collect(),
+            clothing,
             learner,
             preview_fn: None,
             paths,
@@ -456,6 +457,7 @@ impl Trainer {
             generator: &generator,
             graphs: self.learner.graphs(),
             loss: &self.config.loss,
+            loss_weights: self.learner.loss_weights(),
             set: &self.set,
             statistics: &self.statistics,
             clothing: &self.clothing,

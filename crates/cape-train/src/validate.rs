@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use burn::tensor::Device;
 use cape_core::Outfit;
-use cape_model::{Generator, Graphs, LossConfig};
+use cape_model::{Generator, Graphs, LossConfig, losses::LossWeights};
 
 use crate::{
     Result,
@@ -68,6 +68,7 @@ pub(crate) struct Validator<'a> {
     pub(crate) generator: &'a Generator,
     pub(crate) graphs: &'a Graphs,
     pub(crate) loss: &'a LossConfig,
+    pub(crate) loss_weights: &'a LossWeights,
     pub(crate) set: &'a Arc<PackedSet>,
     pub(crate) statistics: &'a Arc<DisplacementStatistics>,
     pub(crate) clothing: &'a [usize],
@@ -98,7 +99,8 @@ impl Validator<'_> {
             let numbers = batch.frames.clone();
             let frames = to_device(batch, &self.device);
             let result = reconstruct(self.generator, self.graphs, &frames, None);
-            let terms = reconstruction_terms(self.loss, self.graphs, &result, &frames);
+            let terms =
+                reconstruction_terms(self.loss, self.loss_weights, self.graphs, &result, &frames);
             losses.reconstruction += weight * terms.reconstruction;
             losses.edge += weight * terms.edge;
             losses.kl += weight * terms.kl;

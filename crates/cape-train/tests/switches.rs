@@ -5,7 +5,9 @@ use burn::tensor::{Tensor, TensorData};
 use cape_graph::Surface;
 use cape_infer::{DeviceBatch, RunConfig, build_graphs};
 use cape_model::{
-    Cape, CapeConfig, DecoderBlock, DecoderConditions, Graphs, LossConfig, ReconstructionLoss,
+    AdversarialLoss, Cape, CapeConfig, DecoderBlock, DecoderConditions, DisplacementUnit, Graphs,
+    LossConfig, ReconstructionLoss,
+    losses::{LossVertices, LossWeights},
     release,
     weights::{self, Weights},
 };
@@ -38,6 +40,7 @@ struct Case {
     graphs: Graphs,
     model: Cape,
     loss: LossConfig,
+    weights: LossWeights,
     input: StepInput,
 }
 
@@ -68,15 +71,20 @@ impl Case {
             epsilon: run.model.variational.then_some(epsilon),
             real: Some(real),
         };
-        Self { graphs, model, loss, input }
+        let deviations: Vec<f64> = (0..3 * vertices).map(|i| 0.001 * (1 + i % 7) as f64).collect();
+        let clothing: Vec<usize> = (0..vertices / 2).collect();
+        let of = LossVertices { deviations: &deviations, clothing: &clothing };
+        let weights = LossWeights::new(&loss, of, graphs.discriminator.as_ref(), &device).unwrap();
+        Self { graphs, model, loss, weights, input }
     }
 
     fn total(&self, model: &Cape) -> f64 {
-        evaluate(model, &self.graphs, &self.loss, &self.input).losses.total_generator
+        evaluate(model, &self.graphs, &self.loss, &self.weights, &self.input).losses.total_generator
     }
 
     fn check(&self, name: &str) {
-        let evaluation = evaluate(&self.model, &self.graphs, &self.loss, &self.input);
+        let evaluation =
+            evaluate(&self.model, &self.graphs, &self.loss, &self.weights, &self.input);
         let gradients = collect_gradients(&self.model.generator, &evaluation.generator);
         let values = weights::collect(&self.model.generator);
         let variational = self.input.epsilon.is_some();
@@ -143,6 +151,7 @@ fn switches() -> Vec<(&'static str, CapeConfig)> {
         ("no 1×1 convolutions", CapeConfig { reduce: 0, ..tiny() }),
         ("deeper condition nets", CapeConfig { outfit_layers: 2, ..tiny() }),
         ("shallow condition nets", CapeConfig { pose_layers: 1, ..tiny() }),
+        ("release's groups", CapeConfig { group_channels: None, ..tiny() }),
         ("first order", CapeConfig { order: 1, ..tiny() }),
         ("fourth order", CapeConfig { order: 4, ..tiny() }),
         ("no discriminator", CapeConfig { discriminator: None, ..tiny() }),
@@ -167,9 +176,10 @@ fn every_switch_goes_by_the_releases_names_and_back() {
         theirs.sort_by(|(a, _), (b, _)| a.cmp(b));
         let shapes: Vec<(String, Vec<usize>)> =
             theirs.iter().map(|(name, array)| (name.clone(), array.shape.clone())).collect();
-        // Sampling in training and the layers of absent nets cannot be inferred.
+        // Sampling in training, groups and the layers of absent nets cannot be inferred.
         let pose_layers = if config.pose_embedding == 0 { 1 } else { config.pose_layers };
-        let expected = CapeConfig { variational: true, pose_layers, ..config.clone() };
+        let expected =
+            CapeConfig { variational: true, pose_layers, group_channels: None, ..config.clone() };
         assert_eq!(release::infer(&shapes).unwrap(), expected, "{name}");
         assert_eq!(release::import(&config, &theirs).unwrap(), ours, "{name}");
     }
@@ -180,5 +190,22 @@ fn gradients_follow_every_reconstruction_loss() {
     for kind in [ReconstructionLoss::L1, ReconstructionLoss::L2, ReconstructionLoss::Huber] {
         let loss = LossConfig { kind, edge: 0.0, gan: 0.0, ..LossConfig::default() };
         Case::new(CapeConfig::tiny(), loss).check(&format!("{kind:?}"));
+    }
+}
+
+#[test]
+fn gradients_follow_the_weights_of_vertices_and_patches() {
+    for adversary in [AdversarialLoss::Bce, AdversarialLoss::Hinge] {
+        let loss = LossConfig {
+            unit: DisplacementUnit::Metres,
+            bare_weight: 0.3,
+            clothing_patches: true,
+            adversary,
+            gan: 1.0,
+            ..LossConfig::default()
+        };
+        let case = Case::new(CapeConfig::tiny(), loss);
+        assert!(case.weights.vertices.is_some() && case.weights.patches.is_some());
+        case.check(&format!("weighted, {adversary:?}"));
     }
 }

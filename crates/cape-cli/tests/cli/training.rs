@@ -63,7 +63,7 @@ fn an_interrupted_training_resumes_as_if_nothing_had_been() {
 fn so_does_one_with_every_option_away_from_the_paper() {
     interrupted_and_resumed(
         "--optimiser adam --peak-rate 0.001 --schedule cosine --ema 0.9 --kl-warmup-epochs 3 \
-         --adversary hinge --spectral-norm",
+         --adversary hinge --spectral-norm --unit metres --bare-weight 0.5 --clothing-patches",
     );
 }
 
@@ -192,6 +192,44 @@ fn every_row_of_the_table_is_trained_measured_and_kept() {
     assert_eq!(again.json()["lines"], report["lines"]);
     assert!(frames.is_file());
     data.run("table2 --data @/raw --out @/nothing").failed_saying(&["train_disp.npy"]);
+}
+
+#[test]
+fn the_time_of_a_table_is_estimated_before_it_is_made() {
+    let data = Packed::new();
+    let line = "table2 --data @/packed --out @/table --preset tiny --epochs 3 --seeds 2 --rows \
+                mean,cape,no-edge";
+    let estimate = data.run(&format!("{line} --dry-run --json")).json();
+    assert!(!data.at("table").exists());
+    let jobs = estimate["jobs"].as_array().unwrap();
+    let of = |name: &str| -> Vec<_> { jobs.iter().map(|job| job[name].clone()).collect() };
+    // All rows with the first seed come first.
+    assert_eq!(of("row"), ["mean", "cape", "no-edge", "cape", "no-edge"]);
+    assert_eq!(of("seed"), [1, 1, 1, 2, 2]);
+    let updates: Vec<u64> = of("updates").iter().map(|count| count.as_u64().unwrap()).collect();
+    let seconds: Vec<f64> =
+        of("seconds_per_update").iter().map(|seconds| seconds.as_f64().unwrap()).collect();
+    assert_eq!((updates[0], seconds[0]), (0, 0.0));
+    let expected: f64 = updates.iter().zip(&seconds).map(|(&n, s)| n as f64 * s).sum();
+    let left = estimate["seconds_left"].as_f64().unwrap();
+    assert!(left > 0.0 && (left - expected).abs() < 1e-9 * left, "{estimate}");
+
+    // What is trained is not counted again, and has as many updates as were announced.
+    data.run(&line.replace("mean,cape,no-edge", "cape")).succeeded();
+    let table = fs::read_to_string(data.at("table/table2.csv")).unwrap();
+    assert_eq!(table.lines().count(), 2, "{table}");
+    let config = fs::read_to_string(data.at("table/cape/seed-1/run/config.toml")).unwrap();
+    assert!(config.contains("warmup_epochs = 0.2"), "{config}");
+    let done = data.run(&format!("{line} --dry-run --json")).json();
+    let cape = &done["jobs"][1];
+    assert_eq!(
+        (&cape["updates_done"], &cape["seconds_per_update"]),
+        (&cape["updates"], &0.0.into())
+    );
+    let steps = data.run("info @/table/cape/seed-1/run --json").json();
+    assert!(steps.to_string().contains(&updates[1].to_string()), "{steps}");
+    assert!(done["seconds_left"].as_f64().unwrap() > 0.0);
+    data.run(&format!("{line} --dry-run")).succeeded();
 }
 
 #[test]

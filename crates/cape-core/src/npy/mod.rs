@@ -308,6 +308,30 @@ impl Npz {
         })
     }
 
+    /// Header of array `name`.
+    pub fn header(&mut self, name: &str) -> Result<NpyHeader> {
+        self.with_entry(name, |source, mut entry, _| {
+            NpyHeader::read(&mut entry).map_err(|message| source.error(message))
+        })
+    }
+
+    /// Reads array `name` of one string, such as `np.array('male')`.
+    pub fn text(&mut self, name: &str) -> Result<String> {
+        self.with_entry(name, |source, mut entry, size| {
+            let header = NpyHeader::read(&mut entry).map_err(|message| source.error(message))?;
+            let wrong = || source.error(format!("holds `{}`, expected one string", header.dtype));
+            let bytes = header.dtype.element_bytes().ok_or_else(wrong)?;
+            if header.shape.iter().any(|&axis| axis != 1) || bytes as u64 > size {
+                return Err(wrong());
+            }
+            let mut text = vec![0; bytes];
+            entry
+                .read_exact(&mut text)
+                .map_err(|failed| source.error(format!("cannot be read: {failed}")))?;
+            header.dtype.text(&text).ok_or_else(wrong)
+        })
+    }
+
     /// Reads array `name` of pickled Python objects.
     pub fn objects(&mut self, name: &str) -> Result<Pickle> {
         self.with_entry(name, |source, mut entry, size| source.objects(&mut entry, size))

@@ -2,7 +2,7 @@
 //! peak FLOP rate of the processor.
 
 mod memory;
-mod timing;
+pub(crate) mod timing;
 mod workload;
 
 use std::time::Duration;

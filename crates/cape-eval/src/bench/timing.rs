@@ -4,7 +4,7 @@ use crate::Result;
 
 /// Options of a timing.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct TimingOptions {
+pub(crate) struct TimingOptions {
     /// Runs before the timed ones.
     pub warm_up: usize,
     /// Largest number of timed runs.
@@ -17,12 +17,12 @@ pub(super) struct TimingOptions {
 
 impl TimingOptions {
     /// Largest number of runs, including warm-up.
-    pub(super) fn runs(&self) -> usize {
+    pub(crate) fn runs(&self) -> usize {
         self.warm_up + self.most
     }
 
     /// Times `work`; `done` is called after every run.
-    pub(super) fn time(
+    pub(crate) fn time(
         &self,
         mut work: impl FnMut() -> Result<()>,
         mut done: impl FnMut(),
@@ -47,7 +47,7 @@ impl TimingOptions {
 
 /// Result of a timing.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Timing {
+pub(crate) struct Timing {
     /// Number of timed runs.
     pub runs: usize,
     /// Median time of a run, seconds.

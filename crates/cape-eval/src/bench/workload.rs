@@ -69,15 +69,21 @@ impl Workload {
         seed: u64,
         device: &Device,
     ) -> Result<Self> {
+        let mut run = RunConfig { model: config.clone(), ..RunConfig::default() };
+        (run.train.batch, run.train.seed) = (batch, seed);
+        Self::of_run(&run, mesh, device)
+    }
+
+    /// Creates the workload of a run's training, with its losses and batch size, on any mesh.
+    pub fn of_run(run: &RunConfig, mesh: impl Into<Surface>, device: &Device) -> Result<Self> {
+        let (config, batch, seed) = (&run.model, run.train.batch, run.train.seed);
         if batch == 0 {
             return Err(Error::argument("batch: expected at least 1, not 0"));
         }
-        let device = device.clone().autodiff();
-        let mut run = RunConfig { model: config.clone(), ..RunConfig::default() };
-        run.train.seed = seed;
         run.validate()?;
-        let graphs = build_graphs(&run, mesh, &device)?;
-        let learner = Learner::new(&run, graphs, &device)?;
+        let device = device.clone().autodiff();
+        let graphs = build_graphs(run, mesh, &device)?;
+        let learner = Learner::new(run, graphs, &device)?;
         let epsilon = from_array2(normal(seed, 0, batch, config.latent), &device);
         let vertices = learner.graphs().generator.vertices()[0];
         let input = StepInput {

@@ -43,7 +43,7 @@ use cape_stats::errors::{GroupedSummary, Histogram};
 ///     seconds: 1.0,
 /// };
 /// let table = ComparisonTable::new(&[method("Exact", &exact), method("Near", &near)], Some(0));
-/// assert_eq!((table.frames, table.captures), (4, 1));
+/// assert_eq!((table.frames, table.captures, table.vertices), (4, 1, 3));
 /// assert!((table.lines[1].mean - 1.0).abs() < 1e-3);
 /// assert!(table.markdown().contains("Near"));
 /// # Ok(())
@@ -59,6 +59,8 @@ pub struct ComparisonTable {
     pub frames: usize,
     /// Number of captures of the test frames, the units of confidence intervals and tests.
     pub captures: usize,
+    /// Number of clothing vertices, at which errors are measured.
+    pub vertices: usize,
 }
 
 /// Row of a method, over all its seeds.
@@ -117,8 +119,10 @@ impl ComparisonTable {
         let first = methods.iter().find_map(|method| method.results.first());
         let frames = first.map_or(0, |r| r.captures.iter().map(|(_, errors)| errors.len()).sum());
         let captures = first.map_or(0, |result| result.clusters().len());
+        let errors = first.map_or(0, |result| result.sampled.overall.count as usize);
+        let vertices = errors.checked_div(frames).unwrap_or(0);
         let reference = reference.map(|method| method.name.clone());
-        Self { lines, reference, frames, captures }
+        Self { lines, reference, frames, captures, vertices }
     }
 }
 
@@ -250,7 +254,7 @@ mod tests {
         let elsewhere = measured(&[("c", 2.0)]);
         let methods = [method("x", &[&two]), method("y", &[&one]), method("z", &[&elsewhere])];
         let table = ComparisonTable::new(&methods, Some(1));
-        assert_eq!((table.frames, table.captures), (3, 2));
+        assert_eq!((table.frames, table.captures, table.vertices), (3, 2, 1));
         assert_eq!(table.reference.as_deref(), Some("y"));
         let [x, y, z] = &table.lines[..] else { panic!("{table:?}") };
         assert_eq!(x.against, Some((1.0, Some(0.5))));

@@ -64,13 +64,13 @@ impl ComparisonTable {
     /// Caption of the table.
     pub fn caption(&self) -> String {
         format!(
-            "Euclidean errors at the clothing vertices of {} test frames, millimetres, of \
+            "Euclidean errors at the {} clothing vertices of {} test frames, millimetres, of \
              reconstructions from a sample of the posterior (columns 2 to 4) and from its mean \
              (posterior mean). Confidence intervals by bootstrap and p-values by sign changes over {} \
              captures, because frames of one capture are not independent. Edges, normals and fine \
              energy (ratio of reconstructed to true displacements in the upper half of the spectrum of \
              the Laplacian; 1 is best) are of the posterior mean.",
-            self.frames, self.captures
+            self.vertices, self.frames, self.captures
         )
     }
 

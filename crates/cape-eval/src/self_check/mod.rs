@@ -96,7 +96,8 @@ impl Fixtures {
     }
 
     fn learner(&self, config: &RunConfig) -> Result<Learner> {
-        Learner::new(config, build_graphs(config, &self.body, &self.device)?, &self.device)
+        let graphs = build_graphs(config, &self.body, &self.device)?;
+        Learner::for_data(config, graphs, &self.statistics, &self.clothing, &self.device)
     }
 
     fn batches(&self, config: &RunConfig) -> Result<StepInputs> {

@@ -8,6 +8,7 @@
 //! and directories of rows moved together from several machines. [`methods`] are what a
 //! [`ComparisonTable`](crate::comparison::ComparisonTable) puts side by side.
 
+mod estimate;
 mod frames;
 mod measure;
 mod rows;
@@ -23,6 +24,7 @@ use cape_core::{SmplModel, smpl::ClothingMask};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+pub use estimate::JobEstimate;
 pub use frames::{FigureFrames, select_frames};
 pub use rows::Table2Row;
 
@@ -173,7 +175,8 @@ pub fn methods(results: &[RowResult]) -> (Vec<MethodResults<'_>>, Option<usize>)
 }
 
 impl Table2Options {
-    /// The jobs of these rows, every trained one with `seeds` seeds.
+    /// The jobs of these rows, every trained one with `seeds` seeds: all rows with the first seed, then
+    /// all trained rows with the next, so that there is a whole table early.
     ///
     /// # Errors
     /// If a row was begun with other settings, inputs or another version and is not to be overwritten.
@@ -181,8 +184,8 @@ impl Table2Options {
     pub fn jobs(&self, rows: &[Table2Row], seeds: u64) -> Result<Vec<Table2Job>> {
         let inputs = self.inputs()?;
         let mut jobs = Vec::new();
-        for &row in rows {
-            for seed in 0..if row.is_trained() { seeds } else { 1 } {
+        for seed in 0..seeds {
+            for &row in rows.iter().filter(|row| seed == 0 || row.is_trained()) {
                 let mut config = row.configure(&self.config);
                 config.train.seed = self.config.train.seed + seed;
                 config.validate()?;

@@ -5,7 +5,7 @@ use burn::{
 use cape_graph::{ConvGraph, DevicePyramid, Epilogue, GroupNorm, cheb_conv, norm_conv};
 
 use super::{ChebConv, append, append_unless_preserved};
-use crate::{Initialiser, config::MAX_GROUPS};
+use crate::{Initialiser, config::group_count};
 
 const EPSILON: f64 = 1e-5;
 
@@ -20,12 +20,13 @@ pub struct GroupNormRelu {
 }
 
 impl GroupNormRelu {
-    /// Creates a normalisation of `min(32, channels)` groups with scale 1 and shift 0.
-    pub fn new(channels: usize, init: &mut Initialiser) -> Self {
+    /// Creates a normalisation with scale 1 and shift 0; `group_channels` is that of
+    /// [`CapeConfig`](crate::CapeConfig::group_channels).
+    pub fn new(channels: usize, group_channels: Option<usize>, init: &mut Initialiser) -> Self {
         Self {
             gamma: init.constant(1.0, [channels]),
             beta: init.constant(0.0, [channels]),
-            groups: channels.min(MAX_GROUPS),
+            groups: group_count(channels, group_channels),
         }
     }
 
@@ -66,7 +67,7 @@ pub struct FactoredFeatures {
 ///     "L", (3, 3), &[0, 0, 1, 1, 2, 2], &[1, 2, 0, 2, 0, 1], &[-0.5; 6])?;
 /// let device = Device::default();
 /// let pyramid = DevicePyramid::new(&vec![triangle; 2], &[None], &[None], &device);
-/// let block = ResidualBlock::new(4, 8, 2, &mut Initialiser::new(1, 0.1, &device));
+/// let block = ResidualBlock::new(4, 8, 2, None, &mut Initialiser::new(1, 0.1, &device));
 /// assert_eq!(block.norm_1.gamma.val().dims(), [4]);
 ///
 /// let features = Tensor::<3>::ones([1, 3, 2], &device);
@@ -99,15 +100,22 @@ pub struct ResidualBlock {
 }
 
 impl ResidualBlock {
-    /// Creates a block from `input` to `output` channels with `order` Chebyshev terms.
-    pub fn new(input: usize, output: usize, order: usize, init: &mut Initialiser) -> Self {
+    /// Creates a block from `input` to `output` channels with `order` Chebyshev terms;
+    /// `group_channels` is that of [`CapeConfig`](crate::CapeConfig::group_channels).
+    pub fn new(
+        input: usize,
+        output: usize,
+        order: usize,
+        group_channels: Option<usize>,
+        init: &mut Initialiser,
+    ) -> Self {
         let half = output / 2;
         Self {
-            norm_1: GroupNormRelu::new(input, init),
+            norm_1: GroupNormRelu::new(input, group_channels, init),
             linear_1: ChebConv::new(input, half, 1, init),
-            norm_2: GroupNormRelu::new(half, init),
+            norm_2: GroupNormRelu::new(half, group_channels, init),
             conv: ChebConv::new(half, half, order, init),
-            norm_3: GroupNormRelu::new(half, init),
+            norm_3: GroupNormRelu::new(half, group_channels, init),
             linear_2: ChebConv::new(half, output, 1, init),
             skip: (input != output).then(|| ChebConv::new(input, output, 1, init)),
         }

@@ -76,7 +76,12 @@ pub(crate) fn text(report: &EvalReport) -> String {
     for (sequence, summary) in sequences {
         row(&mut table, sequence, summary, base.sequences.get(sequence));
     }
-    format!("{}\n\nerrors at clothing vertices, mm, {} test frames", table.text(), report.frames)
+    format!(
+        "{}\n\nerrors at the {} clothing vertices, mm, {} test frames",
+        table.text(),
+        report.clothing_vertices,
+        report.frames
+    )
 }
 
 fn row(table: &mut Table, name: &str, model: &ErrorSummary, base: Option<&ErrorSummary>) {

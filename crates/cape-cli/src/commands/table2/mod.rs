@@ -1,3 +1,4 @@
+mod estimate;
 mod figures;
 mod quick;
 mod report;
@@ -15,11 +16,12 @@ use cape_infer::{RunConfig, write_json};
 use cape_model::CapeConfig;
 use clap::Args;
 use serde::Serialize;
+use tempfile::TempDir;
 
 use crate::{
     comparison,
     console::{Console, seconds},
-    error::{Context, Result},
+    error::{Context, Error, Result},
     files,
     html::HtmlFigure,
     interrupt::Interrupt,
@@ -34,12 +36,12 @@ const INTERRUPTED: u8 = 130;
 /// Train and evaluate all rows of the paper's table 2 under one protocol.
 ///
 /// Trains PCA, CoMA, CAPE and its ablations, each in its own directory under --out. Writes table2.md,
-/// .csv, .json, .tex, pictures of reconstructions and errors, and report.html with all of them. Run the
-/// same command again to resume.
+/// .csv, .json and .tex after every row, and pictures of reconstructions and errors and report.html with
+/// all of them at the end. Run the same command again to resume.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  cape table2 --data packed --out table2 --seeds 3\n  cape table2 --quick \
-                        --out quick"
+    after_help = "Examples:\n  cape table2 --data packed --out table2 --seeds 3 --dry-run\n  cape table2 \
+                        --data packed --out table2 --seeds 3\n  cape table2 --quick --out quick"
 )]
 pub(crate) struct Table2Args {
     /// Packed set with training and test frames.
@@ -58,12 +60,15 @@ pub(crate) struct Table2Args {
         value_parser = choices(Table2Row::ALL.map(|row| (row.name(), row)))
     )]
     rows: Vec<Table2Row>,
-    /// Number of seeds per trained row.
+    /// Number of seeds per trained row; all rows are trained with the first seed before the next.
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = at_least_one)]
     seeds: usize,
-    /// Number of epochs.
+    /// Number of epochs; the warm-up is scaled with it.
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     epochs: Option<usize>,
+    /// Estimate the training time of all rows from a few timed updates, and write nothing.
+    #[arg(long)]
+    dry_run: bool,
     /// Configuration of CAPE, TOML, from which the other rows are derived.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["preset", "quick"])]
     config: Option<PathBuf>,
@@ -91,9 +96,11 @@ impl Table2Args {
         let start = Instant::now();
         let device = global.device()?;
         let store = open_store(&self.output.out, self.output.overwrite)?;
-        let data = match &self.data {
-            Some(data) => data.clone(),
-            None => quick::data(&store, console)?,
+        let scratch = self.scratch()?;
+        let data = match (&self.data, &scratch) {
+            (Some(data), _) => data.clone(),
+            (None, Some(scratch)) => quick::data(&open_store(scratch.path(), false)?, console)?,
+            (None, None) => quick::data(&store, console)?,
         };
         PackedSet::open(&data, Split::Train)?;
         let shown = select_frames(&data)?;
@@ -108,9 +115,17 @@ impl Table2Args {
         };
         let rows = if self.rows.is_empty() { Table2Row::ALL.to_vec() } else { self.rows.clone() };
         let jobs = grid.jobs(&rows, self.seeds as u64)?;
+        if self.dry_run {
+            return estimate::run(&grid, &jobs, &device, console);
+        }
         store.begin()?;
         let interrupt = Interrupt::listen(console)?;
         let mut results = Vec::new();
+        let report = |results: &[RowResult]| {
+            let (methods, cape) = methods(results);
+            let table = ComparisonTable::new(&methods, cape);
+            Report { out: grid.out.clone(), seconds: start.elapsed().as_secs_f64(), table }
+        };
         let mut clock = RemainingTime::new(&jobs);
         for (index, job) in jobs.iter().enumerate() {
             let title =
@@ -124,18 +139,29 @@ impl Table2Args {
             console.note(&format!("{title}{}", clock.left()));
             if let Some(result) = done(&grid, job, &device, console, &interrupt).doing(|| title)? {
                 results.push(result);
+                write_tables(&store, &report(&results))?;
             } else {
                 console.note("interrupted and saved: run the same command again to resume");
                 return Ok(ExitCode::from(INTERRUPTED));
             }
             clock.pass(job);
         }
-        let (methods, cape) = methods(&results);
-        let table = ComparisonTable::new(&methods, cape);
-        let report = Report { out: self.output.out, seconds: start.elapsed().as_secs_f64(), table };
-        write(&store, &report, &grid, &jobs, &results)?;
+        let report = report(&results);
+        write_tables(&store, &report)?;
+        write_figures(&store, &report, &grid, &jobs, &results)?;
         console.result(&report, || report.text())?;
         Ok(ExitCode::SUCCESS)
+    }
+
+    /// Directory for the synthetic data of an estimate.
+    fn scratch(&self) -> Result<Option<TempDir>> {
+        let packed = self.output.out.join("data").join("stats.txt");
+        if !self.dry_run || self.data.is_some() || packed.exists() {
+            return Ok(None);
+        }
+        let created =
+            TempDir::new().map_err(|error| Error::message(format!("temporary: {error}")))?;
+        Ok(Some(created))
     }
 
     fn configured(&self, global: &GlobalArgs) -> Result<RunConfig> {
@@ -148,7 +174,7 @@ impl Table2Args {
             config.model = CapeConfig::preset(preset)?;
         }
         if let Some(epochs) = self.epochs {
-            config.train.epochs = epochs;
+            config.train.scale_to_epochs(epochs);
         }
         if let Some(seed) = global.seed {
             config.train.seed = seed;
@@ -209,19 +235,22 @@ impl RemainingTime {
     }
 }
 
-fn write(
+fn write_tables(store: &ResultStore, report: &Report) -> Result {
+    for name in ["table2.md", "table2.csv", "table2.tex"] {
+        store.claim(name)?;
+    }
+    comparison::write(&report.out, "table2", &report.table)?;
+    write_json(&store.claim("table2.json")?, report)?;
+    Ok(())
+}
+
+fn write_figures(
     store: &ResultStore,
     report: &Report,
     grid: &Table2Options,
     jobs: &[Table2Job],
     results: &[RowResult],
 ) -> Result {
-    for name in ["table2.md", "table2.csv", "table2.tex"] {
-        store.claim(name)?;
-    }
-    comparison::write(&report.out, "table2", &report.table)?;
-    write_json(&store.claim("table2.json")?, report)?;
-
     let set = PackedSet::open(&grid.data, Split::Test)?;
     let (body, mask) = grid.body(&set)?;
     let shown = first_seeds(jobs)?;

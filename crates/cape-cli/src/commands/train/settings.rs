@@ -2,7 +2,7 @@
 
 use cape_graph::Weighting;
 use cape_infer::{OptimiserKind, RateSchedule, RunConfig};
-use cape_model::AdversarialLoss;
+use cape_model::{AdversarialLoss, DisplacementUnit};
 use clap::Args;
 
 use crate::{
@@ -47,6 +47,15 @@ pub(super) struct TrainOverrideArgs {
     /// Use spectral normalisation in the discriminator.
     #[arg(long)]
     spectral_norm: bool,
+    /// Unit of displacements in the reconstruction and edge losses [paper: deviations].
+    #[arg(long, value_name = "NAME", value_parser = choices(UNITS))]
+    unit: Option<DisplacementUnit>,
+    /// Weight of vertices without clothing in the reconstruction and edge losses [paper: 1].
+    #[arg(long, value_name = "WEIGHT")]
+    bare_weight: Option<f64>,
+    /// Count only patches at clothing vertices in the adversarial losses.
+    #[arg(long)]
+    clothing_patches: bool,
     /// Decay of an exponential moving average of the weights to evaluate and sample with, such as 0.999.
     #[arg(long, value_name = "FACTOR")]
     ema: Option<f64>,
@@ -68,6 +77,8 @@ const SCHEDULES: [(&str, RateSchedule); 2] =
     [("exponential", RateSchedule::Exponential), ("cosine", RateSchedule::Cosine)];
 const OPTIMISERS: [(&str, OptimiserKind); 2] =
     [("sgd", OptimiserKind::Sgd), ("adam", OptimiserKind::Adam)];
+const UNITS: [(&str, DisplacementUnit); 2] =
+    [("deviations", DisplacementUnit::Deviations), ("metres", DisplacementUnit::Metres)];
 const ADVERSARIAL_LOSSES: [(&str, AdversarialLoss); 2] =
     [("bce", AdversarialLoss::Bce), ("hinge", AdversarialLoss::Hinge)];
 
@@ -94,6 +105,9 @@ impl TrainOverrideArgs {
         if let Some(discriminator) = &mut model.discriminator {
             discriminator.spectral_norm |= self.spectral_norm;
         }
+        set(&mut loss.unit, self.unit);
+        set(&mut loss.bare_weight, self.bare_weight);
+        loss.clothing_patches |= self.clothing_patches;
         set(&mut train.ema, self.ema);
         set(&mut train.checkpoint_steps, self.checkpoint_steps);
         set(&mut train.keep, self.keep);

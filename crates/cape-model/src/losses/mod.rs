@@ -1,136 +1,28 @@
 //! Loss terms of CAPE's training objective (§4.2).
 
+mod config;
+mod weights;
+
 use burn::tensor::{
     Tensor,
     activation::{log_sigmoid, relu},
 };
 use cape_graph::{SparseMatrix, sparse_matmul};
-use serde::{Deserialize, Serialize};
 
-use crate::{Error, Posterior, Result};
+pub use config::{AdversarialLoss, DisplacementUnit, LossConfig, ReconstructionLoss};
+pub use weights::{LossVertices, LossWeights};
 
-/// Kind of the reconstruction loss.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum ReconstructionLoss {
-    /// Mean absolute difference.
-    L1,
-    /// Mean squared difference.
-    L2,
-    /// Huber's loss with δ = 0.1.
-    Huber,
-}
+use crate::Posterior;
 
 const HUBER_DELTA: f64 = 0.1;
 
-/// Kind of the adversarial loss.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum AdversarialLoss {
-    /// Binary cross-entropy of logits with smoothed labels, as in CAPE.
-    #[default]
-    Bce,
-    /// Hinge loss (Lim and Ye 2017).
-    Hinge,
-}
-
-/// Weights and kinds of the loss terms (CAPE §4.2 and appendix A.2).
-///
-/// ```
-/// use burn::tensor::{Device, Tensor};
-/// use cape_model::{AdversarialLoss, LossConfig, ReconstructionLoss, losses};
-///
-/// let config = LossConfig {
-///     kind: ReconstructionLoss::L1,
-///     adversary: AdversarialLoss::Bce,
-///     ..LossConfig::default()
-/// };
-/// config.validate()?;
-/// let device = Device::default();
-/// let predicted = Tensor::zeros([1, 2, 3], &device);
-/// let target = Tensor::full([1, 2, 3], 0.5, &device);
-/// let error: f32 = losses::reconstruction(config.kind, predicted, target, None).into_scalar();
-/// assert_eq!(error, 0.5);
-/// // Logits of 0 have a cross-entropy of log 2.
-/// let undecided = Tensor::zeros([1, 4, 1], &device);
-/// let loss: f32 = losses::generator_adversarial(&config, undecided).into_scalar();
-/// assert!((loss - 2f32.ln()).abs() < 1e-6);
-/// # Ok::<(), cape_model::Error>(())
-/// ```
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LossConfig {
-    /// Kind of the reconstruction loss.
-    pub kind: ReconstructionLoss,
-    /// Weight of the reconstruction loss.
-    pub reconstruction: f64,
-    /// Weight of the edge loss.
-    pub edge: f64,
-    /// Weight of the Kullback–Leibler divergence.
-    pub kl: f64,
-    /// Weight of the adversarial losses of generator and discriminator.
-    pub gan: f64,
-    /// Kind of the adversarial loss.
-    pub adversary: AdversarialLoss,
-    /// Label smoothing `s` of the cross-entropy: labels are `s` and `1 − s` instead of 0 and 1.
-    pub label_smoothing: f64,
-    /// Weight of ½‖W‖² of the fully connected kernels. The release applies the paper's 2e-3 twice,
-    /// in effect 4e-6, which is the default.
-    pub regularisation: f64,
-}
-
-impl Default for LossConfig {
-    fn default() -> Self {
-        Self {
-            kind: ReconstructionLoss::L1,
-            reconstruction: 1.0,
-            edge: 1.0,
-            kl: 8e-4,
-            gan: 0.1,
-            adversary: AdversarialLoss::Bce,
-            label_smoothing: 0.1,
-            regularisation: 4e-6,
-        }
-    }
-}
-
-impl LossConfig {
-    /// Checks that every weight is finite and at least 0; errors name the field.
-    pub fn validate(&self) -> Result<()> {
-        for (field, value) in [
-            ("reconstruction", self.reconstruction),
-            ("edge", self.edge),
-            ("kl", self.kl),
-            ("gan", self.gan),
-            ("label_smoothing", self.label_smoothing),
-            ("regularisation", self.regularisation),
-        ] {
-            if !(value.is_finite() && value >= 0.0) {
-                return Err(Error::Config {
-                    field: format!("loss.{field}"),
-                    message: format!("must be a finite number of at least 0, not {value}"),
-                });
-            }
-        }
-        if self.label_smoothing >= 0.5 {
-            return Err(Error::Config {
-                field: "loss.label_smoothing".into(),
-                message: format!("must be below 0.5, not {}", self.label_smoothing),
-            });
-        }
-        Ok(())
-    }
-}
-
 /// Reconstruction loss, `[1]`: mean over batch, vertices and coordinates.
 ///
-/// `predicted`, `target`: `[batch, vertices, 3]`; `vertex_weights`: factors on the error of each
-/// vertex, `[vertices]`.
+/// `predicted`, `target`: `[batch, vertices, 3]`.
 pub fn reconstruction(
     kind: ReconstructionLoss,
     predicted: Tensor<3>,
     target: Tensor<3>,
-    vertex_weights: Option<Tensor<1>>,
 ) -> Tensor<1> {
     let difference = predicted - target;
     let error = match kind {
@@ -143,13 +35,7 @@ pub fn reconstruction(
             quadratic.clone() * quadratic * 0.5 + linear * HUBER_DELTA
         }
     };
-    match vertex_weights {
-        Some(weights) => {
-            let [_, vertices, _] = error.dims();
-            (error * weights.reshape([1, vertices, 1])).mean()
-        }
-        None => error.mean(),
-    }
+    error.mean()
 }
 
 /// Edge loss, `[1]`: length of the difference between predicted and true edge vectors, mean over
@@ -173,35 +59,51 @@ pub fn kl(posterior: &Posterior) -> Tensor<1> {
 }
 
 /// Adversarial loss of the generator, `[1]`, from the logits `fake: [batch, patches, 1]` of its
-/// samples.
-pub fn generator_adversarial(config: &LossConfig, fake: Tensor<3>) -> Tensor<1> {
+/// samples; `patches` are weights of mean 1, `[1, patches, 1]`.
+pub fn generator_adversarial(
+    config: &LossConfig,
+    fake: Tensor<3>,
+    patches: Option<&Tensor<3>>,
+) -> Tensor<1> {
     match config.adversary {
-        AdversarialLoss::Bce => cross_entropy(fake, 1.0 - config.label_smoothing),
-        AdversarialLoss::Hinge => -fake.mean(),
+        AdversarialLoss::Bce => cross_entropy(fake, 1.0 - config.label_smoothing, patches),
+        AdversarialLoss::Hinge => -weighted_mean(fake, patches),
     }
 }
 
 /// Adversarial loss of the discriminator, `[1]`, from the logits of real frames and of samples,
-/// both `[batch, patches, 1]`.
+/// both `[batch, patches, 1]`; `patches` are weights of mean 1, `[1, patches, 1]`.
 pub fn discriminator_adversarial(
     config: &LossConfig,
     real: Tensor<3>,
     fake: Tensor<3>,
+    patches: Option<&Tensor<3>>,
 ) -> Tensor<1> {
     match config.adversary {
         AdversarialLoss::Bce => {
-            cross_entropy(real, 1.0 - config.label_smoothing)
-                + cross_entropy(fake, config.label_smoothing)
+            cross_entropy(real, 1.0 - config.label_smoothing, patches)
+                + cross_entropy(fake, config.label_smoothing, patches)
         }
-        AdversarialLoss::Hinge => relu(-real + 1.0).mean() + relu(fake + 1.0).mean(),
+        AdversarialLoss::Hinge => {
+            weighted_mean(relu(-real + 1.0), patches) + weighted_mean(relu(fake + 1.0), patches)
+        }
     }
 }
 
-/// Binary cross-entropy of `logits: [batch, patches, 1]` with one `label` for all, mean, `[1]`.
-pub fn cross_entropy(logits: Tensor<3>, label: f64) -> Tensor<1> {
+/// Binary cross-entropy of `logits: [batch, patches, 1]` with one `label` for all, mean with the
+/// weights `patches: [1, patches, 1]`, `[1]`.
+pub fn cross_entropy(logits: Tensor<3>, label: f64, patches: Option<&Tensor<3>>) -> Tensor<1> {
     let real = log_sigmoid(logits.clone()) * label;
     let fake = log_sigmoid(-logits) * (1.0 - label);
-    -(real + fake).mean()
+    -weighted_mean(real + fake, patches)
+}
+
+/// Mean of `values: [batch, patches, 1]` with weights of mean 1, `[1, patches, 1]`, as `[1]`.
+pub fn weighted_mean(values: Tensor<3>, weights: Option<&Tensor<3>>) -> Tensor<1> {
+    match weights {
+        Some(weights) => (values * weights.clone()).mean(),
+        None => values.mean(),
+    }
 }
 
 #[cfg(test)]
@@ -229,7 +131,7 @@ mod tests {
     fn reconstruction_kinds_match_closed_forms() {
         let x = tensor(&[0.05, -0.3, 1.0], [1, 1, 3]);
         let y = tensor(&[0.0, 0.0, 0.0], [1, 1, 3]);
-        let of = |kind| value(reconstruction(kind, x.clone(), y.clone(), None));
+        let of = |kind| value(reconstruction(kind, x.clone(), y.clone()));
         assert!((of(ReconstructionLoss::L1) - 0.45).abs() < 1e-6);
         assert!((of(ReconstructionLoss::L2) - (0.0025 + 0.09 + 1.0) / 3.0).abs() < 1e-6);
         let huber = (0.5 * 0.0025 + (0.03 - 0.005) + (0.1 - 0.005)) / 3.0;
@@ -237,17 +139,62 @@ mod tests {
     }
 
     #[test]
-    fn vertex_weights_scale_each_vertex() {
-        let x = tensor(&[1.0, 1.0, 1.0, 1.0, 1.0, 1.0], [1, 2, 3]);
-        let y = tensor(&[0.0; 6], [1, 2, 3]);
-        let weights = tensor(&[2.0, 0.0], [2]);
-        assert_eq!(value(reconstruction(ReconstructionLoss::L1, x, y, Some(weights))), 1.0);
+    fn vertices_count_by_unit_and_clothing() {
+        let (x, y) = (tensor(&[1.0; 6], [1, 2, 3]), tensor(&[0.0; 6], [1, 2, 3]));
+        let deviations = [0.01, 0.02, 0.03, 0.001, 0.001, 0.001];
+        let vertices = LossVertices { deviations: &deviations, clothing: &[0] };
+        let of = |unit, bare_weight| {
+            let config = LossConfig { unit, bare_weight, ..LossConfig::default() };
+            LossWeights::new(&config, vertices, None, &device()).unwrap()
+        };
+        assert!(of(DisplacementUnit::Deviations, 1.0).vertices.is_none());
+        for (unit, bare) in [(DisplacementUnit::Deviations, 0.0), (DisplacementUnit::Metres, 0.5)] {
+            let weights = of(unit, bare);
+            let loss = |at: usize| {
+                let mut one = [0.0; 6];
+                one[at] = 1.0;
+                let x = weights.apply(tensor(&one, [1, 2, 3]));
+                f64::from(value(reconstruction(ReconstructionLoss::L1, x, y.clone())))
+            };
+            let metric = unit == DisplacementUnit::Metres;
+            let expected = |at: usize| {
+                let size = if metric { deviations[at] } else { 1.0 };
+                size * if at < 3 { 1.0 } else { bare }
+            };
+            for at in 1..6 {
+                assert!((loss(at) - loss(0) * expected(at) / expected(0)).abs() < 1e-6, "{at}");
+            }
+            // The scale of the whole loss stays.
+            let whole = reconstruction(ReconstructionLoss::L1, weights.apply(x.clone()), y.clone());
+            assert!((value(whole) - 1.0).abs() < 1e-6);
+        }
+        let none = LossConfig { bare_weight: 0.0, ..LossConfig::default() };
+        let vertices = LossVertices { deviations: &deviations, clothing: &[] };
+        let error = LossWeights::new(&none, vertices, None, &device()).unwrap_err();
+        assert!(error.to_string().contains("bare_weight"), "{error}");
+    }
+
+    #[test]
+    fn weighted_patches_are_all_that_counts() {
+        let logits = tensor(&[0.3, -2.0, 5.0], [1, 3, 1]);
+        let weights = tensor(&[1.5, 1.5, 0.0], [1, 3, 1]);
+        let few = tensor(&[0.3, -2.0], [1, 2, 1]);
+        for adversary in [AdversarialLoss::Bce, AdversarialLoss::Hinge] {
+            let config = LossConfig { adversary, ..LossConfig::default() };
+            let [all, some] =
+                [(logits.clone(), Some(&weights)), (few.clone(), None)].map(|(logits, patches)| {
+                    let real =
+                        discriminator_adversarial(&config, logits.clone(), logits.clone(), patches);
+                    [value(real), value(generator_adversarial(&config, logits, patches))]
+                });
+            assert!(all.iter().zip(some).all(|(a, b)| (a - b).abs() < 1e-6), "{all:?} {some:?}");
+        }
     }
 
     #[test]
     fn cross_entropy_is_stable_and_exact() {
         for (logit, label) in [(0.3f32, 0.9), (-2.0, 0.1), (80.0, 0.9), (-80.0, 0.9)] {
-            let got = value(cross_entropy(tensor(&[logit], [1, 1, 1]), label));
+            let got = value(cross_entropy(tensor(&[logit], [1, 1, 1]), label, None));
             let x = f64::from(logit);
             let log_sigmoid = |x: f64| -(-x).exp().ln_1p();
             let stable = |x: f64| if x < -30.0 { x } else { log_sigmoid(x) };
@@ -262,7 +209,7 @@ mod tests {
         for logit in [0.0f32, 1e-9, -1e-9, 3.0, -60.0, 60.0] {
             let x = Tensor::<3>::from_data(TensorData::new(vec![logit], [1, 1, 1]), &device)
                 .require_grad();
-            let gradients = cross_entropy(x.clone(), 0.9).backward();
+            let gradients = cross_entropy(x.clone(), 0.9, None).backward();
             let found = x.grad(&gradients).unwrap().into_scalar::<f32>();
             let expected = 1.0 / (1.0 + (-f64::from(logit)).exp()) - 0.9;
             assert!((f64::from(found) - expected).abs() < 1e-6, "{logit}: {found}");
@@ -274,8 +221,8 @@ mod tests {
         let config = LossConfig { adversary: AdversarialLoss::Hinge, ..LossConfig::default() };
         let (real, fake) = ([0.5f32, 2.0], [-0.25f32, -3.0]);
         let [real, fake] = [real, fake].map(|values| tensor(&values, [1, 2, 1]));
-        assert!((value(generator_adversarial(&config, fake.clone())) - 1.625).abs() < 1e-6);
-        assert!((value(discriminator_adversarial(&config, real, fake)) - 0.625).abs() < 1e-6);
+        assert!((value(generator_adversarial(&config, fake.clone(), None)) - 1.625).abs() < 1e-6);
+        assert!((value(discriminator_adversarial(&config, real, fake, None)) - 0.625).abs() < 1e-6);
     }
 
     #[test]
