@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use cape_core::{Outfit, SmplModel, parse_device};
 use cape_infer::Run;
+use cape_layer::BodyIdentity;
 use cape_synth::synthetic_body;
 use clap::{
     Args,
@@ -103,9 +104,9 @@ pub(crate) struct ShapeArgs {
 /// An outfit.
 #[derive(Debug, Clone, Copy, Args)]
 pub(crate) struct OutfitArgs {
-    /// Outfit: upper, then lower garment.
-    #[arg(long, default_value = "longlong", value_name = "OUTFIT", value_parser = outfit())]
-    pub(crate) outfit: Outfit,
+    /// Outfit of the run, see `cape info RUN` [default: longlong, or the run's first].
+    #[arg(long, value_name = "OUTFIT")]
+    outfit: Option<Outfit>,
 }
 
 /// Kinds of files for bodies and clothing.
@@ -167,6 +168,17 @@ impl BodyModelArgs {
             None => synthetic_body(),
         })
     }
+
+    /// Identity of the loaded body, for what belongs to it.
+    pub(crate) fn identity(&self, model: &SmplModel) -> BodyIdentity {
+        body_identity(self.body.as_deref(), model)
+    }
+}
+
+/// Identity of the body that was read from `path`, or of the synthetic one.
+pub(crate) fn body_identity(path: Option<&Path>, model: &SmplModel) -> BodyIdentity {
+    let name = path.map(|path| path.file_name().unwrap_or(path.as_os_str()).to_string_lossy());
+    BodyIdentity::new(name.unwrap_or("synthetic body".into()), model)
 }
 
 impl ShapeArgs {
@@ -203,12 +215,23 @@ impl FileKind {
     }
 }
 
+impl OutfitArgs {
+    /// The outfit, which `run` must know.
+    pub(crate) fn of(&self, run: &Run) -> Result<Outfit> {
+        Ok(match self.outfit {
+            Some(outfit) => run.outfits().choose(outfit.name())?,
+            None => run.default_outfit(),
+        })
+    }
+}
+
 impl OutfitSelection {
-    pub(crate) fn outfits(self) -> Vec<Outfit> {
-        match self {
-            Self::All => Outfit::ALL.to_vec(),
-            Self::One(outfit) => vec![outfit],
-        }
+    /// The outfits, which `run` must know.
+    pub(crate) fn of(self, run: &Run) -> Result<Vec<Outfit>> {
+        Ok(match self {
+            Self::All => run.outfits().to_vec(),
+            Self::One(outfit) => vec![run.outfits().choose(outfit.name())?],
+        })
     }
 }
 
@@ -228,15 +251,16 @@ pub(crate) fn choices<T: Clone + Send + Sync + 'static, const N: usize>(
     })
 }
 
-/// Parser of an outfit.
-pub(crate) fn outfit() -> impl TypedValueParser<Value = Outfit> {
-    choices(Outfit::ALL.map(|outfit| (outfit.name(), outfit)))
-}
-
-/// Parser of an outfit or of `word`, which stands for all.
-pub(crate) fn outfit_or(word: &'static str) -> impl TypedValueParser<Value = OutfitSelection> {
-    let [a, b, c, d] = Outfit::ALL.map(|outfit| (outfit.name(), OutfitSelection::One(outfit)));
-    choices([(word, OutfitSelection::All), a, b, c, d])
+/// Parser of an outfit or of `word`, which stands for all of a run.
+pub(crate) fn outfit_or(
+    word: &'static str,
+) -> impl Fn(&str) -> Result<OutfitSelection, cape_core::Error> + Clone + Send + Sync {
+    move |text| {
+        if text == word {
+            return Ok(OutfitSelection::All);
+        }
+        text.parse().map(OutfitSelection::One)
+    }
 }
 
 /// Parser of one of some kinds of files.

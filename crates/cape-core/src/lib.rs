@@ -39,6 +39,7 @@ mod hex;
 pub mod joints;
 mod keyframes;
 mod mesh;
+mod mesh_sequence;
 pub mod motion;
 pub mod npy;
 pub mod obj;
@@ -46,13 +47,14 @@ pub mod optimise;
 mod outfit;
 pub mod pickle;
 pub mod ply;
-mod point_cache_writer;
 mod point_cache;
+mod point_cache_writer;
 mod progress;
 pub mod smpl;
 mod staging;
 pub mod tensors;
 pub mod usd;
+mod uv;
 
 pub use atomic::{AtomicFile, write_atomically};
 pub use device::{DEVICES, devices, parse_device};
@@ -63,10 +65,11 @@ pub use hex::hex;
 pub use joints::BodyPose;
 pub use keyframes::{ChosenKeyframes, KeyframeRule, KeyframeSelector};
 pub use mesh::{MESH_EXTENSIONS, Mesh, MeshFile, MeshFormat, MeshReport};
+pub use mesh_sequence::{MeshSequence, MeshSequenceOptions};
 pub use motion::BodyMotion;
-pub use outfit::Outfit;
-pub use point_cache_writer::{PointCacheFormat, PointCacheWriter};
+pub use outfit::{Outfit, OutfitVocabulary};
 pub use point_cache::PointCache;
+pub use point_cache_writer::{PointCacheFormat, PointCacheWriter};
 pub use progress::{ProgressFn, silent};
 pub use smpl::{
     ClothedSmpl, ClothingMask, JointSource, Pose, Smpl, SmplInput, SmplModel, SmplOutput,

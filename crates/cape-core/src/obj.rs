@@ -12,14 +12,7 @@ use crate::{
     write_atomically,
 };
 
-/// Texture coordinates of a mesh.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Uv {
-    /// Texture coordinates (u, v), origin at the bottom left, `[points, 2]`.
-    pub coordinates: Vec<[f32; 2]>,
-    /// Index into `coordinates` for each corner of each face, `[faces, 3]`.
-    pub faces: Vec<[u32; 3]>,
-}
+pub use crate::uv::Uv;
 
 /// Contents of an OBJ file.
 ///

@@ -13,7 +13,7 @@ use std::{
 };
 
 use cape_core::{
-    Outfit,
+    Outfit, list_files,
     npy::{Npz, NpzWriter, read_f64, write_npy},
 };
 use ndarray::{Array1, Array2, ArrayD, Ix2};
@@ -41,7 +41,7 @@ pub const SPLIT_FILE: &str = "split.toml";
 ///     pose: [0.0; 72],
 ///     transl: [0.0, 1.0, 0.0],
 /// };
-/// let path = raw::write_frame(directory.path(), "anna", Outfit::LongLong, "hips", 1, &frame)?;
+/// let path = raw::write_frame(directory.path(), "anna", Outfit::LONG_LONG, "hips", 1, &frame)?;
 /// assert!(path.ends_with("anna/longlong_hips/longlong_hips.000001.npz"));
 /// assert_eq!(raw::read_frame(&path, Some(5))?, frame);
 ///
@@ -114,24 +114,14 @@ pub fn name_of(path: impl AsRef<Path>) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Files of the frames of a capture, sorted by name; `None` if the directory does not exist.
+/// Files of the frames of a capture, in natural order of their names, without hidden ones; `None` if the directory does not exist.
 pub fn frame_paths(directory: impl AsRef<Path>) -> Result<Option<Vec<PathBuf>>> {
     let directory = directory.as_ref();
     if !directory.is_dir() {
         return Ok(None);
     }
-    let fail = |e| Error::io(directory, e);
-    let mut paths = Vec::new();
-    for entry in fs::read_dir(directory).map_err(fail)? {
-        let path = entry.map_err(fail)?.path();
-        // File managers and archivers create files whose names start with a dot.
-        let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
-        if path.extension().is_some_and(|extension| extension == "npz") && !hidden {
-            paths.push(path);
-        }
-    }
-    paths.sort_unstable();
-    Ok(Some(paths))
+    let is_frame = |path: &Path| path.extension().is_some_and(|extension| extension == "npz");
+    Ok(Some(list_files(directory, is_frame)?))
 }
 
 /// Checks that `path` does not link to a file outside `root`, as an untrusted archive could.
@@ -305,7 +295,7 @@ mod tests {
 
     fn read_written(frame: &RawFrame) -> (tempfile::TempDir, PathBuf) {
         let root = tempfile::tempdir().unwrap();
-        let path = write_frame(root.path(), "a", Outfit::LongLong, "walk", 7, frame).unwrap();
+        let path = write_frame(root.path(), "a", Outfit::LONG_LONG, "walk", 7, frame).unwrap();
         (root, path)
     }
 
@@ -319,10 +309,10 @@ mod tests {
         assert_eq!(read_frame(&path, Some(2)).unwrap(), frame());
         assert_eq!(read_frame(&path, None).unwrap(), frame());
         assert_eq!(read_canonical(&path, 2).unwrap().pose, frame().pose);
-        let directory = capture_dir(root.path(), "a", Outfit::LongLong, "walk");
+        let directory = capture_dir(root.path(), "a", Outfit::LONG_LONG, "walk");
         fs::write(directory.join("._longlong_walk.000008.npz"), "x").unwrap();
         fs::write(directory.join("notes.txt"), "x").unwrap();
-        let early = write_frame(root.path(), "a", Outfit::LongLong, "walk", 3, &frame()).unwrap();
+        let early = write_frame(root.path(), "a", Outfit::LONG_LONG, "walk", 3, &frame()).unwrap();
         assert_eq!(frame_paths(&directory).unwrap().unwrap(), [early, path]);
         assert!(frame_paths(root.path().join("none")).unwrap().is_none());
         write_minimal(root.path(), "a", &frame().v_cano).unwrap();

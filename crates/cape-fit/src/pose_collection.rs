@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_data::{PackedSet, Split};
 use cape_core::motion::{MotionFile, MotionOptions, read_motions};
+use cape_data::{PackedSet, Split};
 use ndarray::Array2;
 
 use crate::{Error, Result};
@@ -132,6 +132,9 @@ fn below(directory: &Path) -> Result<Vec<PathBuf>> {
             let entry = entry.map_err(|e| Error::io(&directory, e))?;
             let kind = entry.file_type().map_err(|e| Error::io(entry.path(), e))?;
             let path = entry.path();
+            if entry.file_name().to_string_lossy().starts_with('.') {
+                continue;
+            }
             let extension = path.extension().unwrap_or_default();
             if kind.is_dir() {
                 open.push(path);

@@ -134,7 +134,8 @@ pub fn body_and_clothing(
     let body_path = body.map_or_else(|| data.join(BODY_FILE), Path::to_owned);
     if !body_path.exists() {
         return Err(Error::argument(format!(
-            "{}: not found, and the packed set has no body of its own: give the SMPL body (.pkl or .npz)",
+            "{}: not found: the packed set has no body of its own: give the SMPL body, .pkl or .npz \
+             (--body)",
             body_path.display()
         )));
     }
@@ -182,7 +183,7 @@ pub fn read_identity(path: &Path) -> Result<DataIdentity> {
 /// let directory = trained()?;
 /// let run = Run::open(directory.path().join("run"), &Device::default())?;
 /// let code = run.sample_codes(1, 7);
-/// let body = BodySpec { betas: vec![1.0, -0.5], pose: [0.0; 72], outfit: Outfit::LongLong };
+/// let body = BodySpec { betas: vec![1.0, -0.5], pose: [0.0; 72], outfit: Outfit::LONG_LONG };
 /// run.dress(&code, std::slice::from_ref(&body))?[0].save(directory.path().join("dressed.obj"))?;
 /// let file = AnimatedBody::from_body("dressed", &code, &body).encode(&run)?;
 /// assert_eq!(&file[..4], b"glTF");

@@ -77,7 +77,7 @@ impl AnimateArgs {
         self.output.require_empty()?;
         let run = self.run.open(global)?;
         let betas = self.shape.betas(run.body())?;
-        let (seed, outfit) = (global.seed(), self.outfit.outfit);
+        let (seed, outfit) = (global.seed(), self.outfit.of(&run)?);
         let code = match &self.code {
             Some(name) => {
                 let draw = LatentSampler { run: &run, drawn: self.drawn, outfit, console };
@@ -86,10 +86,11 @@ impl AnimateArgs {
             None => self.drawn.codes(&run, &[outfit], 1, seed, console)?,
         };
         files::create_dir(&self.output.out)?;
-        let displacement = self.frames(&run, &code, &betas, &poses, console)?;
+        let wearer = BodySpec { betas, pose: poses[0], outfit };
+        let displacement = frames(&run, &code, &wearer, &poses, console)?;
         match self.format {
-            FileKind::Glb => self.write_glb(&run, &code, &betas, &poses)?,
-            _ => self.write_frames(&run, &betas, &poses, &displacement, console)?,
+            FileKind::Glb => self.write_glb(&run, &code, &wearer, &poses)?,
+            _ => self.write_frames(&run, &wearer, &poses, &displacement, console)?,
         }
         let [speed, acceleration] =
             cape_eval::clothing::smoothness(&displacement, run.clothing(), f64::from(self.fps));
@@ -106,45 +107,21 @@ impl AnimateArgs {
         console.result(&report, || report.text())
     }
 
-    /// Canonical displacements, `[frames, vertices, 3]`.
-    fn frames(
-        &self,
-        run: &Run,
-        code: &Array2<f32>,
-        betas: &[f32],
-        poses: &[BodyPose],
-        console: Console,
-    ) -> Result<Array3<f32>> {
-        let mut parts = Vec::new();
-        console.while_showing("decode", "frames", |progress| {
-            for rows in batches(poses.len()) {
-                let done = rows.end;
-                let bodies = self.body_specs(betas, &poses[rows]);
-                let codes = code.select(Axis(0), &vec![0; bodies.len()]);
-                parts.push(run.decode_displacements(&codes, &bodies)?);
-                progress(done, poses.len());
-            }
-            Ok::<_, Error>(())
-        })?;
-        let views: Vec<_> = parts.iter().map(|part| part.view()).collect();
-        concatenate(Axis(0), &views).map_err(|error| Error::message(error.to_string()))
-    }
-
     fn write_glb(
         &self,
         run: &Run,
         code: &Array2<f32>,
-        betas: &[f32],
+        wearer: &BodySpec,
         poses: &[BodyPose],
     ) -> Result {
-        let first = self.body_specs(betas, &poses[..1]);
+        let first = body_specs(wearer, &poses[..1]);
         let dressed = DressedRenderer::new(run)
             .pose_clothed(&run.decode_displacements(code, &first)?, &first)?;
         let performance = AnimatedBody {
             name: "animation",
             code: code.clone(),
-            betas,
-            outfit: self.outfit.outfit,
+            betas: &wearer.betas,
+            outfit: wearer.outfit,
             poses: poses.to_vec(),
             frames_per_second: f32::from(self.fps),
             shape_targets: 0,
@@ -154,15 +131,10 @@ impl AnimateArgs {
         Ok(performance.save(run, self.output.out.join("animation.glb"))?)
     }
 
-    fn body_specs(&self, betas: &[f32], poses: &[BodyPose]) -> Vec<BodySpec> {
-        let outfit = self.outfit.outfit;
-        poses.iter().map(|&pose| BodySpec { betas: betas.to_vec(), pose, outfit }).collect()
-    }
-
     fn write_frames(
         &self,
         run: &Run,
-        betas: &[f32],
+        wearer: &BodySpec,
         poses: &[BodyPose],
         displacement: &Array3<f32>,
         console: Console,
@@ -174,7 +146,7 @@ impl AnimateArgs {
             for rows in batches(poses.len()) {
                 let first = rows.start;
                 let worn = displacement.slice(s![rows.clone(), .., ..]).to_owned();
-                let bodies = painter.pose_clothed(&worn, &self.body_specs(betas, &poses[rows]))?;
+                let bodies = painter.pose_clothed(&worn, &body_specs(wearer, &poses[rows]))?;
                 if camera.is_none() {
                     camera = view_of(&bodies);
                 }
@@ -209,6 +181,33 @@ impl AnimateArgs {
         let style = Style { width: self.size, height: self.size, ..Style::default() };
         Ok(render(&[Object::new(&body.mesh).with_colours(&body.colours)], camera, &style)?)
     }
+}
+
+/// Canonical displacements, `[frames, vertices, 3]`.
+fn frames(
+    run: &Run,
+    code: &Array2<f32>,
+    wearer: &BodySpec,
+    poses: &[BodyPose],
+    console: Console,
+) -> Result<Array3<f32>> {
+    let mut parts = Vec::new();
+    console.while_showing("decode", "frames", |progress| {
+        for rows in batches(poses.len()) {
+            let done = rows.end;
+            let bodies = body_specs(wearer, &poses[rows]);
+            let codes = code.select(Axis(0), &vec![0; bodies.len()]);
+            parts.push(run.decode_displacements(&codes, &bodies)?);
+            progress(done, poses.len());
+        }
+        Ok::<_, Error>(())
+    })?;
+    let views: Vec<_> = parts.iter().map(|part| part.view()).collect();
+    concatenate(Axis(0), &views).map_err(|error| Error::message(error.to_string()))
+}
+
+fn body_specs(wearer: &BodySpec, poses: &[BodyPose]) -> Vec<BodySpec> {
+    poses.iter().map(|&pose| BodySpec { pose, ..wearer.clone() }).collect()
 }
 
 /// Camera for all frames, around the first ones with a margin for the motion.

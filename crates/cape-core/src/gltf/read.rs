@@ -40,7 +40,7 @@ const TRIANGLE_FAN: u64 = 6;
 ///     time,
 ///     pose: vec![0.0; 72],
 ///     transl: [0.0, f64::from(time), 0.0],
-///     offset: ndarray::Array2::zeros((6890, 3)),
+///     offset: Some(ndarray::Array2::zeros((6890, 3))),
 /// };
 /// let bytes = gltf::encode(&skinned, &[at(0.0), at(1.0)])?;
 /// let file = GltfFile::parse("rising.glb", bytes)?;

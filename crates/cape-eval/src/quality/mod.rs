@@ -4,7 +4,7 @@ mod classify;
 mod inside;
 mod sets;
 
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 use cape_core::Outfit;
 use ndarray::{Array2, Axis};
@@ -104,13 +104,7 @@ pub fn quality(
     progress: &mut ProgressFn,
 ) -> Result<QualityReport> {
     let data = data.as_ref();
-    let set = PackedSet::open(data, Split::Test)?;
-    let (vertices, found) = (run.body().vertices(), set.vertices());
-    if found != vertices {
-        return Err(Error::data(format!(
-            "test frames have {found} vertices, but the run's body has {vertices}"
-        )));
-    }
+    let set = run.open_set(data, Split::Test)?;
     let step = set.frames().div_ceil(options.frames.max(1)).max(1);
     let rows: Vec<usize> = (0..set.frames()).step_by(step).collect();
     let outfits: Vec<Outfit> = rows.iter().map(|&row| set.outfits()[row]).collect();
@@ -139,7 +133,8 @@ pub fn quality(
 
     let classifier = OutfitCentroids::from_training(run, data, options.training_frames)?;
     let consistent = |points: &[Vec<[f32; 3]>]| {
-        let right = points.iter().zip(&outfits).filter(|(p, o)| classifier.classify(p) == **o);
+        let right =
+            points.iter().zip(&outfits).filter(|(p, o)| classifier.classify(p) == Some(**o));
         right.count() as f64 / points.len().max(1) as f64
     };
     let outfit_consistency = consistent(&sample_points);
@@ -187,8 +182,8 @@ fn pose_of(set: &PackedSet, row: usize) -> Result<[f32; 72]> {
     })
 }
 
-fn present(outfits: &[Outfit]) -> Vec<Outfit> {
-    Outfit::ALL.into_iter().filter(|outfit| outfits.contains(outfit)).collect()
+fn present(outfits: &[Outfit]) -> BTreeSet<Outfit> {
+    outfits.iter().copied().collect()
 }
 
 /// Displacements of latent codes `[n, latent]`, `[n][3 V]`, metres.
@@ -253,7 +248,7 @@ pub fn standard_normal(
 ) -> impl Fn(Outfit, usize, u64) -> Array2<f32> {
     move |outfit, n, call| {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream((outfit.index() as u64) << 48 | call);
+        rng.set_stream(outfit.stream() << 48 | call);
         Array2::from_shape_simple_fn((n, latent), || {
             (temperature * rng.sample::<f64, _>(StandardNormal)) as f32
         })

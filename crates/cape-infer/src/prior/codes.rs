@@ -1,13 +1,13 @@
 //! Latent codes of training frames.
 
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 use cape_core::Outfit;
 use ndarray::Array2;
 
 use crate::{Error, Result, Run};
 use cape_core::ProgressFn;
-use cape_data::{PackedSet, Split};
+use cape_data::Split;
 
 /// Posterior means of frames, each with its outfit.
 #[derive(Debug, Clone)]
@@ -40,7 +40,7 @@ impl LatentCodes {
         frames: usize,
         progress: &mut ProgressFn,
     ) -> Result<Self> {
-        let set = PackedSet::open(data, Split::Train)?;
+        let set = run.open_set(data, Split::Train)?;
         let rows = run.statistics().training_rows(set.frames());
         let step = rows.len().div_ceil(frames.max(1)).max(1);
         let rows: Vec<usize> = rows.step_by(step).collect();
@@ -74,6 +74,11 @@ impl LatentCodes {
     /// True if there are no codes.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
+    }
+
+    /// Outfits that there are codes of.
+    pub fn outfits(&self) -> BTreeSet<Outfit> {
+        self.rows.iter().map(|(outfit, _)| *outfit).collect()
     }
 
     /// Codes of one outfit, or all, `[n, latent]`.

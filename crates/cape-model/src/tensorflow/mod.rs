@@ -135,6 +135,10 @@ impl TensorFlowCheckpoint {
             return Err(fault(format!("{length} bytes, expected at most {MAX_INDEX}")));
         }
         let bytes = fs::read(&index).map_err(|e| Error::Io { path: index.clone(), source: e })?;
+        let start = &bytes[..bytes.len().min(4096)];
+        if let Some(found) = cape_core::unexpected_content(start, length) {
+            return Err(fault(found.to_owned()));
+        }
         let mut header = None;
         let mut variables = Vec::new();
         for (key, value) in table::read(&bytes).map_err(fault)? {

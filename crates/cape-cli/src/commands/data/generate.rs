@@ -23,7 +23,6 @@ use crate::{
     files,
     options::{
         FileKind, GlobalArgs, ResumableOutputArgs, RunArgs, at_least_one, kinds, non_negative,
-        outfit,
     },
     priors::{PriorArgs, load_prior},
 };
@@ -58,8 +57,8 @@ pub(crate) struct GenerateArgs {
     /// Poses to choose from, .npy, .npz or .csv [default: synthetic motions].
     #[arg(long, value_name = "FILE")]
     poses: Option<String>,
-    /// Outfits to choose from [default: all].
-    #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…", value_parser = outfit())]
+    /// Outfits of the run to choose from [default: all].
+    #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…")]
     outfit: Vec<Outfit>,
     /// Standard deviation of the ten shape coefficients.
     #[arg(long, default_value_t = 1.0, value_name = "S", value_parser = non_negative)]
@@ -114,8 +113,11 @@ impl GenerateArgs {
             None => Vec::new(),
         };
         let run = self.run.open(global)?;
-        let outfits =
-            if self.outfit.is_empty() { Outfit::ALL.to_vec() } else { self.outfit.clone() };
+        let outfits = match &self.outfit[..] {
+            [] => run.outfits().to_vec(),
+            chosen => chosen.to_vec(),
+        };
+        outfits.iter().try_for_each(|&outfit| run.outfits().require(outfit).map(drop))?;
         let plan = GenerationPlan {
             checkpoint_step: run.progress().step,
             poses: self.poses.clone(),
@@ -268,7 +270,7 @@ impl BodySampler<'_> {
         let GenerationPlan { seed, temperature, shape_deviation, outfits, .. } = self.plan;
         let mut rng = ChaCha8Rng::seed_from_u64(*seed);
         rng.set_stream(sample as u64 + 1);
-        let outfit = outfits.choose(&mut rng).copied().unwrap_or(Outfit::LongLong);
+        let outfit = outfits.choose(&mut rng).copied().unwrap_or(self.run.default_outfit());
         let normal = |rng: &mut ChaCha8Rng| rng.sample::<f32, _>(StandardNormal);
         let shapes = self.run.body().betas().min(SHAPES);
         let betas = (0..shapes).map(|_| shape_deviation * normal(&mut rng)).collect();

@@ -140,7 +140,7 @@ pub(crate) fn recipe(seed: u64) -> RunConfig {
 /// Removes the files of an earlier demo; other files in the directory are an error.
 fn prepare(out: &Path) -> Result {
     if out.join(MARKER).exists() {
-        let meshes = Outfit::ALL.map(Outfit::name).into_iter().chain([BARE]);
+        let meshes = Outfit::PAPER.iter().map(Outfit::name).chain([BARE]);
         let meshes = meshes.map(|name| format!("{name}.obj"));
         for name in FILES.iter().map(ToString::to_string).chain(meshes) {
             let path = out.join(name);
@@ -241,14 +241,14 @@ impl DemoContext {
                 LatentCodes::from_training(run, &this.path("packed"), CODE_FRAMES, &mut silent)?;
             let options = MixtureOptions::default();
             let prior = Prior::fit(&seen, DensityKind::Mixture(1), true, &options)?;
-            let codes = prior.sample_each(TEMPERATURE, this.seed)?;
+            let codes = prior.sample_each(run.outfits(), TEMPERATURE, this.seed)?;
             let mut rows = Vec::new();
             for (row, &(name, view)) in pictures::POSES.iter().enumerate() {
                 let pose = poses::preset(name).ok_or_else(|| {
                     Error::message(format!("internal error: unknown pose `{name}`"))
                 })?;
                 let wearers =
-                    Outfit::ALL.map(|outfit| BodySpec { betas: Vec::new(), pose, outfit });
+                    Outfit::PAPER.map(|outfit| BodySpec { betas: Vec::new(), pose, outfit });
                 let mut bodies = unclothed_meshes(run, &wearers[..1])?;
                 dress(run, &codes, &wearers, |_, dressed| {
                     bodies.push(dressed);
@@ -266,7 +266,7 @@ impl DemoContext {
     }
 
     fn meshes(&self, bodies: &[DressedMesh]) -> Result {
-        let names = [BARE].into_iter().chain(Outfit::ALL.map(Outfit::name));
+        let names = [BARE].into_iter().chain(Outfit::PAPER.iter().map(Outfit::name));
         for (name, body) in names.zip(bodies) {
             obj::write(self.path(&format!("{name}.obj")), &body.mesh, None)?;
         }

@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use cape_core::{
-    Mesh, SmplModel,
+    Mesh, Outfit, SmplModel,
     npy::{Npz, npy_header, read_objects},
     pickle::Pickle,
 };
@@ -23,13 +23,14 @@ const MOST_OBJECTS: usize = 32;
 const MOST_KEYS: usize = 200;
 
 pub(super) fn describe(path: &Path) -> Result<FileSummary> {
-    let known = ["npz", "npy", "pkl", "obj", "ply", "safetensors", "toml", "index"];
+    let known =
+        ["npz", "npy", "pkl", "obj", "ply", "stl", "off", "glb", "safetensors", "toml", "index"];
     match known.into_iter().find(|extension| has_extension(path, extension)) {
         Some("npz") => archive(path),
         Some("npy") => array(path),
         Some("pkl") => pickle(path),
         Some("index") => tensorflow(path),
-        Some("obj" | "ply") => mesh(path),
+        Some("obj" | "ply" | "stl" | "off" | "glb") => mesh(path),
         Some("safetensors") => parameters(path),
         Some("toml") => settings(path),
         _ => Err(Error::message(format!(
@@ -155,12 +156,15 @@ fn objects(path: &Path) -> Result<FileSummary> {
 }
 
 fn mesh(path: &Path) -> Result<FileSummary> {
-    let mesh = Mesh::load(path)?;
-    let edges = Surface::from(&mesh).edge_counts();
+    let MeshFile { format, mesh, skipped_faces, .. } = MeshFile::read(path)?;
     let report = mesh.validate();
-    Ok(FileSummary::new("mesh")
+    let facts = FileSummary::new("mesh")
+        .with("format", format!("{format:?}").to_uppercase())
         .with("vertices", mesh.vertices.len())
         .with("faces", mesh.faces.len())
+        .with("faces of fewer than 3 corners, left out", skipped_faces);
+    let edges = Surface::from(&mesh).edge_counts();
+    Ok(facts
         .with("edges", edges.edges)
         .with("boundary edges", edges.boundary)
         .with("non-manifold edges", edges.non_manifold)
@@ -186,7 +190,7 @@ fn settings(path: &Path) -> Result<FileSummary> {
         Err(run) => match SplitSpec::from_file(path) {
             Ok(split) => Ok(FileSummary::new("split into training and test sequences")
                 .with("subjects", split.subjects)
-                .with("outfits", split.outfits.iter().map(|o| o.name()).collect::<Vec<_>>())
+                .with("outfits", split.outfits.iter().map(Outfit::name).collect::<Vec<_>>())
                 .with("training sequences", split.train.sequences.len())
                 .with("test sequences", split.test.sequences.len())),
             // The sections tell a split from a configuration.
@@ -204,6 +208,7 @@ pub(super) fn run_config(facts: FileSummary, config: &RunConfig) -> FileSummary 
         .with("filters", model.filters.clone())
         .with("factors", model.factors.clone())
         .with("latent", model.latent)
+        .with("outfits", model.outfits.iter().map(Outfit::name).collect::<Vec<_>>())
         .with("decoder", format!("{:?}", model.decoder).to_lowercase())
         .with("discriminator", model.discriminator.is_some())
         .with("weighting", weighting.name())

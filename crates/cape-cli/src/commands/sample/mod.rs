@@ -35,6 +35,8 @@ const TILE: [u32; 2] = [320, 420];
 const MOST_PICTURES: usize = 32;
 /// Material file of textured .obj files.
 const MATERIALS: &str = "body.mtl";
+/// Most bodies per row of the contact sheet.
+const WIDEST: usize = 8;
 /// Bodies per row of the contact sheet, if there is one outfit.
 const COLUMNS: usize = 6;
 
@@ -54,7 +56,7 @@ pub(crate) struct SampleArgs {
     run: RunArgs,
     #[command(flatten)]
     output: OutputArgs,
-    /// Outfit: upper, then lower garment; or all four.
+    /// Outfit of the run, see `cape info RUN`; or all of them.
     #[arg(long, default_value = "all", value_name = "OUTFIT", value_parser = outfit_or("all"))]
     outfit: OutfitSelection,
     /// Pose: t-pose, a-pose, a motion (walk, squats, …) or a file, .npy [n, 72] or .npz.
@@ -146,7 +148,7 @@ impl SampleArgs {
             console.note("the contact sheet is drawn without the texture: only PNG can be drawn");
         }
         let seed = global.seed();
-        let outfits = self.outfit.outfits();
+        let outfits = self.outfit.of(&run)?;
         let codes = self.drawn.codes(&run, &outfits, self.n, seed, console)?;
         // All poses of an animation are in one file, which is listed and drawn in its first.
         let shown = match self.format {
@@ -224,7 +226,7 @@ impl SampleArgs {
             })
         })?;
         files::write_json_lines(&out.join("samples.jsonl"), &lines)?;
-        let picture = self.picture(&tiles)?;
+        let picture = self.picture(&tiles, outfits.len())?;
         let report = Report { files, picture, out: self.output.out };
         console.result(&report, || report.text(&lines))
     }
@@ -242,15 +244,24 @@ impl SampleArgs {
         let Some(path) = &self.uv else { return Ok(TextureInput::default()) };
         let read = obj::read(path)?;
         let fault = |message: String| Error::message(format!("{}: {message}", path.display()));
-        if read.mesh.faces != run.body().faces {
+        let body = run.body();
+        let (found, expected) = (read.mesh.vertices.len(), body.vertices());
+        if found != expected {
             return Err(fault(format!(
-                "{} faces, which are not those of the run's body ({}): expected an OBJ file of the \
-                 same mesh",
-                read.mesh.faces.len(),
-                run.body().faces.len()
+                "{found} vertices, but the run's body has {expected}: expected an OBJ file of the same \
+                 mesh, with its vertices in the same order"
             )));
         }
-        let uv = read.uv.ok_or_else(|| fault("no texture coordinates (vt)".into()))?;
+        let uv = read.uv.ok_or_else(|| {
+            fault("no texture coordinates (vt), or not at all corners of its faces".into())
+        })?;
+        let uv = uv.for_faces(&read.mesh.faces, &body.faces).map_err(|face| {
+            fault(format!(
+                "has no triangle of the vertices {:?} (from 0), which is face {face} of the run's body: \
+                 expected an OBJ file of the same mesh, with its vertices in the same order",
+                body.faces[face]
+            ))
+        })?;
         let image = match &self.texture {
             None => None,
             Some(path) => {
@@ -285,14 +296,14 @@ impl SampleArgs {
         Ok(())
     }
 
-    fn picture(&self, tiles: &[Tile]) -> Result<Option<PathBuf>> {
+    fn picture(&self, tiles: &[Tile], outfits: usize) -> Result<Option<PathBuf>> {
         if tiles.is_empty() {
             return Ok(None);
         }
         let columns = match (self.outfit, tiles.len()) {
             // One of each beside the body.
-            (OutfitSelection::All, 5) => 5,
-            (OutfitSelection::All, _) => Outfit::ALL.len(),
+            (OutfitSelection::All, tiles) if tiles == outfits + 1 && tiles <= WIDEST => tiles,
+            (OutfitSelection::All, _) => outfits.min(WIDEST),
             _ => COLUMNS,
         };
         let path = self.output.out.join("contact_sheet.png");
@@ -322,7 +333,7 @@ impl Report {
     fn text(&self, lines: &[SampleLine]) -> String {
         let mut table = Table::new(["file", "outfit", "pose"]);
         for line in lines.iter().take(20) {
-            table.row([line.file.as_str(), line.outfit.name(), &line.pose]);
+            table.row([line.file.as_str(), line.outfit.name(), line.pose.as_str()]);
         }
         let more = match lines.len().saturating_sub(20) {
             0 => String::new(),

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_core::{Mesh, Outfit, joints::JOINT_NAMES, obj, ply};
+use cape_core::{Mesh, joints::JOINT_NAMES, obj, ply};
 use cape_data::{PackedSet, Split, raw::name_of};
 use cape_infer::{AnimatedBody, BodySpec, Run, directions_by_effect};
 use cape_stats::errors::distance_mm;
@@ -15,7 +15,7 @@ use crate::{
     console::Console,
     dressed_mesh::{DressedMesh, DressedRenderer, unclothed_meshes},
     error::{Error, Result},
-    mesh_file::read_mesh,
+    mesh_file::{is_mesh, read_mesh},
     priors::{PriorArgs, PriorName},
 };
 
@@ -123,15 +123,15 @@ impl Source<'_> {
 
 impl<'a> RunSource<'a> {
     pub(super) fn new(run: &'a Run, console: Console) -> Self {
-        let truth = run.data().ok().and_then(|data| PackedSet::open(&data, Split::Test).ok());
-        let truth = truth.filter(|set| set.vertices() == run.body().vertices());
+        let truth = run.data().ok().and_then(|data| run.open_set(data, Split::Test).ok());
         Self { run, painter: DressedRenderer::new(run), truth, console }
     }
 
     fn scene(&self) -> Result<Value> {
         let run = self.run;
         let at = |name: &str| poses::preset(name).unwrap_or([0.0; 72]);
-        let wearer = BodySpec { betas: Vec::new(), pose: at("a-pose"), outfit: Outfit::LongLong };
+        let wearer =
+            BodySpec { betas: Vec::new(), pose: at("a-pose"), outfit: run.default_outfit() };
         let (order, effect) = directions_by_effect(run, &wearer)?;
         let motions: Vec<&str> = Motion::ALL.iter().map(|motion| motion.name()).collect();
         let named = ["a-pose", "t-pose"].into_iter().chain(motions.iter().copied());
@@ -152,7 +152,8 @@ impl<'a> RunSource<'a> {
                 "order": order,
                 "effect": effect,
                 "betas": self.shapes(),
-                "outfits": Outfit::ALL.map(Outfit::name),
+                "outfits": run.outfits(),
+                "outfit": run.default_outfit(),
                 "poses": poses,
                 "motions": motions,
                 "joints": JOINT_NAMES,
@@ -247,27 +248,13 @@ impl<'a> RunSource<'a> {
 }
 
 impl MeshSource {
-    /// Opens a mesh, or all meshes of a directory ordered by name.
+    /// Opens a mesh, or all meshes of a directory in natural order of their names.
     pub(super) fn open(path: &Path, fps: f64) -> Result<Self> {
-        let paths = if path.is_dir() {
-            let entries = std::fs::read_dir(path).map_err(|error| Error::io(path, error))?;
-            let mut paths = Vec::new();
-            for entry in entries {
-                let path = entry.map_err(|error| Error::io(path, error))?.path();
-                let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
-                if extension == "obj" || extension == "ply" {
-                    paths.push(path);
-                }
-            }
-            paths.sort();
-            paths
-        } else {
-            vec![path.to_owned()]
-        };
+        let paths = if path.is_dir() { list_files(path, is_mesh)? } else { vec![path.to_owned()] };
         let Some(first) = paths.first() else {
             return Err(Error::message(format!(
-                "{}: no meshes: expected a run, a mesh (.obj, .ply), a body (.npz, .pkl), or a \
-                 directory of .obj or .ply files",
+                "{}: no meshes: expected a run, a mesh (.obj, .ply, .stl, .off, .glb), a body (.npz, \
+                 .pkl), or a directory of meshes",
                 path.display()
             )));
         };
