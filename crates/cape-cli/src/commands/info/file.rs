@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use cape_core::{
-    Mesh, Outfit, SmplModel,
+    Mesh, MeshFile, Outfit, SmplModel,
     npy::{Npz, npy_header, read_objects},
     pickle::Pickle,
 };

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_core::{Mesh, joints::JOINT_NAMES, obj, ply};
+use cape_core::{Mesh, joints::JOINT_NAMES, list_files, obj, ply};
 use cape_data::{PackedSet, Split, raw::name_of};
 use cape_infer::{AnimatedBody, BodySpec, Run, directions_by_effect};
 use cape_stats::errors::distance_mm;
