@@ -26,9 +26,9 @@ use crate::{
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape layer import scans/skirt_01 scans/skirt_01.npz --set skirts --name \
-                  walk --parameters length=0.85,width=1.1\n  cape layer import skirt.pc2 walk_poses.npz \
-                  --topology skirt.obj --mesh-fps 24 --unit cm --up z --set skirts --name \
-                  walk\n  cape layer import frames walk.npz --files '*_skirt.obj' --set skirts --name walk"
+                  walk --parameters length=0.85,width=1.1\n  cape layer import skirt.pc2 \
+                  scans/skirt_01.npz --topology skirt.obj --unit cm --set skirts --name walk\n  cape \
+                  layer import frames scans/skirt_01.npz --files '*_skirt.obj' --set skirts --name walk"
 )]
 pub(crate) struct ImportArgs {
     /// Directory of meshes (.obj, .ply, .stl, .off, .glb), point cache (.pc2, .pc16, .mdd), archive
