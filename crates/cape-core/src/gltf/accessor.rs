@@ -2,9 +2,6 @@
 
 use serde_json::Value;
 
-/// Largest number of elements of an accessor without data of its own.
-const MOST_ZEROS: u64 = 1 << 24;
-
 /// Rows of an accessor: numbers of `width` components each, integers scaled to −1 to 1 or 0 to 1 if
 /// they are normalised.
 pub(super) struct Rows {
@@ -62,7 +59,8 @@ impl Data<'_> {
         let layout = Layout { offset, count, component, width };
         let mut numbers = match accessor["bufferView"].as_u64() {
             Some(view) => self.numbers(view, &layout)?,
-            None if count <= MOST_ZEROS => vec![0.0; count as usize * width],
+            // Zeros, of which no more are believed than the file has bytes.
+            None if count <= self.binary.len() as u64 => vec![0.0; count as usize * width],
             None => return Err(format!("{count} elements without data")),
         };
         let sparse = &accessor["sparse"];

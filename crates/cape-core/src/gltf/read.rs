@@ -13,8 +13,9 @@ use super::{
 };
 use crate::{Error, Result, mesh::is_face};
 
-/// Largest number of vertices of all meshes of a scene, which may show a mesh many times.
-const MOST_VERTICES: usize = 1 << 25;
+/// Largest number of vertices of a scene, which may show a mesh many times, for each byte of the
+/// file.
+const MOST_COPIES: usize = 2;
 const POINTS: u64 = 0;
 const TRIANGLES: u64 = 4;
 const TRIANGLE_STRIP: u64 = 5;
@@ -277,8 +278,8 @@ impl GltfFile {
                     continue;
                 }
                 total += position_count(&self.document, primitive)? as usize;
-                if total > MOST_VERTICES {
-                    return Err(format!("more than {MOST_VERTICES} vertices in the scene"));
+                if total > MOST_COPIES * self.binary.len() {
+                    return Err(format!("{total} vertices in the scene, too many for its size"));
                 }
                 parts.push(Part { node, primitive });
             }
