@@ -130,8 +130,7 @@ impl KeyframeSelector {
     /// Makes the last frame a keyframe.
     fn keep(&mut self) {
         let count = self.since.len();
-        let (Some(offset), Some((last, from))) =
-            (self.since.pop(), self.chosen.keyframes.last())
+        let (Some(offset), Some((last, from))) = (self.since.pop(), self.chosen.keyframes.last())
         else {
             return;
         };

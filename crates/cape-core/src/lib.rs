@@ -44,8 +44,8 @@ pub mod optimise;
 mod outfit;
 pub mod pickle;
 pub mod ply;
-mod point_cache_writer;
 mod point_cache;
+mod point_cache_writer;
 mod progress;
 pub mod smpl;
 mod staging;
@@ -61,8 +61,8 @@ pub use keyframes::{ChosenKeyframes, KeyframeRule, KeyframeSelector};
 pub use mesh::{Mesh, MeshReport};
 pub use motion::BodyMotion;
 pub use outfit::Outfit;
-pub use point_cache_writer::{PointCacheFormat, PointCacheWriter};
 pub use point_cache::PointCache;
+pub use point_cache_writer::{PointCacheFormat, PointCacheWriter};
 pub use progress::{ProgressFn, silent};
 pub use smpl::{
     ClothedSmpl, ClothingMask, JointSource, Pose, Smpl, SmplInput, SmplModel, SmplOutput,

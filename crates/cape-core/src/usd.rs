@@ -68,16 +68,16 @@ impl<'a> Stage<'a> {
     fn new(skinned: &'a SkinnedMesh<'a>, keyframes: &'a [Keyframe]) -> Self {
         let mut paths: Vec<String> = Vec::new();
         for (joint, parent) in skinned.body.parents.iter().enumerate() {
-            let name = joints::JOINT_NAMES.get(joint).map_or_else(|| format!("joint_{joint}"), |n| (*n).into());
+            let name = joints::JOINT_NAMES
+                .get(joint)
+                .map_or_else(|| format!("joint_{joint}"), |n| (*n).into());
             paths.push(match parent {
                 Some(parent) => format!("{}/{name}", paths[*parent]),
                 None => name,
             });
         }
         let rate = match keyframes {
-            [first, .., last] => {
-                (keyframes.len() - 1) as f64 / f64::from(last.time - first.time)
-            }
+            [first, .., last] => (keyframes.len() - 1) as f64 / f64::from(last.time - first.time),
             _ => 24.0,
         };
         // Single precision of the times must not show in the rate.
@@ -179,7 +179,8 @@ impl<'a> Stage<'a> {
         )?;
         let mut before: Option<Vec<[f32; 4]>> = None;
         for frame in self.keyframes {
-            let mut turns: Vec<[f32; 4]> = (0..joints).map(|joint| rotation(frame, joint)).collect();
+            let mut turns: Vec<[f32; 4]> =
+                (0..joints).map(|joint| rotation(frame, joint)).collect();
             if let Some(before) = &before {
                 for (turn, before) in turns.iter_mut().zip(before) {
                     let dot: f32 = turn.iter().zip(before).map(|(a, b)| a * b).sum();
@@ -242,7 +243,8 @@ impl<'a> Stage<'a> {
             tuples(&mesh.vertices)
         )?;
         if let Some(colours) = colours {
-            let linear: Vec<[f32; 3]> = colours.iter().map(|c| c.map(crate::gltf::linear)).collect();
+            let linear: Vec<[f32; 3]> =
+                colours.iter().map(|c| c.map(crate::gltf::linear)).collect();
             write!(
                 file,
                 "        color3f[] primvars:displayColor = [{}] (\n            interpolation = \

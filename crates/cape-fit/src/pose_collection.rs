@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_data::{PackedSet, Split};
 use cape_core::motion::{MotionFile, MotionOptions, read_motions};
+use cape_data::{PackedSet, Split};
 use ndarray::Array2;
 
 use crate::{Error, Result};

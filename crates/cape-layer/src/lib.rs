@@ -42,4 +42,4 @@ pub use associate::{AssociateOptions, Association};
 pub use error::{Error, Result};
 pub use layer::{Layer, LayerStream, PredictedFrame};
 pub use offsets::{BodyFrame, OffsetFrame};
-pub use sequence::{LayerSet, Sequence, import, import_motion};
+pub use sequence::{LayerSet, Sequence, import};

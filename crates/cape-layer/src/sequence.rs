@@ -14,6 +14,7 @@ use crate::{BodyFrame, Error, Result};
 use cape_core::{
     BodyMotion, expect_finite,
     geometry::{SurfaceMesh, points},
+    motion::MotionFile,
     smpl::StandardPose,
 };
 
@@ -300,14 +301,12 @@ fn read(directory: &Path, entry: Entry) -> Result<(Vec<[u32; 3]>, Sequence)> {
     let clothing = clothing
         .into_dimensionality()
         .map_err(|error| cape_core::Error::field(&path, "clothing", error.to_string()))?;
-    let (motion, betas) = read_motion(&mut file, Some(frame_rate))?;
+    let (motion, betas) = motion_of(&mut file, frame_rate)?;
     Ok((faces, Sequence { name, clothing, betas, motion, parameters }))
 }
 
-/// Arrays `poses`, `trans` or `transl`, `betas` and, unless the frame rate is given,
-/// `mocap_framerate` of an archive of SMPL parameters with the names of AMASS.
-fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(BodyMotion, Vec<f64>)> {
-    let shift = if file.contains("trans") { "trans" } else { "transl" };
+/// Motion of the body at a frame rate, and its shape coefficients, of an archive of a set.
+fn motion_of(file: &mut Npz, frame_rate: f64) -> Result<(BodyMotion, Vec<f64>)> {
     let mut table = |name: &str, columns: Option<usize>| -> Result<Array2<f64>> {
         let array = file.f64(name)?;
         file.expect_shape(name, array.shape(), &[None, columns])?;
@@ -316,44 +315,47 @@ fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(BodyMotion, V
             .into_dimensionality()
             .map_err(|error| cape_core::Error::field(path, name, error.to_string()))?)
     };
-    let (poses, translations) = (table("poses", None)?, table(shift, Some(3))?);
+    let (poses, translations) = (table("poses", None)?, table("trans", Some(3))?);
     let betas = if file.contains("betas") {
         file.f64("betas")?.iter().copied().collect()
     } else {
         Vec::new()
     };
     expect_finite("betas", &betas)?;
-    let rate = match frame_rate {
-        Some(rate) => rate,
-        None => file.f64("mocap_framerate")?.first().copied().unwrap_or(f64::NAN),
-    };
-    Ok((BodyMotion::new(rate, poses, translations)?, betas))
+    Ok((BodyMotion::new(frame_rate, poses, translations)?, betas))
 }
 
-/// Reads the motion and the shape coefficients of an `.npz` archive of SMPL parameters with the
-/// names of AMASS: `poses` `[frames, 72]`, `trans` or `transl` `[frames, 3]`, `betas` (optional),
-/// and `mocap_framerate` unless `frame_rate`, in frames per second, is given.
-///
-/// # Errors
-/// If an array is missing, malformed or not finite.
-pub fn import_motion(
-    parameters: impl AsRef<Path>,
-    frame_rate: Option<f64>,
-) -> Result<(BodyMotion, Vec<f64>)> {
-    read_motion(&mut Npz::open(parameters)?, frame_rate)
+/// Motion and shape coefficients of a file, as it has them.
+fn body_motion(file: &MotionFile, frame_rate: Option<f64>) -> Result<(BodyMotion, Vec<f64>)> {
+    let missing = |message: &str| cape_core::Error::format(&file.path, message);
+    let rate = frame_rate.or(file.frame_rate).ok_or_else(|| {
+        missing(
+            "no frame rate, on which the speeds of the motion depend: expected `mocap_framerate` or \
+             `fps`, or the option --fps",
+        )
+    })?;
+    let translations = file.translations.clone().ok_or_else(|| {
+        missing(
+            "no translations: expected `trans` or `transl`, [frames, 3], of the body in the meshes",
+        )
+    })?;
+    let motion = BodyMotion::new(rate, file.poses.clone(), translations)?;
+    Ok((motion, file.betas.clone()))
 }
 
 /// Reads a captured or simulated sequence: a directory of `.obj` or `.ply` meshes in metres, one
-/// for each frame in order of their names, and an archive of SMPL parameters as for
-/// [`import_motion`]. Returns the faces, for [`LayerSet::new`], and the sequence without semantic
-/// parameters.
+/// for each frame in order of their names, and the motion of the body in the coordinates of the
+/// meshes, at `frame_rate` frames per second if the file does not say it. Returns the faces, for
+/// [`LayerSet::new`], and the sequence without semantic parameters, its shape coefficients being all
+/// of the file's.
 ///
 /// # Errors
-/// If there are no meshes, their topology differs, or the numbers of frames differ.
+/// If there are no meshes, their topology differs, the numbers of frames differ, the motion has no
+/// translations, or nothing says the frame rate.
 pub fn import(
     name: &str,
     meshes: impl AsRef<Path>,
-    parameters: impl AsRef<Path>,
+    motion: &MotionFile,
     frame_rate: Option<f64>,
 ) -> Result<(Vec<[u32; 3]>, Sequence)> {
     let directory = meshes.as_ref();
@@ -389,7 +391,7 @@ pub fn import(
     let shape = (paths.len(), numbers.len() / (3 * paths.len()), 3);
     let clothing = Array3::from_shape_vec(shape, numbers)
         .map_err(|_| Error::sequence(name, "the number of vertices differs between frames"))?;
-    let (motion, betas) = import_motion(parameters, frame_rate)?;
+    let (motion, betas) = body_motion(motion, frame_rate)?;
     let parameters = Vec::new();
     let sequence = Sequence { name: name.to_owned(), clothing, betas, motion, parameters };
     sequence.check(shape.1)?;
@@ -398,6 +400,8 @@ pub fn import(
 
 #[cfg(test)]
 mod tests {
+    use cape_core::motion::{MotionOptions, UpAxis, read_motion};
+
     use super::*;
 
     fn sequence(name: &str) -> Sequence {
@@ -460,12 +464,14 @@ mod tests {
         file.add("betas", &Array1::from_vec(wanted.betas.clone())).unwrap();
         file.add("mocap_framerate", &ndarray::arr1(&[30.0])).unwrap();
         file.finish().unwrap();
-        let (faces, found) = import("own", &meshes, &archive, None).unwrap();
+        let options = MotionOptions { up: Some(UpAxis::Y), ..MotionOptions::default() };
+        let motion = read_motion(&archive, &options).unwrap();
+        let (faces, found) = import("own", &meshes, &motion, None).unwrap();
         assert_eq!(faces, FACES);
         assert_eq!(found, Sequence { parameters: vec![], ..wanted });
         std::fs::remove_file(meshes.join("0001.ply")).unwrap();
         assert!(
-            import("own", &meshes, &archive, None).unwrap_err().to_string().contains("out of step")
+            import("own", &meshes, &motion, None).unwrap_err().to_string().contains("out of step")
         );
     }
 }

@@ -202,7 +202,9 @@ pub(crate) fn check(skinned: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<()>
         if found == expected {
             return Ok(());
         }
-        Err(Error::Argument(format!("animated body: {name} of shape {found:?}, expected {expected:?}")))
+        Err(Error::Argument(format!(
+            "animated body: {name} of shape {found:?}, expected {expected:?}"
+        )))
     };
     if j > 256 {
         return Err(Error::Argument(format!("glTF: body of {j} joints, expected at most 256")));

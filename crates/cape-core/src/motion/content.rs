@@ -157,7 +157,9 @@ impl Content {
                 self.budget.set(left);
                 Ok(())
             }
-            None => Err(Error::format(&self.path, "more entries than a file of this size can hold")),
+            None => {
+                Err(Error::format(&self.path, "more entries than a file of this size can hold"))
+            }
         }
     }
 
@@ -209,7 +211,8 @@ impl Content {
         }
         Ok(match value {
             Json::Object(entries) => {
-                let inner = entries.iter().map(|(name, v)| Ok((name.clone(), self.json(v, depth)?)));
+                let inner =
+                    entries.iter().map(|(name, v)| Ok((name.clone(), self.json(v, depth)?)));
                 Entry::Map(inner.collect::<Result<_>>()?)
             }
             Json::Array(elements) => {
@@ -350,12 +353,16 @@ fn named(head: &[u8]) -> Option<&'static str> {
         [b'K', b'a', b'y', b'd', b'a', b'r', b'a', ..] => {
             "an FBX file: export the poses of SMPL's joints as .npz"
         }
-        [b'g', b'l', b'T', b'F', ..] => "a glTF file: expected a file of poses (.npz, .npy, .pkl, .csv)",
+        [b'g', b'l', b'T', b'F', ..] => {
+            "a glTF file: expected a file of poses (.npz, .npy, .pkl, .csv)"
+        }
         [b'v', b'e', b'r', b's', b'i', b'o', b'n', b' ', b'h', ..] => {
             "a Git LFS pointer: fetch the file itself with `git lfs pull`"
         }
         [b'<', ..] => "a web page, not a file of poses: download it again",
-        [0xfd, b'7', b'z', b'X', b'Z', ..] | [b'B', b'Z', b'h', ..] | [0x04, 0x22, 0x4d, 0x18, ..] => {
+        [0xfd, b'7', b'z', b'X', b'Z', ..]
+        | [b'B', b'Z', b'h', ..]
+        | [0x04, 0x22, 0x4d, 0x18, ..] => {
             "compressed by xz, bzip2 or lz4: save it uncompressed or with zlib (joblib's `compress=3`)"
         }
         _ => return None,

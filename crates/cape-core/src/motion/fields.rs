@@ -237,11 +237,41 @@ struct Columns {
 
 /// Tables whose width tells their columns.
 const TABLES: [Columns; 5] = [
-    Columns { width: 75, pose: [0, 72], translation: Some(72), betas: None, name: "pose and translation" },
-    Columns { width: 82, pose: [0, 72], translation: None, betas: Some([72, 82]), name: "pose and betas" },
-    Columns { width: 85, pose: [3, 75], translation: None, betas: Some([75, 85]), name: "camera, pose and betas" },
-    Columns { width: 159, pose: [0, 156], translation: Some(156), betas: None, name: "pose and translation" },
-    Columns { width: 322, pose: [0, 156], translation: Some(309), betas: Some([312, 322]), name: "Motion-X" },
+    Columns {
+        width: 75,
+        pose: [0, 72],
+        translation: Some(72),
+        betas: None,
+        name: "pose and translation",
+    },
+    Columns {
+        width: 82,
+        pose: [0, 72],
+        translation: None,
+        betas: Some([72, 82]),
+        name: "pose and betas",
+    },
+    Columns {
+        width: 85,
+        pose: [3, 75],
+        translation: None,
+        betas: Some([75, 85]),
+        name: "camera, pose and betas",
+    },
+    Columns {
+        width: 159,
+        pose: [0, 156],
+        translation: Some(156),
+        betas: None,
+        name: "pose and translation",
+    },
+    Columns {
+        width: 322,
+        pose: [0, 156],
+        translation: Some(309),
+        betas: Some([312, 322]),
+        name: "Motion-X",
+    },
 ];
 
 impl Wide {
@@ -339,7 +369,8 @@ fn wide_clips(path: &Path, named: &Named, wide: &Wide) -> Result<Vec<Clip>> {
                     if let Some([start, end]) = table.betas {
                         let betas = rows.slice(s![.., start..end]);
                         clip.shapes = betas.nrows();
-                        clip.betas = betas.mean_axis(Axis(0)).map(|b| b.to_vec()).unwrap_or_default();
+                        clip.betas =
+                            betas.mean_axis(Axis(0)).map(|b| b.to_vec()).unwrap_or_default();
                     }
                     clip.notes.push(format!("{} columns read as {}", table.width, table.name));
                     Ok(clip)
@@ -423,10 +454,8 @@ impl Clip {
 
 /// Each row of a clip as a person of one frame.
 fn rows(clip: &Clip) -> Vec<Clip> {
-    let row = |row: usize| Clip {
-        poses: clip.poses.slice(s![row..=row, ..]).to_owned(),
-        ..clip.clone()
-    };
+    let row =
+        |row: usize| Clip { poses: clip.poses.slice(s![row..=row, ..]).to_owned(), ..clip.clone() };
     (0..clip.frames()).map(row).collect()
 }
 

@@ -168,9 +168,7 @@ pub fn read_motion(path: impl AsRef<Path>, options: &MotionOptions) -> Result<Mo
     }
     let names: Vec<String> = people
         .iter()
-        .map(|file| {
-            format!("{} ({} frames)", file.person.as_deref().unwrap_or("?"), file.frames())
-        })
+        .map(|file| format!("{} ({} frames)", file.person.as_deref().unwrap_or("?"), file.frames()))
         .collect();
     const LISTED: usize = 20;
     let more = if names.len() > LISTED { ", …" } else { "" };

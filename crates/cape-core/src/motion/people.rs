@@ -71,7 +71,11 @@ impl PeopleReader<'_> {
     }
 
     /// Names people of a frame by the frame's list of their numbers, if it has one.
-    fn identified(&self, mut people: Vec<(String, Clip)>, entry: &Entry) -> Result<Vec<(String, Clip)>> {
+    fn identified(
+        &self,
+        mut people: Vec<(String, Clip)>,
+        entry: &Entry,
+    ) -> Result<Vec<(String, Clip)>> {
         let Entry::Map(fields) = entry else { return Ok(people) };
         if people.len() > 1 || people.iter().all(|(_, clip)| clip.frames() == 1) {
             for name in IDS {
@@ -93,10 +97,10 @@ impl PeopleReader<'_> {
     /// together; others are people.
     fn joined(&self, mut parts: Vec<(String, Vec<(String, Clip)>)>) -> Vec<(String, Clip)> {
         let frames = parts.len() > 1 && parts.iter().all(|(key, _)| is_image(key));
-        let single = parts.iter().flat_map(|(_, people)| people).all(|(_, clip)| clip.frames() == 1);
-        let by_number = parts.len() > 2
-            && single
-            && parts.iter().all(|(key, _)| key.parse::<u64>().is_ok());
+        let single =
+            parts.iter().flat_map(|(_, people)| people).all(|(_, clip)| clip.frames() == 1);
+        let by_number =
+            parts.len() > 2 && single && parts.iter().all(|(key, _)| key.parse::<u64>().is_ok());
         if !(frames || by_number) {
             let alone = parts.len() == 1;
             return parts
@@ -123,7 +127,8 @@ impl PeopleReader<'_> {
                 let several = clip.frames() > 1;
                 let split = (0..clip.frames()).map(|row| row_of(&clip, row)).collect::<Vec<_>>();
                 split.into_iter().enumerate().map(move |(row, clip)| {
-                    let name = if several { path_of(&name, &row.to_string()) } else { name.clone() };
+                    let name =
+                        if several { path_of(&name, &row.to_string()) } else { name.clone() };
                     (name, clip)
                 })
             });
@@ -144,7 +149,8 @@ impl PeopleReader<'_> {
 fn together(clips: Vec<Clip>, total: usize) -> Clip {
     let mut clip = clips[0].clone();
     let count = clips.len();
-    let stack = |views: &[ndarray::ArrayView2<f64>]| concatenate(Axis(0), views).unwrap_or_default();
+    let stack =
+        |views: &[ndarray::ArrayView2<f64>]| concatenate(Axis(0), views).unwrap_or_default();
     clip.poses = stack(&clips.iter().map(|clip| clip.poses.view()).collect::<Vec<_>>());
     let moves: Option<Vec<_>> =
         clips.iter().map(|clip| clip.translations.as_ref().map(|t| t.view())).collect();

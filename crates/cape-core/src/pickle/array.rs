@@ -273,17 +273,13 @@ impl<'a> Value<'a> {
             Item::Int(_) | Item::Bool(_) | Item::Float(_) => Some(Vec::new()),
             _ => {
                 let items = self.items()?;
-                let inner =
-                    Self::common_shape(items.iter().map(|&item| self.with(item)), depth)?;
+                let inner = Self::common_shape(items.iter().map(|&item| self.with(item)), depth)?;
                 Some([vec![items.len()], inner].concat())
             }
         }
     }
 
-    fn common_shape(
-        mut elements: impl Iterator<Item = Self>,
-        depth: usize,
-    ) -> Option<Vec<usize>> {
+    fn common_shape(mut elements: impl Iterator<Item = Self>, depth: usize) -> Option<Vec<usize>> {
         let first = elements.next()?.shape_within(depth)?;
         elements.all(|e| e.shape_within(depth).as_ref() == Some(&first)).then_some(first)
     }

@@ -116,9 +116,7 @@ impl<'a> Value<'a> {
             Item::Int(number) => Some(number.to_string()),
             _ => match self.string() {
                 Ok(text) => Some(text),
-                Err(_) => {
-                    self.array::<i64>().ok()?.iter().next().map(ToString::to_string)
-                }
+                Err(_) => self.array::<i64>().ok()?.iter().next().map(ToString::to_string),
             },
         }
     }

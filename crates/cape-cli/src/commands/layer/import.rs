@@ -1,5 +1,6 @@
 use std::path::PathBuf;
 
+use cape_core::motion::{MotionOptions, UpAxis, read_motion};
 use cape_layer::{LayerSet, import};
 use clap::Args;
 use serde::Serialize;
@@ -25,8 +26,9 @@ pub(crate) struct ImportArgs {
     /// Directory of clothing meshes, .obj or .ply, metres.
     #[arg(value_name = "MESHES")]
     meshes: PathBuf,
-    /// Motion of the body in the same frames, as in AMASS: poses, trans, betas, mocap_framerate.
-    #[arg(value_name = "SMPL.npz")]
+    /// Motion of the body in the same frames, in the coordinates of the meshes: a file of poses and
+    /// translations.
+    #[arg(value_name = "MOTION")]
     motion: PathBuf,
     /// Directory of the set; it is created if missing.
     #[arg(long, value_name = "SET")]
@@ -37,9 +39,12 @@ pub(crate) struct ImportArgs {
     /// Semantic parameters: length, width, sleeve and size; all others are of the material.
     #[arg(long, value_delimiter = ',', value_name = "NAME=X,…", value_parser = named)]
     parameters: Vec<(String, f64)>,
-    /// Frames per second, if the archive has no mocap_framerate.
+    /// Frames per second [default: those of the motion's file].
     #[arg(long, value_name = "FPS", value_parser = positive)]
     fps: Option<f64>,
+    /// Person of a file of poses with several.
+    #[arg(long, value_name = "NAME")]
+    person: Option<String>,
     #[command(flatten)]
     body: BodyModelArgs,
 }
@@ -57,7 +62,21 @@ struct Report {
 impl ImportArgs {
     pub(super) fn run(self, console: Console) -> Result {
         let model = self.body.load()?;
-        let (faces, mut sequence) = import(&self.name, &self.meshes, &self.motion, self.fps)?;
+        let options = MotionOptions { person: self.person.clone(), up: Some(UpAxis::Y) };
+        let file = read_motion(&self.motion, &options)?;
+        let (faces, mut sequence) = import(&self.name, &self.meshes, &file, self.fps)?;
+        let given = sequence.betas.len();
+        sequence.betas.truncate(model.betas());
+        let path = self.motion.display();
+        if sequence.betas.len() < given {
+            console.note(&format!(
+                "{path}: the first {} of {given} betas are used, as the body has no more",
+                model.betas()
+            ));
+        }
+        for note in file.notes.iter().filter(|note| !note.starts_with("no frame rate")) {
+            console.note(&format!("{path}: {note}"));
+        }
         sequence.parameters.clone_from(&self.parameters);
         let own = LayerSet::new(faces, vec![sequence])?;
         // Sequences that cannot be associated with the body are refused now.

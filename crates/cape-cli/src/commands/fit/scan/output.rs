@@ -125,7 +125,7 @@ impl ScanOutput<'_> {
             time: 0.0,
             pose: parameters.pose.clone(),
             transl: parameters.transl,
-            offset: body.pose_offsets(&parameters.pose)?,
+            offset: Some(body.pose_offsets(&parameters.pose)?),
         };
         Ok(gltf::write(path, &figure, &[keyframe])?)
     }
