@@ -30,10 +30,9 @@ fn captures(raw: &Path) -> SplitSpec {
     let split = SplitSpec {
         subjects: spec.subject_names(),
         outfits: spec.outfits.clone(),
-        cut: 2,
-        sample_rate: 1,
         train: names(spec.train_motions()),
         test: names(spec.test_motions()),
+        ..SplitSpec::default()
     };
     CaptureGenerator::new(&body, spec).unwrap().write(raw, &mut silent).unwrap();
     split

@@ -19,7 +19,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let run = Run::open(&path, &Device::default())?;
     let seen = LatentCodes::from_training(&run, &run.data()?, 256, &mut silent)?;
     let prior = Prior::fit(&seen, DensityKind::Mixture(1), true, &MixtureOptions::default())?;
-    let outfit = Outfit::ShortLong;
+    let outfit = Outfit::SHORT_LONG;
     let performance = AnimatedBody {
         name: "walk",
         code: prior.sample(outfit, 1, 1.0, 3),

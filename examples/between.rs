@@ -19,7 +19,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [a, b] = [1, 2].map(|seed| run.sample_codes(1, seed).into_raw_vec_and_offset().0);
     let codes = interpolate_codes(&a, &b, 5);
     let pose = poses::preset("a-pose").ok_or("no such pose")?;
-    let wearer = BodySpec { betas: Vec::new(), pose, outfit: Outfit::ShortLong };
+    let wearer = BodySpec { betas: Vec::new(), pose, outfit: Outfit::SHORT_LONG };
     let mut tiles = Vec::new();
     for mesh in run.dress(&codes, &vec![wearer; 5])? {
         let style = Style { width: 240, height: 352, ..Style::default() };

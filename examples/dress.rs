@@ -13,7 +13,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let run = Run::open(&path, &Device::default())?;
     let code = run.sample_codes(1, 7);
     let pose = poses::preset("walk").ok_or("no such pose")?;
-    let wearer = BodySpec { betas: vec![1.0, -0.5], pose, outfit: Outfit::LongLong };
+    let wearer = BodySpec { betas: vec![1.0, -0.5], pose, outfit: Outfit::LONG_LONG };
     run.dress(&code, std::slice::from_ref(&wearer))?[0].save("dressed.obj")?;
     AnimatedBody::from_body("dressed", &code, &wearer).save(&run, "dressed.glb")?;
     Ok(())

@@ -17,7 +17,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     // A garment's displacement in canonical space, metres, [vertices, 3].
     let wardrobe = Wardrobe::new(&model, 1)?;
-    let fitting = wardrobe.fit(wardrobe.outfit_style(0, Outfit::LongLong, 0));
+    let fitting = wardrobe.fit(wardrobe.outfit_style(0, Outfit::LONG_LONG, 0)?);
     let displacement = wardrobe.displacement(&fitting, &pose, 0.0, None)?;
 
     // CAPE's eq. 3-4: joints from the body, displacements at clothing vertices.

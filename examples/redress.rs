@@ -22,7 +22,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let pose = poses::preset("squats").ok_or("no such pose")?;
     let squatting = BodySpec { pose, ..seen.clone() };
-    let other = BodySpec { outfit: Outfit::ShortShort, ..seen.clone() };
+    let other = BodySpec { outfit: Outfit::SHORT_SHORT, ..seen.clone() };
     for (name, wearer) in [("seen", seen), ("squatting", squatting), ("other", other)] {
         run.dress(&code, &[wearer])?[0].save(format!("{name}.obj"))?;
     }

@@ -20,7 +20,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = PathBuf::from(std::env::args().nth(1).ok_or("expected a run's directory")?);
     let run = Run::open(&path, &Device::default())?;
     let pose = poses::preset("a-pose").ok_or("no such pose")?;
-    let wearers = Outfit::ALL.map(|outfit| BodySpec { betas: Vec::new(), pose, outfit });
+    let wearers = Outfit::PAPER.map(|outfit| BodySpec { betas: Vec::new(), pose, outfit });
     let mut bodies = run.pose_unclothed(&wearers[..1])?;
     bodies.extend(run.dress(&run.sample_codes(4, 2), &wearers)?);
 
@@ -37,7 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let style = Style { width: 300, height: 420, ..Style::default() };
     let mut tiles = Vec::new();
     for (mesh, label) in
-        bodies.iter().zip(["body"].into_iter().chain(Outfit::ALL.map(Outfit::name)))
+        bodies.iter().zip(["body"].into_iter().chain(Outfit::PAPER.iter().map(Outfit::name)))
     {
         let image = portrait(Object::new(mesh).with_texture(texture), View::ThreeQuarter, &style)?;
         tiles.push(Tile { image, label: label.to_owned() });

@@ -36,10 +36,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let split = SplitSpec {
         subjects: spec.subject_names(),
         outfits: spec.outfits.clone(),
-        cut: 2,
-        sample_rate: 1,
         train: names(spec.train_motions()),
         test: names(spec.test_motions()),
+        ..SplitSpec::default()
     };
     CaptureGenerator::new(&body, spec)?.write(&raw, &mut silent)?;
     let report = pack(&raw, &packed, &split, PackOptions::default(), &mut silent)?;
@@ -64,7 +63,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [model, mean] = [report.model.overall.mean, report.mean_shape.overall.mean];
     println!("held out: {model:.2} mm; the mean shape has {mean:.2} mm");
 
-    let body = BodySpec { betas: Vec::new(), pose: [0.0; 72], outfit: Outfit::LongLong };
+    let body = BodySpec { betas: Vec::new(), pose: [0.0; 72], outfit: Outfit::LONG_LONG };
     let displacements = run.decode_displacements(&run.sample_codes(1, 7), &[body])?;
     println!("a sample of long sleeves and trousers: {:?}", displacements.shape());
     Ok(())

@@ -29,7 +29,7 @@
 //! // A synthetic body in a T-shirt and long trousers, without any trained model.
 //! let body = synthetic_body();
 //! let wardrobe = Wardrobe::new(&body, 7)?;
-//! let garment = wardrobe.fit(wardrobe.outfit_style(0, Outfit::ShortLong, 0));
+//! let garment = wardrobe.fit(wardrobe.outfit_style(0, Outfit::SHORT_LONG, 0)?);
 //! let clothes = wardrobe.displacement(&garment, &[0.0; 72], 0.0, None)?;
 //! let dressed = body.pose(&[1.0, -0.5], &[0.0; 72], [0.0; 3], Some(&clothes))?;
 //! assert_eq!(dressed.vertices.dim(), (6890, 3));

@@ -12,7 +12,10 @@ use std::{
 /// Entry points of each crate.
 const ENTRY_POINTS: [(&str, &[&str]); 13] = [
     ("cape-cloth", &["Cloth", "Garment"]),
-    ("cape-core", &["ClothedSmpl", "Mesh", "Outfit", "Smpl", "SmplModel", "SurfaceIndex"]),
+    (
+        "cape-core",
+        &["ClothedSmpl", "Mesh", "Outfit", "OutfitVocabulary", "Smpl", "SmplModel", "SurfaceIndex"],
+    ),
     ("cape-data", &["Loader", "PackedSet", "SplitSpec"]),
     ("cape-eval", &["ComparisonTable", "EvalOptions", "ResultStore"]),
     ("cape-fit", &["DressedBody", "Keypoints", "PinholeCamera", "PosePrior", "Smplify"]),

@@ -135,6 +135,7 @@ impl Settings {
             reduce: self.reduce_dim,
             pose_layers: if hidden("condition_pose") { 2 } else { 1 },
             pose_embedding: self.nz_cond,
+            outfits: cape::core::OutfitVocabulary::default(),
             outfit_layers,
             outfit_embedding: self.nz_cond2,
             encoder_conditions: self.cond_encoder,

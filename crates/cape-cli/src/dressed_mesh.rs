@@ -159,12 +159,23 @@ fn ramp(value: f32, low: f32, high: f32) -> f32 {
     ((value - low) / (high - low)).clamp(0.0, 1.0)
 }
 
-const fn shirt_colour(outfit: Outfit) -> [f32; 3] {
+/// Colours of the shirts of other outfits than the paper's.
+const OTHER_SHIRTS: [[f32; 3]; 6] = [
+    [0.55, 0.47, 0.66],
+    [0.38, 0.60, 0.58],
+    [0.73, 0.52, 0.56],
+    [0.52, 0.55, 0.40],
+    [0.45, 0.50, 0.62],
+    [0.70, 0.62, 0.52],
+];
+
+fn shirt_colour(outfit: Outfit) -> [f32; 3] {
     match outfit {
-        Outfit::ShortLong => [0.36, 0.56, 0.67],
-        Outfit::ShortShort => [0.72, 0.42, 0.34],
-        Outfit::LongShort => [0.44, 0.58, 0.43],
-        Outfit::LongLong => [0.66, 0.57, 0.36],
+        Outfit::SHORT_LONG => [0.36, 0.56, 0.67],
+        Outfit::SHORT_SHORT => [0.72, 0.42, 0.34],
+        Outfit::LONG_SHORT => [0.44, 0.58, 0.43],
+        Outfit::LONG_LONG => [0.66, 0.57, 0.36],
+        other => OTHER_SHIRTS[(other.stream() % OTHER_SHIRTS.len() as u64) as usize],
     }
 }
 

@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use cape_core::{Outfit, npy::read_f64};
-use cape_data::{PackedSet, Split};
+use cape_data::Split;
 use cape_infer::Run;
 use serde::Deserialize;
 
@@ -42,7 +42,7 @@ impl LatentSampler<'_> {
             let &Self { run, drawn, outfit, console } = self;
             drawn.codes(run, &[outfit], 1, seed, console)?.row(0).to_vec()
         } else if let Some(frame) = text.strip_prefix("frame:") {
-            let set = PackedSet::open(&self.run.data()?, Split::Test)?;
+            let set = self.run.open_set(self.run.data()?, Split::Test)?;
             self.run.encode_frames(&set, &[number(text, frame)? as usize])?.row(0).to_vec()
         } else {
             from_file(text)?

@@ -103,9 +103,9 @@ pub(crate) struct ShapeArgs {
 /// An outfit.
 #[derive(Debug, Clone, Copy, Args)]
 pub(crate) struct OutfitArgs {
-    /// Outfit: upper, then lower garment.
-    #[arg(long, default_value = "longlong", value_name = "OUTFIT", value_parser = outfit())]
-    pub(crate) outfit: Outfit,
+    /// Outfit of the run, see `cape info RUN` [default: longlong, or the run's first].
+    #[arg(long, value_name = "OUTFIT")]
+    outfit: Option<Outfit>,
 }
 
 /// Kinds of files for bodies and clothing.
@@ -211,12 +211,23 @@ impl FileKind {
     }
 }
 
+impl OutfitArgs {
+    /// The outfit, which `run` must know.
+    pub(crate) fn of(&self, run: &Run) -> Result<Outfit> {
+        Ok(match self.outfit {
+            Some(outfit) => run.outfits().choose(outfit.name())?,
+            None => run.default_outfit(),
+        })
+    }
+}
+
 impl OutfitSelection {
-    pub(crate) fn outfits(self) -> Vec<Outfit> {
-        match self {
-            Self::All => Outfit::ALL.to_vec(),
-            Self::One(outfit) => vec![outfit],
-        }
+    /// The outfits, which `run` must know.
+    pub(crate) fn of(self, run: &Run) -> Result<Vec<Outfit>> {
+        Ok(match self {
+            Self::All => run.outfits().to_vec(),
+            Self::One(outfit) => vec![run.outfits().choose(outfit.name())?],
+        })
     }
 }
 
@@ -236,15 +247,16 @@ pub(crate) fn choices<T: Clone + Send + Sync + 'static, const N: usize>(
     })
 }
 
-/// Parser of an outfit.
-pub(crate) fn outfit() -> impl TypedValueParser<Value = Outfit> {
-    choices(Outfit::ALL.map(|outfit| (outfit.name(), outfit)))
-}
-
-/// Parser of an outfit or of `word`, which stands for all.
-pub(crate) fn outfit_or(word: &'static str) -> impl TypedValueParser<Value = OutfitSelection> {
-    let [a, b, c, d] = Outfit::ALL.map(|outfit| (outfit.name(), OutfitSelection::One(outfit)));
-    choices([(word, OutfitSelection::All), a, b, c, d])
+/// Parser of an outfit or of `word`, which stands for all of a run.
+pub(crate) fn outfit_or(
+    word: &'static str,
+) -> impl Fn(&str) -> Result<OutfitSelection, cape_core::Error> + Clone + Send + Sync {
+    move |text| {
+        if text == word {
+            return Ok(OutfitSelection::All);
+        }
+        text.parse().map(OutfitSelection::One)
+    }
 }
 
 /// Parser of one of some kinds of files.

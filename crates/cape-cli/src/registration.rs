@@ -7,7 +7,7 @@ use cape_core::{
     motion::{MotionOptions, read_motion},
     npy::read_f64,
 };
-use cape_data::{PackedSet, Split, raw};
+use cape_data::{Split, raw};
 use cape_infer::{BodySpec, Run};
 use cape_stats::errors::mean_distance_mm;
 use clap::Args;
@@ -16,14 +16,13 @@ use ndarray::{Array2, Array3, Axis, Ix2};
 use crate::{
     error::{Error, Result},
     mesh_file::has_extension,
-    options::outfit,
 };
 
 /// Outfit and body of a registration, where the file does not tell them.
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct KnownBodyArgs {
     /// Outfit of the registration [default: from the name of its directory].
-    #[arg(long = "was", value_name = "OUTFIT", value_parser = outfit())]
+    #[arg(long = "was", value_name = "OUTFIT")]
     pub(crate) outfit_worn: Option<Outfit>,
     /// Minimal body shape, .npy of [vertices, 3] [default: from the raw tree of the frame].
     #[arg(long, value_name = "FILE.npy")]
@@ -51,9 +50,10 @@ impl RegistrationFile {
             let frame = frame.parse().map_err(|_| {
                 Error::message(format!("`{text}`: expected frame:K with a whole number K"))
             })?;
-            let set = PackedSet::open(&run.data()?, Split::Test)?;
+            let set = run.open_set(run.data()?, Split::Test)?;
             let (displacement, mut wearer) = cape_infer::registration(&set, frame)?;
             wearer.outfit = known.outfit_worn.unwrap_or(wearer.outfit);
+            run.outfits().require(wearer.outfit)?;
             return Ok(Self { displacement, wearer, minimal: None, residual_mm: None });
         }
         let path = Path::new(text);
@@ -66,6 +66,9 @@ impl RegistrationFile {
                 path.display()
             )));
         };
+        run.outfits().require(outfit).map_err(|error| {
+            Error::message(format!("{}: {error}: give another by --was OUTFIT", path.display()))
+        })?;
         let body = run.body();
         let minimal = match &known.minimal {
             Some(minimal) => read_shape(minimal, body.vertices())?,

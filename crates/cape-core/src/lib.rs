@@ -60,7 +60,7 @@ pub use joints::BodyPose;
 pub use keyframes::{ChosenKeyframes, KeyframeRule, KeyframeSelector};
 pub use mesh::{Mesh, MeshReport};
 pub use motion::BodyMotion;
-pub use outfit::Outfit;
+pub use outfit::{Outfit, OutfitVocabulary};
 pub use point_cache::PointCache;
 pub use point_cache_writer::{PointCacheFormat, PointCacheWriter};
 pub use progress::{ProgressFn, silent};

@@ -19,17 +19,17 @@ fn triangles() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
                 pose: [0.0; 72],
                 transl: [0.0; 3],
             };
-            raw::write_frame(&raw, "anna", Outfit::LongLong, sequence, number as usize, &frame)?;
+            raw::write_frame(&raw, "anna", Outfit::LONG_LONG, sequence, number as usize, &frame)?;
         }
     }
     let list = |name: &str| SequenceList { sequences: vec![name.into()], exclude: Vec::new() };
     let split = SplitSpec {
         subjects: vec!["anna".into()],
-        outfits: vec![Outfit::LongLong],
+        outfits: vec![Outfit::LONG_LONG],
         cut: 0,
-        sample_rate: 1,
         train: list("walk"),
         test: list("kick"),
+        ..SplitSpec::default()
     };
     pack(&raw, &packed, &split, PackOptions::default(), &mut cape_core::silent)?;
     Ok(directory)
@@ -48,7 +48,7 @@ fn captures() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
     let spec = SynthSpec {
         subjects: 1,
         frames_per_sequence: 4,
-        outfits: vec![Outfit::LongLong],
+        outfits: vec![Outfit::LONG_LONG],
         motions: vec![Motion::Squats, Motion::Soccer],
         ..SynthSpec::default()
     };
@@ -58,9 +58,9 @@ fn captures() -> Result<tempfile::TempDir, Box<dyn std::error::Error>> {
         subjects: spec.subject_names(),
         outfits: spec.outfits.clone(),
         cut: 0,
-        sample_rate: 1,
         train: list(Motion::Squats),
         test: list(Motion::Soccer),
+        ..SplitSpec::default()
     };
     CaptureGenerator::new(&synthetic_body(), spec)?.write(&raw, &mut cape_core::silent)?;
     pack(&raw, &packed, &split, PackOptions::default(), &mut cape_core::silent)?;

@@ -327,6 +327,19 @@ fn inspect_packed(
                 set.vertices()
             ));
         }
+        if part == Split::Train && !set.names_outfits() && !set.vocabulary().is_paper() {
+            found.warnings.push(format!(
+                "labels of {} outfits without names: name them in split.toml or, for training, as \
+                 `outfits` of `[model]`",
+                set.vocabulary().len()
+            ));
+        }
+        if set.origins().is_none() {
+            found.warnings.push(format!(
+                "the captures of the {part} frames are unknown (no {part}_frames.csv): evaluation has no \
+                 confidence intervals, p-values and errors by sequence"
+            ));
+        }
         found.vertices = set.vertices();
         found.frames += set.frames();
         let mut counts: Vec<CaptureCount> = Vec::new();

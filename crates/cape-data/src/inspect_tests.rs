@@ -51,7 +51,7 @@ fn frame(clothes: f64, bare: f64, turn: f64) -> RawFrame {
 fn tree(scale: f64, make: impl Fn(Outfit) -> RawFrame) -> tempfile::TempDir {
     let root = tempfile::tempdir().unwrap();
     write_minimal(root.path(), "a", &(shape() * scale)).unwrap();
-    for outfit in [Outfit::ShortLong, Outfit::LongLong] {
+    for outfit in [Outfit::SHORT_LONG, Outfit::LONG_LONG] {
         for sequence in ["walk", "hips"] {
             for number in 0..6 {
                 let frame = make(outfit);
@@ -87,11 +87,10 @@ fn sound_data_raise_no_warning() {
 
     let split = SplitSpec {
         subjects: vec!["a".into()],
-        outfits: vec![Outfit::ShortLong, Outfit::LongLong],
-        cut: 2,
-        sample_rate: 1,
+        outfits: vec![Outfit::SHORT_LONG, Outfit::LONG_LONG],
         train: SequenceList { sequences: vec!["walk".into()], exclude: Vec::new() },
         test: SequenceList { sequences: vec!["hips".into()], exclude: Vec::new() },
+        ..SplitSpec::default()
     };
     let packed = root.path().join("packed");
     pack(root.path(), &packed, &split, PackOptions::default(), &mut silent).unwrap();

@@ -27,6 +27,7 @@ pub mod pack;
 mod pack_log;
 mod packed;
 pub mod raw;
+mod row_order;
 mod shuffle;
 mod split;
 mod split_writer;

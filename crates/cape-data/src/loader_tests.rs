@@ -13,8 +13,9 @@ fn packed(root: &Path, frames: usize) -> (Arc<PackedSet>, Arc<DisplacementStatis
     write_npy(path("disp"), &Array3::from_shape_fn((frames, 2, 3), |(k, ..)| k as f64)).unwrap();
     write_npy(path("pose"), &Array2::<f64>::zeros((frames, 72))).unwrap();
     write_npy(path("rot"), &Array2::<f64>::zeros((frames, 216))).unwrap();
-    let hot = Outfit::LongLong.index();
-    let label = Array2::from_shape_fn((frames, 4), |(_, i)| f64::from(i == hot));
+    let label = Array2::from_shape_fn((frames, 4), |(_, i)| {
+        f64::from(Outfit::PAPER[i] == Outfit::LONG_LONG)
+    });
     write_npy(path("clo_label"), &label).unwrap();
     let statistics =
         DisplacementStatistics::new(Array2::zeros((2, 3)), Array2::ones((2, 3)), 1).unwrap();

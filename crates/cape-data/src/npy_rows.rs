@@ -8,6 +8,7 @@ use std::{
 
 use cape_core::npy::{NpyHeader, NpyType, expect_shape, npy_header};
 
+use super::row_order::row_major_copy;
 use crate::{Error, Result};
 
 /// Writer of a float64 array whose number of rows is known at the end only.
@@ -117,42 +118,36 @@ impl RowWriter {
     }
 }
 
-/// Reader of single rows of a float64 or float32 array; it can be shared between threads.
+/// Reader of single rows of an array of numbers of any type, byte order and memory order; it can be
+/// shared between threads.
 #[derive(Debug)]
 pub(super) struct RowReader {
     path: PathBuf,
     file: PositionedFile,
+    header: NpyHeader,
+    /// Position of the first row in the file.
     offset: u64,
-    element: usize,
-    shape: Vec<usize>,
 }
 
 impl RowReader {
-    /// Opens an array of rows of the given shape; `None` is any length.
+    /// Opens an array of rows of the given shape; `None` is any length. Arrays in Fortran order are
+    /// copied to a temporary file first.
     pub(super) fn open(path: PathBuf, row_shape: &[Option<usize>]) -> Result<Self> {
         let header = npy_header(&path)?;
-        let element = match header.dtype {
-            NpyType::F64 => 8,
-            NpyType::F32 => 4,
-            other => {
-                let message =
-                    format!("holds `{other}`, expected float64 or float32 (`<f8`, `<f4`)");
-                return Err(Error::format(path, message));
-            }
-        };
-        expect_shape(&path, "array", &header.shape, &[&[None], row_shape].concat())?;
-        if header.fortran {
-            let message = "Fortran order, expected C order (numpy.ascontiguousarray)";
+        if header.dtype.size == 0 {
+            let message = format!("holds `{}`, expected numbers", header.dtype);
             return Err(Error::format(path, message));
         }
+        expect_shape(&path, "array", &header.shape, &[&[None], row_shape].concat())?;
         let file = File::open(&path).map_err(|e| Error::io(&path, e))?;
-        Ok(Self {
-            path,
-            file: PositionedFile::new(file),
-            offset: header.data_offset as u64,
-            element,
-            shape: header.shape,
-        })
+        let file = PositionedFile::new(file);
+        let empty = header.shape.contains(&0);
+        let (file, offset) = if header.fortran && !empty {
+            (PositionedFile::new(row_major_copy(&path, &header, &file)?), 0)
+        } else {
+            (file, header.data_offset as u64)
+        };
+        Ok(Self { path, file, header, offset })
     }
 
     /// Path of the file.
@@ -162,12 +157,12 @@ impl RowReader {
 
     /// Extents of the array, rows first.
     pub(super) fn shape(&self) -> &[usize] {
-        &self.shape
+        &self.header.shape
     }
 
     /// Number of rows.
     pub(super) fn rows(&self) -> usize {
-        self.shape[0]
+        self.header.shape[0]
     }
 
     /// Reads row `index`, row-major; an error if a number is not finite.
@@ -176,14 +171,21 @@ impl RowReader {
             let message = format!("frame {index} of a file of {} frames", self.rows());
             return Err(Error::format(&self.path, message));
         }
-        let numbers: usize = self.shape[1..].iter().product();
-        let mut bytes = vec![0; numbers * self.element];
+        let numbers: usize = self.shape()[1..].iter().product();
+        let mut bytes = vec![0; numbers * self.header.dtype.size];
         let position = self.offset + index as u64 * bytes.len() as u64;
         self.file.read_exact_at(&mut bytes, position).map_err(|e| Error::io(&self.path, e))?;
-        let row: Vec<f64> = if self.element == 8 {
-            bytes.as_chunks().0.iter().map(|&raw| f64::from_le_bytes(raw)).collect()
-        } else {
-            bytes.as_chunks().0.iter().map(|&raw| f32::from_le_bytes(raw).into()).collect()
+        let row: Vec<f64> = match self.header.dtype {
+            NpyType::F64 => {
+                bytes.as_chunks().0.iter().map(|&raw| f64::from_le_bytes(raw)).collect()
+            }
+            NpyType::F32 => {
+                bytes.as_chunks().0.iter().map(|&raw| f32::from_le_bytes(raw).into()).collect()
+            }
+            _ => self
+                .header
+                .decode(&bytes)
+                .map_err(|message| Error::field(&self.path, format!("frame {index}"), message))?,
         };
         match row.iter().position(|x| !x.is_finite()) {
             None => Ok(row),
@@ -197,7 +199,7 @@ impl RowReader {
 
 /// A file that is read at given positions through a shared reference.
 #[derive(Debug)]
-struct PositionedFile {
+pub(super) struct PositionedFile {
     #[cfg(unix)]
     file: File,
     #[cfg(not(unix))]
@@ -206,22 +208,22 @@ struct PositionedFile {
 
 impl PositionedFile {
     #[cfg(unix)]
-    fn new(file: File) -> Self {
+    pub(super) fn new(file: File) -> Self {
         Self { file }
     }
 
     #[cfg(unix)]
-    fn read_exact_at(&self, bytes: &mut [u8], position: u64) -> io::Result<()> {
+    pub(super) fn read_exact_at(&self, bytes: &mut [u8], position: u64) -> io::Result<()> {
         std::os::unix::fs::FileExt::read_exact_at(&self.file, bytes, position)
     }
 
     #[cfg(not(unix))]
-    fn new(file: File) -> Self {
+    pub(super) fn new(file: File) -> Self {
         Self { file: std::sync::Mutex::new(file) }
     }
 
     #[cfg(not(unix))]
-    fn read_exact_at(&self, bytes: &mut [u8], position: u64) -> io::Result<()> {
+    pub(super) fn read_exact_at(&self, bytes: &mut [u8], position: u64) -> io::Result<()> {
         let mut file = self.file.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         file.seek(SeekFrom::Start(position))?;
         file.read_exact(bytes)
@@ -264,16 +266,33 @@ mod tests {
         let message = open().unwrap().row(1).unwrap_err().to_string();
         assert!(message.contains("a.npy") && message.contains("`frame 1`"), "{message}");
         write_npy(&path, &array![[1i64, 2]]).unwrap();
-        assert!(open().unwrap_err().to_string().contains("`<i8`, expected float64"));
+        assert_eq!(open().unwrap().row(0).unwrap(), [1.0, 2.0]);
+        write_npy(&path, &array![[1u8, 0]]).unwrap();
+        assert_eq!(open().unwrap().row(0).unwrap(), [1.0, 0.0]);
+        // 1.5 and −2 in half precision and in big-endian integers.
+        let write = |descr: &str, rows: usize, data: &[u8]| {
+            std::fs::write(&path, [&NpyHeader::bytes(descr, &[rows, 2]), data].concat()).unwrap();
+        };
+        write("<f2", 1, &[0x00, 0x3e, 0x00, 0xc0]);
+        assert_eq!(open().unwrap().row(0).unwrap(), [1.5, -2.0]);
+        write(">i2", 2, &[0, 1, 0, 2, 1, 0, 0xff, 0xfe]);
+        assert_eq!(open().unwrap().row(1).unwrap(), [256.0, -2.0]);
+        write(">f8", 1, &[1.5f64.to_be_bytes(), f64::INFINITY.to_be_bytes()].concat());
+        assert!(open().unwrap().row(0).unwrap_err().to_string().contains("not finite"));
+        write("|O", 1, b"pickle");
+        assert!(open().unwrap_err().to_string().contains("`|O`, expected numbers"));
         write_npy(&path, &Array2::<f64>::zeros((4, 3))).unwrap();
         assert!(open().unwrap_err().to_string().contains("[4, 3], expected [_, 2]"));
-        write_npy(&path, &Array2::<f64>::zeros((4, 2))).unwrap();
+        let numbers = Array2::from_shape_fn((4, 2), |(row, column)| (10 * row + column) as f64);
+        write_npy(&path, &numbers).unwrap();
         let bytes = std::fs::read(&path).unwrap();
         let at = bytes.windows(6).position(|w| w == b" False").unwrap();
         let mut changed = bytes.clone();
         changed[at..at + 6].copy_from_slice(b"  True");
         std::fs::write(&path, changed).unwrap();
-        assert!(open().unwrap_err().to_string().contains("Fortran"));
+        assert_eq!(open().unwrap().row(1).unwrap(), [1.0, 21.0], "columns of 4 numbers");
+        let left = std::fs::read_dir(dir.path()).unwrap().count();
+        assert_eq!(left, 1, "the copy has no name");
         std::fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
         assert!(open().unwrap_err().to_string().contains("a.npy"));
         std::fs::remove_file(&path).unwrap();

@@ -4,7 +4,7 @@
 //! train/train_disp.npy       [n, V, 3]  displacements (v_cano − minimal), metres, float64
 //! train/train_pose.npy       [n, 72]    axis-angle
 //! train/train_rot.npy        [n, 216]   24 rotation matrices, row-major
-//! train/train_clo_label.npy  [n, 4]     outfit, one-hot
+//! train/train_clo_label.npy  [n, k]     outfit, one-hot; k is 4 for the paper's outfits
 //! train/train_frames.csv     subject, outfit, sequence and frame of each row
 //! test/test_…                the same for the test part
 //! stats.txt                  numbers of frames
@@ -17,7 +17,7 @@
 //! files are additions to the release's layout. Displacements are float64, as in the release.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, HashSet},
     fmt::Write as _,
     fs,
     path::{Path, PathBuf},
@@ -32,7 +32,7 @@ use super::{
     Split, SplitSpec,
     pack_log::{FrameStatus, PackLog, plan_hash},
     raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
-    split_writer::SplitWriter,
+    split_writer::{FrameShape, SplitWriter},
     statistics::STATISTICS_FILE,
 };
 use crate::{Error, Result};
@@ -54,9 +54,9 @@ use cape_core::StagingDirectory;
 ///     let v_cano = Array2::from_elem((3, 3), 0.01);
 ///     let v_posed = v_cano.clone();
 ///     let frame = raw::RawFrame { v_cano, v_posed, pose: [0.0; 72], transl: [0.0; 3] };
-///     raw::write_frame(&raw, "anna", Outfit::LongLong, "walk", number, &frame)?;
+///     raw::write_frame(&raw, "anna", Outfit::LONG_LONG, "walk", number, &frame)?;
 /// }
-/// let capture = raw::capture_dir(&raw, "anna", Outfit::LongLong, "walk");
+/// let capture = raw::capture_dir(&raw, "anna", Outfit::LONG_LONG, "walk");
 /// std::fs::write(capture.join("longlong_walk.000002.npz"), "damaged")?;
 ///
 /// let list = |names: &[&str]| SequenceList {
@@ -65,11 +65,11 @@ use cape_core::StagingDirectory;
 /// };
 /// let split = SplitSpec {
 ///     subjects: vec!["anna".into()],
-///     outfits: vec![Outfit::LongLong],
+///     outfits: vec![Outfit::LONG_LONG],
 ///     cut: 0,
-///     sample_rate: 1,
 ///     train: list(&["walk", "run"]),
 ///     test: list(&[]),
+///     ..SplitSpec::default()
 /// };
 /// let strict = PackOptions { strict: true, ..PackOptions::default() };
 /// assert!(pack(&raw, &packed, &split, strict, &mut silent).is_err());
@@ -103,6 +103,8 @@ pub struct PackReport {
     pub broken: Vec<BrokenFrame>,
     /// Subjects and sequences of the split that are not in the raw data.
     pub missing: Vec<MissingCapture>,
+    /// Outfits of the split that no capture is of.
+    pub missing_outfits: Vec<Outfit>,
     /// Number of frames processed before by an interrupted packing of the same data.
     pub resumed: usize,
 }
@@ -148,6 +150,7 @@ pub fn pack(
     split.validate()?;
     let mut report = PackReport::default();
     let minimal = read_minimals(raw, split, options, &mut report)?;
+    let vocabulary = split.label_vocabulary()?;
     let mut plans = Vec::new();
     for part in [Split::Train, Split::Test] {
         plans.push((part, plan(raw, split, part, &minimal, &mut report.missing)?));
@@ -157,6 +160,12 @@ pub fn pack(
     }
     let frames = || plans.iter().flat_map(|(_, frames)| frames);
     let total = frames().count();
+    let worn: HashSet<Outfit> = frames().map(|frame| frame.outfit).collect();
+    report.missing_outfits =
+        split.outfits.iter().copied().filter(|outfit| !worn.contains(outfit)).collect();
+    if let (true, Some(outfit)) = (options.strict, report.missing_outfits.first()) {
+        return Err(Error::Data(format!("{}: no capture of {outfit}", raw.display())));
+    }
     let plan = plan_hash(raw, split, options, minimal.values(), frames())?;
 
     let mut staging = StagingDirectory::prepare(out)?;
@@ -168,7 +177,8 @@ pub fn pack(
         *status != FrameStatus::Packed && read(frame, inside, &minimal).is_ok()
     });
     done.truncate(repaired.unwrap_or(total));
-    if !is_whole(&staging.path, &plans, &done, report.vertices) {
+    let shape = FrameShape { vertices: report.vertices, labels: vocabulary.len() };
+    if !is_whole(&staging.path, &plans, &done, shape) {
         done.clear();
     }
     if done.is_empty() {
@@ -182,7 +192,7 @@ pub fn pack(
     let mut before = 0;
     for (part, frames) in &plans {
         let statuses = &done[before.min(done.len())..(before + frames.len()).min(done.len())];
-        let mut writer = resume(&staging.path, *part, raw, frames, statuses, &mut report)?;
+        let mut writer = resume(&staging.path, *part, shape, raw, frames, statuses, &mut report)?;
         let left = &frames[statuses.len()..];
         let mut count = before + statuses.len();
         for chunk in left.chunks(4 * rayon::current_num_threads()) {
@@ -193,8 +203,7 @@ pub fn pack(
                 match read {
                     Ok(read) => {
                         if writer.is_none() {
-                            writer =
-                                Some(SplitWriter::create(&staging.path, *part, report.vertices)?);
+                            writer = Some(SplitWriter::create(&staging.path, *part, shape)?);
                         }
                         if let Some(writer) = &mut writer {
                             writer.push(frame, &read)?;
@@ -251,14 +260,14 @@ fn is_whole(
     directory: &Path,
     plans: &[(Split, Vec<PlannedFrame>)],
     done: &[FrameStatus],
-    vertices: usize,
+    shape: FrameShape,
 ) -> bool {
     let mut left = done;
     plans.iter().all(|(part, frames)| {
         let (own, rest) = left.split_at(frames.len().min(left.len()));
         left = rest;
         let rows = own.iter().filter(|status| **status == FrameStatus::Packed).count();
-        rows == 0 || SplitWriter::holds(directory, *part, vertices, rows)
+        rows == 0 || SplitWriter::holds(directory, *part, shape, rows)
     })
 }
 
@@ -266,6 +275,7 @@ fn is_whole(
 fn resume(
     directory: &Path,
     part: Split,
+    shape: FrameShape,
     raw: &Path,
     frames: &[PlannedFrame],
     statuses: &[FrameStatus],
@@ -284,7 +294,7 @@ fn resume(
     if packed.is_empty() {
         return Ok(None);
     }
-    SplitWriter::resume(directory, part, report.vertices, &packed).map(Some)
+    SplitWriter::resume(directory, part, shape, &packed).map(Some)
 }
 
 fn relative<'a>(raw: &Path, frame: &'a PlannedFrame) -> &'a Path {
@@ -297,7 +307,10 @@ pub(super) struct PlannedFrame<'a> {
     pub(super) path: PathBuf,
     pub(super) subject: &'a str,
     pub(super) sequence: &'a str,
+    /// First part of the name of the capture's directory.
     pub(super) outfit: Outfit,
+    /// Place of the 1 in the one-hot label.
+    pub(super) class: usize,
 }
 
 /// One row of every packed array.
@@ -360,6 +373,7 @@ fn plan<'a>(
         Split::Train => &split.train,
         Split::Test => &split.test,
     };
+    let vocabulary = split.label_vocabulary()?;
     let mut frames = Vec::new();
     for subject in split.subjects.iter().filter(|&subject| minimal.contains_key(subject)) {
         for sequence in &list.sequences {
@@ -386,8 +400,15 @@ fn plan<'a>(
                         split.cut
                     ));
                 }
+                let class = vocabulary.require(split.label(outfit))?;
                 let paths = paths.into_iter().skip(split.cut).take(kept).step_by(split.sample_rate);
-                frames.extend(paths.map(|path| PlannedFrame { path, subject, sequence, outfit }));
+                frames.extend(paths.map(|path| PlannedFrame {
+                    path,
+                    subject,
+                    sequence,
+                    outfit,
+                    class,
+                }));
             }
             if !found {
                 miss(format!("no sequence {sequence} in any outfit"));

@@ -19,11 +19,11 @@ fn split() -> SplitSpec {
     };
     SplitSpec {
         subjects: vec!["b".into(), "a".into()],
-        outfits: vec![Outfit::LongShort, Outfit::ShortLong],
+        outfits: vec![Outfit::LONG_SHORT, Outfit::SHORT_LONG],
         cut: 1,
-        sample_rate: 1,
         train: list(&["walk", "hips"]),
         test: list(&["soccer"]),
+        ..SplitSpec::default()
     }
 }
 
@@ -46,7 +46,7 @@ fn raw_tree() -> tempfile::TempDir {
     for (s, subject) in ["a", "b"].into_iter().enumerate() {
         write_minimal(root.path(), subject, &(vertices(1000 + s) * 0.5)).unwrap();
         for (q, sequence) in ["hips", "soccer", "walk"].into_iter().enumerate() {
-            for (o, outfit) in [Outfit::ShortLong, Outfit::LongShort].into_iter().enumerate() {
+            for (o, outfit) in [Outfit::SHORT_LONG, Outfit::LONG_SHORT].into_iter().enumerate() {
                 for k in (0..5).rev() {
                     let seed = s * 1000 + q * 100 + o * 10 + k;
                     write_frame(root.path(), subject, outfit, sequence, k, &frame(seed)).unwrap();
@@ -148,7 +148,7 @@ fn unreadable_frames_are_skipped_and_listed() {
     fs::write(walk.join("shortlong_walk.000002.npz"), "not a zip").unwrap();
     let mut bad = frame(1);
     bad.v_cano[[3, 1]] = f64::NAN;
-    write_frame(root.path(), "b", Outfit::LongShort, "soccer", 1, &bad).unwrap();
+    write_frame(root.path(), "b", Outfit::LONG_SHORT, "soccer", 1, &bad).unwrap();
     let out = root.path().join("packed");
     let report = pack_to(root.path(), &out, &split()).unwrap();
     assert_eq!((report.train_frames, report.test_frames), (23, 11));
@@ -294,7 +294,7 @@ fn an_interrupted_packing_goes_on_to_the_same_bytes() {
     write_minimal(root.path(), "a", &vertices(0)).unwrap();
     for (sequence, count) in [("walk", 140), ("soccer", 30)] {
         for k in 0..count {
-            write_frame(root.path(), "a", Outfit::ShortLong, sequence, k, &frame(k)).unwrap();
+            write_frame(root.path(), "a", Outfit::SHORT_LONG, sequence, k, &frame(k)).unwrap();
         }
     }
     let broken = capture(root.path(), "a/shortlong_walk").join("shortlong_walk.000003.npz");
@@ -358,7 +358,7 @@ fn long_sequences_and_any_number_of_threads() {
     let root = tempfile::tempdir().unwrap();
     write_minimal(root.path(), "a", &vertices(0)).unwrap();
     for k in 0..1010 {
-        write_frame(root.path(), "a", Outfit::ShortLong, "walk", k, &frame(k)).unwrap();
+        write_frame(root.path(), "a", Outfit::SHORT_LONG, "walk", k, &frame(k)).unwrap();
     }
     let split = SplitSpec { subjects: vec!["a".into()], cut: 0, ..split() };
     let files = |threads: usize| {

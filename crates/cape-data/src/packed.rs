@@ -5,14 +5,16 @@ use std::{
 };
 
 use cape_core::{
-    Outfit,
-    joints::{CLOTHING_JOINTS, POSE_FEATURE},
+    Outfit, OutfitVocabulary,
+    joints::{CLOTHING_JOINTS, POSE_FEATURE, pose_rotations},
 };
 use ndarray::{Array2, Array3};
 use serde::{Deserialize, Serialize};
 
 use super::{
+    SplitSpec,
     npy_rows::RowReader,
+    raw::SPLIT_FILE,
     statistics::{Accumulator, DisplacementStatistics, STATISTICS_FILE, validation_count},
 };
 use crate::{Error, Result};
@@ -66,6 +68,8 @@ impl fmt::Display for Split {
 pub struct FrameOrigin {
     /// Name of the subject.
     pub subject: String,
+    /// Outfit in the name of the capture; the label can be another.
+    pub outfit: Outfit,
     /// Name of the motion sequence, without the outfit.
     pub sequence: String,
     /// File name of the raw frame without extension.
@@ -81,12 +85,14 @@ pub struct HostBatch {
     pub displacement: Array3<f32>,
     /// Pose feature: rotation matrices of the clothing-related joints, row-major, `[batch, 126]`.
     pub pose_feature: Array2<f32>,
-    /// One-hot outfits, `[batch, 4]`.
+    /// One-hot outfits, `[batch, outfits]`.
     pub outfit: Array2<f32>,
 }
 
-/// Reader of one part of a packed set, frame by frame. The files can be float64 or float32, written
-/// by this crate or by the official tools.
+/// Reader of one part of a packed set, frame by frame, written by this crate or by the official tools.
+/// The arrays can hold floating-point numbers or integers of any size, byte order and memory order; those
+/// in Fortran order are copied to a temporary file. Rotations are computed from poses if the set has
+/// none.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -99,7 +105,7 @@ pub struct HostBatch {
 /// let directory = triangles()?;
 /// let packed = directory.path().join("packed");
 /// let set = PackedSet::open(&packed, Split::Train)?;
-/// assert_eq!((set.frames(), set.vertices(), set.outfits()[0]), (5, 3, Outfit::LongLong));
+/// assert_eq!((set.frames(), set.vertices(), set.outfits()[0]), (5, 3, Outfit::LONG_LONG));
 /// assert_eq!(set.origins().unwrap()[0].sequence, "walk");
 /// let batch = set.batch(&[4, 0], None)?;
 /// assert_eq!((batch.displacement.dim(), batch.pose_feature.dim()), ((2, 3, 3), (2, 126)));
@@ -116,7 +122,13 @@ pub struct HostBatch {
 pub struct PackedSet {
     displacement: RowReader,
     pose: RowReader,
-    rotations: RowReader,
+    /// `None` if rotations are computed from the poses.
+    rotations: Option<RowReader>,
+    vocabulary: OutfitVocabulary,
+    /// True if the set names its outfits.
+    names_outfits: bool,
+    /// Place of each frame's outfit in the vocabulary.
+    classes: Vec<usize>,
     outfits: Vec<Outfit>,
     origins: Option<Vec<FrameOrigin>>,
     /// Displacements and pose features of all frames, if read into memory.
@@ -125,6 +137,9 @@ pub struct PackedSet {
 
 impl PackedSet {
     /// Opens a part of the packed set in `root`.
+    ///
+    /// Outfits have the names of the set's `split.toml`. Without that file, four are the paper's, and
+    /// any other number of them are called `outfit1`, `outfit2` and so on.
     ///
     /// # Errors
     /// If a file is missing, has an unexpected shape or type, or another number of frames than the
@@ -139,9 +154,10 @@ impl PackedSet {
             return Err(Error::format(displacement.path(), message));
         }
         let pose = open("pose", &[Some(72)])?;
-        let rotations = open("rot", &[Some(216)])?;
-        let labels = open("clo_label", &[Some(4)])?;
-        for other in [&pose, &rotations, &labels] {
+        let rotations =
+            if part.path(root, "rot").exists() { Some(open("rot", &[Some(216)])?) } else { None };
+        let labels = open("clo_label", &[None])?;
+        for other in [Some(&pose), rotations.as_ref(), Some(&labels)].into_iter().flatten() {
             if other.rows() != frames {
                 let message = format!(
                     "{} frames, but {} has {frames}",
@@ -151,9 +167,43 @@ impl PackedSet {
                 return Err(Error::format(other.path(), message));
             }
         }
-        let outfits = (0..frames).map(|row| outfit(&labels, row)).collect::<Result<_>>()?;
+        let (vocabulary, names_outfits) = read_vocabulary(root, &labels)?;
+        let classes: Vec<usize> =
+            (0..frames).map(|row| class(&labels, row)).collect::<Result<_>>()?;
         let origins = read_origins(&part.frames_path(root), frames)?;
-        Ok(Self { displacement, pose, rotations, outfits, origins, preloaded: None })
+        Ok(Self {
+            displacement,
+            pose,
+            rotations,
+            outfits: classes.iter().map(|&class| vocabulary[class]).collect(),
+            classes,
+            vocabulary,
+            names_outfits,
+            origins,
+            preloaded: None,
+        })
+    }
+
+    /// The set with labels of another vocabulary, such as that of a model. Outfits keep their names;
+    /// if the set does not name them and their number is that of the vocabulary, they are told by
+    /// their place.
+    ///
+    /// # Errors
+    /// If a frame's outfit is not in the vocabulary.
+    pub fn with_vocabulary(mut self, vocabulary: &OutfitVocabulary) -> Result<Self> {
+        if !self.names_outfits && self.vocabulary.len() == vocabulary.len() {
+            self.outfits = self.classes.iter().map(|&class| vocabulary[class]).collect();
+        }
+        for (class, &outfit) in self.classes.iter_mut().zip(&self.outfits) {
+            *class = vocabulary.index(outfit).ok_or_else(|| {
+                Error::Data(format!(
+                    "{}: frames in `{outfit}`, expected outfits of the model: {vocabulary}",
+                    self.displacement.path().display()
+                ))
+            })?;
+        }
+        self.vocabulary = vocabulary.clone();
+        Ok(self)
     }
 
     /// Number of frames, at least 1.
@@ -166,6 +216,16 @@ impl PackedSet {
         self.displacement.shape()[1]
     }
 
+    /// Outfits of the one-hot labels, in their order.
+    pub fn vocabulary(&self) -> &OutfitVocabulary {
+        &self.vocabulary
+    }
+
+    /// True if the set names its outfits in `split.toml`.
+    pub fn names_outfits(&self) -> bool {
+        self.names_outfits
+    }
+
     /// Outfit of every frame.
     pub fn outfits(&self) -> &[Outfit] {
         &self.outfits
@@ -176,17 +236,10 @@ impl PackedSet {
         self.origins.as_deref()
     }
 
-    /// Name of a frame's capture: `subject/outfit_sequence`, or the outfit if the origins are
-    /// unknown.
-    pub fn capture(&self, frame: usize) -> String {
-        let outfit = self.outfits[frame];
-        match self.origins() {
-            Some(origins) => {
-                let FrameOrigin { subject, sequence, .. } = &origins[frame];
-                format!("{subject}/{outfit}_{sequence}")
-            }
-            None => outfit.to_string(),
-        }
+    /// Name of a frame's capture, `subject/outfit_sequence`; `None` if the origins are unknown.
+    pub fn capture(&self, frame: usize) -> Option<String> {
+        let FrameOrigin { subject, outfit, sequence, .. } = self.origins()?.get(frame)?;
+        Some(format!("{subject}/{outfit}_{sequence}"))
     }
 
     /// Reads all frames into memory as f32.
@@ -216,13 +269,14 @@ impl PackedSet {
         let (count, vertices) = (frames.len(), self.vertices());
         let mut displacement = Vec::with_capacity(count * 3 * vertices);
         let mut pose_feature = Vec::with_capacity(count * POSE_FEATURE);
-        let mut outfit = Vec::with_capacity(count * 4);
-        for &frame in frames {
-            let Some(label) = self.outfits.get(frame) else {
+        let width = self.vocabulary.len();
+        let mut outfit = Array2::zeros((count, width));
+        for (row, &frame) in frames.iter().enumerate() {
+            let Some(&class) = self.classes.get(frame) else {
                 let total = self.frames();
                 return Err(Error::argument(format!("frame {frame} of a set of {total} frames")));
             };
-            outfit.extend(label.one_hot());
+            outfit[[row, class]] = 1.0;
             match &self.preloaded {
                 Some((all, features)) => {
                     let row = 3 * vertices;
@@ -243,7 +297,7 @@ impl PackedSet {
                 .map_err(shape)?,
             pose_feature: Array2::from_shape_vec((count, POSE_FEATURE), pose_feature)
                 .map_err(shape)?,
-            outfit: Array2::from_shape_vec((count, 4), outfit).map_err(shape)?,
+            outfit,
         })
     }
 
@@ -253,7 +307,7 @@ impl PackedSet {
         let displacement =
             Array2::from_shape_vec((self.vertices(), 3), self.displacement.row(frame)?)
                 .map_err(|error| Error::argument(error.to_string()))?;
-        Ok((displacement, self.pose.row(frame)?, self.rotations.row(frame)?))
+        Ok((displacement, self.pose.row(frame)?, self.rotations(frame)?))
     }
 
     /// Displacements of one frame, metres, `[3 V]`.
@@ -266,6 +320,16 @@ impl PackedSet {
         Ok(self.pose.row(frame)?.into_iter().map(|x| x as f32).collect())
     }
 
+    /// Rotation matrices of the 24 joints of one frame, row-major, `[216]`.
+    fn rotations(&self, frame: usize) -> Result<Vec<f64>> {
+        match &self.rotations {
+            Some(rotations) => rotations.row(frame),
+            None => {
+                Ok(pose_rotations(&self.pose.row(frame)?)?.as_flattened().as_flattened().to_vec())
+            }
+        }
+    }
+
     fn read_into(
         &self,
         frame: usize,
@@ -273,7 +337,7 @@ impl PackedSet {
         feature: &mut Vec<f32>,
     ) -> Result<()> {
         displacement.extend(self.displacement.row(frame)?.into_iter().map(|x| x as f32));
-        let rotations = self.rotations.row(frame)?;
+        let rotations = self.rotations(frame)?;
         for joint in CLOTHING_JOINTS {
             feature.extend(rotations[9 * joint..][..9].iter().map(|&x| x as f32));
         }
@@ -281,16 +345,44 @@ impl PackedSet {
     }
 }
 
-fn outfit(labels: &RowReader, row: usize) -> Result<Outfit> {
+/// Outfits of the labels of the packed set in `root`, and true if the set names them.
+fn read_vocabulary(root: &Path, labels: &RowReader) -> Result<(OutfitVocabulary, bool)> {
+    let found = labels.shape()[1];
+    let path = root.join(SPLIT_FILE);
+    if !path.exists() {
+        let vocabulary = OutfitVocabulary::numbered(found).map_err(|_| {
+            Error::format(labels.path(), "no columns, expected one for each outfit")
+        })?;
+        return Ok((vocabulary, false));
+    }
+    let vocabulary = SplitSpec::from_file(&path)?.label_vocabulary()?;
+    if vocabulary.len() == found {
+        return Ok((vocabulary, true));
+    }
+    Err(Error::format(
+        labels.path(),
+        format!(
+            "{found} columns, but {} has {} outfits: {vocabulary}",
+            path.display(),
+            vocabulary.len()
+        ),
+    ))
+}
+
+/// Place of the 1 of a one-hot label.
+fn class(labels: &RowReader, row: usize) -> Result<usize> {
     let label = labels.row(row)?;
-    let hot = Outfit::ALL.into_iter().find(|outfit| {
-        let expected = outfit.one_hot().map(f64::from);
-        label.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-6)
-    });
-    hot.ok_or_else(|| {
-        let message = format!("label {label:?}, expected one 1 and three 0 (one-hot)");
-        Error::field(labels.path(), format!("row {row}"), message)
-    })
+    let is = |value: f64, expected: f64| (value - expected).abs() < 1e-6;
+    let ones: Vec<usize> = (0..label.len()).filter(|&place| is(label[place], 1.0)).collect();
+    match ones[..] {
+        [class] if label.iter().filter(|&&value| is(value, 0.0)).count() + 1 == label.len() => {
+            Ok(class)
+        }
+        _ => {
+            let message = format!("label {label:?}, expected one 1 among 0 (one-hot)");
+            Err(Error::field(labels.path(), format!("row {row}"), message))
+        }
+    }
 }
 
 fn read_origins(path: &Path, frames: usize) -> Result<Option<Vec<FrameOrigin>>> {
@@ -304,12 +396,13 @@ fn read_origins(path: &Path, frames: usize) -> Result<Option<Vec<FrameOrigin>>> 
     }
     let origin = |(number, line): (usize, &str)| {
         let fields: Vec<&str> = line.splitn(4, ',').collect();
-        let &[subject, _outfit, sequence, frame] = fields.as_slice() else {
-            let message = format!("expected `{FRAMES_HEADER}`");
-            return Err(Error::field(path, format!("line {}", number + 2), message));
+        let fault = |message: String| Error::field(path, format!("line {}", number + 2), message);
+        let &[subject, outfit, sequence, frame] = fields.as_slice() else {
+            return Err(fault(format!("expected `{FRAMES_HEADER}`")));
         };
+        let outfit = outfit.parse().map_err(|error: Error| fault(error.to_string()))?;
         let [subject, sequence, frame] = [subject, sequence, frame].map(str::to_owned);
-        Ok(FrameOrigin { subject, sequence, frame })
+        Ok(FrameOrigin { subject, outfit, sequence, frame })
     };
     let origins = lines.enumerate().map(origin).collect::<Result<Vec<_>>>()?;
     if origins.len() != frames {

@@ -41,7 +41,7 @@ pub const SPLIT_FILE: &str = "split.toml";
 ///     pose: [0.0; 72],
 ///     transl: [0.0, 1.0, 0.0],
 /// };
-/// let path = raw::write_frame(directory.path(), "anna", Outfit::LongLong, "hips", 1, &frame)?;
+/// let path = raw::write_frame(directory.path(), "anna", Outfit::LONG_LONG, "hips", 1, &frame)?;
 /// assert!(path.ends_with("anna/longlong_hips/longlong_hips.000001.npz"));
 /// assert_eq!(raw::read_frame(&path, Some(5))?, frame);
 ///
@@ -305,7 +305,7 @@ mod tests {
 
     fn read_written(frame: &RawFrame) -> (tempfile::TempDir, PathBuf) {
         let root = tempfile::tempdir().unwrap();
-        let path = write_frame(root.path(), "a", Outfit::LongLong, "walk", 7, frame).unwrap();
+        let path = write_frame(root.path(), "a", Outfit::LONG_LONG, "walk", 7, frame).unwrap();
         (root, path)
     }
 
@@ -319,10 +319,10 @@ mod tests {
         assert_eq!(read_frame(&path, Some(2)).unwrap(), frame());
         assert_eq!(read_frame(&path, None).unwrap(), frame());
         assert_eq!(read_canonical(&path, 2).unwrap().pose, frame().pose);
-        let directory = capture_dir(root.path(), "a", Outfit::LongLong, "walk");
+        let directory = capture_dir(root.path(), "a", Outfit::LONG_LONG, "walk");
         fs::write(directory.join("._longlong_walk.000008.npz"), "x").unwrap();
         fs::write(directory.join("notes.txt"), "x").unwrap();
-        let early = write_frame(root.path(), "a", Outfit::LongLong, "walk", 3, &frame()).unwrap();
+        let early = write_frame(root.path(), "a", Outfit::LONG_LONG, "walk", 3, &frame()).unwrap();
         assert_eq!(frame_paths(&directory).unwrap().unwrap(), [early, path]);
         assert!(frame_paths(root.path().join("none")).unwrap().is_none());
         write_minimal(root.path(), "a", &frame().v_cano).unwrap();

@@ -1,6 +1,10 @@
-use std::{collections::HashSet, fs, path::Path};
+use std::{
+    collections::{BTreeMap, HashSet},
+    fs,
+    path::Path,
+};
 
-use cape_core::Outfit;
+use cape_core::{Outfit, OutfitVocabulary};
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
@@ -11,9 +15,12 @@ use crate::{Error, Result};
 ///
 /// ```toml
 /// subjects = ["00032", "00122"]
-/// outfits = ["shortlong", "longlong"]
+/// outfits = ["shortlong", "longlong", "poloshort"]
 /// cut = 2          # frames dropped at either end of a sequence (default 2)
 /// sample_rate = 1  # keep every n-th of the remaining frames (default 1)
+///
+/// [labels]         # outfits that are packed under the label of another
+/// poloshort = "shortshort"
 ///
 /// [train]
 /// sequences = ["hips", "squats", "simple"]
@@ -36,8 +43,14 @@ use crate::{Error, Result};
 /// assert_eq!(SplitSpec::from_file(&path)?, split);
 ///
 /// let mut twice = split;
-/// twice.outfits = vec![Outfit::LongLong; 2];
+/// twice.outfits = vec![Outfit::LONG_LONG; 2];
 /// assert!(twice.validate().is_err());
+///
+/// // Labels are the paper's four, unless there are others.
+/// let mut more = SplitSpec { outfits: vec!["poloshort".parse()?], ..SplitSpec::male() };
+/// assert_eq!(more.label_vocabulary()?.to_string(), "poloshort");
+/// more.labels.insert("poloshort".parse()?, Outfit::SHORT_SHORT);
+/// assert!(more.label_vocabulary()?.is_paper());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -45,14 +58,21 @@ use crate::{Error, Result};
 pub struct SplitSpec {
     /// Subjects, in packing order.
     pub subjects: Vec<String>,
-    /// Outfits, in packing order.
+    /// Outfits, in packing order: the first part of the captures' directory names.
     pub outfits: Vec<Outfit>,
+    /// Outfits of the one-hot labels, in their order; `None` takes the paper's four if all labels are
+    /// among them, or else the labels in packing order.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vocabulary: Option<OutfitVocabulary>,
     /// Number of frames dropped at the beginning and at the end of every sequence.
     #[serde(default = "default_cut")]
     pub cut: usize,
     /// Step between the frames kept after `cut`, from the first on.
     #[serde(default = "default_sample_rate")]
     pub sample_rate: usize,
+    /// Outfits that are packed under the label of another, such as `poloshort = "shortshort"`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub labels: BTreeMap<Outfit, Outfit>,
     /// Training sequences.
     pub train: SequenceList,
     /// Test sequences.
@@ -70,9 +90,9 @@ pub struct SplitSpec {
 ///     sequences: vec!["hips".into(), "simple".into()],
 ///     exclude: vec!["simple".into(), "00032/longlong_hips".into()],
 /// };
-/// assert!(list.excludes("00122", Outfit::LongLong, "simple"));
-/// assert!(list.excludes("00032", Outfit::LongLong, "hips"));
-/// assert!(!list.excludes("00122", Outfit::LongLong, "hips"));
+/// assert!(list.excludes("00122", Outfit::LONG_LONG, "simple"));
+/// assert!(list.excludes("00032", Outfit::LONG_LONG, "hips"));
+/// assert!(!list.excludes("00122", Outfit::LONG_LONG, "hips"));
 /// ```
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -103,7 +123,7 @@ const fn default_sample_rate() -> usize {
 const MALE: &[&str] = &["03284", "00215", "00127", "00122", "00032", "02474", "03394"];
 const FEMALE: &[&str] = &["00159", "00134", "03223", "03331"];
 const OUTFITS: [Outfit; 4] =
-    [Outfit::ShortLong, Outfit::LongShort, Outfit::ShortShort, Outfit::LongLong];
+    [Outfit::SHORT_LONG, Outfit::LONG_SHORT, Outfit::SHORT_SHORT, Outfit::LONG_LONG];
 const GROUP_1: &[&str] = &[
     "ballerina_spin",
     "ATUsquat",
@@ -153,6 +173,22 @@ const GROUP_2_TEST: &[&str] = &["twist_trial2", "soccer_trial2", "climb_trial2",
 /// Sequences with too much soft-tissue and cloth dynamics for a model of single frames.
 const TOO_DYNAMIC: &[&str] = &["running_on_the_spot", "jumping_jacks"];
 
+impl Default for SplitSpec {
+    /// No subjects and sequences; the paper's outfits, all frames but two at either end.
+    fn default() -> Self {
+        Self {
+            subjects: Vec::new(),
+            outfits: Outfit::PAPER.to_vec(),
+            vocabulary: None,
+            cut: default_cut(),
+            sample_rate: default_sample_rate(),
+            labels: BTreeMap::new(),
+            train: SequenceList::default(),
+            test: SequenceList::default(),
+        }
+    }
+}
+
 fn owned(names: &[&str]) -> Vec<String> {
     names.iter().map(ToString::to_string).collect()
 }
@@ -164,13 +200,12 @@ impl SplitSpec {
         Self {
             subjects: owned(MALE),
             outfits: OUTFITS.to_vec(),
-            cut: default_cut(),
-            sample_rate: default_sample_rate(),
             train: SequenceList {
                 sequences: train.map(ToString::to_string).collect(),
                 exclude: owned(TOO_DYNAMIC),
             },
             test: SequenceList { sequences: owned(GROUP_1_TEST), exclude: Vec::new() },
+            ..Self::default()
         }
     }
 
@@ -202,6 +237,29 @@ impl SplitSpec {
         Ok(split)
     }
 
+    /// Label of the captures of an outfit: another outfit by `labels`, or the outfit itself.
+    pub fn label(&self, outfit: Outfit) -> Outfit {
+        self.labels.get(&outfit).copied().unwrap_or(outfit)
+    }
+
+    /// Outfits of the one-hot labels, in their order.
+    ///
+    /// # Errors
+    /// If there is none, or a label is not in the given vocabulary.
+    pub fn label_vocabulary(&self) -> Result<OutfitVocabulary> {
+        let labels = || self.outfits.iter().map(|&outfit| self.label(outfit));
+        if let Some(vocabulary) = &self.vocabulary {
+            labels().try_for_each(|label| vocabulary.require(label).map(drop))?;
+            return Ok(vocabulary.clone());
+        }
+        let paper = OutfitVocabulary::default();
+        if labels().all(|label| paper.contains(&label)) {
+            return Ok(paper);
+        }
+        let mut seen = HashSet::new();
+        OutfitVocabulary::new(labels().filter(|&label| seen.insert(label)))
+    }
+
     /// Contents of a `split.toml` file.
     pub fn to_toml(&self) -> Result<String> {
         toml::to_string_pretty(self).map_err(|e| Error::argument(format!("split: {e}")))
@@ -230,6 +288,12 @@ impl SplitSpec {
         let distinct: HashSet<_> = self.outfits.iter().collect();
         if distinct.len() != self.outfits.len() {
             return Err(("outfits", "an outfit is listed twice".to_owned()));
+        }
+        if let Some(outfit) = self.labels.keys().find(|outfit| !self.outfits.contains(outfit)) {
+            return Err(("labels", format!("`{outfit}` is not in `outfits`")));
+        }
+        if let Err(error) = self.label_vocabulary() {
+            return Err(("vocabulary", error.to_string()));
         }
         if self.sample_rate == 0 {
             return Err(("sample_rate", "is 0: expected 1 (every frame) or more".to_owned()));
@@ -308,7 +372,7 @@ mod tests {
         assert_eq!((male.subjects.len(), male.train.sequences.len()), (7, 22));
         assert_eq!(male.train.sequences[..2], ["ATUsquat", "basketball"]);
         assert_eq!(male.test.sequences, ["ballerina_spin", "soccer", "pose_model", "bend_twist"]);
-        assert!(male.train.excludes("00032", Outfit::LongLong, "jumping_jacks"));
+        assert!(male.train.excludes("00032", Outfit::LONG_LONG, "jumping_jacks"));
         let female = SplitSpec::female();
         assert_eq!(female.subjects, ["00159", "00134", "03223", "03331"]);
         assert_eq!((female.train.sequences.len(), female.test.sequences.len()), (36, 8));
@@ -328,14 +392,35 @@ mod tests {
     }
 
     #[test]
+    fn labels_are_in_the_vocabulary() {
+        let outfits = |text: &str| swap_outfits(text).label_vocabulary().unwrap().to_string();
+        let paper = OutfitVocabulary::default().to_string();
+        assert_eq!(outfits("['longlong']"), paper);
+        assert_eq!(outfits("['polo', 'shortlong']"), "polo, shortlong");
+        assert_eq!(outfits("['polo', 'shortlong']\nlabels = { polo = 'longlong' }"), paper);
+        let order = "['polo', 'shortlong']\nvocabulary = ['shortlong', 'coat', 'polo']";
+        assert_eq!(outfits(order), "shortlong, coat, polo");
+        let split = swap_outfits("['polo', 'jersey']\nlabels = { polo = 'jersey' }");
+        assert_eq!(split.label_vocabulary().unwrap().to_string(), "jersey");
+        assert_eq!(load(&split.to_toml().unwrap()).unwrap(), split);
+        // Files and presets without the fields are written as before.
+        let text = SplitSpec::male().to_toml().unwrap();
+        assert!(!text.contains("vocabulary") && !text.contains("labels"), "{text}");
+    }
+
+    fn swap_outfits(text: &str) -> SplitSpec {
+        load(&minimal("").replace("['shortlong']", text)).unwrap()
+    }
+
+    #[test]
     fn exclusions_name_a_sequence_or_one_capture() {
         let list = SequenceList {
             sequences: owned(&["hips", "walk"]),
             exclude: owned(&["walk", "a/longlong_hips"]),
         };
-        assert!(list.excludes("b", Outfit::ShortLong, "walk"));
-        assert!(list.excludes("a", Outfit::LongLong, "hips"));
-        assert!(!list.excludes("b", Outfit::LongLong, "hips"));
+        assert!(list.excludes("b", Outfit::SHORT_LONG, "walk"));
+        assert!(list.excludes("a", Outfit::LONG_LONG, "hips"));
+        assert!(!list.excludes("b", Outfit::LONG_LONG, "hips"));
     }
 
     #[test]
@@ -349,7 +434,10 @@ mod tests {
             (swap("['a']", "[]"), "`subjects`: is empty"),
             (swap("['a']", "['a', 'a']"), "`subjects`: lists `a` twice"),
             (swap("['a']", "['../a']"), "`subjects`: `../a`: expected a name"),
-            (swap("['shortlong']", "['coat']"), "coat"),
+            (swap("['shortlong']", "['long_coat']"), "outfit `long_coat`: expected a name"),
+            (minimal("vocabulary = ['longlong']"), "`vocabulary`: unknown outfit `shortlong`"),
+            (minimal("vocabulary = []"), "the list is empty"),
+            (minimal("") + "[labels]\npolo = 'longlong'", "`labels`: `polo` is not in `outfits`"),
             (swap("['shortlong']", "['longlong', 'longlong']"), "`outfits`"),
             (swap("['walk']", "[]"), "`train.sequences`"),
             (minimal("") + "exclude = ['wakl']", "`train.exclude`: `wakl`"),

@@ -17,6 +17,14 @@ use crate::{Error, Result};
 /// Largest number of validation frames.
 const LATEST: usize = 100;
 
+/// Extents of the rows of a packed set.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FrameShape {
+    pub(super) vertices: usize,
+    /// Length of a one-hot label.
+    pub(super) labels: usize,
+}
+
 /// Writer of one part of a packed set that accumulates its statistics.
 #[derive(Debug)]
 pub(super) struct SplitWriter {
@@ -24,6 +32,8 @@ pub(super) struct SplitWriter {
     pose: RowWriter,
     rotations: RowWriter,
     label: RowWriter,
+    /// Length of a one-hot label.
+    labels: usize,
     names: PathBuf,
     frames: BufWriter<File>,
     /// Captures with their numbers of frames, in packing order.
@@ -34,25 +44,24 @@ pub(super) struct SplitWriter {
 }
 
 impl SplitWriter {
-    pub(super) fn create(root: &Path, part: Split, vertices: usize) -> Result<Self> {
+    pub(super) fn create(root: &Path, part: Split, shape: FrameShape) -> Result<Self> {
         let directory = root.join(part.name());
         fs::create_dir_all(&directory).map_err(|e| Error::io(&directory, e))?;
         let names = part.frames_path(root);
         fs::write(&names, format!("{FRAMES_HEADER}\n")).map_err(|e| Error::io(&names, e))?;
-        Self::assemble(root, part, vertices, RowWriter::create)
+        Self::assemble(root, part, shape, RowWriter::create)
     }
 
     /// Resumes files that have `frames` already; the statistics are computed from them.
     pub(super) fn resume(
         root: &Path,
         part: Split,
-        vertices: usize,
+        shape: FrameShape,
         frames: &[&PlannedFrame],
     ) -> Result<Self> {
         let rows = frames.len();
-        let mut writer = Self::assemble(root, part, vertices, |path, shape| {
-            RowWriter::resume(path, shape, rows)
-        })?;
+        let mut writer =
+            Self::assemble(root, part, shape, |path, shape| RowWriter::resume(path, shape, rows))?;
         let lines: String = frames.iter().map(|frame| csv_line(frame)).collect();
         let text = format!("{FRAMES_HEADER}\n{lines}");
         fs::write(&writer.names, text).map_err(|e| Error::io(&writer.names, e))?;
@@ -65,22 +74,23 @@ impl SplitWriter {
     }
 
     /// True if the files in `root` are long enough for `rows` rows.
-    pub(super) fn holds(root: &Path, part: Split, vertices: usize, rows: usize) -> bool {
-        [("disp", 3 * vertices), ("pose", 72), ("rot", 216), ("clo_label", 4)].into_iter().all(
-            |(what, numbers)| {
-                let found = fs::metadata(part.path(root, what));
-                // The header adds to the size.
-                found.is_ok_and(|found| found.len() > (8 * rows * numbers) as u64)
-            },
-        )
+    pub(super) fn holds(root: &Path, part: Split, shape: FrameShape, rows: usize) -> bool {
+        let FrameShape { vertices, labels } = shape;
+        let arrays = [("disp", 3 * vertices), ("pose", 72), ("rot", 216), ("clo_label", labels)];
+        arrays.into_iter().all(|(what, numbers)| {
+            let found = fs::metadata(part.path(root, what));
+            // The header adds to the size.
+            found.is_ok_and(|found| found.len() > (8 * rows * numbers) as u64)
+        })
     }
 
     fn assemble(
         root: &Path,
         part: Split,
-        vertices: usize,
+        shape: FrameShape,
         open: impl Fn(PathBuf, &[usize]) -> Result<RowWriter>,
     ) -> Result<Self> {
+        let FrameShape { vertices, labels } = shape;
         let names = part.frames_path(root);
         let frames = File::options()
             .create(true)
@@ -92,7 +102,8 @@ impl SplitWriter {
             displacement: open("disp", &[vertices, 3])?,
             pose: open("pose", &[72])?,
             rotations: open("rot", &[216])?,
-            label: open("clo_label", &[4])?,
+            label: open("clo_label", &[labels])?,
+            labels,
             names,
             frames: BufWriter::new(frames),
             captures: Vec::new(),
@@ -109,7 +120,7 @@ impl SplitWriter {
         self.displacement.push(packed.displacement.iter().copied())?;
         self.pose.push(packed.pose)?;
         self.rotations.push(packed.rotations.iter().copied())?;
-        self.label.push(frame.outfit.one_hot().map(f64::from))?;
+        self.label.push((0..self.labels).map(|class| f64::from(u8::from(class == frame.class))))?;
         self.frames.write_all(csv_line(frame).as_bytes()).map_err(|e| Error::io(&self.names, e))?;
         self.count(frame);
         let row = packed.displacement.iter().copied().collect();
@@ -152,7 +163,7 @@ impl SplitWriter {
 }
 
 fn csv_line(frame: &PlannedFrame) -> String {
-    let PlannedFrame { path, subject, sequence, outfit } = frame;
+    let PlannedFrame { path, subject, sequence, outfit, .. } = frame;
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
     format!("{subject},{outfit},{sequence},{name}\n")
 }

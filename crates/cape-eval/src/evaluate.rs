@@ -4,7 +4,7 @@ use std::{path::Path, sync::Arc};
 
 use serde::Serialize;
 
-use crate::{Error, Result};
+use crate::Result;
 use cape_core::{
     ProgressFn,
     tensors::{from_array2, to_host},
@@ -104,8 +104,8 @@ pub struct ErrorSamples {
 /// Mean error of a test frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameError {
-    /// Capture of the frame, see [`PackedSet::capture`].
-    pub capture: String,
+    /// Capture of the frame if it is known, see [`PackedSet::capture`].
+    pub capture: Option<String>,
     /// Mean error over the clothing vertices, millimetres.
     pub mean: f64,
 }
@@ -171,7 +171,7 @@ pub fn evaluate(
     options: EvalOptions,
     progress: &mut ProgressFn,
 ) -> Result<EvalReport> {
-    let set = Arc::new(PackedSet::open(data, Split::Test)?);
+    let set = Arc::new(run.open_set(data, Split::Test)?);
     let vertices = run.body().vertices();
     let mean: Vec<f32> = run.statistics().mean().iter().map(|&x| x as f32).collect();
     let mut of_model = ErrorSamples::new(vertices, run.clothing());
@@ -194,7 +194,7 @@ pub fn evaluate(
 /// metres.
 pub type FrameFn<'a> = dyn FnMut(usize, &[f32], &[f32]) -> Result<()> + 'a;
 
-/// Reconstructs all test frames and calls `each` with row, reconstruction and truth of each.
+/// Reconstructs all frames of a [set of the model's outfits](cape_infer::ClothedModel::open_set) and calls `each` with row, reconstruction and truth of each.
 pub fn reconstruct_test(
     run: &Run,
     set: &Arc<PackedSet>,
@@ -204,12 +204,7 @@ pub fn reconstruct_test(
 ) -> Result<()> {
     let frames = set.frames();
     let vertices = run.body().vertices();
-    if set.vertices() != vertices {
-        return Err(Error::data(format!(
-            "test frames have {} vertices, but the run's body has {vertices}",
-            set.vertices()
-        )));
-    }
+    run.expect_set(set)?;
     let statistics = Arc::new(run.statistics().clone());
     let mut done = 0;
     for batch in sequential(set.clone(), Some(statistics.clone()), 0..frames, options.batch)? {

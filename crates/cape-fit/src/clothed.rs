@@ -373,7 +373,7 @@ mod tests {
     /// All terms, over translation, pose, shape and code, with one matching of the surface.
     #[test]
     fn gradients_of_the_energy_agree_with_finite_differences() {
-        let dressed = dressed(Outfit::LongShort);
+        let dressed = dressed(Outfit::LONG_SHORT);
         let camera = PinholeCamera::new(192, 192, None).unwrap();
         let (body, code) = truth();
         let keypoints = seen(&camera, &body);

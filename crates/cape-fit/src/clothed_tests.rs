@@ -58,7 +58,7 @@ pub(crate) fn truth() -> (BodyParameters, Vec<f64>) {
 
 #[test]
 fn gradients_agree_with_finite_differences() {
-    let dressed = dressed(Outfit::LongShort);
+    let dressed = dressed(Outfit::LONG_SHORT);
     let (mut body, code) = truth();
     // Near the origin, where single precision is finest.
     body.transl = [0.0; 3];
@@ -113,7 +113,7 @@ fn gradients_agree_with_finite_differences() {
 
 #[test]
 fn silhouettes_bring_clothed_bodies_closer() {
-    let dressed = dressed(Outfit::LongShort);
+    let dressed = dressed(Outfit::LONG_SHORT);
     let camera = PinholeCamera::new(256, 256, None).unwrap();
     let (body, code) = truth();
     let true_surface = dressed.surface(&body, &code).unwrap();
@@ -148,7 +148,7 @@ fn silhouettes_bring_clothed_bodies_closer() {
     assert!(fit.curves.iter().all(|curve| curve.windows(2).all(|pair| pair[1] <= pair[0])));
 
     // The same result for the same input, better than in another outfit.
-    let outfits = [Outfit::ShortShort, Outfit::LongShort].map(self::dressed);
+    let outfits = [Outfit::SHORT_SHORT, Outfit::LONG_SHORT].map(self::dressed);
     let fits = smplify.fit_outfits(&outfits, &image, &bare, &config, &mut |_, _| {}).unwrap();
     assert_eq!(fits[0], fit);
     assert!(fits[1].terms.weighted(&config) > fit.terms.weighted(&config));

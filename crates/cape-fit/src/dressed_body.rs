@@ -23,7 +23,7 @@ use crate::{BodyParameters, Error, Result};
 /// use cape_infer::Run;
 ///
 /// let run = Run::open("runs/cape", &Device::default())?;
-/// let dressed = DressedBody::new(&run, Outfit::LongLong)?;
+/// let dressed = DressedBody::new(&run, Outfit::LONG_LONG)?;
 /// // The bare body behind keypoints, then the clothed one that fills the silhouette.
 /// let mask = Mask::load("mask.png")?;
 /// let camera = PinholeCamera::new(mask.width(), mask.height(), None)?;
@@ -46,7 +46,7 @@ use crate::{BodyParameters, Error, Result};
 pub struct DressedBody {
     /// On a device with autodiff.
     model: Arc<ClothedModel>,
-    /// `[1, 4]`.
+    /// `[1, outfits]`.
     label: Tensor<2>,
     outfit: Outfit,
 }
@@ -83,16 +83,19 @@ impl DressedBody {
     /// Bodies of a trained model, on its device, in one outfit.
     ///
     /// # Errors
-    /// If the model cannot be uploaded to the device with autodiff.
+    /// If the model does not know the outfit, or cannot be uploaded to the device with autodiff.
     pub fn new(model: &ClothedModel, outfit: Outfit) -> Result<Self> {
         let model = Arc::new(model.to_autodiff()?);
-        Ok(Self { label: model.outfits([outfit]), model, outfit })
+        Ok(Self { label: model.outfit_labels([outfit])?, model, outfit })
     }
 
     /// The same bodies in another outfit; the model is shared.
-    #[must_use]
-    pub fn with_outfit(&self, outfit: Outfit) -> Self {
-        Self { model: self.model.clone(), label: self.model.outfits([outfit]), outfit }
+    ///
+    /// # Errors
+    /// If the model does not know the outfit.
+    pub fn with_outfit(&self, outfit: Outfit) -> Result<Self> {
+        let label = self.model.outfit_labels([outfit])?;
+        Ok(Self { model: self.model.clone(), label, outfit })
     }
 
     /// The bodies of one subject, given by its unclothed rest shape `[V, 3]`, metres: shape

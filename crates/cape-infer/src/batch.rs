@@ -26,7 +26,7 @@ pub struct DeviceBatch {
     pub displacement: Tensor<3>,
     /// Pose features, `[batch, 126]`.
     pub pose_feature: Tensor<2>,
-    /// Outfit labels, `[batch, 4]`.
+    /// One-hot outfit labels, `[batch, outfits]`.
     pub outfit: Tensor<2>,
 }
 

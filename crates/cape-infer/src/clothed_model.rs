@@ -1,17 +1,17 @@
 //! CAPE's clothed body on a device: encode, decode, dress and pose.
 
-use std::{ops::Range, sync::Arc};
+use std::{ops::Range, path::Path, sync::Arc};
 
 use burn::{
     module::Module,
     tensor::{Device, Int, Tensor, TensorData},
 };
 use cape_core::{
-    ClothedSmpl, ClothingMask, Mesh, Outfit, Pose, Smpl, SmplInput, SmplModel,
+    ClothedSmpl, ClothingMask, Mesh, Outfit, OutfitVocabulary, Pose, Smpl, SmplInput, SmplModel,
     joints::{CLOTHING_JOINTS, JOINTS, POSE_FEATURE, pose_features},
     tensors::{from_array2, to_host},
 };
-use cape_data::{DisplacementStatistics, PackedSet};
+use cape_data::{DisplacementStatistics, PackedSet, Split};
 use cape_model::{Generator, Graphs, Posterior};
 use ndarray::{Array2, Array3, s};
 
@@ -24,7 +24,7 @@ use crate::{
 pub struct Condition {
     /// Rotation matrices of the joints that move clothing, `[n, 126]`.
     pub pose_feature: Tensor<2>,
-    /// One-hot outfit (the paper's clothing type), `[n, 4]`.
+    /// One-hot outfit (the paper's clothing type), `[n, outfits]`.
     pub outfit: Tensor<2>,
 }
 
@@ -45,7 +45,7 @@ pub struct Condition {
 /// let directory = trained()?;
 /// let run = Run::open(&directory.path().join("run"), &Device::default())?;
 /// let model: &ClothedModel = run.model();
-/// let body = BodySpec { betas: vec![1.0, -0.5], pose: [0.0; 72], outfit: Outfit::LongLong };
+/// let body = BodySpec { betas: vec![1.0, -0.5], pose: [0.0; 72], outfit: Outfit::LONG_LONG };
 /// let bodies = [body.clone(), body];
 ///
 /// // On arrays: codes to displacements, to meshes, and back to codes.
@@ -228,20 +228,48 @@ impl ClothedModel {
     /// Conditions of bodies: their poses and outfits.
     ///
     /// # Errors
-    /// If a pose is not finite.
+    /// If a pose is not finite, or an outfit is not among [`outfits`](Self::outfits).
     pub fn condition(&self, bodies: &[BodySpec]) -> Result<Condition> {
         let poses: Vec<_> = bodies.iter().map(|body| body.pose).collect();
         Ok(Condition {
             pose_feature: from_array2(pose_features(&poses)?, &self.device),
-            outfit: self.outfits(bodies.iter().map(|body| body.outfit)),
+            outfit: self.outfit_labels(bodies.iter().map(|body| body.outfit))?,
         })
     }
 
-    /// One-hot outfits, `[n, 4]`.
-    pub fn outfits(&self, outfits: impl IntoIterator<Item = Outfit>) -> Tensor<2> {
-        let labels: Vec<[f32; 4]> = outfits.into_iter().map(Outfit::one_hot).collect();
-        let shape = [labels.len(), 4];
-        Tensor::from_data(TensorData::new(labels.as_flattened().to_vec(), shape), &self.device)
+    /// Outfits that the model was trained on, in the order of its labels.
+    pub fn outfits(&self) -> &OutfitVocabulary {
+        &self.config.model.outfits
+    }
+
+    /// The outfit of a body when none is chosen: `longlong`, or the first of the model's outfits.
+    pub fn default_outfit(&self) -> Outfit {
+        let outfits = self.outfits();
+        outfits.index(Outfit::LONG_LONG).map_or(outfits[0], |place| outfits[place])
+    }
+
+    /// One-hot labels of outfits, `[n, outfits]`.
+    ///
+    /// # Errors
+    /// If an outfit is not among [`outfits`](Self::outfits); the message lists them.
+    pub fn outfit_labels(&self, outfits: impl IntoIterator<Item = Outfit>) -> Result<Tensor<2>> {
+        let mut labels = Vec::new();
+        for outfit in outfits {
+            labels.extend(self.outfits().one_hot(outfit)?);
+        }
+        let width = self.outfits().len();
+        let shape = [labels.len() / width, width];
+        Ok(Tensor::from_data(TensorData::new(labels, shape), &self.device))
+    }
+
+    /// A part of the packed set in `data`, with labels of the model's outfits.
+    ///
+    /// # Errors
+    /// If the set cannot be read, has another number of vertices, or frames in other outfits.
+    pub fn open_set(&self, data: impl AsRef<Path>, part: Split) -> Result<PackedSet> {
+        let set = PackedSet::open(data, part)?;
+        self.statistics.expect_vertices(set.vertices())?;
+        Ok(set.with_vocabulary(self.outfits())?)
     }
 
     /// Pose features `[n, 126]` of rotation matrices `[n, 24, 3, 3]` of the joints.
@@ -377,12 +405,29 @@ impl ClothedModel {
         self.code_rows(bodies.len(), means)
     }
 
-    /// Posterior means `[n, latent]` of `frames` of a packed set.
+    /// Checks that a set has the model's number of vertices and labels of its outfits, as that of
+    /// [`open_set`](Self::open_set) has.
     ///
     /// # Errors
-    /// If the set has another number of vertices, or a frame does not exist.
-    pub fn encode_frames(&self, set: &PackedSet, frames: &[usize]) -> Result<Array2<f32>> {
+    /// If it has others.
+    pub fn expect_set(&self, set: &PackedSet) -> Result<()> {
         self.statistics.expect_vertices(set.vertices())?;
+        if set.vocabulary() == self.outfits() {
+            return Ok(());
+        }
+        Err(Error::argument(format!(
+            "labels of the outfits {}, but the model has {}: open the set with the model's outfits",
+            set.vocabulary(),
+            self.outfits()
+        )))
+    }
+
+    /// Posterior means `[n, latent]` of `frames` of a packed set, see [`open_set`](Self::open_set).
+    ///
+    /// # Errors
+    /// If the set has another number of vertices or other outfits, or a frame does not exist.
+    pub fn encode_frames(&self, set: &PackedSet, frames: &[usize]) -> Result<Array2<f32>> {
+        self.expect_set(set)?;
         if let Some(frame) = frames.iter().find(|&&frame| frame >= set.frames()) {
             return Err(Error::argument(format!(
                 "frame {frame}: the set has {} frames, counted from 0",

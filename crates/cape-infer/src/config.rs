@@ -2,6 +2,7 @@
 
 use std::{io::Write, path::Path};
 
+use cape_data::PackedSet;
 use cape_graph::Weighting;
 use cape_model::{CapeConfig, LossConfig};
 use serde::{Deserialize, Serialize};
@@ -223,6 +224,16 @@ impl RunConfig {
             toml::from_str(&text).map_err(|error| Error::format(path, error.to_string()))?;
         config.validate().map_err(|error| Error::format(path, error.to_string()))?;
         Ok(config)
+    }
+
+    /// The configuration for training on `set`: the paper's outfits, the default, are replaced by those
+    /// of the set's labels. Other outfits are kept, as names or order of their own.
+    #[must_use]
+    pub fn with_outfits_of(mut self, set: &PackedSet) -> Self {
+        if self.model.outfits.is_paper() {
+            self.model.outfits = set.vocabulary().clone();
+        }
+        self
     }
 
     /// Writes a configuration file.

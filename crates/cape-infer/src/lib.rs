@@ -10,7 +10,7 @@
 //!
 //! let directory = trained()?;
 //! let run = Run::open(&directory.path().join("run"), &Device::default())?;
-//! let wearer = BodySpec { betas: vec![1.0], pose: [0.0; 72], outfit: Outfit::LongLong };
+//! let wearer = BodySpec { betas: vec![1.0], pose: [0.0; 72], outfit: Outfit::LONG_LONG };
 //! let dressed = run.dress(&run.sample_codes(1, 7), &[wearer])?;
 //! assert_eq!(dressed[0].vertices.len(), 6890);
 //! # Ok(())
@@ -39,4 +39,4 @@ pub use config::{OptimiserKind, RateSchedule, RunConfig, TrainConfig, WarmUp};
 pub use error::{Error, Result};
 pub use graphs::build_graphs;
 pub use normaliser::Normaliser;
-pub use run::{DataIdentity, Run, RunPaths, body_and_clothing, read_identity, write_json};
+pub use run::{DataIdentity, MIXTURE, Run, RunPaths, body_and_clothing, read_identity, write_json};

@@ -5,7 +5,7 @@ use burn::{
 
 use crate::{
     CapeConfig, Initialiser,
-    config::{LEAKY_SLOPE, OUTFITS, POSE_FEATURE},
+    config::{LEAKY_SLOPE, POSE_FEATURE},
     layers::Linear,
 };
 
@@ -69,7 +69,7 @@ pub(crate) fn hidden_width(input: usize, output: usize) -> usize {
 pub struct ConditionNets {
     /// Net of the pose feature, `[batch, 126]` → `[batch, pose_embedding]`.
     pub pose: Option<ConditionNet>,
-    /// Net of the outfit label, `[batch, 4]` → `[batch, outfit_embedding]`.
+    /// Net of the outfit label, `[batch, outfits]` → `[batch, outfit_embedding]`.
     pub outfit: Option<ConditionNet>,
 }
 
@@ -81,11 +81,11 @@ impl ConditionNets {
         };
         Self {
             pose: net(POSE_FEATURE, config.pose_embedding, config.pose_layers),
-            outfit: net(OUTFITS, config.outfit_embedding, config.outfit_layers),
+            outfit: net(config.outfits.len(), config.outfit_embedding, config.outfit_layers),
         }
     }
 
-    /// `pose_feature: [batch, 126]`, `outfit: [batch, 4]` → `[batch, embedding]`, pose first;
+    /// `pose_feature: [batch, 126]`, `outfit: [batch, outfits]` → `[batch, embedding]`, pose first;
     /// `None` for an unconditional model.
     pub fn forward(&self, pose_feature: Tensor<2>, outfit: Tensor<2>) -> Option<Tensor<2>> {
         let pose = self.pose.as_ref().map(|net| net.forward(pose_feature));

@@ -1,3 +1,4 @@
+use cape_core::OutfitVocabulary;
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
@@ -10,8 +11,6 @@ const MAX_GROUPS: usize = 32;
 const GROUP_CHANNELS: usize = 8;
 /// Length of the pose feature: the rotation matrices of the 14 joints that move clothing.
 pub const POSE_FEATURE: usize = 126;
-/// Length of the one-hot outfit label.
-pub const OUTFITS: usize = 4;
 
 /// Kind of the decoder's blocks (CAPE §4.1 and appendix A; CoMA).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -72,6 +71,9 @@ pub struct CapeConfig {
     pub pose_layers: usize,
     /// Size of the pose embedding; 0 removes the condition.
     pub pose_embedding: usize,
+    /// Outfits of the one-hot label, in its order; the paper's four by default.
+    #[serde(default, skip_serializing_if = "OutfitVocabulary::is_paper")]
+    pub outfits: OutfitVocabulary,
     /// Fully connected layers of the outfit condition net, 1 or 2.
     pub outfit_layers: usize,
     /// Size of the outfit embedding; 0 removes the condition.
@@ -151,6 +153,7 @@ impl CapeConfig {
             reduce: 64,
             pose_layers: 2,
             pose_embedding: 24,
+            outfits: OutfitVocabulary::default(),
             outfit_layers: 1,
             outfit_embedding: 8,
             encoder_conditions: false,

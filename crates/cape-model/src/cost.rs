@@ -1,7 +1,7 @@
 //! Number of floating-point operations of a training update.
 
 use crate::{
-    CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, OUTFITS, POSE_FEATURE,
+    CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, POSE_FEATURE,
     condition::hidden_width,
 };
 
@@ -76,7 +76,7 @@ fn conditions(config: &CapeConfig) -> usize {
         _ => hidden_width(input, output) * (input + output),
     };
     net(POSE_FEATURE, config.pose_embedding, config.pose_layers)
-        + net(OUTFITS, config.outfit_embedding, config.outfit_layers)
+        + net(config.outfits.len(), config.outfit_embedding, config.outfit_layers)
 }
 
 /// Multiply-adds of the decoder per batch.

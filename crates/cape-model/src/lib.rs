@@ -30,11 +30,13 @@
 //! };
 //!
 //! let model = Cape::new(&config, &graphs, 1, &device)?;
-//! let outfits = [Outfit::ShortLong.one_hot(), Outfit::LongLong.one_hot()];
+//! let outfits = [Outfit::SHORT_LONG, Outfit::LONG_LONG].map(|outfit| config.outfits.one_hot(outfit));
+//! let [a, b] = outfits;
+//! let outfits = [a?, b?].concat();
 //! let clothes = model.generator.decode(
 //!     Tensor::zeros([2, 6], &device),
 //!     Tensor::zeros([2, 126], &device),
-//!     Tensor::from_floats(outfits, &device),
+//!     Tensor::<1>::from_floats(&outfits[..], &device).reshape([2, 4]),
 //!     &graphs,
 //! );
 //! assert_eq!(clothes.dims(), [2, 6890, 3]);
@@ -58,8 +60,7 @@ pub mod weights;
 
 pub use condition::{ConditionNet, ConditionNets};
 pub use config::{
-    CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, LEAKY_SLOPE, OUTFITS,
-    POSE_FEATURE,
+    CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, LEAKY_SLOPE, POSE_FEATURE,
 };
 pub use cost::update_flops;
 pub use decoder::{Decoder, DecoderLayer};

@@ -118,7 +118,7 @@ impl Cape {
 
 impl Generator {
     /// Decodes latent codes `z: [batch, latent]` with `pose_feature: [batch, 126]` and
-    /// `outfit: [batch, 4]` into normalised displacements `[batch, vertices, 3]`.
+    /// `outfit: [batch, outfits]` into normalised displacements `[batch, vertices, 3]`.
     pub fn decode(
         &self,
         z: Tensor<2>,

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::{
     Motion, MotionStyle, Wardrobe,
-    wardrobe::{FittedOutfit, mix_seed},
+    wardrobe::{FittedOutfit, GarmentLengths, mix_seed},
 };
 use crate::{Error, Result};
 use cape_core::{
@@ -28,7 +28,7 @@ use cape_core::{
 ///
 /// let spec = SynthSpec {
 ///     subjects: 2,
-///     outfits: vec![Outfit::ShortLong],
+///     outfits: vec![Outfit::SHORT_LONG],
 ///     motions: vec![Motion::Squats, Motion::Soccer],
 ///     ..SynthSpec::default()
 /// };
@@ -59,7 +59,7 @@ impl Default for SynthSpec {
             frames_per_sequence: 60,
             seed: 1,
             frame_rate: 15.0,
-            outfits: Outfit::ALL.to_vec(),
+            outfits: Outfit::PAPER.to_vec(),
             motions: Motion::ALL.to_vec(),
         }
     }
@@ -106,6 +106,9 @@ impl SynthSpec {
                 self.frames_per_sequence
             )));
         }
+        for &outfit in &self.outfits {
+            GarmentLengths::from_outfit(outfit)?;
+        }
         if !(self.frame_rate.is_finite() && self.frame_rate > 0.0) {
             return Err(Error::Argument(format!(
                 "frame rate {}: expected a positive number",
@@ -122,7 +125,7 @@ impl SynthSpec {
 /// use cape_core::Outfit;
 /// use cape_synth::{Motion, SynthSequence};
 ///
-/// let sequence = SynthSequence { subject: 0, outfit: Outfit::LongLong, motion: Motion::Hips };
+/// let sequence = SynthSequence { subject: 0, outfit: Outfit::LONG_LONG, motion: Motion::Hips };
 /// assert_eq!(sequence.name(), "longlong_hips");
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -239,10 +242,10 @@ impl<'a> CaptureGenerator<'a> {
     /// Prepares the generation of a sequence.
     pub fn prepare(&self, sequence: SynthSequence) -> Result<SequenceGenerator> {
         let SynthSequence { subject, outfit, motion } = sequence;
-        let path = [4, subject as u64, outfit.index() as u64, motion as u64];
+        let path = [4, subject as u64, outfit.stream(), motion as u64];
         let style =
             MotionStyle::random(&mut ChaCha8Rng::seed_from_u64(mix_seed(self.spec.seed, &path)));
-        let garment = self.wardrobe.outfit_style(subject, outfit, motion as usize);
+        let garment = self.wardrobe.outfit_style(subject, outfit, motion as usize)?;
         Ok(SequenceGenerator {
             sequence,
             style,

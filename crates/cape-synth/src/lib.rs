@@ -12,7 +12,7 @@
 //!
 //! let body = synthetic_body();
 //! let wardrobe = Wardrobe::new(&body, 7)?;
-//! let fitted = wardrobe.fit(wardrobe.outfit_style(0, Outfit::ShortLong, 0));
+//! let fitted = wardrobe.fit(wardrobe.outfit_style(0, Outfit::SHORT_LONG, 0)?);
 //! let pose = [0.0; 72];
 //! let displacement = wardrobe.displacement(&fitted, &pose, 0.0, None)?;
 //! let clothed = body.pose(&[1.0, -0.5], &pose, [0.0; 3], Some(&displacement))?;
@@ -32,4 +32,4 @@ pub use cape_core::{Error, Result};
 pub use body::{FACES as BODY_FACES, VERTICES as BODY_VERTICES, synthetic_body};
 pub use dataset::{CaptureGenerator, SequenceGenerator, SynthFrame, SynthSequence, SynthSpec};
 pub use motion::{Motion, MotionStyle};
-pub use wardrobe::{FittedOutfit, OutfitStyle, Wardrobe};
+pub use wardrobe::{FittedOutfit, GarmentLengths, OutfitStyle, Wardrobe};

@@ -7,7 +7,8 @@ use cape_core::{
     npy::{Npz, read_f64, read_i64},
 };
 use cape_synth::{
-    CaptureGenerator, Motion, MotionStyle, SynthSequence, SynthSpec, Wardrobe, synthetic_body,
+    CaptureGenerator, GarmentLengths, Motion, MotionStyle, SynthSequence, SynthSpec, Wardrobe,
+    synthetic_body,
 };
 use ndarray::{Array1, Array2, Axis, s};
 use rayon::prelude::*;
@@ -159,8 +160,8 @@ fn head_hands_and_feet_are_bare() {
         let dressed = clothing.iter().filter(|&&vertex| bound[vertex] > 0.9).count();
         assert_eq!(dressed, 0, "{joint}");
     }
-    for outfit in Outfit::ALL {
-        let fitting = wardrobe.fit(wardrobe.outfit_style(0, outfit, 3));
+    for outfit in Outfit::PAPER {
+        let fitting = wardrobe.fit(wardrobe.outfit_style(0, outfit, 3).unwrap());
         let pose = Motion::PoseModel.pose(&MotionStyle::default(), 2.0);
         let displacement = wardrobe.displacement(&fitting, &pose, 2.0, None).unwrap();
         let coverage = fitting.coverage();
@@ -177,7 +178,7 @@ fn head_hands_and_feet_are_bare() {
 fn sleeves_and_legs_are_as_long_as_the_outfit_says() {
     let wardrobe = Wardrobe::new(body(), 2).unwrap();
     let part = |joints: [usize; 2], garment: usize, outfit: Outfit, sequence: usize| {
-        let coverage = wardrobe.fit(wardrobe.outfit_style(1, outfit, sequence)).coverage();
+        let coverage = wardrobe.fit(wardrobe.outfit_style(1, outfit, sequence).unwrap()).coverage();
         let bound = joints.map(|joint| body().weights.column(joint));
         let (mut all, mut covered) = (0, 0);
         for vertex in wardrobe.clothing_vertices() {
@@ -188,14 +189,15 @@ fn sleeves_and_legs_are_as_long_as_the_outfit_says() {
         }
         covered as f64 / f64::from(all)
     };
-    for outfit in Outfit::ALL {
+    for outfit in Outfit::PAPER {
+        let lengths = GarmentLengths::from_outfit(outfit).unwrap();
         for sequence in 0..10 {
             let forearms = part([18, 19], 0, outfit, sequence);
-            assert_eq!(forearms > 0.6, outfit.long_sleeves(), "{outfit}: {forearms}");
-            assert!(outfit.long_sleeves() || forearms < 0.1, "{outfit}: {forearms}");
+            assert_eq!(forearms > 0.6, lengths.long_sleeves, "{outfit}: {forearms}");
+            assert!(lengths.long_sleeves || forearms < 0.1, "{outfit}: {forearms}");
             let shins = part([4, 5], 1, outfit, sequence);
-            assert_eq!(shins > 0.6, outfit.long_legs(), "{outfit}: {shins}");
-            assert!(outfit.long_legs() || shins < 0.25, "{outfit}: {shins}");
+            assert_eq!(shins > 0.6, lengths.long_legs, "{outfit}: {shins}");
+            assert!(lengths.long_legs || shins < 0.25, "{outfit}: {shins}");
         }
     }
 }
@@ -203,7 +205,7 @@ fn sleeves_and_legs_are_as_long_as_the_outfit_says() {
 #[test]
 fn hems_are_steps_within_one_edge() {
     let wardrobe = Wardrobe::new(body(), 9).unwrap();
-    let fitting = wardrobe.fit(wardrobe.outfit_style(0, Outfit::ShortShort, 0));
+    let fitting = wardrobe.fit(wardrobe.outfit_style(0, Outfit::SHORT_SHORT, 0).unwrap());
     let displacement = wardrobe.displacement(&fitting, &[0.0; 72], 0.0, None).unwrap();
     let dressed: Vec<bool> = fitting.coverage().iter().map(|c| *c != [false; 2]).collect();
     let length = |v: usize| displacement.row(v).dot(&displacement.row(v)).sqrt();
@@ -225,7 +227,7 @@ fn hems_are_steps_within_one_edge() {
 fn garments_last_a_sequence_and_are_not_a_function_of_the_pose() {
     let wardrobe = Wardrobe::new(body(), 4).unwrap();
     let wear = |sequence: usize, motion: Motion, noise: Option<u64>| {
-        let fitting = wardrobe.fit(wardrobe.outfit_style(0, Outfit::LongLong, sequence));
+        let fitting = wardrobe.fit(wardrobe.outfit_style(0, Outfit::LONG_LONG, sequence).unwrap());
         let pose = motion.pose(&MotionStyle::default(), 1.0);
         wardrobe.displacement(&fitting, &pose, 0.0, noise).unwrap()
     };
@@ -248,7 +250,7 @@ fn files_follow_the_release_whatever_the_number_of_threads() {
     let spec = SynthSpec {
         subjects: 1,
         frames_per_sequence: 3,
-        outfits: vec![Outfit::LongShort],
+        outfits: vec![Outfit::LONG_SHORT],
         motions: vec![Motion::Squats, Motion::Soccer],
         ..SynthSpec::default()
     };
@@ -284,7 +286,7 @@ fn files_follow_the_release_whatever_the_number_of_threads() {
     let (cano, posed) = (get(&mut frame, "v_cano"), get(&mut frame, "v_posed"));
     let pose = frame.f64("pose").unwrap();
     let transl = frame.f64("transl").unwrap();
-    let take = SynthSequence { subject: 0, outfit: Outfit::LongShort, motion: Motion::Squats };
+    let take = SynthSequence { subject: 0, outfit: Outfit::LONG_SHORT, motion: Motion::Squats };
     let session = synth.prepare(take).unwrap();
     let displacement = synth.displacement(&session, 1).unwrap();
     assert!(distance(&(&cano - &minimal), &displacement) < 1e-4);
@@ -304,7 +306,7 @@ fn unusable_requests_are_errors() {
     assert!(message(SynthSpec { frames_per_sequence: 0, ..spec() }).contains("frames"));
     assert!(message(SynthSpec { frame_rate: f64::NAN, ..spec() }).contains("rate"));
     let wardrobe = Wardrobe::new(body(), 1).unwrap();
-    let fitting = wardrobe.fit(wardrobe.outfit_style(0, Outfit::LongLong, 0));
+    let fitting = wardrobe.fit(wardrobe.outfit_style(0, Outfit::LONG_LONG, 0).unwrap());
     let failed = wardrobe.displacement(&fitting, &[0.0; 71], 0.0, None).unwrap_err();
     assert!(failed.to_string().contains("71"));
     let mut short = body().clone();

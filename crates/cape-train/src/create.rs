@@ -3,13 +3,15 @@
 use std::{fs, path::Path};
 
 use cape_data::{DisplacementStatistics, PackedSet, Split};
-use cape_infer::{DataIdentity, RunPaths, body_and_clothing, write_json};
+use cape_infer::{DataIdentity, RunConfig, RunPaths, body_and_clothing, write_json};
 
 use crate::{Error, Result, TrainerOptions};
 
 /// Creates the directory of a run with its configuration, displacement statistics, body and
 /// clothing vertices: everything that sampling from the run needs.
-pub(crate) fn create(root: &Path, options: &TrainerOptions) -> Result<RunPaths> {
+///
+/// Returns its paths and configuration, with the outfits of the set.
+pub(crate) fn create(root: &Path, options: &TrainerOptions) -> Result<(RunPaths, RunConfig)> {
     let TrainerOptions { data, body, clothing, config } = options;
     config.validate()?;
     if fs::read_dir(root).is_ok_and(|mut entries| entries.next().is_some()) {
@@ -19,6 +21,8 @@ pub(crate) fn create(root: &Path, options: &TrainerOptions) -> Result<RunPaths> 
         )));
     }
     let set = PackedSet::open(data, Split::Train)?;
+    let config = config.clone().with_outfits_of(&set);
+    let set = set.with_vocabulary(&config.model.outfits)?;
     let statistics = DisplacementStatistics::from_packed(data, &mut cape_core::silent)?;
     let (model, mask) = body_and_clothing(data, &set, body.as_deref(), clothing.as_deref())?;
 
@@ -31,5 +35,5 @@ pub(crate) fn create(root: &Path, options: &TrainerOptions) -> Result<RunPaths> 
         DataIdentity { path: data.clone(), frames: set.frames(), vertices: set.vertices() };
     write_json(&paths.data(), &identity)?;
     config.save(&paths.config())?;
-    Ok(paths)
+    Ok((paths, config))
 }

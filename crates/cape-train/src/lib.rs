@@ -26,7 +26,7 @@
 //! let spec = SynthSpec {
 //!     subjects: 1,
 //!     frames_per_sequence: 4,
-//!     outfits: vec![Outfit::LongLong],
+//!     outfits: vec![Outfit::LONG_LONG],
 //!     motions: vec![Motion::Squats],
 //!     ..SynthSpec::default()
 //! };
@@ -34,9 +34,9 @@
 //!     subjects: spec.subject_names(),
 //!     outfits: spec.outfits.clone(),
 //!     cut: 0,
-//!     sample_rate: 1,
 //!     train: SequenceList { sequences: vec!["squats".into()], exclude: Vec::new() },
 //!     test: SequenceList::default(),
+//!     ..SplitSpec::default()
 //! };
 //! CaptureGenerator::new(&synthetic_body(), spec)?.write(&raw, &mut silent)?;
 //! pack(&raw, &packed, &split, PackOptions::default(), &mut silent)?;
@@ -56,7 +56,7 @@
 //! assert!(trainer.run(&mut |_| ControlFlow::Continue(()))?.finished);
 //!
 //! let run = Run::open(&run, &device)?;
-//! let body = BodySpec { betas: vec![1.0], pose: [0.0; 72], outfit: Outfit::LongLong };
+//! let body = BodySpec { betas: vec![1.0], pose: [0.0; 72], outfit: Outfit::LONG_LONG };
 //! let dressed = run.dress(&run.sample_codes(1, 7), &[body])?;
 //! assert_eq!(dressed[0].vertices.len(), 6890);
 //! # Ok::<(), Box<dyn std::error::Error>>(())

@@ -103,7 +103,7 @@ impl VaryArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         self.output.require_empty()?;
         let run = self.run.open(global)?;
-        let outfit = self.outfit.outfit;
+        let outfit = self.outfit.of(&run)?;
         let draw = LatentSampler { run: &run, drawn: self.drawn, outfit, console };
         let (mut cells, columns) = self.cells(&draw, global.seed())?;
         if !self.no_meshes {
@@ -144,7 +144,7 @@ impl VaryArgs {
         let fixed = VariationCell {
             label: String::new(),
             file: None,
-            outfit: self.outfit.outfit,
+            outfit: draw.outfit,
             betas: self.shape.betas(draw.run.body())?,
             pose: pose.to_vec(),
             code: Vec::new(),
@@ -173,12 +173,12 @@ impl VaryArgs {
             }
             VariationKind::Outfit => {
                 for (_, code) in self.rows_of_codes(draw, self.rows, seed)? {
-                    cells.extend(Outfit::ALL.map(|outfit| {
+                    cells.extend(draw.run.outfits().iter().map(|&outfit| {
                         let label = outfit.name().to_owned();
                         VariationCell { label, code: code.clone(), outfit, ..fixed.clone() }
                     }));
                 }
-                return Ok((cells, Outfit::ALL.len()));
+                return Ok((cells, draw.run.outfits().len()));
             }
             VariationKind::Shape => {
                 for (_, code) in self.rows_of_codes(draw, self.rows, seed)? {

@@ -154,7 +154,7 @@ fn frame(body: &SmplModel, outfit: Outfit, sequence: usize, number: usize) -> Ra
     let pose = pose_of(number + 10 * sequence);
     let displacement = Array2::from_shape_fn((VERTICES, 3), |(vertex, axis)| {
         let phase = vertex as f64 * 0.4 + sequence as f64 + axis as f64;
-        0.01 * phase.sin() * pose[3 + axis] + 0.004 * outfit.index() as f64
+        0.01 * phase.sin() * pose[3 + axis] + 0.004 * outfit.stream() as f64
     });
     let v_cano = &body.v_template + &displacement;
     RawFrame { v_posed: v_cano.clone(), v_cano, pose, transl: [0.0; 3] }
@@ -167,11 +167,10 @@ pub(crate) fn split() -> SplitSpec {
     };
     SplitSpec {
         subjects: vec!["ann".into()],
-        outfits: Outfit::ALL.to_vec(),
-        cut: 2,
-        sample_rate: 1,
+        outfits: Outfit::PAPER.to_vec(),
         train: sequences(&["walk", "turn"]),
         test: sequences(&["jump"]),
+        ..SplitSpec::default()
     }
 }
 
@@ -183,7 +182,7 @@ pub(crate) fn write_raw(root: &Path, frames: usize) {
     let clothing = Array1::from_iter((2 * SIDES..9 * SIDES).map(|vertex| vertex as i64));
     write_npy(root.join("clothing_verts_idx.npy"), &clothing).unwrap();
     raw::write_minimal(root, "ann", &body.v_template).unwrap();
-    for outfit in Outfit::ALL {
+    for outfit in Outfit::PAPER {
         for (index, sequence) in ["walk", "turn", "jump"].into_iter().enumerate() {
             for number in 0..frames {
                 let frame = frame(&body, outfit, index, number);

@@ -114,11 +114,10 @@ impl Sandbox {
     fn captures(&self) {
         let split = SplitSpec {
             subjects: vec!["s0001".into()],
-            outfits: Outfit::ALL.to_vec(),
-            cut: 2,
-            sample_rate: 1,
+            outfits: Outfit::PAPER.to_vec(),
             train: sequences(&["walk", "squats"]),
             test: sequences(&["jump"]),
+            ..SplitSpec::default()
         };
         write_raw(&self.at("raw"), &split, FRAMES);
         let male = SplitSpec::preset("male").unwrap();
@@ -285,7 +284,7 @@ fn frame(body: &SmplModel, outfit: Outfit, moment: usize) -> RawFrame {
     let pose = pose_of(moment);
     let displacement = Array2::from_shape_fn((VERTICES, 3), |(vertex, axis)| {
         let phase = vertex as f64 * 0.4 + axis as f64;
-        0.01 * phase.sin() * pose[3 + axis] + 0.004 * outfit.index() as f64
+        0.01 * phase.sin() * pose[3 + axis] + 0.004 * outfit.stream() as f64
     });
     let v_cano = &body.v_template + &displacement;
     let posed = body.pose(&[], &pose, [0.0; 3], Some(&displacement)).unwrap().vertices;

@@ -2,6 +2,8 @@
 
 use std::{fmt, io::Read};
 
+use super::element::{NpyElement, ReadError, read_elements};
+
 /// Longest accepted header, bytes; the limit of NumPy is 10,000.
 const MAX_HEADER: usize = 1 << 16;
 /// Largest accepted number of axes, that of NumPy 2.
@@ -139,6 +141,10 @@ impl fmt::Display for NpyType {
 /// assert_eq!(header.dtype.kind, NpyKind::Float);
 /// assert_eq!(header.shape, [10, 3]);
 /// assert_eq!(header.elements_and_bytes(), Some((30, 120)));
+///
+/// let bytes = std::fs::read(&path)?;
+/// let row = header.decode::<f64>(&bytes[header.data_offset..][..12])?;
+/// assert_eq!(row, [0.0; 3]);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -160,6 +166,18 @@ impl NpyHeader {
         let bytes = elements.checked_mul(self.dtype.size)?;
         isize::try_from(bytes.max(elements.checked_mul(8)?)).ok()?;
         Some((elements, bytes))
+    }
+
+    /// Numbers of `bytes`, which are consecutive elements of the array, in the order of the file.
+    ///
+    /// # Errors
+    /// If the elements are not numbers, or one does not fit `T`; the message has the reason.
+    pub fn decode<T: NpyElement>(&self, bytes: &[u8]) -> Result<Vec<T>, String> {
+        let elements = bytes.len() / self.dtype.size.max(1);
+        read_elements(self, elements, &mut &*bytes).map_err(|failed| match failed {
+            ReadError::Io(source) => source.to_string(),
+            ReadError::Content(message) => message,
+        })
     }
 
     /// Reads a header and leaves `reader` at the first element.

@@ -50,6 +50,7 @@ pub struct Workload {
     learner: Learner,
     input: StepInput,
     latent: usize,
+    outfits: usize,
     seed: u64,
     device: Device,
 }
@@ -86,12 +87,14 @@ impl Workload {
         let learner = Learner::new(run, graphs, &device)?;
         let epsilon = from_array2(normal(seed, 0, batch, config.latent), &device);
         let vertices = learner.graphs().generator.vertices()[0];
+        let outfits = config.outfits.len();
+        let shape = [batch, vertices, outfits];
         let input = StepInput {
-            frames: frames(batch, vertices, seed, 1, &device),
+            frames: frames(shape, seed, 1, &device),
             epsilon: config.variational.then_some(epsilon),
-            real: config.discriminator.is_some().then(|| frames(batch, vertices, seed, 3, &device)),
+            real: config.discriminator.is_some().then(|| frames(shape, seed, 3, &device)),
         };
-        Ok(Self { learner, latent: config.latent, input, seed, device })
+        Ok(Self { learner, latent: config.latent, outfits, input, seed, device })
     }
 
     /// Mesh pyramids and edge operator of the model.
@@ -116,7 +119,12 @@ impl Workload {
             generator: model.generator.valid(),
             discriminator: model.discriminator.as_ref().map(Module::valid),
             graphs: graphs.clone(),
-            frames: frames(batch, graphs.generator.vertices()[0], self.seed, 5, &device),
+            frames: frames(
+                [batch, graphs.generator.vertices()[0], self.outfits],
+                self.seed,
+                5,
+                &device,
+            ),
             code: from_array2(normal(self.seed, 7, batch, self.latent), &device),
             device,
         }
@@ -165,13 +173,14 @@ impl InferenceWorkload {
     }
 }
 
-/// Random frames from two streams of the seed.
-fn frames(batch: usize, vertices: usize, seed: u64, stream: u64, device: &Device) -> DeviceBatch {
+/// Random frames `[batch, vertices, outfits]` from two streams of the seed.
+fn frames(shape: [usize; 3], seed: u64, stream: u64, device: &Device) -> DeviceBatch {
+    let [batch, vertices, outfits] = shape;
     let displacement = from_array2(normal(seed, stream, batch, vertices * 3), device);
     DeviceBatch {
         displacement: displacement.reshape([batch, vertices, 3]),
         pose_feature: from_array2(normal(seed, stream + 1, batch, POSE_FEATURE), device),
-        outfit: Tensor::ones([batch, 4], device) * 0.25,
+        outfit: Tensor::ones([batch, outfits], device) / outfits as f32,
     }
 }
 

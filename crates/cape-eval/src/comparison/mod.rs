@@ -2,7 +2,8 @@
 //!
 //! [`measure_run`] measures the reconstructions of a trained run, [`RunErrorMeter`] those of any
 //! method. A [`ComparisonTable`] has the results of all methods, with confidence intervals and
-//! tests that account for the dependence between frames of one capture.
+//! tests that account for the dependence between frames of one capture; where captures are unknown,
+//! it has none.
 
 mod runs;
 mod table;
@@ -40,8 +41,8 @@ pub struct RunErrors {
     pub mean: GroupedSummary,
     /// Surface detail of reconstructions from the mean of the posterior.
     pub detail: SurfaceDetail,
-    /// Mean sampled error of every test frame, millimetres, by capture.
-    captures: Vec<(String, Vec<f32>)>,
+    /// Mean sampled error of every test frame, millimetres, by capture if captures are known.
+    captures: Vec<(Option<String>, Vec<f32>)>,
     /// Mean sampled error at every vertex, `[V]`, millimetres.
     pub vertex_means: Vec<f32>,
     /// Histogram of the sampled errors at all clothing vertices of all frames.
@@ -108,7 +109,7 @@ impl RunErrorMeter {
 
     /// Errors of the frames so far.
     pub fn errors(&self) -> RunErrors {
-        let mut captures: Vec<(String, Vec<f32>)> = Vec::new();
+        let mut captures: Vec<(Option<String>, Vec<f32>)> = Vec::new();
         for frame in self.sampled.frames() {
             match captures.last_mut() {
                 Some((last, errors)) if *last == frame.capture => errors.push(frame.mean as f32),

@@ -43,7 +43,7 @@ use cape_stats::errors::{GroupedSummary, Histogram};
 ///     seconds: 1.0,
 /// };
 /// let table = ComparisonTable::new(&[method("Exact", &exact), method("Near", &near)], Some(0));
-/// assert_eq!((table.frames, table.captures, table.vertices), (4, 1, 3));
+/// assert_eq!((table.frames, table.captures, table.vertices), (4, Some(1), 3));
 /// assert!((table.lines[1].mean - 1.0).abs() < 1e-3);
 /// assert!(table.markdown().contains("Near"));
 /// # Ok(())
@@ -57,8 +57,9 @@ pub struct ComparisonTable {
     pub reference: Option<String>,
     /// Number of test frames.
     pub frames: usize,
-    /// Number of captures of the test frames, the units of confidence intervals and tests.
-    pub captures: usize,
+    /// Number of captures of the test frames, the units of confidence intervals and tests; `None` if
+    /// the packed set does not tell the captures.
+    pub captures: Option<usize>,
     /// Number of clothing vertices, at which errors are measured.
     pub vertices: usize,
 }
@@ -83,13 +84,15 @@ pub struct ComparisonRow {
     pub median: f64,
     /// Standard deviation of the mean error between seeds, millimetres; `None` for one seed.
     pub between_seeds: Option<f64>,
-    /// 95 % confidence interval of the mean error, by bootstrap over captures.
+    /// 95 % confidence interval of the mean error, by bootstrap over captures; `None` if they are
+    /// unknown or fewer than two.
     pub interval: Option<ConfidenceInterval>,
     /// Mean error of reconstructions from the mean of the posterior, millimetres.
     pub posterior_mean: f64,
     /// Surface detail.
     pub detail: SurfaceDetail,
-    /// Mean error minus that of the reference, millimetres, and the p-value of the difference.
+    /// Mean error minus that of the reference, millimetres, and the p-value of the difference, if
+    /// captures are known.
     pub against: Option<(f64, Option<f64>)>,
     /// Training time of all seeds together, seconds.
     pub seconds: f64,
@@ -117,8 +120,8 @@ impl ComparisonTable {
             })
             .collect();
         let first = methods.iter().find_map(|method| method.results.first());
-        let frames = first.map_or(0, |r| r.captures.iter().map(|(_, errors)| errors.len()).sum());
-        let captures = first.map_or(0, |result| result.clusters().len());
+        let frames = first.map_or(0, |result| result.frames());
+        let captures = first.map_or(Some(0), |result| result.clusters().map(|found| found.len()));
         let errors = first.map_or(0, |result| result.sampled.overall.count as usize);
         let vertices = errors.checked_div(frames).unwrap_or(0);
         let reference = reference.map(|method| method.name.clone());
@@ -127,27 +130,56 @@ impl ComparisonTable {
 }
 
 impl RunErrors {
-    fn clusters(&self) -> Vec<(String, Cluster)> {
-        let frames = self.captures.iter().flat_map(|(capture, errors)| {
-            errors.iter().map(move |&error| (capture.as_str(), f64::from(error)))
-        });
-        let found = clusters(frames);
-        found.into_iter().map(|(capture, cluster)| (capture.to_owned(), cluster)).collect()
+    /// Number of test frames.
+    fn frames(&self) -> usize {
+        self.captures.iter().map(|(_, errors)| errors.len()).sum()
+    }
+
+    /// Errors summed by capture; `None` if the captures are unknown.
+    fn clusters(&self) -> Option<Vec<(String, Cluster)>> {
+        let mut frames = Vec::with_capacity(self.frames());
+        for (capture, errors) in &self.captures {
+            let capture = capture.as_deref()?;
+            frames.extend(errors.iter().map(|&error| (capture, f64::from(error))));
+        }
+        let found = clusters(frames.into_iter()).into_iter();
+        Some(found.map(|(capture, cluster)| (capture.to_owned(), cluster)).collect())
     }
 }
 
-/// Clusters averaged over seeds.
-fn averaged(results: &[&RunErrors]) -> Vec<Cluster> {
+/// Clusters averaged over seeds; `None` if the captures are unknown.
+fn averaged(results: &[&RunErrors]) -> Option<Vec<Cluster>> {
     let mut sum: Vec<Cluster> = Vec::new();
     for result in results {
-        let own = result.clusters();
+        let own = result.clusters()?;
         sum.resize(own.len(), Cluster::default());
         for (sum, (_, own)) in sum.iter_mut().zip(&own) {
             sum.sum += own.sum / results.len() as f64;
             sum.count = own.count;
         }
     }
-    sum
+    Some(sum)
+}
+
+/// Difference of the mean errors of two methods on the same frames, and its p-value if the captures
+/// are known; `None` if the frames differ.
+fn difference(own: &[&RunErrors], reference: &[&RunErrors]) -> Option<(f64, Option<f64>)> {
+    let (ours, theirs) = (own.first()?, reference.first()?);
+    let names = |result: &RunErrors| -> Option<Vec<String>> {
+        Some(result.clusters()?.into_iter().map(|(name, _)| name).collect())
+    };
+    if ours.frames() != theirs.frames() || names(ours) != names(theirs) {
+        return None;
+    }
+    let (Some(ours), Some(theirs)) = (averaged(own), averaged(reference)) else {
+        let mean = |results: &[&RunErrors]| {
+            mean_of(results.iter().map(|result| result.sampled.overall.mean))
+        };
+        return Some((mean(own) - mean(reference), None));
+    };
+    let differences: Vec<f64> = ours.iter().zip(&theirs).map(|(a, b)| a.sum - b.sum).collect();
+    let count: f64 = ours.iter().map(|cluster| cluster.count).sum();
+    Some((differences.iter().sum::<f64>() / count, sign_flip_test(&differences)))
 }
 
 fn mean_of(values: impl Iterator<Item = f64>) -> f64 {
@@ -163,18 +195,6 @@ impl ComparisonRow {
         let between_seeds = (results.len() > 1).then(|| {
             let squares = results.iter().map(|r| (r.sampled.overall.mean - mean).powi(2));
             (squares.sum::<f64>() / (results.len() - 1) as f64).sqrt()
-        });
-        let own = averaged(results);
-        let names = |result: &RunErrors| -> Vec<String> {
-            result.clusters().into_iter().map(|(name, _)| name).collect()
-        };
-        let comparable = reference.first().is_some_and(|other| names(other) == names(results[0]));
-        let against = comparable.then(|| {
-            let theirs = averaged(reference);
-            let differences: Vec<f64> =
-                own.iter().zip(&theirs).map(|(a, b)| a.sum - b.sum).collect();
-            let count: f64 = own.iter().map(|cluster| cluster.count).sum();
-            (differences.iter().sum::<f64>() / count, sign_flip_test(&differences))
         });
         let by = |of: &dyn Fn(&GroupedSummary) -> Vec<(String, f64)>| -> Vec<(String, f64)> {
             let names = of(&results[0].sampled);
@@ -201,14 +221,14 @@ impl ComparisonRow {
             std: over(&|r| r.sampled.overall.std),
             median: over(&|r| r.sampled.overall.median),
             between_seeds,
-            interval: mean_interval(&own),
+            interval: averaged(results).and_then(|own| mean_interval(&own)),
             posterior_mean: over(&|r| r.mean.overall.mean),
             detail: SurfaceDetail {
                 edge_mm: over(&|r| r.detail.edge_mm),
                 normal_degrees: over(&|r| r.detail.normal_degrees),
                 high_energy: over(&|r| r.detail.high_energy),
             },
-            against,
+            against: difference(results, reference),
             seconds: method.seconds,
             outfits: by(&|s| s.outfits.iter().map(|(k, v)| (k.to_string(), v.mean)).collect()),
             sequences: by(&|s| s.sequences.iter().map(|(k, v)| (k.clone(), v.mean)).collect()),
@@ -227,10 +247,10 @@ mod tests {
     /// Results with one error per frame and capture.
     fn measured(frames: &[(&str, f32)]) -> RunErrors {
         let mut errors = GroupedErrors::new();
-        let mut captures: Vec<(String, Vec<f32>)> = Vec::new();
+        let mut captures = Vec::new();
         for &(capture, error) in frames {
-            errors.push(Outfit::LongLong, Some(capture), &[error]);
-            captures.push((capture.to_owned(), vec![error]));
+            errors.push(Outfit::LONG_LONG, Some(capture), &[error]);
+            captures.push((Some(capture.to_owned()), vec![error]));
         }
         RunErrors {
             sampled: errors.summary(),
@@ -254,7 +274,7 @@ mod tests {
         let elsewhere = measured(&[("c", 2.0)]);
         let methods = [method("x", &[&two]), method("y", &[&one]), method("z", &[&elsewhere])];
         let table = ComparisonTable::new(&methods, Some(1));
-        assert_eq!((table.frames, table.captures, table.vertices), (3, 2, 1));
+        assert_eq!((table.frames, table.captures, table.vertices), (3, Some(2), 1));
         assert_eq!(table.reference.as_deref(), Some("y"));
         let [x, y, z] = &table.lines[..] else { panic!("{table:?}") };
         assert_eq!(x.against, Some((1.0, Some(0.5))));
@@ -262,6 +282,26 @@ mod tests {
         assert!(
             ComparisonTable::new(&methods, None).lines.iter().all(|line| line.against.is_none())
         );
+    }
+
+    #[test]
+    fn unknown_captures_give_no_intervals_and_tests() {
+        let unknown = |errors: &[f32]| {
+            let frames: Vec<(&str, f32)> = errors.iter().map(|&error| ("", error)).collect();
+            let mut measured = measured(&frames);
+            measured.captures = vec![(None, errors.to_vec())];
+            measured
+        };
+        let (one, two, short) = (unknown(&[1.0, 3.0]), unknown(&[2.0, 5.0]), unknown(&[2.0]));
+        let methods = [method("x", &[&two]), method("y", &[&one]), method("z", &[&short])];
+        let table = ComparisonTable::new(&methods, Some(1));
+        assert_eq!((table.frames, table.captures), (2, None));
+        assert_eq!(table.lines[0].against, Some((1.5, None)));
+        assert_eq!(table.lines[2].against, None, "another number of frames");
+        assert!(table.lines.iter().all(|line| line.interval.is_none()));
+        let caption = table.caption();
+        assert!(caption.contains("captures of the frames are unknown"), "{caption}");
+        assert!(!caption.contains("bootstrap"), "{caption}");
     }
 
     #[test]

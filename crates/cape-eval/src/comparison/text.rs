@@ -63,14 +63,23 @@ impl ComparisonTable {
 
     /// Caption of the table.
     pub fn caption(&self) -> String {
+        let dependence = match self.captures {
+            Some(captures) => format!(
+                "Confidence intervals by bootstrap and p-values by sign changes over {captures} \
+                 captures, because frames of one capture are not independent."
+            ),
+            None => "The captures of the frames are unknown, because the packed set has no \
+                     test_frames.csv; therefore there are no confidence intervals, p-values and errors \
+                     by sequence."
+                .to_owned(),
+        };
         format!(
             "Euclidean errors at the {} clothing vertices of {} test frames, millimetres, of \
              reconstructions from a sample of the posterior (columns 2 to 4) and from its mean \
-             (posterior mean). Confidence intervals by bootstrap and p-values by sign changes over {} \
-             captures, because frames of one capture are not independent. Edges, normals and fine \
-             energy (ratio of reconstructed to true displacements in the upper half of the spectrum of \
-             the Laplacian; 1 is best) are of the posterior mean.",
-            self.vertices, self.frames, self.captures
+             (posterior mean). {dependence} Edges, normals and fine energy (ratio of reconstructed to \
+             true displacements in the upper half of the spectrum of the Laplacian; 1 is best) are of \
+             the posterior mean.",
+            self.vertices, self.frames
         )
     }
 

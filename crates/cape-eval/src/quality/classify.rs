@@ -4,8 +4,8 @@ use std::{collections::BTreeMap, path::Path};
 
 use cape_core::Outfit;
 
-use crate::{Error, Result};
-use cape_data::{PackedSet, Split};
+use crate::Result;
+use cape_data::Split;
 use cape_infer::Run;
 
 /// Nearest-centroid classifier: mean displacement length at every clothing vertex by outfit, which
@@ -17,13 +17,7 @@ pub(super) struct OutfitCentroids {
 impl OutfitCentroids {
     /// Centroids of at most `frames` training frames, evenly spaced.
     pub(super) fn from_training(run: &Run, data: &Path, frames: usize) -> Result<Self> {
-        let set = PackedSet::open(data, Split::Train)?;
-        let (found, expected) = (set.vertices(), run.body().vertices());
-        if found != expected {
-            return Err(Error::data(format!(
-                "training frames have {found} vertices, but the run's body has {expected}"
-            )));
-        }
+        let set = run.open_set(data, Split::Train)?;
         let rows = run.statistics().training_rows(set.frames());
         let step = rows.len().div_ceil(frames.max(1)).max(1);
         let mut lengths = Vec::new();
@@ -52,8 +46,8 @@ impl OutfitCentroids {
         Self { outfits: means.collect() }
     }
 
-    /// Outfit with the nearest centroid; `points` are displacements of clothing vertices, metres.
-    pub(super) fn classify(&self, points: &[[f32; 3]]) -> Outfit {
+    /// Outfit with the nearest centroid, if there are any; `points` are displacements of clothing vertices, metres.
+    pub(super) fn classify(&self, points: &[[f32; 3]]) -> Option<Outfit> {
         let lengths: Vec<f64> = points
             .iter()
             .map(|point| point.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt())
@@ -62,7 +56,7 @@ impl OutfitCentroids {
             mean.iter().zip(&lengths).map(|(mean, length)| (mean - length).powi(2)).sum()
         };
         let nearest = self.outfits.iter().min_by(|a, b| far(a.1).total_cmp(&far(b.1)));
-        nearest.map_or(Outfit::ALL[0], |(&outfit, _)| outfit)
+        nearest.map(|(&outfit, _)| outfit)
     }
 }
 
@@ -73,13 +67,13 @@ mod tests {
     #[test]
     fn the_nearest_mean_wins() {
         let lengths = [
-            (Outfit::LongLong, vec![2.0, 2.0]),
-            (Outfit::LongLong, vec![2.2, 1.8]),
-            (Outfit::ShortShort, vec![0.0, 1.0]),
+            (Outfit::LONG_LONG, vec![2.0, 2.0]),
+            (Outfit::LONG_LONG, vec![2.2, 1.8]),
+            (Outfit::SHORT_SHORT, vec![0.0, 1.0]),
         ];
         let centroids = OutfitCentroids::new(&lengths);
         let of = |a: f32, b: f32| centroids.classify(&[[a, 0.0, 0.0], [0.0, -b, 0.0]]);
-        assert_eq!(of(2.0, 2.0), Outfit::LongLong);
-        assert_eq!(of(0.1, 1.2), Outfit::ShortShort);
+        assert_eq!(of(2.0, 2.0), Some(Outfit::LONG_LONG));
+        assert_eq!(of(0.1, 1.2), Some(Outfit::SHORT_SHORT));
     }
 }

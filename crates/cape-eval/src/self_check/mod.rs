@@ -80,6 +80,8 @@ impl Fixtures {
     fn open(model: &ModelUnderTest<'_>) -> Result<Self> {
         model.config.validate()?;
         let set = PackedSet::open(model.data, Split::Train)?;
+        let config = model.config.clone().with_outfits_of(&set);
+        let set = set.with_vocabulary(&config.model.outfits)?;
         let statistics = DisplacementStatistics::from_packed(model.data, &mut cape_core::silent)?;
         if statistics.training_rows(set.frames()).is_empty() {
             let message = format!("{}: no training frames", model.data.display());
@@ -96,8 +98,9 @@ impl Fixtures {
     }
 
     fn learner(&self, config: &RunConfig) -> Result<Learner> {
-        let graphs = build_graphs(config, &self.body, &self.device)?;
-        Learner::for_data(config, graphs, &self.statistics, &self.clothing, &self.device)
+        let config = config.clone().with_outfits_of(&self.set);
+        let graphs = build_graphs(&config, &self.body, &self.device)?;
+        Learner::for_data(&config, graphs, &self.statistics, &self.clothing, &self.device)
     }
 
     fn batches(&self, config: &RunConfig) -> Result<StepInputs> {

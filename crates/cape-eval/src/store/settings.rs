@@ -248,10 +248,12 @@ pub fn packed_set_sha256(root: &Path, splits: &[Split]) -> Result<String> {
         }
     };
     for &split in splits {
-        for array in ["disp", "rot", "clo_label"] {
+        for array in ["disp", "clo_label"] {
             add(split.path(root, array), true);
         }
-        add(split.path(root, "pose"), false);
+        for array in ["rot", "pose"] {
+            add(split.path(root, array), false);
+        }
         add(split.path(root, "frames").with_extension("csv"), false);
     }
     if splits.contains(&Split::Train) {

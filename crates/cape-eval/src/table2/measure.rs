@@ -28,10 +28,11 @@ impl Table2Job {
         progress: &mut ProgressFn,
     ) -> Result<RowResult> {
         let start = Instant::now();
-        let set = Arc::new(PackedSet::open(&grid.data, Split::Test)?);
+        let set = PackedSet::open(&grid.data, Split::Test)?;
         let mut frames = FigureFrames::new(&self.shown, set.vertices());
         let measured = if self.row.is_trained() {
             let run = Run::open(self.run_directory(), device)?;
+            let set = Arc::new(set.with_vocabulary(run.outfits())?);
             measure_run(&run, &set, self.seed, progress, &mut |row, predicted, _| {
                 frames.push(row, predicted);
                 Ok(())

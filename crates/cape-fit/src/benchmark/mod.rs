@@ -4,7 +4,10 @@
 mod scene;
 mod summary;
 
-use std::time::Instant;
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::Instant,
+};
 
 use cape_core::Outfit;
 use cape_data::PackedSet;
@@ -62,8 +65,8 @@ pub struct FitError {
 pub struct BenchmarkCase {
     /// Index of the held-out frame.
     pub frame: usize,
-    /// Subject and sequence.
-    pub capture: String,
+    /// Subject and sequence, if known.
+    pub capture: Option<String>,
     /// Outfit.
     pub outfit: Outfit,
     /// Error of the unclothed body of SMPLify.
@@ -113,7 +116,8 @@ pub struct Benchmark<'a> {
     smplify: &'a Smplify,
     config: &'a ClothedConfig,
     options: BenchmarkOptions,
-    bodies: Vec<DressedBody>,
+    /// Bodies in the outfits of the set.
+    bodies: BTreeMap<Outfit, DressedBody>,
 }
 
 impl<'a> Benchmark<'a> {
@@ -135,8 +139,10 @@ impl<'a> Benchmark<'a> {
                 run.body().vertices()
             )));
         }
-        let body = DressedBody::new(run, Outfit::ALL[0])?;
-        let bodies = Outfit::ALL.iter().map(|&outfit| body.with_outfit(outfit)).collect();
+        let worn: BTreeSet<Outfit> = set.outfits().iter().copied().collect();
+        let body = DressedBody::new(run, run.default_outfit())?;
+        let dressed = |outfit| Ok::<_, Error>((outfit, body.with_outfit(outfit)?));
+        let bodies = worn.into_iter().map(dressed).collect::<Result<_>>()?;
         Ok(Self { run, set, smplify, config, options, bodies })
     }
 
@@ -161,7 +167,7 @@ impl<'a> Benchmark<'a> {
     pub fn case(&self, frame: usize) -> Result<BenchmarkCase> {
         let Scene { camera, keypoints, mask, truth } = &self.scene(frame)?;
         let outfit = self.set.outfits()[frame];
-        let dressed = &self.bodies[outfit.index()];
+        let dressed = self.dressed(outfit)?;
         let start = Instant::now();
         let bare = self.smplify.fit(camera, keypoints, None)?;
         let bare_seconds = start.elapsed().as_secs_f64();
@@ -219,9 +225,15 @@ impl<'a> Benchmark<'a> {
         if case.code.is_empty() {
             return Ok([bare.clone(), bare]);
         }
-        let dressed = &self.bodies[case.outfit.index()];
+        let dressed = self.dressed(case.outfit)?;
         let clothed = dressed.surface(&case.clothed_body, &case.code)?;
         Ok([bare, clothed.vertices().to_vec()])
+    }
+
+    fn dressed(&self, outfit: Outfit) -> Result<&DressedBody> {
+        self.bodies.get(&outfit).ok_or_else(|| {
+            Error::argument(format!("benchmark: no frame of the set is in {outfit}"))
+        })
     }
 
     /// Triangles of the body, `[F, 3]`.
@@ -242,8 +254,8 @@ fn spread(outfits: &[Outfit], count: usize) -> Vec<usize> {
     let of_outfit = |outfit: Outfit| -> Vec<usize> {
         (0..outfits.len()).filter(|&at| outfits[at] == outfit).collect()
     };
-    let mut groups: Vec<Vec<usize>> = Outfit::ALL.map(of_outfit).to_vec();
-    groups.retain(|group| !group.is_empty());
+    let worn: BTreeSet<Outfit> = outfits.iter().copied().collect();
+    let mut groups: Vec<Vec<usize>> = worn.into_iter().map(of_outfit).collect();
     // From the smallest group, so that larger ones compensate for missing entries.
     groups.sort_by_key(Vec::len);
     let kinds = groups.len();
@@ -265,12 +277,12 @@ mod tests {
     #[test]
     fn frames_are_spread_over_outfits() {
         // Subjects one after the other, each in four outfits.
-        let outfits: Vec<Outfit> = (0..96).map(|at| Outfit::ALL[at / 3 % 4]).collect();
+        let outfits: Vec<Outfit> = (0..96).map(|at| Outfit::PAPER[at / 3 % 4]).collect();
         for count in [1, 4, 6, 24, 50, 96, 200] {
             let frames = spread(&outfits, count);
             assert_eq!(frames.len(), count.min(96));
             assert!(frames.windows(2).all(|pair| pair[0] < pair[1]), "{frames:?}");
-            for outfit in Outfit::ALL {
+            for outfit in Outfit::PAPER {
                 let worn = frames.iter().filter(|&&frame| outfits[frame] == outfit).count();
                 assert!(worn.abs_diff(frames.len() / 4) <= 1, "{count} {outfit}");
             }
@@ -281,8 +293,8 @@ mod tests {
             captures.len()
         };
         assert_eq!(captures(spread(&outfits, 24)), 24);
-        let mut few = vec![Outfit::ShortLong; 20];
-        few[7] = Outfit::LongLong;
+        let mut few = vec![Outfit::SHORT_LONG; 20];
+        few[7] = Outfit::LONG_LONG;
         assert_eq!(spread(&few, 10).len(), 10);
         assert!(spread(&few, 10).contains(&7));
         assert!(spread(&[], 3).is_empty());

@@ -1,3 +1,5 @@
+use std::collections::BTreeSet;
+
 use cape_core::Outfit;
 use serde::{Deserialize, Serialize};
 
@@ -62,7 +64,7 @@ pub struct OutfitSummary {
 /// let cases = [0, 1, 2].map(|frame| BenchmarkCase {
 ///     frame,
 ///     capture: "anna".into(),
-///     outfit: Outfit::LongLong,
+///     outfit: Outfit::LONG_LONG,
 ///     bare: error(20.0),
 ///     clothed: error(10.0),
 ///     problem: None,
@@ -80,8 +82,8 @@ pub struct OutfitSummary {
 pub struct BenchmarkSummary {
     /// Number of images.
     pub images: usize,
-    /// Number of different captures.
-    pub captures: usize,
+    /// Number of different captures; `None` if they are unknown.
+    pub captures: Option<usize>,
     /// Scores of the unclothed body of SMPLify.
     pub bare: MethodScores,
     /// Scores of the clothed body.
@@ -110,20 +112,20 @@ impl BenchmarkSummary {
         let of_outfit = |outfit| {
             let worn: Vec<&BenchmarkCase> =
                 cases.iter().filter(|case| case.outfit == outfit).collect();
-            (!worn.is_empty()).then(|| OutfitSummary {
+            OutfitSummary {
                 outfit,
                 images: worn.len(),
                 bare: score(&worn, |case| &case.bare),
                 clothed: score(&worn, |case| &case.clothed),
-            })
+            }
         };
-        let mut captures: Vec<&str> = cases.iter().map(|case| case.capture.as_str()).collect();
-        captures.sort_unstable();
-        captures.dedup();
+        let outfits: BTreeSet<Outfit> = cases.iter().map(|case| case.outfit).collect();
+        let captures: Option<BTreeSet<&str>> =
+            cases.iter().map(|case| case.capture.as_deref()).collect();
         let squared = |error: &FitError| error.squared;
         Ok(Self {
             images: cases.len(),
-            captures: captures.len(),
+            captures: captures.map(|captures| captures.len()),
             bare: score(&all, |case| &case.bare),
             clothed: score(&all, |case| &case.clothed),
             squared: compare_paired(&all, seed, squared)?,
@@ -133,7 +135,7 @@ impl BenchmarkSummary {
                 [] => None,
                 trusted => Some(compare_paired(trusted, seed, squared)?),
             },
-            outfits: Outfit::ALL.into_iter().filter_map(of_outfit).collect(),
+            outfits: outfits.into_iter().map(of_outfit).collect(),
         })
     }
 }
@@ -184,8 +186,8 @@ mod tests {
         let body = BodyParameters::new(vec![0.0; 72], Vec::new()).unwrap();
         BenchmarkCase {
             frame,
-            capture: format!("capture {}", frame / 2),
-            outfit: Outfit::ALL[frame % 2],
+            capture: Some(format!("capture {}", frame / 2)),
+            outfit: Outfit::PAPER[frame % 2],
             bare: error(squared[0]),
             clothed: error(squared[1]),
             problem: problem.map(|reason| FitProblem::Failed(reason.to_owned())),
@@ -204,7 +206,7 @@ mod tests {
             case(3, [2.0, 1.0], None),
         ];
         let summary = BenchmarkSummary::from_cases(&cases, 1).unwrap();
-        assert_eq!((summary.images, summary.captures, summary.failed), (4, 2, 1));
+        assert_eq!((summary.images, summary.captures, summary.failed), (4, Some(2), 1));
         assert_eq!(summary.bare.squared, ValueSummary { mean: 2.0, median: 1.5, most: 4.0 });
         assert_eq!(summary.clothed.squared.median, 1.0);
         assert_eq!((summary.squared.wins, summary.squared.difference), (2, -0.25));

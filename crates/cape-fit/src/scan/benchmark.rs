@@ -1,6 +1,9 @@
 //! Benchmark of scan fitting on synthetic scans of held-out clothed bodies.
 
-use std::time::Instant;
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::Instant,
+};
 
 use cape_core::Outfit;
 use cape_data::PackedSet;
@@ -45,7 +48,7 @@ const FAR: f64 = 2.0;
 /// let benchmark = ScanBenchmark::new(&run, &set, options, &ScanConfig::default())?;
 /// for trial in benchmark.trials() {
 ///     let case = benchmark.case(trial)?;
-///     println!("{} {:.0} %: {:.1} mm", case.capture, 100.0 * case.hole, case.error.clothed);
+///     println!("{:?} {:.0} %: {:.1} mm", case.capture, 100.0 * case.hole, case.error.clothed);
 /// }
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -92,8 +95,8 @@ pub struct ScanError {
 pub struct ScanCase {
     /// Index of the held-out frame.
     pub frame: usize,
-    /// Subject and sequence.
-    pub capture: String,
+    /// Subject and sequence, if known.
+    pub capture: Option<String>,
     /// Outfit.
     pub outfit: Outfit,
     /// Standard deviation of the points' coordinates, metres.
@@ -133,7 +136,7 @@ pub struct ScanBenchmark<'a> {
     set: &'a PackedSet,
     options: ScanBenchmarkOptions,
     start: ScanInit,
-    fitters: Vec<ScanFitter>,
+    fitters: BTreeMap<Outfit, ScanFitter>,
 }
 
 impl<'a> ScanBenchmark<'a> {
@@ -156,9 +159,12 @@ impl<'a> ScanBenchmark<'a> {
         }
         let prior = PosePrior::synthetic()?;
         let start = ScanInit::default_poses(&prior);
-        let fitter =
-            |&outfit: &Outfit| ScanFitter::new(run, &[outfit], None, prior.clone(), config.clone());
-        let fitters = Outfit::ALL.iter().map(fitter).collect::<Result<_>>()?;
+        let worn: BTreeSet<Outfit> = set.outfits().iter().copied().collect();
+        let fitter = |outfit| {
+            let fitter = ScanFitter::new(run, &[outfit], None, prior.clone(), config.clone())?;
+            Ok::<_, Error>((outfit, fitter))
+        };
+        let fitters = worn.into_iter().map(fitter).collect::<Result<_>>()?;
         Ok(Self { run, set, options, start, fitters })
     }
 
@@ -189,7 +195,9 @@ impl<'a> ScanBenchmark<'a> {
         rng.set_stream(frame as u64);
         let truth = truth(run, set, frame, &mut rng)?;
         let scan = simulate_scan(run, &truth, options.points, noise, hole, &mut rng)?;
-        let fitter = &fitters[outfit.index()];
+        let fitter = fitters.get(&outfit).ok_or_else(|| {
+            Error::argument(format!("benchmark: no frame of the set is in {outfit}"))
+        })?;
         let clock = Instant::now();
         let fit = fitter.fit(&scan, start, UpAxis::Y, &mut |_, _| {})?;
         let seconds = clock.elapsed().as_secs_f64();

@@ -65,14 +65,13 @@ pub type ScanProgressFn<'a> = dyn FnMut(usize, usize) + 'a;
 ///
 /// ```no_run
 /// use burn::tensor::Device;
-/// use cape_core::Outfit;
 /// use cape_fit::{PosePrior, scan::{Scan, ScanConfig, ScanFitter, ScanInit, Unit, UpAxis}};
 /// use cape_infer::Run;
 ///
 /// let run = Run::open("runs/cape", &Device::default())?;
 /// let prior = PosePrior::synthetic()?;
 /// let start = ScanInit::default_poses(&prior);
-/// let fitter = ScanFitter::new(&run, &Outfit::ALL, None, prior, ScanConfig::default())?;
+/// let fitter = ScanFitter::new(&run, run.outfits(), None, prior, ScanConfig::default())?;
 /// let scan = Scan::load("scan.ply", Unit::M)?;
 /// let mut progress = |done, total| eprintln!("{done} of {total}");
 /// let fit = fitter.fit(&scan, &start, UpAxis::Y, &mut progress)?;
@@ -134,7 +133,10 @@ impl ScanFitter {
         }
         Ok(Self {
             skeleton: Skeleton::new(&body)?,
-            outfits: outfits.iter().map(|&outfit| dressed.with_outfit(outfit)).collect(),
+            outfits: outfits
+                .iter()
+                .map(|&outfit| dressed.with_outfit(outfit))
+                .collect::<Result<_>>()?,
             mean_clothes,
             shape_is_known: minimal.is_some(),
             body,

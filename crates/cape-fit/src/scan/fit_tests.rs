@@ -10,7 +10,7 @@ fn fitter(config: ScanConfig) -> ScanFitter {
         body: BODY.clone(),
         skeleton: Skeleton::new(&BODY).unwrap(),
         prior: PosePrior::synthetic().unwrap(),
-        outfits: vec![dressed(Outfit::LongShort)],
+        outfits: vec![dressed(Outfit::LONG_SHORT)],
         mean_clothes: Array2::zeros(BODY.v_template.dim()),
         shape_is_known: false,
         config,

@@ -49,7 +49,7 @@ pub struct FrameLocation {
 /// assert!((&unposed - minimal).iter().all(|gap| gap.abs() < 1e-9));
 /// // Write it as a frame of a raw data set.
 /// let (root, subject, sequence) = (tempfile::tempdir()?, "anna".into(), "scan".into());
-/// let place = FrameLocation { subject, outfit: Outfit::LongLong, sequence, number: 1 };
+/// let place = FrameLocation { subject, outfit: Outfit::LONG_LONG, sequence, number: 1 };
 /// assert!(registration.write(&root.path().join("raw"), &place, &[100, 101])?.exists());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -133,17 +133,19 @@ fn add_to_split(path: &Path, place: &FrameLocation) -> Result<()> {
     } else {
         SplitSpec {
             subjects: Vec::new(),
-            outfits: Outfit::ALL.to_vec(),
             cut: 0,
-            sample_rate: 1,
             train: SequenceList::default(),
             test: SequenceList::default(),
+            ..SplitSpec::default()
         }
     };
     let sequences = &mut split.train.sequences;
     let known = split.test.sequences.contains(&place.sequence);
     if !known && !sequences.contains(&place.sequence) {
         sequences.push(place.sequence.clone());
+    }
+    if !split.outfits.contains(&place.outfit) {
+        split.outfits.push(place.outfit);
     }
     if !split.subjects.contains(&place.subject) {
         split.subjects.push(place.subject.clone());
@@ -185,7 +187,7 @@ mod tests {
         let tree = root.path().join("raw");
         let mut place = FrameLocation {
             subject: "ann".into(),
-            outfit: Outfit::LongShort,
+            outfit: Outfit::LONG_SHORT,
             sequence: "scan".into(),
             number: 1,
         };

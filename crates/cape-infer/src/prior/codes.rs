@@ -1,6 +1,6 @@
 //! Latent codes of training frames.
 
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 use cape_core::Outfit;
 use ndarray::Array2;
@@ -40,14 +40,23 @@ impl LatentCodes {
         frames: usize,
         progress: &mut ProgressFn,
     ) -> Result<Self> {
-        let set = PackedSet::open(data, Split::Train)?;
+        Self::from_set(run, &run.open_set(data, Split::Train)?, frames, progress)
+    }
+
+    /// Posterior means of at most `frames` training frames of `set`, evenly spaced.
+    pub fn from_set(
+        run: &Run,
+        set: &PackedSet,
+        frames: usize,
+        progress: &mut ProgressFn,
+    ) -> Result<Self> {
         let rows = run.statistics().training_rows(set.frames());
         let step = rows.len().div_ceil(frames.max(1)).max(1);
         let rows: Vec<usize> = rows.step_by(step).collect();
         let latent = run.latent();
         let mut codes = Vec::with_capacity(rows.len());
         for chunk in rows.chunks(crate::BATCH) {
-            for (&row, mean) in chunk.iter().zip(run.encode_frames(&set, chunk)?.rows()) {
+            for (&row, mean) in chunk.iter().zip(run.encode_frames(set, chunk)?.rows()) {
                 let code = mean.iter().map(|&x| f64::from(x)).collect();
                 codes.push((set.outfits()[row], code));
             }
@@ -74,6 +83,11 @@ impl LatentCodes {
     /// True if there are no codes.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
+    }
+
+    /// Outfits that there are codes of.
+    pub fn outfits(&self) -> BTreeSet<Outfit> {
+        self.rows.iter().map(|(outfit, _)| *outfit).collect()
     }
 
     /// Codes of one outfit, or all, `[n, latent]`.

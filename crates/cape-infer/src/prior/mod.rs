@@ -7,7 +7,10 @@
 
 mod codes;
 
-use std::{collections::BTreeMap, path::Path};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::Path,
+};
 
 use cape_core::{
     Outfit,
@@ -21,7 +24,9 @@ pub use codes::LatentCodes;
 
 use cape_stats::density::{KernelDensity, Mixture, MixtureOptions};
 
-use crate::{Error, Result};
+use crate::{Error, Result, Run};
+use cape_core::ProgressFn;
+use cape_data::PackedSet;
 
 /// The name of the group of all outfits in files.
 const JOINT: &str = "all";
@@ -38,6 +43,38 @@ pub enum DensityKind {
     MixtureUpTo(usize),
     /// A kernel density estimate.
     Kernel,
+}
+
+/// Options of fitting a prior to a run's codes. The default is a mixture for each outfit, of up to 12
+/// components by the Bayesian information criterion.
+///
+/// ```
+/// use cape_infer::prior::{DensityKind, PriorOptions};
+///
+/// // The authors' mixture: ten components for all outfits together.
+/// let options = PriorOptions {
+///     kind: DensityKind::Mixture(10),
+///     by_outfit: false,
+///     ..PriorOptions::default()
+/// };
+/// assert_eq!(options.frames, 4096);
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PriorOptions {
+    /// Kind of density.
+    pub kind: DensityKind,
+    /// Fit one density for each outfit instead of one for all together.
+    pub by_outfit: bool,
+    /// Largest number of training frames to encode, evenly spaced.
+    pub frames: usize,
+    /// Seed of the initialisations.
+    pub seed: u64,
+}
+
+impl Default for PriorOptions {
+    fn default() -> Self {
+        Self { kind: DensityKind::MixtureUpTo(12), by_outfit: true, frames: 4096, seed: 1 }
+    }
 }
 
 /// A density of latent codes.
@@ -59,19 +96,19 @@ pub enum Density {
 /// // Codes that lie about (3, 0) for one outfit, and about (−3, 0) for another.
 /// let code = |x: f64, i: i32| vec![x + 0.1 * f64::from(i % 3), 0.1 * f64::from(i % 5)];
 /// let rows = (0..30).flat_map(|i| {
-///     [(Outfit::LongLong, code(3.0, i)), (Outfit::ShortShort, code(-3.0, i))]
+///     [(Outfit::LONG_LONG, code(3.0, i)), (Outfit::SHORT_SHORT, code(-3.0, i))]
 /// });
 /// let codes = LatentCodes::new(2, rows.collect())?;
 /// let prior = Prior::fit(&codes, DensityKind::Mixture(1), true, &MixtureOptions::default())?;
 /// assert!(prior.groups().all(|(_, density)| matches!(density, Density::Mixture(_))));
-/// let drawn = prior.sample(Outfit::LongLong, 10, 1.0, 7);
+/// let drawn = prior.sample(Outfit::LONG_LONG, 10, 1.0, 7);
 /// assert_eq!(drawn.dim(), (10, 2));
 /// assert!(drawn.column(0).iter().all(|x| (2.0..4.0).contains(x)));
 ///
 /// let directory = tempfile::tempdir()?;
 /// prior.save(directory.path().join("prior.npz"))?;
 /// let loaded = Prior::load(directory.path().join("prior.npz"))?;
-/// assert_eq!(loaded.sample(Outfit::LongLong, 10, 1.0, 7), drawn);
+/// assert_eq!(loaded.sample(Outfit::LONG_LONG, 10, 1.0, 7), drawn);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone)]
@@ -111,6 +148,18 @@ impl Density {
 }
 
 impl Prior {
+    /// Fits to the codes of training frames of `set`.
+    pub fn of_run(
+        run: &Run,
+        set: &PackedSet,
+        options: &PriorOptions,
+        progress: &mut ProgressFn,
+    ) -> Result<Self> {
+        let codes = LatentCodes::from_set(run, set, options.frames, progress)?;
+        let mixture = MixtureOptions { seed: options.seed, ..MixtureOptions::default() };
+        Self::fit(&codes, options.kind, options.by_outfit, &mixture)
+    }
+
     /// Fits to codes, by outfit or to all together.
     pub fn fit(
         codes: &LatentCodes,
@@ -120,11 +169,9 @@ impl Prior {
     ) -> Result<Self> {
         let mut groups = BTreeMap::new();
         if by_outfit {
-            for outfit in Outfit::ALL {
+            for outfit in codes.outfits() {
                 let points = codes.for_outfit(Some(outfit));
-                if points.nrows() > 0 {
-                    groups.insert(Some(outfit), Density::fit(&points, kind, options)?);
-                }
+                groups.insert(Some(outfit), Density::fit(&points, kind, options)?);
             }
         } else {
             groups.insert(None, Density::fit(&codes.for_outfit(None), kind, options)?);
@@ -151,7 +198,7 @@ impl Prior {
     /// multiplied by `temperature`. An outfit without a density is drawn from the standard normal.
     pub fn sample(&self, outfit: Outfit, n: usize, temperature: f64, seed: u64) -> Array2<f32> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(outfit.index() as u64);
+        rng.set_stream(outfit.stream());
         match self.groups.get(&Some(outfit)).or_else(|| self.groups.get(&None)) {
             Some(density) => density.sample(n, temperature, &mut rng).mapv(|x| x as f32),
             None => Array2::from_shape_simple_fn((n, self.latent), || {
@@ -161,11 +208,20 @@ impl Prior {
         }
     }
 
-    /// One code for each outfit, `[4, latent]`.
-    pub fn sample_each(&self, temperature: f64, seed: u64) -> Result<Array2<f32>> {
-        let codes = Outfit::ALL.map(|outfit| self.sample(outfit, 1, temperature, seed));
-        concatenate(Axis(0), &codes.each_ref().map(|codes| codes.view()))
-            .map_err(|error| Error::argument(error.to_string()))
+    /// One code for each of `outfits`, `[outfits, latent]`.
+    ///
+    /// # Errors
+    /// If there are no outfits.
+    pub fn sample_each(
+        &self,
+        outfits: &[Outfit],
+        temperature: f64,
+        seed: u64,
+    ) -> Result<Array2<f32>> {
+        let codes: Vec<Array2<f32>> =
+            outfits.iter().map(|&outfit| self.sample(outfit, 1, temperature, seed)).collect();
+        let views: Vec<_> = codes.iter().map(|codes| codes.view()).collect();
+        concatenate(Axis(0), &views).map_err(|error| Error::argument(error.to_string()))
     }
 
     /// Writes an `.npz`: for `all` or each outfit `NAME.weights`, `NAME.means` and
@@ -173,7 +229,7 @@ impl Prior {
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let mut file = NpzWriter::create(path)?;
         for (outfit, density) in &self.groups {
-            let name = outfit.map_or(JOINT, Outfit::name);
+            let name = outfit.as_ref().map_or(JOINT, Outfit::name);
             match density {
                 Density::Mixture(mixture) => {
                     file.add(&format!("{name}.weights"), &mixture.weights())?;
@@ -201,8 +257,8 @@ impl Prior {
         let path = path.as_ref();
         let mut file = Npz::open(path)?;
         let mut groups = BTreeMap::new();
-        for outfit in [None].into_iter().chain(Outfit::ALL.map(Some)) {
-            let name = outfit.map_or(JOINT, Outfit::name);
+        for outfit in groups_of(&file)? {
+            let name = outfit.as_ref().map_or(JOINT, Outfit::name);
             let density = if file.contains(&format!("{name}.weights")) {
                 let weights: Array1<f64> = read(&mut file, &format!("{name}.weights"))?;
                 let means: Array2<f64> = read(&mut file, &format!("{name}.means"))?;
@@ -236,6 +292,21 @@ impl Prior {
     }
 }
 
+/// Groups of a file, by the names of their arrays.
+fn groups_of(file: &Npz) -> Result<BTreeSet<Option<Outfit>>> {
+    let names = file.names();
+    let names = names.iter().filter_map(|name| name.rsplit_once('.'));
+    let names = names.filter(|(_, array)| matches!(*array, "weights" | "points"));
+    names
+        .map(|(name, _)| match name {
+            JOINT => Ok(None),
+            name => name.parse().map(Some).map_err(|error: cape_core::Error| {
+                Error::format(file.path(), format!("`{name}`: {error}"))
+            }),
+        })
+        .collect()
+}
+
 fn read<D: Dimension>(file: &mut Npz, name: &str) -> Result<ndarray::Array<f64, D>> {
     let array: ArrayD<f64> = file.f64(name)?;
     let shape = array.shape().to_vec();
@@ -255,7 +326,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let rows = (0..400).map(|i| {
             let (outfit, at) =
-                if i % 2 == 0 { (Outfit::LongLong, 3.0) } else { (Outfit::ShortShort, -3.0) };
+                if i % 2 == 0 { (Outfit::LONG_LONG, 3.0) } else { (Outfit::SHORT_SHORT, -3.0) };
             let code = (0..2).map(|_| {
                 let x: f64 = StandardNormal.sample(&mut rng);
                 at + 0.5 * x
@@ -272,16 +343,16 @@ mod tests {
             let prior = Prior::fit(&codes(), kind, true, &options).unwrap();
             let mean =
                 |outfit, temperature| prior.sample(outfit, 2000, temperature, 4).mean().unwrap();
-            assert!((mean(Outfit::LongLong, 1.0) - 3.0).abs() < 0.1, "{kind:?}");
-            assert!((mean(Outfit::ShortShort, 1.0) + 3.0).abs() < 0.1, "{kind:?}");
-            assert!(mean(Outfit::LongShort, 1.0).abs() < 0.1, "not seen: the standard normal");
+            assert!((mean(Outfit::LONG_LONG, 1.0) - 3.0).abs() < 0.1, "{kind:?}");
+            assert!((mean(Outfit::SHORT_SHORT, 1.0) + 3.0).abs() < 0.1, "{kind:?}");
+            assert!(mean(Outfit::LONG_SHORT, 1.0).abs() < 0.1, "not seen: the standard normal");
             let joint = Prior::fit(&codes(), kind, false, &options).unwrap();
-            assert!(joint.sample(Outfit::LongLong, 2000, 1.0, 4).mean().unwrap().abs() < 0.3);
+            assert!(joint.sample(Outfit::LONG_LONG, 2000, 1.0, 4).mean().unwrap().abs() < 0.3);
         }
         let one = Prior::fit(&codes(), DensityKind::Mixture(1), true, &options).unwrap();
-        let typical = one.sample(Outfit::LongLong, 1, 0.0, 9);
+        let typical = one.sample(Outfit::LONG_LONG, 1, 0.0, 9);
         assert!(typical.iter().all(|x| (x - 3.0).abs() < 0.15));
-        assert_eq!(one.sample_each(0.0, 9).unwrap().row(Outfit::LongLong.index()), typical.row(0));
+        assert_eq!(one.sample_each(&Outfit::PAPER, 0.0, 9).unwrap().row(3), typical.row(0));
     }
 
     #[test]
@@ -296,7 +367,7 @@ mod tests {
             let prior = Prior::fit(&codes(), kind, by_outfit, &MixtureOptions::default()).unwrap();
             prior.save(&path).unwrap();
             let loaded = Prior::load(&path).unwrap();
-            let [a, b] = [&prior, &loaded].map(|p| p.sample(Outfit::LongLong, 50, 1.0, 2));
+            let [a, b] = [&prior, &loaded].map(|p| p.sample(Outfit::LONG_LONG, 50, 1.0, 2));
             assert!((&a - &b).iter().all(|x| x.abs() < 1e-5));
         }
         let mut file = NpzWriter::create(&path).unwrap();

@@ -1,9 +1,11 @@
 //! Model configuration from the names and shapes of the release's variables.
 
+use cape_core::Outfit;
+
 use super::{bare, missing};
 use crate::{
-    CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, Error, OUTFITS, POSE_FEATURE,
-    Result, condition::hidden_width,
+    CapeConfig, DecoderBlock, DecoderConditions, DiscriminatorConfig, Error, POSE_FEATURE, Result,
+    condition::hidden_width,
 };
 
 /// Largest number of Chebyshev terms that is tried.
@@ -24,7 +26,7 @@ pub fn infer(shapes: &[(String, Vec<usize>)]) -> Result<CapeConfig> {
     let shapes = Shapes(shapes);
     let encoder = "generator/encoder";
     shapes.check_condition("condition_pose", POSE_FEATURE)?;
-    shapes.check_condition("condition_clo_label", OUTFITS)?;
+    shapes.check_condition("condition_clo_label", Outfit::PAPER.len())?;
     let blocks = shapes.blocks(encoder)?;
     let filters: Vec<usize> = blocks.iter().map(|block| block.output).collect();
     let pose_embedding = shapes.embedding("condition_pose");

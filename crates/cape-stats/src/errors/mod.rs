@@ -162,11 +162,11 @@ impl ErrorStats {
 /// use cape_stats::errors::GroupedErrors;
 ///
 /// let mut errors = GroupedErrors::new();
-/// errors.push(Outfit::LongLong, Some("hips"), &[1.0, 3.0]);
-/// errors.push(Outfit::ShortLong, Some("hips"), &[5.0]);
+/// errors.push(Outfit::LONG_LONG, Some("hips"), &[1.0, 3.0]);
+/// errors.push(Outfit::SHORT_LONG, Some("hips"), &[5.0]);
 /// let summary = errors.summary();
 /// assert_eq!(summary.overall.mean, 3.0);
-/// assert_eq!(summary.outfits[&Outfit::LongLong].mean, 2.0);
+/// assert_eq!(summary.outfits[&Outfit::LONG_LONG].mean, 2.0);
 /// assert_eq!(summary.sequences["hips"].count, 3);
 /// ```
 #[derive(Debug, Clone, Default)]
@@ -333,13 +333,13 @@ mod tests {
     #[test]
     fn groups_partition_the_whole() {
         let mut errors = GroupedErrors::new();
-        errors.push(Outfit::LongLong, Some("walk"), &[1.0, 2.0]);
-        errors.push(Outfit::ShortLong, Some("walk"), &[3.0, 4.0]);
-        errors.push(Outfit::ShortLong, None, &[8.0, 6.0]);
+        errors.push(Outfit::LONG_LONG, Some("walk"), &[1.0, 2.0]);
+        errors.push(Outfit::SHORT_LONG, Some("walk"), &[3.0, 4.0]);
+        errors.push(Outfit::SHORT_LONG, None, &[8.0, 6.0]);
         let summary = errors.summary();
         assert_eq!(summary.overall.mean, 4.0);
-        assert_eq!(summary.outfits[&Outfit::LongLong].mean, 1.5);
-        assert_eq!(summary.outfits[&Outfit::ShortLong].count, 4);
+        assert_eq!(summary.outfits[&Outfit::LONG_LONG].mean, 1.5);
+        assert_eq!(summary.outfits[&Outfit::SHORT_LONG].count, 4);
         assert_eq!(summary.outfits.len(), 2);
         assert_eq!(summary.sequences["walk"].mean, 2.5);
     }

@@ -155,7 +155,7 @@ impl DrapeContext<'_> {
         down: DVec3,
         crumple: SplitDisplacement,
     ) -> SplitDisplacement {
-        let OutfitStyle { shirt, outfit, .. } = self.style;
+        let OutfitStyle { shirt, lengths, .. } = self.style;
         let side = site.side;
         let arm = smooth((site.arm_weight - 0.2) / 0.6);
         let hanging = (1.0 - site.height).clamp(0.0, 1.15);
@@ -167,7 +167,7 @@ impl DrapeContext<'_> {
         };
         let end = shirt.sleeve_end[side];
         let reached = (site.arm.along / end).clamp(0.0, 1.0);
-        let sleeve_fit = if outfit.long_sleeves() {
+        let sleeve_fit = if lengths.long_sleeves {
             // Wide at the upper arm, gathered at the cuff.
             0.5 * smooth(reached / 0.25) + 0.1 + 0.5 * bump((reached - 0.5) / 0.5)
                 - 0.25 * smooth((reached - 0.86) / 0.1)
@@ -238,7 +238,7 @@ impl DrapeContext<'_> {
         down: DVec3,
         crumple: SplitDisplacement,
     ) -> SplitDisplacement {
-        let OutfitStyle { trousers, outfit, .. } = self.style;
+        let OutfitStyle { trousers, lengths, .. } = self.style;
         let side = site.side;
         let leg = smooth((site.leg_weight - 0.25) / 0.5);
         let reached = (site.leg.along / trousers.leg_end[side]).clamp(0.0, 1.0);
@@ -259,7 +259,7 @@ impl DrapeContext<'_> {
         let slant = trousers.twist[side] * 160.0 + hips.twist;
         let lengthwise = ridge(3.0 * angle + trousers.fold_phase[side] + slant * along * 4.0);
         offset.normal += leg * (0.0022 + 0.3 * ease) * smooth(reached * 2.0) * lengthwise;
-        if outfit.long_legs() {
+        if lengths.long_legs {
             let above = (trousers.leg_end[side] - along) * length;
             let straight = 1.0 - 0.6 * smooth(knees.angle / 1.2);
             let phase = trousers.stack_phase[side];

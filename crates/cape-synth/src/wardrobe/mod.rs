@@ -7,6 +7,7 @@
 
 mod drape;
 mod drape_offsets;
+mod garment_lengths;
 mod joint_bends;
 mod outfit_style;
 
@@ -20,6 +21,7 @@ use crate::{Error, Result};
 use cape_core::{Outfit, SmplModel};
 use drape::{DrapeContext, HemDistances};
 use drape_offsets::{DrapeOffsets, drape_offsets};
+pub use garment_lengths::GarmentLengths;
 use joint_bends::JointBends;
 pub use outfit_style::OutfitStyle;
 
@@ -34,8 +36,8 @@ const SCAN_NOISE: f64 = 0.00015;
 ///
 /// let body = synthetic_body();
 /// let wardrobe = Wardrobe::new(&body, 7)?;
-/// let fitted = wardrobe.fit(wardrobe.outfit_style(0, Outfit::ShortShort, 0));
-/// assert_eq!(fitted.outfit_style().outfit, Outfit::ShortShort);
+/// let fitted = wardrobe.fit(wardrobe.outfit_style(0, Outfit::SHORT_SHORT, 0)?);
+/// assert_eq!(fitted.outfit_style().outfit, Outfit::SHORT_SHORT);
 /// // Displacements are zero outside both garments.
 /// let displacement = wardrobe.displacement(&fitted, &[0.0; 72], 0.0, None)?;
 /// for (vertex, [upper, lower]) in displacement.rows().into_iter().zip(fitted.coverage()) {
@@ -98,10 +100,19 @@ impl<'a> Wardrobe<'a> {
     }
 
     /// Style of `outfit` on `subject` in the sequence of index `sequence`.
-    pub fn outfit_style(&self, subject: usize, outfit: Outfit, sequence: usize) -> OutfitStyle {
-        let path = [2, subject as u64, outfit.index() as u64, sequence as u64];
-        let random = |path| OutfitStyle::random(outfit, mix_seed(self.seed, path));
-        random(&path[..3]).with_fit_of(random(&path))
+    ///
+    /// # Errors
+    /// If the outfit is none of the paper's four.
+    pub fn outfit_style(
+        &self,
+        subject: usize,
+        outfit: Outfit,
+        sequence: usize,
+    ) -> Result<OutfitStyle> {
+        let lengths = GarmentLengths::from_outfit(outfit)?;
+        let path = [2, subject as u64, outfit.stream(), sequence as u64];
+        let random = |path| OutfitStyle::random(outfit, lengths, mix_seed(self.seed, path));
+        Ok(random(&path[..3]).with_fit_of(random(&path)))
     }
 
     /// Fits an outfit to the body.

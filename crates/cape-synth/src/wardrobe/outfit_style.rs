@@ -8,6 +8,8 @@ use rand_distr::StandardNormal;
 
 use cape_core::Outfit;
 
+use super::GarmentLengths;
+
 /// Number of waves of the crumple pattern.
 pub(super) const WAVES: usize = 14;
 
@@ -25,6 +27,7 @@ const REGISTRATION_AMPLITUDE: f64 = 0.0003;
 pub struct OutfitStyle {
     /// Outfit.
     pub outfit: Outfit,
+    pub(super) lengths: GarmentLengths,
     pub(super) seed: u64,
     pub(super) shirt: Shirt,
     pub(super) trousers: Trousers,
@@ -114,15 +117,15 @@ pub(super) struct Wave {
 }
 
 impl OutfitStyle {
-    pub(super) fn random(outfit: Outfit, seed: u64) -> Self {
+    pub(super) fn random(outfit: Outfit, lengths: GarmentLengths, seed: u64) -> Self {
         let rng = &mut ChaCha8Rng::seed_from_u64(seed);
-        let shirt = Shirt::random(outfit.long_sleeves(), rng);
-        let trousers = Trousers::random(outfit.long_legs(), rng);
+        let shirt = Shirt::random(lengths.long_sleeves, rng);
+        let trousers = Trousers::random(lengths.long_legs, rng);
         let crumple = (0..WAVES).map(|_| Wave::random(rng)).collect();
         let sway = [rng.random_range(0.0..TAU), rng.random_range(0.5..1.1)];
         let registration_error =
             (0..REGISTRATION_WAVES).map(|_| Wave::random_registration_error(rng)).collect();
-        Self { outfit, seed, shirt, trousers, crumple, sway, registration_error }
+        Self { outfit, lengths, seed, shirt, trousers, crumple, sway, registration_error }
     }
 
     /// Combines the cut of this outfit with the fit of `other`: slip, twist and lean come from `other`,
@@ -131,6 +134,7 @@ impl OutfitStyle {
         let waves = self.crumple.into_iter().zip(&other.crumple);
         Self {
             outfit: self.outfit,
+            lengths: self.lengths,
             seed: other.seed,
             shirt: self.shirt.with_fit_of(&other.shirt),
             trousers: self.trousers.with_fit_of(&other.trousers),

@@ -2,10 +2,10 @@ mod output;
 
 use std::path::PathBuf;
 
-use cape_core::{BodyMotion, BodyPose, KeyframeRule, Outfit};
-use cape_infer::{BodySpec, Run, batches, write_json};
+use cape_core::{KeyframeRule, Outfit};
+use cape_infer::{batches, write_json};
 use clap::Args;
-use ndarray::{Array1, Array2, Array3, Axis, concatenate};
+use ndarray::{Array1, Array3, Axis, concatenate};
 use serde::Serialize;
 
 use self::output::AnimationOutput;
@@ -106,7 +106,7 @@ impl AnimateArgs {
         let betas = shape_of(&file, &self.shape, run.body(), console)?;
         let double: Vec<f64> = betas.iter().map(|&beta| beta.into()).collect();
         let motion = file.motion_of(run.body(), &double, self.fps)?;
-        let (seed, outfit) = (global.seed(), self.outfit.outfit);
+        let (seed, outfit) = (global.seed(), self.outfit.of(&run)?);
         let code = match &self.code {
             Some(name) => {
                 let draw = LatentSampler { run: &run, drawn: self.drawn, outfit, console };
@@ -118,7 +118,7 @@ impl AnimateArgs {
             run: &run,
             code: &code,
             betas: &betas,
-            outfit,
+            outfit: &outfit,
             motion: &motion,
             keyframes: match self.every {
                 Some(step) => KeyframeRule::Every(step),
@@ -132,7 +132,7 @@ impl AnimateArgs {
         };
         output.check()?;
         files::create_dir(&self.output.out)?;
-        let displacement = self.frames(&run, &code, &betas, &motion, console)?;
+        let displacement = frames(&output)?;
         let written = output.write(&displacement)?;
         let [speed, acceleration] =
             cape_eval::clothing::smoothness(&displacement, run.clothing(), motion.frame_rate);
@@ -152,35 +152,24 @@ impl AnimateArgs {
         write_json(&report.out.join("animation.json"), &report)?;
         console.result(&report, || report.text())
     }
+}
 
-    /// Canonical displacements, `[frames, vertices, 3]`.
-    fn frames(
-        &self,
-        run: &Run,
-        code: &Array2<f32>,
-        betas: &[f32],
-        motion: &BodyMotion,
-        console: Console,
-    ) -> Result<Array3<f32>> {
-        let outfit = self.outfit.outfit;
-        let mut parts = Vec::new();
-        console.while_showing("decode", "frames", |progress| {
-            for rows in batches(motion.frames()) {
-                let done = rows.end;
-                let poses: Vec<BodyPose> = rows.map(|frame| motion.pose(frame)).collect();
-                let bodies: Vec<BodySpec> = poses
-                    .iter()
-                    .map(|&pose| BodySpec { betas: betas.to_vec(), pose, outfit })
-                    .collect();
-                let codes = code.select(Axis(0), &vec![0; bodies.len()]);
-                parts.push(run.decode_displacements(&codes, &bodies)?);
-                progress(done, motion.frames());
-            }
-            Ok::<_, Error>(())
-        })?;
-        let views: Vec<_> = parts.iter().map(|part| part.view()).collect();
-        concatenate(Axis(0), &views).map_err(|error| Error::message(error.to_string()))
-    }
+/// Canonical displacements, `[frames, vertices, 3]`.
+fn frames(output: &AnimationOutput) -> Result<Array3<f32>> {
+    let frames = output.motion.frames();
+    let mut parts = Vec::new();
+    output.console.while_showing("decode", "frames", |progress| {
+        for rows in batches(frames) {
+            let done = rows.end;
+            let bodies = output.bodies(rows);
+            let codes = output.code.select(Axis(0), &vec![0; bodies.len()]);
+            parts.push(output.run.decode_displacements(&codes, &bodies)?);
+            progress(done, frames);
+        }
+        Ok::<_, Error>(())
+    })?;
+    let views: Vec<_> = parts.iter().map(|part| part.view()).collect();
+    concatenate(Axis(0), &views).map_err(|error| Error::message(error.to_string()))
 }
 
 impl Report {

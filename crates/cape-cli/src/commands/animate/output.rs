@@ -27,7 +27,7 @@ pub(super) struct AnimationOutput<'a> {
     /// Latent code, `[1, latent]`.
     pub(super) code: &'a Array2<f32>,
     pub(super) betas: &'a [f32],
-    pub(super) outfit: Outfit,
+    pub(super) outfit: &'a Outfit,
     pub(super) motion: &'a BodyMotion,
     pub(super) keyframes: KeyframeRule,
     pub(super) format: FileKind,
@@ -78,7 +78,7 @@ impl AnimationOutput<'_> {
             name: "animation",
             code: self.code.clone(),
             betas: self.betas,
-            outfit: self.outfit,
+            outfit: *self.outfit,
             motion: self.motion.clone(),
             keyframes: self.keyframes,
             displacements: displacement.map(|worn| worn.view()),
@@ -174,10 +174,14 @@ impl AnimationOutput<'_> {
         Ok(Written::default())
     }
 
-    fn bodies(&self, frames: std::ops::Range<usize>) -> Vec<BodySpec> {
+    /// Bodies of some frames, not moved.
+    pub(super) fn bodies(&self, frames: std::ops::Range<usize>) -> Vec<BodySpec> {
         let (betas, outfit) = (self.betas, self.outfit);
-        let body =
-            |frame| BodySpec { betas: betas.to_vec(), pose: self.motion.pose(frame), outfit };
+        let body = |frame| BodySpec {
+            betas: betas.to_vec(),
+            pose: self.motion.pose(frame),
+            outfit: *outfit,
+        };
         frames.map(body).collect()
     }
 

@@ -24,7 +24,6 @@ use crate::{
     motion_source::MotionFileArgs,
     options::{
         FileKind, GlobalArgs, ResumableOutputArgs, RunArgs, at_least_one, kinds, non_negative,
-        outfit,
     },
     priors::{PriorArgs, load_prior},
 };
@@ -61,8 +60,8 @@ pub(crate) struct GenerateArgs {
     poses: Option<String>,
     #[command(flatten)]
     reading: MotionFileArgs,
-    /// Outfits to choose from [default: all].
-    #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…", value_parser = outfit())]
+    /// Outfits of the run to choose from [default: all].
+    #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…")]
     outfit: Vec<Outfit>,
     /// Standard deviation of the ten shape coefficients.
     #[arg(long, default_value_t = 1.0, value_name = "S", value_parser = non_negative)]
@@ -117,20 +116,23 @@ impl GenerateArgs {
             None => Vec::new(),
         };
         let run = self.run.open(global)?;
-        let outfits =
-            if self.outfit.is_empty() { Outfit::ALL.to_vec() } else { self.outfit.clone() };
+        let outfits = match &self.outfit[..] {
+            [] => run.outfits().to_vec(),
+            chosen => chosen.to_vec(),
+        };
+        outfits.iter().try_for_each(|&outfit| run.outfits().require(outfit).map(drop))?;
         let plan = GenerationPlan {
             checkpoint_step: run.progress().step,
             poses: self.poses.clone(),
             outfits: outfits.clone(),
             shape_deviation: self.shape_deviation as f32,
-            prior: self.drawn.prior.name().to_owned(),
+            prior: self.drawn.name(&run).name().to_owned(),
             temperature,
             format: self.format,
             seed: global.seed(),
         };
         self.begin(&plan, &run)?;
-        let prior = load_prior(&run, self.drawn.prior, console)?;
+        let prior = load_prior(&run, self.drawn.name(&run), console)?;
         let dice = BodySampler { plan: &plan, run: &run, poses: &poses, prior: prior.as_ref() };
 
         let (start, mut made) = (Instant::now(), 0);
@@ -271,7 +273,7 @@ impl BodySampler<'_> {
         let GenerationPlan { seed, temperature, shape_deviation, outfits, .. } = self.plan;
         let mut rng = ChaCha8Rng::seed_from_u64(*seed);
         rng.set_stream(sample as u64 + 1);
-        let outfit = outfits.choose(&mut rng).copied().unwrap_or(Outfit::LongLong);
+        let outfit = outfits.choose(&mut rng).copied().unwrap_or(self.run.default_outfit());
         let normal = |rng: &mut ChaCha8Rng| rng.sample::<f32, _>(StandardNormal);
         let shapes = self.run.body().betas().min(SHAPES);
         let betas = (0..shapes).map(|_| shape_deviation * normal(&mut rng)).collect();

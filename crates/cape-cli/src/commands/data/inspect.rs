@@ -76,14 +76,18 @@ fn counts(found: &Inspection) -> String {
         sequences.extend(capture.sequence.as_deref());
     }
     let mut header = vec!["subject".to_owned()];
-    header.extend(Outfit::ALL.map(|outfit| outfit.to_string()));
+    let mut worn: BTreeSet<Outfit> = Outfit::PAPER.into_iter().collect();
+    worn.extend(found.captures.iter().filter_map(|capture| capture.outfit));
+    header.extend(worn.iter().map(ToString::to_string));
     header.push("sequences".into());
     let mut table = Table::new(header);
     for ((part, subject), Row { outfits, sequences }) in &rows {
         let mut row = vec![format!("{part} {subject}").trim().to_owned()];
-        row.extend(Outfit::ALL.map(|outfit| {
-            outfits.get(&outfit).map_or_else(|| "–".to_owned(), ToString::to_string)
-        }));
+        row.extend(
+            worn.iter().map(|outfit| {
+                outfits.get(outfit).map_or_else(|| "–".to_owned(), ToString::to_string)
+            }),
+        );
         row.push(if sequences.is_empty() { "–".into() } else { sequences.len().to_string() });
         table.row(row);
     }

@@ -88,10 +88,9 @@ pub(crate) fn split_of(spec: &cape_synth::SynthSpec) -> SplitSpec {
     SplitSpec {
         subjects: spec.subject_names(),
         outfits: spec.outfits.clone(),
-        cut: 2,
-        sample_rate: 1,
         train: names(spec.train_motions()),
         test: names(spec.test_motions()),
+        ..SplitSpec::default()
     }
 }
 

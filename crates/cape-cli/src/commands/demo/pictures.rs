@@ -12,7 +12,7 @@ const TILE: [u32; 2] = [240, 352];
 /// Contact sheet with a row per pose: the bare body, then the outfits.
 pub(super) fn contact_sheet(rows: &[(View, Vec<DressedMesh>)]) -> Result<Image> {
     let mut tiles = Vec::new();
-    let labels = ["body"].into_iter().chain(Outfit::ALL.map(Outfit::name));
+    let labels = ["body"].into_iter().chain(Outfit::PAPER.iter().map(Outfit::name));
     let labels: Vec<&str> = labels.collect();
     for (row, (view, bodies)) in rows.iter().enumerate() {
         let last = row + 1 == rows.len();
@@ -44,7 +44,7 @@ impl LossCurves {
             TrainEvent::Validation { losses, .. } => {
                 self.validation.push((self.step, losses.reconstruction));
             }
-            TrainEvent::Checkpoint { .. } => {}
+            TrainEvent::Prior { .. } | TrainEvent::Checkpoint { .. } => {}
         }
     }
 

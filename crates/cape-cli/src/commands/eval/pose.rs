@@ -77,7 +77,7 @@ impl PoseEffectArgs {
         self.output.require_empty()?;
         let out = self.output.out;
         let run = self.run.open(global)?;
-        let outfit = self.outfit.outfit;
+        let outfit = self.outfit.of(&run)?;
         let seed = global.seed();
         let code = self.drawn.codes(&run, &[outfit], 1, seed, console)?;
         let both = concatenate(Axis(0), &[code.view(), code.view()])

@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use cape_data::{PackedSet, Split};
+use cape_data::Split;
 use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
 use cape_fit::scan::{
     ScanConfig,
@@ -83,7 +83,7 @@ impl ScanBenchmarkArgs {
         }
         let run = self.run.open(global)?;
         let data = self.data.of(&run)?;
-        let set = PackedSet::open(&data, Split::Test)?;
+        let set = run.open_set(&data, Split::Test)?;
         let options = ScanBenchmarkOptions {
             frames: self.frames,
             points: self.points,

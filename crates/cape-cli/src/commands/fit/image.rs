@@ -43,7 +43,7 @@ pub(crate) struct FitArgs {
     mask: PathBuf,
     #[command(flatten)]
     output: OutputArgs,
-    /// Outfit; auto fits all and keeps the one of lowest energy.
+    /// Outfit of the run; auto fits all and keeps the one of lowest energy.
     #[arg(long, default_value = "auto", value_name = "OUTFIT", value_parser = outfit_or("auto"))]
     outfit: OutfitSelection,
     /// Fit the other outfits too and warn if one has a lower energy.
@@ -94,19 +94,19 @@ struct FitInput {
 impl FitArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         self.output.require_empty()?;
-        let chosen = match self.outfit {
-            OutfitSelection::All => None,
-            OutfitSelection::One(outfit) => Some(outfit),
-        };
         let config = self.method.config()?;
         let observed = self.read_input()?;
         let run = self.run.open(global)?;
         let smplify = self.method.smplify(run.body(), &config)?;
 
+        let chosen = match (self.outfit, self.outfit.of(&run)?.as_slice()) {
+            (OutfitSelection::One(_), &[outfit]) => Some(outfit),
+            _ => None,
+        };
         let start = Instant::now();
         let outfits = match chosen {
             Some(outfit) if !self.compare_outfits => vec![outfit],
-            _ => Outfit::ALL.to_vec(),
+            _ => run.outfits().to_vec(),
         };
         let stages = 1 + outfits.len();
         let FitInput { camera, mask, keypoints, .. } = &observed;
@@ -116,7 +116,7 @@ impl FitArgs {
             progress(1, stages);
             let body = DressedBody::new(&run, outfits[0])?;
             let bodies: Vec<DressedBody> =
-                outfits.iter().map(|&outfit| body.with_outfit(outfit)).collect();
+                outfits.iter().map(|&outfit| body.with_outfit(outfit)).collect::<Result<_, _>>()?;
             let clothed = &config.clothed;
             let fits = smplify.fit_outfits(&bodies, &image, &bare, clothed, &mut |done, _| {
                 progress(1 + done, stages);

@@ -4,7 +4,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cape_core::npy::npy_header;
+use cape_core::{Outfit, npy::npy_header};
 use cape_data::{
     PackedSet, STATISTICS_FILE, Split,
     raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
@@ -83,10 +83,11 @@ fn packed(path: &Path) -> Result<FileSummary> {
         }
         let set = PackedSet::open(path, part)?;
         let header = npy_header(&displacement)?;
-        let outfits: BTreeSet<&str> = set.outfits().iter().map(|outfit| outfit.name()).collect();
+        let outfits: BTreeSet<&str> = set.outfits().iter().map(Outfit::name).collect();
         facts = facts
             .with(format!("{part} frames"), set.frames())
             .with(format!("{part} outfits"), outfits.into_iter().collect::<Vec<_>>())
+            .with(format!("{part} labels"), label_names(&set))
             .with(format!("{part} vertices"), set.vertices())
             .with(format!("{part} type"), header.dtype.to_string());
         if let Some(origins) = set.origins() {
@@ -101,6 +102,16 @@ fn packed(path: &Path) -> Result<FileSummary> {
         "also contains",
         brought(path, &[BODY_FILE, CLOTHING_FILE, SPLIT_FILE, STATISTICS_FILE]),
     ))
+}
+
+/// The outfits of the labels, in their order, and a note if the set does not name them.
+fn label_names(set: &PackedSet) -> String {
+    let names = set.vocabulary().to_string();
+    match (set.names_outfits(), set.vocabulary().is_paper()) {
+        (true, _) => names,
+        (false, true) => format!("{names} (the paper's: the set has no {SPLIT_FILE})"),
+        (false, false) => format!("{names} (not named: the set has no {SPLIT_FILE})"),
+    }
 }
 
 fn pyramid(path: &Path) -> Result<FileSummary> {

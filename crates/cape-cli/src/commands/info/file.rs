@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use cape_core::{
-    Mesh, PointCache, SmplModel,
+    Mesh, Outfit, PointCache, SmplModel,
     motion::{MotionOptions, read_motions},
     npy::{Npz, npy_header, read_objects},
     pickle::Pickle,
@@ -250,7 +250,7 @@ fn settings(path: &Path) -> Result<FileSummary> {
         Err(run) => match SplitSpec::from_file(path) {
             Ok(split) => Ok(FileSummary::new("split into training and test sequences")
                 .with("subjects", split.subjects)
-                .with("outfits", split.outfits.iter().map(|o| o.name()).collect::<Vec<_>>())
+                .with("outfits", split.outfits.iter().map(Outfit::name).collect::<Vec<_>>())
                 .with("training sequences", split.train.sequences.len())
                 .with("test sequences", split.test.sequences.len())),
             // The sections tell a split from a configuration.
@@ -268,6 +268,7 @@ pub(super) fn run_config(facts: FileSummary, config: &RunConfig) -> FileSummary 
         .with("filters", model.filters.clone())
         .with("factors", model.factors.clone())
         .with("latent", model.latent)
+        .with("outfits", model.outfits.iter().map(Outfit::name).collect::<Vec<_>>())
         .with("decoder", format!("{:?}", model.decoder).to_lowercase())
         .with("discriminator", model.discriminator.is_some())
         .with("weighting", weighting.name())

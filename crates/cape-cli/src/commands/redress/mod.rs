@@ -17,7 +17,7 @@ use crate::{
     error::{Error, Result},
     files,
     motion_source::MotionFileArgs,
-    options::{GlobalArgs, OutputArgs, RunArgs, outfit},
+    options::{GlobalArgs, OutputArgs, RunArgs},
     registration::{KnownBodyArgs, RegistrationFile, mean_error},
 };
 
@@ -42,8 +42,8 @@ pub(crate) struct RedressArgs {
     output: OutputArgs,
     #[command(flatten)]
     known: KnownBodyArgs,
-    /// Other outfits [default: all, or none with --to].
-    #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…", value_parser = outfit())]
+    /// Other outfits of the run [default: all, or none with --to].
+    #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…")]
     outfit: Vec<Outfit>,
     /// Other poses: t-pose, a-pose, motions or files.
     #[arg(long, value_delimiter = ',', value_name = "POSE,…")]
@@ -92,8 +92,11 @@ impl RedressArgs {
 
         let outfits = match &self.outfit[..] {
             [] if !targets.is_empty() => Vec::new(),
-            [] => Outfit::ALL.to_vec(),
-            chosen => chosen.to_vec(),
+            [] => run.outfits().to_vec(),
+            chosen => {
+                chosen.iter().try_for_each(|&outfit| run.outfits().require(outfit).map(drop))?;
+                chosen.to_vec()
+            }
         };
         let mut changed = vec![("reconstruction".to_owned(), wearer.clone())];
         changed.extend(

@@ -68,7 +68,8 @@ impl TargetBody {
             return Ok(Self { name, minimal, betas, pose: None });
         }
         // The other body's outfit does not matter.
-        let known = KnownBodyArgs { outfit_worn: Some(cape_core::Outfit::LongLong), minimal: None };
+        let known =
+            KnownBodyArgs { outfit_worn: Some(cape_core::Outfit::LONG_LONG), minimal: None };
         let RegistrationFile { wearer, minimal, .. } = RegistrationFile::read(run, text, &known)?;
         let minimal = match minimal {
             Some(minimal) => minimal,

@@ -37,6 +37,8 @@ const TILE: [u32; 2] = [320, 420];
 const MOST_PICTURES: usize = 32;
 /// Material file of textured .obj files.
 const MATERIALS: &str = "body.mtl";
+/// Most bodies per row of the contact sheet.
+const WIDEST: usize = 8;
 /// Bodies per row of the contact sheet, if there is one outfit.
 const COLUMNS: usize = 6;
 
@@ -56,7 +58,7 @@ pub(crate) struct SampleArgs {
     run: RunArgs,
     #[command(flatten)]
     output: OutputArgs,
-    /// Outfit: upper, then lower garment; or all four.
+    /// Outfit of the run, see `cape info RUN`; or all of them.
     #[arg(long, default_value = "all", value_name = "OUTFIT", value_parser = outfit_or("all"))]
     outfit: OutfitSelection,
     /// Pose: t-pose, a-pose, a motion (walk, squats, …) or a file of poses.
@@ -157,7 +159,7 @@ impl SampleArgs {
             console.note("the contact sheet is drawn without the texture: only PNG can be drawn");
         }
         let seed = global.seed();
-        let outfits = self.outfit.outfits();
+        let outfits = self.outfit.of(&run)?;
         let codes = self.drawn.codes(&run, &outfits, self.n, seed, console)?;
         // All poses of an animation are in one file, which is listed and drawn in its first.
         let shown = if animated { &poses[..1] } else { &poses[..] };
@@ -246,7 +248,7 @@ impl SampleArgs {
             })
         })?;
         files::write_json_lines(&out.join("samples.jsonl"), &lines)?;
-        let picture = self.picture(&tiles)?;
+        let picture = self.picture(&tiles, outfits.len())?;
         let report = Report { files, picture, out: self.output.out };
         console.result(&report, || report.text(&lines))
     }
@@ -307,14 +309,14 @@ impl SampleArgs {
         Ok(())
     }
 
-    fn picture(&self, tiles: &[Tile]) -> Result<Option<PathBuf>> {
+    fn picture(&self, tiles: &[Tile], outfits: usize) -> Result<Option<PathBuf>> {
         if tiles.is_empty() {
             return Ok(None);
         }
         let columns = match (self.outfit, tiles.len()) {
             // One of each beside the body.
-            (OutfitSelection::All, 5) => 5,
-            (OutfitSelection::All, _) => Outfit::ALL.len(),
+            (OutfitSelection::All, tiles) if tiles == outfits + 1 && tiles <= WIDEST => tiles,
+            (OutfitSelection::All, _) => outfits.min(WIDEST),
             _ => COLUMNS,
         };
         let path = self.output.out.join("contact_sheet.png");
@@ -344,7 +346,7 @@ impl Report {
     fn text(&self, lines: &[SampleLine]) -> String {
         let mut table = Table::new(["file", "outfit", "pose"]);
         for line in lines.iter().take(20) {
-            table.row([line.file.as_str(), line.outfit.name(), &line.pose]);
+            table.row([line.file.as_str(), line.outfit.name(), line.pose.as_str()]);
         }
         let more = match lines.len().saturating_sub(20) {
             0 => String::new(),

@@ -81,7 +81,7 @@ mod tests {
     #[test]
     fn templates_are_filled_and_checked() {
         let fields = NameFields {
-            outfit: Outfit::LongLong,
+            outfit: Outfit::LONG_LONG,
             sample: 4,
             frame: 7,
             frames: 9,

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use cape_core::{
-    BodyPose, Mesh, Outfit,
+    BodyPose, Mesh,
     joints::JOINT_NAMES,
     motion::{MotionFile, MotionOptions},
     obj, ply,
@@ -76,7 +76,8 @@ impl Source<'_> {
             (Self::Model(model), Question::Sample(sample)) => {
                 let &RunSource { run, console, .. } = &**model;
                 let (outfit, seed) = (sample.outfit, sample.seed);
-                let drawn = PriorArgs { prior: sample.prior()?, temperature: sample.temperature };
+                let drawn =
+                    PriorArgs { prior: Some(sample.prior()?), temperature: sample.temperature };
                 let z = drawn.codes(run, &[outfit], 1, seed, console)?;
                 Ok(Answer::Code { z: z.row(0).to_vec() })
             }
@@ -128,8 +129,7 @@ impl Source<'_> {
 
 impl<'a> RunSource<'a> {
     pub(super) fn new(run: &'a Run, motion: Option<MotionFile>, console: Console) -> Self {
-        let truth = run.data().ok().and_then(|data| PackedSet::open(&data, Split::Test).ok());
-        let truth = truth.filter(|set| set.vertices() == run.body().vertices());
+        let truth = run.data().ok().and_then(|data| run.open_set(data, Split::Test).ok());
         let motion = motion.map(|file| (name_of(&file.path), file));
         Self { run, painter: DressedRenderer::new(run), truth, console, motion }
     }
@@ -153,7 +153,8 @@ impl<'a> RunSource<'a> {
     fn scene(&self) -> Result<Value> {
         let run = self.run;
         let at = |name: &str| poses::preset(name).unwrap_or([0.0; 72]);
-        let wearer = BodySpec { betas: Vec::new(), pose: at("a-pose"), outfit: Outfit::LongLong };
+        let wearer =
+            BodySpec { betas: Vec::new(), pose: at("a-pose"), outfit: run.default_outfit() };
         let (order, effect) = directions_by_effect(run, &wearer)?;
         let synthetic: Vec<&str> = Motion::ALL.iter().map(|motion| motion.name()).collect();
         let named = ["a-pose", "t-pose"].into_iter().chain(synthetic.iter().copied());
@@ -161,7 +162,7 @@ impl<'a> RunSource<'a> {
         let motions: Vec<&str> = given.chain(synthetic.iter().copied()).collect();
         let poses: Vec<Value> =
             named.map(|name| json!({"name": name, "pose": at(name).to_vec()})).collect();
-        let priors: Vec<&str> = [PriorName::Normal, PriorName::Gmm, PriorName::Kde]
+        let priors: Vec<&str> = [PriorName::Gmm, PriorName::Normal, PriorName::Kde]
             .into_iter()
             .filter(|&prior| prior == PriorName::Normal || run.paths().prior(prior.name()).exists())
             .map(PriorName::name)
@@ -176,7 +177,8 @@ impl<'a> RunSource<'a> {
                 "order": order,
                 "effect": effect,
                 "betas": self.shapes(),
-                "outfits": Outfit::ALL.map(Outfit::name),
+                "outfits": run.outfits(),
+                "outfit": run.default_outfit(),
                 "poses": poses,
                 "motions": motions,
                 "joints": JOINT_NAMES,

@@ -58,12 +58,12 @@ impl CompareArgs {
             Some(data) => data,
             None => common_data(&self.runs)?,
         };
-        let set = Arc::new(PackedSet::open(&data, Split::Test)?);
-        check_comparable(&self.runs, &set)?;
+        check_comparable(&self.runs, &PackedSet::open(&data, Split::Test)?)?;
         let names = names::run_names(&self.runs);
         let mut results: Vec<(RunErrors, f64)> = Vec::new();
         for (root, name) in self.runs.iter().zip(&names) {
             let run = Run::open(root, &device)?;
+            let set = Arc::new(run.open_set(&data, Split::Test)?);
             let measured = console
                 .while_showing(name, "frames", |progress| {
                     let seed = global.seed();

@@ -4,7 +4,7 @@ mod store;
 
 use std::process::ExitCode;
 
-use cape_data::{PackedSet, Split};
+use cape_data::Split;
 use cape_fit::benchmark::{Benchmark, BenchmarkCase, BenchmarkOptions};
 use cape_infer::write_json;
 use clap::Args;
@@ -64,7 +64,7 @@ impl FitBenchmarkArgs {
         let config = self.method.config()?;
         let run = self.run.open(global)?;
         let data = self.data.of(&run)?;
-        let set = PackedSet::open(&data, Split::Test)?;
+        let set = run.open_set(&data, Split::Test)?;
         let smplify = self.method.smplify(run.body(), &config)?;
         let inputs = FrameInputs {
             run: &run,

@@ -73,9 +73,12 @@ impl Report {
             by_outfit.text(),
             String::new(),
             format!(
-                "{} images of {} captures; squared error {}",
+                "{} images of {}; squared error {}",
                 self.summary.images,
-                self.summary.captures,
+                match self.summary.captures {
+                    Some(captures) => format!("{captures} captures"),
+                    None => "unknown captures".to_owned(),
+                },
                 comparison(squared)
             ),
             format!(

@@ -46,7 +46,7 @@ pub(crate) struct FitScanArgs {
     scan: PathBuf,
     #[command(flatten)]
     output: OutputArgs,
-    /// Outfit; auto fits all and keeps the one of lowest energy.
+    /// Outfit of the run; auto fits all and keeps the one of lowest energy.
     #[arg(long, default_value = "auto", value_name = "OUTFIT", value_parser = outfit_or("auto"))]
     outfit: OutfitSelection,
     /// Unit of the scan: m, cm or mm.
@@ -93,9 +93,9 @@ pub(crate) struct FitScanArgs {
 impl FitScanArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         self.output.require_empty()?;
-        let outfits = self.outfit.outfits();
         let scan = Scan::load(&self.scan, self.unit)?;
         let run = self.run.open(global)?;
+        let outfits = self.outfit.of(&run)?;
         let prior = match &self.pose_prior {
             Some(path) => PosePrior::load(path)?,
             None => PosePrior::synthetic()?,

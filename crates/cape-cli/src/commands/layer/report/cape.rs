@@ -72,7 +72,7 @@ pub(super) fn compare(
         return Ok(kept);
     }
     store.begin()?;
-    let test = Arc::new(PackedSet::open(&data, Split::Test)?);
+    let test = Arc::new(run.open_set(&data, Split::Test)?);
     let bench = ComparisonContext { run: &run, data: &data, test: &test, learning, console };
     let mut methods = bench.linear()?;
     methods.push(bench.cape()?);
@@ -107,7 +107,7 @@ impl ComparisonContext<'_> {
 
     /// Principal components of displacements, alone and with a regression from pose and outfit.
     fn linear(&self) -> Result<Vec<MethodComparison>> {
-        let train = PackedSet::open(self.data, Split::Train)?;
+        let train = self.run.open_set(self.data, Split::Train)?;
         let rows = DisplacementStatistics::from_packed(self.data, &mut |_, _| {})?
             .training_rows(train.frames());
         let components = self.learning.components.min(rows.len().saturating_sub(1));
@@ -226,10 +226,12 @@ impl ComparisonContext<'_> {
 fn inputs(set: &PackedSet, frames: &[usize]) -> Result<(Array2<f64>, Vec<bool>)> {
     let shape = |error: ndarray::ShapeError| Error::message(error.to_string());
     let mut poses = Vec::with_capacity(72 * frames.len());
-    let mut outfits = Vec::with_capacity(4 * frames.len());
+    let width = set.vocabulary().len();
+    let mut outfits = Vec::with_capacity(width * frames.len());
     for &frame in frames {
         poses.extend(set.pose(frame)?.into_iter().map(f64::from));
-        outfits.extend(set.outfits()[frame].one_hot().map(f64::from));
+        let label = set.vocabulary().one_hot(set.outfits()[frame])?;
+        outfits.extend(label.into_iter().map(f64::from));
     }
     let count = frames.len();
     let poses = Array2::from_shape_vec((count, 72), poses).map_err(shape)?;
@@ -237,7 +239,7 @@ fn inputs(set: &PackedSet, frames: &[usize]) -> Result<(Array2<f64>, Vec<bool>)>
     let features =
         FeatureOptions { speed: false, angular_speeds: false, ..FeatureOptions::default() };
     let rows = features.rows(&motion);
-    let outfits = Array2::from_shape_vec((count, 4), outfits).map_err(shape)?;
-    let semantic = [vec![false; rows.ncols()], vec![true; 4]].concat();
+    let outfits = Array2::from_shape_vec((count, width), outfits).map_err(shape)?;
+    let semantic = [vec![false; rows.ncols()], vec![true; width]].concat();
     Ok((concatenate(Axis(1), &[rows.view(), outfits.view()]).map_err(shape)?, semantic))
 }

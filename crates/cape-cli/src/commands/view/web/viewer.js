@@ -372,7 +372,7 @@ function initial({ model }) {
     betas: new Array(model.betas).fill(0),
     pose,
     poseName: name,
-    outfit: model.outfits.includes("longlong") ? "longlong" : model.outfits[0],
+    outfit: model.outfit,
     layers: ["clothed"],
     truth: 0,
   };
