@@ -114,10 +114,14 @@ pub(crate) struct OutfitArgs {
 #[serde(rename_all = "lowercase")]
 pub(crate) enum FileKind {
     Glb,
+    Mdd,
     Npz,
     Obj,
+    Pc2,
     Ply,
     Png,
+    Smpl,
+    Usda,
 }
 
 /// One outfit, or all of them.
@@ -207,10 +211,14 @@ impl FileKind {
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Glb => "glb",
+            Self::Mdd => "mdd",
             Self::Npz => "npz",
             Self::Obj => "obj",
+            Self::Pc2 => "pc2",
             Self::Ply => "ply",
             Self::Png => "png",
+            Self::Smpl => "smpl",
+            Self::Usda => "usda",
         }
     }
 }

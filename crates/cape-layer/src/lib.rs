@@ -46,4 +46,4 @@ pub use error::{Error, Result};
 pub use import::{ImportRates, import};
 pub use layer::{Layer, LayerStream, PredictedFrame};
 pub use offsets::{BodyFrame, OffsetFrame};
-pub use sequence::{LayerSet, Sequence, import_motion};
+pub use sequence::{LayerSet, Sequence};

@@ -368,14 +368,12 @@ fn read(directory: &Path, entry: Entry) -> Result<(Vec<[u32; 3]>, Sequence)> {
     let clothing = clothing
         .into_dimensionality()
         .map_err(|error| cape_core::Error::field(&path, "clothing", error.to_string()))?;
-    let (motion, betas) = read_motion(&mut file, Some(frame_rate))?;
+    let (motion, betas) = motion_of(&mut file, frame_rate)?;
     Ok((faces, Sequence { name, clothing, betas, motion, parameters }))
 }
 
-/// Arrays `poses`, `trans` or `transl`, `betas` and, unless the frame rate is given,
-/// `mocap_framerate` of an archive of SMPL parameters with the names of AMASS.
-fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(BodyMotion, Vec<f64>)> {
-    let shift = if file.contains("trans") { "trans" } else { "transl" };
+/// Motion of the body at a frame rate, and its shape coefficients, of an archive of a set.
+fn motion_of(file: &mut Npz, frame_rate: f64) -> Result<(BodyMotion, Vec<f64>)> {
     let mut table = |name: &str, columns: Option<usize>| -> Result<Array2<f64>> {
         let array = file.f64(name)?;
         file.expect_shape(name, array.shape(), &[None, columns])?;
@@ -384,31 +382,14 @@ fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(BodyMotion, V
             .into_dimensionality()
             .map_err(|error| cape_core::Error::field(path, name, error.to_string()))?)
     };
-    let (poses, translations) = (table("poses", None)?, table(shift, Some(3))?);
+    let (poses, translations) = (table("poses", None)?, table("trans", Some(3))?);
     let betas = if file.contains("betas") {
         file.f64("betas")?.iter().copied().collect()
     } else {
         Vec::new()
     };
     expect_finite("betas", &betas)?;
-    let rate = match frame_rate {
-        Some(rate) => rate,
-        None => file.f64("mocap_framerate")?.first().copied().unwrap_or(f64::NAN),
-    };
-    Ok((BodyMotion::new(rate, poses, translations)?, betas))
-}
-
-/// Reads the motion and the shape coefficients of an `.npz` archive of SMPL parameters with the
-/// names of AMASS: `poses` `[frames, 72]`, `trans` or `transl` `[frames, 3]`, `betas` (optional),
-/// and `mocap_framerate` unless `frame_rate`, in frames per second, is given.
-///
-/// # Errors
-/// If an array is missing, malformed or not finite.
-pub fn import_motion(
-    parameters: impl AsRef<Path>,
-    frame_rate: Option<f64>,
-) -> Result<(BodyMotion, Vec<f64>)> {
-    read_motion(&mut Npz::open(parameters)?, frame_rate)
+    Ok((BodyMotion::new(frame_rate, poses, translations)?, betas))
 }
 
 #[cfg(test)]

@@ -28,9 +28,11 @@ use cape_data::{
     steps_per_epoch,
 };
 use cape_infer::{
-    RunConfig, RunPaths, build_graphs,
+    MIXTURE, Run, RunConfig, RunPaths, build_graphs,
     checkpoint::{self, Checkpoint, TrainState},
-    normal, read_identity, to_device,
+    normal,
+    prior::{Prior, PriorOptions},
+    read_identity, to_device,
 };
 
 /// Event during training.
@@ -66,6 +68,13 @@ pub enum TrainEvent {
         /// Share of patches that the discriminator classified correctly in the steps of the epoch;
         /// `None` without a discriminator.
         discriminator_accuracy: Option<f64>,
+    },
+    /// Encoding of training frames for the prior of latent codes, at the end of training.
+    Prior {
+        /// Number of encoded frames.
+        done: usize,
+        /// Number of frames to encode.
+        total: usize,
     },
     /// End of writing a checkpoint.
     Checkpoint {
@@ -326,7 +335,9 @@ impl Trainer {
         self.statistics.training_rows(self.set.frames())
     }
 
-    /// Trains until all epochs are done or `report` breaks; in both cases the state is saved.
+    /// Trains until all epochs are done or `report` breaks; in both cases the state is saved. After the
+    /// last epoch of a variational model a mixture of normal distributions is fitted to the codes of
+    /// the training frames, from which samples are drawn.
     ///
     /// # Errors
     /// If a file cannot be read or written, or a loss or gradient is not finite. In the latter case
@@ -376,13 +387,32 @@ impl Trainer {
                 }
             }
         }
+        let finished = self.progress.step >= last;
+        if finished && self.config.model.variational {
+            self.fit_prior(report)?;
+        }
         Ok(TrainOutcome {
-            finished: self.progress.step >= last,
+            finished,
             epochs: (self.progress.step / steps as u64) as usize,
             steps: self.progress.step,
             best_validation: self.progress.best.map(|(error, _)| error),
             seconds: self.progress.seconds,
         })
+    }
+
+    /// Fits the mixture of latent codes at the checkpoint that the run is used with, unless it is there.
+    fn fit_prior(&self, report: &mut dyn FnMut(&TrainEvent) -> ControlFlow<()>) -> Result<()> {
+        let run = Run::open(self.paths.root(), &self.device)?;
+        let path = self.paths.prior(MIXTURE);
+        if path.exists() && Prior::load(&path)?.step() == Some(run.progress().step) {
+            return Ok(());
+        }
+        let options = PriorOptions { seed: self.config.train.seed, ..PriorOptions::default() };
+        let prior = Prior::of_run(&run, &self.set, &options, &mut |done, total| {
+            // Training is over; there is nothing to break.
+            let _ = report(&TrainEvent::Prior { done, total });
+        })?;
+        prior.save(&path)
     }
 
     /// One update of generator and discriminator; true if `report` breaks.

@@ -37,7 +37,7 @@ use cape_data::{
     PackedSet, Split,
     raw::{BODY_FILE, CLOTHING_FILE},
 };
-use cape_infer::{RunConfig, RunPaths, body_and_clothing, checkpoint};
+use cape_infer::{MIXTURE, RunConfig, RunPaths, body_and_clothing, checkpoint};
 use cape_train::{Trainer, TrainerOptions};
 
 const RESULT: &str = "result.json";
@@ -294,7 +294,7 @@ impl Table2Job {
             format!("{RUN}/{name}{end}")
         };
         let mut names: Vec<String> = files.iter().map(|path| name(path, "")).collect();
-        names.push(name(&paths.metrics(), ""));
+        names.extend([paths.metrics(), paths.prior(MIXTURE)].map(|path| name(&path, "")));
         names.extend([paths.checkpoints(), paths.events()].map(|path| name(&path, "/")));
         self.store.begin()?;
         if checkpoint::list(&paths.checkpoints())?.is_empty() {

@@ -19,6 +19,7 @@ use serde::Serialize;
 use crate::{
     console::Console,
     error::{Context, Error, Result},
+    motion_source::MotionFileArgs,
     options::{GlobalArgs, positive},
 };
 use server::ServerState;
@@ -48,6 +49,11 @@ pub(crate) struct ViewArgs {
     /// Frames per second of a sequence.
     #[arg(long, default_value_t = 30.0, value_name = "FPS", value_parser = positive)]
     fps: f64,
+    /// File of a motion to offer beside the synthetic ones, for a run.
+    #[arg(long, value_name = "FILE")]
+    motion: Option<String>,
+    #[command(flatten)]
+    reading: MotionFileArgs,
     /// Do not open the browser.
     #[arg(long)]
     no_open: bool,
@@ -75,7 +81,14 @@ impl ViewArgs {
             None
         };
         let source = match &run {
-            Some(run) => Source::Model(Box::new(RunSource::new(run, console))),
+            Some(run) => {
+                let motion = self.motion.as_deref();
+                let motion = motion.map(|text| self.reading.poses(text, console)).transpose()?;
+                Source::Model(Box::new(RunSource::new(run, motion, console)))
+            }
+            None if self.motion.is_some() => {
+                return Err(Error::message("--motion: only a run can be moved, not a mesh"));
+            }
             None => Source::Meshes(MeshSource::open(&self.path, self.fps)?),
         };
         let scene = source.scene()?.to_string();

@@ -2,7 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_core::{Mesh, joints::JOINT_NAMES, list_files, obj, ply};
+use cape_core::{
+    BodyPose, Mesh,
+    joints::JOINT_NAMES,
+    list_files,
+    motion::{MotionFile, MotionOptions},
+    obj, ply,
+};
 use cape_data::{PackedSet, Split, raw::name_of};
 use cape_infer::{AnimatedBody, BodySpec, Run, directions_by_effect};
 use cape_stats::errors::distance_mm;
@@ -10,7 +16,9 @@ use cape_synth::{Motion, poses};
 use ndarray::{Array2, Array3};
 use serde_json::{Value, json};
 
-use super::wire::{Answer, Download, FileFormat, Person, Question, ShowRequest, ViewLayer};
+use super::wire::{
+    Answer, Download, FileFormat, MotionRequest, Person, Question, ShowRequest, ViewLayer,
+};
 use crate::{
     console::Console,
     dressed_mesh::{DressedMesh, DressedRenderer, unclothed_meshes},
@@ -35,6 +43,8 @@ pub(super) struct RunSource<'a> {
     painter: DressedRenderer<'a>,
     truth: Option<PackedSet>,
     console: Console,
+    /// Motion of a file, and its name in the page.
+    motion: Option<(String, MotionFile)>,
 }
 
 /// A mesh, or the frames of a sequence.
@@ -67,7 +77,8 @@ impl Source<'_> {
             (Self::Model(model), Question::Sample(sample)) => {
                 let &RunSource { run, console, .. } = &**model;
                 let (outfit, seed) = (sample.outfit, sample.seed);
-                let drawn = PriorArgs { prior: sample.prior()?, temperature: sample.temperature };
+                let drawn =
+                    PriorArgs { prior: Some(sample.prior()?), temperature: sample.temperature };
                 let z = drawn.codes(run, &[outfit], 1, seed, console)?;
                 Ok(Answer::Code { z: z.row(0).to_vec() })
             }
@@ -76,13 +87,9 @@ impl Source<'_> {
                 let z = model.code_of(frame)?.row(0).to_vec();
                 Ok(Answer::Registration { z, wearer: Box::new(wearer) })
             }
-            (Self::Model(_), Question::Motion(movement)) => {
+            (Self::Model(model), Question::Motion(movement)) => {
                 movement.check()?;
-                // Only names, not paths.
-                if poses::preset(&movement.name).is_none() {
-                    return Err(Error::message(format!("unknown motion `{}`", movement.name)));
-                }
-                let poses = poses::motion_poses(&movement.name, movement.seconds, movement.fps)?;
+                let poses = model.poses(movement)?;
                 Ok(Answer::Poses { poses, fps: movement.fps })
             }
             (Self::Meshes(meshes), &Question::Frame(frame)) => {
@@ -122,9 +129,26 @@ impl Source<'_> {
 }
 
 impl<'a> RunSource<'a> {
-    pub(super) fn new(run: &'a Run, console: Console) -> Self {
+    pub(super) fn new(run: &'a Run, motion: Option<MotionFile>, console: Console) -> Self {
         let truth = run.data().ok().and_then(|data| run.open_set(data, Split::Test).ok());
-        Self { run, painter: DressedRenderer::new(run), truth, console }
+        let motion = motion.map(|file| (name_of(&file.path), file));
+        Self { run, painter: DressedRenderer::new(run), truth, console, motion }
+    }
+
+    /// Poses of a motion by name: the file's, or a synthetic one's. Paths are not names.
+    fn poses(&self, movement: &MotionRequest) -> Result<Vec<BodyPose>> {
+        if let Some((name, file)) = &self.motion
+            && *name == movement.name
+        {
+            let motion = file.motion_of(self.run.body(), &[], Some(movement.fps))?;
+            return Ok((0..motion.frames()).map(|frame| motion.pose(frame)).collect());
+        }
+        if poses::preset(&movement.name).is_none() {
+            return Err(Error::message(format!("unknown motion `{}`", movement.name)));
+        }
+        let options = MotionOptions::default();
+        let file = poses::load_motion(&movement.name, movement.seconds, movement.fps, &options)?;
+        Ok(file.upright_poses()?)
     }
 
     fn scene(&self) -> Result<Value> {
@@ -133,11 +157,13 @@ impl<'a> RunSource<'a> {
         let wearer =
             BodySpec { betas: Vec::new(), pose: at("a-pose"), outfit: run.default_outfit() };
         let (order, effect) = directions_by_effect(run, &wearer)?;
-        let motions: Vec<&str> = Motion::ALL.iter().map(|motion| motion.name()).collect();
-        let named = ["a-pose", "t-pose"].into_iter().chain(motions.iter().copied());
+        let synthetic: Vec<&str> = Motion::ALL.iter().map(|motion| motion.name()).collect();
+        let named = ["a-pose", "t-pose"].into_iter().chain(synthetic.iter().copied());
+        let given = self.motion.iter().map(|(name, _)| name.as_str());
+        let motions: Vec<&str> = given.chain(synthetic.iter().copied()).collect();
         let poses: Vec<Value> =
             named.map(|name| json!({"name": name, "pose": at(name).to_vec()})).collect();
-        let priors: Vec<&str> = [PriorName::Normal, PriorName::Gmm, PriorName::Kde]
+        let priors: Vec<&str> = [PriorName::Gmm, PriorName::Normal, PriorName::Kde]
             .into_iter()
             .filter(|&prior| prior == PriorName::Normal || run.paths().prior(prior.name()).exists())
             .map(PriorName::name)

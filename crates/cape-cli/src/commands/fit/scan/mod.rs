@@ -6,6 +6,7 @@ use std::{
     time::Instant,
 };
 
+use cape_core::motion::MotionOptions;
 use cape_fit::{
     BodyParameters, PosePrior,
     scan::{
@@ -13,7 +14,7 @@ use cape_fit::{
         ScanFitter, ScanInit, ScanUnit, UpAxis, free_displacement,
     },
 };
-use cape_synth::poses;
+use cape_synth::poses::load_poses;
 use clap::Args;
 
 use self::output::{OutputPaths, ScanOutput};
@@ -149,10 +150,9 @@ impl FitScanArgs {
             return Ok(ScanInit::Joints(KnownJoints::load(path)?.scaled(metres)));
         }
         if let Some(text) = &self.pose {
-            let chosen = poses::poses(text)?.into_iter();
-            return Ok(ScanInit::Poses(
-                chosen.map(|(_, pose)| pose.map(f64::from).to_vec()).collect(),
-            ));
+            let file = load_poses(text, &MotionOptions::default())?;
+            let chosen = file.upright_poses()?.into_iter();
+            return Ok(ScanInit::Poses(chosen.map(|pose| pose.map(f64::from).to_vec()).collect()));
         }
         Ok(ScanInit::default_poses(prior))
     }
