@@ -1,6 +1,9 @@
 //! Options that several commands share, and parsers of their values.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 use burn::tensor::Device;
 use cape_core::{Outfit, SmplModel, parse_device};
@@ -83,6 +86,22 @@ pub(crate) struct StoreArgs {
     /// Discard results of other settings, inputs or versions in --out.
     #[arg(long)]
     pub(crate) overwrite: bool,
+}
+
+/// Checkpoints by time.
+#[derive(Debug, Clone, Copy, Args)]
+pub(crate) struct CheckpointArgs {
+    /// Minutes between checkpoints within an epoch; 0 saves at the end of epochs only.
+    #[arg(long, default_value_t = 15.0, value_name = "M", value_parser = non_negative)]
+    checkpoint_minutes: f64,
+}
+
+impl CheckpointArgs {
+    /// Time between checkpoints within an epoch.
+    pub(crate) fn interval(self) -> Option<Duration> {
+        let seconds = 60.0 * self.checkpoint_minutes;
+        (seconds > 0.0).then(|| Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX))
+    }
 }
 
 /// A body model.

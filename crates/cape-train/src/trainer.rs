@@ -6,7 +6,7 @@ use std::{
     ops::ControlFlow,
     path::{Path, PathBuf},
     sync::Arc,
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use burn::tensor::Device;
@@ -189,6 +189,7 @@ pub struct Trainer {
     clothing: Vec<usize>,
     learner: Learner,
     preview_fn: Option<PreviewFn>,
+    checkpoint_interval: Option<Duration>,
     progress: TrainState,
     device: Device,
 }
@@ -294,6 +295,7 @@ impl Trainer {
             clothing,
             learner,
             preview_fn: None,
+            checkpoint_interval: None,
             paths,
             config,
             progress,
@@ -324,6 +326,12 @@ impl Trainer {
     /// Sets the function that renders a few validation frames after every epoch for TensorBoard.
     pub fn set_preview_fn(&mut self, preview_fn: PreviewFn) {
         self.preview_fn = Some(preview_fn);
+    }
+
+    /// Sets the time after which a checkpoint is saved within an epoch; by default there is none but by
+    /// [`checkpoint_steps`](cape_infer::TrainConfig::checkpoint_steps).
+    pub fn set_checkpoint_interval(&mut self, interval: Option<Duration>) {
+        self.checkpoint_interval = interval;
     }
 
     /// Paths of the run's files.
@@ -363,6 +371,7 @@ impl Trainer {
                 options,
                 self.progress.loader,
             )?;
+            let mut saved = Instant::now();
             while self.progress.step < last {
                 let stop = self.one_step(&mut loader, &mut log, steps, report)?;
                 let step = self.progress.step;
@@ -373,8 +382,10 @@ impl Trainer {
                     None
                 };
                 let often = self.config.train.checkpoint_steps as u64;
-                if stop || epoch_ends || (often > 0 && step.is_multiple_of(often)) {
+                let due = self.checkpoint_interval.is_some_and(|most| saved.elapsed() >= most);
+                if stop || epoch_ends || due || (often > 0 && step.is_multiple_of(often)) {
                     let path = self.save()?;
+                    saved = Instant::now();
                     if let Some(found) = found {
                         self.show(&found, &mut log)?;
                     }
@@ -537,7 +548,11 @@ impl Trainer {
         let directory = self.paths.checkpoints();
         let path = checkpoint.save(&directory)?;
         let best = self.progress.best.map(|(_, step)| step);
-        checkpoint::prune(&directory, self.config.train.keep, best)?;
+        let often = self.config.train.checkpoint_steps as u64;
+        let steps = self.steps_per_epoch() as u64;
+        let regular =
+            |step: u64| step.is_multiple_of(steps) || often > 0 && step.is_multiple_of(often);
+        checkpoint::prune(&directory, self.config.train.keep, best, regular)?;
         Ok(path)
     }
 

@@ -263,6 +263,37 @@ fn the_time_of_a_table_is_estimated_before_it_is_made() {
 }
 
 #[test]
+fn several_processes_share_a_table() {
+    let data = Packed::new();
+    let line = "table2 --data @/packed --preset tiny --epochs 1 --seeds 2 --rows mean,cape,no-edge";
+    let alone = data.run(&format!("{line} --out @/alone --json")).json();
+    let shards: Vec<_> = ["1/2", "2/2"]
+        .iter()
+        .map(|shard| {
+            let line = format!("{line} --out @/shared --shard {shard}");
+            let root = data.root().to_str().unwrap().to_owned();
+            let words = line.split_whitespace().map(move |word| word.replace('@', &root));
+            cape(words).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
+        })
+        .collect();
+    for shard in shards {
+        let output = shard.wait_with_output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    let shared = data.run(&format!("{line} --out @/shared --tabulate --json")).json();
+    let without_time = |report: &serde_json::Value| {
+        let mut lines = report["lines"].clone();
+        for line in lines.as_array_mut().unwrap() {
+            line["seconds"].take();
+        }
+        lines
+    };
+    assert_eq!(without_time(&shared), without_time(&alone));
+    data.run(&format!("{line} --out @/nothing --tabulate")).failed_saying(&["no row is finished"]);
+    assert_eq!(data.run(&format!("{line} --out @/nothing --shard 3/2")).code, Some(2));
+}
+
+#[test]
 fn rows_of_other_settings_or_data_are_not_replaced_unasked() {
     let data = Packed::new();
     let line = "table2 --data @/packed --out @/table --preset tiny --epochs 1 --rows";

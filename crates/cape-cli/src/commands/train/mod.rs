@@ -17,7 +17,7 @@ use crate::{
     dashboard::Dashboard,
     error::{Context, Error, Result},
     interrupt::Interrupt,
-    options::{GlobalArgs, PRESETS, default_device},
+    options::{CheckpointArgs, GlobalArgs, PRESETS, default_device},
     table::Table,
     training,
 };
@@ -63,6 +63,8 @@ pub(crate) struct TrainArgs {
     /// Indices of the clothing vertices, if the packed set has no clothing_verts_idx.npy.
     #[arg(long, value_name = "FILE.npy", conflicts_with = "resume")]
     clothing: Option<PathBuf>,
+    #[command(flatten)]
+    checkpoints: CheckpointArgs,
     /// Show progress, losses and curves in a full-screen terminal dashboard.
     #[arg(long)]
     tui: bool,
@@ -105,6 +107,7 @@ impl TrainArgs {
             };
             Trainer::create(&out, options, &device)?
         };
+        trainer.set_checkpoint_interval(self.checkpoints.interval());
         let interrupt = Interrupt::listen(console)?;
         let title = out.to_string_lossy();
         let epochs = trainer.config().train.epochs;
