@@ -90,7 +90,9 @@ impl Data<'_> {
                 5123 => 65535.0,
                 _ => 1.0,
             };
-            numbers.iter_mut().for_each(|x| *x = (*x / most).max(-1.0));
+            for x in &mut numbers {
+                *x = (*x / most).max(-1.0);
+            }
         }
         Ok(Rows { width, numbers })
     }

@@ -105,6 +105,9 @@ impl ViewArgs {
         let site = ServerState { token, scene, faces, remote, jobs };
         let server = thread::spawn(move || server::serve(listener, site));
         console.result(&report, || format!("{}\npress Ctrl-C to stop", report.url))?;
+        if self.host.is_unspecified() {
+            console.note(&format!("on another machine, put this machine's name for {}", self.host));
+        }
         if !self.no_open && open::that_detached(&report.url).is_err() {
             console.note("cannot open a browser: open the address by hand");
         }
