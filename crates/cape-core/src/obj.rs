@@ -305,9 +305,9 @@ mod tests {
 
     /// A cube of quadrilaterals, its vertices and its faces.
     fn cube_text() -> (String, String) {
-        let vertices = (0..8).map(|i| format!("v {} {} {}\n", i & 1, i >> 1 & 1, i >> 2)).collect();
+        let vertices = (0..8).map(|i| format!("v {} {} {}\n", i & 1, i >> 1 & 1, i >> 2));
         let faces = "f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n";
-        (vertices, faces.to_owned())
+        (vertices.collect::<Vec<_>>().concat(), faces.to_owned())
     }
 
     #[test]

@@ -520,16 +520,16 @@ mod tests {
     fn dialects_are_read() {
         let expected = cube();
         let vertex = "property float x\nproperty float y\nproperty float z\n";
-        let points: String =
-            expected.vertices.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
+        let points = expected.vertices.iter().map(|[x, y, z]| format!("{x} {y} {z}\n"));
+        let points = points.collect::<Vec<_>>().concat();
         let header = |elements: &str| {
             format!(
                 "ply\nformat ascii 1.0\nelement vertex 8\n{vertex}{elements}end_header\n{points}"
             )
         };
         let list = "property list uchar int vertex_indices\n";
-        let triangles: String =
-            expected.faces.iter().map(|[a, b, c]| format!("3 {a} {b} {c}\n")).collect();
+        let triangles = expected.faces.iter().map(|[a, b, c]| format!("3 {a} {b} {c}\n"));
+        let triangles = triangles.collect::<Vec<_>>().concat();
         let full = format!("{}{triangles}", header(&format!("element face 12\n{list}")));
         // A face of two corners, one of repeated corners, one of none.
         let more = format!(

@@ -58,7 +58,8 @@ fn bodies_of_star_are_named() {
 #[test]
 fn meshes_of_every_dialect_are_described() {
     let place = tempfile::tempdir().unwrap();
-    let cube: String = (0..8).map(|i| format!("v {} {} {}\n", i & 1, i >> 1 & 1, i >> 2)).collect();
+    let cube = (0..8).map(|i| format!("v {} {} {}\n", i & 1, i >> 1 & 1, i >> 2));
+    let cube = cube.collect::<Vec<_>>().concat();
     let faces = "f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n";
     let off_faces = "4 0 2 3 1\n4 4 5 7 6\n4 0 1 5 4\n4 2 6 7 3\n4 0 4 6 2\n4 1 3 7 5\n";
     let off = format!("OFF8 6 0\n{}{off_faces}", cube.replace("v ", ""));

@@ -295,7 +295,8 @@ fn simulated_sequences_of_vto_are_imported() {
     };
     // Lists of lists stand for the arrays of the published layout.
     let rows = |rows: Vec<String>| {
-        format!("(l{}", rows.iter().map(|row| format!("{row}a")).collect::<String>())
+        let rows: Vec<String> = rows.iter().map(|row| format!("{row}a")).collect();
+        format!("(l{}", rows.concat())
     };
     let motion = &sequence.motion;
     let poses = (0..frames).map(|frame| {
@@ -306,8 +307,8 @@ fn simulated_sequences_of_vto_are_imported() {
         rows(frame.rows().into_iter().map(|row| list(&mut row.iter().copied())).collect())
     });
     let faces = known.faces.iter().map(|face| {
-        let corners: String = face.iter().map(|corner| format!("I{corner}\na")).collect();
-        format!("(l{corners}")
+        let corners: Vec<String> = face.iter().map(|corner| format!("I{corner}\na")).collect();
+        format!("(l{}", corners.concat())
     });
     let entry = |name: &str, value: String| format!("V{name}\n{value}s");
     let text = format!(

@@ -149,9 +149,9 @@ fn scans_with_broken_points_and_of_any_unit_are_fitted() {
     broken.vertices[17] = [f32::NAN; 3];
     ply::write(data.at("nan.ply"), &broken, None).unwrap();
     // As programs of Windows print them.
-    let rows: String =
-        broken.vertices.iter().map(|[x, y, z]| format!("v {x} {y} {z}\r\n")).collect();
-    fs::write(data.at("nan.obj"), rows.replace("NaN", "-nan(ind)")).unwrap();
+    let rows = broken.vertices.iter().map(|[x, y, z]| format!("v {x} {y} {z}\r\n"));
+    let rows = rows.collect::<Vec<_>>().concat().replace("NaN", "-nan(ind)");
+    fs::write(data.at("nan.obj"), rows).unwrap();
     let [first, second] = ["nan.ply", "nan.obj"].map(|name| {
         let ran = fit(name, "", &name.replace('.', "-"));
         assert!(ran.err.contains("1 points of the scan are not finite"), "{}", ran.err);

@@ -153,7 +153,7 @@ fn scene() -> (serde_json::Value, Vec<u8>) {
         "scenes": [{"nodes": [0]}],
         "nodes": [
             {"mesh": 0, "translation": [0, 0, 5], "children": [1]},
-            {"mesh": 1, "scale": [2, 2, 2], "rotation": [0, 0, 0.70710678, 0.70710678]},
+            {"mesh": 1, "scale": [2, 2, 2], "rotation": [0, 0, HALF, HALF]},
         ],
         "meshes": [
             {"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]},
@@ -171,6 +171,9 @@ fn scene() -> (serde_json::Value, Vec<u8>) {
     });
     (document, binary)
 }
+
+/// Sine and cosine of 45°.
+const HALF: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 #[test]
 fn glb_nodes_are_placed_in_the_scene() {
