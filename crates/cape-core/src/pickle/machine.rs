@@ -328,7 +328,10 @@ impl<'a> Machine<'a> {
 
     fn whole_line(&mut self) -> Result<&'a [u8]> {
         let rest = &self.source[self.at..];
-        let end = rest.iter().position(|&byte| byte == b'\n').ok_or("ends inside a line")?;
+        let end = rest
+            .iter()
+            .position(|&byte| byte == b'\n')
+            .ok_or("ends inside a line: the file is incomplete")?;
         self.at += end + 1;
         Ok(&rest[..end])
     }
