@@ -8,6 +8,7 @@ use std::{
 use burn::tensor::Device;
 use cape_core::{Outfit, SmplModel, parse_device};
 use cape_infer::Run;
+use cape_layer::BodyIdentity;
 use cape_synth::synthetic_body;
 use clap::{
     Args,
@@ -132,10 +133,14 @@ pub(crate) struct OutfitArgs {
 #[serde(rename_all = "lowercase")]
 pub(crate) enum FileKind {
     Glb,
+    Mdd,
     Npz,
     Obj,
+    Pc2,
     Ply,
     Png,
+    Smpl,
+    Usda,
 }
 
 /// One outfit, or all of them.
@@ -186,6 +191,17 @@ impl BodyModelArgs {
             None => synthetic_body(),
         })
     }
+
+    /// Identity of the loaded body, for what belongs to it.
+    pub(crate) fn identity(&self, model: &SmplModel) -> BodyIdentity {
+        body_identity(self.body.as_deref(), model)
+    }
+}
+
+/// Identity of the body that was read from `path`, or of the synthetic one.
+pub(crate) fn body_identity(path: Option<&Path>, model: &SmplModel) -> BodyIdentity {
+    let name = path.map(|path| path.file_name().unwrap_or(path.as_os_str()).to_string_lossy());
+    BodyIdentity::new(name.unwrap_or("synthetic body".into()), model)
 }
 
 impl ShapeArgs {
@@ -214,10 +230,14 @@ impl FileKind {
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Glb => "glb",
+            Self::Mdd => "mdd",
             Self::Npz => "npz",
             Self::Obj => "obj",
+            Self::Pc2 => "pc2",
             Self::Ply => "ply",
             Self::Png => "png",
+            Self::Smpl => "smpl",
+            Self::Usda => "usda",
         }
     }
 }

@@ -46,7 +46,7 @@ pub(crate) struct TrainArgs {
     /// Directory of the run: empty or missing, or the one to resume.
     #[arg(long, value_name = "RUN", required_unless_present_any = ["check", "find_rate"])]
     out: Option<PathBuf>,
-    /// Resume from the newest checkpoint in --out.
+    /// Resume from the newest checkpoint in --out, or start over if there is none yet.
     #[arg(long)]
     resume: bool,
     #[command(flatten)]
@@ -92,7 +92,12 @@ impl TrainArgs {
         let mut trainer = if self.resume {
             self.check_settings(&out, global)?;
             Trainer::resume(&out, self.data.as_deref(), &device)
-                .doing(|| format!("resuming {}", out.display()))?
+                .doing(|| format!("resuming {}", out.display()))
+                .inspect(|trainer| {
+                    if trainer.step() == 0 {
+                        console.note("interrupted before its first checkpoint: starts over");
+                    }
+                })?
         } else {
             let options = TrainerOptions {
                 data: self.data.clone().unwrap_or_else(|| out.clone()),
