@@ -4,6 +4,7 @@ mod bad_data;
 mod bad_places;
 mod bench;
 mod commands;
+mod download;
 mod files;
 mod fitting;
 mod foreign_files;

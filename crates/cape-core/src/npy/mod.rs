@@ -9,7 +9,7 @@ mod header;
 
 use std::{
     fs::File,
-    io::{self, BufReader, Read, Write},
+    io::{self, BufReader, Cursor, Read, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
 };
@@ -227,6 +227,31 @@ pub fn expect_shape(
     Err(Error::field(path, field, format!("shape {found:?}, expected [{}]", expected.join(", "))))
 }
 
+/// Contents of an archive.
+#[derive(Debug)]
+enum NpzReader {
+    File(BufReader<File>),
+    Memory(Cursor<Vec<u8>>),
+}
+
+impl Read for NpzReader {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        match self {
+            Self::File(file) => file.read(buffer),
+            Self::Memory(bytes) => bytes.read(buffer),
+        }
+    }
+}
+
+impl Seek for NpzReader {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        match self {
+            Self::File(file) => file.seek(to),
+            Self::Memory(bytes) => bytes.seek(to),
+        }
+    }
+}
+
 /// Open `.npz` archive.
 ///
 /// ```
@@ -252,7 +277,7 @@ pub fn expect_shape(
 pub struct Npz {
     path: PathBuf,
     length: u64,
-    archive: ZipArchive<BufReader<File>>,
+    archive: ZipArchive<NpzReader>,
     names: Vec<String>,
 }
 
@@ -261,6 +286,16 @@ impl Npz {
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_owned();
         let (reader, length) = open(&path)?;
+        Self::new(path, NpzReader::File(reader), length)
+    }
+
+    /// Opens an archive whose contents are `bytes`; errors name `path`.
+    pub fn from_bytes(path: impl AsRef<Path>, bytes: Vec<u8>) -> Result<Self> {
+        let length = bytes.len() as u64;
+        Self::new(path.as_ref().to_owned(), NpzReader::Memory(Cursor::new(bytes)), length)
+    }
+
+    fn new(path: PathBuf, reader: NpzReader, length: u64) -> Result<Self> {
         let unreadable = |source| Error::format(&path, unreadable_archive(&path, source));
         let mut archive = ZipArchive::new(reader).map_err(unreadable)?;
         let mut names = Vec::new();
@@ -340,7 +375,7 @@ impl Npz {
     fn with_entry<R>(
         &mut self,
         name: &str,
-        read: impl FnOnce(Source<'_>, ZipFile<'_, BufReader<File>>, u64) -> Result<R>,
+        read: impl FnOnce(Source<'_>, ZipFile<'_, NpzReader>, u64) -> Result<R>,
     ) -> Result<R> {
         let Self { path, length, archive, .. } = self;
         let source = Source { path, name: Some(name) };
