@@ -163,9 +163,6 @@ pub fn pack(
     let worn: HashSet<Outfit> = frames().map(|frame| frame.outfit).collect();
     report.missing_outfits =
         split.outfits.iter().copied().filter(|outfit| !worn.contains(outfit)).collect();
-    if let (true, Some(outfit)) = (options.strict, report.missing_outfits.first()) {
-        return Err(Error::Data(format!("{}: no capture of {outfit}", raw.display())));
-    }
     let plan = plan_hash(raw, split, options, minimal.values(), frames())?;
 
     let mut staging = StagingDirectory::prepare(out)?;

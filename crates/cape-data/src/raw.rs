@@ -13,7 +13,7 @@ use std::{
 };
 
 use cape_core::{
-    Outfit,
+    Outfit, list_files,
     npy::{Npz, NpzWriter, read_f64, write_npy},
 };
 use ndarray::{Array1, Array2, ArrayD, Ix2};
@@ -114,24 +114,14 @@ pub fn name_of(path: impl AsRef<Path>) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Files of the frames of a capture, sorted by name; `None` if the directory does not exist.
+/// Files of the frames of a capture, in natural order of their names, without hidden ones; `None` if the directory does not exist.
 pub fn frame_paths(directory: impl AsRef<Path>) -> Result<Option<Vec<PathBuf>>> {
     let directory = directory.as_ref();
     if !directory.is_dir() {
         return Ok(None);
     }
-    let fail = |e| Error::io(directory, e);
-    let mut paths = Vec::new();
-    for entry in fs::read_dir(directory).map_err(fail)? {
-        let path = entry.map_err(fail)?.path();
-        // File managers and archivers create files whose names start with a dot.
-        let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
-        if path.extension().is_some_and(|extension| extension == "npz") && !hidden {
-            paths.push(path);
-        }
-    }
-    paths.sort_unstable();
-    Ok(Some(paths))
+    let is_frame = |path: &Path| path.extension().is_some_and(|extension| extension == "npz");
+    Ok(Some(list_files(directory, is_frame)?))
 }
 
 /// Checks that `path` does not link to a file outside `root`, as an untrusted archive could.

@@ -132,6 +132,9 @@ fn below(directory: &Path) -> Result<Vec<PathBuf>> {
             let entry = entry.map_err(|e| Error::io(&directory, e))?;
             let kind = entry.file_type().map_err(|e| Error::io(entry.path(), e))?;
             let path = entry.path();
+            if entry.file_name().to_string_lossy().starts_with('.') {
+                continue;
+            }
             let extension = path.extension().unwrap_or_default();
             if kind.is_dir() {
                 open.push(path);

@@ -6,6 +6,7 @@ mod bench;
 mod commands;
 mod files;
 mod fitting;
+mod foreign_files;
 mod layer;
 mod priors;
 mod scanning;

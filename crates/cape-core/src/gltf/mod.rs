@@ -1,11 +1,15 @@
-//! glTF 2.0 binary files (`.glb`) of skinned, animated bodies.
+//! glTF 2.0 binary files (`.glb`) of skinned, animated bodies. [`GltfFile`] reads the meshes of any
+//! such file.
 //!
 //! A [`SkinnedMesh`] is a clothed body with SMPL's skeleton and blend weights, [`Keyframe`]s are its
 //! poses. Pose blend shapes and pose-dependent clothing, which skinning cannot express, are stored
 //! as one morph target for each keyframe that has vertex offsets. Such a keyframe shows exactly the
 //! vertices that this library computes; between them the offsets are interpolated. Units are metres, seconds and radians; y points up.
 
+mod accessor;
+mod animation;
 mod buffer;
+mod read;
 pub(crate) mod skin;
 #[cfg(test)]
 mod tests;
@@ -18,6 +22,8 @@ use serde_json::{Value, json};
 
 use crate::{Error, Mesh, Result, SmplModel, joints, obj::Uv, write_atomically};
 use buffer::{Buffer, Target};
+
+pub use read::GltfFile;
 
 const MAGIC: u32 = 0x4654_6c67;
 const JSON_CHUNK: u32 = 0x4e4f_534a;
@@ -177,7 +183,8 @@ pub fn encode(skinned: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<Vec<u8>> 
     assemble(&document, bytes)
 }
 
-fn assemble(document: &Value, mut binary: Vec<u8>) -> Result<Vec<u8>> {
+/// A `.glb` file of a document and its binary chunk.
+pub(crate) fn assemble(document: &Value, mut binary: Vec<u8>) -> Result<Vec<u8>> {
     let mut text = document.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
     binary.resize(binary.len().next_multiple_of(4), 0);

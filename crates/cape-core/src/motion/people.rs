@@ -8,7 +8,7 @@ use super::{
     content::Entry,
     fields::{Clip, Common, clips, has_pose, unnamed_clips},
 };
-use crate::{Error, Result};
+use crate::{Error, Result, natural_order};
 
 /// Names of the numbers of people in a frame.
 const IDS: [&str; 5] = ["tid", "track_ids", "track_id", "id", "person_id"];
@@ -118,7 +118,7 @@ impl PeopleReader<'_> {
                 })
                 .collect();
         }
-        parts.sort_by(|(a, _), (b, _)| natural(a).cmp(&natural(b)));
+        parts.sort_by(|(a, _), (b, _)| natural_order(a, b));
         let total = parts.len();
         let mut joined: Vec<(String, Vec<Clip>)> = Vec::new();
         for (_, people) in parts {
@@ -211,19 +211,4 @@ fn is_image(key: &str) -> bool {
     extension.is_some_and(|extension| {
         ["jpg", "jpeg", "png", "bmp", "webp"].contains(&extension.to_ascii_lowercase().as_str())
     })
-}
-
-/// Key that sorts `2.png` before `10.png`.
-fn natural(text: &str) -> Vec<(String, u64)> {
-    let mut parts = Vec::new();
-    let mut rest = text;
-    while !rest.is_empty() {
-        let letters = rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len());
-        let (word, after) = rest.split_at(letters);
-        let digits = after.find(|c: char| !c.is_ascii_digit()).unwrap_or(after.len());
-        let (number, after) = after.split_at(digits);
-        parts.push((word.to_owned(), number.parse().unwrap_or(0)));
-        rest = after;
-    }
-    parts
 }

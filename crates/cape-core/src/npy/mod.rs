@@ -25,7 +25,7 @@ pub use element::NpyElement;
 use element::{ReadError, read_elements};
 pub use header::{NpyHeader, NpyKind, NpyType};
 
-use crate::{AtomicFile, Error, Result, pickle::Pickle, write_atomically};
+use crate::{AtomicFile, Error, Result, pickle::Pickle, unexpected_file, write_atomically};
 
 /// Largest expansion ratio of Deflate.
 const MAX_DEFLATE_RATIO: u64 = 1032;
@@ -52,7 +52,7 @@ impl Source<'_> {
 
     /// Reads an array from at most `available` bytes, header included.
     fn read<T: NpyElement>(self, mut reader: impl Read, available: u64) -> Result<ArrayD<T>> {
-        let header = NpyHeader::read(&mut reader).map_err(|message| self.error(message))?;
+        let header = NpyHeader::read(&mut reader).map_err(|message| header_error(self, message))?;
         let elements = self.check_size(&header, available)?;
         let values =
             read_elements(&header, elements, &mut reader).map_err(|failed| match failed {
@@ -69,7 +69,7 @@ impl Source<'_> {
 
     /// Reads an array of objects from at most `available` bytes.
     fn objects(self, reader: &mut impl Read, available: u64) -> Result<Pickle> {
-        let header = NpyHeader::read(reader).map_err(|message| self.error(message))?;
+        let header = NpyHeader::read(reader).map_err(|message| header_error(self, message))?;
         if !header.dtype.is_object() {
             return Err(self.error(format!("holds `{}`, expected objects", header.dtype)));
         }
@@ -95,6 +95,26 @@ impl Source<'_> {
         }
         Ok(elements)
     }
+}
+
+/// Message about a file that is no complete ZIP archive.
+fn unreadable_archive(path: &Path, error: ZipError) -> String {
+    let mut start = [0; 4];
+    let begins = File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok()
+        && &start == b"PK\x03\x04";
+    match unexpected_file(path) {
+        Some(found) => found.to_owned(),
+        None if begins => {
+            format!("the end of the archive is missing ({error}): copy or download the file again")
+        }
+        None => format!("not a readable .npz (ZIP) archive: {error}"),
+    }
+}
+
+/// Error of a header, or the content in its place.
+fn header_error(source: Source, message: String) -> Error {
+    let found = if source.name.is_none() { unexpected_file(source.path) } else { None };
+    source.error(found.map_or(message, str::to_owned))
 }
 
 fn open(path: &Path) -> Result<(BufReader<File>, u64)> {
@@ -161,7 +181,7 @@ pub fn npy_header(path: impl AsRef<Path>) -> Result<NpyHeader> {
     let path = path.as_ref();
     let (mut reader, length) = open(path)?;
     let source = Source { path, name: None };
-    let header = NpyHeader::read(&mut reader).map_err(|message| source.error(message))?;
+    let header = NpyHeader::read(&mut reader).map_err(|message| header_error(source, message))?;
     source.check_size(&header, length)?;
     Ok(header)
 }
@@ -241,14 +261,21 @@ impl Npz {
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_owned();
         let (reader, length) = open(&path)?;
-        let unreadable =
-            |source| Error::format(&path, format!("not a readable .npz (ZIP) archive: {source}"));
+        let unreadable = |source| Error::format(&path, unreadable_archive(&path, source));
         let mut archive = ZipArchive::new(reader).map_err(unreadable)?;
         let mut names = Vec::new();
         for index in 0..archive.len() {
             let entry = archive.by_index_raw(index).map_err(unreadable)?;
             let name = entry.name().map_err(unreadable)?;
             names.extend(name.strip_suffix(".npy").map(str::to_owned));
+        }
+        if names.is_empty() && !archive.is_empty() {
+            let first = archive.name_for_index(0).and_then(Result::ok).unwrap_or_default();
+            let message = format!(
+                "a ZIP archive of files such as `{first}`, expected one of arrays: unpack it and give \
+                 the file in it"
+            );
+            return Err(Error::format(&path, message));
         }
         Ok(Self { path, length, archive, names })
     }

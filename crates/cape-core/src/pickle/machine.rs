@@ -139,7 +139,9 @@ impl<'a> Machine<'a> {
                 self.put(Node::Bytes(Bytes::Owned(string_literal(line)?)))?;
             }
             b'V' => {
+                // Carriage returns are escaped in strings: one at the end is a line end of Windows.
                 let line = self.whole_line()?;
+                let line = line.strip_suffix(b"\r").unwrap_or(line);
                 self.put(Node::Text(Bytes::Owned(raw_unicode(line)?)))?;
             }
             b'U' | b'C' => self.byte_string(1)?,
@@ -309,7 +311,10 @@ impl<'a> Machine<'a> {
         let taken = self.source.get(self.at..).and_then(|rest| rest.get(..length));
         let taken = taken.ok_or_else(|| {
             let left = self.source.len().saturating_sub(self.at);
-            format!("unexpected end: {length} bytes expected, {left} left")
+            format!(
+                "unexpected end: {length} bytes expected, {left} left: the file is incomplete, copy or \
+                 download it again"
+            )
         })?;
         self.at += length;
         Ok(taken)
@@ -323,7 +328,10 @@ impl<'a> Machine<'a> {
 
     fn whole_line(&mut self) -> Result<&'a [u8]> {
         let rest = &self.source[self.at..];
-        let end = rest.iter().position(|&byte| byte == b'\n').ok_or("ends inside a line")?;
+        let end = rest
+            .iter()
+            .position(|&byte| byte == b'\n')
+            .ok_or("ends inside a line: the file is incomplete")?;
         self.at += end + 1;
         Ok(&rest[..end])
     }

@@ -84,6 +84,10 @@ impl Pickle {
     /// Decodes a pickle in memory; errors name `path`.
     pub fn parse(path: impl AsRef<Path>, source: Vec<u8>) -> Result<Self> {
         let path = path.as_ref();
+        let start = &source[..source.len().min(4096)];
+        if let Some(found) = crate::unexpected_content(start, source.len() as u64) {
+            return Err(Error::format(path, found));
+        }
         let allowance = (source.len() as u64).saturating_mul(MAX_EXPANSION).saturating_add(1 << 20);
         let machine::ObjectGraph { nodes, classes, root } = machine::run(&source)
             .map_err(|message| Error::format(path, format!("pickle: {message}")))?;

@@ -31,7 +31,7 @@ pub use rows::Table2Row;
 use crate::{
     Error, Result,
     comparison::{MethodResults, RunErrors},
-    store::{ResultStore, StoreOptions, StoreSettings, unreadable},
+    store::{ResultStore, StoreLock, StoreOptions, StoreSettings, unreadable},
 };
 use cape_data::{
     PackedSet, Split,
@@ -258,6 +258,7 @@ impl Table2Job {
     /// # Errors
     /// If a file of a finished job cannot be read; it is named.
     pub fn result(&self) -> Result<Option<RowResult>> {
+        self.store.refresh()?;
         let Some(result) = self.store.read::<RowResult>(RESULT)? else { return Ok(None) };
         if !self.store.path(FRAMES).exists() {
             return Ok(None);
@@ -270,6 +271,11 @@ impl Table2Job {
     pub fn frames(&self) -> Result<FigureFrames> {
         let path = self.store.path(FRAMES);
         FigureFrames::load(&path).map_err(|error| unreadable(&path, &error.to_string()))
+    }
+
+    /// Locks the job against other processes; `None` if another one works on it.
+    pub fn try_lock(&self) -> Result<Option<StoreLock>> {
+        self.store.try_lock()
     }
 
     fn run_directory(&self) -> PathBuf {

@@ -4,7 +4,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cape_core::{Outfit, npy::npy_header};
+use cape_core::{Outfit, list_files, npy::npy_header};
 use cape_data::{
     PackedSet, STATISTICS_FILE, Split,
     raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
@@ -135,13 +135,7 @@ fn brought(path: &Path, names: &[&str]) -> Vec<String> {
 }
 
 fn entries(path: &Path) -> Result<Vec<PathBuf>> {
-    let fail = |error| Error::io(path, error);
-    let mut paths = Vec::new();
-    for entry in fs::read_dir(path).map_err(fail)? {
-        paths.push(entry.map_err(fail)?.path());
-    }
-    paths.sort_unstable();
-    Ok(paths)
+    Ok(list_files(path, |_| true)?)
 }
 
 fn name(path: &Path) -> String {

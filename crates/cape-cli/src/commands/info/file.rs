@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use cape_core::{
-    Mesh, Outfit, PointCache, SmplModel,
+    Mesh, MeshFile, Outfit, PointCache, SmplModel,
     motion::{MotionOptions, read_motions},
     npy::{Npz, npy_header, read_objects},
     pickle::Pickle,
@@ -33,7 +33,11 @@ pub(super) fn describe(path: &Path) -> Result<FileSummary> {
         "csv",
         "obj",
         "ply",
+        "stl",
+        "off",
+        "glb",
         "pc2",
+        "pc16",
         "mdd",
         "safetensors",
         "toml",
@@ -44,9 +48,9 @@ pub(super) fn describe(path: &Path) -> Result<FileSummary> {
         Some("npy") => array(path),
         Some("pkl") => pickle(path),
         Some("smpl" | "json" | "csv") => motion(path),
-        Some("pc2" | "mdd") => point_cache(path),
+        Some("pc2" | "pc16" | "mdd") => point_cache(path),
         Some("index") => tensorflow(path),
-        Some("obj" | "ply") => mesh(path),
+        Some("obj" | "ply" | "stl" | "off" | "glb") => mesh(path),
         Some("safetensors") => parameters(path),
         Some("toml") => settings(path),
         _ => Err(Error::message(format!(
@@ -219,12 +223,15 @@ fn objects(path: &Path) -> Result<FileSummary> {
 }
 
 fn mesh(path: &Path) -> Result<FileSummary> {
-    let mesh = Mesh::load(path)?;
-    let edges = Surface::from(&mesh).edge_counts();
+    let MeshFile { format, mesh, skipped_faces, .. } = MeshFile::read(path)?;
     let report = mesh.validate();
-    Ok(FileSummary::new("mesh")
+    let facts = FileSummary::new("mesh")
+        .with("format", format!("{format:?}").to_uppercase())
         .with("vertices", mesh.vertices.len())
         .with("faces", mesh.faces.len())
+        .with("faces of fewer than 3 corners, left out", skipped_faces);
+    let edges = Surface::from(&mesh).edge_counts();
+    Ok(facts
         .with("edges", edges.edges)
         .with("boundary edges", edges.boundary)
         .with("non-manifold edges", edges.non_manifold)

@@ -79,7 +79,7 @@ impl PredictArgs {
         self.output.require_empty()?;
         let out = self.output.out;
         let model = self.body.load()?;
-        let layer = Layer::load(&self.layer, model.vertices())?;
+        let layer = Layer::load_for(&self.layer, &model)?;
         let parameters = layer.semantics.with(&self.parameters)?;
         let (mut frames, betas) = if self.motion == "-" {
             let betas = self.shape.betas(&model)?;

@@ -266,15 +266,24 @@ impl SampleArgs {
         let Some(path) = &self.uv else { return Ok(TextureInput::default()) };
         let read = obj::read(path)?;
         let fault = |message: String| Error::message(format!("{}: {message}", path.display()));
-        if read.mesh.faces != run.body().faces {
+        let body = run.body();
+        let (found, expected) = (read.mesh.vertices.len(), body.vertices());
+        if found != expected {
             return Err(fault(format!(
-                "{} faces, which are not those of the run's body ({}): expected an OBJ file of the \
-                 same mesh",
-                read.mesh.faces.len(),
-                run.body().faces.len()
+                "{found} vertices, but the run's body has {expected}: expected an OBJ file of the same \
+                 mesh, with its vertices in the same order"
             )));
         }
-        let uv = read.uv.ok_or_else(|| fault("no texture coordinates (vt)".into()))?;
+        let uv = read.uv.ok_or_else(|| {
+            fault("no texture coordinates (vt), or not at all corners of its faces".into())
+        })?;
+        let uv = uv.for_faces(&read.mesh.faces, &body.faces).map_err(|face| {
+            fault(format!(
+                "has no triangle of the vertices {:?} (from 0), which is face {face} of the run's body: \
+                 expected an OBJ file of the same mesh, with its vertices in the same order",
+                body.faces[face]
+            ))
+        })?;
         let image = match &self.texture {
             None => None,
             Some(path) => {

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use cape_core::{
     BodyPose, Mesh,
     joints::JOINT_NAMES,
+    list_files,
     motion::{MotionFile, MotionOptions},
     obj, ply,
 };
@@ -22,7 +23,7 @@ use crate::{
     console::Console,
     dressed_mesh::{DressedMesh, DressedRenderer, unclothed_meshes},
     error::{Error, Result},
-    mesh_file::read_mesh,
+    mesh_file::{is_mesh, read_mesh},
     priors::{PriorArgs, PriorName},
 };
 
@@ -273,27 +274,13 @@ impl<'a> RunSource<'a> {
 }
 
 impl MeshSource {
-    /// Opens a mesh, or all meshes of a directory ordered by name.
+    /// Opens a mesh, or all meshes of a directory in natural order of their names.
     pub(super) fn open(path: &Path, fps: f64) -> Result<Self> {
-        let paths = if path.is_dir() {
-            let entries = std::fs::read_dir(path).map_err(|error| Error::io(path, error))?;
-            let mut paths = Vec::new();
-            for entry in entries {
-                let path = entry.map_err(|error| Error::io(path, error))?.path();
-                let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
-                if extension == "obj" || extension == "ply" {
-                    paths.push(path);
-                }
-            }
-            paths.sort();
-            paths
-        } else {
-            vec![path.to_owned()]
-        };
+        let paths = if path.is_dir() { list_files(path, is_mesh)? } else { vec![path.to_owned()] };
         let Some(first) = paths.first() else {
             return Err(Error::message(format!(
-                "{}: no meshes: expected a run, a mesh (.obj, .ply), a body (.npz, .pkl), or a \
-                 directory of .obj or .ply files",
+                "{}: no meshes: expected a run, a mesh (.obj, .ply, .stl, .off, .glb), a body (.npz, \
+                 .pkl), or a directory of meshes",
                 path.display()
             )));
         };
