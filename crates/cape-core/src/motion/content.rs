@@ -277,13 +277,6 @@ impl<'a> Entry<'a> {
 impl Source {
     fn archive(path: &Path) -> Result<Self> {
         let mut archive = Npz::open(path)?;
-        if archive.names().is_empty() {
-            return Err(Error::format(
-                path,
-                "a ZIP archive without NumPy arrays, as PyTorch writes it: load it with \
-                 `torch.load` and save the poses with `numpy.savez`",
-            ));
-        }
         let mut arrays = Vec::new();
         for name in archive.names() {
             let header = archive.header(&name)?;

@@ -84,12 +84,12 @@ const LEFT_OUT: [(&str, &str, usize); 17] = [
     ("pose_lhand", "hand joints", 3),
     ("pose_rhand", "hand joints", 3),
     ("pose_hand", "hand joints", 3),
-    ("jaw_pose", "jaw and eyes", 3),
-    ("leye_pose", "jaw and eyes", 3),
-    ("reye_pose", "jaw and eyes", 3),
-    ("pose_jaw", "jaw and eyes", 3),
-    ("pose_eye", "jaw and eyes", 3),
-    ("headpose", "jaw and eyes", 3),
+    ("jaw_pose", "joints of jaw and eyes", 3),
+    ("leye_pose", "joints of jaw and eyes", 3),
+    ("reye_pose", "joints of jaw and eyes", 3),
+    ("pose_jaw", "joints of jaw and eyes", 3),
+    ("pose_eye", "joints of jaw and eyes", 3),
+    ("headpose", "joints of jaw and eyes", 3),
     ("expression", "expression coefficients", 1),
     ("expressions", "expression coefficients", 1),
     ("expressionparameters", "expression coefficients", 1),
@@ -441,7 +441,7 @@ impl Clip {
         poses.slice_mut(s![.., ..used]).assign(&rotations.slice(s![.., ..used]));
         let left_out = match joints {
             52 => vec![("hand joints", 30)],
-            55 => vec![("jaw and eyes", 3), ("hand joints", 30)],
+            55 => vec![("joints of jaw and eyes", 3), ("hand joints", 30)],
             _ => Vec::new(),
         };
         Ok(Self { poses, joints, left_out, ..Self::default() })

@@ -14,6 +14,8 @@ mod rotations;
 mod smpl_file;
 mod table;
 #[cfg(test)]
+mod test_files;
+#[cfg(test)]
 mod tests;
 mod up_axis;
 
