@@ -168,19 +168,18 @@ impl<'a> AnimatedBody<'a> {
         model: &ClothedModel,
         frames: std::ops::Range<usize>,
     ) -> Result<Vec<Array2<f64>>> {
-        let decoded = match &self.displacements {
-            Some(given) => given.slice(ndarray::s![frames, .., ..]).to_owned(),
-            None => {
-                let bodies: Vec<BodySpec> = frames
-                    .map(|frame| BodySpec {
-                        betas: Vec::new(),
-                        pose: self.motion.pose(frame),
-                        outfit: self.outfit,
-                    })
-                    .collect();
-                let codes = self.code.select(Axis(0), &vec![0; bodies.len()]);
-                model.decode_displacements(&codes, &bodies)?
-            }
+        let decoded = if let Some(given) = &self.displacements {
+            given.slice(ndarray::s![frames, .., ..]).to_owned()
+        } else {
+            let bodies: Vec<BodySpec> = frames
+                .map(|frame| BodySpec {
+                    betas: Vec::new(),
+                    pose: self.motion.pose(frame),
+                    outfit: self.outfit,
+                })
+                .collect();
+            let codes = self.code.select(Axis(0), &vec![0; bodies.len()]);
+            model.decode_displacements(&codes, &bodies)?
         };
         let at_clothing = |displacement: ndarray::ArrayView2<f32>| {
             let mut displacement = displacement.mapv(f64::from);

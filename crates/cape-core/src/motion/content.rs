@@ -225,7 +225,7 @@ impl Content {
     }
 }
 
-impl<'a> Entry<'a> {
+impl Entry<'_> {
     fn given(array: ArrayD<f64>) -> Self {
         Self::Numbers(Numbers { shape: array.shape().to_vec(), place: Place::Given(array) })
     }

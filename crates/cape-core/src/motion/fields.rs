@@ -541,7 +541,7 @@ impl PersonReader<'_, '_> {
     fn left_out(&self, clip: &mut Clip) {
         for (name, what, each) in LEFT_OUT {
             let Some(Entry::Numbers(numbers)) = find(self.fields, name) else { continue };
-            let skip = if numbers.shape.len() > 1 { 1 } else { 0 };
+            let skip = usize::from(numbers.shape.len() > 1);
             let count: usize = numbers.shape.iter().skip(skip).product::<usize>() / each;
             let counted = clip.left_out.iter().any(|(known, _)| *known == what) && clip.joints > 24;
             if count > 0 && !counted {

@@ -7,6 +7,9 @@ use ndarray::Array2;
 use super::{BodyMotion, UpAxis, content::Content, fields::Clip, people::people};
 use crate::{BodyPose, Error, Result, SmplModel};
 
+/// Number of people that an error lists.
+const LISTED: usize = 20;
+
 /// Frame rate of files that say none, frames per second.
 pub const DEFAULT_FRAME_RATE: f64 = 30.0;
 /// Mean cosine of the body's uprightness with an axis, from which the body counts as standing along
@@ -170,7 +173,6 @@ pub fn read_motion(path: impl AsRef<Path>, options: &MotionOptions) -> Result<Mo
         .iter()
         .map(|file| format!("{} ({} frames)", file.person.as_deref().unwrap_or("?"), file.frames()))
         .collect();
-    const LISTED: usize = 20;
     let more = if names.len() > LISTED { ", …" } else { "" };
     let listed = names[..names.len().min(LISTED)].join(", ");
     Err(Error::format(
@@ -194,9 +196,10 @@ pub fn read_motions(path: impl AsRef<Path>, options: &MotionOptions) -> Result<V
             let names: Vec<String> = found.iter().map(|(name, _)| name.clone()).collect();
             let chosen: Vec<_> = found.into_iter().filter(|(name, _)| name == wanted).collect();
             if chosen.is_empty() {
-                let known = match names.iter().any(|name| !name.is_empty()) {
-                    true => format!("the file has {}", names.join(", ")),
-                    false => "the file has one without a name".to_owned(),
+                let known = if names.iter().any(|name| !name.is_empty()) {
+                    format!("the file has {}", names.join(", "))
+                } else {
+                    "the file has one without a name".to_owned()
                 };
                 return Err(Error::format(path, format!("no person `{wanted}`: {known}")));
             }

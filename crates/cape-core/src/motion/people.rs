@@ -52,10 +52,10 @@ impl PeopleReader<'_> {
                 for (key, inner) in fields {
                     let found = self.search(key, inner, &common)?;
                     if !found.is_empty() {
-                        parts.push((key.clone(), self.identified(found, inner)?));
+                        parts.push((key.clone(), Self::identified(found, inner)?));
                     }
                 }
-                Ok(self.joined(parts))
+                Ok(Self::joined(parts))
             }
             Entry::List(entries) => {
                 let mut found = Vec::new();
@@ -71,11 +71,7 @@ impl PeopleReader<'_> {
     }
 
     /// Names people of a frame by the frame's list of their numbers, if it has one.
-    fn identified(
-        &self,
-        mut people: Vec<(String, Clip)>,
-        entry: &Entry,
-    ) -> Result<Vec<(String, Clip)>> {
+    fn identified(mut people: Vec<(String, Clip)>, entry: &Entry) -> Result<Vec<(String, Clip)>> {
         let Entry::Map(fields) = entry else { return Ok(people) };
         if people.len() > 1 || people.iter().all(|(_, clip)| clip.frames() == 1) {
             for name in IDS {
@@ -95,7 +91,7 @@ impl PeopleReader<'_> {
 
     /// People of the parts of a dictionary. Parts named like images are frames, which are put
     /// together; others are people.
-    fn joined(&self, mut parts: Vec<(String, Vec<(String, Clip)>)>) -> Vec<(String, Clip)> {
+    fn joined(mut parts: Vec<(String, Vec<(String, Clip)>)>) -> Vec<(String, Clip)> {
         let frames = parts.len() > 1 && parts.iter().all(|(key, _)| is_image(key));
         let single =
             parts.iter().flat_map(|(_, people)| people).all(|(_, clip)| clip.frames() == 1);
@@ -177,9 +173,8 @@ fn row_of(clip: &Clip, row: usize) -> Clip {
 
 fn numbered(name: &str, clips: Vec<Clip>) -> Vec<(String, Clip)> {
     let several = clips.len() > 1;
-    let named = |(index, clip): (usize, Clip)| match several {
-        true => (path_of(name, &index.to_string()), clip),
-        false => (name.to_owned(), clip),
+    let named = |(index, clip): (usize, Clip)| {
+        if several { (path_of(name, &index.to_string()), clip) } else { (name.to_owned(), clip) }
     };
     clips.into_iter().enumerate().map(named).collect()
 }

@@ -60,12 +60,11 @@ fn kind(module: &str, name: &str) -> Option<ClassKind> {
     Some(match (top, name) {
         ("copy_reg" | "copyreg", "_reconstructor") if module == top => ClassKind::Empty,
         ("__builtin__" | "builtins", _) if module == top => match name {
-            "object" => ClassKind::Record,
             "set" | "frozenset" | "list" | "tuple" => ClassKind::Sequence,
             "dict" => ClassKind::Dict,
             "bytes" | "bytearray" => ClassKind::Bytes,
             // Default factories of `defaultdict`.
-            "int" | "float" | "str" | "bool" => ClassKind::Record,
+            "object" | "int" | "float" | "str" | "bool" => ClassKind::Record,
             _ => return None,
         },
         ("collections", "OrderedDict" | "defaultdict") if module == top => ClassKind::Dict,

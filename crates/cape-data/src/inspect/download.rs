@@ -84,7 +84,7 @@ pub(super) fn examine(tree: &RawTree) -> Result<Vec<String>> {
     let mut facts = Vec::new();
     let archives: Vec<&str> = tree
         .subjects()
-        .filter(|subject| tree.subject_path(subject).is_some_and(|path| path.is_file()))
+        .filter(|subject| tree.subject_path(subject).is_some_and(std::path::Path::is_file))
         .collect();
     if !archives.is_empty() {
         facts.push(format!("read from archives without unpacking: {}", archives.join(" ")));
