@@ -126,7 +126,7 @@ fn a_skirt_is_learned_and_predicted() {
         }
     }
     fs::write(at("bad.csv"), "1,2,3\n").unwrap();
-    run_line(&of(&at("bad.csv"), "bad")).failed_saying(&["line 1", "3 numbers, expected 72"]);
+    run_line(&of(&at("bad.csv"), "bad")).failed_saying(&["bad.csv", "no poses found", "[1, 3]"]);
 }
 
 #[test]

@@ -169,7 +169,9 @@ fn dtype(out: &mut Vec<u8>) {
 
 fn shape(shape: &[usize], out: &mut Vec<u8>) {
     out.push(b'(');
-    shape.iter().for_each(|&axis| int(axis as i64, out));
+    for &axis in shape {
+        int(axis as i64, out);
+    }
     out.push(b't');
 }
 
@@ -193,7 +195,9 @@ fn write(object: &Py, joblib: bool, out: &mut Vec<u8>) {
         Py::Text(content) => text(content, out),
         Py::List(elements) => {
             out.extend(b"](");
-            elements.iter().for_each(|element| write(element, joblib, out));
+            for element in elements {
+                write(element, joblib, out);
+            }
             out.push(b'e');
         }
         Py::Dict(inner) => {

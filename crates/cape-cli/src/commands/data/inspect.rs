@@ -7,7 +7,12 @@ use cape_core::Outfit;
 use cape_data::inspect::{InspectOptions, Inspection, Magnitudes, PresetCompleteness, inspect};
 use clap::Args;
 
-use crate::{console::Console, error::Result, options::at_least_one, table::Table};
+use crate::{
+    console::Console,
+    error::Result,
+    options::{BodyFileArgs, at_least_one},
+    table::Table,
+};
 
 /// Check raw captures or a packed set for problems.
 ///
@@ -29,9 +34,8 @@ pub(crate) struct InspectArgs {
     /// Preset to compare raw data with: how many of its frames are there, and what is missing.
     #[arg(long, value_parser = ["male", "female"])]
     preset: Option<String>,
-    /// SMPL body, .pkl or .npz, for deriving clothing vertices from blend weights.
-    #[arg(long, value_name = "SMPL")]
-    body: Option<PathBuf>,
+    #[command(flatten)]
+    body: BodyFileArgs,
 }
 
 impl InspectArgs {
@@ -39,7 +43,7 @@ impl InspectArgs {
         let options = InspectOptions {
             frames: self.frames,
             clothing: self.clothing,
-            body: self.body,
+            body: self.body.file()?,
             preset: self.preset,
         };
         let found = console.while_showing("inspect", "frames", |progress| {

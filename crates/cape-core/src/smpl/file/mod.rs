@@ -1,5 +1,6 @@
 //! Body files in the official `.npz` and pickle layouts.
 
+mod directory;
 mod family;
 mod source;
 #[cfg(test)]
@@ -10,6 +11,8 @@ use std::path::Path;
 use ndarray::{Array, Array2, Array3, ArrayD, Dimension, Ix2, Ix3};
 
 use self::source::Source;
+pub use directory::find_body;
+
 use super::model::{FieldError, SmplModel};
 use crate::{
     Error, Result,
