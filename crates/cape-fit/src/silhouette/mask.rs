@@ -122,17 +122,34 @@ impl Mask {
     /// An error if less than half of the detected joints are on the mask: it is of another size,
     /// image or person.
     pub(crate) fn expect_joints(&self, detections: &[KeypointDetection]) -> Result<()> {
-        let nearest = manhattan(self);
-        let near = NEAR * f64::from(self.width.max(self.height));
-        let on = |s: &&KeypointDetection| nearest.sample(s.at.x, s.at.y).0 <= near;
-        let (count, found) = (detections.len(), detections.iter().filter(on).count());
+        let (count, found) = (detections.len(), self.joints_on(detections));
         if 2 * found >= count {
             return Ok(());
         }
+        let covered = self.covered.iter().map(|covered| !covered).collect();
+        let inverse = Self { covered, ..*self };
+        let reason =
+            if 2 * self.area() > self.covered.len() && inverse.joints_on(detections) > found {
+                "it seems to be inverted, with the person dark"
+            } else {
+                "it is of another size, another image or another person than the keypoints"
+            };
         Err(Error::Observation(format!(
-            "{found} of {count} joints are on the mask, expected at least half: it is of another size, \
-             another image or another person than the keypoints"
+            "{found} of {count} joints are on the mask, expected at least half: {reason}"
         )))
+    }
+
+    /// Number of detections on the mask or beside it.
+    fn joints_on(&self, detections: &[KeypointDetection]) -> usize {
+        let nearest = manhattan(self);
+        let near = NEAR * f64::from(self.width.max(self.height));
+        let on = |s: &&KeypointDetection| nearest.sample(s.at.x, s.at.y).0 <= near;
+        detections.iter().filter(on).count()
+    }
+
+    /// Share of the detections on the mask, 0 to 1.
+    pub(crate) fn share_of(&self, detections: &[KeypointDetection]) -> f64 {
+        self.joints_on(detections) as f64 / detections.len().max(1) as f64
     }
 
     /// The mask at another size: a pixel is covered if more than half of its area is.
