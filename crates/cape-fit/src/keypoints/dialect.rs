@@ -177,10 +177,13 @@ fn within(map: &Map<String, Value>, context: &Context) -> Context {
     // In COCO's table of images `id` is the image's.
     let own = map.get("file_name").and(map.get("id"));
     for value in names.chain(own) {
-        match value {
-            Value::String(text) => images.push(text.clone()),
-            Value::Number(number) => images.push(number.to_string()),
-            _ => {}
+        let name = match value {
+            Value::String(text) => text.clone(),
+            Value::Number(number) => number.to_string(),
+            _ => continue,
+        };
+        if !images.contains(&name) {
+            images.push(name);
         }
     }
     Context { images, size: size.map(|(w, h)| [w, h]).or(context.size) }

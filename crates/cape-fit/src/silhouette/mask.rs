@@ -43,17 +43,22 @@ impl Mask {
         Ok(Self { width, height, covered })
     }
 
-    /// Mask of the light, opaque pixels of an image.
+    /// Mask of an image: the opaque pixels if any pixel is transparent, else those of more than half
+    /// the largest brightness, so that masks of 0 and 1 and of 0 and 255 are alike.
     pub fn from_image(image: &Image) -> Self {
-        let light = |&[r, g, b, a]: &[u8; 4]| a > 127 && u16::from(r.max(g).max(b)) > 127;
+        let cut_out = image.pixels().iter().any(|pixel| pixel[3] <= 127);
+        let brightness = |&[r, g, b, _]: &[u8; 4]| u16::from(r.max(g).max(b));
+        let most = image.pixels().iter().map(brightness).max().unwrap_or(0);
+        let on =
+            |pixel: &[u8; 4]| if cut_out { pixel[3] > 127 } else { 2 * brightness(pixel) > most };
         Self {
             width: image.width(),
             height: image.height(),
-            covered: image.pixels().iter().map(light).collect(),
+            covered: image.pixels().iter().map(on).collect(),
         }
     }
 
-    /// Reads a mask from a PNG: light pixels are covered.
+    /// Reads a mask from a PNG, as [`from_image`](Self::from_image) takes it.
     ///
     /// # Errors
     /// If the file is not a PNG.
@@ -242,6 +247,22 @@ mod tests {
         let other = Mask::new(2, 1, vec![true, true]).unwrap();
         assert_eq!(shifted.intersection_over_union(&other).unwrap(), 0.5);
         assert!(shifted.intersection_over_union(&mask).is_err());
+    }
+
+    #[test]
+    fn small_values_and_cut_outs_are_masks() {
+        let mask = disc(20);
+        let picture = |on: [u8; 4], off: [u8; 4]| {
+            let mut image = Image::new(20, 20, off).unwrap();
+            for (pixel, _) in image.pixels_mut().iter_mut().zip(mask.covered()).filter(|p| *p.1) {
+                *pixel = on;
+            }
+            Mask::from_image(&image)
+        };
+        assert_eq!(picture([1, 1, 1, 255], [0, 0, 0, 255]), mask);
+        // Dark clothes cut out of a photograph.
+        assert_eq!(picture([30, 30, 60, 255], [0; 4]), mask);
+        assert_eq!(picture([30, 30, 60, 255], [255, 255, 255, 0]), mask);
     }
 
     #[test]
