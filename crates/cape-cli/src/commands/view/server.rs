@@ -1,5 +1,6 @@
-//! Server of one page to this machine. All addresses begin with a secret token; requests of other
-//! origins or for other host names are refused.
+//! Server of one page to this machine, and to others if that is asked for. All addresses begin with a
+//! secret token; requests of other origins are refused, and, unless other machines are let in, those
+//! for other names than this machine's own.
 
 use std::sync::{
     Arc,
@@ -57,7 +58,8 @@ pub(super) struct ServerState {
     pub(super) scene: String,
     /// `[faces, 3]`, u32, little-endian.
     pub(super) faces: Vec<u8>,
-    pub(super) port: u16,
+    /// True if machines other than this one may ask, by any name of it.
+    pub(super) remote: bool,
     pub(super) jobs: mpsc::Sender<ModelRequest>,
 }
 
@@ -131,15 +133,23 @@ fn knows(site: &ServerState, uri: &Uri) -> bool {
 /// True if the request is for a name of this server and not from another page.
 fn is_here(site: &ServerState, headers: &HeaderMap) -> bool {
     let text = |name: HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
-    let hosts = ["127.0.0.1", "localhost", "[::1]"].map(|host| format!("{host}:{}", site.port));
-    let Some(host) = text(header::HOST).filter(|host| hosts.iter().any(|known| known == host))
-    else {
+    let Some(host) = text(header::HOST).filter(|host| site.remote || is_loopback(host)) else {
         return false;
     };
     match headers.get(header::ORIGIN) {
         None => true,
         Some(origin) => origin.as_bytes() == format!("http://{host}").as_bytes(),
     }
+}
+
+/// True for a name of this machine for itself, with any port: `ssh -L` forwards from another one.
+fn is_loopback(host: &str) -> bool {
+    let (name, port) = match host.rsplit_once(':') {
+        Some((name, port)) if !port.ends_with(']') => (name, Some(port)),
+        _ => (host, None),
+    };
+    let digits = |port: &str| !port.is_empty() && port.bytes().all(|byte| byte.is_ascii_digit());
+    ["127.0.0.1", "localhost", "[::1]"].contains(&name) && port.is_none_or(digits)
 }
 
 async fn to_page(Path(token): Path<String>) -> Redirect {
@@ -244,7 +254,7 @@ mod tests {
             token: "secret".into(),
             scene: String::new(),
             faces: Vec::new(),
-            port: 80,
+            remote: false,
             jobs,
         }
     }
@@ -262,9 +272,16 @@ mod tests {
         };
         assert!(is_here(&site, &headers("127.0.0.1:80", None)));
         assert!(is_here(&site, &headers("localhost:80", Some("http://localhost:80"))));
+        // Forwarded by `ssh -L 8000:localhost:PORT`.
+        assert!(is_here(&site, &headers("localhost:8000", Some("http://localhost:8000"))));
+        assert!(is_here(&site, &headers("[::1]:8000", None)));
+        assert!(is_here(&site, &headers("localhost", Some("http://localhost"))));
         for (host, origin) in [
             ("evil.example:80", None),
-            ("127.0.0.1:81", None),
+            ("localhost.evil.example:80", None),
+            ("localhost:80.evil.example", None),
+            ("localhost:", None),
+            ("localhost:8000", Some("http://localhost:8001")),
             ("127.0.0.1:80", Some("http://evil.example")),
             ("127.0.0.1:80", Some("http://localhost:80")),
             ("127.0.0.1:80", Some("null")),
@@ -272,6 +289,9 @@ mod tests {
             assert!(!is_here(&site, &headers(host, origin)), "{host} {origin:?}");
         }
         assert!(!is_here(&site, &HeaderMap::new()));
+        let remote = ServerState { remote: true, ..self::site() };
+        assert!(is_here(&remote, &headers("workstation:80", Some("http://workstation:80"))));
+        assert!(!is_here(&remote, &headers("workstation:80", Some("http://evil.example"))));
         let knows_of = |path: &'static str| knows(&site, &Uri::from_static(path));
         assert!(knows_of("/secret/") && knows_of("/secret/scene.json"));
         for path in ["/", "/Secret/", "/secre/", "/secrets/", "/../secret/", "/x/secret/"] {
