@@ -203,7 +203,7 @@ fn collect_person(
     };
     let field = format!("{field}.{}", name.unwrap_or(&POINTS[0]));
     let person = entry(points, field.trim_start_matches('.'), &within(map, context));
-    found.push(Entry { segmentation: map.get("segmentation").cloned(), ..person })
+    found.push(Entry { segmentation: map.get("segmentation").cloned(), ..person });
 }
 
 fn entry(points: Result<Vec<[f64; 3]>, String>, field: &str, context: &Context) -> Entry {

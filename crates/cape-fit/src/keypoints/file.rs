@@ -69,7 +69,7 @@ pub struct Person {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct People {
-    people: Vec<Person>,
+    all: Vec<Person>,
     notes: Vec<String>,
     size: Option<[u32; 2]>,
 }
@@ -77,17 +77,17 @@ pub struct People {
 impl People {
     /// Number of people, including those without usable keypoints.
     pub fn len(&self) -> usize {
-        self.people.len()
+        self.all.len()
     }
 
     /// True if there is no person.
     pub fn is_empty(&self) -> bool {
-        self.people.is_empty()
+        self.all.is_empty()
     }
 
     /// All people in the order of the file.
     pub fn all(&self) -> &[Person] {
-        &self.people
+        &self.all
     }
 
     /// Remarks on the choices that the file leaves open, for the user.
@@ -115,7 +115,7 @@ impl People {
     /// # Errors
     /// If there is no such person, or the choice is open.
     pub fn index(&self, person: Option<usize>, mask: Option<&Mask>) -> Result<usize> {
-        let count = self.people.len();
+        let count = self.all.len();
         if count == 0 {
             return refuse("the keypoints are of nobody: the file contains no person".into());
         }
@@ -125,10 +125,8 @@ impl People {
             }
             return refuse(format!("person {person}: expected an index of 0 to {}", count - 1));
         }
-        let seen: Vec<(usize, &Keypoints)> = (0..count)
-            .filter_map(|at| Some((at, self.people[at].keypoints.as_ref().ok()?)))
-            .filter(|(_, keypoints)| !keypoints.detections(0.0).is_empty())
-            .collect();
+        let seen: Vec<(usize, &Keypoints)> =
+            (0..count).filter_map(|at| Some((at, self.all[at].keypoints.as_ref().ok()?))).collect();
         match (seen.as_slice(), mask) {
             // The error of the first person says why nobody is usable.
             ([], _) => Ok(0),
@@ -158,10 +156,10 @@ impl People {
     /// # Errors
     /// If there is no such person, or the person has no usable keypoints.
     pub fn person(&self, index: usize) -> Result<Keypoints> {
-        match self.people.get(index).map(|person| &person.keypoints) {
+        match self.all.get(index).map(|person| &person.keypoints) {
             Some(Ok(keypoints)) => Ok(keypoints.clone()),
             Some(Err(reason)) => refuse(reason.clone()),
-            None => refuse(format!("person {index}: the file has {}", self.people.len())),
+            None => refuse(format!("person {index}: the file has {}", self.all.len())),
         }
     }
 }
@@ -318,13 +316,18 @@ fn people(entries: &[Entry], options: &KeypointOptions) -> People {
         let keypoints = points.clone().and_then(|points| {
             let choice = layout(points.len()).map_err(|e| format!("{}: {e}", entry.field))?;
             notes.extend(choice.note);
-            Keypoints::new(choice.layout, points).map_err(|e| format!("{}: {e}", entry.field))
+            let keypoints = Keypoints::new(choice.layout, points)
+                .map_err(|error| format!("{}: {error}", entry.field))?;
+            if keypoints.detections(0.0).is_empty() {
+                return Err(format!("{}: nobody, none of the joints is seen", entry.field));
+            }
+            Ok(keypoints)
         });
         all.push(Person { keypoints, segmentation: entry.segmentation.clone() });
     }
     notes.sort();
     notes.dedup();
-    People { people: all, notes, size }
+    People { all, notes, size }
 }
 
 /// The point; unseen at the places that detectors write for it.
@@ -385,12 +388,12 @@ mod tests {
 
     #[test]
     fn openpose_and_coco_files_are_told_apart() {
-        for (points, detector) in [(25, KeypointLayout::Body25), (18, KeypointLayout::Coco18)] {
+        for points in [25, 18] {
             let person = format!("{{\"pose_keypoints_2d\": [{}]}}", row(points, 0.7));
             let people =
                 read("a.json", &format!("{{\"version\": 1.3, \"people\": [{person}]}}")).unwrap();
             let keypoints = people.choose(None).unwrap();
-            assert_eq!(keypoints.layout(), detector);
+            assert_eq!(keypoints.layout().points(), points);
             assert_eq!(keypoints.points()[3], Keypoint { x: 3.5, y: 6.0, confidence: 0.7 });
         }
         let entry =
@@ -436,8 +439,8 @@ mod tests {
         save(points, false);
         assert_eq!(read_keypoints(&path).unwrap().len(), 2);
         save(Array3::from_elem((1, 24, 3), f64::INFINITY), false);
-        let nobody = read_keypoints(&path).unwrap().choose(None).unwrap();
-        assert!(nobody.detections(0.0).is_empty());
+        let nobody = read_keypoints(&path).unwrap().choose(None).unwrap_err().to_string();
+        assert!(nobody.contains("keypoints[0]: nobody"), "{nobody}");
     }
 
     #[test]
