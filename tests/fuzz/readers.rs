@@ -60,8 +60,7 @@ pub fn read(kind: &str, path: &Path) -> usize {
         }
         "obj" => [obj::read(path).is_ok(), MeshFile::read(path).is_ok()],
         "ply" => [ply::read(path).is_ok(), MeshFile::read(path).is_ok()],
-        "stl" | "off" => [MeshFile::read(path).is_ok(), false],
-        "glb" => [MeshFile::read(path).is_ok(), false],
+        "stl" | "off" | "glb" => [MeshFile::read(path).is_ok(), false],
         "pc2" | "mdd" => [PointCache::read(path).is_ok(), false],
         "safetensors" => [weights::load(path).is_ok(), false],
         "toml" => [RunConfig::load(path).is_ok(), SplitSpec::from_file(path).is_ok()],

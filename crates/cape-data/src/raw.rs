@@ -135,7 +135,7 @@ pub(crate) fn frame_files(directory: &Path) -> Result<(Vec<PathBuf>, Vec<String>
 
 /// True for the name of a frame's file.
 pub(crate) fn is_frame_name(name: &str) -> bool {
-    name.len() > 4 && name.ends_with(".npz")
+    Path::new(name).extension().is_some_and(|extension| extension == "npz")
 }
 
 /// True for a name that continues behind `.npz`, as interrupted writes of NumPy leave it.

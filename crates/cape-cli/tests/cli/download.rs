@@ -1,6 +1,7 @@
 //! A copy of the CAPE release as it lies on people's disks, from the download to table 2.
 
 use std::{
+    fmt::Write as _,
     fs,
     io::{Read, Write},
     path::{Path, PathBuf},
@@ -38,7 +39,7 @@ impl Download {
         let release = download.at("cape_release");
         for (subject, captures) in CAPTURES {
             download.minimal(&release, subject);
-            download.list(&release, subject, captures);
+            list(&release, subject, captures);
             download.archive(subject, captures);
             let place = download.at("minimal_body_params/minimal_body_shape").join(subject);
             let betas: Vec<f64> = (0..10).map(|i| 0.25 * f64::from(i)).collect();
@@ -71,19 +72,6 @@ impl Download {
         fs::create_dir_all(&place).unwrap();
         let path = place.join(format!("{subject}_minimal.npy"));
         cape::core::npy::write_npy(path, &self.shape(subject)).unwrap();
-    }
-
-    /// List with one capture that is not there, and ranges of frames that were removed.
-    fn list(&self, release: &Path, subject: &str, captures: &[&str]) {
-        let mut text = format!("subject {subject}\n\nsequence\tvalid frames\tremoved\n");
-        for (index, name) in captures.iter().enumerate() {
-            let removed = if index == 0 { "3-5,9-9" } else { "" };
-            text += &format!("{name}\t{FRAMES}\t{removed}\n");
-        }
-        if subject == "00032" {
-            text += "longshort_squats\t80\t\n";
-        }
-        put(&release.join(format!("seq_lists/seq_list_{subject}.txt")), text.as_bytes());
     }
 
     /// Contents of a frame: float32 and compressed for one subject, float64 and stored for others.
@@ -162,6 +150,19 @@ impl Download {
             }
         }
     }
+}
+
+/// List with one capture that is not there, and ranges of frames that were removed.
+fn list(release: &Path, subject: &str, captures: &[&str]) {
+    let mut text = format!("subject {subject}\n\nsequence\tvalid frames\tremoved\n");
+    for (index, name) in captures.iter().enumerate() {
+        let removed = if index == 0 { "3-5,9-9" } else { "" };
+        writeln!(text, "{name}\t{FRAMES}\t{removed}").unwrap();
+    }
+    if subject == "00032" {
+        text += "longshort_squats\t80\t\n";
+    }
+    put(&release.join(format!("seq_lists/seq_list_{subject}.txt")), text.as_bytes());
 }
 
 fn put(path: &Path, bytes: &[u8]) {
