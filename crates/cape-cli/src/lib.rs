@@ -15,6 +15,8 @@ mod interrupt;
 mod latent_sampler;
 mod mesh_file;
 mod options;
+#[cfg(feature = "view")]
+mod page_server;
 mod priors;
 mod registration;
 mod table;

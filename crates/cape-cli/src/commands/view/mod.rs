@@ -20,6 +20,7 @@ use crate::{
     console::Console,
     error::{Context, Error, Result},
     options::{GlobalArgs, positive},
+    page_server::token,
 };
 use server::ServerState;
 use source::{MeshSource, RunSource, Source};
@@ -91,10 +92,4 @@ impl ViewArgs {
         server::work(list, |question| source.answer(question), |download| source.file(download));
         server.join().map_err(|_| Error::message("internal error: the server thread failed"))?
     }
-}
-
-/// 128 random bits, hexadecimal.
-fn token() -> String {
-    let bytes: [u8; 16] = rand::random();
-    cape_core::hex(bytes)
 }
