@@ -110,7 +110,8 @@ mod tests {
         let one = design(20, 3, 2, 20);
         assert_eq!(one.schedule(3), one.schedule(3));
         assert_ne!(one.schedule(3), one.schedule(4));
-        let other = StudyDesign { seed: one.seed + 1, ..one.clone() };
+        let mut other = one.clone();
+        other.seed += 1;
         assert_ne!(one.schedule(3), other.schedule(3));
     }
 

@@ -17,6 +17,7 @@ use crate::{
     error::{Error, Result},
     files,
     options::{DataArgs, GlobalArgs, OutputArgs, RunArgs, at_least_one},
+    priors::PriorArgs,
 };
 
 /// Size of a picture, pixels.
@@ -72,6 +73,8 @@ pub(crate) struct MakeArgs {
     #[arg(long, default_value_t = 60, value_name = "N", value_parser = at_least_one)]
     trials: usize,
     #[command(flatten)]
+    drawn: PriorArgs,
+    #[command(flatten)]
     output: OutputArgs,
 }
 
@@ -106,8 +109,12 @@ impl MakeArgs {
         let seed = global.seed();
         let planned = self.plan(&run, &set, seed)?;
         let sources = [real, ClothingSource::Model(Box::new(Run::open(&self.run.run, &device)?))];
-        let codes =
-            [0, 1].map(|side| sources[side].codes(planned.len(), seed.wrapping_add(side as u64)));
+        let outfits = run.outfits().to_vec();
+        let codes = |side: usize| {
+            let seed = seed.wrapping_add(side as u64);
+            sources[side].codes(&self.drawn, &outfits, planned.len(), seed, console)
+        };
+        let codes = [codes(0)?, codes(1)?];
 
         let staging = StagingDirectory::create(&self.output.out)?;
         let stimuli = staging.path.join("stimuli");
@@ -115,11 +122,12 @@ impl MakeArgs {
         let mut pairs = Vec::with_capacity(planned.len());
         console.while_showing("study", "pairs", |progress| -> Result {
             for (sample, pair) in planned.iter().enumerate() {
+                let code = sample + run.outfits().require(pair.outfit)? * planned.len();
                 let mut worn = Vec::with_capacity(2);
                 for side in 0..2 {
                     let obvious = pair.obvious && side == 1;
                     let request =
-                        ClothingRequest { frame: pair.frames[side], pose: pair.pose, sample };
+                        ClothingRequest { frame: pair.frames[side], pose: pair.pose, code };
                     let source =
                         if obvious { &ClothingSource::Registrations } else { &sources[side] };
                     let (mut clothing, wearer) = source.clothing(&set, &request, &codes[side])?;

@@ -3,12 +3,16 @@
 use std::path::Path;
 
 use burn::tensor::Device;
-use cape_core::BodyPose;
+use cape_core::{BodyPose, Outfit};
 use cape_data::PackedSet;
 use cape_infer::{BodySpec, Run, registration};
 use ndarray::{Array2, Array3, Axis};
 
-use crate::error::{Context, Result};
+use crate::{
+    console::Console,
+    error::{Context, Result},
+    priors::PriorArgs,
+};
 
 /// Clothing of bodies.
 pub(super) enum ClothingSource {
@@ -25,8 +29,8 @@ pub(super) struct ClothingRequest {
     pub(super) frame: usize,
     /// Pose in place of the frame's, radians.
     pub(super) pose: Option<BodyPose>,
-    /// Number of the sample.
-    pub(super) sample: usize,
+    /// Row of the latent code.
+    pub(super) code: usize,
 }
 
 impl ClothingSource {
@@ -52,18 +56,26 @@ impl ClothingSource {
         let displacement = match self {
             Self::Registrations => registered,
             Self::Model(run) => {
-                let code = codes.select(Axis(0), &[request.sample]);
+                let code = codes.select(Axis(0), &[request.code]);
                 run.decode_displacements(&code, std::slice::from_ref(&wearer))?
             }
         };
         Ok((displacement, wearer))
     }
 
-    /// Latent codes of `n` samples; none for registrations.
-    pub(super) fn codes(&self, n: usize, seed: u64) -> Array2<f32> {
+    /// Latent codes of `n` samples for each of `outfits`, one outfit after the other; none for
+    /// registrations.
+    pub(super) fn codes(
+        &self,
+        prior: &PriorArgs,
+        outfits: &[Outfit],
+        n: usize,
+        seed: u64,
+        console: Console,
+    ) -> Result<Array2<f32>> {
         match self {
-            Self::Registrations => Array2::zeros((0, 0)),
-            Self::Model(run) => run.sample_codes(n, seed),
+            Self::Registrations => Ok(Array2::zeros((0, 0))),
+            Self::Model(run) => prior.codes(run, outfits, n, seed, console),
         }
     }
 }
