@@ -14,6 +14,7 @@ mod html;
 mod interrupt;
 mod latent_sampler;
 mod mesh_file;
+mod motion_source;
 mod options;
 #[cfg(feature = "view")]
 mod page_server;

@@ -1,10 +1,14 @@
 //! Options that several commands share, and parsers of their values.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 use burn::tensor::Device;
 use cape_core::{Outfit, SmplModel, parse_device};
 use cape_infer::Run;
+use cape_layer::BodyIdentity;
 use cape_synth::synthetic_body;
 use clap::{
     Args,
@@ -84,6 +88,22 @@ pub(crate) struct StoreArgs {
     pub(crate) overwrite: bool,
 }
 
+/// Checkpoints by time.
+#[derive(Debug, Clone, Copy, Args)]
+pub(crate) struct CheckpointArgs {
+    /// Minutes between checkpoints within an epoch; 0 saves at the end of epochs only.
+    #[arg(long, default_value_t = 15.0, value_name = "M", value_parser = non_negative)]
+    checkpoint_minutes: f64,
+}
+
+impl CheckpointArgs {
+    /// Time between checkpoints within an epoch.
+    pub(crate) fn interval(self) -> Option<Duration> {
+        let seconds = 60.0 * self.checkpoint_minutes;
+        (seconds > 0.0).then(|| Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX))
+    }
+}
+
 /// A body model.
 #[derive(Debug, Clone, PartialEq, Args, Serialize, Deserialize)]
 pub(crate) struct BodyModelArgs {
@@ -113,10 +133,14 @@ pub(crate) struct OutfitArgs {
 #[serde(rename_all = "lowercase")]
 pub(crate) enum FileKind {
     Glb,
+    Mdd,
     Npz,
     Obj,
+    Pc2,
     Ply,
     Png,
+    Smpl,
+    Usda,
 }
 
 /// One outfit, or all of them.
@@ -167,6 +191,17 @@ impl BodyModelArgs {
             None => synthetic_body(),
         })
     }
+
+    /// Identity of the loaded body, for what belongs to it.
+    pub(crate) fn identity(&self, model: &SmplModel) -> BodyIdentity {
+        body_identity(self.body.as_deref(), model)
+    }
+}
+
+/// Identity of the body that was read from `path`, or of the synthetic one.
+pub(crate) fn body_identity(path: Option<&Path>, model: &SmplModel) -> BodyIdentity {
+    let name = path.map(|path| path.file_name().unwrap_or(path.as_os_str()).to_string_lossy());
+    BodyIdentity::new(name.unwrap_or("synthetic body".into()), model)
 }
 
 impl ShapeArgs {
@@ -195,10 +230,14 @@ impl FileKind {
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Glb => "glb",
+            Self::Mdd => "mdd",
             Self::Npz => "npz",
             Self::Obj => "obj",
+            Self::Pc2 => "pc2",
             Self::Ply => "ply",
             Self::Png => "png",
+            Self::Smpl => "smpl",
+            Self::Usda => "usda",
         }
     }
 }

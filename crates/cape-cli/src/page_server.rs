@@ -23,19 +23,24 @@ pub(crate) fn guarded(mut response: Response) -> Response {
     response
 }
 
-/// Origins of a server of this machine on `port`.
-pub(crate) fn local_origins(port: u16) -> Vec<String> {
-    ["127.0.0.1", "localhost", "[::1]"].map(|host| format!("http://{host}:{port}")).to_vec()
+/// True for a name of this machine for itself, with any port: `ssh -L` forwards from another one.
+pub(crate) fn is_loopback(host: &str) -> bool {
+    let (name, port) = match host.rsplit_once(':') {
+        Some((name, port)) if !port.ends_with(']') => (name, Some(port)),
+        _ => (host, None),
+    };
+    let digits = |port: &str| !port.is_empty() && port.bytes().all(|byte| byte.is_ascii_digit());
+    ["127.0.0.1", "localhost", "[::1]"].contains(&name) && port.is_none_or(digits)
 }
 
-/// True if the request is for one of the server's `origins` and not from another page.
-pub(crate) fn is_own_request(origins: &[String], headers: &HeaderMap) -> bool {
-    let text = |name: HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
-    let host_of = |origin: &String| origin.split_once("://").map(|(_, host)| host.to_owned());
-    let Some(host) = text(header::HOST) else { return false };
-    let Some(own) = origins.iter().find(|origin| host_of(origin).as_deref() == Some(host)) else {
-        return false;
-    };
+/// True if the request is for a host of this server, for which `origin_of` has an origin, and not from
+/// another page.
+pub(crate) fn is_own_request(
+    headers: &HeaderMap,
+    origin_of: impl Fn(&str) -> Option<String>,
+) -> bool {
+    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok());
+    let Some(own) = host.and_then(origin_of) else { return false };
     headers.get(header::ORIGIN).is_none_or(|origin| origin.as_bytes() == own.as_bytes())
 }
 

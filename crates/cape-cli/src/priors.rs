@@ -31,9 +31,10 @@ impl PriorName {
 /// Prior and temperature of sampled codes.
 #[derive(Debug, Clone, Copy, Args)]
 pub(crate) struct PriorArgs {
-    /// Prior of latent codes: standard normal, or a density fitted by `cape model prior`.
-    #[arg(long, value_enum, default_value_t = PriorName::Normal, value_name = "PRIOR")]
-    pub(crate) prior: PriorName,
+    /// Prior of latent codes: Gaussian mixture or kernel density of the training codes, or standard
+    /// normal [default: gmm, or normal if the run has no mixture].
+    #[arg(long, value_enum, value_name = "PRIOR")]
+    pub(crate) prior: Option<PriorName>,
     /// Sampling temperature: below 1 closer to the mean, above 1 more varied.
     #[arg(long, default_value_t = 1.0, value_name = "T")]
     pub(crate) temperature: f64,
@@ -48,6 +49,12 @@ impl PriorArgs {
         Err(Error::message(format!("--temperature {temperature}: must be at least 0")))
     }
 
+    /// The prior of the codes of a run.
+    pub(crate) fn name(&self, run: &Run) -> PriorName {
+        let fitted = || run.paths().prior(PriorName::Gmm.name()).exists();
+        self.prior.unwrap_or_else(|| if fitted() { PriorName::Gmm } else { PriorName::Normal })
+    }
+
     /// Codes `[outfits · n, latent]`, `n` per outfit, outfit by outfit. From the standard normal prior
     /// they are the same for all outfits.
     pub(crate) fn codes(
@@ -59,7 +66,7 @@ impl PriorArgs {
         console: Console,
     ) -> Result<Array2<f32>> {
         let temperature = self.temperature()?;
-        let prior = load_prior(run, self.prior, console)?;
+        let prior = load_prior(run, self.name(run), console)?;
         let of = |&outfit: &Outfit| match &prior {
             Some(prior) => prior.sample(outfit, n, temperature, seed),
             None => run.sample_codes(n, seed) * temperature as f32,

@@ -104,6 +104,17 @@ impl EpochDisplay {
                     .map_or(String::new(), |share| format!("  D accuracy {:.0} %", 100.0 * share));
                 self.print_line(&format!("{line}  {active_units} active dimensions{accuracy}"));
             }
+            TrainEvent::Prior { done, total } => {
+                if *done >= *total {
+                    self.print_line(&format!(
+                        "prior fitted to the codes of {total} training frames"
+                    ));
+                }
+                self.bar.set_prefix("prior");
+                self.bar.set_message("");
+                self.bar.set_length(*total as u64);
+                self.bar.set_position(*done as u64);
+            }
             TrainEvent::Checkpoint { .. } => {}
         }
     }

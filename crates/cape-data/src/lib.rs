@@ -32,6 +32,7 @@ mod shuffle;
 mod split;
 mod split_writer;
 mod statistics;
+mod tree;
 pub mod unpose;
 
 pub use cape_core::{Error, Result};
@@ -43,3 +44,4 @@ pub use packed::{FrameOrigin, HostBatch, PackedSet, Split};
 pub use shuffle::{Shuffle, ShufflePosition, ShuffleStream};
 pub use split::{SequenceList, SplitSpec};
 pub use statistics::{DisplacementStatistics, MIN_STD, STATISTICS_FILE, validation_count};
+pub use tree::{FrameSource, KNOWN_BROKEN, ListedSequence, RawCapture, RawTree, SubjectParameters};

@@ -290,7 +290,7 @@ mod tests {
         let mut changed = bytes.clone();
         changed[at..at + 6].copy_from_slice(b"  True");
         std::fs::write(&path, changed).unwrap();
-        assert_eq!(open().unwrap().row(1).unwrap(), [1.0, 20.0], "columns of 4 numbers");
+        assert_eq!(open().unwrap().row(1).unwrap(), [1.0, 21.0], "columns of 4 numbers");
         let left = std::fs::read_dir(dir.path()).unwrap().count();
         assert_eq!(left, 1, "the copy has no name");
         std::fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();

@@ -26,6 +26,7 @@
 //!   many stores can be checked before the first is touched.
 
 mod hash;
+mod lock;
 mod settings;
 
 use std::{
@@ -40,6 +41,7 @@ use cape_infer::write_json;
 use serde::{Serialize, de::DeserializeOwned};
 
 pub use hash::{sha256, sha256_of_files};
+pub use lock::StoreLock;
 pub use settings::{StoreSettings, packed_set_sha256};
 
 use crate::{Error, Result};
@@ -166,6 +168,10 @@ impl ResultStore {
         let mut state = self.state();
         self.begin_with(&mut state)?;
         if !state.listed.contains(name) {
+            // Another process may have listed it since.
+            state.listed.extend(listed(&self.root)?);
+        }
+        if !state.listed.contains(name) {
             let path = self.path(name);
             if path.symlink_metadata().is_ok() {
                 return Err(foreign(&path));
@@ -182,6 +188,33 @@ impl ResultStore {
         let path = self.path(name);
         create_dir(if name.ends_with('/') { &path } else { path.parent().unwrap_or(&self.root) })?;
         Ok(path)
+    }
+
+    /// Takes in what another process has written since the directory was opened.
+    pub fn refresh(&self) -> Result<()> {
+        let mut state = self.state();
+        let empty = state.pending.as_ref().is_some_and(Vec::is_empty);
+        if empty && self.path(SETTINGS).exists() {
+            let stored = StoreSettings::load(&self.path(SETTINGS))?;
+            if stored.kind() == self.settings.kind()
+                && stored.differences(&self.settings).is_empty()
+            {
+                state.pending = None;
+            }
+        }
+        if state.pending.is_none() {
+            state.listed.extend(listed(&self.root)?);
+        }
+        Ok(())
+    }
+
+    /// Locks the directory against other processes until the lock is dropped; `None` if another one
+    /// has it.
+    pub fn try_lock(&self) -> Result<Option<StoreLock>> {
+        create_dir(&self.root)?;
+        let lock = StoreLock::acquire(&self.root)?;
+        self.refresh()?;
+        Ok(lock)
     }
 
     /// True if the store has listed `name` as its own.
@@ -342,9 +375,9 @@ fn names(directory: &Path) -> Result<Vec<String>> {
     Ok(names)
 }
 
-/// True for what an interrupted atomic write leaves behind.
+/// True for a lock, and for what an interrupted atomic write leaves behind.
 fn is_temporary(name: &str) -> bool {
-    name.strip_prefix(".cape-").is_some_and(|rest| rest.contains(".tmp"))
+    name == lock::LOCK || name.strip_prefix(".cape-").is_some_and(|rest| rest.contains(".tmp"))
 }
 
 /// True for a relative path without `..`.

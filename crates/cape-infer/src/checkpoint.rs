@@ -197,11 +197,20 @@ pub fn best(directory: &Path) -> Result<PathBuf> {
     Ok(path.unwrap_or(newest).clone())
 }
 
-/// Removes all but the newest `keep` checkpoints and the best one.
-pub fn prune(directory: &Path, keep: usize, best: Option<u64>) -> Result<()> {
-    let all = list(directory)?;
-    let old = all.len().saturating_sub(keep.max(1));
-    for (step, path) in &all[..old] {
+/// Removes all but the newest `keep` checkpoints and the best one. Of those at steps that are not
+/// `regular`, saved by time or at an interruption, only the newest of all is kept.
+pub fn prune(
+    directory: &Path,
+    keep: usize,
+    best: Option<u64>,
+    regular: impl Fn(u64) -> bool,
+) -> Result<()> {
+    let mut all = list(directory)?;
+    let newest = all.last().map(|(step, _)| *step);
+    let (kept, mut old): (Vec<_>, Vec<_>) =
+        all.drain(..).partition(|(step, _)| regular(*step) || Some(*step) == newest);
+    old.extend_from_slice(&kept[..kept.len().saturating_sub(keep.max(1))]);
+    for (step, path) in &old {
         if Some(*step) != best {
             fs::remove_dir_all(path).map_err(|source| Error::io(path, source))?;
         }

@@ -30,7 +30,7 @@ mod normaliser;
 pub mod prior;
 mod run;
 
-pub use animated_body::AnimatedBody;
+pub use animated_body::{AnimatedBody, AnimationReport};
 pub use batch::{BATCH, DeviceBatch, batches, to_device};
 pub use body_spec::{BodySpec, registration};
 pub use clothed_model::{ClothedBody, ClothedModel, ClothedModelParts, Condition};
@@ -39,4 +39,4 @@ pub use config::{OptimiserKind, RateSchedule, RunConfig, TrainConfig, WarmUp};
 pub use error::{Error, Result};
 pub use graphs::build_graphs;
 pub use normaliser::Normaliser;
-pub use run::{DataIdentity, Run, RunPaths, body_and_clothing, read_identity, write_json};
+pub use run::{DataIdentity, MIXTURE, Run, RunPaths, body_and_clothing, read_identity, write_json};

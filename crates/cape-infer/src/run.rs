@@ -8,19 +8,25 @@ use std::{
 };
 
 use burn::{module::Module, tensor::Device};
-use cape_core::{SmplModel, smpl::ClothingMask};
+use cape_core::{Outfit, SmplModel, smpl::ClothingMask};
 use cape_data::{
     DisplacementStatistics, PackedSet, Split,
     raw::{BODY_FILE, CLOTHING_FILE},
 };
 use cape_model::{Cape, weights};
+use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
-use crate::{ClothedModel, ClothedModelParts, Error, Result, RunConfig, build_graphs, checkpoint};
+use crate::{
+    ClothedModel, ClothedModelParts, Error, Result, RunConfig, build_graphs, checkpoint,
+    prior::Prior,
+};
 
 const CONFIG: &str = "config.toml";
 const DATA: &str = "data.json";
 const STATISTICS: &str = "stats.npz";
+/// Kind of density that training ends with.
+pub const MIXTURE: &str = "gmm";
 
 /// Paths inside a run's directory.
 ///
@@ -87,7 +93,7 @@ impl RunPaths {
         self.root.join("tensorboard")
     }
 
-    /// Density of latent codes of a kind (`gmm`, `kde`), fitted after training.
+    /// Density of latent codes of a kind: `gmm`, fitted at the end of training, or `kde`.
     pub fn prior(&self, kind: &str) -> PathBuf {
         self.root.join(format!("prior-{kind}.npz"))
     }
@@ -275,6 +281,33 @@ impl Run {
                 data.display(),
                 self.paths.root().display()
             ))
+        })
+    }
+
+    /// The mixture of latent codes that was fitted at the end of training; `None` for runs without.
+    ///
+    /// # Errors
+    /// If its file cannot be read, or its codes are of another length.
+    pub fn prior(&self) -> Result<Option<Prior>> {
+        let path = self.paths.prior(MIXTURE);
+        if !path.exists() {
+            return Ok(None);
+        }
+        let prior = Prior::load(&path)?;
+        let (found, expected) = (prior.latent(), self.latent());
+        if found != expected {
+            let message = format!("codes of {found} numbers, but the model has {expected}");
+            return Err(Error::format(&path, message));
+        }
+        Ok(Some(prior))
+    }
+
+    /// Latent codes for an outfit, `[n, latent]`, from the run's [`prior`](Self::prior), or from the
+    /// standard normal distribution if it has none.
+    pub fn sample_for(&self, outfit: Outfit, n: usize, seed: u64) -> Result<Array2<f32>> {
+        Ok(match self.prior()? {
+            Some(prior) => prior.sample(outfit, n, 1.0, seed),
+            None => self.sample_codes(n, seed),
         })
     }
 

@@ -6,7 +6,7 @@ use std::{
     ops::ControlFlow,
     path::{Path, PathBuf},
     sync::Arc,
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use burn::tensor::Device;
@@ -28,9 +28,11 @@ use cape_data::{
     steps_per_epoch,
 };
 use cape_infer::{
-    RunConfig, RunPaths, build_graphs,
+    MIXTURE, Run, RunConfig, RunPaths, build_graphs,
     checkpoint::{self, Checkpoint, TrainState},
-    normal, read_identity, to_device,
+    normal,
+    prior::{Prior, PriorOptions},
+    read_identity, to_device,
 };
 
 /// Event during training.
@@ -66,6 +68,13 @@ pub enum TrainEvent {
         /// Share of patches that the discriminator classified correctly in the steps of the epoch;
         /// `None` without a discriminator.
         discriminator_accuracy: Option<f64>,
+    },
+    /// Encoding of training frames for the prior of latent codes, at the end of training.
+    Prior {
+        /// Number of encoded frames.
+        done: usize,
+        /// Number of frames to encode.
+        total: usize,
     },
     /// End of writing a checkpoint.
     Checkpoint {
@@ -121,6 +130,18 @@ impl TrainerOptions {
     }
 }
 
+/// State before the first step.
+fn beginning(seed: u64) -> TrainState {
+    TrainState {
+        step: 0,
+        loader: LoaderState::new(seed),
+        seconds: 0.0,
+        accuracy_sum: (0.0, 0),
+        validation: None,
+        best: None,
+    }
+}
+
 /// A run in training.
 ///
 /// ```
@@ -168,6 +189,7 @@ pub struct Trainer {
     clothing: Vec<usize>,
     learner: Learner,
     preview_fn: Option<PreviewFn>,
+    checkpoint_interval: Option<Duration>,
     progress: TrainState,
     device: Device,
 }
@@ -185,22 +207,16 @@ impl Trainer {
     ) -> Result<Self> {
         let (paths, config) = create(root.as_ref(), &options)?;
         let data = options.data;
-        let progress = TrainState {
-            step: 0,
-            loader: LoaderState::new(config.train.seed),
-            seconds: 0.0,
-            accuracy_sum: (0.0, 0),
-            validation: None,
-            best: None,
-        };
+        let progress = beginning(config.train.seed);
         Self::assemble(paths, &data, config, progress, device)
     }
 
-    /// Resumes the run in `root` from its newest checkpoint. `data` is the directory of the packed
-    /// set; `None` uses the one that the run was created with.
+    /// Resumes the run in `root` from its newest checkpoint, or starts it over if it was interrupted
+    /// before the first one. `data` is the directory of the packed set; `None` uses the one that the
+    /// run was created with.
     ///
     /// # Errors
-    /// If the run has no checkpoint, or the packed set is not the one it was trained on.
+    /// If the run cannot be read, or the packed set is not the one it was trained on.
     pub fn resume(root: impl AsRef<Path>, data: Option<&Path>, device: &Device) -> Result<Self> {
         let root = root.as_ref();
         let paths = RunPaths::new(root);
@@ -215,14 +231,12 @@ impl Trainer {
             )));
         };
         let newest = checkpoint::list(&paths.checkpoints())?.pop();
-        let Some((_, newest)) = newest else {
-            return Err(Error::data(format!(
-                "{}: no checkpoint to resume from: remove the directory and start a new run",
-                root.display()
-            )));
-        };
-        let saved = Checkpoint::load(&newest)?;
-        let mut trainer = Self::assemble(paths, data, config, saved.progress.clone(), device)?;
+        let saved = newest.map(|(_, path)| Ok::<_, Error>((Checkpoint::load(&path)?, path)));
+        let saved = saved.transpose()?;
+        let progress = saved
+            .as_ref()
+            .map_or_else(|| beginning(config.train.seed), |(saved, _)| saved.progress.clone());
+        let mut trainer = Self::assemble(paths, data, config, progress, device)?;
         let found = (trainer.set.frames(), trainer.set.vertices());
         if let Some(identity) = &identity
             && found != (identity.frames, identity.vertices)
@@ -246,10 +260,12 @@ impl Trainer {
                 data.display()
             )));
         }
-        trainer
-            .learner
-            .restore(&saved)
-            .map_err(|error| Error::format(&newest, format!("does not suit the run: {error}")))?;
+        if let Some((saved, path)) = &saved {
+            trainer
+                .learner
+                .restore(saved)
+                .map_err(|error| Error::format(path, format!("does not suit the run: {error}")))?;
+        }
         trainer.forget_metrics_after(trainer.progress.step)?;
         Ok(trainer)
     }
@@ -279,6 +295,7 @@ impl Trainer {
             clothing,
             learner,
             preview_fn: None,
+            checkpoint_interval: None,
             paths,
             config,
             progress,
@@ -311,6 +328,12 @@ impl Trainer {
         self.preview_fn = Some(preview_fn);
     }
 
+    /// Sets the time after which a checkpoint is saved within an epoch; by default there is none but by
+    /// [`checkpoint_steps`](cape_infer::TrainConfig::checkpoint_steps).
+    pub fn set_checkpoint_interval(&mut self, interval: Option<Duration>) {
+        self.checkpoint_interval = interval;
+    }
+
     /// Paths of the run's files.
     pub fn paths(&self) -> &RunPaths {
         &self.paths
@@ -320,7 +343,9 @@ impl Trainer {
         self.statistics.training_rows(self.set.frames())
     }
 
-    /// Trains until all epochs are done or `report` breaks; in both cases the state is saved.
+    /// Trains until all epochs are done or `report` breaks; in both cases the state is saved. After the
+    /// last epoch of a variational model a mixture of normal distributions is fitted to the codes of
+    /// the training frames, from which samples are drawn.
     ///
     /// # Errors
     /// If a file cannot be read or written, or a loss or gradient is not finite. In the latter case
@@ -346,6 +371,7 @@ impl Trainer {
                 options,
                 self.progress.loader,
             )?;
+            let mut saved = Instant::now();
             while self.progress.step < last {
                 let stop = self.one_step(&mut loader, &mut log, steps, report)?;
                 let step = self.progress.step;
@@ -356,8 +382,10 @@ impl Trainer {
                     None
                 };
                 let often = self.config.train.checkpoint_steps as u64;
-                if stop || epoch_ends || (often > 0 && step.is_multiple_of(often)) {
+                let due = self.checkpoint_interval.is_some_and(|most| saved.elapsed() >= most);
+                if stop || epoch_ends || due || (often > 0 && step.is_multiple_of(often)) {
                     let path = self.save()?;
+                    saved = Instant::now();
                     if let Some(found) = found {
                         self.show(&found, &mut log)?;
                     }
@@ -370,13 +398,32 @@ impl Trainer {
                 }
             }
         }
+        let finished = self.progress.step >= last;
+        if finished && self.config.model.variational {
+            self.fit_prior(report)?;
+        }
         Ok(TrainOutcome {
-            finished: self.progress.step >= last,
+            finished,
             epochs: (self.progress.step / steps as u64) as usize,
             steps: self.progress.step,
             best_validation: self.progress.best.map(|(error, _)| error),
             seconds: self.progress.seconds,
         })
+    }
+
+    /// Fits the mixture of latent codes at the checkpoint that the run is used with, unless it is there.
+    fn fit_prior(&self, report: &mut dyn FnMut(&TrainEvent) -> ControlFlow<()>) -> Result<()> {
+        let run = Run::open(self.paths.root(), &self.device)?;
+        let path = self.paths.prior(MIXTURE);
+        if path.exists() && Prior::load(&path)?.step() == Some(run.progress().step) {
+            return Ok(());
+        }
+        let options = PriorOptions { seed: self.config.train.seed, ..PriorOptions::default() };
+        let prior = Prior::of_run(&run, &self.set, &options, &mut |done, total| {
+            // Training is over; there is nothing to break.
+            let _ = report(&TrainEvent::Prior { done, total });
+        })?;
+        prior.save(&path)
     }
 
     /// One update of generator and discriminator; true if `report` breaks.
@@ -501,7 +548,11 @@ impl Trainer {
         let directory = self.paths.checkpoints();
         let path = checkpoint.save(&directory)?;
         let best = self.progress.best.map(|(_, step)| step);
-        checkpoint::prune(&directory, self.config.train.keep, best)?;
+        let often = self.config.train.checkpoint_steps as u64;
+        let steps = self.steps_per_epoch() as u64;
+        let regular =
+            |step: u64| step.is_multiple_of(steps) || often > 0 && step.is_multiple_of(often);
+        checkpoint::prune(&directory, self.config.train.keep, best, regular)?;
         Ok(path)
     }
 

@@ -123,6 +123,7 @@ impl DashboardState {
                 self.validation = Some(ValidationState { millimetres, active_units, best });
                 self.curves.validation.push(epoch as f64, millimetres);
             }
+            TrainEvent::Prior { .. } => {}
             TrainEvent::Checkpoint { ref path } => self.checkpoint = Some(path.clone()),
         }
     }

@@ -55,7 +55,7 @@ fn arguments_that_cannot_be_understood_exit_with_2() {
         "train --data packed --out run --preset huge",
         "eval run run --data packed --posterior median",
         "eval compare --data packed",
-        "sample run --out samples --outfit kilt",
+        "sample run --out samples --outfit short_long",
         "sample run --out samples --n 0",
         "sample run --out samples --fps 0",
         "fit benchmark image run --out fits --dropped 2",

@@ -18,6 +18,17 @@ fn a_fitted_prior_is_sampled_from_and_says_when_it_is_missing() {
     let sample = |out: &str, options: &str| {
         data.run(&format!("sample @/run --out @/{out} --outfit all --no-picture {options}"))
     };
+    // Training ends with a mixture, which is drawn from by default.
+    sample("own", "--seed 3").succeeded();
+    sample("own_gmm", "--seed 3 --prior gmm").succeeded();
+    sample("normal", "--seed 3 --prior normal").succeeded();
+    assert_eq!(codes(&data, "own"), codes(&data, "own_gmm"));
+    assert_ne!(codes(&data, "own"), codes(&data, "normal"));
+    let normal = codes(&data, "normal");
+    assert!(normal.iter().all(|code| *code == normal[0]));
+    fs::remove_file(data.at("run/prior-gmm.npz")).unwrap();
+    sample("without", "--seed 3").succeeded();
+    assert_eq!(codes(&data, "without"), normal);
     sample("none", "--prior gmm").failed_saying(&["prior-gmm.npz", "cape model prior"]);
     assert!(!data.at("none").exists());
 
@@ -57,7 +68,16 @@ fn samples_are_measured_against_held_out_frames() {
     }
     assert!(report["minimum_matching_mm"].as_f64().unwrap() > 0.0);
     assert_eq!(report, of("--prior gmm"));
-    assert_eq!(of("--temperature 0")["diversity_mm"][0][1], 0.0);
+    assert_eq!(of("--prior normal --temperature 0")["diversity_mm"][0][1], 0.0);
+    for set in ["held_out", "principal", "principal_held_out"] {
+        let accuracy = report[set]["nearest_neighbour_accuracy"].as_f64().unwrap();
+        assert!((0.0..=1.0).contains(&accuracy), "{report}");
+    }
+    let transfer = &report["pose_transfer"];
+    let mm = |name: &str| transfer[name].as_f64().unwrap();
+    assert!(mm("reconstructed_mm") > 0.0 && mm("transferred_mm") > 0.0, "{report}");
+    // The change between the two frames of a pair is the error of offsets that stay.
+    assert_eq!(mm("fixed_offsets_mm"), mm("true_change_mm"));
     assert!(data.at("run/samples.json").exists());
     let text = data.run("eval samples @/run").succeeded();
     assert!(text.contains("coverage") && text.contains("held-out frames"), "{text}");

@@ -97,6 +97,36 @@ fn interrupted_and_resumed(options: &str) {
     assert_eq!(losses(&data.at("cut")), losses(&data.at("whole")));
 }
 
+#[cfg(unix)]
+#[test]
+fn a_training_without_a_checkpoint_starts_over_by_itself() {
+    let data = Packed::new();
+    data.run(&format!("train --data @/packed --out @/whole {LONG}")).succeeded();
+    // Killed as soon as the directory is complete, before or after the first steps.
+    let line = format!("train --data @/packed --out @/cut {LONG}");
+    let words = line.split_whitespace().map(|w| w.replace('@', data.root().to_str().unwrap()));
+    let mut child = cape(words).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let start = Instant::now();
+    while !data.at("cut/config.toml").exists() {
+        assert!(start.elapsed() < Duration::from_mins(1), "no directory after a minute");
+        sleep(Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    if data.at("cut/checkpoints").exists() {
+        fs::remove_dir_all(data.at("cut/checkpoints")).unwrap();
+    }
+    // Metrics of steps that no checkpoint has.
+    let logged = fs::read(data.at("whole/metrics.jsonl")).unwrap();
+    fs::write(data.at("cut/metrics.jsonl"), logged).unwrap();
+    let ran = data.run("train --out @/cut --resume");
+    assert!(ran.err.contains("before its first checkpoint: starts over"), "{}", ran.err);
+    ran.succeeded();
+    assert_eq!(states(&data.at("cut")), states(&data.at("whole")));
+    assert_eq!(losses(&data.at("cut")), losses(&data.at("whole")));
+    data.run("train --out @/nothing --resume").failed_saying(&["nothing"]);
+}
+
 #[test]
 fn a_finished_training_has_nothing_left_to_do() {
     let data = Packed::new();
@@ -230,6 +260,37 @@ fn the_time_of_a_table_is_estimated_before_it_is_made() {
     assert!(steps.to_string().contains(&updates[1].to_string()), "{steps}");
     assert!(done["seconds_left"].as_f64().unwrap() > 0.0);
     data.run(&format!("{line} --dry-run")).succeeded();
+}
+
+#[test]
+fn several_processes_share_a_table() {
+    let data = Packed::new();
+    let line = "table2 --data @/packed --preset tiny --epochs 1 --seeds 2 --rows mean,cape,no-edge";
+    let alone = data.run(&format!("{line} --out @/alone --json")).json();
+    let shards: Vec<_> = ["1/2", "2/2"]
+        .iter()
+        .map(|shard| {
+            let line = format!("{line} --out @/shared --shard {shard}");
+            let root = data.root().to_str().unwrap().to_owned();
+            let words = line.split_whitespace().map(move |word| word.replace('@', &root));
+            cape(words).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
+        })
+        .collect();
+    for shard in shards {
+        let output = shard.wait_with_output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    let shared = data.run(&format!("{line} --out @/shared --tabulate --json")).json();
+    let without_time = |report: &serde_json::Value| {
+        let mut lines = report["lines"].clone();
+        for line in lines.as_array_mut().unwrap() {
+            line["seconds"].take();
+        }
+        lines
+    };
+    assert_eq!(without_time(&shared), without_time(&alone));
+    data.run(&format!("{line} --out @/nothing --tabulate")).failed_saying(&["no row is finished"]);
+    assert_eq!(data.run(&format!("{line} --out @/nothing --shard 3/2")).code, Some(2));
 }
 
 #[test]

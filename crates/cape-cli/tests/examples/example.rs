@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 use clap::Command;
 
 /// Options that make a command short, added or put in the place of the example's values.
-const SHORT: [(&str, &[(&str, &str)]); 15] = [
+const SHORT: [(&str, &[(&str, &str)]); 16] = [
     ("data synth", &[("--subjects", "1"), ("--frames-per-sequence", "1")]),
     ("data generate", &[("--n", "4")]),
     ("train", &[("--epochs", "1"), ("--batch", "64")]),

@@ -10,7 +10,7 @@ use std::{
 
 use cape::{
     core::{
-        Mesh, Outfit, SmplModel,
+        Mesh, Outfit, PointCacheFormat, PointCacheWriter, SmplModel,
         npy::{NpzWriter, write_npy},
         obj::{self, Uv},
         ply,
@@ -257,12 +257,31 @@ impl Sandbox {
             let mesh = set.clothing(0, frame).unwrap().to_mesh();
             mesh.save(self.at(&format!("scans/skirt_01/{frame:04}.ply"))).unwrap();
         }
+        self.exports(&set);
         let motion = &set.sequences[0].motion;
         let mut file = NpzWriter::create(self.at("scans/skirt_01.npz")).unwrap();
         file.add("poses", &motion.poses).unwrap();
         file.add("trans", &motion.translations).unwrap();
         file.add("mocap_framerate", &arr0(30.0f64)).unwrap();
         file.finish().unwrap();
+    }
+
+    /// The set's first sequence as other programs have it: a point cache in centimetres, and meshes
+    /// of several objects in one directory.
+    fn exports(&self, set: &LayerSet) {
+        fs::create_dir(self.at("frames")).unwrap();
+        let counts = [set.frames(), set.vertices()];
+        let mut cache =
+            PointCacheWriter::create(self.at("skirt.pc2"), PointCacheFormat::Pc2, counts, 30.0)
+                .unwrap();
+        for frame in 0..set.frames() {
+            let mut mesh = set.clothing(0, frame).unwrap().to_mesh();
+            mesh.save(self.at(&format!("frames/{frame}_skirt.obj"))).unwrap();
+            mesh.vertices.iter_mut().for_each(|vertex| *vertex = vertex.map(|x| 100.0 * x));
+            cache.push(&mesh.vertices).unwrap();
+            mesh.save(self.at("skirt.obj")).unwrap();
+        }
+        cache.finish().unwrap();
     }
 }
 

@@ -2,7 +2,9 @@
 
 mod classify;
 mod inside;
+mod principal;
 mod sets;
+mod transfer;
 
 use std::{collections::BTreeSet, path::Path};
 
@@ -12,9 +14,13 @@ use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 use serde::Serialize;
 
-pub use sets::SetDistances;
+pub use sets::{SetDistances, SetQuality};
+pub use transfer::PoseTransfer;
 
-use crate::{Error, Result, quality::classify::OutfitCentroids};
+use crate::{
+    Error, Result,
+    quality::{classify::OutfitCentroids, principal::PrincipalProjection},
+};
 use cape_core::ProgressFn;
 use cape_data::{PackedSet, Split};
 use cape_infer::{BodySpec, Run};
@@ -36,7 +42,7 @@ use cape_infer::{BodySpec, Run};
 /// let options = QualityOptions { frames: 4, each: 2, ..QualityOptions::default() };
 /// let report = quality(&run, &packed, &codes, options, &mut silent)?;
 /// assert_eq!(report.frames, 4);
-/// assert!((0.0..=1.0).contains(&report.coverage));
+/// assert!((0.0..=1.0).contains(&report.samples.coverage));
 /// # Ok(())
 /// # }
 /// ```
@@ -64,13 +70,17 @@ impl Default for QualityOptions {
 pub struct QualityReport {
     /// Number of held-out frames, each with a sample of its pose and outfit.
     pub frames: usize,
-    /// Coverage: share of held-out frames that are the nearest frame of a sample; higher is better.
-    pub coverage: f64,
-    /// Minimum matching distance: mean distance from a held-out frame to the nearest sample.
-    pub minimum_matching_mm: f64,
-    /// 1-nearest-neighbour accuracy: share of frames and samples whose nearest neighbour is of
-    /// their own set; 0.5 if the distributions are equal, 1 if they are disjoint.
-    pub nearest_neighbour_accuracy: f64,
+    /// Samples against held-out frames.
+    #[serde(flatten)]
+    pub samples: SetQuality,
+    /// The same measures of every second held-out frame against the others: the best that samples can
+    /// reach.
+    pub held_out: SetQuality,
+    /// Samples against held-out frames after projection onto the first 64 principal components of the
+    /// training frames, where a lack of fine detail does not count.
+    pub principal: SetQuality,
+    /// Held-out frames against each other after this projection.
+    pub principal_held_out: SetQuality,
     /// Mean distance between samples of an outfit in one pose, by outfit.
     pub diversity_mm: Vec<(Outfit, f64)>,
     /// Mean distance between held-out frames of an outfit in any pose, by outfit.
@@ -78,6 +88,9 @@ pub struct QualityReport {
     /// Mean change of the canonical displacement per radian of one joint at a fixed code,
     /// millimetres.
     pub pose_sensitivity_mm: f64,
+    /// Transfer of clothing between poses of a capture, beside the true change; `None` if captures are
+    /// unknown or have one frame each.
+    pub pose_transfer: Option<PoseTransfer>,
     /// Share of samples that the outfit classifier assigns to the requested outfit.
     pub outfit_consistency: f64,
     /// Share of held-out frames that the outfit classifier assigns to their outfit.
@@ -118,7 +131,7 @@ pub fn quality(
     for (index, &outfit) in outfits.iter().enumerate() {
         drawn.row_mut(index).assign(&codes(outfit, 1, index as u64).row(0));
     }
-    let steps = 5;
+    let steps = 7;
     let samples = decoded(run, &drawn, &poses, &outfits)?;
     progress(1, steps);
 
@@ -128,8 +141,16 @@ pub fn quality(
         rows.iter().map(|row| clothing.iter().map(|&v| at(row, v)).collect()).collect()
     };
     let (truth_points, sample_points) = (of_clothes(&truth), of_clothes(&samples));
-    let distances = SetDistances::between(&truth_points, &sample_points);
+    let samples_quality = SetDistances::between(&truth_points, &sample_points).quality();
+    let held_out = halves(&truth_points);
     progress(2, steps);
+
+    let projection = PrincipalProjection::from_training(run, data, options.training_frames)?;
+    let project = |rows: &[Vec<f32>]| Ok::<_, Error>(of_clothes(&projection.project(rows)?));
+    let (true_principal, principal) = (project(&truth)?, project(&samples)?);
+    let principal = SetDistances::between(&true_principal, &principal).quality();
+    let principal_held_out = halves(&true_principal);
+    progress(3, steps);
 
     let classifier = OutfitCentroids::from_training(run, data, options.training_frames)?;
     let consistent = |points: &[Vec<[f32; 3]>]| {
@@ -139,7 +160,7 @@ pub fn quality(
     };
     let outfit_consistency = consistent(&sample_points);
     let classifier_accuracy = consistent(&truth_points);
-    progress(3, steps);
+    progress(4, steps);
 
     let mut diversity = Vec::new();
     for outfit in present(&outfits) {
@@ -149,16 +170,19 @@ pub fn quality(
         let rows = decoded(run, &codes, &vec![poses[index]; n], &vec![outfit; n])?;
         diversity.push((outfit, sets::mean_distance(&of_clothes(&rows))));
     }
-    progress(4, steps);
-    let pose_sensitivity_mm = sensitivity(run, &drawn, &poses, &outfits, options.seed)?;
     progress(5, steps);
+    let pose_sensitivity_mm = sensitivity(run, &drawn, &poses, &outfits, options.seed)?;
+    progress(6, steps);
+    let pose_transfer = PoseTransfer::measure(run, &set)?;
+    progress(7, steps);
     let body = run.body().mesh();
     let inside = |rows: &[Vec<f32>]| inside::inside_share(rows, clothing, &body);
     Ok(QualityReport {
         frames: rows.len(),
-        coverage: distances.coverage(),
-        minimum_matching_mm: distances.minimum_matching(),
-        nearest_neighbour_accuracy: distances.nearest_neighbour_accuracy(),
+        samples: samples_quality,
+        held_out,
+        principal,
+        principal_held_out,
         diversity_mm: diversity,
         held_out_diversity_mm: present(&outfits)
             .into_iter()
@@ -169,10 +193,17 @@ pub fn quality(
             })
             .collect(),
         pose_sensitivity_mm,
+        pose_transfer,
         outfit_consistency,
         classifier_accuracy,
         inside_body: [inside(&samples)?, inside(&truth)?],
     })
+}
+
+/// Measures of every second frame against the others.
+fn halves(frames: &[Vec<[f32; 3]>]) -> SetQuality {
+    let part = |start: usize| frames.iter().skip(start).step_by(2).cloned().collect::<Vec<_>>();
+    SetDistances::between(&part(0), &part(1)).quality()
 }
 
 fn pose_of(set: &PackedSet, row: usize) -> Result<[f32; 72]> {

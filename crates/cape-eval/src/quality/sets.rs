@@ -1,6 +1,7 @@
 //! Comparison of a set of samples with a set of frames (Achlioptas et al. 2018, Yang et al. 2019).
 
 use rayon::prelude::*;
+use serde::Serialize;
 
 /// Distances within and between two sets of point sets, millimetres.
 ///
@@ -21,6 +22,18 @@ pub struct SetDistances {
     samples: Vec<Vec<f64>>,
     /// Distances between frames and samples, `[frames][samples]`.
     between: Vec<Vec<f64>>,
+}
+
+/// Measures of a set of samples against a set of frames.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct SetQuality {
+    /// Coverage: share of frames that are the nearest frame of a sample; higher is better.
+    pub coverage: f64,
+    /// Minimum matching distance: mean distance from a frame to the nearest sample, millimetres.
+    pub minimum_matching_mm: f64,
+    /// 1-nearest-neighbour accuracy: share of frames and samples whose nearest neighbour is of
+    /// their own set; 0.5 if the distributions are equal, 1 if they are disjoint.
+    pub nearest_neighbour_accuracy: f64,
 }
 
 /// Mean Euclidean distance of corresponding points in metres, as millimetres.
@@ -57,6 +70,15 @@ impl SetDistances {
             frames: matrix(frames, frames),
             samples: matrix(samples, samples),
             between: matrix(frames, samples),
+        }
+    }
+
+    /// All measures.
+    pub fn quality(&self) -> SetQuality {
+        SetQuality {
+            coverage: self.coverage(),
+            minimum_matching_mm: self.minimum_matching(),
+            nearest_neighbour_accuracy: self.nearest_neighbour_accuracy(),
         }
     }
 

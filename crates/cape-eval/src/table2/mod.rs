@@ -31,13 +31,13 @@ pub use rows::Table2Row;
 use crate::{
     Error, Result,
     comparison::{MethodResults, RunErrors},
-    store::{ResultStore, StoreOptions, StoreSettings, unreadable},
+    store::{ResultStore, StoreLock, StoreOptions, StoreSettings, unreadable},
 };
 use cape_data::{
     PackedSet, Split,
     raw::{BODY_FILE, CLOTHING_FILE},
 };
-use cape_infer::{RunConfig, RunPaths, body_and_clothing, checkpoint};
+use cape_infer::{MIXTURE, RunConfig, RunPaths, body_and_clothing, checkpoint};
 use cape_train::{Trainer, TrainerOptions};
 
 const RESULT: &str = "result.json";
@@ -258,6 +258,7 @@ impl Table2Job {
     /// # Errors
     /// If a file of a finished job cannot be read; it is named.
     pub fn result(&self) -> Result<Option<RowResult>> {
+        self.store.refresh()?;
         let Some(result) = self.store.read::<RowResult>(RESULT)? else { return Ok(None) };
         if !self.store.path(FRAMES).exists() {
             return Ok(None);
@@ -270,6 +271,11 @@ impl Table2Job {
     pub fn frames(&self) -> Result<FigureFrames> {
         let path = self.store.path(FRAMES);
         FigureFrames::load(&path).map_err(|error| unreadable(&path, &error.to_string()))
+    }
+
+    /// Locks the job against other processes; `None` if another one works on it.
+    pub fn try_lock(&self) -> Result<Option<StoreLock>> {
+        self.store.try_lock()
     }
 
     fn run_directory(&self) -> PathBuf {
@@ -294,7 +300,7 @@ impl Table2Job {
             format!("{RUN}/{name}{end}")
         };
         let mut names: Vec<String> = files.iter().map(|path| name(path, "")).collect();
-        names.push(name(&paths.metrics(), ""));
+        names.extend([paths.metrics(), paths.prior(MIXTURE)].map(|path| name(&path, "")));
         names.extend([paths.checkpoints(), paths.events()].map(|path| name(&path, "/")));
         self.store.begin()?;
         if checkpoint::list(&paths.checkpoints())?.is_empty() {

@@ -7,7 +7,7 @@ use ndarray::Array2;
 
 use crate::{Error, Result, Run};
 use cape_core::ProgressFn;
-use cape_data::Split;
+use cape_data::{PackedSet, Split};
 
 /// Posterior means of frames, each with its outfit.
 #[derive(Debug, Clone)]
@@ -40,14 +40,23 @@ impl LatentCodes {
         frames: usize,
         progress: &mut ProgressFn,
     ) -> Result<Self> {
-        let set = run.open_set(data, Split::Train)?;
+        Self::from_set(run, &run.open_set(data, Split::Train)?, frames, progress)
+    }
+
+    /// Posterior means of at most `frames` training frames of `set`, evenly spaced.
+    pub fn from_set(
+        run: &Run,
+        set: &PackedSet,
+        frames: usize,
+        progress: &mut ProgressFn,
+    ) -> Result<Self> {
         let rows = run.statistics().training_rows(set.frames());
         let step = rows.len().div_ceil(frames.max(1)).max(1);
         let rows: Vec<usize> = rows.step_by(step).collect();
         let latent = run.latent();
         let mut codes = Vec::with_capacity(rows.len());
         for chunk in rows.chunks(crate::BATCH) {
-            for (&row, mean) in chunk.iter().zip(run.encode_frames(&set, chunk)?.rows()) {
+            for (&row, mean) in chunk.iter().zip(run.encode_frames(set, chunk)?.rows()) {
                 let code = mean.iter().map(|&x| f64::from(x)).collect();
                 codes.push((set.outfits()[row], code));
             }

@@ -24,7 +24,9 @@ pub use codes::LatentCodes;
 
 use cape_stats::density::{KernelDensity, Mixture, MixtureOptions};
 
-use crate::{Error, Result};
+use crate::{Error, Result, Run};
+use cape_core::ProgressFn;
+use cape_data::PackedSet;
 
 /// The name of the group of all outfits in files.
 const JOINT: &str = "all";
@@ -41,6 +43,38 @@ pub enum DensityKind {
     MixtureUpTo(usize),
     /// A kernel density estimate.
     Kernel,
+}
+
+/// Options of fitting a prior to a run's codes. The default is a mixture for each outfit, of up to 12
+/// components by the Bayesian information criterion.
+///
+/// ```
+/// use cape_infer::prior::{DensityKind, PriorOptions};
+///
+/// // The authors' mixture: ten components for all outfits together.
+/// let options = PriorOptions {
+///     kind: DensityKind::Mixture(10),
+///     by_outfit: false,
+///     ..PriorOptions::default()
+/// };
+/// assert_eq!(options.frames, 4096);
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PriorOptions {
+    /// Kind of density.
+    pub kind: DensityKind,
+    /// Fit one density for each outfit instead of one for all together.
+    pub by_outfit: bool,
+    /// Largest number of training frames to encode, evenly spaced.
+    pub frames: usize,
+    /// Seed of the initialisations.
+    pub seed: u64,
+}
+
+impl Default for PriorOptions {
+    fn default() -> Self {
+        Self { kind: DensityKind::MixtureUpTo(12), by_outfit: true, frames: 4096, seed: 1 }
+    }
 }
 
 /// A density of latent codes.
@@ -114,6 +148,18 @@ impl Density {
 }
 
 impl Prior {
+    /// Fits to the codes of training frames of `set`.
+    pub fn of_run(
+        run: &Run,
+        set: &PackedSet,
+        options: &PriorOptions,
+        progress: &mut ProgressFn,
+    ) -> Result<Self> {
+        let codes = LatentCodes::from_set(run, set, options.frames, progress)?;
+        let mixture = MixtureOptions { seed: options.seed, ..MixtureOptions::default() };
+        Self::fit(&codes, options.kind, options.by_outfit, &mixture)
+    }
+
     /// Fits to codes, by outfit or to all together.
     pub fn fit(
         codes: &LatentCodes,

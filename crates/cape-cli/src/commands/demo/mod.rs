@@ -10,15 +10,14 @@ use std::{
 use burn::tensor::Device;
 use cape_core::silent;
 use cape_core::{Outfit, obj};
-use cape_data::{PackOptions, SplitSpec, pack};
+use cape_data::{PackOptions, Split, SplitSpec, pack};
 use cape_eval::{EvalOptions, EvalReport, PosteriorUse, evaluate};
 use cape_infer::{
-    BodySpec, Run, RunConfig, TrainConfig,
-    prior::{DensityKind, LatentCodes, Prior},
+    BodySpec, MIXTURE, Run, RunConfig, TrainConfig,
+    prior::{DensityKind, Prior, PriorOptions},
     write_json,
 };
 use cape_model::{CapeConfig, LossConfig};
-use cape_stats::density::MixtureOptions;
 use cape_synth::{self, poses};
 use cape_train::{TrainEvent, TrainOutcome, Trainer, TrainerOptions};
 use clap::Args;
@@ -236,11 +235,20 @@ impl DemoContext {
     /// Meshes of the bare body and of the four outfits, and the pictures.
     fn pictures(&mut self, run: &Run, losses: &LossCurves) -> Result {
         self.stage("sample", "meshes and pictures of 4 outfits", |this| {
-            // After few steps the codes do not follow the standard normal prior yet.
-            let seen =
-                LatentCodes::from_training(run, &this.path("packed"), CODE_FRAMES, &mut silent)?;
-            let options = MixtureOptions::default();
-            let prior = Prior::fit(&seen, DensityKind::Mixture(1), true, &options)?;
+            // A training that its time ended has no prior yet.
+            let prior = if let Some(prior) = run.prior()? {
+                prior
+            } else {
+                let set = run.open_set(this.path("packed"), Split::Train)?;
+                let options = PriorOptions {
+                    kind: DensityKind::Mixture(1),
+                    frames: CODE_FRAMES,
+                    ..PriorOptions::default()
+                };
+                let prior = Prior::of_run(run, &set, &options, &mut silent)?;
+                prior.save(run.paths().prior(MIXTURE))?;
+                prior
+            };
             let codes = prior.sample_each(run.outfits(), TEMPERATURE, this.seed)?;
             let mut rows = Vec::new();
             for (row, &(name, view)) in pictures::POSES.iter().enumerate() {

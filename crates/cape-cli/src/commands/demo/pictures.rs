@@ -44,7 +44,7 @@ impl LossCurves {
             TrainEvent::Validation { losses, .. } => {
                 self.validation.push((self.step, losses.reconstruction));
             }
-            TrainEvent::Checkpoint { .. } => {}
+            TrainEvent::Prior { .. } | TrainEvent::Checkpoint { .. } => {}
         }
     }
 

@@ -44,7 +44,7 @@ impl EvalSamplesArgs {
         let seed = global.seed();
         let temperature = self.drawn.temperature()?;
         let options = QualityOptions { frames: self.frames, seed, ..QualityOptions::default() };
-        let prior = load_prior(&run, self.drawn.prior, console)?;
+        let prior = load_prior(&run, self.drawn.name(&run), console)?;
         let normal = standard_normal(run.config().model.latent, temperature, seed);
         let found = console.while_showing("measure", "parts", |progress| match &prior {
             None => quality(&run, &data, &normal, options, progress),
@@ -56,7 +56,7 @@ impl EvalSamplesArgs {
                 progress,
             ),
         })?;
-        let report = Report { prior: self.drawn.prior.name(), temperature, quality: found };
+        let report = Report { prior: self.drawn.name(&run).name(), temperature, quality: found };
         write_json(&run.paths().root().join("samples.json"), &report)?;
         console.result(&report, || report.text())
     }
@@ -66,36 +66,54 @@ impl Report {
     fn text(&self) -> String {
         let QualityReport {
             frames,
-            coverage,
-            minimum_matching_mm,
-            nearest_neighbour_accuracy,
+            samples,
+            held_out,
+            principal,
+            principal_held_out,
             diversity_mm,
             held_out_diversity_mm,
             pose_sensitivity_mm,
+            pose_transfer,
             outfit_consistency,
             classifier_accuracy,
             inside_body: [inside, inside_held_out],
         } = &self.quality;
         let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+        let mm = |distance: f64| format!("{distance:.1} mm");
         let mut table = Table::new(["", "samples", "held out"]);
         let mut row = |name: &str, samples: String, held_out: String| {
             table.row([name.to_owned(), samples, held_out]);
         };
-        row("coverage", percent(*coverage), String::new());
-        row("minimum matching distance", format!("{minimum_matching_mm:.1} mm"), String::new());
-        row(
-            "1-nearest-neighbour accuracy (best 50 %)",
-            percent(*nearest_neighbour_accuracy),
-            String::new(),
-        );
-        for ((outfit, own), (_, theirs)) in diversity_mm.iter().zip(held_out_diversity_mm) {
-            row(&format!("diversity, {outfit}"), format!("{own:.1} mm"), format!("{theirs:.1} mm"));
+        for (own, theirs, space) in
+            [(samples, held_out, ""), (principal, principal_held_out, ", 64 components")]
+        {
+            row(&format!("coverage{space}"), percent(own.coverage), percent(theirs.coverage));
+            row(
+                &format!("minimum matching distance{space}"),
+                mm(own.minimum_matching_mm),
+                mm(theirs.minimum_matching_mm),
+            );
+            row(
+                &format!("1-nearest-neighbour accuracy{space} (best 50 %)"),
+                percent(own.nearest_neighbour_accuracy),
+                percent(theirs.nearest_neighbour_accuracy),
+            );
         }
-        row(
-            "mean change per radian of a joint",
-            format!("{pose_sensitivity_mm:.1} mm"),
-            String::new(),
-        );
+        for ((outfit, own), (_, theirs)) in diversity_mm.iter().zip(held_out_diversity_mm) {
+            row(&format!("diversity, {outfit}"), mm(*own), mm(*theirs));
+        }
+        row("mean change per radian of a joint", mm(*pose_sensitivity_mm), String::new());
+        if let Some(transfer) = pose_transfer {
+            row(
+                "change between two poses of a capture",
+                mm(transfer.model_change_mm),
+                mm(transfer.true_change_mm),
+            );
+            row("error of clothing in another pose", mm(transfer.transferred_mm), String::new());
+            row("  of offsets fixed to the body", String::new(), mm(transfer.fixed_offsets_mm));
+            row("  of the pose's own reconstruction", mm(transfer.reconstructed_mm), String::new());
+            row("  of the mean displacement", String::new(), mm(transfer.mean_shape_mm));
+        }
         row(
             "outfit recognised by a classifier",
             percent(*outfit_consistency),

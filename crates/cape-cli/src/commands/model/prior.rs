@@ -1,8 +1,8 @@
 use std::path::{Path, PathBuf};
 
 use cape_core::Outfit;
-use cape_infer::prior::{Density, DensityKind, LatentCodes, Prior};
-use cape_stats::density::MixtureOptions;
+use cape_data::Split;
+use cape_infer::prior::{Density, DensityKind, Prior, PriorOptions};
 use clap::Args;
 use serde::Serialize;
 
@@ -14,14 +14,11 @@ use crate::{
     table::Table,
 };
 
-/// Largest number of components that is tried by default.
-const MOST_COMPONENTS: usize = 12;
-
 /// Fit a prior to the latent codes of the training frames.
 ///
-/// Encodes training frames and fits a Gaussian mixture or a kernel density to the posterior means. Other
-/// commands sample from it with --prior gmm or --prior kde instead of the standard normal prior. Writes
-/// RUN/prior-gmm.npz or RUN/prior-kde.npz.
+/// Encodes training frames and fits a Gaussian mixture or a kernel density to the posterior means. A
+/// training ends with a mixture for each outfit; this fits another one, or one for an imported model.
+/// Other commands sample from RUN/prior-gmm.npz by default, and from RUN/prior-kde.npz with --prior kde.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape model prior runs/cape\n  cape model prior runs/cape --kind kde --joint"
@@ -71,19 +68,24 @@ impl FitPriorArgs {
         }
         let run = self.run.open(global)?;
         let data = self.data.of(&run)?;
-        let codes = console.while_showing("encode", "frames", |progress| {
-            LatentCodes::from_training(&run, &data, self.frames, progress)
-        })?;
         let kind = match (self.kind, self.components) {
             (PriorName::Kde, _) => DensityKind::Kernel,
             (_, Some(components)) => DensityKind::Mixture(components),
-            (_, None) => DensityKind::MixtureUpTo(MOST_COMPONENTS),
+            (_, None) => PriorOptions::default().kind,
         };
-        let options = MixtureOptions { seed: global.seed(), ..MixtureOptions::default() };
-        let prior = Prior::fit(&codes, kind, !self.joint, &options)?;
+        let options =
+            PriorOptions { kind, by_outfit: !self.joint, frames: self.frames, seed: global.seed() };
+        let set = run.open_set(&data, Split::Train)?;
+        let mut codes = 0;
+        let prior = console.while_showing("encode", "frames", |progress| {
+            Prior::of_run(&run, &set, &options, &mut |done, total| {
+                codes = total;
+                progress(done, total);
+            })
+        })?;
         let file = run.paths().prior(self.kind.name());
         prior.save(&file)?;
-        let report = Report { file, codes: codes.len(), groups: groups(&prior) };
+        let report = Report { file, codes, groups: groups(&prior) };
         console.result(&report, || report.text(&self.run.run, self.kind))
     }
 }

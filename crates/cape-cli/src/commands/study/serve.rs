@@ -1,5 +1,5 @@
 use std::{
-    net::{IpAddr, Ipv4Addr, TcpListener},
+    net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener},
     path::PathBuf,
 };
 
@@ -15,7 +15,6 @@ use crate::{
     console::Console,
     error::{Context, Error, Result},
     options::at_least_one,
-    page_server::local_origins,
 };
 
 /// Serve a study to raters and record their answers.
@@ -58,6 +57,12 @@ struct Link {
 
 impl ServeArgs {
     pub(crate) fn run(self, console: Console) -> Result {
+        if self.address.is_unspecified() && self.url.is_none() {
+            return Err(Error::message(format!(
+                "--address {}: expected --url too, the address by which raters reach the server",
+                self.address
+            )));
+        }
         let design = StudyDesign::load(&self.study)?;
         let consent = consent(&self.study)?;
         let raters = Rater::of_study(&self.study, self.raters)?;
@@ -65,25 +70,20 @@ impl ServeArgs {
             .map_err(|error| Error::io("socket", error))
             .doing(|| format!("listening on {} port {}", self.address, self.port))?;
         let port = listener.local_addr().map_err(|error| Error::io("socket", error))?.port();
-        let mut origins = local_origins(port);
-        if !self.address.is_loopback() {
-            origins.insert(0, format!("http://{}", std::net::SocketAddr::new(self.address, port)));
-        }
-        if let Some(url) = &self.url {
-            let (scheme, rest) = url.split_once("://").unwrap_or(("https", url));
-            let host = rest.split('/').next().unwrap_or_default();
-            origins.insert(0, format!("{scheme}://{host}"));
-        }
-        let base = self.url.as_deref().map_or_else(|| origins[0].clone(), ToOwned::to_owned);
+        let base = match &self.url {
+            Some(url) => url.trim_end_matches('/').to_owned(),
+            None => format!("http://{}", SocketAddr::new(self.address, port)),
+        };
+        let origin = base.splitn(4, '/').take(3).collect::<Vec<_>>().join("/");
         let links: Vec<Link> = raters
             .iter()
             .map(|rater| Link {
                 rater: rater.name.clone(),
-                url: format!("{}/{}/", base.trim_end_matches('/'), rater.token),
+                url: format!("{base}/{}/", rater.token),
             })
             .collect();
         let server =
-            StudyServer::new(design, &self.study, raters, origins, (consent, self.completion))?;
+            StudyServer::new(design, &self.study, raters, origin, (consent, self.completion))?;
         console.result(&links, || {
             let lines = links.iter().map(|link| format!("{}  {}", link.rater, link.url));
             format!("{}\npress Ctrl-C to stop", lines.collect::<Vec<_>>().join("\n"))

@@ -26,7 +26,7 @@ use tokio::net::TcpListener;
 
 use crate::{
     error::{Error, Result},
-    page_server::{guarded, is_own_request, is_same_secret, token, with_content_type},
+    page_server::{guarded, is_loopback, is_own_request, is_same_secret, token, with_content_type},
 };
 
 /// Largest size of a message from the page, bytes.
@@ -69,7 +69,8 @@ pub(super) struct StudyServer {
     stimuli: PathBuf,
     raters: Vec<Rater>,
     schedules: Vec<Vec<Trial>>,
-    origins: Vec<String>,
+    /// Origin by which raters reach the server, beside those of this machine.
+    origin: String,
     /// Paragraphs of consent, and the page to go to at the end.
     texts: (Vec<String>, Option<String>),
     log: Mutex<AnswerLog>,
@@ -105,7 +106,7 @@ impl StudyServer {
         design: StudyDesign,
         directory: &Path,
         raters: Vec<Rater>,
-        origins: Vec<String>,
+        origin: String,
         texts: (Vec<String>, Option<String>),
     ) -> Result<Self> {
         let path = directory.join("answers.jsonl");
@@ -123,10 +124,21 @@ impl StudyServer {
             stimuli: directory.join("stimuli"),
             raters,
             schedules,
-            origins,
+            origin,
             texts,
             log: Mutex::new(AnswerLog { file, answered, events }),
         })
+    }
+
+    /// Origin of the page at `host`; none for the hosts of others.
+    fn origin_of(&self, host: &str) -> Option<String> {
+        if is_loopback(host) {
+            return Some(format!("http://{host}"));
+        }
+        self.origin
+            .split_once("://")
+            .filter(|(_, known)| *known == host)
+            .map(|_| self.origin.clone())
     }
 
     fn rater(&self, given: &str) -> Option<usize> {
@@ -277,8 +289,8 @@ fn router(server: Arc<StudyServer>) -> Router {
 /// Admits requests with a rater's token and from the page itself.
 async fn guard(State(server): State<Arc<StudyServer>>, request: Request, next: Next) -> Response {
     let given = request.uri().path().split('/').nth(1).unwrap_or_default();
-    let allowed =
-        is_own_request(&server.origins, request.headers()) && server.rater(given).is_some();
+    let allowed = is_own_request(request.headers(), |host| server.origin_of(host))
+        && server.rater(given).is_some();
     guarded(if allowed { next.run(request).await } else { StatusCode::NOT_FOUND.into_response() })
 }
 

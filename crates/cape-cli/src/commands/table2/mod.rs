@@ -25,7 +25,7 @@ use crate::{
     files,
     html::HtmlFigure,
     interrupt::Interrupt,
-    options::{GlobalArgs, PRESETS, StoreArgs, at_least_one, choices},
+    options::{CheckpointArgs, GlobalArgs, PRESETS, StoreArgs, at_least_one, choices},
     training,
 };
 use figures::MethodFigure;
@@ -66,6 +66,14 @@ pub(crate) struct Table2Args {
     /// Number of epochs; the warm-up is scaled with it.
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     epochs: Option<usize>,
+    #[command(flatten)]
+    checkpoints: CheckpointArgs,
+    /// Do every N-th job only, from the I-th on: shares of the table for several processes or machines.
+    #[arg(long, value_name = "I/N", value_parser = Shard::parse)]
+    shard: Option<Shard>,
+    /// Write the table of the finished jobs without training.
+    #[arg(long, conflicts_with_all = ["dry_run", "shard"])]
+    tabulate: bool,
     /// Estimate the training time of all rows from a few timed updates, and write nothing.
     #[arg(long)]
     dry_run: bool,
@@ -120,31 +128,48 @@ impl Table2Args {
         }
         store.begin()?;
         let interrupt = Interrupt::listen(console)?;
-        let mut results = Vec::new();
         let report = |results: &[RowResult]| {
             let (methods, cape) = methods(results);
             let table = ComparisonTable::new(&methods, cape);
             Report { out: grid.out.clone(), seconds: start.elapsed().as_secs_f64(), table }
         };
-        let mut clock = RemainingTime::new(&jobs);
-        for (index, job) in jobs.iter().enumerate() {
+        let mine: Vec<&Table2Job> = match self.shard {
+            _ if self.tabulate => Vec::new(),
+            Some(shard) => shard.of(&jobs),
+            None => jobs.iter().collect(),
+        };
+        let mut clock = RemainingTime::new(&mine);
+        for (index, &job) in mine.iter().enumerate() {
             let title =
-                format!("[{}/{}] {}, seed {}", index + 1, jobs.len(), job.row.name(), job.seed);
-            if let Some(result) = job.result()? {
+                format!("[{}/{}] {}, seed {}", index + 1, mine.len(), job.row.name(), job.seed);
+            if job.result()?.is_some() {
                 console.note(&format!("{title}: already done"));
                 clock.pass(job);
-                results.push(result);
                 continue;
             }
+            let Some(lock) = job.try_lock()? else {
+                console.note(&format!("{title}: another process works on it"));
+                clock.pass(job);
+                continue;
+            };
             console.note(&format!("{title}{}", clock.left()));
-            if let Some(result) = done(&grid, job, &device, console, &interrupt).doing(|| title)? {
-                results.push(result);
-                write_tables(&store, &report(&results))?;
-            } else {
+            if !train_and_measure(&grid, job, self.checkpoints, &device, console, &interrupt)
+                .doing(|| title)?
+            {
                 console.note("interrupted and saved: run the same command again to resume");
                 return Ok(ExitCode::from(INTERRUPTED));
             }
+            drop(lock);
+            write_tables(&store, &report(&finished(&jobs)?))?;
             clock.pass(job);
+        }
+        let results = finished(&jobs)?;
+        if results.is_empty() {
+            return Err(Error::message(format!("{}: no row is finished", grid.out.display())));
+        }
+        if results.len() < jobs.len() {
+            let left = jobs.len() - results.len();
+            console.note(&format!("{left} of {} jobs are not finished", jobs.len()));
         }
         let report = report(&results);
         write_tables(&store, &report)?;
@@ -184,26 +209,60 @@ impl Table2Args {
     }
 }
 
-/// Trains and measures a job; none if it was interrupted.
-fn done(
+/// Trains and measures a job; false if it was interrupted.
+fn train_and_measure(
     grid: &Table2Options,
     job: &Table2Job,
+    checkpoints: CheckpointArgs,
     device: &Device,
     console: Console,
     interrupt: &Interrupt,
-) -> Result<Option<RowResult>> {
+) -> Result<bool> {
     let mut spent = 0.0;
     if let Some(mut trainer) = job.trainer(grid, device)? {
+        trainer.set_checkpoint_interval(checkpoints.interval());
         let outcome = training::run(&mut trainer, console, None, |_| interrupt.was_asked())?;
         if !outcome.finished {
-            return Ok(None);
+            return Ok(false);
         }
         spent = outcome.seconds;
     }
-    let result = console.while_showing("measure", "frames", |progress| {
+    console.while_showing("measure", "frames", |progress| {
         job.measure(grid, spent, device, progress)
     })?;
-    Ok(Some(result))
+    Ok(true)
+}
+
+/// Results of the finished jobs, by whatever process.
+fn finished(jobs: &[Table2Job]) -> Result<Vec<RowResult>> {
+    let mut results = Vec::new();
+    for job in jobs {
+        results.extend(job.result()?);
+    }
+    Ok(results)
+}
+
+/// Share of the jobs: those whose number leaves the same remainder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Shard {
+    index: usize,
+    count: usize,
+}
+
+impl Shard {
+    /// `I/N` with I from 1 to N.
+    fn parse(text: &str) -> std::result::Result<Self, String> {
+        let numbers = text.split_once('/').and_then(|(index, count)| {
+            Some(Self { index: index.parse().ok()?, count: count.parse().ok()? })
+        });
+        numbers
+            .filter(|shard| (1..=shard.count).contains(&shard.index))
+            .ok_or_else(|| "expected I/N with I from 1 to N, such as 2/4".to_owned())
+    }
+
+    fn of<T>(self, jobs: &[T]) -> Vec<&T> {
+        jobs.iter().skip(self.index - 1).step_by(self.count).collect()
+    }
 }
 
 /// Estimate of the remaining time from the trained rows so far.
@@ -214,7 +273,7 @@ struct RemainingTime {
 }
 
 impl RemainingTime {
-    fn new(jobs: &[Table2Job]) -> Self {
+    fn new(jobs: &[&Table2Job]) -> Self {
         let left = jobs.iter().filter(|job| job.row.is_trained()).count();
         Self { start: Instant::now(), trained: 0, left }
     }
@@ -253,7 +312,7 @@ fn write_figures(
 ) -> Result {
     let set = PackedSet::open(&grid.data, Split::Test)?;
     let (body, mask) = grid.body(&set)?;
-    let shown = first_seeds(jobs)?;
+    let shown = first_seeds(jobs, results)?;
     let reconstructions = figures::reconstructions(&set, &body, &mask, &grid.shown, &shown)?;
     reconstructions.save(store.claim("reconstructions.png")?)?;
     let maps = figures::maps(&body, &methods(results).0)?;
@@ -284,12 +343,15 @@ fn write_figures(
     files::write_text(&store.claim("report.html")?, &html)
 }
 
-/// Reconstructions of the frames of the figure by the first seed of every row.
-fn first_seeds(jobs: &[Table2Job]) -> Result<Vec<MethodFigure>> {
-    let first = |row| jobs.iter().find(|job| job.row == row);
+/// Reconstructions of the frames of the figure by the first finished seed of every row.
+fn first_seeds(jobs: &[Table2Job], results: &[RowResult]) -> Result<Vec<MethodFigure>> {
+    let of = |row| {
+        let result = results.iter().find(|result| result.row == row)?;
+        jobs.iter().find(|job| job.row == row && job.seed == result.seed)
+    };
     Table2Row::ALL
         .into_iter()
-        .filter_map(first)
+        .filter_map(of)
         .map(|job| Ok(MethodFigure { label: job.row.label().to_owned(), frames: job.frames()? }))
         .collect()
 }
@@ -303,5 +365,22 @@ impl Report {
             seconds(self.seconds),
             self.out.join("report.html").display()
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shards_are_all_jobs_once() {
+        let jobs: Vec<usize> = (0..7).collect();
+        let parts = ["1/3", "2/3", "3/3"].map(|text| Shard::parse(text).unwrap().of(&jobs));
+        let mut all: Vec<usize> = parts.concat().into_iter().copied().collect();
+        all.sort_unstable();
+        assert_eq!(all, jobs);
+        for bad in ["0/3", "4/3", "1", "a/b", "1/0", ""] {
+            assert!(Shard::parse(bad).is_err(), "{bad}");
+        }
     }
 }

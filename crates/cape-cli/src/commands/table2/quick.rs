@@ -1,9 +1,9 @@
 //! Data and configuration of `--quick`.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, thread, time::Duration};
 
 use cape_data::{PackOptions, pack};
-use cape_eval::store::ResultStore;
+use cape_eval::store::{ResultStore, StoreLock};
 use cape_infer::{OptimiserKind, RateSchedule, RunConfig, TrainConfig};
 use cape_synth::{CaptureGenerator, synthetic_body};
 
@@ -12,6 +12,8 @@ use crate::{commands::demo, console::Console, error::Result};
 /// Number of subjects and frames per sequence: about twice the demo's frames, for steadier test errors.
 const SUBJECTS: usize = 12;
 const FRAMES: usize = 3;
+/// Time between two attempts to lock the directory.
+const POLL: Duration = Duration::from_millis(500);
 
 /// The demo's configuration with Adam, which converges faster than momentum in few steps.
 pub(super) fn config() -> RunConfig {
@@ -28,9 +30,25 @@ pub(super) fn config() -> RunConfig {
     config
 }
 
+/// Waits until no other process makes the data.
+fn locked(store: &ResultStore, console: Console) -> Result<StoreLock> {
+    let mut told = false;
+    loop {
+        if let Some(lock) = store.try_lock()? {
+            return Ok(lock);
+        }
+        if !told {
+            console.note("waiting for the data that another process makes");
+            told = true;
+        }
+        thread::sleep(POLL);
+    }
+}
+
 /// Packed synthetic captures in `data` of the table's directory; those of an earlier call are kept.
 pub(super) fn data(store: &ResultStore, console: Console) -> Result<PathBuf> {
     let [packed, raw] = ["data", "raw"].map(|name| store.path(name));
+    let _lock = locked(store, console)?;
     if store.owns("data/") && packed.join("stats.txt").exists() {
         return Ok(packed);
     }

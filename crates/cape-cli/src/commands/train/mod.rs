@@ -17,7 +17,7 @@ use crate::{
     dashboard::Dashboard,
     error::{Context, Error, Result},
     interrupt::Interrupt,
-    options::{GlobalArgs, PRESETS, default_device},
+    options::{CheckpointArgs, GlobalArgs, PRESETS, default_device},
     table::Table,
     training,
 };
@@ -46,7 +46,7 @@ pub(crate) struct TrainArgs {
     /// Directory of the run: empty or missing, or the one to resume.
     #[arg(long, value_name = "RUN", required_unless_present_any = ["check", "find_rate"])]
     out: Option<PathBuf>,
-    /// Resume from the newest checkpoint in --out.
+    /// Resume from the newest checkpoint in --out, or start over if there is none yet.
     #[arg(long)]
     resume: bool,
     #[command(flatten)]
@@ -63,6 +63,8 @@ pub(crate) struct TrainArgs {
     /// Indices of the clothing vertices, if the packed set has no clothing_verts_idx.npy.
     #[arg(long, value_name = "FILE.npy", conflicts_with = "resume")]
     clothing: Option<PathBuf>,
+    #[command(flatten)]
+    checkpoints: CheckpointArgs,
     /// Show progress, losses and curves in a full-screen terminal dashboard.
     #[arg(long)]
     tui: bool,
@@ -90,7 +92,12 @@ impl TrainArgs {
         let mut trainer = if self.resume {
             self.check_settings(&out, global)?;
             Trainer::resume(&out, self.data.as_deref(), &device)
-                .doing(|| format!("resuming {}", out.display()))?
+                .doing(|| format!("resuming {}", out.display()))
+                .inspect(|trainer| {
+                    if trainer.step() == 0 {
+                        console.note("interrupted before its first checkpoint: starts over");
+                    }
+                })?
         } else {
             let options = TrainerOptions {
                 data: self.data.clone().unwrap_or_else(|| out.clone()),
@@ -100,6 +107,7 @@ impl TrainArgs {
             };
             Trainer::create(&out, options, &device)?
         };
+        trainer.set_checkpoint_interval(self.checkpoints.interval());
         let interrupt = Interrupt::listen(console)?;
         let title = out.to_string_lossy();
         let epochs = trainer.config().train.epochs;

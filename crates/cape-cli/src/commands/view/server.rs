@@ -1,5 +1,6 @@
-//! Server of one page to this machine. All addresses begin with a secret token; requests of other
-//! origins or for other host names are refused.
+//! Server of one page to this machine, and to others if that is asked for. All addresses begin with a
+//! secret token; requests of other origins are refused, and, unless other machines are let in, those
+//! for other names than this machine's own.
 
 use std::sync::{
     Arc,
@@ -30,7 +31,7 @@ use super::{
 };
 use crate::{
     error::{Error, Result},
-    page_server::{guarded, is_own_request, is_same_secret, local_origins, with_content_type},
+    page_server::{guarded, is_loopback, is_own_request, is_same_secret, with_content_type},
 };
 
 /// Largest size of a message from the page, bytes.
@@ -50,7 +51,8 @@ pub(super) struct ServerState {
     pub(super) scene: String,
     /// `[faces, 3]`, u32, little-endian.
     pub(super) faces: Vec<u8>,
-    pub(super) port: u16,
+    /// True if machines other than this one may ask, by any name of it.
+    pub(super) remote: bool,
     pub(super) jobs: mpsc::Sender<ModelRequest>,
 }
 
@@ -114,7 +116,9 @@ fn knows(site: &ServerState, uri: &Uri) -> bool {
 
 /// True if the request is for a name of this server and not from another page.
 fn is_here(site: &ServerState, headers: &HeaderMap) -> bool {
-    is_own_request(&local_origins(site.port), headers)
+    is_own_request(headers, |host| {
+        (site.remote || is_loopback(host)).then(|| format!("http://{host}"))
+    })
 }
 
 async fn to_page(Path(token): Path<String>) -> Redirect {
@@ -217,7 +221,7 @@ mod tests {
             token: "secret".into(),
             scene: String::new(),
             faces: Vec::new(),
-            port: 80,
+            remote: false,
             jobs,
         }
     }
@@ -235,9 +239,16 @@ mod tests {
         };
         assert!(is_here(&site, &headers("127.0.0.1:80", None)));
         assert!(is_here(&site, &headers("localhost:80", Some("http://localhost:80"))));
+        // Forwarded by `ssh -L 8000:localhost:PORT`.
+        assert!(is_here(&site, &headers("localhost:8000", Some("http://localhost:8000"))));
+        assert!(is_here(&site, &headers("[::1]:8000", None)));
+        assert!(is_here(&site, &headers("localhost", Some("http://localhost"))));
         for (host, origin) in [
             ("evil.example:80", None),
-            ("127.0.0.1:81", None),
+            ("localhost.evil.example:80", None),
+            ("localhost:80.evil.example", None),
+            ("localhost:", None),
+            ("localhost:8000", Some("http://localhost:8001")),
             ("127.0.0.1:80", Some("http://evil.example")),
             ("127.0.0.1:80", Some("http://localhost:80")),
             ("127.0.0.1:80", Some("null")),
@@ -245,6 +256,9 @@ mod tests {
             assert!(!is_here(&site, &headers(host, origin)), "{host} {origin:?}");
         }
         assert!(!is_here(&site, &HeaderMap::new()));
+        let remote = ServerState { remote: true, ..self::site() };
+        assert!(is_here(&remote, &headers("workstation:80", Some("http://workstation:80"))));
+        assert!(!is_here(&remote, &headers("workstation:80", Some("http://evil.example"))));
         let knows_of = |path: &'static str| knows(&site, &Uri::from_static(path));
         assert!(knows_of("/secret/") && knows_of("/secret/scene.json"));
         for path in ["/", "/Secret/", "/secre/", "/secrets/", "/../secret/", "/x/secret/"] {

@@ -6,14 +6,15 @@ use std::{
     time::Instant,
 };
 
+use cape_core::motion::MotionOptions;
 use cape_fit::{
     BodyParameters, PosePrior,
     scan::{
-        FreeFormConfig, FreeFormSurface, KnownJoints, Scan, ScanConfig, ScanFitter, ScanInit, Unit,
-        UpAxis, free_displacement,
+        FreeFormConfig, FreeFormSurface, KnownJoints, RemovedElements, Scan, ScanConfig,
+        ScanFitter, ScanInit, ScanUnit, UpAxis, free_displacement,
     },
 };
-use cape_synth::poses;
+use cape_synth::poses::load_poses;
 use clap::Args;
 
 use self::output::{OutputPaths, ScanOutput};
@@ -40,7 +41,7 @@ use crate::{
 pub(crate) struct FitScanArgs {
     #[command(flatten)]
     run: RunArgs,
-    /// Scan, .ply or .obj.
+    /// Scan: .ply, .obj, .stl, .off or .glb.
     #[arg(long, value_name = "FILE")]
     scan: PathBuf,
     #[command(flatten)]
@@ -48,9 +49,9 @@ pub(crate) struct FitScanArgs {
     /// Outfit of the run; auto fits all and keeps the one of lowest energy.
     #[arg(long, default_value = "auto", value_name = "OUTFIT", value_parser = outfit_or("auto"))]
     outfit: OutfitSelection,
-    /// Unit of the scan: m, cm or mm.
+    /// Unit of the scan: m, cm or mm; auto finds it out and scales a scan of unit size to 1.7 m.
     #[arg(long, default_value = "m", value_name = "UNIT")]
-    unit: Unit,
+    unit: ScanUnit,
     /// Up axis of the scan: x, y, z, -x, -y or -z.
     #[arg(long, default_value = "y", allow_hyphen_values = true, value_name = "AXIS")]
     up: UpAxis,
@@ -93,13 +94,14 @@ impl FitScanArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         self.output.require_empty()?;
         let scan = Scan::load(&self.scan, self.unit)?;
+        remark(&scan, console);
         let run = self.run.open(global)?;
         let outfits = self.outfit.of(&run)?;
         let prior = match &self.pose_prior {
             Some(path) => PosePrior::load(path)?,
             None => PosePrior::synthetic()?,
         };
-        let start = self.start(&prior)?;
+        let start = self.start(&prior, scan.scale())?;
         let minimal = self.minimal_shape.as_deref();
         let minimal = minimal.map(|path| read_shape(path, run.body().vertices())).transpose()?;
         let seed = global.seed();
@@ -139,21 +141,33 @@ impl FitScanArgs {
         console.result(&report, || text(&report))
     }
 
-    fn start(&self, prior: &PosePrior) -> Result<ScanInit> {
+    /// Start of the fit; `metres` is the length of the scan's unit.
+    fn start(&self, prior: &PosePrior, metres: f64) -> Result<ScanInit> {
         if let Some(path) = &self.initial {
             return Ok(ScanInit::Body(read_body(path)?));
         }
         if let Some(path) = &self.joints {
-            let metres = self.unit.metres();
             return Ok(ScanInit::Joints(KnownJoints::load(path)?.scaled(metres)));
         }
         if let Some(text) = &self.pose {
-            let chosen = poses::poses(text)?.into_iter();
-            return Ok(ScanInit::Poses(
-                chosen.map(|(_, pose)| pose.map(f64::from).to_vec()).collect(),
-            ));
+            let file = load_poses(text, &MotionOptions::default())?;
+            let chosen = file.upright_poses()?.into_iter();
+            return Ok(ScanInit::Poses(chosen.map(|pose| pose.map(f64::from).to_vec()).collect()));
         }
         Ok(ScanInit::default_poses(prior))
+    }
+}
+
+/// Says what was left out of a scan, and what is unusual about its size.
+fn remark(scan: &Scan, console: Console) {
+    let RemovedElements { points, faces } = scan.removed();
+    if points > 0 {
+        console.note(&format!(
+            "{points} points of the scan are not finite: they and {faces} triangles at them are left out"
+        ));
+    }
+    if let Some(remark) = scan.remark() {
+        console.note(remark);
     }
 }
 
