@@ -11,7 +11,7 @@ use super::Cli;
 pub(super) const GROUPS: [(&str, &[&str]); 7] = [
     ("First steps", &["demo"]),
     ("Data", &["data"]),
-    ("Training and measuring", &["train", "eval", "table2"]),
+    ("Training and measuring", &["train", "eval", "table2", "study"]),
     ("Sampling and moving", &["sample", "vary", "redress", "animate", "view"]),
     ("Fitting", &["fit"]),
     ("Clothing layers", &["layer"]),

@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 use clap::Command;
 
 /// Options that make a command short, added or put in the place of the example's values.
-const SHORT: [(&str, &[(&str, &str)]); 15] = [
+const SHORT: [(&str, &[(&str, &str)]); 16] = [
     ("data synth", &[("--subjects", "1"), ("--frames-per-sequence", "1")]),
     ("data generate", &[("--n", "4")]),
     ("train", &[("--epochs", "1"), ("--batch", "64")]),
@@ -38,12 +38,14 @@ const SHORT: [(&str, &[(&str, &str)]); 15] = [
     ("layer learn", &[("--components", "2")]),
     ("layer predict", &[("--seconds", "0.1")]),
     ("layer report", &[("--components", "2")]),
+    ("study make", &[("--poses", "3"), ("--a-pose", "2"), ("--matched", "1"), ("--trials", "4")]),
 ];
 
 /// Examples that are parsed only: a part of their text, and the reason.
-const NOT_RUN: [(&str, &str); 10] = [
+const NOT_RUN: [(&str, &str); 11] = [
     ("cape demo", "takes minutes; tests/demo.rs runs it"),
     ("cape view", "serves until it is interrupted; tests/browser runs it"),
+    ("cape study serve", "serves until it is interrupted; tests/browser runs it"),
     ("cape model import", "needs the authors' checkpoint; tests/cli/files.rs imports one"),
     ("--device cuda", "needs a GPU"),
     ("--check", "may find problems in the data; tests/cli/trials.rs runs it"),
@@ -55,7 +57,8 @@ const NOT_RUN: [(&str, &str); 10] = [
 ];
 
 /// Commands that a build may be without, and the feature that has them.
-const OPTIONAL: [(&str, bool); 1] = [("view", cfg!(feature = "view"))];
+const OPTIONAL: [(&str, bool); 2] =
+    [("view", cfg!(feature = "view")), ("study serve", cfg!(feature = "view"))];
 
 /// Commands that this build is without.
 fn is_left_out(command: &str) -> bool {

@@ -21,6 +21,7 @@ use cape::{
     },
     layer::LayerSet,
     render::Image,
+    study::{RaterModel, StudyDesign},
 };
 use ndarray::{Array1, Array2, arr0};
 use tempfile::TempDir;
@@ -63,6 +64,7 @@ impl Sandbox {
         sandbox.images();
         sandbox.scans();
         sandbox.layers();
+        sandbox.study();
         sandbox
     }
 
@@ -201,6 +203,17 @@ impl Sandbox {
         let inputs = "person_keypoints.json --mask person_mask.png";
         self.cape(&format!("fit image runs/cape {inputs} {options}"));
         self.cape("fit pose-prior AMASS/CMU --components 1 --out prior.npz");
+    }
+
+    /// A small study with answers in both files that raters' pages write.
+    fn study(&self) {
+        self.cape("study make runs/cape --poses 6 --a-pose 2 --matched 2 --out study");
+        let design = StudyDesign::load(self.at("study")).unwrap();
+        let raters = RaterModel { share: 0.4, rater_deviation: 0.2, pair_deviation: 0.2 };
+        let answers = raters.answers(&design, 4, 1);
+        let text = serde_json::to_vec(&answers).unwrap();
+        fs::write(self.at("study/answers.jsonl"), &text).unwrap();
+        fs::write(self.at("results.json"), text).unwrap();
     }
 
     /// Points between the vertices of a posed and slightly wider body.

@@ -21,6 +21,7 @@ use crate::{
     error::{Context, Error, Result},
     motion_source::MotionFileArgs,
     options::{GlobalArgs, positive},
+    page_server::token,
 };
 use server::ServerState;
 use source::{MeshSource, RunSource, Source};
@@ -114,10 +115,4 @@ impl ViewArgs {
         server::work(list, |question| source.answer(question), |download| source.file(download));
         server.join().map_err(|_| Error::message("internal error: the server thread failed"))?
     }
-}
-
-/// 128 random bits, hexadecimal.
-fn token() -> String {
-    let bytes: [u8; 16] = rand::random();
-    cape_core::hex(bytes)
 }

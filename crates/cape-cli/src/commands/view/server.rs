@@ -15,7 +15,7 @@ use axum::{
         DefaultBodyLimit, Path, Request as HttpRequest, State,
         ws::{Message as MotionFrame, WebSocket, WebSocketUpgrade},
     },
-    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header},
+    http::{HeaderMap, StatusCode, Uri},
     middleware::{self, Next},
     response::{IntoResponse, Redirect, Response},
     routing::{any, get, post},
@@ -29,20 +29,13 @@ use super::{
     assets,
     wire::{self, Answer, Download, Message, Question, Request},
 };
-use crate::error::{Error, Result};
+use crate::{
+    error::{Error, Result},
+    page_server::{guarded, is_loopback, is_own_request, is_same_secret, with_content_type},
+};
 
 /// Largest size of a message from the page, bytes.
 const MOST_BYTES: usize = 64 * 1024;
-
-const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
-                      img-src 'self' data: blob:; connect-src 'self'; base-uri 'none'; \
-                      form-action 'none'; frame-ancestors 'none'";
-const HEADERS: [(HeaderName, &str); 4] = [
-    (header::CONTENT_SECURITY_POLICY, POLICY),
-    (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
-    (header::REFERRER_POLICY, "no-referrer"),
-    (header::CACHE_CONTROL, "no-store"),
-];
 
 /// Request to the thread that owns the model.
 pub(super) enum ModelRequest {
@@ -114,42 +107,18 @@ fn router(site: Arc<ServerState>) -> Router {
 /// Admits requests with the token and from the page itself.
 async fn guard(State(site): State<Arc<ServerState>>, request: HttpRequest, next: Next) -> Response {
     let allowed = is_here(&site, request.headers()) && knows(&site, request.uri());
-    let mut response =
-        if allowed { next.run(request).await } else { StatusCode::NOT_FOUND.into_response() };
-    for (name, value) in HEADERS {
-        response.headers_mut().insert(name, HeaderValue::from_static(value));
-    }
-    response
+    guarded(if allowed { next.run(request).await } else { StatusCode::NOT_FOUND.into_response() })
 }
 
 fn knows(site: &ServerState, uri: &Uri) -> bool {
-    let given = uri.path().split('/').nth(1).unwrap_or_default().as_bytes();
-    let token = site.token.as_bytes();
-    // In constant time.
-    given.len() == token.len()
-        && given.iter().zip(token).fold(0, |different, (a, b)| different | (a ^ b)) == 0
+    is_same_secret(uri.path().split('/').nth(1).unwrap_or_default(), &site.token)
 }
 
 /// True if the request is for a name of this server and not from another page.
 fn is_here(site: &ServerState, headers: &HeaderMap) -> bool {
-    let text = |name: HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
-    let Some(host) = text(header::HOST).filter(|host| site.remote || is_loopback(host)) else {
-        return false;
-    };
-    match headers.get(header::ORIGIN) {
-        None => true,
-        Some(origin) => origin.as_bytes() == format!("http://{host}").as_bytes(),
-    }
-}
-
-/// True for a name of this machine for itself, with any port: `ssh -L` forwards from another one.
-fn is_loopback(host: &str) -> bool {
-    let (name, port) = match host.rsplit_once(':') {
-        Some((name, port)) if !port.ends_with(']') => (name, Some(port)),
-        _ => (host, None),
-    };
-    let digits = |port: &str| !port.is_empty() && port.bytes().all(|byte| byte.is_ascii_digit());
-    ["127.0.0.1", "localhost", "[::1]"].contains(&name) && port.is_none_or(digits)
+    is_own_request(headers, |host| {
+        (site.remote || is_loopback(host)).then(|| format!("http://{host}"))
+    })
 }
 
 async fn to_page(Path(token): Path<String>) -> Redirect {
@@ -173,10 +142,6 @@ async fn scene(State(site): State<Arc<ServerState>>) -> Response {
 
 async fn faces(State(site): State<Arc<ServerState>>) -> Response {
     with_content_type("application/octet-stream", site.faces.clone())
-}
-
-fn with_content_type(kind: &'static str, body: impl IntoResponse) -> Response {
-    ([(header::CONTENT_TYPE, kind)], body).into_response()
 }
 
 async fn download(State(site): State<Arc<ServerState>>, body: Bytes) -> Response {
@@ -246,6 +211,8 @@ async fn handle_socket(mut socket: WebSocket, site: Arc<ServerState>) {
 
 #[cfg(test)]
 mod tests {
+    use axum::http::{HeaderValue, header};
+
     use super::*;
 
     fn site() -> ServerState {
