@@ -42,7 +42,8 @@ const SHORT: [(&str, &[(&str, &str)]); 16] = [
 ];
 
 /// Examples that are parsed only: a part of their text, and the reason.
-const NOT_RUN: [(&str, &str); 11] = [
+const NOT_RUN: [(&str, &str); 12] = [
+    (" runs/imported ", "a run of the authors' checkpoint"),
     ("cape demo", "takes minutes; tests/demo.rs runs it"),
     ("cape view", "serves until it is interrupted; tests/browser runs it"),
     ("cape study serve", "serves until it is interrupted; tests/browser runs it"),

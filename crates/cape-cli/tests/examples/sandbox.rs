@@ -130,7 +130,9 @@ impl Sandbox {
             ..male
         };
         write_raw(&self.at("cape_release"), &few, 12);
-        self.copy("cape_release", "data/cape_release");
+        for name in ["data/cape_release", "data/cape"] {
+            self.copy("cape_release", name);
+        }
         self.copy("raw", "scans");
         for name in ["body.npz", "data/smpl/SMPL_MALE.pkl", "data/smpl/SMPL_FEMALE.pkl"] {
             self.copy("raw/body.npz", name);
