@@ -158,7 +158,7 @@ impl MotionFile {
     }
 }
 
-/// Reads the motion of one person from a file; see the [module](self) for the formats.
+/// Reads the motion of one person from a file, in one of the formats of this module.
 ///
 /// # Errors
 /// If the file cannot be read or holds no poses (the error lists its arrays), or several people of
