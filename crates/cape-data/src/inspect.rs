@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{
-    FrameSource, PackedSet, RawTree, Split,
+    ForeignData, FrameSource, PackedSet, RawTree, Split,
     raw::{BODY_FILE, CLOTHING_FILE},
 };
 use crate::{Error, Result};
@@ -182,6 +182,9 @@ pub fn inspect(
     }
     if RawTree::is_raw(path) {
         return inspect_raw(path, options, progress);
+    }
+    if let Some(data) = ForeignData::recognise(path) {
+        return Err(Error::Data(format!("{}: {data}", path.display())));
     }
     Err(Error::Data(format!(
         "{}: neither raw data (no sequences/ or cape_release/) nor a packed set (no train/train_disp.npy)",

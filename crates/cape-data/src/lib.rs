@@ -20,6 +20,7 @@
 //! ```
 
 mod components;
+mod foreign;
 pub mod inspect;
 mod loader;
 mod npy_rows;
@@ -38,6 +39,7 @@ pub mod unpose;
 pub use cape_core::{Error, Result};
 
 pub use components::principal_components;
+pub use foreign::ForeignData;
 pub use loader::{Loader, LoaderOptions, LoaderState, StepBatches, sequential, steps_per_epoch};
 pub use pack::{PackOptions, PackReport, pack};
 pub use packed::{FrameOrigin, HostBatch, PackedSet, Split};

@@ -36,7 +36,7 @@ pub use lists::{KNOWN_BROKEN, ListedSequence};
 
 use self::archive::SubjectArchive;
 use crate::{
-    Error, Result,
+    Error, ForeignData, Result,
     raw::{self, CanonicalFrame, PosedVertices, RawFrame},
 };
 
@@ -140,6 +140,9 @@ impl RawTree {
             });
         }
         if !Self::is_raw(root) {
+            if let Some(data) = ForeignData::recognise(root) {
+                return Err(Error::Data(format!("{}: {data}", root.display())));
+            }
             return Err(Error::Data(format!(
                 "{}: not raw data: expected sequences/<subject>/<outfit>_<sequence>/, or \
                  cape_release/ with <subject>/ or <subject>.zip beside it",

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use cape_core::MeshFile;
+use cape_core::{MeshFile, npy::Npz};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
@@ -19,6 +19,9 @@ const ADULT: [f64; 2] = [1.2, 2.3];
 const USUAL: f64 = 1.7;
 /// Sizes to which scans are scaled for neural networks: a cube of unit side, and from −1 to 1.
 const NORMALISED: [f64; 2] = [1.0, 2.0];
+/// Arrays of a point cloud in POP's packed data.
+const POINTS: &str = "scan_pc";
+const NORMALS: &str = "scan_n";
 /// Largest share of points that are not finite.
 const MOST_REMOVED: f64 = 0.05;
 
@@ -194,12 +197,16 @@ impl Scan {
         Ok(scan)
     }
 
-    /// Reads an OBJ, PLY, STL, OFF or `.glb` file.
+    /// Reads an OBJ, PLY, STL, OFF or `.glb` file, or the point cloud `scan_pc` `[n, 3]` with its normals
+    /// `scan_n` of an `.npz` file as POP's packed data have it.
     ///
     /// # Errors
     /// If the file cannot be read, or as of [`new`](Self::new).
     pub fn load(path: impl AsRef<Path>, unit: impl Into<ScanUnit>) -> Result<Self> {
         let path = path.as_ref();
+        if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npz")) {
+            return Self::load_points(path, unit.into());
+        }
         let MeshFile { mesh, normals, .. } = MeshFile::read(path)?;
         let vectors = |rows: Vec<[f32; 3]>| -> Vec<DVec3> {
             rows.into_iter().map(|row| DVec3::from_array(row.map(f64::from))).collect()
@@ -209,6 +216,29 @@ impl Scan {
                 Error::Observation(message) => Error::format(path, message),
                 other => other,
             }
+        })
+    }
+
+    fn load_points(path: &Path, unit: ScanUnit) -> Result<Self> {
+        let mut archive = Npz::open(path)?;
+        if !archive.contains(POINTS) {
+            let message = format!(
+                "no point cloud: expected `{POINTS}` [n, 3]; the archive has {}",
+                archive.names().join(", ")
+            );
+            return Err(Error::format(path, message));
+        }
+        let mut read = |name: &str| -> Result<Vec<DVec3>> {
+            let rows = archive.f64(name)?;
+            archive.expect_shape(name, rows.shape(), &[None, Some(3)])?;
+            let values: Vec<f64> = rows.into_iter().collect();
+            Ok(values.chunks_exact(3).map(DVec3::from_slice).collect())
+        };
+        let points = read(POINTS)?;
+        let normals = read(NORMALS).ok().filter(|normals| normals.len() == points.len());
+        Self::new(points, normals, Vec::new(), unit).map_err(|error| match error {
+            Error::Observation(message) => Error::format(path, message),
+            other => other,
         })
     }
 

@@ -6,7 +6,7 @@ use std::{
 
 use cape_core::{Outfit, list_files, npy::npy_header};
 use cape_data::{
-    PackedSet, RawCapture, RawTree, STATISTICS_FILE, Split,
+    ForeignData, PackedSet, RawCapture, RawTree, STATISTICS_FILE, Split,
     raw::{BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
 };
 use cape_infer::RunConfig;
@@ -29,6 +29,8 @@ pub(super) fn describe(path: &Path) -> Result<FileSummary> {
         pyramid(path)
     } else if entries(path)?.iter().any(|path| has_extension(path, "index")) {
         super::file::tensorflow(path)
+    } else if let Some(data) = ForeignData::recognise(path) {
+        Err(Error::message(format!("{}: {data}", path.display())))
     } else {
         Err(Error::message(format!(
             "{}: unknown kind of directory: expected raw data (sequences/), a packed set \

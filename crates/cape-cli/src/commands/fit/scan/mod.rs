@@ -6,7 +6,7 @@ use std::{
     time::Instant,
 };
 
-use cape_core::motion::MotionOptions;
+use cape_core::{motion::MotionOptions, npy::Npz};
 use cape_fit::{
     BodyParameters, PosePrior,
     scan::{
@@ -41,7 +41,7 @@ use crate::{
 pub(crate) struct FitScanArgs {
     #[command(flatten)]
     run: RunArgs,
-    /// Scan: .ply, .obj, .stl, .off or .glb.
+    /// Scan: .ply, .obj, .stl, .off or .glb, or .npz with POP's scan_pc.
     #[arg(long, value_name = "FILE")]
     scan: PathBuf,
     #[command(flatten)]
@@ -61,8 +61,9 @@ pub(crate) struct FitScanArgs {
     /// SMPL's 24 joints in the scan's coordinates, .npy or .json of [24, 3]; null if unknown.
     #[arg(long, value_name = "FILE", conflicts_with = "initial")]
     joints: Option<PathBuf>,
-    /// Approximate body: fit.json, or JSON with betas, pose and transl in metres.
-    #[arg(long, value_name = "FILE.json")]
+    /// Approximate body: fit.json, JSON with betas, pose and transl in metres, or a registered frame, .npz
+    /// with pose and transl.
+    #[arg(long, value_name = "FILE")]
     initial: Option<PathBuf>,
     /// Minimal body shape of the subject, .npy of [vertices, 3]; keeps the shape fixed.
     #[arg(long, value_name = "FILE.npy")]
@@ -171,14 +172,31 @@ fn remark(scan: &Scan, console: Console) {
     }
 }
 
-/// Reads a body from JSON, alone or in the fit.json of a fit.
+/// Reads a body from JSON, alone or in the fit.json of a fit, or from a registered frame.
 fn read_body(path: &Path) -> Result<BodyParameters> {
+    if path.extension().is_some_and(|extension| extension == "npz") {
+        return read_registration(path);
+    }
     let text = std::fs::read(path).map_err(|error| Error::io(path, error))?;
     let fault = |error: serde_json::Error| cape_core::Error::format(path, error.to_string());
     let value: serde_json::Value = serde_json::from_slice(&text).map_err(fault)?;
     let places = ["/fit/parameters", "/clothed/parameters", "/parameters"];
     let body = places.iter().find_map(|place| value.pointer(place)).unwrap_or(&value);
     Ok(serde_json::from_value(body.clone()).map_err(fault)?)
+}
+
+/// Pose and translation of a registered frame, on the mean shape.
+fn read_registration(path: &Path) -> Result<BodyParameters> {
+    let mut frame = Npz::open(path)?;
+    let pose = frame.f64("pose")?;
+    frame.expect_shape("pose", pose.shape(), &[Some(72)])?;
+    let transl = frame.f64("transl")?;
+    frame.expect_shape("transl", transl.shape(), &[Some(3)])?;
+    let mut body = BodyParameters::new(pose.into_iter().collect(), Vec::new())?;
+    for (to, from) in body.transl.iter_mut().zip(transl) {
+        *to = from;
+    }
+    Ok(body)
 }
 
 fn text(report: &OutputPaths) -> String {
