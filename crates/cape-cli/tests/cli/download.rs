@@ -49,6 +49,8 @@ impl Download {
             ["00032", "00122", "00096", "03212", "03213"].map(|name| (name, "male")).to_vec();
         put(&release.join("misc/subj_genders.pkl"), &dictionary_pickle(&genders));
         download.body.save(download.at("SMPL_MALE.npz")).unwrap();
+        fs::create_dir_all(download.at("models/smpl")).unwrap();
+        fs::copy(download.at("SMPL_MALE.npz"), download.at("models/smpl/SMPL_MALE.npz")).unwrap();
         download
     }
 
@@ -261,7 +263,10 @@ fn a_download_becomes_table_2() {
     assert_eq!(polo["train_frames"], 16);
     fs::remove_file(download.at("split.toml")).unwrap();
 
-    let options = "--data @/packed --body @/SMPL_MALE.npz";
+    let options = "--data @/packed --body @/models --gender male";
+    let female = download.run("train --data @/packed --body @/models --gender female --out @/run");
+    female.failed_saying(&["SMPL_FEMALE", "models"]);
+    download.run("train --data @/packed --body @/models --out @/run").failed_saying(&["--gender"]);
     download
         .run(&format!("train {options} --out @/run --preset tiny --epochs 1 --quiet"))
         .succeeded();

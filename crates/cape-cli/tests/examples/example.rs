@@ -42,7 +42,8 @@ const SHORT: [(&str, &[(&str, &str)]); 16] = [
 ];
 
 /// Examples that are parsed only: a part of their text, and the reason.
-const NOT_RUN: [(&str, &str); 12] = [
+const NOT_RUN: [(&str, &str); 13] = [
+    ("--real runs/other", "the runs of the sandbox are the same"),
     (" runs/imported ", "a run of the authors' checkpoint"),
     ("cape demo", "takes minutes; tests/demo.rs runs it"),
     ("cape view", "serves until it is interrupted; tests/browser runs it"),
@@ -61,9 +62,13 @@ const NOT_RUN: [(&str, &str); 12] = [
 const OPTIONAL: [(&str, bool); 2] =
     [("view", cfg!(feature = "view")), ("study serve", cfg!(feature = "view"))];
 
-/// Commands that this build is without.
-fn is_left_out(command: &str) -> bool {
-    OPTIONAL.iter().any(|(name, built)| *name == command && !built)
+/// True if words after `cape` begin with a command that this build is without.
+fn is_left_out(words: &[&str]) -> bool {
+    let begins = |name: &str| {
+        let names: Vec<&str> = name.split(' ').collect();
+        words.starts_with(&names)
+    };
+    OPTIONAL.iter().any(|(name, built)| !built && begins(name))
 }
 
 /// A command line that users are shown.
@@ -84,7 +89,8 @@ impl Example {
     /// Parses the words after `cape`.
     pub(crate) fn parse(&self) -> Result<(), String> {
         let (_, words, _) = self.parts();
-        if words.get(1).is_some_and(|word| is_left_out(word)) {
+        let plain: Vec<&str> = words.iter().skip(1).map(String::as_str).collect();
+        if is_left_out(&plain) {
             return Ok(());
         }
         let words = words.iter().map(|word| word.replace(['\'', '"'], ""));
@@ -171,15 +177,18 @@ pub(crate) fn unknown_command<'a>(mut words: impl Iterator<Item = &'a str>) -> O
     if words.next() != Some("cape") {
         return None;
     }
+    let name = |word: &&str| word.starts_with(|c: char| c.is_ascii_lowercase());
+    let words: Vec<&str> = words.take_while(name).collect();
+    if is_left_out(&words) {
+        return None;
+    }
     let mut command = cape_cli::command();
-    let name = |word: &str| word.starts_with(|c: char| c.is_ascii_lowercase());
-    for word in words.take_while(|word| name(word)) {
+    for word in words {
         if !command.has_subcommands() {
             break;
         }
         match command.find_subcommand(word).cloned() {
             Some(found) => command = found,
-            None if is_left_out(word) => return None,
             None => return Some(format!("no command `{word}`")),
         }
     }

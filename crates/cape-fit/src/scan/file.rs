@@ -415,6 +415,27 @@ mod tests {
     }
 
     #[test]
+    fn point_clouds_of_archives_are_read() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("packed.npz");
+        let write = |name: &str| {
+            let points = cloud(1.0);
+            let rows =
+                ndarray::Array2::from_shape_fn((points.len(), 3), |(i, axis)| points[i][axis]);
+            let mut file = cape_core::npy::NpzWriter::create(&path).unwrap();
+            file.add(name, &rows).unwrap();
+            file.finish().unwrap();
+        };
+        write("scan_pc");
+        let scan = Scan::load(&path, Unit::M).unwrap();
+        assert!(scan.points().iter().zip(cloud(1.0)).all(|(a, b)| a.distance(b) < 1e-9));
+        assert_eq!(scan.points().len(), 600);
+        write("points");
+        let error = Scan::load(&path, Unit::M).unwrap_err().to_string();
+        assert!(error.contains("packed.npz") && error.contains("has points"), "{error}");
+    }
+
+    #[test]
     fn other_units_are_named() {
         assert!(Scan::new(cloud(1.0), None, Vec::new(), Unit::M).is_ok());
         assert!(message(cloud(1000.0), Unit::M).contains("--unit mm"));
