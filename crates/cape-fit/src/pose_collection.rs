@@ -171,7 +171,8 @@ mod tests {
         assert!(found.skipped[0].0.ends_with("shape.npy"));
         let [fitted, tested] = found.spread(3);
         assert_eq!((fitted.dim(), tested.dim()), ((3, 72), (3, 72)));
-        assert_eq!((fitted[[0, 0]], fitted[[2, 0]]), (0.5, 0.25));
+        // The first joint is turned upright, the others are as they are.
+        assert_eq!((fitted[[0, 3]], fitted[[2, 3]]), (0.5, 0.25));
         let [fitted, tested] = found.spread(100);
         assert_eq!((fitted.nrows(), tested.nrows()), (6, 0));
         let message = read(&[inner.join("shape.npy")]).unwrap_err().to_string();
