@@ -92,7 +92,8 @@ pub(crate) struct SampleArgs {
     /// Texture of obj and glb, PNG or JPEG.
     #[arg(long, value_name = "FILE", requires = "uv")]
     texture: Option<PathBuf>,
-    /// Frames per second of an animated glb or usda, resampled [default: those of the file].
+    /// Frames per second of an animated glb or usda; a file of another rate is resampled [default: those of
+    /// the file].
     #[arg(long, value_name = "FPS", value_parser = positive)]
     fps: Option<f64>,
     /// Number of shape directions to add to glb as morph targets.
@@ -143,7 +144,11 @@ struct Report {
 
 impl SampleArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
-        let file = self.poses.poses(&self.pose, console)?;
+        let mut file = self.poses.poses(&self.pose, console)?;
+        if file.frame_rate.is_none() {
+            // The option names the rate of a file that says none, and nothing is resampled.
+            file.frame_rate = self.fps;
+        }
         self.output.require_empty()?;
         let out = &self.output.out;
         let run = self.run.open(global)?;
