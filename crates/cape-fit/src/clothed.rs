@@ -6,8 +6,8 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    BodyFit, BodyParameters, BodyTerms, BodyWeights, DressedBody, Error, FitProblem, Keypoints,
-    LbfgsOptions, Mask, PinholeCamera, Result, Smplify,
+    BodyFit, BodyParameters, BodyTerms, BodyWeights, DressedBody, Error, FitProblem, FitWorkers,
+    Keypoints, LbfgsOptions, Mask, PinholeCamera, Result, Smplify,
     body_energy::check_weight,
     keypoints::KeypointDetection,
     parameters::{BETAS_AT, solve},
@@ -55,6 +55,9 @@ pub struct ClothedConfig {
     pub doubtful: f64,
     /// Least intersection over union of a reliable fit.
     pub accepted: f64,
+    /// Number of outfits that are fitted on all levels where several are compared: those of the
+    /// lowest energy on the first level.
+    pub finalists: usize,
 }
 
 impl Default for ClothedConfig {
@@ -71,6 +74,7 @@ impl Default for ClothedConfig {
             ],
             doubtful: 0.91,
             accepted: 0.85,
+            finalists: 2,
         }
     }
 }
@@ -80,6 +84,9 @@ impl ClothedConfig {
         self.body.check()?;
         check_weight("silhouette", self.silhouette)?;
         check_weight("code", self.code)?;
+        if self.finalists == 0 {
+            return Err(Error::argument("configuration: `finalists` 0, expected 1 or more"));
+        }
         if self.levels.is_empty() || self.levels.iter().any(|level| level.side < SMALLEST) {
             return Err(Error::argument(format!(
                 "configuration: `levels`: expected at least one, each of {SMALLEST} pixels or more"
@@ -152,29 +159,21 @@ pub struct ImageObservation<'a> {
 }
 
 /// Energy of a clothed body.
-struct ClothedProblem<'a> {
-    smplify: &'a Smplify,
-    dressed: &'a DressedBody,
-    config: &'a ClothedConfig,
-    camera: PinholeCamera,
-    detections: &'a [KeypointDetection],
+pub(crate) struct ClothedProblem<'a> {
+    pub(crate) smplify: &'a Smplify,
+    pub(crate) dressed: &'a DressedBody,
+    pub(crate) config: &'a ClothedConfig,
+    pub(crate) camera: PinholeCamera,
+    pub(crate) detections: &'a [KeypointDetection],
     /// Width of a pixel at the distance of the person, metres.
-    pixel: f64,
-    betas: usize,
-}
-
-/// State of the optimisation.
-#[derive(Debug, Clone)]
-struct Descent {
-    x: Vec<f64>,
-    curves: Vec<Vec<f64>>,
-    evaluations: usize,
+    pub(crate) pixel: f64,
+    pub(crate) betas: usize,
 }
 
 impl ClothedProblem<'_> {
     /// Terms at the unknowns `[3 + 72 + betas + latent]`; the weighted gradient is added to
     /// `gradient`.
-    fn evaluate(
+    pub(crate) fn evaluate(
         &self,
         x: &[f64],
         matched: &SilhouetteMatch,
@@ -195,7 +194,7 @@ impl ClothedProblem<'_> {
         Ok(ClothedTerms { body, silhouette, code: code.iter().map(|z| z * z).sum() })
     }
 
-    fn match_silhouette<'s>(
+    pub(crate) fn match_silhouette<'s>(
         &self,
         x: &[f64],
         silhouette: &'s SilhouetteEnergy,
@@ -205,27 +204,31 @@ impl ClothedProblem<'_> {
         silhouette.match_surface(surface.vertices(), self.dressed.faces())
     }
 
-    /// Optimises on one silhouette level.
-    fn descend_level(
+    /// Optimises on consecutive silhouette levels, of which the first is `level`.
+    pub(crate) fn descend(
         &self,
-        descent: &mut Descent,
-        silhouette: &SilhouetteEnergy,
-        level: &SilhouetteLevel,
-    ) -> Result<()> {
-        let options = LbfgsOptions { steps: level.steps, ..self.smplify.config().optimiser };
-        for _ in 0..level.rounds {
-            let matched = self.match_silhouette(&descent.x, silhouette)?;
-            let found = solve(
-                &descent.x,
-                |_| true,
-                &options,
-                |x, gradient| Ok(self.evaluate(x, &matched, gradient)?.weighted(self.config)),
-            )?;
-            descent.x = found.x;
-            descent.evaluations += found.evaluations;
-            descent.curves.push(found.curve);
+        mut descent: Descent,
+        level: usize,
+        silhouettes: &[SilhouetteEnergy],
+    ) -> Result<Descent> {
+        let optimiser = &self.smplify.config().optimiser;
+        for (level, silhouette) in self.config.levels.iter().skip(level).zip(silhouettes) {
+            let options = LbfgsOptions { steps: level.steps, ..*optimiser };
+            for _ in 0..level.rounds {
+                let matched = self.match_silhouette(&descent.x, silhouette)?;
+                let found = solve(
+                    &descent.x,
+                    |_| true,
+                    &options,
+                    |x, gradient| Ok(self.evaluate(x, &matched, gradient)?.weighted(self.config)),
+                )?;
+                descent.x = found.x;
+                descent.energy = found.value;
+                descent.evaluations += found.evaluations;
+                descent.curves.push(found.curve);
+            }
         }
-        Ok(())
+        Ok(descent)
     }
 }
 
@@ -244,83 +247,169 @@ impl Smplify {
         start: &BodyFit,
         config: &ClothedConfig,
     ) -> Result<ClothedFit> {
-        let fit =
-            self.fit_code_and_body(dressed, image, (&start.parameters, start.pixel), config)?;
-        if fit.intersection_over_union >= config.doubtful {
+        let fits = ClothedFits::new(self, image, start, config)?;
+        fits.finish(dressed, fits.begin(dressed)?)
+    }
+
+    /// [`fit_clothed`](Self::fit_clothed) in each of several outfits, side by side on `workers`, in
+    /// order of ascending energy. Outfits are compared on the first silhouette level; only the
+    /// [finalists](ClothedConfig::finalists) are fitted on all levels and returned. `progress` is
+    /// called with the number of finished parts and of all.
+    ///
+    /// # Errors
+    /// As of [`fit_clothed`](Self::fit_clothed), or if there is no outfit.
+    pub fn fit_outfits(
+        &self,
+        outfits: &[DressedBody],
+        image: &ImageObservation<'_>,
+        start: &BodyFit,
+        config: &ClothedConfig,
+        workers: &FitWorkers,
+        progress: &mut dyn FnMut(usize, usize),
+    ) -> Result<Vec<ClothedFit>> {
+        if outfits.is_empty() {
+            return Err(Error::argument("clothed fit: no outfits, expected at least one"));
+        }
+        let fits = ClothedFits::new(self, image, start, config)?;
+        let finalists = config.finalists.min(outfits.len());
+        let mut done = 0;
+        let mut progress = || {
+            done += 1;
+            progress(done, outfits.len() + finalists);
+        };
+        let begun = workers.map(outfits, |_, dressed| fits.begin(dressed), &mut progress);
+        let mut begun: Vec<(&DressedBody, Descent)> =
+            outfits.iter().zip(begun.into_iter().collect::<Result<Vec<_>>>()?).collect();
+        begun.sort_by(|(_, a), (_, b)| a.energy.total_cmp(&b.energy));
+        begun.truncate(finalists);
+        let finish =
+            |_, (dressed, descent): &(&DressedBody, Descent)| fits.finish(dressed, descent.clone());
+        let finished = workers.map(&begun, finish, &mut progress);
+        let mut finished = finished.into_iter().collect::<Result<Vec<ClothedFit>>>()?;
+        let energy = |fit: &ClothedFit| fit.terms.weighted(config);
+        finished.sort_by(|a, b| energy(a).total_cmp(&energy(b)));
+        Ok(finished)
+    }
+}
+
+/// Clothed fits of one image, in any outfit.
+struct ClothedFits<'a> {
+    smplify: &'a Smplify,
+    image: &'a ImageObservation<'a>,
+    start: &'a BodyFit,
+    config: &'a ClothedConfig,
+    detections: Vec<KeypointDetection>,
+    /// Silhouette of each level.
+    silhouettes: Vec<SilhouetteEnergy>,
+}
+
+/// State of the optimisation.
+#[derive(Debug, Clone)]
+pub(crate) struct Descent {
+    x: Vec<f64>,
+    /// Energy at `x`.
+    pub(crate) energy: f64,
+    curves: Vec<Vec<f64>>,
+    evaluations: usize,
+}
+
+impl Descent {
+    /// The body clothed by the code 0.
+    pub(crate) fn start(body: &BodyParameters, dressed: &DressedBody) -> Self {
+        Self {
+            x: [body.to_vector(), vec![0.0; dressed.latent()]].concat(),
+            energy: f64::INFINITY,
+            curves: Vec::new(),
+            evaluations: 0,
+        }
+    }
+}
+
+impl<'a> ClothedFits<'a> {
+    fn new(
+        smplify: &'a Smplify,
+        image: &'a ImageObservation<'a>,
+        start: &'a BodyFit,
+        config: &'a ClothedConfig,
+    ) -> Result<Self> {
+        let &ImageObservation { camera, keypoints, mask } = image;
+        mask.check(camera)?;
+        start.parameters.check()?;
+        start.leaning.check()?;
+        config.check()?;
+        let detections = smplify.detections(keypoints);
+        mask.expect_joints(&detections)?;
+        let silhouettes = silhouette_levels(camera, mask, start.pixel, config)?;
+        Ok(Self { smplify, image, start, config, detections, silhouettes })
+    }
+
+    fn problem(&self, dressed: &'a DressedBody) -> ClothedProblem<'_> {
+        ClothedProblem {
+            smplify: self.smplify,
+            dressed,
+            config: self.config,
+            camera: *self.image.camera,
+            detections: &self.detections,
+            pixel: self.start.pixel,
+            betas: self.start.parameters.betas.len(),
+        }
+    }
+
+    /// Fits on the first level.
+    fn begin(&self, dressed: &DressedBody) -> Result<Descent> {
+        let start = Descent::start(&self.start.parameters, dressed);
+        self.problem(dressed).descend(start, 0, &self.silhouettes[..1])
+    }
+
+    /// Fits on the other levels, and if the silhouettes then agree badly, again from the body with
+    /// the trunk mirrored in depth.
+    fn finish(&self, dressed: &DressedBody, begun: Descent) -> Result<ClothedFit> {
+        let problem = self.problem(dressed);
+        let fit = self.result(dressed, problem.descend(begun, 1, &self.silhouettes[1..])?)?;
+        if fit.intersection_over_union >= self.config.doubtful {
             return Ok(fit);
         }
         let evaluations = fit.evaluations;
-        let total = |fit: &ClothedFit| fit.terms.weighted(config);
-        let best =
-            match self.fit_code_and_body(dressed, image, (&start.leaning, start.pixel), config) {
-                Ok(other) if total(&other) < total(&fit) => {
-                    ClothedFit { evaluations: other.evaluations + evaluations, ..other }
-                }
-                Ok(other) => ClothedFit { evaluations: other.evaluations + evaluations, ..fit },
-                Err(Error::Failed(_)) => fit,
-                Err(error) => return Err(error),
-            };
-        Ok(best)
+        let total = |fit: &ClothedFit| fit.terms.weighted(self.config);
+        let start = Descent::start(&self.start.leaning, dressed);
+        let leaning = problem
+            .descend(start, 0, &self.silhouettes)
+            .and_then(|descent| self.result(dressed, descent));
+        match leaning {
+            Ok(other) if total(&other) < total(&fit) => {
+                Ok(ClothedFit { evaluations: other.evaluations + evaluations, ..other })
+            }
+            Ok(other) => Ok(ClothedFit { evaluations: other.evaluations + evaluations, ..fit }),
+            Err(Error::Failed(_)) => Ok(fit),
+            Err(error) => Err(error),
+        }
     }
 
-    fn fit_code_and_body(
-        &self,
-        dressed: &DressedBody,
-        image: &ImageObservation<'_>,
-        (start, pixel): (&BodyParameters, f64),
-        config: &ClothedConfig,
-    ) -> Result<ClothedFit> {
-        let &ImageObservation { camera, keypoints, mask } = image;
-        mask.check(camera)?;
-        start.check()?;
-        config.check()?;
-        let detections = self.detections(keypoints);
-        mask.expect_joints(&detections)?;
-        let betas = start.betas.len();
-        let energy = ClothedProblem {
-            smplify: self,
-            dressed,
-            config,
-            camera: *camera,
-            detections: &detections,
-            pixel,
-            betas,
-        };
-        let mut descent = Descent {
-            x: [start.to_vector(), vec![0.0; dressed.latent()]].concat(),
-            curves: Vec::new(),
-            evaluations: 0,
-        };
-        let mut last = None;
-        for level in &config.levels {
-            let silhouette = SilhouetteEnergy::new(camera, mask, level.side, pixel)?;
-            let silhouette = match config.soft {
-                Some(softness) if last.is_some() => silhouette.with_softness(softness)?,
-                _ => silhouette,
-            };
-            energy.descend_level(&mut descent, &silhouette, level)?;
-            last = Some(silhouette);
-        }
-        let Descent { x, curves, evaluations } = descent;
+    fn result(&self, dressed: &DressedBody, descent: Descent) -> Result<ClothedFit> {
+        let problem = self.problem(dressed);
+        let Descent { x, energy: _, curves, evaluations } = descent;
+        let betas = problem.betas;
         let parameters = BodyParameters::from_vector(&x, betas);
         let code = x[BETAS_AT + betas..].to_vec();
         let surface = dressed.surface(&parameters, &code)?;
-        let terms = match &last {
+        let terms = match self.silhouettes.last() {
             None => ClothedTerms::default(),
             Some(silhouette) => {
-                let matched = energy.match_silhouette(&x, silhouette)?;
-                energy.evaluate(&x, &matched, &mut vec![0.0; x.len()])?
+                let matched = problem.match_silhouette(&x, silhouette)?;
+                problem.evaluate(&x, &matched, &mut vec![0.0; x.len()])?
             }
         };
+        let ImageObservation { camera, mask, .. } = self.image;
         let rendering = render(surface.vertices(), dressed.faces(), camera)?;
         let intersection_over_union = rendering.mask().intersection_over_union(mask)?;
-        let joint_error = self.energy(camera, &detections, pixel).joint_error(&x, betas)?;
+        let pixel = problem.pixel;
+        let energy = self.smplify.energy(camera, &self.detections, pixel);
+        let joint_error = energy.joint_error(&x, betas)?;
+        let limit = self.config.accepted;
         Ok(ClothedFit {
-            problem: self.problem(joint_error * pixel).or_else(|| {
-                (intersection_over_union < config.accepted).then_some(FitProblem::Silhouette {
-                    intersection_over_union,
-                    limit: config.accepted,
-                })
+            problem: self.smplify.problem(joint_error * pixel).or_else(|| {
+                (intersection_over_union < limit)
+                    .then_some(FitProblem::Silhouette { intersection_over_union, limit })
             }),
             parameters,
             code,
@@ -332,32 +421,24 @@ impl Smplify {
             evaluations,
         })
     }
+}
 
-    /// [`fit_clothed`](Self::fit_clothed) in each of several outfits, in order of ascending energy.
-    /// `progress` is called with the number of fitted outfits and of all.
-    ///
-    /// # Errors
-    /// As of [`fit_clothed`](Self::fit_clothed), or if there is no outfit.
-    pub fn fit_outfits(
-        &self,
-        outfits: &[DressedBody],
-        image: &ImageObservation<'_>,
-        start: &BodyFit,
-        config: &ClothedConfig,
-        progress: &mut dyn FnMut(usize, usize),
-    ) -> Result<Vec<ClothedFit>> {
-        if outfits.is_empty() {
-            return Err(Error::argument("clothed fit: no outfits, expected at least one"));
-        }
-        let mut fits = Vec::with_capacity(outfits.len());
-        for (index, dressed) in outfits.iter().enumerate() {
-            fits.push(self.fit_clothed(dressed, image, start, config)?);
-            progress(index + 1, outfits.len());
-        }
-        let energy = |fit: &ClothedFit| fit.terms.weighted(config);
-        fits.sort_by(|a, b| energy(a).total_cmp(&energy(b)));
-        Ok(fits)
+/// Silhouette energy of each level, with soft edges where they are configured.
+pub(crate) fn silhouette_levels(
+    camera: &PinholeCamera,
+    mask: &Mask,
+    pixel: f64,
+    config: &ClothedConfig,
+) -> Result<Vec<SilhouetteEnergy>> {
+    let mut silhouettes = Vec::with_capacity(config.levels.len());
+    for (at, level) in config.levels.iter().enumerate() {
+        let silhouette = SilhouetteEnergy::new(camera, mask, level.side, pixel)?;
+        silhouettes.push(match config.soft {
+            Some(softness) if at > 0 => silhouette.with_softness(softness)?,
+            _ => silhouette,
+        });
     }
+    Ok(silhouettes)
 }
 
 #[cfg(test)]

@@ -10,9 +10,9 @@ use ndarray::Array2;
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 use crate::{
-    BodyParameters, ClothedConfig, DressedBody, ImageObservation, Keypoint, KeypointLayout,
-    Keypoints, Mask, PinholeCamera, PosePrior, SilhouetteLevel, Smplify, SmplifyConfig,
-    aligned_error, silhouette::render, testing::BODY,
+    BodyParameters, ClothedConfig, DressedBody, FitWorkers, ImageObservation, Keypoint,
+    KeypointLayout, Keypoints, Mask, PinholeCamera, PosePrior, SilhouetteLevel, Smplify,
+    SmplifyConfig, aligned_error, silhouette::render, testing::BODY,
 };
 
 pub(crate) fn dressed(outfit: Outfit) -> DressedBody {
@@ -149,7 +149,9 @@ fn silhouettes_bring_clothed_bodies_closer() {
 
     // The same result for the same input, better than in another outfit.
     let outfits = [Outfit::SHORT_SHORT, Outfit::LONG_SHORT].map(self::dressed);
-    let fits = smplify.fit_outfits(&outfits, &image, &bare, &config, &mut |_, _| {}).unwrap();
+    let fits = smplify
+        .fit_outfits(&outfits, &image, &bare, &config, &FitWorkers::new().unwrap(), &mut |_, _| {})
+        .unwrap();
     assert_eq!(fits[0], fit);
     assert!(fits[1].terms.weighted(&config) > fit.terms.weighted(&config));
 

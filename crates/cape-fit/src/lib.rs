@@ -45,6 +45,7 @@ mod pose_collection;
 mod pose_prior;
 mod problem;
 pub mod scan;
+mod sequence;
 pub mod silhouette;
 mod skeleton;
 mod smplify;
@@ -52,6 +53,7 @@ mod smplify;
 mod smplify_tests;
 #[cfg(test)]
 mod testing;
+mod workers;
 
 pub use cape_core::optimise::{LbfgsOptions, Minimum, StopReason};
 
@@ -70,6 +72,8 @@ pub use parameters::BodyParameters;
 pub use pose_collection::PoseCollection;
 pub use pose_prior::{BODY_POSE, COMPONENTS, OPTIONS, PosePrior, synthetic_poses};
 pub use problem::FitProblem;
+pub use sequence::{SequenceConfig, SequenceFit, SequenceFrame, TemporalConfig};
 pub use silhouette::Mask;
 pub use skeleton::{PosedSkeleton, Skeleton, SkeletonGradient};
 pub use smplify::{BodyFit, Smplify, SmplifyConfig};
+pub use workers::FitWorkers;

@@ -2,9 +2,9 @@ use std::{path::PathBuf, time::Instant};
 
 use cape_core::{Outfit, npy::write_npy, ply};
 use cape_fit::{
-    BodyFit, ClothedConfig, ClothedFit, DressedBody, DressedSurface, FitProblem, ImageObservation,
-    KeypointLayout, KeypointOptions, Keypoints, Mask, PinholeCamera, read_keypoints_with,
-    silhouette::render,
+    BodyFit, ClothedConfig, ClothedFit, DressedBody, DressedSurface, FitProblem, FitWorkers,
+    ImageObservation, KeypointLayout, KeypointOptions, Keypoints, Mask, PinholeCamera,
+    read_keypoints_with, silhouette::render,
 };
 use cape_infer::{AnimatedBody, BodySpec, Run, write_json};
 use cape_render::{Image, Tile, contact_sheet};
@@ -102,7 +102,10 @@ struct FitInput {
 impl FitArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         self.output.require_empty()?;
-        let config = self.method.config()?;
+        let mut config = self.method.config()?;
+        if self.compare_outfits {
+            config.clothed.finalists = usize::MAX;
+        }
         let observed = self.read_input(console)?;
         let run = self.run.open(global)?;
         let smplify = self.method.smplify(run.body(), &config)?;
@@ -116,19 +119,26 @@ impl FitArgs {
             Some(outfit) if !self.compare_outfits => vec![outfit],
             _ => run.outfits().to_vec(),
         };
-        let stages = 1 + outfits.len();
         let FitInput { camera, mask, keypoints, .. } = &observed;
         let image = ImageObservation { camera, keypoints, mask };
         let (bare, fits) = console.while_showing("fit", "stages", |progress| {
             let bare = smplify.fit(camera, keypoints, None)?;
-            progress(1, stages);
+            progress(1, 2 + outfits.len());
             let body = DressedBody::new(&run, outfits[0])?;
             let bodies: Vec<DressedBody> =
                 outfits.iter().map(|&outfit| body.with_outfit(outfit)).collect::<Result<_, _>>()?;
             let clothed = &config.clothed;
-            let fits = smplify.fit_outfits(&bodies, &image, &bare, clothed, &mut |done, _| {
-                progress(1 + done, stages);
-            })?;
+            let workers = fit_workers(&run)?;
+            let fits = smplify.fit_outfits(
+                &bodies,
+                &image,
+                &bare,
+                clothed,
+                &workers,
+                &mut |done, all| {
+                    progress(1 + done, 1 + all);
+                },
+            )?;
             Ok::<_, cape_fit::Error>((bare, fits))
         })?;
         let tried: Vec<OutfitFit> =
@@ -267,6 +277,15 @@ impl Report {
             ]);
         }
         format!("{}\n\n{line}", table.text())
+    }
+}
+
+/// One worker for each thread on the CPU; other devices work on one fit at a time.
+pub(super) fn fit_workers(run: &Run) -> Result<FitWorkers> {
+    if cape_core::is_cpu(run.device()) {
+        Ok(FitWorkers::new()?)
+    } else {
+        Ok(FitWorkers::sequential())
     }
 }
 
