@@ -1,12 +1,8 @@
-use std::{
-    fs::File,
-    io::{BufReader, Write},
-    path::Path,
-};
+use std::{io::Write, path::Path};
 
 use cape_core::write_atomically;
 
-use crate::{Error, Result};
+use crate::{Error, ImageFile, Result};
 
 /// Largest width and height of an image, pixels.
 pub const MAX_SIDE: u32 = 16_384;
@@ -111,33 +107,9 @@ impl Image {
         sink.flush()
     }
 
-    /// Reads a PNG file, converted to 8 bits and RGBA.
+    /// Reads a PNG or JPEG file, upright, converted to 8 bits and RGBA; see [`ImageFile`].
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
-        let path = path.as_ref();
-        let format = |message: String| cape_core::Error::format(path, message);
-        let file = File::open(path).map_err(|source| cape_core::Error::io(path, source))?;
-        let mut decoder = png::Decoder::new(BufReader::new(file));
-        decoder.set_transformations(png::Transformations::normalize_to_color8());
-        let mut reader = decoder.read_info().map_err(|error| format(error.to_string()))?;
-        let (width, height) = (reader.info().width, reader.info().height);
-        let mut image = Self::new(width, height, [0; 4])?;
-        let size = reader
-            .output_buffer_size()
-            .ok_or_else(|| format("image too large for memory".into()))?;
-        let mut bytes = vec![0; size];
-        let frame = reader.next_frame(&mut bytes).map_err(|error| format(error.to_string()))?;
-        let to_rgba: fn(&[u8]) -> [u8; 4] = match frame.color_type {
-            png::ColorType::Rgba => |p| [p[0], p[1], p[2], p[3]],
-            png::ColorType::Rgb => |p| [p[0], p[1], p[2], 255],
-            png::ColorType::GrayscaleAlpha => |p| [p[0], p[0], p[0], p[1]],
-            png::ColorType::Grayscale => |p| [p[0], p[0], p[0], 255],
-            png::ColorType::Indexed => return Err(format("palette was not expanded".into()).into()),
-        };
-        let samples = frame.color_type.samples();
-        for (pixel, source) in image.pixels.iter_mut().zip(bytes.chunks_exact(samples)) {
-            *pixel = to_rgba(source);
-        }
-        Ok(image)
+        ImageFile::read(path)?.to_image()
     }
 }
 

@@ -108,7 +108,7 @@ fn strip(value: &mut Value) {
 const SEEN: &str = "@/seen/best/keypoints.json --mask @/seen/best/mask.png";
 
 /// Writes keypoints and mask of a person to seen/best, and few.toml with few steps.
-fn person(data: &Packed, run: &str) {
+pub(crate) fn person(data: &Packed, run: &str) {
     fs::write(data.at("few.toml"), CONFIG).unwrap();
     let options = "--frames 1 --size 128 --config @/few.toml --out @/seen";
     data.run(&format!("fit benchmark image {run} {options}")).succeeded();

@@ -13,7 +13,11 @@ use glam::DVec3;
 use ndarray::{Array1, Array2};
 use serde::Serialize;
 
-use super::{drawing, method::FitMethodArgs};
+use super::{
+    drawing,
+    mask_input::{MaskArgs, PersonMask},
+    method::FitMethodArgs,
+};
 use crate::{
     console::Console,
     dressed_mesh::{DressedMesh, DressedRenderer},
@@ -39,9 +43,8 @@ pub(crate) struct FitArgs {
     /// 2D keypoints: JSON of OpenPose, COCO, AlphaPose, MMPose or MediaPipe, or .npz with `keypoints`.
     #[arg(value_name = "KEYPOINTS")]
     keypoints: PathBuf,
-    /// Silhouette of the person, PNG of the image's size.
-    #[arg(long, value_name = "MASK.png")]
-    mask: PathBuf,
+    #[command(flatten)]
+    mask: MaskArgs,
     #[command(flatten)]
     output: OutputArgs,
     /// Outfit of the run; auto fits all and keeps the one of lowest energy.
@@ -53,8 +56,8 @@ pub(crate) struct FitArgs {
     /// Layout of the keypoints [default: by their number and the pose].
     #[arg(long, value_name = "LAYOUT")]
     layout: Option<KeypointLayout>,
-    /// Identifier or file name of the image in a keypoint file of several images [default: the name of
-    /// --image or --mask].
+    /// Identifier or file name of the image in files of several images [default: the name of --image or
+    /// --mask].
     #[arg(long, value_name = "ID")]
     image_id: Option<String>,
     /// Index of the person, from 0, if the file has several [default: the one on the mask].
@@ -63,9 +66,6 @@ pub(crate) struct FitArgs {
     /// Focal length in pixels [default: the image's diagonal].
     #[arg(long, value_name = "PIXELS", value_parser = positive)]
     focal: Option<f64>,
-    /// Image to draw the overlay on, PNG.
-    #[arg(long, value_name = "IMAGE.png")]
-    image: Option<PathBuf>,
     #[command(flatten)]
     method: FitMethodArgs,
 }
@@ -170,35 +170,30 @@ impl FitArgs {
     }
 
     fn read_input(&self, console: Console) -> Result<FitInput> {
-        let mask = Mask::load(&self.mask)?;
-        let camera = PinholeCamera::new(mask.width(), mask.height(), self.focal)?;
-        mask.check(&camera).doing(|| format!("reading {}", self.mask.display()))?;
-        let names = self.image.iter().chain([&self.mask]);
+        let input = self.mask.read(console)?;
         let options = KeypointOptions {
             layout: self.layout,
             image: self.image_id.clone(),
-            beside: names.filter_map(|path| Some(path.file_name()?.to_str()?.to_owned())).collect(),
-            size: Some([mask.width(), mask.height()]),
+            beside: self.mask.names(),
+            size: input.size,
         };
+        let reading = || format!("reading {}", self.keypoints.display());
         let people = read_keypoints_with(&self.keypoints, &options)?;
         people.notes().iter().for_each(|note| console.note(note));
-        let keypoints = people
-            .index(self.person, Some(&mask))
-            .and_then(|person| people.person(person))
-            .doing(|| format!("reading {}", self.keypoints.display()))?;
-        let image = match &self.image {
-            Some(path) => Image::load(path)?,
+        let person = people.index(self.person, input.mask.as_ref()).doing(reading)?;
+        let keypoints = people.person(person).doing(reading)?;
+        let chosen = (&people, person, &keypoints);
+        let PersonMask { mask, size, image } =
+            input.for_person(chosen, &self.keypoints, &options)?;
+        let camera = PinholeCamera::new(size[0], size[1], self.focal)?;
+        let mask = mask.ok_or_else(|| Error::message("no mask"))?;
+        mask.check(&camera)
+            .and_then(|()| mask.check_keypoints(&keypoints))
+            .doing(|| self.mask.reading())?;
+        let image = match image {
+            Some(image) => image,
             None => drawing::paper(&camera)?,
         };
-        if (image.width(), image.height()) != (mask.width(), mask.height()) {
-            return Err(Error::message(format!(
-                "--image: {}×{} pixels, but the mask has {}×{}: both must be of the same size",
-                image.width(),
-                image.height(),
-                mask.width(),
-                mask.height()
-            )));
-        }
         Ok(FitInput { camera, mask, keypoints, image })
     }
 }

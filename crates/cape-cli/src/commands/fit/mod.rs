@@ -4,6 +4,7 @@ mod benchmark_image;
 mod benchmark_scan;
 mod drawing;
 mod image;
+mod mask_input;
 mod method;
 mod pose_prior;
 mod scan;
