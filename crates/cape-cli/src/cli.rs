@@ -13,7 +13,8 @@ use clap_complete::Shell;
 use crate::commands::view;
 use crate::{
     commands::{
-        animate, data, demo, eval, fit, info, layer, model, redress, sample, table2, train, vary,
+        animate, data, demo, eval, fit, info, layer, model, redress, sample, study, table2, train,
+        vary,
     },
     console::Console,
     error::{Error, Result},
@@ -57,6 +58,8 @@ pub(crate) enum Command {
     Fit(fit::FitCommand),
     #[command(subcommand)]
     Layer(layer::LayerCommand),
+    #[command(subcommand)]
+    Study(study::StudyCommand),
     #[command(subcommand)]
     Model(model::ModelCommand),
     Info(info::InfoArgs),
@@ -110,6 +113,7 @@ impl Cli {
             Command::View(command) => command.run(global, console)?,
             Command::Fit(command) => return command.run(global, console),
             Command::Layer(command) => command.run(global, console)?,
+            Command::Study(command) => command.run(global, console)?,
             Command::Model(command) => command.run(global, console)?,
             Command::Info(command) => command.run(console)?,
             Command::Completions(command) => command.run()?,
