@@ -157,7 +157,7 @@ impl ClothMaterial {
             }
         }
         let most = (stretch.weft * stretch.warp).sqrt();
-        if !(stretch.coupling.abs() <= most) {
+        if stretch.coupling.is_nan() || stretch.coupling.abs() > most {
             return Err(Error::argument(format!(
                 "material: coupling {}, expected at most {most} N/m, the geometric mean of weft and warp",
                 stretch.coupling
