@@ -309,6 +309,14 @@ impl OutfitArgs {
 }
 
 impl OutfitSelection {
+    /// Name of the outfit; `None` for all.
+    pub(crate) fn name(self) -> Option<String> {
+        match self {
+            Self::All => None,
+            Self::One(outfit) => Some(outfit.to_string()),
+        }
+    }
+
     /// The outfits, which `run` must know.
     pub(crate) fn of(self, run: &Run) -> Result<Vec<Outfit>> {
         Ok(match self {

@@ -12,17 +12,14 @@ use cape_fit::{
 use cape_render::{Image, ImageFile};
 use clap::Args;
 
-use crate::{
-    console::Console,
-    error::{Context, Error, Result},
-};
+use crate::error::{Context, Error, Result};
 
 /// Silhouette and size of the image.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct MaskArgs {
     /// Silhouette of the person in an image of the photograph's size: PNG or JPEG (white on black, a
     /// cut-out, or a label image with --labels), .npy, .npz, or COCO annotations (.json).
-    #[arg(long, value_name = "MASK", required = true)]
+    #[arg(long, visible_alias = "masks", value_name = "MASK", required = true)]
     pub(crate) mask: Option<PathBuf>,
     /// Labels of the person in a label image, numbers or colours: 9,12 or #c08080.
     #[arg(long, value_name = "LABELS", value_delimiter = ',')]
@@ -31,7 +28,7 @@ pub(crate) struct MaskArgs {
     #[arg(long, value_name = "WIDTHxHEIGHT")]
     image_size: Option<ImageSize>,
     /// Photograph to draw the overlay on, PNG or JPEG.
-    #[arg(long, value_name = "IMAGE")]
+    #[arg(long, visible_alias = "images", value_name = "IMAGE")]
     pub(crate) image: Option<PathBuf>,
 }
 
@@ -60,18 +57,37 @@ pub(crate) struct MaskInput<'a> {
     pub(crate) size: Option<[u32; 2]>,
     /// Photograph, upright.
     pub(crate) image: Option<Image>,
+    /// Remarks on how the files were read.
+    pub(crate) notes: Vec<String>,
 }
 
 impl MaskArgs {
+    /// The same options for the files of one image.
+    pub(crate) fn with_files(&self, mask: Option<PathBuf>, image: Option<PathBuf>) -> Self {
+        Self { mask, image, ..self.clone() }
+    }
+
+    /// Labels as they were given, or nearly.
+    pub(crate) fn label_names(&self) -> Vec<String> {
+        self.labels.iter().map(|label| format!("{label:?}")).collect()
+    }
+
+    /// Size of the image that was given, pixels.
+    pub(crate) fn size(&self) -> Option<[u32; 2]> {
+        self.image_size.map(|size| size.0)
+    }
+
     /// Reads image and mask of one image.
-    pub(crate) fn read(&self, console: Console) -> Result<MaskInput<'_>> {
+    pub(crate) fn read(&self) -> Result<MaskInput<'_>> {
+        let mut notes = Vec::new();
         let image = match &self.image {
             Some(path) => {
                 let file = ImageFile::read(path)?;
                 if file.turned() {
-                    console.note(
+                    notes.push(
                         "note: the photograph is turned upright by its EXIF orientation; keypoints and \
-                         mask are taken to be of the upright image",
+                         mask are taken to be of the upright image"
+                            .to_owned(),
                     );
                 }
                 Some(file.to_image()?)
@@ -101,7 +117,7 @@ impl MaskArgs {
                 "{other}: {w}×{h} pixels, but {name} has {width}×{height}{turned}"
             )));
         }
-        Ok(MaskInput { args: self, mask, size: first.map(|(_, size)| size), image })
+        Ok(MaskInput { args: self, mask, size: first.map(|(_, size)| size), image, notes })
     }
 
     /// Description of reading the mask, for errors.
