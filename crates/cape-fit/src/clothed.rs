@@ -130,8 +130,9 @@ pub struct ClothedFit {
     pub terms: ClothedTerms,
     /// Energy after each optimiser step, one curve for each matching.
     pub curves: Vec<Vec<f64>>,
-    /// Intersection over union of the rendered silhouette and the mask at full size, 0 to 1.
-    pub intersection_over_union: f64,
+    /// Intersection over union of the rendered silhouette and the mask at full size, 0 to 1, over
+    /// the pixels that are not of occluders; `None` without a mask.
+    pub intersection_over_union: Option<f64>,
     /// Mean distance of the projected joints from their detections, pixels.
     pub joint_error: f64,
     /// Number of evaluations of the clothed body.
@@ -147,8 +148,16 @@ pub struct ImageObservation<'a> {
     pub camera: &'a PinholeCamera,
     /// Keypoints of the person.
     pub keypoints: &'a Keypoints,
-    /// Silhouette of the person.
-    pub mask: &'a Mask,
+    /// Silhouette of the person; without it only keypoints and priors determine the fit.
+    pub mask: Option<&'a Mask>,
+    /// Pixels that are hidden and count neither as the person nor as background.
+    pub occluders: Option<&'a Mask>,
+}
+
+/// Observations with a silhouette.
+struct Silhouetted<'a> {
+    image: &'a ImageObservation<'a>,
+    mask: &'a Mask,
 }
 
 /// Energy of a clothed body.
@@ -233,7 +242,8 @@ impl Smplify {
     /// Fits a clothed body to keypoints and silhouette by minimising the total energy (CAPE eq.
     /// 11), from the unclothed body `start` of [`fit`](Self::fit) with the code 0. If the
     /// silhouettes then agree badly, a second fit starts from the body with the trunk mirrored in
-    /// depth; the one of lower energy is kept.
+    /// depth; the one of lower energy is kept. Without a mask the silhouette term is left out, and
+    /// the code is that of its prior, 0.
     ///
     /// # Errors
     /// If the mask is empty or of another image, or the body leaves the image.
@@ -244,9 +254,15 @@ impl Smplify {
         start: &BodyFit,
         config: &ClothedConfig,
     ) -> Result<ClothedFit> {
+        start.parameters.check()?;
+        config.check()?;
+        let Some(mask) = image.mask else {
+            return self.fit_unseen_clothing(dressed, image, start, config);
+        };
+        let image = &Silhouetted { image, mask };
         let fit =
             self.fit_code_and_body(dressed, image, (&start.parameters, start.pixel), config)?;
-        if fit.intersection_over_union >= config.doubtful {
+        if fit.intersection_over_union.is_none_or(|overlap| overlap >= config.doubtful) {
             return Ok(fit);
         }
         let evaluations = fit.evaluations;
@@ -263,19 +279,53 @@ impl Smplify {
         Ok(best)
     }
 
-    fn fit_code_and_body(
+    /// Body of the lowest energy without the silhouette term, in the clothing of the code 0.
+    fn fit_unseen_clothing(
         &self,
         dressed: &DressedBody,
         image: &ImageObservation<'_>,
+        start: &BodyFit,
+        config: &ClothedConfig,
+    ) -> Result<ClothedFit> {
+        let detections = self.detections(image.keypoints);
+        let betas = start.parameters.betas.len();
+        let energy = self.energy(image.camera, &detections, start.pixel);
+        let start = start.parameters.to_vector();
+        let evaluate =
+            |x: &[f64], gradient: &mut [f64]| energy.evaluate(x, betas, &config.body, gradient);
+        let found = solve(
+            &start,
+            |_| true,
+            &self.config().optimiser,
+            |x, gradient| Ok(evaluate(x, gradient)?.weighted(&config.body)),
+        )?;
+        let joint_error = energy.joint_error(&found.x, betas)?;
+        let body = evaluate(&found.x, &mut vec![0.0; found.x.len()])?;
+        Ok(ClothedFit {
+            parameters: BodyParameters::from_vector(&found.x, betas),
+            code: vec![0.0; dressed.latent()],
+            outfit: dressed.outfit(),
+            terms: ClothedTerms { body, ..ClothedTerms::default() },
+            curves: vec![found.curve],
+            intersection_over_union: None,
+            joint_error,
+            evaluations: found.evaluations,
+            problem: self.problem(joint_error * energy.pixel),
+        })
+    }
+
+    fn fit_code_and_body(
+        &self,
+        dressed: &DressedBody,
+        image: &Silhouetted<'_>,
         (start, pixel): (&BodyParameters, f64),
         config: &ClothedConfig,
     ) -> Result<ClothedFit> {
-        let &ImageObservation { camera, keypoints, mask } = image;
+        let &Silhouetted { image: &ImageObservation { camera, keypoints, occluders, .. }, mask } =
+            image;
         mask.check(camera)?;
-        start.check()?;
-        config.check()?;
         let detections = self.detections(keypoints);
-        mask.expect_joints(&detections)?;
+        mask.expect_joints(&detections, occluders)?;
         let betas = start.betas.len();
         let energy = ClothedProblem {
             smplify: self,
@@ -293,7 +343,7 @@ impl Smplify {
         };
         let mut last = None;
         for level in &config.levels {
-            let silhouette = SilhouetteEnergy::new(camera, mask, level.side, pixel)?;
+            let silhouette = SilhouetteEnergy::new(camera, mask, occluders, level.side, pixel)?;
             let silhouette = match config.soft {
                 Some(softness) if last.is_some() => silhouette.with_softness(softness)?,
                 _ => silhouette,
@@ -313,7 +363,13 @@ impl Smplify {
             }
         };
         let rendering = render(surface.vertices(), dressed.faces(), camera)?;
-        let intersection_over_union = rendering.mask().intersection_over_union(mask)?;
+        let intersection_over_union = match occluders {
+            Some(occluders) => {
+                let rendered = rendering.mask().without(occluders)?;
+                rendered.intersection_over_union(&mask.without(occluders)?)?
+            }
+            None => rendering.mask().intersection_over_union(mask)?,
+        };
         let joint_error = self.energy(camera, &detections, pixel).joint_error(&x, betas)?;
         Ok(ClothedFit {
             problem: self.problem(joint_error * pixel).or_else(|| {
@@ -327,7 +383,7 @@ impl Smplify {
             outfit: dressed.outfit(),
             terms,
             curves,
-            intersection_over_union,
+            intersection_over_union: Some(intersection_over_union),
             joint_error,
             evaluations,
         })
@@ -394,7 +450,7 @@ mod tests {
             pixel,
             betas,
         };
-        let silhouette = SilhouetteEnergy::new(&camera, &mask, 192, pixel).unwrap();
+        let silhouette = SilhouetteEnergy::new(&camera, &mask, None, 192, pixel).unwrap();
         let mut x = [body.to_vector(), code].concat();
         // Away from the minimum and from kinks of the terms.
         for (at, value) in x.iter_mut().enumerate() {

@@ -51,7 +51,7 @@ pub(crate) struct FitArgs {
     #[arg(long, default_value = "auto", value_name = "OUTFIT", value_parser = outfit_or("auto"))]
     outfit: OutfitSelection,
     /// Fit the other outfits too and warn if one has a lower energy.
-    #[arg(long)]
+    #[arg(long, requires = "mask")]
     compare_outfits: bool,
     /// Layout of the keypoints [default: by their number and the pose].
     #[arg(long, value_name = "LAYOUT")]
@@ -78,7 +78,8 @@ struct OutfitFit {
     energy: f64,
     /// Silhouette term `E_S`, millimetres at the person's distance.
     silhouette_mm: f64,
-    intersection_over_union: f64,
+    /// `None` without a mask.
+    intersection_over_union: Option<f64>,
 }
 
 #[derive(Debug, Serialize)]
@@ -88,16 +89,23 @@ struct Report {
     clothed: ClothedFit,
     /// All fitted outfits, lowest energy first.
     outfits: Vec<OutfitFit>,
+    /// Remarks on what the fit does not rest on.
+    notes: Vec<String>,
     seconds: f64,
 }
 
 /// Camera, silhouette, keypoints and image.
 struct FitInput {
     camera: PinholeCamera,
-    mask: Mask,
+    mask: Option<Mask>,
+    occluders: Option<Mask>,
     keypoints: Keypoints,
     image: Image,
 }
+
+/// Remark on a fit without a mask.
+const NO_MASK: &str = "without --mask the silhouette term is left out: body and pose are those of the \
+                       keypoints, and the clothing is hardly observed";
 
 impl FitArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
@@ -114,11 +122,14 @@ impl FitArgs {
         let start = Instant::now();
         let outfits = match chosen {
             Some(outfit) if !self.compare_outfits => vec![outfit],
+            // Nothing tells outfits apart.
+            None if observed.mask.is_none() => vec![run.default_outfit()],
             _ => run.outfits().to_vec(),
         };
         let stages = 1 + outfits.len();
-        let FitInput { camera, mask, keypoints, .. } = &observed;
-        let image = ImageObservation { camera, keypoints, mask };
+        let FitInput { camera, mask, occluders, keypoints, .. } = &observed;
+        let (mask, occluders) = (mask.as_ref(), occluders.as_ref());
+        let image = ImageObservation { camera, keypoints, mask, occluders };
         let (bare, fits) = console.while_showing("fit", "stages", |progress| {
             let bare = smplify.fit(camera, keypoints, None)?;
             progress(1, stages);
@@ -136,10 +147,21 @@ impl FitArgs {
         let worn = |fit: &ClothedFit| chosen.is_none_or(|outfit| fit.outfit == outfit);
         let clothed = fits.into_iter().find(worn);
         let clothed = clothed.ok_or_else(|| Error::message("no outfit to fit"))?;
+        let mut notes = Vec::new();
+        if observed.mask.is_none() {
+            notes.push(NO_MASK.to_owned());
+            if chosen.is_none() {
+                let outfit = clothed.outfit;
+                notes.push(format!(
+                    "nothing tells the outfits apart: {outfit} is taken; see --outfit"
+                ));
+            }
+        }
         let report = Report {
             bare,
             clothed,
             outfits: tried,
+            notes,
             seconds: start.elapsed().as_secs_f64(),
             out: self.output.out,
         };
@@ -173,18 +195,19 @@ impl FitArgs {
         let person = people.index(self.person, input.mask.as_ref()).doing(reading)?;
         let keypoints = people.person(person).doing(reading)?;
         let chosen = (&people, person, &keypoints);
-        let PersonMask { mask, size, image } =
+        let PersonMask { mask, occluders, size, image } =
             input.for_person(chosen, &self.keypoints, &options)?;
         let camera = PinholeCamera::new(size[0], size[1], self.focal)?;
-        let mask = mask.ok_or_else(|| Error::message("no mask"))?;
-        mask.check(&camera)
-            .and_then(|()| mask.check_keypoints(&keypoints))
-            .doing(|| self.mask.reading())?;
+        if let Some(mask) = &mask {
+            mask.check(&camera)
+                .and_then(|()| mask.check_keypoints(&keypoints, occluders.as_ref()))
+                .doing(|| self.mask.reading())?;
+        }
         let image = match image {
             Some(image) => image,
             None => drawing::paper(&camera)?,
         };
-        Ok(FitInput { camera, mask, keypoints, image })
+        Ok(FitInput { camera, mask, occluders, keypoints, image })
     }
 }
 
@@ -241,14 +264,18 @@ impl Report {
     }
 
     fn text(&self) -> String {
+        let silhouettes = match self.clothed.intersection_over_union {
+            Some(overlap) => format!("silhouette IoU {:.1} %", 100.0 * overlap),
+            None => "no silhouette".into(),
+        };
         let line = format!(
-            "{} in {:.1} s: silhouette IoU {:.1} %, mean joint error {:.1} pixels\n{}",
+            "{} in {:.1} s: {silhouettes}, mean joint error {:.1} pixels\n{}",
             self.clothed.outfit,
             self.seconds,
-            100.0 * self.clothed.intersection_over_union,
             self.clothed.joint_error,
             self.out.join("overlay.png").display()
         );
+        let line = [vec![line], self.notes.clone()].concat().join("\n");
         if self.outfits.len() == 1 {
             return line;
         }
@@ -258,7 +285,8 @@ impl Report {
                 outfit.to_string(),
                 format!("{energy:.1}"),
                 format!("{silhouette_mm:.2}"),
-                format!("{:.1} %", 100.0 * intersection_over_union),
+                intersection_over_union
+                    .map_or_else(String::new, |iou| format!("{:.1} %", 100.0 * iou)),
             ]);
         }
         format!("{}\n\n{line}", table.text())
@@ -290,16 +318,28 @@ fn overlay(
     run: &Run,
     dressed: &DressedMesh,
 ) -> Result<Image> {
-    let FitInput { camera, mask, keypoints, image } = observed;
+    let FitInput { camera, mask, occluders, keypoints, image } = observed;
     let vertices: &[DVec3] = surface.vertices();
     let faces = &run.body().faces;
     let mut seen = image.clone();
     drawing::mark(&mut seen, keypoints);
-    let mut silhouettes = image.clone();
-    drawing::difference(&mut silhouettes, mask, render(vertices, faces, camera)?.mask());
+    let mut tiles = vec![(seen, "keypoints")];
+    if let Some(mask) = mask {
+        let mut silhouettes = image.clone();
+        drawing::difference(&mut silhouettes, mask, render(vertices, faces, camera)?.mask());
+        let label = match occluders {
+            Some(occluders) => {
+                drawing::hide(&mut silhouettes, occluders);
+                "red: mask, blue: fit, grey: occluders"
+            }
+            None => "red: mask, blue: fit",
+        };
+        tiles.push((silhouettes, label));
+    }
     let mut fitted = image.clone();
     drawing::body(&mut fitted, vertices, faces, Some(&dressed.colours), camera)?;
-    let tiles = [(seen, "keypoints"), (silhouettes, "red: mask, blue: fit"), (fitted, "fit")];
-    let tiles = tiles.map(|(image, label)| Tile { image, label: label.into() });
-    Ok(contact_sheet(&tiles, 3, None)?)
+    tiles.push((fitted, "fit"));
+    let tiles: Vec<Tile> =
+        tiles.into_iter().map(|(image, label)| Tile { image, label: label.into() }).collect();
+    Ok(contact_sheet(&tiles, tiles.len(), None)?)
 }
