@@ -137,8 +137,9 @@ pub struct ClothedFit {
     pub terms: ClothedTerms,
     /// Energy after each optimiser step, one curve for each matching.
     pub curves: Vec<Vec<f64>>,
-    /// Intersection over union of the rendered silhouette and the mask at full size, 0 to 1.
-    pub intersection_over_union: f64,
+    /// Intersection over union of the rendered silhouette and the mask at full size, 0 to 1, over
+    /// the pixels that are not of occluders; `None` without a mask.
+    pub intersection_over_union: Option<f64>,
     /// Mean distance of the projected joints from their detections, pixels.
     pub joint_error: f64,
     /// Number of evaluations of the clothed body.
@@ -154,8 +155,23 @@ pub struct ImageObservation<'a> {
     pub camera: &'a PinholeCamera,
     /// Keypoints of the person.
     pub keypoints: &'a Keypoints,
-    /// Silhouette of the person.
-    pub mask: &'a Mask,
+    /// Silhouette of the person; without it only keypoints and priors determine the fit.
+    pub mask: Option<&'a Mask>,
+    /// Pixels that are hidden and count neither as the person nor as background.
+    pub occluders: Option<&'a Mask>,
+}
+
+impl ImageObservation<'_> {
+    /// Intersection over union of a rendered silhouette and the mask, 0 to 1, where nothing hides the
+    /// person.
+    pub(crate) fn overlap(&self, mask: &Mask, rendered: &Mask) -> Result<f64> {
+        match self.occluders {
+            Some(occluders) => {
+                rendered.without(occluders)?.intersection_over_union(&mask.without(occluders)?)
+            }
+            None => rendered.intersection_over_union(mask),
+        }
+    }
 }
 
 /// Energy of a clothed body.
@@ -187,11 +203,19 @@ impl ClothedProblem<'_> {
         let by = surface.pull_back(&forces)?;
         let parts = by.transl.iter().chain(&by.pose).chain(&by.betas).chain(&by.code);
         gradient.iter_mut().zip(parts).for_each(|(g, part)| *g += part);
+        let unseen = self.evaluate_unseen(x, gradient)?;
+        Ok(ClothedTerms { silhouette, ..unseen })
+    }
+
+    /// [`evaluate`](Self::evaluate) without the silhouette term.
+    pub(crate) fn evaluate_unseen(&self, x: &[f64], gradient: &mut [f64]) -> Result<ClothedTerms> {
+        let code = &x[BETAS_AT + self.betas..];
         let energy = self.smplify.energy(&self.camera, self.detections, self.pixel);
         let body = energy.evaluate(x, self.betas, &self.config.body, gradient)?;
         let by_code = gradient[BETAS_AT + self.betas..].iter_mut().zip(code);
         by_code.for_each(|(g, z)| *g += 2.0 * self.config.code * z);
-        Ok(ClothedTerms { body, silhouette, code: code.iter().map(|z| z * z).sum() })
+        let code = code.iter().map(|z| z * z).sum();
+        Ok(ClothedTerms { body, code, ..ClothedTerms::default() })
     }
 
     pub(crate) fn match_silhouette<'s>(
@@ -236,7 +260,8 @@ impl Smplify {
     /// Fits a clothed body to keypoints and silhouette by minimising the total energy (CAPE eq.
     /// 11), from the unclothed body `start` of [`fit`](Self::fit) with the code 0. If the
     /// silhouettes then agree badly, a second fit starts from the body with the trunk mirrored in
-    /// depth; the one of lower energy is kept.
+    /// depth; the one of lower energy is kept. Without a mask the silhouette term is left out, and
+    /// the code is that of its prior, 0.
     ///
     /// # Errors
     /// If the mask is empty or of another image, or the body leaves the image.
@@ -247,8 +272,48 @@ impl Smplify {
         start: &BodyFit,
         config: &ClothedConfig,
     ) -> Result<ClothedFit> {
-        let fits = ClothedFits::new(self, image, start, config)?;
+        let Some(mask) = image.mask else {
+            return self.fit_unseen_clothing(dressed, image, start, config);
+        };
+        let fits = ClothedFits::new(self, (image, mask), start, config)?;
         fits.finish(dressed, fits.begin(dressed)?)
+    }
+
+    /// Body of the lowest energy without the silhouette term, in the clothing of the code 0.
+    fn fit_unseen_clothing(
+        &self,
+        dressed: &DressedBody,
+        image: &ImageObservation<'_>,
+        start: &BodyFit,
+        config: &ClothedConfig,
+    ) -> Result<ClothedFit> {
+        start.parameters.check()?;
+        config.check()?;
+        let detections = self.detections(image.keypoints);
+        let betas = start.parameters.betas.len();
+        let energy = self.energy(image.camera, &detections, start.pixel);
+        let start = start.parameters.to_vector();
+        let evaluate =
+            |x: &[f64], gradient: &mut [f64]| energy.evaluate(x, betas, &config.body, gradient);
+        let found = solve(
+            &start,
+            |_| true,
+            &self.config().optimiser,
+            |x, gradient| Ok(evaluate(x, gradient)?.weighted(&config.body)),
+        )?;
+        let joint_error = energy.joint_error(&found.x, betas)?;
+        let body = evaluate(&found.x, &mut vec![0.0; found.x.len()])?;
+        Ok(ClothedFit {
+            parameters: BodyParameters::from_vector(&found.x, betas),
+            code: vec![0.0; dressed.latent()],
+            outfit: dressed.outfit(),
+            terms: ClothedTerms { body, ..ClothedTerms::default() },
+            curves: vec![found.curve],
+            intersection_over_union: None,
+            joint_error,
+            evaluations: found.evaluations,
+            problem: self.problem(joint_error * energy.pixel),
+        })
     }
 
     /// [`fit_clothed`](Self::fit_clothed) in each of several outfits, side by side on `workers`, in
@@ -270,7 +335,11 @@ impl Smplify {
         if outfits.is_empty() {
             return Err(Error::argument("clothed fit: no outfits, expected at least one"));
         }
-        let fits = ClothedFits::new(self, image, start, config)?;
+        let Some(mask) = image.mask else {
+            let unseen = |body| self.fit_unseen_clothing(body, image, start, config);
+            return outfits.iter().map(unseen).collect();
+        };
+        let fits = ClothedFits::new(self, (image, mask), start, config)?;
         let finalists = config.finalists.min(outfits.len());
         let mut done = 0;
         let mut progress = || {
@@ -296,6 +365,7 @@ impl Smplify {
 struct ClothedFits<'a> {
     smplify: &'a Smplify,
     image: &'a ImageObservation<'a>,
+    mask: &'a Mask,
     start: &'a BodyFit,
     config: &'a ClothedConfig,
     detections: Vec<KeypointDetection>,
@@ -328,19 +398,19 @@ impl Descent {
 impl<'a> ClothedFits<'a> {
     fn new(
         smplify: &'a Smplify,
-        image: &'a ImageObservation<'a>,
+        (image, mask): (&'a ImageObservation<'a>, &'a Mask),
         start: &'a BodyFit,
         config: &'a ClothedConfig,
     ) -> Result<Self> {
-        let &ImageObservation { camera, keypoints, mask } = image;
+        let &ImageObservation { camera, keypoints, occluders, .. } = image;
         mask.check(camera)?;
         start.parameters.check()?;
         start.leaning.check()?;
         config.check()?;
         let detections = smplify.detections(keypoints);
-        mask.expect_joints(&detections)?;
-        let silhouettes = silhouette_levels(camera, mask, start.pixel, config)?;
-        Ok(Self { smplify, image, start, config, detections, silhouettes })
+        mask.expect_joints(&detections, occluders)?;
+        let silhouettes = silhouette_levels(image, mask, start.pixel, config)?;
+        Ok(Self { smplify, image, mask, start, config, detections, silhouettes })
     }
 
     fn problem(&self, dressed: &'a DressedBody) -> ClothedProblem<'_> {
@@ -366,7 +436,7 @@ impl<'a> ClothedFits<'a> {
     fn finish(&self, dressed: &DressedBody, begun: Descent) -> Result<ClothedFit> {
         let problem = self.problem(dressed);
         let fit = self.result(dressed, problem.descend(begun, 1, &self.silhouettes[1..])?)?;
-        if fit.intersection_over_union >= self.config.doubtful {
+        if fit.intersection_over_union.is_none_or(|overlap| overlap >= self.config.doubtful) {
             return Ok(fit);
         }
         let evaluations = fit.evaluations;
@@ -399,9 +469,9 @@ impl<'a> ClothedFits<'a> {
                 problem.evaluate(&x, &matched, &mut vec![0.0; x.len()])?
             }
         };
-        let ImageObservation { camera, mask, .. } = self.image;
+        let camera = self.image.camera;
         let rendering = render(surface.vertices(), dressed.faces(), camera)?;
-        let intersection_over_union = rendering.mask().intersection_over_union(mask)?;
+        let intersection_over_union = self.image.overlap(self.mask, rendering.mask())?;
         let pixel = problem.pixel;
         let energy = self.smplify.energy(camera, &self.detections, pixel);
         let joint_error = energy.joint_error(&x, betas)?;
@@ -416,7 +486,7 @@ impl<'a> ClothedFits<'a> {
             outfit: dressed.outfit(),
             terms,
             curves,
-            intersection_over_union,
+            intersection_over_union: Some(intersection_over_union),
             joint_error,
             evaluations,
         })
@@ -425,14 +495,14 @@ impl<'a> ClothedFits<'a> {
 
 /// Silhouette energy of each level, with soft edges where they are configured.
 pub(crate) fn silhouette_levels(
-    camera: &PinholeCamera,
+    &ImageObservation { camera, occluders, .. }: &ImageObservation<'_>,
     mask: &Mask,
     pixel: f64,
     config: &ClothedConfig,
 ) -> Result<Vec<SilhouetteEnergy>> {
     let mut silhouettes = Vec::with_capacity(config.levels.len());
     for (at, level) in config.levels.iter().enumerate() {
-        let silhouette = SilhouetteEnergy::new(camera, mask, level.side, pixel)?;
+        let silhouette = SilhouetteEnergy::new(camera, mask, occluders, level.side, pixel)?;
         silhouettes.push(match config.soft {
             Some(softness) if at > 0 => silhouette.with_softness(softness)?,
             _ => silhouette,
@@ -475,7 +545,7 @@ mod tests {
             pixel,
             betas,
         };
-        let silhouette = SilhouetteEnergy::new(&camera, &mask, 192, pixel).unwrap();
+        let silhouette = SilhouetteEnergy::new(&camera, &mask, None, 192, pixel).unwrap();
         let mut x = [body.to_vector(), code].concat();
         // Away from the minimum and from kinks of the terms.
         for (at, value) in x.iter_mut().enumerate() {

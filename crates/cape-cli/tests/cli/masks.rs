@@ -285,3 +285,63 @@ fn photographs_are_turned_upright() {
         "turned by 90°",
     ]);
 }
+
+#[test]
+fn people_are_fitted_without_a_mask() {
+    let scene = Scene::new();
+    scene.try_fit(POINTS, "").failed_saying(&["size of the image is unknown", "--image-size"]);
+    let report = scene.try_fit(POINTS, "--image-size 128x128").json();
+    assert_eq!(report["clothed"]["intersection_over_union"], Value::Null);
+    assert_eq!(report["clothed"]["terms"]["silhouette"], json!({ "rendered": 0.0, "image": 0.0 }));
+    assert!(report["notes"][0].as_str().unwrap().contains("silhouette term is left out"));
+    assert!(scene.data.at("fit/overlay.png").exists());
+    // The size is the photograph's.
+    scene.png("photo.png", (png::ColorType::Rgb, EIGHT), |at| [(at % 251) as u8; 3]);
+    let photo = scene.fit(POINTS, "--image @/photo.png");
+    assert_eq!(photo, report["clothed"]);
+    // Or the file's; nothing tells the outfits apart.
+    let numbers: Vec<f64> = scene.points.iter().flatten().copied().collect();
+    let file = json!({
+        "images": [{ "id": 7, "file_name": "street.jpg", "width": 128, "height": 128 }],
+        "annotations": [{ "image_id": 7, "keypoints": numbers }],
+    });
+    fs::write(scene.data.at("coco.json"), file.to_string()).unwrap();
+    let text = scene
+        .data
+        .run(&format!("fit image {} @/coco.json --config @/few.toml --out @/any", scene.run))
+        .succeeded();
+    for part in ["no silhouette", "hardly observed", "nothing tells the outfits apart"] {
+        assert!(text.contains(part), "{text}");
+    }
+    for rest in ["--compare-outfits", "--labels 3", "--occluders @/photo.png"] {
+        scene.try_fit(POINTS, &format!("--image @/photo.png {rest}")).misused(&["--mask"]);
+    }
+}
+
+#[test]
+fn occluders_count_neither_way() {
+    let scene = Scene::new();
+    let width = scene.mask.width() as usize;
+    // A table in front of the legs: what is under it does not matter.
+    let table = |at: usize| at / width >= 92;
+    let grey = (png::ColorType::Grayscale, EIGHT);
+    scene.png("table.png", grey, |at| [u8::from(table(at))]);
+    scene.png("cut.png", grey, |at| [u8::from(scene.on(at) && !table(at))]);
+    scene.png("full.png", grey, |at| [u8::from(scene.on(at) || table(at))]);
+    scene.png("none.png", grey, |_| [0]);
+    let fit = |rest: &str| scene.fit(POINTS, rest);
+    let cut = fit("--mask @/cut.png --occluders @/table.png");
+    assert_eq!(cut, fit("--mask @/full.png --occluders @/table.png"));
+    assert_eq!(cut, fit("--mask @/seen/best/mask.png --occluders @/table.png"));
+    assert_ne!(cut["code"], fit("--mask @/cut.png")["code"]);
+    let plain = fit("--mask @/seen/best/mask.png");
+    assert_eq!(plain, fit("--mask @/seen/best/mask.png --occluders @/none.png"));
+    scene.png("all.png", grey, |at| [u8::from(at > 0)]);
+    scene
+        .try_fit(POINTS, "--mask @/seen/best/mask.png --occluders @/all.png")
+        .failed_saying(&["hide the whole person"]);
+    Image::new(64, 64, [0, 0, 0, 255]).unwrap().save(scene.data.at("small.png")).unwrap();
+    scene
+        .try_fit(POINTS, "--mask @/seen/best/mask.png --occluders @/small.png")
+        .failed_saying(&["--occluders: 64×64", "--mask has 128×128"]);
+}

@@ -172,7 +172,7 @@ impl<'a> Benchmark<'a> {
         let bare = self.smplify.fit(camera, keypoints, None)?;
         let bare_seconds = start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let image = ImageObservation { camera, keypoints, mask };
+        let image = ImageObservation { camera, keypoints, mask: Some(mask), occluders: None };
         let fit = match self.smplify.fit_clothed(dressed, &image, &bare, self.config) {
             Ok(fit) => Ok(fit),
             Err(Error::Failed(reason)) => Err(reason),

@@ -40,8 +40,8 @@ pub struct SequenceFrame {
     pub observed: bool,
     /// Mean distance of the projected joints from their detections, pixels; 0 if not observed.
     pub joint_error: f64,
-    /// Intersection over union of the rendered silhouette and the mask, 0 to 1; 0 if not observed.
-    pub intersection_over_union: f64,
+    /// Intersection over union of the rendered silhouette and the mask, 0 to 1; `None` without a mask.
+    pub intersection_over_union: Option<f64>,
     /// Problem of the fit, if it is unreliable.
     pub problem: Option<FitProblem>,
 }
@@ -110,9 +110,11 @@ impl Smplify {
             .map(|image| image.map_or_else(Vec::new, |image| self.detections(image.keypoints)))
             .collect();
         for (image, detections) in images.iter().zip(&detections) {
-            if let Some(image) = image {
-                image.mask.check(image.camera)?;
-                image.mask.expect_joints(detections)?;
+            if let Some(image) = image
+                && let Some(mask) = image.mask
+            {
+                mask.check(image.camera)?;
+                mask.expect_joints(detections, image.occluders)?;
             }
         }
         let share = 0.1 / images.len().max(1) as f64;
@@ -186,10 +188,14 @@ impl Smplify {
                 .first()
                 .ok_or_else(|| Error::argument("video: no outfits, expected at least one"));
         };
-        let count = problem.observed.len();
-        let chosen = COMPARED.min(count);
+        let masked: Vec<&ObservedFrame<'_>> =
+            problem.observed.iter().filter(|seen| seen.image.mask.is_some()).collect();
+        if masked.is_empty() {
+            return Ok(first);
+        }
+        let (count, chosen) = (masked.len(), COMPARED.min(masked.len()));
         let frames: Vec<&ObservedFrame<'_>> =
-            (0..chosen).map(|k| &problem.observed[(2 * k + 1) * count / (2 * chosen)]).collect();
+            (0..chosen).map(|k| masked[(2 * k + 1) * count / (2 * chosen)]).collect();
         let jobs: Vec<(&DressedBody, &ObservedFrame<'_>)> = outfits
             .iter()
             .flat_map(|body| frames.iter().map(move |&frame| (body, frame)))
@@ -284,11 +290,16 @@ impl SequenceProblem<'_> {
         let problem = self.of_frame(dressed, self.config, seen);
         let start = Descent::start(&self.layout.body(x, seen.frame), dressed);
         let silhouettes = self.silhouettes(seen)?;
-        problem.descend(start, 0, &silhouettes[..1]).map(|descent| descent.energy)
+        let first = &silhouettes[..silhouettes.len().min(1)];
+        problem.descend(start, 0, first).map(|descent| descent.energy)
     }
 
+    /// Silhouette of each level; none without a mask.
     fn silhouettes(&self, seen: &ObservedFrame<'_>) -> Result<Vec<SilhouetteEnergy>> {
-        silhouette_levels(seen.image.camera, seen.image.mask, seen.pixel, self.config)
+        match seen.image.mask {
+            Some(mask) => silhouette_levels(seen.image, mask, seen.pixel, self.config),
+            None => Ok(Vec::new()),
+        }
     }
 
     /// Fits body and clothing to keypoints and silhouettes of all frames.
@@ -313,12 +324,13 @@ impl SequenceProblem<'_> {
                     self.observed,
                     |index, seen| {
                         let frame = self.layout.frame(&x, seen.frame);
-                        self.of_frame(dressed, &config, seen)
-                            .match_silhouette(&frame, &silhouettes[index][at])
+                        let problem = self.of_frame(dressed, &config, seen);
+                        let silhouette = silhouettes[index].get(at);
+                        silhouette.map(|s| problem.match_silhouette(&frame, s)).transpose()
                     },
                     &mut || {},
                 );
-                let matched = matched.into_iter().collect::<Result<Vec<SilhouetteMatch<'_>>>>()?;
+                let matched = matched.into_iter().collect::<Result<Vec<_>>>()?;
                 let found = solve_scaled(&x, &self.scales(), &options, |x, gradient| {
                     self.evaluate((dressed, &config), x, &matched, workers, gradient)
                 })?;
@@ -336,7 +348,7 @@ impl SequenceProblem<'_> {
         &self,
         (dressed, config): (&DressedBody, &ClothedConfig),
         x: &[f64],
-        matched: &[SilhouetteMatch<'_>],
+        matched: &[Option<SilhouetteMatch<'_>>],
         workers: &FitWorkers,
         gradient: &mut [f64],
     ) -> Result<f64> {
@@ -346,7 +358,10 @@ impl SequenceProblem<'_> {
                 let frame = self.layout.frame(x, seen.frame);
                 let mut of_frame = vec![0.0; frame.len()];
                 let problem = self.of_frame(dressed, config, seen);
-                let terms = problem.evaluate(&frame, &matched[index], &mut of_frame)?;
+                let terms = match &matched[index] {
+                    Some(matched) => problem.evaluate(&frame, matched, &mut of_frame)?,
+                    None => problem.evaluate_unseen(&frame, &mut of_frame)?,
+                };
                 Ok::<_, Error>((terms.weighted(config), of_frame))
             },
             &mut || {},
@@ -372,37 +387,43 @@ impl SequenceProblem<'_> {
                 body: self.layout.body(x, frame),
                 observed: false,
                 joint_error: 0.0,
-                intersection_over_union: 0.0,
+                intersection_over_union: None,
                 problem: None,
             })
             .collect();
         let seen = workers.map(
             self.observed,
             |_, seen| {
-                let ImageObservation { camera, mask, .. } = seen.image;
-                let body = self.layout.body(x, seen.frame);
-                let surface = dressed.surface(&body, self.layout.code(x))?;
-                let rendering = render(surface.vertices(), dressed.faces(), camera)?;
+                let camera = seen.image.camera;
+                let overlap = match seen.image.mask {
+                    Some(mask) => {
+                        let body = self.layout.body(x, seen.frame);
+                        let surface = dressed.surface(&body, self.layout.code(x))?;
+                        let rendering = render(surface.vertices(), dressed.faces(), camera)?;
+                        Some(seen.image.overlap(mask, rendering.mask())?)
+                    }
+                    None => None,
+                };
                 let energy = self.smplify.energy(camera, &seen.detections, seen.pixel);
                 let frame = self.layout.frame(x, seen.frame);
                 let joint_error = energy.joint_error(&frame, self.layout.betas)?;
-                Ok::<_, Error>((joint_error, rendering.mask().intersection_over_union(mask)?))
+                Ok::<_, Error>((joint_error, overlap))
             },
             &mut || {},
         );
         for (seen, found) in self.observed.iter().zip(seen) {
-            let (joint_error, intersection_over_union) = found?;
+            let (joint_error, overlap) = found?;
             let limit = self.config.accepted;
-            let silhouette = FitProblem::Silhouette { intersection_over_union, limit };
+            let silhouette =
+                overlap.filter(|overlap| *overlap < limit).map(|intersection_over_union| {
+                    FitProblem::Silhouette { intersection_over_union, limit }
+                });
             let frame = &mut frames[seen.frame];
             *frame = SequenceFrame {
                 observed: true,
                 joint_error,
-                intersection_over_union,
-                problem: self
-                    .smplify
-                    .problem(joint_error * seen.pixel)
-                    .or((intersection_over_union < limit).then_some(silhouette)),
+                intersection_over_union: overlap,
+                problem: self.smplify.problem(joint_error * seen.pixel).or(silhouette),
                 body: frame.body.clone(),
             };
         }

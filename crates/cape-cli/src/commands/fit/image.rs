@@ -69,7 +69,7 @@ pub(crate) struct FitArgs {
     #[arg(long, default_value = "auto", value_name = "OUTFIT", value_parser = outfit_or("auto"))]
     pub(super) outfit: OutfitSelection,
     /// Fit the other outfits too and warn if one has a lower energy.
-    #[arg(long)]
+    #[arg(long, requires = "mask")]
     pub(super) compare_outfits: bool,
     /// Layout of the keypoints [default: by their number and the pose].
     #[arg(long, value_name = "LAYOUT")]
@@ -98,7 +98,8 @@ struct OutfitFit {
     energy: f64,
     /// Silhouette term `E_S`, millimetres at the person's distance.
     silhouette_mm: f64,
-    intersection_over_union: f64,
+    /// `None` without a mask.
+    intersection_over_union: Option<f64>,
 }
 
 #[derive(Debug, Serialize)]
@@ -108,18 +109,25 @@ pub(super) struct Report {
     pub(super) clothed: ClothedFit,
     /// Outfits that were fitted on all levels, lowest energy first.
     outfits: Vec<OutfitFit>,
+    /// Remarks on what the fit does not rest on.
+    notes: Vec<String>,
     pub(super) seconds: f64,
 }
 
 /// Camera, silhouette, keypoints and image.
 pub(super) struct FitInput {
     pub(super) camera: PinholeCamera,
-    pub(super) mask: Mask,
+    pub(super) mask: Option<Mask>,
+    pub(super) occluders: Option<Mask>,
     pub(super) keypoints: Keypoints,
     pub(super) image: Image,
     /// Remarks on how the files were read.
     pub(super) notes: Vec<String>,
 }
+
+/// Remark on a fit without a mask.
+const NO_MASK: &str = "without --mask the silhouette term is left out: body and pose are those of the \
+                       keypoints, and the clothing is hardly observed";
 
 impl FitArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result<ExitCode> {
@@ -197,19 +205,29 @@ impl FitArgs {
         let person = people.index(self.person, input.mask.as_ref()).doing(reading)?;
         let keypoints = people.person(person).doing(reading)?;
         let chosen = (&people, person, &keypoints);
-        let PersonMask { mask: silhouette, size, image } =
+        let PersonMask { mask: silhouette, occluders, size, image } =
             input.for_person(chosen, file, &options)?;
         let camera = PinholeCamera::new(size[0], size[1], self.focal)?;
-        let silhouette = silhouette.ok_or_else(|| Error::message("no mask"))?;
-        silhouette
-            .check(&camera)
-            .and_then(|()| silhouette.check_keypoints(&keypoints))
-            .doing(|| mask.reading())?;
+        if let Some(silhouette) = &silhouette {
+            silhouette
+                .check(&camera)
+                .and_then(|()| silhouette.check_keypoints(&keypoints, occluders.as_ref()))
+                .doing(|| mask.reading())?;
+        }
         let image = match image {
             Some(image) => image,
             None => drawing::paper(&camera)?,
         };
-        Ok(FitInput { camera, mask: silhouette, keypoints, image, notes })
+        Ok(FitInput { camera, mask: silhouette, occluders, keypoints, image, notes })
+    }
+}
+
+impl FitInput {
+    /// Observations of the person.
+    pub(super) fn observation(&self) -> ImageObservation<'_> {
+        let Self { camera, mask, occluders, keypoints, .. } = self;
+        let (mask, occluders) = (mask.as_ref(), occluders.as_ref());
+        ImageObservation { camera, keypoints, mask, occluders }
     }
 }
 
@@ -218,7 +236,7 @@ pub(super) struct ImageFitter<'a> {
     pub(super) run: &'a Run,
     pub(super) smplify: Smplify,
     pub(super) config: FitConfig,
-    /// Bodies in the outfits that are fitted.
+    /// Bodies in the outfits that are fitted, the run's default first.
     pub(super) bodies: Vec<DressedBody>,
     /// Outfit of the command, if it names one.
     chosen: Option<Outfit>,
@@ -233,12 +251,21 @@ impl<'a> ImageFitter<'a> {
         };
         let outfits = match chosen {
             Some(outfit) if !args.compare_outfits => vec![outfit],
-            _ => run.outfits().to_vec(),
+            _ => {
+                let default = run.default_outfit();
+                let others = run.outfits().iter().copied().filter(|&outfit| outfit != default);
+                [default].into_iter().chain(others).collect()
+            }
         };
         let body = DressedBody::new(run, outfits[0])?;
         let bodies = outfits.iter().map(|&outfit| body.with_outfit(outfit));
         let bodies = bodies.collect::<Result<Vec<_>, _>>()?;
         Ok(Self { run, smplify, config, bodies, chosen })
+    }
+
+    /// Bodies in the outfits that `observed` can tell apart: without a mask, in the default one.
+    pub(super) fn distinct(&self, silhouette: bool) -> &[DressedBody] {
+        if silhouette { &self.bodies } else { &self.bodies[..1] }
     }
 
     /// Fits the body to an image, by SMPLify and with clothing.
@@ -250,20 +277,29 @@ impl<'a> ImageFitter<'a> {
         progress: &mut dyn FnMut(usize, usize),
     ) -> Result<Report> {
         let start = Instant::now();
-        let FitInput { camera, mask, keypoints, .. } = observed;
-        let image = ImageObservation { camera, keypoints, mask };
-        let bare = self.smplify.fit(camera, keypoints, None)?;
-        progress(1, 2 + self.bodies.len());
-        let clothed = &self.config.clothed;
+        let image = observed.observation();
+        let bodies = self.distinct(observed.mask.is_some());
+        let bare = self.smplify.fit(image.camera, image.keypoints, None)?;
+        progress(1, 2 + bodies.len());
+        let config = &self.config.clothed;
         let mut report = |done, all| progress(1 + done, 1 + all);
-        let fits =
-            self.smplify.fit_outfits(&self.bodies, &image, &bare, clothed, workers, &mut report)?;
-        let outfits = fits.iter().map(|fit| OutfitFit::from_fit(fit, clothed)).collect();
+        let fits = self.smplify.fit_outfits(bodies, &image, &bare, config, workers, &mut report)?;
+        let outfits = fits.iter().map(|fit| OutfitFit::from_fit(fit, config)).collect();
         let worn = |fit: &ClothedFit| self.chosen.is_none_or(|outfit| fit.outfit == outfit);
         let clothed = fits.into_iter().find(worn);
         let clothed = clothed.ok_or_else(|| Error::message("no outfit to fit"))?;
+        let mut notes = Vec::new();
+        if observed.mask.is_none() {
+            notes.push(NO_MASK.to_owned());
+            if self.chosen.is_none() {
+                let outfit = clothed.outfit;
+                notes.push(format!(
+                    "nothing tells the outfits apart: {outfit} is taken; see --outfit"
+                ));
+            }
+        }
         let seconds = start.elapsed().as_secs_f64();
-        Ok(Report { bare, clothed, outfits, seconds, out: out.to_owned() })
+        Ok(Report { bare, clothed, outfits, notes, seconds, out: out.to_owned() })
     }
 }
 
@@ -324,14 +360,18 @@ impl Report {
     }
 
     fn text(&self) -> String {
+        let silhouettes = match self.clothed.intersection_over_union {
+            Some(overlap) => format!("silhouette IoU {:.1} %", 100.0 * overlap),
+            None => "no silhouette".into(),
+        };
         let line = format!(
-            "{} in {:.1} s: silhouette IoU {:.1} %, mean joint error {:.1} pixels\n{}",
+            "{} in {:.1} s: {silhouettes}, mean joint error {:.1} pixels\n{}",
             self.clothed.outfit,
             self.seconds,
-            100.0 * self.clothed.intersection_over_union,
             self.clothed.joint_error,
             self.out.join("overlay.png").display()
         );
+        let line = [vec![line], self.notes.clone()].concat().join("\n");
         if self.outfits.len() == 1 {
             return line;
         }
@@ -341,7 +381,8 @@ impl Report {
                 outfit.to_string(),
                 format!("{energy:.1}"),
                 format!("{silhouette_mm:.2}"),
-                format!("{:.1} %", 100.0 * intersection_over_union),
+                intersection_over_union
+                    .map_or_else(String::new, |iou| format!("{:.1} %", 100.0 * iou)),
             ]);
         }
         format!("{}\n\n{line}", table.text())
@@ -383,17 +424,28 @@ fn overlay(
     run: &Run,
     dressed: &DressedMesh,
 ) -> Result<(Image, Image)> {
-    let FitInput { camera, mask, keypoints, image, notes: _ } = observed;
+    let FitInput { camera, mask, occluders, keypoints, image, notes: _ } = observed;
     let vertices: &[DVec3] = surface.vertices();
     let faces = &run.body().faces;
     let mut seen = image.clone();
     drawing::mark(&mut seen, keypoints);
-    let mut silhouettes = image.clone();
-    drawing::difference(&mut silhouettes, mask, render(vertices, faces, camera)?.mask());
+    let mut tiles = vec![(seen, "keypoints")];
+    if let Some(mask) = mask {
+        let mut silhouettes = image.clone();
+        drawing::difference(&mut silhouettes, mask, render(vertices, faces, camera)?.mask());
+        let label = match occluders {
+            Some(occluders) => {
+                drawing::hide(&mut silhouettes, occluders);
+                "red: mask, blue: fit, grey: occluders"
+            }
+            None => "red: mask, blue: fit",
+        };
+        tiles.push((silhouettes, label));
+    }
     let mut fitted = image.clone();
     drawing::body(&mut fitted, vertices, faces, Some(&dressed.colours), camera)?;
-    let tiles =
-        [(seen, "keypoints"), (silhouettes, "red: mask, blue: fit"), (fitted.clone(), "fit")];
-    let tiles = tiles.map(|(image, label)| Tile { image, label: label.into() });
-    Ok((contact_sheet(&tiles, 3, None)?, fitted))
+    tiles.push((fitted.clone(), "fit"));
+    let tiles: Vec<Tile> =
+        tiles.into_iter().map(|(image, label)| Tile { image, label: label.into() }).collect();
+    Ok((contact_sheet(&tiles, tiles.len(), None)?, fitted))
 }

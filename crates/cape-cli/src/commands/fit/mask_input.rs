@@ -19,11 +19,15 @@ use crate::error::{Context, Error, Result};
 pub(crate) struct MaskArgs {
     /// Silhouette of the person in an image of the photograph's size: PNG or JPEG (white on black, a
     /// cut-out, or a label image with --labels), .npy, .npz, or COCO annotations (.json).
-    #[arg(long, visible_alias = "masks", value_name = "MASK", required = true)]
+    /// Without it the clothing is hardly observed.
+    #[arg(long, visible_alias = "masks", value_name = "MASK")]
     pub(crate) mask: Option<PathBuf>,
     /// Labels of the person in a label image, numbers or colours: 9,12 or #c08080.
-    #[arg(long, value_name = "LABELS", value_delimiter = ',')]
+    #[arg(long, value_name = "LABELS", value_delimiter = ',', requires = "mask")]
     labels: Vec<MaskLabel>,
+    /// Mask of what hides the person: pixels that count neither as the person nor as background.
+    #[arg(long, value_name = "MASK", requires = "mask")]
+    occluders: Option<PathBuf>,
     /// Width and height of the image in pixels [default: those of --image, --mask or the keypoint file].
     #[arg(long, value_name = "WIDTHxHEIGHT")]
     image_size: Option<ImageSize>,
@@ -53,6 +57,7 @@ pub(crate) struct MaskInput<'a> {
     args: &'a MaskArgs,
     /// Silhouette; `None` if it is to be read from annotations.
     pub(crate) mask: Option<Mask>,
+    occluders: Option<Mask>,
     /// Width and height, if known, pixels.
     pub(crate) size: Option<[u32; 2]>,
     /// Photograph, upright.
@@ -98,10 +103,15 @@ impl MaskArgs {
             Some(path) if !is_annotation(path) => Some(Mask::load_labels(path, &self.labels)?),
             _ => None,
         };
+        let occluders = match &self.occluders {
+            Some(path) => Some(Mask::load(path)?),
+            None => None,
+        };
         let sizes = [
             ("--image-size", self.image_size.map(|size| size.0)),
             ("--image", image.as_ref().map(|image| [image.width(), image.height()])),
-            ("--mask", mask.as_ref().map(|mask| [mask.width(), mask.height()])),
+            ("--mask", mask.as_ref().map(Mask::size)),
+            ("--occluders", occluders.as_ref().map(Mask::size)),
         ];
         let mut known = sizes.into_iter().filter_map(|(name, size)| Some((name, size?)));
         let first = known.next();
@@ -117,7 +127,8 @@ impl MaskArgs {
                 "{other}: {w}×{h} pixels, but {name} has {width}×{height}{turned}"
             )));
         }
-        Ok(MaskInput { args: self, mask, size: first.map(|(_, size)| size), image, notes })
+        let size = first.map(|(_, size)| size);
+        Ok(MaskInput { args: self, mask, occluders, size, image, notes })
     }
 
     /// Description of reading the mask, for errors.
@@ -157,7 +168,7 @@ impl MaskInput<'_> {
             }
             (None, None) => None,
         };
-        let of_mask = mask.as_ref().map(|mask| [mask.width(), mask.height()]);
+        let of_mask = mask.as_ref().map(Mask::size);
         let Some(size) = size.or(of_mask) else {
             return Err(Error::message(
                 "the size of the image is unknown: give the photograph by --image, a mask, or \
@@ -171,13 +182,14 @@ impl MaskInput<'_> {
                  same size"
             )));
         }
-        Ok(PersonMask { mask, size, image: self.image })
+        Ok(PersonMask { mask, occluders: self.occluders, size, image: self.image })
     }
 }
 
-/// Silhouette of a person, size of the image, and photograph.
+/// Silhouette of a person, what hides it, size of the image, and photograph.
 pub(crate) struct PersonMask {
     pub(crate) mask: Option<Mask>,
+    pub(crate) occluders: Option<Mask>,
     pub(crate) size: [u32; 2],
     pub(crate) image: Option<Image>,
 }

@@ -84,16 +84,13 @@ pub(super) fn run(args: &FitArgs, global: &GlobalArgs, console: Console) -> Resu
     for [name, reason] in &left_out {
         console.note(&format!("{name}: left out: {reason}"));
     }
-    let images: Vec<Option<ImageObservation<'_>>> = inputs
-        .iter()
-        .map(|input| {
-            let FitInput { camera, keypoints, mask, .. } = input.as_ref().ok()?;
-            Some(ImageObservation { camera, keypoints, mask })
-        })
-        .collect();
+    let images: Vec<Option<ImageObservation<'_>>> =
+        inputs.iter().map(|input| input.as_ref().ok().map(FitInput::observation)).collect();
+    let silhouettes = images.iter().flatten().any(|image| image.mask.is_some());
     let fit = console.while_showing("fit", "%", |progress| {
         let config = SequenceConfig { clothed: &fitter.config.clothed, temporal };
-        fitter.smplify.fit_sequence(&fitter.bodies, &images, config, &workers, &mut |share| {
+        let bodies = fitter.distinct(silhouettes);
+        fitter.smplify.fit_sequence(bodies, &images, config, &workers, &mut |share| {
             progress((100.0 * share).round() as usize, 100);
         })
     })?;
@@ -185,9 +182,10 @@ impl VideoReport<'_> {
                 Some(colours),
                 &observed.camera,
             )?;
-            let overlap = 100.0 * frame.intersection_over_union;
+            let overlap = frame.intersection_over_union;
+            let overlap = overlap.map_or_else(String::new, |iou| format!(" {:.0} %", 100.0 * iou));
             let image = folder::thumbnail(&picture, &observed)?;
-            tiles.push(Tile { image, label: format!("{} {overlap:.0} %", item.name) });
+            tiles.push(Tile { image, label: item.name.clone() + &overlap });
         }
         folder::sheet(&tiles)
     }

@@ -101,6 +101,11 @@ impl Mask {
         self.height
     }
 
+    /// Width and height, pixels.
+    pub fn size(&self) -> [u32; 2] {
+        [self.width, self.height]
+    }
+
     /// Flags of the covered pixels, row by row, `[height · width]`.
     pub fn covered(&self) -> &[bool] {
         &self.covered
@@ -140,19 +145,27 @@ impl Mask {
     }
 
     /// Checks that the mask can be of the person of the keypoints: at least half of the detected
-    /// joints are on it.
+    /// joints are in the image, and of those that `occluders` do not hide at least half are on it.
     ///
     /// # Errors
     /// If it is of another size, image or person, or inverted.
-    pub fn check_keypoints(&self, keypoints: &Keypoints) -> Result<()> {
-        self.expect_joints(&keypoints.detections(0.0))
+    pub fn check_keypoints(&self, keypoints: &Keypoints, occluders: Option<&Self>) -> Result<()> {
+        self.expect_joints(&keypoints.detections(0.0), occluders)
     }
 
-    /// An error if less than half of the detected joints are on the mask: it is of another size,
-    /// image or person.
-    pub(crate) fn expect_joints(&self, detections: &[KeypointDetection]) -> Result<()> {
-        let (count, found) = (detections.len(), self.joints_on(detections));
-        if 2 * found >= count {
+    /// [`check_keypoints`](Self::check_keypoints) of detected joints.
+    pub(crate) fn expect_joints(
+        &self,
+        detections: &[KeypointDetection],
+        occluders: Option<&Self>,
+    ) -> Result<()> {
+        let visible = |s: &&KeypointDetection| occluders.and_then(|o| o.at(s)) != Some(true);
+        let detections: Vec<KeypointDetection> =
+            detections.iter().filter(visible).copied().collect();
+        let in_image: Vec<KeypointDetection> =
+            detections.iter().filter(|s| self.at(s).is_some()).copied().collect();
+        let (count, found) = (in_image.len(), self.joints_on(&in_image));
+        if 2 * count >= detections.len() && 2 * found >= count {
             return Ok(());
         }
         let reach = |of: fn(&KeypointDetection) -> f64| {
@@ -169,15 +182,22 @@ impl Mask {
         }
         let covered = self.covered.iter().map(|covered| !covered).collect();
         let inverse = Self { covered, ..*self };
-        let reason =
-            if 2 * self.area() > self.covered.len() && inverse.joints_on(detections) > found {
-                "it seems to be inverted, with the person dark"
-            } else {
-                "it is of another size, another image or another person than the keypoints"
-            };
+        let reason = if 2 * self.area() > self.covered.len() && inverse.joints_on(&in_image) > found
+        {
+            "it seems to be inverted, with the person dark"
+        } else {
+            "it is of another size, another image or another person than the keypoints"
+        };
         Err(Error::Observation(format!(
             "{found} of {count} joints are on the mask, expected at least half: {reason}"
         )))
+    }
+
+    /// Flag of the pixel that a detection is in; `None` outside the image.
+    fn at(&self, detection: &KeypointDetection) -> Option<bool> {
+        let index = |at: f64, side: u32| (at >= 0.0 && at < f64::from(side)).then_some(at as usize);
+        let (x, y) = (index(detection.at.x, self.width)?, index(detection.at.y, self.height)?);
+        Some(self.covered[y * self.width as usize + x])
     }
 
     /// Number of detections on the mask or beside it.
@@ -219,17 +239,44 @@ impl Mask {
         Self { width, height, covered }
     }
 
+    /// Pixels of this mask or the other, of the same size.
+    ///
+    /// # Errors
+    /// If the sizes differ.
+    pub fn union(&self, other: &Self) -> Result<Self> {
+        self.combine(other, |a, b| a || b)
+    }
+
+    /// Pixels of this mask that are not of the other, of the same size.
+    ///
+    /// # Errors
+    /// If the sizes differ.
+    pub fn without(&self, other: &Self) -> Result<Self> {
+        self.combine(other, |a, b| a && !b)
+    }
+
+    fn combine(&self, other: &Self, of: fn(bool, bool) -> bool) -> Result<Self> {
+        self.same_size(other)?;
+        let pairs = self.covered.iter().zip(&other.covered);
+        Ok(Self { covered: pairs.map(|(&a, &b)| of(a, b)).collect(), ..*self })
+    }
+
+    fn same_size(&self, other: &Self) -> Result<()> {
+        if (self.width, self.height) == (other.width, other.height) {
+            return Ok(());
+        }
+        Err(Error::argument(format!(
+            "masks: {}×{} and {}×{} pixels, expected the same size",
+            self.width, self.height, other.width, other.height
+        )))
+    }
+
     /// Intersection over union of two masks, 0 to 1; 1 if both are empty.
     ///
     /// # Errors
     /// If the sizes differ.
     pub fn intersection_over_union(&self, other: &Self) -> Result<f64> {
-        if (self.width, self.height) != (other.width, other.height) {
-            return Err(Error::argument(format!(
-                "masks: {}×{} and {}×{} pixels, expected the same size",
-                self.width, self.height, other.width, other.height
-            )));
-        }
+        self.same_size(other)?;
         let pairs = || self.covered.iter().zip(&other.covered);
         let both = pairs().filter(|&(&a, &b)| a && b).count();
         let either = pairs().filter(|&(&a, &b)| a || b).count();
@@ -292,6 +339,9 @@ mod tests {
         let other = Mask::new(2, 1, vec![true, true]).unwrap();
         assert_eq!(shifted.intersection_over_union(&other).unwrap(), 0.5);
         assert!(shifted.intersection_over_union(&mask).is_err());
+        assert_eq!(other.without(&shifted).unwrap().covered(), [false, true]);
+        assert_eq!(other.without(&shifted).unwrap().union(&shifted).unwrap(), other);
+        assert!(shifted.union(&mask).is_err());
     }
 
     #[test]
@@ -301,12 +351,19 @@ mod tests {
             let at = |&(x, y): &(f64, f64)| Keypoint { x, y, confidence: 1.0 };
             places.iter().map(|p| KeypointDetection { joint: 0, at: at(p) }).collect()
         };
-        assert!(mask.expect_joints(&joints(&[(50.0, 50.0), (50.0, 84.0), (2.0, 2.0)])).is_ok());
+        assert!(
+            mask.expect_joints(&joints(&[(50.0, 50.0), (50.0, 84.0), (2.0, 2.0)]), None).is_ok()
+        );
         let elsewhere = joints(&[(50.0, 50.0), (98.0, 97.0), (2.0, 2.0)]);
-        let message = mask.expect_joints(&elsewhere).unwrap_err().to_string();
+        let message = mask.expect_joints(&elsewhere, None).unwrap_err().to_string();
         assert!(message.contains("1 of 3 joints"), "{message}");
+        // Joints that are hidden, or outside the image of a person cut off, count neither way.
+        let corner = Mask::new(100, 100, (0..10000).map(|at| at % 100 < 5).collect()).unwrap();
+        let hidden = joints(&[(50.0, 50.0), (2.0, 9.0), (2.0, 2.0), (50.0, 104.0)]);
+        assert!(mask.expect_joints(&hidden, Some(&corner)).is_ok());
+        assert!(mask.expect_joints(&hidden, None).is_err());
         let larger = joints(&[(50.0, 50.0), (250.0, 184.0), (200.0, 2.0)]);
-        let message = mask.expect_joints(&larger).unwrap_err().to_string();
+        let message = mask.expect_joints(&larger, None).unwrap_err().to_string();
         assert!(message.contains("(250, 184), beyond the 100×100"), "{message}");
     }
 

@@ -25,7 +25,7 @@ impl Mask {
     /// If it is neither, runs do not fill the image, or the size of the image is unknown.
     pub fn from_segmentation(segmentation: &Value, size: Option<[u32; 2]>) -> Result<Self> {
         match segmentation {
-            Value::Object(_) => run_lengths(segmentation),
+            Value::Object(_) => run_lengths(segmentation, size),
             Value::Array(polygons) => match size {
                 Some(size) => fill_polygons(polygons, size),
                 None => refuse(
@@ -44,7 +44,7 @@ pub(super) fn is_run_lengths(value: &Value) -> bool {
     value.get("counts").is_some() && value.get("size").is_some()
 }
 
-fn run_lengths(value: &Value) -> Result<Mask> {
+fn run_lengths(value: &Value, expected: Option<[u32; 2]>) -> Result<Mask> {
     let side = |at: usize| {
         let side = value.get("size")?.get(at)?.as_u64()?;
         u32::try_from(side).ok().filter(|side| (1..=MAX_SIDE).contains(side))
@@ -54,6 +54,11 @@ fn run_lengths(value: &Value) -> Result<Mask> {
             "segmentation: `size`, expected height and width of 1 to {MAX_SIDE}"
         ));
     };
+    if let Some([w, h]) = expected.filter(|expected| *expected != [width, height]) {
+        return refuse(format!(
+            "segmentation: of an image of {width}×{height} pixels, expected {w}×{h}"
+        ));
+    }
     let counts = match value.get("counts") {
         Some(Value::String(text)) => decompress(text),
         Some(Value::Array(list)) => list.iter().map(Value::as_u64).collect(),
@@ -137,26 +142,23 @@ fn fill_polygons(polygons: &[Value], [width, height]: [u32; 2]) -> Result<Mask> 
 
 /// Covers the pixels whose centre is inside of a polygon, by the even-odd rule.
 fn fill(corners: &[[f64; 2]], covered: &mut [bool], width: usize) {
-    let height = covered.len() / width;
-    let mut crossings: Vec<Vec<f64>> = vec![Vec::new(); height];
-    for (at, &[ax, ay]) in corners.iter().enumerate() {
-        let [bx, by] = corners[(at + 1) % corners.len()];
-        let (low, high) = (ay.min(by), ay.max(by));
-        // Rows whose centre is in [low, high); clamped by the casts.
-        let from = (low - 0.5).ceil().max(0.0) as usize;
-        let to = ((high - 0.5).ceil().max(0.0) as usize).min(height);
-        for (row, line) in crossings.iter_mut().enumerate().take(to).skip(from) {
-            let y = row as f64 + 0.5;
-            line.push(ax + (bx - ax) * (y - ay) / (by - ay));
+    let mut crossings: Vec<f64> = Vec::new();
+    for (row, line) in covered.chunks_exact_mut(width).enumerate() {
+        let y = row as f64 + 0.5;
+        crossings.clear();
+        for (at, &[ax, ay]) in corners.iter().enumerate() {
+            let [bx, by] = corners[(at + 1) % corners.len()];
+            if (ay <= y) != (by <= y) {
+                crossings.push(ax + (bx - ax) * (y - ay) / (by - ay));
+            }
         }
-    }
-    for (row, line) in crossings.iter_mut().enumerate() {
-        line.sort_by(f64::total_cmp);
-        for &[start, end] in line.as_chunks::<2>().0 {
+        crossings.sort_by(f64::total_cmp);
+        for &[start, end] in crossings.as_chunks::<2>().0 {
+            // The casts clamp.
             let from = ((start - 0.5).ceil().max(0.0) as usize).min(width);
             let to = ((end - 0.5).ceil().max(0.0) as usize).min(width);
             if from < to {
-                covered[row * width + from..row * width + to].fill(true);
+                line[from..to].fill(true);
             }
         }
     }
@@ -270,7 +272,8 @@ mod tests {
             (json!({ "size": [4, 4], "counts": "ooo" }), "counts"),
             (json!({ "size": [4, 4], "counts": [1, -1, 16] }), "counts"),
             (json!({ "size": [4, 4], "counts": [u64::MAX, u64::MAX] }), "expected 4×4"),
-            (json!({ "size": [1 << 40, 4], "counts": [] }), "size"),
+            (json!({ "size": [1u64 << 40, 4], "counts": [] }), "size"),
+            (json!({ "size": [8, 4], "counts": [32] }), "4×8 pixels, expected 4×4"),
             (json!([[1.0, 2.0, 3.0]]), "segmentation[0]"),
             (json!([[1.0, "x"]]), "segmentation[0]"),
             (json!(7), "polygons or run lengths"),

@@ -16,7 +16,10 @@ use serde_json::json;
 
 pub(super) use items::{ImageItem, ImageSources};
 
-use super::image::{FitArgs, FitInput, ImageFitter, fit_workers};
+use super::{
+    drawing,
+    image::{FitArgs, FitInput, ImageFitter, fit_workers},
+};
 use crate::{
     console::{Console, seconds},
     error::{Error, Result},
@@ -201,7 +204,7 @@ fn fit_item(
                 reason: problem.map(ToString::to_string),
                 directory: Some(item.name.clone()),
                 outfit: Some(report.clothed.outfit),
-                intersection_over_union: Some(report.clothed.intersection_over_union),
+                intersection_over_union: report.clothed.intersection_over_union,
                 joint_error: Some(report.clothed.joint_error),
                 seconds: report.seconds,
                 notes: observed.notes,
@@ -214,9 +217,9 @@ fn fit_item(
 
 /// The person in a picture, small.
 pub(super) fn thumbnail(picture: &Image, observed: &FitInput) -> Result<Image> {
-    let person = super::drawing::person_box(std::slice::from_ref(&observed.mask));
-    let part = match person {
-        Some(person) => super::drawing::cut(picture, person)?,
+    let mask = observed.mask.as_ref().map(std::slice::from_ref).unwrap_or_default();
+    let part = match drawing::person_box(mask) {
+        Some(person) => drawing::cut(picture, person)?,
         None => picture.clone(),
     };
     Ok(part.reduced(THUMBNAIL)?)
@@ -260,6 +263,7 @@ impl ImageFit {
     fn tile(&self, picture: &Path) -> Result<Tile> {
         let quality = match (self.status, self.intersection_over_union) {
             (Status::Reliable, Some(overlap)) => format!(" {:.0} %", 100.0 * overlap),
+            (Status::Reliable, None) => String::new(),
             _ => " unreliable".into(),
         };
         Ok(Tile { image: Image::load(picture)?, label: self.image.clone() + &quality })
