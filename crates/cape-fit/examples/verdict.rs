@@ -39,7 +39,7 @@ type Result<T, E = Box<dyn Error>> = std::result::Result<T, E>;
 fn dressed(body: &SmplModel) -> Result<DressedBody> {
     let config = RunConfig {
         model: CapeConfig {
-            filters: vec![16, 16, 16],
+            filters: vec![32, 32, 32],
             factors: vec![2, 2, 2],
             latent: 6,
             reduce: 8,
