@@ -53,8 +53,12 @@ pub struct ClothedConfig {
     /// Intersection over union below which a second fit starts from the body with the trunk
     /// mirrored in depth, which keypoints alone hardly distinguish.
     pub doubtful: f64,
-    /// Least intersection over union of a reliable fit.
-    pub accepted: f64,
+    /// Least share of the rendered silhouette on the mask of a reliable fit: what lies beside the mask
+    /// contradicts the image.
+    pub inside: f64,
+    /// Least share of the mask that the rendered silhouette covers of a reliable fit. Hair, shoes and
+    /// what a person carries are in masks, but not in any silhouette of SMPL.
+    pub explained: f64,
 }
 
 impl Default for ClothedConfig {
@@ -70,12 +74,22 @@ impl Default for ClothedConfig {
                 SilhouetteLevel { side: 512, rounds: 2, steps: 10 },
             ],
             doubtful: 0.91,
-            accepted: 0.85,
+            inside: 0.75,
+            explained: 0.5,
         }
     }
 }
 
 impl ClothedConfig {
+    /// Problem of a fit with these shares of the silhouettes, if one is too small.
+    fn problem(&self, inside: f64, explained: f64) -> Option<FitProblem> {
+        if inside < self.inside {
+            return Some(FitProblem::BesideMask { share: inside, limit: self.inside });
+        }
+        let limit = self.explained;
+        (explained < limit).then_some(FitProblem::Unexplained { share: explained, limit })
+    }
+
     pub(crate) fn check(&self) -> Result<()> {
         self.body.check()?;
         check_weight("silhouette", self.silhouette)?;
@@ -133,6 +147,12 @@ pub struct ClothedFit {
     /// Intersection over union of the rendered silhouette and the mask at full size, 0 to 1, over
     /// the pixels that are not of occluders; `None` without a mask.
     pub intersection_over_union: Option<f64>,
+    /// Share of the rendered silhouette on the mask, 0 to 1, over the same pixels.
+    #[serde(default)]
+    pub inside: Option<f64>,
+    /// Share of the mask that the rendered silhouette covers, 0 to 1, over the same pixels.
+    #[serde(default)]
+    pub explained: Option<f64>,
     /// Mean distance of the projected joints from their detections, pixels.
     pub joint_error: f64,
     /// Number of evaluations of the clothed body.
@@ -308,6 +328,8 @@ impl Smplify {
             terms: ClothedTerms { body, ..ClothedTerms::default() },
             curves: vec![found.curve],
             intersection_over_union: None,
+            inside: None,
+            explained: None,
             joint_error,
             evaluations: found.evaluations,
             problem: self.problem(joint_error * energy.pixel),
@@ -363,27 +385,28 @@ impl Smplify {
             }
         };
         let rendering = render(surface.vertices(), dressed.faces(), camera)?;
-        let intersection_over_union = match occluders {
-            Some(occluders) => {
-                let rendered = rendering.mask().without(occluders)?;
-                rendered.intersection_over_union(&mask.without(occluders)?)?
-            }
-            None => rendering.mask().intersection_over_union(mask)?,
+        let (rendered, visible) = match occluders {
+            Some(occluders) => (&rendering.mask().without(occluders)?, &mask.without(occluders)?),
+            None => (rendering.mask(), mask),
         };
+        let outside = rendered.without(visible)?.area();
+        let both = (rendered.area() - outside) as f64;
+        // A body that is wholly hidden contradicts nothing.
+        let share = |of: &Mask| if of.area() == 0 { 1.0 } else { both / of.area() as f64 };
+        let (inside, explained) = (share(rendered), share(visible));
         let joint_error = self.energy(camera, &detections, pixel).joint_error(&x, betas)?;
         Ok(ClothedFit {
-            problem: self.problem(joint_error * pixel).or_else(|| {
-                (intersection_over_union < config.accepted).then_some(FitProblem::Silhouette {
-                    intersection_over_union,
-                    limit: config.accepted,
-                })
-            }),
+            problem: self
+                .problem(joint_error * pixel)
+                .or_else(|| config.problem(inside, explained)),
             parameters,
             code,
             outfit: dressed.outfit(),
             terms,
             curves,
-            intersection_over_union: Some(intersection_over_union),
+            intersection_over_union: Some(rendered.intersection_over_union(visible)?),
+            inside: Some(inside),
+            explained: Some(explained),
             joint_error,
             evaluations,
         })
