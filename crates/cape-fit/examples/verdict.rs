@@ -39,7 +39,7 @@ type Result<T, E = Box<dyn Error>> = std::result::Result<T, E>;
 fn dressed(body: &SmplModel) -> Result<DressedBody> {
     let config = RunConfig {
         model: CapeConfig {
-            filters: vec![16, 16, 16],
+            filters: vec![32, 32, 32],
             factors: vec![2, 2, 2],
             latent: 6,
             reduce: 8,
@@ -117,7 +117,9 @@ impl Study {
                 let along = (j[foot] - j[ankle]).normalize_or_zero();
                 drawing.capsule(j[ankle], j[foot] + along * m(0.1), m(0.075));
             }
-            [22, 23].into_iter().for_each(|hand| drawing.capsule(j[hand], j[hand], m(0.1)));
+            for hand in [22, 23] {
+                drawing.capsule(j[hand], j[hand], m(0.1));
+            }
         }
         if all || what == "racket" {
             let along = (j[22] - j[18]).normalize_or_zero();
@@ -143,24 +145,6 @@ impl Study {
             (0..4).for_each(|_| drawing.tear(0.35, rng));
         }
         Ok(Mask::new(SIDE, SIDE, drawing.covered)?)
-    }
-
-    /// Keypoints in a layout, with noise; points that are no joint of SMPL are at the head.
-    fn keypoints(
-        &self,
-        joints: &[DVec2],
-        layout: KeypointLayout,
-        rng: &mut ChaCha8Rng,
-    ) -> Result<Keypoints> {
-        let noise = |rng: &mut ChaCha8Rng| 1.5 * rng.sample::<f64, _>(StandardNormal);
-        let mut points = vec![joints[15]; layout.points()];
-        layout.joints().iter().for_each(|&(point, joint)| points[point] = joints[joint]);
-        let point = |at: DVec2, rng: &mut ChaCha8Rng| Keypoint {
-            x: at.x + noise(rng),
-            y: at.y + noise(rng),
-            confidence: 0.9,
-        };
-        Ok(Keypoints::new(layout, points.into_iter().map(|at| point(at, rng)).collect())?)
     }
 
     /// Prints the result of one fit.
@@ -200,6 +184,23 @@ impl Study {
         );
         Ok(())
     }
+}
+
+/// Keypoints in a layout, with noise; points that are no joint of SMPL are at the head.
+fn keypoints_of(
+    joints: &[DVec2],
+    layout: KeypointLayout,
+    rng: &mut ChaCha8Rng,
+) -> Result<Keypoints> {
+    let noise = |rng: &mut ChaCha8Rng| 1.5 * rng.sample::<f64, _>(StandardNormal);
+    let mut points = vec![joints[15]; layout.points()];
+    layout.joints().iter().for_each(|&(point, joint)| points[point] = joints[joint]);
+    let point = |at: DVec2, rng: &mut ChaCha8Rng| Keypoint {
+        x: at.x + noise(rng),
+        y: at.y + noise(rng),
+        confidence: 0.9,
+    };
+    Ok(Keypoints::new(layout, points.into_iter().map(|at| point(at, rng)).collect())?)
 }
 
 /// Flags of an image to draw on.
@@ -265,7 +266,7 @@ fn main() -> Result<()> {
         let person = study.person(&mut rng)?;
         let other = study.person(&mut rng)?;
         let layout = KeypointLayout::Body25;
-        let keypoints = study.keypoints(&person.joints, layout, &mut rng)?;
+        let keypoints = keypoints_of(&person.joints, layout, &mut rng)?;
         for case in ADDITIONS {
             let mask = study.add(&person, case, &mut rng)?;
             study.fit((name, case, false), &keypoints, &mask, &person.vertices)?;
@@ -275,16 +276,14 @@ fn main() -> Result<()> {
             let own = study.add(&person, "hair and shoes", &mut rng)?;
             let (given, mask) = match case {
                 "other layout" => {
-                    let coco = study.keypoints(&person.joints, KeypointLayout::Coco17, &mut rng)?;
+                    let coco = keypoints_of(&person.joints, KeypointLayout::Coco17, &mut rng)?;
                     (Keypoints::new(KeypointLayout::H36m17, coco.points().to_vec())?, own)
                 }
-                "sides swapped" => {
-                    (study.keypoints(&swapped(&person.joints), layout, &mut rng)?, own)
-                }
+                "sides swapped" => (keypoints_of(&swapped(&person.joints), layout, &mut rng)?, own),
                 "mirrored" => {
                     let flip = |at: &DVec2| DVec2::new(f64::from(SIDE) - at.x, at.y);
                     let joints: Vec<DVec2> = person.joints.iter().map(flip).collect();
-                    (study.keypoints(&joints, layout, &mut rng)?, own)
+                    (keypoints_of(&joints, layout, &mut rng)?, own)
                 }
                 "other person" => {
                     (keypoints.clone(), study.add(&other, "hair and shoes", &mut rng)?)

@@ -50,11 +50,15 @@ pub struct ClothedConfig {
     pub body: BodyWeights,
     /// Silhouette levels, coarse to fine.
     pub levels: Vec<SilhouetteLevel>,
-    /// Intersection over union below which a second fit starts from the body with the trunk
-    /// mirrored in depth, which keypoints alone hardly distinguish.
+    /// Share of the rendered silhouette on the mask below which a second fit starts from the body
+    /// with the trunk mirrored in depth, which keypoints alone hardly distinguish.
     pub doubtful: f64,
-    /// Least intersection over union of a reliable fit.
-    pub accepted: f64,
+    /// Least share of the rendered silhouette on the mask of a reliable fit: what lies beside the mask
+    /// contradicts the image.
+    pub inside: f64,
+    /// Least share of the mask that the rendered silhouette covers of a reliable fit. Hair, shoes and
+    /// what a person carries are in masks, but not in any silhouette of SMPL.
+    pub explained: f64,
     /// Number of outfits that are fitted on all levels where several are compared: those of the
     /// lowest energy on the first level.
     pub finalists: usize,
@@ -72,14 +76,25 @@ impl Default for ClothedConfig {
                 SilhouetteLevel { side: 256, rounds: 2, steps: 10 },
                 SilhouetteLevel { side: 512, rounds: 2, steps: 10 },
             ],
-            doubtful: 0.91,
-            accepted: 0.85,
+            doubtful: 0.95,
+            inside: 0.75,
+            explained: 0.5,
             finalists: 2,
         }
     }
 }
 
 impl ClothedConfig {
+    /// Problem of a fit with these shares of the silhouettes, if one is too small.
+    pub(crate) fn problem(&self, overlap: &SilhouetteOverlap) -> Option<FitProblem> {
+        let &SilhouetteOverlap { inside, explained, .. } = overlap;
+        if inside < self.inside {
+            return Some(FitProblem::BesideMask { share: inside, limit: self.inside });
+        }
+        let limit = self.explained;
+        (explained < limit).then_some(FitProblem::Unexplained { share: explained, limit })
+    }
+
     pub(crate) fn check(&self) -> Result<()> {
         self.body.check()?;
         check_weight("silhouette", self.silhouette)?;
@@ -140,6 +155,12 @@ pub struct ClothedFit {
     /// Intersection over union of the rendered silhouette and the mask at full size, 0 to 1, over
     /// the pixels that are not of occluders; `None` without a mask.
     pub intersection_over_union: Option<f64>,
+    /// Share of the rendered silhouette on the mask, 0 to 1, over the same pixels.
+    #[serde(default)]
+    pub inside: Option<f64>,
+    /// Share of the mask that the rendered silhouette covers, 0 to 1, over the same pixels.
+    #[serde(default)]
+    pub explained: Option<f64>,
     /// Mean distance of the projected joints from their detections, pixels.
     pub joint_error: f64,
     /// Number of evaluations of the clothed body.
@@ -161,16 +182,33 @@ pub struct ImageObservation<'a> {
     pub occluders: Option<&'a Mask>,
 }
 
+/// Agreement of a rendered silhouette and a mask, where nothing hides the person.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct SilhouetteOverlap {
+    /// Intersection over union, 0 to 1.
+    pub(crate) intersection_over_union: f64,
+    /// Share of the rendered silhouette on the mask.
+    pub(crate) inside: f64,
+    /// Share of the mask that the rendered silhouette covers.
+    pub(crate) explained: f64,
+}
+
 impl ImageObservation<'_> {
-    /// Intersection over union of a rendered silhouette and the mask, 0 to 1, where nothing hides the
-    /// person.
-    pub(crate) fn overlap(&self, mask: &Mask, rendered: &Mask) -> Result<f64> {
-        match self.occluders {
-            Some(occluders) => {
-                rendered.without(occluders)?.intersection_over_union(&mask.without(occluders)?)
-            }
-            None => rendered.intersection_over_union(mask),
-        }
+    /// Agreement of a rendered silhouette and the mask.
+    pub(crate) fn overlap(&self, mask: &Mask, rendered: &Mask) -> Result<SilhouetteOverlap> {
+        let (rendered, visible) = match self.occluders {
+            Some(occluders) => (&rendered.without(occluders)?, &mask.without(occluders)?),
+            None => (rendered, mask),
+        };
+        let outside = rendered.without(visible)?.area();
+        let both = (rendered.area() - outside) as f64;
+        // A body that is wholly hidden contradicts nothing.
+        let share = |of: &Mask| if of.area() == 0 { 1.0 } else { both / of.area() as f64 };
+        Ok(SilhouetteOverlap {
+            intersection_over_union: rendered.intersection_over_union(visible)?,
+            inside: share(rendered),
+            explained: share(visible),
+        })
     }
 }
 
@@ -310,6 +348,8 @@ impl Smplify {
             terms: ClothedTerms { body, ..ClothedTerms::default() },
             curves: vec![found.curve],
             intersection_over_union: None,
+            inside: None,
+            explained: None,
             joint_error,
             evaluations: found.evaluations,
             problem: self.problem(joint_error * energy.pixel),
@@ -436,7 +476,7 @@ impl<'a> ClothedFits<'a> {
     fn finish(&self, dressed: &DressedBody, begun: Descent) -> Result<ClothedFit> {
         let problem = self.problem(dressed);
         let fit = self.result(dressed, problem.descend(begun, 1, &self.silhouettes[1..])?)?;
-        if fit.intersection_over_union.is_none_or(|overlap| overlap >= self.config.doubtful) {
+        if fit.inside.is_none_or(|inside| inside >= self.config.doubtful) {
             return Ok(fit);
         }
         let evaluations = fit.evaluations;
@@ -471,22 +511,23 @@ impl<'a> ClothedFits<'a> {
         };
         let camera = self.image.camera;
         let rendering = render(surface.vertices(), dressed.faces(), camera)?;
-        let intersection_over_union = self.image.overlap(self.mask, rendering.mask())?;
+        let overlap = self.image.overlap(self.mask, rendering.mask())?;
         let pixel = problem.pixel;
         let energy = self.smplify.energy(camera, &self.detections, pixel);
         let joint_error = energy.joint_error(&x, betas)?;
-        let limit = self.config.accepted;
         Ok(ClothedFit {
-            problem: self.smplify.problem(joint_error * pixel).or_else(|| {
-                (intersection_over_union < limit)
-                    .then_some(FitProblem::Silhouette { intersection_over_union, limit })
-            }),
+            problem: self
+                .smplify
+                .problem(joint_error * pixel)
+                .or_else(|| self.config.problem(&overlap)),
             parameters,
             code,
             outfit: dressed.outfit(),
             terms,
             curves,
-            intersection_over_union: Some(intersection_over_union),
+            intersection_over_union: Some(rendered.intersection_over_union(visible)?),
+            inside: Some(inside),
+            explained: Some(explained),
             joint_error,
             evaluations,
         })

@@ -253,8 +253,10 @@ fn png(bytes: &[u8]) -> Result<ImageFile, String> {
         return Err("the palette is missing".into());
     }
     let palette = palette.filter(|_| indexed);
-    let transparent = trns.filter(|_| !indexed).map(|t| {
-        t.as_chunks::<2>().0.iter().map(|&pair| u16::from_be_bytes(pair)).collect::<Vec<_>>()
+    // Below 16 bits the decoder keeps one byte of each sample.
+    let transparent = trns.filter(|_| !indexed).map(|t| match depth {
+        16 => t.as_chunks::<2>().0.iter().map(|&pair| u16::from_be_bytes(pair)).collect(),
+        _ => t.iter().take(channels).map(|&sample| u16::from(sample)).collect::<Vec<_>>(),
     });
     let exif = info.exif_metadata.as_deref().map(<[u8]>::to_vec);
     let size = reader.output_buffer_size().ok_or("larger than memory")?;

@@ -84,7 +84,8 @@ steps = 20
 
 [clothed]
 levels = [{ side = 64, rounds = 1, steps = 3 }]
-accepted = 0.0
+inside = 0.0
+explained = 0.0
 ";
 
 fn without_times(results: &[u8]) -> Value {
@@ -118,7 +119,7 @@ pub(crate) fn person(data: &Packed, run: &str) {
 fn a_person_is_fitted_to_an_image() {
     let (data, run) = (Packed::new(), trained().at("run").display().to_string());
     person(&data, &run);
-    fs::write(data.at("few.toml"), CONFIG.replace("accepted = 0.0", "accepted = 0.3")).unwrap();
+    fs::write(data.at("few.toml"), CONFIG.replace("explained = 0.0", "explained = 0.3")).unwrap();
     let fit = |rest: &str| data.run(&format!("fit image {run} {SEEN} --config @/few.toml {rest}"));
     let report = fit("--image @/seen/best/image.png --out @/fit --json").json();
     assert_eq!(report["outfits"].as_array().unwrap().len(), 4);
@@ -140,8 +141,9 @@ fn a_person_is_fitted_to_an_image() {
     assert!(ran.err.contains("has a lower energy"), "{}", ran.err);
 
     // A fit that is unreliable is written, and is an error.
-    fs::write(data.at("few.toml"), CONFIG.replace("accepted = 0.0", "accepted = 0.999")).unwrap();
-    fit("--outfit longlong --out @/failed").failed_saying(&["is unreliable", "0.999"]);
+    fs::write(data.at("few.toml"), CONFIG.replace("inside = 0.0", "inside = 1.1")).unwrap();
+    fit("--outfit longlong --out @/failed")
+        .failed_saying(&["is unreliable", "expected at least 110 %"]);
     assert!(data.at("failed/fit.json").exists());
 }
 

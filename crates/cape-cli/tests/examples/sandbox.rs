@@ -46,7 +46,8 @@ steps = 10
 
 [clothed]
 levels = [{ side = 64, rounds = 1, steps = 2 }]
-accepted = 0.0
+inside = 0.0
+explained = 0.0
 ";
 
 /// A directory with all that the examples read.

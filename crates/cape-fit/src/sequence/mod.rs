@@ -422,7 +422,7 @@ impl SequenceProblem<'_> {
             *frame = SequenceFrame {
                 observed: true,
                 joint_error,
-                intersection_over_union: overlap,
+                intersection_over_union: overlap.map(|overlap| overlap.intersection_over_union),
                 problem: self.smplify.problem(joint_error * seen.pixel).or(silhouette),
                 body: frame.body.clone(),
             };

@@ -117,22 +117,19 @@ impl SilhouetteEnergy {
         mask.check(camera)?;
         let small = camera.downscaled_to(side);
         let resize = |mask: &Mask| mask.resize(small.width(), small.height());
-        let (target, free) = match occluders {
-            Some(occluders) => {
-                let free = resize(&mask.union(occluders)?);
-                let target = resize(&mask.without(occluders)?);
-                if target.area() == 0 {
-                    return Err(Error::Observation(
-                        "the occluders hide the whole person: nothing of the mask is left".into(),
-                    ));
-                }
-                (target, free)
+        let (target, free) = if let Some(occluders) = occluders {
+            let free = resize(&mask.union(occluders)?);
+            let target = resize(&mask.without(occluders)?);
+            if target.area() == 0 {
+                return Err(Error::Observation(
+                    "the occluders hide the whole person: nothing of the mask is left".into(),
+                ));
             }
-            None => {
-                let target = resize(mask);
-                target.check(&small)?;
-                (target.clone(), target)
-            }
+            (target, free)
+        } else {
+            let target = resize(mask);
+            target.check(&small)?;
+            (target.clone(), target)
         };
         let pixel = pixel * camera.focal() / small.focal();
         let scale = pixel / target.area() as f64;

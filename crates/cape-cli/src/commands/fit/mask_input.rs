@@ -6,7 +6,7 @@ use std::{
 };
 
 use cape_fit::{
-    KeypointOptions, Keypoints, Mask, People,
+    KeypointOptions, Keypoints, Mask, People, PinholeCamera,
     silhouette::{MaskLabel, is_annotation, read_annotated_mask},
 };
 use cape_render::{Image, ImageFile};
@@ -100,7 +100,12 @@ impl MaskArgs {
             None => None,
         };
         let mask = match &self.mask {
-            Some(path) if !is_annotation(path) => Some(Mask::load_labels(path, &self.labels)?),
+            Some(path) if !is_annotation(path) => {
+                let mask = Mask::load_labels(path, &self.labels)?;
+                let camera = PinholeCamera::new(mask.width(), mask.height(), None)?;
+                mask.check(&camera).doing(|| self.reading())?;
+                Some(mask)
+            }
             _ => None,
         };
         let occluders = match &self.occluders {

@@ -144,8 +144,9 @@ impl Mask {
         }
     }
 
-    /// Checks that the mask can be of the person of the keypoints: at least half of the detected
-    /// joints are in the image, and of those that `occluders` do not hide at least half are on it.
+    /// Checks that the mask can be of the person of the keypoints: of the detected
+    /// joints that `occluders` do not hide at least a quarter are in the image, and of these at least
+    /// half are on it.
     ///
     /// # Errors
     /// If it is of another size, image or person, or inverted.
@@ -165,7 +166,7 @@ impl Mask {
         let in_image: Vec<KeypointDetection> =
             detections.iter().filter(|s| self.at(s).is_some()).copied().collect();
         let (count, found) = (in_image.len(), self.joints_on(&in_image));
-        if 2 * count >= detections.len() && 2 * found >= count {
+        if 4 * count >= detections.len() && 2 * found >= count {
             return Ok(());
         }
         let reach = |of: fn(&KeypointDetection) -> f64| {
