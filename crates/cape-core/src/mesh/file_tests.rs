@@ -114,6 +114,23 @@ fn off_is_read_in_its_dialects() {
 }
 
 #[test]
+fn text_without_vertices_is_no_empty_mesh() {
+    let files = Files::new();
+    let text: String = "\u{feff}v 0 0 0\nv 1 0 0\n".into();
+    let wide: Vec<u8> = text.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    assert!(files.message("powershell.obj", wide).contains("UTF-16"));
+    let message = files.message("semicolons.obj", "# points\n\nv;0;0;0\nv;1;0;0\n");
+    assert!(
+        message.contains("line 3") && message.contains("expected lines `v x y z`"),
+        "{message}"
+    );
+    // Comments before the header of OFF, and nothing else in an OBJ.
+    let mesh = cube();
+    assert_eq!(files.read("a.off", off("# made by hand\n# twice\nOFF\n", &mesh, "")).mesh, mesh);
+    assert_eq!(files.read("empty.obj", "# no vertices\n").mesh.vertices.len(), 0);
+}
+
+#[test]
 fn the_content_decides_the_format() {
     let (files, cube) = (Files::new(), cube());
     let path = files.0.path().join("cube.ply");
