@@ -73,9 +73,15 @@ pub(super) fn explanation(root: &Entry) -> Option<String> {
 fn gather<'e>(name: &'e str, entry: &'e Entry, arrays: &mut Vec<(&'e str, &'e [usize])>) {
     match entry {
         Entry::Map(entries) => {
-            entries.iter().for_each(|(name, entry)| gather(name, entry, arrays));
+            for (name, entry) in entries {
+                gather(name, entry, arrays);
+            }
         }
-        Entry::List(entries) => entries.iter().for_each(|entry| gather(name, entry, arrays)),
+        Entry::List(entries) => {
+            for entry in entries {
+                gather(name, entry, arrays);
+            }
+        }
         Entry::Numbers(numbers) => arrays.push((name, &numbers.shape)),
         Entry::Text(_) | Entry::Other(_) => {}
     }
