@@ -525,9 +525,9 @@ impl<'a> ClothedFits<'a> {
             outfit: dressed.outfit(),
             terms,
             curves,
-            intersection_over_union: Some(rendered.intersection_over_union(visible)?),
-            inside: Some(inside),
-            explained: Some(explained),
+            intersection_over_union: Some(overlap.intersection_over_union),
+            inside: Some(overlap.inside),
+            explained: Some(overlap.explained),
             joint_error,
             evaluations,
         })

@@ -10,6 +10,7 @@ mod fitting;
 mod foreign_files;
 mod layer;
 mod masks;
+mod motions;
 mod priors;
 mod scanning;
 mod support;

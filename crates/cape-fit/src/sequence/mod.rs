@@ -413,11 +413,7 @@ impl SequenceProblem<'_> {
         );
         for (seen, found) in self.observed.iter().zip(seen) {
             let (joint_error, overlap) = found?;
-            let limit = self.config.accepted;
-            let silhouette =
-                overlap.filter(|overlap| *overlap < limit).map(|intersection_over_union| {
-                    FitProblem::Silhouette { intersection_over_union, limit }
-                });
+            let silhouette = overlap.as_ref().and_then(|overlap| self.config.problem(overlap));
             let frame = &mut frames[seen.frame];
             *frame = SequenceFrame {
                 observed: true,
