@@ -8,8 +8,8 @@ use cape_core::{Mesh, SmplModel};
 use cape_render::{Bounds, Camera, Object, Projection, Style, Tile, View, contact_sheet, render};
 
 fn tile(mesh: &Mesh, bounds: &Bounds, view: View, label: String) -> Result<Tile, Box<dyn Error>> {
-    let style = Style { width: 300, height: 420, ..Style::default() };
-    let camera = Camera::framing(bounds, view, Projection::Orthographic, 300.0 / 420.0);
+    let style = Style { width: 340, height: 360, ..Style::default() };
+    let camera = Camera::framing(bounds, view, Projection::Orthographic, 340.0 / 360.0);
     Ok(Tile { image: render(&[Object::new(mesh)], &camera, &style)?, label })
 }
 

@@ -14,6 +14,9 @@ use crate::{Error, Result, half::Triangle};
 
 /// Weight of the squared edge length beside the squared distance from planes.
 const LENGTH: f64 = 0.004;
+/// Factor on the cost of vertices of the midline: their quadrics lack the mirrored faces, and their
+/// collapse removes one vertex of the whole body, not two.
+const MIDLINE: f64 = 4.0;
 /// Smallest cosine between a face's normals before and after a collapse.
 const TURN: f64 = 0.4;
 /// Smallest shape of a face, 1 for an equilateral one, that a collapse may make.
@@ -192,7 +195,8 @@ impl<'a> Collapsing<'a> {
                 let sum = quadric.plus(self.quadrics[kept as usize]);
                 let length = self.at(removed).distance_squared(self.at(kept));
                 let cost = sum.at(self.at(kept)).max(0.0) + LENGTH * length * quadric.area;
-                let cost = cost * self.importance[removed as usize];
+                let profile = if self.midline[removed as usize] { MIDLINE } else { 1.0 };
+                let cost = cost * self.importance[removed as usize] * profile;
                 let stamps = self.stamps(removed, kept);
                 queue.push(Reverse(Candidate { cost, removed, kept, stamps }));
             }

@@ -19,4 +19,5 @@ mod make;
 
 pub use assets::Assets;
 pub use cape_core::{Error, Result};
-pub use make::{Gender, make_body};
+pub use cape_synth::Gender;
+pub use make::make_body;

@@ -1,13 +1,11 @@
 //! A body of MakeHuman's data.
 
-use std::{fmt, str::FromStr};
-
 use glam::DVec3;
 use ndarray::{Array2, ArrayView1};
 use rayon::prelude::*;
 
 use crate::{
-    Assets, Error, Result,
+    Assets, Gender, Result,
     assets::{BaseMesh, SKIN},
     cavity::Cavities,
     collapse::collapse,
@@ -26,49 +24,7 @@ const PHENOTYPES: usize = 800;
 /// Shape directions.
 const DIRECTIONS: usize = 10;
 /// Cost of removing a vertex of head, hand, foot and of the rest, relative to each other.
-const IMPORTANCE: [f64; 4] = [1.0, 1.0, 1.0, 30.0];
-
-/// Sex of the phenotypes that a body is made of.
-///
-/// ```
-/// use cape_body::Gender;
-///
-/// assert_eq!("neutral".parse::<Gender>()?, Gender::Neutral);
-/// assert_eq!(Gender::Female.to_string(), "female");
-/// # Ok::<(), cape_body::Error>(())
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Gender {
-    /// Men.
-    Male,
-    /// Women.
-    Female,
-    /// Men and women and all between them.
-    Neutral,
-}
-
-impl fmt::Display for Gender {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Male => "male",
-            Self::Female => "female",
-            Self::Neutral => "neutral",
-        })
-    }
-}
-
-impl FromStr for Gender {
-    type Err = Error;
-
-    fn from_str(text: &str) -> Result<Self> {
-        match text {
-            "male" => Ok(Self::Male),
-            "female" => Ok(Self::Female),
-            "neutral" => Ok(Self::Neutral),
-            _ => Err(Error::argument(format!("gender `{text}`: expected male, female or neutral"))),
-        }
-    }
-}
+const IMPORTANCE: [f64; 4] = [6.0, 1.0, 1.0, 30.0];
 
 /// Makes the body of a gender. The mesh and its blend weights are the same for all three. The same
 /// assets give the same body, for any number of threads.
@@ -95,13 +51,10 @@ pub fn make_body(assets: &mut Assets, gender: Gender) -> Result<HalfBody> {
         vectors.iter().copied().map(DVec3::from_array).collect()
     };
     let mut modes = vec![vectors(pca.mean.view(), 1.0)];
-    for (direction, (component, variance)) in
-        pca.components.rows().into_iter().zip(&pca.variances).enumerate()
-    {
-        let mode = vectors(component, variance.sqrt());
-        let sign = topology.sign(direction, &modes[0][..half], &mode[..half]);
-        modes.push(mode.into_iter().map(|d| d * sign).collect());
+    for (component, variance) in pca.components.rows().into_iter().zip(&pca.variances) {
+        modes.push(vectors(component, variance.sqrt()));
     }
+    topology.sort_directions(&mut modes);
 
     let whole: Vec<Vec<DVec3>> = modes.iter().map(|mode| topology.whole(&mode[..half])).collect();
     let regressor = (0..JOINTS)
@@ -282,22 +235,68 @@ impl Topology {
         half.iter().copied().chain(mirrored).collect()
     }
 
-    /// Sign of a direction: the first grows with stature, the others with volume.
-    fn sign(&self, direction: usize, mean: &[DVec3], mode: &[DVec3]) -> f64 {
-        let moved: Vec<DVec3> = mean.iter().zip(mode).map(|(p, d)| *p + *d).collect();
-        let measure = |points: &[DVec3]| -> f64 {
-            if direction == 0 {
-                let y = |p: &DVec3| p.y;
-                points.iter().map(y).fold(f64::MIN, f64::max)
-                    - points.iter().map(y).fold(f64::MAX, f64::min)
-            } else {
-                let triple = |f: &[u32; 3]| {
-                    let [a, b, c] = f.map(|v| points[v as usize]);
-                    a.dot(b.cross(c))
-                };
-                self.faces.iter().map(triple).sum()
-            }
+    /// Makes the first direction grow with stature, and turns the others, which stay uncorrelated and of
+    /// unit variance, so that the second alone changes the volume.
+    fn sort_directions(&self, modes: &mut [Vec<DVec3>]) {
+        let half = self.kept.len();
+        let gain = |modes: &[Vec<DVec3>], mode: usize, measure: &dyn Fn(&[DVec3]) -> f64| {
+            let moved = |sign: f64| -> Vec<DVec3> {
+                modes[0][..half].iter().zip(&modes[mode]).map(|(p, d)| *p + *d * sign).collect()
+            };
+            measure(&moved(0.5)) - measure(&moved(-0.5))
         };
-        if measure(&moved) < measure(mean) { -1.0 } else { 1.0 }
+        if gain(modes, 1, &stature) < 0.0 {
+            modes[1].iter_mut().for_each(|d| *d = -*d);
+        }
+        let gains: Vec<f64> =
+            (2..modes.len()).map(|mode| gain(modes, mode, &|points| self.volume(points))).collect();
+        let turned: Vec<Vec<DVec3>> = basis_from(&gains)
+            .iter()
+            .map(|row| {
+                (0..modes[0].len())
+                    .map(|at| row.iter().zip(&modes[2..]).map(|(x, mode)| mode[at] * *x).sum())
+                    .collect()
+            })
+            .collect();
+        modes[2..].clone_from_slice(&turned);
     }
+
+    /// Six times the signed volume of the half, metres³.
+    fn volume(&self, points: &[DVec3]) -> f64 {
+        let triple = |f: &[u32; 3]| {
+            let [a, b, c] = f.map(|v| points[v as usize]);
+            a.dot(b.cross(c))
+        };
+        self.faces.iter().map(triple).sum()
+    }
+}
+
+fn stature(points: &[DVec3]) -> f64 {
+    let (low, high) =
+        points.iter().fold((f64::MAX, f64::MIN), |(low, high), p| (low.min(p.y), high.max(p.y)));
+    high - low
+}
+
+/// Orthonormal basis whose first vector is along `first`, and whose others are nearest to the unit
+/// vectors, in their order.
+fn basis_from(first: &[f64]) -> Vec<Vec<f64>> {
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
+    let n = first.len();
+    let largest = (0..n).max_by(|&a, &b| first[a].abs().total_cmp(&first[b].abs())).unwrap_or(0);
+    let units = (0..n).filter(|&k| k != largest).map(|k| {
+        let mut unit = vec![0.0; n];
+        unit[k] = 1.0;
+        unit
+    });
+    let mut basis: Vec<Vec<f64>> = Vec::with_capacity(n);
+    for mut vector in std::iter::once(first.to_vec()).chain(units) {
+        for other in &basis {
+            let along = dot(&vector, other);
+            vector.iter_mut().zip(other).for_each(|(x, o)| *x -= along * o);
+        }
+        let length = dot(&vector, &vector).sqrt();
+        vector.iter_mut().for_each(|x| *x /= length);
+        basis.push(vector);
+    }
+    basis
 }

@@ -12,9 +12,9 @@ use crate::{Assets, Gender, Result, assets::Target};
 const LOCAL: usize = 9;
 /// Those targets, `-decr` and `-incr`, and their standard deviation.
 const LOCAL_TARGETS: [(&[&str], f64); LOCAL] = [
-    (&["legs/upperlegs-height", "legs/lowerlegs-height"], 0.25),
-    (&["arms/measure-upperarm-length", "arms/measure-lowerarm-length"], 0.30),
-    (&["torso/measure-shoulder-dist"], 0.40),
+    (&["legs/upperlegs-height", "legs/lowerlegs-height"], 0.12),
+    (&["arms/measure-upperarm-length", "arms/measure-lowerarm-length"], 0.15),
+    (&["torso/measure-shoulder-dist"], 0.25),
     (&["torso/torso-scale-horiz"], 0.25),
     (&["hip/hip-scale-horiz"], 0.35),
     (&["torso/torso-scale-depth"], 0.25),
@@ -40,8 +40,8 @@ pub(crate) struct Phenotype {
 }
 
 impl Phenotype {
-    /// Draws `count` adults. Stature and weight follow the spread among adults; all other parameters
-    /// are normal about MakeHuman's average.
+    /// Draws `count` adults. Stature and weight follow the spread among adults, weight a little beyond
+    /// MakeHuman's range; all other parameters are normal about MakeHuman's average.
     pub(crate) fn sample(gender: Gender, count: usize) -> Vec<Self> {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         (0..count)
@@ -66,7 +66,7 @@ impl Phenotype {
                     gender: sex,
                     age: 0.5 + normal(0.0, 0.2, -0.4, 0.4).abs(),
                     muscle: normal(0.55, 0.22, 0.0, 1.0),
-                    weight: normal(0.70, 0.25, 0.0, 1.0),
+                    weight: normal(0.70, 0.36, -0.1, 1.4),
                     height: 0.5 + stature * if stature < 0.0 { 0.090 } else { 0.0455 },
                     proportions: normal(0.55, 0.2, 0.0, 1.0),
                     cup: normal(0.5, 0.2, 0.0, 1.0),
@@ -135,7 +135,7 @@ impl Phenotype {
             let end = if value < 0.0 { "decr" } else { "incr" };
             terms.extend(names.iter().map(|name| (format!("{name}-{end}"), value.abs())));
         }
-        terms.retain(|term| term.1 > 0.0);
+        terms.retain(|term| term.1 != 0.0);
         terms
     }
 }

@@ -13,7 +13,7 @@ use clap_complete::Shell;
 use crate::commands::view;
 use crate::{
     commands::{
-        animate, data, demo, eval, fit, info, layer, model, redress, sample, table2, train, vary,
+        animate, body, data, demo, eval, fit, info, layer, model, redress, sample, table2, train, vary,
     },
     console::Console,
     error::{Error, Result},
@@ -59,6 +59,8 @@ pub(crate) enum Command {
     Layer(layer::LayerCommand),
     #[command(subcommand)]
     Model(model::ModelCommand),
+    #[command(subcommand)]
+    Body(body::BodyCommand),
     Info(info::InfoArgs),
     Completions(CompletionsArgs),
     Man(ManArgs),
@@ -111,6 +113,7 @@ impl Cli {
             Command::Fit(command) => return command.run(global, console),
             Command::Layer(command) => command.run(global, console)?,
             Command::Model(command) => command.run(global, console)?,
+            Command::Body(command) => command.run(console)?,
             Command::Info(command) => command.run(console)?,
             Command::Completions(command) => command.run()?,
             Command::Man(command) => command.run()?,

@@ -8,7 +8,7 @@ use std::{
 use burn::tensor::Device;
 use cape_core::{Outfit, SmplModel, parse_device};
 use cape_infer::Run;
-use cape_synth::synthetic_body;
+use cape_synth::{Gender, embedded_body, synthetic_body};
 use clap::{
     Args,
     builder::{PossibleValuesParser, TypedValueParser},
@@ -106,7 +106,8 @@ impl CheckpointArgs {
 /// A body model.
 #[derive(Debug, Clone, PartialEq, Args, Serialize, Deserialize)]
 pub(crate) struct BodyModelArgs {
-    /// SMPL body, .pkl or .npz [default: the synthetic body].
+    /// SMPL body, .pkl or .npz, or an embedded body: male, female, neutral or sculpted [default:
+    /// sculpted].
     #[arg(long, value_name = "SMPL")]
     pub(crate) body: Option<PathBuf>,
 }
@@ -182,10 +183,20 @@ impl OutputArgs {
 impl BodyModelArgs {
     pub(crate) fn load(&self) -> Result<SmplModel> {
         Ok(match &self.body {
-            Some(path) => SmplModel::load(path)?,
+            Some(path) => load_body(path)?,
             None => synthetic_body(),
         })
     }
+}
+
+/// Reads a body file; a name of an embedded body without such a file is that body.
+fn load_body(path: &Path) -> Result<SmplModel> {
+    let name = path.to_str().filter(|_| !path.exists());
+    Ok(match name {
+        Some("sculpted") => synthetic_body(),
+        Some(name) if let Ok(gender) = name.parse::<Gender>() => embedded_body(gender)?,
+        _ => SmplModel::load(path)?,
+    })
 }
 
 impl ShapeArgs {

@@ -5,6 +5,7 @@
 //! ([`shape`]) and pose directions ([`blend`]) derive from the mesh and the joint positions.
 
 mod blend;
+mod embedded;
 mod figure;
 mod polygonise;
 mod remesh;
@@ -16,6 +17,7 @@ mod surface;
 #[cfg(test)]
 mod tests;
 
+pub use embedded::{Gender, embedded_body};
 pub use stored::HalfBody;
 
 use ndarray::{Array2, Array3};
