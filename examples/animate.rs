@@ -7,7 +7,7 @@
 use std::path::PathBuf;
 
 use cape::{
-    core::silent,
+    core::{KeyframeRule, motion::MotionOptions, silent},
     infer::prior::{DensityKind, LatentCodes, Prior},
     prelude::*,
     stats::density::MixtureOptions,
@@ -25,11 +25,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         code: prior.sample(outfit, 1, 1.0, 3),
         betas: &[0.5],
         outfit,
-        poses: poses::motion_poses("walk", 2.0, 30.0)?,
-        frames_per_second: 30.0,
+        motion: poses::load_motion("walk", 2.0, 30.0, &MotionOptions::default())?.motion_of(
+            run.body(),
+            &[],
+            None,
+        )?,
+        keyframes: KeyframeRule::default(),
+        displacements: None,
         shape_targets: 0,
         colours: None,
         texture: None,
     };
-    Ok(performance.save(&run, "walk.glb")?)
+    let written = performance.save(&run, "walk.glb")?;
+    println!("{} keyframes, error {:.2} mm", written.keyframes, 1000.0 * written.error);
+    Ok(())
 }

@@ -6,17 +6,12 @@
 
 use std::path::PathBuf;
 
-use cape::{
-    data::{PackedSet, Split},
-    infer::registration,
-    prelude::*,
-    synth::poses,
-};
+use cape::{data::Split, infer::registration, prelude::*, synth::poses};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = PathBuf::from(std::env::args().nth(1).ok_or("expected a run's directory")?);
     let run = Run::open(&path, &Device::default())?;
-    let set = PackedSet::open(&run.data()?, Split::Test)?;
+    let set = run.open_set(run.data()?, Split::Test)?;
     let (displacement, seen) = registration(&set, 0)?;
     let code = run.encode(&displacement, std::slice::from_ref(&seen))?;
 

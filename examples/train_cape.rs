@@ -82,7 +82,7 @@ fn packed_set(data: &Path, split: &str) -> Result<PathBuf, Box<dyn Error>> {
     if data.join("train/train_disp.npy").exists() {
         return Ok(data.to_owned());
     }
-    let split = if split.ends_with(".toml") {
+    let split = if Path::new(split).extension().is_some_and(|extension| extension == "toml") {
         SplitSpec::from_file(split)?
     } else {
         SplitSpec::preset(split)?

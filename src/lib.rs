@@ -18,6 +18,7 @@
 //! - [`layer`] — clothing of its own topology (Yang et al., ECCV 2018): association, statistics,
 //!   regression;
 //! - [`stats`] — principal components, densities, error statistics, paired tests;
+//! - [`study`] — perceptual studies (CAPE §6.2);
 //! - [`render`] — pictures.
 //!
 //! [`prelude`] has what most programs need. [`burn`], [`glam`] and [`ndarray`], whose types are in
@@ -51,6 +52,7 @@ pub use cape_layer as layer;
 pub use cape_model as model;
 pub use cape_render as render;
 pub use cape_stats as stats;
+pub use cape_study as study;
 pub use cape_synth as synth;
 pub use cape_train as train;
 

@@ -10,7 +10,7 @@ use std::{
 };
 
 /// Entry points of each crate.
-const ENTRY_POINTS: [(&str, &[&str]); 13] = [
+const ENTRY_POINTS: [(&str, &[&str]); 14] = [
     ("cape-cloth", &["Cloth", "Garment"]),
     (
         "cape-core",
@@ -25,6 +25,7 @@ const ENTRY_POINTS: [(&str, &[&str]); 13] = [
     ("cape-model", &["Cape", "CapeConfig"]),
     ("cape-render", &["Camera", "Image", "Object", "Plot", "Style"]),
     ("cape-stats", &["ErrorStats", "Mixture", "PairedComparison", "Pca"]),
+    ("cape-study", &["StudyDesign", "StudyScore"]),
     ("cape-synth", &["CaptureGenerator", "Motion", "SynthSpec", "Wardrobe", "synthetic_body"]),
     ("cape-train", &["Evaluation", "Trainer"]),
 ];

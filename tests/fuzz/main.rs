@@ -19,7 +19,8 @@ use std::{
 
 use cape::{
     core::{
-        Mesh,
+        Mesh, PointCacheFormat, PointCacheWriter, SmplModel,
+        gltf::{self, Keyframe, SkinnedMesh},
         npy::{NpzWriter, write_npy},
         obj::{self, Uv},
         ply,
@@ -29,7 +30,7 @@ use cape::{
     model::weights::{self, HostArray},
     synth::synthetic_body,
 };
-use ndarray::{Array2, arr1};
+use ndarray::{Array2, Array3, arr1, arr2};
 use peak_alloc::PeakAlloc;
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
@@ -62,6 +63,27 @@ fn seeds(directory: &Path) -> Vec<(&'static str, &'static str, Vec<Vec<u8>>)> {
                 property float z\nelement face 1\nproperty list uchar int vertex_indices\n\
                 end_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
     fs::write(at("2.ply"), text).unwrap();
+    fs::write(
+        at("1.stl"),
+        "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n\
+        vertex 0 1 0\nendloop\nendfacet\nendsolid a\n",
+    )
+    .unwrap();
+    let mut binary = vec![b' '; 80];
+    binary.extend(1u32.to_le_bytes());
+    binary.extend([1u8; 50]);
+    fs::write(at("2.stl"), binary).unwrap();
+    fs::write(at("1.off"), "OFF3 1 0\n0 0 0\n1 0 0 # a\n\n0 1 0\n3 0 1 2 255 0 0\n").unwrap();
+    fs::write(at("2.off"), "NOFF\n3 1 0\n0 0 0 0 0 1\n1 0 0 0 0 1\n0 1 0 0 0 1\n3 0 1 2\n")
+        .unwrap();
+    write_glb(&at("1.glb"), 1);
+    write_glb(&at("2.glb"), 2);
+    for (name, format) in [("1.pc2", PointCacheFormat::Pc2), ("1.mdd", PointCacheFormat::Mdd)] {
+        let mut cache = PointCacheWriter::create(at(name), format, [2, 3], 30.0).unwrap();
+        cache.push(&mesh.vertices).unwrap();
+        cache.push(&mesh.vertices).unwrap();
+        cache.finish().unwrap();
+    }
     write_npy(at("1.npy"), &Array2::<f64>::eye(5)).unwrap();
     write_npy(at("2.npy"), &arr1(&[1i64, 5, 7])).unwrap();
     let mut npz = NpzWriter::create(at("1.npz")).unwrap().deflate();
@@ -116,6 +138,36 @@ fn seeds(directory: &Path) -> Vec<(&'static str, &'static str, Vec<Vec<u8>>)> {
             (kind, name, paths.into_iter().map(|path| fs::read(path).unwrap()).collect())
         })
         .collect()
+}
+
+/// A skinned triangle of two joints with `keyframes` keyframes.
+fn write_glb(path: &Path, keyframes: usize) {
+    let body = SmplModel {
+        v_template: arr2(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.5], [0.0, 1.0, 0.0]]),
+        shapedirs: Array3::zeros((3, 3, 1)),
+        posedirs: Array3::zeros((3, 3, 9)),
+        joint_regressor: arr2(&[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+        weights: arr2(&[[1.0, 0.0], [0.0, 1.0], [0.5, 0.5]]),
+        parents: vec![None, Some(0)],
+        faces: vec![[0, 1, 2]],
+    };
+    let skinned = SkinnedMesh {
+        name: "a",
+        body: &body,
+        rest: body.v_template.clone(),
+        joints: body.rest_joints(&body.v_template).unwrap(),
+        colours: None,
+        texture: None,
+        targets: Vec::new(),
+    };
+    let keyframe = |step: usize| Keyframe {
+        time: step as f32,
+        pose: vec![0.1 * step as f64; 6],
+        transl: [0.0; 3],
+        offset: Some(Array2::from_elem((3, 3), 0.1)),
+    };
+    let keyframes: Vec<Keyframe> = (0..keyframes).map(keyframe).collect();
+    gltf::write(path, &skinned, &keyframes).unwrap();
 }
 
 /// One of the changes that break a format.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use cape::{
     core::{
-        SmplModel,
+        MeshFile, PointCache, SmplModel,
         npy::{Npz, npy_header, read_f64, read_i64, read_objects},
         obj,
         pickle::Pickle,
@@ -23,12 +23,17 @@ use cape::{
 };
 
 /// Kinds of files, each with the name its reader wants.
-pub const KINDS: [(&str, &str); 10] = [
+pub const KINDS: [(&str, &str); 15] = [
     ("pickle", "a.pkl"),
     ("npy", "a.npy"),
     ("npz", "a.npz"),
     ("obj", "a.obj"),
     ("ply", "a.ply"),
+    ("stl", "a.stl"),
+    ("off", "a.off"),
+    ("glb", "a.glb"),
+    ("pc2", "a.pc2"),
+    ("mdd", "a.mdd"),
     ("safetensors", "a.safetensors"),
     ("toml", "a.toml"),
     ("yaml", "a.yaml"),
@@ -53,8 +58,10 @@ pub fn read(kind: &str, path: &Path) -> usize {
             );
             [npz(path), raw::read_frame(path, None).is_ok()]
         }
-        "obj" => [obj::read(path).is_ok(), false],
-        "ply" => [ply::read(path).is_ok(), false],
+        "obj" => [obj::read(path).is_ok(), MeshFile::read(path).is_ok()],
+        "ply" => [ply::read(path).is_ok(), MeshFile::read(path).is_ok()],
+        "stl" | "off" | "glb" => [MeshFile::read(path).is_ok(), false],
+        "pc2" | "mdd" => [PointCache::read(path).is_ok(), false],
         "safetensors" => [weights::load(path).is_ok(), false],
         "toml" => [RunConfig::load(path).is_ok(), SplitSpec::from_file(path).is_ok()],
         "yaml" => [check_settings(path).is_ok(), false],

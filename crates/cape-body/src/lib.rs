@@ -10,14 +10,12 @@ mod assets;
 mod cavity;
 mod collapse;
 mod half;
+mod make;
 mod phenotype;
 mod regressor;
 mod rig;
 mod t_pose;
 
-mod make;
-
 pub use assets::Assets;
-pub use cape_core::{Error, Result};
-pub use cape_synth::Gender;
+pub use cape_core::{Error, Result, smpl::Gender};
 pub use make::make_body;

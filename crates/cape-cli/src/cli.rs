@@ -13,7 +13,8 @@ use clap_complete::Shell;
 use crate::commands::view;
 use crate::{
     commands::{
-        animate, body, data, demo, eval, fit, info, layer, model, redress, sample, table2, train, vary,
+        animate, body, data, demo, eval, fit, info, layer, model, redress, sample, study, table2,
+        train, vary,
     },
     console::Console,
     error::{Error, Result},
@@ -57,6 +58,8 @@ pub(crate) enum Command {
     Fit(fit::FitCommand),
     #[command(subcommand)]
     Layer(layer::LayerCommand),
+    #[command(subcommand)]
+    Study(study::StudyCommand),
     #[command(subcommand)]
     Model(model::ModelCommand),
     #[command(subcommand)]
@@ -112,6 +115,7 @@ impl Cli {
             Command::View(command) => command.run(global, console)?,
             Command::Fit(command) => return command.run(global, console),
             Command::Layer(command) => command.run(global, console)?,
+            Command::Study(command) => command.run(global, console)?,
             Command::Model(command) => command.run(global, console)?,
             Command::Body(command) => command.run(console)?,
             Command::Info(command) => command.run(console)?,

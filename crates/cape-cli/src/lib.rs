@@ -14,7 +14,10 @@ mod html;
 mod interrupt;
 mod latent_sampler;
 mod mesh_file;
+mod motion_source;
 mod options;
+#[cfg(feature = "view")]
+mod page_server;
 mod priors;
 mod registration;
 mod table;

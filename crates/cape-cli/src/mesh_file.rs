@@ -10,7 +10,13 @@ pub(crate) fn has_extension(path: &Path, expected: &str) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(expected))
 }
 
-/// Reads a mesh: an OBJ or PLY file, or the template of a body file.
+/// True if the file's extension is that of a mesh.
+#[cfg(feature = "view")]
+pub(crate) fn is_mesh(path: &Path) -> bool {
+    cape_core::MESH_EXTENSIONS.iter().any(|extension| has_extension(path, extension))
+}
+
+/// Reads a mesh file, or the template of a body file.
 pub(crate) fn read_surface(path: &Path) -> Result<Surface> {
     if is_body(path) {
         return Ok(Surface::from(&SmplModel::load(path)?));

@@ -1,14 +1,19 @@
 //! Options that several commands share, and parsers of their values.
 
 use std::{
+    env,
     path::{Path, PathBuf},
     time::Duration,
 };
 
 use burn::tensor::Device;
-use cape_core::{Outfit, SmplModel, parse_device};
+use cape_core::{
+    Outfit, SmplModel, parse_device,
+    smpl::{Gender, find_body},
+};
 use cape_infer::Run;
-use cape_synth::{Gender, embedded_body, synthetic_body};
+use cape_layer::BodyIdentity;
+use cape_synth::{embedded_body, synthetic_body};
 use clap::{
     Args,
     builder::{PossibleValuesParser, TypedValueParser},
@@ -103,13 +108,66 @@ impl CheckpointArgs {
     }
 }
 
+/// Variable with the directory of SMPL's bodies.
+const MODELS: &str = "SMPL_MODELS";
+
+/// A body file, for data that have none of their own.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct BodyFileArgs {
+    /// SMPL body, .pkl or .npz, or with --gender the directory of it, if the data have no body.npz.
+    #[arg(long, value_name = "SMPL")]
+    body: Option<PathBuf>,
+    /// Gender of the body in the directory of --body, or in $SMPL_MODELS without --body.
+    #[arg(long, value_name = "GENDER", value_parser = choices(GENDERS))]
+    gender: Option<Gender>,
+}
+
+/// Genders by name.
+pub(crate) const GENDERS: [(&str, Gender); 3] =
+    [("male", Gender::Male), ("female", Gender::Female), ("neutral", Gender::Neutral)];
+
+impl BodyFileArgs {
+    /// The file, if one is given.
+    pub(crate) fn file(&self) -> Result<Option<PathBuf>> {
+        body_file(self.body.as_deref(), self.gender)
+    }
+}
+
+/// A body's file, in a directory if a gender is given.
+fn body_file(body: Option<&Path>, gender: Option<Gender>) -> Result<Option<PathBuf>> {
+    let models = || env::var_os(MODELS).map(PathBuf::from);
+    match (body, gender) {
+        (None, None) => Ok(None),
+        (Some(path), None) if path.is_dir() => Err(Error::message(format!(
+            "{}: is a directory: choose a body in it by --gender male, female or neutral",
+            path.display()
+        ))),
+        (Some(path), None) => Ok(Some(path.to_owned())),
+        (Some(path), Some(gender)) if path.is_dir() => Ok(Some(find_body(path, gender)?)),
+        (Some(path), Some(_)) => Err(Error::message(format!(
+            "{}: --gender chooses a body in a directory, and this is none",
+            path.display()
+        ))),
+        (None, Some(gender)) => match models() {
+            Some(directory) => Ok(Some(find_body(directory, gender)?)),
+            None => Err(Error::message(format!(
+                "--gender {gender}: give the directory of SMPL's bodies by --body or ${MODELS}"
+            ))),
+        },
+    }
+}
+
 /// A body model.
 #[derive(Debug, Clone, PartialEq, Args, Serialize, Deserialize)]
 pub(crate) struct BodyModelArgs {
-    /// SMPL body, .pkl or .npz, or an embedded body: male, female, neutral or sculpted [default:
-    /// sculpted].
+    /// Built-in body (male, female, neutral or sculpted), SMPL body (.pkl or .npz), or with --gender
+    /// the directory of one [default: sculpted].
     #[arg(long, value_name = "SMPL")]
     pub(crate) body: Option<PathBuf>,
+    /// Gender of the body in the directory of --body, or in $SMPL_MODELS without --body.
+    #[arg(long, value_name = "GENDER", value_parser = choices(GENDERS))]
+    #[serde(skip)]
+    gender: Option<Gender>,
 }
 
 /// Shape of a body.
@@ -133,10 +191,14 @@ pub(crate) struct OutfitArgs {
 #[serde(rename_all = "lowercase")]
 pub(crate) enum FileKind {
     Glb,
+    Mdd,
     Npz,
     Obj,
+    Pc2,
     Ply,
     Png,
+    Smpl,
+    Usda,
 }
 
 /// One outfit, or all of them.
@@ -182,11 +244,22 @@ impl OutputArgs {
 
 impl BodyModelArgs {
     pub(crate) fn load(&self) -> Result<SmplModel> {
-        Ok(match &self.body {
-            Some(path) => load_body(path)?,
+        Ok(match body_file(self.body.as_deref(), self.gender)? {
+            Some(path) => load_body(&path)?,
             None => synthetic_body(),
         })
     }
+
+    /// Identity of the loaded body, for what belongs to it.
+    pub(crate) fn identity(&self, model: &SmplModel) -> BodyIdentity {
+        body_identity(self.body.as_deref(), model)
+    }
+}
+
+/// Identity of the body that was read from `path`, or of the synthetic one.
+pub(crate) fn body_identity(path: Option<&Path>, model: &SmplModel) -> BodyIdentity {
+    let name = path.map(|path| path.file_name().unwrap_or(path.as_os_str()).to_string_lossy());
+    BodyIdentity::new(name.unwrap_or("synthetic body".into()), model)
 }
 
 /// Reads a body file; a name of an embedded body without such a file is that body.
@@ -225,10 +298,14 @@ impl FileKind {
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Glb => "glb",
+            Self::Mdd => "mdd",
             Self::Npz => "npz",
             Self::Obj => "obj",
+            Self::Pc2 => "pc2",
             Self::Ply => "ply",
             Self::Png => "png",
+            Self::Smpl => "smpl",
+            Self::Usda => "usda",
         }
     }
 }

@@ -2,14 +2,21 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_core::{Outfit, npy::read_f64};
+use cape_core::{
+    Outfit,
+    motion::{MotionOptions, read_motion},
+    npy::read_f64,
+};
 use cape_data::{Split, raw};
 use cape_infer::{BodySpec, Run};
 use cape_stats::errors::mean_distance_mm;
 use clap::Args;
 use ndarray::{Array2, Array3, Axis, Ix2};
 
-use crate::error::{Error, Result};
+use crate::{
+    error::{Error, Result},
+    mesh_file::has_extension,
+};
 
 /// Outfit and body of a registration, where the file does not tell them.
 #[derive(Debug, Clone, Default, Args)]
@@ -35,7 +42,8 @@ pub(crate) struct RegistrationFile {
 }
 
 impl RegistrationFile {
-    /// Reads a frame's `.npz` with `pose` and `v_cano` or `v_posed`, or `frame:K`, a test frame of the
+    /// Reads a frame's `.npz` with `pose` and `v_cano` or `v_posed`, a `.smpl` file with displacements, or
+    /// `frame:K`, a test frame of the
     /// run.
     pub(crate) fn read(run: &Run, text: &str, known: &KnownBodyArgs) -> Result<Self> {
         if let Some(frame) = text.strip_prefix("frame:") {
@@ -49,6 +57,9 @@ impl RegistrationFile {
             return Ok(Self { displacement, wearer, minimal: None, residual_mm: None });
         }
         let path = Path::new(text);
+        if has_extension(path, "smpl") {
+            return Self::from_smpl(run, path, known);
+        }
         let Some(outfit) = known.outfit_worn.or_else(|| outfit_of(path)) else {
             return Err(Error::message(format!(
                 "{}: the name of its directory does not begin with an outfit: give it by --was OUTFIT",
@@ -82,6 +93,40 @@ impl RegistrationFile {
             wearer: BodySpec { betas, pose: pose.map(|angle| angle as f32), outfit },
             minimal: Some(minimal),
             residual_mm: Some(1000.0 * fit.rms),
+        })
+    }
+}
+
+impl RegistrationFile {
+    /// The first frame of a `.smpl` file with displacements.
+    fn from_smpl(run: &Run, path: &Path, known: &KnownBodyArgs) -> Result<Self> {
+        let Some(outfit) = known.outfit_worn else {
+            return Err(Error::message(format!(
+                "{}: give the outfit that is worn by --was OUTFIT",
+                path.display()
+            )));
+        };
+        let file = read_motion(path, &MotionOptions::default())?;
+        let vertices = run.body().vertices();
+        let offsets = file.offsets.as_ref().filter(|offsets| offsets.nrows() == vertices);
+        let Some(offsets) = offsets else {
+            return Err(Error::message(format!(
+                "{}: no vertexOffsets of the body's {vertices} vertices: expected the displacements of \
+                 the clothing",
+                path.display()
+            )));
+        };
+        let betas = file.betas_for(run.body().betas());
+        let minimal = run.body().rest_shape(betas)?;
+        Ok(Self {
+            displacement: offsets.mapv(|x| x as f32).insert_axis(Axis(0)),
+            wearer: BodySpec {
+                betas: betas.iter().map(|&beta| beta as f32).collect(),
+                pose: file.upright_poses()?[0],
+                outfit,
+            },
+            minimal: Some(minimal),
+            residual_mm: None,
         })
     }
 }

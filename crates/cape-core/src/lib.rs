@@ -5,8 +5,9 @@
 //! rest vertices before skinning. [`SmplModel`] evaluates this in `f64` on the host, [`Smpl`] and
 //! [`ClothedSmpl`] as differentiable tensor operations on a device.
 //!
-//! Around the body: [`Mesh`] with its files ([`obj`], [`ply`], [`gltf`]), surface queries
-//! ([`geometry`]: closest points, rays), NumPy arrays ([`npy`]), Python pickles read as data
+//! Around the body: [`Mesh`] with its files ([`obj`], [`ply`], [`gltf`], [`usd`]), surface queries
+//! ([`geometry`]: closest points, rays), motions of bodies
+//! ([`motion`]) and point caches ([`PointCache`]), NumPy arrays ([`npy`]), Python pickles read as data
 //! ([`pickle`]), L-BFGS ([`optimise`]), and atomic file output ([`AtomicFile`]).
 //!
 //! Units are metres and radians; y points up and the body faces +z, as in SMPL.
@@ -30,31 +31,45 @@
 mod atomic;
 mod device;
 mod error;
+mod file_content;
+mod file_names;
 pub mod geometry;
 pub mod gltf;
 mod hex;
 pub mod joints;
+mod keyframes;
 mod mesh;
-mod motion;
+mod mesh_sequence;
+pub mod motion;
 pub mod npy;
 pub mod obj;
 pub mod optimise;
 mod outfit;
 pub mod pickle;
 pub mod ply;
+mod point_cache;
+mod point_cache_writer;
 mod progress;
 pub mod smpl;
 mod staging;
 pub mod tensors;
+pub mod usd;
+mod uv;
 
 pub use atomic::{AtomicFile, write_atomically};
 pub use device::{DEVICES, devices, parse_device};
 pub use error::{Error, Result, expect_finite};
+pub use file_content::{unexpected_content, unexpected_file};
+pub use file_names::{list_files, natural_order};
 pub use hex::hex;
 pub use joints::BodyPose;
-pub use mesh::{Mesh, MeshReport};
+pub use keyframes::{ChosenKeyframes, KeyframeRule, KeyframeSelector};
+pub use mesh::{MESH_EXTENSIONS, Mesh, MeshFile, MeshFormat, MeshReport};
+pub use mesh_sequence::{MeshSequence, MeshSequenceOptions};
 pub use motion::BodyMotion;
 pub use outfit::{Outfit, OutfitVocabulary};
+pub use point_cache::PointCache;
+pub use point_cache_writer::{PointCacheFormat, PointCacheWriter};
 pub use progress::{ProgressFn, silent};
 pub use smpl::{
     ClothedSmpl, ClothingMask, JointSource, Pose, Smpl, SmplInput, SmplModel, SmplOutput,

@@ -6,16 +6,13 @@ use std::{
     path::Path,
 };
 
-use crate::{Error, Mesh, Result, mesh::read_bytes, write_atomically};
+use crate::{
+    Error, Mesh, Result,
+    mesh::{Geometry, is_face, read_bytes, text},
+    write_atomically,
+};
 
-/// Texture coordinates of a mesh.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Uv {
-    /// Texture coordinates (u, v), origin at the bottom left, `[points, 2]`.
-    pub coordinates: Vec<[f32; 2]>,
-    /// Index into `coordinates` for each corner of each face, `[faces, 3]`.
-    pub faces: Vec<[u32; 3]>,
-}
+pub use crate::uv::Uv;
 
 /// Contents of an OBJ file.
 ///
@@ -41,12 +38,21 @@ pub struct Obj {
     pub uv: Option<Uv>,
 }
 
-/// Reads an OBJ file. Polygons are triangulated as fans; normals, materials, groups, lines and
-/// curves are ignored.
+/// Reads an OBJ file. Polygons are triangulated as fans, and faces of fewer than three different
+/// corners are left out; normals, materials, groups, lines and curves are ignored.
 pub fn read(path: impl AsRef<Path>) -> Result<Obj> {
     let path = path.as_ref();
-    parse(&read_bytes(path)?)
-        .map_err(|ParseError { line, message }| Error::field(path, format!("line {line}"), message))
+    let parsed = parse(&read_bytes(path)?).map_err(|fault| fault.within(path))?;
+    match parsed.not_finite {
+        None => Ok(parsed.obj),
+        Some(fault) => Err(fault.within(path)),
+    }
+}
+
+/// The mesh in `bytes`, whose vertices may be not finite; errors name `path`.
+pub(crate) fn geometry(path: &Path, bytes: &[u8]) -> Result<Geometry> {
+    let Parsed { obj, skipped, .. } = parse(bytes).map_err(|fault| fault.within(path))?;
+    Ok(Geometry { mesh: obj.mesh, normals: None, skipped })
 }
 
 /// Writes an OBJ file, atomically, with texture coordinates if given.
@@ -118,10 +124,33 @@ struct ParseError {
     message: String,
 }
 
-fn parse(bytes: &[u8]) -> Result<Obj, ParseError> {
-    let mut obj = Obj::default();
+impl ParseError {
+    fn within(self, path: &Path) -> Error {
+        Error::field(path, format!("line {}", self.line), self.message)
+    }
+}
+
+#[derive(Default)]
+struct Parsed {
+    obj: Obj,
+    /// Number of faces left out.
+    skipped: usize,
+    /// First vertex that is not finite.
+    not_finite: Option<ParseError>,
+}
+
+/// Indices of vertex and texture coordinate of a face corner.
+type Corner = (u32, Option<u32>);
+
+fn parse(bytes: &[u8]) -> Result<Parsed, ParseError> {
+    let bytes = text::without_mark(bytes);
+    let end = text::line_end(bytes);
+    let mut parsed = Parsed::default();
+    let Parsed { obj, skipped, not_finite } = &mut parsed;
     let mut uv = Uv::default();
-    let mut lines = bytes.split(|&byte| byte == b'\n').enumerate();
+    // Largest index of a vertex and of a texture coordinate, with its line.
+    let mut largest = [(0, 0); 2];
+    let mut lines = bytes.split(|&byte| byte == end).enumerate();
     while let Some((index, first)) = lines.next() {
         let at = |message: String| ParseError { line: index + 1, message };
         // Names and comments may be in any encoding; numbers are ASCII.
@@ -132,56 +161,83 @@ fn parse(bytes: &[u8]) -> Result<Obj, ParseError> {
             line.push(' ');
             line.push_str(String::from_utf8_lossy(next).trim_end());
         }
-        let mut words = line.split_whitespace();
+        let mut words = text::words(&line);
         match words.next() {
-            Some("v") => obj.mesh.vertices.push(numbers(words).map_err(at)?),
-            Some("vt") => uv.coordinates.push(numbers(words).map_err(at)?),
+            Some("v") => {
+                let vertex: [f32; 3] = numbers(words).map_err(at)?;
+                if not_finite.is_none() && !vertex.iter().all(|x| x.is_finite()) {
+                    *not_finite = Some(at(format!("the vertex is not finite: {vertex:?}")));
+                }
+                obj.mesh.vertices.push(vertex);
+            }
+            Some("vt") => {
+                let point: [f32; 2] = numbers(words).map_err(at)?;
+                if !point.iter().all(|x| x.is_finite()) {
+                    return Err(at(format!("the texture coordinate is not finite: {point:?}")));
+                }
+                uv.coordinates.push(point);
+            }
             Some("f") => {
                 let counts = (obj.mesh.vertices.len(), uv.coordinates.len());
-                let corners: Vec<(u32, Option<u32>)> =
+                let corners: Vec<Corner> =
                     words.map(|word| corner(word, counts)).collect::<Result<_, _>>().map_err(at)?;
-                let [first, rest @ ..] = corners.as_slice() else {
-                    return Err(at("face without vertices".into()));
-                };
-                if rest.len() < 2 {
-                    return Err(at(format!(
-                        "face of {} vertices, expected at least 3",
-                        corners.len()
-                    )));
+                for &(vertex, point) in &corners {
+                    for (largest, found) in largest.iter_mut().zip([Some(vertex), point]) {
+                        *largest =
+                            found.map_or(*largest, |found| (*largest).max((found, index + 1)));
+                    }
                 }
-                for pair in rest.windows(2) {
-                    let triangle = [*first, pair[0], pair[1]];
-                    obj.mesh.faces.push(triangle.map(|(vertex, _)| vertex));
+                let before = obj.mesh.faces.len();
+                for pair in corners.get(1..).unwrap_or_default().windows(2) {
+                    let triangle = [corners[0], pair[0], pair[1]];
+                    let face = triangle.map(|(vertex, _)| vertex);
+                    if !is_face(face) {
+                        continue;
+                    }
+                    obj.mesh.faces.push(face);
                     if let [(_, Some(p)), (_, Some(q)), (_, Some(r))] = triangle {
                         uv.faces.push([p, q, r]);
                     }
                 }
+                *skipped += usize::from(obj.mesh.faces.len() == before);
             }
             _ => {}
+        }
+    }
+    // A face may come before its vertices.
+    let counts = [obj.mesh.vertices.len(), uv.coordinates.len()];
+    for (((index, line), count), kind) in largest.into_iter().zip(counts).zip(KINDS) {
+        if line > 0 && index as usize >= count {
+            let index = u64::from(index) + 1;
+            return Err(ParseError { line, message: out_of_range(kind, index as i64, count) });
         }
     }
     if !uv.faces.is_empty() && uv.faces.len() == obj.mesh.faces.len() {
         obj.uv = Some(uv);
     }
-    Ok(obj)
+    Ok(parsed)
+}
+
+/// Elements that a face corner refers to.
+const KINDS: [&str; 2] = ["vertex", "texture coordinate"];
+
+fn out_of_range(kind: &str, number: i64, count: usize) -> String {
+    format!("{kind} {number} is out of range: there are {count}")
 }
 
 fn numbers<'a, const N: usize>(words: impl Iterator<Item = &'a str>) -> Result<[f32; N], String> {
     let mut values = [0.0f32; N];
     let mut found = 0;
     for (slot, word) in values.iter_mut().zip(words) {
-        *slot = word.parse().map_err(|_| format!("`{word}` is not a number"))?;
-        if !slot.is_finite() {
-            return Err(format!("`{word}` is not a finite number"));
-        }
+        *slot = text::number(word)?;
         found += 1;
     }
     if found == N { Ok(values) } else { Err(format!("{found} numbers, expected {N}")) }
 }
 
 /// Vertex and texture indices of a face corner `v`, `v/vt`, `v//vn` or `v/vt/vn`; negative numbers
-/// count from the end.
-fn corner(word: &str, (vertices, points): (usize, usize)) -> Result<(u32, Option<u32>), String> {
+/// count back from the `counts` of vertices and texture coordinates so far.
+fn corner(word: &str, counts: (usize, usize)) -> Result<Corner, String> {
     let index = |text: &str, count: usize, kind: &str| {
         let number: i64 =
             text.parse().map_err(|_| format!("`{word}` is not v, v/vt, v//vn or v/vt/vn"))?;
@@ -189,14 +245,13 @@ fn corner(word: &str, (vertices, points): (usize, usize)) -> Result<(u32, Option
             if number < 0 { number.checked_add(count as i64) } else { number.checked_sub(1) };
         position
             .and_then(|position| u32::try_from(position).ok())
-            .filter(|&position| (position as usize) < count)
-            .ok_or_else(|| format!("{kind} {number} is out of range: {count} defined so far"))
+            .ok_or_else(|| out_of_range(kind, number, count))
     };
     let mut parts = word.split('/');
-    let vertex = index(parts.next().unwrap_or_default(), vertices, "vertex")?;
+    let vertex = index(parts.next().unwrap_or_default(), counts.0, KINDS[0])?;
     let point = match parts.next() {
         None | Some("") => None,
-        Some(text) => Some(index(text, points, "texture coordinate")?),
+        Some(text) => Some(index(text, counts.1, KINDS[1])?),
     };
     Ok((vertex, point))
 }
@@ -209,8 +264,15 @@ mod tests {
     use crate::mesh::tests::cube;
 
     fn message(text: &str) -> String {
-        let fault = parse(text.as_bytes()).err().unwrap();
+        let fault = match parse(text.as_bytes()) {
+            Ok(parsed) => parsed.not_finite.unwrap(),
+            Err(fault) => fault,
+        };
         format!("{}: {}", fault.line, fault.message)
+    }
+
+    fn read_text(text: impl AsRef<[u8]>) -> Obj {
+        parse(text.as_ref()).ok().unwrap().obj
     }
 
     #[test]
@@ -218,7 +280,7 @@ mod tests {
         let text = "# a comment\r\nmtllib a.mtl\nv 0 0 0\nv 1 0 0 1\nv 1 1 0 0.5 0.5 0.5\nv 0 1 0\n\
                     v 9 9 9\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\ng \u{e9}\n\
                     f 1/1/1 2/2/1 \\\n 3/3/1 4/4/1\nf -5/-4 -3/-2 -2/-1\n";
-        let obj = parse(text.as_bytes()).ok().unwrap();
+        let obj = read_text(text);
         // The isolated vertex keeps its index.
         assert_eq!(obj.mesh.vertices.len(), 5);
         assert_eq!(obj.mesh.faces, [[0, 1, 2], [0, 2, 3], [0, 2, 3]]);
@@ -226,18 +288,66 @@ mod tests {
         assert_eq!(uv.coordinates[3], [0.0, 1.0]);
         assert_eq!(uv.faces, [[0, 1, 2], [0, 2, 3], [0, 2, 3]]);
         let partly = format!("{text}f 1 2 3\n");
-        assert_eq!(parse(partly.as_bytes()).ok().unwrap().uv, None);
+        assert_eq!(read_text(partly).uv, None);
     }
 
     #[test]
     fn faults_name_their_line() {
         assert_eq!(message("v 1 2\n"), "1: 2 numbers, expected 3");
         assert_eq!(message("\nv 1 2 x\n"), "2: `x` is not a number");
-        assert_eq!(message("v 1 nan 2\n"), "1: `nan` is not a finite number");
-        assert_eq!(message("v 1 1 1\nf 1 1 2\n"), "2: vertex 2 is out of range: 1 defined so far");
-        assert_eq!(message("v 1 1 1\nf 1 1 0\n"), "2: vertex 0 is out of range: 1 defined so far");
-        assert_eq!(message("v 1 1 1\nf 1 1\n"), "2: face of 2 vertices, expected at least 3");
+        assert_eq!(message("v 1 nan 2\n"), "1: the vertex is not finite: [1.0, NaN, 2.0]");
+        assert_eq!(message("v 1 1 1\nf 1 1 2\n"), "2: vertex 2 is out of range: there are 1");
+        assert_eq!(message("v 1 1 1\nf 1 1 0\n"), "2: vertex 0 is out of range: there are 1");
+        assert_eq!(message("v 1 1 1\nf 1 1 -2\n"), "2: vertex -2 is out of range: there are 1");
+        assert!(message("v 0,1 0,2 0,3\n").contains("decimal comma"));
         assert_eq!(message("f a b c\n"), "1: `a` is not v, v/vt, v//vn or v/vt/vn");
+    }
+
+    /// A cube of quadrilaterals, its vertices and its faces.
+    fn cube_text() -> (String, String) {
+        let vertices = (0..8).map(|i| format!("v {} {} {}\n", i & 1, i >> 1 & 1, i >> 2));
+        let faces = "f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n";
+        (vertices.collect::<Vec<_>>().concat(), faces.to_owned())
+    }
+
+    #[test]
+    fn dialects_are_read() {
+        let (vertices, faces) = cube_text();
+        let plain = format!("{vertices}{faces}");
+        let expected = cube();
+        let marked = format!("\u{feff}{plain}");
+        let relative = (1..=8)
+            .rev()
+            .fold(faces.clone(), |text, k| text.replace(&format!(" {k}"), &format!(" -{}", 9 - k)));
+        let windows = plain.replace('\n', "\r\n");
+        let commented = format!("{vertices}{}", faces.replace('\n', " # a side\n"));
+        for (name, text) in [
+            ("byte-order mark", marked),
+            ("relative indices", format!("\u{feff}{vertices}{relative}")),
+            ("lone carriage returns", format!("# by hand\r{}", plain.replace('\n', "\r"))),
+            ("line ends of Windows", windows),
+            ("comments after faces", commented),
+            ("faces of two corners", format!("{vertices}f 1 2\n{faces}f 3\nf\n")),
+            ("repeated corners", format!("{vertices}f 4 4 5\n{faces}")),
+            ("faces before vertices", format!("{faces}{vertices}")),
+            ("tabs", plain.replace(' ', "\t")),
+        ] {
+            assert_eq!(read_text(&text).mesh, expected, "{name}");
+        }
+        let skipped = |text: String| parse(text.as_bytes()).ok().unwrap().skipped;
+        assert_eq!(skipped(format!("{vertices}f 1 2\nf 4 4 5\n{faces}")), 2);
+        assert_eq!(skipped(plain), 0);
+        assert_eq!(read_text(format!("\u{feff}{vertices}")).mesh.vertices, expected.vertices);
+    }
+
+    #[test]
+    fn latin_1_and_faces_of_many_corners_are_read() {
+        let text =
+            b"# \xe9\r\nmtllib a.mtl\r\nv\t0 0 +0\r\nv 1. 0 0 1\r\nv 1 1 0 .5 .5 .5\r\nv 0 1 0\r\n\
+            v 0.5 2e0 0\r\nvn 0 0 1\r\nusemtl \xfc\r\ng a b\r\ns off\r\nf 1// 2// 3// 4//\r\n\
+            f -5//1 -4//1 \\\r\n -3//1 -2//1\r\nf 1 2 3 5 4\r\nl 1 2\r\n";
+        let mesh = read_text(text).mesh;
+        assert_eq!((mesh.vertices.len(), mesh.faces.len()), (5, 7));
     }
 
     #[test]

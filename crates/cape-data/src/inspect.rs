@@ -1,5 +1,9 @@
 //! Inspection of data sets: counts, magnitudes and common mistakes.
 
+mod download;
+
+pub use download::PresetCompleteness;
+
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
@@ -15,8 +19,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{
-    PackedSet, Split,
-    raw::{self, BODY_FILE, CLOTHING_FILE},
+    ForeignData, FrameSource, PackedSet, RawTree, Split,
+    raw::{BODY_FILE, CLOTHING_FILE},
 };
 use crate::{Error, Result};
 use cape_core::ProgressFn;
@@ -30,7 +34,7 @@ use cape_core::ProgressFn;
 /// use cape_data::inspect::{InspectOptions, inspect};
 ///
 /// let directory = captures()?;
-/// let options = InspectOptions { frames: 2, clothing: None, body: None };
+/// let options = InspectOptions { frames: 2, ..InspectOptions::default() };
 /// let found = inspect(&directory.path().join("packed"), &options, &mut silent)?;
 /// assert_eq!((found.kind, found.frames, found.vertices), ("packed", 8, 6890));
 /// assert_eq!(found.captures.iter().map(|capture| capture.frames).sum::<usize>(), 8);
@@ -39,7 +43,7 @@ use cape_core::ProgressFn;
 /// # Ok(())
 /// # }
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct InspectOptions {
     /// Number of frames examined per capture, evenly spaced.
     pub frames: usize,
@@ -48,6 +52,8 @@ pub struct InspectOptions {
     /// File of the body from whose blend weights clothing vertices are derived if there are no
     /// indices; `None` uses that of the data.
     pub body: Option<PathBuf>,
+    /// Preset, `male` or `female`, whose frames a raw data set is compared with.
+    pub preset: Option<String>,
 }
 
 /// Report of [`inspect`](inspect()).
@@ -75,6 +81,10 @@ pub struct Inspection {
     pub largest_rotation: Option<f64>,
     /// Largest length of a translation, metres.
     pub largest_translation_m: Option<f64>,
+    /// What the release's lists say of a raw data set, in sentences.
+    pub release: Vec<String>,
+    /// Comparison with a preset, if asked for.
+    pub preset: Option<PresetCompleteness>,
     /// Probable mistakes, with a remedy.
     pub warnings: Vec<String>,
 }
@@ -166,15 +176,18 @@ pub fn inspect(
     progress: &mut ProgressFn,
 ) -> Result<Inspection> {
     let path = path.as_ref();
-    if path.join("sequences").is_dir() {
-        return inspect_raw(path, options, progress);
-    }
     let parts = [Split::Train, Split::Test].map(|part| (part, part.path(path, "disp")));
     if parts.iter().any(|(_, file)| file.exists()) {
         return inspect_packed(path, options, progress);
     }
+    if RawTree::is_raw(path) {
+        return inspect_raw(path, options, progress);
+    }
+    if let Some(data) = ForeignData::recognise(path) {
+        return Err(Error::Data(format!("{}: {data}", path.display())));
+    }
     Err(Error::Data(format!(
-        "{}: neither raw data (no sequences/) nor a packed set (no train/train_disp.npy)",
+        "{}: neither raw data (no sequences/ or cape_release/) nor a packed set (no train/train_disp.npy)",
         path.display()
     )))
 }
@@ -203,42 +216,42 @@ fn inspect_raw(
     progress: &mut ProgressFn,
 ) -> Result<Inspection> {
     let mut found = Inspection { kind: "raw", ..Inspection::default() };
+    let tree = RawTree::open(root)?;
     let mut minimal = BTreeMap::new();
-    let mut samples: Vec<(String, PathBuf)> = Vec::new();
-    for directory in raw::directories(root.join("sequences"))? {
-        let subject = raw::name_of(&directory);
-        match raw::read_minimal(root, &subject) {
-            Ok(shape) => drop(minimal.insert(subject.clone(), shape)),
+    let mut samples: Vec<(&str, &FrameSource)> = Vec::new();
+    for subject in tree.subjects() {
+        match tree.minimal(subject, false) {
+            Ok(shape) => drop(minimal.insert(subject.to_owned(), shape)),
             Err(error) => found.warnings.push(format!("{subject}: no minimal shape: {error}")),
         }
-        for capture in raw::directories(&directory)? {
-            let title = raw::name_of(&capture);
-            let known = title
-                .split_once('_')
-                .and_then(|(outfit, sequence)| Some((outfit.parse::<Outfit>().ok()?, sequence)));
-            let Some((outfit, sequence)) = known else {
-                found.warnings.push(format!(
-                    "{subject}/{title}: ignored, expected a directory named outfit_sequence"
-                ));
-                continue;
-            };
-            let paths = raw::frame_paths(&capture)?.unwrap_or_default();
-            if paths.len() <= 4 {
+        for title in tree.other_entries(subject) {
+            found.warnings.push(format!(
+                "{subject}/{title}: ignored, expected a directory named outfit_sequence"
+            ));
+        }
+        for capture in tree.captures(subject) {
+            let (title, frames) = (capture.name(), capture.frames());
+            if frames.len() <= 4 {
                 found.warnings.push(format!(
                     "{subject}/{title}: {} frames, none is left after cutting 2 at either end",
-                    paths.len()
+                    frames.len()
                 ));
             }
             found.captures.push(CaptureCount {
                 part: None,
-                subject: Some(subject.clone()),
-                outfit: Some(outfit),
-                sequence: Some(sequence.to_owned()),
-                frames: paths.len(),
+                subject: Some(subject.to_owned()),
+                outfit: Some(capture.outfit()),
+                sequence: Some(capture.sequence().to_owned()),
+                frames: frames.len(),
             });
-            let picked = spread(paths.len(), options.frames);
-            samples.extend(picked.map(|at| (subject.clone(), paths[at].clone())));
+            let picked = spread(frames.len(), options.frames);
+            samples.extend(picked.map(|at| (subject, &frames[at])));
         }
+    }
+    found.release = download::examine(&tree)?;
+    found.warnings.extend(tree.notes().iter().cloned());
+    if let Some(preset) = &options.preset {
+        found.preset = Some(download::completeness(&tree, preset)?);
     }
     found.frames = found.captures.iter().map(|capture| capture.frames).sum();
     let counts: BTreeSet<usize> = minimal.values().map(Array2::nrows).collect();
@@ -257,8 +270,8 @@ fn inspect_raw(
     let mut posed_as_canonical = 0;
     let total = samples.len();
     for chunk in samples.chunks(4 * rayon::current_num_threads()) {
-        let read: Vec<Result<_>> = chunk.par_iter().map(|(_, path)| raw::read_any(path)).collect();
-        for ((subject, path), frame) in chunk.iter().zip(read) {
+        let read: Vec<Result<_>> = chunk.par_iter().map(|(_, source)| source.any()).collect();
+        for ((subject, source), frame) in chunk.iter().zip(read) {
             let (frame, posed) = match frame {
                 Ok(read) => read,
                 Err(error) => {
@@ -273,13 +286,13 @@ fn inspect_raw(
                 tally.translation = Some(tally.translation.map_or(distance, |d| d.max(distance)));
                 posed_as_canonical += usize::from(frame.v_cano == *v_posed);
             }
-            match minimal.get(subject) {
+            match minimal.get(*subject) {
                 Some(shape) if shape.dim() == frame.v_cano.dim() => {
                     tally.displacement((&frame.v_cano - shape).view(), mask.as_ref());
                 }
                 Some(shape) => unreadable.push(format!(
                     "{}: {} vertices, but the minimal shape has {}",
-                    path.display(),
+                    source.path().display(),
                     frame.v_cano.nrows(),
                     shape.nrows()
                 )),

@@ -65,7 +65,7 @@ fn tree(scale: f64, make: impl Fn(Outfit) -> RawFrame) -> tempfile::TempDir {
 }
 
 fn options() -> InspectOptions {
-    InspectOptions { frames: 2, clothing: None, body: None }
+    InspectOptions { frames: 2, ..InspectOptions::default() }
 }
 
 fn look(root: &Path) -> Inspection {
@@ -134,7 +134,7 @@ fn common_mistakes_give_warnings() {
     warns(&root, "b: no minimal shape");
     warns(&root, "a/longlong_run: 0 frames");
     warns(&root, "1 of 8 examined frames cannot be used");
-    fs::remove_file(raw::minimal_path(root.path(), "a")).unwrap();
+    fs::remove_file(crate::raw::minimal_path(root.path(), "a")).unwrap();
     warns(&root, "a: no minimal shape");
     fs::remove_file(root.path().join(CLOTHING_FILE)).unwrap();
     warns(&root, "clothing vertices are unknown");

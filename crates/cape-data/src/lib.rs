@@ -20,6 +20,7 @@
 //! ```
 
 mod components;
+mod foreign;
 pub mod inspect;
 mod loader;
 mod npy_rows;
@@ -32,14 +33,17 @@ mod shuffle;
 mod split;
 mod split_writer;
 mod statistics;
+mod tree;
 pub mod unpose;
 
 pub use cape_core::{Error, Result};
 
 pub use components::principal_components;
+pub use foreign::ForeignData;
 pub use loader::{Loader, LoaderOptions, LoaderState, StepBatches, sequential, steps_per_epoch};
 pub use pack::{PackOptions, PackReport, pack};
 pub use packed::{FrameOrigin, HostBatch, PackedSet, Split};
 pub use shuffle::{Shuffle, ShufflePosition, ShuffleStream};
 pub use split::{SequenceList, SplitSpec};
 pub use statistics::{DisplacementStatistics, MIN_STD, STATISTICS_FILE, validation_count};
+pub use tree::{FrameSource, KNOWN_BROKEN, ListedSequence, RawCapture, RawTree, SubjectParameters};

@@ -29,7 +29,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{
-    Split, SplitSpec,
+    FrameSource, RawTree, Split, SplitSpec,
     pack_log::{FrameStatus, PackLog, plan_hash},
     raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
     split_writer::{FrameShape, SplitWriter},
@@ -112,7 +112,7 @@ pub struct PackReport {
 /// A frame left out because it cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct BrokenFrame {
-    /// Path relative to `sequences/`.
+    /// Path below the subjects, `<subject>/<outfit>_<sequence>/<file>`.
     pub path: PathBuf,
     /// Reason for leaving it out.
     pub reason: String,
@@ -149,11 +149,12 @@ pub fn pack(
     let (raw, out) = (raw.as_ref(), out.as_ref());
     split.validate()?;
     let mut report = PackReport::default();
-    let minimal = read_minimals(raw, split, options, &mut report)?;
+    let tree = RawTree::open(raw)?;
+    let minimal = read_minimals(&tree, split, options, &mut report)?;
     let vocabulary = split.label_vocabulary()?;
     let mut plans = Vec::new();
     for part in [Split::Train, Split::Test] {
-        plans.push((part, plan(raw, split, part, &minimal, &mut report.missing)?));
+        plans.push((part, plan(&tree, split, part, &minimal, &mut report.missing)?));
     }
     if let (true, Some(missing)) = (options.strict, report.missing.first()) {
         return Err(Error::Data(format!("{}: {}", missing.subject, missing.reason)));
@@ -163,15 +164,12 @@ pub fn pack(
     let worn: HashSet<Outfit> = frames().map(|frame| frame.outfit).collect();
     report.missing_outfits =
         split.outfits.iter().copied().filter(|outfit| !worn.contains(outfit)).collect();
-    if let (true, Some(outfit)) = (options.strict, report.missing_outfits.first()) {
-        return Err(Error::Data(format!("{}: no capture of {outfit}", raw.display())));
-    }
     let plan = plan_hash(raw, split, options, minimal.values(), frames())?;
 
     let mut staging = StagingDirectory::prepare(out)?;
     let mut done = PackLog::read(&staging.path, &plan);
     done.truncate(total);
-    let inside = (!options.follow_links).then_some(raw);
+    let inside = !options.follow_links;
     // Broken frames may have been repaired since.
     let repaired = frames().zip(&done).position(|(frame, status)| {
         *status != FrameStatus::Packed && read(frame, inside, &minimal).is_ok()
@@ -192,7 +190,7 @@ pub fn pack(
     let mut before = 0;
     for (part, frames) in &plans {
         let statuses = &done[before.min(done.len())..(before + frames.len()).min(done.len())];
-        let mut writer = resume(&staging.path, *part, shape, raw, frames, statuses, &mut report)?;
+        let mut writer = resume(&staging.path, *part, shape, frames, statuses, &mut report)?;
         let left = &frames[statuses.len()..];
         let mut count = before + statuses.len();
         for chunk in left.chunks(4 * rayon::current_num_threads()) {
@@ -215,7 +213,7 @@ pub fn pack(
                         return Err(error);
                     }
                     Err(error) => {
-                        let broken = broken(raw, frame, &error);
+                        let broken = broken(frame, &error);
                         log.push(&FrameStatus::Broken(broken.reason.clone()));
                         report.broken.push(broken);
                     }
@@ -248,7 +246,7 @@ pub fn pack(
         staging.keep = false;
         return Err(no_frames_error(raw, &report));
     }
-    write_notes(raw, &staging.path, split, options, &report, &text)?;
+    write_notes(&tree, &staging.path, split, options, &report, &text)?;
     log.finish()?;
     staging.commit(out)?;
     Ok(report)
@@ -276,7 +274,6 @@ fn resume(
     directory: &Path,
     part: Split,
     shape: FrameShape,
-    raw: &Path,
     frames: &[PlannedFrame],
     statuses: &[FrameStatus],
     report: &mut PackReport,
@@ -286,7 +283,7 @@ fn resume(
         match status {
             FrameStatus::Packed => packed.push(frame),
             FrameStatus::Broken(reason) => report.broken.push(BrokenFrame {
-                path: relative(raw, frame).to_owned(),
+                path: frame.source.relative().to_owned(),
                 reason: reason.clone(),
             }),
         }
@@ -297,14 +294,10 @@ fn resume(
     SplitWriter::resume(directory, part, shape, &packed).map(Some)
 }
 
-fn relative<'a>(raw: &Path, frame: &'a PlannedFrame) -> &'a Path {
-    frame.path.strip_prefix(raw.join("sequences")).unwrap_or(&frame.path)
-}
-
 /// A frame to be packed.
 #[derive(Debug)]
 pub(super) struct PlannedFrame<'a> {
-    pub(super) path: PathBuf,
+    pub(super) source: &'a FrameSource,
     pub(super) subject: &'a str,
     pub(super) sequence: &'a str,
     /// First part of the name of the capture's directory.
@@ -323,22 +316,15 @@ pub(super) struct PackedFrame {
 type MinimalShapes = BTreeMap<String, Array2<f64>>;
 
 fn read_minimals(
-    raw: &Path,
+    tree: &RawTree,
     split: &SplitSpec,
     options: PackOptions,
     report: &mut PackReport,
 ) -> Result<MinimalShapes> {
     let mut shapes = MinimalShapes::new();
     for subject in &split.subjects {
-        let reason = if raw.join("sequences").join(subject).is_dir() {
-            let read = || {
-                let path = raw::minimal_path(raw, subject);
-                if !options.follow_links && path.exists() {
-                    raw::require_inside(raw, &path)?;
-                }
-                raw::read_minimal(raw, subject)
-            };
-            match read() {
+        let reason = if tree.subject_path(subject).is_some() {
+            match tree.minimal(subject, options.follow_links) {
                 Ok(shape) if report.vertices == 0 || report.vertices == shape.nrows() => {
                     report.vertices = shape.nrows();
                     shapes.insert(subject.clone(), shape);
@@ -350,12 +336,12 @@ fn read_minimals(
                         shape.nrows(),
                         report.vertices
                     );
-                    return Err(Error::format(raw::minimal_path(raw, subject), message));
+                    return Err(Error::format(tree.minimal_path(subject), message));
                 }
                 Err(error) => format!("no minimal shape: {error}"),
             }
         } else {
-            format!("no directory sequences/{subject}")
+            format!("no directory sequences/{subject}, {subject} or archive {subject}.zip")
         };
         report.missing.push(MissingCapture { subject: subject.clone(), sequence: None, reason });
     }
@@ -363,7 +349,7 @@ fn read_minimals(
 }
 
 fn plan<'a>(
-    raw: &Path,
+    tree: &'a RawTree,
     split: &'a SplitSpec,
     part: Split,
     minimal: &MinimalShapes,
@@ -388,10 +374,9 @@ fn plan<'a>(
                 missing.push(MissingCapture { subject, sequence, reason });
             };
             for &outfit in wanted {
-                let directory = raw::capture_dir(raw, subject, outfit, sequence);
-                let Some(paths) = raw::frame_paths(&directory)? else { continue };
+                let Some(capture) = tree.capture(subject, outfit, sequence) else { continue };
                 found = true;
-                let count = paths.len();
+                let count = capture.frames().len();
                 let kept = count.saturating_sub(2 * split.cut);
                 if kept == 0 {
                     miss(format!(
@@ -401,9 +386,9 @@ fn plan<'a>(
                     ));
                 }
                 let class = vocabulary.require(split.label(outfit))?;
-                let paths = paths.into_iter().skip(split.cut).take(kept).step_by(split.sample_rate);
-                frames.extend(paths.map(|path| PlannedFrame {
-                    path,
+                let sources = capture.frames().iter().skip(split.cut).take(kept);
+                frames.extend(sources.step_by(split.sample_rate).map(|source| PlannedFrame {
+                    source,
                     subject,
                     sequence,
                     outfit,
@@ -418,35 +403,31 @@ fn plan<'a>(
     Ok(frames)
 }
 
-fn read(
-    frame: &PlannedFrame,
-    inside: Option<&Path>,
-    minimal: &MinimalShapes,
-) -> Result<PackedFrame> {
-    if let Some(root) = inside {
-        raw::require_inside(root, &frame.path)?;
+fn read(frame: &PlannedFrame, inside: bool, minimal: &MinimalShapes) -> Result<PackedFrame> {
+    if inside {
+        frame.source.require_inside()?;
     }
-    let name = frame.path.file_stem().and_then(|name| name.to_str());
+    let name = frame.source.path().file_stem().and_then(|name| name.to_str());
     if name.is_none_or(|name| name.contains(char::is_control)) {
         return Err(Error::format(
-            &frame.path,
+            frame.source.path(),
             "file name: expected text without control characters",
         ));
     }
     let Some(minimal) = minimal.get(frame.subject) else {
         return Err(Error::Data(format!("subject {} has no minimal shape", frame.subject)));
     };
-    let read = raw::read_canonical(&frame.path, minimal.nrows())?;
+    let read = frame.source.canonical(minimal.nrows())?;
     let rotations = pose_rotations(&read.pose)?;
     let rotations = rotations.as_flattened().as_flattened().to_vec();
     Ok(PackedFrame { displacement: read.v_cano - minimal, pose: read.pose, rotations })
 }
 
-fn broken(raw: &Path, frame: &PlannedFrame, error: &Error) -> BrokenFrame {
-    let path = relative(raw, frame);
+fn broken(frame: &PlannedFrame, error: &Error) -> BrokenFrame {
+    let path = frame.source.relative();
     // The reason does not repeat the path.
     let reason = error.to_string();
-    let reason = reason.strip_prefix(&*frame.path.to_string_lossy()).unwrap_or(&reason);
+    let reason = reason.strip_prefix(&*frame.source.path().to_string_lossy()).unwrap_or(&reason);
     let reason = reason.trim_start_matches(": ").replace(['\n', '\t'], " ");
     BrokenFrame { path: path.to_owned(), reason }
 }
@@ -483,7 +464,7 @@ fn describe(text: &mut String, part: Split, captures: &[(String, usize)]) {
 }
 
 fn write_notes(
-    raw: &Path,
+    tree: &RawTree,
     out: &Path,
     split: &SplitSpec,
     options: PackOptions,
@@ -507,10 +488,10 @@ fn write_notes(
     put("broken_frames.txt", report.broken.iter().map(line).collect())?;
     put(SPLIT_FILE, split.to_toml()?)?;
     for name in [BODY_FILE, CLOTHING_FILE] {
-        let from = raw.join(name);
+        let from = tree.root().join(name);
         if from.is_file() {
             if !options.follow_links {
-                raw::require_inside(raw, &from)?;
+                raw::require_inside(tree.root(), &from)?;
             }
             fs::copy(&from, out.join(name)).map_err(|e| Error::io(from, e))?;
         }

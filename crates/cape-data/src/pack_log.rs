@@ -4,7 +4,6 @@ use std::{
     fs::{self, File, OpenOptions},
     io::Write,
     path::{Path, PathBuf},
-    time::UNIX_EPOCH,
 };
 
 use cape_core::hex;
@@ -120,13 +119,10 @@ pub(super) fn plan_hash<'a>(
         }
     }
     for frame in frames {
-        hash.update(frame.path.to_string_lossy().as_bytes());
+        hash.update(frame.source.path().to_string_lossy().as_bytes());
         // A missing file is reported as a broken frame when it is read.
-        if let Ok(metadata) = fs::metadata(&frame.path) {
-            hash.update(metadata.len().to_le_bytes());
-            let since =
-                metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
-            hash.update(since.map_or(0, |since| since.as_nanos()).to_le_bytes());
+        for number in frame.source.identity().into_iter().flatten() {
+            hash.update(number.to_le_bytes());
         }
     }
     Ok(hex(hash.finalize()))

@@ -10,10 +10,11 @@
 use std::{
     fs,
     path::{Path, PathBuf},
+    time::UNIX_EPOCH,
 };
 
 use cape_core::{
-    Outfit,
+    Outfit, list_files,
     npy::{Npz, NpzWriter, read_f64, write_npy},
 };
 use ndarray::{Array1, Array2, ArrayD, Ix2};
@@ -93,14 +94,15 @@ pub fn minimal_path(root: impl AsRef<Path>, subject: &str) -> PathBuf {
     root.join("minimal_body_shape").join(subject).join(format!("{subject}_minimal.npy"))
 }
 
-/// Directories in `path`, sorted by name, without hidden ones.
+/// Directories in `path`, sorted by name, without hidden ones and those of archivers.
 pub fn directories(path: impl AsRef<Path>) -> Result<Vec<PathBuf>> {
     let path = path.as_ref();
     let fail = |error| Error::io(path, error);
     let mut found = Vec::new();
     for entry in fs::read_dir(path).map_err(fail)? {
         let path = entry.map_err(fail)?.path();
-        if path.is_dir() && !name_of(&path).starts_with('.') {
+        let name = name_of(&path);
+        if path.is_dir() && !name.starts_with('.') && name != "__MACOSX" {
             found.push(path);
         }
     }
@@ -114,24 +116,38 @@ pub fn name_of(path: impl AsRef<Path>) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Files of the frames of a capture, sorted by name; `None` if the directory does not exist.
+/// Files of the frames of a capture, in natural order of their names, without hidden ones; `None` if the directory does not exist.
 pub fn frame_paths(directory: impl AsRef<Path>) -> Result<Option<Vec<PathBuf>>> {
     let directory = directory.as_ref();
     if !directory.is_dir() {
         return Ok(None);
     }
-    let fail = |e| Error::io(directory, e);
-    let mut paths = Vec::new();
-    for entry in fs::read_dir(directory).map_err(fail)? {
-        let path = entry.map_err(fail)?.path();
-        // File managers and archivers create files whose names start with a dot.
-        let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
-        if path.extension().is_some_and(|extension| extension == "npz") && !hidden {
-            paths.push(path);
-        }
-    }
-    paths.sort_unstable();
-    Ok(Some(paths))
+    Ok(Some(frame_files(directory)?.0))
+}
+
+/// Files of the frames of a directory, and names of files that begin like frames but do not end with
+/// `.npz`, in natural order.
+pub(crate) fn frame_files(directory: &Path) -> Result<(Vec<PathBuf>, Vec<String>)> {
+    let frames = list_files(directory, |path: &Path| is_frame_name(&name_of(path)))?;
+    let misnamed = list_files(directory, |path: &Path| is_misnamed_frame(&name_of(path)))?;
+    Ok((frames, misnamed.iter().map(name_of).collect()))
+}
+
+/// True for the name of a frame's file.
+pub(crate) fn is_frame_name(name: &str) -> bool {
+    Path::new(name).extension().is_some_and(|extension| extension == "npz")
+}
+
+/// True for a name that continues behind `.npz`, as interrupted writes of NumPy leave it.
+pub(crate) fn is_misnamed_frame(name: &str) -> bool {
+    name.contains(".npz") && !is_frame_name(name)
+}
+
+/// Size of a file, and the time of its last change, nanoseconds.
+pub(crate) fn file_identity(path: &Path) -> Result<[u64; 2]> {
+    let metadata = fs::metadata(path).map_err(|source| Error::io(path, source))?;
+    let since = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    Ok([metadata.len(), since.map_or(0, |since| since.as_nanos() as u64)])
 }
 
 /// Checks that `path` does not link to a file outside `root`, as an untrusted archive could.
@@ -153,15 +169,23 @@ pub fn require_inside(root: impl AsRef<Path>, path: impl AsRef<Path>) -> Result<
 pub fn read_minimal(root: impl AsRef<Path>, subject: &str) -> Result<Array2<f64>> {
     let root = root.as_ref();
     let path = minimal_path(root, subject);
-    vertices(&path, "minimal shape", read_f64(&path)?, None)
+    minimal_vertices(&path, read_f64(&path)?)
+}
+
+/// Checks the vertices of a minimal shape.
+pub(crate) fn minimal_vertices(path: &Path, array: ArrayD<f64>) -> Result<Array2<f64>> {
+    vertices(path, "minimal shape", array, None)
 }
 
 /// Reads a frame of `vertex_count` vertices; `None` is any number.
 pub fn read_frame(path: impl AsRef<Path>, vertex_count: Option<usize>) -> Result<RawFrame> {
     let path = path.as_ref();
-    let mut file = Npz::open(path)?;
-    let CanonicalFrame { v_cano, pose } = canonical(path, &mut file, vertex_count)?;
-    let (v_posed, transl) = posed(path, &mut file, v_cano.nrows())?;
+    frame_from(path, &mut Npz::open(path)?, vertex_count)
+}
+
+pub(crate) fn frame_from(path: &Path, file: &mut Npz, count: Option<usize>) -> Result<RawFrame> {
+    let CanonicalFrame { v_cano, pose } = canonical(path, file, count)?;
+    let (v_posed, transl) = posed(path, file, v_cano.nrows())?;
     Ok(RawFrame { v_cano, v_posed, pose, transl })
 }
 
@@ -169,8 +193,11 @@ pub fn read_frame(path: impl AsRef<Path>, vertex_count: Option<usize>) -> Result
 /// missing translation is zero.
 pub fn read_posed(path: impl AsRef<Path>, vertex_count: usize) -> Result<RawFrame> {
     let path = path.as_ref();
-    let mut file = Npz::open(path)?;
-    let v_posed = vertices(path, "v_posed", file.f64("v_posed")?, Some(vertex_count))?;
+    posed_from(path, &mut Npz::open(path)?, vertex_count)
+}
+
+pub(crate) fn posed_from(path: &Path, file: &mut Npz, count: usize) -> Result<RawFrame> {
+    let v_posed = vertices(path, "v_posed", file.f64("v_posed")?, Some(count))?;
     let pose = numbers(path, "pose", &file.f64("pose")?)?;
     let transl = if file.contains("transl") {
         numbers(path, "transl", &file.f64("transl")?)?
@@ -183,9 +210,15 @@ pub fn read_posed(path: impl AsRef<Path>, vertex_count: usize) -> Result<RawFram
 /// Reads the canonical part of a frame, and the posed part if it is there.
 pub fn read_any(path: impl AsRef<Path>) -> Result<(CanonicalFrame, Option<PosedVertices>)> {
     let path = path.as_ref();
-    let mut file = Npz::open(path)?;
-    let frame = canonical(path, &mut file, None)?;
-    let posed = posed(path, &mut file, frame.v_cano.nrows()).ok();
+    any_from(path, &mut Npz::open(path)?)
+}
+
+pub(crate) fn any_from(
+    path: &Path,
+    file: &mut Npz,
+) -> Result<(CanonicalFrame, Option<PosedVertices>)> {
+    let frame = canonical(path, file, None)?;
+    let posed = posed(path, file, frame.v_cano.nrows()).ok();
     Ok((frame, posed))
 }
 
@@ -201,7 +234,11 @@ pub fn read_canonical(path: impl AsRef<Path>, vertex_count: usize) -> Result<Can
     canonical(path, &mut Npz::open(path)?, Some(vertex_count))
 }
 
-fn canonical(path: &Path, file: &mut Npz, count: Option<usize>) -> Result<CanonicalFrame> {
+pub(crate) fn canonical(
+    path: &Path,
+    file: &mut Npz,
+    count: Option<usize>,
+) -> Result<CanonicalFrame> {
     let v_cano = vertices(path, "v_cano", file.f64("v_cano")?, count)?;
     let pose = numbers(path, "pose", &file.f64("pose")?)?;
     Ok(CanonicalFrame { v_cano, pose })

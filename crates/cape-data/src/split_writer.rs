@@ -163,8 +163,8 @@ impl SplitWriter {
 }
 
 fn csv_line(frame: &PlannedFrame) -> String {
-    let PlannedFrame { path, subject, sequence, outfit, .. } = frame;
-    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    let PlannedFrame { source, subject, sequence, outfit, .. } = frame;
+    let name = source.path().file_stem().unwrap_or_default().to_string_lossy();
     format!("{subject},{outfit},{sequence},{name}\n")
 }
 

@@ -2,12 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_core::{Outfit, SmplModel, npy::write_npy};
+use cape_core::{SmplModel, npy::write_npy};
 use ndarray::Array2;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::raw::{self, RawFrame};
+use super::{
+    FrameSource, RawCapture, RawTree,
+    raw::{self, RawFrame},
+};
 use crate::{Error, Result};
 use cape_core::ProgressFn;
 use cape_core::StagingDirectory;
@@ -75,34 +78,35 @@ pub fn unpose(
     let (raw, out) = (raw.as_ref(), out.as_ref());
     let mut report = UnposeReport::default();
     let staging = StagingDirectory::create(out)?;
-    let subjects = plan(raw)?;
-    let total = subjects.iter().flat_map(|(_, frames)| frames).count();
+    let tree = RawTree::open(raw)?;
+    let subjects = plan(&tree);
+    let total = subjects.iter().map(|(_, frames)| frames.len()).sum();
     let (mut done, mut sum) = (0, 0.0);
     for (subject, frames) in &subjects {
-        let minimal = raw::read_minimal(raw, subject)?;
+        let minimal = tree.minimal(subject, false)?;
         let fit = body
             .fit_betas(&minimal, betas)
-            .map_err(|error| Error::format(raw::minimal_path(raw, subject), error.to_string()))?;
+            .map_err(|error| Error::format(tree.minimal_path(subject), error.to_string()))?;
         raw::write_minimal(&staging.path, subject, &minimal)?;
         let mut written = 0;
         for chunk in frames.chunks(4 * rayon::current_num_threads()) {
             let unposed: Vec<Result<f64>> = chunk
                 .par_iter()
-                .map(|path| {
-                    raw::require_inside(raw, path)?;
-                    let (frame, length) = unpose_frame(path, &minimal, body)?;
-                    let place = staging.path.join(path.strip_prefix(raw).unwrap_or(path));
+                .map(|source| {
+                    source.require_inside()?;
+                    let (frame, length) = unpose_frame(source, &minimal, body)?;
+                    let place = staging.path.join("sequences").join(source.relative());
                     raw::write_frame_at(&place, &frame)?;
                     Ok(length)
                 })
                 .collect();
-            for (path, unposed) in chunk.iter().zip(unposed) {
+            for (source, unposed) in chunk.iter().zip(unposed) {
                 match unposed {
                     Ok(length) => {
                         sum += length;
                         written += 1;
                     }
-                    Err(error) => report.broken.push((path.clone(), error.to_string())),
+                    Err(error) => report.broken.push((source.path().to_owned(), error.to_string())),
                 }
             }
             done += chunk.len();
@@ -110,7 +114,7 @@ pub fn unpose(
         }
         report.frames += written;
         report.subjects.push(UnposedSubject {
-            subject: subject.clone(),
+            subject: (*subject).to_owned(),
             frames: written,
             betas: fit.betas,
             residual_mm: 1000.0 * fit.rms,
@@ -131,30 +135,23 @@ pub fn unpose(
     Ok(report)
 }
 
-/// Subjects with the paths of their frames, in the order of the names.
-fn plan(raw: &Path) -> Result<Vec<(String, Vec<PathBuf>)>> {
-    let mut subjects = Vec::new();
-    for directory in raw::directories(raw.join("sequences"))? {
-        let mut frames = Vec::new();
-        for capture in raw::directories(&directory)? {
-            let named = capture.file_name().and_then(|name| name.to_str()?.split_once('_'));
-            if named.is_some_and(|(outfit, _)| outfit.parse::<Outfit>().is_ok()) {
-                frames.extend(raw::frame_paths(&capture)?.unwrap_or_default());
-            }
-        }
-        if !frames.is_empty() {
-            subjects.push((raw::name_of(&directory), frames));
-        }
-    }
-    Ok(subjects)
+/// Subjects with their frames, in the order of the names.
+fn plan(tree: &RawTree) -> Vec<(&str, Vec<&FrameSource>)> {
+    let frames = |subject| tree.captures(subject).iter().flat_map(RawCapture::frames).collect();
+    let subjects = tree.subjects().map(|subject| (subject, frames(subject)));
+    subjects.filter(|(_, frames): &(_, Vec<_>)| !frames.is_empty()).collect()
 }
 
-/// The unposed frame at `path`, and the mean length of its displacements, metres.
-fn unpose_frame(path: &Path, minimal: &Array2<f64>, body: &SmplModel) -> Result<(RawFrame, f64)> {
-    let posed = raw::read_posed(path, body.vertices())?;
+/// The unposed frame, and the mean length of its displacements, metres.
+fn unpose_frame(
+    source: &FrameSource,
+    minimal: &Array2<f64>,
+    body: &SmplModel,
+) -> Result<(RawFrame, f64)> {
+    let posed = source.posed(body.vertices())?;
     let v_cano = body
         .unpose_shape(&posed.v_posed, minimal, &posed.pose, posed.transl)
-        .map_err(|error| Error::format(path, error.to_string()))?;
+        .map_err(|error| Error::format(source.path(), error.to_string()))?;
     let lengths = (&v_cano - minimal).map_axis(ndarray::Axis(1), |d| d.dot(&d).sqrt());
     let length = lengths.mean().unwrap_or(0.0);
     Ok((RawFrame { v_cano, ..posed }, length))
@@ -176,7 +173,9 @@ mod tests {
         let body = synthetic_body();
         let spec = SynthSpec { subjects: 1, frames_per_sequence: 3, ..SynthSpec::default() };
         CaptureGenerator::new(&body, spec).unwrap().write(&raw_tree, &mut silent).unwrap();
-        let frames: Vec<PathBuf> = plan(&raw_tree).unwrap().remove(0).1;
+        let tree = RawTree::open(&raw_tree).unwrap();
+        let frames = plan(&tree).remove(0).1;
+        let frames: Vec<PathBuf> = frames.iter().map(|frame| frame.path().to_owned()).collect();
         let expected: Vec<RawFrame> =
             frames.iter().map(|path| raw::read_frame(path, None).unwrap()).collect();
         // Frames without canonical vertices, one of them without translation.

@@ -22,7 +22,7 @@ fn seen(
     model: &cape_core::SmplModel,
     camera: &cape_fit::PinholeCamera,
 ) -> cape_fit::Result<(cape_fit::BodyParameters, cape_fit::Keypoints)> {
-    use cape_fit::{BodyParameters, Detector, Keypoint, Keypoints, Skeleton};
+    use cape_fit::{BodyParameters, KeypointLayout, Keypoint, Keypoints, Skeleton};
     use cape_synth::{Motion, MotionStyle};
 
     let pose = Motion::WalkMarch.pose(&MotionStyle::default(), 0.6).to_vec();
@@ -34,6 +34,6 @@ fn seen(
         let at = camera.project(joint);
         Keypoint { x: at.x, y: at.y, confidence: 0.9 }
     });
-    let keypoints = Keypoints::new(Detector::Smpl24, points.collect())?;
+    let keypoints = Keypoints::new(KeypointLayout::Smpl24, points.collect())?;
     Ok((body, keypoints))
 }

@@ -10,9 +10,9 @@ use ndarray::Array2;
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 use crate::{
-    BodyParameters, ClothedConfig, Detector, DressedBody, ImageObservation, Keypoint, Keypoints,
-    Mask, PinholeCamera, PosePrior, SilhouetteLevel, Smplify, SmplifyConfig, aligned_error,
-    silhouette::render, testing::BODY,
+    BodyParameters, ClothedConfig, DressedBody, ImageObservation, Keypoint, KeypointLayout,
+    Keypoints, Mask, PinholeCamera, PosePrior, SilhouetteLevel, Smplify, SmplifyConfig,
+    aligned_error, silhouette::render, testing::BODY,
 };
 
 pub(crate) fn dressed(outfit: Outfit) -> DressedBody {
@@ -161,7 +161,7 @@ fn silhouettes_bring_clothed_bodies_closer() {
 
 pub(crate) fn seen(camera: &PinholeCamera, body: &BodyParameters) -> Keypoints {
     let joints = BODY.pose(&body.betas, &body.pose, body.transl, None).unwrap().joints;
-    let detector = Detector::Body25;
+    let detector = KeypointLayout::Body25;
     let mut points = vec![Keypoint { x: 0.0, y: 0.0, confidence: 0.0 }; detector.points()];
     for &(point, joint) in detector.joints() {
         let row = joints.row(joint);

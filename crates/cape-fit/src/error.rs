@@ -6,10 +6,10 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 /// Errors of fitting.
 ///
 /// ```
-/// use cape_fit::{Detector, Error, Keypoints};
+/// use cape_fit::{KeypointLayout, Error, Keypoints};
 ///
 /// // No keypoints; the detector has 25.
-/// let nothing = Keypoints::new(Detector::Body25, Vec::new());
+/// let nothing = Keypoints::new(KeypointLayout::Body25, Vec::new());
 /// assert!(matches!(nothing, Err(Error::Observation(message)) if message.contains("25")));
 /// ```
 #[derive(Debug, thiserror::Error)]

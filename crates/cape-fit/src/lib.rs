@@ -62,7 +62,10 @@ pub use clothed::{ClothedConfig, ClothedFit, ClothedTerms, ImageObservation, Sil
 pub use config::FitConfig;
 pub use dressed_body::{DressedBody, DressedGradient, DressedSurface, FixedClothing};
 pub use error::{Error, Result};
-pub use keypoints::{Detector, Keypoint, Keypoints, read_keypoints};
+pub use keypoints::{
+    Keypoint, KeypointLayout, KeypointOptions, Keypoints, People, Person, read_keypoints,
+    read_keypoints_with,
+};
 pub use parameters::BodyParameters;
 pub use pose_collection::PoseCollection;
 pub use pose_prior::{BODY_POSE, COMPONENTS, OPTIONS, PosePrior, synthetic_poses};

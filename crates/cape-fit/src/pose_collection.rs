@@ -2,14 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
+use cape_core::motion::{MotionFile, MotionOptions, read_motions};
 use cape_data::{PackedSet, Split};
-use cape_synth::poses;
 use ndarray::Array2;
 
 use crate::{Error, Result};
 
 /// Extensions of files that may contain poses.
-const EXTENSIONS: [&str; 3] = ["npz", "npy", "csv"];
+const EXTENSIONS: [&str; 7] = ["npz", "npy", "csv", "pkl", "pickle", "json", "smpl"];
 
 /// Poses of several files.
 ///
@@ -37,8 +37,8 @@ pub struct PoseCollection {
 }
 
 impl PoseCollection {
-    /// Reads each of `sources`: a pose file of [`cape_synth::poses`] (SMPL, AMASS or SMPL-X), a
-    /// packed set, of which the training poses are used, or a directory, which is searched for pose
+    /// Reads each of `sources`: a file of any format of [`cape_core::motion`], of all of whose
+    /// people the poses are used, a packed set, of which the training poses are used, or a directory, which is searched for pose
     /// files. `progress` is called with the number of files read and of all.
     ///
     /// # Errors
@@ -56,10 +56,12 @@ impl PoseCollection {
             }
         }
         for (index, (file, named)) in files.iter().enumerate() {
-            match poses::poses(&file.to_string_lossy()) {
-                Ok(found) => {
+            match read_motions(file, &MotionOptions::default()) {
+                Ok(people) => {
                     collection.files += 1;
-                    collection.poses.extend(found.iter().map(|(_, pose)| pose.map(f64::from)));
+                    for person in people {
+                        collection.add(&person)?;
+                    }
                 }
                 Err(error) if *named => return Err(error.into()),
                 Err(error) => collection.skipped.push((file.clone(), error.to_string())),
@@ -71,6 +73,12 @@ impl PoseCollection {
             return Err(Error::argument(format!("{}: no poses found", names.join(", "))));
         }
         Ok(collection)
+    }
+
+    fn add(&mut self, person: &MotionFile) -> Result<()> {
+        let poses = person.upright_poses()?;
+        self.poses.extend(poses.iter().map(|pose| pose.map(f64::from)));
+        Ok(())
     }
 
     fn add_packed(&mut self, root: &Path) -> Result<()> {
@@ -124,6 +132,9 @@ fn below(directory: &Path) -> Result<Vec<PathBuf>> {
             let entry = entry.map_err(|e| Error::io(&directory, e))?;
             let kind = entry.file_type().map_err(|e| Error::io(entry.path(), e))?;
             let path = entry.path();
+            if entry.file_name().to_string_lossy().starts_with('.') {
+                continue;
+            }
             let extension = path.extension().unwrap_or_default();
             if kind.is_dir() {
                 open.push(path);
@@ -160,7 +171,8 @@ mod tests {
         assert!(found.skipped[0].0.ends_with("shape.npy"));
         let [fitted, tested] = found.spread(3);
         assert_eq!((fitted.dim(), tested.dim()), ((3, 72), (3, 72)));
-        assert_eq!((fitted[[0, 0]], fitted[[2, 0]]), (0.5, 0.25));
+        // The first joint is turned upright, the others are as they are.
+        assert_eq!((fitted[[0, 3]], fitted[[2, 3]]), (0.5, 0.25));
         let [fitted, tested] = found.spread(100);
         assert_eq!((fitted.nrows(), tested.nrows()), (6, 0));
         let message = read(&[inner.join("shape.npy")]).unwrap_err().to_string();

@@ -8,8 +8,8 @@ use glam::{DQuat, DVec3};
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 use crate::{
-    BodyFit, BodyParameters, Detector, Keypoint, Keypoints, PinholeCamera, PosePrior, Smplify,
-    SmplifyConfig, testing::BODY,
+    BodyFit, BodyParameters, Keypoint, KeypointLayout, Keypoints, PinholeCamera, PosePrior,
+    Smplify, SmplifyConfig, testing::BODY,
 };
 
 fn camera() -> PinholeCamera {
@@ -32,7 +32,12 @@ fn joints(model: &SmplModel, body: &BodyParameters) -> Vec<DVec3> {
     posed.joints.rows().into_iter().map(|j| DVec3::new(j[0], j[1], j[2])).collect()
 }
 
-fn seen(model: &SmplModel, body: &BodyParameters, detector: Detector, noise: f64) -> Keypoints {
+fn seen(
+    model: &SmplModel,
+    body: &BodyParameters,
+    detector: KeypointLayout,
+    noise: f64,
+) -> Keypoints {
     let joints = joints(model, body);
     let mut rng = ChaCha8Rng::seed_from_u64(4);
     let mut points = vec![Keypoint { x: 0.0, y: 0.0, confidence: 0.0 }; detector.points()];
@@ -68,7 +73,7 @@ fn bodies_are_found_again_from_all_sides() {
     for motion in [Motion::WalkMarch, Motion::MoveArms, Motion::PoseModel, Motion::Soccer] {
         for turn in turns {
             let truth = body(motion, turn);
-            let keypoints = seen(model, &truth, Detector::Body25, 0.0);
+            let keypoints = seen(model, &truth, KeypointLayout::Body25, 0.0);
             let fit = smplify.fit(&camera(), &keypoints, None).unwrap();
             assert!(fit.problem.is_none(), "{motion} {turn}: {:?}", fit.problem);
             let error = error(model, &truth, &fit);
@@ -86,13 +91,13 @@ fn noise_and_missing_joints_are_borne() {
     let model = &*BODY;
     let smplify = smplify(model);
     let truth = body(Motion::WalkMarch, DQuat::from_rotation_y(0.4));
-    let keypoints = seen(model, &truth, Detector::Coco17, 3.0);
+    let keypoints = seen(model, &truth, KeypointLayout::Coco17, 3.0);
     let mut points = keypoints.points().to_vec();
     points[9].confidence = 0.0;
     points[13].confidence = 0.0;
     // One outlier.
     points[15].x += 300.0;
-    let keypoints = Keypoints::new(Detector::Coco17, points).unwrap();
+    let keypoints = Keypoints::new(KeypointLayout::Coco17, points).unwrap();
     let fit = smplify.fit(&camera(), &keypoints, None).unwrap();
     let error = error(model, &truth, &fit);
     assert!(error < 0.12, "{error}");
@@ -103,7 +108,7 @@ fn a_known_start_is_used() {
     let model = &*BODY;
     let smplify = smplify(model);
     let truth = body(Motion::PoseModel, DQuat::IDENTITY);
-    let keypoints = seen(model, &truth, Detector::Body25, 0.0);
+    let keypoints = seen(model, &truth, KeypointLayout::Body25, 0.0);
     let known = smplify.fit(&camera(), &keypoints, Some(&truth)).unwrap();
     let unknown = smplify.fit(&camera(), &keypoints, None).unwrap();
     let [known, unknown] = [&known, &unknown].map(|fit| error(model, &truth, fit));
@@ -115,18 +120,18 @@ fn impossible_observations_are_refused_or_said_to_have_failed() {
     let model = &*BODY;
     let smplify = smplify(model);
     let unseen = vec![Keypoint { x: 5.0, y: 5.0, confidence: 0.0 }; 25];
-    let unseen = Keypoints::new(Detector::Body25, unseen).unwrap();
+    let unseen = Keypoints::new(KeypointLayout::Body25, unseen).unwrap();
     let message = smplify.fit(&camera(), &unseen, None).unwrap_err().to_string();
     assert!(message.contains("0 joints"), "{message}");
 
     // Permuted joints.
     let truth = body(Motion::WalkMarch, DQuat::IDENTITY);
-    let mut points = seen(model, &truth, Detector::Smpl24, 0.0).points().to_vec();
+    let mut points = seen(model, &truth, KeypointLayout::Smpl24, 0.0).points().to_vec();
     let originals = points.clone();
     for (at, point) in points.iter_mut().enumerate() {
         *point = originals[(at * 7 + 3) % 24];
     }
-    let keypoints = Keypoints::new(Detector::Smpl24, points).unwrap();
+    let keypoints = Keypoints::new(KeypointLayout::Smpl24, points).unwrap();
     let fit = smplify.fit(&camera(), &keypoints, None).unwrap();
     assert!(fit.problem.is_some(), "{}", fit.joint_error);
 

@@ -30,7 +30,7 @@ mod normaliser;
 pub mod prior;
 mod run;
 
-pub use animated_body::AnimatedBody;
+pub use animated_body::{AnimatedBody, AnimationReport};
 pub use batch::{BATCH, DeviceBatch, batches, to_device};
 pub use body_spec::{BodySpec, registration};
 pub use clothed_model::{ClothedBody, ClothedModel, ClothedModelParts, Condition};

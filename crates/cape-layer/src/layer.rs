@@ -7,7 +7,7 @@ use cape_core::{
 use ndarray::{Array1, Array2, ArrayD, Axis, Dimension, arr1};
 
 use crate::{
-    Association, BodyFrame, Error, Pca, Result,
+    Association, BodyFrame, BodyIdentity, Error, Pca, Result,
     regress::{FeatureOptions, FeatureStream, Regressor, SemanticParameters, StreamedFrame},
 };
 use cape_core::expect_finite;
@@ -58,6 +58,8 @@ pub struct Layer {
     /// Regressor from motion features and semantic parameters to coordinates in the components
     /// (§3.3).
     pub regressor: Regressor,
+    /// Body that the layer was learned on, if it is recorded.
+    pub body: Option<BodyIdentity>,
 }
 
 /// Predicted clothing of one frame.
@@ -172,6 +174,10 @@ impl Layer {
         file.add("features", &arr1(&features))?;
         self.semantics.write(&mut file)?;
         self.regressor.write(&mut file)?;
+        if let Some(BodyIdentity { name, sha256 }) = &self.body {
+            file.add_text("body_name", name)?;
+            file.add_text("body_sha256", sha256)?;
+        }
         Ok(file.finish()?)
     }
 
@@ -224,7 +230,25 @@ impl Layer {
             return Err(fault(file, "sizes", message));
         }
         let standard = StandardPose::Other(vector(file, "standard_pose", None)?.to_vec());
-        Ok(Self { faces, association, standard, pca, features, semantics, regressor })
+        let body = if file.contains("body_sha256") {
+            Some(BodyIdentity { name: file.text("body_name")?, sha256: file.text("body_sha256")? })
+        } else {
+            None
+        };
+        Ok(Self { faces, association, standard, pca, features, semantics, regressor, body })
+    }
+
+    /// [`load`](Self::load) for clothing on `model`.
+    ///
+    /// # Errors
+    /// As of `load`, or if the layer was learned on another body.
+    pub fn load_for(path: impl AsRef<Path>, model: &SmplModel) -> Result<Self> {
+        let path = path.as_ref();
+        let layer = Self::load(path, model.vertices())?;
+        if let Some(body) = &layer.body {
+            body.check(&path.display().to_string(), model)?;
+        }
+        Ok(layer)
     }
 }
 

@@ -27,9 +27,11 @@
 //! ```
 
 pub mod associate;
+mod body_identity;
 mod error;
 pub mod experiment;
 pub mod geometry;
+mod import;
 mod layer;
 pub mod offsets;
 pub mod regress;
@@ -39,7 +41,9 @@ pub mod synth;
 pub use cape_stats::pca::{ComponentSelection, Pca};
 
 pub use associate::{AssociateOptions, Association};
+pub use body_identity::BodyIdentity;
 pub use error::{Error, Result};
+pub use import::{ImportRates, import};
 pub use layer::{Layer, LayerStream, PredictedFrame};
 pub use offsets::{BodyFrame, OffsetFrame};
-pub use sequence::{LayerSet, Sequence, import, import_motion};
+pub use sequence::{LayerSet, Sequence};

@@ -3,14 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use cape_core::{
-    Mesh, SmplModel,
+    SmplModel,
     npy::{Npz, NpzWriter},
     write_atomically,
 };
 use ndarray::{Array1, Array2, Array3, Axis};
 use serde::{Deserialize, Serialize};
 
-use crate::{BodyFrame, Error, Result};
+use crate::{BodyFrame, BodyIdentity, Error, Result};
 use cape_core::{
     BodyMotion, expect_finite,
     geometry::{SurfaceMesh, points},
@@ -61,7 +61,7 @@ impl Sequence {
         BodyFrame::new(model, &self.shape(model)?, &pose, transl, standard)
     }
 
-    fn check(&self, vertices: usize) -> Result<()> {
+    pub(crate) fn check(&self, vertices: usize) -> Result<()> {
         let (frames, found, axes) = self.clothing.dim();
         let fault = |message: String| Err(Error::sequence(&self.name, message));
         if frames == 0 {
@@ -115,6 +115,8 @@ pub struct LayerSet {
     pub faces: Vec<[u32; 3]>,
     /// Sequences.
     pub sequences: Vec<Sequence>,
+    /// Body that wears the clothing, if it is recorded.
+    pub body: Option<BodyIdentity>,
 }
 
 /// Entry of `set.json` for one sequence.
@@ -123,6 +125,23 @@ struct Entry {
     name: String,
     frame_rate: f64,
     parameters: Vec<(String, f64)>,
+}
+
+/// Content of `set.json`.
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct Index {
+    /// Body of all sequences, if it is recorded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    body: Option<BodyIdentity>,
+    sequences: Vec<Entry>,
+}
+
+/// Forms of `set.json`; the second one has no body.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum AnyIndex {
+    Present(Index),
+    Earlier(Vec<Entry>),
 }
 
 const INDEX: &str = "set.json";
@@ -148,7 +167,7 @@ impl LayerSet {
                 return Err(Error::sequence(&sequence.name, message));
             }
         }
-        let set = Self { faces, sequences };
+        let set = Self { faces, sequences, body: None };
         set.clothing(0, 0)?;
         Ok(set)
     }
@@ -198,21 +217,50 @@ impl LayerSet {
         for sequence in &self.sequences {
             write(directory, &self.faces, sequence)?;
         }
-        write_index(directory, &self.sequences.iter().map(Entry::from_sequence).collect::<Vec<_>>())
+        let sequences = self.sequences.iter().map(Entry::from_sequence).collect();
+        write_index(directory, &Index { body: self.body.clone(), sequences })
     }
 
-    /// Adds a sequence to the set in `directory`, in place of one with the same name; an empty or
-    /// missing set is begun.
+    /// The set with the body that wears its clothing.
+    #[must_use]
+    pub fn with_body(self, body: BodyIdentity) -> Self {
+        Self { body: Some(body), ..self }
+    }
+
+    /// Adds a sequence of clothing on `body` to the set in `directory`, in place of one with the same
+    /// name; an empty or missing set is begun.
     ///
     /// # Errors
-    /// If a file cannot be read or written.
-    pub fn add(directory: impl AsRef<Path>, faces: &[[u32; 3]], sequence: &Sequence) -> Result<()> {
+    /// If a file cannot be read or written, or the set is of another body.
+    pub fn add(
+        directory: impl AsRef<Path>,
+        body: &BodyIdentity,
+        faces: &[[u32; 3]],
+        sequence: &Sequence,
+    ) -> Result<()> {
         let directory = directory.as_ref();
-        let mut index =
-            if directory.join(INDEX).exists() { read_index(directory)? } else { Vec::new() };
+        let mut index = if directory.join(INDEX).exists() {
+            read_index(directory)?
+        } else {
+            Index { body: Some(body.clone()), sequences: Vec::new() }
+        };
+        if let Some(known) = &index.body
+            && known.sha256 != body.sha256
+        {
+            return Err(Error::sequence(
+                &sequence.name,
+                format!(
+                    "is of the body `{}`, but the set {} of `{}`: all sequences of a set need the same \
+                     body",
+                    body.name,
+                    directory.display(),
+                    known.name
+                ),
+            ));
+        }
         write(directory, faces, sequence)?;
-        index.retain(|entry| entry.name != sequence.name);
-        index.push(Entry::from_sequence(sequence));
+        index.sequences.retain(|entry| entry.name != sequence.name);
+        index.sequences.push(Entry::from_sequence(sequence));
         write_index(directory, &index)
     }
 
@@ -225,7 +273,7 @@ impl LayerSet {
         let index = read_index(directory)?;
         let mut all_faces: Option<Vec<[u32; 3]>> = None;
         let mut sequences = Vec::new();
-        for entry in index {
+        for entry in index.sequences {
             let (faces, sequence) = read(directory, entry)?;
             if all_faces.as_ref().is_some_and(|known| *known != faces) {
                 let message = "faces differ from those of the sequences before: all sequences of a set \
@@ -235,7 +283,21 @@ impl LayerSet {
             all_faces = Some(faces);
             sequences.push(sequence);
         }
-        Self::new(all_faces.unwrap_or_default(), sequences)
+        let set = Self::new(all_faces.unwrap_or_default(), sequences)?;
+        Ok(Self { body: index.body, ..set })
+    }
+
+    /// [`load`](Self::load) for sequences worn by `model`.
+    ///
+    /// # Errors
+    /// As of `load`, or if the set is of another body.
+    pub fn load_for(directory: impl AsRef<Path>, model: &SmplModel) -> Result<Self> {
+        let directory = directory.as_ref();
+        let set = Self::load(directory)?;
+        if let Some(body) = &set.body {
+            body.check(&directory.display().to_string(), model)?;
+        }
+        Ok(set)
     }
 }
 
@@ -249,14 +311,20 @@ impl Entry {
     }
 }
 
-fn read_index(directory: &Path) -> Result<Vec<Entry>> {
+fn read_index(directory: &Path) -> Result<Index> {
     let path = directory.join(INDEX);
     let text = std::fs::read(&path).map_err(|source| cape_core::Error::io(&path, source))?;
-    Ok(serde_json::from_slice(&text)
-        .map_err(|error| cape_core::Error::format(&path, error.to_string()))?)
+    let index = serde_json::from_slice(&text).map_err(|error| {
+        let message = format!("expected `sequences` of name, frame_rate and parameters: {error}");
+        cape_core::Error::format(&path, message)
+    })?;
+    Ok(match index {
+        AnyIndex::Present(index) => index,
+        AnyIndex::Earlier(sequences) => Index { body: None, sequences },
+    })
 }
 
-fn write_index(directory: &Path, index: &[Entry]) -> Result<()> {
+fn write_index(directory: &Path, index: &Index) -> Result<()> {
     let path = directory.join(INDEX);
     let text = serde_json::to_vec_pretty(index)
         .map_err(|error| cape_core::Error::format(&path, error.to_string()))?;
@@ -300,14 +368,12 @@ fn read(directory: &Path, entry: Entry) -> Result<(Vec<[u32; 3]>, Sequence)> {
     let clothing = clothing
         .into_dimensionality()
         .map_err(|error| cape_core::Error::field(&path, "clothing", error.to_string()))?;
-    let (motion, betas) = read_motion(&mut file, Some(frame_rate))?;
+    let (motion, betas) = motion_of(&mut file, frame_rate)?;
     Ok((faces, Sequence { name, clothing, betas, motion, parameters }))
 }
 
-/// Arrays `poses`, `trans` or `transl`, `betas` and, unless the frame rate is given,
-/// `mocap_framerate` of an archive of SMPL parameters with the names of AMASS.
-fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(BodyMotion, Vec<f64>)> {
-    let shift = if file.contains("trans") { "trans" } else { "transl" };
+/// Motion of the body at a frame rate, and its shape coefficients, of an archive of a set.
+fn motion_of(file: &mut Npz, frame_rate: f64) -> Result<(BodyMotion, Vec<f64>)> {
     let mut table = |name: &str, columns: Option<usize>| -> Result<Array2<f64>> {
         let array = file.f64(name)?;
         file.expect_shape(name, array.shape(), &[None, columns])?;
@@ -316,88 +382,20 @@ fn read_motion(file: &mut Npz, frame_rate: Option<f64>) -> Result<(BodyMotion, V
             .into_dimensionality()
             .map_err(|error| cape_core::Error::field(path, name, error.to_string()))?)
     };
-    let (poses, translations) = (table("poses", None)?, table(shift, Some(3))?);
+    let (poses, translations) = (table("poses", None)?, table("trans", Some(3))?);
     let betas = if file.contains("betas") {
         file.f64("betas")?.iter().copied().collect()
     } else {
         Vec::new()
     };
     expect_finite("betas", &betas)?;
-    let rate = match frame_rate {
-        Some(rate) => rate,
-        None => file.f64("mocap_framerate")?.first().copied().unwrap_or(f64::NAN),
-    };
-    Ok((BodyMotion::new(rate, poses, translations)?, betas))
-}
-
-/// Reads the motion and the shape coefficients of an `.npz` archive of SMPL parameters with the
-/// names of AMASS: `poses` `[frames, 72]`, `trans` or `transl` `[frames, 3]`, `betas` (optional),
-/// and `mocap_framerate` unless `frame_rate`, in frames per second, is given.
-///
-/// # Errors
-/// If an array is missing, malformed or not finite.
-pub fn import_motion(
-    parameters: impl AsRef<Path>,
-    frame_rate: Option<f64>,
-) -> Result<(BodyMotion, Vec<f64>)> {
-    read_motion(&mut Npz::open(parameters)?, frame_rate)
-}
-
-/// Reads a captured or simulated sequence: a directory of `.obj` or `.ply` meshes in metres, one
-/// for each frame in order of their names, and an archive of SMPL parameters as for
-/// [`import_motion`]. Returns the faces, for [`LayerSet::new`], and the sequence without semantic
-/// parameters.
-///
-/// # Errors
-/// If there are no meshes, their topology differs, or the numbers of frames differ.
-pub fn import(
-    name: &str,
-    meshes: impl AsRef<Path>,
-    parameters: impl AsRef<Path>,
-    frame_rate: Option<f64>,
-) -> Result<(Vec<[u32; 3]>, Sequence)> {
-    let directory = meshes.as_ref();
-    let io = |source| cape_core::Error::io(directory, source);
-    let mut paths: Vec<PathBuf> = Vec::new();
-    for entry in std::fs::read_dir(directory).map_err(io)? {
-        let path = entry.map_err(io)?.path();
-        let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
-        if matches!(extension.as_deref(), Some("obj" | "ply")) {
-            paths.push(path);
-        }
-    }
-    paths.sort();
-    let mut faces: Option<Vec<[u32; 3]>> = None;
-    let mut numbers = Vec::new();
-    for path in &paths {
-        let mesh = Mesh::load(path)?;
-        if faces.as_ref().is_some_and(|faces| *faces != mesh.faces) {
-            let message = format!(
-                "{}: other faces than in the frames before: all frames must have the same topology",
-                path.display()
-            );
-            return Err(Error::sequence(name, message));
-        }
-        numbers.extend(mesh.vertices.iter().flatten().map(|&x| f64::from(x)));
-        faces = Some(mesh.faces);
-    }
-    let Some(faces) = faces else {
-        let message =
-            format!("{}: no .obj or .ply meshes, expected one for each frame", directory.display());
-        return Err(Error::sequence(name, message));
-    };
-    let shape = (paths.len(), numbers.len() / (3 * paths.len()), 3);
-    let clothing = Array3::from_shape_vec(shape, numbers)
-        .map_err(|_| Error::sequence(name, "the number of vertices differs between frames"))?;
-    let (motion, betas) = import_motion(parameters, frame_rate)?;
-    let parameters = Vec::new();
-    let sequence = Sequence { name: name.to_owned(), clothing, betas, motion, parameters };
-    sequence.check(shape.1)?;
-    Ok((faces, sequence))
+    Ok((BodyMotion::new(frame_rate, poses, translations)?, betas))
 }
 
 #[cfg(test)]
 mod tests {
+    use cape_synth::synthetic_body;
+
     use super::*;
 
     fn sequence(name: &str) -> Sequence {
@@ -418,10 +416,11 @@ mod tests {
         assert_eq!(LayerSet::load(directory.path()).unwrap(), set);
         assert_eq!((set.frames(), set.vertices(), set.each_frame()[4]), (6, 4, (1, 1)));
         let grown = tempfile::tempdir().unwrap();
+        let body = BodyIdentity::new("body", &synthetic_body());
         for name in ["b", "a", "b"] {
-            LayerSet::add(grown.path(), &FACES, &sequence(name)).unwrap();
+            LayerSet::add(grown.path(), &body, &FACES, &sequence(name)).unwrap();
         }
-        assert_eq!(LayerSet::load(grown.path()).unwrap(), set);
+        assert_eq!(LayerSet::load(grown.path()).unwrap(), set.with_body(body));
     }
 
     #[test]
@@ -443,29 +442,29 @@ mod tests {
     }
 
     #[test]
-    fn meshes_and_parameters_are_imported() {
+    fn sets_record_their_body() {
+        let model = synthetic_body();
+        let body = BodyIdentity::new("SMPL_MALE.pkl", &model);
         let directory = tempfile::tempdir().unwrap();
-        let meshes = directory.path().join("meshes");
-        std::fs::create_dir(&meshes).unwrap();
-        let wanted = sequence("own");
-        for (frame, clothing) in wanted.clothing.outer_iter().enumerate() {
-            let vertices = points(clothing);
-            let mesh = SurfaceMesh::new("clothing", vertices, FACES.to_vec()).unwrap().to_mesh();
-            mesh.save(meshes.join(format!("{frame:04}.ply"))).unwrap();
-        }
-        let archive = directory.path().join("smpl.npz");
-        let mut file = NpzWriter::create(&archive).unwrap();
-        file.add("poses", &wanted.motion.poses).unwrap();
-        file.add("transl", &wanted.motion.translations).unwrap();
-        file.add("betas", &Array1::from_vec(wanted.betas.clone())).unwrap();
-        file.add("mocap_framerate", &ndarray::arr1(&[30.0])).unwrap();
-        file.finish().unwrap();
-        let (faces, found) = import("own", &meshes, &archive, None).unwrap();
-        assert_eq!(faces, FACES);
-        assert_eq!(found, Sequence { parameters: vec![], ..wanted });
-        std::fs::remove_file(meshes.join("0001.ply")).unwrap();
-        assert!(
-            import("own", &meshes, &archive, None).unwrap_err().to_string().contains("out of step")
-        );
+        LayerSet::add(directory.path(), &body, &FACES, &sequence("a")).unwrap();
+        let set = LayerSet::load_for(directory.path(), &model).unwrap();
+        assert_eq!(set.body.as_ref(), Some(&body));
+        set.save(directory.path()).unwrap();
+        let mut other = model.clone();
+        other.v_template[(0, 0)] += 1e-3;
+        let message = LayerSet::load_for(directory.path(), &other).unwrap_err().to_string();
+        assert!(message.contains("another body, `SMPL_MALE.pkl`"), "{message}");
+        let other = BodyIdentity::new("other.npz", &other);
+        let message = LayerSet::add(directory.path(), &other, &FACES, &sequence("b"))
+            .unwrap_err()
+            .to_string();
+        assert!(message.contains("`other.npz`") && message.contains("same body"), "{message}");
+        // Sets from before bodies were recorded.
+        let index = std::fs::read(directory.path().join(INDEX)).unwrap();
+        let index: serde_json::Value = serde_json::from_slice(&index).unwrap();
+        let earlier = serde_json::to_vec(&index["sequences"]).unwrap();
+        std::fs::write(directory.path().join(INDEX), earlier).unwrap();
+        let set = LayerSet::load_for(directory.path(), &model).unwrap();
+        assert_eq!((set.body, set.sequences.len()), (None, 1));
     }
 }

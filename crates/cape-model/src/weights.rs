@@ -270,6 +270,10 @@ pub fn load(path: impl AsRef<Path>) -> Result<Weights> {
     let file = |message: String| Error::File { path: path.to_owned(), message };
     let content =
         std::fs::read(path).map_err(|source| Error::Io { path: path.to_owned(), source })?;
+    let start = &content[..content.len().min(4096)];
+    if let Some(found) = cape_core::unexpected_content(start, content.len() as u64) {
+        return Err(file(found.to_owned()));
+    }
     let tensors = SafeTensors::deserialize(&content)
         .map_err(|error| file(format!("not a complete safetensors file: {error}")))?;
     tensors

@@ -30,7 +30,7 @@ mod wardrobe;
 pub use cape_core::{Error, Result};
 
 pub use body::{
-    FACES as BODY_FACES, Gender, HalfBody, VERTICES as BODY_VERTICES, embedded_body, synthetic_body,
+    FACES as BODY_FACES, HalfBody, VERTICES as BODY_VERTICES, embedded_body, synthetic_body,
 };
 pub use dataset::{CaptureGenerator, SequenceGenerator, SynthFrame, SynthSequence, SynthSpec};
 pub use motion::{Motion, MotionStyle};

@@ -130,6 +130,18 @@ impl TrainerOptions {
     }
 }
 
+/// State before the first step.
+fn beginning(seed: u64) -> TrainState {
+    TrainState {
+        step: 0,
+        loader: LoaderState::new(seed),
+        seconds: 0.0,
+        accuracy_sum: (0.0, 0),
+        validation: None,
+        best: None,
+    }
+}
+
 /// A run in training.
 ///
 /// ```
@@ -195,22 +207,16 @@ impl Trainer {
     ) -> Result<Self> {
         let (paths, config) = create(root.as_ref(), &options)?;
         let data = options.data;
-        let progress = TrainState {
-            step: 0,
-            loader: LoaderState::new(config.train.seed),
-            seconds: 0.0,
-            accuracy_sum: (0.0, 0),
-            validation: None,
-            best: None,
-        };
+        let progress = beginning(config.train.seed);
         Self::assemble(paths, &data, config, progress, device)
     }
 
-    /// Resumes the run in `root` from its newest checkpoint. `data` is the directory of the packed
-    /// set; `None` uses the one that the run was created with.
+    /// Resumes the run in `root` from its newest checkpoint, or starts it over if it was interrupted
+    /// before the first one. `data` is the directory of the packed set; `None` uses the one that the
+    /// run was created with.
     ///
     /// # Errors
-    /// If the run has no checkpoint, or the packed set is not the one it was trained on.
+    /// If the run cannot be read, or the packed set is not the one it was trained on.
     pub fn resume(root: impl AsRef<Path>, data: Option<&Path>, device: &Device) -> Result<Self> {
         let root = root.as_ref();
         let paths = RunPaths::new(root);
@@ -225,14 +231,12 @@ impl Trainer {
             )));
         };
         let newest = checkpoint::list(&paths.checkpoints())?.pop();
-        let Some((_, newest)) = newest else {
-            return Err(Error::data(format!(
-                "{}: no checkpoint to resume from: remove the directory and start a new run",
-                root.display()
-            )));
-        };
-        let saved = Checkpoint::load(&newest)?;
-        let mut trainer = Self::assemble(paths, data, config, saved.progress.clone(), device)?;
+        let saved = newest.map(|(_, path)| Ok::<_, Error>((Checkpoint::load(&path)?, path)));
+        let saved = saved.transpose()?;
+        let progress = saved
+            .as_ref()
+            .map_or_else(|| beginning(config.train.seed), |(saved, _)| saved.progress.clone());
+        let mut trainer = Self::assemble(paths, data, config, progress, device)?;
         let found = (trainer.set.frames(), trainer.set.vertices());
         if let Some(identity) = &identity
             && found != (identity.frames, identity.vertices)
@@ -256,10 +260,12 @@ impl Trainer {
                 data.display()
             )));
         }
-        trainer
-            .learner
-            .restore(&saved)
-            .map_err(|error| Error::format(&newest, format!("does not suit the run: {error}")))?;
+        if let Some((saved, path)) = &saved {
+            trainer
+                .learner
+                .restore(saved)
+                .map_err(|error| Error::format(path, format!("does not suit the run: {error}")))?;
+        }
         trainer.forget_metrics_after(trainer.progress.step)?;
         Ok(trainer)
     }

@@ -11,11 +11,11 @@ use super::Cli;
 pub(super) const GROUPS: [(&str, &[&str]); 7] = [
     ("First steps", &["demo"]),
     ("Data", &["data"]),
-    ("Training and measuring", &["train", "eval", "table2"]),
+    ("Training and measuring", &["train", "eval", "table2", "study"]),
     ("Sampling and moving", &["sample", "vary", "redress", "animate", "view"]),
     ("Fitting", &["fit"]),
     ("Clothing layers", &["layer"]),
-    ("Models and files", &["model", "info"]),
+    ("Models and files", &["body", "model", "info"]),
 ];
 
 /// Columns that descriptions are wrapped at.
@@ -117,7 +117,7 @@ mod tests {
     fn every_command_is_in_one_group_of_the_first_page() {
         let command = command();
         let commands = visible(&command);
-        assert!(commands.len() <= 14, "{commands:?}");
+        assert!(commands.len() <= 16, "{commands:?}");
         let listed: Vec<&str> =
             GROUPS.iter().flat_map(|(_, names)| names.iter().copied()).collect();
         for name in &commands {

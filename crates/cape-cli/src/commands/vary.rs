@@ -5,7 +5,6 @@ use cape_infer::{BodySpec, directions_by_effect, interpolate_codes, walk_codes};
 use cape_render::{
     Bounds, Camera, Object, Projection, Style, Tile, View, contact_sheet, render, save_animation,
 };
-use cape_synth::poses::{motion_poses, poses};
 use clap::{Args, ValueEnum};
 use ndarray::Array2;
 use serde::Serialize;
@@ -16,6 +15,7 @@ use crate::{
     error::{Error, Result},
     files,
     latent_sampler::LatentSampler,
+    motion_source::MotionFileArgs,
     options::{GlobalArgs, OutfitArgs, OutputArgs, RunArgs, ShapeArgs, at_least_one},
     priors::PriorArgs,
 };
@@ -53,9 +53,11 @@ pub(crate) struct VaryArgs {
     /// Pose: t-pose, a-pose, a motion, or the first pose of a file.
     #[arg(long, default_value = "a-pose", value_name = "POSE")]
     pose: String,
-    /// Motion for --by pose.
+    /// Motion for --by pose, by name or from a file.
     #[arg(long, default_value = "walk", value_name = "MOTION")]
     motion: String,
+    #[command(flatten)]
+    poses: MotionFileArgs,
     #[command(flatten)]
     outfit: OutfitArgs,
     #[command(flatten)]
@@ -138,8 +140,7 @@ impl VaryArgs {
 
     /// All bodies, row by row, and the number of columns.
     fn cells(&self, draw: &LatentSampler, seed: u64) -> Result<(Vec<VariationCell>, usize)> {
-        let all = poses(&self.pose)?;
-        let pose = all.first().map_or([0.0; 72], |(_, pose)| *pose);
+        let pose = self.poses.poses(&self.pose, draw.console)?.upright_poses()?[0];
         let fixed = VariationCell {
             label: String::new(),
             file: None,
@@ -157,7 +158,9 @@ impl VaryArgs {
                 }
             }
             VariationKind::Pose => {
-                let moments = motion_poses(&self.motion, 1.0, columns as f64)?;
+                let rate = Some(columns as f64);
+                let file = self.poses.motion(&self.motion, 1.0, [None, rate], draw.console)?;
+                let moments = file.upright_poses()?;
                 let step = moments.len().div_ceil(columns).max(1);
                 let moments: Vec<_> = moments.into_iter().step_by(step).take(columns).collect();
                 for (label, code) in self.rows_of_codes(draw, self.rows, seed)? {

@@ -1,4 +1,4 @@
-//! The report of `cape table2` and the page of `cape view` as a browser shows them.
+//! The report of `cape table2`, the page of `cape view` and those of studies as a browser shows them.
 //!
 //! Needs Chromium: the one that `CAPE_BROWSER` names, else one in the path; without any, the tests
 //! report themselves as skipped. `CAPE_BROWSER_SHOTS` names a directory to keep the screenshots in.
@@ -7,6 +7,8 @@ mod browser;
 #[cfg(feature = "view")]
 mod devtools;
 mod report;
+#[cfg(feature = "view")]
+mod study;
 #[allow(dead_code, reason = "shared with tests/cli, which uses all of it")]
 #[path = "../cli/support.rs"]
 mod support;

@@ -33,7 +33,7 @@ fn truncated_arrays() {
 
     let data = Packed::new();
     truncate(&data.at("packed/body.npz"));
-    train(&data).failed_saying(&["body.npz", "ZIP"]);
+    train(&data).failed_saying(&["body.npz", "archive"]);
 
     let data = Packed::new();
     fs::write(data.at("packed/train/train_rot.npy"), b"").unwrap();

@@ -204,7 +204,7 @@ fn bad_requests_for_samples() {
     write_npy(&path, &Array2::<f64>::zeros((2, 69))).unwrap();
     for (rest, said) in [
         ("--pose handstand", "unknown pose `handstand`"),
-        ("--pose @/bad.npy", "expected [_, 72]"),
+        ("--pose @/bad.npy", "[2, 69]"),
         ("--pose @/gone.npy", "gone.npy"),
         ("--betas 1,2,3", "--betas: 3 coefficients, but the body has 2"),
         ("--betas nan", "not a finite number"),

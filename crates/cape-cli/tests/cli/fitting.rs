@@ -199,7 +199,7 @@ fn what_cannot_be_fitted_is_said() {
     let mut file = NpzWriter::create(data.at("infinite.npz")).unwrap();
     file.add("keypoints", &Array2::from_elem((25, 3), f64::INFINITY)).unwrap();
     file.finish().unwrap();
-    fit("infinite.npz", "half.png").failed_saying(&["infinite.npz", "finite"]);
+    fit("infinite.npz", "half.png").failed_saying(&["infinite.npz", "nobody"]);
     data.run(&format!(
         "fit image {run} @/two.json --person 5 --mask @/half.png --outfit longlong --out @/no"
     ))

@@ -9,7 +9,7 @@ use std::{
 };
 
 use cape::{
-    core::{Mesh, npy::NpzWriter},
+    core::{Mesh, PointCacheFormat, PointCacheWriter, motion::UpAxis, npy::NpzWriter},
     layer::LayerSet,
     synth::synthetic_body,
 };
@@ -126,7 +126,7 @@ fn a_skirt_is_learned_and_predicted() {
         }
     }
     fs::write(at("bad.csv"), "1,2,3\n").unwrap();
-    run_line(&of(&at("bad.csv"), "bad")).failed_saying(&["line 1", "3 numbers, expected 72"]);
+    run_line(&of(&at("bad.csv"), "bad")).failed_saying(&["bad.csv", "no poses found", "[1, 3]"]);
 }
 
 #[test]
@@ -190,6 +190,144 @@ fn sequences_are_imported_and_odd_ones_told() {
     let sunk = import(&sunk, &place.path().join("sunk"), "sunk");
     assert!(sunk.err.contains("out of the body"), "{}", sunk.err);
     assert_eq!(LayerSet::load(&set).unwrap().sequences.len(), 1);
+}
+
+#[test]
+fn sequences_of_other_programs_are_imported() {
+    let place = tempfile::tempdir().unwrap();
+    let at = |name: &str| place.path().join(name).display().to_string();
+    let known = LayerSet::load(skirt()).unwrap();
+    let frames = known.frames();
+    let expected = &known.sequences[0];
+    // Centimetres with z up, without leading zeros, beside other meshes and hidden files.
+    let turned = |[x, y, z]: [f32; 3]| [100.0 * x, -100.0 * z, 100.0 * y];
+    let meshes = place.path().join("frames");
+    fs::create_dir(&meshes).unwrap();
+    let points = known.sequences[0].clothing.dim().1;
+    let mut cache =
+        PointCacheWriter::create(at("skirt.pc2"), PointCacheFormat::Pc2, [frames, points], 30.0)
+            .unwrap();
+    for frame in 0..frames {
+        let mut mesh = known.clothing(0, frame).unwrap().to_mesh();
+        mesh.vertices.iter_mut().for_each(|vertex| *vertex = turned(*vertex));
+        mesh.save(meshes.join(format!("{}_skirt.obj", frame + 3))).unwrap();
+        fs::write(meshes.join(format!("._{}_skirt.obj", frame + 3)), b"\0\x05\x16\x07").unwrap();
+        fs::write(meshes.join(format!("{}_body.obj", frame + 3)), "v 0 0 0\n").unwrap();
+        cache.push(&mesh.vertices).unwrap();
+        if frame == 0 {
+            mesh.save(at("skirt.obj")).unwrap();
+        }
+    }
+    cache.finish().unwrap();
+    // The body lies in these coordinates: its root is turned about the pelvis.
+    let model = synthetic_body();
+    let pelvis = model.rest_joints(&model.rest_shape(&expected.betas).unwrap()).unwrap();
+    let pelvis = [0, 1, 2].map(|axis| pelvis[(0, axis)]);
+    let mut lying = expected.motion.clone();
+    // Three quarters of a turn from z to y are a quarter back.
+    for _ in 0..3 {
+        lying = lying.turned_upright(UpAxis::Z, pelvis);
+    }
+    let mut file = NpzWriter::create(at("motion.npz")).unwrap();
+    file.add("poses", &lying.poses).unwrap();
+    file.add("trans", &lying.translations).unwrap();
+    file.add("betas", &ndarray::Array1::from(expected.betas.clone())).unwrap();
+    file.add("mocap_framerate", &ndarray::arr0(30.0)).unwrap();
+    file.finish().unwrap();
+    for (name, source) in [
+        (
+            "cache",
+            format!("{} {} --topology {}", at("skirt.pc2"), at("motion.npz"), at("skirt.obj")),
+        ),
+        ("files", format!("{} {} --files *_skirt.obj", at("frames"), at("motion.npz"))),
+    ] {
+        let set = at(&format!("set-{name}"));
+        run_line(&format!("layer import {source} --unit cm --up z --set {set} --name walk --json"))
+            .succeeded();
+        let found = LayerSet::load(&set).unwrap();
+        assert_eq!(found.body.as_ref().unwrap().name, "synthetic body");
+        let (found, wanted) = (&found.sequences[0], &expected.clothing);
+        assert_eq!(found.clothing.dim(), wanted.dim(), "{name}");
+        assert!(found.clothing.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-4), "{name}");
+        let moved = found.motion.translations.iter().zip(&expected.motion.translations);
+        assert!(moved.clone().all(|(a, b)| (a - b).abs() < 1e-9), "{name}");
+    }
+    // At half the rate, the motion follows.
+    let half = at("half");
+    run_line(&format!(
+        "layer import {} {} --unit cm --up z --resample 15 --set {half} --name walk",
+        at("skirt.pc2"),
+        at("motion.npz")
+    ))
+    .succeeded();
+    let found = LayerSet::load(&half).unwrap();
+    assert_eq!((found.frames(), found.sequences[0].motion.frame_rate), (frames.div_ceil(2), 15.0));
+    // In metres the clothing is out of reach; without rate nothing is known of speeds.
+    run_line(&format!(
+        "layer import {} {} --up z --set {} --name walk",
+        at("skirt.pc2"),
+        at("motion.npz"),
+        at("none")
+    ))
+    .failed_saying(&["metres"]);
+
+    // Another body is refused.
+    let mut other = model.clone();
+    other.v_template.mapv_inplace(|x| 1.01 * x);
+    other.save(at("other.npz")).unwrap();
+    let set = at("set-cache");
+    for command in ["learn", "associate"] {
+        run_line(&format!("layer {command} {set} --body {} --out {}", at("other.npz"), at("none")))
+            .failed_saying(&["another body, `synthetic body`", "--body"]);
+    }
+}
+
+#[test]
+fn simulated_sequences_of_vto_are_imported() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("tshirt_shape00_01_01.pkl");
+    let known = LayerSet::load(skirt()).unwrap();
+    let sequence = &known.sequences[0];
+    let frames = known.frames();
+    let list = |numbers: &mut dyn Iterator<Item = f64>| -> String {
+        let numbers: Vec<String> = numbers.map(|x| format!("F{x:e}\na")).collect();
+        format!("(l{}", numbers.concat())
+    };
+    // Lists of lists stand for the arrays of the published layout.
+    let rows = |rows: Vec<String>| {
+        let rows: Vec<String> = rows.iter().map(|row| format!("{row}a")).collect();
+        format!("(l{}", rows.concat())
+    };
+    let motion = &sequence.motion;
+    let poses = (0..frames).map(|frame| {
+        list(&mut motion.poses.row(frame).iter().chain(&motion.translations.row(frame)).copied())
+    });
+    let shapes = (0..frames).map(|_| list(&mut sequence.betas.iter().copied()));
+    let vertices = sequence.clothing.outer_iter().map(|frame| {
+        rows(frame.rows().into_iter().map(|row| list(&mut row.iter().copied())).collect())
+    });
+    let faces = known.faces.iter().map(|face| {
+        let corners: Vec<String> = face.iter().map(|corner| format!("I{corner}\na")).collect();
+        format!("(l{}", corners.concat())
+    });
+    let entry = |name: &str, value: String| format!("V{name}\n{value}s");
+    let text = format!(
+        "(d{}{}{}{}.",
+        entry("poses", rows(poses.collect())),
+        entry("shapes", rows(shapes.collect())),
+        entry("vertices", rows(vertices.collect())),
+        entry("faces", rows(faces.collect())),
+    );
+    fs::write(&path, text).unwrap();
+    let set = place.path().join("set").display().to_string();
+    run_line(&format!("layer import {} --fps 30 --up y --set {set} --name march", path.display()))
+        .succeeded();
+    let found = LayerSet::load(&set).unwrap();
+    assert_eq!(found.faces, known.faces);
+    let found = &found.sequences[0];
+    assert!(found.clothing.iter().zip(&sequence.clothing).all(|(a, b)| (a - b).abs() < 1e-6));
+    assert!((&found.motion.poses - &motion.poses).iter().all(|x| x.abs() < 1e-9));
+    assert!((&found.motion.translations - &motion.translations).iter().all(|x| x.abs() < 1e-9));
 }
 
 #[test]
@@ -300,9 +438,10 @@ fn a_grid_of_sizes_and_materials_is_simulated_and_goes_on() {
     }
     for (name, kept) in [("set.json", 4), ("simulation.json", 3)] {
         let text = fs::read(format!("{whole}/{name}")).unwrap();
-        let mut lines: Vec<serde_json::Value> = serde_json::from_slice(&text).unwrap();
-        lines.truncate(kept);
-        fs::write(format!("{halted}/{name}"), serde_json::to_vec_pretty(&lines).unwrap()).unwrap();
+        let mut value: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        let list = if name == "set.json" { &mut value["sequences"] } else { &mut value };
+        list.as_array_mut().unwrap().truncate(kept);
+        fs::write(format!("{halted}/{name}"), serde_json::to_vec_pretty(&value).unwrap()).unwrap();
     }
     assert_eq!(synth(&halted).json()["simulated_now"], 5);
     for file in fs::read_dir(&whole).unwrap() {

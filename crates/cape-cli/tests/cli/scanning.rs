@@ -62,15 +62,15 @@ fn scans_that_are_none_are_refused() {
     ply::write(data.at("cut.ply"), &scan(1.0), None).unwrap();
     truncate(&data.at("cut.ply"));
     fs::write(data.at("nan.obj"), "v 0 nan 0\n").unwrap();
-    fs::write(data.at("scan.txt"), "").unwrap();
+    fs::write(data.at("scan.txt"), "1 2 3\n").unwrap();
     let fit = |scan: &str, options: &str| {
         data.run(&format!("fit scan {run} --scan @/{scan} --outfit longlong {options} --out @/no"))
     };
     fit("mm.ply", "").failed_saying(&["mm.ply", "--unit mm"]);
     fit("few.ply", "").failed_saying(&["few.ply", "20 points"]);
     fit("cut.ply", "").failed_saying(&["cut.ply"]);
-    fit("nan.obj", "").failed_saying(&["nan.obj", "finite"]);
-    fit("scan.txt", "").failed_saying(&[".ply or .obj"]);
+    fit("nan.obj", "").failed_saying(&["nan.obj", "1 points"]);
+    fit("scan.txt", "").failed_saying(&[".obj, .ply, .stl, .off or .glb"]);
     fit("lost.ply", "").failed_saying(&["lost.ply"]);
     fit("m.ply", "--pose headstand").failed_saying(&["headstand"]);
     fs::write(data.at("joints.json"), "[[0,0,0]]").unwrap();
@@ -136,4 +136,43 @@ fn registrations_are_encoded_and_given_to_others() {
     let no = |to: &str| data.run(&format!("redress {run} {frame} --to {to} --out @/no"));
     no("1,2,3,4").failed_saying(&["betas"]);
     no("@/lost.npy").failed_saying(&["lost.npy"]);
+}
+
+#[test]
+fn scans_with_broken_points_and_of_any_unit_are_fitted() {
+    let (data, run) = (Packed::new(), trained().at("run").display().to_string());
+    let fit = |scan: &str, options: &str, out: &str| {
+        let options = format!("--outfit longlong --pose t-pose --json {options} --out @/{out}");
+        data.run(&format!("fit scan {run} --scan @/{scan} {options}"))
+    };
+    let mut broken = scan(1.0);
+    broken.vertices[17] = [f32::NAN; 3];
+    ply::write(data.at("nan.ply"), &broken, None).unwrap();
+    // As programs of Windows print them.
+    let rows = broken.vertices.iter().map(|[x, y, z]| format!("v {x} {y} {z}\r\n"));
+    let rows = rows.collect::<Vec<_>>().concat().replace("NaN", "-nan(ind)");
+    fs::write(data.at("nan.obj"), rows).unwrap();
+    let [first, second] = ["nan.ply", "nan.obj"].map(|name| {
+        let ran = fit(name, "", &name.replace('.', "-"));
+        assert!(ran.err.contains("1 points of the scan are not finite"), "{}", ran.err);
+        ran.json()
+    });
+    assert_eq!(first["removed"], serde_json::json!({"points": 1, "faces": 0}));
+    assert_eq!(first["fit"], second["fit"]);
+    for vertex in &mut broken.vertices[100..400] {
+        vertex[1] = f32::NAN;
+    }
+    ply::write(data.at("many.ply"), &broken, None).unwrap();
+    fit("many.ply", "", "many").failed_saying(&["many.ply", "not finite", "at most 5 %"]);
+
+    // Scaled to unit size.
+    let whole = scan(1.0);
+    let [low, high] = whole.bounding_box().unwrap();
+    let size = (0..3).map(|axis| high[axis] - low[axis]).fold(0f32, f32::max);
+    ply::write(data.at("unit.ply"), &scan(1.0 / size), None).unwrap();
+    let said = fit("unit.ply", "", "unit");
+    assert!(said.err.contains("exactly 1 m in extent") && said.err.contains("--unit auto"));
+    let found = fit("unit.ply", "--unit auto", "auto");
+    assert!(found.err.contains("scaled to 1.7 m"), "{}", found.err);
+    assert!((found.json()["scale"].as_f64().unwrap() - 1.7).abs() < 1e-9);
 }

@@ -97,6 +97,36 @@ fn interrupted_and_resumed(options: &str) {
     assert_eq!(losses(&data.at("cut")), losses(&data.at("whole")));
 }
 
+#[cfg(unix)]
+#[test]
+fn a_training_without_a_checkpoint_starts_over_by_itself() {
+    let data = Packed::new();
+    data.run(&format!("train --data @/packed --out @/whole {LONG}")).succeeded();
+    // Killed as soon as the directory is complete, before or after the first steps.
+    let line = format!("train --data @/packed --out @/cut {LONG}");
+    let words = line.split_whitespace().map(|w| w.replace('@', data.root().to_str().unwrap()));
+    let mut child = cape(words).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let start = Instant::now();
+    while !data.at("cut/config.toml").exists() {
+        assert!(start.elapsed() < Duration::from_mins(1), "no directory after a minute");
+        sleep(Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    if data.at("cut/checkpoints").exists() {
+        fs::remove_dir_all(data.at("cut/checkpoints")).unwrap();
+    }
+    // Metrics of steps that no checkpoint has.
+    let logged = fs::read(data.at("whole/metrics.jsonl")).unwrap();
+    fs::write(data.at("cut/metrics.jsonl"), logged).unwrap();
+    let ran = data.run("train --out @/cut --resume");
+    assert!(ran.err.contains("before its first checkpoint: starts over"), "{}", ran.err);
+    ran.succeeded();
+    assert_eq!(states(&data.at("cut")), states(&data.at("whole")));
+    assert_eq!(losses(&data.at("cut")), losses(&data.at("whole")));
+    data.run("train --out @/nothing --resume").failed_saying(&["nothing"]);
+}
+
 #[test]
 fn a_finished_training_has_nothing_left_to_do() {
     let data = Packed::new();

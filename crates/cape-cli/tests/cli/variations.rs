@@ -49,6 +49,26 @@ fn one_thing_changes_and_the_rest_is_fixed() {
 }
 
 #[test]
+fn unknown_outfits_are_refused_with_those_of_the_run() {
+    let (data, run) = place();
+    let known =
+        "unknown outfit `poloshort`: expected one of shortlong, shortshort, longshort, longlong";
+    for command in [
+        "sample {} --outfit poloshort --out @/none",
+        "vary {} --outfit poloshort --out @/none",
+        "animate {} --outfit poloshort --out @/none",
+        "redress {} frame:1 --outfit longlong,poloshort --out @/none",
+        "redress {} frame:1 --was poloshort --out @/none",
+        "data generate {} --outfit poloshort --out @/none",
+    ] {
+        data.run(&command.replace("{}", &run)).failed_saying(&[known]);
+        assert!(!data.at("none").exists(), "{command}");
+    }
+    let line = format!("sample {run} --outfit polo_short --out @/none");
+    data.run(&line).misused(&["expected a name"]);
+}
+
+#[test]
 fn codes_are_named_added_and_gone_between() {
     let (data, run) = place();
     let vary = |out: &str, options: &[&str]| {

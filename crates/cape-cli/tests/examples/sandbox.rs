@@ -10,7 +10,7 @@ use std::{
 
 use cape::{
     core::{
-        Mesh, Outfit, SmplModel,
+        Mesh, Outfit, PointCacheFormat, PointCacheWriter, SmplModel,
         npy::{NpzWriter, write_npy},
         obj::{self, Uv},
         ply,
@@ -21,6 +21,7 @@ use cape::{
     },
     layer::LayerSet,
     render::Image,
+    study::{RaterModel, StudyDesign},
 };
 use ndarray::{Array1, Array2, arr0};
 use tempfile::TempDir;
@@ -63,6 +64,7 @@ impl Sandbox {
         sandbox.images();
         sandbox.scans();
         sandbox.layers();
+        sandbox.study();
         sandbox
     }
 
@@ -128,7 +130,9 @@ impl Sandbox {
             ..male
         };
         write_raw(&self.at("cape_release"), &few, 12);
-        self.copy("cape_release", "data/cape_release");
+        for name in ["data/cape_release", "data/cape"] {
+            self.copy("cape_release", name);
+        }
         self.copy("raw", "scans");
         for name in ["body.npz", "data/smpl/SMPL_MALE.pkl", "data/smpl/SMPL_FEMALE.pkl"] {
             self.copy("raw/body.npz", name);
@@ -203,6 +207,17 @@ impl Sandbox {
         self.cape("fit pose-prior AMASS/CMU --components 1 --out prior.npz");
     }
 
+    /// A small study with answers in both files that raters' pages write.
+    fn study(&self) {
+        self.cape("study make runs/cape --poses 6 --a-pose 2 --matched 2 --out study");
+        let design = StudyDesign::load(self.at("study")).unwrap();
+        let raters = RaterModel { share: 0.4, rater_deviation: 0.2, pair_deviation: 0.2 };
+        let answers = raters.answers(&design, 4, 1);
+        let text = serde_json::to_vec(&answers).unwrap();
+        fs::write(self.at("study/answers.jsonl"), &text).unwrap();
+        fs::write(self.at("results.json"), text).unwrap();
+    }
+
     /// Points between the vertices of a posed and slightly wider body.
     fn scans(&self) {
         let body = small_body();
@@ -244,12 +259,31 @@ impl Sandbox {
             let mesh = set.clothing(0, frame).unwrap().to_mesh();
             mesh.save(self.at(&format!("scans/skirt_01/{frame:04}.ply"))).unwrap();
         }
+        self.exports(&set);
         let motion = &set.sequences[0].motion;
         let mut file = NpzWriter::create(self.at("scans/skirt_01.npz")).unwrap();
         file.add("poses", &motion.poses).unwrap();
         file.add("trans", &motion.translations).unwrap();
         file.add("mocap_framerate", &arr0(30.0f64)).unwrap();
         file.finish().unwrap();
+    }
+
+    /// The set's first sequence as other programs have it: a point cache in centimetres, and meshes
+    /// of several objects in one directory.
+    fn exports(&self, set: &LayerSet) {
+        fs::create_dir(self.at("frames")).unwrap();
+        let counts = [set.frames(), set.vertices()];
+        let mut cache =
+            PointCacheWriter::create(self.at("skirt.pc2"), PointCacheFormat::Pc2, counts, 30.0)
+                .unwrap();
+        for frame in 0..set.frames() {
+            let mut mesh = set.clothing(0, frame).unwrap().to_mesh();
+            mesh.save(self.at(&format!("frames/{frame}_skirt.obj"))).unwrap();
+            mesh.vertices.iter_mut().for_each(|vertex| *vertex = vertex.map(|x| 100.0 * x));
+            cache.push(&mesh.vertices).unwrap();
+            mesh.save(self.at("skirt.obj")).unwrap();
+        }
+        cache.finish().unwrap();
     }
 }
 

@@ -1,12 +1,16 @@
-//! glTF 2.0 binary files (`.glb`) of skinned, animated bodies.
+//! glTF 2.0 binary files (`.glb`) of skinned, animated bodies. [`GltfFile`] reads the meshes of any
+//! such file.
 //!
 //! A [`SkinnedMesh`] is a clothed body with SMPL's skeleton and blend weights, [`Keyframe`]s are its
 //! poses. Pose blend shapes and pose-dependent clothing, which skinning cannot express, are stored
-//! as one morph target per keyframe, so that every keyframe shows exactly the vertices that this
-//! library computes. Units are metres, seconds and radians; y points up.
+//! as one morph target for each keyframe that has vertex offsets. Such a keyframe shows exactly the
+//! vertices that this library computes; between them the offsets are interpolated. Units are metres, seconds and radians; y points up.
 
+mod accessor;
+mod animation;
 mod buffer;
-mod skin;
+mod read;
+pub(crate) mod skin;
 #[cfg(test)]
 mod tests;
 
@@ -18,6 +22,8 @@ use serde_json::{Value, json};
 
 use crate::{Error, Mesh, Result, SmplModel, joints, obj::Uv, write_atomically};
 use buffer::{Buffer, Target};
+
+pub use read::GltfFile;
 
 const MAGIC: u32 = 0x4654_6c67;
 const JSON_CHUNK: u32 = 0x4e4f_534a;
@@ -44,7 +50,7 @@ const BINARY_CHUNK: u32 = 0x004e_4942;
 ///     let mut pose = vec![0.0; 72];
 ///     pose[3 * 16 + 2] = angle;
 ///     let offset = body.pose_offsets(&pose)?;
-///     Ok(Keyframe { time, pose, transl: [0.0; 3], offset })
+///     Ok(Keyframe { time, pose, transl: [0.0; 3], offset: Some(offset) })
 /// };
 /// let file = gltf::encode(&skinned, &[keyframe(0.0, 0.0)?, keyframe(0.5, 1.2)?])?;
 /// assert_eq!(&file[..4], b"glTF");
@@ -110,8 +116,9 @@ pub struct Keyframe {
     /// Translation of the body, metres.
     pub transl: [f64; 3],
     /// Offset of the rest vertices before skinning, metres, `[V, 3]`: pose blend shapes plus the
-    /// difference of the clothing displacement from the one in [`SkinnedMesh::rest`].
-    pub offset: Array2<f64>,
+    /// difference of the clothing displacement from the one in [`SkinnedMesh::rest`]. Without one it
+    /// is interpolated between the keyframes around; the first and the last need one.
+    pub offset: Option<Array2<f64>>,
 }
 
 /// Writes a `.glb` file, atomically: in the rest pose without keyframes, in the pose of a single
@@ -176,7 +183,8 @@ pub fn encode(skinned: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<Vec<u8>> 
     assemble(&document, bytes)
 }
 
-fn assemble(document: &Value, mut binary: Vec<u8>) -> Result<Vec<u8>> {
+/// A `.glb` file of a document and its binary chunk.
+pub(crate) fn assemble(document: &Value, mut binary: Vec<u8>) -> Result<Vec<u8>> {
     let mut text = document.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
     binary.resize(binary.len().next_multiple_of(4), 0);
@@ -195,13 +203,15 @@ fn assemble(document: &Value, mut binary: Vec<u8>) -> Result<Vec<u8>> {
     Ok(file)
 }
 
-fn check(skinned: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<()> {
+pub(crate) fn check(skinned: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<()> {
     let (v, j) = (skinned.body.vertices(), skinned.body.joints());
     let expect = |name: &str, found: &[usize], expected: &[usize]| {
         if found == expected {
             return Ok(());
         }
-        Err(Error::Argument(format!("glTF: {name} of shape {found:?}, expected {expected:?}")))
+        Err(Error::Argument(format!(
+            "animated body: {name} of shape {found:?}, expected {expected:?}"
+        )))
     };
     if j > 256 {
         return Err(Error::Argument(format!("glTF: body of {j} joints, expected at most 256")));
@@ -226,7 +236,14 @@ fn check(skinned: &SkinnedMesh, keyframes: &[Keyframe]) -> Result<()> {
     }
     for (index, frame) in keyframes.iter().enumerate() {
         expect(&format!("pose of keyframe {index}"), &[frame.pose.len()], &[3 * j])?;
-        expect(&format!("offset of keyframe {index}"), frame.offset.shape(), &[v, 3])?;
+        if let Some(offset) = &frame.offset {
+            expect(&format!("offset of keyframe {index}"), offset.shape(), &[v, 3])?;
+        }
+    }
+    if [keyframes.first(), keyframes.last()].iter().flatten().any(|frame| frame.offset.is_none()) {
+        return Err(Error::Argument(
+            "glTF: the first and the last keyframe need vertex offsets".into(),
+        ));
     }
     if !keyframes.is_sorted_by(|a, b| a.time < b.time)
         || keyframes.iter().any(|frame| !(frame.time.is_finite() && frame.time >= 0.0))
@@ -328,11 +345,11 @@ fn mesh(
     let mut weights = vec![0.0; names.len()];
     let offsets = skinned.targets.iter().map(|(_, target)| target);
     let mut targets: Vec<Value> = Vec::new();
-    for target in offsets.chain(keyframes.iter().map(|frame| &frame.offset)) {
+    for target in offsets.chain(keyframes.iter().filter_map(|frame| frame.offset.as_ref())) {
         let rows = corners.rows(target);
         targets.push(json!({ "POSITION": buffer.vec3(&rows, Target::Vertices, true) }));
     }
-    for index in 0..keyframes.len() {
+    for (index, _) in keyframes.iter().enumerate().filter(|(_, frame)| frame.offset.is_some()) {
         names.push(format!("frame {index}"));
         weights.push(if index == 0 { 1.0 } else { 0.0 });
     }
@@ -347,18 +364,18 @@ fn mesh(
 }
 
 /// Converts an sRGB component to linear.
-fn linear(x: f32) -> f32 {
+pub(crate) fn linear(x: f32) -> f32 {
     let x = x.clamp(0.0, 1.0);
     if x <= 0.04045 { x / 12.92 } else { ((x + 0.055) / 1.055).powf(2.4) }
 }
 
 /// Translation of a joint relative to its parent, metres.
-fn local(skinned: &SkinnedMesh, joint: usize) -> DVec3 {
+pub(crate) fn local(skinned: &SkinnedMesh, joint: usize) -> DVec3 {
     let at = |joint: usize| DVec3::from_array([0, 1, 2].map(|axis| skinned.joints[[joint, axis]]));
     skinned.body.parents[joint].map_or_else(|| at(joint), |parent| at(joint) - at(parent))
 }
 
-fn rotation(frame: &Keyframe, joint: usize) -> [f32; 4] {
+pub(crate) fn rotation(frame: &Keyframe, joint: usize) -> [f32; 4] {
     let axis_angle = [0, 1, 2].map(|axis| frame.pose[3 * joint + axis]);
     DQuat::from_scaled_axis(DVec3::from_array(axis_angle)).as_quat().to_array()
 }
@@ -403,16 +420,16 @@ fn animation(
     mesh_node: usize,
     buffer: &mut Buffer,
 ) -> Value {
-    let times: Vec<f32> = keyframes.iter().map(|frame| frame.time - keyframes[0].time).collect();
+    let start = keyframes[0].time;
+    let times: Vec<f32> = keyframes.iter().map(|frame| frame.time - start).collect();
     let time_accessor = buffer.times(&times);
     let (mut samplers, mut channels) = (Vec::new(), Vec::new());
-    let mut add = |node: usize, path: &str, output: usize| {
+    let mut add = |node: usize, path: &str, [input, output]: [usize; 2]| {
         channels.push(json!({
             "sampler": samplers.len(),
             "target": { "node": node, "path": path },
         }));
-        samplers
-            .push(json!({ "input": time_accessor, "output": output, "interpolation": "LINEAR" }));
+        samplers.push(json!({ "input": input, "output": output, "interpolation": "LINEAR" }));
     };
     for joint in 0..skinned.body.joints() {
         let mut rotations: Vec<[f32; 4]> =
@@ -426,19 +443,25 @@ fn animation(
                 rotations[index] = rotations[index].map(|x| -x);
             }
         }
-        add(joint, "rotation", buffer.values(&rotations, "VEC4"));
+        add(joint, "rotation", [time_accessor, buffer.values(&rotations, "VEC4")]);
     }
     let root = local(skinned, 0);
     let translations: Vec<[f32; 3]> = keyframes
         .iter()
         .map(|frame| (root + DVec3::from_array(frame.transl)).as_vec3().to_array())
         .collect();
-    add(0, "translation", buffer.values(&translations, "VEC3"));
+    add(0, "translation", [time_accessor, buffer.values(&translations, "VEC3")]);
+    let times: Vec<f32> = keyframes
+        .iter()
+        .filter(|frame| frame.offset.is_some())
+        .map(|frame| frame.time - start)
+        .collect();
     let before = skinned.targets.len();
-    let width = before + keyframes.len();
-    let weights: Vec<[f32; 1]> = (0..keyframes.len() * width)
+    let width = before + times.len();
+    let weights: Vec<[f32; 1]> = (0..times.len() * width)
         .map(|at| [if at % width == before + at / width { 1.0 } else { 0.0 }])
         .collect();
-    add(mesh_node, "weights", buffer.values(&weights, "SCALAR"));
+    let inputs = if times.len() == keyframes.len() { time_accessor } else { buffer.times(&times) };
+    add(mesh_node, "weights", [inputs, buffer.values(&weights, "SCALAR")]);
     json!({ "name": "motion", "samplers": samplers, "channels": channels })
 }

@@ -8,11 +8,11 @@ const NEGLIGIBLE: f64 = 1e-5;
 const MAX_SETS: usize = 4;
 
 /// Four joints of a vertex with their weights.
-pub(super) type JointInfluences = [(u8, f32); 4];
+pub(crate) type JointInfluences = [(u8, f32); 4];
 
 /// Joint influences of all vertices, `[sets][V]`, heaviest first; the weights of a vertex sum to 1
 /// over all sets. SMPL's weights fit into one set.
-pub(super) fn influences(body: &SmplModel) -> Vec<Vec<JointInfluences>> {
+pub(crate) fn influences(body: &SmplModel) -> Vec<Vec<JointInfluences>> {
     let vertices: Vec<Vec<(u8, f32)>> = body
         .weights
         .rows()

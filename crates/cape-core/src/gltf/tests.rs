@@ -163,7 +163,7 @@ impl Scene {
                     .collect();
                 Keyframe {
                     time: frame as f32 * 0.1,
-                    offset: self.body.pose_offsets(&pose).unwrap(),
+                    offset: Some(self.body.pose_offsets(&pose).unwrap()),
                     transl: [0.1 * frame as f64, 1.0, -2.0],
                     pose,
                 }
@@ -307,7 +307,7 @@ fn rotations_are_those_of_the_axis_angles() {
         time: 0.0,
         pose: vec![0.0, 0.0, 1.2, 0.3, -0.4, 0.5],
         transl: [0.0; 3],
-        offset: Array2::zeros((0, 3)),
+        offset: Some(Array2::zeros((0, 3))),
     };
     let expected = DQuat::from_rotation_z(1.2).as_quat();
     assert!(Quat::from_array(rotation(&frame, 0)).angle_between(expected) < 1e-3);

@@ -1,11 +1,21 @@
+mod file;
+#[cfg(test)]
+mod file_tests;
+mod off;
+mod polygon;
 mod report;
+mod stl;
+pub(crate) mod text;
 
-use std::{fs, path::Path};
+use std::path::Path;
 
 use glam::Vec3;
 
 use crate::{Error, Result, obj, ply};
 
+pub(crate) use file::{Geometry, places, read_bytes};
+pub use file::{MESH_EXTENSIONS, MeshFile, MeshFormat};
+pub(crate) use polygon::{fan, is_face, strip};
 pub use report::MeshReport;
 
 /// Triangle mesh in `f32`.
@@ -36,19 +46,23 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// Reads an `.obj` or `.ply` file; the extension selects the format.
+    /// Reads an OBJ, PLY, STL, OFF or `.glb` file; its content selects the format. [`MeshFile`] also
+    /// has its normals, and accepts points that are not finite.
+    ///
+    /// # Errors
+    /// If the file cannot be read, is malformed, or has a vertex that is not finite.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
-        match MeshFormat::from_path(path.as_ref())? {
-            MeshFormat::Obj => Ok(obj::read(path)?.mesh),
-            MeshFormat::Ply => ply::read(path),
-        }
+        MeshFile::read(path.as_ref())?.finite(path.as_ref())
     }
 
     /// Writes an `.obj` or binary `.ply` file; the extension selects the format.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
-        match MeshFormat::from_path(path.as_ref())? {
-            MeshFormat::Obj => obj::write(path, self, None),
-            MeshFormat::Ply => ply::write(path, self, None),
+        let path = path.as_ref();
+        let is = |name| path.extension().is_some_and(|found| found.eq_ignore_ascii_case(name));
+        match (is("obj"), is("ply")) {
+            (true, _) => obj::write(path, self, None),
+            (_, true) => ply::write(path, self, None),
+            _ => Err(Error::format(path, "unknown mesh format: expected .obj or .ply")),
         }
     }
 
@@ -118,27 +132,6 @@ fn face_edges([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]].map(|[p, q]| [p.min(q), p.max(q)])
 }
 
-enum MeshFormat {
-    Obj,
-    Ply,
-}
-
-impl MeshFormat {
-    fn from_path(path: &Path) -> Result<Self> {
-        let extension = path.extension().and_then(|extension| extension.to_str());
-        match extension.map(str::to_ascii_lowercase).as_deref() {
-            Some("obj") => Ok(Self::Obj),
-            Some("ply") => Ok(Self::Ply),
-            _ => Err(Error::format(path, "unknown mesh format: expected .obj or .ply")),
-        }
-    }
-}
-
-/// Bytes of a mesh file.
-pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    fs::read(path).map_err(|source| Error::io(path, source))
-}
-
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
@@ -187,6 +180,12 @@ pub(crate) mod tests {
         assert_eq!(mesh.vertex_normals(), [[0.0; 3]]);
         assert_eq!(mesh.face_normals(), [[0.0; 3]; 2]);
         assert_eq!(Mesh::default().bounding_box(), None);
-        assert!(Mesh::load("a.stl").unwrap_err().to_string().contains("expected .obj or .ply"));
+        assert!(
+            Mesh::default()
+                .save("a.stl")
+                .unwrap_err()
+                .to_string()
+                .contains("expected .obj or .ply")
+        );
     }
 }

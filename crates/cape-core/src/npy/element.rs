@@ -4,7 +4,7 @@ use std::io::{self, Read};
 
 use super::header::{NpyHeader, NpyKind, NpyType};
 
-/// Element type of arrays in memory: `f32`, `f64`, `i64`, `u32` or `u8` (sealed).
+/// Element type of arrays in memory: `f32`, `f64`, `i32`, `i64`, `u32` or `u8` (sealed).
 ///
 /// Files of any numeric dtype convert to the requested type:
 ///
@@ -36,6 +36,7 @@ mod private {
     pub trait Sealed {}
     impl Sealed for f32 {}
     impl Sealed for f64 {}
+    impl Sealed for i32 {}
     impl Sealed for i64 {}
     impl Sealed for u32 {}
     impl Sealed for u8 {}
@@ -76,6 +77,7 @@ macro_rules! integer {
 }
 float!(f32, "<f4");
 float!(f64, "<f8");
+integer!(i32, "<i4");
 integer!(i64, "<i8");
 integer!(u32, "<u4");
 integer!(u8, "|u1");

@@ -63,6 +63,46 @@ impl NpyType {
 }
 
 impl NpyType {
+    /// Bytes of an element, of strings too; `None` for other unsupported dtypes.
+    pub(crate) fn element_bytes(&self) -> Option<usize> {
+        match &self.kind {
+            NpyKind::Other(text) => {
+                let text = text.trim_start_matches(['|', '<', '>', '=']);
+                let (code, length) = text.split_at_checked(1)?;
+                let length: usize = length.parse().ok()?;
+                match code {
+                    "S" | "a" => Some(length),
+                    "U" => length.checked_mul(4),
+                    _ => None,
+                }
+            }
+            _ => Some(self.size),
+        }
+    }
+
+    /// Text of one element of NumPy's strings (`S` or `U`); `None` for other dtypes.
+    pub(crate) fn text(&self, bytes: &[u8]) -> Option<String> {
+        let NpyKind::Other(code) = &self.kind else { return None };
+        let big_endian = code.starts_with('>');
+        let wide = match code.trim_start_matches(['|', '<', '>', '=']).chars().next()? {
+            'S' | 'a' => false,
+            'U' => true,
+            _ => return None,
+        };
+        let text: String = if wide {
+            let (units, _) = bytes.as_chunks::<4>();
+            let decode = |&unit: &[u8; 4]| {
+                let number =
+                    if big_endian { u32::from_be_bytes(unit) } else { u32::from_le_bytes(unit) };
+                char::from_u32(number).unwrap_or('\u{fffd}')
+            };
+            units.iter().map(decode).collect()
+        } else {
+            String::from_utf8_lossy(bytes).into_owned()
+        };
+        Some(text.trim_end_matches('\0').to_owned())
+    }
+
     /// True if the elements are pickled Python objects.
     pub fn is_object(&self) -> bool {
         matches!(&self.kind, NpyKind::Other(text) if text.trim_start_matches(['|', '<', '=']).starts_with('O'))

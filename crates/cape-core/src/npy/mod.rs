@@ -9,7 +9,7 @@ mod header;
 
 use std::{
     fs::File,
-    io::{self, BufReader, Read, Write},
+    io::{self, BufReader, Cursor, Read, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
 };
@@ -25,7 +25,7 @@ pub use element::NpyElement;
 use element::{ReadError, read_elements};
 pub use header::{NpyHeader, NpyKind, NpyType};
 
-use crate::{AtomicFile, Error, Result, pickle::Pickle, write_atomically};
+use crate::{AtomicFile, Error, Result, pickle::Pickle, unexpected_file, write_atomically};
 
 /// Largest expansion ratio of Deflate.
 const MAX_DEFLATE_RATIO: u64 = 1032;
@@ -52,7 +52,7 @@ impl Source<'_> {
 
     /// Reads an array from at most `available` bytes, header included.
     fn read<T: NpyElement>(self, mut reader: impl Read, available: u64) -> Result<ArrayD<T>> {
-        let header = NpyHeader::read(&mut reader).map_err(|message| self.error(message))?;
+        let header = NpyHeader::read(&mut reader).map_err(|message| header_error(self, message))?;
         let elements = self.check_size(&header, available)?;
         let values =
             read_elements(&header, elements, &mut reader).map_err(|failed| match failed {
@@ -69,7 +69,7 @@ impl Source<'_> {
 
     /// Reads an array of objects from at most `available` bytes.
     fn objects(self, reader: &mut impl Read, available: u64) -> Result<Pickle> {
-        let header = NpyHeader::read(reader).map_err(|message| self.error(message))?;
+        let header = NpyHeader::read(reader).map_err(|message| header_error(self, message))?;
         if !header.dtype.is_object() {
             return Err(self.error(format!("holds `{}`, expected objects", header.dtype)));
         }
@@ -95,6 +95,26 @@ impl Source<'_> {
         }
         Ok(elements)
     }
+}
+
+/// Message about a file that is no complete ZIP archive.
+fn unreadable_archive(path: &Path, error: ZipError) -> String {
+    let mut start = [0; 4];
+    let begins = File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok()
+        && &start == b"PK\x03\x04";
+    match unexpected_file(path) {
+        Some(found) => found.to_owned(),
+        None if begins => {
+            format!("the end of the archive is missing ({error}): copy or download the file again")
+        }
+        None => format!("not a readable .npz (ZIP) archive: {error}"),
+    }
+}
+
+/// Error of a header, or the content in its place.
+fn header_error(source: Source, message: String) -> Error {
+    let found = if source.name.is_none() { unexpected_file(source.path) } else { None };
+    source.error(found.map_or(message, str::to_owned))
 }
 
 fn open(path: &Path) -> Result<(BufReader<File>, u64)> {
@@ -161,7 +181,7 @@ pub fn npy_header(path: impl AsRef<Path>) -> Result<NpyHeader> {
     let path = path.as_ref();
     let (mut reader, length) = open(path)?;
     let source = Source { path, name: None };
-    let header = NpyHeader::read(&mut reader).map_err(|message| source.error(message))?;
+    let header = NpyHeader::read(&mut reader).map_err(|message| header_error(source, message))?;
     source.check_size(&header, length)?;
     Ok(header)
 }
@@ -207,6 +227,31 @@ pub fn expect_shape(
     Err(Error::field(path, field, format!("shape {found:?}, expected [{}]", expected.join(", "))))
 }
 
+/// Contents of an archive.
+#[derive(Debug)]
+enum NpzReader {
+    File(BufReader<File>),
+    Memory(Cursor<Vec<u8>>),
+}
+
+impl Read for NpzReader {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        match self {
+            Self::File(file) => file.read(buffer),
+            Self::Memory(bytes) => bytes.read(buffer),
+        }
+    }
+}
+
+impl Seek for NpzReader {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        match self {
+            Self::File(file) => file.seek(to),
+            Self::Memory(bytes) => bytes.seek(to),
+        }
+    }
+}
+
 /// Open `.npz` archive.
 ///
 /// ```
@@ -232,7 +277,7 @@ pub fn expect_shape(
 pub struct Npz {
     path: PathBuf,
     length: u64,
-    archive: ZipArchive<BufReader<File>>,
+    archive: ZipArchive<NpzReader>,
     names: Vec<String>,
 }
 
@@ -241,14 +286,31 @@ impl Npz {
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_owned();
         let (reader, length) = open(&path)?;
-        let unreadable =
-            |source| Error::format(&path, format!("not a readable .npz (ZIP) archive: {source}"));
+        Self::new(path, NpzReader::File(reader), length)
+    }
+
+    /// Opens an archive whose contents are `bytes`; errors name `path`.
+    pub fn from_bytes(path: impl AsRef<Path>, bytes: Vec<u8>) -> Result<Self> {
+        let length = bytes.len() as u64;
+        Self::new(path.as_ref().to_owned(), NpzReader::Memory(Cursor::new(bytes)), length)
+    }
+
+    fn new(path: PathBuf, reader: NpzReader, length: u64) -> Result<Self> {
+        let unreadable = |source| Error::format(&path, unreadable_archive(&path, source));
         let mut archive = ZipArchive::new(reader).map_err(unreadable)?;
         let mut names = Vec::new();
         for index in 0..archive.len() {
             let entry = archive.by_index_raw(index).map_err(unreadable)?;
             let name = entry.name().map_err(unreadable)?;
             names.extend(name.strip_suffix(".npy").map(str::to_owned));
+        }
+        if names.is_empty() && !archive.is_empty() {
+            let first = archive.name_for_index(0).and_then(Result::ok).unwrap_or_default();
+            let message = format!(
+                "a ZIP archive of files such as `{first}`, expected one of arrays: unpack it and give \
+                 the file in it"
+            );
+            return Err(Error::format(&path, message));
         }
         Ok(Self { path, length, archive, names })
     }
@@ -281,6 +343,30 @@ impl Npz {
         })
     }
 
+    /// Header of array `name`.
+    pub fn header(&mut self, name: &str) -> Result<NpyHeader> {
+        self.with_entry(name, |source, mut entry, _| {
+            NpyHeader::read(&mut entry).map_err(|message| source.error(message))
+        })
+    }
+
+    /// Reads array `name` of one string, such as `np.array('male')`.
+    pub fn text(&mut self, name: &str) -> Result<String> {
+        self.with_entry(name, |source, mut entry, size| {
+            let header = NpyHeader::read(&mut entry).map_err(|message| source.error(message))?;
+            let wrong = || source.error(format!("holds `{}`, expected one string", header.dtype));
+            let bytes = header.dtype.element_bytes().ok_or_else(wrong)?;
+            if header.shape.iter().any(|&axis| axis != 1) || bytes as u64 > size {
+                return Err(wrong());
+            }
+            let mut text = vec![0; bytes];
+            entry
+                .read_exact(&mut text)
+                .map_err(|failed| source.error(format!("cannot be read: {failed}")))?;
+            header.dtype.text(&text).ok_or_else(wrong)
+        })
+    }
+
     /// Reads array `name` of pickled Python objects.
     pub fn objects(&mut self, name: &str) -> Result<Pickle> {
         self.with_entry(name, |source, mut entry, size| source.objects(&mut entry, size))
@@ -289,7 +375,7 @@ impl Npz {
     fn with_entry<R>(
         &mut self,
         name: &str,
-        read: impl FnOnce(Source<'_>, ZipFile<'_, BufReader<File>>, u64) -> Result<R>,
+        read: impl FnOnce(Source<'_>, ZipFile<'_, NpzReader>, u64) -> Result<R>,
     ) -> Result<R> {
         let Self { path, length, archive, .. } = self;
         let source = Source { path, name: Some(name) };

@@ -49,7 +49,9 @@ impl<'a> Value<'a> {
         self.charge(VISIT)?;
         if let Some((class, object)) = self.object() {
             return match class.kind {
-                ClassKind::NdArray | ClassKind::FromBuffer => self.numpy(depth),
+                ClassKind::NdArray | ClassKind::FromBuffer | ClassKind::JoblibArray => {
+                    self.numpy(depth)
+                }
                 ClassKind::Scalar => self.scalar(object),
                 ClassKind::Chumpy => self.chumpy(depth),
                 _ => Err(self.error(format!("is {}, expected numbers", self.describe()))),
@@ -135,7 +137,7 @@ impl<'a> Value<'a> {
     /// Element of a 0-dimensional object array; other values unchanged.
     pub(super) fn unwrap_scalar(&self) -> Result<Self> {
         match self.object() {
-            Some((class, _)) if class.kind == ClassKind::NdArray => match self.stored()? {
+            Some((class, _)) if class.kind.is_array() => match self.stored()? {
                 StoredArray::Objects { shape, mut elements, .. } if shape.is_empty() => {
                     elements.pop().ok_or_else(|| self.error("is an empty array"))
                 }
@@ -157,6 +159,15 @@ impl<'a> Value<'a> {
                     return Err(self.error("is an array with an unknown state"));
                 };
                 self.assemble(shape, dtype, fortran.int()? != 0, data)
+            }
+            Some((class, object)) if class.kind == ClassKind::JoblibArray => {
+                let data = object.list.first().map(|&data| self.with(data));
+                let data = data.ok_or_else(|| self.error("is an array without data"))?;
+                if data.object().is_some_and(|(class, _)| class.kind == ClassKind::NdArray) {
+                    return data.stored();
+                }
+                let fortran = self.require("order")?.text()? == "F";
+                self.assemble(&self.require("shape")?, &self.require("dtype")?, fortran, &data)
             }
             // _frombuffer(data, dtype, shape, order)
             Some((class, object)) if class.kind == ClassKind::FromBuffer => {
@@ -225,6 +236,86 @@ impl<'a> Value<'a> {
             return Ok(axes);
         }
         Err(self.error(format!("axes {axes:?} are not a permutation of {count} axes")))
+    }
+
+    /// Shape of what [`array`](Self::array) reads, without reading it; `None` for what are no
+    /// numbers of one shape.
+    pub fn numeric_shape(&self) -> Option<Vec<usize>> {
+        self.shape_within(MAX_DEPTH)
+    }
+
+    fn shape_within(&self, depth: usize) -> Option<Vec<usize>> {
+        let depth = depth.checked_sub(1)?;
+        self.charge(VISIT).ok()?;
+        if let Some((class, _)) = self.object() {
+            return match class.kind {
+                ClassKind::NdArray | ClassKind::FromBuffer | ClassKind::JoblibArray => {
+                    match self.stored().ok()? {
+                        StoredArray::Numbers { dtype, mut shape, axes, .. } => {
+                            if let Some(axes) = axes {
+                                shape = axes.iter().map(|&axis| shape[axis]).collect();
+                            }
+                            (dtype.size > 0).then_some(shape)
+                        }
+                        StoredArray::Objects { shape, elements, .. } => {
+                            let inner = Self::common_shape(elements.into_iter(), depth)?;
+                            Some([shape, inner].concat())
+                        }
+                    }
+                }
+                ClassKind::Scalar | ClassKind::Chumpy => {
+                    self.array_within::<f64>(depth).ok().map(|array| array.shape().to_vec())
+                }
+                _ => None,
+            };
+        }
+        match self.item {
+            Item::Int(_) | Item::Bool(_) | Item::Float(_) => Some(Vec::new()),
+            _ => {
+                let items = self.items()?;
+                let inner = Self::common_shape(items.iter().map(|&item| self.with(item)), depth)?;
+                Some([vec![items.len()], inner].concat())
+            }
+        }
+    }
+
+    fn common_shape(mut elements: impl Iterator<Item = Self>, depth: usize) -> Option<Vec<usize>> {
+        let first = elements.next()?.shape_within(depth)?;
+        elements.all(|e| e.shape_within(depth).as_ref() == Some(&first)).then_some(first)
+    }
+
+    /// Value of a string, of NumPy's strings too.
+    pub fn string(&self) -> Result<String> {
+        if let Ok(text) = self.text() {
+            return Ok(text.into_owned());
+        }
+        let (dtype, bytes) = match self.object() {
+            Some((class, object)) if class.kind == ClassKind::Scalar => {
+                let arguments = self.part(object.arguments, "arguments").elements();
+                match arguments.as_deref() {
+                    Some([dtype, data]) => (self.dtype(dtype)?, data.bytes()?),
+                    _ => return Err(self.error("is a scalar with unknown arguments")),
+                }
+            }
+            Some((class, _)) if class.kind.is_array() => match self.stored()? {
+                StoredArray::Numbers { dtype, shape, bytes, .. }
+                    if shape.iter().all(|&axis| axis == 1) =>
+                {
+                    return self.decoded(&dtype, &bytes.bytes()?);
+                }
+                StoredArray::Objects { elements, .. } if elements.len() == 1 => {
+                    return elements[0].text().map(std::borrow::Cow::into_owned);
+                }
+                _ => return Err(self.error("is an array, expected one string")),
+            },
+            _ => return Err(self.error(format!("is {}, expected a string", self.describe()))),
+        };
+        self.decoded(&dtype, &bytes)
+    }
+
+    fn decoded(&self, dtype: &NpyType, bytes: &[u8]) -> Result<String> {
+        self.charge(4 * bytes.len())?;
+        dtype.text(bytes).ok_or_else(|| self.error(format!("holds `{dtype}`, expected a string")))
     }
 
     /// True for an array of booleans.

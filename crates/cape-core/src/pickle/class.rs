@@ -15,6 +15,8 @@ pub(super) enum ClassKind {
     Empty,
     /// `numpy.ndarray` and its subclasses.
     NdArray,
+    /// joblib's description of an array whose data follow in the file.
+    JoblibArray,
     /// `numpy.core.numeric._frombuffer`.
     FromBuffer,
     /// `numpy.dtype`.
@@ -38,6 +40,13 @@ pub(super) enum ClassKind {
     Record,
 }
 
+impl ClassKind {
+    /// True for a NumPy array, however it is stored.
+    pub(super) const fn is_array(self) -> bool {
+        matches!(self, Self::NdArray | Self::FromBuffer | Self::JoblibArray)
+    }
+}
+
 impl Class {
     /// The class `name` of `module`, if it is on the allow list.
     pub(super) fn find(module: &str, name: &str) -> Option<Self> {
@@ -51,13 +60,20 @@ fn kind(module: &str, name: &str) -> Option<ClassKind> {
     Some(match (top, name) {
         ("copy_reg" | "copyreg", "_reconstructor") if module == top => ClassKind::Empty,
         ("__builtin__" | "builtins", _) if module == top => match name {
-            "object" => ClassKind::Record,
             "set" | "frozenset" | "list" | "tuple" => ClassKind::Sequence,
             "dict" => ClassKind::Dict,
             "bytes" | "bytearray" => ClassKind::Bytes,
+            // Default factories of `defaultdict`.
+            "object" | "int" | "float" | "str" | "bool" => ClassKind::Record,
             _ => return None,
         },
-        ("collections", "OrderedDict") if module == top => ClassKind::Dict,
+        ("collections", "OrderedDict" | "defaultdict") if module == top => ClassKind::Dict,
+        ("joblib", "NumpyArrayWrapper") if module == "joblib.numpy_pickle" => {
+            ClassKind::JoblibArray
+        }
+        ("pathlib", "PosixPath" | "WindowsPath" | "PurePosixPath" | "PureWindowsPath") => {
+            ClassKind::Record
+        }
         ("_codecs", "encode") if module == top => ClassKind::Encode,
         ("numpy", _) => numpy(module, name)?,
         ("scipy", _) if module.starts_with("scipy.sparse") => match name {
@@ -119,6 +135,8 @@ mod tests {
             ("numpy.random", "__import__"),
             ("scipy.sparse", "load_npz"),
             ("scipy.io", "csc_matrix"),
+            ("joblib.numpy_pickle", "load"),
+            ("joblib", "NumpyArrayWrapper"),
             ("chumpyx", "Ch"),
             ("sklearn.mixture", "joblib"),
             ("", ""),

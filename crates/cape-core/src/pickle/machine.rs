@@ -14,6 +14,8 @@ const NEWEST: u8 = 5;
 const MAX_STACK: usize = 1 << 20;
 /// Longest class name or number in the text protocol, bytes.
 const MAX_LINE: usize = 1 << 10;
+/// Largest number of pickles within each other.
+const MAX_NESTED: usize = 4;
 /// Memo entries allowed beyond one for each object.
 const SPARE_MEMOS: usize = 1 << 10;
 
@@ -38,6 +40,7 @@ pub(super) fn run(source: &[u8]) -> Result<ObjectGraph> {
         memo: HashMap::new(),
         nodes: Vec::new(),
         classes: Vec::new(),
+        depth: 0,
     };
     loop {
         let start = machine.at;
@@ -52,9 +55,9 @@ pub(super) fn run(source: &[u8]) -> Result<ObjectGraph> {
     }
 }
 
-struct Machine<'a> {
+pub(super) struct Machine<'a> {
     source: &'a [u8],
-    at: usize,
+    pub(super) at: usize,
     max_nodes: usize,
     stack: Vec<Item>,
     /// Stack heights at the open MARKs.
@@ -62,6 +65,8 @@ struct Machine<'a> {
     memo: HashMap<u64, Item>,
     nodes: Vec<Node>,
     classes: Vec<Class>,
+    /// Pickles that this one is within.
+    depth: usize,
 }
 
 impl<'a> Machine<'a> {
@@ -134,7 +139,9 @@ impl<'a> Machine<'a> {
                 self.put(Node::Bytes(Bytes::Owned(string_literal(line)?)))?;
             }
             b'V' => {
+                // Carriage returns are escaped in strings: one at the end is a line end of Windows.
                 let line = self.whole_line()?;
+                let line = line.strip_suffix(b"\r").unwrap_or(line);
                 self.put(Node::Text(Bytes::Owned(raw_unicode(line)?)))?;
             }
             b'U' | b'C' => self.byte_string(1)?,
@@ -261,9 +268,15 @@ impl<'a> Machine<'a> {
             b'b' => {
                 let state = self.pop()?;
                 let top = self.top()?;
-                match self.node_mut(top) {
-                    Some(Node::Object(object)) => object.state = state,
+                let class = match self.node_mut(top) {
+                    Some(Node::Object(object)) => {
+                        object.state = state;
+                        object.class
+                    }
                     _ => return Err("state for a value that is not an object".into()),
+                };
+                if self.classes[class as usize].kind == ClassKind::JoblibArray {
+                    self.joblib_data(top, state)?;
                 }
             }
 
@@ -275,17 +288,39 @@ impl<'a> Machine<'a> {
         Ok(None)
     }
 
-    fn take(&mut self, length: usize) -> Result<&'a [u8]> {
+    /// Runs a pickle within this one, at the present place, and returns its root object.
+    pub(super) fn nested(&mut self) -> Result<Item> {
+        if self.depth >= MAX_NESTED {
+            return Err(format!("more than {MAX_NESTED} pickles within each other"));
+        }
+        self.depth += 1;
+        let stack = std::mem::take(&mut self.stack);
+        let marks = std::mem::take(&mut self.marks);
+        let memo = std::mem::take(&mut self.memo);
+        let root = loop {
+            if let Some(root) = self.step()? {
+                break root;
+            }
+        };
+        (self.stack, self.marks, self.memo) = (stack, marks, memo);
+        self.depth -= 1;
+        Ok(root)
+    }
+
+    pub(super) fn take(&mut self, length: usize) -> Result<&'a [u8]> {
         let taken = self.source.get(self.at..).and_then(|rest| rest.get(..length));
         let taken = taken.ok_or_else(|| {
             let left = self.source.len().saturating_sub(self.at);
-            format!("unexpected end: {length} bytes expected, {left} left")
+            format!(
+                "unexpected end: {length} bytes expected, {left} left: the file is incomplete, copy or \
+                 download it again"
+            )
         })?;
         self.at += length;
         Ok(taken)
     }
 
-    fn bytes<const N: usize>(&mut self) -> Result<[u8; N]> {
+    pub(super) fn bytes<const N: usize>(&mut self) -> Result<[u8; N]> {
         let mut bytes = [0; N];
         bytes.copy_from_slice(self.take(N)?);
         Ok(bytes)
@@ -293,7 +328,10 @@ impl<'a> Machine<'a> {
 
     fn whole_line(&mut self) -> Result<&'a [u8]> {
         let rest = &self.source[self.at..];
-        let end = rest.iter().position(|&byte| byte == b'\n').ok_or("ends inside a line")?;
+        let end = rest
+            .iter()
+            .position(|&byte| byte == b'\n')
+            .ok_or("ends inside a line: the file is incomplete")?;
         self.at += end + 1;
         Ok(&rest[..end])
     }
@@ -360,12 +398,18 @@ impl<'a> Machine<'a> {
     }
 
     fn put(&mut self, node: Node) -> Result<()> {
+        let item = self.add(node)?;
+        self.push(item)
+    }
+
+    /// Adds an object without putting it on the stack.
+    pub(super) fn add(&mut self, node: Node) -> Result<Item> {
         let number = self.nodes.len();
         if number >= self.max_nodes {
             return Err("more objects than a file of this size can define".into());
         }
         self.nodes.push(node);
-        self.push(Item::Node(number as u32))
+        Ok(Item::Node(number as u32))
     }
 
     fn top(&self) -> Result<Item> {
@@ -397,14 +441,14 @@ impl<'a> Machine<'a> {
         Ok(self.stack.split_off(mark))
     }
 
-    fn node(&self, item: Item) -> Option<&Node> {
+    pub(super) fn node(&self, item: Item) -> Option<&Node> {
         match item {
             Item::Node(number) => self.nodes.get(number as usize),
             _ => None,
         }
     }
 
-    fn node_mut(&mut self, item: Item) -> Option<&mut Node> {
+    pub(super) fn node_mut(&mut self, item: Item) -> Option<&mut Node> {
         match item {
             Item::Node(number) => self.nodes.get_mut(number as usize),
             _ => None,
@@ -445,7 +489,7 @@ impl<'a> Machine<'a> {
         })
     }
 
-    fn name(&self, item: Item) -> Result<Vec<u8>> {
+    pub(super) fn name(&self, item: Item) -> Result<Vec<u8>> {
         let Some(Node::Text(bytes) | Node::Bytes(bytes)) = self.node(item) else {
             return Err("class name that is not a string".into());
         };
@@ -465,9 +509,14 @@ impl<'a> Machine<'a> {
     fn class(&mut self, module: &[u8], name: &[u8]) -> Result<()> {
         let (module, name) = (String::from_utf8_lossy(module), String::from_utf8_lossy(name));
         let class = Class::find(&module, &name).ok_or_else(|| {
+            let remedy = if module.split('.').next() == Some("torch") {
+                "; convert PyTorch's tensors by `.cpu().numpy()` before saving"
+            } else {
+                ""
+            };
             format!(
-                "`{}.{}` is not allowed: only data of NumPy, SciPy, chumpy, scikit-learn and \
-                 Python itself is read",
+                "`{}.{}` is not allowed: only data of NumPy, SciPy, chumpy, scikit-learn, joblib and \
+                 Python itself is read{remedy}",
                 module.escape_debug(),
                 name.escape_debug()
             )

@@ -3,7 +3,7 @@
 //! A pickle is a program that may call any function. This reader interprets only the instructions
 //! that build data: it imports and calls nothing. Classes come from an allow list of what body files
 //! and clothing models contain (NumPy arrays, SciPy sparse matrices, chumpy arrays and views,
-//! scikit-learn mixtures, Python containers); any other class is an error with its name.
+//! scikit-learn mixtures, joblib's files, Python containers); any other class is an error with its name.
 //!
 //! Protocols 0 to 5 and files of Python 2 are supported. Memory is bounded by a multiple of the file
 //! size, for malicious files too: strings and arrays are copied out of the file on demand.
@@ -11,6 +11,7 @@
 mod array;
 mod chumpy;
 mod class;
+mod joblib;
 mod machine;
 mod node;
 mod sparse;
@@ -83,6 +84,10 @@ impl Pickle {
     /// Decodes a pickle in memory; errors name `path`.
     pub fn parse(path: impl AsRef<Path>, source: Vec<u8>) -> Result<Self> {
         let path = path.as_ref();
+        let start = &source[..source.len().min(4096)];
+        if let Some(found) = crate::unexpected_content(start, source.len() as u64) {
+            return Err(Error::format(path, found));
+        }
         let allowance = (source.len() as u64).saturating_mul(MAX_EXPANSION).saturating_add(1 << 20);
         let machine::ObjectGraph { nodes, classes, root } = machine::run(&source)
             .map_err(|message| Error::format(path, format!("pickle: {message}")))?;

@@ -132,7 +132,7 @@ fn a_later_entry_replaces_an_earlier_one() {
 #[test]
 fn programs_that_are_not_data_are_refused() {
     for (source, expected) in [
-        (&b""[..], "unexpected end"),
+        (&b""[..], "the file is empty"),
         (b"N", "unexpected end"),
         (b".", "stack is empty"),
         (b"(.", "stack is empty"),

@@ -91,6 +91,36 @@ impl<'a> Value<'a> {
         entries.filter_map(|(key, _)| Some(self.part(*key, "key").text().ok()?.into())).collect()
     }
 
+    /// Entries of a dictionary with their keys as text; `None` for anything else. Keys that are
+    /// neither strings nor integers are left out.
+    pub fn items_by_name(&self) -> Option<Vec<(String, Self)>> {
+        match self.node()? {
+            Node::Dict(_) => {}
+            Node::Object(object)
+                if self.pickle.classes[object.class as usize].kind == ClassKind::Dict => {}
+            _ => return None,
+        }
+        let entries = self.entries()?;
+        self.charge(entries.len().saturating_mul(size_of::<(String, Self)>())).ok()?;
+        let named = entries.iter().filter_map(|&(key, item)| {
+            let name = self.with(key).key()?;
+            let value = self.part(item, &name);
+            Some((name, value))
+        });
+        Some(named.collect())
+    }
+
+    /// Text of a key.
+    fn key(&self) -> Option<String> {
+        match self.item {
+            Item::Int(number) => Some(number.to_string()),
+            _ => match self.string() {
+                Ok(text) => Some(text),
+                Err(_) => self.array::<i64>().ok()?.iter().next().map(ToString::to_string),
+            },
+        }
+    }
+
     fn entries(&self) -> Option<&'a [(Item, Item)]> {
         match self.node()? {
             Node::Dict(entries) => Some(entries),

@@ -10,6 +10,7 @@ mod cpu;
 mod file;
 mod fit;
 mod forward;
+mod gender;
 mod host;
 mod mask;
 mod model;
@@ -18,7 +19,9 @@ mod standard_pose;
 
 pub use body::{Pose, Smpl, SmplInput, SmplOutput};
 pub use clothed::{ClothedSmpl, JointSource};
+pub use file::find_body;
 pub use fit::ShapeFit;
+pub use gender::Gender;
 pub use host::PosedBody;
 pub use mask::ClothingMask;
 pub use model::SmplModel;

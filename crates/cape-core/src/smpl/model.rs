@@ -1,4 +1,5 @@
 use ndarray::{Array2, Array3};
+use sha2::{Digest, Sha256};
 
 use crate::{Error, Mesh, Result};
 
@@ -54,6 +55,32 @@ pub(super) struct FieldError {
 }
 
 impl SmplModel {
+    /// SHA-256 of the arrays, hexadecimal, which tells bodies apart whatever file they are in: of the
+    /// little-endian `f64` of `v_template`, `shapedirs`, `posedirs`, `joint_regressor` and `weights`,
+    /// then the parents (−1 for the root) and `faces` as `i64`.
+    pub fn sha256(&self) -> String {
+        let mut hash = Sha256::new();
+        let tables = [&self.v_template, &self.joint_regressor, &self.weights];
+        let [template, regressor, weights] = tables.map(|table| table.iter().copied());
+        let directions = self.shapedirs.iter().chain(&self.posedirs).copied();
+        let numbers = template.chain(directions).chain(regressor).chain(weights);
+        let parents = self.parents.iter().map(|parent| parent.map_or(-1, |parent| parent as i64));
+        let corners = self.faces.as_flattened().iter().map(|&corner| i64::from(corner));
+        // In blocks: single numbers are slow to hash.
+        let mut block = Vec::with_capacity(1 << 16);
+        let words =
+            numbers.map(f64::to_le_bytes).chain(parents.chain(corners).map(i64::to_le_bytes));
+        for word in words {
+            block.extend(word);
+            if block.len() == block.capacity() {
+                hash.update(&block);
+                block.clear();
+            }
+        }
+        hash.update(&block);
+        crate::hex(hash.finalize())
+    }
+
     /// Number of vertices `V`.
     pub fn vertices(&self) -> usize {
         self.v_template.nrows()

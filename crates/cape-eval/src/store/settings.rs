@@ -257,7 +257,11 @@ pub fn packed_set_sha256(root: &Path, splits: &[Split]) -> Result<String> {
         add(split.path(root, "frames").with_extension("csv"), false);
     }
     if splits.contains(&Split::Train) {
-        PackedSet::open(root, Split::Train)?;
+        let set = PackedSet::open(root, Split::Train)?;
+        // Outfits other than the paper's have their names from the split.
+        if !set.vocabulary().is_paper() {
+            add(root.join("split.toml"), false);
+        }
         // Sets of the official tools get their statistics when they are first needed.
         DisplacementStatistics::from_packed(root, &mut cape_core::silent)?;
         add(root.join("stats.npz"), false);

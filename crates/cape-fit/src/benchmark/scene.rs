@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 
 use super::BenchmarkOptions;
-use crate::{Detector, Keypoint, Keypoints, Mask, PinholeCamera, Result, silhouette::render};
+use crate::{Keypoint, KeypointLayout, Keypoints, Mask, PinholeCamera, Result, silhouette::render};
 
 /// Translation of the bodies in the frame of the camera, metres.
 const PLACE: DVec3 = DVec3::new(0.0, 0.15, -3.3);
@@ -46,7 +46,7 @@ impl Scene {
         let betas: Vec<f64> = wearer.betas.iter().copied().map(f64::from).collect();
         let pose = wearer.pose.map(f64::from);
         let joints = run.body().pose(&betas, &pose, PLACE.to_array(), None)?.joints;
-        let detector = Detector::Body25;
+        let detector = KeypointLayout::Body25;
         let unseen = Keypoint { x: 0.0, y: 0.0, confidence: 0.0 };
         let mut points = vec![unseen; detector.points()];
         for &(point, joint) in detector.joints() {

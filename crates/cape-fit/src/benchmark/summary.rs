@@ -63,7 +63,7 @@ pub struct OutfitSummary {
 /// let body = BodyParameters::new(vec![0.0; 72], Vec::new())?;
 /// let cases = [0, 1, 2].map(|frame| BenchmarkCase {
 ///     frame,
-///     capture: "anna".into(),
+///     capture: Some("anna".into()),
 ///     outfit: Outfit::LONG_LONG,
 ///     bare: error(20.0),
 ///     clothed: error(10.0),
@@ -73,7 +73,7 @@ pub struct OutfitSummary {
 ///     code: vec![0.0],
 /// });
 /// let summary = BenchmarkSummary::from_cases(&cases, 1)?;
-/// assert_eq!((summary.images, summary.captures, summary.failed), (3, 1, 0));
+/// assert_eq!((summary.images, summary.captures, summary.failed), (3, Some(1), 0));
 /// assert_eq!((summary.bare.distance_mm.mean, summary.clothed.distance_mm.median), (20.0, 10.0));
 /// assert_eq!((summary.distance_mm.wins, summary.outfits[0].images), (3, 3));
 /// # Ok::<(), Box<dyn std::error::Error>>(())

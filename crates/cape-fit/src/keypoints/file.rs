@@ -6,8 +6,41 @@ use cape_core::npy::Npz;
 use ndarray::Axis;
 use serde_json::Value;
 
-use super::{Detector, Keypoint, Keypoints};
-use crate::{Error, Result};
+use super::{
+    Keypoint, KeypointLayout, Keypoints,
+    dialect::{Entry, entries},
+    plausibility::{LayoutChoice, choose_layout},
+    read_json,
+};
+use crate::{Error, Mask, Result};
+
+/// Largest coordinate of normalised keypoints.
+const NORMALISED: f64 = 1.5;
+/// Least coordinate of keypoints normalised to 0…1; smaller ones are normalised to −1…1.
+const CENTRED: f64 = -0.25;
+
+/// Options of reading keypoints.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct KeypointOptions {
+    /// Layout; by default that of the number of points and, if several have it, of the most
+    /// plausible person.
+    pub layout: Option<KeypointLayout>,
+    /// Identifier or file name of the image in a file of several images.
+    pub image: Option<String>,
+    /// File names of image and mask, by which an image of a file of several is found.
+    pub beside: Vec<String>,
+    /// Width and height of the image, pixels, by which normalised coordinates are scaled.
+    pub size: Option<[u32; 2]>,
+}
+
+/// Person of a keypoint file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Person {
+    /// Keypoints; the error says why there are none.
+    pub keypoints: Result<Keypoints, String>,
+    /// COCO's outline of the person, polygons or run lengths.
+    pub segmentation: Option<Value>,
+}
 
 /// Keypoints of all people in an image.
 ///
@@ -36,23 +69,35 @@ use crate::{Error, Result};
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct People {
-    people: Vec<Keypoints>,
+    all: Vec<Person>,
+    notes: Vec<String>,
+    size: Option<[u32; 2]>,
 }
 
 impl People {
-    /// Number of people.
+    /// Number of people, including those without usable keypoints.
     pub fn len(&self) -> usize {
-        self.people.len()
+        self.all.len()
     }
 
     /// True if there is no person.
     pub fn is_empty(&self) -> bool {
-        self.people.is_empty()
+        self.all.is_empty()
     }
 
-    /// Keypoints of all people in the order of the file.
-    pub fn all(&self) -> &[Keypoints] {
-        &self.people
+    /// All people in the order of the file.
+    pub fn all(&self) -> &[Person] {
+        &self.all
+    }
+
+    /// Remarks on the choices that the file leaves open, for the user.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
+    /// Width and height of the image by the file, pixels.
+    pub fn size(&self) -> Option<[u32; 2]> {
+        self.size
     }
 
     /// Keypoints of the person with the index `person`; without an index, of the only person.
@@ -60,129 +105,265 @@ impl People {
     /// # Errors
     /// If there is no such person, or there are several and `person` is `None`.
     pub fn choose(self, person: Option<usize>) -> Result<Keypoints> {
-        let count = self.people.len();
-        let refuse = |message: String| Err(Error::Observation(message));
-        match (person, count) {
-            (_, 0) => refuse("the file contains no person".into()),
-            (None, 2..) => refuse(format!(
-                "the file contains {count} people: choose one by its index, 0 to {}",
-                count - 1
-            )),
-            (person, _) => {
-                let person = person.unwrap_or(0);
-                match self.people.into_iter().nth(person) {
-                    Some(keypoints) => Ok(keypoints),
-                    None => {
-                        refuse(format!("person {person}: expected an index of 0 to {}", count - 1))
-                    }
-                }
+        let index = self.index(person, None)?;
+        self.person(index)
+    }
+
+    /// Index of the person `person`; without it, of the person on `mask`; without both, of the only
+    /// person.
+    ///
+    /// # Errors
+    /// If there is no such person, or the choice is open.
+    pub fn index(&self, person: Option<usize>, mask: Option<&Mask>) -> Result<usize> {
+        let count = self.all.len();
+        if count == 0 {
+            return refuse("the keypoints are of nobody: the file contains no person".into());
+        }
+        if let Some(person) = person {
+            if person < count {
+                return Ok(person);
             }
+            return refuse(format!("person {person}: expected an index of 0 to {}", count - 1));
+        }
+        let seen: Vec<(usize, &Keypoints)> =
+            (0..count).filter_map(|at| Some((at, self.all[at].keypoints.as_ref().ok()?))).collect();
+        match (seen.as_slice(), mask) {
+            // The error of the first person says why nobody is usable.
+            ([], _) => Ok(0),
+            (&[(only, _)], _) => Ok(only),
+            (several, Some(mask)) => {
+                let mut on: Vec<(f64, usize)> = several
+                    .iter()
+                    .map(|&(at, k)| (mask.share_of(&k.detections(0.0)), at))
+                    .collect();
+                on.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+                if on[0].0 >= 0.5 && on[0].0 > on[1].0 {
+                    return Ok(on[0].1);
+                }
+                refuse(format!("{}: choose one by its index\n{}", open(&on), places(several)))
+            }
+            (several, None) => refuse(format!(
+                "the file contains {} people: choose one by its index, 0 to {}\n{}",
+                several.len(),
+                count - 1,
+                places(several)
+            )),
+        }
+    }
+
+    /// Keypoints of a person by index.
+    ///
+    /// # Errors
+    /// If there is no such person, or the person has no usable keypoints.
+    pub fn person(&self, index: usize) -> Result<Keypoints> {
+        match self.all.get(index).map(|person| &person.keypoints) {
+            Some(Ok(keypoints)) => Ok(keypoints.clone()),
+            Some(Err(reason)) => refuse(reason.clone()),
+            None => refuse(format!("person {index}: the file has {}", self.all.len())),
         }
     }
 }
 
-/// Reads keypoints: JSON of OpenPose (`people` with `pose_keypoints_2d`, BODY_25 or COCO-18), JSON
-/// of COCO (a list of results with `keypoints`, or an object with `annotations`), or an `.npz`
-/// archive with `keypoints` `[points, 3]` or `[people, points, 3]`, each x, y (pixels) and
-/// confidence.
-///
-/// Results and annotations must be of one image. Visibility flags of 1 and 2 are confidence 1.
-///
-/// # Errors
-/// If the file has none of these formats; the error has the entry.
-pub fn read_keypoints(path: impl AsRef<Path>) -> Result<People> {
-    let path = path.as_ref();
-    let extension = path.extension().unwrap_or_default();
-    if extension.eq_ignore_ascii_case("npz") {
-        from_archive(path)
-    } else if extension.eq_ignore_ascii_case("json") {
-        let text = std::fs::read(path).map_err(|source| Error::io(path, source))?;
-        let json = serde_json::from_slice(&text)
-            .map_err(|error| Error::format(path, format!("not JSON: {error}")))?;
-        from_json(path, &json)
+fn refuse<T>(message: String) -> Result<T> {
+    Err(Error::Observation(message))
+}
+
+fn open(on: &[(f64, usize)]) -> String {
+    if on[0].0 < 0.5 {
+        format!("none of {} people is on the mask", on.len())
     } else {
-        Err(Error::format(path, "unsupported file type: expected .json or .npz"))
+        format!("people {} and {} are on the mask alike", on[0].1, on[1].1)
     }
 }
 
-fn from_archive(path: &Path) -> Result<People> {
+/// Middle of each person in the image.
+fn places(people: &[(usize, &Keypoints)]) -> String {
+    let line = |&(at, keypoints): &(usize, &Keypoints)| {
+        let seen = keypoints.detections(0.0);
+        let count = seen.len().max(1) as f64;
+        let [x, y] = [|k: &Keypoint| k.x, |k: &Keypoint| k.y]
+            .map(|of| seen.iter().map(|s| of(&s.at)).sum::<f64>() / count);
+        format!("person {at}: {} joints around ({x:.0}, {y:.0})", seen.len())
+    };
+    people.iter().take(20).map(line).collect::<Vec<_>>().join("\n")
+}
+
+/// [`read_keypoints_with`] without options.
+///
+/// # Errors
+/// As of [`read_keypoints_with`].
+pub fn read_keypoints(path: impl AsRef<Path>) -> Result<People> {
+    read_keypoints_with(path, &KeypointOptions::default())
+}
+
+/// Reads keypoints of the people in one image: JSON of OpenPose, COCO (results and annotations),
+/// AlphaPose, MMPose, MediaPipe and others that write points as lists of numbers, lists or objects;
+/// or an `.npz` archive with `keypoints` `[points, 3]` or `[people, points, 3]`, each x, y (pixels)
+/// and confidence.
+///
+/// Points are unseen that are NaN, `null`, at (0, 0) or (−1, −1), or of a confidence of 0 or less.
+/// Visibility flags of 1 and 2 are confidence 1. Coordinates between 0 and 1 are scaled to the
+/// image. A person who cannot be read does not refuse the others.
+///
+/// # Errors
+/// If the file has none of these formats, or has several images and the options do not tell which.
+pub fn read_keypoints_with(path: impl AsRef<Path>, options: &KeypointOptions) -> Result<People> {
+    let path = path.as_ref();
+    let extension = path.extension().unwrap_or_default();
+    if extension.eq_ignore_ascii_case("npz") {
+        return Ok(people(&from_archive(path)?, options));
+    }
+    if !extension.eq_ignore_ascii_case("json") {
+        return Err(Error::format(path, "unsupported file type: expected .json or .npz"));
+    }
+    let all = entries(&read_json(path)?).map_err(|reason| Error::format(path, reason))?;
+    let found = one_image(all, options).map_err(|reason| Error::format(path, reason))?;
+    Ok(people(&found, options))
+}
+
+fn from_archive(path: &Path) -> Result<Vec<Entry>> {
     let mut file = Npz::open(path)?;
     let array = file.f64("keypoints")?;
     let array = if array.ndim() == 2 { array.insert_axis(Axis(0)) } else { array };
     file.expect_shape("keypoints", array.shape(), &[None, None, Some(3)])?;
-    let people = array.outer_iter().map(|person| {
-        let numbers: Vec<f64> = person.iter().copied().collect();
-        keypoints(path, "keypoints", &numbers)
-    });
-    Ok(People { people: people.collect::<Result<_>>()? })
+    let person = |(at, person): (usize, ndarray::ArrayViewD<'_, f64>)| Entry {
+        field: format!("keypoints[{at}]"),
+        images: Vec::new(),
+        size: None,
+        points: Ok(person.outer_iter().map(|p| [p[0], p[1], p[2]]).collect()),
+        segmentation: None,
+    };
+    Ok(array.outer_iter().enumerate().map(person).collect())
 }
 
-fn from_json(path: &Path, json: &Value) -> Result<People> {
-    if let Some(people) = json.get("people") {
-        let people = list(path, "people", people)?.iter().enumerate().map(|(at, person)| {
-            let field = format!("people[{at}].pose_keypoints_2d");
-            keypoints(path, &field, &numbers(path, &field, person.get("pose_keypoints_2d"))?)
+/// Entries of the image that the options tell.
+fn one_image(all: Vec<Entry>, options: &KeypointOptions) -> Result<Vec<Entry>, String> {
+    let mut images: Vec<&Vec<String>> = all.iter().map(|entry| &entry.images).collect();
+    images.sort();
+    images.dedup();
+    if images.len() < 2 && options.image.is_none() {
+        return Ok(all);
+    }
+    let is = |name: &str| {
+        let found = |entry: &&Entry| entry.images.iter().any(|image| same_image(image, name));
+        all.iter().filter(found).cloned().collect::<Vec<_>>()
+    };
+    let names: Vec<String> =
+        images.iter().take(6).map(|names| names.join(" ")).filter(|n| !n.is_empty()).collect();
+    let names = names.join(", ");
+    if let Some(image) = &options.image {
+        let found = is(image);
+        if found.is_empty() {
+            return Err(format!("no person of image `{image}`: the file has {names}…"));
+        }
+        return Ok(found);
+    }
+    let found = options.beside.iter().map(|name| is(name)).find(|found| !found.is_empty());
+    found.ok_or_else(|| {
+        format!("people of {} images ({names}…): choose one with --image-id", images.len())
+    })
+}
+
+/// True if two names or numbers are of one image: equal, of the same file name, or a number written
+/// with zeros before it.
+fn same_image(a: &str, b: &str) -> bool {
+    let stem = |name: &str| {
+        let name = name.rsplit(['/', '\\']).next().unwrap_or(name);
+        let known = ["jpg", "jpeg", "png", "webp", "json", "bmp", "npz"];
+        match name.rsplit_once('.') {
+            Some((stem, end)) if known.contains(&end.to_lowercase().as_str()) => stem.to_owned(),
+            _ => name.to_owned(),
+        }
+    };
+    let (a, b) = (stem(a), stem(b));
+    let number = |text: &str| text.parse::<u64>().ok();
+    a == b || (number(&a).is_some() && number(&a) == number(&b))
+}
+
+/// People of one image.
+fn people(entries: &[Entry], options: &KeypointOptions) -> People {
+    let size = options.size.or_else(|| entries.iter().find_map(|entry| entry.size));
+    let mut notes = Vec::new();
+    let cleaned: Vec<Result<Vec<Keypoint>, String>> = entries
+        .iter()
+        .map(|entry| {
+            let points = entry.points.as_ref().map_err(|e| format!("{}: {e}", entry.field))?;
+            if points.is_empty() {
+                return Err(format!("{}: nobody, it has no points", entry.field));
+            }
+            let points = points.iter().map(seen).collect();
+            in_pixels(points, size, &mut notes).map_err(|e| format!("{}: {e}", entry.field))
+        })
+        .collect();
+    notes.dedup();
+    let layout = |count: usize| -> Result<LayoutChoice, String> {
+        if let Some(layout) = options.layout {
+            return Ok(LayoutChoice { layout, note: None });
+        }
+        let alike: Vec<&[Keypoint]> = cleaned
+            .iter()
+            .filter_map(|p| p.as_deref().ok())
+            .filter(|points| points.len() == count)
+            .collect();
+        choose_layout(&alike, count).ok_or_else(|| {
+            let known: Vec<String> =
+                KeypointLayout::ALL.iter().map(|l| format!("{} ({l})", l.points())).collect();
+            format!("{count} points, expected {}", known.join(", "))
+        })
+    };
+    let mut all = Vec::with_capacity(entries.len());
+    for (entry, points) in entries.iter().zip(&cleaned) {
+        let keypoints = points.clone().and_then(|points| {
+            let choice = layout(points.len()).map_err(|e| format!("{}: {e}", entry.field))?;
+            notes.extend(choice.note);
+            let keypoints = Keypoints::new(choice.layout, points)
+                .map_err(|error| format!("{}: {error}", entry.field))?;
+            if keypoints.detections(0.0).is_empty() {
+                return Err(format!("{}: nobody, none of the joints is seen", entry.field));
+            }
+            Ok(keypoints)
         });
-        return Ok(People { people: people.collect::<Result<_>>()? });
+        all.push(Person { keypoints, segmentation: entry.segmentation.clone() });
     }
-    let (name, entries) = match json.get("annotations") {
-        Some(annotations) => ("annotations", annotations),
-        None => ("results", json),
-    };
-    let Some(entries) = entries.as_array() else {
-        return Err(Error::format(
-            path,
-            "expected OpenPose's `people`, or COCO's list of results or `annotations`",
-        ));
-    };
-    one_image(path, name, entries)?;
-    let people = entries.iter().enumerate().map(|(at, entry)| {
-        let field = format!("{name}[{at}].keypoints");
-        keypoints(path, &field, &numbers(path, &field, entry.get("keypoints"))?)
-    });
-    Ok(People { people: people.collect::<Result<_>>()? })
+    notes.sort();
+    notes.dedup();
+    People { all, notes, size }
 }
 
-fn one_image(path: &Path, name: &str, entries: &[Value]) -> Result<()> {
-    let images = || entries.iter().map(|entry| entry.get("image_id"));
-    match images().position(|image| image != images().next().flatten()) {
-        None => Ok(()),
-        Some(at) => Err(Error::field(
-            path,
-            format!("{name}[{at}].image_id"),
-            "differs from that of the first entry: expected the people of one image",
-        )),
+/// The point; unseen at the places that detectors write for it.
+fn seen(&[x, y, confidence]: &[f64; 3]) -> Keypoint {
+    let nowhere = (x == 0.0 && y == 0.0) || (x == -1.0 && y == -1.0);
+    let usable = x.is_finite() && y.is_finite() && confidence > 0.0 && !nowhere;
+    if usable { Keypoint { x, y, confidence } } else { Keypoint::UNSEEN }
+}
+
+/// The points in pixels, if they are normalised to 0…1 or −1…1.
+fn in_pixels(
+    mut points: Vec<Keypoint>,
+    size: Option<[u32; 2]>,
+    notes: &mut Vec<String>,
+) -> Result<Vec<Keypoint>, String> {
+    let seen = || points.iter().filter(|point| point.confidence > 0.0);
+    let numbers = || seen().flat_map(|point| [point.x, point.y]);
+    let largest = numbers().fold(0.0, |most: f64, x| most.max(x.abs()));
+    if seen().count() < 2 || largest > NORMALISED {
+        return Ok(points);
     }
-}
-
-fn list<'a>(path: &Path, field: &str, value: &'a Value) -> Result<&'a Vec<Value>> {
-    value.as_array().ok_or_else(|| Error::field(path, field, "expected a list"))
-}
-
-fn numbers(path: &Path, field: &str, value: Option<&Value>) -> Result<Vec<f64>> {
-    let value = value.ok_or_else(|| Error::field(path, field, "missing"))?;
-    let number = |value: &Value| {
-        value.as_f64().ok_or_else(|| Error::field(path, field, "expected a list of numbers"))
+    let Some([width, height]) = size else {
+        return Err(
+            "all coordinates are at most 1, expected pixels: give the image or its mask, by \
+                    whose size they are scaled"
+                .into(),
+        );
     };
-    list(path, field, value)?.iter().map(number).collect()
-}
-
-/// Keypoints from x, y and confidence of each point.
-fn keypoints(path: &Path, field: &str, numbers: &[f64]) -> Result<Keypoints> {
-    let (points, rest) = numbers.as_chunks::<3>();
-    let Some(detector) = Detector::from_point_count(points.len()).filter(|_| rest.is_empty())
-    else {
-        let layouts: Vec<String> =
-            Detector::ALL.iter().map(|d| format!("{} ({d})", 3 * d.points())).collect();
-        return Err(Error::field(
-            path,
-            field,
-            format!("{} numbers, expected {}", numbers.len(), layouts.join(" or ")),
-        ));
-    };
-    let point = |&[x, y, confidence]: &[f64; 3]| Keypoint { x, y, confidence };
-    Keypoints::new(detector, points.iter().map(point).collect())
-        .map_err(|error| Error::field(path, field, error.to_string()))
+    let centred = numbers().any(|x| x < CENTRED);
+    for point in points.iter_mut().filter(|point| point.confidence > 0.0) {
+        let scale = |x: f64, side: u32| f64::from(side) * if centred { 0.5 * (x + 1.0) } else { x };
+        (point.x, point.y) = (scale(point.x, width), scale(point.y, height));
+    }
+    let range = if centred { "−1 to 1" } else { "0 to 1" };
+    notes.push(format!("coordinates from {range} are scaled to {width}×{height} pixels"));
+    Ok(points)
 }
 
 #[cfg(test)]
@@ -207,12 +388,12 @@ mod tests {
 
     #[test]
     fn openpose_and_coco_files_are_told_apart() {
-        for (points, detector) in [(25, Detector::Body25), (18, Detector::Coco18)] {
+        for points in [25, 18] {
             let person = format!("{{\"pose_keypoints_2d\": [{}]}}", row(points, 0.7));
             let people =
                 read("a.json", &format!("{{\"version\": 1.3, \"people\": [{person}]}}")).unwrap();
             let keypoints = people.choose(None).unwrap();
-            assert_eq!(keypoints.detector(), detector);
+            assert_eq!(keypoints.layout().points(), points);
             assert_eq!(keypoints.points()[3], Keypoint { x: 3.5, y: 6.0, confidence: 0.7 });
         }
         let entry =
@@ -226,11 +407,11 @@ mod tests {
             assert!(people.clone().choose(None).unwrap_err().to_string().contains("2 people"));
             assert!(people.clone().choose(Some(2)).unwrap_err().to_string().contains("person 2"));
             let person = people.choose(Some(1)).unwrap();
-            assert_eq!(person.detector(), Detector::Coco17);
+            assert_eq!(person.layout().points(), 17);
             assert_eq!(person.points()[16].confidence, 1.0);
         }
         let several = read("a.json", &format!("[{}, {}]", entry(1), entry(2))).unwrap_err();
-        assert!(several.to_string().contains("results[1].image_id"), "{several}");
+        assert!(several.to_string().contains("2 images (1, 2…)"), "{several}");
     }
 
     #[test]
@@ -246,15 +427,20 @@ mod tests {
             }
             file.finish().unwrap();
         };
-        let points = Array3::from_shape_fn((2, 24, 3), |(p, i, k)| ((p + i + k) % 2) as f64);
+        let points =
+            Array3::from_shape_fn(
+                (2, 24, 3),
+                |(p, i, k)| if k == 2 { 1.0 } else { (10 * (p + i) + 1) as f64 },
+            );
         save(points.clone(), true);
         let person = read_keypoints(&path).unwrap().choose(None).unwrap();
-        assert_eq!(person.detector(), Detector::Smpl24);
-        assert_eq!(person.points()[1], Keypoint { x: 1.0, y: 0.0, confidence: 1.0 });
+        assert_eq!(person.layout(), KeypointLayout::Smpl24);
+        assert_eq!(person.points()[1], Keypoint { x: 11.0, y: 11.0, confidence: 1.0 });
         save(points, false);
         assert_eq!(read_keypoints(&path).unwrap().len(), 2);
         save(Array3::from_elem((1, 24, 3), f64::INFINITY), false);
-        assert!(read_keypoints(&path).unwrap_err().to_string().contains("keypoints"));
+        let nobody = read_keypoints(&path).unwrap().choose(None).unwrap_err().to_string();
+        assert!(nobody.contains("keypoints[0]: nobody"), "{nobody}");
     }
 
     #[test]
@@ -262,10 +448,14 @@ mod tests {
         let cases = [
             ("{\"people\": []}", "no person"),
             ("{\"people\": [{}]}", "people[0].pose_keypoints_2d"),
-            ("{\"people\": [{\"pose_keypoints_2d\": [1, 2, 3]}]}", "3 numbers, expected 75"),
+            (
+                "{\"people\": [{\"pose_keypoints_2d\": [1, 2, 3]}]}",
+                "1 points, expected 25 (BODY_25)",
+            ),
             ("{\"people\": 3}", "expected a list"),
             ("{\"other\": 3}", "annotations"),
             ("[{\"keypoints\": [\"x\"]}]", "results[0].keypoints"),
+            ("[{\"keypoints\": [1, 2, 3, 4, 5]}]", "5 numbers"),
             ("nonsense", "not JSON"),
         ];
         for (text, expected) in cases {

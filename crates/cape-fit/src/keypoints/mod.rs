@@ -1,10 +1,17 @@
 //! Keypoints of a person in an image, and keypoint files of detectors.
 
-mod detector;
+mod dialect;
 mod file;
+#[cfg(test)]
+mod input_tests;
+mod json;
+mod layout;
+mod plausibility;
 
-pub use detector::Detector;
-pub use file::{People, read_keypoints};
+pub use file::{KeypointOptions, People, Person, read_keypoints, read_keypoints_with};
+pub use layout::KeypointLayout;
+
+pub(crate) use json::read_json;
 
 use crate::{Error, Result};
 
@@ -19,15 +26,31 @@ pub struct Keypoint {
     pub confidence: f64,
 }
 
+impl Keypoint {
+    /// A point that is not detected.
+    pub const UNSEEN: Self = Self { x: 0.0, y: 0.0, confidence: 0.0 };
+
+    /// The point with a confidence of at most 1; [`UNSEEN`](Self::UNSEEN) without finite numbers or
+    /// a confidence above 0.
+    fn cleaned(self) -> Self {
+        let Self { x, y, confidence } = self;
+        if x.is_finite() && y.is_finite() && confidence > 0.0 {
+            Self { confidence: confidence.min(1.0), ..self }
+        } else {
+            Self::UNSEEN
+        }
+    }
+}
+
 /// Keypoints of one person.
 ///
 /// ```
-/// use cape_fit::{Detector, Keypoint, Keypoints};
+/// use cape_fit::{KeypointLayout, Keypoint, Keypoints};
 ///
 /// // Only the point between the hips is detected.
 /// let mut points = vec![Keypoint { x: 0.0, y: 0.0, confidence: 0.0 }; 25];
 /// points[8] = Keypoint { x: 100.0, y: 200.0, confidence: 0.9 };
-/// let keypoints = Keypoints::new(Detector::Body25, points)?;
+/// let keypoints = Keypoints::new(KeypointLayout::Body25, points)?;
 /// let detections = keypoints.detections(0.5);
 /// assert_eq!((detections.len(), detections[0].joint, detections[0].at.x), (1, 0, 100.0));
 /// // The same in an image of half the size.
@@ -36,7 +59,7 @@ pub struct Keypoint {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Keypoints {
-    detector: Detector,
+    layout: KeypointLayout,
     points: Vec<Keypoint>,
 }
 
@@ -50,36 +73,24 @@ pub struct KeypointDetection {
 }
 
 impl Keypoints {
-    /// Keypoints in the order of `detector`; confidences above 1 are clamped to 1.
+    /// Keypoints in the order of `layout`; confidences above 1 are clamped to 1. Points without
+    /// finite numbers or with a confidence of 0 or less are not detected.
     ///
     /// # Errors
-    /// If the number of points differs from the detector's, a number is not finite, or a confidence
-    /// is negative.
-    pub fn new(detector: Detector, points: Vec<Keypoint>) -> Result<Self> {
-        let (found, expected) = (points.len(), detector.points());
+    /// If the number of points differs from the layout's.
+    pub fn new(layout: KeypointLayout, points: Vec<Keypoint>) -> Result<Self> {
+        let (found, expected) = (points.len(), layout.points());
         if found != expected {
             return Err(Error::Observation(format!(
-                "{found} keypoints, expected the {expected} of {detector}"
+                "{found} keypoints, expected the {expected} of {layout}"
             )));
         }
-        let unusable = |point: &Keypoint| {
-            !(point.x.is_finite() && point.y.is_finite() && point.confidence.is_finite())
-                || point.confidence < 0.0
-        };
-        if let Some(at) = points.iter().position(unusable) {
-            let Keypoint { x, y, confidence } = points[at];
-            return Err(Error::Observation(format!(
-                "keypoint {at}: ({x}, {y}) with confidence {confidence}: expected finite numbers \
-                 and a confidence of 0 to 1"
-            )));
-        }
-        let capped = |point: Keypoint| Keypoint { confidence: point.confidence.min(1.0), ..point };
-        Ok(Self { detector, points: points.into_iter().map(capped).collect() })
+        Ok(Self { layout, points: points.into_iter().map(Keypoint::cleaned).collect() })
     }
 
     /// Layout of the points.
-    pub fn detector(&self) -> Detector {
-        self.detector
+    pub fn layout(&self) -> KeypointLayout {
+        self.layout
     }
 
     /// All points, including those that are not detected.
@@ -97,12 +108,12 @@ impl Keypoints {
     #[must_use]
     pub fn scaled(&self, scale: f64) -> Self {
         let scaled = |p: &Keypoint| Keypoint { x: p.x * scale, y: p.y * scale, ..*p };
-        Self { detector: self.detector, points: self.points.iter().map(scaled).collect() }
+        Self { layout: self.layout, points: self.points.iter().map(scaled).collect() }
     }
 
     /// Detections of SMPL joints with at least the confidence `confidence`, and above 0.
     pub fn detections(&self, confidence: f64) -> Vec<KeypointDetection> {
-        let table = self.detector.joints().iter();
+        let table = self.layout.joints().iter();
         let seen = table.map(|&(point, joint)| KeypointDetection { joint, at: self.points[point] });
         seen.filter(|s| s.at.confidence > 0.0 && s.at.confidence >= confidence).collect()
     }
@@ -118,23 +129,23 @@ mod tests {
         points[4] = Keypoint { x: 5.0, y: 6.0, confidence: 1.2 };
         points[7].confidence = 0.3;
         points[0].confidence = 1.0;
-        let keypoints = Keypoints::new(Detector::Body25, points.clone()).unwrap();
+        let keypoints = Keypoints::new(KeypointLayout::Body25, points.clone()).unwrap();
         let joints = |confidence: f64| -> Vec<usize> {
             keypoints.detections(confidence).iter().map(|s| s.joint).collect()
         };
         assert_eq!(joints(0.0), [21, 20]);
         assert_eq!(joints(0.5), [21]);
         assert_eq!(keypoints.detections(0.5)[0].at.confidence, 1.0);
-        assert!(Keypoints::new(Detector::Coco17, points.clone()).is_err());
+        assert!(Keypoints::new(KeypointLayout::Coco17, points.clone()).is_err());
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("person.json");
         std::fs::write(&path, keypoints.to_openpose().to_string()).unwrap();
         assert_eq!(read_keypoints(&path).unwrap().choose(None).unwrap(), keypoints);
         assert_eq!(keypoints.scaled(2.0).points()[4].y, 12.0);
         for wrong in [f64::NAN, -0.1] {
-            points[3].confidence = wrong;
-            let message = Keypoints::new(Detector::Body25, points.clone()).unwrap_err().to_string();
-            assert!(message.contains("keypoint 3"), "{message}");
+            points[4].confidence = wrong;
+            let keypoints = Keypoints::new(KeypointLayout::Body25, points.clone()).unwrap();
+            assert_eq!(keypoints.points()[4], Keypoint::UNSEEN);
         }
     }
 }

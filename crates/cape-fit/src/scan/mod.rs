@@ -19,7 +19,7 @@ pub(crate) mod sample;
 mod stage;
 
 pub use energy::{ScanDistance, ScanTerms, distances_to};
-pub use file::{Scan, Unit};
+pub use file::{RemovedElements, Scan, ScanUnit, Unit};
 pub use fit::{ScanFit, ScanFitTerms, ScanFitter, ScanProgressFn};
 pub use free_form::{FreeFormConfig, FreeFormSurface, free_displacement};
 pub use init::{ScanInit, UpAxis};

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use cape_core::{ClothingMask, Outfit, SmplModel};
 use cape_data::{
-    SequenceList, SplitSpec,
+    SplitSpec,
     raw::{self, BODY_FILE, CLOTHING_FILE, RawFrame, SPLIT_FILE},
 };
 use glam::DVec3;
@@ -131,13 +131,7 @@ fn add_to_split(path: &Path, place: &FrameLocation) -> Result<()> {
     let mut split = if path.exists() {
         SplitSpec::from_file(path)?
     } else {
-        SplitSpec {
-            subjects: Vec::new(),
-            cut: 0,
-            train: SequenceList::default(),
-            test: SequenceList::default(),
-            ..SplitSpec::default()
-        }
+        SplitSpec { cut: 0, ..SplitSpec::default() }
     };
     let sequences = &mut split.train.sequences;
     let known = split.test.sequences.contains(&place.sequence);

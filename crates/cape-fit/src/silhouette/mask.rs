@@ -43,17 +43,22 @@ impl Mask {
         Ok(Self { width, height, covered })
     }
 
-    /// Mask of the light, opaque pixels of an image.
+    /// Mask of an image: the opaque pixels if any pixel is transparent, else those of more than half
+    /// the largest brightness, so that masks of 0 and 1 and of 0 and 255 are alike.
     pub fn from_image(image: &Image) -> Self {
-        let light = |&[r, g, b, a]: &[u8; 4]| a > 127 && u16::from(r.max(g).max(b)) > 127;
+        let cut_out = image.pixels().iter().any(|pixel| pixel[3] <= 127);
+        let brightness = |&[r, g, b, _]: &[u8; 4]| u16::from(r.max(g).max(b));
+        let most = image.pixels().iter().map(brightness).max().unwrap_or(0);
+        let on =
+            |pixel: &[u8; 4]| if cut_out { pixel[3] > 127 } else { 2 * brightness(pixel) > most };
         Self {
             width: image.width(),
             height: image.height(),
-            covered: image.pixels().iter().map(light).collect(),
+            covered: image.pixels().iter().map(on).collect(),
         }
     }
 
-    /// Reads a mask from a PNG: light pixels are covered.
+    /// Reads a mask from a PNG, as [`from_image`](Self::from_image) takes it.
     ///
     /// # Errors
     /// If the file is not a PNG.
@@ -122,17 +127,34 @@ impl Mask {
     /// An error if less than half of the detected joints are on the mask: it is of another size,
     /// image or person.
     pub(crate) fn expect_joints(&self, detections: &[KeypointDetection]) -> Result<()> {
-        let nearest = manhattan(self);
-        let near = NEAR * f64::from(self.width.max(self.height));
-        let on = |s: &&KeypointDetection| nearest.sample(s.at.x, s.at.y).0 <= near;
-        let (count, found) = (detections.len(), detections.iter().filter(on).count());
+        let (count, found) = (detections.len(), self.joints_on(detections));
         if 2 * found >= count {
             return Ok(());
         }
+        let covered = self.covered.iter().map(|covered| !covered).collect();
+        let inverse = Self { covered, ..*self };
+        let reason =
+            if 2 * self.area() > self.covered.len() && inverse.joints_on(detections) > found {
+                "it seems to be inverted, with the person dark"
+            } else {
+                "it is of another size, another image or another person than the keypoints"
+            };
         Err(Error::Observation(format!(
-            "{found} of {count} joints are on the mask, expected at least half: it is of another size, \
-             another image or another person than the keypoints"
+            "{found} of {count} joints are on the mask, expected at least half: {reason}"
         )))
+    }
+
+    /// Number of detections on the mask or beside it.
+    fn joints_on(&self, detections: &[KeypointDetection]) -> usize {
+        let nearest = manhattan(self);
+        let near = NEAR * f64::from(self.width.max(self.height));
+        let on = |s: &&KeypointDetection| nearest.sample(s.at.x, s.at.y).0 <= near;
+        detections.iter().filter(on).count()
+    }
+
+    /// Share of the detections on the mask, 0 to 1.
+    pub(crate) fn share_of(&self, detections: &[KeypointDetection]) -> f64 {
+        self.joints_on(detections) as f64 / detections.len().max(1) as f64
     }
 
     /// The mask at another size: a pixel is covered if more than half of its area is.
@@ -225,6 +247,22 @@ mod tests {
         let other = Mask::new(2, 1, vec![true, true]).unwrap();
         assert_eq!(shifted.intersection_over_union(&other).unwrap(), 0.5);
         assert!(shifted.intersection_over_union(&mask).is_err());
+    }
+
+    #[test]
+    fn small_values_and_cut_outs_are_masks() {
+        let mask = disc(20);
+        let picture = |on: [u8; 4], off: [u8; 4]| {
+            let mut image = Image::new(20, 20, off).unwrap();
+            for (pixel, _) in image.pixels_mut().iter_mut().zip(mask.covered()).filter(|p| *p.1) {
+                *pixel = on;
+            }
+            Mask::from_image(&image)
+        };
+        assert_eq!(picture([1, 1, 1, 255], [0, 0, 0, 255]), mask);
+        // Dark clothes cut out of a photograph.
+        assert_eq!(picture([30, 30, 60, 255], [0; 4]), mask);
+        assert_eq!(picture([30, 30, 60, 255], [255, 255, 255, 0]), mask);
     }
 
     #[test]

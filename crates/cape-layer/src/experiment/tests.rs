@@ -3,7 +3,7 @@ use cape_synth::{Motion, MotionStyle, synthetic_body};
 use ndarray::{Array2, Array3, Axis};
 
 use super::*;
-use crate::{AssociateOptions, Layer, LayerSet, sequence::Sequence};
+use crate::{AssociateOptions, BodyIdentity, Layer, LayerSet, sequence::Sequence};
 use cape_cloth::{Garment, GarmentKind};
 use cape_core::{BodyMotion, geometry::SurfaceMesh, smpl::StandardPose};
 
@@ -74,12 +74,18 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
 
     let layer = Layer {
         standard: StandardPose::Other(StandardPose::A.angles(24)),
+        body: Some(BodyIdentity::new("synthetic body", &model)),
         ..unposed.layer(&regression.trained_model, FeatureOptions::default())
     };
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("layer.npz");
     layer.save(&path).unwrap();
-    let back = Layer::load(&path, model.vertices()).unwrap();
+    let back = Layer::load_for(&path, &model).unwrap();
+    assert_eq!(back.body, layer.body);
+    let mut other = model.clone();
+    other.weights[(0, 0)] += 1e-3;
+    let message = Layer::load_for(&path, &other).unwrap_err().to_string();
+    assert!(message.contains("layer.npz is of another body, `synthetic body`"), "{message}");
     assert_eq!(
         (&back.regressor, &back.pca, &back.faces),
         (&layer.regressor, &layer.pca, &layer.faces)

@@ -264,6 +264,7 @@ impl<'a> UnposedSet<'a> {
             features,
             semantics: trained_model.semantics.clone(),
             regressor: trained_model.outcome.regressor.clone(),
+            body: self.set.body.clone(),
         }
     }
 

@@ -135,6 +135,10 @@ impl TensorFlowCheckpoint {
             return Err(fault(format!("{length} bytes, expected at most {MAX_INDEX}")));
         }
         let bytes = fs::read(&index).map_err(|e| Error::Io { path: index.clone(), source: e })?;
+        let start = &bytes[..bytes.len().min(4096)];
+        if let Some(found) = cape_core::unexpected_content(start, length) {
+            return Err(fault(found.to_owned()));
+        }
         let mut header = None;
         let mut variables = Vec::new();
         for (key, value) in table::read(&bytes).map_err(fault)? {
@@ -330,15 +334,9 @@ fn prefix_of(path: &Path) -> Result<PathBuf> {
 }
 
 fn prefix_in(directory: &Path) -> Result<PathBuf> {
-    let io = |source| Error::Io { path: directory.to_owned(), source };
-    let mut found = Vec::new();
-    for entry in fs::read_dir(directory).map_err(io)? {
-        let path = entry.map_err(io)?.path();
-        if let Some(prefix) = path.to_string_lossy().strip_suffix(".index") {
-            found.push(PathBuf::from(prefix));
-        }
-    }
-    found.sort();
+    let is_index = |path: &Path| path.to_string_lossy().ends_with(".index");
+    let indices = cape_core::list_files(directory, is_index)?;
+    let found: Vec<PathBuf> = indices.iter().map(|path| path.with_extension("")).collect();
     let fault = |message| Error::File { path: directory.to_owned(), message };
     match &found[..] {
         [] => Err(fault("no TensorFlow checkpoint: no `.index` file".into())),

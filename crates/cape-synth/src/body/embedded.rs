@@ -1,52 +1,8 @@
 //! Bodies that are part of the program.
 
-use std::{fmt, str::FromStr};
-
 use super::HalfBody;
-use crate::{Error, Result};
-use cape_core::SmplModel;
-
-/// Sex of the phenotypes that a body is made of.
-///
-/// ```
-/// use cape_synth::Gender;
-///
-/// assert_eq!("neutral".parse::<Gender>()?, Gender::Neutral);
-/// assert_eq!(Gender::Female.to_string(), "female");
-/// # Ok::<(), cape_synth::Error>(())
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Gender {
-    /// Men.
-    Male,
-    /// Women.
-    Female,
-    /// Men and women and all between them.
-    Neutral,
-}
-
-impl fmt::Display for Gender {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Male => "male",
-            Self::Female => "female",
-            Self::Neutral => "neutral",
-        })
-    }
-}
-
-impl FromStr for Gender {
-    type Err = Error;
-
-    fn from_str(text: &str) -> Result<Self> {
-        match text {
-            "male" => Ok(Self::Male),
-            "female" => Ok(Self::Female),
-            "neutral" => Ok(Self::Neutral),
-            _ => Err(Error::argument(format!("gender `{text}`: expected male, female or neutral"))),
-        }
-    }
-}
+use crate::Result;
+use cape_core::{SmplModel, smpl::Gender};
 
 /// Body of a human adult in SMPL's layout, made of MakeHuman's data by `cape body make`; in the public
 /// domain (CC0 1.0).
@@ -55,7 +11,8 @@ impl FromStr for Gender {
 /// If the embedded file is damaged.
 ///
 /// ```
-/// use cape_synth::{BODY_VERTICES, Gender, embedded_body};
+/// use cape_core::smpl::Gender;
+/// use cape_synth::{BODY_VERTICES, embedded_body};
 ///
 /// let body = embedded_body(Gender::Female)?;
 /// assert_eq!((body.vertices(), body.joints(), body.betas()), (BODY_VERTICES, 24, 10));

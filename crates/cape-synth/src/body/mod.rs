@@ -17,7 +17,7 @@ mod surface;
 #[cfg(test)]
 mod tests;
 
-pub use embedded::{Gender, embedded_body};
+pub use embedded::embedded_body;
 pub use stored::HalfBody;
 
 use ndarray::{Array2, Array3};

@@ -9,7 +9,7 @@ use cape_core::{
     obj, ply,
 };
 use cape_infer::{BodySpec, Run, prior::Prior, write_json};
-use cape_synth::{Motion, MotionStyle, poses::poses};
+use cape_synth::{Motion, MotionStyle};
 use clap::Args;
 use ndarray::{Array2, Array3};
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng, seq::IndexedRandom};
@@ -21,6 +21,7 @@ use crate::{
     console::Console,
     error::{Error, Result},
     files,
+    motion_source::MotionFileArgs,
     options::{
         FileKind, GlobalArgs, ResumableOutputArgs, RunArgs, at_least_one, kinds, non_negative,
     },
@@ -54,9 +55,11 @@ pub(crate) struct GenerateArgs {
     /// Number of bodies.
     #[arg(long, short, default_value_t = 1000, value_name = "N", value_parser = at_least_one)]
     n: usize,
-    /// Poses to choose from, .npy, .npz or .csv [default: synthetic motions].
+    /// File of poses to choose from [default: synthetic motions].
     #[arg(long, value_name = "FILE")]
     poses: Option<String>,
+    #[command(flatten)]
+    reading: MotionFileArgs,
     /// Outfits of the run to choose from [default: all].
     #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…")]
     outfit: Vec<Outfit>,
@@ -109,7 +112,7 @@ impl GenerateArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let temperature = self.drawn.temperature()?;
         let poses: Vec<BodyPose> = match &self.poses {
-            Some(text) => poses(text)?.into_iter().map(|(_, pose)| pose).collect(),
+            Some(text) => self.reading.poses(text, console)?.upright_poses()?,
             None => Vec::new(),
         };
         let run = self.run.open(global)?;

@@ -4,20 +4,23 @@ use std::{
 };
 
 use cape_core::Outfit;
-use cape_data::inspect::{InspectOptions, Inspection, Magnitudes, inspect};
+use cape_data::inspect::{InspectOptions, Inspection, Magnitudes, PresetCompleteness, inspect};
 use clap::Args;
 
-use crate::{console::Console, error::Result, options::at_least_one, table::Table};
+use crate::{
+    console::Console,
+    error::Result,
+    options::{BodyFileArgs, at_least_one},
+    table::Table,
+};
 
 /// Check raw captures or a packed set for problems.
 ///
 /// Counts frames by subject and outfit, reads some frames of each capture, and checks units,
 /// alignment with the minimal body shape, poses and files. Each warning names a remedy.
 #[derive(Debug, Args)]
-#[command(
-    after_help = "Examples:\n  cape data inspect cape_release --clothing clothing_verts_idx.npy\n  \
-                        cape data inspect packed --frames 10"
-)]
+#[command(after_help = "Examples:\n  cape data inspect cape_release --preset male\n  \
+                        cape data inspect packed --frames 10")]
 pub(crate) struct InspectArgs {
     /// Raw data (sequences/, minimal_body_shape/) or a packed set.
     #[arg(value_name = "PATH")]
@@ -28,15 +31,21 @@ pub(crate) struct InspectArgs {
     /// Indices of the clothing vertices, if PATH has no clothing_verts_idx.npy.
     #[arg(long, value_name = "FILE.npy")]
     clothing: Option<PathBuf>,
-    /// SMPL body, .pkl or .npz, for deriving clothing vertices from blend weights.
-    #[arg(long, value_name = "SMPL")]
-    body: Option<PathBuf>,
+    /// Preset to compare raw data with: how many of its frames are there, and what is missing.
+    #[arg(long, value_parser = ["male", "female"])]
+    preset: Option<String>,
+    #[command(flatten)]
+    body: BodyFileArgs,
 }
 
 impl InspectArgs {
     pub(crate) fn run(self, console: Console) -> Result {
-        let options =
-            InspectOptions { frames: self.frames, clothing: self.clothing, body: self.body };
+        let options = InspectOptions {
+            frames: self.frames,
+            clothing: self.clothing,
+            body: self.body.file()?,
+            preset: self.preset,
+        };
         let found = console.while_showing("inspect", "frames", |progress| {
             inspect(&self.path, &options, progress)
         })?;
@@ -48,6 +57,12 @@ fn text(found: &Inspection) -> String {
     let mut parts = vec![format!("{} data, {} frames", found.kind, found.frames)];
     parts.push(counts(found));
     parts.push(facts(found));
+    if !found.release.is_empty() {
+        parts.push(found.release.join("\n"));
+    }
+    if let Some(preset) = &found.preset {
+        parts.push(completeness(preset));
+    }
     if found.warnings.is_empty() {
         parts.push("no problems found".into());
     } else {
@@ -56,6 +71,33 @@ fn text(found: &Inspection) -> String {
         parts.push(lines.join("\n"));
     }
     parts.join("\n\n")
+}
+
+/// Frames of a preset that are there, and what is missing.
+fn completeness(found: &PresetCompleteness) -> String {
+    let PresetCompleteness { preset, train, test, missing_subjects, missing_captures } = found;
+    let mut lines = Vec::new();
+    for (name, [there, complete]) in [("training", train), ("test", test)] {
+        lines.push(format!(
+            "preset {preset}: {there} of {complete} {name} frames{}",
+            match complete.cmp(there) {
+                std::cmp::Ordering::Equal => ", complete".to_owned(),
+                std::cmp::Ordering::Greater => format!(", {} missing", complete - there),
+                std::cmp::Ordering::Less => format!(", {} too many", there - complete),
+            }
+        ));
+    }
+    if !missing_subjects.is_empty() {
+        lines.push(format!("missing subjects: {}", missing_subjects.join(" ")));
+    }
+    match missing_captures {
+        Some(missing) if missing.is_empty() => {
+            lines.push("all captures that the sequence lists name are there".into());
+        }
+        Some(missing) => lines.push(format!("missing captures: {}", missing.join(" "))),
+        None => lines.push("without seq_lists/, which captures are missing is unknown".into()),
+    }
+    lines.join("\n")
 }
 
 /// Frames by subject (or part, where subjects are not known) and outfit.

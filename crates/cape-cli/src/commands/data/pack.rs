@@ -68,6 +68,9 @@ impl PackArgs {
             let more = packed.missing.len() - SHOWN;
             console.note(&format!("{more} more are missing: list them with --json"));
         }
+        for outfit in &packed.missing_outfits {
+            console.note(&format!("no capture of the outfit {outfit}, which the split lists"));
+        }
         if packed.resumed > 0 {
             console.note(&format!("resumed: {} frames had been packed before", packed.resumed));
         }

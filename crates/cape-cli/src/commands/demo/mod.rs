@@ -236,19 +236,18 @@ impl DemoContext {
     fn pictures(&mut self, run: &Run, losses: &LossCurves) -> Result {
         self.stage("sample", "meshes and pictures of 4 outfits", |this| {
             // A training that its time ended has no prior yet.
-            let prior = match run.prior()? {
-                Some(prior) => prior,
-                None => {
-                    let set = run.open_set(&this.path("packed"), Split::Train)?;
-                    let options = PriorOptions {
-                        kind: DensityKind::Mixture(1),
-                        frames: CODE_FRAMES,
-                        ..PriorOptions::default()
-                    };
-                    let prior = Prior::of_run(run, &set, &options, &mut silent)?;
-                    prior.save(run.paths().prior(MIXTURE))?;
-                    prior
-                }
+            let prior = if let Some(prior) = run.prior()? {
+                prior
+            } else {
+                let set = run.open_set(this.path("packed"), Split::Train)?;
+                let options = PriorOptions {
+                    kind: DensityKind::Mixture(1),
+                    frames: CODE_FRAMES,
+                    ..PriorOptions::default()
+                };
+                let prior = Prior::of_run(run, &set, &options, &mut silent)?;
+                prior.save(run.paths().prior(MIXTURE))?;
+                prior
             };
             let codes = prior.sample_each(run.outfits(), TEMPERATURE, this.seed)?;
             let mut rows = Vec::new();

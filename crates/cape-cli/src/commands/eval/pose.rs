@@ -7,7 +7,6 @@ use cape_render::{
     Bounds, Camera, Object, Projection, Style, Tile, View, colormap, contact_sheet, portrait,
     render,
 };
-use cape_synth::poses::poses;
 use clap::Args;
 use ndarray::{Axis, concatenate};
 use serde::Serialize;
@@ -17,6 +16,7 @@ use crate::{
     dressed_mesh::{DressedMesh, DressedRenderer, eight_bit},
     error::{Error, Result},
     files,
+    motion_source::MotionFileArgs,
     options::{GlobalArgs, OutfitArgs, OutputArgs, RunArgs, positive},
     priors::PriorArgs,
     table::Table,
@@ -46,6 +46,8 @@ pub(crate) struct PoseEffectArgs {
     #[arg(long, default_value = "squats", value_name = "POSE")]
     pose_b: String,
     #[command(flatten)]
+    poses: MotionFileArgs,
+    #[command(flatten)]
     outfit: OutfitArgs,
     #[command(flatten)]
     drawn: PriorArgs,
@@ -68,6 +70,9 @@ struct Report {
 
 impl PoseEffectArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
+        let first = |text: &str| -> Result<BodyPose> {
+            Ok(self.poses.poses(text, console)?.upright_poses()?[0])
+        };
         let [a, b] = [first(&self.pose_a)?, first(&self.pose_b)?];
         self.output.require_empty()?;
         let out = self.output.out;
@@ -139,14 +144,6 @@ impl PoseEffectArgs {
         write_json(&report.out.join("pose_effect.json"), &report)?;
         console.result(&report, || report.text())
     }
-}
-
-fn first(text: &str) -> Result<BodyPose> {
-    let found = poses(text)?;
-    found
-        .first()
-        .map(|(_, pose)| *pose)
-        .ok_or_else(|| Error::message(format!("{text}: has no pose")))
 }
 
 impl Report {

@@ -76,8 +76,13 @@ pub(crate) fn text(report: &EvalReport) -> String {
     for (sequence, summary) in sequences {
         row(&mut table, sequence, summary, base.sequences.get(sequence));
     }
+    let unknown = if sequences.is_empty() {
+        "; their captures are unknown (no test_frames.csv): no errors by sequence"
+    } else {
+        ""
+    };
     format!(
-        "{}\n\nerrors at the {} clothing vertices, mm, {} test frames",
+        "{}\n\nerrors at the {} clothing vertices, mm, {} test frames{unknown}",
         table.text(),
         report.clothing_vertices,
         report.frames

@@ -3,7 +3,8 @@ use std::{path::PathBuf, time::Instant};
 use cape_core::{Outfit, npy::write_npy, ply};
 use cape_fit::{
     BodyFit, ClothedConfig, ClothedFit, DressedBody, DressedSurface, FitProblem, ImageObservation,
-    Keypoints, Mask, PinholeCamera, read_keypoints, silhouette::render,
+    KeypointLayout, KeypointOptions, Keypoints, Mask, PinholeCamera, read_keypoints_with,
+    silhouette::render,
 };
 use cape_infer::{AnimatedBody, BodySpec, Run, write_json};
 use cape_render::{Image, Tile, contact_sheet};
@@ -35,7 +36,7 @@ use crate::{
 pub(crate) struct FitArgs {
     #[command(flatten)]
     run: RunArgs,
-    /// 2D keypoints: OpenPose or COCO JSON, or .npz with `keypoints`.
+    /// 2D keypoints: JSON of OpenPose, COCO, AlphaPose, MMPose or MediaPipe, or .npz with `keypoints`.
     #[arg(value_name = "KEYPOINTS")]
     keypoints: PathBuf,
     /// Silhouette of the person, PNG of the image's size.
@@ -49,7 +50,14 @@ pub(crate) struct FitArgs {
     /// Fit the other outfits too and warn if one has a lower energy.
     #[arg(long)]
     compare_outfits: bool,
-    /// Index of the person, from 0, if the file has several.
+    /// Layout of the keypoints [default: by their number and the pose].
+    #[arg(long, value_name = "LAYOUT")]
+    layout: Option<KeypointLayout>,
+    /// Identifier or file name of the image in a keypoint file of several images [default: the name of
+    /// --image or --mask].
+    #[arg(long, value_name = "ID")]
+    image_id: Option<String>,
+    /// Index of the person, from 0, if the file has several [default: the one on the mask].
     #[arg(long, value_name = "N")]
     person: Option<usize>,
     /// Focal length in pixels [default: the image's diagonal].
@@ -95,7 +103,7 @@ impl FitArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         self.output.require_empty()?;
         let config = self.method.config()?;
-        let observed = self.read_input()?;
+        let observed = self.read_input(console)?;
         let run = self.run.open(global)?;
         let smplify = self.method.smplify(run.body(), &config)?;
 
@@ -151,12 +159,22 @@ impl FitArgs {
         console.result(&report, || report.text())
     }
 
-    fn read_input(&self) -> Result<FitInput> {
+    fn read_input(&self, console: Console) -> Result<FitInput> {
         let mask = Mask::load(&self.mask)?;
         let camera = PinholeCamera::new(mask.width(), mask.height(), self.focal)?;
         mask.check(&camera).doing(|| format!("reading {}", self.mask.display()))?;
-        let keypoints = read_keypoints(&self.keypoints)?
-            .choose(self.person)
+        let names = self.image.iter().chain([&self.mask]);
+        let options = KeypointOptions {
+            layout: self.layout,
+            image: self.image_id.clone(),
+            beside: names.filter_map(|path| Some(path.file_name()?.to_str()?.to_owned())).collect(),
+            size: Some([mask.width(), mask.height()]),
+        };
+        let people = read_keypoints_with(&self.keypoints, &options)?;
+        people.notes().iter().for_each(|note| console.note(note));
+        let keypoints = people
+            .index(self.person, Some(&mask))
+            .and_then(|person| people.person(person))
             .doing(|| format!("reading {}", self.keypoints.display()))?;
         let image = match &self.image {
             Some(path) => Image::load(path)?,

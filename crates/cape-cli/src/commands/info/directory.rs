@@ -4,10 +4,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cape_core::{Outfit, npy::npy_header};
+use cape_core::{Outfit, list_files, npy::npy_header};
 use cape_data::{
-    PackedSet, STATISTICS_FILE, Split,
-    raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
+    ForeignData, PackedSet, RawCapture, RawTree, STATISTICS_FILE, Split,
+    raw::{BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
 };
 use cape_infer::RunConfig;
 
@@ -21,14 +21,16 @@ pub(super) fn describe(path: &Path) -> Result<FileSummary> {
     let there = |name: &str| path.join(name).exists();
     if there("config.toml") {
         run(path)
-    } else if there("sequences") {
-        raw_tree(path)
     } else if there("train/train_disp.npy") || there("test/test_disp.npy") {
         packed(path)
+    } else if RawTree::is_raw(path) {
+        raw_tree(path)
     } else if there("A_0.npz") {
         pyramid(path)
     } else if entries(path)?.iter().any(|path| has_extension(path, "index")) {
         super::file::tensorflow(path)
+    } else if let Some(data) = ForeignData::recognise(path) {
+        Err(Error::message(format!("{}: {data}", path.display())))
     } else {
         Err(Error::message(format!(
             "{}: unknown kind of directory: expected raw data (sequences/), a packed set \
@@ -51,22 +53,17 @@ fn run(path: &Path) -> Result<FileSummary> {
 }
 
 fn raw_tree(path: &Path) -> Result<FileSummary> {
-    let (mut captures, mut frames) = (0, 0);
-    let mut sequences = BTreeSet::new();
-    let subjects: Vec<PathBuf> = raw::directories(path.join("sequences"))?;
-    for subject in &subjects {
-        for capture in raw::directories(subject)? {
-            captures += 1;
-            frames += raw::frame_paths(&capture)?.map_or(0, |paths| paths.len());
-            let capture = name(&capture);
-            let sequence = capture.split_once('_').map_or(capture.as_str(), |(_, name)| name);
-            sequences.insert(sequence.to_owned());
-        }
-    }
-    let names: Vec<String> = subjects.iter().map(|path| name(path)).collect();
-    let vertices = names.first().and_then(|subject| raw::read_minimal(path, subject).ok());
+    let tree = RawTree::open(path)?;
+    let names: Vec<String> = tree.subjects().map(str::to_owned).collect();
+    let all = || names.iter().flat_map(|subject| tree.captures(subject));
+    let sequences: BTreeSet<&str> = all().map(RawCapture::sequence).collect();
+    let outfits: BTreeSet<Outfit> = all().map(RawCapture::outfit).collect();
+    let frames: usize = all().map(|capture| capture.frames().len()).sum();
+    let captures = all().count();
+    let vertices = names.first().and_then(|subject| tree.minimal(subject, true).ok());
     Ok(FileSummary::new("raw captures")
-        .with("subjects", names)
+        .with("subjects", names.clone())
+        .with("outfits", outfits.iter().map(ToString::to_string).collect::<Vec<_>>())
         .with("sequences", sequences.len())
         .with("captures", captures)
         .with("frames", frames)
@@ -135,13 +132,7 @@ fn brought(path: &Path, names: &[&str]) -> Vec<String> {
 }
 
 fn entries(path: &Path) -> Result<Vec<PathBuf>> {
-    let fail = |error| Error::io(path, error);
-    let mut paths = Vec::new();
-    for entry in fs::read_dir(path).map_err(fail)? {
-        paths.push(entry.map_err(fail)?.path());
-    }
-    paths.sort_unstable();
-    Ok(paths)
+    Ok(list_files(path, |_| true)?)
 }
 
 fn name(path: &Path) -> String {

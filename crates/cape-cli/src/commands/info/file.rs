@@ -1,7 +1,8 @@
 use std::path::Path;
 
 use cape_core::{
-    Mesh, Outfit, SmplModel,
+    Mesh, MeshFile, Outfit, PointCache, SmplModel,
+    motion::{MotionOptions, read_motions},
     npy::{Npz, npy_header, read_objects},
     pickle::Pickle,
 };
@@ -23,13 +24,33 @@ const MOST_OBJECTS: usize = 32;
 const MOST_KEYS: usize = 200;
 
 pub(super) fn describe(path: &Path) -> Result<FileSummary> {
-    let known = ["npz", "npy", "pkl", "obj", "ply", "safetensors", "toml", "index"];
+    let known = [
+        "npz",
+        "npy",
+        "pkl",
+        "smpl",
+        "json",
+        "csv",
+        "obj",
+        "ply",
+        "stl",
+        "off",
+        "glb",
+        "pc2",
+        "pc16",
+        "mdd",
+        "safetensors",
+        "toml",
+        "index",
+    ];
     match known.into_iter().find(|extension| has_extension(path, extension)) {
         Some("npz") => archive(path),
         Some("npy") => array(path),
         Some("pkl") => pickle(path),
+        Some("smpl" | "json" | "csv") => motion(path),
+        Some("pc2" | "pc16" | "mdd") => point_cache(path),
         Some("index") => tensorflow(path),
-        Some("obj" | "ply") => mesh(path),
+        Some("obj" | "ply" | "stl" | "off" | "glb") => mesh(path),
         Some("safetensors") => parameters(path),
         Some("toml") => settings(path),
         _ => Err(Error::message(format!(
@@ -68,6 +89,9 @@ fn archive(path: &Path) -> Result<FileSummary> {
             .with("vertices", frame.v_cano.nrows())
             .with("transl", frame.transl.to_vec()));
     }
+    if let Ok(facts) = motion(path) {
+        return Ok(facts);
+    }
     let mut archive = archive;
     let mut facts = FileSummary::new("NumPy archive");
     for name in archive.names() {
@@ -102,6 +126,9 @@ fn height(mesh: &Mesh) -> Option<f64> {
 
 fn array(path: &Path) -> Result<FileSummary> {
     let header = npy_header(path)?;
+    if let Ok(facts) = motion(path) {
+        return Ok(facts);
+    }
     if header.dtype.is_object() {
         return objects(path);
     }
@@ -110,7 +137,48 @@ fn array(path: &Path) -> Result<FileSummary> {
         .with("type", header.dtype.to_string()))
 }
 
+/// Poses of one person or several.
+fn motion(path: &Path) -> Result<FileSummary> {
+    let people = read_motions(path, &MotionOptions::default())?;
+    let mut facts = FileSummary::new("motion");
+    if people.len() > 1 {
+        let names = people.iter().filter_map(|person| person.person.clone());
+        facts = facts.with("people", names.collect::<Vec<_>>());
+    }
+    for person in &people {
+        let of = |what: &str| match &person.person {
+            Some(name) => format!("{name}: {what}"),
+            None => what.to_owned(),
+        };
+        facts = facts
+            .with(of("frames"), person.frames())
+            .maybe(&of("frames per second"), person.frame_rate)
+            .with(of("joints"), person.joints)
+            .with(of("up"), person.up.name())
+            .with(of("translations"), person.translations.is_some())
+            .with(of("betas"), person.betas.len())
+            .maybe(&of("gender"), person.gender.clone())
+            .maybe(&of("displacements"), person.offsets.as_ref().map(ndarray::ArrayBase::nrows));
+        if !person.notes.is_empty() {
+            facts = facts.with(of("notes"), person.notes.join("; "));
+        }
+    }
+    Ok(facts)
+}
+
+fn point_cache(path: &Path) -> Result<FileSummary> {
+    let cache = PointCache::read(path)?;
+    let (frames, points, _) = cache.positions.dim();
+    Ok(FileSummary::new("point cache")
+        .with("frames", frames)
+        .with("points", points)
+        .maybe("frames per second", cache.frame_rate))
+}
+
 fn pickle(path: &Path) -> Result<FileSummary> {
+    if let Ok(facts) = motion(path) {
+        return Ok(facts);
+    }
     let pickle = Pickle::open(path)?;
     let root = pickle.root();
     if root.get("v_template").is_some() {
@@ -155,12 +223,15 @@ fn objects(path: &Path) -> Result<FileSummary> {
 }
 
 fn mesh(path: &Path) -> Result<FileSummary> {
-    let mesh = Mesh::load(path)?;
-    let edges = Surface::from(&mesh).edge_counts();
+    let MeshFile { format, mesh, skipped_faces, .. } = MeshFile::read(path)?;
     let report = mesh.validate();
-    Ok(FileSummary::new("mesh")
+    let facts = FileSummary::new("mesh")
+        .with("format", format!("{format:?}").to_uppercase())
         .with("vertices", mesh.vertices.len())
         .with("faces", mesh.faces.len())
+        .with("faces of fewer than 3 corners, left out", skipped_faces);
+    let edges = Surface::from(&mesh).edge_counts();
+    Ok(facts
         .with("edges", edges.edges)
         .with("boundary edges", edges.boundary)
         .with("non-manifold edges", edges.non_manifold)

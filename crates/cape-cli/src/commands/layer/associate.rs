@@ -92,7 +92,7 @@ impl AssociateArgs {
         self.output.require_empty()?;
         let out = self.output.out;
         let model = self.body.load()?;
-        let set = LayerSet::load(&self.set)?;
+        let set = LayerSet::load_for(&self.set, &model)?;
         let start = Instant::now();
         let tied = self.association_args.associate(&model, &set, console)?;
         let seconds = start.elapsed().as_secs_f64();

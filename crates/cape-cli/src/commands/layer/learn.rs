@@ -80,7 +80,7 @@ impl LearnArgs {
         self.output.require_empty()?;
         let out = self.output.out;
         let model = self.body.load()?;
-        let set = LayerSet::load(&self.set)?;
+        let set = LayerSet::load_for(&self.set, &model)?;
         let components = self.learning_args.components;
         let learning = self.learning_args.learning(global.seed());
         let tied = self.association_args.associate(&model, &set, console)?;

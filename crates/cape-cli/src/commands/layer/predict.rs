@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use cape_core::Mesh;
+use cape_core::{Mesh, motion::DEFAULT_FRAME_RATE};
 use cape_layer::{Layer, PredictedFrame};
 use cape_render::{Tile, View, contact_sheet};
 use clap::Args;
@@ -15,6 +15,7 @@ use crate::{
     console::Console,
     error::{Error, Result},
     files,
+    motion_source::{MotionFileArgs, shape_of},
     options::{BodyModelArgs, FileKind, OutputArgs, ShapeArgs, kinds, positive},
 };
 
@@ -43,15 +44,18 @@ pub(crate) struct PredictArgs {
     output: OutputArgs,
     #[command(flatten)]
     body: BodyModelArgs,
-    /// Synthetic motion (walk, squats, …), file of poses (.npz, .npy, .csv), or - for standard input.
+    /// Synthetic motion (walk, squats, …), file of poses and translations, or - for rows of 72 or 75
+    /// numbers on standard input.
     #[arg(long, default_value = "walk", value_name = "MOTION")]
     motion: String,
     /// Duration of a synthetic motion in seconds.
     #[arg(long, default_value_t = 2.0, value_name = "S", value_parser = positive)]
     seconds: f64,
-    /// Frames per second, if the motion has no mocap_framerate.
-    #[arg(long, default_value_t = 30.0, value_name = "FPS", value_parser = positive)]
-    fps: f64,
+    /// Frames per second; a file of another rate is resampled [default: those of the file, else 30].
+    #[arg(long, value_name = "FPS", value_parser = positive)]
+    fps: Option<f64>,
+    #[command(flatten)]
+    reading: MotionFileArgs,
     #[command(flatten)]
     shape: ShapeArgs,
     /// Semantic parameters by name; the others have the mean of the training sequences.
@@ -75,13 +79,20 @@ impl PredictArgs {
         self.output.require_empty()?;
         let out = self.output.out;
         let model = self.body.load()?;
-        let layer = Layer::load(&self.layer, model.vertices())?;
+        let layer = Layer::load_for(&self.layer, &model)?;
         let parameters = layer.semantics.with(&self.parameters)?;
-        let mut frames = MotionFrames::open(&self.motion, self.seconds, self.fps)?;
-        let betas = match self.shape.given() {
-            Some(_) => self.shape.betas(&model)?.into_iter().map(f64::from).collect(),
-            None => frames.betas.clone(),
+        let (mut frames, betas) = if self.motion == "-" {
+            let betas = self.shape.betas(&model)?;
+            (MotionFrames::from_standard_input(self.fps.unwrap_or(DEFAULT_FRAME_RATE)), betas)
+        } else {
+            let rates = [self.fps, None];
+            let file = self.reading.motion(&self.motion, self.seconds, rates, console)?;
+            let betas = shape_of(&file, &self.shape, &model, console)?;
+            let double: Vec<f64> = betas.iter().map(|&beta| beta.into()).collect();
+            let motion = file.motion_of(&model, &double, self.fps)?;
+            (MotionFrames::from_motion(&motion), betas)
         };
+        let betas: Vec<f64> = betas.into_iter().map(f64::from).collect();
         let shape = model.rest_shape(&betas)?;
         let total = frames.count;
         let mut stream = layer.stream(&model, &shape, frames.rate, &parameters)?;

@@ -297,14 +297,15 @@ impl SynthArgs {
     ) -> Result {
         let results: Vec<_> =
             takes.par_iter().map(|&take| design.simulate(model, sewn, take)).collect();
+        let identity = self.plan.body.identity(model);
         for result in results {
             let (sequence, quality) = result?;
             let faces = &sewn.surface.faces;
             if self.plan.with_body {
                 let (faces, whole) = append_body(model, faces, &sequence)?;
-                LayerSet::add(&self.output.out, &faces, &whole)?;
+                LayerSet::add(&self.output.out, &identity, &faces, &whole)?;
             } else {
-                LayerSet::add(&self.output.out, faces, &sequence)?;
+                LayerSet::add(&self.output.out, &identity, faces, &sequence)?;
             }
             let simulation = SimulationRecord::new(sequence.name, &quality);
             console.note(&format!(

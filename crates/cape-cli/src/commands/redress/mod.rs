@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use cape_core::{Outfit, ply};
 use cape_infer::{BodySpec, write_json};
 use cape_render::{Tile, View, contact_sheet};
-use cape_synth::poses::poses;
 use clap::Args;
 use ndarray::{Axis, concatenate};
 use serde::Serialize;
@@ -17,6 +16,7 @@ use crate::{
     dressed_mesh::DressedRenderer,
     error::{Error, Result},
     files,
+    motion_source::MotionFileArgs,
     options::{GlobalArgs, OutputArgs, RunArgs},
     registration::{KnownBodyArgs, RegistrationFile, mean_error},
 };
@@ -34,7 +34,8 @@ use crate::{
 pub(crate) struct RedressArgs {
     #[command(flatten)]
     run: RunArgs,
-    /// Frame, .npz with pose and v_cano or v_posed, or frame:K for a test frame of the run.
+    /// Frame, .npz with pose and v_cano or v_posed; .smpl with vertexOffsets; or frame:K for a test
+    /// frame of the run.
     #[arg(value_name = "REGISTRATION")]
     registration: String,
     #[command(flatten)]
@@ -47,6 +48,8 @@ pub(crate) struct RedressArgs {
     /// Other poses: t-pose, a-pose, motions or files.
     #[arg(long, value_delimiter = ',', value_name = "POSE,…")]
     pose: Vec<String>,
+    #[command(flatten)]
+    poses: MotionFileArgs,
     /// Other body: betas, minimal shape (.npy) or registration; may be repeated.
     #[arg(long, value_name = "BODY", allow_hyphen_values = true)]
     to: Vec<String>,
@@ -76,7 +79,9 @@ impl RedressArgs {
         let out = self.output.out;
         let mut others = Vec::new();
         for text in &self.pose {
-            others.extend(poses(text)?);
+            let file = self.poses.poses(text, console)?;
+            let poses = file.upright_poses()?;
+            others.extend((0..file.frames()).map(|at| (file.pose_name(at), poses[at])));
         }
         let run = self.run.open(global)?;
         let registration = RegistrationFile::read(&run, &self.registration, &self.known)?;

@@ -3,14 +3,15 @@ mod names;
 use std::path::{Path, PathBuf};
 
 use cape_core::{
-    Outfit,
+    BodyMotion, BodyPose, KeyframeRule, Outfit,
     gltf::GltfTexture,
+    motion::{DEFAULT_FRAME_RATE, SmplFile},
     obj::{self, Uv},
     ply,
 };
+use cape_eval::clothing::at_clothing;
 use cape_infer::{AnimatedBody, BodySpec, Run};
 use cape_render::{Image, Texture as Painted, Tile, View, contact_sheet};
-use cape_synth::poses::poses;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 
@@ -21,6 +22,7 @@ use crate::{
     dressed_mesh::{DressedMesh, dress, unclothed_meshes},
     error::{Error, Result},
     files,
+    motion_source::MotionFileArgs,
     options::{
         FileKind, GlobalArgs, OutfitSelection, OutputArgs, RunArgs, ShapeArgs, at_least_one, kinds,
         outfit_or, positive,
@@ -59,9 +61,11 @@ pub(crate) struct SampleArgs {
     /// Outfit of the run, see `cape info RUN`; or all of them.
     #[arg(long, default_value = "all", value_name = "OUTFIT", value_parser = outfit_or("all"))]
     outfit: OutfitSelection,
-    /// Pose: t-pose, a-pose, a motion (walk, squats, …) or a file, .npy [n, 72] or .npz.
+    /// Pose: t-pose, a-pose, a motion (walk, squats, …) or a file of poses.
     #[arg(long, default_value = "a-pose", value_name = "POSE")]
     pose: String,
+    #[command(flatten)]
+    poses: MotionFileArgs,
     #[command(flatten)]
     shape: ShapeArgs,
     /// Number of latent codes to sample.
@@ -69,8 +73,9 @@ pub(crate) struct SampleArgs {
     n: usize,
     #[command(flatten)]
     drawn: PriorArgs,
-    /// File format: ply has colours; glb also skeleton and skinning, and animates the poses of a file.
-    #[arg(long, default_value = "obj", value_name = "FORMAT", value_parser = kinds([FileKind::Obj, FileKind::Ply, FileKind::Glb]))]
+    /// File format: ply has colours; glb and usda also skeleton and skinning, and animate the poses of a
+    /// file; smpl has pose, shape and displacements.
+    #[arg(long, default_value = "obj", value_name = "FORMAT", value_parser = kinds([FileKind::Obj, FileKind::Ply, FileKind::Glb, FileKind::Usda, FileKind::Smpl]))]
     format: FileKind,
     /// File names from {outfit}, {sample}, {frame}, {pose} and {seed} [default: {outfit}_{sample}].
     #[arg(long, value_name = "TEMPLATE")]
@@ -87,9 +92,10 @@ pub(crate) struct SampleArgs {
     /// Texture of obj and glb, PNG or JPEG.
     #[arg(long, value_name = "FILE", requires = "uv")]
     texture: Option<PathBuf>,
-    /// Frames per second of an animated glb.
-    #[arg(long, default_value_t = 30.0, value_name = "FPS", value_parser = positive)]
-    fps: f64,
+    /// Frames per second of an animated glb or usda; a file of another rate is resampled [default: those of
+    /// the file].
+    #[arg(long, value_name = "FPS", value_parser = positive)]
+    fps: Option<f64>,
     /// Number of shape directions to add to glb as morph targets.
     #[arg(long, default_value_t = 0, value_name = "N")]
     shape_targets: usize,
@@ -138,11 +144,21 @@ struct Report {
 
 impl SampleArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
-        let poses = poses(&self.pose)?;
+        let mut file = self.poses.poses(&self.pose, console)?;
+        if file.frame_rate.is_none() {
+            // The option names the rate of a file that says none, and nothing is resampled.
+            file.frame_rate = self.fps;
+        }
         self.output.require_empty()?;
         let out = &self.output.out;
         let run = self.run.open(global)?;
         let betas = self.shape.betas(run.body())?;
+        let shape: Vec<f64> = betas.iter().map(|&beta| beta.into()).collect();
+        let animated = matches!(self.format, FileKind::Glb | FileKind::Usda);
+        let rate = self.fps.filter(|_| animated);
+        let motion = file.motion_of(run.body(), &shape, rate)?;
+        let poses: Vec<(String, BodyPose)> =
+            (0..motion.frames()).map(|frame| (file.pose_name(frame), motion.pose(frame))).collect();
         let skin = self.skin(&run)?;
         if skin.image.is_some() && skin.drawn.is_none() {
             console.note("the contact sheet is drawn without the texture: only PNG can be drawn");
@@ -151,10 +167,7 @@ impl SampleArgs {
         let outfits = self.outfit.of(&run)?;
         let codes = self.drawn.codes(&run, &outfits, self.n, seed, console)?;
         // All poses of an animation are in one file, which is listed and drawn in its first.
-        let shown = match self.format {
-            FileKind::Glb => &poses[..1],
-            _ => &poses[..],
-        };
+        let shown = if animated { &poses[..1] } else { &poses[..] };
         let (mut wearers, mut rows, mut lines) = (Vec::new(), Vec::new(), Vec::new());
         for sample in 0..self.n {
             for (frame, (pose_name, pose_angles)) in shown.iter().enumerate() {
@@ -202,19 +215,33 @@ impl SampleArgs {
                 if self.colours == Colours::Displacement {
                     dressed.colour_by_distance(self.scale as f32 / 1000.0);
                 }
-                if self.format == FileKind::Glb {
+                if animated {
                     let performance = AnimatedBody {
-                        name: line.file.trim_end_matches(".glb"),
+                        name: line.file.trim_end_matches(self.format.name()).trim_end_matches('.'),
                         code: codes.select(ndarray::Axis(0), &[index]),
                         betas: &betas,
                         outfit: line.outfit,
-                        poses: poses.iter().map(|(_, pose)| *pose).collect(),
-                        frames_per_second: self.fps as f32,
+                        motion: motion.clone(),
+                        keyframes: KeyframeRule::default(),
+                        displacements: None,
                         shape_targets: self.shape_targets,
                         colours: skin.image.is_none().then_some(&dressed.colours[..]),
                         texture: skin.texture(),
                     };
                     performance.save(&run, out.join(&line.file))?;
+                } else if self.format == FileKind::Smpl {
+                    let body = &wearers[index..=index];
+                    let codes = codes.select(ndarray::Axis(0), &[index]);
+                    let worn = run.decode_displacements(&codes, body)?;
+                    let offsets = at_clothing(&run, worn.index_axis(ndarray::Axis(0), 0));
+                    let motion = BodyMotion::from_poses(DEFAULT_FRAME_RATE, &[body[0].pose])?;
+                    let file = SmplFile {
+                        motion: &motion,
+                        betas: &shape,
+                        gender: None,
+                        offsets: Some(&offsets),
+                    };
+                    file.save(out.join(&line.file))?;
                 } else {
                     self.write(&out.join(&line.file), &dressed, &skin)?;
                 }
@@ -244,15 +271,24 @@ impl SampleArgs {
         let Some(path) = &self.uv else { return Ok(TextureInput::default()) };
         let read = obj::read(path)?;
         let fault = |message: String| Error::message(format!("{}: {message}", path.display()));
-        if read.mesh.faces != run.body().faces {
+        let body = run.body();
+        let (found, expected) = (read.mesh.vertices.len(), body.vertices());
+        if found != expected {
             return Err(fault(format!(
-                "{} faces, which are not those of the run's body ({}): expected an OBJ file of the \
-                 same mesh",
-                read.mesh.faces.len(),
-                run.body().faces.len()
+                "{found} vertices, but the run's body has {expected}: expected an OBJ file of the same \
+                 mesh, with its vertices in the same order"
             )));
         }
-        let uv = read.uv.ok_or_else(|| fault("no texture coordinates (vt)".into()))?;
+        let uv = read.uv.ok_or_else(|| {
+            fault("no texture coordinates (vt), or not at all corners of its faces".into())
+        })?;
+        let uv = uv.for_faces(&read.mesh.faces, &body.faces).map_err(|face| {
+            fault(format!(
+                "has no triangle of the vertices {:?} (from 0), which is face {face} of the run's body: \
+                 expected an OBJ file of the same mesh, with its vertices in the same order",
+                body.faces[face]
+            ))
+        })?;
         let image = match &self.texture {
             None => None,
             Some(path) => {

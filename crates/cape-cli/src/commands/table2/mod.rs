@@ -25,7 +25,9 @@ use crate::{
     files,
     html::HtmlFigure,
     interrupt::Interrupt,
-    options::{CheckpointArgs, GlobalArgs, PRESETS, StoreArgs, at_least_one, choices},
+    options::{
+        BodyFileArgs, CheckpointArgs, GlobalArgs, PRESETS, StoreArgs, at_least_one, choices,
+    },
     training,
 };
 use figures::MethodFigure;
@@ -83,9 +85,8 @@ pub(crate) struct Table2Args {
     /// Architecture of CAPE [default: paper].
     #[arg(long, value_name = "NAME", value_parser = PRESETS)]
     preset: Option<String>,
-    /// SMPL body, .pkl or .npz, if the packed set has no body.npz.
-    #[arg(long, value_name = "SMPL")]
-    body: Option<PathBuf>,
+    #[command(flatten)]
+    body: BodyFileArgs,
     /// Indices of the clothing vertices, if the packed set has no clothing_verts_idx.npy.
     #[arg(long, value_name = "FILE.npy")]
     clothing: Option<PathBuf>,
@@ -115,7 +116,7 @@ impl Table2Args {
         let grid = Table2Options {
             data,
             out: self.output.out.clone(),
-            body: self.body.clone(),
+            body: self.body.file()?,
             clothing: self.clothing.clone(),
             config: self.configured(global)?,
             shown,

@@ -17,7 +17,7 @@ use crate::{
     dashboard::Dashboard,
     error::{Context, Error, Result},
     interrupt::Interrupt,
-    options::{CheckpointArgs, GlobalArgs, PRESETS, default_device},
+    options::{BodyFileArgs, CheckpointArgs, GlobalArgs, PRESETS, default_device},
     table::Table,
     training,
 };
@@ -46,8 +46,8 @@ pub(crate) struct TrainArgs {
     /// Directory of the run: empty or missing, or the one to resume.
     #[arg(long, value_name = "RUN", required_unless_present_any = ["check", "find_rate"])]
     out: Option<PathBuf>,
-    /// Resume from the newest checkpoint in --out.
-    #[arg(long)]
+    /// Resume from the newest checkpoint in --out, or start over if there is none yet.
+    #[arg(long, conflicts_with_all = ["body", "gender"])]
     resume: bool,
     #[command(flatten)]
     self_check: SelfCheckArgs,
@@ -57,9 +57,8 @@ pub(crate) struct TrainArgs {
     /// Architecture; narrow has a quarter of the paper's filters [default: paper].
     #[arg(long, value_name = "NAME", value_parser = PRESETS)]
     preset: Option<String>,
-    /// SMPL body, .pkl or .npz, if the packed set has no body.npz.
-    #[arg(long, value_name = "SMPL", conflicts_with = "resume")]
-    body: Option<PathBuf>,
+    #[command(flatten)]
+    body: BodyFileArgs,
     /// Indices of the clothing vertices, if the packed set has no clothing_verts_idx.npy.
     #[arg(long, value_name = "FILE.npy", conflicts_with = "resume")]
     clothing: Option<PathBuf>,
@@ -92,11 +91,16 @@ impl TrainArgs {
         let mut trainer = if self.resume {
             self.check_settings(&out, global)?;
             Trainer::resume(&out, self.data.as_deref(), &device)
-                .doing(|| format!("resuming {}", out.display()))?
+                .doing(|| format!("resuming {}", out.display()))
+                .inspect(|trainer| {
+                    if trainer.step() == 0 {
+                        console.note("interrupted before its first checkpoint: starts over");
+                    }
+                })?
         } else {
             let options = TrainerOptions {
                 data: self.data.clone().unwrap_or_else(|| out.clone()),
-                body: self.body.clone(),
+                body: self.body.file()?,
                 clothing: self.clothing.clone(),
                 config: self.configured(RunConfig::default(), global)?,
             };

@@ -19,30 +19,42 @@ use serde::Serialize;
 use crate::{
     console::Console,
     error::{Context, Error, Result},
+    motion_source::MotionFileArgs,
     options::{GlobalArgs, positive},
+    page_server::token,
 };
 use server::ServerState;
 use source::{MeshSource, RunSource, Source};
 
 /// View dressed bodies in the browser; change code, shape, pose and outfit.
 ///
-/// Serves a page to this machine only, at an address with a secret token, until Ctrl-C.
+/// Serves a page to this machine only, at an address with a secret token, until Ctrl-C. From another
+/// machine, forward the port by `ssh -L 8000:localhost:PORT` and open the address with port 8000.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  cape view runs/cape\n  cape view dressed.obj\n  \
                         cape view frames --fps 15 --no-open --port 8080")]
 pub(crate) struct ViewArgs {
-    /// Run, mesh (.obj, .ply), SMPL body (.npz, .pkl), or directory of meshes as a sequence.
+    /// Run, mesh (.obj, .ply, .stl, .off, .glb), SMPL body (.npz, .pkl), or directory of meshes as a
+    /// sequence.
     #[arg(value_name = "RUN|MESH|SEQUENCE")]
     path: PathBuf,
     /// Port to listen on; 0 selects a free one.
     #[arg(long, default_value_t = 0, value_name = "PORT")]
     port: u16,
-    /// Address to listen on.
-    #[arg(long, default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST), value_name = "ADDRESS", hide = true)]
-    address: IpAddr,
+    /// Address to listen on; other than this machine's own only with --allow-remote.
+    #[arg(long, default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST), value_name = "ADDRESS")]
+    host: IpAddr,
+    /// Let other machines in; everyone who knows the address with its token can look, unencrypted.
+    #[arg(long, requires = "host")]
+    allow_remote: bool,
     /// Frames per second of a sequence.
     #[arg(long, default_value_t = 30.0, value_name = "FPS", value_parser = positive)]
     fps: f64,
+    /// File of a motion to offer beside the synthetic ones, for a run.
+    #[arg(long, value_name = "FILE")]
+    motion: Option<String>,
+    #[command(flatten)]
+    reading: MotionFileArgs,
     /// Do not open the browser.
     #[arg(long)]
     no_open: bool,
@@ -55,10 +67,12 @@ struct Report {
 
 impl ViewArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
-        if !self.address.is_loopback() {
+        let remote = !self.host.is_loopback();
+        if remote && !self.allow_remote {
             return Err(Error::message(format!(
-                "--address {}: expected a loopback address, such as 127.0.0.1",
-                self.address
+                "--host {}: other machines could look: add --allow-remote, or leave both out and forward \
+                 the port by `ssh -L 8000:localhost:PORT`",
+                self.host
             )));
         }
         let device = global.device()?;
@@ -68,13 +82,20 @@ impl ViewArgs {
             None
         };
         let source = match &run {
-            Some(run) => Source::Model(Box::new(RunSource::new(run, console))),
+            Some(run) => {
+                let motion = self.motion.as_deref();
+                let motion = motion.map(|text| self.reading.poses(text, console)).transpose()?;
+                Source::Model(Box::new(RunSource::new(run, motion, console)))
+            }
+            None if self.motion.is_some() => {
+                return Err(Error::message("--motion: only a run can be moved, not a mesh"));
+            }
             None => Source::Meshes(MeshSource::open(&self.path, self.fps)?),
         };
         let scene = source.scene()?.to_string();
         let faces = source.faces().as_flattened().iter().flat_map(|i| i.to_le_bytes()).collect();
 
-        let address = (self.address, self.port);
+        let address = (self.host, self.port);
         let listener = TcpListener::bind(address)
             .map_err(|error| Error::io("socket", error))
             .doing(|| format!("listening on port {}", self.port))?;
@@ -82,19 +103,16 @@ impl ViewArgs {
         let (jobs, list) = mpsc::channel();
         let token = token();
         let report = Report { url: format!("http://{address}/{token}/") };
-        let site = ServerState { token, scene, faces, port: address.port(), jobs };
+        let site = ServerState { token, scene, faces, remote, jobs };
         let server = thread::spawn(move || server::serve(listener, site));
         console.result(&report, || format!("{}\npress Ctrl-C to stop", report.url))?;
+        if self.host.is_unspecified() {
+            console.note(&format!("on another machine, put this machine's name for {}", self.host));
+        }
         if !self.no_open && open::that_detached(&report.url).is_err() {
             console.note("cannot open a browser: open the address by hand");
         }
         server::work(list, |question| source.answer(question), |download| source.file(download));
         server.join().map_err(|_| Error::message("internal error: the server thread failed"))?
     }
-}
-
-/// 128 random bits, hexadecimal.
-fn token() -> String {
-    let bytes: [u8; 16] = rand::random();
-    cape_core::hex(bytes)
 }

@@ -1,5 +1,6 @@
-//! Server of one page to this machine. All addresses begin with a secret token; requests of other
-//! origins or for other host names are refused.
+//! Server of one page to this machine, and to others if that is asked for. All addresses begin with a
+//! secret token; requests of other origins are refused, and, unless other machines are let in, those
+//! for other names than this machine's own.
 
 use std::sync::{
     Arc,
@@ -14,7 +15,7 @@ use axum::{
         DefaultBodyLimit, Path, Request as HttpRequest, State,
         ws::{Message as MotionFrame, WebSocket, WebSocketUpgrade},
     },
-    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header},
+    http::{HeaderMap, StatusCode, Uri},
     middleware::{self, Next},
     response::{IntoResponse, Redirect, Response},
     routing::{any, get, post},
@@ -28,20 +29,13 @@ use super::{
     assets,
     wire::{self, Answer, Download, Message, Question, Request},
 };
-use crate::error::{Error, Result};
+use crate::{
+    error::{Error, Result},
+    page_server::{guarded, is_loopback, is_own_request, is_same_secret, with_content_type},
+};
 
 /// Largest size of a message from the page, bytes.
 const MOST_BYTES: usize = 64 * 1024;
-
-const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
-                      img-src 'self' data: blob:; connect-src 'self'; base-uri 'none'; \
-                      form-action 'none'; frame-ancestors 'none'";
-const HEADERS: [(HeaderName, &str); 4] = [
-    (header::CONTENT_SECURITY_POLICY, POLICY),
-    (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
-    (header::REFERRER_POLICY, "no-referrer"),
-    (header::CACHE_CONTROL, "no-store"),
-];
 
 /// Request to the thread that owns the model.
 pub(super) enum ModelRequest {
@@ -57,7 +51,8 @@ pub(super) struct ServerState {
     pub(super) scene: String,
     /// `[faces, 3]`, u32, little-endian.
     pub(super) faces: Vec<u8>,
-    pub(super) port: u16,
+    /// True if machines other than this one may ask, by any name of it.
+    pub(super) remote: bool,
     pub(super) jobs: mpsc::Sender<ModelRequest>,
 }
 
@@ -112,34 +107,18 @@ fn router(site: Arc<ServerState>) -> Router {
 /// Admits requests with the token and from the page itself.
 async fn guard(State(site): State<Arc<ServerState>>, request: HttpRequest, next: Next) -> Response {
     let allowed = is_here(&site, request.headers()) && knows(&site, request.uri());
-    let mut response =
-        if allowed { next.run(request).await } else { StatusCode::NOT_FOUND.into_response() };
-    for (name, value) in HEADERS {
-        response.headers_mut().insert(name, HeaderValue::from_static(value));
-    }
-    response
+    guarded(if allowed { next.run(request).await } else { StatusCode::NOT_FOUND.into_response() })
 }
 
 fn knows(site: &ServerState, uri: &Uri) -> bool {
-    let given = uri.path().split('/').nth(1).unwrap_or_default().as_bytes();
-    let token = site.token.as_bytes();
-    // In constant time.
-    given.len() == token.len()
-        && given.iter().zip(token).fold(0, |different, (a, b)| different | (a ^ b)) == 0
+    is_same_secret(uri.path().split('/').nth(1).unwrap_or_default(), &site.token)
 }
 
 /// True if the request is for a name of this server and not from another page.
 fn is_here(site: &ServerState, headers: &HeaderMap) -> bool {
-    let text = |name: HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
-    let hosts = ["127.0.0.1", "localhost", "[::1]"].map(|host| format!("{host}:{}", site.port));
-    let Some(host) = text(header::HOST).filter(|host| hosts.iter().any(|known| known == host))
-    else {
-        return false;
-    };
-    match headers.get(header::ORIGIN) {
-        None => true,
-        Some(origin) => origin.as_bytes() == format!("http://{host}").as_bytes(),
-    }
+    is_own_request(headers, |host| {
+        (site.remote || is_loopback(host)).then(|| format!("http://{host}"))
+    })
 }
 
 async fn to_page(Path(token): Path<String>) -> Redirect {
@@ -163,10 +142,6 @@ async fn scene(State(site): State<Arc<ServerState>>) -> Response {
 
 async fn faces(State(site): State<Arc<ServerState>>) -> Response {
     with_content_type("application/octet-stream", site.faces.clone())
-}
-
-fn with_content_type(kind: &'static str, body: impl IntoResponse) -> Response {
-    ([(header::CONTENT_TYPE, kind)], body).into_response()
 }
 
 async fn download(State(site): State<Arc<ServerState>>, body: Bytes) -> Response {
@@ -236,6 +211,8 @@ async fn handle_socket(mut socket: WebSocket, site: Arc<ServerState>) {
 
 #[cfg(test)]
 mod tests {
+    use axum::http::{HeaderValue, header};
+
     use super::*;
 
     fn site() -> ServerState {
@@ -244,7 +221,7 @@ mod tests {
             token: "secret".into(),
             scene: String::new(),
             faces: Vec::new(),
-            port: 80,
+            remote: false,
             jobs,
         }
     }
@@ -262,9 +239,16 @@ mod tests {
         };
         assert!(is_here(&site, &headers("127.0.0.1:80", None)));
         assert!(is_here(&site, &headers("localhost:80", Some("http://localhost:80"))));
+        // Forwarded by `ssh -L 8000:localhost:PORT`.
+        assert!(is_here(&site, &headers("localhost:8000", Some("http://localhost:8000"))));
+        assert!(is_here(&site, &headers("[::1]:8000", None)));
+        assert!(is_here(&site, &headers("localhost", Some("http://localhost"))));
         for (host, origin) in [
             ("evil.example:80", None),
-            ("127.0.0.1:81", None),
+            ("localhost.evil.example:80", None),
+            ("localhost:80.evil.example", None),
+            ("localhost:", None),
+            ("localhost:8000", Some("http://localhost:8001")),
             ("127.0.0.1:80", Some("http://evil.example")),
             ("127.0.0.1:80", Some("http://localhost:80")),
             ("127.0.0.1:80", Some("null")),
@@ -272,6 +256,9 @@ mod tests {
             assert!(!is_here(&site, &headers(host, origin)), "{host} {origin:?}");
         }
         assert!(!is_here(&site, &HeaderMap::new()));
+        let remote = ServerState { remote: true, ..self::site() };
+        assert!(is_here(&remote, &headers("workstation:80", Some("http://workstation:80"))));
+        assert!(!is_here(&remote, &headers("workstation:80", Some("http://evil.example"))));
         let knows_of = |path: &'static str| knows(&site, &Uri::from_static(path));
         assert!(knows_of("/secret/") && knows_of("/secret/scene.json"));
         for path in ["/", "/Secret/", "/secre/", "/secrets/", "/../secret/", "/x/secret/"] {

@@ -2,7 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use cape_core::{Mesh, joints::JOINT_NAMES, obj, ply};
+use cape_core::{
+    BodyPose, Mesh,
+    joints::JOINT_NAMES,
+    list_files,
+    motion::{MotionFile, MotionOptions},
+    obj, ply,
+};
 use cape_data::{PackedSet, Split, raw::name_of};
 use cape_infer::{AnimatedBody, BodySpec, Run, directions_by_effect};
 use cape_stats::errors::distance_mm;
@@ -10,12 +16,14 @@ use cape_synth::{Motion, poses};
 use ndarray::{Array2, Array3};
 use serde_json::{Value, json};
 
-use super::wire::{Answer, Download, FileFormat, Person, Question, ShowRequest, ViewLayer};
+use super::wire::{
+    Answer, Download, FileFormat, MotionRequest, Person, Question, ShowRequest, ViewLayer,
+};
 use crate::{
     console::Console,
     dressed_mesh::{DressedMesh, DressedRenderer, unclothed_meshes},
     error::{Error, Result},
-    mesh_file::read_mesh,
+    mesh_file::{is_mesh, read_mesh},
     priors::{PriorArgs, PriorName},
 };
 
@@ -35,6 +43,8 @@ pub(super) struct RunSource<'a> {
     painter: DressedRenderer<'a>,
     truth: Option<PackedSet>,
     console: Console,
+    /// Motion of a file, and its name in the page.
+    motion: Option<(String, MotionFile)>,
 }
 
 /// A mesh, or the frames of a sequence.
@@ -77,13 +87,9 @@ impl Source<'_> {
                 let z = model.code_of(frame)?.row(0).to_vec();
                 Ok(Answer::Registration { z, wearer: Box::new(wearer) })
             }
-            (Self::Model(_), Question::Motion(movement)) => {
+            (Self::Model(model), Question::Motion(movement)) => {
                 movement.check()?;
-                // Only names, not paths.
-                if poses::preset(&movement.name).is_none() {
-                    return Err(Error::message(format!("unknown motion `{}`", movement.name)));
-                }
-                let poses = poses::motion_poses(&movement.name, movement.seconds, movement.fps)?;
+                let poses = model.poses(movement)?;
                 Ok(Answer::Poses { poses, fps: movement.fps })
             }
             (Self::Meshes(meshes), &Question::Frame(frame)) => {
@@ -123,9 +129,26 @@ impl Source<'_> {
 }
 
 impl<'a> RunSource<'a> {
-    pub(super) fn new(run: &'a Run, console: Console) -> Self {
+    pub(super) fn new(run: &'a Run, motion: Option<MotionFile>, console: Console) -> Self {
         let truth = run.data().ok().and_then(|data| run.open_set(data, Split::Test).ok());
-        Self { run, painter: DressedRenderer::new(run), truth, console }
+        let motion = motion.map(|file| (name_of(&file.path), file));
+        Self { run, painter: DressedRenderer::new(run), truth, console, motion }
+    }
+
+    /// Poses of a motion by name: the file's, or a synthetic one's. Paths are not names.
+    fn poses(&self, movement: &MotionRequest) -> Result<Vec<BodyPose>> {
+        if let Some((name, file)) = &self.motion
+            && *name == movement.name
+        {
+            let motion = file.motion_of(self.run.body(), &[], Some(movement.fps))?;
+            return Ok((0..motion.frames()).map(|frame| motion.pose(frame)).collect());
+        }
+        if poses::preset(&movement.name).is_none() {
+            return Err(Error::message(format!("unknown motion `{}`", movement.name)));
+        }
+        let options = MotionOptions::default();
+        let file = poses::load_motion(&movement.name, movement.seconds, movement.fps, &options)?;
+        Ok(file.upright_poses()?)
     }
 
     fn scene(&self) -> Result<Value> {
@@ -134,8 +157,10 @@ impl<'a> RunSource<'a> {
         let wearer =
             BodySpec { betas: Vec::new(), pose: at("a-pose"), outfit: run.default_outfit() };
         let (order, effect) = directions_by_effect(run, &wearer)?;
-        let motions: Vec<&str> = Motion::ALL.iter().map(|motion| motion.name()).collect();
-        let named = ["a-pose", "t-pose"].into_iter().chain(motions.iter().copied());
+        let synthetic: Vec<&str> = Motion::ALL.iter().map(|motion| motion.name()).collect();
+        let named = ["a-pose", "t-pose"].into_iter().chain(synthetic.iter().copied());
+        let given = self.motion.iter().map(|(name, _)| name.as_str());
+        let motions: Vec<&str> = given.chain(synthetic.iter().copied()).collect();
         let poses: Vec<Value> =
             named.map(|name| json!({"name": name, "pose": at(name).to_vec()})).collect();
         let priors: Vec<&str> = [PriorName::Gmm, PriorName::Normal, PriorName::Kde]
@@ -249,27 +274,13 @@ impl<'a> RunSource<'a> {
 }
 
 impl MeshSource {
-    /// Opens a mesh, or all meshes of a directory ordered by name.
+    /// Opens a mesh, or all meshes of a directory in natural order of their names.
     pub(super) fn open(path: &Path, fps: f64) -> Result<Self> {
-        let paths = if path.is_dir() {
-            let entries = std::fs::read_dir(path).map_err(|error| Error::io(path, error))?;
-            let mut paths = Vec::new();
-            for entry in entries {
-                let path = entry.map_err(|error| Error::io(path, error))?.path();
-                let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
-                if extension == "obj" || extension == "ply" {
-                    paths.push(path);
-                }
-            }
-            paths.sort();
-            paths
-        } else {
-            vec![path.to_owned()]
-        };
+        let paths = if path.is_dir() { list_files(path, is_mesh)? } else { vec![path.to_owned()] };
         let Some(first) = paths.first() else {
             return Err(Error::message(format!(
-                "{}: no meshes: expected a run, a mesh (.obj, .ply), a body (.npz, .pkl), or a \
-                 directory of .obj or .ply files",
+                "{}: no meshes: expected a run, a mesh (.obj, .ply, .stl, .off, .glb), a body (.npz, \
+                 .pkl), or a directory of meshes",
                 path.display()
             )));
         };

@@ -1,4 +1,4 @@
-//! Detection of SMPL-H, SMPL-X, FLAME and MANO files, which get an error of their own.
+//! Detection of STAR, SMPL-H, SMPL-X, FLAME and MANO files, which get an error of their own.
 
 use std::path::Path;
 
@@ -27,9 +27,20 @@ pub(super) fn refuse_others(source: &Source) -> Result<()> {
     Err(refuse(source.path(), family))
 }
 
+/// Rejects STAR by its pose directions, which depend on quaternions: 4 numbers for each joint but the
+/// root, and the second shape coefficient.
+pub(super) fn refuse_star(path: &Path, columns: usize, joints: usize) -> Result<()> {
+    if columns == 4 * joints.saturating_sub(1) + 1 {
+        return Err(refuse(path, "STAR"));
+    }
+    Ok(())
+}
+
 /// Rejects other model families by their number of joints.
 pub(super) fn refuse_joints(path: &Path, joints: usize) -> Result<()> {
     match joints {
+        16 => Err(refuse(path, "MANO (hand)")),
+        5 => Err(refuse(path, "FLAME (head)")),
         52 => Err(refuse(path, "SMPL-H")),
         55 => Err(refuse(path, "SMPL-X")),
         _ => Ok(()),

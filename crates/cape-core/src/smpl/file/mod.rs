@@ -1,5 +1,6 @@
 //! Body files in the official `.npz` and pickle layouts.
 
+mod directory;
 mod family;
 mod source;
 #[cfg(test)]
@@ -10,6 +11,8 @@ use std::path::Path;
 use ndarray::{Array, Array2, Array3, ArrayD, Dimension, Ix2, Ix3};
 
 use self::source::Source;
+pub use directory::find_body;
+
 use super::model::{FieldError, SmplModel};
 use crate::{
     Error, Result,
@@ -35,7 +38,7 @@ impl SmplModel {
     /// views.
     ///
     /// # Errors
-    /// If an array is missing or malformed, the body is of another family (SMPL-H, SMPL-X, MANO), or a
+    /// If an array is missing or malformed, the body is of another family (STAR, SMPL-H, SMPL-X, MANO), or a
     /// pickle contains a class that is not allowed.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
@@ -111,6 +114,7 @@ fn pose_directions(source: &mut Source, v: usize, j: usize) -> Result<Array3<f64
     let name = "posedirs";
     let blends = 9 * j.saturating_sub(1);
     let array = source.array::<f64>(name)?;
+    family::refuse_star(source.path(), array.shape().last().copied().unwrap_or(0), j)?;
     if array.shape() != [v * 3, blends] {
         expect_shape(source.path(), name, array.shape(), &[Some(v), Some(3), Some(blends)])?;
     }

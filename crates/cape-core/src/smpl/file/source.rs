@@ -8,6 +8,7 @@ use crate::{
     Error, Result,
     npy::{NpyElement, Npz, expect_shape},
     pickle::Pickle,
+    unexpected_content,
 };
 
 /// An open body file.
@@ -24,7 +25,11 @@ impl Source {
         if file.metadata().is_ok_and(|metadata| metadata.is_dir()) {
             return Err(Error::format(path, "is a directory, expected a body file"));
         }
-        file.take(4).read_to_end(&mut start).map_err(|source| Error::io(path, source))?;
+        let length = file.metadata().map_err(|source| Error::io(path, source))?.len();
+        file.take(4096).read_to_end(&mut start).map_err(|source| Error::io(path, source))?;
+        if let Some(found) = unexpected_content(&start, length) {
+            return Err(Error::format(path, found));
+        }
         if Pickle::is_start(&start) {
             return Ok(Self::Pickle(Pickle::open(path)?));
         }

@@ -130,3 +130,94 @@ fn compressed_rows_out_of_range_are_refused() {
         assert!(message.contains(expected), "{message}");
     }
 }
+
+#[test]
+fn bodies_of_other_families_are_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("body.npz");
+    let model = random_model();
+    let v = model.vertices();
+    let said = |replaced: &str, array: ArrayD<f64>| {
+        write(&path, &model, |npz, name| {
+            if name == replaced {
+                npz.add(name, &array).unwrap();
+            }
+            if name == "f" && !["kintree_table", "posedirs"].contains(&replaced) {
+                npz.add(replaced, &array).unwrap();
+            }
+            name == replaced
+        });
+        SmplModel::load(&path).unwrap_err().to_string()
+    };
+    // STAR's pose directions of 4 numbers for each joint but the root, and one more.
+    let star = said("posedirs", Array3::zeros((v, 3, 13)).into_dyn());
+    assert!(star.contains("is a STAR body, expected SMPL's own body"), "{star}");
+    for (joints, family) in [(52, "SMPL-H"), (55, "SMPL-X"), (16, "MANO"), (5, "FLAME")] {
+        let tree = Array2::from_shape_fn((2, joints), |(row, joint)| {
+            if row == 1 { joint as f64 } else { joint as f64 - 1.0 }
+        });
+        let message = said("kintree_table", tree.into_dyn());
+        assert!(message.contains(&format!("is a {family}")), "{message}");
+    }
+    for (array, family) in
+        [("hands_components", "MANO"), ("lmk_faces_idx", "SMPL-X"), ("hands_componentsl", "SMPL-H")]
+    {
+        let message = said(array, Array1::zeros(3).into_dyn());
+        assert!(message.contains(family), "{message}");
+    }
+}
+
+#[test]
+fn files_that_are_no_bodies_are_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let at = |name: &str| directory.path().join(name);
+    random_model().save(at("body.npz")).unwrap();
+    let whole = std::fs::read(at("body.npz")).unwrap();
+    let html = b"<!DOCTYPE html>\n<html><title>Sign in</title></html>";
+    let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:1\nsize 39\n";
+    let cut = &whole[..whole.len() - 100];
+    for name in ["SMPL_MALE.pkl", "body.npz"] {
+        for (content, expected) in [
+            (&html[..], "web page"),
+            (&pointer[..], "git lfs pull"),
+            (&[0; 5000], "zeros"),
+            (&[], "empty"),
+            (cut, "end of the archive is missing"),
+            (&b"\x1f\x8b\x08\0\0\0\0\0"[..], "gunzip"),
+        ] {
+            std::fs::write(at(name), content).unwrap();
+            let message = SmplModel::load(at(name)).unwrap_err().to_string();
+            assert!(message.contains(expected) && message.contains(name), "{message}");
+        }
+    }
+    // A download of the whole package.
+    let mut package = zip::ZipWriter::new(std::fs::File::create(at("SMPL_python.zip")).unwrap());
+    package
+        .start_file("smpl/models/basicmodel_m.pkl", zip::write::SimpleFileOptions::default())
+        .unwrap();
+    package.finish().unwrap();
+    let message = SmplModel::load(at("SMPL_python.zip")).unwrap_err().to_string();
+    assert!(
+        message.contains("`smpl/models/basicmodel_m.pkl`") && message.contains("unpack"),
+        "{message}"
+    );
+    // A pickle that ends early.
+    let body = std::fs::read("fixtures/pickles/body_protocol0.pkl").unwrap();
+    std::fs::write(at("cut.pkl"), &body[..body.len() / 2]).unwrap();
+    assert!(SmplModel::load(at("cut.pkl")).is_err());
+}
+
+#[test]
+fn pickles_of_protocol_0_with_line_ends_of_windows_are_read() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("body.pkl");
+    for name in ["body_protocol0.pkl", "body_chumpy_python2_protocol0.pkl"] {
+        let source = Path::new("fixtures/pickles").join(name);
+        let expected = SmplModel::load(&source).unwrap();
+        let text = std::fs::read(&source).unwrap();
+        let windows: Vec<u8> =
+            text.split(|&byte| byte == b'\n').collect::<Vec<_>>().join(&b"\r\n"[..]);
+        std::fs::write(&path, windows).unwrap();
+        assert_eq!(SmplModel::load(&path).unwrap(), expected, "{name}");
+    }
+}

@@ -6,14 +6,15 @@ use std::{
     time::Instant,
 };
 
+use cape_core::{motion::MotionOptions, npy::Npz};
 use cape_fit::{
     BodyParameters, PosePrior,
     scan::{
-        FreeFormConfig, FreeFormSurface, KnownJoints, Scan, ScanConfig, ScanFitter, ScanInit, Unit,
-        UpAxis, free_displacement,
+        FreeFormConfig, FreeFormSurface, KnownJoints, RemovedElements, Scan, ScanConfig,
+        ScanFitter, ScanInit, ScanUnit, UpAxis, free_displacement,
     },
 };
-use cape_synth::poses;
+use cape_synth::poses::load_poses;
 use clap::Args;
 
 use self::output::{OutputPaths, ScanOutput};
@@ -40,7 +41,7 @@ use crate::{
 pub(crate) struct FitScanArgs {
     #[command(flatten)]
     run: RunArgs,
-    /// Scan, .ply or .obj.
+    /// Scan: .ply, .obj, .stl, .off or .glb, or .npz with POP's scan_pc.
     #[arg(long, value_name = "FILE")]
     scan: PathBuf,
     #[command(flatten)]
@@ -48,9 +49,9 @@ pub(crate) struct FitScanArgs {
     /// Outfit of the run; auto fits all and keeps the one of lowest energy.
     #[arg(long, default_value = "auto", value_name = "OUTFIT", value_parser = outfit_or("auto"))]
     outfit: OutfitSelection,
-    /// Unit of the scan: m, cm or mm.
+    /// Unit of the scan: m, cm or mm; auto finds it out and scales a scan of unit size to 1.7 m.
     #[arg(long, default_value = "m", value_name = "UNIT")]
-    unit: Unit,
+    unit: ScanUnit,
     /// Up axis of the scan: x, y, z, -x, -y or -z.
     #[arg(long, default_value = "y", allow_hyphen_values = true, value_name = "AXIS")]
     up: UpAxis,
@@ -60,8 +61,9 @@ pub(crate) struct FitScanArgs {
     /// SMPL's 24 joints in the scan's coordinates, .npy or .json of [24, 3]; null if unknown.
     #[arg(long, value_name = "FILE", conflicts_with = "initial")]
     joints: Option<PathBuf>,
-    /// Approximate body: fit.json, or JSON with betas, pose and transl in metres.
-    #[arg(long, value_name = "FILE.json")]
+    /// Approximate body: fit.json, JSON with betas, pose and transl in metres, or a registered frame, .npz
+    /// with pose and transl.
+    #[arg(long, value_name = "FILE")]
     initial: Option<PathBuf>,
     /// Minimal body shape of the subject, .npy of [vertices, 3]; keeps the shape fixed.
     #[arg(long, value_name = "FILE.npy")]
@@ -93,13 +95,14 @@ impl FitScanArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         self.output.require_empty()?;
         let scan = Scan::load(&self.scan, self.unit)?;
+        remark(&scan, console);
         let run = self.run.open(global)?;
         let outfits = self.outfit.of(&run)?;
         let prior = match &self.pose_prior {
             Some(path) => PosePrior::load(path)?,
             None => PosePrior::synthetic()?,
         };
-        let start = self.start(&prior)?;
+        let start = self.start(&prior, scan.scale())?;
         let minimal = self.minimal_shape.as_deref();
         let minimal = minimal.map(|path| read_shape(path, run.body().vertices())).transpose()?;
         let seed = global.seed();
@@ -139,32 +142,61 @@ impl FitScanArgs {
         console.result(&report, || text(&report))
     }
 
-    fn start(&self, prior: &PosePrior) -> Result<ScanInit> {
+    /// Start of the fit; `metres` is the length of the scan's unit.
+    fn start(&self, prior: &PosePrior, metres: f64) -> Result<ScanInit> {
         if let Some(path) = &self.initial {
             return Ok(ScanInit::Body(read_body(path)?));
         }
         if let Some(path) = &self.joints {
-            let metres = self.unit.metres();
             return Ok(ScanInit::Joints(KnownJoints::load(path)?.scaled(metres)));
         }
         if let Some(text) = &self.pose {
-            let chosen = poses::poses(text)?.into_iter();
-            return Ok(ScanInit::Poses(
-                chosen.map(|(_, pose)| pose.map(f64::from).to_vec()).collect(),
-            ));
+            let file = load_poses(text, &MotionOptions::default())?;
+            let chosen = file.upright_poses()?.into_iter();
+            return Ok(ScanInit::Poses(chosen.map(|pose| pose.map(f64::from).to_vec()).collect()));
         }
         Ok(ScanInit::default_poses(prior))
     }
 }
 
-/// Reads a body from JSON, alone or in the fit.json of a fit.
+/// Says what was left out of a scan, and what is unusual about its size.
+fn remark(scan: &Scan, console: Console) {
+    let RemovedElements { points, faces } = scan.removed();
+    if points > 0 {
+        console.note(&format!(
+            "{points} points of the scan are not finite: they and {faces} triangles at them are left out"
+        ));
+    }
+    if let Some(remark) = scan.remark() {
+        console.note(remark);
+    }
+}
+
+/// Reads a body from JSON, alone or in the fit.json of a fit, or from a registered frame.
 fn read_body(path: &Path) -> Result<BodyParameters> {
+    if path.extension().is_some_and(|extension| extension == "npz") {
+        return read_registration(path);
+    }
     let text = std::fs::read(path).map_err(|error| Error::io(path, error))?;
     let fault = |error: serde_json::Error| cape_core::Error::format(path, error.to_string());
     let value: serde_json::Value = serde_json::from_slice(&text).map_err(fault)?;
     let places = ["/fit/parameters", "/clothed/parameters", "/parameters"];
     let body = places.iter().find_map(|place| value.pointer(place)).unwrap_or(&value);
     Ok(serde_json::from_value(body.clone()).map_err(fault)?)
+}
+
+/// Pose and translation of a registered frame, on the mean shape.
+fn read_registration(path: &Path) -> Result<BodyParameters> {
+    let mut frame = Npz::open(path)?;
+    let pose = frame.f64("pose")?;
+    frame.expect_shape("pose", pose.shape(), &[Some(72)])?;
+    let transl = frame.f64("transl")?;
+    frame.expect_shape("transl", transl.shape(), &[Some(3)])?;
+    let mut body = BodyParameters::new(pose.into_iter().collect(), Vec::new())?;
+    for (to, from) in body.transl.iter_mut().zip(transl) {
+        *to = from;
+    }
+    Ok(body)
 }
 
 fn text(report: &OutputPaths) -> String {

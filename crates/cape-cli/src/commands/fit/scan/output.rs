@@ -9,7 +9,8 @@ use cape_core::{
     ply,
 };
 use cape_fit::scan::{
-    FrameLocation, FreeFormSurface, Registration, Scan, ScanDistance, ScanFit, ScanFitter, UpAxis,
+    FrameLocation, FreeFormSurface, Registration, RemovedElements, Scan, ScanDistance, ScanFit,
+    ScanFitter, UpAxis,
 };
 use cape_infer::{Run, write_json};
 use glam::DVec3;
@@ -37,6 +38,10 @@ pub(super) struct OutputPaths {
     pub(super) out: PathBuf,
     pub(super) fit: ScanFit,
     pub(super) free: Option<FreeFormOutput>,
+    /// Points and triangles of the scan that were left out.
+    pub(super) removed: RemovedElements,
+    /// Length of the scan's unit, metres.
+    pub(super) scale: f64,
     pub(super) seconds: f64,
 }
 
@@ -76,7 +81,9 @@ impl ScanOutput<'_> {
         let bare_mesh = body.mesh_with(&bare.vertices);
         let sheet = picture::draw(self.scan, &bare_mesh, &surfaces, parameters, self.up)?;
         sheet.save(out.join("fit.png"))?;
-        let written = OutputPaths { out: out.clone(), fit: self.fit, free, seconds };
+        let (removed, scale) = (self.scan.removed(), self.scan.scale());
+        let written =
+            OutputPaths { out: out.clone(), fit: self.fit, free, removed, scale, seconds };
         write_json(&out.join("fit.json"), &written)?;
         Ok(written)
     }
@@ -125,7 +132,7 @@ impl ScanOutput<'_> {
             time: 0.0,
             pose: parameters.pose.clone(),
             transl: parameters.transl,
-            offset: body.pose_offsets(&parameters.pose)?,
+            offset: Some(body.pose_offsets(&parameters.pose)?),
         };
         Ok(gltf::write(path, &figure, &[keyframe])?)
     }

@@ -211,7 +211,11 @@ impl ReportArgs {
             let stem = path.file_name().map_or("set".into(), |name| name.to_string_lossy());
             let known = named.iter().any(|other: &NamedSet| other.name == stem);
             let name = if known { format!("{stem}-{index}") } else { stem.into_owned() };
-            named.push(NamedSet { name, directory: path.clone(), set: LayerSet::load(path)? });
+            named.push(NamedSet {
+                name,
+                directory: path.clone(),
+                set: LayerSet::load_for(path, model)?,
+            });
         }
         Ok(named)
     }

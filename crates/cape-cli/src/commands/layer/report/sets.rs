@@ -6,13 +6,13 @@ use cape_cloth::{ClothMaterial, Garment, GarmentKind};
 use cape_core::SmplModel;
 use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
 use cape_layer::{
-    LayerSet,
+    BodyIdentity, LayerSet,
     synth::{Design, Exercise},
 };
 use rayon::prelude::*;
 use serde_json::json;
 
-use crate::{console::Console, error::Result};
+use crate::{console::Console, error::Result, options::body_identity};
 
 /// Size of the simulated sets.
 #[derive(Debug, Clone, Copy)]
@@ -97,10 +97,11 @@ pub(super) fn simulated(
         .map(|(name, design)| store(&out.join(name), design, body, overwrite))
         .collect::<Result<Vec<_>>>()?;
     let mut sets = Vec::new();
+    let identity = body_identity(body, model);
     for ((name, design), store) in designs.into_iter().zip(&stores) {
         store.begin()?;
         let set = console.while_showing(name, "sequences", |progress| {
-            simulate(model, store, &design, progress)
+            simulate((model, &identity), store, &design, progress)
         })?;
         sets.push((name.to_owned(), set));
     }
@@ -133,7 +134,7 @@ fn store(
 
 /// The design's set; each sequence is saved when it is finished.
 fn simulate(
-    model: &SmplModel,
+    (model, identity): (&SmplModel, &BodyIdentity),
     store: &ResultStore,
     design: &Design,
     progress: &mut dyn FnMut(usize, usize),
@@ -157,7 +158,7 @@ fn simulate(
                 let (sequence, _) = result?;
                 store.list("set.json")?;
                 store.list(&format!("{}.npz", sequence.name))?;
-                LayerSet::add(directory, &sewn.surface.faces, &sequence)?;
+                LayerSet::add(directory, identity, &sewn.surface.faces, &sequence)?;
             }
         }
     }

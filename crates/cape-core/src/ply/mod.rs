@@ -1,11 +1,18 @@
 //! Stanford PLY files: reads text and binary, writes binary little-endian.
 
+#[cfg(test)]
+mod tests;
+
 use std::{
     io::{self, Write},
     path::Path,
 };
 
-use crate::{Error, Mesh, Result, mesh::read_bytes, write_atomically};
+use crate::{
+    Error, Mesh, Result,
+    mesh::{Geometry, fan, read_bytes, strip, text},
+    write_atomically,
+};
 
 /// Mesh and, if the file has them, vertex normals `[vertices, 3]` of any length.
 ///
@@ -22,8 +29,8 @@ use crate::{Error, Mesh, Result, mesh::read_bytes, write_atomically};
 /// ```
 pub type MeshWithNormals = (Mesh, Option<Vec<[f32; 3]>>);
 
-/// Reads a PLY file. Polygons are triangulated as fans; properties other than vertex positions and
-/// vertex indices are ignored.
+/// Reads a PLY file. Polygons are triangulated as fans, and faces of fewer than three different
+/// corners are left out; properties other than vertex positions and vertex indices are ignored.
 pub fn read(path: impl AsRef<Path>) -> Result<Mesh> {
     Ok(read_with_normals(path)?.0)
 }
@@ -34,7 +41,15 @@ pub fn read(path: impl AsRef<Path>) -> Result<Mesh> {
 /// If the file cannot be read or is not a valid PLY file.
 pub fn read_with_normals(path: impl AsRef<Path>) -> Result<MeshWithNormals> {
     let path = path.as_ref();
-    parse_with_normals(&read_bytes(path)?).map_err(|message| Error::format(path, message))
+    let Geometry { mesh, normals, .. } =
+        parse(&read_bytes(path)?).map_err(|message| Error::format(path, message))?;
+    let finite = |vertex: &[f32; 3]| vertex.iter().all(|x| x.is_finite());
+    match mesh.vertices.iter().enumerate().find(|(_, vertex)| !finite(vertex)) {
+        None => Ok((mesh, normals)),
+        Some((index, vertex)) => {
+            Err(Error::format(path, format!("vertex {index} is not finite: {vertex:?}")))
+        }
+    }
 }
 
 /// Writes a binary little-endian PLY file, atomically, with RGB vertex colours `[vertices, 3]` if
@@ -157,27 +172,21 @@ enum Encoding {
     BigEndian,
 }
 
-#[cfg(test)]
-fn parse(bytes: &[u8]) -> Result<Mesh, String> {
-    Ok(parse_with_normals(bytes)?.0)
-}
-
-fn parse_with_normals(bytes: &[u8]) -> Result<MeshWithNormals, String> {
-    let (encoding, elements, rest) = header(bytes)?;
+/// Mesh and normals in `bytes`; vertices may be not finite.
+pub(crate) fn parse(bytes: &[u8]) -> Result<Geometry, String> {
+    let (encoding, elements, rest) = header(text::without_mark(bytes))?;
     let mut body = Payload { encoding, rest };
-    let (mut mesh, mut normals) = (Mesh::default(), None);
-    let (mut vertices_seen, mut faces_seen) = (false, false);
+    let mut found = Geometry::default();
+    let mut vertices_seen = false;
     for element in &elements {
         body.check_count(element)?;
         match element.name {
             "vertex" => {
                 vertices_seen = true;
-                (mesh.vertices, normals) = vertices(&mut body, element)?;
+                (found.mesh.vertices, found.normals) = vertices(&mut body, element)?;
             }
-            "face" => {
-                faces_seen = true;
-                mesh.faces = faces(&mut body, element)?;
-            }
+            "face" => faces(&mut body, element, &mut found)?,
+            "tristrips" => strips(&mut body, element, &mut found)?,
             _ if element.properties.is_empty() => {}
             _ => {
                 for _ in 0..element.count {
@@ -189,19 +198,25 @@ fn parse_with_normals(bytes: &[u8]) -> Result<MeshWithNormals, String> {
     if !vertices_seen {
         return Err("the header has no element `vertex`".into());
     }
-    let outside = |face: &&[u32; 3]| face.iter().any(|&c| c as usize >= mesh.vertices.len());
-    if faces_seen && let Some(face) = mesh.faces.iter().find(outside) {
-        return Err(format!("face {face:?} is out of range for {} vertices", mesh.vertices.len()));
+    let Mesh { vertices, faces } = &found.mesh;
+    let outside = |face: &&[u32; 3]| face.iter().any(|&c| c as usize >= vertices.len());
+    if let Some(face) = faces.iter().find(outside) {
+        return Err(format!("face {face:?} is out of range for {} vertices", vertices.len()));
     }
-    Ok((mesh, normals))
+    Ok(found)
 }
 
 fn header(bytes: &[u8]) -> Result<(Encoding, Vec<Element<'_>>, &[u8]), String> {
     let mut rest = bytes;
+    // Old Macintosh programs end lines with a carriage return alone.
+    let last = match bytes {
+        [_, _, _, b'\r', next, ..] if *next != b'\n' => b'\r',
+        _ => b'\n',
+    };
     let mut next_line = || {
         let end = rest
             .iter()
-            .position(|&byte| byte == b'\n')
+            .position(|&byte| byte == last)
             .ok_or("the header does not end with `end_header`")?;
         let (line, after) = rest.split_at(end);
         rest = &after[1..];
@@ -276,7 +291,7 @@ fn vertices(body: &mut Payload, element: &Element) -> Result<Vertices, String> {
     };
     let mut vertices = Vec::with_capacity(element.count);
     let mut normals = normal_axes.map(|_| Vec::with_capacity(element.count));
-    for index in 0..element.count {
+    for _ in 0..element.count {
         let (mut vertex, mut normal) = ([0.0f32; 3], [0.0f32; 3]);
         body.item(element, |property, values| {
             let [value] = values else { return };
@@ -286,9 +301,6 @@ fn vertices(body: &mut Payload, element: &Element) -> Result<Vertices, String> {
                 *slot = *value as f32;
             }
         })?;
-        if !vertex.iter().all(|coordinate| coordinate.is_finite()) {
-            return Err(format!("vertex {index} is not finite: {vertex:?}"));
-        }
         vertices.push(vertex);
         if let Some(normals) = &mut normals {
             normals.push(normal);
@@ -297,13 +309,25 @@ fn vertices(body: &mut Payload, element: &Element) -> Result<Vertices, String> {
     Ok((vertices, normals))
 }
 
-fn faces(body: &mut Payload, element: &Element) -> Result<Vec<[u32; 3]>, String> {
-    let is_corners = |p: &Property| ["vertex_indices", "vertex_index"].contains(&p.name);
-    let corners = element.properties.iter().position(|p| is_corners(p) && p.length.is_some());
-    let corners = corners.ok_or("element `face` has no list property `vertex_indices`")?;
-    let mut faces = Vec::with_capacity(element.count);
+/// Position of the list of vertex indices among the properties of `element`.
+fn index_list(element: &Element) -> Result<usize, String> {
+    let is_corners =
+        |p: &Property| ["vertex_indices", "vertex_index"].contains(&p.name) && p.length.is_some();
+    element
+        .properties
+        .iter()
+        .position(is_corners)
+        .ok_or_else(|| format!("element `{}` has no list property `vertex_indices`", element.name))
+}
+
+fn faces(body: &mut Payload, element: &Element, found: &mut Geometry) -> Result<(), String> {
+    if element.count == 0 {
+        return Ok(());
+    }
+    let corners = index_list(element)?;
+    found.mesh.faces.reserve(element.count);
     for index in 0..element.count {
-        let mut fault = None;
+        let mut whole = true;
         body.item(element, |property, values| {
             if property != corners {
                 return;
@@ -313,27 +337,36 @@ fn faces(body: &mut Payload, element: &Element) -> Result<Vec<[u32; 3]>, String>
                 whole.then_some(value as u32)
             };
             let values: Option<Vec<u32>> = values.iter().map(corner).collect();
-            match values.as_deref() {
-                Some([first, rest @ ..]) if rest.len() >= 2 => {
-                    faces.extend(rest.windows(2).map(|pair| [*first, pair[0], pair[1]]));
-                }
-                Some(few) => {
-                    fault = Some(format!(
-                        "face {index} has {} vertices, expected at least 3",
-                        few.len()
-                    ));
-                }
-                None => {
-                    fault =
-                        Some(format!("face {index} has a vertex index that is not a whole number"));
-                }
-            }
+            whole = values.is_some();
+            let before = found.mesh.faces.len();
+            found.mesh.faces.extend(fan(&values.unwrap_or_default()));
+            found.skipped += usize::from(found.mesh.faces.len() == before);
         })?;
-        if let Some(fault) = fault {
-            return Err(fault);
+        if !whole {
+            return Err(format!("face {index} has a vertex index that is not a whole number"));
         }
     }
-    Ok(faces)
+    Ok(())
+}
+
+/// Triangle strips; an index below 0 ends one.
+fn strips(body: &mut Payload, element: &Element, found: &mut Geometry) -> Result<(), String> {
+    if element.count == 0 {
+        return Ok(());
+    }
+    let corners = index_list(element)?;
+    for _ in 0..element.count {
+        body.item(element, |property, values| {
+            if property != corners {
+                return;
+            }
+            for run in values.split(|&value| value < 0.0) {
+                let run: Vec<u32> = run.iter().map(|&value| value as u32).collect();
+                found.mesh.faces.extend(strip(&run));
+            }
+        })?;
+    }
+    Ok(())
 }
 
 /// Unread bytes after the header.
@@ -412,137 +445,6 @@ impl Payload<'_> {
         let end = text.iter().position(u8::is_ascii_whitespace).unwrap_or(text.len());
         let (word, rest) = text.split_at(end);
         self.rest = rest;
-        let word = String::from_utf8_lossy(word);
-        word.parse().map_err(|_| format!("`{word}` is not a number"))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-    use crate::mesh::tests::cube;
-
-    fn file(mesh: &Mesh, colours: Option<&[[u8; 3]]>) -> Vec<u8> {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.ply");
-        write(&path, mesh, colours).unwrap();
-        assert_eq!(read(&path).unwrap(), *mesh);
-        std::fs::read(&path).unwrap()
-    }
-
-    #[test]
-    fn files_round_trip_with_colours() {
-        let bytes = file(&cube(), Some(&[[1, 2, 3]; 8]));
-        assert_eq!(bytes.len(), file(&cube(), None).len() + 8 * 3 + 60);
-        assert!(write("a.ply", &cube(), Some(&[])).is_err());
-        let mut written = Vec::new();
-        write_to(&mut written, &cube(), Some(&[[1, 2, 3]; 8])).unwrap();
-        assert_eq!(written, bytes);
-        assert!(write_to(&mut written, &cube(), Some(&[])).is_err());
-    }
-
-    #[test]
-    fn text_and_big_endian_are_read() {
-        let header = |format: &str| {
-            format!(
-                "ply\r\nformat {format} 1.0\ncomment made by hand\nelement other 1\n\
-                 property list uchar short a\nelement vertex 4\nproperty double x\n\
-                 property float y\nproperty uchar quality\nproperty float z\nelement face 1\n\
-                 property uchar flag\nproperty list uchar int vertex_index\nend_header\n"
-            )
-        };
-        let expected = Mesh {
-            vertices: vec![[0., 0., 0.5], [1., 0., 0.5], [1., 1., 0.5], [0., 1., 0.5]],
-            faces: vec![[0, 1, 2], [0, 2, 3]],
-        };
-        let text = header("ascii") + "2 7 -8\n0 0 9 .5\n1 0 9 .5 1 1 9 .5\n0 1 9 5e-1\n1 4 0 1 2 3";
-        assert_eq!(parse(text.as_bytes()).unwrap(), expected);
-        let mut binary = header("binary_big_endian").into_bytes();
-        binary.extend([1, 0, 7]);
-        for [x, y, z] in &expected.vertices {
-            binary.extend(f64::from(*x).to_be_bytes());
-            binary.extend(y.to_be_bytes());
-            binary.push(9);
-            binary.extend(z.to_be_bytes());
-        }
-        binary.extend([1, 4]);
-        binary.extend([0i32, 1, 2, 3].iter().flat_map(|i| i.to_be_bytes()));
-        assert_eq!(parse(&binary).unwrap(), expected);
-    }
-
-    #[test]
-    fn normals_of_vertices_are_read() {
-        let properties = ["x", "nx", "ny", "nz", "y", "z"].map(|p| format!("property float {p}\n"));
-        let header = |properties: &[String]| {
-            let properties = properties.concat();
-            format!(
-                "ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n1 2 3 4 5 6\n"
-            )
-        };
-        let (mesh, normals) = parse_with_normals(header(&properties).as_bytes()).unwrap();
-        assert_eq!((mesh.vertices[0], normals), ([1.0, 5.0, 6.0], Some(vec![[2.0, 3.0, 4.0]])));
-        let text = header(&properties).replace(" nz", " weight");
-        assert_eq!(parse_with_normals(text.as_bytes()).unwrap().1, None);
-    }
-
-    #[test]
-    fn faults_say_what_is_wrong() {
-        let vertex = "property float x\nproperty float y\nproperty float z\n";
-        let face = "property list uchar int vertex_indices\n";
-        let cases = [
-            ("plyx\n".to_owned(), "not a PLY file"),
-            ("ply\nformat ascii 1.0\n".to_owned(), "does not end"),
-            ("ply\nelement vertex 0\nend_header\n".to_owned(), "no `format`"),
-            ("ply\nformat ascii 1.0\nend_header\n".to_owned(), "no element `vertex`"),
-            (
-                format!(
-                    "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\n{vertex}end_header\n"
-                ),
-                "declares 4000000000",
-            ),
-            (
-                format!("ply\nformat ascii 1.0\nelement vertex 1\n{vertex}end_header\n0 0 inf"),
-                "vertex 0 is not finite",
-            ),
-            (
-                format!(
-                    "ply\nformat ascii 1.0\nelement vertex 1\n{vertex}element face 1\n{face}end_header\n0 0 0\n3 0 0 1\n"
-                ),
-                "out of range for 1 vertices",
-            ),
-            (
-                format!(
-                    "ply\nformat ascii 1.0\nelement vertex 1\n{vertex}element face 1\n{face}end_header\n0 0 0\n2 0 0\n"
-                ),
-                "face 0 has 2 vertices",
-            ),
-        ];
-        for (text, expected) in cases {
-            let message = parse(text.as_bytes()).unwrap_err();
-            assert!(message.contains(expected), "{message}");
-        }
-        let mut bytes = file(&cube(), None);
-        bytes.pop();
-        assert!(parse(&bytes).unwrap_err().contains("unexpected end"));
-    }
-
-    proptest! {
-        #[test]
-        fn no_bytes_make_the_reader_panic(
-            bytes: Vec<u8>,
-            at: prop::sample::Index,
-            value: u8,
-            keep: prop::sample::Index,
-        ) {
-            let _ = parse(&bytes);
-            let mut changed = file(&cube(), None);
-            let position = at.index(changed.len());
-            changed[position] = value;
-            let _ = parse(&changed);
-            changed.truncate(keep.index(changed.len()));
-            let _ = parse(&changed);
-        }
+        text::number(&String::from_utf8_lossy(word))
     }
 }
