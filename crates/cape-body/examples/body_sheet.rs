@@ -55,7 +55,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         tile(&rest, &all, View::Front, "rest".into())?,
         tile(&rest, &all, View::Side, "rest".into())?,
     ];
-    let mut bends: [(&str, Vec<(usize, [f64; 3])>); 5] = [
+    let bends = [
         ("elbows", vec![(18, [0.0, -1.9, 0.0]), (19, [0.0, 1.9, 0.0])]),
         ("knees", vec![(1, [-1.4, 0.0, 0.0]), (4, [1.8, 0.0, 0.0]), (5, [1.4, 0.0, 0.0])]),
         ("arms down", vec![(16, [0.0, 0.0, -1.2]), (17, [0.0, 0.0, 1.2])]),
@@ -78,10 +78,10 @@ fn main() -> Result<(), Box<dyn Error>> {
             ],
         ),
     ];
-    for (name, bend) in &mut bends {
+    for (name, bend) in &bends {
         let mut pose = zero;
-        for (joint, axis) in bend.iter() {
-            pose[3 * joint..3 * joint + 3].copy_from_slice(axis);
+        for &(joint, axis) in bend {
+            pose[3 * joint..3 * joint + 3].copy_from_slice(&axis);
         }
         let mesh = posed(&body, &[], &pose)?;
         tiles.push(tile(&mesh, &all, View::Front, (*name).into())?);

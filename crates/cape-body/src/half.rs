@@ -55,7 +55,7 @@ pub(crate) fn left_half(base: &BaseMesh, vertices: &[DVec3]) -> Result<Vec<Trian
 
 /// Adjacent vertices of each vertex of the body, along the sides of the quadrilaterals.
 pub(crate) fn neighbours(quads: &[[u32; 4]]) -> Vec<Vec<u32>> {
-    let mut around = vec![Vec::with_capacity(6); SKIN];
+    let mut around = vec![Vec::new(); SKIN];
     for &[a, b, c, d] in quads {
         for (from, to) in [(a, b), (b, c), (c, d), (d, a)] {
             around[from as usize].push(to);

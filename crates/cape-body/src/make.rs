@@ -67,7 +67,9 @@ pub fn make_body(assets: &mut Assets, gender: Gender) -> Result<HalfBody> {
             regress(&shapes, (MIRRORED[joint] == joint).then_some(&mirror as &dyn Fn(u32) -> u32))
         })
         .collect();
-    modes.iter_mut().for_each(|mode| mode.truncate(half));
+    for mode in &mut modes {
+        mode.truncate(half);
+    }
     let vertices = modes.remove(0);
     let body = HalfBody {
         provenance: format!(
@@ -295,7 +297,9 @@ fn basis_from(first: &[f64]) -> Vec<Vec<f64>> {
             vector.iter_mut().zip(other).for_each(|(x, o)| *x -= along * o);
         }
         let length = dot(&vector, &vector).sqrt();
-        vector.iter_mut().for_each(|x| *x /= length);
+        for x in &mut vector {
+            *x /= length;
+        }
         basis.push(vector);
     }
     basis

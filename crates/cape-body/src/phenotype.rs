@@ -1,6 +1,6 @@
 //! Phenotypes: MakeHuman's macro parameters and the targets that they blend.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, btree_map::Entry};
 
 use glam::DVec3;
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
@@ -149,9 +149,9 @@ impl Targets {
     pub(crate) fn read(assets: &mut Assets, phenotypes: &[Phenotype]) -> Result<Self> {
         let mut targets = Self::default();
         for (name, _) in phenotypes.iter().flat_map(Phenotype::terms) {
-            if !targets.0.contains_key(&name) {
-                let target = assets.target(&name)?;
-                targets.0.insert(name, target);
+            if let Entry::Vacant(entry) = targets.0.entry(name) {
+                let target = assets.target(entry.key())?;
+                entry.insert(target);
             }
         }
         Ok(targets)

@@ -71,6 +71,8 @@ pub(crate) fn regress(shapes: &[(Vec<DVec3>, DVec3)], mirror: Option<&dyn Fn(u32
         same
     });
     let sum: f64 = row.iter().map(|&(_, w)| w).sum();
-    row.iter_mut().for_each(|(_, w)| *w /= sum);
+    for (_, w) in &mut row {
+        *w /= sum;
+    }
     row
 }

@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use crate::{
     Error, Result,
-    assets::{BaseMesh, SKIN},
+    assets::{BaseMesh, BoneWeights, SKIN},
 };
 use cape_core::joints::{JOINTS, PARENTS};
 
@@ -108,7 +108,7 @@ fn joint_of(bone: &str) -> usize {
 /// Blend weights of the body's vertices, smoothed and mirror-symmetric; rows sum to 1.
 pub(crate) fn blend_weights(
     base: &BaseMesh,
-    bones: &[(String, Vec<(u32, f64)>)],
+    bones: &[BoneWeights],
     around: &[Vec<u32>],
 ) -> Vec<Weights> {
     let mut rows = vec![[0.0; JOINTS]; SKIN];
@@ -123,7 +123,9 @@ pub(crate) fn blend_weights(
     for row in &mut rows {
         let sum: f64 = row.iter().sum();
         if sum > 0.0 {
-            row.iter_mut().for_each(|weight| *weight /= sum);
+            for weight in row {
+                *weight /= sum;
+            }
         } else {
             row[15] = 1.0;
         }

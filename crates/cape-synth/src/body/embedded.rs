@@ -25,10 +25,13 @@ pub fn embedded_body(gender: Gender) -> Result<SmplModel> {
 impl HalfBody {
     /// File of the embedded body.
     pub const fn embedded_bytes(gender: Gender) -> &'static [u8] {
+        const MALE: &[u8] = include_bytes!("../../data/male.body");
+        const FEMALE: &[u8] = include_bytes!("../../data/female.body");
+        const NEUTRAL: &[u8] = include_bytes!("../../data/neutral.body");
         match gender {
-            Gender::Male => include_bytes!("../../data/male.body"),
-            Gender::Female => include_bytes!("../../data/female.body"),
-            Gender::Neutral => include_bytes!("../../data/neutral.body"),
+            Gender::Male => MALE,
+            Gender::Female => FEMALE,
+            Gender::Neutral => NEUTRAL,
         }
     }
 

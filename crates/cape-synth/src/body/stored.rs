@@ -142,8 +142,12 @@ impl HalfBody {
         }
         for row in &self.regressor {
             out.u16(row.len());
-            row.iter().for_each(|&(v, _)| out.u16(v as usize));
-            row.iter().for_each(|&(_, weight)| out.u16((weight * 65535.0).round() as usize));
+            for &(v, _) in row {
+                out.u16(v as usize);
+            }
+            for &(_, weight) in row {
+                out.u16((weight * 65535.0).round() as usize);
+            }
         }
         out.u16(self.uv.coordinates.len());
         for axis in 0..2 {
