@@ -33,6 +33,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("{gender}: {} bytes, {} midline vertices", bytes.len(), half.midline);
     let body = half.model();
     body.validate()?;
+    body.save_textured(directory.join(format!("{gender}.npz")), &half.texture())?;
     let zero = [0.0; 72];
 
     let mut tiles = Vec::new();

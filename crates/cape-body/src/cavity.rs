@@ -13,7 +13,7 @@ use cape_core::geometry::{SurfaceIndex, SurfaceMesh};
 /// Number of directions in which a vertex looks.
 const RAYS: usize = 256;
 /// Share of free directions below which a vertex lies in a cavity.
-const OPEN: f64 = 0.05;
+const OPEN: f64 = 0.08;
 /// Smallest cavity that is closed, vertices.
 const SMALLEST: usize = 12;
 /// Relaxation steps of the membranes.

@@ -21,6 +21,10 @@ const MIDLINE: f64 = 4.0;
 const TURN: f64 = 0.4;
 /// Smallest shape of a face, 1 for an equilateral one, that a collapse may make.
 const SHAPE: f64 = 0.25;
+/// Smallest shape of a face that replaces a worse one.
+const SLIVER: f64 = 0.15;
+/// Twice the area of a face whose direction is not kept, m².
+const SPECK: f64 = 2e-7;
 /// Most faces at a vertex.
 const VALENCE: usize = 9;
 
@@ -80,18 +84,19 @@ impl Ord for Candidate {
     }
 }
 
-/// Collapses edges until the half and its mirror image have `target` vertices. `importance` scales the
-/// cost of removing a vertex.
+/// Collapses edges until the half and its mirror image have `target` vertices. Costs are those of the
+/// first of `forms`, which are vertices of one body each; no collapse may turn over or distort a face of
+/// any. `importance` scales the cost of removing a vertex.
 pub(crate) fn collapse(
     triangles: Vec<Triangle>,
-    vertices: &[DVec3],
+    forms: &[Vec<DVec3>],
     midline: &[bool],
     importance: &[f64],
     target: usize,
 ) -> Result<Vec<Triangle>> {
-    let mut mesh = Collapsing::new(triangles, vertices, midline, importance);
+    let mut mesh = Collapsing::new(triangles, forms, midline, importance);
     let mut queue = BinaryHeap::new();
-    for v in 0..vertices.len() as u32 {
+    for v in 0..midline.len() as u32 {
         mesh.push_edges(v, &mut queue);
     }
     let mut count = mesh.whole_count();
@@ -127,7 +132,8 @@ pub(crate) fn collapse(
 struct Collapsing<'a> {
     triangles: Vec<Option<Triangle>>,
     around: Vec<Vec<u32>>,
-    vertices: &'a [DVec3],
+    /// Vertices of each form.
+    forms: &'a [Vec<DVec3>],
     midline: &'a [bool],
     importance: &'a [f64],
     quadrics: Vec<Quadric>,
@@ -137,10 +143,11 @@ struct Collapsing<'a> {
 impl<'a> Collapsing<'a> {
     fn new(
         triangles: Vec<Triangle>,
-        vertices: &'a [DVec3],
+        forms: &'a [Vec<DVec3>],
         midline: &'a [bool],
         importance: &'a [f64],
     ) -> Self {
+        let vertices = &forms[0];
         let mut around = vec![Vec::new(); vertices.len()];
         let mut quadrics = vec![Quadric::ZERO; vertices.len()];
         for (index, triangle) in triangles.iter().enumerate() {
@@ -155,7 +162,7 @@ impl<'a> Collapsing<'a> {
         Self {
             triangles: triangles.into_iter().map(Some).collect(),
             around,
-            vertices,
+            forms,
             midline,
             importance,
             quadrics,
@@ -174,7 +181,7 @@ impl<'a> Collapsing<'a> {
     }
 
     fn at(&self, v: u32) -> DVec3 {
-        self.vertices[v as usize]
+        self.forms[0][v as usize]
     }
 
     fn faces(&self, v: u32) -> impl Iterator<Item = Triangle> + '_ {
@@ -252,16 +259,27 @@ impl<'a> Collapsing<'a> {
         for face in self.faces(removed).filter(|f| !f.corners.contains(&kept)) {
             let at = face.corners.iter().position(|&c| c == removed)?;
             let mapped = (0..2).all(|side| uv[side].iter().any(|pair| pair.0 == face.uv[at][side]));
-            let before = face.corners.map(|v| self.at(v));
-            let after = face.corners.map(|v| self.at(if v == removed { kept } else { v }));
-            let (old, new) = (normal(before), normal(after));
-            let turned = new.dot(old) < TURN * new.length() * old.length();
-            let shaped = shape(after) >= SHAPE.min(0.9 * shape(before));
-            if !mapped || turned || !shaped || new.length() < 1e-12 {
+            if !mapped {
                 return None;
             }
         }
-        Some(uv)
+        self.forms.iter().all(|form| self.keeps_shape(form, removed, kept)).then_some(uv)
+    }
+
+    /// True if the collapse neither turns over nor distorts a face of `form`.
+    fn keeps_shape(&self, form: &[DVec3], removed: u32, kept: u32) -> bool {
+        let corners = |face: Triangle| face.corners.map(|v| form[v as usize]);
+        // Slivers may be replaced by better slivers.
+        let worst = self.faces(removed).map(|face| shape(corners(face))).fold(1.0, f64::min);
+        self.faces(removed).filter(|face| !face.corners.contains(&kept)).all(|face| {
+            let before = corners(face);
+            let after =
+                face.corners.map(|v| form[if v == removed { kept as usize } else { v as usize }]);
+            let (old, new) = (normal(before), normal(after));
+            let turned = old.length() > SPECK && new.dot(old) < TURN * new.length() * old.length();
+            let distorted = shape(after) < SHAPE.min(0.9 * shape(before)).min(worst.max(SLIVER));
+            !turned && !distorted && new.length() >= 1e-12
+        })
     }
 
     fn remove(&mut self, removed: u32, kept: u32, uv: &[Vec<(u32, u32)>; 2]) {
@@ -300,4 +318,84 @@ fn shape(corners: [DVec3; 3]) -> f64 {
     let [a, b, c] = corners;
     let squares = a.distance_squared(b) + b.distance_squared(c) + c.distance_squared(a);
     2.0 * 3.0_f64.sqrt() * normal(corners).length() / squares.max(f64::MIN_POSITIVE)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashMap;
+
+    use super::*;
+
+    const RINGS: u32 = 20;
+    const SECTORS: u32 = 24;
+
+    /// Half x ≥ 0 of a unit sphere about the y axis: vertices, midline, triangles.
+    fn half_sphere() -> (Vec<DVec3>, Vec<bool>, Vec<Triangle>) {
+        let mut vertices = vec![DVec3::NEG_Y, DVec3::Y];
+        let mut midline = vec![true, true];
+        let at = |ring: u32, sector: u32| 2 + (ring - 1) * (SECTORS + 1) + sector;
+        for ring in 1..RINGS {
+            let height = std::f64::consts::PI * f64::from(ring) / f64::from(RINGS);
+            for sector in 0..=SECTORS {
+                let turn = std::f64::consts::PI * f64::from(sector) / f64::from(SECTORS);
+                let middle = sector == 0 || sector == SECTORS;
+                let x = if middle { 0.0 } else { height.sin() * turn.sin() };
+                vertices.push(DVec3::new(x, -height.cos(), height.sin() * turn.cos()));
+                midline.push(middle);
+            }
+        }
+        let mut corners = Vec::new();
+        for sector in 0..SECTORS {
+            corners.push([0, at(1, sector + 1), at(1, sector)]);
+            corners.push([1, at(RINGS - 1, sector), at(RINGS - 1, sector + 1)]);
+            for ring in 1..RINGS - 1 {
+                let [a, b] = [at(ring, sector), at(ring, sector + 1)];
+                let [c, d] = [at(ring + 1, sector), at(ring + 1, sector + 1)];
+                corners.extend([[a, b, c], [b, d, c]]);
+            }
+        }
+        let triangle = |corners: [u32; 3]| Triangle { corners, uv: corners.map(|v| [v, v]) };
+        (vertices, midline, corners.into_iter().map(triangle).collect())
+    }
+
+    #[test]
+    fn a_half_sphere_stays_closed_with_its_mirror_image_and_near_the_sphere() {
+        let (vertices, midline, triangles) = half_sphere();
+        let importance = vec![1.0; vertices.len()];
+        let target = 400;
+        let forms =
+            [vertices.clone(), vertices.iter().map(|&p| p * DVec3::new(1.0, 2.0, 0.5)).collect()];
+        let left = collapse(triangles, &forms, &midline, &importance, target).unwrap();
+        // The mirror image of vertex v is v on the midline and v + n elsewhere.
+        let n = vertices.len() as u32;
+        let image = |v: u32| if midline[v as usize] { v } else { v + n };
+        let faces = left.iter().map(|t| t.corners);
+        let faces: Vec<[u32; 3]> =
+            faces.clone().chain(faces.map(|[a, b, c]| [a, c, b].map(image))).collect();
+        let mut edges: HashMap<(u32, u32), usize> = HashMap::new();
+        for &[a, b, c] in &faces {
+            for edge in [(a, b), (b, c), (c, a)] {
+                *edges.entry(edge).or_default() += 1;
+            }
+        }
+        assert!(edges.iter().all(|(&(a, b), &count)| count == 1 && edges.contains_key(&(b, a))));
+        let mut used: Vec<u32> = faces.iter().flatten().copied().collect();
+        used.sort_unstable();
+        used.dedup();
+        assert_eq!(used.len(), target);
+        assert_eq!(used.len() + faces.len(), edges.len() / 2 + 2);
+        for triangle in &left {
+            let [a, b, c] = triangle.corners.map(|v| vertices[v as usize]);
+            assert!(((a + b + c) / 3.0).length() > 0.95);
+            assert!(normal([a, b, c]).dot(a + b + c) > 0.0);
+            assert_eq!(triangle.uv, triangle.corners.map(|v| [v, v]));
+        }
+    }
+
+    #[test]
+    fn too_few_vertices_are_an_error() {
+        let (vertices, midline, triangles) = half_sphere();
+        let importance = vec![1.0; vertices.len()];
+        assert!(collapse(triangles, &[vertices], &midline, &importance, 4).is_err());
+    }
 }

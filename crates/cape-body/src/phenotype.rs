@@ -22,6 +22,9 @@ const LOCAL_TARGETS: [(&[&str], f64); LOCAL] = [
     (&["buttocks/buttocks-volume"], 0.40),
     (&["neck/neck-scale-vert"], 0.25),
 ];
+/// Positions of targets with a mean other than 0.
+const ARM_LENGTH: usize = 1;
+const SHOULDER_BREADTH: usize = 2;
 
 /// MakeHuman's macro parameters, 0 to 1, and the coefficients of the local targets, −1 to 1.
 #[derive(Debug, Clone, Copy)]
@@ -39,23 +42,43 @@ pub(crate) struct Phenotype {
     local: [f64; LOCAL],
 }
 
+/// Means of parameters that differ between the genders. They bring stature, span and volume of the mean
+/// bodies near the means of adults.
+struct Means {
+    stature: f64,
+    weight: f64,
+    local: [f64; LOCAL],
+}
+
+impl Means {
+    /// Means of women for `sex` 0, of men for 1, and between them.
+    fn of(sex: f64) -> Self {
+        let between = |woman: f64, man: f64| woman + sex * (man - woman);
+        let mut local = [0.0; LOCAL];
+        local[ARM_LENGTH] = between(0.3, 0.07);
+        local[SHOULDER_BREADTH] = between(0.2, 0.05);
+        Self { stature: between(0.60, 0.38), weight: between(0.87, 0.77), local }
+    }
+}
+
 impl Phenotype {
     /// Draws `count` adults. Stature and weight follow the spread among adults, weight a little beyond
     /// MakeHuman's range; all other parameters are normal about MakeHuman's average.
-    pub(crate) fn sample(gender: Gender, count: usize) -> Vec<Self> {
-        let mut rng = ChaCha8Rng::seed_from_u64(1);
+    pub(crate) fn sample(gender: Gender, count: usize, seed: u64) -> Vec<Self> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
         (0..count)
             .map(|_| {
                 let mut normal = |mean: f64, deviation: f64, low: f64, high: f64| {
                     (mean + deviation * rng.sample::<f64, _>(StandardNormal)).clamp(low, high)
                 };
-                let (sex, stature_shift) = match gender {
-                    Gender::Male => (1.0, 0.38),
-                    Gender::Female => (0.0, 0.60),
-                    Gender::Neutral => (normal(0.5, 0.25, 0.0, 1.0), 0.5),
+                let sex = match gender {
+                    Gender::Male => 1.0,
+                    Gender::Female => 0.0,
+                    Gender::Neutral => normal(0.5, 0.25, 0.0, 1.0),
                 };
+                let means = Means::of(sex);
                 // A unit of height is 0.73 m below MakeHuman's average, 1.45 m above.
-                let stature: f64 = normal(stature_shift, 1.0, -3.0, 3.5);
+                let stature: f64 = normal(means.stature, 1.0, -3.0, 3.5);
                 let ancestry = [
                     normal(1.0, 0.5, 0.1, 2.0),
                     normal(1.0, 0.5, 0.1, 2.0),
@@ -66,13 +89,15 @@ impl Phenotype {
                     gender: sex,
                     age: 0.5 + normal(0.0, 0.2, -0.4, 0.4).abs(),
                     muscle: normal(0.55, 0.22, 0.0, 1.0),
-                    weight: normal(0.70, 0.36, -0.1, 1.4),
+                    weight: normal(means.weight, 0.36, -0.1, 1.4),
                     height: 0.5 + stature * if stature < 0.0 { 0.090 } else { 0.0455 },
                     proportions: normal(0.55, 0.2, 0.0, 1.0),
                     cup: normal(0.5, 0.2, 0.0, 1.0),
                     firmness: normal(0.5, 0.2, 0.0, 1.0),
                     ancestry: ancestry.map(|share| share / sum),
-                    local: LOCAL_TARGETS.map(|(_, deviation)| normal(0.0, deviation, -1.0, 1.0)),
+                    local: std::array::from_fn(|i| {
+                        normal(means.local[i], LOCAL_TARGETS[i].1, -1.0, 1.0)
+                    }),
                 }
             })
             .collect()

@@ -6,6 +6,8 @@
 
 mod blend;
 mod embedded;
+#[cfg(test)]
+mod embedded_tests;
 mod figure;
 mod polygonise;
 mod remesh;
