@@ -1,11 +1,9 @@
-//! Garments over a moving body, simulated by extended position-based dynamics (Macklin et al. 2016)
-//! with many small steps of one iteration each (Macklin et al. 2019).
+//! Garments over a moving body, simulated by linearly implicit steps (Baraff and Witkin 1998).
 //!
-//! A step integrates velocities, then projects constraints: lengths of edges (stretch) and
-//! distances between the opposite corners of neighbouring triangles (bending), attachment of a
-//! waistband, contact with the body at vertices and at the centres of faces, self-collision, and
-//! last the strain limit of edges. The order is fixed, so that results do not depend on the number
-//! of threads.
+//! A step solves for velocities under stretch and shear of triangles with orthotropic stiffness,
+//! bending by dihedral angles, gravity, drag and the attachment of a waistband; then it resolves
+//! contact with the body at vertices and at the centres of faces, self-collision, and last the strain
+//! limit of edges. The order of sums is fixed, so that results do not depend on the number of threads.
 //!
 //! ```
 //! use cape_cloth::{ClothMaterial, Garment, GarmentKind, SimulationOptions};
@@ -26,9 +24,14 @@
 //! ```
 
 mod contact;
+mod elastic;
 mod garment;
+mod implicit;
 mod isosurface;
+mod material;
 mod pattern;
+#[cfg(test)]
+mod physics_tests;
 mod self_collision;
 mod sheet;
 mod simulate;
@@ -37,7 +40,12 @@ mod tests;
 
 pub use cape_core::{Error, Result};
 
+/// Version of the simulator: results of different versions differ, and must not be mixed in one set. The
+/// first version had no number.
+pub const SIMULATOR_VERSION: u32 = 2;
+
 pub use contact::Contact;
 pub use garment::{Garment, GarmentKind, GarmentMesh};
-pub use sheet::{Cloth, ClothMaterial};
+pub use material::{ClothMaterial, StretchStiffness};
+pub use sheet::Cloth;
 pub use simulate::{SimulatedGarment, SimulationOptions, SimulationQuality, StepReport};

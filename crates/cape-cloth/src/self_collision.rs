@@ -15,7 +15,7 @@ const SLACK: f64 = 0.008;
 const PARALLEL: f64 = 0.02;
 
 /// Self-collision constraints of a cloth: vertices keep a distance from faces and edges from edges,
-/// each on its side before the step.
+/// each on its side before the step, with friction.
 #[derive(Debug, Clone)]
 pub(super) struct SelfCollision {
     /// Distance, metres; less for parts that are closer at rest.
@@ -47,12 +47,13 @@ impl SelfCollision {
         before: &[DVec3],
         positions: &mut [DVec3],
         inverse_masses: &[f64],
+        friction: f64,
     ) {
         if self.steps == 0 {
             self.find_pairs(before);
         }
         self.steps = (self.steps + 1) % STEPS;
-        let mut corners = CornerPositions { before, positions, inverse_masses };
+        let mut corners = CornerPositions { before, positions, inverse_masses, friction };
         for pair in &self.pairs {
             match *pair {
                 ClosePair::Vertex(vertex, face, least) => corners.part_vertex(vertex, face, least),
@@ -113,6 +114,7 @@ struct CornerPositions<'a> {
     before: &'a [DVec3],
     positions: &'a mut [DVec3],
     inverse_masses: &'a [f64],
+    friction: f64,
 }
 
 impl CornerPositions<'_> {
@@ -172,14 +174,20 @@ impl CornerPositions<'_> {
         }
     }
 
-    /// Moves vertices along `direction` so that their weighted distance grows by `missing` metres.
+    /// Moves vertices along `direction` so that their weighted distance grows by `missing` metres, and
+    /// applies Coulomb friction to their slip since the beginning of the step.
     fn push(&mut self, ends: [(u32, f64); 4], direction: DVec3, missing: f64) {
         let share = |&(v, weight): &(u32, f64)| self.inverse_masses[v as usize] * weight * weight;
         let sum: f64 = ends.iter().map(share).sum();
         if sum > 0.0 {
+            let slip: DVec3 =
+                ends.iter().map(|&(v, weight)| (self.now(v) - self.then(v)) * weight).sum();
+            let slip = slip - direction * slip.dot(direction);
+            let held = (self.friction * missing / slip.length().max(f64::MIN_POSITIVE)).min(1.0);
+            let change = direction * missing - slip * held;
             for (v, weight) in ends {
                 let v = v as usize;
-                self.positions[v] += direction * (self.inverse_masses[v] * weight * missing / sum);
+                self.positions[v] += change * (self.inverse_masses[v] * weight / sum);
             }
         }
     }

@@ -1,98 +1,21 @@
-use std::collections::HashMap;
-
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use rayon::prelude::*;
-use serde::Serialize;
 
 use super::{
     contact::{Contact, Contacts},
+    elastic::{ElasticForces, outer},
+    implicit::{ImplicitStep, PointForce},
+    material::ClothMaterial,
     self_collision::{SelfCollision, crossings},
 };
-use crate::{Error, Result};
+use crate::Result;
 use cape_core::geometry::{SurfaceIndex, SurfaceMesh};
 
-/// Material of a cloth.
-///
-/// ```
-/// use cape_cloth::ClothMaterial;
-///
-/// let denim = ClothMaterial { density: 0.1, ..ClothMaterial::default() };
-/// denim.check()?;
-/// // Densities are on a logarithmic scale.
-/// assert_eq!(denim.numbers()[0], -1.0);
-/// let nothing = ClothMaterial { density: 0.0, ..denim };
-/// assert!(nothing.check().unwrap_err().to_string().contains("density"));
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct ClothMaterial {
-    /// Mass per area, kg/m².
-    pub density: f64,
-    /// Compliance of the edges, m/N, for stretch and shear; 0 is inextensible.
-    pub stretch: f64,
-    /// Compliance between the opposite corners of neighbouring triangles, m/N, for bending.
-    pub bend: f64,
-    /// Decay rate of the velocity, 1/s.
-    pub damping: f64,
-    /// Coefficient of Coulomb friction against the body.
-    pub friction: f64,
-    /// Distance from the body, metres.
-    pub thickness: f64,
-}
-
-impl Default for ClothMaterial {
-    /// Cotton jersey.
-    fn default() -> Self {
-        Self {
-            density: 0.2,
-            stretch: 1e-5,
-            bend: 0.05,
-            damping: 1.0,
-            friction: 0.3,
-            thickness: 0.003,
-        }
-    }
-}
-
-impl ClothMaterial {
-    /// Semantic parameters for regression: decimal logarithms of density, stretch and bend, then
-    /// damping and friction, `[5]`.
-    pub fn numbers(&self) -> [f64; 5] {
-        let log = |x: f64| x.max(1e-12).log10();
-        [log(self.density), log(self.stretch), log(self.bend), self.damping, self.friction]
-    }
-
-    /// Checks the ranges of the parameters.
-    ///
-    /// # Errors
-    /// If one is out of range; the error has its name.
-    pub fn check(&self) -> Result<()> {
-        let Self { density, stretch, bend, damping, friction, thickness } = *self;
-        for (name, value, least) in [
-            ("density", density, f64::MIN_POSITIVE),
-            ("stretch", stretch, 0.0),
-            ("bend", bend, 0.0),
-            ("damping", damping, 0.0),
-            ("friction", friction, 0.0),
-            ("thickness", thickness, 0.0),
-        ] {
-            if !(value.is_finite() && value >= least) {
-                return Err(Error::argument(format!(
-                    "material: {name} {value}, expected {}",
-                    if least > 0.0 { "above 0" } else { "0 or more" }
-                )));
-            }
-        }
-        Ok(())
-    }
-}
-
-/// A distance constraint between two vertices.
+/// An edge and its rest length, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Spring {
+struct Edge {
     ends: [u32; 2],
     rest: f64,
-    compliance: f64,
 }
 
 /// A soft constraint of a vertex to a position.
@@ -127,9 +50,11 @@ pub struct Cloth {
     /// Velocities, m/s, `[vertices]`.
     pub velocities: Vec<DVec3>,
     inverse_masses: Vec<f64>,
-    /// Edges, then opposite corners of neighbouring triangles.
-    springs: Vec<Spring>,
-    edges: usize,
+    edges: Vec<Edge>,
+    elastic: ElasticForces,
+    solver: ImplicitStep,
+    /// Density of the air, kg/m³.
+    air: f64,
     attachments: Vec<Attachment>,
     material: ClothMaterial,
     faces: Vec<[u32; 3]>,
@@ -159,24 +84,16 @@ impl Cloth {
         let inverse = |&mass: &f64| if mass > 0.0 { 1.0 / mass } else { 0.0 };
         let length =
             |a: u32, b: u32| surface.vertices[a as usize].distance(surface.vertices[b as usize]);
-        let edges = surface.edges();
-        let edge_count = edges.len();
-        let stretch = edges.into_iter().map(|[a, b]| Spring {
-            ends: [a, b],
-            rest: length(a, b),
-            compliance: material.stretch,
-        });
-        let bend = far_corners(&surface.faces).into_iter().map(|[a, b]| Spring {
-            ends: [a, b],
-            rest: length(a, b),
-            compliance: material.bend,
-        });
+        let edges = surface.edges().into_iter();
+        let elastic = ElasticForces::new(surface, material);
         Ok(Self {
             positions: surface.vertices.clone(),
             velocities: vec![DVec3::ZERO; count],
             inverse_masses: masses.iter().map(inverse).collect(),
-            springs: stretch.chain(bend).collect(),
-            edges: edge_count,
+            edges: edges.map(|ends| Edge { ends, rest: length(ends[0], ends[1]) }).collect(),
+            solver: ImplicitStep::new(&elastic),
+            elastic,
+            air: 0.0,
             attachments: Vec::new(),
             material: *material,
             faces: surface.faces.clone(),
@@ -203,6 +120,14 @@ impl Cloth {
         self
     }
 
+    /// Adds the drag of still air of a density in kg/m³ (1.2 at sea level) against movement along the
+    /// normals, with a coefficient of 1.
+    #[must_use]
+    pub fn with_air(mut self, density: f64) -> Self {
+        self.air = density.max(0.0);
+        self
+    }
+
     /// Fixes a vertex at its position.
     pub fn pin(&mut self, vertex: usize) {
         self.inverse_masses[vertex] = 0.0;
@@ -220,23 +145,28 @@ impl Cloth {
         1.0 / self.inverse_masses[vertex]
     }
 
-    /// One step of `dt` seconds. Constraints are projected once, which adds `dt²` times the inverse
-    /// masses of their ends to their compliance. `gravity` is in m/s². `body` is an obstacle and
-    /// the times within its frame before and after the step, each 0 to 1.
+    /// One linearly implicit step of `dt` seconds, then contacts, self-collisions and the strain limit.
+    /// `gravity` is in m/s². `body` is an obstacle and the times within its frame before and after the
+    /// step, each 0 to 1. Vertices move by at most 15 mm in a step.
     pub fn step(&mut self, dt: f64, gravity: DVec3, body: Option<(&SurfaceIndex, [f64; 2])>) {
         let before = self.positions.clone();
-        let decay = (-self.material.damping * dt).exp();
-        // Limits the speed, so that no vertex passes through a limb in one step.
-        let fastest = Contact::REACH / 4.0 / dt;
-        for ((x, v), &w) in
-            self.positions.iter_mut().zip(&mut self.velocities).zip(&self.inverse_masses)
-        {
-            if w > 0.0 {
-                *v = (*v * decay + gravity * dt).clamp_length_max(fastest);
-                *x += *v * dt;
+        self.elastic.linearise(&before);
+        let points = self.point_forces(gravity);
+        let changes = self.solver.solve(
+            &self.elastic,
+            (&self.inverse_masses, &self.velocities),
+            &points,
+            (dt, self.material.damping),
+        );
+        // No vertex passes through the surface of a limb and beyond the reach of contact in one step.
+        let fastest = Contact::REACH * 0.75 / dt;
+        for (v, change) in changes.into_iter().enumerate() {
+            if self.inverse_masses[v] > 0.0 {
+                let velocity = (self.velocities[v] + change).clamp_length_max(fastest);
+                self.velocities[v] = velocity;
+                self.positions[v] += velocity * dt;
             }
         }
-        self.project(dt);
         if let Some((solid, [from, now])) = body {
             let contact = Contact {
                 friction: self.material.friction,
@@ -248,7 +178,8 @@ impl Cloth {
             self.contacts.resolve(&contact, solid, &before, &mut self.positions, sheet);
         }
         if let Some(folds) = &mut self.folds {
-            folds.resolve(&before, &mut self.positions, &self.inverse_masses);
+            let friction = self.material.friction;
+            folds.resolve(&before, &mut self.positions, &self.inverse_masses, friction);
         }
         self.apply_strain_limits();
         for ((x, v), before) in self.positions.iter().zip(&mut self.velocities).zip(before) {
@@ -256,28 +187,38 @@ impl Cloth {
         }
     }
 
-    /// Projects distance constraints, then attachments.
-    fn project(&mut self, dt: f64) {
-        for &Spring { ends: [a, b], rest, compliance } in &self.springs {
-            let (a, b) = (a as usize, b as usize);
-            let (wa, wb) = (self.inverse_masses[a], self.inverse_masses[b]);
-            let along = self.positions[a] - self.positions[b];
-            let length = along.length();
-            let sum = wa + wb + compliance / (dt * dt);
-            if sum == 0.0 || length == 0.0 {
-                continue;
-            }
-            let push = along * ((rest - length) / (length * sum));
-            self.positions[a] += push * wa;
-            self.positions[b] -= push * wb;
-        }
+    /// Gravity, attachments and drag.
+    fn point_forces(&self, gravity: DVec3) -> Vec<PointForce> {
+        let mut points: Vec<PointForce> = self
+            .inverse_masses
+            .iter()
+            .map(|&w| PointForce {
+                force: if w > 0.0 { gravity / w } else { DVec3::ZERO },
+                stiffness: 0.0,
+                drag: DMat3::ZERO,
+            })
+            .collect();
         for &Attachment { vertex, to, compliance } in &self.attachments {
-            let w = self.inverse_masses[vertex as usize];
-            let x = &mut self.positions[vertex as usize];
-            if w > 0.0 {
-                *x += (to - *x) * (w / (w + compliance / (dt * dt)));
+            let stiffness = 1.0 / compliance.max(LEAST_COMPLIANCE);
+            let point = &mut points[vertex as usize];
+            point.force += (to - self.positions[vertex as usize]) * stiffness;
+            point.stiffness += stiffness;
+        }
+        if self.air > 0.0 {
+            for face in &self.faces {
+                let [a, b, c] = face.map(|v| self.positions[v as usize]);
+                let cross = (b - a).cross(c - a);
+                let Some(normal) = cross.try_normalize() else { continue };
+                let velocity: DVec3 = face.iter().map(|&v| self.velocities[v as usize]).sum();
+                let speed = velocity.dot(normal).abs() / 3.0;
+                // A third of ½ ρ A |v·n| for each corner.
+                let share = outer(normal, normal * (self.air * speed * cross.length() / 12.0));
+                for &v in face {
+                    points[v as usize].drag += share;
+                }
             }
         }
+        points
     }
 
     /// Shortens edges beyond the strain limit, in alternating order.
@@ -287,9 +228,9 @@ impl Cloth {
             return;
         }
         for sweep in 0..SWEEPS {
-            for index in 0..self.edges {
-                let at = if sweep % 2 == 0 { index } else { self.edges - 1 - index };
-                let Spring { ends: [a, b], rest, .. } = self.springs[at];
+            for index in 0..self.edges.len() {
+                let at = if sweep % 2 == 0 { index } else { self.edges.len() - 1 - index };
+                let Edge { ends: [a, b], rest } = self.edges[at];
                 let (a, b) = (a as usize, b as usize);
                 let along = self.positions[a] - self.positions[b];
                 let length = along.length();
@@ -313,21 +254,17 @@ impl Cloth {
                 (kinetic - gravity.dot(self.positions[v])) / w
             })
             .sum();
-        let elastic = self.springs.iter().filter(|spring| spring.compliance > 0.0).map(|spring| {
-            let [a, b] = spring.ends.map(|v| self.positions[v as usize]);
-            0.5 * (a.distance(b) - spring.rest).powi(2) / spring.compliance
-        });
-        vertex_energy + elastic.sum::<f64>()
+        vertex_energy + self.elastic.energy(&self.positions)
     }
 
     /// Mean absolute strain of the edges, and the largest elongation, both relative to the rest
     /// lengths.
     pub fn strain(&self) -> [f64; 2] {
-        let edges = &self.springs[..self.edges];
+        let edges = &self.edges;
         let (mut sum, mut largest) = (0.0, 0.0f64);
-        for spring in edges {
-            let [a, b] = spring.ends.map(|v| self.positions[v as usize]);
-            let change = a.distance(b) / spring.rest.max(f64::MIN_POSITIVE) - 1.0;
+        for edge in edges {
+            let [a, b] = edge.ends.map(|v| self.positions[v as usize]);
+            let change = a.distance(b) / edge.rest.max(f64::MIN_POSITIVE) - 1.0;
             (sum, largest) = (sum + change.abs(), largest.max(change));
         }
         [sum / edges.len().max(1) as f64, largest]
@@ -335,7 +272,7 @@ impl Cloth {
 
     /// Number of intersections of edges with faces.
     pub fn crossings(&self) -> usize {
-        let edges: Vec<[u32; 2]> = self.springs[..self.edges].iter().map(|s| s.ends).collect();
+        let edges: Vec<[u32; 2]> = self.edges.iter().map(|edge| edge.ends).collect();
         crossings(&self.faces, &edges, &self.positions)
     }
 
@@ -355,17 +292,5 @@ impl Cloth {
 /// Bound of the depth inside a body, metres.
 const DEEPEST: f64 = 0.2;
 
-/// Opposite corners of the two faces of each inner edge.
-fn far_corners(faces: &[[u32; 3]]) -> Vec<[u32; 2]> {
-    let mut seen: HashMap<[u32; 2], u32> = HashMap::new();
-    let mut pairs = Vec::new();
-    for face in faces {
-        for i in 0..3 {
-            let (p, q, far) = (face[i], face[(i + 1) % 3], face[(i + 2) % 3]);
-            if let Some(other) = seen.insert([p.min(q), p.max(q)], far) {
-                pairs.push([other, far]);
-            }
-        }
-    }
-    pairs
-}
+/// Least compliance of an attachment, m/N.
+const LEAST_COMPLIANCE: f64 = 1e-6;

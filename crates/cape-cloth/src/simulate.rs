@@ -38,13 +38,16 @@ use cape_core::{
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SimulationOptions {
-    /// Steps per frame.
+    /// Least number of steps per frame; frames in which body or cloth moves by more than 10 mm in such
+    /// a step have more.
     pub substeps: usize,
     /// Duration of the transition from the sewing pose to the first pose, seconds, followed by half
     /// as long an acceleration to the initial velocity.
     pub settle: f64,
     /// Gravitational acceleration, m/s².
     pub gravity: DVec3,
+    /// Density of the air, kg/m³.
+    pub air: f64,
     /// Resolve self-collisions at the thickness of the material.
     pub self_collision: bool,
     /// Largest relative elongation of an edge.
@@ -59,9 +62,10 @@ impl Default for SimulationOptions {
             substeps: 20,
             settle: 1.0,
             gravity: DVec3::NEG_Y * 9.81,
+            air: 1.2,
             self_collision: true,
             strain_limit: 0.3,
-            waistband: 0.1,
+            waistband: 0.01,
         }
     }
 }
@@ -161,14 +165,14 @@ impl SimulationOptions {
                 Some((v, near.face, near.barycentric, at_rest.axes(near.face).transpose() * off))
             })
             .collect();
-        let mut cloth =
-            Cloth::new(&garment.surface, material)?.with_strain_limit(self.strain_limit);
+        let mut cloth = Cloth::new(&garment.surface, material)?
+            .with_strain_limit(self.strain_limit)
+            .with_air(self.air);
         if self.self_collision {
             cloth = cloth.with_self_collision(&garment.surface, material.thickness);
         }
         let start = track[0][0] - rest.vertices[0];
         cloth.positions.iter_mut().for_each(|x| *x += start);
-        let dt = 1.0 / (motion.frame_rate * self.substeps as f64);
         let recorded = motion.frames();
         let before = track.len() - recorded;
         let mut frames = Array3::zeros((recorded, cloth.positions.len(), 3));
@@ -177,8 +181,10 @@ impl SimulationOptions {
             let from = &track[index.saturating_sub(1)];
             let surface = SurfaceMesh { vertices: from.clone(), faces: model.faces.clone() };
             let mut solid = SurfaceIndex::moving(&surface, to.clone(), across.clone());
-            for substep in 0..self.substeps {
-                let [was, now] = [substep, substep + 1].map(|s| s as f64 / self.substeps as f64);
+            let substeps = self.substeps(&cloth, &solid, 1.0 / motion.frame_rate);
+            let dt = 1.0 / (motion.frame_rate * substeps as f64);
+            for substep in 0..substeps {
+                let [was, now] = [substep, substep + 1].map(|s| s as f64 / substeps as f64);
                 solid.set_time(now);
                 let attached = band.iter().map(|&(v, face, at, off)| {
                     (v, solid.position_at(face, at, now) + solid.axes(face) * off)
@@ -201,6 +207,15 @@ impl SimulationOptions {
             watch(frame + 1, recorded);
         }
         Ok(SimulatedGarment { frames, reports })
+    }
+
+    /// Number of steps of the next frame of `duration` seconds.
+    fn substeps(&self, cloth: &Cloth, body: &SurfaceIndex, duration: f64) -> usize {
+        const FARTHEST: f64 = 0.01;
+        const MOST: f64 = 200.0;
+        let fastest = cloth.velocities.iter().map(|v| v.length()).fold(0.0, f64::max);
+        let way = body.largest_displacement().max(fastest * duration);
+        self.substeps.max((way / FARTHEST).min(MOST).ceil() as usize)
     }
 
     /// Body vertices, metres, of the transition to the first frame, then of the frames.

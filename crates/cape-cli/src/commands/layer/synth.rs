@@ -3,7 +3,9 @@ use std::{
     time::Instant,
 };
 
-use cape_cloth::{ClothMaterial, Garment, GarmentKind, GarmentMesh, SimulationQuality};
+use cape_cloth::{
+    ClothMaterial, Garment, GarmentKind, GarmentMesh, SIMULATOR_VERSION, SimulationQuality,
+};
 use cape_core::SmplModel;
 use cape_infer::write_json;
 use cape_layer::{
@@ -91,21 +93,25 @@ struct SimulationPlan {
     /// Lengths of sleeves relative to the default.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     sleeves: Vec<f64>,
-    /// Stretching and bending stiffness relative to cotton jersey.
+    /// Stretching and bending stiffness relative to cotton shirting.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     stiffness: Vec<f64>,
     /// Additional factors on bending stiffness.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     bending: Vec<f64>,
-    /// Area densities relative to cotton jersey.
+    /// Area densities relative to cotton shirting.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     masses: Vec<f64>,
-    /// Damping relative to cotton jersey.
+    /// Damping relative to cotton shirting.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     damping: Vec<f64>,
-    /// Friction against the body relative to cotton jersey.
+    /// Friction against the body relative to cotton shirting.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     friction: Vec<f64>,
+    /// Version of the simulator; 0 in plans of the first one.
+    #[arg(skip = SIMULATOR_VERSION)]
+    #[serde(default)]
+    simulator: u32,
     /// Append the body's vertices to the clothing mesh.
     #[arg(long)]
     with_body: bool,
@@ -146,12 +152,12 @@ impl SimulationPlan {
         let sizes = vary(&sizes, &self.widths, |g, r| Garment { width: g.width * r, ..g });
         let sizes = vary(&sizes, &self.sleeves, |g, r| Garment { sleeve: g.sleeve * r, ..g });
         let materials = vary(&[ClothMaterial::default()], &self.stiffness, |m, r| ClothMaterial {
-            stretch: m.stretch / r,
-            bend: m.bend / r,
+            stretch: m.stretch.scaled(r),
+            bend: m.bend * r,
             ..m
         });
         let materials =
-            vary(&materials, &self.bending, |m, r| ClothMaterial { bend: m.bend / r, ..m });
+            vary(&materials, &self.bending, |m, r| ClothMaterial { bend: m.bend * r, ..m });
         let materials =
             vary(&materials, &self.masses, |m, r| ClothMaterial { density: m.density * r, ..m });
         let materials =
@@ -272,7 +278,16 @@ impl SynthArgs {
         let out = &self.output.out;
         let path = out.join(PLAN);
         if path.exists() {
-            if read::<SimulationPlan>(&path)? != self.plan {
+            let plan: SimulationPlan = read(&path)?;
+            if plan.simulator != SIMULATOR_VERSION {
+                return Err(Error::message(format!(
+                    "{}: holds sequences of version {} of the simulator, expected {SIMULATOR_VERSION}; their \
+                     material parameters mean something else: choose another --out",
+                    out.display(),
+                    plan.simulator
+                )));
+            }
+            if plan != self.plan {
                 return Err(Error::message(format!(
                     "{}: holds sequences of other settings: choose another --out",
                     out.display()

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use cape_cloth::{ClothMaterial, Garment, GarmentKind};
+use cape_cloth::{ClothMaterial, Garment, GarmentKind, SIMULATOR_VERSION};
 use cape_core::SmplModel;
 use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
 use cape_layer::{
@@ -25,28 +25,28 @@ pub(super) struct SetSize {
     pub(super) resolution: f64,
 }
 
-/// Fabrics: density in kg/m²; stretching compliance, bending compliance and damping relative to jersey;
+/// Fabrics: density in kg/m²; stiffness in stretch and in bending, and damping, relative to cotton;
 /// friction against the body.
 const FABRICS: [[f64; 5]; 8] = [
-    [0.06, 0.5, 6.0, 2.0, 0.25],  // chiffon
-    [0.08, 0.3, 4.0, 0.7, 0.15],  // silk
-    [0.20, 1.0, 1.0, 1.0, 0.30],  // jersey
-    [0.14, 0.3, 0.7, 1.0, 0.35],  // cotton
-    [0.19, 0.25, 0.4, 1.2, 0.40], // linen
-    [0.28, 0.6, 0.5, 1.8, 0.50],  // wool
-    [0.40, 0.1, 0.15, 1.5, 0.55], // denim
-    [0.60, 0.2, 0.06, 2.2, 0.60], // leather
+    [0.06, 1.2, 0.2, 2.0, 0.25], // chiffon
+    [0.08, 1.5, 0.3, 0.7, 0.15], // silk
+    [0.20, 0.3, 0.8, 1.0, 0.30], // jersey
+    [0.14, 1.0, 1.0, 1.0, 0.35], // cotton
+    [0.19, 1.5, 2.0, 1.2, 0.40], // linen
+    [0.28, 0.6, 1.5, 1.8, 0.50], // wool
+    [0.40, 3.0, 4.0, 1.5, 0.55], // denim
+    [0.60, 4.0, 8.0, 2.2, 0.60], // leather
 ];
 
 fn fabric([density, stretch, bend, damping, friction]: [f64; 5]) -> ClothMaterial {
-    let jersey = ClothMaterial::default();
+    let cotton = ClothMaterial::default();
     ClothMaterial {
         density,
-        stretch: stretch * jersey.stretch,
-        bend: bend * jersey.bend,
-        damping: damping * jersey.damping,
+        stretch: cotton.stretch.scaled(stretch),
+        bend: bend * cotton.bend,
+        damping: damping * cotton.damping,
         friction,
-        ..jersey
+        ..cotton
     }
 }
 
@@ -124,6 +124,7 @@ fn store(
         "frames": frames,
         "frame_rate": frame_rate,
         "simulation": format!("{simulation:?}"),
+        "simulator": SIMULATOR_VERSION,
     });
     let settings = StoreSettings::new("layer report, simulated set", &settings)?
         .with_optional_input("body", body, "synthetic body")?;

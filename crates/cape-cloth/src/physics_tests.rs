@@ -1,0 +1,225 @@
+//! Material laws at production settings: elastic forces by differences, and hanging, bending and
+//! draping cloth by closed forms.
+
+use cape_core::geometry::{SurfaceMesh, primitives::grid};
+use glam::{DMat3, DVec3};
+
+use crate::{
+    Cloth, ClothMaterial, SimulationOptions, StretchStiffness,
+    elastic::{ElasticForces, dihedral},
+};
+
+/// A crumpled sheet; `stretched` by a factor so that no direction is compressed.
+fn crumpled(stretched: f64) -> (SurfaceMesh, Vec<DVec3>) {
+    let rest = grid(4, 5, |u, v| DVec3::new(0.06 * u, -0.08 * v, 0.0));
+    let at = rest.vertices.iter().enumerate().map(|(k, x)| {
+        let k = k as f64;
+        let noise = DVec3::new((k * 1.3).sin(), (k * 2.1).cos(), (k * 0.7).sin());
+        *x * stretched + noise * 0.001
+    });
+    let at = at.collect();
+    (rest, at)
+}
+
+#[test]
+fn forces_are_derivatives_of_the_energy() {
+    let (rest, at) = crumpled(1.05);
+    let mut elastic = ElasticForces::new(&rest, &ClothMaterial::DENIM);
+    elastic.linearise(&at);
+    let step = 1e-6;
+    for v in 0..at.len() {
+        let force = elastic.force(v);
+        for axis in 0..3 {
+            let energy = |by: f64| {
+                let mut moved = at.clone();
+                moved[v][axis] += by;
+                elastic.energy(&moved)
+            };
+            let expected = -(energy(step) - energy(-step)) / (2.0 * step);
+            let error = (force[axis] - expected).abs();
+            assert!(error < 1e-5 * (1.0 + force.length()), "{v} {axis}: {force} {expected}");
+        }
+    }
+}
+
+#[test]
+fn stiffness_is_the_derivative_of_forces_under_tension() {
+    // Without bending, whose second derivatives of the angle are left out.
+    let (rest, at) = crumpled(1.2);
+    let material = ClothMaterial { bend: 0.0, ..ClothMaterial::DENIM };
+    let mut elastic = ElasticForces::new(&rest, &material);
+    elastic.linearise(&at);
+    let stencils = elastic.stencils();
+    let step = 1e-7;
+    for (v, stencil) in stencils.iter().enumerate() {
+        let mut row = vec![DMat3::ZERO; stencil.len()];
+        elastic.add_stiffness(v, stencil, &mut row);
+        for (block, &other) in row.iter().zip(stencil) {
+            for axis in 0..3 {
+                let mut force = |by: f64| {
+                    let mut moved = at.clone();
+                    moved[other as usize][axis] += by;
+                    elastic.linearise(&moved);
+                    elastic.force(v)
+                };
+                let expected = -(force(step) - force(-step)) / (2.0 * step);
+                let error = (block.col(axis) - expected).length();
+                assert!(
+                    error < 1e-3 * (1.0 + expected.length()),
+                    "{v} {other}: {block} {expected}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn dihedral_angles_have_a_sign_and_an_exact_gradient() {
+    let at = |height: f64| {
+        [DVec3::ZERO, DVec3::X, DVec3::new(0.3, 1.0, height), DVec3::new(0.6, -1.0, 0.0)]
+    };
+    let angle = |at| dihedral(at).unwrap().0;
+    assert!((angle(at(1.0)) + angle(at(-1.0))).abs() < 1e-12);
+    assert!((angle(at(1.0)).abs() - std::f64::consts::FRAC_PI_4).abs() < 1e-12);
+    let (_, gradient) = dihedral(at(0.4)).unwrap();
+    for corner in 0..4 {
+        for axis in 0..3 {
+            let moved = |by: f64| {
+                let mut corners = at(0.4);
+                corners[corner][axis] += by;
+                angle(corners)
+            };
+            let expected = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+            assert!((gradient[corner][axis] - expected).abs() < 1e-8);
+        }
+    }
+}
+
+/// A strip of `[x, y]` metres with edges of `edge` metres, its upper side at the origin along x.
+fn strip([width, height]: [f64; 2], edge: f64) -> SurfaceMesh {
+    let count = |length: f64| (length / edge).round().max(1.0) as usize + 1;
+    grid(count(width), count(height), |u, v| DVec3::new(width * u, -height * v, 0.0))
+}
+
+/// Lets cloth rest for some seconds of frames of 1/30 s in `steps` steps each.
+fn rest(cloth: &mut Cloth, seconds: f64, steps: usize) {
+    let gravity = SimulationOptions::default().gravity;
+    let dt = 1.0 / (30.0 * steps as f64);
+    (0..(seconds / dt) as usize).for_each(|_| cloth.step(dt, gravity, None));
+}
+
+/// Elongation of a strip of 0.6 m that hangs from its upper side.
+fn elongation(material: &ClothMaterial, edge: f64, steps: usize) -> f64 {
+    let height = 0.6;
+    let surface = strip([0.06, height], edge);
+    let mut cloth = Cloth::new(&surface, material).unwrap();
+    let top = (0..surface.vertices.len()).filter(|&v| surface.vertices[v].y > -1e-9);
+    top.for_each(|v| cloth.pin(v));
+    rest(&mut cloth, 2.0, steps);
+    let lowest = cloth.positions.iter().map(|x| x.y).fold(0.0, f64::min);
+    -lowest / height - 1.0
+}
+
+#[test]
+fn cloth_stretches_under_its_weight_as_its_stiffness_says_on_every_mesh() {
+    let stretch = StretchStiffness { coupling: 0.0, ..ClothMaterial::DENIM.stretch };
+    let denim = ClothMaterial { stretch, damping: 0.02, ..ClothMaterial::DENIM };
+    let knit = ClothMaterial { stretch: stretch.scaled(0.1), ..denim };
+    for material in [denim, knit] {
+        // Mean of the strain under the weight below, ρ g L / 2 C.
+        let expected = 0.5 * material.density * 9.81 * 0.6 / material.stretch.warp;
+        for (edge, steps) in
+            [(0.03, 20), (0.02, 20), (0.015, 20), (0.01, 20), (0.02, 10), (0.02, 40)]
+        {
+            let found = elongation(&material, edge, steps);
+            println!("edges {edge}, {steps} steps: strain {found:.6}, {expected:.6}");
+            assert!((found / expected - 1.0).abs() < 0.05, "{edge} {steps}: {found} {expected}");
+        }
+    }
+}
+
+#[test]
+fn a_hanging_strip_sags_alike_on_every_mesh() {
+    let (length, span) = (0.6, 0.55);
+    let sag = |edge: f64, steps: usize| {
+        let surface = strip([length, 0.06], edge);
+        let material = ClothMaterial { damping: 0.02, ..ClothMaterial::default() };
+        let mut cloth = Cloth::new(&surface, &material).unwrap();
+        for (v, x) in surface.vertices.iter().enumerate() {
+            // A level strip, pushed together to the span.
+            cloth.positions[v] = DVec3::new(x.x * span / length, 0.0, x.y);
+            cloth.positions[v].y = -1e-3 * (x.x * (length - x.x));
+            if x.x < 1e-9 || x.x > length - 1e-9 {
+                cloth.pin(v);
+            }
+        }
+        rest(&mut cloth, 3.0, steps);
+        -cloth.positions.iter().map(|x| x.y).fold(0.0, f64::min)
+    };
+    let found: Vec<f64> = [(0.03, 20), (0.02, 20), (0.015, 20), (0.01, 20), (0.02, 10), (0.02, 40)]
+        .map(|(edge, steps)| sag(edge, steps))
+        .to_vec();
+    println!("sag {found:?}");
+    let mean = found.iter().sum::<f64>() / found.len() as f64;
+    assert!(found.iter().all(|sag| (sag / mean - 1.0).abs() < 0.05), "{found:?}");
+}
+
+/// A strip along x of `long` by `wide` cells of nearly equilateral triangles: rows are `row` metres
+/// apart, every other one shifted by half an edge.
+fn even_strip(long: usize, wide: usize, row: f64) -> SurfaceMesh {
+    let edge = row / 0.75f64.sqrt();
+    let mut surface = grid(long + 1, wide + 1, |u, v| {
+        let across = wide as f64 * v + 0.5 * ((u * long as f64).round() % 2.0);
+        DVec3::new(long as f64 * row * u, -edge * across, 0.0)
+    });
+    let at = |i: usize, j: usize| (i * (wide + 1) + j) as u32;
+    let cells = (0..long).flat_map(|i| (0..wide).map(move |j| (i, j)));
+    let split = |(i, j)| {
+        let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+        if i % 2 == 0 { [[a, b, d], [b, c, d]] } else { [[a, b, c], [a, c, d]] }
+    };
+    surface.faces = cells.flat_map(split).collect();
+    surface
+}
+
+#[test]
+fn an_overhang_of_two_bending_lengths_bends_by_the_angle_of_the_standard() {
+    // Peirce's cantilever: the chord of an overhang of twice the bending length (B/ρg)^⅓ is 41.5°
+    // below the horizontal (ASTM D1388).
+    for material in [ClothMaterial::default(), ClothMaterial::DENIM] {
+        let overhang = 2.0 * (material.bend / (material.density * 9.81)).cbrt();
+        for cells in [4.0, 6.0, 10.0] {
+            // A hinge stands for half an edge on both sides: the clamp is half an edge before the last
+            // fixed row.
+            let edge = overhang / (cells + 0.5);
+            let surface = even_strip(cells as usize + 1, 12, edge);
+            let slack = ClothMaterial { damping: 0.02, ..material };
+            let mut cloth = Cloth::new(&surface, &slack).unwrap();
+            for (v, x) in surface.vertices.iter().enumerate() {
+                cloth.positions[v] = DVec3::new(x.x - edge, 0.0, x.y);
+                if x.x < 1.5 * edge {
+                    cloth.pin(v);
+                }
+            }
+            rest(&mut cloth, 2.0, 20);
+            let last = &cloth.positions[cloth.positions.len() - 13..];
+            let tip = last.iter().sum::<DVec3>() / last.len() as f64;
+            let angle = (-tip.y).atan2(tip.x + 0.5 * edge).to_degrees();
+            println!("overhang {overhang:.4} m in {cells} cells: {angle:.1}°");
+            assert!((angle - 41.5).abs() < 2.0, "{cells}: {angle}°");
+        }
+    }
+}
+
+#[test]
+fn rest_curvature_is_kept() {
+    let roll = grid(9, 3, |u, v| {
+        let angle = 2.0 * u;
+        DVec3::new(0.05 * angle.sin(), 0.05 * angle.cos(), 0.03 * v)
+    });
+    let mut cloth = Cloth::new(&roll, &ClothMaterial::DENIM).unwrap();
+    (0..600).for_each(|_| cloth.step(1.0 / 600.0, DVec3::ZERO, None));
+    for (x, rest) in cloth.positions.iter().zip(&roll.vertices) {
+        assert!(x.distance(*rest) < 1e-9, "{x} {rest}");
+    }
+}
