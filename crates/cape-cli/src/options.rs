@@ -13,7 +13,7 @@ use cape_core::{
 };
 use cape_infer::Run;
 use cape_layer::BodyIdentity;
-use cape_synth::{embedded_body, synthetic_body};
+use cape_synth::{HalfBody, synthetic_body};
 use clap::{
     Args,
     builder::{PossibleValuesParser, TypedValueParser},
@@ -262,14 +262,30 @@ pub(crate) fn body_identity(path: Option<&Path>, model: &SmplModel) -> BodyIdent
     BodyIdentity::new(name.unwrap_or("synthetic body".into()), model)
 }
 
-/// Reads a body file; a name of an embedded body without such a file is that body.
+/// A body of the program with its source and licence.
+pub(crate) struct BuiltinBody {
+    pub(crate) model: SmplModel,
+    pub(crate) source: String,
+}
+
+/// The built-in body of that name, if no such file exists.
+pub(crate) fn builtin_body(path: &Path) -> Option<Result<BuiltinBody>> {
+    let name = path.to_str().filter(|_| !path.exists())?;
+    if name == "sculpted" {
+        let source = "sculpted from distance functions by this program".to_owned();
+        return Some(Ok(BuiltinBody { model: synthetic_body(), source }));
+    }
+    let gender: Gender = name.parse().ok()?;
+    let read = HalfBody::embedded(gender).map_err(Error::from);
+    Some(read.map(|half| BuiltinBody { model: half.model(), source: half.provenance }))
+}
+
+/// Reads a body file; the name of a built-in body without such a file is that body.
 fn load_body(path: &Path) -> Result<SmplModel> {
-    let name = path.to_str().filter(|_| !path.exists());
-    Ok(match name {
-        Some("sculpted") => synthetic_body(),
-        Some(name) if let Ok(gender) = name.parse::<Gender>() => embedded_body(gender)?,
-        _ => SmplModel::load(path)?,
-    })
+    match builtin_body(path) {
+        Some(body) => Ok(body?.model),
+        None => Ok(SmplModel::load(path)?),
+    }
 }
 
 impl ShapeArgs {

@@ -55,7 +55,7 @@ impl HalfBody {
     }
 
     /// Index of the mirror image of a vertex of the whole body.
-    fn mirror_of_any(&self, vertex: u32) -> u32 {
+    pub(super) fn mirror_of_any(&self, vertex: u32) -> u32 {
         let half = self.vertices.len() as u32;
         if vertex >= half { vertex - self.sides() as u32 } else { self.mirror(vertex) }
     }
