@@ -43,7 +43,7 @@ impl Cavities {
         let mut hidden = vec![false; SKIN];
         for v in (0..SKIN).filter(|&v| head(v) && vertices[v].x >= 0.0) {
             let origin = vertices[v] + normals[v] * 1e-4;
-            let free = directions().filter(|&d| index.cast(origin, d, 0.5).is_none()).count();
+            let free = directions(RAYS).filter(|&d| index.cast(origin, d, 0.5).is_none()).count();
             hidden[v] = (free as f64) < OPEN * RAYS as f64;
             hidden[base.mirror[v] as usize] = hidden[v];
         }
@@ -107,9 +107,9 @@ fn ball(vertices: &[DVec3], eye: &[u32]) -> (DVec3, f64) {
 }
 
 /// Evenly distributed unit vectors (a Fibonacci lattice).
-fn directions() -> impl Iterator<Item = DVec3> {
-    (0..RAYS).map(|i| {
-        let z = 1.0 - (2.0 * i as f64 + 1.0) / RAYS as f64;
+pub(crate) fn directions(count: usize) -> impl Iterator<Item = DVec3> {
+    (0..count).map(move |i| {
+        let z = 1.0 - (2.0 * i as f64 + 1.0) / count as f64;
         let angle = i as f64 * PI * (3.0 - 5.0_f64.sqrt());
         let radius = (1.0 - z * z).sqrt();
         DVec3::new(radius * angle.cos(), radius * angle.sin(), z)

@@ -131,7 +131,9 @@ fn garments_fit_bodies_of_all_shapes() {
             let wardrobe = Wardrobe::new(shaped, 1).unwrap();
             let vertices = wardrobe.clothing_vertices();
             let mut member = vec![false; VERTICES];
-            vertices.iter().for_each(|&v| member[v] = true);
+            for &v in &vertices {
+                member[v] = true;
+            }
             let common = covered.iter().filter(|&&v| member[v]).count();
             let all = covered.len() + vertices.len() - common;
             assert!(common * 100 > all * 96, "{gender}: {common} of {all}");
