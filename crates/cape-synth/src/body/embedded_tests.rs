@@ -68,7 +68,11 @@ fn closed_genus_zero_and_symmetric() {
 #[test]
 fn the_file_keeps_the_body() {
     let half = HalfBody::embedded(Gender::Female).unwrap();
-    assert_eq!(half.encode().unwrap(), HalfBody::embedded_bytes(Gender::Female));
+    let again = HalfBody::decode(&half.encode().unwrap()).unwrap();
+    assert_eq!((&again.faces, &again.uv, again.midline), (&half.faces, &half.uv, half.midline));
+    for (a, b) in again.vertices.iter().zip(&half.vertices) {
+        assert!(a.distance(*b) < 1e-4);
+    }
     let bytes = HalfBody::embedded_bytes(Gender::Female);
     assert!(HalfBody::decode(&bytes[..bytes.len() / 2]).is_err());
     assert!(HalfBody::decode(&[]).is_err());
@@ -120,7 +124,7 @@ fn garments_fit_bodies_of_all_shapes() {
     for gender in GENDERS {
         let body = embedded_body(gender).unwrap();
         let covered = Wardrobe::new(&body, 1).unwrap().clothing_vertices();
-        assert!((4000..5600).contains(&covered.len()), "{gender}: {}", covered.len());
+        assert!((3000..4500).contains(&covered.len()), "{gender}: {}", covered.len());
         let mut bodies: Vec<SmplModel> = (0..10)
             .flat_map(|direction| [-3.0, 3.0].map(|sign| shaped(&body, direction, sign)))
             .collect();
