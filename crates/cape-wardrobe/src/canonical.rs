@@ -1,6 +1,9 @@
 //! Laid garments as displacements in canonical space.
 
-use cape_core::{SmplModel, geometry::{SurfaceMesh, points}};
+use cape_core::{
+    SmplModel,
+    geometry::{SurfaceMesh, points},
+};
 use glam::DVec3;
 use ndarray::Array2;
 
@@ -10,7 +13,7 @@ use crate::{Result, mesh_graph::MeshGraph};
 const LEAST_DETERMINANT: f64 = 0.15;
 
 /// Rounds of the relaxation of turned triangles; the region grows by a ring after each `GROWTH`.
-const ROUNDS: usize = 60;
+const ROUNDS: usize = 240;
 const GROWTH: usize = 12;
 
 /// Body of a subject in canonical space, to which laid garments are unposed.

@@ -3,7 +3,8 @@
 use std::{
     fs,
     path::Path,
-    sync::atomic::{AtomicUsize, Ordering},
+    sync::mpsc,
+    thread,
 };
 
 use cape_cloth::SimulationOptions;
@@ -20,8 +21,8 @@ use crate::{
     take_motion::{RUN_UP, RecordedMotion, take_motion},
 };
 
-/// Name of the settings in a data set's directory.
-const PLAN_FILE: &str = "wardrobe.json";
+/// Name of the file of settings in a data set's directory.
+pub const PLAN_FILE: &str = "wardrobe.json";
 
 /// Directory in which takes are written before they are complete.
 const PARTIAL: &str = ".partial";
@@ -175,6 +176,11 @@ impl<'a> SimulatedCaptures<'a> {
         self.procedural.wardrobe().clothing_vertices()
     }
 
+    /// Number of synthetic motions; recordings come after them.
+    pub fn synthetic_motions(&self) -> usize {
+        self.spec().motions.len()
+    }
+
     /// Names of the motions, in order.
     fn motions(&self) -> Vec<String> {
         let synthetic = self.spec().motions.iter().map(|motion| motion.name().to_owned());
@@ -273,8 +279,8 @@ impl<'a> SimulatedCaptures<'a> {
 
     /// Writes a shard of the data set under `root` in the layout of the CAPE release, as
     /// [`CaptureGenerator::write`] does, and a record of each take. Finished takes are kept; once all
-    /// takes are there, `quality.json` has their records. `watch` is called with the numbers of
-    /// finished takes and of all takes of the shard.
+    /// takes are there, `quality.json` has their records. `progress` gets the numbers of finished takes
+    /// and of all takes of the shard.
     ///
     /// # Errors
     /// If `root` belongs to other settings, or a take fails.
@@ -282,7 +288,7 @@ impl<'a> SimulatedCaptures<'a> {
         &self,
         root: &Path,
         shard: Shard,
-        watch: &(dyn Fn(usize, usize) + Sync),
+        progress: &mut dyn FnMut(usize, usize),
     ) -> Result<Vec<TakeRecord>> {
         if shard.index >= shard.of {
             return Err(Error::argument(format!(
@@ -295,17 +301,26 @@ impl<'a> SimulatedCaptures<'a> {
         self.begin(root)?;
         let all = self.takes();
         let mine: Vec<&SimulatedTake> = all.iter().skip(shard.index).step_by(shard.of).collect();
-        let done = AtomicUsize::new(0);
-        watch(0, mine.len());
-        let records = mine
-            .par_iter()
-            .with_max_len(1)
-            .map(|take| {
-                let record = self.write_take(root, take)?;
-                watch(done.fetch_add(1, Ordering::Relaxed) + 1, mine.len());
-                Ok(record)
-            })
-            .collect::<Result<Vec<_>>>()?;
+        progress(0, mine.len());
+        let (finished, messages) = mpsc::channel();
+        let records = thread::scope(|scope| {
+            let worker = scope.spawn(|| {
+                let finished = finished;
+                mine.par_iter()
+                    .with_max_len(1)
+                    .map_with(finished, |finished, take| {
+                        let record = self.write_take(root, take)?;
+                        // The receiver outlives the worker.
+                        let _ = finished.send(());
+                        Ok(record)
+                    })
+                    .collect::<Result<Vec<_>>>()
+            });
+            for (done, ()) in messages.iter().enumerate() {
+                progress(done + 1, mine.len());
+            }
+            worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        })?;
         let record = |take| TakeRecord::read(root, &subject_name(take), &self.name(take));
         let found: Option<Vec<TakeRecord>> = all.iter().map(record).collect::<Result<_>>()?;
         if let Some(found) = found {

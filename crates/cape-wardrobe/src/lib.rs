@@ -15,7 +15,7 @@ mod transfer;
 
 pub use cape_core::{Error, Result};
 
-pub use captures::{Shard, SimulatedCaptures, SimulatedTake, WardrobeOptions};
+pub use captures::{PLAN_FILE, Shard, SimulatedCaptures, SimulatedTake, WardrobeOptions};
 pub use outfit::{OutfitCut, SewnOutfit};
 pub use record::{QUALITY_FILE, TakeRecord};
 pub use take::{DressedSubject, TakeQuality};

@@ -28,6 +28,8 @@ pub struct TakeQuality {
     pub intersecting: f64,
     /// Largest depth of a covered vertex inside the unclothed body, metres.
     pub depth: f64,
+    /// Mean share of covered vertices more than 1 mm inside the unclothed body.
+    pub inside: f64,
     /// Mean length of the displacements of covered vertices, metres.
     pub displacement: f64,
 }
@@ -140,6 +142,7 @@ impl<'a> DressedSubject<'a> {
         }
         quality.displacement /= frames.len().max(1) as f64;
         quality.intersecting /= frames.len().max(1) as f64;
+        quality.inside /= frames.len().max(1) as f64;
         Ok((frames, quality))
     }
 }
@@ -161,10 +164,13 @@ impl TakeQuality {
         self.intersecting += share(more);
         let body = SurfaceMesh { vertices: skin.to_vec(), faces: faces.clone() };
         let index = SurfaceIndex::new(&body);
+        let (mut inside, mut all) = (0.0, 0.0f64);
         for (p, _) in posed.iter().zip(covered).filter(|&(_, &covered)| covered) {
             let depth = index.closest(*p, 0.1).map_or(0.0, |near| -near.signed_distance);
             self.depth = self.depth.max(depth);
+            (inside, all) = (inside + f64::from(u8::from(depth > 1e-3)), all + 1.0);
         }
+        self.inside += inside / all.max(1.0);
     }
 }
 
