@@ -152,9 +152,19 @@ impl DesignCell {
     }
 }
 
-/// Names of the semantic parameters of simulated sequences: garment size, then material.
-pub const PARAMETERS: [&str; 8] =
-    ["length", "width", "sleeve", "log_density", "log_stretch", "log_bend", "damping", "friction"];
+/// Names of the semantic parameters of simulated sequences: garment size, then material. Sets of the
+/// first version of the simulator have other numbers under the names `log_stretch`, `log_bend` and
+/// `damping`.
+pub const PARAMETERS: [&str; 8] = [
+    "length",
+    "width",
+    "sleeve",
+    "log_density",
+    "log_stiffness",
+    "log_rigidity",
+    "damping_time",
+    "friction",
+];
 
 impl Design {
     /// One subject of mean shape in one garment of the default material, in all exercises.

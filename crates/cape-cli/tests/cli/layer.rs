@@ -453,6 +453,13 @@ fn a_grid_of_sizes_and_materials_is_simulated_and_goes_on() {
     assert_eq!(synth(&halted).json()["simulated_now"], 0);
     run_line(&format!("layer synth --garment skirt --out {halted}"))
         .failed_saying(&["other settings"]);
+    // A directory of the first simulator, whose plan has no version.
+    let plan = format!("{halted}/design.json");
+    let mut value: serde_json::Value = serde_json::from_slice(&fs::read(&plan).unwrap()).unwrap();
+    value.as_object_mut().unwrap().remove("simulator").unwrap();
+    fs::write(&plan, serde_json::to_vec(&value).unwrap()).unwrap();
+    run_line(&format!("layer synth {options} --out {halted}"))
+        .failed_saying(&["version 0 of the simulator", "--out"]);
 }
 
 #[test]

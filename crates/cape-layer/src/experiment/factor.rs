@@ -118,7 +118,7 @@ mod tests {
             parameters: vec![
                 ("length".into(), length),
                 ("width".into(), 1.0),
-                ("log_bend".into(), -2.0),
+                ("log_rigidity".into(), -2.0),
             ],
         };
         let sequences = vec![

@@ -33,7 +33,7 @@ const HEIGHT: u32 = 360;
 #[command(
     after_help = "Examples:\n  cape layer predict learned/layer.npz --motion squats --out predicted\n  \
                   cape layer predict learned/layer.npz --betas 2,-1 --out other-body\n  \
-                  cape layer predict learned/layer.npz --parameters length=1.1,log_bend=-2 --out longer\n  \
+                  cape layer predict learned/layer.npz --parameters length=1.1,log_rigidity=-4 --out longer\n  \
                   tracker | cape layer predict learned/layer.npz --motion - --out live"
 )]
 pub(crate) struct PredictArgs {

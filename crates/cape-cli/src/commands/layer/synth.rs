@@ -3,7 +3,9 @@ use std::{
     time::Instant,
 };
 
-use cape_cloth::{ClothMaterial, Garment, GarmentKind, GarmentMesh, SimulationQuality};
+use cape_cloth::{
+    ClothMaterial, Garment, GarmentKind, GarmentMesh, SIMULATOR_VERSION, SimulationQuality,
+};
 use cape_core::SmplModel;
 use cape_infer::write_json;
 use cape_layer::{
@@ -106,6 +108,10 @@ struct SimulationPlan {
     /// Friction against the body relative to cotton shirting.
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "R,…")]
     friction: Vec<f64>,
+    /// Version of the simulator; 0 in plans of the first one.
+    #[arg(skip = SIMULATOR_VERSION)]
+    #[serde(default)]
+    simulator: u32,
     /// Append the body's vertices to the clothing mesh.
     #[arg(long)]
     with_body: bool,
@@ -272,7 +278,16 @@ impl SynthArgs {
         let out = &self.output.out;
         let path = out.join(PLAN);
         if path.exists() {
-            if read::<SimulationPlan>(&path)? != self.plan {
+            let plan: SimulationPlan = read(&path)?;
+            if plan.simulator != SIMULATOR_VERSION {
+                return Err(Error::message(format!(
+                    "{}: holds sequences of version {} of the simulator, expected {SIMULATOR_VERSION}; their \
+                     material parameters mean something else: choose another --out",
+                    out.display(),
+                    plan.simulator
+                )));
+            }
+            if plan != self.plan {
                 return Err(Error::message(format!(
                     "{}: holds sequences of other settings: choose another --out",
                     out.display()

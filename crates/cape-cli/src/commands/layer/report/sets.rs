@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use cape_cloth::{ClothMaterial, Garment, GarmentKind};
+use cape_cloth::{ClothMaterial, Garment, GarmentKind, SIMULATOR_VERSION};
 use cape_core::SmplModel;
 use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
 use cape_layer::{
@@ -124,6 +124,7 @@ fn store(
         "frames": frames,
         "frame_rate": frame_rate,
         "simulation": format!("{simulation:?}"),
+        "simulator": SIMULATOR_VERSION,
     });
     let settings = StoreSettings::new("layer report, simulated set", &settings)?
         .with_optional_input("body", body, "synthetic body")?;
