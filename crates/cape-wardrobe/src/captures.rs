@@ -1,11 +1,6 @@
 //! Simulated data sets in the raw layout of the CAPE release.
 
-use std::{
-    fs,
-    path::Path,
-    sync::mpsc,
-    thread,
-};
+use std::{fs, path::Path, sync::mpsc, thread};
 
 use cape_cloth::SimulationOptions;
 use cape_core::{BodyMotion, Outfit, SmplModel};
@@ -260,19 +255,19 @@ impl<'a> SimulatedCaptures<'a> {
         let frames = (self.spec().frames_per_sequence - 1) * stride + 1;
         let mut styles = rng(STYLES);
         let motion = match self.spec().motions.get(take.motion) {
-            Some(&motion) => {
-                RecordedMotion::Synthetic(motion, MotionStyle::random(&mut styles))
-            }
+            Some(&motion) => RecordedMotion::Synthetic(motion, MotionStyle::random(&mut styles)),
             None => {
                 let (_, file) = &self.options.recordings[take.motion - self.spec().motions.len()];
                 let spare = file.seconds() - (frames as f64 / rate);
                 let least = (0.9f64).min(spare.max(0.0));
-                RecordedMotion::File(file, least + styles.random::<f64>() * (spare - least).max(0.0))
+                RecordedMotion::File(
+                    file,
+                    least + styles.random::<f64>() * (spare - least).max(0.0),
+                )
             }
         };
         let subject = (self.model, &minimal);
-        let (motion, run_up) =
-            take_motion(subject, &motion, (frames, rate), &mut rng(DRESSING))?;
+        let (motion, run_up) = take_motion(subject, &motion, (frames, rate), &mut rng(DRESSING))?;
         let mut noise = RegistrationNoise { deviation: self.options.noise, rng: rng(NOISE) };
         dressed.simulate(&self.options.simulation, &motion, (run_up, stride), &mut noise)
     }

@@ -11,6 +11,8 @@ mod outfit;
 mod record;
 mod take;
 mod take_motion;
+#[cfg(test)]
+mod tests;
 mod transfer;
 
 pub use cape_core::{Error, Result};

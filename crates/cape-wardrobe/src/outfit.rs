@@ -51,7 +51,7 @@ impl OutfitCut {
         let rng = &mut ChaCha8Rng::seed_from_u64(seed);
         let mut between = |low: f64, high: f64| rng.random_range(low..high);
         let lower = Garment {
-            length: if lengths.long_legs { between(1.6, 1.85) } else { between(0.6, 0.95) },
+            length: if lengths.long_legs { between(1.7, 1.9) } else { between(0.6, 0.95) },
             width: between(1.055, 1.1),
             ..Garment::new(GarmentKind::Shorts)
         };

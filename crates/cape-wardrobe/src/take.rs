@@ -13,7 +13,9 @@ use rand::{RngExt, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use crate::{OutfitCut, Result, SewnOutfit, SurfaceTransfer, canonical::CanonicalBody, mesh_graph::MeshGraph};
+use crate::{
+    OutfitCut, Result, SewnOutfit, SurfaceTransfer, canonical::CanonicalBody, mesh_graph::MeshGraph,
+};
 
 /// Quality of the frames of a take.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -126,10 +128,8 @@ impl<'a> DressedSubject<'a> {
             noise.add(&canonical.graph, &covered, &mut displacement);
             let turned = canonical.relax(&mut displacement, &covered);
             let displacement = rows(&displacement);
-            let posed = self
-                .model
-                .pose_shape(&self.minimal, &pose, transl, Some(&displacement))?
-                .vertices;
+            let posed =
+                self.model.pose_shape(&self.minimal, &pose, transl, Some(&displacement))?.vertices;
             quality.add(self, (&skin, &posed), &covered, turned);
             let lengths = displacement.rows().into_iter().map(|d| d.dot(&d).sqrt()).sum::<f64>();
             quality.displacement += lengths / covered.iter().filter(|&&c| c).count().max(1) as f64;

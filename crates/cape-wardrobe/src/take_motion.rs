@@ -39,7 +39,8 @@ impl RecordedMotion<'_> {
                 let at = ((from + time) * file.frame_rate).clamp(0.0, last as f64);
                 let (before, share) = (at.floor() as usize, at.fract());
                 let after = (before + 1).min(last);
-                let [a, b] = [before, after].map(|frame| rotations(&file.poses.row(frame).to_vec()));
+                let [a, b] =
+                    [before, after].map(|frame| rotations(&file.poses.row(frame).to_vec()));
                 let [s, t] = [before, after].map(|frame| DVec3::from(file.translation(frame)));
                 let turned = a.iter().zip(&b).map(|(a, b)| a.slerp(*b, share)).collect();
                 (turned, Some(s.lerp(t, share)))

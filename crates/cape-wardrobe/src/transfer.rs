@@ -195,10 +195,8 @@ impl GarmentFit<'_> {
                 continue;
             }
             let before = self.graph.least_quality(v, &rest, &laid);
-            let from = std::mem::replace(
-                &mut laid[v as usize],
-                point.position(&self.garment.vertices),
-            );
+            let from =
+                std::mem::replace(&mut laid[v as usize], point.position(&self.garment.vertices));
             let after = self.graph.least_quality(v, &rest, &laid);
             if after >= before.min(LEAST_QUALITY) {
                 points[v as usize] = Some(point);
