@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let outfits = outfits.split(',').map(str::parse).collect::<Result<Vec<Outfit>, _>>()?;
     let motions = motions.split(',').map(str::parse).collect::<Result<Vec<Motion>, _>>()?;
     let subject = more.first().map_or(Ok(0), |text| text.parse::<usize>())?;
-    let millimetres = more.get(1).map_or(Ok(22.0), |text| text.parse::<f64>())?;
+    let millimetres = more.get(1).map_or(Ok(25.0), |text| text.parse::<f64>())?;
     let body = synthetic_body();
     let columns = motions.len();
     let spec = SynthSpec {

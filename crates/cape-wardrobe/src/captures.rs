@@ -57,7 +57,7 @@ impl Default for WardrobeOptions {
     fn default() -> Self {
         Self {
             takes: 1,
-            resolution: 0.022,
+            resolution: 0.025,
             noise: 0.0,
             recordings: Vec::new(),
             simulation: SimulationOptions {
@@ -254,17 +254,14 @@ impl<'a> SimulatedCaptures<'a> {
         let (stride, rate) = self.rate();
         let frames = (self.spec().frames_per_sequence - 1) * stride + 1;
         let mut styles = rng(STYLES);
-        let motion = match self.spec().motions.get(take.motion) {
-            Some(&motion) => RecordedMotion::Synthetic(motion, MotionStyle::random(&mut styles)),
-            None => {
-                let (_, file) = &self.options.recordings[take.motion - self.spec().motions.len()];
-                let spare = file.seconds() - (frames as f64 / rate);
-                let least = (0.9f64).min(spare.max(0.0));
-                RecordedMotion::File(
-                    file,
-                    least + styles.random::<f64>() * (spare - least).max(0.0),
-                )
-            }
+        let motion = if let Some(&motion) = self.spec().motions.get(take.motion) {
+            RecordedMotion::Synthetic(motion, MotionStyle::random(&mut styles))
+        } else {
+            let (_, file) = &self.options.recordings[take.motion - self.spec().motions.len()];
+            // Any part of the file with its run-up, as far as it is long enough.
+            let spare = (file.seconds() - frames as f64 / rate).max(0.0);
+            let least = spare.min(RUN_UP);
+            RecordedMotion::File(file, least + styles.random::<f64>() * (spare - least))
         };
         let subject = (self.model, &minimal);
         let (motion, run_up) = take_motion(subject, &motion, (frames, rate), &mut rng(DRESSING))?;

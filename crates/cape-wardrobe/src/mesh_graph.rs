@@ -1,6 +1,6 @@
 //! Neighbourhoods of the vertices and faces of a body, and interpolation over them.
 
-use cape_core::geometry::SurfaceMesh;
+use cape_core::geometry::{BoxTree, SurfaceMesh, bounds, ray_triangle_distance};
 use glam::DVec3;
 
 /// Edges, neighbours and faces around the vertices of a mesh.
@@ -92,6 +92,34 @@ impl MeshGraph {
             doubled_area(corners).dot(rest[face]) / self.areas[face].max(f64::MIN_POSITIVE)
         };
         self.around[vertex as usize].iter().map(quality).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Faces that intersect others without a common vertex, for the positions `at`, metres, `[faces]`.
+    pub(crate) fn intersecting(&self, at: &[DVec3]) -> Vec<bool> {
+        let tree = BoxTree::from_elements(&self.faces, at);
+        let place = |v: u32| at[v as usize];
+        let mut hit = vec![false; self.faces.len()];
+        for (index, face) in self.faces.iter().enumerate() {
+            for side in 0..3 {
+                let (a, b) = (face[side], face[(side + 1) % 3]);
+                if a > b {
+                    continue;
+                }
+                let (from, to) = (place(a), place(b));
+                for other in tree.overlapping(bounds([from, to])) {
+                    let corners = self.faces[other as usize];
+                    if !corners.contains(&a)
+                        && !corners.contains(&b)
+                        && ray_triangle_distance(from, to - from, corners.map(place))
+                            .is_some_and(|t| t <= 1.0)
+                    {
+                        hit[other as usize] = true;
+                        hit[index] = true;
+                    }
+                }
+            }
+        }
+        hit
     }
 }
 

@@ -3,7 +3,7 @@
 use cape_cloth::{SimulationOptions, SimulationQuality};
 use cape_core::{
     BodyMotion, SmplModel,
-    geometry::{BoxTree, SurfaceIndex, SurfaceMesh, bounds, points, ray_triangle_distance},
+    geometry::{SurfaceIndex, SurfaceMesh, points},
     smpl::StandardPose,
 };
 use cape_synth::SynthFrame;
@@ -26,7 +26,7 @@ pub struct TakeQuality {
     pub turned_before: f64,
     /// Largest share of triangles that are turned against the body's in one frame.
     pub turned: f64,
-    /// Mean share of triangles that intersect others beyond those of the unclothed body.
+    /// Mean share of triangles that intersect others and do not on the unclothed body.
     pub intersecting: f64,
     /// Largest depth of a covered vertex inside the unclothed body, metres.
     pub depth: f64,
@@ -124,13 +124,23 @@ impl<'a> DressedSubject<'a> {
             let skin = points(body.view());
             let garment = points(simulated.frames.index_axis(Axis(0), frame));
             let laid = self.transfer.lay(&skin, &garment);
-            let mut displacement = canonical.displacement(&laid, &covered, &pose, transl)?;
+            let at = canonical.frame(&pose, transl)?;
+            let mut displacement = canonical.displacement(&at, &laid, &covered);
             noise.add(&canonical.graph, &covered, &mut displacement);
-            let turned = canonical.relax(&mut displacement, &covered);
+            let [before, _] = canonical.relax(&mut displacement, &covered);
+            let bare = canonical.graph.intersecting(&skin);
+            canonical.separate(&at, &bare, &mut displacement, &covered);
+            let [turned, _] = canonical.relax(&mut displacement, &covered);
+            let share = |count: usize| count as f64 / bare.len() as f64;
+            quality.turned_before = quality.turned_before.max(share(before));
+            quality.turned = quality.turned.max(share(turned));
             let displacement = rows(&displacement);
             let posed =
                 self.model.pose_shape(&self.minimal, &pose, transl, Some(&displacement))?.vertices;
-            quality.add(self, (&skin, &posed), &covered, turned);
+            let crossing = canonical.graph.intersecting(&points(posed.view()));
+            let new = crossing.iter().zip(&bare).filter(|(now, bare)| **now && !**bare).count();
+            quality.intersecting += share(new);
+            quality.add_depths(self, (&skin, &posed), &covered);
             let lengths = displacement.rows().into_iter().map(|d| d.dot(&d).sqrt()).sum::<f64>();
             quality.displacement += lengths / covered.iter().filter(|&&c| c).count().max(1) as f64;
             frames.push(SynthFrame {
@@ -148,20 +158,14 @@ impl<'a> DressedSubject<'a> {
 }
 
 impl TakeQuality {
-    fn add(
+    fn add_depths(
         &mut self,
         subject: &DressedSubject,
         (skin, posed): (&[DVec3], &Array2<f64>),
         covered: &[bool],
-        turned: [usize; 2],
     ) {
-        let faces = &subject.model.faces;
-        let share = |count: usize| count as f64 / faces.len() as f64;
-        self.turned_before = self.turned_before.max(share(turned[0]));
-        self.turned = self.turned.max(share(turned[1]));
         let posed = points(posed.view());
-        let more = intersecting(faces, &posed).saturating_sub(intersecting(faces, skin));
-        self.intersecting += share(more);
+        let faces = &subject.model.faces;
         let body = SurfaceMesh { vertices: skin.to_vec(), faces: faces.clone() };
         let index = SurfaceIndex::new(&body);
         let (mut inside, mut all) = (0.0, 0.0f64);
@@ -172,34 +176,6 @@ impl TakeQuality {
         }
         self.inside += inside / all.max(1.0);
     }
-}
-
-/// Number of faces that an edge of another face without a common vertex intersects.
-fn intersecting(faces: &[[u32; 3]], at: &[DVec3]) -> usize {
-    let tree = BoxTree::from_elements(faces, at);
-    let place = |v: u32| at[v as usize];
-    let mut hit = vec![false; faces.len()];
-    for (index, face) in faces.iter().enumerate() {
-        for side in 0..3 {
-            let (a, b) = (face[side], face[(side + 1) % 3]);
-            if a > b {
-                continue;
-            }
-            let (from, to) = (place(a), place(b));
-            for other in tree.overlapping(bounds([from, to])) {
-                let corners = faces[other as usize];
-                if other as usize != index
-                    && !corners.contains(&a)
-                    && !corners.contains(&b)
-                    && ray_triangle_distance(from, to - from, corners.map(place))
-                        .is_some_and(|t| t <= 1.0)
-                {
-                    hit[other as usize] = true;
-                }
-            }
-        }
-    }
-    hit.into_iter().filter(|&hit| hit).count()
 }
 
 fn rows(vectors: &[DVec3]) -> Array2<f64> {

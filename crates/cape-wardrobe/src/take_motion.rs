@@ -72,13 +72,12 @@ pub(crate) fn take_motion(
             let turned = standing.iter().zip(&posture).zip(&target);
             let turned = turned.map(|((a, b), c)| a.slerp(*b, moved).slerp(*c, into));
             let pose: Vec<f64> = turned.flat_map(axis_angle).collect();
-            let transl = match transl {
-                Some(transl) => transl.to_array(),
-                None => {
-                    let posed = model.pose_shape(shape, &pose, [0.0; 3], None)?.vertices;
-                    let floor = posed.column(1).iter().copied().fold(f64::INFINITY, f64::min);
-                    [0.0, -floor, 0.0]
-                }
+            let transl = if let Some(transl) = transl {
+                transl.to_array()
+            } else {
+                let posed = model.pose_shape(shape, &pose, [0.0; 3], None)?.vertices;
+                let floor = posed.column(1).iter().copied().fold(f64::INFINITY, f64::min);
+                [0.0, -floor, 0.0]
             };
             Ok((pose, transl))
         })

@@ -112,7 +112,12 @@ fn unposing_undoes_posing() {
     let transl = [0.1, 0.2, -0.3];
     let posed = model.pose_shape(&minimal, &pose, transl, Some(&given)).unwrap().vertices;
     let covered = vec![true; 6890];
-    let found = canonical.displacement(&points(posed.view()), &covered, &pose, transl).unwrap();
+    let frame = canonical.frame(&pose, transl).unwrap();
+    let laid = points(posed.view());
+    let found = canonical.displacement(&frame, &laid, &covered);
+    for (again, given) in canonical.posed(&frame, &found).iter().zip(&laid) {
+        assert!((*again - *given).length() < 1e-6, "{again} {given}");
+    }
     for (found, given) in found.iter().zip(points(given.view())) {
         assert!((*found - given).length() < 1e-6, "{found} {given}");
     }
@@ -137,6 +142,32 @@ fn turned_triangles_are_smoothed_and_others_kept() {
     let mut smooth = vec![DVec3::new(0.01, 0.0, 0.005); 6890];
     assert_eq!(canonical.relax(&mut smooth, &covered), [0, 0]);
     assert!(smooth.iter().all(|d| *d == DVec3::new(0.01, 0.0, 0.005)));
+}
+
+#[test]
+fn intersecting_triangles_are_separated() {
+    let model = synthetic_body();
+    let minimal = model.rest_shape(&[]).unwrap();
+    let canonical = CanonicalBody::new(&model, &minimal).unwrap();
+    let frame = canonical.frame(&[0.0; 72], [0.0; 3]).unwrap();
+    let skin = points(minimal.view());
+    let bare = canonical.graph.intersecting(&skin);
+    // Both legs 8 cm thicker intersect each other.
+    let surface = SurfaceMesh::from_rows("body", minimal.view(), &model.faces).unwrap();
+    let hip = minimal.column(1).iter().copied().fold(f64::INFINITY, f64::min) + 0.75;
+    let normals = surface.vertex_normals();
+    let covered: Vec<bool> = skin.iter().map(|p| p.y < hip && p.y > hip - 0.4).collect();
+    let thick = covered.iter().zip(&normals);
+    let mut displacement: Vec<DVec3> =
+        thick.map(|(&on, &normal)| if on { normal * 0.08 } else { DVec3::ZERO }).collect();
+    let new = |displacement: &[DVec3]| {
+        let crossing = canonical.graph.intersecting(&canonical.posed(&frame, displacement));
+        crossing.iter().zip(&bare).filter(|(now, bare)| **now && !**bare).count()
+    };
+    let before = new(&displacement);
+    canonical.separate(&frame, &bare, &mut displacement, &covered);
+    let after = new(&displacement);
+    assert!(before > 100 && after < before / 10, "{before} {after}");
 }
 
 #[test]

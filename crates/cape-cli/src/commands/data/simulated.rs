@@ -37,7 +37,7 @@ pub(super) struct SimulatedArgs {
     motion: Option<PathBuf>,
     #[command(flatten)]
     reading: MotionFileArgs,
-    /// Length of the garments' edges, mm [default: 22].
+    /// Length of the garments' edges, mm [default: 25].
     #[arg(long, value_name = "MM", value_parser = positive)]
     resolution: Option<f64>,
     /// Standard deviation of a smooth registration error, mm [default: 0].
