@@ -15,7 +15,7 @@ fn simulated_captures_are_written_packed_and_resumed() {
     let root = data.at("simulated");
     let split = SplitSpec { cut: 0, ..SplitSpec::from_file(&root.join("split.toml")).unwrap() };
     assert_eq!(split.train.sequences, ["simple"]);
-    pack(&root, &data.at("simulated-packed"), &split, &PackOptions::default(), &mut |_, _| {})
+    pack(&root, &data.at("simulated-packed"), &split, PackOptions::default(), &mut |_, _| {})
         .unwrap();
     let before = contents(&root);
     data.run(&format!("{SMALL} --out @/simulated")).succeeded();
