@@ -16,9 +16,10 @@ const LEAST_DETERMINANT: f64 = 0.15;
 const ROUNDS: usize = 240;
 const GROWTH: usize = 12;
 
-/// Rounds of the separation of intersecting triangles, and the factor on displacements in each.
-const SEPARATIONS: usize = 6;
-const SHRINKAGE: f64 = 0.75;
+/// Rounds of the separation of intersecting triangles, and the factors on displacements of their
+/// corners and of the vertices beside them.
+const SEPARATIONS: usize = 8;
+const SHRINKAGE: [f64; 2] = [0.6, 0.85];
 
 /// Transforms of the body's vertices from canonical space to a frame, and the pose blend shapes,
 /// metres, `[V]`.
@@ -90,7 +91,7 @@ impl<'a> CanonicalBody<'a> {
     }
 
     /// Reduces displacements of the covered vertices where triangles intersect others that those of
-    /// the unclothed body `skin` do not: each round shrinks and smooths them, then turned triangles.
+    /// the unclothed body `skin` do not: each round shrinks them, and smooths turned triangles.
     pub(crate) fn separate(
         &self,
         frame: &CanonicalFrame,
@@ -106,13 +107,15 @@ impl<'a> CanonicalBody<'a> {
             if new.is_empty() {
                 return;
             }
+            let corners = self.graph.corners(&new);
             let shrink = |v: u32| {
-                let mean = self.graph.mean(v, |n| displacement[n as usize]);
-                (v as usize, displacement[v as usize].lerp(mean, 0.5) * SHRINKAGE)
+                let [at, beside] = SHRINKAGE;
+                let ratio = if corners.binary_search(&v).is_ok() { at } else { beside };
+                (v as usize, displacement[v as usize] * ratio)
             };
-            let corners = self.graph.corners(&new).into_iter();
+            let region = self.graph.grown(&corners).into_iter();
             let smaller: Vec<(usize, DVec3)> =
-                corners.filter(|&v| covered[v as usize]).map(shrink).collect();
+                region.filter(|&v| covered[v as usize]).map(shrink).collect();
             for (v, value) in smaller {
                 displacement[v] = value;
             }
