@@ -13,9 +13,9 @@ fn simulated_captures_are_written_packed_and_resumed() {
     let report = data.run(&format!("{SMALL} --out @/simulated --json")).json();
     assert_eq!((report["takes"].as_u64(), report["frames"].as_u64()), (Some(1), Some(1)));
     let root = data.at("simulated");
-    let split = SplitSpec { cut: 0, ..SplitSpec::from_file(&root.join("split.toml")).unwrap() };
+    let split = SplitSpec { cut: 0, ..SplitSpec::from_file(root.join("split.toml")).unwrap() };
     assert_eq!(split.train.sequences, ["simple"]);
-    pack(&root, &data.at("simulated-packed"), &split, PackOptions::default(), &mut |_, _| {})
+    pack(&root, data.at("simulated-packed"), &split, PackOptions::default(), &mut |_, _| {})
         .unwrap();
     let before = contents(&root);
     data.run(&format!("{SMALL} --out @/simulated")).succeeded();
