@@ -34,4 +34,4 @@ pub use body::{
 };
 pub use dataset::{CaptureGenerator, SequenceGenerator, SynthFrame, SynthSequence, SynthSpec};
 pub use motion::{Motion, MotionStyle};
-pub use wardrobe::{FittedOutfit, GarmentLengths, OutfitStyle, Wardrobe};
+pub use wardrobe::{FittedOutfit, GarmentLengths, OutfitStyle, Wardrobe, mix_seed};
