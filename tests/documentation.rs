@@ -10,7 +10,7 @@ use std::{
 };
 
 /// Entry points of each crate.
-const ENTRY_POINTS: [(&str, &[&str]); 14] = [
+const ENTRY_POINTS: [(&str, &[&str]); 15] = [
     ("cape-cloth", &["Cloth", "Garment"]),
     (
         "cape-core",
@@ -28,6 +28,7 @@ const ENTRY_POINTS: [(&str, &[&str]); 14] = [
     ("cape-study", &["StudyDesign", "StudyScore"]),
     ("cape-synth", &["CaptureGenerator", "Motion", "SynthSpec", "Wardrobe", "synthetic_body"]),
     ("cape-train", &["Evaluation", "Trainer"]),
+    ("cape-wardrobe", &["OutfitCut", "SimulatedCaptures", "SurfaceTransfer"]),
 ];
 
 /// True for a source file other than tests.

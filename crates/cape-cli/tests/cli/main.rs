@@ -18,3 +18,4 @@ mod tf_writer;
 mod training;
 mod trials;
 mod variations;
+mod wardrobe;
