@@ -89,7 +89,9 @@ impl FitWorkers {
                 });
             }
             drop(sender);
-            finished.iter().for_each(|()| progress());
+            for () in finished {
+                progress();
+            }
         });
         // The scope has passed on the panic of a worker: every place is filled.
         results.into_inner().unwrap_or_else(PoisonError::into_inner).into_iter().flatten().collect()

@@ -23,7 +23,7 @@ use crate::{
 };
 use path::smoothest_path;
 use temporal::temporal_energy;
-use vector::SequenceLayout;
+use vector::{SequenceLayout, join};
 
 /// Number of frames by which outfits are compared.
 const COMPARED: usize = 3;
@@ -158,7 +158,7 @@ impl Smplify {
         let mut curves = Vec::new();
         let x = problem.fit_bodies(&bodies, &mut curves)?;
         progress(0.15);
-        let dressed = self.choose_outfit(outfits, &problem, &x, workers)?;
+        let dressed = problem.choose_outfit(outfits, &x, workers)?;
         progress(0.2);
         let layout = SequenceLayout { latent: dressed.latent(), ..layout };
         let problem = SequenceProblem { layout, ..problem };
@@ -174,12 +174,13 @@ impl Smplify {
             curves,
         })
     }
+}
 
+impl SequenceProblem<'_> {
     /// The outfit of the lowest sum of energies in frames that are spread over the video.
     fn choose_outfit<'a>(
         &self,
         outfits: &'a [DressedBody],
-        problem: &SequenceProblem<'_>,
         x: &[f64],
         workers: &FitWorkers,
     ) -> Result<&'a DressedBody> {
@@ -189,7 +190,7 @@ impl Smplify {
                 .ok_or_else(|| Error::argument("video: no outfits, expected at least one"));
         };
         let masked: Vec<&ObservedFrame<'_>> =
-            problem.observed.iter().filter(|seen| seen.image.mask.is_some()).collect();
+            self.observed.iter().filter(|seen| seen.image.mask.is_some()).collect();
         if masked.is_empty() {
             return Ok(first);
         }
@@ -202,7 +203,7 @@ impl Smplify {
             .collect();
         let energies = workers.map(
             &jobs,
-            |_, (dressed, seen)| problem.energy_of_frame(dressed, seen, x),
+            |_, (dressed, seen)| self.energy_of_frame(dressed, seen, x),
             &mut || {},
         );
         let energies = energies.into_iter().collect::<Result<Vec<f64>>>()?;
@@ -210,9 +211,7 @@ impl Smplify {
         let best = outfits.iter().zip(sums).min_by(|a, b| a.1.total_cmp(&b.1));
         Ok(best.map_or(first, |(dressed, _)| dressed))
     }
-}
 
-impl SequenceProblem<'_> {
     /// Weights of a frame: the priors of what all frames share are divided among them.
     fn weights(&self, weights: &BodyWeights) -> BodyWeights {
         BodyWeights { shape: weights.shape / self.observed.len() as f64, ..*weights }
@@ -232,7 +231,7 @@ impl SequenceProblem<'_> {
         let count = bodies.len() as f64;
         let mean = (0..layout.betas)
             .map(|at| bodies.iter().map(|body| body.betas[at]).sum::<f64>() / count);
-        let mut x = layout.join(bodies, &mean.collect::<Vec<f64>>(), &[]);
+        let mut x = join(bodies, &mean.collect::<Vec<f64>>(), &[]);
         let weights = self.weights(&self.smplify.last_weights());
         let found =
             solve_scaled(&x, &self.scales(), &self.smplify.config().optimiser, |x, gradient| {

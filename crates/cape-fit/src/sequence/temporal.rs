@@ -82,14 +82,14 @@ pub(super) fn temporal_energy(
     let mut forces = vec![vec![DVec3::ZERO; joints]; layout.frames];
     let mut value = 0.0;
     for frame in 1..layout.frames.saturating_sub(1) {
-        for joint in 0..joints {
-            let at = |frame: usize| posed[frame].joints()[joint];
-            let change = at(frame - 1) - 2.0 * at(frame) + at(frame + 1);
+        let [before, now, after] = [frame - 1, frame, frame + 1].map(|at| posed[at].joints());
+        for (joint, ((a, b), c)) in before.iter().zip(now).zip(after).enumerate() {
+            let change = *a - 2.0 * *b + *c;
             value += by_acceleration * change.length_squared();
             let force = 2.0 * by_acceleration * change;
-            forces[frame - 1][joint] += force;
-            forces[frame][joint] -= 2.0 * force;
-            forces[frame + 1][joint] += force;
+            for (at, share) in [(frame - 1, 1.0), (frame, -2.0), (frame + 1, 1.0)] {
+                forces[at][joint] += share * force;
+            }
         }
     }
     for (frame, (posed, forces)) in posed.iter().zip(&forces).enumerate() {
@@ -116,7 +116,10 @@ mod tests {
     use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
     use super::*;
-    use crate::testing::{BODY, assert_gradient};
+    use crate::{
+        sequence::vector::join,
+        testing::{BODY, assert_gradient},
+    };
 
     #[test]
     fn gradients_agree_with_finite_differences() {
@@ -146,7 +149,7 @@ mod tests {
                 pose: vec![0.2; 72],
                 betas: Vec::new(),
             });
-            let x = layout.join(&bodies, &[0.7], &[]);
+            let x = join(&bodies, &[0.7], &[]);
             temporal_energy(&skeleton, layout, &config, &x, &mut vec![0.0; x.len()]).unwrap()
         };
         assert!(value([0.0, 0.1, 0.2]) < 1e-20);

@@ -20,12 +20,6 @@ impl SequenceLayout {
         self.frames * BETAS_AT
     }
 
-    /// Vector of bodies of the shape `betas` and a code.
-    pub(super) fn join(self, bodies: &[BodyParameters], betas: &[f64], code: &[f64]) -> Vec<f64> {
-        let moving = bodies.iter().flat_map(|body| body.transl.iter().chain(&body.pose));
-        moving.chain(betas).chain(code).copied().collect()
-    }
-
     /// Unknowns `[3 + 72 + betas + latent]` of a frame.
     pub(super) fn frame(self, x: &[f64], frame: usize) -> Vec<f64> {
         [&x[frame * BETAS_AT..][..BETAS_AT], &x[self.shared()..]].concat()
@@ -61,6 +55,12 @@ impl SequenceLayout {
     }
 }
 
+/// Vector of unknowns of bodies of the shape `betas` and a code.
+pub(super) fn join(bodies: &[BodyParameters], betas: &[f64], code: &[f64]) -> Vec<f64> {
+    let moving = bodies.iter().flat_map(|body| body.transl.iter().chain(&body.pose));
+    moving.chain(betas).chain(code).copied().collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -71,7 +71,7 @@ mod tests {
         let mut bodies =
             [0.5, 0.7].map(|angle| BodyParameters::new(vec![angle; 72], vec![]).unwrap());
         bodies[1].transl = [1.0, 2.0, 3.0];
-        let x = layout.join(&bodies, &[8.0, 9.0], &[4.0]);
+        let x = join(&bodies, &[8.0, 9.0], &[4.0]);
         assert_eq!((x.len(), layout.scales().len()), (153, 153));
         let second = layout.body(&x, 1);
         assert_eq!(

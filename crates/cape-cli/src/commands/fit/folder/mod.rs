@@ -217,7 +217,7 @@ fn fit_item(
 
 /// The person in a picture, small.
 pub(super) fn thumbnail(picture: &Image, observed: &FitInput) -> Result<Image> {
-    let mask = observed.mask.as_ref().map(std::slice::from_ref).unwrap_or_default();
+    let mask = observed.mask.as_slice();
     let part = match drawing::person_box(mask) {
         Some(person) => drawing::cut(picture, person)?,
         None => picture.clone(),
