@@ -7,6 +7,7 @@ mod commands;
 mod download;
 mod files;
 mod fitting;
+mod folders;
 mod foreign_files;
 mod layer;
 mod masks;

@@ -47,8 +47,8 @@ use crate::{
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape fit image runs/cape person_keypoints.json --mask person_mask.png \
-                        --outfit auto --out fitted\n  cape fit image runs/cape --keypoints poses --masks \
-                        masks --images photos --out fitted\n  cape fit image runs/cape --keypoints poses \
+                        --outfit auto --out fitted\n  cape fit image runs/cape --keypoints keypoints --masks \
+                        masks --images photos --out fitted\n  cape fit image runs/cape --keypoints keypoints \
                         --masks masks --sequence --fps 30 --out moving"
 )]
 pub(crate) struct FitArgs {

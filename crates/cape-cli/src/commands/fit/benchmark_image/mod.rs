@@ -77,27 +77,29 @@ impl FitBenchmarkArgs {
         let interrupt = Interrupt::listen(console)?;
         let benchmark = Benchmark::new(&run, &set, &smplify, &config.clothed, options)?;
         let frames = benchmark.frames();
-        let mut cases: Vec<BenchmarkCase> = Vec::with_capacity(frames.len());
-        let whole = console.while_showing("fit", "images", |progress| {
-            for &frame in &frames {
+        let workers = super::image::fit_workers(&run)?;
+        let mut done = 0;
+        let cases = console.while_showing("fit", "images", |progress| {
+            let case = |_, &frame: &usize| {
                 if interrupt.was_asked() {
-                    return Ok(false);
+                    return Ok(None);
                 }
-                let case = if let Some(case) = store.case(frame)? {
-                    case
-                } else {
-                    let found = benchmark.case(frame);
-                    store.keep(&found.doing(|| format!("fitting frame {frame}"))?)?
-                };
-                cases.push(case);
-                progress(cases.len(), frames.len());
-            }
-            Ok::<_, Error>(true)
-        })?;
-        if !whole {
+                if let Some(case) = store.case(frame)? {
+                    return Ok(Some(case));
+                }
+                let found = benchmark.case(frame);
+                store.keep(&found.doing(|| format!("fitting frame {frame}"))?).map(Some)
+            };
+            workers.map(&frames, case, &mut || {
+                done += 1;
+                progress(done, frames.len());
+            })
+        });
+        let cases = cases.into_iter().collect::<Result<Option<Vec<BenchmarkCase>>>>()?;
+        let Some(cases) = cases else {
             console.note("interrupted and saved: run the same command again to resume");
             return Ok(ExitCode::from(INTERRUPTED));
-        }
+        };
         let out = self.output.out;
         let chosen = pictures::chosen(&cases);
         for (name, case) in &chosen {

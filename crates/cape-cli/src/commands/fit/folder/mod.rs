@@ -117,8 +117,8 @@ pub(super) fn run(args: &FitArgs, global: &GlobalArgs, console: Console) -> Resu
             progress(done, items.len());
         })
     });
-    let fits = fits.into_iter().collect::<Result<Vec<Option<ImageFit>>>>()?;
-    let Some(fits) = fits.into_iter().collect::<Option<Vec<ImageFit>>>() else {
+    let fits = fits.into_iter().collect::<Result<Option<Vec<ImageFit>>>>()?;
+    let Some(fits) = fits else {
         console.note("interrupted and saved: run the same command again to resume");
         return Ok(ExitCode::from(INTERRUPTED));
     };
