@@ -144,9 +144,8 @@ impl Mask {
         }
     }
 
-    /// Checks that the mask can be of the person of the keypoints: of the detected
-    /// joints that `occluders` do not hide at least a quarter are in the image, and of these at least
-    /// half are on it.
+    /// Checks that the mask can be of the person of the keypoints: at least a quarter of the detected
+    /// joints are in the image, and at least half of those that `occluders` do not hide are on it.
     ///
     /// # Errors
     /// If it is of another size, image or person, or inverted.
@@ -161,12 +160,14 @@ impl Mask {
         occluders: Option<&Self>,
     ) -> Result<()> {
         let visible = |s: &&KeypointDetection| occluders.and_then(|o| o.at(s)) != Some(true);
+        let all = detections.len();
         let detections: Vec<KeypointDetection> =
             detections.iter().filter(visible).copied().collect();
+        let hidden = all - detections.len();
         let in_image: Vec<KeypointDetection> =
             detections.iter().filter(|s| self.at(s).is_some()).copied().collect();
         let (count, found) = (in_image.len(), self.joints_on(&in_image));
-        if 4 * count >= detections.len() && 2 * found >= count {
+        if 4 * (count + hidden) >= all && 2 * found >= count {
             return Ok(());
         }
         let reach = |of: fn(&KeypointDetection) -> f64| {

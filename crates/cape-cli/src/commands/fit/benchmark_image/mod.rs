@@ -12,7 +12,7 @@ use clap::Args;
 use super::method::FitMethodArgs;
 use crate::{
     console::Console,
-    error::{Context, Error, Result},
+    error::{Context, Result},
     interrupt::Interrupt,
     options::{DataArgs, GlobalArgs, RunArgs, StoreArgs, at_least_one, non_negative, share},
 };
