@@ -10,7 +10,8 @@ use std::{
 };
 
 /// Entry points of each crate.
-const ENTRY_POINTS: [(&str, &[&str]); 15] = [
+const ENTRY_POINTS: [(&str, &[&str]); 16] = [
+    ("cape-body", &["Assets", "make_body"]),
     ("cape-cloth", &["Cloth", "Garment"]),
     (
         "cape-core",

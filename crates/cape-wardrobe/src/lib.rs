@@ -3,6 +3,17 @@
 //! An [`OutfitCut`] has the garments of a subject in one of CAPE's four outfits. Sewn and simulated over
 //! a motion, they are laid onto the body: each vertex follows its point of the garment
 //! ([`SurfaceTransfer`]), and is unposed by the body's own blend weights.
+//!
+//! ```no_run
+//! use cape_synth::{SynthSpec, synthetic_body};
+//! use cape_wardrobe::{SimulatedCaptures, WardrobeOptions};
+//!
+//! let body = synthetic_body();
+//! let spec = SynthSpec { subjects: 2, ..SynthSpec::default() };
+//! let captures = SimulatedCaptures::new(&body, spec, WardrobeOptions::default())?;
+//! println!("{} takes", captures.takes().len());
+//! # Ok::<(), cape_wardrobe::Error>(())
+//! ```
 
 mod canonical;
 mod captures;

@@ -364,7 +364,8 @@ mod tests {
         let hidden = joints(&[(50.0, 50.0), (2.0, 9.0), (2.0, 2.0), (50.0, 104.0)]);
         assert!(mask.expect_joints(&hidden, Some(&corner)).is_ok());
         assert!(mask.expect_joints(&hidden, None).is_err());
-        let larger = joints(&[(50.0, 50.0), (250.0, 184.0), (200.0, 2.0)]);
+        let larger =
+            joints(&[(50.0, 50.0), (250.0, 184.0), (200.0, 2.0), (150.0, 20.0), (180.0, 90.0)]);
         let message = mask.expect_joints(&larger, None).unwrap_err().to_string();
         assert!(message.contains("(250, 184), beyond the 100×100"), "{message}");
     }
