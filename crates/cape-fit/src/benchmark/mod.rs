@@ -33,6 +33,9 @@ pub struct BenchmarkOptions {
     pub side: u32,
     /// Standard deviation of the keypoints, pixels.
     pub noise: f64,
+    /// Distance of the detector's hips and neck from the body's joints, metres: hips are outwards and
+    /// upwards of SMPL's, the neck below.
+    pub bias: f64,
     /// Share of joints without a detection, 0 to 1.
     pub dropped: f64,
     /// Share of pixels beside the outline of the silhouette that are flipped, 0 to 1.
@@ -43,7 +46,7 @@ pub struct BenchmarkOptions {
 
 impl Default for BenchmarkOptions {
     fn default() -> Self {
-        Self { frames: 120, side: 512, noise: 0.0, dropped: 0.0, ragged: 0.0, seed: 1 }
+        Self { frames: 120, side: 512, noise: 0.0, bias: 0.0, dropped: 0.0, ragged: 0.0, seed: 1 }
     }
 }
 

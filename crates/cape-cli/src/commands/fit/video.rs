@@ -20,7 +20,7 @@ use super::{
 };
 use crate::{
     console::{Console, seconds},
-    error::{Error, Result},
+    error::{Error, Result, in_one_line},
     files,
     options::{GlobalArgs, positive},
 };
@@ -79,7 +79,7 @@ pub(super) fn run(args: &FitArgs, global: &GlobalArgs, console: Console) -> Resu
     let left_out: Vec<[String; 2]> = items
         .iter()
         .zip(&inputs)
-        .filter_map(|(item, input)| Some([item.name.clone(), input.as_ref().err()?.to_string()]))
+        .filter_map(|(item, input)| Some([item.name.clone(), in_one_line(input.as_ref().err()?)]))
         .collect();
     for [name, reason] in &left_out {
         console.note(&format!("{name}: left out: {reason}"));

@@ -48,6 +48,10 @@ pub(crate) struct FitBenchmarkArgs {
     /// Standard deviation of keypoint noise in pixels.
     #[arg(long, default_value_t = 0.0, value_name = "PIXELS", value_parser = non_negative)]
     noise: f64,
+    /// Distance of the detector's hips and neck from the body's joints in millimetres: hips outwards and
+    /// upwards, neck downwards.
+    #[arg(long, default_value_t = 0.0, value_name = "MM", value_parser = non_negative)]
+    bias: f64,
     /// Share of missing keypoints.
     #[arg(long, default_value_t = 0.0, value_name = "SHARE", value_parser = share)]
     dropped: f64,
@@ -122,6 +126,7 @@ impl FitBenchmarkArgs {
             frames: self.frames,
             side: self.size,
             noise: self.noise,
+            bias: self.bias / 1000.0,
             dropped: self.dropped,
             ragged: self.ragged,
             seed: global.seed(),

@@ -50,9 +50,9 @@ impl CaseStore {
     /// is no setting.
     pub(super) fn open(out: &Path, inputs: &FrameInputs<'_>, overwrite: bool) -> Result<Self> {
         let FrameInputs { run, data, pose_prior, options, config } = inputs;
-        let BenchmarkOptions { frames: _, side, noise, dropped, ragged, seed } = options;
+        let BenchmarkOptions { frames: _, side, noise, bias, dropped, ragged, seed } = options;
         let options = json!({
-            "side": side, "noise": noise, "dropped": dropped, "ragged": ragged, "seed": seed,
+            "side": side, "noise": noise, "bias": bias, "dropped": dropped, "ragged": ragged, "seed": seed,
         });
         let settings = json!({ "options": options, "config": config });
         let settings = StoreSettings::new("fit benchmark image", &settings)?

@@ -22,7 +22,7 @@ use super::{
 };
 use crate::{
     console::{Console, seconds},
-    error::{Error, Result},
+    error::{Error, Result, in_one_line},
     files,
     interrupt::Interrupt,
     options::GlobalArgs,
@@ -193,7 +193,7 @@ fn fit_item(
         Ok((observed, report))
     });
     let fit = match found {
-        Err(error) => failed(error.to_string(), start),
+        Err(error) => failed(in_one_line(&error), start),
         Ok((observed, report)) => {
             let out = store.claim(&directory)?;
             let picture = report.write(fitter, &observed)?;
