@@ -362,7 +362,7 @@ mod tests {
         }
     }
 
-    /// What occluders hide and what is outside the image changes nothing.
+    /// Pixels under occluders and outside the image change neither value nor gradient.
     #[test]
     fn hidden_pixels_count_neither_way() {
         let (truth, faces) = body(1.0, 0.0);

@@ -52,7 +52,7 @@ impl FromStr for ImageSize {
     }
 }
 
-/// What is known of an image before its keypoints are read.
+/// Silhouette, occluders, size and photograph of an image whose keypoints are not yet read.
 pub(crate) struct MaskInput<'a> {
     args: &'a MaskArgs,
     /// Silhouette; `None` if it is to be read from annotations.
