@@ -1,6 +1,7 @@
 use cape_data::PackedSet;
 use cape_infer::Run;
 use glam::DVec3;
+use ndarray::{Array2, Axis};
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 
@@ -26,28 +27,34 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Scene of a frame; its random numbers depend on the seed and the frame only.
+    /// Scene of a frame on a body of rest shape `shape`, `[V, 3]`, or a random one; random numbers depend
+    /// on the seed and the frame only.
     pub(super) fn new(
         run: &Run,
         set: &PackedSet,
         frame: usize,
+        shape: Option<&Array2<f64>>,
         options: &BenchmarkOptions,
     ) -> Result<Self> {
         let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
         rng.set_stream(frame as u64);
         let camera = PinholeCamera::new(options.side, options.side, None)?;
-        let (displacement, mut wearer) = cape_infer::registration(set, frame)?;
-        let shapes = SHAPES.min(run.body().betas());
-        wearer.betas = (0..shapes).map(|_| rng.sample(StandardNormal)).collect();
-        let mesh = run.pose_clothed(&displacement, std::slice::from_ref(&wearer))?.remove(0);
-        let vertices = mesh.vertices.iter();
-        let truth: Vec<DVec3> =
-            vertices.map(|&[x, y, z]| DVec3::new(x.into(), y.into(), z.into()) + PLACE).collect();
-        let betas: Vec<f64> = wearer.betas.iter().copied().map(f64::from).collect();
+        let (displacement, wearer) = cape_infer::registration(set, frame)?;
+        let displacement = displacement.index_axis(Axis(0), 0).mapv(f64::from);
+        let body = run.body();
+        let shapes = SHAPES.min(body.betas());
+        let betas: Vec<f64> = (0..shapes).map(|_| rng.sample(StandardNormal)).collect();
+        let rest = match shape {
+            Some(shape) => shape.clone(),
+            None => body.rest_shape(&betas)?,
+        };
         let pose = wearer.pose.map(f64::from);
-        let joints = run.body().pose(&betas, &pose, PLACE.to_array(), None)?.joints;
-        let rows = joints.rows().into_iter();
-        let joints: Vec<DVec3> = rows.map(|at| DVec3::new(at[0], at[1], at[2])).collect();
+        let posed = body.pose_shape(&rest, &pose, PLACE.to_array(), Some(&displacement))?;
+        let points = |rows: &Array2<f64>| -> Vec<DVec3> {
+            rows.rows().into_iter().map(|at| DVec3::new(at[0], at[1], at[2])).collect()
+        };
+        let truth = points(&posed.vertices);
+        let joints = points(&posed.joints);
         let joints = detected_joints(&joints, options.bias);
         let detector = KeypointLayout::Body25;
         let unseen = Keypoint { x: 0.0, y: 0.0, confidence: 0.0 };
@@ -59,7 +66,7 @@ impl Scene {
                 points[point] = Keypoint { x: at.x + dx, y: at.y + dy, confidence: 1.0 };
             }
         }
-        let mask = render(&truth, &run.body().faces, &camera)?.mask().clone();
+        let mask = render(&truth, &body.faces, &camera)?.mask().clone();
         let mask = perturb_outline(&mask, options.ragged, &mut rng)?;
         Ok(Self { camera, keypoints: Keypoints::new(detector, points)?, mask, truth })
     }
