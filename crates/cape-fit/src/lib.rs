@@ -32,6 +32,7 @@ pub mod benchmark;
 mod body_energy;
 mod camera;
 mod clothed;
+mod clothed_config;
 #[cfg(test)]
 mod clothed_tests;
 mod config;
@@ -60,7 +61,8 @@ pub use cape_core::optimise::{LbfgsOptions, Minimum, StopReason};
 pub use alignment::{AlignedError, Alignment, aligned_error};
 pub use body_energy::{BodyEnergy, BodyTerms, BodyWeights};
 pub use camera::PinholeCamera;
-pub use clothed::{ClothedConfig, ClothedFit, ClothedTerms, ImageObservation, SilhouetteLevel};
+pub use clothed::{ClothedFit, ImageObservation};
+pub use clothed_config::{ClothedConfig, ClothedTerms, SilhouetteLevel};
 pub use config::FitConfig;
 pub use dressed_body::{DressedBody, DressedGradient, DressedSurface, FixedClothing};
 pub use error::{Error, Result};
