@@ -17,7 +17,7 @@ use ndarray::Array2;
 use super::method::FitMethodArgs;
 use crate::{
     console::Console,
-    error::{Context, Result},
+    error::{Context, Error, Result},
     interrupt::Interrupt,
     options::{DataArgs, GlobalArgs, RunArgs, StoreArgs, at_least_one, non_negative, share},
     registration::read_shape,
@@ -98,6 +98,13 @@ impl FitBenchmarkArgs {
             benchmark = benchmark.with_shapes(shapes(directory, &set, run.body().vertices())?)?;
         }
         let frames = benchmark.frames();
+        if frames.is_empty() {
+            return Err(Error::message(format!(
+                "{}: no test frames{}",
+                data.display(),
+                if options.tuning { " beside those of the benchmark" } else { "" }
+            )));
+        }
         let workers = super::image::fit_workers(&run)?;
         let mut done = 0;
         let cases = console.while_showing("fit", "images", |progress| {
