@@ -378,7 +378,7 @@ mod tests {
                             let row = body.joint_regressor.row(joint);
                             vertices.iter().zip(row).map(|(&p, &w)| p * w).sum()
                         });
-                        let numbers = vertices.iter().flat_map(|p| p.to_array());
+                        let numbers = vertices.iter().flat_map(DVec3::to_array);
                         let offsets = numbers.zip(&body.v_template).map(|(x, mean)| x - mean);
                         (&inverse * DVector::from_vec(offsets.collect()), [found, joints])
                     };

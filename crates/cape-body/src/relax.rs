@@ -51,7 +51,9 @@ impl Relaxation {
             }
             round.sort_unstable();
             round.dedup();
-            forms.iter_mut().for_each(|form| relaxation.step(&round, form));
+            for form in &mut forms {
+                relaxation.step(&round, form);
+            }
             relaxation.rounds.push(round);
         }
         relaxation
@@ -59,7 +61,9 @@ impl Relaxation {
 
     /// Moves the vertices of a shape of the half.
     pub(crate) fn apply(&self, shape: &mut [DVec3]) {
-        self.rounds.iter().for_each(|round| self.step(round, shape));
+        for round in &self.rounds {
+            self.step(round, shape);
+        }
     }
 
     fn step(&self, round: &[u32], shape: &mut [DVec3]) {

@@ -10,6 +10,8 @@ use cape_core::joints::JOINTS;
 
 /// Ridge on the coefficients, in units of the mean square of the features.
 const RIDGE: f64 = 1e-3;
+/// Largest rotation against the sense in which knees and elbows bend, and backwards at the hips, radians.
+const EXTENSION: [f64; 3] = [0.3, 0.3, 0.6];
 
 /// Adds to the pose directions of each joint 1 to 23 displacements along the rest normals that keep the
 /// body's volume while the joint turns.
@@ -25,7 +27,7 @@ pub(super) fn restore_volume(
     directions: &mut [Vec<DVec3>],
 ) {
     let normals = vertex_normals(vertices, faces);
-    for joint in 1..JOINTS {
+    for (joint, &centre) in joints.iter().enumerate().skip(1) {
         let shares: Vec<f64> = weights.iter().map(|row| share_below(row, joint)).collect();
         let bumps: Vec<DVec3> = shares
             .iter()
@@ -33,8 +35,9 @@ pub(super) fn restore_volume(
             .map(|(s, &normal)| normal * (4.0 * s * (1.0 - s)))
             .collect();
         let first = (joint - 1) * ENTRIES;
-        let coefficients = Hinge { vertices, faces, shares: &shares, centre: joints[joint] }
-            .amplitude(joint, &bumps, |v| &directions[v][first..first + ENTRIES]);
+        let coefficients =
+            Hinge { vertices, faces, shares: &shares, centre }
+                .amplitude(joint, &bumps, |v| &directions[v][first..first + ENTRIES]);
         for (direction, &bump) in directions.iter_mut().zip(&bumps) {
             for (entry, coefficient) in coefficients.iter().enumerate() {
                 direction[first + entry] += bump * *coefficient;
@@ -104,9 +107,6 @@ impl Hinge<'_> {
         if normal[0][0] == 0.0 { right } else { solve(&cholesky(&normal), right) }
     }
 }
-
-/// Largest rotation against the sense in which knees and elbows bend, and backwards at the hips, radians.
-const EXTENSION: [f64; 3] = [0.3, 0.3, 0.6];
 
 /// True unless a rotation over-extends the joint. Volumes depend on the sense of a bend; coefficients
 /// fitted to impossible rotations as well would fit the others less.
