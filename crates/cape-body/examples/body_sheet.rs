@@ -126,14 +126,14 @@ fn main() -> Outcome<()> {
         };
         if gender == Gender::Female {
             let mut tiles = Vec::new();
-            for sign in [-2.0, 2.0] {
-                for direction in 0..10 {
+            for (first, sign) in [(0, -2.0), (0, 2.0), (5, -2.0), (5, 2.0)] {
+                for direction in first..first + 5 {
                     let (betas, label) = shaped(direction, sign);
                     let mesh = sitter.mesh(&betas, BENDS[1].1)?;
                     tiles.push(sitter.tile(&mesh, &narrow, View::Front, label)?);
                 }
             }
-            contact_sheet(&tiles, 10, None)?.save(directory.join("body-shapes.png"))?;
+            contact_sheet(&tiles, 5, None)?.save(directory.join("body-shapes.png"))?;
         }
         sitter.textured = true;
         let mut shapes = Vec::new();
