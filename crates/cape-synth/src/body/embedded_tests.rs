@@ -147,7 +147,7 @@ fn pose_directions_keep_the_volume() {
         for motion in Motion::ALL {
             for time in 0..8 {
                 let change = change(&motion.pose(&MotionStyle::default(), f64::from(time) * 0.4));
-                assert!(change.abs() < 0.009, "{gender}, {motion}: {change}");
+                assert!(change.abs() < 0.012, "{gender}, {motion}: {change}");
             }
         }
     }
