@@ -1,7 +1,9 @@
-use glam::DVec3;
+use std::collections::HashMap;
+
+use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
-use cape_core::geometry::SurfaceIndex;
+use cape_core::geometry::{SurfaceIndex, closest_on_triangle};
 
 /// Parameters of the contact of cloth with a body in one step, at vertices and at the centres of
 /// faces.
@@ -32,17 +34,28 @@ impl Contact {
     pub const REACH: f64 = 0.02;
 }
 
-/// Last closest point on the body of a point of the cloth, by which most steps skip the query.
+/// Closest point on the body of a point of the cloth in an earlier step.
+///
+/// The whole body is searched again only when point and body may have approached by the distance found
+/// last; in between, points in contact are compared with the neighbourhood of their closest face.
 #[derive(Debug, Clone, Copy, Default)]
 struct ContactCache {
     face: Option<u32>,
-    /// Lower bound of the distance from the body at the last query, metres.
+    /// Gradient of the distance from the body in the last step with a closest face.
+    outward: DVec3,
+    /// Lower bound of the distance from the body at the last search, metres.
     distance: f64,
-    /// Position of the point at the last query, metres.
+    /// Position of the point relative to the reference at the last search, metres.
     at: DVec3,
-    /// Largest path length of the body's vertices at the last query, metres.
+    /// Largest path of the surrounding body relative to the reference since the last search, metres.
     travelled: f64,
+    /// Largest displacement of the surrounding body in a frame, metres, and that frame.
+    rate: f64,
+    frame: u64,
 }
+
+/// Approach of a point to another part of the body between searches of the whole body, metres.
+const UNSEEN: f64 = 0.004;
 
 /// Displacement that resolves a contact: `outward` times `depth`, metres, and the point of the body.
 #[derive(Debug, Clone, Copy)]
@@ -53,13 +66,89 @@ struct ContactCorrection {
     barycentric: [f64; 3],
 }
 
+/// Motion of a body within a frame, relative to its mean motion.
+#[derive(Debug, Clone, Default)]
+struct BodyMovement {
+    /// Number of the frame, from 1.
+    frame: u64,
+    /// Position of the reference, which moves by the mean displacement, metres.
+    reference: DVec3,
+    /// Displacement of the reference in the frame, metres.
+    mean: DVec3,
+    /// Largest displacement relative to the mean in cells of [`CELL`] metres.
+    cells: HashMap<IVec3, f64>,
+    /// Faces that share a corner with each face, and the faces that they belong to.
+    around: Vec<Vec<u32>>,
+    faces: Vec<[u32; 3]>,
+}
+
+/// Edge of the cells in which the body's motion is bounded, metres.
+const CELL: f64 = 0.1;
+
+impl BodyMovement {
+    /// Measures the motion of the next frame.
+    fn begin(&mut self, body: &SurfaceIndex) {
+        self.frame += 1;
+        self.cells.clear();
+        self.mean = DVec3::ZERO;
+        let faces = &body.surface().faces;
+        if self.faces != *faces {
+            self.faces.clone_from(faces);
+            let corners = body.surface().vertex_faces();
+            self.around = faces
+                .iter()
+                .map(|face| {
+                    let mut near: Vec<u32> =
+                        face.iter().flat_map(|&v| corners[v as usize].iter().copied()).collect();
+                    near.sort_unstable();
+                    near.dedup();
+                    near
+                })
+                .collect();
+        }
+        if body.largest_displacement() == 0.0 {
+            return;
+        }
+        const FIRST: [f64; 3] = [1.0, 0.0, 0.0];
+        let moves: Vec<[DVec3; 2]> = (0..faces.len() as u32)
+            .map(|face| [0.0, 1.0].map(|t| body.position_at(face, FIRST, t)))
+            .collect();
+        self.mean = moves.iter().map(|[from, to]| *to - *from).sum::<DVec3>() / moves.len() as f64;
+        for [from, to] in moves {
+            let way = (to - from - self.mean).length();
+            for t in [0.0, 0.5, 1.0] {
+                let most = self.cells.entry(cell(from.lerp(to, t))).or_default();
+                *most = most.max(way);
+            }
+        }
+    }
+
+    /// Largest displacement relative to the mean of the body within a cell's edge of a point, metres.
+    fn around(&self, point: DVec3) -> f64 {
+        let centre = cell(point);
+        let mut most = 0.0f64;
+        for x in -1..=1 {
+            for y in -1..=1 {
+                for z in -1..=1 {
+                    let found = self.cells.get(&(centre + IVec3::new(x, y, z)));
+                    most = most.max(found.copied().unwrap_or(0.0));
+                }
+            }
+        }
+        most
+    }
+}
+
+fn cell(point: DVec3) -> IVec3 {
+    (point / CELL).floor().as_ivec3()
+}
+
 /// Contact caches of a piece of cloth.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Contacts {
     vertices: Vec<ContactCache>,
     centres: Vec<ContactCache>,
-    /// Upper bound of the path length of the body's vertices so far, metres.
-    travelled: f64,
+    body: BodyMovement,
 }
 
 impl Contacts {
@@ -67,7 +156,7 @@ impl Contacts {
         Self {
             vertices: vec![ContactCache::default(); vertices],
             centres: vec![ContactCache::default(); faces],
-            travelled: 0.0,
+            body: BodyMovement::default(),
         }
     }
 
@@ -83,13 +172,24 @@ impl Contacts {
         positions: &mut [DVec3],
         (inverse_masses, faces): (&[f64], &[[u32; 3]]),
     ) {
-        self.travelled += body.largest_displacement() * (contact.now - contact.from);
-        let travelled = self.travelled;
-        self.push_out_faces(contact, body, positions, (inverse_masses, faces));
+        if contact.from == 0.0 {
+            self.body.begin(body);
+        }
+        let share = contact.now - contact.from;
+        self.body.reference += self.body.mean * share;
+        let movement = &self.body;
+        push_out_faces(
+            (&mut self.centres, movement),
+            contact,
+            body,
+            positions,
+            (inverse_masses, faces),
+        );
         let moving = positions.par_iter_mut().zip(before).zip(inverse_masses);
         moving.zip(&mut self.vertices).filter(|((_, w), _)| **w > 0.0).for_each(
             |(((x, &before), _), memory)| {
-                let Some(push) = memory.push(body, *x, contact.thickness, travelled) else {
+                let thickness = contact.thickness;
+                let Some(push) = memory.push((body, movement), *x, thickness, share) else {
                     return;
                 };
                 let ContactCorrection { depth, outward, face, barycentric } = push;
@@ -105,61 +205,88 @@ impl Contacts {
             },
         );
     }
+}
 
-    /// Moves each vertex by the mean of the pushes of its faces.
-    fn push_out_faces(
-        &mut self,
-        contact: &Contact,
-        body: &SurfaceIndex,
-        positions: &mut [DVec3],
-        (inverse_masses, faces): (&[f64], &[[u32; 3]]),
-    ) {
-        let (at, travelled) = (&*positions, self.travelled);
-        let pushes: Vec<Option<DVec3>> = faces
-            .par_iter()
-            .zip(&mut self.centres)
-            .map(|(corners, memory)| {
-                let centre = corners.iter().map(|&v| at[v as usize]).sum::<DVec3>() / 3.0;
-                let push = memory.push(body, centre, 0.5 * contact.thickness, travelled)?;
-                Some(push.outward * push.depth)
-            })
-            .collect();
-        let mut moves = vec![(DVec3::ZERO, 0.0); positions.len()];
-        for (corners, push) in faces.iter().zip(pushes) {
-            let Some(push) = push else { continue };
-            // Δx = w_i ∇_i λ with gradients of 1/3 each.
-            let weights = corners.map(|v| inverse_masses[v as usize]);
-            let total: f64 = weights.iter().sum();
-            for (&v, w) in corners.iter().zip(weights).filter(|_| total > 0.0) {
-                let (sum, count) = &mut moves[v as usize];
-                *sum += push * (3.0 * w / total);
-                *count += 1.0;
-            }
+/// Moves each vertex by the mean of the pushes of its faces.
+fn push_out_faces(
+    (centres, movement): (&mut [ContactCache], &BodyMovement),
+    contact: &Contact,
+    body: &SurfaceIndex,
+    positions: &mut [DVec3],
+    (inverse_masses, faces): (&[f64], &[[u32; 3]]),
+) {
+    let at = &*positions;
+    let share = contact.now - contact.from;
+    let pushes: Vec<Option<DVec3>> = faces
+        .par_iter()
+        .zip(centres)
+        .map(|(corners, memory)| {
+            let centre = corners.iter().map(|&v| at[v as usize]).sum::<DVec3>() / 3.0;
+            let push = memory.push((body, movement), centre, 0.5 * contact.thickness, share)?;
+            Some(push.outward * push.depth)
+        })
+        .collect();
+    let mut moves = vec![(DVec3::ZERO, 0.0); positions.len()];
+    for (corners, push) in faces.iter().zip(pushes) {
+        let Some(push) = push else { continue };
+        // Δx = w_i ∇_i λ with gradients of 1/3 each.
+        let weights = corners.map(|v| inverse_masses[v as usize]);
+        let total: f64 = weights.iter().sum();
+        for (&v, w) in corners.iter().zip(weights).filter(|_| total > 0.0) {
+            let (sum, count) = &mut moves[v as usize];
+            *sum += push * (3.0 * w / total);
+            *count += 1.0;
         }
-        for (x, (sum, count)) in positions.iter_mut().zip(moves).filter(|(_, all)| all.1 > 0.0) {
-            *x += sum / count;
-        }
+    }
+    for (x, (sum, count)) in positions.iter_mut().zip(moves).filter(|(_, all)| all.1 > 0.0) {
+        *x += sum / count;
     }
 }
 
 impl ContactCache {
+    /// Correction of a point `x` that keeps `thickness` metres from the body, after a `share` of the
+    /// frame.
     fn push(
         &mut self,
-        body: &SurfaceIndex,
+        (body, movement): (&SurfaceIndex, &BodyMovement),
         x: DVec3,
         thickness: f64,
-        travelled: f64,
+        share: f64,
     ) -> Option<ContactCorrection> {
         let reach = Contact::REACH.max(thickness);
-        if self.distance - x.distance(self.at) - (travelled - self.travelled) > thickness {
+        if self.frame != movement.frame {
+            (self.rate, self.frame) = (movement.around(x), movement.frame);
+        }
+        self.travelled += self.rate * share;
+        let relative = x - movement.reference;
+        let approach = relative.distance(self.at) + self.travelled;
+        if self.distance - approach > thickness {
             return None;
         }
+        if let Some(face) = self.face.filter(|_| approach < UNSEEN) {
+            let (distance, face, barycentric, away) = closest_around((body, movement), x, face);
+            let inside = away.dot(self.outward) < 0.0;
+            let distance = if inside { -distance } else { distance };
+            if let Some(direction) = away.try_normalize().filter(|_| distance.abs() > 1e-6) {
+                self.outward = if inside { -direction } else { direction };
+            }
+            self.face = Some(face);
+            let depth = thickness - distance;
+            let outward = self.outward;
+            return (depth > 0.0).then_some(ContactCorrection {
+                depth,
+                outward,
+                face,
+                barycentric,
+            });
+        }
         let near = body.closest_from(x, reach, self.face);
-        (self.at, self.travelled) = (x, travelled);
+        (self.at, self.travelled) = (relative, 0.0);
         // Inside the body the distance is no lower bound.
         self.distance = near.map_or(reach, |near| near.signed_distance.max(0.0));
         self.face = near.map(|near| near.face);
         let near = near?;
+        self.outward = near.outward;
         let depth = thickness - near.signed_distance;
         (depth > 0.0).then_some(ContactCorrection {
             depth,
@@ -168,4 +295,23 @@ impl ContactCache {
             barycentric: near.barycentric,
         })
     }
+}
+
+/// Closest point of a face and its neighbours: its distance, metres, face, barycentric coordinates,
+/// and the way from it to the point.
+fn closest_around(
+    (body, movement): (&SurfaceIndex, &BodyMovement),
+    x: DVec3,
+    face: u32,
+) -> (f64, u32, [f64; 3], DVec3) {
+    let mut best = (f64::INFINITY, face, [0.0; 3], DVec3::ZERO);
+    for &face in &movement.around[face as usize] {
+        let (nearest, barycentric) = closest_on_triangle(x, body.surface().corners(face as usize));
+        let away = x - nearest;
+        let distance = away.length_squared();
+        if distance < best.0 {
+            best = (distance, face, barycentric, away);
+        }
+    }
+    (best.0.sqrt(), best.1, best.2, best.3)
 }

@@ -1,6 +1,6 @@
 use std::collections::HashMap;
 
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::material::{ClothMaterial, StretchStiffness};
@@ -33,20 +33,33 @@ struct Hinge {
 #[derive(Debug, Clone, Copy, Default)]
 struct MembraneState {
     /// Images of the unit vectors along weft and warp.
-    weft: DVec3,
-    warp: DVec3,
-    /// Stress along weft, warp and in shear, N/m, and its positive semidefinite part.
-    stress: [f64; 3],
-    tension: [f64; 3],
+    weft: Vec3,
+    warp: Vec3,
+    /// Positive semidefinite part of the stress along weft, warp and in shear, N/m.
+    tension: [f32; 3],
+    /// Negative impulses for slopes along weft and warp, N·m·s.
+    pulls: [DVec3; 2],
 }
 
 /// Linearisation of a hinge at one state.
 #[derive(Debug, Clone, Copy, Default)]
 struct HingeState {
     /// Gradient of the angle for each corner, 1/m.
-    gradients: [DVec3; 4],
-    /// Derivative of the energy by the angle, N·m.
+    gradients: [Vec3; 4],
+    /// Negative impulse for a gradient of 1, N·m·s.
     moment: f64,
+}
+
+/// An element's part in a block of the matrix: the derivative of the negative force on one of its
+/// corners by the position of another.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Contribution {
+    element: u32,
+    corner: u8,
+    other: u8,
+    is_hinge: bool,
+    /// Block of the row.
+    slot: u16,
 }
 
 /// Elastic forces of a cloth: stretch and shear of its triangles, and bending of its inner edges.
@@ -137,69 +150,85 @@ impl ElasticForces {
         (0..self.in_membranes.len()).map(stencil).collect()
     }
 
-    /// Computes strains and angles at the positions `at`, metres.
-    pub(super) fn linearise(&mut self, at: &[DVec3]) {
+    /// Contributions to a vertex's row of the matrix, whose blocks are those of the `columns`; others
+    /// are left out.
+    pub(super) fn contributions(&self, vertex: usize, columns: &[u32]) -> Vec<Contribution> {
+        let slot = |v: u32| columns.iter().position(|&column| column == v).map(|slot| slot as u16);
+        let mut all = Vec::new();
+        for &(element, corner) in &self.in_membranes[vertex] {
+            for (other, &v) in self.membranes[element as usize].corners.iter().enumerate() {
+                let Some(slot) = slot(v) else { continue };
+                let other = other as u8;
+                all.push(Contribution { element, corner, other, is_hinge: false, slot });
+            }
+        }
+        for &(element, corner) in &self.in_hinges[vertex] {
+            for (other, &v) in self.hinges[element as usize].corners.iter().enumerate() {
+                let Some(slot) = slot(v) else { continue };
+                let other = other as u8;
+                all.push(Contribution { element, corner, other, is_hinge: true, slot });
+            }
+        }
+        all
+    }
+
+    /// Linearises at positions, metres, and velocities, m/s, for impulses `dt f − lag K v`: `times` are
+    /// `dt`, seconds, and `lag`, s².
+    pub(super) fn linearise(&mut self, at: &[DVec3], velocities: &[DVec3], times: [f64; 2]) {
         self.membranes
             .par_iter()
             .zip(&mut self.membrane_states)
             .with_min_len(GRAIN)
-            .for_each(|(membrane, state)| *state = membrane.state(at));
+            .for_each(|(membrane, state)| *state = membrane.state(at, velocities, times));
         self.hinges
             .par_iter()
             .zip(&mut self.hinge_states)
             .with_min_len(GRAIN)
-            .for_each(|(hinge, state)| *state = hinge.state(at));
+            .for_each(|(hinge, state)| *state = hinge.state(at, velocities, times));
     }
 
-    /// Force on a vertex in the linearised state, newtons.
-    pub(super) fn force(&self, vertex: usize) -> DVec3 {
-        let mut force = DVec3::ZERO;
+    /// Impulse `dt f − lag K v` on a vertex in the linearised state, N·s.
+    pub(super) fn impulse(&self, vertex: usize) -> DVec3 {
+        let mut impulse = DVec3::ZERO;
         for &(element, corner) in &self.in_membranes[vertex] {
-            let membrane = &self.membranes[element as usize];
-            let MembraneState { weft, warp, stress, .. } = self.membrane_states[element as usize];
-            let slope = membrane.slopes[corner as usize];
-            force -= (weft * (slope.x * stress[0] + slope.y * stress[2])
-                + warp * (slope.y * stress[1] + slope.x * stress[2]))
-                * membrane.area;
+            let slope = self.membranes[element as usize].slopes[corner as usize];
+            let [weft, warp] = self.membrane_states[element as usize].pulls;
+            impulse -= weft * slope.x + warp * slope.y;
         }
         for &(element, corner) in &self.in_hinges[vertex] {
             let HingeState { gradients, moment } = &self.hinge_states[element as usize];
-            force -= gradients[corner as usize] * *moment;
+            impulse -= gradients[corner as usize].as_dvec3() * *moment;
         }
-        force
+        impulse
     }
 
-    /// Adds the derivatives of the negative force on a vertex to `row`, one block for each vertex of
-    /// its `stencil`, N/m. The negative curvature of compressed cloth is left out.
-    pub(super) fn add_stiffness(&self, vertex: usize, stencil: &[u32], row: &mut [DMat3]) {
-        let place = |v: u32| stencil.binary_search(&v).unwrap_or(0);
-        for &(element, corner) in &self.in_membranes[vertex] {
-            let membrane = &self.membranes[element as usize];
-            let state = &self.membrane_states[element as usize];
-            for (other, &v) in membrane.corners.iter().enumerate() {
-                row[place(v)] += membrane.block(state, corner as usize, other);
-            }
-        }
-        for &(element, corner) in &self.in_hinges[vertex] {
-            let hinge = &self.hinges[element as usize];
-            let gradients = &self.hinge_states[element as usize].gradients;
-            let own = gradients[corner as usize] * hinge.stiffness;
-            for (&v, &other) in hinge.corners.iter().zip(gradients) {
-                row[place(v)] += outer(own, other);
-            }
+    /// Adds contributions, derivatives of negative forces, to the blocks of a row, N/m. The negative
+    /// curvature of compressed cloth is left out.
+    pub(super) fn add_stiffness(&self, contributions: &[Contribution], row: &mut [Mat3]) {
+        for &Contribution { element, corner, other, is_hinge, slot } in contributions {
+            let (element, corner, other) = (element as usize, corner as usize, other as usize);
+            row[slot as usize] += if is_hinge {
+                let gradients = &self.hinge_states[element].gradients;
+                let own = gradients[corner] * self.hinges[element].stiffness as f32;
+                outer_single(own, gradients[other])
+            } else {
+                self.membranes[element].block(&self.membrane_states[element], corner, other)
+            };
         }
     }
 
     /// Elastic energy at the positions `at`, joules.
     pub(super) fn energy(&self, at: &[DVec3]) -> f64 {
         let stretch = self.membranes.iter().map(|membrane| {
-            let state = membrane.state(at);
-            let strain = strain(state.weft, state.warp);
-            0.5 * membrane.area * strain.iter().zip(state.stress).map(|(e, s)| e * s).sum::<f64>()
+            let [weft, warp] = membrane.images(at);
+            let strain = strain(weft, warp);
+            let stress = membrane.stress(strain);
+            0.5 * membrane.area * strain.iter().zip(stress).map(|(e, s)| e * s).sum::<f64>()
         });
         let bend = self.hinges.iter().map(|hinge| {
-            let HingeState { moment, .. } = hinge.state(at);
-            0.5 * moment * moment / hinge.stiffness.max(f64::MIN_POSITIVE)
+            let change = dihedral(hinge.corners.map(|v| at[v as usize]))
+                .map_or(0.0, |(angle, _)| hinge.change(angle));
+            0.5 * hinge.stiffness * change * change
         });
         stretch.sum::<f64>() + bend.sum::<f64>()
     }
@@ -215,30 +244,65 @@ pub(super) fn outer(a: DVec3, b: DVec3) -> DMat3 {
     DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
+/// The matrix `a bᵀ` in single precision.
+fn outer_single(a: Vec3, b: Vec3) -> Mat3 {
+    Mat3::from_cols(a * b.x, a * b.y, a * b.z)
+}
+
 impl Membrane {
-    fn state(&self, at: &[DVec3]) -> MembraneState {
+    /// Images of the unit vectors along weft and warp under a map of the corners.
+    fn images(&self, of: &[DVec3]) -> [DVec3; 2] {
         let (mut weft, mut warp) = (DVec3::ZERO, DVec3::ZERO);
         for (&v, slope) in self.corners.iter().zip(self.slopes) {
-            weft += at[v as usize] * slope.x;
-            warp += at[v as usize] * slope.y;
+            weft += of[v as usize] * slope.x;
+            warp += of[v as usize] * slope.y;
         }
-        let [e0, e1, e2] = strain(weft, warp);
+        [weft, warp]
+    }
+
+    fn stress(&self, [e0, e1, e2]: [f64; 3]) -> [f64; 3] {
         let c = &self.stiffness;
-        let stress = [c.weft * e0 + c.coupling * e1, c.coupling * e0 + c.warp * e1, c.shear * e2];
-        MembraneState { weft, warp, stress, tension: positive_part(stress) }
+        [c.weft * e0 + c.coupling * e1, c.coupling * e0 + c.warp * e1, c.shear * e2]
+    }
+
+    fn state(&self, at: &[DVec3], velocities: &[DVec3], [dt, lag]: [f64; 2]) -> MembraneState {
+        let [weft, warp] = self.images(at);
+        let stress = self.stress(strain(weft, warp));
+        let tension = positive_part(stress);
+        let [weft_rate, warp_rate] = self.images(velocities);
+        let rates =
+            [weft.dot(weft_rate), warp.dot(warp_rate), weft.dot(warp_rate) + warp.dot(weft_rate)];
+        let along = |[s0, s1, s2]: [f64; 3], weft: DVec3, warp: DVec3| {
+            [weft * s0 + warp * s2, warp * s1 + weft * s2]
+        };
+        let elastic = along(stress, weft, warp);
+        let material = along(self.stress(rates), weft, warp);
+        let geometric = along(tension, weft_rate, warp_rate);
+        let pull = |i: usize| (elastic[i] * dt + (material[i] + geometric[i]) * lag) * self.area;
+        MembraneState {
+            weft: weft.as_vec3(),
+            warp: warp.as_vec3(),
+            tension: tension.map(|t| t as f32),
+            pulls: [pull(0), pull(1)],
+        }
     }
 
     /// Derivative of the negative force on corner `i` by the position of corner `j`.
-    fn block(&self, state: &MembraneState, i: usize, j: usize) -> DMat3 {
-        let (p, q, c) = (self.slopes[i], self.slopes[j], &self.stiffness);
+    fn block(&self, state: &MembraneState, i: usize, j: usize) -> Mat3 {
+        let (p, q) = (self.slopes[i].as_vec2() * self.area as f32, self.slopes[j].as_vec2());
         let MembraneState { weft, warp, tension: [t0, t1, t2], .. } = *state;
+        let [c_weft, c_warp, c_coupling, c_shear] = {
+            let c = &self.stiffness;
+            [c.weft, c.warp, c.coupling, c.shear].map(|c| c as f32)
+        };
         let geometric = p.x * q.x * t0 + p.y * q.y * t1 + (p.x * q.y + p.y * q.x) * t2;
         let (shear_p, shear_q) = (warp * p.x + weft * p.y, warp * q.x + weft * q.y);
-        let along_weft = weft * (c.weft * q.x) * p.x + warp * (c.coupling * q.y) * p.x;
-        let along_warp = weft * (c.coupling * q.x) * p.y + warp * (c.warp * q.y) * p.y;
-        let material =
-            outer(weft, along_weft) + outer(warp, along_warp) + outer(shear_p, shear_q * c.shear);
-        (DMat3::from_diagonal(DVec3::splat(geometric)) + material) * self.area
+        let along_weft = weft * (c_weft * q.x * p.x) + warp * (c_coupling * q.y * p.x);
+        let along_warp = weft * (c_coupling * q.x * p.y) + warp * (c_warp * q.y * p.y);
+        let material = outer_single(weft, along_weft)
+            + outer_single(warp, along_warp)
+            + outer_single(shear_p, shear_q * c_shear);
+        Mat3::from_diagonal(Vec3::splat(geometric)) + material
     }
 }
 
@@ -259,12 +323,21 @@ fn positive_part([xx, yy, xy]: [f64; 3]) -> [f64; 3] {
 }
 
 impl Hinge {
-    fn state(&self, at: &[DVec3]) -> HingeState {
+    fn state(&self, at: &[DVec3], velocities: &[DVec3], [dt, lag]: [f64; 2]) -> HingeState {
         let corners = self.corners.map(|v| at[v as usize]);
         let Some((angle, gradients)) = dihedral(corners) else { return HingeState::default() };
+        let moving = gradients.iter().zip(self.corners);
+        let rate: f64 = moving.map(|(gradient, v)| gradient.dot(velocities[v as usize])).sum();
+        HingeState {
+            gradients: gradients.map(DVec3::as_vec3),
+            moment: self.stiffness * (dt * self.change(angle) + lag * rate),
+        }
+    }
+
+    /// Difference of an angle from the one at rest, within half a turn.
+    fn change(&self, angle: f64) -> f64 {
         let turn = std::f64::consts::TAU;
-        let change = (angle - self.rest + 0.5 * turn).rem_euclid(turn) - 0.5 * turn;
-        HingeState { gradients, moment: self.stiffness * change }
+        (angle - self.rest + 0.5 * turn).rem_euclid(turn) - 0.5 * turn
     }
 }
 

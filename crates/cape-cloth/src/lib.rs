@@ -30,6 +30,7 @@ mod implicit;
 mod isosurface;
 mod material;
 mod pattern;
+mod penetration;
 #[cfg(test)]
 mod physics_tests;
 mod self_collision;
@@ -47,5 +48,6 @@ pub const SIMULATOR_VERSION: u32 = 2;
 pub use contact::Contact;
 pub use garment::{Garment, GarmentKind, GarmentMesh};
 pub use material::{ClothMaterial, StretchStiffness};
+pub use penetration::Penetration;
 pub use sheet::Cloth;
 pub use simulate::{SimulatedGarment, SimulationOptions, SimulationQuality, StepReport};

@@ -2,7 +2,7 @@
 //! draping cloth by closed forms.
 
 use cape_core::geometry::{SurfaceMesh, primitives::grid};
-use glam::{DMat3, DVec3};
+use glam::{DVec3, Mat3};
 
 use crate::{
     Cloth, ClothMaterial, SimulationOptions, StretchStiffness,
@@ -25,10 +25,11 @@ fn crumpled(stretched: f64) -> (SurfaceMesh, Vec<DVec3>) {
 fn forces_are_derivatives_of_the_energy() {
     let (rest, at) = crumpled(1.05);
     let mut elastic = ElasticForces::new(&rest, &ClothMaterial::DENIM);
-    elastic.linearise(&at);
+    let still = vec![DVec3::ZERO; at.len()];
+    elastic.linearise(&at, &still, [1.0, 0.0]);
     let step = 1e-6;
     for v in 0..at.len() {
-        let force = elastic.force(v);
+        let force = elastic.impulse(v);
         for axis in 0..3 {
             let energy = |by: f64| {
                 let mut moved = at.clone();
@@ -48,26 +49,33 @@ fn stiffness_is_the_derivative_of_forces_under_tension() {
     let (rest, at) = crumpled(1.2);
     let material = ClothMaterial { bend: 0.0, ..ClothMaterial::DENIM };
     let mut elastic = ElasticForces::new(&rest, &material);
-    elastic.linearise(&at);
+    let still = vec![DVec3::ZERO; at.len()];
     let stencils = elastic.stencils();
     let step = 1e-7;
     for (v, stencil) in stencils.iter().enumerate() {
-        let mut row = vec![DMat3::ZERO; stencil.len()];
-        elastic.add_stiffness(v, stencil, &mut row);
+        elastic.linearise(&at, &still, [1.0, 0.0]);
+        let mut row = vec![Mat3::ZERO; stencil.len()];
+        elastic.add_stiffness(&elastic.contributions(v, stencil), &mut row);
         for (block, &other) in row.iter().zip(stencil) {
             for axis in 0..3 {
                 let mut force = |by: f64| {
                     let mut moved = at.clone();
                     moved[other as usize][axis] += by;
-                    elastic.linearise(&moved);
-                    elastic.force(v)
+                    elastic.linearise(&moved, &still, [1.0, 0.0]);
+                    elastic.impulse(v)
                 };
                 let expected = -(force(step) - force(-step)) / (2.0 * step);
-                let error = (block.col(axis) - expected).length();
+                let error = (block.col(axis).as_dvec3() - expected).length();
                 assert!(
                     error < 1e-3 * (1.0 + expected.length()),
                     "{v} {other}: {block} {expected}"
                 );
+                // Damping impulses are of the same matrix.
+                let mut moving = still.clone();
+                moving[other as usize][axis] = 1.0;
+                elastic.linearise(&at, &moving, [0.0, 1.0]);
+                let damped = elastic.impulse(v) + block.col(axis).as_dvec3();
+                assert!(damped.length() < 1e-4 * (1.0 + expected.length()), "{v} {other}");
             }
         }
     }

@@ -150,7 +150,8 @@ impl Cloth {
     /// step, each 0 to 1. Vertices move by at most 15 mm in a step.
     pub fn step(&mut self, dt: f64, gravity: DVec3, body: Option<(&SurfaceIndex, [f64; 2])>) {
         let before = self.positions.clone();
-        self.elastic.linearise(&before);
+        let lag = dt * (dt + self.material.damping);
+        self.elastic.linearise(&before, &self.velocities, [dt, lag]);
         let points = self.point_forces(gravity);
         let changes = self.solver.solve(
             &self.elastic,
@@ -179,7 +180,7 @@ impl Cloth {
         }
         if let Some(folds) = &mut self.folds {
             let friction = self.material.friction;
-            folds.resolve(&before, &mut self.positions, &self.inverse_masses, friction);
+            folds.resolve(&before, &mut self.positions, &self.inverse_masses, (friction, dt));
         }
         self.apply_strain_limits();
         for ((x, v), before) in self.positions.iter().zip(&mut self.velocities).zip(before) {
