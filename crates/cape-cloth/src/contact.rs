@@ -80,6 +80,8 @@ struct BodyMovement {
     /// Faces that share a corner with each face, and the faces that they belong to.
     around: Vec<Vec<u32>>,
     faces: Vec<[u32; 3]>,
+    /// Corners of the faces around each face.
+    corners_around: Vec<Vec<u32>>,
 }
 
 /// Edge of the cells in which the body's motion is bounded, metres.
@@ -105,6 +107,14 @@ impl BodyMovement {
                     near
                 })
                 .collect();
+            let corners_of = |near: &Vec<u32>| {
+                let mut corners: Vec<u32> =
+                    near.iter().flat_map(|&face| faces[face as usize]).collect();
+                corners.sort_unstable();
+                corners.dedup();
+                corners
+            };
+            self.corners_around = self.around.iter().map(corners_of).collect();
         }
         if body.largest_displacement() == 0.0 {
             return;
@@ -164,30 +174,30 @@ impl Contacts {
     /// allows, along the gradient of the distance, and applies Coulomb friction: the tangential
     /// movement of a vertex relative to the body is reduced by at most the friction times its push.
     /// `before` are the positions before the step, metres.
+    ///
+    /// `contacts` are of the layers of the cloth, `sheet` its inverse masses, 1/kg, faces, and the layer
+    /// of each vertex.
     pub(super) fn resolve(
         &mut self,
-        contact: &Contact,
+        contacts: &[Contact],
         body: &SurfaceIndex,
         before: &[DVec3],
         positions: &mut [DVec3],
-        (inverse_masses, faces): (&[f64], &[[u32; 3]]),
+        sheet: (&[f64], &[[u32; 3]], &[u8]),
     ) {
+        let (inverse_masses, _, layers) = sheet;
+        let Some(contact) = contacts.first() else { return };
         if contact.from == 0.0 {
             self.body.begin(body);
         }
         let share = contact.now - contact.from;
         self.body.reference += self.body.mean * share;
         let movement = &self.body;
-        push_out_faces(
-            (&mut self.centres, movement),
-            contact,
-            body,
-            positions,
-            (inverse_masses, faces),
-        );
-        let moving = positions.par_iter_mut().zip(before).zip(inverse_masses);
-        moving.zip(&mut self.vertices).filter(|((_, w), _)| **w > 0.0).for_each(
-            |(((x, &before), _), memory)| {
+        push_out_faces((&mut self.centres, movement), contacts, body, positions, sheet);
+        let moving = positions.par_iter_mut().zip(before).zip(inverse_masses).zip(layers);
+        moving.zip(&mut self.vertices).filter(|(((_, w), _), _)| **w > 0.0).for_each(
+            |((((x, &before), _), &layer), memory)| {
+                let contact = &contacts[usize::from(layer)];
                 let thickness = contact.thickness;
                 let Some(push) = memory.push((body, movement), *x, thickness, share) else {
                     return;
@@ -207,35 +217,43 @@ impl Contacts {
     }
 }
 
-/// Moves each vertex by the mean of the pushes of its faces.
+/// Moves each vertex by the mean of the pushes of its faces: of their centres, and of vertices of the
+/// body that are closer to them than half the thickness, or beyond them.
 fn push_out_faces(
     (centres, movement): (&mut [ContactCache], &BodyMovement),
-    contact: &Contact,
+    contacts: &[Contact],
     body: &SurfaceIndex,
     positions: &mut [DVec3],
-    (inverse_masses, faces): (&[f64], &[[u32; 3]]),
+    (inverse_masses, faces, layers): (&[f64], &[[u32; 3]], &[u8]),
 ) {
     let at = &*positions;
-    let share = contact.now - contact.from;
-    let pushes: Vec<Option<DVec3>> = faces
+    let pushes: Vec<[Option<([f64; 3], DVec3)>; 2]> = faces
         .par_iter()
         .zip(centres)
         .map(|(corners, memory)| {
             let centre = corners.iter().map(|&v| at[v as usize]).sum::<DVec3>() / 3.0;
-            let push = memory.push((body, movement), centre, 0.5 * contact.thickness, share)?;
-            Some(push.outward * push.depth)
+            let contact = &contacts[usize::from(layers[corners[0] as usize])];
+            let share = contact.now - contact.from;
+            let thickness = 0.5 * contact.thickness;
+            let push = memory.push((body, movement), centre, thickness, share);
+            let push = push.map(|push| ([1.0 / 3.0; 3], push.outward * push.depth));
+            let triangle = corners.map(|v| at[v as usize]);
+            [push, memory.push_off_vertex((body, movement), triangle, thickness)]
         })
         .collect();
     let mut moves = vec![(DVec3::ZERO, 0.0); positions.len()];
-    for (corners, push) in faces.iter().zip(pushes) {
-        let Some(push) = push else { continue };
-        // Δx = w_i ∇_i λ with gradients of 1/3 each.
-        let weights = corners.map(|v| inverse_masses[v as usize]);
-        let total: f64 = weights.iter().sum();
-        for (&v, w) in corners.iter().zip(weights).filter(|_| total > 0.0) {
-            let (sum, count) = &mut moves[v as usize];
-            *sum += push * (3.0 * w / total);
-            *count += 1.0;
+    for (corners, pushes) in faces.iter().zip(pushes) {
+        for (shares, push) in pushes.into_iter().flatten() {
+            // Δx = w_i ∇_i λ with the point's shares of the corners as gradients.
+            let weights = corners.map(|v| inverse_masses[v as usize]);
+            let total: f64 = weights.iter().zip(shares).map(|(w, share)| w * share * share).sum();
+            for ((&v, w), share) in corners.iter().zip(weights).zip(shares) {
+                if total > 0.0 && share > 0.0 {
+                    let (sum, count) = &mut moves[v as usize];
+                    *sum += push * (w * share / total);
+                    *count += 1.0;
+                }
+            }
         }
     }
     for (x, (sum, count)) in positions.iter_mut().zip(moves).filter(|(_, all)| all.1 > 0.0) {
@@ -294,6 +312,43 @@ impl ContactCache {
             face: near.face,
             barycentric: near.barycentric,
         })
+    }
+}
+
+impl ContactCache {
+    /// Push of a triangle of the cloth off the body's vertex that is nearest to its far side or most
+    /// beyond it, among those around the closest face of its centre: its barycentric coordinates in the
+    /// triangle, and the displacement there, metres.
+    fn push_off_vertex(
+        &self,
+        (body, movement): (&SurfaceIndex, &BodyMovement),
+        [a, b, c]: [DVec3; 3],
+        thickness: f64,
+    ) -> Option<([f64; 3], DVec3)> {
+        // Far centres have searched the whole body and found no face.
+        let face = self.face?;
+        let cross = (b - a).cross(c - a);
+        let normal = cross.try_normalize()?;
+        let outward = normal * normal.dot(self.outward).signum();
+        // A face that stands on the body has no side that it belongs to.
+        if outward.dot(self.outward) < 0.5 {
+            return None;
+        }
+        let mut most = (0.0, [0.0; 3]);
+        for &v in &movement.corners_around[face as usize] {
+            let p = body.surface().vertices[v as usize];
+            let depth = thickness - (a - p).dot(outward);
+            if depth <= most.0 || depth > Contact::REACH {
+                continue;
+            }
+            let area = cross.length_squared();
+            let share = |from: DVec3, to: DVec3| (to - from).cross(p - from).dot(cross) / area;
+            let shares = [share(b, c), share(c, a), share(a, b)];
+            if shares.iter().all(|&share| share > 0.0) {
+                most = (depth, shares);
+            }
+        }
+        (most.0 > 0.0).then_some((most.1, outward * most.0))
     }
 }
 

@@ -17,6 +17,8 @@ struct Membrane {
     slopes: [DVec2; 3],
     area: f64,
     stiffness: StretchStiffness,
+    /// Damping relative to the stiffness, seconds.
+    damping: f64,
 }
 
 /// Two neighbouring triangles: ends of their edge, then their opposite corners.
@@ -27,6 +29,8 @@ struct Hinge {
     rest: f64,
     /// Energy is half of it times the squared change of the angle, N·m.
     stiffness: f64,
+    /// Damping relative to the stiffness, seconds.
+    damping: f64,
 }
 
 /// Linearisation of a membrane at one state.
@@ -37,6 +41,8 @@ struct MembraneState {
     warp: Vec3,
     /// Positive semidefinite part of the stress along weft, warp and in shear, N/m.
     tension: [f32; 3],
+    /// Area times `dt (dt + damping)`, m²·s².
+    weight: f32,
     /// Negative impulses for slopes along weft and warp, N·m·s.
     pulls: [DVec3; 2],
 }
@@ -48,6 +54,8 @@ struct HingeState {
     gradients: [Vec3; 4],
     /// Negative impulse for a gradient of 1, N·m·s.
     moment: f64,
+    /// Stiffness times `dt (dt + damping)`, N·m·s².
+    weight: f32,
 }
 
 /// An element's part in a block of the matrix: the derivative of the negative force on one of its
@@ -75,7 +83,8 @@ pub(super) struct ElasticForces {
 }
 
 impl ElasticForces {
-    pub(super) fn new(rest: &SurfaceMesh, material: &ClothMaterial) -> Self {
+    /// Forces of a cloth with the rest surface `rest`; `material` is of a vertex.
+    pub(super) fn new<'a>(rest: &SurfaceMesh, material: impl Fn(u32) -> &'a ClothMaterial) -> Self {
         let membranes: Vec<Membrane> = (0..rest.faces.len())
             .filter_map(|face| {
                 let [a, b, c] = rest.corners(face);
@@ -90,11 +99,13 @@ impl ElasticForces {
                     let across = normal.cross(to - from) / cross.length();
                     DVec2::new(across.dot(weft), across.dot(warp))
                 };
+                let of = material(rest.faces[face][0]);
                 Some(Membrane {
                     corners: rest.faces[face],
                     slopes: [slope(b, c), slope(c, a), slope(a, b)],
                     area: 0.5 * cross.length(),
-                    stiffness: material.stretch,
+                    stiffness: of.stretch,
+                    damping: of.damping,
                 })
             })
             .collect();
@@ -104,12 +115,13 @@ impl ElasticForces {
                 let [a, b, c, d] = corners.map(|v| rest.vertices[v as usize]);
                 let edge = b - a;
                 let areas = 0.5 * (edge.cross(c - a).length() + edge.cross(d - a).length());
-                let stiffness =
-                    material.bend * edge.length_squared() / areas.max(f64::MIN_POSITIVE);
+                let of = material(corners[0]);
+                let stiffness = of.bend * edge.length_squared() / areas.max(f64::MIN_POSITIVE);
                 Hinge {
                     corners,
                     rest: dihedral([a, b, c, d]).map_or(0.0, |(angle, _)| angle),
                     stiffness,
+                    damping: of.damping,
                 }
             })
             .collect();
@@ -172,22 +184,22 @@ impl ElasticForces {
         all
     }
 
-    /// Linearises at positions, metres, and velocities, m/s, for impulses `dt f − lag K v`: `times` are
-    /// `dt`, seconds, and `lag`, s².
-    pub(super) fn linearise(&mut self, at: &[DVec3], velocities: &[DVec3], times: [f64; 2]) {
+    /// Linearises at positions, metres, and velocities, m/s, for a step of `dt` seconds: for the impulse
+    /// `dt f − dt (dt + damping) K v` and the matrix `dt (dt + damping) K`.
+    pub(super) fn linearise(&mut self, at: &[DVec3], velocities: &[DVec3], dt: f64) {
         self.membranes
             .par_iter()
             .zip(&mut self.membrane_states)
             .with_min_len(GRAIN)
-            .for_each(|(membrane, state)| *state = membrane.state(at, velocities, times));
+            .for_each(|(membrane, state)| *state = membrane.state(at, velocities, dt));
         self.hinges
             .par_iter()
             .zip(&mut self.hinge_states)
             .with_min_len(GRAIN)
-            .for_each(|(hinge, state)| *state = hinge.state(at, velocities, times));
+            .for_each(|(hinge, state)| *state = hinge.state(at, velocities, dt));
     }
 
-    /// Impulse `dt f − lag K v` on a vertex in the linearised state, N·s.
+    /// Impulse `dt f − dt (dt + damping) K v` on a vertex in the linearised state, N·s.
     pub(super) fn impulse(&self, vertex: usize) -> DVec3 {
         let mut impulse = DVec3::ZERO;
         for &(element, corner) in &self.in_membranes[vertex] {
@@ -196,20 +208,20 @@ impl ElasticForces {
             impulse -= weft * slope.x + warp * slope.y;
         }
         for &(element, corner) in &self.in_hinges[vertex] {
-            let HingeState { gradients, moment } = &self.hinge_states[element as usize];
+            let HingeState { gradients, moment, .. } = &self.hinge_states[element as usize];
             impulse -= gradients[corner as usize].as_dvec3() * *moment;
         }
         impulse
     }
 
-    /// Adds contributions, derivatives of negative forces, to the blocks of a row, N/m. The negative
-    /// curvature of compressed cloth is left out.
+    /// Adds contributions, derivatives of negative forces times `dt (dt + damping)`, to the blocks of a
+    /// row, kg. The negative curvature of compressed cloth is left out.
     pub(super) fn add_stiffness(&self, contributions: &[Contribution], row: &mut [Mat3]) {
         for &Contribution { element, corner, other, is_hinge, slot } in contributions {
             let (element, corner, other) = (element as usize, corner as usize, other as usize);
             row[slot as usize] += if is_hinge {
                 let gradients = &self.hinge_states[element].gradients;
-                let own = gradients[corner] * self.hinges[element].stiffness as f32;
+                let own = gradients[corner] * self.hinge_states[element].weight;
                 outer_single(own, gradients[other])
             } else {
                 self.membranes[element].block(&self.membrane_states[element], corner, other)
@@ -265,7 +277,8 @@ impl Membrane {
         [c.weft * e0 + c.coupling * e1, c.coupling * e0 + c.warp * e1, c.shear * e2]
     }
 
-    fn state(&self, at: &[DVec3], velocities: &[DVec3], [dt, lag]: [f64; 2]) -> MembraneState {
+    fn state(&self, at: &[DVec3], velocities: &[DVec3], dt: f64) -> MembraneState {
+        let lag = dt * (dt + self.damping);
         let [weft, warp] = self.images(at);
         let stress = self.stress(strain(weft, warp));
         let tension = positive_part(stress);
@@ -283,13 +296,15 @@ impl Membrane {
             weft: weft.as_vec3(),
             warp: warp.as_vec3(),
             tension: tension.map(|t| t as f32),
+            weight: (self.area * lag) as f32,
             pulls: [pull(0), pull(1)],
         }
     }
 
-    /// Derivative of the negative force on corner `i` by the position of corner `j`.
+    /// Derivative of the negative force on corner `i` by the position of corner `j`, times
+    /// `dt (dt + damping)`.
     fn block(&self, state: &MembraneState, i: usize, j: usize) -> Mat3 {
-        let (p, q) = (self.slopes[i].as_vec2() * self.area as f32, self.slopes[j].as_vec2());
+        let (p, q) = (self.slopes[i].as_vec2() * state.weight, self.slopes[j].as_vec2());
         let MembraneState { weft, warp, tension: [t0, t1, t2], .. } = *state;
         let [c_weft, c_warp, c_coupling, c_shear] = {
             let c = &self.stiffness;
@@ -323,7 +338,8 @@ fn positive_part([xx, yy, xy]: [f64; 3]) -> [f64; 3] {
 }
 
 impl Hinge {
-    fn state(&self, at: &[DVec3], velocities: &[DVec3], [dt, lag]: [f64; 2]) -> HingeState {
+    fn state(&self, at: &[DVec3], velocities: &[DVec3], dt: f64) -> HingeState {
+        let lag = dt * (dt + self.damping);
         let corners = self.corners.map(|v| at[v as usize]);
         let Some((angle, gradients)) = dihedral(corners) else { return HingeState::default() };
         let moving = gradients.iter().zip(self.corners);
@@ -331,6 +347,7 @@ impl Hinge {
         HingeState {
             gradients: gradients.map(DVec3::as_vec3),
             moment: self.stiffness * (dt * self.change(angle) + lag * rate),
+            weight: (self.stiffness * lag) as f32,
         }
     }
 

@@ -82,14 +82,13 @@ impl ImplicitStep {
     }
 
     /// Changes of the velocities, m/s, in a step of `dt` seconds from the state in which `elastic` is
-    /// linearised. Vertices with the inverse mass 0 do not move. `damping`, seconds, is the damping
-    /// relative to the stiffness.
+    /// linearised for that step. Vertices with the inverse mass 0 do not move.
     pub(super) fn solve(
         &mut self,
         elastic: &ElasticForces,
         (inverse_masses, velocities): (&[f64], &[DVec3]),
         points: &[PointForce],
-        (dt, damping): (f64, f64),
+        dt: f64,
     ) -> Vec<DVec3> {
         let right: Vec<Vec3> = (0..velocities.len())
             .into_par_iter()
@@ -103,7 +102,7 @@ impl ImplicitStep {
                 (elastic.impulse(v) + pull * dt).as_vec3()
             })
             .collect();
-        self.assemble(elastic, inverse_masses, points, (dt, damping));
+        self.assemble(elastic, inverse_masses, points, dt);
         self.conjugate_gradients(&right).into_iter().map(Vec3::as_dvec3).collect()
     }
 
@@ -112,9 +111,8 @@ impl ImplicitStep {
         elastic: &ElasticForces,
         inverse_masses: &[f64],
         points: &[PointForce],
-        (dt, damping): (f64, f64),
+        dt: f64,
     ) {
-        let lag = (dt * (dt + damping)) as f32;
         let (columns, contributions) = (&self.columns, &self.contributions);
         let mut rest = &mut self.blocks[..];
         let mut parts = Vec::with_capacity(self.rows.len().div_ceil(CHUNK));
@@ -138,8 +136,9 @@ impl ImplicitStep {
                 let [from, to] = row.contributions;
                 elastic.add_stiffness(&contributions[from..to], blocks);
                 for (block, &column) in blocks.iter_mut().zip(&columns[row.start..row.end]) {
-                    let free = inverse_masses[column as usize] > 0.0;
-                    *block = if free { *block * lag } else { Mat3::ZERO };
+                    if inverse_masses[column as usize] == 0.0 {
+                        *block = Mat3::ZERO;
+                    }
                 }
                 let point = &points[v];
                 let mass = 1.0 / inverse_masses[v] + dt * dt * point.stiffness;

@@ -24,11 +24,14 @@
 //! ```
 
 mod contact;
+#[cfg(test)]
+mod contact_tests;
 mod elastic;
 mod garment;
 mod implicit;
 mod isosurface;
 mod material;
+mod outfit;
 mod pattern;
 mod penetration;
 #[cfg(test)]

@@ -18,8 +18,10 @@ const PARALLEL: f64 = 0.02;
 /// each on its side before the step, with friction.
 #[derive(Debug, Clone)]
 pub(super) struct SelfCollision {
-    /// Distance, metres; less for parts that are closer at rest.
-    distance: f64,
+    /// Thickness of each layer, metres.
+    thicknesses: Vec<f64>,
+    /// Layer of each vertex.
+    layers: Vec<u8>,
     rest: SurfaceMesh,
     edges: Vec<[u32; 2]>,
     /// Neighbours of each vertex.
@@ -41,7 +43,9 @@ enum ClosePair {
 }
 
 impl SelfCollision {
-    pub(super) fn new(rest: &SurfaceMesh, distance: f64) -> Self {
+    /// Self-collision of layers of the given thicknesses, metres; `layers` has the layer of each
+    /// vertex.
+    pub(super) fn new(rest: &SurfaceMesh, layers: Vec<u8>, thicknesses: Vec<f64>) -> Self {
         let edges = rest.edges();
         let mut beside = vec![Vec::new(); rest.vertices.len()];
         for &[a, b] in &edges {
@@ -59,7 +63,7 @@ impl SelfCollision {
             })
             .collect();
         let (pairs, since) = (Vec::new(), f64::INFINITY);
-        Self { distance, edges, beside, around, rest: rest.clone(), pairs, since }
+        Self { thicknesses, layers, edges, beside, around, rest: rest.clone(), pairs, since }
     }
 
     /// Separates close pairs, one after the other. `before` are the positions before the step of `dt`
@@ -87,13 +91,13 @@ impl SelfCollision {
     }
 
     fn find_pairs(&mut self, at: &[DVec3]) {
-        let reach = self.distance + SLACK;
+        let reach = self.thicknesses.iter().copied().fold(0.0, f64::max) + SLACK;
         let place = |v: u32| at[v as usize];
         let at_rest = |v: u32| self.rest.vertices[v as usize];
         let faces = BoxTree::from_elements(&self.rest.faces, at);
         let least = |v: u32, face: [u32; 3]| {
             let (nearest, _) = closest_on_triangle(at_rest(v), face.map(at_rest));
-            self.distance.min(nearest.distance(at_rest(v)))
+            self.distance(v, face[0], nearest.distance(at_rest(v)))
         };
         // Pairs of each vertex, and whether its edges may be close to others.
         let near: Vec<(Vec<ClosePair>, bool)> = (0..at.len() as u32)
@@ -134,13 +138,21 @@ impl SelfCollision {
                 });
                 let pair = |other: [u32; 2]| {
                     let (_, apart) = between_segments(one.map(at_rest), other.map(at_rest));
-                    ClosePair::Edges(one, other, self.distance.min(apart))
+                    ClosePair::Edges(one, other, self.distance(one[0], other[0], apart))
                 };
                 close.map(pair).collect::<Vec<_>>()
             })
             .collect();
         self.pairs = near.into_iter().flat_map(|(pairs, _)| pairs).collect();
         self.pairs.extend(crossing);
+    }
+
+    /// Distance that parts at two vertices keep, metres: the mean of their thicknesses, or their
+    /// distance at rest if they are of one layer and closer.
+    fn distance(&self, one: u32, other: u32, at_rest: f64) -> f64 {
+        let [a, b] = [one, other].map(|v| usize::from(self.layers[v as usize]));
+        let both = 0.5 * (self.thicknesses[a] + self.thicknesses[b]);
+        if a == b { both.min(at_rest) } else { both }
     }
 
     /// Length of the longest edge at a vertex, metres.
