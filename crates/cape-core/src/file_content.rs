@@ -7,7 +7,7 @@ const START: u64 = 4096;
 
 /// Description of the content of a file that is not data, with the remedy, from its first bytes
 /// (4096 suffice) and its length: an empty file, zeros, a web page, a Git LFS pointer, or an
-/// archive, picture or document. `None` for anything else.
+/// archive, picture or document, or text in UTF-16. `None` for anything else.
 ///
 /// ```
 /// use cape_core::unexpected_content;
@@ -49,6 +49,10 @@ pub fn unexpected_content(start: &[u8], length: u64) -> Option<&'static str> {
         [b'7', b'z', 0xbc, 0xaf, ..] => "the file is a 7z archive: unpack it",
         [b'R', b'a', b'r', b'!', ..] => "the file is a RAR archive: unpack it",
         [0x89, b'P', b'N', b'G', ..] | [0xff, 0xd8, 0xff, ..] => "the file is a picture",
+        // A letter and a zero.
+        [0xff, 0xfe, _, 0, ..] | [0xfe, 0xff, 0, _, ..] => {
+            "the file is text in UTF-16, as PowerShell writes it: save it as UTF-8"
+        }
         [b'%', b'P', b'D', b'F', ..] => "the file is a PDF document",
         _ => return None,
     })
@@ -75,6 +79,8 @@ mod tests {
         assert!(said(b"\xef\xbb\xbf\r\n<HTML lang=en>").contains("web page"));
         assert!(said(b"<!DOCTYPE HTML PUBLIC").contains("login"));
         assert!(said(b"version https://git-lfs.github.com/spec/v1\noid").contains("git lfs pull"));
+        assert!(said(b"\xff\xfev\0 \x000\0").contains("UTF-16"));
+        assert!(said(b"\xfe\xff\0v\0 \x000").contains("UTF-16"));
         assert!(said(b"\x1f\x8b\x08").contains("gunzip"));
         assert!(said(b"Rar!\x1a").contains("RAR"));
         for data in [&b"\x80\x02}q"[..], b"PK\x03\x04", b"(dp0\n", b"ply\n", b"v 0 0 0\n", &[0; 8]]

@@ -204,6 +204,14 @@ fn parse(bytes: &[u8]) -> Result<Parsed, ParseError> {
             _ => {}
         }
     }
+    if obj.mesh.vertices.is_empty()
+        && let Some(index) = bytes
+            .split(|&byte| byte == end)
+            .position(|line| !matches!(line.trim_ascii_start(), [] | [b'#', ..]))
+    {
+        let message = "no vertex in the file, expected lines `v x y z`".to_owned();
+        return Err(ParseError { line: index + 1, message });
+    }
     // A face may come before its vertices.
     let counts = [obj.mesh.vertices.len(), uv.coordinates.len()];
     for (((index, line), count), kind) in largest.into_iter().zip(counts).zip(KINDS) {

@@ -156,7 +156,7 @@ fn write_uv(data: &Packed) {
     fs::write(data.at("cloth.png"), b"\x89PNG\r\n\x1a\nnot a picture, but passed on").unwrap();
 }
 
-fn glb(path: &Path) -> Value {
+pub(crate) fn glb(path: &Path) -> Value {
     let bytes = fs::read(path).unwrap();
     assert_eq!(&bytes[..4], b"glTF");
     let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;

@@ -19,7 +19,7 @@ use tempfile::TempDir;
 use crate::support::{Ran, cape, contents, run_line, truncate};
 
 /// A short march in a coarse skirt.
-fn skirt() -> &'static Path {
+pub(crate) fn skirt() -> &'static Path {
     static SKIRT: OnceLock<TempDir> = OnceLock::new();
     let place = SKIRT.get_or_init(|| {
         let place = tempfile::tempdir().unwrap();

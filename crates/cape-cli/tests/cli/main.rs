@@ -9,6 +9,7 @@ mod files;
 mod fitting;
 mod foreign_files;
 mod layer;
+mod motions;
 mod priors;
 mod scanning;
 mod support;

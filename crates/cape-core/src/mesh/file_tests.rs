@@ -96,8 +96,6 @@ fn off_is_read_in_its_dialects() {
         ("colours", off("COFF\n", &cube, " 255 0 0 255")),
         ("byte-order mark", format!("\u{feff}{}", off("OFF\r\n", &cube, ""))),
     ] {
-        // Leading comments are no sign of OFF without its extension.
-        let text = text.strip_prefix("# a\n").unwrap_or(&text);
         let found = files.read("a.off", text);
         assert_eq!((found.format, &found.mesh), (MeshFormat::Off, &cube), "{name}");
     }
@@ -111,6 +109,21 @@ fn off_is_read_in_its_dialects() {
     assert!(said("OFF\n1 0 0\n0 x 0\n").contains("line 3: `x` is not a number"));
     assert!(said("OFF\n1 1 0\n0 0 0\n3 0 0 1\n").contains("vertex 1 is out of range"));
     assert!(said("OFF BINARY\n").contains("binary OFF"));
+}
+
+#[test]
+fn text_without_vertices_is_no_empty_mesh() {
+    let files = Files::new();
+    let text: String = "\u{feff}v 0 0 0\nv 1 0 0\n".into();
+    let wide: Vec<u8> = text.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    assert!(files.message("powershell.obj", wide).contains("UTF-16"));
+    let message = files.message("semicolons.obj", "# points\n\nv;0;0;0\nv;1;0;0\n");
+    assert!(
+        message.contains("line 3") && message.contains("expected lines `v x y z`"),
+        "{message}"
+    );
+    // Nothing but comments is an OBJ of no vertices.
+    assert_eq!(files.read("empty.obj", "# no vertices\n").mesh.vertices.len(), 0);
 }
 
 #[test]

@@ -3,12 +3,17 @@
 
 use super::{file::Geometry, polygon::fan, text};
 
-/// The header word without the counts that some exporters append to it (`OFF216 183 0`): prefix and
+/// The header word, after comments, without the counts that some exporters append to it (`OFF216 183 0`): prefix and
 /// length, if the file begins with one.
 pub(super) fn header(bytes: &[u8]) -> Option<(&str, usize)> {
     let bytes = text::without_mark(bytes);
-    let skipped = bytes.len() - bytes.trim_ascii_start().len();
-    let word = bytes[skipped..].split(|byte| !byte.is_ascii_alphanumeric()).next()?;
+    let mut rest = bytes.trim_ascii_start();
+    while rest.starts_with(b"#") {
+        let end = rest.iter().position(|&byte| byte == text::line_end(bytes))?;
+        rest = rest[end..].trim_ascii_start();
+    }
+    let skipped = bytes.len() - rest.len();
+    let word = rest.split(|byte| !byte.is_ascii_alphanumeric()).next()?;
     let word = std::str::from_utf8(word).ok()?;
     let at = word.find("OFF")?;
     let prefixes = ["", "C", "N", "CN", "ST", "STC", "STN", "STCN", "4", "n", "4n"];

@@ -118,6 +118,20 @@ impl BodyMotion {
         turned
     }
 
+    /// The motion of a body that turns about its pelvis, of one whose root turns it about the origin:
+    /// `t' = R p + t - p` with the root's rotation R and the rest position of the pelvis, metres.
+    pub(super) fn about_pelvis(&self, pelvis: [f64; 3]) -> Self {
+        let pelvis = DVec3::from_array(pelvis);
+        let mut turned = self.clone();
+        for frame in 0..self.frames() {
+            let shift = quaternion(self.poses.row(frame), 0) * pelvis - pelvis;
+            for axis in 0..3 {
+                turned.translations[(frame, axis)] += shift[axis];
+            }
+        }
+        turned
+    }
+
     /// The motion at another frame rate, in frames per second: rotations are interpolated spherically
     /// (slerp), translations linearly. The first frame is kept; the last is kept if it falls on a new
     /// frame.

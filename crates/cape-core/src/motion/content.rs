@@ -9,7 +9,7 @@ use std::{
 
 use ndarray::{ArrayD, IxDyn};
 
-use super::table::MotionRows;
+use super::{foreign, table::MotionRows};
 use crate::{
     Error, Result,
     npy::{Npz, npy_header, read_f64, read_objects},
@@ -87,9 +87,6 @@ impl Content {
         let io = |error| Error::io(path, error);
         let file = File::open(path).map_err(io)?;
         let metadata = file.metadata().map_err(io)?;
-        if metadata.is_dir() {
-            return Err(Error::format(path, "is a directory, expected a file of poses"));
-        }
         let size = metadata.len();
         let mut head = [0; 64];
         let mut reader = BufReader::new(file);
@@ -113,7 +110,7 @@ impl Content {
                 let file = File::open(path).map_err(io)?;
                 inflated(path, flate2::read::GzDecoder::new(file), size)?
             }
-            _ => match named(head) {
+            _ => match foreign::named(head) {
                 Some(name) => return Err(Error::format(path, name)),
                 None => Source::whole(path, head, size)?,
             },
@@ -335,32 +332,6 @@ impl Source {
 
 const UNKNOWN: &str = "unknown kind of file: expected poses in .npz, .npy, .pkl (joblib's too), .json, \
                        .csv or .smpl";
-
-/// Explanation of a format that holds no SMPL poses.
-fn named(head: &[u8]) -> Option<&'static str> {
-    let text = head.trim_ascii_start();
-    Some(match text {
-        [b'H', b'I', b'E', b'R', b'A', b'R', b'C', b'H', b'Y', ..] => {
-            "a BVH file: its skeleton is not SMPL's; convert the motion to SMPL poses first"
-        }
-        [b'K', b'a', b'y', b'd', b'a', b'r', b'a', ..] => {
-            "an FBX file: export the poses of SMPL's joints as .npz"
-        }
-        [b'g', b'l', b'T', b'F', ..] => {
-            "a glTF file: expected a file of poses (.npz, .npy, .pkl, .csv)"
-        }
-        [b'v', b'e', b'r', b's', b'i', b'o', b'n', b' ', b'h', ..] => {
-            "a Git LFS pointer: fetch the file itself with `git lfs pull`"
-        }
-        [b'<', ..] => "a web page, not a file of poses: download it again",
-        [0xfd, b'7', b'z', b'X', b'Z', ..]
-        | [b'B', b'Z', b'h', ..]
-        | [0x04, 0x22, 0x4d, 0x18, ..] => {
-            "compressed by xz, bzip2 or lz4: save it uncompressed or with zlib (joblib's `compress=3`)"
-        }
-        _ => return None,
-    })
-}
 
 /// Decompresses a pickle.
 fn inflated(path: &Path, reader: impl Read, size: u64) -> Result<Source> {

@@ -4,8 +4,16 @@ use std::path::{Path, PathBuf};
 
 use ndarray::Array2;
 
-use super::{BodyMotion, UpAxis, content::Content, fields::Clip, people::people};
-use crate::{BodyPose, Error, Result, SmplModel};
+use super::{
+    BodyMotion, UpAxis,
+    clip::Clip,
+    content::Content,
+    people::{joined_frames, people},
+};
+use crate::{BodyPose, Error, Result, SmplModel, list_files};
+
+/// Extensions of files of poses in a directory.
+const EXTENSIONS: [&str; 6] = ["json", "npz", "npy", "pkl", "pickle", "smpl"];
 
 /// Number of people that an error lists.
 const LISTED: usize = 20;
@@ -17,6 +25,32 @@ pub const DEFAULT_FRAME_RATE: f64 = 30.0;
 const STANDING: f64 = 0.5;
 /// The same, from which it is believed against what a file's layout says.
 const PLAINLY_STANDING: f64 = 0.9;
+
+/// Point about which the first rotation of a pose turns the body.
+///
+/// ```
+/// use cape_core::motion::{MotionOptions, Pivot, read_motion};
+///
+/// // EasyMocap: rotation `Rh` about the origin and translation `Th`.
+/// let numbers = |count: usize| vec![0.0; count];
+/// let person = serde_json::json!({
+///     "id": 0, "poses": [numbers(72)], "shapes": [numbers(10)], "Rh": [[0.0, 3.0, 0.0]], "Th": [[0, 0, 1]]
+/// });
+/// let directory = tempfile::tempdir()?;
+/// let path = directory.path().join("000000.json");
+/// std::fs::write(&path, serde_json::json!([person]).to_string())?;
+/// let file = read_motion(&path, &MotionOptions::default())?;
+/// assert_eq!((file.pivot, file.poses[(0, 1)]), (Pivot::Origin, 3.0));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Pivot {
+    /// The rest position of the pelvis, as in SMPL.
+    #[default]
+    Pelvis,
+    /// The origin, as in EasyMocap's parameters.
+    Origin,
+}
 
 /// Choices in reading a motion.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -76,6 +110,8 @@ pub struct MotionFile {
     pub joints: usize,
     /// Axis that points up.
     pub up: UpAxis,
+    /// Point about which the root turns the body.
+    pub pivot: Pivot,
     /// Displacements of the rest vertices, metres, `[V, 3]`, of `.smpl` files that have them.
     pub offsets: Option<Array2<f64>>,
     /// Remarks on what was guessed and what the body has not, a sentence each.
@@ -95,6 +131,7 @@ impl MotionFile {
             gender: None,
             frame_rate: Some(motion.frame_rate),
             up: UpAxis::Y,
+            pivot: Pivot::Pelvis,
             offsets: None,
             notes: Vec::new(),
         }
@@ -115,7 +152,10 @@ impl MotionFile {
         let rate = self.frame_rate.unwrap_or(DEFAULT_FRAME_RATE);
         let still = || Array2::zeros((self.frames(), 3));
         let translations = self.translations.clone().unwrap_or_else(still);
-        let motion = BodyMotion::new(rate, self.poses.clone(), translations)?;
+        let mut motion = BodyMotion::new(rate, self.poses.clone(), translations)?;
+        if self.pivot == Pivot::Origin {
+            motion = motion.about_pelvis(pelvis);
+        }
         let motion = motion.turned_upright(self.up, pelvis);
         match frame_rate {
             Some(rate) => motion.resampled(rate),
@@ -158,7 +198,8 @@ impl MotionFile {
     }
 }
 
-/// Reads the motion of one person from a file, in one of the formats of this module.
+/// Reads the motion of one person from a file in one of the formats of this module, or from a directory
+/// with such a file for each frame.
 ///
 /// # Errors
 /// If the file cannot be read or holds no poses (the error lists its arrays), or several people of
@@ -181,14 +222,13 @@ pub fn read_motion(path: impl AsRef<Path>, options: &MotionOptions) -> Result<Mo
     ))
 }
 
-/// Reads the motions of all people of a file, or of the one that `options` names.
+/// Reads the motions of all people of a file or a directory of frames, or of the one that `options` names.
 ///
 /// # Errors
 /// If the file cannot be read or holds no poses, or has no person of that name.
 pub fn read_motions(path: impl AsRef<Path>, options: &MotionOptions) -> Result<Vec<MotionFile>> {
     let path = path.as_ref();
-    let content = Content::open(path)?;
-    let found = people(content.path(), &content.root()?)?;
+    let found = if path.is_dir() { people_of_frames(path)? } else { people_of(path)? };
     let several = found.len() > 1;
     let chosen: Vec<(String, Clip)> = match &options.person {
         None => found,
@@ -210,6 +250,39 @@ pub fn read_motions(path: impl AsRef<Path>, options: &MotionOptions) -> Result<V
         .into_iter()
         .map(|(name, clip)| file(path, several.then_some(name), clip, options))
         .collect())
+}
+
+fn people_of(path: &Path) -> Result<Vec<(String, Clip)>> {
+    let content = Content::open(path)?;
+    people(content.path(), &content.root()?)
+}
+
+/// People of a directory with a file for each frame, in natural order of the names.
+fn people_of_frames(directory: &Path) -> Result<Vec<(String, Clip)>> {
+    let files = list_files(directory, |path| {
+        let extension = path.extension().and_then(|extension| extension.to_str());
+        extension.is_some_and(|e| EXTENSIONS.contains(&e.to_ascii_lowercase().as_str()))
+    })?;
+    if files.is_empty() {
+        let message =
+            "a directory without files of poses (.json, .npz, .npy, .pkl), one for each frame";
+        return Err(Error::format(directory, message));
+    }
+    let mut frames = Vec::with_capacity(files.len());
+    for path in &files {
+        let people = people_of(path)?;
+        if files.len() > 1
+            && let Some((_, clip)) = people.iter().find(|(_, clip)| clip.frames() > 1)
+        {
+            let message = format!(
+                "{} poses, expected one in each file of a directory: name the file itself",
+                clip.frames()
+            );
+            return Err(Error::format(path, message));
+        }
+        frames.push(people);
+    }
+    Ok(joined_frames(frames))
 }
 
 fn file(path: &Path, person: Option<String>, clip: Clip, options: &MotionOptions) -> MotionFile {
@@ -237,6 +310,7 @@ fn file(path: &Path, person: Option<String>, clip: Clip, options: &MotionOptions
         frame_rate: clip.frame_rate,
         joints: clip.joints,
         up,
+        pivot: clip.pivot,
         offsets: clip.offsets,
         notes,
     }

@@ -6,21 +6,26 @@
 //! [`MotionFile::notes`]. [`BodyMotion`] is a motion in this library's axes.
 
 mod body_motion;
+mod clip;
 mod content;
+mod easymocap;
 mod fields;
 mod file;
+mod foreign;
+mod layout;
+mod names;
 mod people;
+mod person;
+mod positions;
 mod rotations;
 mod smpl_file;
 mod table;
-#[cfg(test)]
-mod test_files;
 #[cfg(test)]
 mod tests;
 mod up_axis;
 
 pub use body_motion::BodyMotion;
-pub use file::{DEFAULT_FRAME_RATE, MotionFile, MotionOptions, read_motion, read_motions};
+pub use file::{DEFAULT_FRAME_RATE, MotionFile, MotionOptions, Pivot, read_motion, read_motions};
 pub use smpl_file::SmplFile;
 pub use table::MotionRows;
 pub use up_axis::UpAxis;

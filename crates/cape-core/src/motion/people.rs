@@ -5,8 +5,11 @@ use std::path::Path;
 use ndarray::{Axis, concatenate};
 
 use super::{
+    clip::Clip,
     content::Entry,
-    fields::{Clip, Common, clips, has_pose, unnamed_clips},
+    fields::{clips, has_pose, unnamed_clips},
+    foreign::explanation,
+    names::{Common, Fields, POSES},
 };
 use crate::{Error, Result, natural_order};
 
@@ -24,6 +27,9 @@ pub(super) fn people(path: &Path, root: &Entry) -> Result<Vec<(String, Clip)>> {
         root => reader.search("", root, &Common::default())?,
     };
     if found.is_empty() {
+        if let Some(explanation) = explanation(root) {
+            return Err(Error::format(path, explanation));
+        }
         return Err(Error::format(
             path,
             format!(
@@ -49,18 +55,36 @@ impl PeopleReader<'_> {
             Entry::Map(fields) => {
                 let common = common.within(fields)?;
                 let mut parts = Vec::new();
+                let mut passed_over = None;
                 for (key, inner) in fields {
+                    if let Some(preferred) = preferred_to(key, fields) {
+                        passed_over = Some((key, preferred));
+                        continue;
+                    }
                     let found = self.search(key, inner, &common)?;
                     if !found.is_empty() {
                         parts.push((key.clone(), Self::identified(found, inner)?));
                     }
                 }
-                Ok(Self::joined(parts))
+                let mut found = Self::joined(parts);
+                if let Some((camera, world)) = passed_over {
+                    for (_, clip) in &mut found {
+                        clip.notes.push(format!(
+                            "`{world}` is read, `{camera}`, in coordinates of the camera, is not"
+                        ));
+                    }
+                }
+                Ok(found)
             }
             Entry::List(entries) => {
                 let mut found = Vec::new();
                 for (index, inner) in entries.iter().enumerate() {
-                    let own = self.search("", inner, common)?;
+                    let own = match inner {
+                        Entry::Numbers(numbers) if POSES.contains(&name) => {
+                            numbered("", unnamed_clips(self.path, numbers)?.unwrap_or_default())
+                        }
+                        inner => self.search("", inner, common)?,
+                    };
                     let id = id_of(inner)?.unwrap_or_else(|| index.to_string());
                     found.extend(own.into_iter().map(|(inner, clip)| (path_of(&id, &inner), clip)));
                 }
@@ -115,30 +139,34 @@ impl PeopleReader<'_> {
                 .collect();
         }
         parts.sort_by(|(a, _), (b, _)| natural_order(a, b));
-        let total = parts.len();
-        let mut joined: Vec<(String, Vec<Clip>)> = Vec::new();
-        for (_, people) in parts {
-            let rows = people.into_iter().flat_map(|(name, clip)| {
-                // Rows of one frame are people.
-                let several = clip.frames() > 1;
-                let split = (0..clip.frames()).map(|row| row_of(&clip, row)).collect::<Vec<_>>();
-                split.into_iter().enumerate().map(move |(row, clip)| {
-                    let name =
-                        if several { path_of(&name, &row.to_string()) } else { name.clone() };
-                    (name, clip)
-                })
-            });
-            for (name, clip) in rows {
-                // A person alone in a frame is named by the frame.
-                let name = if is_image(&name) { String::new() } else { name };
-                match joined.iter_mut().find(|(known, _)| *known == name) {
-                    Some((_, clips)) => clips.push(clip),
-                    None => joined.push((name, vec![clip])),
-                }
+        joined_frames(parts.into_iter().map(|(_, people)| people).collect())
+    }
+}
+
+/// People of consecutive frames, each with its people by name.
+pub(super) fn joined_frames(frames: Vec<Vec<(String, Clip)>>) -> Vec<(String, Clip)> {
+    let total = frames.len();
+    let mut joined: Vec<(String, Vec<Clip>)> = Vec::new();
+    for people in frames {
+        let rows = people.into_iter().flat_map(|(name, clip)| {
+            // Rows of one frame are people.
+            let several = clip.frames() > 1;
+            let split = (0..clip.frames()).map(|row| row_of(&clip, row)).collect::<Vec<_>>();
+            split.into_iter().enumerate().map(move |(row, clip)| {
+                let name = if several { path_of(&name, &row.to_string()) } else { name.clone() };
+                (name, clip)
+            })
+        });
+        for (name, clip) in rows {
+            // A person alone in a frame is named by the frame.
+            let name = if is_image(&name) { String::new() } else { name };
+            match joined.iter_mut().find(|(known, _)| *known == name) {
+                Some((_, clips)) => clips.push(clip),
+                None => joined.push((name, vec![clip])),
             }
         }
-        joined.into_iter().map(|(name, clips)| (name, together(clips, total))).collect()
     }
+    joined.into_iter().map(|(name, clips)| (name, together(clips, total))).collect()
 }
 
 /// Clips of the same person in single frames as one clip.
@@ -177,6 +205,15 @@ fn numbered(name: &str, clips: Vec<Clip>) -> Vec<(String, Clip)> {
         if several { (path_of(name, &index.to_string()), clip) } else { (name.to_owned(), clip) }
     };
     clips.into_iter().enumerate().map(named).collect()
+}
+
+/// Entry of the same in coordinates of the world, beside one in those of the camera.
+fn preferred_to<'a>(key: &str, fields: &'a Fields) -> Option<&'a str> {
+    let camera = key.strip_suffix("incam").or_else(|| key.strip_suffix("cam"))?;
+    let beside = |(name, _): &&(String, Entry)| {
+        ["global", "world"].into_iter().any(|end| name.strip_suffix(end) == Some(camera))
+    };
+    fields.iter().find(beside).map(|(name, _)| name.as_str())
 }
 
 fn path_of(outer: &str, inner: &str) -> String {

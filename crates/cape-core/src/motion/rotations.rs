@@ -3,8 +3,6 @@
 use glam::{DMat3, DQuat, DVec3};
 use ndarray::{Array2, ArrayD};
 
-use crate::joints::PARENTS;
-
 /// Representation of a rotation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum RotationForm {
@@ -136,29 +134,4 @@ fn orthonormal(numbers: &[f64]) -> Option<DQuat> {
 
 fn is_rotation(numbers: impl Iterator<Item = f64>) -> bool {
     orthonormal(&numbers.collect::<Vec<_>>()).is_some()
-}
-
-/// True if the numbers `[n, joints, 3]` are positions of joints rather than rotations: the distances
-/// between neighbours, which are the lengths of bones, do not change from frame to frame.
-pub(super) fn are_positions(array: &ArrayD<f64>) -> bool {
-    /// Fewest frames that tell, largest relative change of a bone, and shortest bone in metres.
-    const FRAMES: usize = 4;
-    const CHANGE: f64 = 1e-3;
-    const SHORTEST: f64 = 0.01;
-    let [frames, joints, 3] = *array.shape() else { return false };
-    if frames < FRAMES || !(22..=24).contains(&joints) {
-        return false;
-    }
-    let at = |frame: usize, joint: usize| {
-        DVec3::from_array([0, 1, 2].map(|axis| array[[frame, joint, axis]]))
-    };
-    let moving = (1..joints).any(|joint| at(0, joint) != at(frames - 1, joint));
-    moving
-        && (1..joints).all(|joint| {
-            let parent = PARENTS[joint].unwrap_or(0);
-            let length = |frame: usize| at(frame, joint).distance(at(frame, parent));
-            let first = length(0);
-            first > SHORTEST
-                && (1..frames).all(|frame| (length(frame) - first).abs() < CHANGE * first)
-        })
 }

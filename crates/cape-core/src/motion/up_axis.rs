@@ -116,7 +116,7 @@ fn uprightness(pose: &[f64]) -> DVec3 {
 }
 
 /// Approximate vector from the parent of a joint to it in the rest pose, metres.
-fn bone(joint: usize) -> DVec3 {
+pub(super) fn bone(joint: usize) -> DVec3 {
     match joint {
         1 => DVec3::new(0.07, -0.09, 0.0),
         2 => DVec3::new(-0.07, -0.09, 0.0),
@@ -124,7 +124,16 @@ fn bone(joint: usize) -> DVec3 {
         7 | 8 => DVec3::new(0.0, -0.42, -0.03),
         3 | 6 | 15 => DVec3::new(0.0, 0.12, 0.0),
         9 => DVec3::new(0.0, 0.06, 0.0),
+        10 | 11 => DVec3::new(0.0, -0.06, 0.13),
         12 => DVec3::new(0.0, 0.22, 0.0),
+        13 => DVec3::new(0.08, 0.12, 0.0),
+        14 => DVec3::new(-0.08, 0.12, 0.0),
+        16 => DVec3::new(0.12, 0.04, 0.0),
+        17 => DVec3::new(-0.12, 0.04, 0.0),
+        18 | 20 => DVec3::new(0.26, 0.0, 0.0),
+        19 | 21 => DVec3::new(-0.26, 0.0, 0.0),
+        22 => DVec3::new(0.09, 0.0, 0.0),
+        23 => DVec3::new(-0.09, 0.0, 0.0),
         _ => DVec3::ZERO,
     }
 }

@@ -27,6 +27,9 @@ pub use header::{NpyHeader, NpyKind, NpyType};
 
 use crate::{AtomicFile, Error, Result, pickle::Pickle, unexpected_file, write_atomically};
 
+/// Explanation of what `torch.save` writes.
+pub(crate) const PYTORCH_FILE: &str = "a PyTorch file: load it in Python, convert its tensors by \
+    `.cpu().numpy()`, and save them by `numpy.savez(\"….npz\", name=array, …)`";
 /// Largest expansion ratio of Deflate.
 const MAX_DEFLATE_RATIO: u64 = 1032;
 
@@ -306,6 +309,9 @@ impl Npz {
         }
         if names.is_empty() && !archive.is_empty() {
             let first = archive.name_for_index(0).and_then(Result::ok).unwrap_or_default();
+            if first.ends_with("data.pkl") {
+                return Err(Error::format(&path, PYTORCH_FILE));
+            }
             let message = format!(
                 "a ZIP archive of files such as `{first}`, expected one of arrays: unpack it and give \
                  the file in it"

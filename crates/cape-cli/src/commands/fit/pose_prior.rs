@@ -15,9 +15,10 @@ use crate::{
 
 /// Fit a pose prior for `cape fit` to poses of your own.
 ///
-/// Fits a Gaussian mixture over the axis-angles of 23 joints, as in SMPLify. Poses are read from .npz
-/// (`poses` or `pose`, AMASS included), .npy and .csv files, directories of them, or the training frames
-/// of a packed set.
+/// Fits a Gaussian mixture over the axis-angles of 23 joints, as in SMPLify. Sources are motions (AMASS,
+/// results of pose estimators, .npz, .npy, .pkl, .json, .csv, .smpl), of all people in them, directories,
+/// which are searched for such files, and packed sets, of which the training poses are used. Files in
+/// directories without poses are left out and listed with the reason.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  cape fit pose-prior AMASS/CMU --components 8 --out prior.npz\n  cape \
@@ -25,7 +26,7 @@ use crate::{
                         prior.npz --out fitted"
 )]
 pub(crate) struct FitPosePriorArgs {
-    /// Files and directories of poses.
+    /// Motions, directories of motions, or packed sets.
     #[arg(value_name = "FILE|DIR", required = true)]
     sources: Vec<PathBuf>,
     /// Number of Gaussians.

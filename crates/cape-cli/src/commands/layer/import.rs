@@ -21,8 +21,13 @@ use crate::{
 /// Import a captured or simulated clothing sequence.
 ///
 /// Adds a sequence of meshes with the motion of the body to a set. Meshes are a directory of files whose
-/// names sort by frame, a point cache with its mesh, an archive of vertices and faces, or an animated
-/// .glb. All sequences of a set share topology, body and semantic parameters.
+/// names sort by frame (--files picks some of them), a point cache with its mesh (--topology), an archive
+/// of vertices and faces, or an animated .glb, in metres or in --unit. The motion is a file of poses with
+/// translations: AMASS, SMPL-X's parameters, results of pose estimators, .smpl. Its up axis, that of the
+/// meshes as well, is found out or given by --up; shape coefficients that the body has not are left out.
+/// --mesh-fps is the frame rate of the meshes where it differs from the motion's, --resample that of the
+/// imported sequence. All sequences of a set share topology, body and semantic parameters; a set records
+/// its body, and another is refused.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape layer import scans/skirt_01 scans/skirt_01.npz --set skirts --name \
