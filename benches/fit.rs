@@ -23,7 +23,7 @@ fn benches(criterion: &mut Criterion) {
     let vertices = placed(0.0);
     let mut group = criterion.benchmark_group("silhouette, 512");
     group.sample_size(20);
-    let energy = || SilhouetteEnergy::new(&camera, &mask, 512, 0.005).unwrap();
+    let energy = || SilhouetteEnergy::new(&camera, &mask, None, 512, 0.005).unwrap();
     let mut ways = vec![("distances".to_owned(), energy())];
     for softness in [0.5, 1.0, 2.0] {
         ways.push((format!("soft, {softness} pixels"), energy().with_softness(softness).unwrap()));

@@ -55,6 +55,7 @@ pub use cape_stats as stats;
 pub use cape_study as study;
 pub use cape_synth as synth;
 pub use cape_train as train;
+pub use cape_wardrobe as wardrobe;
 
 /// The names that most programs need.
 pub mod prelude {

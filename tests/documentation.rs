@@ -10,7 +10,8 @@ use std::{
 };
 
 /// Entry points of each crate.
-const ENTRY_POINTS: [(&str, &[&str]); 14] = [
+const ENTRY_POINTS: [(&str, &[&str]); 16] = [
+    ("cape-body", &["Assets", "make_body"]),
     ("cape-cloth", &["Cloth", "Garment"]),
     (
         "cape-core",
@@ -28,6 +29,7 @@ const ENTRY_POINTS: [(&str, &[&str]); 14] = [
     ("cape-study", &["StudyDesign", "StudyScore"]),
     ("cape-synth", &["CaptureGenerator", "Motion", "SynthSpec", "Wardrobe", "synthetic_body"]),
     ("cape-train", &["Evaluation", "Trainer"]),
+    ("cape-wardrobe", &["OutfitCut", "SimulatedCaptures", "SurfaceTransfer"]),
 ];
 
 /// True for a source file other than tests.

@@ -13,8 +13,8 @@ use clap_complete::Shell;
 use crate::commands::view;
 use crate::{
     commands::{
-        animate, data, demo, eval, fit, info, layer, model, redress, sample, study, table2, train,
-        vary,
+        animate, body, data, demo, eval, fit, info, layer, model, redress, sample, study, table2,
+        train, vary,
     },
     console::Console,
     error::{Error, Result},
@@ -62,6 +62,8 @@ pub(crate) enum Command {
     Study(study::StudyCommand),
     #[command(subcommand)]
     Model(model::ModelCommand),
+    #[command(subcommand)]
+    Body(body::BodyCommand),
     Info(info::InfoArgs),
     Completions(CompletionsArgs),
     Man(ManArgs),
@@ -115,6 +117,7 @@ impl Cli {
             Command::Layer(command) => command.run(global, console)?,
             Command::Study(command) => command.run(global, console)?,
             Command::Model(command) => command.run(global, console)?,
+            Command::Body(command) => command.run(console)?,
             Command::Info(command) => command.run(console)?,
             Command::Completions(command) => command.run()?,
             Command::Man(command) => command.run()?,

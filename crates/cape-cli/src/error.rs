@@ -62,19 +62,28 @@ impl<T, E: Into<Error>> Context<T> for Result<T, E> {
 
 /// The error and its causes, one per line. A cause that the line above quotes is left out.
 pub(crate) fn report(error: &dyn std::error::Error) -> String {
-    let mut text = format!("error: {error}");
+    format!("error: {}", causes(error).join("\n  caused by: "))
+}
+
+/// The error and its causes in one line.
+pub(crate) fn in_one_line(error: &dyn std::error::Error) -> String {
+    causes(error).join(": ")
+}
+
+/// Texts of the error and its causes, without those that the one before quotes.
+fn causes(error: &dyn std::error::Error) -> Vec<String> {
+    let mut texts = vec![error.to_string()];
     let mut said = error.to_string();
     let mut next = error.source();
     while let Some(cause) = next {
-        let cause_text = cause.to_string();
-        if !said.contains(&cause_text) {
-            text.push_str("\n  caused by: ");
-            text.push_str(&cause_text);
+        let text = cause.to_string();
+        if !said.contains(&text) {
+            texts.push(text.clone());
         }
-        said = cause_text;
+        said = text;
         next = cause.source();
     }
-    text
+    texts
 }
 
 #[cfg(test)]
@@ -87,5 +96,6 @@ mod tests {
         assert_eq!(report(&inner), "error: a.npy: disk on fire");
         let outer = Err::<(), _>(inner).doing(|| "packing".into()).unwrap_err();
         assert_eq!(report(&outer), "error: packing\n  caused by: a.npy: disk on fire");
+        assert_eq!(in_one_line(&outer), "packing: a.npy: disk on fire");
     }
 }

@@ -13,7 +13,7 @@ use cape_core::{
 };
 use cape_infer::Run;
 use cape_layer::BodyIdentity;
-use cape_synth::synthetic_body;
+use cape_synth::{HalfBody, synthetic_body};
 use clap::{
     Args,
     builder::{PossibleValuesParser, TypedValueParser},
@@ -122,7 +122,8 @@ pub(crate) struct BodyFileArgs {
     gender: Option<Gender>,
 }
 
-const GENDERS: [(&str, Gender); 3] =
+/// Genders by name.
+pub(crate) const GENDERS: [(&str, Gender); 3] =
     [("male", Gender::Male), ("female", Gender::Female), ("neutral", Gender::Neutral)];
 
 impl BodyFileArgs {
@@ -159,7 +160,8 @@ fn body_file(body: Option<&Path>, gender: Option<Gender>) -> Result<Option<PathB
 /// A body model.
 #[derive(Debug, Clone, PartialEq, Args, Serialize, Deserialize)]
 pub(crate) struct BodyModelArgs {
-    /// SMPL body, .pkl or .npz, or with --gender the directory of it [default: the synthetic body].
+    /// Built-in body (male, female, neutral or sculpted), SMPL body (.pkl or .npz), or with --gender
+    /// the directory of one [default: sculpted].
     #[arg(long, value_name = "SMPL")]
     pub(crate) body: Option<PathBuf>,
     /// Gender of the body in the directory of --body, or in $SMPL_MODELS without --body.
@@ -243,7 +245,7 @@ impl OutputArgs {
 impl BodyModelArgs {
     pub(crate) fn load(&self) -> Result<SmplModel> {
         Ok(match body_file(self.body.as_deref(), self.gender)? {
-            Some(path) => SmplModel::load(path)?,
+            Some(path) => load_body(&path)?,
             None => synthetic_body(),
         })
     }
@@ -258,6 +260,44 @@ impl BodyModelArgs {
 pub(crate) fn body_identity(path: Option<&Path>, model: &SmplModel) -> BodyIdentity {
     let name = path.map(|path| path.file_name().unwrap_or(path.as_os_str()).to_string_lossy());
     BodyIdentity::new(name.unwrap_or("synthetic body".into()), model)
+}
+
+/// A body of the program with its source and licence.
+pub(crate) struct BuiltinBody {
+    pub(crate) model: SmplModel,
+    pub(crate) source: String,
+}
+
+/// The built-in body of that name, if no such file exists.
+pub(crate) fn builtin_body(path: &Path) -> Option<Result<BuiltinBody>> {
+    let name = path.to_str().filter(|_| !path.exists())?;
+    if name == "sculpted" {
+        let source = "sculpted from distance functions by this program".to_owned();
+        return Some(Ok(BuiltinBody { model: synthetic_body(), source }));
+    }
+    let gender: Gender = name.parse().ok()?;
+    let read = HalfBody::embedded(gender).map_err(Error::from);
+    Some(read.map(|half| BuiltinBody { model: half.model(), source: half.provenance }))
+}
+
+/// Name of the built-in body that `model` is, if it is one.
+pub(crate) fn builtin_name(model: &SmplModel) -> Option<&'static str> {
+    let found = model.sha256();
+    ["male", "female", "neutral", "sculpted"].into_iter().find(|name| {
+        let body = match name.parse::<Gender>() {
+            Ok(gender) => HalfBody::embedded(gender).ok().map(|half| half.model()),
+            Err(_) => Some(synthetic_body()),
+        };
+        body.is_some_and(|body| body.sha256() == found)
+    })
+}
+
+/// Reads a body file; the name of a built-in body without such a file is that body.
+fn load_body(path: &Path) -> Result<SmplModel> {
+    match builtin_body(path) {
+        Some(body) => Ok(body?.model),
+        None => Ok(SmplModel::load(path)?),
+    }
 }
 
 impl ShapeArgs {
@@ -309,6 +349,14 @@ impl OutfitArgs {
 }
 
 impl OutfitSelection {
+    /// Name of the outfit; `None` for all.
+    pub(crate) fn name(self) -> Option<String> {
+        match self {
+            Self::All => None,
+            Self::One(outfit) => Some(outfit.to_string()),
+        }
+    }
+
     /// The outfits, which `run` must know.
     pub(crate) fn of(self, run: &Run) -> Result<Vec<Outfit>> {
         Ok(match self {

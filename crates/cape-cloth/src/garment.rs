@@ -190,7 +190,7 @@ impl Garment {
         for (name, value, range) in [
             ("length", self.length, 0.1..=2.0),
             ("width", self.width, 1.02..=2.0),
-            ("sleeve", self.sleeve, 0.0..=1.6),
+            ("sleeve", self.sleeve, 0.0..=2.0),
             ("resolution", self.resolution, 0.005..=0.05),
         ] {
             if !range.contains(&value) {

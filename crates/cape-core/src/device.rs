@@ -24,6 +24,11 @@ pub fn devices() -> Vec<Device> {
     ]
 }
 
+/// True for a CPU device of this build.
+pub fn is_cpu(device: &Device) -> bool {
+    devices().contains(device)
+}
+
 /// Burn's deprecated CPU backend, supported as long as Burn ships it.
 #[cfg(feature = "ndarray")]
 #[expect(deprecated)]

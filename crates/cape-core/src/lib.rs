@@ -57,7 +57,7 @@ pub mod usd;
 mod uv;
 
 pub use atomic::{AtomicFile, write_atomically};
-pub use device::{DEVICES, devices, parse_device};
+pub use device::{DEVICES, devices, is_cpu, parse_device};
 pub use error::{Error, Result, expect_finite};
 pub use file_content::{unexpected_content, unexpected_file};
 pub use file_names::{list_files, natural_order};

@@ -2,8 +2,7 @@
 //!
 //! A single image does not determine size and distance of a body: an estimate is compared with the
 //! ground truth after the scale and translation that bring it closest, in closed form for each
-//! frame. The paper aligns the clothing vertices; [`aligned_error`] aligns all vertices and
-//! measures at those.
+//! frame, which the paper estimates over the clothing vertices.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -71,9 +70,10 @@ impl Alignment {
 /// use cape_fit::aligned_error;
 /// use glam::DVec3;
 ///
-/// // Scale and translation are no errors.
+/// // Scale and translation are no errors, and what the other vertices do does not matter.
 /// let estimate = [DVec3::ZERO, DVec3::X, DVec3::Y];
-/// let truth = estimate.map(|point| 2.0 * point + DVec3::Z);
+/// let mut truth = estimate.map(|point| 2.0 * point + DVec3::Z);
+/// truth[1] = DVec3::NEG_X;
 /// let error = aligned_error(&estimate, &truth, &[0, 2])?;
 /// assert!(error.squared < 1e-15 && error.distance < 1e-7);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -86,28 +86,37 @@ pub struct AlignedError {
     pub distance: f64,
 }
 
-/// Errors at the vertex indices `vertices`, such as the clothing vertices, after the alignment of all
-/// points.
+/// Errors at the vertex indices `vertices`, the clothing vertices `C`, after their alignment (CAPE eq.
+/// 12 and 13).
 ///
 /// # Errors
-/// As of [`Alignment::between`], or if `vertices` is empty or an index is out of range.
+/// If the numbers of points differ, or `vertices` is empty or an index is out of range.
 pub fn aligned_error(
     estimate: &[DVec3],
     truth: &[DVec3],
     vertices: &[usize],
 ) -> Result<AlignedError> {
-    let alignment = Alignment::between(estimate, truth)?;
+    if estimate.len() != truth.len() {
+        return Err(Error::argument(format!(
+            "alignment: {} estimated and {} true points, expected equal numbers",
+            estimate.len(),
+            truth.len()
+        )));
+    }
     if let Some(vertex) = vertices.iter().find(|&&vertex| vertex >= truth.len()) {
         return Err(Error::argument(format!("alignment: vertex {vertex} of {}", truth.len())));
     }
     if vertices.is_empty() {
         return Err(Error::argument("alignment: no vertices to compare, expected at least one"));
     }
+    let chosen = |points: &[DVec3]| -> Vec<DVec3> { vertices.iter().map(|&v| points[v]).collect() };
+    let (estimate, truth) = (chosen(estimate), chosen(truth));
+    let alignment = Alignment::between(&estimate, &truth)?;
     let count = vertices.len() as f64;
-    let off = |&v: &usize| alignment.apply(estimate[v]).distance(truth[v]);
+    let off = || estimate.iter().zip(&truth).map(|(a, b)| alignment.apply(*a).distance(*b));
     Ok(AlignedError {
-        squared: vertices.iter().map(|v| off(v).powi(2)).sum::<f64>() / count,
-        distance: vertices.iter().map(off).sum::<f64>() / count,
+        squared: off().map(|distance| distance * distance).sum::<f64>() / count,
+        distance: off().sum::<f64>() / count,
     })
 }
 

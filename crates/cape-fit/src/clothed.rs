@@ -6,116 +6,12 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    BodyFit, BodyParameters, BodyTerms, BodyWeights, DressedBody, Error, FitProblem, Keypoints,
-    LbfgsOptions, Mask, PinholeCamera, Result, Smplify,
-    body_energy::check_weight,
+    BodyFit, BodyParameters, ClothedConfig, ClothedTerms, DressedBody, Error, FitProblem,
+    FitWorkers, Keypoints, LbfgsOptions, Mask, PinholeCamera, Result, Smplify,
     keypoints::KeypointDetection,
     parameters::{BETAS_AT, solve},
-    silhouette::{SilhouetteEnergy, SilhouetteMatch, SilhouetteTerms, render},
+    silhouette::{SilhouetteEnergy, SilhouetteMatch, render},
 };
-
-/// Least side of a silhouette level, pixels.
-const SMALLEST: u32 = 16;
-
-/// One level of the coarse-to-fine comparison of silhouettes.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SilhouetteLevel {
-    /// Longer side of the image, pixels, at most.
-    pub side: u32,
-    /// Number of matchings of surface and silhouette.
-    pub rounds: usize,
-    /// Optimiser steps after each matching.
-    pub steps: usize,
-}
-
-/// Configuration of the clothed fit.
-///
-/// The default weights are those of a negative log-likelihood (Gaussian keypoints, a mixture of
-/// poses, standard normal shapes and codes). λ_S is from a search over 8 to 12 held-out frames of
-/// the synthetic set for the least error at clothing vertices: it reduces the squared error of the
-/// unclothed body by 36 % at 5e4 and at 1.5e5, and by 33 % at 2e4. A third of λ_θ or λ_z changes
-/// that by at most 3 %; three times λ_θ costs 8 %. The paper gives no weights.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ClothedConfig {
-    /// Weight λ_S of the silhouette term `E_S`, 1/m.
-    pub silhouette: f64,
-    /// Width of soft edges, pixels of the level, for soft silhouettes on all levels but the first;
-    /// by default all levels use distances.
-    pub soft: Option<f64>,
-    /// Weight λ_z of the code prior `‖z‖²`.
-    pub code: f64,
-    /// Weights of the body terms.
-    pub body: BodyWeights,
-    /// Silhouette levels, coarse to fine.
-    pub levels: Vec<SilhouetteLevel>,
-    /// Intersection over union below which a second fit starts from the body with the trunk
-    /// mirrored in depth, which keypoints alone hardly distinguish.
-    pub doubtful: f64,
-    /// Least intersection over union of a reliable fit.
-    pub accepted: f64,
-}
-
-impl Default for ClothedConfig {
-    fn default() -> Self {
-        Self {
-            silhouette: 5e4,
-            soft: None,
-            code: 0.5,
-            body: BodyWeights::default(),
-            levels: vec![
-                SilhouetteLevel { side: 128, rounds: 2, steps: 12 },
-                SilhouetteLevel { side: 256, rounds: 2, steps: 10 },
-                SilhouetteLevel { side: 512, rounds: 2, steps: 10 },
-            ],
-            doubtful: 0.91,
-            accepted: 0.85,
-        }
-    }
-}
-
-impl ClothedConfig {
-    pub(crate) fn check(&self) -> Result<()> {
-        self.body.check()?;
-        check_weight("silhouette", self.silhouette)?;
-        check_weight("code", self.code)?;
-        if self.levels.is_empty() || self.levels.iter().any(|level| level.side < SMALLEST) {
-            return Err(Error::argument(format!(
-                "configuration: `levels`: expected at least one, each of {SMALLEST} pixels or more"
-            )));
-        }
-        Ok(())
-    }
-}
-
-/// Unweighted terms of the energy (CAPE eq. 11).
-///
-/// ```
-/// use cape_fit::{ClothedConfig, ClothedTerms};
-///
-/// let terms = ClothedTerms { code: 2.0, ..ClothedTerms::default() };
-/// let config = ClothedConfig { code: 0.25, ..ClothedConfig::default() };
-/// assert_eq!(terms.weighted(&config), 0.5);
-/// ```
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-pub struct ClothedTerms {
-    /// Body terms.
-    pub body: BodyTerms,
-    /// Silhouette term `E_S` (CAPE eq. 10), metres.
-    pub silhouette: SilhouetteTerms,
-    /// Code prior `‖z‖²`.
-    pub code: f64,
-}
-
-impl ClothedTerms {
-    /// Energy `E_J + λ_S E_S + λ_θ E_θ + λ_β E_β + λ_a E_a + λ_z ‖z‖²` (CAPE eq. 11).
-    pub fn weighted(&self, config: &ClothedConfig) -> f64 {
-        self.body.weighted(&config.body)
-            + config.silhouette * self.silhouette.total()
-            + config.code * self.code
-    }
-}
 
 /// Clothed body fitted to keypoints and a silhouette.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -130,8 +26,15 @@ pub struct ClothedFit {
     pub terms: ClothedTerms,
     /// Energy after each optimiser step, one curve for each matching.
     pub curves: Vec<Vec<f64>>,
-    /// Intersection over union of the rendered silhouette and the mask at full size, 0 to 1.
-    pub intersection_over_union: f64,
+    /// Intersection over union of the rendered silhouette and the mask at full size, 0 to 1, over
+    /// the pixels that are not of occluders; `None` without a mask.
+    pub intersection_over_union: Option<f64>,
+    /// Share of the rendered silhouette on the mask, 0 to 1, over the same pixels.
+    #[serde(default)]
+    pub inside: Option<f64>,
+    /// Share of the mask that the rendered silhouette covers, 0 to 1, over the same pixels.
+    #[serde(default)]
+    pub explained: Option<f64>,
     /// Mean distance of the projected joints from their detections, pixels.
     pub joint_error: f64,
     /// Number of evaluations of the clothed body.
@@ -147,34 +50,58 @@ pub struct ImageObservation<'a> {
     pub camera: &'a PinholeCamera,
     /// Keypoints of the person.
     pub keypoints: &'a Keypoints,
-    /// Silhouette of the person.
-    pub mask: &'a Mask,
+    /// Silhouette of the person; without it only keypoints and priors determine the fit.
+    pub mask: Option<&'a Mask>,
+    /// Pixels that are hidden and count neither as the person nor as background.
+    pub occluders: Option<&'a Mask>,
+}
+
+/// Agreement of a rendered silhouette and a mask, where nothing hides the person.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct SilhouetteOverlap {
+    /// Intersection over union, 0 to 1.
+    pub(crate) intersection_over_union: f64,
+    /// Share of the rendered silhouette on the mask.
+    pub(crate) inside: f64,
+    /// Share of the mask that the rendered silhouette covers.
+    pub(crate) explained: f64,
+}
+
+impl ImageObservation<'_> {
+    /// Agreement of a rendered silhouette and the mask.
+    pub(crate) fn overlap(&self, mask: &Mask, rendered: &Mask) -> Result<SilhouetteOverlap> {
+        let (rendered, visible) = match self.occluders {
+            Some(occluders) => (&rendered.without(occluders)?, &mask.without(occluders)?),
+            None => (rendered, mask),
+        };
+        let outside = rendered.without(visible)?.area();
+        let both = (rendered.area() - outside) as f64;
+        // A body that is wholly hidden contradicts nothing.
+        let share = |of: &Mask| if of.area() == 0 { 1.0 } else { both / of.area() as f64 };
+        Ok(SilhouetteOverlap {
+            intersection_over_union: rendered.intersection_over_union(visible)?,
+            inside: share(rendered),
+            explained: share(visible),
+        })
+    }
 }
 
 /// Energy of a clothed body.
-struct ClothedProblem<'a> {
-    smplify: &'a Smplify,
-    dressed: &'a DressedBody,
-    config: &'a ClothedConfig,
-    camera: PinholeCamera,
-    detections: &'a [KeypointDetection],
+pub(crate) struct ClothedProblem<'a> {
+    pub(crate) smplify: &'a Smplify,
+    pub(crate) dressed: &'a DressedBody,
+    pub(crate) config: &'a ClothedConfig,
+    pub(crate) camera: PinholeCamera,
+    pub(crate) detections: &'a [KeypointDetection],
     /// Width of a pixel at the distance of the person, metres.
-    pixel: f64,
-    betas: usize,
-}
-
-/// State of the optimisation.
-#[derive(Debug, Clone)]
-struct Descent {
-    x: Vec<f64>,
-    curves: Vec<Vec<f64>>,
-    evaluations: usize,
+    pub(crate) pixel: f64,
+    pub(crate) betas: usize,
 }
 
 impl ClothedProblem<'_> {
     /// Terms at the unknowns `[3 + 72 + betas + latent]`; the weighted gradient is added to
     /// `gradient`.
-    fn evaluate(
+    pub(crate) fn evaluate(
         &self,
         x: &[f64],
         matched: &SilhouetteMatch,
@@ -188,14 +115,22 @@ impl ClothedProblem<'_> {
         let by = surface.pull_back(&forces)?;
         let parts = by.transl.iter().chain(&by.pose).chain(&by.betas).chain(&by.code);
         gradient.iter_mut().zip(parts).for_each(|(g, part)| *g += part);
+        let unseen = self.evaluate_unseen(x, gradient)?;
+        Ok(ClothedTerms { silhouette, ..unseen })
+    }
+
+    /// [`evaluate`](Self::evaluate) without the silhouette term.
+    pub(crate) fn evaluate_unseen(&self, x: &[f64], gradient: &mut [f64]) -> Result<ClothedTerms> {
+        let code = &x[BETAS_AT + self.betas..];
         let energy = self.smplify.energy(&self.camera, self.detections, self.pixel);
         let body = energy.evaluate(x, self.betas, &self.config.body, gradient)?;
         let by_code = gradient[BETAS_AT + self.betas..].iter_mut().zip(code);
         by_code.for_each(|(g, z)| *g += 2.0 * self.config.code * z);
-        Ok(ClothedTerms { body, silhouette, code: code.iter().map(|z| z * z).sum() })
+        let code = code.iter().map(|z| z * z).sum();
+        Ok(ClothedTerms { body, code, ..ClothedTerms::default() })
     }
 
-    fn match_silhouette<'s>(
+    pub(crate) fn match_silhouette<'s>(
         &self,
         x: &[f64],
         silhouette: &'s SilhouetteEnergy,
@@ -205,27 +140,31 @@ impl ClothedProblem<'_> {
         silhouette.match_surface(surface.vertices(), self.dressed.faces())
     }
 
-    /// Optimises on one silhouette level.
-    fn descend_level(
+    /// Optimises on consecutive silhouette levels, of which the first is `level`.
+    pub(crate) fn descend(
         &self,
-        descent: &mut Descent,
-        silhouette: &SilhouetteEnergy,
-        level: &SilhouetteLevel,
-    ) -> Result<()> {
-        let options = LbfgsOptions { steps: level.steps, ..self.smplify.config().optimiser };
-        for _ in 0..level.rounds {
-            let matched = self.match_silhouette(&descent.x, silhouette)?;
-            let found = solve(
-                &descent.x,
-                |_| true,
-                &options,
-                |x, gradient| Ok(self.evaluate(x, &matched, gradient)?.weighted(self.config)),
-            )?;
-            descent.x = found.x;
-            descent.evaluations += found.evaluations;
-            descent.curves.push(found.curve);
+        mut descent: Descent,
+        level: usize,
+        silhouettes: &[SilhouetteEnergy],
+    ) -> Result<Descent> {
+        let optimiser = &self.smplify.config().optimiser;
+        for (level, silhouette) in self.config.levels.iter().skip(level).zip(silhouettes) {
+            let options = LbfgsOptions { steps: level.steps, ..*optimiser };
+            for _ in 0..level.rounds {
+                let matched = self.match_silhouette(&descent.x, silhouette)?;
+                let found = solve(
+                    &descent.x,
+                    |_| true,
+                    &options,
+                    |x, gradient| Ok(self.evaluate(x, &matched, gradient)?.weighted(self.config)),
+                )?;
+                descent.x = found.x;
+                descent.energy = found.value;
+                descent.evaluations += found.evaluations;
+                descent.curves.push(found.curve);
+            }
         }
-        Ok(())
+        Ok(descent)
     }
 }
 
@@ -233,7 +172,8 @@ impl Smplify {
     /// Fits a clothed body to keypoints and silhouette by minimising the total energy (CAPE eq.
     /// 11), from the unclothed body `start` of [`fit`](Self::fit) with the code 0. If the
     /// silhouettes then agree badly, a second fit starts from the body with the trunk mirrored in
-    /// depth; the one of lower energy is kept.
+    /// depth; the one of lower energy is kept. Without a mask the silhouette term is left out, and
+    /// the code is that of its prior, 0.
     ///
     /// # Errors
     /// If the mask is empty or of another image, or the body leaves the image.
@@ -244,97 +184,56 @@ impl Smplify {
         start: &BodyFit,
         config: &ClothedConfig,
     ) -> Result<ClothedFit> {
-        let fit =
-            self.fit_code_and_body(dressed, image, (&start.parameters, start.pixel), config)?;
-        if fit.intersection_over_union >= config.doubtful {
-            return Ok(fit);
-        }
-        let evaluations = fit.evaluations;
-        let total = |fit: &ClothedFit| fit.terms.weighted(config);
-        let best =
-            match self.fit_code_and_body(dressed, image, (&start.leaning, start.pixel), config) {
-                Ok(other) if total(&other) < total(&fit) => {
-                    ClothedFit { evaluations: other.evaluations + evaluations, ..other }
-                }
-                Ok(other) => ClothedFit { evaluations: other.evaluations + evaluations, ..fit },
-                Err(Error::Failed(_)) => fit,
-                Err(error) => return Err(error),
-            };
-        Ok(best)
+        let Some(mask) = image.mask else {
+            return self.fit_unseen_clothing(dressed, image, start, config);
+        };
+        let fits = ClothedFits::new(self, (image, mask), start, config)?;
+        fits.finish(dressed, fits.begin(dressed)?)
     }
 
-    fn fit_code_and_body(
+    /// Body of the lowest energy without the silhouette term, in the clothing of the code 0.
+    fn fit_unseen_clothing(
         &self,
         dressed: &DressedBody,
         image: &ImageObservation<'_>,
-        (start, pixel): (&BodyParameters, f64),
+        start: &BodyFit,
         config: &ClothedConfig,
     ) -> Result<ClothedFit> {
-        let &ImageObservation { camera, keypoints, mask } = image;
-        mask.check(camera)?;
-        start.check()?;
+        start.parameters.check()?;
         config.check()?;
-        let detections = self.detections(keypoints);
-        mask.expect_joints(&detections)?;
-        let betas = start.betas.len();
-        let energy = ClothedProblem {
-            smplify: self,
-            dressed,
-            config,
-            camera: *camera,
-            detections: &detections,
-            pixel,
-            betas,
-        };
-        let mut descent = Descent {
-            x: [start.to_vector(), vec![0.0; dressed.latent()]].concat(),
-            curves: Vec::new(),
-            evaluations: 0,
-        };
-        let mut last = None;
-        for level in &config.levels {
-            let silhouette = SilhouetteEnergy::new(camera, mask, level.side, pixel)?;
-            let silhouette = match config.soft {
-                Some(softness) if last.is_some() => silhouette.with_softness(softness)?,
-                _ => silhouette,
-            };
-            energy.descend_level(&mut descent, &silhouette, level)?;
-            last = Some(silhouette);
-        }
-        let Descent { x, curves, evaluations } = descent;
-        let parameters = BodyParameters::from_vector(&x, betas);
-        let code = x[BETAS_AT + betas..].to_vec();
-        let surface = dressed.surface(&parameters, &code)?;
-        let terms = match &last {
-            None => ClothedTerms::default(),
-            Some(silhouette) => {
-                let matched = energy.match_silhouette(&x, silhouette)?;
-                energy.evaluate(&x, &matched, &mut vec![0.0; x.len()])?
-            }
-        };
-        let rendering = render(surface.vertices(), dressed.faces(), camera)?;
-        let intersection_over_union = rendering.mask().intersection_over_union(mask)?;
-        let joint_error = self.energy(camera, &detections, pixel).joint_error(&x, betas)?;
+        let detections = self.detections(image.keypoints);
+        let betas = start.parameters.betas.len();
+        let energy = self.energy(image.camera, &detections, start.pixel);
+        let start = start.parameters.to_vector();
+        let evaluate =
+            |x: &[f64], gradient: &mut [f64]| energy.evaluate(x, betas, &config.body, gradient);
+        let found = solve(
+            &start,
+            |_| true,
+            &self.config().optimiser,
+            |x, gradient| Ok(evaluate(x, gradient)?.weighted(&config.body)),
+        )?;
+        let joint_error = energy.joint_error(&found.x, betas)?;
+        let body = evaluate(&found.x, &mut vec![0.0; found.x.len()])?;
         Ok(ClothedFit {
-            problem: self.problem(joint_error * pixel).or_else(|| {
-                (intersection_over_union < config.accepted).then_some(FitProblem::Silhouette {
-                    intersection_over_union,
-                    limit: config.accepted,
-                })
-            }),
-            parameters,
-            code,
+            parameters: BodyParameters::from_vector(&found.x, betas),
+            code: vec![0.0; dressed.latent()],
             outfit: dressed.outfit(),
-            terms,
-            curves,
-            intersection_over_union,
+            terms: ClothedTerms { body, ..ClothedTerms::default() },
+            curves: vec![found.curve],
+            intersection_over_union: None,
+            inside: None,
+            explained: None,
             joint_error,
-            evaluations,
+            evaluations: found.evaluations,
+            problem: self.problem(joint_error * energy.pixel),
         })
     }
 
-    /// [`fit_clothed`](Self::fit_clothed) in each of several outfits, in order of ascending energy.
-    /// `progress` is called with the number of fitted outfits and of all.
+    /// [`fit_clothed`](Self::fit_clothed) in each of several outfits, side by side on `workers`, in
+    /// order of ascending energy. Outfits are compared on the first silhouette level; only the
+    /// [finalists](ClothedConfig::finalists) are fitted on all levels and returned. `progress` is
+    /// called with the number of finished parts and of all.
     ///
     /// # Errors
     /// As of [`fit_clothed`](Self::fit_clothed), or if there is no outfit.
@@ -344,20 +243,187 @@ impl Smplify {
         image: &ImageObservation<'_>,
         start: &BodyFit,
         config: &ClothedConfig,
+        workers: &FitWorkers,
         progress: &mut dyn FnMut(usize, usize),
     ) -> Result<Vec<ClothedFit>> {
         if outfits.is_empty() {
             return Err(Error::argument("clothed fit: no outfits, expected at least one"));
         }
-        let mut fits = Vec::with_capacity(outfits.len());
-        for (index, dressed) in outfits.iter().enumerate() {
-            fits.push(self.fit_clothed(dressed, image, start, config)?);
-            progress(index + 1, outfits.len());
-        }
+        let Some(mask) = image.mask else {
+            let unseen = |body| self.fit_unseen_clothing(body, image, start, config);
+            return outfits.iter().map(unseen).collect();
+        };
+        let fits = ClothedFits::new(self, (image, mask), start, config)?;
+        let finalists = config.finalists.min(outfits.len());
+        let mut done = 0;
+        let mut progress = || {
+            done += 1;
+            progress(done, outfits.len() + finalists);
+        };
+        let begun = workers.map(outfits, |_, dressed| fits.begin(dressed), &mut progress);
+        let mut begun: Vec<(&DressedBody, Descent)> =
+            outfits.iter().zip(begun.into_iter().collect::<Result<Vec<_>>>()?).collect();
+        begun.sort_by(|(_, a), (_, b)| a.energy.total_cmp(&b.energy));
+        begun.truncate(finalists);
+        let finish =
+            |_, (dressed, descent): &(&DressedBody, Descent)| fits.finish(dressed, descent.clone());
+        let finished = workers.map(&begun, finish, &mut progress);
+        let mut finished = finished.into_iter().collect::<Result<Vec<ClothedFit>>>()?;
         let energy = |fit: &ClothedFit| fit.terms.weighted(config);
-        fits.sort_by(|a, b| energy(a).total_cmp(&energy(b)));
-        Ok(fits)
+        finished.sort_by(|a, b| energy(a).total_cmp(&energy(b)));
+        Ok(finished)
     }
+}
+
+/// Clothed fits of one image, in any outfit.
+struct ClothedFits<'a> {
+    smplify: &'a Smplify,
+    image: &'a ImageObservation<'a>,
+    mask: &'a Mask,
+    start: &'a BodyFit,
+    config: &'a ClothedConfig,
+    detections: Vec<KeypointDetection>,
+    /// Silhouette of each level.
+    silhouettes: Vec<SilhouetteEnergy>,
+}
+
+/// State of the optimisation.
+#[derive(Debug, Clone)]
+pub(crate) struct Descent {
+    x: Vec<f64>,
+    /// Energy at `x`.
+    pub(crate) energy: f64,
+    curves: Vec<Vec<f64>>,
+    evaluations: usize,
+}
+
+impl Descent {
+    /// The body clothed by the code 0.
+    pub(crate) fn start(body: &BodyParameters, dressed: &DressedBody) -> Self {
+        Self {
+            x: [body.to_vector(), vec![0.0; dressed.latent()]].concat(),
+            energy: f64::INFINITY,
+            curves: Vec::new(),
+            evaluations: 0,
+        }
+    }
+}
+
+impl<'a> ClothedFits<'a> {
+    fn new(
+        smplify: &'a Smplify,
+        (image, mask): (&'a ImageObservation<'a>, &'a Mask),
+        start: &'a BodyFit,
+        config: &'a ClothedConfig,
+    ) -> Result<Self> {
+        let &ImageObservation { camera, keypoints, occluders, .. } = image;
+        mask.check(camera)?;
+        start.parameters.check()?;
+        start.leaning.check()?;
+        config.check()?;
+        let detections = smplify.detections(keypoints);
+        mask.expect_joints(&detections, occluders)?;
+        let silhouettes = silhouette_levels(image, mask, start.pixel, config)?;
+        Ok(Self { smplify, image, mask, start, config, detections, silhouettes })
+    }
+
+    fn problem(&self, dressed: &'a DressedBody) -> ClothedProblem<'_> {
+        ClothedProblem {
+            smplify: self.smplify,
+            dressed,
+            config: self.config,
+            camera: *self.image.camera,
+            detections: &self.detections,
+            pixel: self.start.pixel,
+            betas: self.start.parameters.betas.len(),
+        }
+    }
+
+    /// Fits on the first level.
+    fn begin(&self, dressed: &DressedBody) -> Result<Descent> {
+        let start = Descent::start(&self.start.parameters, dressed);
+        self.problem(dressed).descend(start, 0, &self.silhouettes[..1])
+    }
+
+    /// Fits on the other levels, and if the silhouettes then agree badly, again from the body with
+    /// the trunk mirrored in depth.
+    fn finish(&self, dressed: &DressedBody, begun: Descent) -> Result<ClothedFit> {
+        let problem = self.problem(dressed);
+        let fit = self.result(dressed, problem.descend(begun, 1, &self.silhouettes[1..])?)?;
+        if fit.inside.is_none_or(|inside| inside >= self.config.doubtful) {
+            return Ok(fit);
+        }
+        let evaluations = fit.evaluations;
+        let total = |fit: &ClothedFit| fit.terms.weighted(self.config);
+        let start = Descent::start(&self.start.leaning, dressed);
+        let leaning = problem
+            .descend(start, 0, &self.silhouettes)
+            .and_then(|descent| self.result(dressed, descent));
+        match leaning {
+            Ok(other) if total(&other) < total(&fit) => {
+                Ok(ClothedFit { evaluations: other.evaluations + evaluations, ..other })
+            }
+            Ok(other) => Ok(ClothedFit { evaluations: other.evaluations + evaluations, ..fit }),
+            Err(Error::Failed(_)) => Ok(fit),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn result(&self, dressed: &DressedBody, descent: Descent) -> Result<ClothedFit> {
+        let problem = self.problem(dressed);
+        let Descent { x, energy: _, curves, evaluations } = descent;
+        let betas = problem.betas;
+        let parameters = BodyParameters::from_vector(&x, betas);
+        let code = x[BETAS_AT + betas..].to_vec();
+        let surface = dressed.surface(&parameters, &code)?;
+        let terms = match self.silhouettes.last() {
+            None => ClothedTerms::default(),
+            Some(silhouette) => {
+                let matched = problem.match_silhouette(&x, silhouette)?;
+                problem.evaluate(&x, &matched, &mut vec![0.0; x.len()])?
+            }
+        };
+        let camera = self.image.camera;
+        let rendering = render(surface.vertices(), dressed.faces(), camera)?;
+        let overlap = self.image.overlap(self.mask, rendering.mask())?;
+        let pixel = problem.pixel;
+        let energy = self.smplify.energy(camera, &self.detections, pixel);
+        let joint_error = energy.joint_error(&x, betas)?;
+        Ok(ClothedFit {
+            problem: self
+                .smplify
+                .problem(joint_error * pixel)
+                .or_else(|| self.config.problem(&overlap)),
+            parameters,
+            code,
+            outfit: dressed.outfit(),
+            terms,
+            curves,
+            intersection_over_union: Some(overlap.intersection_over_union),
+            inside: Some(overlap.inside),
+            explained: Some(overlap.explained),
+            joint_error,
+            evaluations,
+        })
+    }
+}
+
+/// Silhouette energy of each level, with soft edges where they are configured.
+pub(crate) fn silhouette_levels(
+    &ImageObservation { camera, occluders, .. }: &ImageObservation<'_>,
+    mask: &Mask,
+    pixel: f64,
+    config: &ClothedConfig,
+) -> Result<Vec<SilhouetteEnergy>> {
+    let mut silhouettes = Vec::with_capacity(config.levels.len());
+    for (at, level) in config.levels.iter().enumerate() {
+        let silhouette = SilhouetteEnergy::new(camera, mask, occluders, level.side, pixel)?;
+        silhouettes.push(match config.soft {
+            Some(softness) if at > 0 => silhouette.with_softness(softness)?,
+            _ => silhouette,
+        });
+    }
+    Ok(silhouettes)
 }
 
 #[cfg(test)]
@@ -394,7 +460,7 @@ mod tests {
             pixel,
             betas,
         };
-        let silhouette = SilhouetteEnergy::new(&camera, &mask, 192, pixel).unwrap();
+        let silhouette = SilhouetteEnergy::new(&camera, &mask, None, 192, pixel).unwrap();
         let mut x = [body.to_vector(), code].concat();
         // Away from the minimum and from kinks of the terms.
         for (at, value) in x.iter_mut().enumerate() {

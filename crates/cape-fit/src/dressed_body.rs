@@ -31,7 +31,12 @@ use crate::{BodyParameters, Error, Result};
 /// let smplify = Smplify::new(run.body(), PosePrior::synthetic()?, SmplifyConfig::default())?;
 /// let bare = smplify.fit(&camera, &keypoints, None)?;
 /// let config = ClothedConfig::default();
-/// let image = ImageObservation { camera: &camera, keypoints: &keypoints, mask: &mask };
+/// let image = ImageObservation {
+///     camera: &camera,
+///     keypoints: &keypoints,
+///     mask: Some(&mask),
+///     occluders: None,
+/// };
 /// let fit = smplify.fit_clothed(&dressed, &image, &bare, &config)?;
 /// // Its surface, and how that depends on pose, shape and code.
 /// let surface = dressed.surface(&fit.parameters, &fit.code)?;

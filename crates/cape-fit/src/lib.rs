@@ -32,6 +32,7 @@ pub mod benchmark;
 mod body_energy;
 mod camera;
 mod clothed;
+mod clothed_config;
 #[cfg(test)]
 mod clothed_tests;
 mod config;
@@ -45,6 +46,7 @@ mod pose_collection;
 mod pose_prior;
 mod problem;
 pub mod scan;
+mod sequence;
 pub mod silhouette;
 mod skeleton;
 mod smplify;
@@ -52,13 +54,15 @@ mod smplify;
 mod smplify_tests;
 #[cfg(test)]
 mod testing;
+mod workers;
 
 pub use cape_core::optimise::{LbfgsOptions, Minimum, StopReason};
 
 pub use alignment::{AlignedError, Alignment, aligned_error};
 pub use body_energy::{BodyEnergy, BodyTerms, BodyWeights};
 pub use camera::PinholeCamera;
-pub use clothed::{ClothedConfig, ClothedFit, ClothedTerms, ImageObservation, SilhouetteLevel};
+pub use clothed::{ClothedFit, ImageObservation};
+pub use clothed_config::{ClothedConfig, ClothedTerms, SilhouetteLevel};
 pub use config::FitConfig;
 pub use dressed_body::{DressedBody, DressedGradient, DressedSurface, FixedClothing};
 pub use error::{Error, Result};
@@ -70,6 +74,8 @@ pub use parameters::BodyParameters;
 pub use pose_collection::PoseCollection;
 pub use pose_prior::{BODY_POSE, COMPONENTS, OPTIONS, PosePrior, synthetic_poses};
 pub use problem::FitProblem;
+pub use sequence::{SequenceConfig, SequenceFit, SequenceFrame, TemporalConfig};
 pub use silhouette::Mask;
 pub use skeleton::{PosedSkeleton, Skeleton, SkeletonGradient};
 pub use smplify::{BodyFit, Smplify, SmplifyConfig};
+pub use workers::FitWorkers;

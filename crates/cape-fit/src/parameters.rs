@@ -90,26 +90,40 @@ pub(crate) fn transl(x: &[f64]) -> DVec3 {
     DVec3::from_slice(&x[TRANSL_AT..])
 }
 
-/// Minimises an energy over the unknowns whose index `free` accepts, scaled to similar effects.
+/// Scale of the unknown `at` of the vector of one body in the optimisation.
+pub(crate) fn scale(at: usize) -> f64 {
+    match at {
+        _ if at < POSE_AT => TRANSL_SCALE,
+        _ if at < BETAS_AT => POSE_SCALE,
+        _ => OTHER_SCALE,
+    }
+}
+
+/// Minimises an energy over the unknowns of one body whose index `free` accepts, scaled to similar
+/// effects.
 pub(crate) fn solve(
     x: &[f64],
     free: impl Fn(usize) -> bool,
     options: &LbfgsOptions,
+    energy: impl FnMut(&[f64], &mut [f64]) -> Result<f64>,
+) -> Result<Minimum> {
+    let scales: Vec<f64> = (0..x.len()).map(|at| if free(at) { scale(at) } else { 0.0 }).collect();
+    solve_scaled(x, &scales, options, energy)
+}
+
+/// Minimises an energy over unknowns divided by `scales`; those of scale 0 are fixed.
+pub(crate) fn solve_scaled(
+    x: &[f64],
+    scales: &[f64],
+    options: &LbfgsOptions,
     mut energy: impl FnMut(&[f64], &mut [f64]) -> Result<f64>,
 ) -> Result<Minimum> {
-    let scale = |at: usize| match at {
-        _ if !free(at) => 0.0,
-        _ if at < POSE_AT => TRANSL_SCALE,
-        _ if at < BETAS_AT => POSE_SCALE,
-        _ => OTHER_SCALE,
-    };
-    let scales: Vec<f64> = (0..x.len()).map(scale).collect();
     let at = |changes: &[f64]| -> Vec<f64> {
-        x.iter().zip(changes).zip(&scales).map(|((x, c), s)| x + c * s).collect()
+        x.iter().zip(changes).zip(scales).map(|((x, c), s)| x + c * s).collect()
     };
     let found = minimise(vec![0.0; x.len()], options, |changes, gradient| {
         let value = energy(&at(changes), gradient)?;
-        gradient.iter_mut().zip(&scales).for_each(|(g, s)| *g *= s);
+        gradient.iter_mut().zip(scales).for_each(|(g, s)| *g *= s);
         Ok::<_, Error>(value)
     })?;
     Ok(Minimum { x: at(&found.x), ..found })

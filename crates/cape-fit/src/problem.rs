@@ -25,7 +25,21 @@ pub enum FitProblem {
         /// Largest accepted distance, millimetres.
         limit_mm: f64,
     },
-    /// The rendered silhouette differs too much from the mask.
+    /// Too much of the rendered silhouette is beside the mask.
+    BesideMask {
+        /// Share of the rendered silhouette on the mask, 0 to 1.
+        share: f64,
+        /// Least accepted share.
+        limit: f64,
+    },
+    /// Too much of the mask is not covered by the rendered silhouette.
+    Unexplained {
+        /// Share of the mask that the rendered silhouette covers, 0 to 1.
+        share: f64,
+        /// Least accepted share.
+        limit: f64,
+    },
+    /// The rendered silhouette differs too much from the mask; in files of earlier versions.
     Silhouette {
         /// Intersection over union, 0 to 1.
         intersection_over_union: f64,
@@ -57,6 +71,18 @@ impl fmt::Display for FitProblem {
             Self::JointError { error_mm, limit_mm } => {
                 write!(f, "mean joint error {error_mm:.0} mm, expected at most {limit_mm:.0} mm")
             }
+            Self::BesideMask { share, limit } => write!(
+                f,
+                "{:.1} % of the fitted silhouette is on the mask, expected at least {:.0} %",
+                100.0 * share,
+                100.0 * limit
+            ),
+            Self::Unexplained { share, limit } => write!(
+                f,
+                "the fitted silhouette covers {:.1} % of the mask, expected at least {:.0} %",
+                100.0 * share,
+                100.0 * limit
+            ),
             Self::Silhouette { intersection_over_union, limit } => write!(
                 f,
                 "intersection over union of the silhouettes {intersection_over_union:.3}, expected at \
@@ -85,6 +111,8 @@ mod tests {
     fn problems_are_read_back() {
         let problems = [
             FitProblem::JointError { error_mm: 120.0, limit_mm: 100.0 },
+            FitProblem::BesideMask { share: 0.5, limit: 0.9 },
+            FitProblem::Unexplained { share: 0.5, limit: 0.7 },
             FitProblem::Silhouette { intersection_over_union: 0.5, limit: 0.85 },
             FitProblem::ScanDistance { median_mm: 20.0, limit_mm: 12.0 },
             FitProblem::ScanOutliers { percentile_95_mm: 200.0, limit_mm: 80.0 },

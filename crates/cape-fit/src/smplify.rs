@@ -192,39 +192,16 @@ impl Smplify {
         keypoints: &Keypoints,
         initial: Option<&BodyParameters>,
     ) -> Result<BodyFit> {
-        let betas = self.config.betas.min(self.skeleton.betas());
         let detections = self.detections(keypoints);
-        let distance = place(camera, &self.skeleton.rest(&[]), &detections, 0.0)?.distance;
-        let pixel = distance / camera.focal();
+        let BodyCandidates { pixel, best, leaning, .. } =
+            self.candidates(camera, &detections, initial)?;
         let energy = self.energy(camera, &detections, pixel);
-        let mut attempts = Vec::new();
-        for mut start in self.starts(initial)? {
-            start.betas.resize(betas, 0.0);
-            start.pose[..3].fill(0.0);
-            let joints = self.skeleton.pose(&start.betas, &start.pose, DVec3::ZERO)?;
-            for &facing in &self.config.facing {
-                let placement = place(camera, joints.joints(), &detections, facing)?;
-                attempts.push(self.attempt(&energy, &start, &placement, facing)?);
-            }
-        }
-        let Some(mut best) = lowest(attempts) else {
-            let message = "SMPLify: the energy is not finite in any orientation: check the \
-                           keypoints and the focal length";
-            return Err(Error::Failed(message.into()));
-        };
-        let mirrored = self.mirrored(&energy, &best)?;
-        if let Some(other) = lowest(mirrored).filter(|other| other.energy < best.energy) {
-            best = other;
-        }
-        let last = self.config.stages.last().copied().unwrap_or_default();
-        let mut other =
-            Candidate { x: mirror_trunk_lean(&self.skeleton, &best.x, betas)?, ..best.clone() };
-        self.descend(&energy, &mut other, &last, |_| true)?;
-        let Candidate { x, curves, facing, .. } = best;
+        let Candidate { x, betas, curves, facing, .. } = best;
+        let last = self.last_weights();
         let joint_error = energy.joint_error(&x, betas)?;
         Ok(BodyFit {
             parameters: BodyParameters::from_vector(&x, betas),
-            leaning: BodyParameters::from_vector(&other.x, betas),
+            leaning: BodyParameters::from_vector(&leaning.x, betas),
             terms: energy.evaluate(&x, betas, &last, &mut vec![0.0; x.len()])?,
             curves,
             joint_error,
@@ -234,10 +211,66 @@ impl Smplify {
         })
     }
 
+    /// Bodies that explain detections about equally well: the fit of lowest energy, and those from
+    /// other orientations and with limbs or trunk mirrored in depth.
+    ///
+    /// # Errors
+    /// As of [`fit`](Self::fit).
+    pub(crate) fn candidates(
+        &self,
+        camera: &PinholeCamera,
+        detections: &[KeypointDetection],
+        initial: Option<&BodyParameters>,
+    ) -> Result<BodyCandidates> {
+        let betas = self.config.betas.min(self.skeleton.betas());
+        let distance = place(camera, &self.skeleton.rest(&[]), detections, 0.0)?.distance;
+        let pixel = distance / camera.focal();
+        let energy = self.energy(camera, detections, pixel);
+        let mut attempts = Vec::new();
+        for mut start in self.starts(initial)? {
+            start.betas.resize(betas, 0.0);
+            start.pose[..3].fill(0.0);
+            let joints = self.skeleton.pose(&start.betas, &start.pose, DVec3::ZERO)?;
+            for &facing in &self.config.facing {
+                let placement = place(camera, joints.joints(), detections, facing)?;
+                attempts.push(self.attempt(&energy, &start, &placement, facing)?);
+            }
+        }
+        let Some(mut best) = lowest(&attempts) else {
+            let message = "SMPLify: the energy is not finite in any orientation: check the \
+                           keypoints and the focal length";
+            return Err(Error::Failed(message.into()));
+        };
+        let mut others = self.mirrored(&energy, &best)?;
+        if let Some(other) = lowest(&others).filter(|other| other.energy < best.energy) {
+            others.push(best);
+            best = other;
+        }
+        for &facing in &self.config.facing {
+            let facing = |attempt: &&Candidate| attempt.facing == facing;
+            let alike: Vec<Candidate> = attempts.iter().filter(facing).cloned().collect();
+            others.extend(lowest(&alike));
+        }
+        let mut leaning =
+            Candidate { x: mirror_trunk_lean(&self.skeleton, &best.x, betas)?, ..best.clone() };
+        self.descend(&energy, &mut leaning, &self.last_weights(), |_| true)?;
+        Ok(BodyCandidates { pixel, best, leaning, others })
+    }
+
+    /// Weights of the last stage.
+    pub(crate) fn last_weights(&self) -> BodyWeights {
+        self.config.stages.last().copied().unwrap_or_default()
+    }
+
+    /// Skeleton of the body.
+    pub(crate) fn skeleton(&self) -> &Skeleton {
+        &self.skeleton
+    }
+
     /// Fits from the body with bones of one limb mirrored in depth, for all limbs and combinations
     /// of bones.
     fn mirrored(&self, energy: &BodyEnergy<'_>, body: &Candidate) -> Result<Vec<Candidate>> {
-        let weights = self.config.stages.last().copied().unwrap_or_default();
+        let weights = self.last_weights();
         let mut found = Vec::new();
         for limb in LIMBS {
             for flips in BONE_FLIPS {
@@ -306,18 +339,32 @@ impl Smplify {
 }
 
 /// Candidate of the lowest finite energy.
-fn lowest(attempts: Vec<Candidate>) -> Option<Candidate> {
-    let finite = attempts.into_iter().filter(|attempt| attempt.energy.is_finite());
-    finite.min_by(|a, b| a.energy.total_cmp(&b.energy))
+fn lowest(attempts: &[Candidate]) -> Option<Candidate> {
+    let finite = attempts.iter().filter(|attempt| attempt.energy.is_finite());
+    finite.min_by(|a, b| a.energy.total_cmp(&b.energy)).cloned()
 }
 
 /// State of the optimisation.
 #[derive(Debug, Clone)]
-struct Candidate {
-    x: Vec<f64>,
+pub(crate) struct Candidate {
+    /// Unknowns, `[3 + 72 + betas]`.
+    pub(crate) x: Vec<f64>,
     betas: usize,
     /// Energy with the weights of the last stage.
-    energy: f64,
+    pub(crate) energy: f64,
     curves: Vec<Vec<f64>>,
     facing: f64,
+}
+
+/// Bodies that explain the same detections.
+#[derive(Debug, Clone)]
+pub(crate) struct BodyCandidates {
+    /// Width of a pixel at the distance of the person, metres.
+    pub(crate) pixel: f64,
+    /// Fit of the lowest energy.
+    pub(crate) best: Candidate,
+    /// Fit from the best one with the trunk mirrored in depth.
+    pub(crate) leaning: Candidate,
+    /// Fits from other orientations and with mirrored limbs.
+    pub(crate) others: Vec<Candidate>,
 }

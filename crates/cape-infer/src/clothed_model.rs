@@ -16,7 +16,7 @@ use cape_model::{Generator, Graphs, Posterior};
 use ndarray::{Array2, Array3, s};
 
 use crate::{
-    BodySpec, Error, Normaliser, Result, RunConfig, batches, build_graphs, normal, to_device,
+    BodySpec, Error, Normaliser, Result, RunConfig, batches, graphs::MeshGraphs, normal, to_device,
 };
 
 /// Conditions of the network (CAPE §4.1) on a device.
@@ -68,6 +68,7 @@ pub struct Condition {
 pub struct ClothedModel {
     config: RunConfig,
     generator: Generator,
+    mesh_graphs: Arc<MeshGraphs>,
     graphs: Graphs,
     body: Arc<SmplModel>,
     smpl: ClothedSmpl,
@@ -110,14 +111,15 @@ impl ClothedModel {
     /// If body, mask and statistics have different numbers of vertices, or the configuration does
     /// not suit the mesh.
     pub fn new(parts: ClothedModelParts, generator: Generator, device: &Device) -> Result<Self> {
-        let graphs = build_graphs(&parts.config, &parts.body, device)?;
-        Self::with_graphs(parts, generator, graphs, device)
+        let graphs = MeshGraphs::build(&parts.config, &parts.body)?;
+        let uploaded = graphs.upload(device);
+        Self::with_graphs(parts, generator, (Arc::new(graphs), uploaded), device)
     }
 
     pub(crate) fn with_graphs(
         parts: ClothedModelParts,
         generator: Generator,
-        graphs: Graphs,
+        (mesh_graphs, graphs): (Arc<MeshGraphs>, Graphs),
         device: &Device,
     ) -> Result<Self> {
         let ClothedModelParts { config, body, mask, statistics } = parts;
@@ -127,6 +129,7 @@ impl ClothedModel {
         Ok(Self {
             clothing_joints: Tensor::from_data(joints, device),
             generator,
+            mesh_graphs,
             graphs,
             smpl: ClothedSmpl::new(Smpl::new(&body, device)?).with_mask(&mask)?,
             normaliser: Normaliser::new(&statistics, device),
@@ -151,7 +154,9 @@ impl ClothedModel {
             statistics: (*self.statistics).clone(),
         };
         let generator = self.generator.clone().no_grad().train();
-        Self::new(parts, generator, &self.device.clone().autodiff())
+        let device = self.device.clone().autodiff();
+        let graphs = (self.mesh_graphs.clone(), self.mesh_graphs.upload(&device));
+        Self::with_graphs(parts, generator, graphs, &device)
     }
 
     /// The same model for one subject, given by the unclothed rest shape `[V, 3]`, metres: shape

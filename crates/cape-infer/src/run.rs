@@ -5,6 +5,7 @@ use std::{
     io::Write,
     ops::Deref,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use burn::{module::Module, tensor::Device};
@@ -18,7 +19,7 @@ use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    ClothedModel, ClothedModelParts, Error, Result, RunConfig, build_graphs, checkpoint,
+    ClothedModel, ClothedModelParts, Error, Result, RunConfig, checkpoint, graphs::MeshGraphs,
     prior::Prior,
 };
 
@@ -225,7 +226,8 @@ impl Run {
         let weights = checkpoint::load_weights(&checkpoint)?;
         let body = SmplModel::load(paths.body())?;
         let device = device.clone().inner();
-        let graphs = build_graphs(&config, &body, &device)?;
+        let mesh_graphs = MeshGraphs::build(&config, &body)?;
+        let graphs = mesh_graphs.upload(&device);
         let networks = Cape::new(&config.model, &graphs, 0, &device)?;
         let networks = weights::apply(networks, &weights).map_err(|error| {
             Error::format(&checkpoint, format!("does not suit {CONFIG}: {error}"))
@@ -237,7 +239,8 @@ impl Run {
             statistics: DisplacementStatistics::load(paths.statistics())?,
         };
         let generator = networks.generator.valid();
-        let model = ClothedModel::with_graphs(parts, generator, graphs, &device)?;
+        let model =
+            ClothedModel::with_graphs(parts, generator, (Arc::new(mesh_graphs), graphs), &device)?;
         Ok(Self { paths, checkpoint, state, model })
     }
 

@@ -1,12 +1,8 @@
-use std::{
-    fs::File,
-    io::{BufReader, Write},
-    path::Path,
-};
+use std::{io::Write, path::Path};
 
 use cape_core::write_atomically;
 
-use crate::{Error, Result};
+use crate::{Error, ImageFile, Result};
 
 /// Largest width and height of an image, pixels.
 pub const MAX_SIDE: u32 = 16_384;
@@ -94,6 +90,42 @@ impl Image {
         }
     }
 
+    /// The image scaled down so that its longer side is at most `side` pixels, by the mean of the
+    /// pixels that fall together.
+    ///
+    /// # Errors
+    /// If `side` is 0.
+    pub fn reduced(&self, side: u32) -> Result<Self> {
+        let longer = self.width.max(self.height);
+        if side == 0 {
+            return Err(Error::Argument("image: a side of 0 pixels, expected 1 or more".into()));
+        }
+        if longer <= side {
+            return Ok(self.clone());
+        }
+        let scaled =
+            |length: u32| (u64::from(length) * u64::from(side)).div_ceil(longer.into()) as u32;
+        let mut reduced = Self::new(scaled(self.width), scaled(self.height), [0; 4])?;
+        let span = |at: u32, count: u32, of: u32| {
+            let bound = |at: u32| (u64::from(at) * u64::from(of) / u64::from(count)) as usize;
+            bound(at)..bound(at + 1)
+        };
+        let (width, height) = (reduced.width, reduced.height);
+        for (at, to) in reduced.pixels.iter_mut().enumerate() {
+            let (x, y) = (at as u32 % width, at as u32 / width);
+            let (columns, rows) = (span(x, width, self.width), span(y, height, self.height));
+            let count = (columns.len() * rows.len()) as u32;
+            let mut sums = [0u32; 4];
+            for row in rows {
+                for pixel in &self.pixels[row * self.width as usize..][columns.clone()] {
+                    sums.iter_mut().zip(pixel).for_each(|(sum, &value)| *sum += u32::from(value));
+                }
+            }
+            *to = sums.map(|sum| ((sum + count / 2) / count) as u8);
+        }
+        Ok(reduced)
+    }
+
     /// Writes a PNG file, atomically.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         Ok(write_atomically(path, |file| self.encode(file))?)
@@ -111,33 +143,9 @@ impl Image {
         sink.flush()
     }
 
-    /// Reads a PNG file, converted to 8 bits and RGBA.
+    /// Reads a PNG or JPEG file, upright, converted to 8 bits and RGBA; see [`ImageFile`].
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
-        let path = path.as_ref();
-        let format = |message: String| cape_core::Error::format(path, message);
-        let file = File::open(path).map_err(|source| cape_core::Error::io(path, source))?;
-        let mut decoder = png::Decoder::new(BufReader::new(file));
-        decoder.set_transformations(png::Transformations::normalize_to_color8());
-        let mut reader = decoder.read_info().map_err(|error| format(error.to_string()))?;
-        let (width, height) = (reader.info().width, reader.info().height);
-        let mut image = Self::new(width, height, [0; 4])?;
-        let size = reader
-            .output_buffer_size()
-            .ok_or_else(|| format("image too large for memory".into()))?;
-        let mut bytes = vec![0; size];
-        let frame = reader.next_frame(&mut bytes).map_err(|error| format(error.to_string()))?;
-        let to_rgba: fn(&[u8]) -> [u8; 4] = match frame.color_type {
-            png::ColorType::Rgba => |p| [p[0], p[1], p[2], p[3]],
-            png::ColorType::Rgb => |p| [p[0], p[1], p[2], 255],
-            png::ColorType::GrayscaleAlpha => |p| [p[0], p[0], p[0], p[1]],
-            png::ColorType::Grayscale => |p| [p[0], p[0], p[0], 255],
-            png::ColorType::Indexed => return Err(format("palette was not expanded".into()).into()),
-        };
-        let samples = frame.color_type.samples();
-        for (pixel, source) in image.pixels.iter_mut().zip(bytes.chunks_exact(samples)) {
-            *pixel = to_rgba(source);
-        }
-        Ok(image)
+        ImageFile::read(path)?.to_image()
     }
 }
 
@@ -178,6 +186,20 @@ mod tests {
         Image::new(64, 64, [9, 8, 7, 255]).unwrap().encode(&mut bytes).unwrap();
         std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
         assert!(Image::load(&path).unwrap_err().to_string().contains("cut.png"));
+    }
+
+    #[test]
+    fn reduced_images_have_the_means_of_their_pixels() {
+        let mut image = Image::new(6, 4, [10, 20, 30, 255]).unwrap();
+        image.pixels_mut()[7] = [50, 20, 30, 255];
+        let small = image.reduced(3).unwrap();
+        assert_eq!((small.width(), small.height()), (3, 2));
+        assert_eq!(small.pixels()[0], [20, 20, 30, 255]);
+        assert!(small.pixels()[1..].iter().all(|pixel| *pixel == [10, 20, 30, 255]));
+        assert_eq!(image.reduced(6).unwrap(), image);
+        let uneven = image.reduced(5).unwrap();
+        assert_eq!((uneven.width(), uneven.height()), (5, 4));
+        assert!(image.reduced(0).is_err());
     }
 
     #[test]

@@ -167,6 +167,18 @@ pub struct SynthFrame {
     pub transl: Array1<f64>,
 }
 
+impl SynthFrame {
+    /// Writes the frame as an `.npz` file of the CAPE release.
+    pub fn write(&self, path: impl Into<PathBuf>) -> Result<()> {
+        let mut archive = NpzWriter::create(path.into())?;
+        archive.add("v_cano", &self.v_cano)?;
+        archive.add("v_posed", &self.v_posed)?;
+        archive.add("pose", &self.pose)?;
+        archive.add("transl", &self.transl)?;
+        archive.finish()
+    }
+}
+
 /// Generator of the frames of a synthetic data set.
 ///
 /// ```
@@ -302,16 +314,7 @@ impl<'a> CaptureGenerator<'a> {
         progress: &mut dyn FnMut(usize, usize),
     ) -> Result<()> {
         let root = root.as_ref();
-        create(root)?;
-        self.model.save(root.join("body.npz"))?;
-        let clothing = self.wardrobe.clothing_vertices().into_iter().map(|vertex| vertex as i64);
-        write_npy(root.join("clothing_verts_idx.npy"), &clothing.collect::<Array1<_>>())?;
-        for subject in 0..self.spec.subjects {
-            let name = subject_name(subject);
-            let directory = root.join("minimal_body_shape").join(&name);
-            create(&directory)?;
-            write_npy(directory.join(format!("{name}_minimal.npy")), &self.minimal(subject)?)?;
-        }
+        self.write_subjects(root)?;
         let sequences = self.spec.sequences();
         let total = sequences.len() * self.spec.frames_per_sequence;
         progress(0, total);
@@ -322,9 +325,25 @@ impl<'a> CaptureGenerator<'a> {
             let generator = self.prepare(sequence)?;
             (0..self.spec.frames_per_sequence).into_par_iter().try_for_each(|frame| {
                 let path = directory.join(format!("{name}.{:06}.npz", frame + 1));
-                write_frame(path, &self.frame(&generator, frame)?)
+                self.frame(&generator, frame)?.write(path)
             })?;
             progress((done + 1) * self.spec.frames_per_sequence, total);
+        }
+        Ok(())
+    }
+
+    /// Writes what all sequences of a data set share: `body.npz`, `clothing_verts_idx.npy` and the
+    /// minimal shapes of the subjects.
+    pub fn write_subjects(&self, root: &Path) -> Result<()> {
+        create(root)?;
+        self.model.save(root.join("body.npz"))?;
+        let clothing = self.wardrobe.clothing_vertices().into_iter().map(|vertex| vertex as i64);
+        write_npy(root.join("clothing_verts_idx.npy"), &clothing.collect::<Array1<_>>())?;
+        for subject in 0..self.spec.subjects {
+            let name = subject_name(subject);
+            let directory = root.join("minimal_body_shape").join(&name);
+            create(&directory)?;
+            write_npy(directory.join(format!("{name}_minimal.npy")), &self.minimal(subject)?)?;
         }
         Ok(())
     }
@@ -336,13 +355,4 @@ impl<'a> CaptureGenerator<'a> {
 
 fn create(directory: &Path) -> Result<()> {
     fs::create_dir_all(directory).map_err(|source| Error::io(directory, source))
-}
-
-fn write_frame(path: PathBuf, frame: &SynthFrame) -> Result<()> {
-    let mut archive = NpzWriter::create(path)?;
-    archive.add("v_cano", &frame.v_cano)?;
-    archive.add("v_posed", &frame.v_posed)?;
-    archive.add("pose", &frame.pose)?;
-    archive.add("transl", &frame.transl)?;
-    archive.finish()
 }

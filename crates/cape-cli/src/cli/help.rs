@@ -15,7 +15,7 @@ pub(super) const GROUPS: [(&str, &[&str]); 7] = [
     ("Sampling and moving", &["sample", "vary", "redress", "animate", "view"]),
     ("Fitting", &["fit"]),
     ("Clothing layers", &["layer"]),
-    ("Models and files", &["model", "info"]),
+    ("Models and files", &["body", "model", "info"]),
 ];
 
 /// Columns that descriptions are wrapped at.

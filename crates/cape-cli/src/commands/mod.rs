@@ -1,6 +1,7 @@
 //! One module for each command, by group.
 
 pub(crate) mod animate;
+pub(crate) mod body;
 pub(crate) mod data;
 pub(crate) mod demo;
 pub(crate) mod eval;

@@ -232,6 +232,13 @@ fn info_knows_what_things_are() {
         assert_eq!(data.run(&format!("info @/{path} --json")).json()["kind"], kind);
         assert!(data.run(&format!("info @/{path}")).succeeded().starts_with(kind));
     }
+    for path in ["raw", "packed", "run"] {
+        let body = data.run(&format!("info @/{path} --json")).json()["body"].to_string();
+        assert!(body.contains("vertices, SHA-256"), "{path}: {body}");
+    }
+    let few = "--subjects 1 --outfits longlong --motions squats --frames-per-sequence 1";
+    data.run(&format!("data synth --body female --out @/own {few}")).succeeded();
+    assert_eq!(data.run("info @/own --json").json()["body"], "female (built in)");
     let step = fs::read_dir(data.at("run/checkpoints")).unwrap().next().unwrap().unwrap().path();
     let weights = run(["info", step.join("model.safetensors").to_str().unwrap(), "--json"]).json();
     assert_eq!(weights["kind"], "weights");

@@ -84,7 +84,8 @@ steps = 20
 
 [clothed]
 levels = [{ side = 64, rounds = 1, steps = 3 }]
-accepted = 0.0
+inside = 0.0
+explained = 0.0
 ";
 
 fn without_times(results: &[u8]) -> Value {
@@ -108,7 +109,7 @@ fn strip(value: &mut Value) {
 const SEEN: &str = "@/seen/best/keypoints.json --mask @/seen/best/mask.png";
 
 /// Writes keypoints and mask of a person to seen/best, and few.toml with few steps.
-fn person(data: &Packed, run: &str) {
+pub(crate) fn person(data: &Packed, run: &str) {
     fs::write(data.at("few.toml"), CONFIG).unwrap();
     let options = "--frames 1 --size 128 --config @/few.toml --out @/seen";
     data.run(&format!("fit benchmark image {run} {options}")).succeeded();
@@ -118,10 +119,11 @@ fn person(data: &Packed, run: &str) {
 fn a_person_is_fitted_to_an_image() {
     let (data, run) = (Packed::new(), trained().at("run").display().to_string());
     person(&data, &run);
-    fs::write(data.at("few.toml"), CONFIG.replace("accepted = 0.0", "accepted = 0.3")).unwrap();
+    fs::write(data.at("few.toml"), CONFIG.replace("explained = 0.0", "explained = 0.3")).unwrap();
     let fit = |rest: &str| data.run(&format!("fit image {run} {SEEN} --config @/few.toml {rest}"));
     let report = fit("--image @/seen/best/image.png --out @/fit --json").json();
-    assert_eq!(report["outfits"].as_array().unwrap().len(), 4);
+    // The other two are given up after the first level.
+    assert_eq!(report["outfits"].as_array().unwrap().len(), 2);
     assert_eq!(report["clothed"]["outfit"], report["outfits"][0]["outfit"]);
     let files = ["bare.ply", "clothed.ply", "clothed.glb", "code.npy", "pose.npy", "overlay.png"];
     for name in files.into_iter().chain(["energy.png", "fit.json"]) {
@@ -135,13 +137,16 @@ fn a_person_is_fitted_to_an_image() {
         .succeeded();
 
     // Someone who wears what explains the image worst is told so.
-    let worst = report["outfits"][3]["outfit"].as_str().unwrap();
+    let all = fit("--outfit longlong --compare-outfits --out @/all --json").json();
+    assert_eq!(all["outfits"].as_array().unwrap().len(), 4);
+    let worst = all["outfits"][3]["outfit"].as_str().unwrap();
     let ran = fit(&format!("--outfit {worst} --compare-outfits --out @/other"));
     assert!(ran.err.contains("has a lower energy"), "{}", ran.err);
 
     // A fit that is unreliable is written, and is an error.
-    fs::write(data.at("few.toml"), CONFIG.replace("accepted = 0.0", "accepted = 0.999")).unwrap();
-    fit("--outfit longlong --out @/failed").failed_saying(&["is unreliable", "0.999"]);
+    fs::write(data.at("few.toml"), CONFIG.replace("inside = 0.0", "inside = 1.1")).unwrap();
+    fit("--outfit longlong --out @/failed")
+        .failed_saying(&["is unreliable", "expected at least 110 %"]);
     assert!(data.at("failed/fit.json").exists());
 }
 

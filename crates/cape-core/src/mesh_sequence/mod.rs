@@ -6,7 +6,7 @@ mod tests;
 use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DVec3};
-use ndarray::{Array2, Array3, ArrayD, Axis, Ix3, s};
+use ndarray::{Array2, Array3, ArrayD, ArrayView2, Axis, Ix3, s};
 
 use crate::{
     Error, MESH_EXTENSIONS, Mesh, PointCache, Result, expect_finite,
@@ -114,6 +114,25 @@ impl MeshSequence {
             row.assign(&ndarray::aview1(&moved.to_array()));
         }
         self
+    }
+
+    /// The sequence with each frame moved by its row of `translations`, in the unit of the files,
+    /// `[frames, 3]`.
+    ///
+    /// # Errors
+    /// If the number of frames differs.
+    pub fn translated(mut self, translations: ArrayView2<f64>) -> Result<Self> {
+        if translations.dim() != (self.frames(), 3) {
+            return Err(Error::argument(format!(
+                "translations {:?} for meshes of {} frames, expected one for each",
+                translations.shape(),
+                self.frames()
+            )));
+        }
+        for (mut frame, place) in self.positions.outer_iter_mut().zip(translations.rows()) {
+            frame += &place;
+        }
+        Ok(self)
     }
 
     /// The sequence, of frames at `from` per second, at `to` frames per second, with positions

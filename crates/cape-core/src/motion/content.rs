@@ -9,7 +9,11 @@ use std::{
 
 use ndarray::{ArrayD, IxDyn};
 
-use super::{foreign, table::MotionRows};
+use super::{
+    foreign,
+    matlab::{self, Variable},
+    table::MotionRows,
+};
 use crate::{
     Error, Result,
     npy::{Npz, npy_header, read_f64, read_objects},
@@ -21,6 +25,8 @@ const MAX_FILE: u64 = 4 << 30;
 /// Largest size of decompressed data, bytes, and largest ratio to the compressed size beyond it.
 const BOMB_SIZE: u64 = 64 << 20;
 const BOMB_RATIO: u64 = 100;
+/// First bytes of MATLAB's files to version 7.
+const MATLAB: &[u8] = b"MATLAB 5.0";
 /// Largest nesting depth.
 const MAX_DEPTH: usize = 12;
 /// Number of arrays that are listed in an error.
@@ -38,6 +44,7 @@ enum Source {
     Archive { archive: RefCell<Npz>, arrays: Vec<(String, Array)> },
     Pickle(Pickle),
     Json(serde_json::Value),
+    Matlab(Vec<(String, Variable)>),
     Numbers(ArrayD<f64>),
 }
 
@@ -144,6 +151,17 @@ impl Content {
             }
             Source::Pickle(pickle) => self.object(&pickle.root(), MAX_DEPTH)?,
             Source::Json(value) => self.json(value, MAX_DEPTH)?,
+            Source::Matlab(variables) => {
+                let entry = |(name, variable): &(String, Variable)| {
+                    let entry = match variable {
+                        Variable::Numbers(array) => Entry::given(array.clone()),
+                        Variable::Text(text) => Entry::Text(text.clone()),
+                        Variable::Other(what) => Entry::Other((*what).to_owned()),
+                    };
+                    (name.clone(), entry)
+                };
+                Entry::Map(variables.iter().map(entry).collect())
+            }
             Source::Numbers(array) => Entry::given(array.clone()),
         })
     }
@@ -310,6 +328,10 @@ impl Source {
             return Ok(Self::Pickle(Pickle::open(path)?));
         }
         let bytes = std::fs::read(path).map_err(|error| Error::io(path, error))?;
+        if start.starts_with(MATLAB) {
+            let most = BOMB_SIZE.max(size.saturating_mul(BOMB_RATIO));
+            return Ok(Self::Matlab(matlab::variables(path, &bytes, most)?));
+        }
         if matches!(start, [b'{' | b'[', ..]) {
             let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
             let value = serde_json::from_slice(text)
@@ -330,8 +352,8 @@ impl Source {
     }
 }
 
-const UNKNOWN: &str = "unknown kind of file: expected poses in .npz, .npy, .pkl (joblib's too), .json, \
-                       .csv or .smpl";
+const UNKNOWN: &str = "unknown kind of file: expected poses in .npz, .npy, .pkl (joblib's too), .mat, \
+                       .json, .csv or .smpl";
 
 /// Decompresses a pickle.
 fn inflated(path: &Path, reader: impl Read, size: u64) -> Result<Source> {

@@ -5,6 +5,7 @@ use std::path::Path;
 use ndarray::{Array2, Axis, s};
 
 use super::{
+    Pivot,
     clip::{Clip, rows},
     content::{Entry, Numbers},
     easymocap,
@@ -77,11 +78,16 @@ pub(super) fn clips(path: &Path, fields: &Fields, common: &Common) -> Result<Vec
         let array = offsets.numbers.read()?;
         clips[0].offsets = array.into_dimensionality().ok();
     }
-    let rate = |name| find(fields, name).is_some();
-    let amass = (rate("mocap_framerate") && (rate("dmpls") || clips[0].joints == 52))
-        || (rate("mocap_frame_rate") && (rate("surface_model_type") || rate("dmpls")));
+    let has = |name| find(fields, name).is_some();
+    let amass = (has("mocap_framerate") && (has("dmpls") || clips[0].joints == 52))
+        || (has("mocap_frame_rate") && (has("surface_model_type") || has("dmpls")));
+    // CLOTH3D's info.mat: the translation is the place of the pelvis.
+    let cloth3d = has("outfit") && has("zrot");
     for clip in &mut clips {
         clip.amass = amass;
+        if cloth3d {
+            clip.pivot = Pivot::PelvisAtOrigin;
+        }
     }
     Ok(clips)
 }

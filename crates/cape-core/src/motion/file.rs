@@ -50,6 +50,8 @@ pub enum Pivot {
     Pelvis,
     /// The origin, as in EasyMocap's parameters.
     Origin,
+    /// The pelvis, whose place is the translation, as in CLOTH3D.
+    PelvisAtOrigin,
 }
 
 /// Choices in reading a motion.
@@ -153,8 +155,10 @@ impl MotionFile {
         let still = || Array2::zeros((self.frames(), 3));
         let translations = self.translations.clone().unwrap_or_else(still);
         let mut motion = BodyMotion::new(rate, self.poses.clone(), translations)?;
-        if self.pivot == Pivot::Origin {
-            motion = motion.about_pelvis(pelvis);
+        match self.pivot {
+            Pivot::Pelvis => {}
+            Pivot::Origin => motion = motion.about_pelvis(pelvis),
+            Pivot::PelvisAtOrigin => motion.translations -= &ndarray::arr1(&pelvis),
         }
         let motion = motion.turned_upright(self.up, pelvis);
         match frame_rate {

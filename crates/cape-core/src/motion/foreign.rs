@@ -31,9 +31,6 @@ pub(super) fn named(head: &[u8]) -> Option<&'static str> {
         _ if begins(b"Vocaloid Motion Data") => {
             "a VMD file: its skeleton is not SMPL's; convert the motion to SMPL poses first"
         }
-        _ if begins(b"MATLAB 5.0") => {
-            "a MATLAB file: load it by `scipy.io.loadmat` and save its arrays by `numpy.savez`"
-        }
         [0x89, b'H', b'D', b'F', ..] => {
             "an HDF5 file (MATLAB's since 7.3 are too): read its arrays by h5py and save them by \
              `numpy.savez`"

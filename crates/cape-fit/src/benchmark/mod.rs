@@ -13,6 +13,7 @@ use cape_core::Outfit;
 use cape_data::PackedSet;
 use cape_infer::Run;
 use glam::DVec3;
+use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
 pub use scene::Scene;
@@ -23,16 +24,25 @@ use crate::{
     Smplify, aligned_error, silhouette::render,
 };
 
+/// Number of images of the paper's benchmark.
+pub const FRAMES: usize = 120;
+
 /// Options of the image fitting benchmark.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BenchmarkOptions {
     /// Held-out frames, evenly spaced in each outfit.
     pub frames: usize,
+    /// Frames that a benchmark without this option does not take if it takes [`FRAMES`], to choose
+    /// weights on.
+    pub tuning: bool,
     /// Side of the images, pixels.
     pub side: u32,
     /// Standard deviation of the keypoints, pixels.
     pub noise: f64,
+    /// Distance of the detector's hips and neck from the body's joints, metres: hips are outwards and
+    /// upwards of SMPL's, the neck below.
+    pub bias: f64,
     /// Share of joints without a detection, 0 to 1.
     pub dropped: f64,
     /// Share of pixels beside the outline of the silhouette that are flipped, 0 to 1.
@@ -43,7 +53,16 @@ pub struct BenchmarkOptions {
 
 impl Default for BenchmarkOptions {
     fn default() -> Self {
-        Self { frames: 120, side: 512, noise: 0.0, dropped: 0.0, ragged: 0.0, seed: 1 }
+        Self {
+            frames: FRAMES,
+            tuning: false,
+            side: 512,
+            noise: 0.0,
+            bias: 0.0,
+            dropped: 0.0,
+            ragged: 0.0,
+            seed: 1,
+        }
     }
 }
 
@@ -118,6 +137,8 @@ pub struct Benchmark<'a> {
     options: BenchmarkOptions,
     /// Bodies in the outfits of the set.
     bodies: BTreeMap<Outfit, DressedBody>,
+    /// Minimal shapes of subjects, metres, `[V, 3]`, in place of random ones.
+    shapes: BTreeMap<String, Array2<f64>>,
 }
 
 impl<'a> Benchmark<'a> {
@@ -143,13 +164,43 @@ impl<'a> Benchmark<'a> {
         let body = DressedBody::new(run, run.default_outfit())?;
         let dressed = |outfit| Ok::<_, Error>((outfit, body.with_outfit(outfit)?));
         let bodies = worn.into_iter().map(dressed).collect::<Result<_>>()?;
-        Ok(Self { run, set, smplify, config, options, bodies })
+        Ok(Self { run, set, smplify, config, options, bodies, shapes: BTreeMap::new() })
+    }
+
+    /// The benchmark with subjects' own bodies, minimal shapes in metres, `[V, 3]`, by name, in place of
+    /// bodies of random shape.
+    ///
+    /// # Errors
+    /// If the set does not say whose its frames are, a subject of them is missing, or a shape has
+    /// another number of vertices than the body.
+    pub fn with_shapes(mut self, shapes: BTreeMap<String, Array2<f64>>) -> Result<Self> {
+        let Some(origins) = self.set.origins() else {
+            let message = "bodies of the subjects: the packed set does not say whose its frames are                            (no test_frames.csv)";
+            return Err(Error::argument(message));
+        };
+        if let Some(missing) = origins.iter().find(|o| !shapes.contains_key(&o.subject)) {
+            return Err(Error::argument(format!(
+                "bodies of the subjects: none of `{}`",
+                missing.subject
+            )));
+        }
+        let vertices = self.run.body().vertices();
+        if let Some((name, shape)) = shapes.iter().find(|(_, s)| s.dim() != (vertices, 3)) {
+            return Err(Error::argument(format!(
+                "body of `{name}`: shape {:?}, expected [{vertices}, 3]",
+                shape.shape()
+            )));
+        }
+        self.shapes = shapes;
+        Ok(self)
     }
 
     /// Indices of the frames: equal numbers of each outfit if available, evenly spaced over
     /// subjects and motions.
     pub fn frames(&self) -> Vec<usize> {
-        spread(self.set.outfits(), self.options.frames)
+        let BenchmarkOptions { frames, tuning, .. } = self.options;
+        let outfits = self.set.outfits();
+        if tuning { spread_apart(outfits, frames) } else { spread(outfits, frames) }
     }
 
     /// Observations and ground truth of a frame.
@@ -157,7 +208,9 @@ impl<'a> Benchmark<'a> {
     /// # Errors
     /// If the frame cannot be read.
     pub fn scene(&self, frame: usize) -> Result<Scene> {
-        Scene::new(self.run, self.set, frame, &self.options)
+        let origin = self.set.origins().and_then(|origins| origins.get(frame));
+        let shape = origin.and_then(|origin| self.shapes.get(&origin.subject));
+        Scene::new(self.run, self.set, frame, shape, &self.options)
     }
 
     /// Fits a frame from its keypoints, silhouette and outfit.
@@ -172,7 +225,7 @@ impl<'a> Benchmark<'a> {
         let bare = self.smplify.fit(camera, keypoints, None)?;
         let bare_seconds = start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let image = ImageObservation { camera, keypoints, mask };
+        let image = ImageObservation { camera, keypoints, mask: Some(mask), occluders: None };
         let fit = match self.smplify.fit_clothed(dressed, &image, &bare, self.config) {
             Ok(fit) => Ok(fit),
             Err(Error::Failed(reason)) => Err(reason),
@@ -270,6 +323,14 @@ fn spread(outfits: &[Outfit], count: usize) -> Vec<usize> {
     found
 }
 
+/// [`spread`] of the entries that the benchmark of [`FRAMES`] does not take.
+fn spread_apart(outfits: &[Outfit], count: usize) -> Vec<usize> {
+    let taken: BTreeSet<usize> = spread(outfits, FRAMES).into_iter().collect();
+    let others: Vec<usize> = (0..outfits.len()).filter(|at| !taken.contains(at)).collect();
+    let of_others: Vec<Outfit> = others.iter().map(|&at| outfits[at]).collect();
+    spread(&of_others, count).into_iter().map(|at| others[at]).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -298,5 +359,20 @@ mod tests {
         assert_eq!(spread(&few, 10).len(), 10);
         assert!(spread(&few, 10).contains(&7));
         assert!(spread(&[], 3).is_empty());
+    }
+
+    #[test]
+    fn frames_for_tuning_are_none_of_the_benchmark() {
+        let outfits: Vec<Outfit> = (0..432).map(|at| Outfit::PAPER[at / 3 % 4]).collect();
+        let (taken, apart) = (spread(&outfits, FRAMES), spread_apart(&outfits, 24));
+        assert_eq!(apart.len(), 24);
+        assert!(apart.iter().all(|frame| !taken.contains(frame)));
+        assert!(
+            Outfit::PAPER.iter().all(|&worn| {
+                apart.iter().filter(|&&frame| outfits[frame] == worn).count() == 6
+            })
+        );
+        // A set as small as the benchmark has no others.
+        assert!(spread_apart(&outfits[..96], 24).is_empty());
     }
 }

@@ -147,6 +147,11 @@ fn collect_object(
         }
         return true;
     }
+    // An annotation without keypoints.
+    if map.contains_key("segmentation") {
+        collect_person(map, field, context, found);
+        return true;
+    }
     for name in LANDMARKS {
         if let Some(landmarks) = map.get(name) {
             return landmarks.is_null() || collect(landmarks, &at(name), context, found);

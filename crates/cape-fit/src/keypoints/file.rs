@@ -241,7 +241,9 @@ fn one_image(all: Vec<Entry>, options: &KeypointOptions) -> Result<Vec<Entry>, S
     let mut images: Vec<&Vec<String>> = all.iter().map(|entry| &entry.images).collect();
     images.sort();
     images.dedup();
-    if images.len() < 2 && options.image.is_none() {
+    // A file that does not name its image is of the one that is asked for.
+    let unnamed = images.iter().all(|names| names.is_empty());
+    if images.len() < 2 && (options.image.is_none() || unnamed) {
         return Ok(all);
     }
     let is = |name: &str| {

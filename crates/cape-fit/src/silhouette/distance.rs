@@ -6,6 +6,7 @@
 //! distance.
 
 use super::Mask;
+use crate::Result;
 
 /// Distance of each pixel to the nearest covered pixel, and the index of that pixel.
 ///
@@ -126,6 +127,40 @@ pub fn manhattan(mask: &Mask) -> DistanceField {
         width,
         distance: all.iter().map(|site| site.distance).collect(),
         site: all.iter().map(|site| site.at).collect(),
+    }
+}
+
+/// Manhattan distance to where a surface costs nothing: the covered pixels of a mask and everything
+/// outside the image.
+#[derive(Debug, Clone)]
+pub(super) struct FreeDistance {
+    /// Distances in the image with a border of one pixel, which is covered.
+    field: DistanceField,
+    width: f64,
+    height: f64,
+}
+
+impl FreeDistance {
+    /// Distance transform of a mask with its surroundings.
+    pub(super) fn new(mask: &Mask) -> Result<Self> {
+        let (width, height) = (mask.width() as usize, mask.height() as usize);
+        let mut covered = vec![true; (width + 2) * (height + 2)];
+        for (row, line) in mask.covered().chunks_exact(width).enumerate() {
+            covered[(row + 1) * (width + 2) + 1..][..width].copy_from_slice(line);
+        }
+        let bordered = Mask::new(mask.width() + 2, mask.height() + 2, covered)?;
+        let field = manhattan(&bordered);
+        Ok(Self { field, width: width as f64, height: height as f64 })
+    }
+
+    /// Distance at a column and row, pixels, and its gradient; 0 outside the image.
+    pub(super) fn sample(&self, x: f64, y: f64) -> (f64, [f64; 2]) {
+        let near = |at: f64, side: f64| at > -0.5 && at < side + 0.5;
+        if near(x, self.width) && near(y, self.height) {
+            self.field.sample(x + 1.0, y + 1.0)
+        } else {
+            (0.0, [0.0; 2])
+        }
     }
 }
 
@@ -263,6 +298,35 @@ mod tests {
                     }
                 }
             }
+        }
+
+        /// Brute force over the covered pixels and all pixels around the image.
+        #[test]
+        fn outside_the_image_everything_is_free(
+            mask in masks(), x in -3.0f64..28.0, y in -3.0f64..28.0,
+        ) {
+            let free = FreeDistance::new(&mask).unwrap();
+            let (width, height) = (mask.width() as i64, mask.height() as i64);
+            let is_free = |x: i64, y: i64| {
+                let inside = (0..width).contains(&x) && (0..height).contains(&y);
+                !inside || mask.covered()[(y * width + x) as usize]
+            };
+            let brute = |x: i64, y: i64| {
+                let all = (-1..=width).flat_map(|u| (-1..=height).map(move |v| (u, v)));
+                all.filter(|&(u, v)| is_free(u, v)).map(|(u, v)| (u - x).abs() + (v - y).abs()).min()
+            };
+            for y in -2..height + 2 {
+                for x in -2..width + 2 {
+                    let expected = if is_free(x, y) { 0 } else { brute(x, y).unwrap() };
+                    let found = free.sample(x as f64 + 0.5, y as f64 + 0.5).0;
+                    prop_assert!((found - expected as f64).abs() < 1e-9, "{} {}: {}", x, y, found);
+                }
+            }
+            // Away from the centres of the border's pixels, where the outside starts.
+            let away = |v: f64, side: i64| (v + 0.5).abs() > 1e-3 && (v - side as f64 - 0.5).abs() > 1e-3;
+            prop_assume!(away(x, width) && away(y, height));
+            let (_, gradient) = free.sample(x, y);
+            assert_gradient(&[x, y], &gradient, 1e-4, |p| free.sample(p[0], p[1]).0);
         }
 
         #[test]

@@ -9,6 +9,10 @@
 //! derivative; the first omits the change of the area of each rendered point, which is small while
 //! the silhouettes are close. Surfaces that have moved far are matched again.
 //!
+//! Pixels of occluders, and everything outside the image, count neither way: a rendered pixel there
+//! costs nothing, so that elsewhere its distance is that to the nearest pixel of the person, of an
+//! occluder or outside the image; pixels of the image's silhouette under an occluder are left out.
+//!
 //! [`SilhouetteEnergy::with_softness`] compares the coverage of a [soft
 //! rendering](super::render_softly) instead: the derivative is exact without matching, but vanishes
 //! beyond a few pixels.
@@ -18,7 +22,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Mask, SurfacePoint,
-    distance::{DistanceField, manhattan},
+    distance::{FreeDistance, manhattan},
     soft::{check_softness, draw},
     surface::render,
 };
@@ -41,7 +45,7 @@ const ROUNDING: f64 = 0.5;
 /// let camera = PinholeCamera::new(100, 100, Some(100.0))?;
 /// let (vertices, faces) = square(1.0);
 /// let mask = render(&vertices, &faces, &camera)?.mask().clone();
-/// let energy = SilhouetteEnergy::new(&camera, &mask, 100, 0.02)?;
+/// let energy = SilhouetteEnergy::new(&camera, &mask, None, 100, 0.02)?;
 /// let mut gradient = vec![DVec3::ZERO; 4];
 /// let terms = energy.match_surface(&vertices, &faces)?.evaluate(&vertices, 1.0, &mut gradient);
 /// assert!(terms.total() < 1e-6);
@@ -54,8 +58,11 @@ const ROUNDING: f64 = 0.5;
 #[derive(Debug, Clone)]
 pub struct SilhouetteEnergy {
     camera: PinholeCamera,
+    /// Visible pixels of the person.
     target: Mask,
-    field: DistanceField,
+    /// Pixels that the surface may cover: those of the person and of occluders.
+    free: Mask,
+    distance: FreeDistance,
     /// Width of a pixel at the distance of the person, metres, divided by the area of the
     /// silhouette, pixels.
     scale: f64,
@@ -93,20 +100,41 @@ pub struct SilhouetteMatch<'a> {
 }
 
 impl SilhouetteEnergy {
-    /// Silhouette `mask` of an image, scaled to at most `side` pixels; `pixel` is the width of a
-    /// pixel of `mask` at the distance of the person, metres.
+    /// Silhouette `mask` of an image, scaled to at most `side` pixels, without the pixels of
+    /// `occluders`, which count neither way; `pixel` is the width of a pixel of `mask` at the
+    /// distance of the person, metres.
     ///
     /// # Errors
-    /// If the mask has another size than the camera's image, or covers nothing or everything at
-    /// this scale.
-    pub fn new(camera: &PinholeCamera, mask: &Mask, side: u32, pixel: f64) -> Result<Self> {
+    /// If the masks have another size than the camera's image, or the person covers nothing or
+    /// everything at this scale.
+    pub fn new(
+        camera: &PinholeCamera,
+        mask: &Mask,
+        occluders: Option<&Mask>,
+        side: u32,
+        pixel: f64,
+    ) -> Result<Self> {
         mask.check(camera)?;
         let small = camera.downscaled_to(side);
-        let target = mask.resize(small.width(), small.height());
-        target.check(&small)?;
+        let resize = |mask: &Mask| mask.resize(small.width(), small.height());
+        let (target, free) = if let Some(occluders) = occluders {
+            let free = resize(&mask.union(occluders)?);
+            let target = resize(&mask.without(occluders)?);
+            if target.area() == 0 {
+                return Err(Error::Observation(
+                    "the occluders hide the whole person: nothing of the mask is left".into(),
+                ));
+            }
+            (target, free)
+        } else {
+            let target = resize(mask);
+            target.check(&small)?;
+            (target.clone(), target)
+        };
         let pixel = pixel * camera.focal() / small.focal();
         let scale = pixel / target.area() as f64;
-        Ok(Self { field: manhattan(&target), camera: small, target, scale, softness: None })
+        let distance = FreeDistance::new(&free)?;
+        Ok(Self { distance, free, camera: small, target, scale, softness: None })
     }
 
     /// The same silhouette, compared by the soft coverage `A` of each pixel with edges `softness`
@@ -178,7 +206,7 @@ impl SilhouetteMatch<'_> {
         if let Some(softness) = self.energy.softness {
             return self.evaluate_softly(vertices, softness, weight, gradient);
         }
-        let SilhouetteEnergy { camera, field, scale, .. } = self.energy;
+        let SilhouetteEnergy { camera, distance: free, scale, .. } = self.energy;
         let mut terms = SilhouetteTerms::default();
         let mut pull = |point: &SurfacePoint, at: DVec3, by_pixel: DVec2| {
             if by_pixel != DVec2::ZERO {
@@ -188,7 +216,7 @@ impl SilhouetteMatch<'_> {
         for point in &self.rendered {
             let at = point.at(vertices);
             let pixel = camera.project(at);
-            let (distance, slope) = field.sample(pixel.x, pixel.y);
+            let (distance, slope) = free.sample(pixel.x, pixel.y);
             terms.rendered += scale * distance;
             pull(point, at, DVec2::from_array(slope));
         }
@@ -209,12 +237,14 @@ impl SilhouetteMatch<'_> {
         weight: f64,
         gradient: &mut [DVec3],
     ) -> SilhouetteTerms {
-        let SilhouetteEnergy { camera, target, scale, .. } = self.energy;
+        let SilhouetteEnergy { camera, target, free, scale, .. } = self.energy;
         let rendering = draw(vertices, &self.faces, camera, softness);
         let mut terms = SilhouetteTerms::default();
         let mut by_coverage = Vec::with_capacity(target.covered().len());
-        for (&found, &wanted) in rendering.coverage().iter().zip(target.covered()) {
-            let off = found - f64::from(wanted);
+        let pixels = target.covered().iter().zip(free.covered());
+        for (&found, (&wanted, &free)) in rendering.coverage().iter().zip(pixels) {
+            // Occluders count neither way.
+            let off = if free && !wanted { 0.0 } else { found - f64::from(wanted) };
             let term = if wanted { &mut terms.image } else { &mut terms.rendered };
             *term += scale * off * off;
             by_coverage.push(2.0 * weight * scale * off);
@@ -251,12 +281,30 @@ mod tests {
     }
 
     fn energy(vertices: &[DVec3], faces: &[[u32; 3]]) -> SilhouetteEnergy {
-        let camera = camera();
-        let mask = render(vertices, faces, &camera).unwrap().mask().clone();
-        SilhouetteEnergy::new(&camera, &mask, 160, 0.01).unwrap()
+        occluded(vertices, faces, None)
     }
 
-    /// Both sums of CAPE eq. 10 by brute force.
+    fn occluded(
+        vertices: &[DVec3],
+        faces: &[[u32; 3]],
+        occluders: Option<&Mask>,
+    ) -> SilhouetteEnergy {
+        let camera = camera();
+        let mask = render(vertices, faces, &camera).unwrap().mask().clone();
+        SilhouetteEnergy::new(&camera, &mask, occluders, 160, 0.01).unwrap()
+    }
+
+    /// A table in front of one leg and a post in front of an arm.
+    fn furniture() -> Mask {
+        let covered = (0..160 * 160).map(|at| {
+            let (x, y) = (at % 160, at / 160);
+            (x > 85 && (105..130).contains(&y)) || (40..52).contains(&x)
+        });
+        Mask::new(160, 160, covered.collect()).unwrap()
+    }
+
+    /// Both sums of CAPE eq. 10 by brute force; occluders and the outside of the image count neither
+    /// way.
     fn sums(energy: &SilhouetteEnergy, vertices: &[DVec3], faces: &[[u32; 3]]) -> [f64; 2] {
         let rendered = render(vertices, faces, energy.camera()).unwrap().mask().clone();
         let covered = |mask: &Mask| -> Vec<[i64; 2]> {
@@ -266,41 +314,91 @@ mod tests {
                 .map(|at| [at as i64 % width, at as i64 / width])
                 .collect()
         };
-        let [a, b] = [covered(&rendered), covered(energy.target())];
+        let [a, b, free] = [&rendered, energy.target(), &energy.free].map(covered);
         let to = |p: &[i64; 2], others: &[[i64; 2]]| {
-            others.iter().map(|q| (p[0] - q[0]).abs() + (p[1] - q[1]).abs()).min().unwrap() as f64
+            others.iter().map(|q| (p[0] - q[0]).abs() + (p[1] - q[1]).abs()).min().unwrap()
         };
-        let sum = |from: &[[i64; 2]], others: &[[i64; 2]]| -> f64 {
-            from.iter().map(|p| to(p, others)).sum::<f64>() * energy.scale
-        };
-        [sum(&a, &b), sum(&b, &a)]
+        let outside = |p: &[i64; 2]| (p[0] + 1).min(p[1] + 1).min(160 - p[0]).min(160 - p[1]);
+        let first: i64 = a.iter().map(|p| to(p, &free).min(outside(p))).sum();
+        let second: i64 = b.iter().map(|p| to(p, &a)).sum();
+        [first, second].map(|sum| sum as f64 * energy.scale)
     }
 
     #[test]
     fn values_are_the_papers_sums() {
         let (truth, faces) = body(1.0, 0.0);
-        let energy = energy(&truth, &faces);
-        for (width, shift) in [(1.1, 0.0), (0.9, 0.0), (1.0, 0.15), (0.8, -0.2)] {
+        let (cut_off, _) = body(1.0, 1.1);
+        let tables = furniture();
+        let [plain, cut, occluded] = [
+            energy(&truth, &faces),
+            energy(&cut_off, &faces),
+            occluded(&truth, &faces, Some(&tables)),
+        ];
+        assert!(occluded.target.area() < plain.target.area());
+        for (energy, width, shift) in [
+            (&plain, 1.1, 0.0),
+            (&plain, 0.9, 0.0),
+            (&plain, 1.0, 0.15),
+            (&plain, 0.8, -0.2),
+            (&cut, 1.0, 1.0),
+            (&cut, 1.1, 1.25),
+            (&occluded, 1.0, 0.15),
+            (&occluded, 1.1, -0.1),
+        ] {
             let (vertices, _) = body(width, shift);
             let matched = energy.match_surface(&vertices, &faces).unwrap();
             let terms = matched.evaluate(&vertices, 0.0, &mut vec![DVec3::ZERO; vertices.len()]);
-            let expected = sums(&energy, &vertices, &faces);
+            let expected = sums(energy, &vertices, &faces);
             assert!((terms.rendered - expected[0]).abs() < 0.03 * expected[0] + 1e-6, "{terms:?}");
             // Rounding subtracts at most ROUNDING in each of two coordinates.
             let taken = 2.0 * ROUNDING * energy.scale * matched.image.len() as f64;
             assert!(terms.image <= 1.001 * expected[1] + 1e-6, "{terms:?} {expected:?}");
             assert!(terms.image >= expected[1] - taken, "{terms:?} {expected:?}");
         }
-        let perfect = energy.match_surface(&truth, &faces).unwrap();
-        let terms = perfect.evaluate(&truth, 0.0, &mut vec![DVec3::ZERO; truth.len()]);
-        assert!(terms.total() < 1e-5, "{terms:?}");
+        for (energy, truth) in [(&plain, &truth), (&cut, &cut_off), (&occluded, &truth)] {
+            let perfect = energy.match_surface(truth, &faces).unwrap();
+            let terms = perfect.evaluate(truth, 0.0, &mut vec![DVec3::ZERO; truth.len()]);
+            assert!(terms.total() < 1e-5, "{terms:?}");
+        }
+    }
+
+    /// Pixels under occluders and outside the image change neither value nor gradient.
+    #[test]
+    fn hidden_pixels_count_neither_way() {
+        let (truth, faces) = body(1.0, 0.0);
+        let tables = furniture();
+        let mask = render(&truth, &faces, &camera()).unwrap().mask().clone();
+        let new =
+            |mask: &Mask| SilhouetteEnergy::new(&camera(), mask, Some(&tables), 160, 0.01).unwrap();
+        let (shifted, _) = body(1.05, 0.1);
+        let value = |energy: &SilhouetteEnergy| {
+            let mut forces = vec![DVec3::ZERO; shifted.len()];
+            let matched = energy.match_surface(&shifted, &faces).unwrap();
+            (matched.evaluate(&shifted, 1.0, &mut forces), forces)
+        };
+        // The mask of the person with or without what is hidden.
+        let [visible, whole] =
+            [new(&mask.without(&tables).unwrap()), new(&mask.union(&tables).unwrap())];
+        assert_eq!(value(&visible), value(&whole));
+        let [visible, whole] = [visible, whole].map(|energy| energy.with_softness(1.0).unwrap());
+        assert_eq!(value(&visible), value(&whole));
+        let everything = Mask::new(160, 160, vec![true; 160 * 160]).unwrap();
+        let refused = SilhouetteEnergy::new(&camera(), &mask, Some(&everything), 160, 0.01);
+        assert!(refused.unwrap_err().to_string().contains("hide the whole person"));
     }
 
     #[test]
     fn gradients_of_matched_surfaces_agree_with_differences() {
         let (truth, faces) = body(1.0, 0.0);
-        let energy = energy(&truth, &faces);
-        let (vertices, _) = body(1.05, 0.13);
+        check_matched(&energy(&truth, &faces), 0.13);
+        check_matched(&occluded(&truth, &faces, Some(&furniture())), 0.13);
+        // Cut off by the border.
+        let (truth, _) = body(1.0, 1.1);
+        check_matched(&energy(&truth, &faces), 1.21);
+    }
+
+    fn check_matched(energy: &SilhouetteEnergy, shift: f64) {
+        let (vertices, faces) = body(1.05, shift);
         let matched = energy.match_surface(&vertices, &faces).unwrap();
         // Directions: each vertex along its own pseudo-random vector.
         let mode = |which: usize, i: usize| {
@@ -378,6 +476,6 @@ mod tests {
             energy.match_surface(&gone, &faces).unwrap_err().to_string().contains("left the image")
         );
         let empty = Mask::new(160, 160, vec![false; 160 * 160]).unwrap();
-        assert!(SilhouetteEnergy::new(&camera(), &empty, 80, 0.01).is_err());
+        assert!(SilhouetteEnergy::new(&camera(), &empty, None, 80, 0.01).is_err());
     }
 }

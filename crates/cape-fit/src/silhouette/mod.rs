@@ -8,6 +8,6 @@ mod surface;
 
 pub use distance::{DistanceField, euclidean, manhattan};
 pub use energy::{SilhouetteEnergy, SilhouetteMatch, SilhouetteTerms};
-pub use mask::Mask;
+pub use mask::{Mask, MaskLabel, is_annotation, read_annotated_mask};
 pub use soft::{SoftRendering, render_softly};
 pub use surface::{Rendering, SurfacePoint, render};

@@ -3,10 +3,7 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::{
-    rig::{Weights, is_ancestor},
-    surface::SymmetricMesh,
-};
+use super::rig::{Weights, is_ancestor};
 use cape_core::joints::JOINTS;
 
 /// Number of entries of a rotation matrix.
@@ -14,7 +11,7 @@ const ENTRIES: usize = 9;
 /// Smallest correction that is kept, metres per entry of `R − I`.
 const NEGLIGIBLE: f64 = 1e-7;
 
-/// Pose directions of joints 1 to 23, metres per entry of `R_j − I` (row-major), `[6890][23 · 9]`.
+/// Pose directions of joints 1 to 23, metres per entry of `R_j − I` (row-major), `[vertices][23 · 9]`.
 ///
 /// For a share `s` of the weights at joint `j`, linear blending maps a rest offset `q` by
 /// `B = (1 − s) I + s R`, which shortens it. The target is `R^s q`, which keeps its length (as dual
@@ -23,11 +20,11 @@ const NEGLIGIBLE: f64 = 1e-7;
 /// range, by a linear function of `R − I`. The correction is linear in `q`, so the fit is a
 /// matrix for each share `s`, tabulated and interpolated.
 pub(super) fn pose_directions(
-    skin: &SymmetricMesh,
+    vertices: &[DVec3],
     weights: &[Weights],
     joints: &[DVec3; JOINTS],
 ) -> Vec<Vec<DVec3>> {
-    let mut directions = vec![vec![DVec3::ZERO; (JOINTS - 1) * ENTRIES]; skin.vertices.len()];
+    let mut directions = vec![vec![DVec3::ZERO; (JOINTS - 1) * ENTRIES]; vertices.len()];
     for joint in 1..JOINTS {
         let table = CorrectionTable::new(&samples(joint));
         let strength = strength(joint);
@@ -39,7 +36,7 @@ pub(super) fn pose_directions(
             if !(1e-6..=1.0 - 1e-6).contains(&share) {
                 continue;
             }
-            let offset = skin.vertices[v] - joints[joint];
+            let offset = vertices[v] - joints[joint];
             for (entry, matrix) in table.at(share).iter().enumerate() {
                 let d = *matrix * offset * strength;
                 if d.length() > NEGLIGIBLE {

@@ -5,15 +5,22 @@
 //! ([`shape`]) and pose directions ([`blend`]) derive from the mesh and the joint positions.
 
 mod blend;
+mod embedded;
+#[cfg(test)]
+mod embedded_tests;
 mod figure;
 mod polygonise;
 mod remesh;
 mod rig;
 mod sdf;
 mod shape;
+mod stored;
 mod surface;
 #[cfg(test)]
 mod tests;
+
+pub use embedded::embedded_body;
+pub use stored::HalfBody;
 
 use ndarray::{Array2, Array3};
 
@@ -46,7 +53,7 @@ pub fn synthetic_body() -> SmplModel {
     let weights = rig::blend_weights(&skin);
     let regressor = rig::joint_regressor(&skin, &joints);
     let shapes = shape::shape_directions(&skin, &weights, &joints);
-    let poses = blend::pose_directions(&skin, &weights, &joints);
+    let poses = blend::pose_directions(&skin.vertices, &weights, &joints);
 
     let count = skin.vertices.len();
     let mut joint_regressor = Array2::zeros((JOINTS, count));

@@ -166,7 +166,7 @@ impl<'a> Wardrobe<'a> {
 }
 
 /// Derives a seed from `seed` and a path of indices by SplitMix64.
-pub(super) fn mix_seed(seed: u64, path: &[u64]) -> u64 {
+pub fn mix_seed(seed: u64, path: &[u64]) -> u64 {
     path.iter().fold(seed, |state, &step| {
         let mut z = state
             .wrapping_add(0x9e37_79b9_7f4a_7c15)

@@ -3,6 +3,7 @@
 mod generate;
 mod inspect;
 mod pack;
+mod simulated;
 pub(crate) mod synth;
 mod unpose;
 

@@ -1,17 +1,20 @@
 use std::path::PathBuf;
 
+use cape_core::Outfit;
 use cape_data::{
     SequenceList, SplitSpec,
     raw::{BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
 };
+use cape_synth::Motion;
 use clap::Args;
 use serde::Serialize;
 
+use super::simulated::SimulatedArgs;
 use crate::{
     console::{Console, seconds},
     error::{Context, Result},
     files,
-    options::{BodyModelArgs, GlobalArgs, OutputArgs, at_least_one},
+    options::{BodyModelArgs, GlobalArgs, OutputArgs, at_least_one, choices},
     table::Table,
 };
 
@@ -20,9 +23,14 @@ use crate::{
 /// Subjects in the four outfits perform motions, some of which are held out for testing. Writes the
 /// frames, the body in SMPL's layout (body.npz), the clothing vertices (clothing_verts_idx.npy) and
 /// the split into training and test sequences (split.toml).
+///
+/// With --clothes simulated, garments of each subject's own are simulated over the body and laid onto
+/// its topology; quality.json then has the quality of each take. Run the same command again to resume.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Example:\n  cape data synth --out raw --subjects 4 --frames-per-sequence 60 --seed 1"
+    after_help = "Examples:\n  cape data synth --out raw --subjects 4 --frames-per-sequence 60 --seed 1\n  \
+                  cape data synth --clothes simulated --subjects 2 --motions walk_march,squats \
+                  --frames-per-sequence 30 --out simulated"
 )]
 pub(crate) struct SynthArgs {
     #[command(flatten)]
@@ -33,9 +41,30 @@ pub(crate) struct SynthArgs {
     /// Frames per sequence.
     #[arg(long, default_value_t = 60, value_name = "K", value_parser = at_least_one)]
     frames_per_sequence: usize,
+    /// Outfits [default: the paper's four].
+    #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…")]
+    outfits: Vec<Outfit>,
+    /// Synthetic motions [default: all].
+    #[arg(long, value_delimiter = ',', value_name = "MOTION,…")]
+    motions: Vec<Motion>,
+    /// Displacements by formula, or garments simulated over the moving body.
+    #[arg(long, default_value = "procedural", value_name = "KIND", value_parser = choices(CLOTHES))]
+    clothes: Clothes,
+    #[command(flatten)]
+    simulated: SimulatedArgs,
     #[command(flatten)]
     body: BodyModelArgs,
 }
+
+/// Kind of clothing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Clothes {
+    Procedural,
+    Simulated,
+}
+
+const CLOTHES: [(&str, Clothes); 2] =
+    [("procedural", Clothes::Procedural), ("simulated", Clothes::Simulated)];
 
 #[derive(Debug, Serialize)]
 struct Report {
@@ -52,12 +81,19 @@ impl SynthArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let start = std::time::Instant::now();
         let body = self.body.load()?;
+        let defaults = cape_synth::SynthSpec::default();
         let spec = cape_synth::SynthSpec {
             subjects: self.subjects,
             frames_per_sequence: self.frames_per_sequence,
             seed: global.seed(),
-            ..cape_synth::SynthSpec::default()
+            outfits: or_default(self.outfits, defaults.outfits),
+            motions: or_default(self.motions, defaults.motions),
+            ..defaults
         };
+        if self.clothes == Clothes::Simulated {
+            return self.simulated.run(&body, spec, self.output.out, console);
+        }
+        self.simulated.require_absent()?;
         self.output.require_empty()?;
         let out = self.output.out;
         let split = split_of(&spec);
@@ -77,6 +113,10 @@ impl SynthArgs {
         };
         console.result(&report, || report.text())
     }
+}
+
+fn or_default<T>(given: Vec<T>, default: Vec<T>) -> Vec<T> {
+    if given.is_empty() { default } else { given }
 }
 
 /// The split into training and test motions of `spec`.

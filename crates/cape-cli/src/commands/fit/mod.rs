@@ -3,10 +3,13 @@
 mod benchmark_image;
 mod benchmark_scan;
 mod drawing;
+mod folder;
 mod image;
+mod mask_input;
 mod method;
 mod pose_prior;
 mod scan;
+mod video;
 
 use std::process::ExitCode;
 
@@ -42,7 +45,7 @@ pub(crate) enum BenchmarkCommand {
 impl FitCommand {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result<ExitCode> {
         match self {
-            Self::Image(command) => command.run(global, console)?,
+            Self::Image(command) => return command.run(global, console),
             Self::Scan(command) => command.run(global, console)?,
             Self::Benchmark(BenchmarkCommand::Image(command)) => {
                 return command.run(global, console);

@@ -4,7 +4,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cape_core::{Outfit, list_files, npy::npy_header};
+use cape_core::{Outfit, SmplModel, list_files, npy::npy_header};
 use cape_data::{
     ForeignData, PackedSet, RawCapture, RawTree, STATISTICS_FILE, Split,
     raw::{BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
@@ -15,6 +15,7 @@ use super::{FileSummary, file::run_config};
 use crate::{
     error::{Error, Result},
     mesh_file::has_extension,
+    options::builtin_name,
 };
 
 pub(super) fn describe(path: &Path) -> Result<FileSummary> {
@@ -44,12 +45,27 @@ fn run(path: &Path) -> Result<FileSummary> {
     let config = RunConfig::load(&path.join("config.toml"))?;
     let checkpoints: Vec<String> =
         entries(&path.join("checkpoints")).unwrap_or_default().iter().map(|p| name(p)).collect();
-    let facts = FileSummary::new("run").with("checkpoints", checkpoints);
+    let facts = FileSummary::new("run").with("checkpoints", checkpoints).maybe("body", body(path));
     let steps = fs::read_to_string(path.join("metrics.jsonl")).unwrap_or_default();
     let evaluated = path.join("eval.json").exists();
     Ok(run_config(facts, &config)
         .with("lines of metrics", steps.lines().count())
         .with("evaluated", evaluated))
+}
+
+/// The body of a directory: a built-in one by its name, or the begin of its SHA-256; `None` without one.
+fn body(directory: &Path) -> Option<String> {
+    let path = directory.join(BODY_FILE);
+    if !path.exists() {
+        return None;
+    }
+    Some(match SmplModel::load(&path) {
+        Err(error) => error.to_string(),
+        Ok(model) => match builtin_name(&model) {
+            Some(name) => format!("{name} (built in)"),
+            None => format!("{} vertices, SHA-256 {}", model.vertices(), &model.sha256()[..12]),
+        },
+    })
 }
 
 fn raw_tree(path: &Path) -> Result<FileSummary> {
@@ -68,11 +84,12 @@ fn raw_tree(path: &Path) -> Result<FileSummary> {
         .with("captures", captures)
         .with("frames", frames)
         .maybe("vertices", vertices.map(|shape| shape.nrows()))
+        .maybe("body", body(path))
         .with("also contains", brought(path, &[BODY_FILE, CLOTHING_FILE, SPLIT_FILE])))
 }
 
 fn packed(path: &Path) -> Result<FileSummary> {
-    let mut facts = FileSummary::new("packed set");
+    let mut facts = FileSummary::new("packed set").maybe("body", body(path));
     for part in [Split::Train, Split::Test] {
         let displacement = path.join(part.name()).join(format!("{part}_disp.npy"));
         if !displacement.exists() {

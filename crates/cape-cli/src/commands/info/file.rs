@@ -16,6 +16,7 @@ use super::FileSummary;
 use crate::{
     error::{Error, Result},
     mesh_file::has_extension,
+    options::BuiltinBody,
 };
 
 /// Largest number of listed objects of an array.
@@ -110,13 +111,21 @@ fn rounded(value: f64) -> f64 {
 }
 
 fn body(path: &Path) -> Result<FileSummary> {
-    let body = SmplModel::load(path)?;
-    Ok(FileSummary::new("body in SMPL's layout")
+    Ok(body_facts("body in SMPL's layout", &SmplModel::load(path)?))
+}
+
+/// Describes a body of the program with its source.
+pub(super) fn describe_builtin(body: &BuiltinBody) -> FileSummary {
+    body_facts("built-in body in SMPL's layout", &body.model).with("source", body.source.as_str())
+}
+
+fn body_facts(kind: &'static str, body: &SmplModel) -> FileSummary {
+    FileSummary::new(kind)
         .with("vertices", body.vertices())
         .with("faces", body.faces.len())
         .with("joints", body.joints())
         .with("shape directions", body.betas())
-        .maybe("height, m", height(&body.mesh())))
+        .maybe("height, m", height(&body.mesh()))
 }
 
 fn height(mesh: &Mesh) -> Option<f64> {

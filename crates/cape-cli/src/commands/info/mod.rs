@@ -9,6 +9,7 @@ use clap::Args;
 use crate::{
     console::Console,
     error::{Error, Result},
+    options,
 };
 use facts::FileSummary;
 
@@ -17,9 +18,11 @@ use facts::FileSummary;
 /// Recognises raw data, packed sets, runs, exported pyramids, TensorFlow checkpoints, bodies, pyramids,
 /// statistics, frames, arrays, pickles, meshes, weights and configurations.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  cape info packed\n  cape info body.npz --json")]
+#[command(
+    after_help = "Examples:\n  cape info packed\n  cape info body.npz --json\n  cape info female"
+)]
 pub(crate) struct InfoArgs {
-    /// File or directory.
+    /// File, directory or built-in body: male, female, neutral or sculpted.
     #[arg(value_name = "PATH")]
     path: PathBuf,
 }
@@ -27,6 +30,10 @@ pub(crate) struct InfoArgs {
 impl InfoArgs {
     pub(crate) fn run(self, console: Console) -> Result {
         let path = &self.path;
+        if let Some(body) = options::builtin_body(path) {
+            let facts = file::describe_builtin(&body?);
+            return console.result(&facts, || facts.text());
+        }
         let metadata = std::fs::metadata(path).map_err(|error| Error::io(path, error))?;
         let facts: FileSummary =
             if metadata.is_dir() { directory::describe(path)? } else { file::describe(path)? };

@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use cape_core::{
     MeshSequence, MeshSequenceOptions, SmplModel,
-    motion::{MotionFile, MotionOptions, UpAxis, read_motion},
+    motion::{MotionFile, MotionOptions, Pivot, UpAxis, read_motion},
 };
 use cape_fit::scan::Unit;
 use cape_layer::{ImportRates, LayerSet, Sequence, import};
@@ -23,8 +23,9 @@ use crate::{
 /// Adds a sequence of meshes with the motion of the body to a set. Meshes are a directory of files whose
 /// names sort by frame (--files picks some of them), a point cache with its mesh (--topology), an archive
 /// of vertices and faces, or an animated .glb, in metres or in --unit. The motion is a file of poses with
-/// translations: AMASS, SMPL-X's parameters, results of pose estimators, .smpl. Its up axis, that of the
-/// meshes as well, is found out or given by --up; shape coefficients that the body has not are left out.
+/// translations: AMASS, SMPL-X's parameters, results of pose estimators, .smpl, .mat. Its up axis, that of
+/// the meshes as well, is found out or given by --up; shape coefficients that the body has not are left
+/// out. Garments of CLOTH3D (.pc16 with info.mat), relative to the pelvis, are moved with it.
 /// --mesh-fps is the frame rate of the meshes where it differs from the motion's, --resample that of the
 /// imported sequence. All sequences of a set share topology, body and semantic parameters; a set records
 /// its body, and another is refused.
@@ -144,7 +145,17 @@ impl ImportArgs {
             files: self.files.clone(),
             frame_rate: self.mesh_fps,
         };
-        let meshes = MeshSequence::read(&self.meshes, &options)?.moved(place);
+        let meshes = MeshSequence::read(&self.meshes, &options)?;
+        let relative = self.meshes.extension().is_some_and(|e| e.eq_ignore_ascii_case("pc16"))
+            && file.pivot == Pivot::PelvisAtOrigin;
+        let meshes = match &file.translations {
+            Some(translations) if relative => {
+                note("the garment's vertices are relative to the pelvis, as in CLOTH3D");
+                meshes.translated(translations.view())?
+            }
+            _ => meshes,
+        };
+        let meshes = meshes.moved(place);
         let motion = file.motion_of(model, &betas, None)?;
         let rates = ImportRates { meshes: self.mesh_fps, output: self.resample };
         let sequence = import(&self.name, &meshes, &motion, betas, rates)?;

@@ -259,7 +259,6 @@ fn formats_of_other_skeletons_are_named() {
         (b"; FBX 7.3.0 project file\n", "FBX"),
         (b"\x02P\x00\x00\x00\x00\x00\x00", "C3D"),
         (b"PathFileType\t4\t(X/Y/Z)\tx.trc\n", "TRC"),
-        (b"MATLAB 5.0 MAT-file, Platform: GLNXA64", "scipy.io.loadmat"),
         (b"\x89HDF\r\n\x1a\n\0\0", "h5py"),
         (b"PXR-USDC\0\0", "USD"),
         (b"#usda 1.0\n", "USD"),

@@ -5,6 +5,7 @@ mod dialects;
 mod faults;
 mod files;
 mod layouts;
+mod matlab;
 mod movement;
 mod people;
 

@@ -17,6 +17,7 @@ use super::model::{FieldError, SmplModel};
 use crate::{
     Error, Result,
     npy::{NpzWriter, expect_shape},
+    obj::Uv,
     pickle::Triplets,
 };
 
@@ -66,6 +67,19 @@ impl SmplModel {
 
     /// Writes the body in the official `.npz` layout, compressed, with a dense joint regressor.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
+        self.archive(path.as_ref())?.finish()
+    }
+
+    /// [`save`](Self::save) with texture coordinates `vt` `[points, 2]` and `ft` `[faces, 3]`.
+    pub fn save_textured(&self, path: impl AsRef<Path>, uv: &Uv) -> Result<()> {
+        let mut npz = self.archive(path.as_ref())?;
+        npz.add("vt", &Array2::from(uv.coordinates.clone()))?;
+        npz.add("ft", &Array2::from(uv.faces.clone()))?;
+        npz.finish()
+    }
+
+    /// An open archive with the body's arrays.
+    fn archive(&self, path: &Path) -> Result<NpzWriter> {
         self.validate()?;
         let mut npz = NpzWriter::create(path)?.deflate();
         npz.add("v_template", &self.v_template)?;
@@ -79,7 +93,7 @@ impl SmplModel {
         });
         npz.add("kintree_table", &tree)?;
         npz.add("f", &Array2::from(self.faces.clone()))?;
-        npz.finish()
+        Ok(npz)
     }
 }
 

@@ -2,12 +2,17 @@ mod pictures;
 mod report;
 mod store;
 
-use std::process::ExitCode;
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
 
-use cape_data::Split;
-use cape_fit::benchmark::{Benchmark, BenchmarkCase, BenchmarkOptions};
+use cape_data::{PackedSet, Split};
+use cape_fit::benchmark::{Benchmark, BenchmarkCase, BenchmarkOptions, FRAMES};
 use cape_infer::write_json;
 use clap::Args;
+use ndarray::Array2;
 
 use super::method::FitMethodArgs;
 use crate::{
@@ -15,6 +20,7 @@ use crate::{
     error::{Context, Error, Result},
     interrupt::Interrupt,
     options::{DataArgs, GlobalArgs, RunArgs, StoreArgs, at_least_one, non_negative, share},
+    registration::read_shape,
 };
 use report::Report;
 use store::{CaseStore, FrameInputs};
@@ -40,14 +46,25 @@ pub(crate) struct FitBenchmarkArgs {
     #[command(flatten)]
     output: StoreArgs,
     /// Number of held-out frames, the same for each outfit, evenly spaced.
-    #[arg(long, default_value_t = 120, value_name = "N", value_parser = at_least_one)]
+    #[arg(long, default_value_t = FRAMES, value_name = "N", value_parser = at_least_one)]
     frames: usize,
+    /// Take frames that the benchmark of 120 frames does not, to choose weights on.
+    #[arg(long)]
+    tuning: bool,
+    /// Directory of the subjects' minimal shapes, minimal_body_shape of the raw data [default: bodies of
+    /// random shape].
+    #[arg(long, value_name = "DIR")]
+    bodies: Option<PathBuf>,
     /// Side of the images in pixels.
     #[arg(long, default_value_t = 512, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=2048))]
     size: u32,
     /// Standard deviation of keypoint noise in pixels.
     #[arg(long, default_value_t = 0.0, value_name = "PIXELS", value_parser = non_negative)]
     noise: f64,
+    /// Distance of the detector's hips and neck from the body's joints in millimetres: hips outwards and
+    /// upwards, neck downwards.
+    #[arg(long, default_value_t = 0.0, value_name = "MM", value_parser = non_negative)]
+    bias: f64,
     /// Share of missing keypoints.
     #[arg(long, default_value_t = 0.0, value_name = "SHARE", value_parser = share)]
     dropped: f64,
@@ -70,34 +87,47 @@ impl FitBenchmarkArgs {
             run: &run,
             data: &data,
             pose_prior: self.method.pose_prior.as_deref(),
+            bodies: self.bodies.as_deref(),
             options,
             config: &config,
         };
         let store = CaseStore::open(&self.output.out, &inputs, self.output.overwrite)?;
         let interrupt = Interrupt::listen(console)?;
-        let benchmark = Benchmark::new(&run, &set, &smplify, &config.clothed, options)?;
+        let mut benchmark = Benchmark::new(&run, &set, &smplify, &config.clothed, options)?;
+        if let Some(directory) = &self.bodies {
+            benchmark = benchmark.with_shapes(shapes(directory, &set, run.body().vertices())?)?;
+        }
         let frames = benchmark.frames();
-        let mut cases: Vec<BenchmarkCase> = Vec::with_capacity(frames.len());
-        let whole = console.while_showing("fit", "images", |progress| {
-            for &frame in &frames {
+        if frames.is_empty() {
+            return Err(Error::message(format!(
+                "{}: no test frames{}",
+                data.display(),
+                if options.tuning { " beside those of the benchmark" } else { "" }
+            )));
+        }
+        let workers = super::image::fit_workers(&run)?;
+        let mut done = 0;
+        let cases = console.while_showing("fit", "images", |progress| {
+            let case = |_, &frame: &usize| {
                 if interrupt.was_asked() {
-                    return Ok(false);
+                    return Ok(None);
                 }
-                let case = if let Some(case) = store.case(frame)? {
-                    case
-                } else {
-                    let found = benchmark.case(frame);
-                    store.keep(&found.doing(|| format!("fitting frame {frame}"))?)?
-                };
-                cases.push(case);
-                progress(cases.len(), frames.len());
-            }
-            Ok::<_, Error>(true)
-        })?;
-        if !whole {
+                if let Some(case) = store.case(frame)? {
+                    return Ok(Some(case));
+                }
+                let found = benchmark.case(frame);
+                store.keep(&found.doing(|| format!("fitting frame {frame}"))?).map(Some)
+            };
+            workers.map(&frames, case, &mut || {
+                done += 1;
+                progress(done, frames.len());
+            })
+        });
+        let cases = cases.into_iter().collect::<Result<Option<Vec<BenchmarkCase>>>>()?;
+        let Some(cases) = cases else {
             console.note("interrupted and saved: run the same command again to resume");
             return Ok(ExitCode::from(INTERRUPTED));
-        }
+        };
         let out = self.output.out;
         let chosen = pictures::chosen(&cases);
         for (name, case) in &chosen {
@@ -118,11 +148,30 @@ impl FitBenchmarkArgs {
     fn options(&self, global: &GlobalArgs) -> BenchmarkOptions {
         BenchmarkOptions {
             frames: self.frames,
+            tuning: self.tuning,
             side: self.size,
             noise: self.noise,
+            bias: self.bias / 1000.0,
             dropped: self.dropped,
             ragged: self.ragged,
             seed: global.seed(),
         }
     }
+}
+
+/// Minimal shapes of the subjects of a set, metres, `[V, 3]`, by name.
+fn shapes(
+    directory: &Path,
+    set: &PackedSet,
+    vertices: usize,
+) -> Result<BTreeMap<String, Array2<f64>>> {
+    let mut shapes = BTreeMap::new();
+    for origin in set.origins().unwrap_or_default() {
+        let subject = &origin.subject;
+        if !shapes.contains_key(subject) {
+            let path = directory.join(subject).join(format!("{subject}_minimal.npy"));
+            shapes.insert(subject.clone(), read_shape(&path, vertices)?);
+        }
+    }
+    Ok(shapes)
 }

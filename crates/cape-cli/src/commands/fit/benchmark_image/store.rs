@@ -37,6 +37,7 @@ pub(super) struct FrameInputs<'a> {
     pub(super) run: &'a Run,
     pub(super) data: &'a Path,
     pub(super) pose_prior: Option<&'a Path>,
+    pub(super) bodies: Option<&'a Path>,
     pub(super) options: BenchmarkOptions,
     pub(super) config: &'a FitConfig,
 }
@@ -49,16 +50,18 @@ impl CaseStore {
     /// The store in `out`. A frame is the same whatever other frames there are, so that their number
     /// is no setting.
     pub(super) fn open(out: &Path, inputs: &FrameInputs<'_>, overwrite: bool) -> Result<Self> {
-        let FrameInputs { run, data, pose_prior, options, config } = inputs;
-        let BenchmarkOptions { frames: _, side, noise, dropped, ragged, seed } = options;
+        let FrameInputs { run, data, pose_prior, bodies, options, config } = inputs;
+        let BenchmarkOptions { frames: _, tuning: _, side, noise, bias, dropped, ragged, seed } =
+            options;
         let options = json!({
-            "side": side, "noise": noise, "dropped": dropped, "ragged": ragged, "seed": seed,
+            "side": side, "noise": noise, "bias": bias, "dropped": dropped, "ragged": ragged, "seed": seed,
         });
         let settings = json!({ "options": options, "config": config });
         let settings = StoreSettings::new("fit benchmark image", &settings)?
             .with_run(run)?
             .with_packed_set(data, &[Split::Test])?
-            .with_optional_input("pose_prior", *pose_prior, "prior of synthetic motions")?;
+            .with_optional_input("pose_prior", *pose_prior, "prior of synthetic motions")?
+            .with_optional_input("bodies", *bodies, "random shapes")?;
         let options = StoreOptions { overwrite, earlier: &EARLIER, ..StoreOptions::default() };
         let store = ResultStore::open(out, settings, options)?;
         store.begin()?;

@@ -63,6 +63,14 @@ pub(crate) fn difference(picture: &mut Image, mask: &Mask, fitted: &Mask) {
     }
 }
 
+/// Covers the pixels of occluders with grey.
+pub(crate) fn hide(picture: &mut Image, occluders: &Mask) {
+    let width = occluders.width() as usize;
+    for (at, _) in occluders.covered().iter().enumerate().filter(|(_, hidden)| **hidden) {
+        picture.blend((at % width) as i64, (at / width) as i64, [150, 150, 150], 0.8);
+    }
+}
+
 /// Marks the keypoints, more opaque with confidence.
 pub(crate) fn mark(picture: &mut Image, keypoints: &Keypoints) {
     let side = f64::from(picture.width().max(picture.height()));

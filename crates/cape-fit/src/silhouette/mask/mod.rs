@@ -1,9 +1,21 @@
+//! Masks of people, and the files that hold them.
+
+mod annotation;
+mod file;
+#[cfg(test)]
+mod file_tests;
+mod segmentation;
+mod values;
+
 use std::path::Path;
 
 use cape_render::Image;
 
 use super::distance::manhattan;
-use crate::{Error, PinholeCamera, Result, keypoints::KeypointDetection};
+use crate::{Error, Keypoints, PinholeCamera, Result, keypoints::KeypointDetection};
+
+pub use annotation::{is_annotation, read_annotated_mask};
+pub use values::MaskLabel;
 
 /// Largest distance of a joint on the mask, as a share of the longer side of the image.
 const NEAR: f64 = 0.02;
@@ -43,27 +55,26 @@ impl Mask {
         Ok(Self { width, height, covered })
     }
 
-    /// Mask of an image: the opaque pixels if any pixel is transparent, else those of more than half
-    /// the largest brightness, so that masks of 0 and 1 and of 0 and 255 are alike.
-    pub fn from_image(image: &Image) -> Self {
-        let cut_out = image.pixels().iter().any(|pixel| pixel[3] <= 127);
-        let brightness = |&[r, g, b, _]: &[u8; 4]| u16::from(r.max(g).max(b));
-        let most = image.pixels().iter().map(brightness).max().unwrap_or(0);
-        let on =
-            |pixel: &[u8; 4]| if cut_out { pixel[3] > 127 } else { 2 * brightness(pixel) > most };
-        Self {
-            width: image.width(),
-            height: image.height(),
-            covered: image.pixels().iter().map(on).collect(),
-        }
-    }
-
-    /// Reads a mask from a PNG, as [`from_image`](Self::from_image) takes it.
+    /// [`load_labels`](Self::load_labels) without labels.
     ///
     /// # Errors
-    /// If the file is not a PNG.
+    /// As of [`load_labels`](Self::load_labels).
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
-        Ok(Self::from_image(&Image::load(path)?))
+        Self::load_labels(path, &[])
+    }
+
+    /// Reads a mask from PNG of any colour type and depth, JPEG, `.npy` or `.npz` (`[h, w]` or
+    /// `[1, h, w]`).
+    ///
+    /// With `labels` the pixels of one of these values or colours are the mask. Without: in images
+    /// with transparent pixels the opaque ones; of an image of two values the brighter one; of an
+    /// image of nearly black and nearly white pixels those above half of the largest value.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or is a photograph, or a label image without `labels`; the
+    /// message lists the labels.
+    pub fn load_labels(path: impl AsRef<Path>, labels: &[MaskLabel]) -> Result<Self> {
+        file::read_mask(path.as_ref(), labels)
     }
 
     /// Image of the mask, white on black.
@@ -88,6 +99,11 @@ impl Mask {
     /// Height, pixels.
     pub fn height(&self) -> u32 {
         self.height
+    }
+
+    /// Width and height, pixels.
+    pub fn size(&self) -> [u32; 2] {
+        [self.width, self.height]
     }
 
     /// Flags of the covered pixels, row by row, `[height · width]`.
@@ -116,32 +132,74 @@ impl Mask {
             ));
         }
         match self.area() {
-            0 => refuse("the mask is empty, expected the silhouette of a person".into()),
+            0 => refuse(
+                "the mask is empty: all pixels are black, expected the silhouette of a person".into(),
+            ),
             area if area == self.covered.len() => refuse(
-                "the mask covers the whole image, expected the silhouette of a person".into(),
+                "the mask covers the whole image: all pixels are white, expected the silhouette of a \
+                 person"
+                    .into(),
             ),
             _ => Ok(()),
         }
     }
 
-    /// An error if less than half of the detected joints are on the mask: it is of another size,
-    /// image or person.
-    pub(crate) fn expect_joints(&self, detections: &[KeypointDetection]) -> Result<()> {
-        let (count, found) = (detections.len(), self.joints_on(detections));
-        if 2 * found >= count {
+    /// Checks that the mask can be of the person of the keypoints: at least a quarter of the detected
+    /// joints are in the image, and at least half of those that `occluders` do not hide are on it.
+    ///
+    /// # Errors
+    /// If it is of another size, image or person, or inverted.
+    pub fn check_keypoints(&self, keypoints: &Keypoints, occluders: Option<&Self>) -> Result<()> {
+        self.expect_joints(&keypoints.detections(0.0), occluders)
+    }
+
+    /// [`check_keypoints`](Self::check_keypoints) of detected joints.
+    pub(crate) fn expect_joints(
+        &self,
+        detections: &[KeypointDetection],
+        occluders: Option<&Self>,
+    ) -> Result<()> {
+        let visible = |s: &&KeypointDetection| occluders.and_then(|o| o.at(s)) != Some(true);
+        let all = detections.len();
+        let detections: Vec<KeypointDetection> =
+            detections.iter().filter(visible).copied().collect();
+        let hidden = all - detections.len();
+        let in_image: Vec<KeypointDetection> =
+            detections.iter().filter(|s| self.at(s).is_some()).copied().collect();
+        let (count, found) = (in_image.len(), self.joints_on(&in_image));
+        if 4 * (count + hidden) >= all && 2 * found >= count {
             return Ok(());
+        }
+        let reach = |of: fn(&KeypointDetection) -> f64| {
+            detections.iter().map(of).fold(f64::NEG_INFINITY, f64::max)
+        };
+        let (right, low) = (reach(|s| s.at.x), reach(|s| s.at.y));
+        if right > f64::from(self.width) || low > f64::from(self.height) {
+            return Err(Error::Observation(format!(
+                "{found} of {count} joints are on the mask, expected at least half: the keypoints \
+                 reach to ({right:.0}, {low:.0}), beyond the {}×{} pixels of the mask, which is of \
+                 another size",
+                self.width, self.height
+            )));
         }
         let covered = self.covered.iter().map(|covered| !covered).collect();
         let inverse = Self { covered, ..*self };
-        let reason =
-            if 2 * self.area() > self.covered.len() && inverse.joints_on(detections) > found {
-                "it seems to be inverted, with the person dark"
-            } else {
-                "it is of another size, another image or another person than the keypoints"
-            };
+        let reason = if 2 * self.area() > self.covered.len() && inverse.joints_on(&in_image) > found
+        {
+            "it seems to be inverted, with the person dark"
+        } else {
+            "it is of another size, another image or another person than the keypoints"
+        };
         Err(Error::Observation(format!(
             "{found} of {count} joints are on the mask, expected at least half: {reason}"
         )))
+    }
+
+    /// Flag of the pixel that a detection is in; `None` outside the image.
+    fn at(&self, detection: &KeypointDetection) -> Option<bool> {
+        let index = |at: f64, side: u32| (at >= 0.0 && at < f64::from(side)).then_some(at as usize);
+        let (x, y) = (index(detection.at.x, self.width)?, index(detection.at.y, self.height)?);
+        Some(self.covered[y * self.width as usize + x])
     }
 
     /// Number of detections on the mask or beside it.
@@ -183,17 +241,44 @@ impl Mask {
         Self { width, height, covered }
     }
 
+    /// Pixels of this mask or the other, of the same size.
+    ///
+    /// # Errors
+    /// If the sizes differ.
+    pub fn union(&self, other: &Self) -> Result<Self> {
+        self.combine(other, |a, b| a || b)
+    }
+
+    /// Pixels of this mask that are not of the other, of the same size.
+    ///
+    /// # Errors
+    /// If the sizes differ.
+    pub fn without(&self, other: &Self) -> Result<Self> {
+        self.combine(other, |a, b| a && !b)
+    }
+
+    fn combine(&self, other: &Self, of: fn(bool, bool) -> bool) -> Result<Self> {
+        self.same_size(other)?;
+        let pairs = self.covered.iter().zip(&other.covered);
+        Ok(Self { covered: pairs.map(|(&a, &b)| of(a, b)).collect(), ..*self })
+    }
+
+    fn same_size(&self, other: &Self) -> Result<()> {
+        if (self.width, self.height) == (other.width, other.height) {
+            return Ok(());
+        }
+        Err(Error::argument(format!(
+            "masks: {}×{} and {}×{} pixels, expected the same size",
+            self.width, self.height, other.width, other.height
+        )))
+    }
+
     /// Intersection over union of two masks, 0 to 1; 1 if both are empty.
     ///
     /// # Errors
     /// If the sizes differ.
     pub fn intersection_over_union(&self, other: &Self) -> Result<f64> {
-        if (self.width, self.height) != (other.width, other.height) {
-            return Err(Error::argument(format!(
-                "masks: {}×{} and {}×{} pixels, expected the same size",
-                self.width, self.height, other.width, other.height
-            )));
-        }
+        self.same_size(other)?;
         let pairs = || self.covered.iter().zip(&other.covered);
         let both = pairs().filter(|&(&a, &b)| a && b).count();
         let either = pairs().filter(|&(&a, &b)| a || b).count();
@@ -217,6 +302,12 @@ fn shares(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
 mod tests {
     use super::*;
     use crate::Keypoint;
+
+    fn place() -> (tempfile::TempDir, std::path::PathBuf) {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("mask.png");
+        (directory, path)
+    }
 
     fn disc(side: u32) -> Mask {
         let centre = 0.5 * f64::from(side);
@@ -242,27 +333,17 @@ mod tests {
     #[test]
     fn pictures_and_masks_are_the_same() {
         let mask = disc(20);
-        assert_eq!(Mask::from_image(&mask.to_image().unwrap()), mask);
+        let (directory, path) = place();
+        mask.to_image().unwrap().save(&path).unwrap();
+        assert_eq!(Mask::load(&path).unwrap(), mask);
+        drop(directory);
         let shifted = Mask::new(2, 1, vec![true, false]).unwrap();
         let other = Mask::new(2, 1, vec![true, true]).unwrap();
         assert_eq!(shifted.intersection_over_union(&other).unwrap(), 0.5);
         assert!(shifted.intersection_over_union(&mask).is_err());
-    }
-
-    #[test]
-    fn small_values_and_cut_outs_are_masks() {
-        let mask = disc(20);
-        let picture = |on: [u8; 4], off: [u8; 4]| {
-            let mut image = Image::new(20, 20, off).unwrap();
-            for (pixel, _) in image.pixels_mut().iter_mut().zip(mask.covered()).filter(|p| *p.1) {
-                *pixel = on;
-            }
-            Mask::from_image(&image)
-        };
-        assert_eq!(picture([1, 1, 1, 255], [0, 0, 0, 255]), mask);
-        // Dark clothes cut out of a photograph.
-        assert_eq!(picture([30, 30, 60, 255], [0; 4]), mask);
-        assert_eq!(picture([30, 30, 60, 255], [255, 255, 255, 0]), mask);
+        assert_eq!(other.without(&shifted).unwrap().covered(), [false, true]);
+        assert_eq!(other.without(&shifted).unwrap().union(&shifted).unwrap(), other);
+        assert!(shifted.union(&mask).is_err());
     }
 
     #[test]
@@ -272,10 +353,21 @@ mod tests {
             let at = |&(x, y): &(f64, f64)| Keypoint { x, y, confidence: 1.0 };
             places.iter().map(|p| KeypointDetection { joint: 0, at: at(p) }).collect()
         };
-        assert!(mask.expect_joints(&joints(&[(50.0, 50.0), (50.0, 84.0), (2.0, 2.0)])).is_ok());
-        let elsewhere = joints(&[(50.0, 50.0), (250.0, 84.0), (2.0, 2.0)]);
-        let message = mask.expect_joints(&elsewhere).unwrap_err().to_string();
+        assert!(
+            mask.expect_joints(&joints(&[(50.0, 50.0), (50.0, 84.0), (2.0, 2.0)]), None).is_ok()
+        );
+        let elsewhere = joints(&[(50.0, 50.0), (98.0, 97.0), (2.0, 2.0)]);
+        let message = mask.expect_joints(&elsewhere, None).unwrap_err().to_string();
         assert!(message.contains("1 of 3 joints"), "{message}");
+        // Joints that are hidden, or outside the image of a person cut off, count neither way.
+        let corner = Mask::new(100, 100, (0..10000).map(|at| at % 100 < 5).collect()).unwrap();
+        let hidden = joints(&[(50.0, 50.0), (2.0, 9.0), (2.0, 2.0), (50.0, 104.0)]);
+        assert!(mask.expect_joints(&hidden, Some(&corner)).is_ok());
+        assert!(mask.expect_joints(&hidden, None).is_err());
+        let larger =
+            joints(&[(50.0, 50.0), (250.0, 184.0), (200.0, 2.0), (150.0, 20.0), (180.0, 90.0)]);
+        let message = mask.expect_joints(&larger, None).unwrap_err().to_string();
+        assert!(message.contains("(250, 184), beyond the 100×100"), "{message}");
     }
 
     #[test]
