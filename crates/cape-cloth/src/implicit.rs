@@ -90,6 +90,12 @@ impl ImplicitStep {
         points: &[PointForce],
         dt: f64,
     ) -> Vec<DVec3> {
+        // Free fall under the forces on single vertices, which a sheet without contacts follows exactly.
+        let guess: Vec<Vec3> = inverse_masses
+            .iter()
+            .zip(points)
+            .map(|(&inverse_mass, point)| (point.force * (dt * inverse_mass)).as_vec3())
+            .collect();
         let right: Vec<Vec3> = (0..velocities.len())
             .into_par_iter()
             .with_min_len(GRAIN)
@@ -103,7 +109,46 @@ impl ImplicitStep {
             })
             .collect();
         self.assemble(elastic, inverse_masses, points, dt);
-        self.conjugate_gradients(&right).into_iter().map(Vec3::as_dvec3).collect()
+        let image = self.product(&guess);
+        let rest: Vec<Vec3> = right.iter().zip(image).map(|(&right, image)| right - image).collect();
+        let enough = RESIDUAL * RESIDUAL * self.energy(&right);
+        let found = self.conjugate_gradients(&rest, enough);
+        found.into_iter().zip(guess).map(|(x, guess)| (x + guess).as_dvec3()).collect()
+    }
+
+    /// The matrix times `x`.
+    fn product(&self, x: &[Vec3]) -> Vec<Vec3> {
+        let mut image = vec![Vec3::ZERO; x.len()];
+        image.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, image)| {
+            let base = chunk * CHUNK;
+            for index in 0..image.len() {
+                let Row { start, outer, end, .. } = self.rows[base + index];
+                image[index] += self
+                    .part(start, end)
+                    .fold(Vec3::ZERO, |sum, (block, column)| sum + *block * x[column]);
+                // The lower triangle within the chunk.
+                for (block, column) in self.part(start + 1, outer) {
+                    image[column - base] += block.mul_transpose_vec3(x[base + index]);
+                }
+            }
+        });
+        image
+    }
+
+    /// Energy `bᵀ (D + L)⁻ᵀ D (D + L)⁻¹ b` of a right side, which measures residuals.
+    fn energy(&self, right: &[Vec3]) -> f64 {
+        let mut residual = right.to_vec();
+        in_order(residual.par_chunks_mut(CHUNK).enumerate().map(|(chunk, residual)| {
+            self.solve_lower(chunk, residual);
+            let base = chunk * CHUNK;
+            residual
+                .iter()
+                .enumerate()
+                .map(|(index, x)| {
+                    f64::from(x.dot(self.blocks[self.rows[base + index].start] * *x))
+                })
+                .sum::<f64>()
+        }))
     }
 
     fn assemble(
@@ -179,8 +224,9 @@ impl ImplicitStep {
         }
     }
 
-    /// Conjugate gradients on `(D + L)⁻¹ A (D + U)⁻¹ x̂ = (D + L)⁻¹ b` with the preconditioner `D⁻¹`.
-    fn conjugate_gradients(&self, right: &[Vec3]) -> Vec<Vec3> {
+    /// Conjugate gradients on `(D + L)⁻¹ A (D + U)⁻¹ x̂ = (D + L)⁻¹ b` with the preconditioner `D⁻¹`, until
+    /// the residual's [`energy`](Self::energy) is at most `enough`.
+    fn conjugate_gradients(&self, right: &[Vec3], enough: f64) -> Vec<Vec3> {
         let count = right.len();
         let mut residual = right.to_vec();
         let mut scaled = vec![Vec3::ZERO; count];
@@ -190,7 +236,6 @@ impl ImplicitStep {
             self.scale(chunk, residual, scaled)
         });
         let mut energy = in_order(sums);
-        let enough = energy * RESIDUAL * RESIDUAL;
         let mut solution = vec![Vec3::ZERO; count];
         let mut direction = vec![Vec3::ZERO; count];
         let mut image = vec![Vec3::ZERO; count];
