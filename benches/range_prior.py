@@ -3,10 +3,11 @@
 usage: python range_prior.py POSES.npy
        cape fit pose-prior POSES.npy --components 1 --floor 0.001 --out ranges.npz
 
-Ranges in degrees are those of the American Academy of Orthopaedic Surgeons (Joint Motion, 1965). Joints
-are independent and normal about the middle of their range, with a quarter of the range as deviation;
-shoulders are about arms lowered by 45 degrees. Ranges of the spine are shared by its three joints, those
-of the neck by neck and head.
+Ranges in degrees follow the normal values of the American Academy of Orthopaedic Surgeons (Joint Motion,
+1965), rounded, where they have the axis; those of collar bones, feet, hands and of knees and elbows off
+their axis are small numbers of our own. Joints are independent and normal about the middle of their range,
+with a quarter of the range as deviation; shoulders are about arms lowered by 45 degrees. Ranges of the
+spine are shared by its three joints, those of the neck by neck and head.
 """
 
 import sys

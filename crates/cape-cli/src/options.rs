@@ -280,15 +280,14 @@ pub(crate) fn builtin_body(path: &Path) -> Option<Result<BuiltinBody>> {
     Some(read.map(|half| BuiltinBody { model: half.model(), source: half.provenance }))
 }
 
-/// Name of the built-in body that `model` is, if it is one.
-pub(crate) fn builtin_name(model: &SmplModel) -> Option<&'static str> {
-    let found = model.sha256();
+/// Name of the built-in body whose arrays have this SHA-256, if there is one.
+pub(crate) fn builtin_name(sha256: &str) -> Option<&'static str> {
     ["male", "female", "neutral", "sculpted"].into_iter().find(|name| {
         let body = match name.parse::<Gender>() {
             Ok(gender) => HalfBody::embedded(gender).ok().map(|half| half.model()),
             Err(_) => Some(synthetic_body()),
         };
-        body.is_some_and(|body| body.sha256() == found)
+        body.is_some_and(|body| body.sha256() == sha256)
     })
 }
 

@@ -5,9 +5,15 @@
 //! frame, which the paper estimates over the clothing vertices.
 
 use glam::DVec3;
+use ndarray::ArrayView2;
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
+
+/// Rows of an array `[n, 3]` as points.
+pub(crate) fn points(rows: ArrayView2<f64>) -> Vec<DVec3> {
+    rows.rows().into_iter().map(|row| DVec3::new(row[0], row[1], row[2])).collect()
+}
 
 /// Similarity transform without rotation, `x ↦ s x + t` (CAPE eq. 12).
 ///

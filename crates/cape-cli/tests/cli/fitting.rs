@@ -66,6 +66,17 @@ fn held_out_frames_are_fitted_and_measured() {
         "--overwrite",
     ]);
 
+    // Subjects' own bodies; their files belong to the settings, no others do.
+    let own = "--bodies @/raw/minimal_body_shape";
+    data.run(&format!("{command} {own}")).failed_saying(&["`inputs.bodies`"]);
+    let own = command.replace("@/fits", "@/own") + " " + own;
+    assert_ne!(data.run(&format!("{own} --json")).json()["bare"], report["bare"]);
+    fs::write(data.at("raw/minimal_body_shape/notes.txt"), "").unwrap();
+    data.run(&own).succeeded();
+    let none = format!("fit benchmark image {run} --out @/no");
+    data.run(&format!("{none} --bodies @/packed")).failed_saying(&["_minimal.npy"]);
+    // The set has fewer frames than the benchmark takes.
+    data.run(&format!("{none} --tuning")).failed_saying(&["no test frames beside those"]);
     data.run(&format!("fit benchmark image {run} --dropped 2 --out @/no")).misused(&["--dropped"]);
     fs::write(data.at("few.toml"), "[clothed]\ncode = -1").unwrap();
     data.run(&command).failed_saying(&["few.toml", "code"]);

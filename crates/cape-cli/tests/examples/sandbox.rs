@@ -153,7 +153,9 @@ impl Sandbox {
     /// Poses, textures, and programs that examples assume.
     fn poses(&self) {
         let poses = Array2::from_shape_fn((30, 72), |(frame, i)| 0.3 * pose_of(frame)[i]);
-        write_npy(self.at("dance.npy"), &poses.mapv(|x| x as f32)).unwrap();
+        for name in ["dance.npy", "poses.npy"] {
+            write_npy(self.at(name), &poses.mapv(|x| x as f32)).unwrap();
+        }
         let row = |row: ndarray::ArrayView1<f64>| {
             row.iter().map(ToString::to_string).collect::<Vec<_>>().join(",") + "\n"
         };

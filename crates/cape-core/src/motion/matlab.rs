@@ -66,7 +66,8 @@ pub(super) fn variables(path: &Path, bytes: &[u8], most: u64) -> Result<Vec<(Str
         let variable =
             element.filter(|element| element.kind == MATRIX).and_then(|e| variable(e.data));
         let (name, variable) = variable.ok_or_else(|| fault("a variable cannot be read"))?;
-        found.push((name.clone(), by_frames(&name, variable)));
+        let variable = by_frames(&name, variable);
+        found.push((name, variable));
     }
     Ok(found)
 }

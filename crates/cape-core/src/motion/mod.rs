@@ -1,8 +1,8 @@
 //! Motions of bodies, and the files that hold them.
 //!
 //! [`read_motion`] reads any file of SMPL poses that is in use: AMASS, parameters by the names of
-//! SMPL-X, AIST++, results of pose estimators (`.npz`, `.npy`, pickles, joblib's files, JSON, MATLAB's files), `.smpl`
-//! and tables. It decides which axis points up and what the body cannot use, and says so in
+//! SMPL-X, AIST++, results of pose estimators (`.npz`, `.npy`, pickles, joblib's files, JSON), MATLAB's
+//! files, `.smpl` and tables. It decides which axis points up and what the body cannot use, and says so in
 //! [`MotionFile::notes`]. [`BodyMotion`] is a motion in this library's axes.
 
 mod body_motion;

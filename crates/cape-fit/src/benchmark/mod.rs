@@ -21,7 +21,7 @@ pub use summary::{BenchmarkSummary, MethodScores, OutfitSummary, ValueSummary};
 
 use crate::{
     BodyParameters, ClothedConfig, DressedBody, Error, FitProblem, ImageObservation, Result,
-    Smplify, aligned_error, silhouette::render,
+    Smplify, aligned_error, alignment::points, silhouette::render,
 };
 
 /// Number of images of the paper's benchmark.
@@ -175,7 +175,8 @@ impl<'a> Benchmark<'a> {
     /// another number of vertices than the body.
     pub fn with_shapes(mut self, shapes: BTreeMap<String, Array2<f64>>) -> Result<Self> {
         let Some(origins) = self.set.origins() else {
-            let message = "bodies of the subjects: the packed set does not say whose its frames are                            (no test_frames.csv)";
+            let message = "bodies of the subjects: no test_frames.csv in the packed set, which says whose its \
+                           frames are";
             return Err(Error::argument(message));
         };
         if let Some(missing) = origins.iter().find(|o| !shapes.contains_key(&o.subject)) {
@@ -297,7 +298,7 @@ impl<'a> Benchmark<'a> {
     /// Vertices of an unclothed body, metres, `[V]`.
     fn unclothed(&self, body: &BodyParameters) -> Result<Vec<DVec3>> {
         let posed = self.run.body().pose(&body.betas, &body.pose, body.transl, None)?;
-        Ok(posed.vertices.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2])).collect())
+        Ok(points(posed.vertices.view()))
     }
 }
 

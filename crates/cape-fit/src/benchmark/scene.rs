@@ -6,7 +6,10 @@ use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 
 use super::BenchmarkOptions;
-use crate::{Keypoint, KeypointLayout, Keypoints, Mask, PinholeCamera, Result, silhouette::render};
+use crate::{
+    Keypoint, KeypointLayout, Keypoints, Mask, PinholeCamera, Result, alignment::points,
+    silhouette::render,
+};
 
 /// Translation of the bodies in the frame of the camera, metres.
 const PLACE: DVec3 = DVec3::new(0.0, 0.15, -3.3);
@@ -50,25 +53,21 @@ impl Scene {
         };
         let pose = wearer.pose.map(f64::from);
         let posed = body.pose_shape(&rest, &pose, PLACE.to_array(), Some(&displacement))?;
-        let points = |rows: &Array2<f64>| -> Vec<DVec3> {
-            rows.rows().into_iter().map(|at| DVec3::new(at[0], at[1], at[2])).collect()
-        };
-        let truth = points(&posed.vertices);
-        let joints = points(&posed.joints);
-        let joints = detected_joints(&joints, options.bias);
+        let truth = points(posed.vertices.view());
+        let joints = detected_joints(&points(posed.joints.view()), options.bias);
         let detector = KeypointLayout::Body25;
         let unseen = Keypoint { x: 0.0, y: 0.0, confidence: 0.0 };
-        let mut points = vec![unseen; detector.points()];
+        let mut found = vec![unseen; detector.points()];
         for &(point, joint) in detector.joints() {
             let at = camera.project(joints[joint]);
             let [dx, dy] = [0; 2].map(|_| options.noise * rng.sample::<f64, _>(StandardNormal));
             if rng.random::<f64>() >= options.dropped {
-                points[point] = Keypoint { x: at.x + dx, y: at.y + dy, confidence: 1.0 };
+                found[point] = Keypoint { x: at.x + dx, y: at.y + dy, confidence: 1.0 };
             }
         }
         let mask = render(&truth, &body.faces, &camera)?.mask().clone();
         let mask = perturb_outline(&mask, options.ragged, &mut rng)?;
-        Ok(Self { camera, keypoints: Keypoints::new(detector, points)?, mask, truth })
+        Ok(Self { camera, keypoints: Keypoints::new(detector, found)?, mask, truth })
     }
 }
 

@@ -250,7 +250,7 @@ fn init_from_joints(subject: &ScanSubject<'_>, joints: &KnownJoints) -> Result<B
 /// Vertices of a body in the initial clothing, metres, `[V]`.
 fn surface(subject: &ScanSubject<'_>, body: &BodyParameters) -> Result<Vec<DVec3>> {
     let posed = subject.body.pose(&body.betas, &body.pose, body.transl, Some(subject.clothes))?;
-    Ok(posed.vertices.rows().into_iter().map(|v| DVec3::new(v[0], v[1], v[2])).collect())
+    Ok(crate::alignment::points(posed.vertices.view()))
 }
 
 /// The body after a rigid transform.

@@ -61,10 +61,13 @@ fn body(directory: &Path) -> Option<String> {
     }
     Some(match SmplModel::load(&path) {
         Err(error) => error.to_string(),
-        Ok(model) => match builtin_name(&model) {
-            Some(name) => format!("{name} (built in)"),
-            None => format!("{} vertices, SHA-256 {}", model.vertices(), &model.sha256()[..12]),
-        },
+        Ok(model) => {
+            let sha256 = model.sha256();
+            match builtin_name(&sha256) {
+                Some(name) => format!("{name} (built in)"),
+                None => format!("{} vertices, SHA-256 {}", model.vertices(), &sha256[..12]),
+            }
+        }
     })
 }
 

@@ -151,7 +151,7 @@ impl ImportArgs {
         let meshes = match &file.translations {
             Some(translations) if relative => {
                 note("the garment's vertices are relative to the pelvis, as in CLOTH3D");
-                meshes.translated(translations.view())?
+                meshes.translated((translations / self.unit.metres()).view())?
             }
             _ => meshes,
         };

@@ -3,7 +3,7 @@ mod report;
 mod store;
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
     process::ExitCode,
 };
@@ -83,19 +83,20 @@ impl FitBenchmarkArgs {
         let data = self.data.of(&run)?;
         let set = run.open_set(&data, Split::Test)?;
         let smplify = self.method.smplify(run.body(), &config)?;
+        let vertices = run.body().vertices();
+        let read = |directory: &PathBuf| SubjectShapes::read(directory, &set, vertices);
+        let bodies = self.bodies.as_ref().map(read).transpose()?;
         let inputs = FrameInputs {
             run: &run,
             data: &data,
             pose_prior: self.method.pose_prior.as_deref(),
-            bodies: self.bodies.as_deref(),
+            bodies: bodies.as_ref(),
             options,
             config: &config,
         };
-        let store = CaseStore::open(&self.output.out, &inputs, self.output.overwrite)?;
-        let interrupt = Interrupt::listen(console)?;
         let mut benchmark = Benchmark::new(&run, &set, &smplify, &config.clothed, options)?;
-        if let Some(directory) = &self.bodies {
-            benchmark = benchmark.with_shapes(shapes(directory, &set, run.body().vertices())?)?;
+        if let Some(SubjectShapes { shapes, .. }) = &bodies {
+            benchmark = benchmark.with_shapes(shapes.clone())?;
         }
         let frames = benchmark.frames();
         if frames.is_empty() {
@@ -105,6 +106,8 @@ impl FitBenchmarkArgs {
                 if options.tuning { " beside those of the benchmark" } else { "" }
             )));
         }
+        let store = CaseStore::open(&self.output.out, &inputs, self.output.overwrite)?;
+        let interrupt = Interrupt::listen(console)?;
         let workers = super::image::fit_workers(&run)?;
         let mut done = 0;
         let cases = console.while_showing("fit", "images", |progress| {
@@ -159,19 +162,29 @@ impl FitBenchmarkArgs {
     }
 }
 
-/// Minimal shapes of the subjects of a set, metres, `[V, 3]`, by name.
-fn shapes(
-    directory: &Path,
-    set: &PackedSet,
-    vertices: usize,
-) -> Result<BTreeMap<String, Array2<f64>>> {
-    let mut shapes = BTreeMap::new();
-    for origin in set.origins().unwrap_or_default() {
-        let subject = &origin.subject;
-        if !shapes.contains_key(subject) {
-            let path = directory.join(subject).join(format!("{subject}_minimal.npy"));
-            shapes.insert(subject.clone(), read_shape(&path, vertices)?);
-        }
+/// Minimal shapes of a set's subjects.
+#[derive(Debug)]
+struct SubjectShapes {
+    directory: PathBuf,
+    /// Their files in the directory.
+    files: Vec<String>,
+    /// By name, metres, `[V, 3]`.
+    shapes: BTreeMap<String, Array2<f64>>,
+}
+
+impl SubjectShapes {
+    /// Reads those of a directory in the layout of minimal_body_shape.
+    fn read(directory: &Path, set: &PackedSet, vertices: usize) -> Result<Self> {
+        let subjects: BTreeSet<&String> =
+            set.origins().unwrap_or_default().iter().map(|origin| &origin.subject).collect();
+        let file = |subject: &String| format!("{subject}/{subject}_minimal.npy");
+        let shape = |&subject: &&String| {
+            Ok((subject.clone(), read_shape(&directory.join(file(subject)), vertices)?))
+        };
+        Ok(Self {
+            directory: directory.to_owned(),
+            files: subjects.iter().map(|subject| file(subject)).collect(),
+            shapes: subjects.iter().map(shape).collect::<Result<_>>()?,
+        })
     }
-    Ok(shapes)
 }

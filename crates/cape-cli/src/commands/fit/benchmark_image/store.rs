@@ -11,6 +11,7 @@ use cape_fit::{
 use cape_infer::Run;
 use serde_json::json;
 
+use super::SubjectShapes;
 use crate::error::Result;
 
 /// Files from versions that did not record the SHA-256 of the inputs.
@@ -37,7 +38,7 @@ pub(super) struct FrameInputs<'a> {
     pub(super) run: &'a Run,
     pub(super) data: &'a Path,
     pub(super) pose_prior: Option<&'a Path>,
-    pub(super) bodies: Option<&'a Path>,
+    pub(super) bodies: Option<&'a SubjectShapes>,
     pub(super) options: BenchmarkOptions,
     pub(super) config: &'a FitConfig,
 }
@@ -60,8 +61,13 @@ impl CaseStore {
         let settings = StoreSettings::new("fit benchmark image", &settings)?
             .with_run(run)?
             .with_packed_set(data, &[Split::Test])?
-            .with_optional_input("pose_prior", *pose_prior, "prior of synthetic motions")?
-            .with_optional_input("bodies", *bodies, "random shapes")?;
+            .with_optional_input("pose_prior", *pose_prior, "prior of synthetic motions")?;
+        let settings = match bodies {
+            Some(SubjectShapes { directory, files, .. }) => {
+                settings.with_files("bodies", directory, files)?
+            }
+            None => settings.with_built_in("bodies", "random shapes"),
+        };
         let options = StoreOptions { overwrite, earlier: &EARLIER, ..StoreOptions::default() };
         let store = ResultStore::open(out, settings, options)?;
         store.begin()?;
