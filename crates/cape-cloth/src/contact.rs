@@ -52,6 +52,8 @@ struct ContactCache {
     /// Largest displacement of the surrounding body in a frame, metres, and that frame.
     rate: f64,
     frame: u64,
+    /// Gradient of the distance and displacement of the body in the step, metres, if pushed in it.
+    pushed: Option<[DVec3; 2]>,
 }
 
 /// Approach of a point to another part of the body between searches of the whole body, metres.
@@ -159,6 +161,8 @@ pub(super) struct Contacts {
     vertices: Vec<ContactCache>,
     centres: Vec<ContactCache>,
     body: BodyMovement,
+    /// Share of the frame since the last contacts.
+    share: f64,
 }
 
 impl Contacts {
@@ -167,6 +171,28 @@ impl Contacts {
             vertices: vec![ContactCache::default(); vertices],
             centres: vec![ContactCache::default(); faces],
             body: BodyMovement::default(),
+            share: 0.0,
+        }
+    }
+
+    /// Follows the body through a step from and to a time within its frame, 0 to 1.
+    pub(super) fn advance(&mut self, body: &SurfaceIndex, [from, now]: [f64; 2]) {
+        if from == 0.0 {
+            self.body.begin(body);
+        }
+        self.share += now - from;
+        self.body.reference += self.body.mean * (now - from);
+        self.vertices.iter_mut().for_each(|memory| memory.pushed = None);
+    }
+
+    /// Velocities after the contacts of a step of `dt` seconds, m/s: vertices that were pushed do not
+    /// part from the body, since contact is inelastic.
+    pub(super) fn stop(&self, velocities: &mut [DVec3], dt: f64) {
+        for (velocity, memory) in velocities.iter_mut().zip(&self.vertices) {
+            if let Some([outward, carried]) = memory.pushed {
+                let parting = (*velocity - carried / dt).dot(outward);
+                *velocity -= outward * parting.max(0.0);
+            }
         }
     }
 
@@ -176,7 +202,7 @@ impl Contacts {
     /// `before` are the positions before the step, metres.
     ///
     /// `contacts` are of the layers of the cloth, `sheet` its inverse masses, 1/kg, faces, and the layer
-    /// of each vertex.
+    /// of each vertex. [`advance`](Self::advance) comes before it in each step.
     pub(super) fn resolve(
         &mut self,
         contacts: &[Contact],
@@ -186,14 +212,9 @@ impl Contacts {
         sheet: (&[f64], &[[u32; 3]], &[u8]),
     ) {
         let (inverse_masses, _, layers) = sheet;
-        let Some(contact) = contacts.first() else { return };
-        if contact.from == 0.0 {
-            self.body.begin(body);
-        }
-        let share = contact.now - contact.from;
-        self.body.reference += self.body.mean * share;
         let movement = &self.body;
-        push_out_faces((&mut self.centres, movement), contacts, body, positions, sheet);
+        let share = std::mem::take(&mut self.share);
+        push_out_faces((&mut self.centres, movement), contacts, body, positions, sheet, share);
         let moving = positions.par_iter_mut().zip(before).zip(inverse_masses).zip(layers);
         moving.zip(&mut self.vertices).filter(|(((_, w), _), _)| **w > 0.0).for_each(
             |((((x, &before), _), &layer), memory)| {
@@ -206,6 +227,7 @@ impl Contacts {
                 *x += outward * depth;
                 let carried = body.position_at(face, barycentric, contact.now)
                     - body.position_at(face, barycentric, contact.from);
+                memory.pushed = Some([outward, carried]);
                 let slip = (*x - before) - carried;
                 let slip = slip - outward * slip.dot(outward);
                 let length = slip.length();
@@ -225,6 +247,7 @@ fn push_out_faces(
     body: &SurfaceIndex,
     positions: &mut [DVec3],
     (inverse_masses, faces, layers): (&[f64], &[[u32; 3]], &[u8]),
+    share: f64,
 ) {
     let at = &*positions;
     let pushes: Vec<[Option<([f64; 3], DVec3)>; 2]> = faces
@@ -233,7 +256,6 @@ fn push_out_faces(
         .map(|(corners, memory)| {
             let centre = corners.iter().map(|&v| at[v as usize]).sum::<DVec3>() / 3.0;
             let contact = &contacts[usize::from(layers[corners[0] as usize])];
-            let share = contact.now - contact.from;
             let thickness = 0.5 * contact.thickness;
             let push = memory.push((body, movement), centre, thickness, share);
             let push = push.map(|push| ([1.0 / 3.0; 3], push.outward * push.depth));

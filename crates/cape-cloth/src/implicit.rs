@@ -110,7 +110,8 @@ impl ImplicitStep {
             .collect();
         self.assemble(elastic, inverse_masses, points, dt);
         let image = self.product(&guess);
-        let rest: Vec<Vec3> = right.iter().zip(image).map(|(&right, image)| right - image).collect();
+        let rest: Vec<Vec3> =
+            right.iter().zip(image).map(|(&right, image)| right - image).collect();
         let enough = RESIDUAL * RESIDUAL * self.energy(&right);
         let found = self.conjugate_gradients(&rest, enough);
         found.into_iter().zip(guess).map(|(x, guess)| (x + guess).as_dvec3()).collect()
@@ -144,9 +145,7 @@ impl ImplicitStep {
             residual
                 .iter()
                 .enumerate()
-                .map(|(index, x)| {
-                    f64::from(x.dot(self.blocks[self.rows[base + index].start] * *x))
-                })
+                .map(|(index, x)| f64::from(x.dot(self.blocks[self.rows[base + index].start] * *x)))
                 .sum::<f64>()
         }))
     }

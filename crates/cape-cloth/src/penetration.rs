@@ -144,21 +144,25 @@ impl<'a> Solid<'a> {
         Self { surface, normals: surface.face_normals(), tree }
     }
 
-    /// Number of parts of the body that a point is in: the median over three rays of the faces left
-    /// minus the faces entered.
+    /// Number of parts of the body that a point is in: faces left minus faces entered by a ray, on
+    /// which two rays of three agree.
     fn winding(&self, point: DVec3) -> i32 {
-        let mut counts = DIRECTIONS.map(|direction| {
-            let (mut from, mut count) = (point, 0);
-            while let Some((face, way)) = self.tree.cast(from, direction, f64::MAX, |face| {
-                ray_triangle_distance(from, direction, self.surface.corners(face as usize))
-            }) {
-                count += if self.normals[face as usize].dot(direction) > 0.0 { 1 } else { -1 };
-                from += direction * (way + OFF);
-            }
-            count
-        });
-        counts.sort_unstable();
-        counts[1]
+        let [one, other, third] =
+            DIRECTIONS.map(|direction| move || self.winding_along(point, direction));
+        let (one, other) = (one(), other());
+        if one == other { one } else { one.max(other).min(third().max(one.min(other))) }
+    }
+
+    /// Number of faces that a ray leaves minus those that it enters.
+    fn winding_along(&self, point: DVec3, direction: DVec3) -> i32 {
+        let (mut from, mut count) = (point, 0);
+        while let Some((face, way)) = self.tree.cast(from, direction, f64::MAX, |face| {
+            ray_triangle_distance(from, direction, self.surface.corners(face as usize))
+        }) {
+            count += if self.normals[face as usize].dot(direction) > 0.0 { 1 } else { -1 };
+            from += direction * (way + OFF);
+        }
+        count
     }
 
     /// True if a point of the surface with the unit normal `outward` is inside another part.
@@ -206,7 +210,7 @@ impl<'a> Solid<'a> {
     /// exceeds what was found by more than a tenth of a millimetre, metres.
     fn depth_within(&self, corners: [DVec3; 3]) -> f64 {
         const TOLERANCE: f64 = 1e-4;
-        const MOST: usize = 4096;
+        const MOST: usize = 256;
         let mut deepest = 0.0f64;
         let mut parts = std::collections::VecDeque::from([corners]);
         for _ in 0..MOST {

@@ -159,9 +159,8 @@ impl Cloth {
         self
     }
 
-    /// Limits the elongation of edges to the share `limit` of their rest lengths. The limit is
-    /// applied last in a step: cloth that has no room penetrates the body rather than stretch
-    /// further.
+    /// Limits the elongation of edges to the share `limit` of their rest lengths. Contact with the body
+    /// is resolved after it: cloth that has no room stretches further rather than penetrate the body.
     #[must_use]
     pub fn with_strain_limit(mut self, limit: f64) -> Self {
         self.limit = limit.max(0.0);
@@ -211,24 +210,44 @@ impl Cloth {
                 self.positions[v] += velocity * dt;
             }
         }
-        if let Some((solid, [from, now])) = body {
-            let contact = |material: &ClothMaterial| {
-                let ClothMaterial { friction, thickness, .. } = *material;
-                Contact { friction, thickness, from, now }
-            };
-            let contacts: Vec<Contact> = self.materials.iter().map(contact).collect();
-            let sheet = (&self.inverse_masses[..], &self.faces[..], &self.layers[..]);
-            self.contacts.resolve(&contacts, solid, &before, &mut self.positions, sheet);
+        if let Some((solid, times)) = body {
+            self.contacts.advance(solid, times);
         }
-        if let Some(folds) = &mut self.folds {
-            let friction = self.materials.iter().map(|material| material.friction).sum::<f64>()
-                / self.materials.len() as f64;
-            folds.resolve(&before, &mut self.positions, &self.inverse_masses, (friction, dt));
+        self.resolve_contacts(body, &before);
+        for round in 0..ROUNDS {
+            if round == ROUNDS / 2 {
+                self.resolve_folds(&before, dt);
+            }
+            self.apply_strain_limits();
+            self.resolve_contacts(body, &before);
         }
-        self.apply_strain_limits();
         for ((x, v), before) in self.positions.iter().zip(&mut self.velocities).zip(before) {
             *v = (*x - before) / dt;
         }
+        if body.is_some() {
+            self.contacts.stop(&mut self.velocities, dt);
+        }
+    }
+
+    /// Pushes the cloth out of the body, an obstacle with the times within its frame before and after
+    /// the step. `before` are the positions before the step.
+    fn resolve_contacts(&mut self, body: Option<(&SurfaceIndex, [f64; 2])>, before: &[DVec3]) {
+        let Some((solid, [from, now])) = body else { return };
+        let contact = |material: &ClothMaterial| {
+            let ClothMaterial { friction, thickness, .. } = *material;
+            Contact { friction, thickness, from, now }
+        };
+        let contacts: Vec<Contact> = self.materials.iter().map(contact).collect();
+        let sheet = (&self.inverse_masses[..], &self.faces[..], &self.layers[..]);
+        self.contacts.resolve(&contacts, solid, before, &mut self.positions, sheet);
+    }
+
+    /// Separates parts of the cloth, after a step of `dt` seconds from the positions `before`.
+    fn resolve_folds(&mut self, before: &[DVec3], dt: f64) {
+        let Some(folds) = &mut self.folds else { return };
+        let friction = self.materials.iter().map(|material| material.friction).sum::<f64>()
+            / self.materials.len() as f64;
+        folds.resolve(before, &mut self.positions, &self.inverse_masses, (friction, dt));
     }
 
     /// Gravity, attachments and drag.
@@ -265,15 +284,15 @@ impl Cloth {
         points
     }
 
-    /// Shortens edges beyond the strain limit, in alternating order.
+    /// Shortens edges beyond the strain limit, once in their order and once in reverse.
     fn apply_strain_limits(&mut self) {
-        const SWEEPS: usize = 4;
         if self.limit.is_infinite() {
             return;
         }
-        for sweep in 0..SWEEPS {
-            for index in 0..self.edges.len() {
-                let at = if sweep % 2 == 0 { index } else { self.edges.len() - 1 - index };
+        let order = 0..self.edges.len();
+        for reversed in [false, true] {
+            for index in order.clone() {
+                let at = if reversed { order.end - 1 - index } else { index };
                 let Edge { ends: [a, b], rest } = self.edges[at];
                 let (a, b) = (a as usize, b as usize);
                 let along = self.positions[a] - self.positions[b];
@@ -338,6 +357,9 @@ pub(super) fn joined<'a>(surfaces: impl Iterator<Item = &'a SurfaceMesh>) -> Sur
     }
     all
 }
+
+/// Times that strain limits and contacts are applied in turn, self-collisions in between.
+const ROUNDS: usize = 2;
 
 /// Least compliance of an attachment, m/N.
 const LEAST_COMPLIANCE: f64 = 1e-6;

@@ -358,7 +358,8 @@ fn every_garment_follows_a_moving_body() {
         println!("{kind:?} {movement}: {seconds:.3} s a frame, {quality:?}");
         // Edges of 35 mm do not follow the body between vertices.
         assert!(quality.penetration < 1e-2, "{kind:?} {quality:?}");
-        assert!(quality.strain < 0.33 && quality.mean_strain < 0.05, "{kind:?} {quality:?}");
+        // Contact has precedence over the strain limit of 0.3.
+        assert!(quality.strain < 0.4 && quality.mean_strain < 0.01, "{kind:?} {quality:?}");
         assert!(quality.crossings <= 2 && quality.speed < 5.0, "{kind:?} {quality:?}");
         // The centre of the garment is still on the body.
         let last = result.frames.index_axis(ndarray::Axis(0), frames - 1);
