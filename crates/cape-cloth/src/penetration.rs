@@ -207,25 +207,28 @@ impl<'a> Solid<'a> {
     }
 
     /// Largest depth of a triangle of the cloth inside the body, sampled where the bound of its parts
-    /// exceeds what was found by more than a tenth of a millimetre, metres.
+    /// is largest, until it exceeds what was found by less than a tenth of a millimetre, metres.
     fn depth_within(&self, corners: [DVec3; 3]) -> f64 {
         const TOLERANCE: f64 = 1e-4;
         const MOST: usize = 256;
         let mut deepest = 0.0f64;
-        let mut parts = std::collections::VecDeque::from([corners]);
+        let mut parts = vec![(f64::INFINITY, corners)];
         for _ in 0..MOST {
-            let Some([a, b, c]) = parts.pop_front() else { break };
-            let centre = (a + b + c) / 3.0;
-            let distance = self.distance(centre);
-            let inside = self.winding(centre) == 1;
-            if inside {
-                deepest = deepest.max(distance);
-            }
-            let radius = [a, b, c].map(|p| p.distance(centre)).into_iter().fold(0.0, f64::max);
-            let bound = if inside { distance + radius } else { radius - distance };
-            if bound > deepest + TOLERANCE {
-                let [ab, bc, ca] = [a.midpoint(b), b.midpoint(c), c.midpoint(a)];
-                parts.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
+            let best = (0..parts.len()).max_by(|&a, &b| parts[a].0.total_cmp(&parts[b].0));
+            let Some(best) = best.filter(|&best| parts[best].0 > deepest + TOLERANCE) else {
+                break;
+            };
+            let [a, b, c] = parts.swap_remove(best).1;
+            let [ab, bc, ca] = [a.midpoint(b), b.midpoint(c), c.midpoint(a)];
+            for part in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
+                let centre = part.iter().sum::<DVec3>() / 3.0;
+                let radius = part.iter().map(|p| p.distance(centre)).fold(0.0, f64::max);
+                let distance = self.distance(centre);
+                let inside = self.winding(centre) == 1;
+                if inside {
+                    deepest = deepest.max(distance);
+                }
+                parts.push((if inside { distance + radius } else { radius - distance }, part));
             }
         }
         deepest
