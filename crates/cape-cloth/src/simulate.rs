@@ -112,6 +112,23 @@ pub struct SimulationQuality {
     pub speed: f64,
 }
 
+impl SimulationQuality {
+    /// Quality of two garments of one simulation: largest values, the sum of intersections, and the
+    /// means of mean values.
+    #[must_use]
+    pub fn with(self, other: Self) -> Self {
+        Self {
+            penetration: self.penetration.max(other.penetration),
+            mean_depth: self.mean_depth.midpoint(other.mean_depth),
+            intersections: self.intersections + other.intersections,
+            crossings: self.crossings.max(other.crossings),
+            mean_strain: self.mean_strain.midpoint(other.mean_strain),
+            strain: self.strain.max(other.strain),
+            speed: self.speed.max(other.speed),
+        }
+    }
+}
+
 /// Simulated motion of a garment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulatedGarment {

@@ -12,14 +12,15 @@ use crate::{Result, mesh_graph::MeshGraph};
 /// Determinant of a vertex's blended transform below which its displacement is interpolated.
 const LEAST_DETERMINANT: f64 = 0.15;
 
-/// Rounds of the relaxation of turned triangles; the region grows by a ring after each `GROWTH`.
-const ROUNDS: usize = 240;
-const GROWTH: usize = 12;
+/// Rounds of the relaxation of turned triangles; the region grows by a ring after each `GROWTH`, so that
+/// the rest of the garment keeps its folds.
+const ROUNDS: usize = 80;
+const GROWTH: usize = 20;
 
 /// Rounds of the separation of intersecting triangles, and the factors on displacements of their
 /// corners and of the vertices beside them.
-const SEPARATIONS: usize = 8;
-const SHRINKAGE: [f64; 2] = [0.6, 0.85];
+const SEPARATIONS: usize = 5;
+const SHRINKAGE: [f64; 2] = [0.85, 1.0];
 
 /// Transforms of the body's vertices from canonical space to a frame, and the pose blend shapes,
 /// metres, `[V]`.

@@ -1,6 +1,7 @@
 use cape_cloth::{ClothMaterial, Garment, GarmentKind, GarmentMesh};
 use cape_core::{Outfit, SmplModel, geometry::SurfaceMesh};
 use cape_synth::GarmentLengths;
+use glam::DVec3;
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 use serde::Serialize;
@@ -11,9 +12,9 @@ use crate::Result;
 /// of ease.
 const LAYERS: f64 = 0.05;
 
-/// Fabrics that garments are made of, besides cotton shirting.
-const FABRICS: [ClothMaterial; 3] =
-    [ClothMaterial::PONTE, ClothMaterial::RIB, ClothMaterial::DENIM];
+/// Fabrics of shorts and trousers, besides cotton shirting. Knits, whose stiffness is known at the
+/// smallest strains only, would stretch under their own weight by more than real ones.
+const TROUSERS: [ClothMaterial; 1] = [ClothMaterial::DENIM];
 
 /// Garments of one subject in one outfit: cuts, size and material.
 ///
@@ -34,15 +35,17 @@ pub struct OutfitCut {
     pub upper: Garment,
     /// Shorts or trousers.
     pub lower: Garment,
-    /// Material of both.
-    pub material: ClothMaterial,
+    /// Material of the shirt.
+    pub upper_material: ClothMaterial,
+    /// Material of the shorts or trousers.
+    pub lower_material: ClothMaterial,
     /// Shape coefficients of the body that the garments are sewn for, which is their size.
     pub size: Vec<f64>,
 }
 
 impl OutfitCut {
     /// Draws the garments of a subject with the shape coefficients `betas`. Their size follows the
-    /// subject's shape to three quarters.
+    /// subject's shape to nine tenths.
     ///
     /// # Errors
     /// If the outfit is none of the paper's four.
@@ -52,27 +55,19 @@ impl OutfitCut {
         let mut between = |low: f64, high: f64| rng.random_range(low..high);
         let lower = Garment {
             length: if lengths.long_legs { between(1.7, 1.9) } else { between(0.6, 0.95) },
-            width: between(1.055, 1.1),
+            width: between(1.08, 1.18),
             ..Garment::new(GarmentKind::Shorts)
         };
         let upper = Garment {
             length: between(1.0, 1.2),
-            width: lower.width + between(LAYERS, LAYERS + 0.07),
+            width: lower.width + between(LAYERS, LAYERS + 0.13),
             sleeve: if lengths.long_sleeves { between(1.65, 1.85) } else { between(0.45, 0.8) },
             ..Garment::new(GarmentKind::TShirt)
         };
-        let chosen = rng.random_range(0..=FABRICS.len());
-        let fabric = FABRICS.get(chosen).copied().unwrap_or_default();
-        let mut about = |spread: f64| (spread * normal(rng)).exp();
-        let material = ClothMaterial {
-            density: fabric.density * about(0.15),
-            stretch: fabric.stretch.scaled(about(0.3)),
-            bend: fabric.bend * about(0.4),
-            friction: fabric.friction * about(0.2),
-            ..fabric
-        };
-        let size = betas.iter().map(|beta| 0.75 * beta + 0.3 * normal(rng)).collect();
-        Ok(Self { upper, lower, material, size })
+        let upper_material = fabric(&[], rng);
+        let lower_material = fabric(&TROUSERS, rng);
+        let size = betas.iter().map(|beta| 0.9 * beta + 0.15 * normal(rng)).collect();
+        Ok(Self { upper, lower, upper_material, lower_material, size })
     }
 
     /// The cut with edges of `resolution` metres.
@@ -91,33 +86,41 @@ impl OutfitCut {
         let shape = model.rest_shape(&self.size)?;
         let lower = self.lower.sew(model, &shape)?;
         let upper = self.upper.sew(model, &shape)?;
-        let inner = lower.surface.vertices.len() as u32;
-        let inner_faces = lower.surface.faces.len();
-        let mut surface = lower.surface;
-        surface.vertices.extend(upper.surface.vertices);
-        surface.faces.extend(upper.surface.faces.iter().map(|face| face.map(|v| v + inner)));
-        let mesh = GarmentMesh { surface, waistband: lower.waistband, ..upper };
-        Ok(SewnOutfit { mesh, inner_faces })
+        Ok(SewnOutfit { lower, upper })
     }
 }
 
-/// Sewn garments as one sheet: first the lower, inner one, then the upper, outer one.
+/// Sewn garments around the body of their size.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SewnOutfit {
-    /// Both garments, around the body of their size.
-    pub mesh: GarmentMesh,
-    /// Number of faces of the lower garment.
-    pub inner_faces: usize,
+    /// Shorts or trousers, the inner garment.
+    pub lower: GarmentMesh,
+    /// Shirt, the outer garment.
+    pub upper: GarmentMesh,
 }
 
 impl SewnOutfit {
-    /// Surfaces of the lower and the upper garment with the vertices of both, metres.
+    /// Surfaces of the lower and the upper garment with the vertices of both, first the lower's, metres.
     pub fn layers(&self) -> [SurfaceMesh; 2] {
-        let (inner, outer) = self.mesh.surface.faces.split_at(self.inner_faces);
-        [inner, outer].map(|faces| SurfaceMesh {
-            vertices: self.mesh.surface.vertices.clone(),
-            faces: faces.to_vec(),
-        })
+        let (lower, upper) = (&self.lower.surface, &self.upper.surface);
+        let first = lower.vertices.len() as u32;
+        let vertices: Vec<DVec3> = lower.vertices.iter().chain(&upper.vertices).copied().collect();
+        let moved = upper.faces.iter().map(|face| face.map(|v| v + first)).collect();
+        [lower.faces.clone(), moved].map(|faces| SurfaceMesh { vertices: vertices.clone(), faces })
+    }
+}
+
+/// A fabric of a list, or cotton shirting, with properties of its own.
+fn fabric(fabrics: &[ClothMaterial], rng: &mut ChaCha8Rng) -> ClothMaterial {
+    let chosen = rng.random_range(0..=fabrics.len());
+    let fabric = fabrics.get(chosen).copied().unwrap_or_default();
+    let mut about = |spread: f64| (spread * normal(rng)).exp();
+    ClothMaterial {
+        density: fabric.density * about(0.15),
+        stretch: fabric.stretch.scaled(about(0.3)),
+        bend: fabric.bend * about(0.4),
+        friction: fabric.friction * about(0.2),
+        ..fabric
     }
 }
 

@@ -1,6 +1,6 @@
 //! Simulation of one take.
 
-use cape_cloth::{SimulationOptions, SimulationQuality};
+use cape_cloth::{SimulatedGarment, SimulationOptions, SimulationQuality};
 use cape_core::{
     BodyMotion, SmplModel,
     geometry::{SurfaceIndex, SurfaceMesh, points},
@@ -83,7 +83,7 @@ impl<'a> DressedSubject<'a> {
     pub fn new(model: &'a SmplModel, minimal: Array2<f64>, cut: OutfitCut) -> Result<Self> {
         let sewn = cut.sew(model)?;
         let standing = StandardPose::A.angles(model.joints());
-        let body = model.pose_shape(&sewn.mesh.body, &standing, [0.0; 3], None)?;
+        let body = model.pose_shape(&sewn.upper.body, &standing, [0.0; 3], None)?;
         let body = SurfaceMesh::from_rows("body", body.vertices.view(), &model.faces)?;
         let transfer = SurfaceTransfer::fit(&body, &sewn.layers());
         Ok(Self { model, minimal, cut, sewn, transfer })
@@ -111,18 +111,25 @@ impl<'a> DressedSubject<'a> {
         (skip, stride): (usize, usize),
         noise: &mut RegistrationNoise,
     ) -> Result<(Vec<SynthFrame>, TakeQuality)> {
-        let worn = (&self.sewn.mesh, &self.cut.material);
-        let simulated = options.run(self.model, &self.minimal, worn, motion, &mut |_, _| {})?;
+        let worn = [
+            (&self.sewn.lower, &self.cut.lower_material),
+            (&self.sewn.upper, &self.cut.upper_material),
+        ];
+        let simulated =
+            options.run_outfit(self.model, &self.minimal, &worn, motion, &mut |_, _| {})?;
+        let qualities = simulated.iter().map(SimulatedGarment::quality);
+        let simulation = qualities.reduce(SimulationQuality::with).unwrap_or_default();
         let canonical = CanonicalBody::new(self.model, &self.minimal)?;
         let covered: Vec<bool> = self.transfer.points().iter().map(Option::is_some).collect();
-        let mut quality = TakeQuality { simulation: simulated.quality(), ..TakeQuality::default() };
+        let mut quality = TakeQuality { simulation, ..TakeQuality::default() };
         let mut frames = Vec::new();
         for frame in (skip..motion.frames()).step_by(stride) {
             let pose = motion.poses.row(frame).to_vec();
             let transl = motion.translation(frame);
             let body = self.model.pose_shape(&self.minimal, &pose, transl, None)?.vertices;
             let skin = points(body.view());
-            let garment = points(simulated.frames.index_axis(Axis(0), frame));
+            let vertices = |worn: &SimulatedGarment| points(worn.frames.index_axis(Axis(0), frame));
+            let garment = simulated.iter().flat_map(vertices).collect::<Vec<_>>();
             let laid = self.transfer.lay(&skin, &garment);
             let at = canonical.frame(&pose, transl)?;
             let mut displacement = canonical.displacement(&at, &laid, &covered);
