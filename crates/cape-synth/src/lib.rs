@@ -32,6 +32,8 @@ pub use cape_core::{Error, Result};
 pub use body::{
     FACES as BODY_FACES, HalfBody, VERTICES as BODY_VERTICES, embedded_body, synthetic_body,
 };
-pub use dataset::{CaptureGenerator, SequenceGenerator, SynthFrame, SynthSequence, SynthSpec};
+pub use dataset::{
+    CaptureGenerator, SequenceGenerator, SubjectGroup, SynthFrame, SynthSequence, SynthSpec,
+};
 pub use motion::{Motion, MotionStyle};
 pub use wardrobe::{FittedOutfit, GarmentLengths, OutfitStyle, Wardrobe, mix_seed};

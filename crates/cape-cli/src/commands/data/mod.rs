@@ -5,6 +5,7 @@ mod inspect;
 mod pack;
 mod simulated;
 pub(crate) mod synth;
+mod tree_files;
 mod unpose;
 
 use clap::Subcommand;

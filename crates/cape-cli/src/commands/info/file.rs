@@ -14,9 +14,9 @@ use ndarray::Array2;
 
 use super::FileSummary;
 use crate::{
+    body_source::BuiltinBody,
     error::{Error, Result},
     mesh_file::has_extension,
-    options::BuiltinBody,
 };
 
 /// Largest number of listed objects of an array.
@@ -115,8 +115,9 @@ fn body(path: &Path) -> Result<FileSummary> {
 }
 
 /// Describes a body of the program with its source.
-pub(super) fn describe_builtin(body: &BuiltinBody) -> FileSummary {
-    body_facts("built-in body in SMPL's layout", &body.model).with("source", body.source.as_str())
+pub(super) fn describe_builtin(body: BuiltinBody) -> Result<FileSummary> {
+    let facts = body_facts("built-in body in SMPL's layout", &body.load()?);
+    Ok(facts.with("source", body.provenance()?))
 }
 
 fn body_facts(kind: &'static str, body: &SmplModel) -> FileSummary {
