@@ -185,7 +185,43 @@ mod tests {
     use std::fs;
 
     use super::*;
-    use cape_core::silent;
+    use cape_core::{silent, smpl::Gender};
+
+    #[test]
+    fn subjects_are_unposed_by_the_bodies_of_their_genders() {
+        let root = tempfile::tempdir().unwrap();
+        let [raw_tree, out] = ["raw", "out"].map(|name| root.path().join(name));
+        let male = synthetic_body();
+        let mut female = male.clone();
+        female.v_template.column_mut(1).mapv_inplace(|y| 0.9 * y);
+        let bodies = SubjectBodies::Genders { male: &male, female: &female };
+        let spec = SynthSpec {
+            subjects: 2,
+            frames_per_sequence: 2,
+            motions: vec![cape_synth::Motion::Squats],
+            ..SynthSpec::default()
+        };
+        CaptureGenerator::new(bodies, spec).unwrap().write(&raw_tree, &mut silent).unwrap();
+        let report = unpose(&raw_tree, &out, bodies, 10, &mut silent).unwrap();
+        assert_eq!((report.frames, report.broken.len()), (16, 0));
+        assert!(report.subjects.iter().all(|subject| subject.residual_mm < 1e-3), "{report:?}");
+        let tree = RawTree::open(&out).unwrap();
+        assert_eq!(tree.genders().unwrap(), RawTree::open(&raw_tree).unwrap().genders().unwrap());
+        for (gender, body) in [(Gender::Male, &male), (Gender::Female, &female)] {
+            let path = tree.body_path(Some(gender)).unwrap();
+            assert_eq!(SmplModel::load(path).unwrap(), *body);
+        }
+        assert_eq!(tree.body_path(None), None);
+        // With the bodies exchanged, no shape fits; without genders, no body is known.
+        let exchanged = SubjectBodies::Genders { male: &female, female: &male };
+        let elsewhere = root.path().join("exchanged");
+        let report = unpose(&raw_tree, elsewhere, exchanged, 2, &mut silent).unwrap();
+        assert!(report.subjects.iter().all(|subject| subject.residual_mm > 1.0), "{report:?}");
+        fs::remove_file(raw_tree.join(GENDERS_FILE)).unwrap();
+        let message =
+            unpose(&raw_tree, root.path().join("none"), bodies, 10, &mut silent).unwrap_err();
+        assert!(message.to_string().contains("s0001: unknown gender"), "{message}");
+    }
 
     #[test]
     fn synthetic_captures_are_unposed_to_what_they_were_made_of() {
@@ -224,6 +260,7 @@ mod tests {
             assert_eq!(found.pose, expected.pose);
         }
         assert!(out.join(raw::BODY_FILE).is_file());
+        assert_eq!(RawTree::open(&out).unwrap().genders().unwrap().len(), 0);
         let message = unpose(&out, &out, &body, 10, &mut silent).unwrap_err().to_string();
         assert!(message.contains("already exists"), "{message}");
     }

@@ -162,13 +162,13 @@ fn motion(path: &Path) -> Result<FileSummary> {
         };
         facts = facts
             .with(of("frames"), person.frames())
-            .maybe(&of("frames per second"), person.frame_rate)
+            .maybe(of("frames per second"), person.frame_rate)
             .with(of("joints"), person.joints)
             .with(of("up"), person.up.name())
             .with(of("translations"), person.translations.is_some())
             .with(of("betas"), person.betas.len())
-            .maybe(&of("gender"), person.gender.clone())
-            .maybe(&of("displacements"), person.offsets.as_ref().map(ndarray::ArrayBase::nrows));
+            .maybe(of("gender"), person.gender.clone())
+            .maybe(of("displacements"), person.offsets.as_ref().map(ndarray::ArrayBase::nrows));
         if !person.notes.is_empty() {
             facts = facts.with(of("notes"), person.notes.join("; "));
         }
