@@ -57,7 +57,7 @@ const NOT_RUN: [(&str, &str); 17] = [
     ("--find-rate", "trains many steps; tests/cli/trials.rs runs it"),
     ("cape table2 --quick", "simulates and trains for minutes"),
     ("cape layer report --quick", "simulates for a minute; reports on sets are run"),
-    ("cape layer report --frames", "simulates for minutes; reports on sets are run"),
+    ("layer report --body sculpted --frames", "simulates for minutes; reports on sets are run"),
     ("release --preset female", "the sandbox has the release's male subjects only"),
     ("data/cape --preset female", "the sandbox has the release's male subjects only"),
 ];
