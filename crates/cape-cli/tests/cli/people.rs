@@ -44,7 +44,8 @@ fn subjects_are_male_and_female_in_turn() {
     assert_eq!(facts["female body"], "female (built in)");
     let inspected = data.run("data inspect @/people").succeeded();
     assert!(inspected.contains("female: s0002"), "{inspected}");
-    assert!(inspected.contains("no problems found"), "{inspected}");
+    assert!(inspected.contains("only one outfit"), "{inspected}");
+    assert_eq!(inspected.matches("warning:").count(), 1, "{inspected}");
 
     data.run("data pack @/people --out @/none")
         .failed_saying(&["--preset male", "--preset female"]);
