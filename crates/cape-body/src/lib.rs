@@ -22,6 +22,7 @@ mod half;
 mod make;
 mod phenotype;
 mod regressor;
+mod relax;
 mod rig;
 mod t_pose;
 

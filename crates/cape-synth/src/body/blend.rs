@@ -1,13 +1,15 @@
 //! Pose directions that compensate the volume loss of linear blend skinning at bent and twisted
 //! joints.
 
+use std::ops::{Mul, SubAssign};
+
 use glam::{DMat3, DQuat, DVec3};
 
-use super::rig::{Weights, is_ancestor};
+use super::rig::{Weights, share_below};
 use cape_core::joints::JOINTS;
 
 /// Number of entries of a rotation matrix.
-const ENTRIES: usize = 9;
+pub(super) const ENTRIES: usize = 9;
 /// Smallest correction that is kept, metres per entry of `R − I`.
 const NEGLIGIBLE: f64 = 1e-7;
 
@@ -26,13 +28,11 @@ pub(super) fn pose_directions(
 ) -> Vec<Vec<DVec3>> {
     let mut directions = vec![vec![DVec3::ZERO; (JOINTS - 1) * ENTRIES]; vertices.len()];
     for joint in 1..JOINTS {
-        let table = CorrectionTable::new(&samples(joint));
+        let rotations: Vec<DMat3> = samples(joint).into_iter().map(rotation).collect();
+        let table = CorrectionTable::new(&rotations);
         let strength = strength(joint);
         for (v, direction) in directions.iter_mut().enumerate() {
-            let share: f64 = (joint..JOINTS)
-                .filter(|&j| j == joint || is_ancestor(joint, j))
-                .map(|j| weights[v][j])
-                .sum();
+            let share = share_below(&weights[v], joint);
             if !(1e-6..=1.0 - 1e-6).contains(&share) {
                 continue;
             }
@@ -56,8 +56,8 @@ fn strength(joint: usize) -> f64 {
     }
 }
 
-/// Rotations in the range of motion of a joint, on a lattice of rotation vectors.
-fn samples(joint: usize) -> Vec<DMat3> {
+/// Rotation vectors in the range of motion of a joint, on a lattice, radians.
+pub(super) fn samples(joint: usize) -> Vec<DVec3> {
     // Largest rotation about x, y and z, radians.
     let reach = match joint {
         1 | 2 => DVec3::new(1.9, 0.8, 0.9),
@@ -77,12 +77,17 @@ fn samples(joint: usize) -> Vec<DMat3> {
             for z in ticks {
                 let at = DVec3::new(x, y, z);
                 if at.length() <= 1.0 {
-                    samples.push(DMat3::from_quat(DQuat::from_scaled_axis(at * reach)));
+                    samples.push(at * reach);
                 }
             }
         }
     }
     samples
+}
+
+/// Rotation matrix of a rotation vector.
+pub(super) fn rotation(vector: DVec3) -> DMat3 {
+    DMat3::from_quat(DQuat::from_scaled_axis(vector))
 }
 
 /// Nine matrices for each share 0, 1/N, …, 1, one per entry of `R − I`, that map a rest offset to its
@@ -133,12 +138,12 @@ impl CorrectionTable {
 }
 
 /// Entries of `R − I`, row-major.
-fn entries(rotation: &DMat3) -> [f64; ENTRIES] {
+pub(super) fn entries(rotation: &DMat3) -> [f64; ENTRIES] {
     (rotation.transpose() - DMat3::IDENTITY).to_cols_array()
 }
 
 /// Lower Cholesky factor of a positive definite matrix.
-fn cholesky(a: &[[f64; ENTRIES]; ENTRIES]) -> [[f64; ENTRIES]; ENTRIES] {
+pub(super) fn cholesky(a: &[[f64; ENTRIES]; ENTRIES]) -> [[f64; ENTRIES]; ENTRIES] {
     let mut l = [[0.0; ENTRIES]; ENTRIES];
     for i in 0..ENTRIES {
         for j in 0..=i {
@@ -149,19 +154,24 @@ fn cholesky(a: &[[f64; ENTRIES]; ENTRIES]) -> [[f64; ENTRIES]; ENTRIES] {
     l
 }
 
-/// Solves `L Lᵀ x = b` for nine matrices at once.
-fn solve(l: &[[f64; ENTRIES]; ENTRIES], mut b: [DMat3; ENTRIES]) -> [DMat3; ENTRIES] {
+/// Solves `L Lᵀ x = b`.
+pub(super) fn solve<T>(l: &[[f64; ENTRIES]; ENTRIES], mut b: [T; ENTRIES]) -> [T; ENTRIES]
+where
+    T: Copy + SubAssign + Mul<f64, Output = T>,
+{
     for i in 0..ENTRIES {
         for k in 0..i {
-            b[i] -= b[k] * l[i][k];
+            let known = b[k] * l[i][k];
+            b[i] -= known;
         }
-        b[i] *= 1.0 / l[i][i];
+        b[i] = b[i] * (1.0 / l[i][i]);
     }
     for i in (0..ENTRIES).rev() {
         for k in i + 1..ENTRIES {
-            b[i] -= b[k] * l[k][i];
+            let known = b[k] * l[k][i];
+            b[i] -= known;
         }
-        b[i] *= 1.0 / l[i][i];
+        b[i] = b[i] * (1.0 / l[i][i]);
     }
     b
 }

@@ -18,6 +18,7 @@ mod stored;
 mod surface;
 #[cfg(test)]
 mod tests;
+mod volume;
 
 pub use embedded::embedded_body;
 pub use stored::HalfBody;

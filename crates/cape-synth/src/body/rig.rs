@@ -84,6 +84,11 @@ pub(super) fn is_ancestor(ancestor: usize, joint: usize) -> bool {
     false
 }
 
+/// Share of a vertex's weights at `joint` and the joints below it.
+pub(super) fn share_below(row: &Weights, joint: usize) -> f64 {
+    (joint..JOINTS).filter(|&j| j == joint || is_ancestor(joint, j)).map(|j| row[j]).sum()
+}
+
 /// Share of the parent's weight that `joint` takes at rest position `p`.
 fn share(joint: usize, p: DVec3) -> f64 {
     if MIRRORED[joint] < joint {

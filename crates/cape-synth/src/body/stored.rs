@@ -6,7 +6,7 @@ use flate2::{Compression, read::ZlibDecoder, write::ZlibEncoder};
 use glam::DVec3;
 use ndarray::{Array2, Array3};
 
-use super::{FACES, VERTICES, blend, figure::MIRRORED, rig::Weights, shape::DIRECTIONS};
+use super::{FACES, VERTICES, blend, figure::MIRRORED, rig::Weights, shape::DIRECTIONS, volume};
 use crate::{Error, Result};
 use cape_core::{
     SmplModel,
@@ -15,7 +15,7 @@ use cape_core::{
 };
 
 /// First bytes of the uncompressed file.
-const MAGIC: &[u8; 8] = b"capebod1";
+const MAGIC: &[u8; 8] = b"capebod2";
 /// Largest size of the uncompressed file, bytes.
 const LARGEST: u64 = 4 << 20;
 /// Joints that a vertex can follow.
@@ -104,7 +104,9 @@ impl HalfBody {
             joints[joint] += vertices[v] * weight;
         }
         let shapes: Vec<Vec<DVec3>> = self.shapes.iter().map(|shape| self.whole(shape)).collect();
-        let poses = blend::pose_directions(&vertices, &weights, &joints);
+        let faces = self.all_faces();
+        let mut poses = blend::pose_directions(&vertices, &weights, &joints);
+        volume::restore_volume(&vertices, &faces, &weights, &joints, &mut poses);
         SmplModel {
             v_template: Array2::from_shape_fn((count, 3), |(v, c)| vertices[v][c]),
             shapedirs: Array3::from_shape_fn((count, 3, shapes.len()), |(v, c, d)| shapes[d][v][c]),
@@ -114,7 +116,7 @@ impl HalfBody {
             joint_regressor,
             weights: Array2::from_shape_fn((count, JOINTS), |(v, j)| weights[v][j]),
             parents: PARENTS.to_vec(),
-            faces: self.all_faces(),
+            faces,
         }
     }
 
@@ -145,9 +147,7 @@ impl HalfBody {
             for &(v, _) in row {
                 out.u16(v as usize);
             }
-            for &(_, weight) in row {
-                out.u16((weight * 65535.0).round() as usize);
-            }
+            out.numbers(row.iter().map(|&(_, weight)| weight));
         }
         out.u16(self.uv.coordinates.len());
         for axis in 0..2 {
@@ -174,7 +174,7 @@ impl HalfBody {
             .map_err(|error| malformed(&format!("not deflated data: {error}")))?;
         let mut input = Reader(&raw);
         if input.bytes(MAGIC.len())? != MAGIC {
-            return Err(malformed("does not begin with `capebod1`"));
+            return Err(malformed("does not begin with `capebod2`"));
         }
         let length = input.u16()?;
         let provenance = String::from_utf8(input.bytes(length)?.to_vec())
@@ -199,11 +199,12 @@ impl HalfBody {
         for _ in stored_joints() {
             let count = input.u16()?;
             let at: Vec<usize> = (0..count).map(|_| input.u16()).collect::<Result<_>>()?;
-            let weights: Vec<usize> = (0..count).map(|_| input.u16()).collect::<Result<_>>()?;
-            let sum = weights.iter().sum::<usize>().max(1) as f64;
-            regressor.push(
-                at.into_iter().zip(weights).map(|(v, w)| (v as u32, w as f64 / sum)).collect(),
-            );
+            let weights = input.numbers(count)?;
+            let sum: f64 = weights.iter().sum();
+            if sum.abs() < 0.5 {
+                return Err(malformed("weights of a joint's regressor do not sum to 1"));
+            }
+            regressor.push(at.into_iter().zip(weights).map(|(v, w)| (v as u32, w / sum)).collect());
         }
         let points = input.u16()?;
         let [u, v] = [input.differences(points)?, input.differences(points)?];
@@ -295,10 +296,24 @@ impl Writer {
         let largest = vectors.iter().map(|v| v.abs().max_element()).fold(1e-9, f64::max) as f32;
         self.0.extend(largest.to_le_bytes());
         for axis in 0..3 {
-            let scaled = vectors.iter().map(|v| v[axis] / f64::from(largest) * 32767.0);
-            self.differences(scaled.map(|x| x.round().clamp(-32767.0, 32767.0) as i16 as u16));
+            self.differences(vectors.iter().map(|v| quantised(v[axis], largest)));
         }
     }
+
+    /// Numbers in units of 1/32767 of the largest.
+    fn numbers(&mut self, numbers: impl Iterator<Item = f64> + Clone) {
+        let largest = numbers.clone().map(f64::abs).fold(1e-9, f64::max) as f32;
+        self.0.extend(largest.to_le_bytes());
+        for number in numbers {
+            self.0.extend(quantised(number, largest).to_le_bytes());
+        }
+    }
+}
+
+/// Number in units of 1/32767 of the largest.
+fn quantised(number: f64, largest: f32) -> u16 {
+    let scaled = (number / f64::from(largest) * 32767.0).round();
+    scaled.clamp(-32767.0, 32767.0) as i16 as u16
 }
 
 struct Reader<'a>(&'a [u8]);
@@ -335,12 +350,20 @@ impl<'a> Reader<'a> {
             .collect())
     }
 
-    fn vectors(&mut self, count: usize) -> Result<Vec<DVec3>> {
+    /// Largest of numbers that follow in units of 1/32767 of it.
+    fn scale(&mut self) -> Result<f64> {
         let scale = self.bytes(4)?;
         let largest = f64::from(f32::from_le_bytes([scale[0], scale[1], scale[2], scale[3]]));
-        if !largest.is_finite() {
-            return Err(malformed("scale is not finite"));
-        }
+        if largest.is_finite() { Ok(largest) } else { Err(malformed("scale is not finite")) }
+    }
+
+    fn numbers(&mut self, count: usize) -> Result<Vec<f64>> {
+        let largest = self.scale()?;
+        (0..count).map(|_| Ok(f64::from(self.u16()? as i16) * largest / 32767.0)).collect()
+    }
+
+    fn vectors(&mut self, count: usize) -> Result<Vec<DVec3>> {
+        let largest = self.scale()?;
         let axes = [self.differences(count)?, self.differences(count)?, self.differences(count)?];
         let number = |value: u16| f64::from(value as i16) * largest / 32767.0;
         Ok((0..count)
