@@ -11,7 +11,7 @@ use cape_core::{
 };
 use cape_eval::store::StoreSettings;
 use cape_layer::BodyIdentity;
-use cape_synth::{HalfBody, embedded_body, synthetic_body};
+use cape_synth::{BODY_VERTICES, HalfBody, embedded_body, synthetic_body};
 use clap::Args;
 use serde::{Deserialize, Serialize};
 
@@ -225,7 +225,10 @@ impl BuiltinBody {
                 half.vertices.iter().zip(rows).all(|(own, row)| own.to_array()[..] == row.to_vec())
             }),
             // It takes a second to sculpt.
-            Self::Sculpted => model.v_template.column(0).sum().abs() < SYMMETRIC,
+            Self::Sculpted => {
+                let sum = model.v_template.column(0).sum();
+                model.vertices() == BODY_VERTICES && sum.abs() < SYMMETRIC
+            }
         }
     }
 

@@ -138,8 +138,8 @@ impl Table2Args {
         if self.dry_run {
             return estimate::run(&grid, &jobs, &device, console);
         }
-        let body_name = body_source::describe(&grid.body(&set)?.0);
         store.begin()?;
+        let body_name = body_source::describe(&grid.body(&set)?.0);
         let interrupt = Interrupt::listen(console)?;
         let report = |results: &[RowResult]| {
             let (methods, cape) = methods(results);
