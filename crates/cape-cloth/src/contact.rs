@@ -1,7 +1,9 @@
-use glam::DVec3;
+use std::collections::HashMap;
+
+use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
-use cape_core::geometry::SurfaceIndex;
+use cape_core::geometry::{SurfaceIndex, closest_on_triangle};
 
 /// Parameters of the contact of cloth with a body in one step, at vertices and at the centres of
 /// faces.
@@ -32,17 +34,30 @@ impl Contact {
     pub const REACH: f64 = 0.02;
 }
 
-/// Last closest point on the body of a point of the cloth, by which most steps skip the query.
+/// Closest point on the body of a point of the cloth in an earlier step.
+///
+/// The whole body is searched again only when point and body may have approached by the distance found
+/// last; in between, points in contact are compared with the neighbourhood of their closest face.
 #[derive(Debug, Clone, Copy, Default)]
 struct ContactCache {
     face: Option<u32>,
-    /// Lower bound of the distance from the body at the last query, metres.
+    /// Gradient of the distance from the body in the last step with a closest face.
+    outward: DVec3,
+    /// Lower bound of the distance from the body at the last search, metres.
     distance: f64,
-    /// Position of the point at the last query, metres.
+    /// Position of the point relative to the reference at the last search, metres.
     at: DVec3,
-    /// Largest path length of the body's vertices at the last query, metres.
+    /// Largest path of the surrounding body relative to the reference since the last search, metres.
     travelled: f64,
+    /// Largest displacement of the surrounding body in a frame, metres, and that frame.
+    rate: f64,
+    frame: u64,
+    /// Gradient of the distance and displacement of the body in the step, metres, if pushed in it.
+    pushed: Option<[DVec3; 2]>,
 }
+
+/// Approach of a point to another part of the body between searches of the whole body, metres.
+const UNSEEN: f64 = 0.004;
 
 /// Displacement that resolves a contact: `outward` times `depth`, metres, and the point of the body.
 #[derive(Debug, Clone, Copy)]
@@ -53,13 +68,101 @@ struct ContactCorrection {
     barycentric: [f64; 3],
 }
 
+/// Motion of a body within a frame, relative to its mean motion.
+#[derive(Debug, Clone, Default)]
+struct BodyMovement {
+    /// Number of the frame, from 1.
+    frame: u64,
+    /// Position of the reference, which moves by the mean displacement, metres.
+    reference: DVec3,
+    /// Displacement of the reference in the frame, metres.
+    mean: DVec3,
+    /// Largest displacement relative to the mean in cells of [`CELL`] metres.
+    cells: HashMap<IVec3, f64>,
+    /// Faces that share a corner with each face, and the faces that they belong to.
+    around: Vec<Vec<u32>>,
+    faces: Vec<[u32; 3]>,
+    /// Corners of the faces around each face.
+    corners_around: Vec<Vec<u32>>,
+}
+
+/// Edge of the cells in which the body's motion is bounded, metres.
+const CELL: f64 = 0.1;
+
+impl BodyMovement {
+    /// Measures the motion of the next frame.
+    fn begin(&mut self, body: &SurfaceIndex) {
+        self.frame += 1;
+        self.cells.clear();
+        self.mean = DVec3::ZERO;
+        let faces = &body.surface().faces;
+        if self.faces != *faces {
+            self.faces.clone_from(faces);
+            let corners = body.surface().vertex_faces();
+            self.around = faces
+                .iter()
+                .map(|face| {
+                    let mut near: Vec<u32> =
+                        face.iter().flat_map(|&v| corners[v as usize].iter().copied()).collect();
+                    near.sort_unstable();
+                    near.dedup();
+                    near
+                })
+                .collect();
+            let corners_of = |near: &Vec<u32>| {
+                let mut corners: Vec<u32> =
+                    near.iter().flat_map(|&face| faces[face as usize]).collect();
+                corners.sort_unstable();
+                corners.dedup();
+                corners
+            };
+            self.corners_around = self.around.iter().map(corners_of).collect();
+        }
+        if body.largest_displacement() == 0.0 {
+            return;
+        }
+        const FIRST: [f64; 3] = [1.0, 0.0, 0.0];
+        let moves: Vec<[DVec3; 2]> = (0..faces.len() as u32)
+            .map(|face| [0.0, 1.0].map(|t| body.position_at(face, FIRST, t)))
+            .collect();
+        self.mean = moves.iter().map(|[from, to]| *to - *from).sum::<DVec3>() / moves.len() as f64;
+        for [from, to] in moves {
+            let way = (to - from - self.mean).length();
+            for t in [0.0, 0.5, 1.0] {
+                let most = self.cells.entry(cell(from.lerp(to, t))).or_default();
+                *most = most.max(way);
+            }
+        }
+    }
+
+    /// Largest displacement relative to the mean of the body within a cell's edge of a point, metres.
+    fn around(&self, point: DVec3) -> f64 {
+        let centre = cell(point);
+        let mut most = 0.0f64;
+        for x in -1..=1 {
+            for y in -1..=1 {
+                for z in -1..=1 {
+                    let found = self.cells.get(&(centre + IVec3::new(x, y, z)));
+                    most = most.max(found.copied().unwrap_or(0.0));
+                }
+            }
+        }
+        most
+    }
+}
+
+fn cell(point: DVec3) -> IVec3 {
+    (point / CELL).floor().as_ivec3()
+}
+
 /// Contact caches of a piece of cloth.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Contacts {
     vertices: Vec<ContactCache>,
     centres: Vec<ContactCache>,
-    /// Upper bound of the path length of the body's vertices so far, metres.
-    travelled: f64,
+    body: BodyMovement,
+    /// Share of the frame since the last contacts.
+    share: f64,
 }
 
 impl Contacts {
@@ -67,7 +170,29 @@ impl Contacts {
         Self {
             vertices: vec![ContactCache::default(); vertices],
             centres: vec![ContactCache::default(); faces],
-            travelled: 0.0,
+            body: BodyMovement::default(),
+            share: 0.0,
+        }
+    }
+
+    /// Follows the body through a step from and to a time within its frame, 0 to 1.
+    pub(super) fn advance(&mut self, body: &SurfaceIndex, [from, now]: [f64; 2]) {
+        if from == 0.0 {
+            self.body.begin(body);
+        }
+        self.share += now - from;
+        self.body.reference += self.body.mean * (now - from);
+        self.vertices.iter_mut().for_each(|memory| memory.pushed = None);
+    }
+
+    /// Velocities after the contacts of a step of `dt` seconds, m/s: vertices that were pushed do not
+    /// part from the body, since contact is inelastic.
+    pub(super) fn stop(&self, velocities: &mut [DVec3], dt: f64) {
+        for (velocity, memory) in velocities.iter_mut().zip(&self.vertices) {
+            if let Some([outward, carried]) = memory.pushed {
+                let parting = (*velocity - carried / dt).dot(outward);
+                *velocity -= outward * parting.max(0.0);
+            }
         }
     }
 
@@ -75,27 +200,34 @@ impl Contacts {
     /// allows, along the gradient of the distance, and applies Coulomb friction: the tangential
     /// movement of a vertex relative to the body is reduced by at most the friction times its push.
     /// `before` are the positions before the step, metres.
+    ///
+    /// `contacts` are of the layers of the cloth, `sheet` its inverse masses, 1/kg, faces, and the layer
+    /// of each vertex. [`advance`](Self::advance) comes before it in each step.
     pub(super) fn resolve(
         &mut self,
-        contact: &Contact,
+        contacts: &[Contact],
         body: &SurfaceIndex,
         before: &[DVec3],
         positions: &mut [DVec3],
-        (inverse_masses, faces): (&[f64], &[[u32; 3]]),
+        sheet: (&[f64], &[[u32; 3]], &[u8]),
     ) {
-        self.travelled += body.largest_displacement() * (contact.now - contact.from);
-        let travelled = self.travelled;
-        self.push_out_faces(contact, body, positions, (inverse_masses, faces));
-        let moving = positions.par_iter_mut().zip(before).zip(inverse_masses);
-        moving.zip(&mut self.vertices).filter(|((_, w), _)| **w > 0.0).for_each(
-            |(((x, &before), _), memory)| {
-                let Some(push) = memory.push(body, *x, contact.thickness, travelled) else {
+        let (inverse_masses, _, layers) = sheet;
+        let movement = &self.body;
+        let share = std::mem::take(&mut self.share);
+        push_out_faces((&mut self.centres, movement), contacts, body, positions, sheet, share);
+        let moving = positions.par_iter_mut().zip(before).zip(inverse_masses).zip(layers);
+        moving.zip(&mut self.vertices).filter(|(((_, w), _), _)| **w > 0.0).for_each(
+            |((((x, &before), _), &layer), memory)| {
+                let contact = &contacts[usize::from(layer)];
+                let thickness = contact.thickness;
+                let Some(push) = memory.push((body, movement), *x, thickness, share) else {
                     return;
                 };
                 let ContactCorrection { depth, outward, face, barycentric } = push;
                 *x += outward * depth;
                 let carried = body.position_at(face, barycentric, contact.now)
                     - body.position_at(face, barycentric, contact.from);
+                memory.pushed = Some([outward, carried]);
                 let slip = (*x - before) - carried;
                 let slip = slip - outward * slip.dot(outward);
                 let length = slip.length();
@@ -105,61 +237,96 @@ impl Contacts {
             },
         );
     }
+}
 
-    /// Moves each vertex by the mean of the pushes of its faces.
-    fn push_out_faces(
-        &mut self,
-        contact: &Contact,
-        body: &SurfaceIndex,
-        positions: &mut [DVec3],
-        (inverse_masses, faces): (&[f64], &[[u32; 3]]),
-    ) {
-        let (at, travelled) = (&*positions, self.travelled);
-        let pushes: Vec<Option<DVec3>> = faces
-            .par_iter()
-            .zip(&mut self.centres)
-            .map(|(corners, memory)| {
-                let centre = corners.iter().map(|&v| at[v as usize]).sum::<DVec3>() / 3.0;
-                let push = memory.push(body, centre, 0.5 * contact.thickness, travelled)?;
-                Some(push.outward * push.depth)
-            })
-            .collect();
-        let mut moves = vec![(DVec3::ZERO, 0.0); positions.len()];
-        for (corners, push) in faces.iter().zip(pushes) {
-            let Some(push) = push else { continue };
-            // Δx = w_i ∇_i λ with gradients of 1/3 each.
+/// Moves each vertex by the mean of the pushes of its faces: of their centres, and of vertices of the
+/// body that are closer to them than half the thickness, or beyond them.
+fn push_out_faces(
+    (centres, movement): (&mut [ContactCache], &BodyMovement),
+    contacts: &[Contact],
+    body: &SurfaceIndex,
+    positions: &mut [DVec3],
+    (inverse_masses, faces, layers): (&[f64], &[[u32; 3]], &[u8]),
+    share: f64,
+) {
+    let at = &*positions;
+    let pushes: Vec<[Option<([f64; 3], DVec3)>; 2]> = faces
+        .par_iter()
+        .zip(centres)
+        .map(|(corners, memory)| {
+            let centre = corners.iter().map(|&v| at[v as usize]).sum::<DVec3>() / 3.0;
+            let contact = &contacts[usize::from(layers[corners[0] as usize])];
+            let thickness = 0.5 * contact.thickness;
+            let push = memory.push((body, movement), centre, thickness, share);
+            let push = push.map(|push| ([1.0 / 3.0; 3], push.outward * push.depth));
+            let triangle = corners.map(|v| at[v as usize]);
+            [push, memory.push_off_vertex((body, movement), triangle, thickness)]
+        })
+        .collect();
+    let mut moves = vec![(DVec3::ZERO, 0.0); positions.len()];
+    for (corners, pushes) in faces.iter().zip(pushes) {
+        for (shares, push) in pushes.into_iter().flatten() {
+            // Δx = w_i ∇_i λ with the point's shares of the corners as gradients.
             let weights = corners.map(|v| inverse_masses[v as usize]);
-            let total: f64 = weights.iter().sum();
-            for (&v, w) in corners.iter().zip(weights).filter(|_| total > 0.0) {
-                let (sum, count) = &mut moves[v as usize];
-                *sum += push * (3.0 * w / total);
-                *count += 1.0;
+            let total: f64 = weights.iter().zip(shares).map(|(w, share)| w * share * share).sum();
+            for ((&v, w), share) in corners.iter().zip(weights).zip(shares) {
+                if total > 0.0 && share > 0.0 {
+                    let (sum, count) = &mut moves[v as usize];
+                    *sum += push * (w * share / total);
+                    *count += 1.0;
+                }
             }
         }
-        for (x, (sum, count)) in positions.iter_mut().zip(moves).filter(|(_, all)| all.1 > 0.0) {
-            *x += sum / count;
-        }
+    }
+    for (x, (sum, count)) in positions.iter_mut().zip(moves).filter(|(_, all)| all.1 > 0.0) {
+        *x += sum / count;
     }
 }
 
 impl ContactCache {
+    /// Correction of a point `x` that keeps `thickness` metres from the body, after a `share` of the
+    /// frame.
     fn push(
         &mut self,
-        body: &SurfaceIndex,
+        (body, movement): (&SurfaceIndex, &BodyMovement),
         x: DVec3,
         thickness: f64,
-        travelled: f64,
+        share: f64,
     ) -> Option<ContactCorrection> {
         let reach = Contact::REACH.max(thickness);
-        if self.distance - x.distance(self.at) - (travelled - self.travelled) > thickness {
+        if self.frame != movement.frame {
+            (self.rate, self.frame) = (movement.around(x), movement.frame);
+        }
+        self.travelled += self.rate * share;
+        let relative = x - movement.reference;
+        let approach = relative.distance(self.at) + self.travelled;
+        if self.distance - approach > thickness {
             return None;
         }
+        if let Some(face) = self.face.filter(|_| approach < UNSEEN) {
+            let (distance, face, barycentric, away) = closest_around((body, movement), x, face);
+            let inside = away.dot(self.outward) < 0.0;
+            let distance = if inside { -distance } else { distance };
+            if let Some(direction) = away.try_normalize().filter(|_| distance.abs() > 1e-6) {
+                self.outward = if inside { -direction } else { direction };
+            }
+            self.face = Some(face);
+            let depth = thickness - distance;
+            let outward = self.outward;
+            return (depth > 0.0).then_some(ContactCorrection {
+                depth,
+                outward,
+                face,
+                barycentric,
+            });
+        }
         let near = body.closest_from(x, reach, self.face);
-        (self.at, self.travelled) = (x, travelled);
+        (self.at, self.travelled) = (relative, 0.0);
         // Inside the body the distance is no lower bound.
         self.distance = near.map_or(reach, |near| near.signed_distance.max(0.0));
         self.face = near.map(|near| near.face);
         let near = near?;
+        self.outward = near.outward;
         let depth = thickness - near.signed_distance;
         (depth > 0.0).then_some(ContactCorrection {
             depth,
@@ -168,4 +335,60 @@ impl ContactCache {
             barycentric: near.barycentric,
         })
     }
+}
+
+impl ContactCache {
+    /// Push of a triangle of the cloth off the body's vertex that is nearest to its far side or most
+    /// beyond it, among those around the closest face of its centre: its barycentric coordinates in the
+    /// triangle, and the displacement there, metres.
+    fn push_off_vertex(
+        &self,
+        (body, movement): (&SurfaceIndex, &BodyMovement),
+        [a, b, c]: [DVec3; 3],
+        thickness: f64,
+    ) -> Option<([f64; 3], DVec3)> {
+        // Far centres have searched the whole body and found no face.
+        let face = self.face?;
+        let cross = (b - a).cross(c - a);
+        let normal = cross.try_normalize()?;
+        let outward = normal * normal.dot(self.outward).signum();
+        // A face that stands on the body has no side that it belongs to.
+        if outward.dot(self.outward) < 0.5 {
+            return None;
+        }
+        let mut most = (0.0, [0.0; 3]);
+        for &v in &movement.corners_around[face as usize] {
+            let p = body.surface().vertices[v as usize];
+            let depth = thickness - (a - p).dot(outward);
+            if depth <= most.0 || depth > Contact::REACH {
+                continue;
+            }
+            let area = cross.length_squared();
+            let share = |from: DVec3, to: DVec3| (to - from).cross(p - from).dot(cross) / area;
+            let shares = [share(b, c), share(c, a), share(a, b)];
+            if shares.iter().all(|&share| share > 0.0) {
+                most = (depth, shares);
+            }
+        }
+        (most.0 > 0.0).then_some((most.1, outward * most.0))
+    }
+}
+
+/// Closest point of a face and its neighbours: its distance, metres, face, barycentric coordinates,
+/// and the way from it to the point.
+fn closest_around(
+    (body, movement): (&SurfaceIndex, &BodyMovement),
+    x: DVec3,
+    face: u32,
+) -> (f64, u32, [f64; 3], DVec3) {
+    let mut best = (f64::INFINITY, face, [0.0; 3], DVec3::ZERO);
+    for &face in &movement.around[face as usize] {
+        let (nearest, barycentric) = closest_on_triangle(x, body.surface().corners(face as usize));
+        let away = x - nearest;
+        let distance = away.length_squared();
+        if distance < best.0 {
+            best = (distance, face, barycentric, away);
+        }
+    }
+    (best.0.sqrt(), best.1, best.2, best.3)
 }

@@ -1,6 +1,6 @@
 use std::collections::HashMap;
 
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::material::{ClothMaterial, StretchStiffness};
@@ -17,6 +17,8 @@ struct Membrane {
     slopes: [DVec2; 3],
     area: f64,
     stiffness: StretchStiffness,
+    /// Damping relative to the stiffness, seconds.
+    damping: f64,
 }
 
 /// Two neighbouring triangles: ends of their edge, then their opposite corners.
@@ -27,26 +29,45 @@ struct Hinge {
     rest: f64,
     /// Energy is half of it times the squared change of the angle, N·m.
     stiffness: f64,
+    /// Damping relative to the stiffness, seconds.
+    damping: f64,
 }
 
 /// Linearisation of a membrane at one state.
 #[derive(Debug, Clone, Copy, Default)]
 struct MembraneState {
     /// Images of the unit vectors along weft and warp.
-    weft: DVec3,
-    warp: DVec3,
-    /// Stress along weft, warp and in shear, N/m, and its positive semidefinite part.
-    stress: [f64; 3],
-    tension: [f64; 3],
+    weft: Vec3,
+    warp: Vec3,
+    /// Positive semidefinite part of the stress along weft, warp and in shear, N/m.
+    tension: [f32; 3],
+    /// Area times `dt (dt + damping)`, m²·s².
+    weight: f32,
+    /// Negative impulses for slopes along weft and warp, N·m·s.
+    pulls: [DVec3; 2],
 }
 
 /// Linearisation of a hinge at one state.
 #[derive(Debug, Clone, Copy, Default)]
 struct HingeState {
     /// Gradient of the angle for each corner, 1/m.
-    gradients: [DVec3; 4],
-    /// Derivative of the energy by the angle, N·m.
+    gradients: [Vec3; 4],
+    /// Negative impulse for a gradient of 1, N·m·s.
     moment: f64,
+    /// Stiffness times `dt (dt + damping)`, N·m·s².
+    weight: f32,
+}
+
+/// An element's part in a block of the matrix: the derivative of the negative force on one of its
+/// corners by the position of another.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Contribution {
+    element: u32,
+    corner: u8,
+    other: u8,
+    is_hinge: bool,
+    /// Block of the row.
+    slot: u16,
 }
 
 /// Elastic forces of a cloth: stretch and shear of its triangles, and bending of its inner edges.
@@ -62,7 +83,8 @@ pub(super) struct ElasticForces {
 }
 
 impl ElasticForces {
-    pub(super) fn new(rest: &SurfaceMesh, material: &ClothMaterial) -> Self {
+    /// Forces of a cloth with the rest surface `rest`; `material` is of a vertex.
+    pub(super) fn new<'a>(rest: &SurfaceMesh, material: impl Fn(u32) -> &'a ClothMaterial) -> Self {
         let membranes: Vec<Membrane> = (0..rest.faces.len())
             .filter_map(|face| {
                 let [a, b, c] = rest.corners(face);
@@ -77,11 +99,13 @@ impl ElasticForces {
                     let across = normal.cross(to - from) / cross.length();
                     DVec2::new(across.dot(weft), across.dot(warp))
                 };
+                let of = material(rest.faces[face][0]);
                 Some(Membrane {
                     corners: rest.faces[face],
                     slopes: [slope(b, c), slope(c, a), slope(a, b)],
                     area: 0.5 * cross.length(),
-                    stiffness: material.stretch,
+                    stiffness: of.stretch,
+                    damping: of.damping,
                 })
             })
             .collect();
@@ -91,12 +115,13 @@ impl ElasticForces {
                 let [a, b, c, d] = corners.map(|v| rest.vertices[v as usize]);
                 let edge = b - a;
                 let areas = 0.5 * (edge.cross(c - a).length() + edge.cross(d - a).length());
-                let stiffness =
-                    material.bend * edge.length_squared() / areas.max(f64::MIN_POSITIVE);
+                let of = material(corners[0]);
+                let stiffness = of.bend * edge.length_squared() / areas.max(f64::MIN_POSITIVE);
                 Hinge {
                     corners,
                     rest: dihedral([a, b, c, d]).map_or(0.0, |(angle, _)| angle),
                     stiffness,
+                    damping: of.damping,
                 }
             })
             .collect();
@@ -137,69 +162,85 @@ impl ElasticForces {
         (0..self.in_membranes.len()).map(stencil).collect()
     }
 
-    /// Computes strains and angles at the positions `at`, metres.
-    pub(super) fn linearise(&mut self, at: &[DVec3]) {
+    /// Contributions to a vertex's row of the matrix, whose blocks are those of the `columns`; others
+    /// are left out.
+    pub(super) fn contributions(&self, vertex: usize, columns: &[u32]) -> Vec<Contribution> {
+        let slot = |v: u32| columns.iter().position(|&column| column == v).map(|slot| slot as u16);
+        let mut all = Vec::new();
+        for &(element, corner) in &self.in_membranes[vertex] {
+            for (other, &v) in self.membranes[element as usize].corners.iter().enumerate() {
+                let Some(slot) = slot(v) else { continue };
+                let other = other as u8;
+                all.push(Contribution { element, corner, other, is_hinge: false, slot });
+            }
+        }
+        for &(element, corner) in &self.in_hinges[vertex] {
+            for (other, &v) in self.hinges[element as usize].corners.iter().enumerate() {
+                let Some(slot) = slot(v) else { continue };
+                let other = other as u8;
+                all.push(Contribution { element, corner, other, is_hinge: true, slot });
+            }
+        }
+        all
+    }
+
+    /// Linearises at positions, metres, and velocities, m/s, for a step of `dt` seconds: for the impulse
+    /// `dt f − dt (dt + damping) K v` and the matrix `dt (dt + damping) K`.
+    pub(super) fn linearise(&mut self, at: &[DVec3], velocities: &[DVec3], dt: f64) {
         self.membranes
             .par_iter()
             .zip(&mut self.membrane_states)
             .with_min_len(GRAIN)
-            .for_each(|(membrane, state)| *state = membrane.state(at));
+            .for_each(|(membrane, state)| *state = membrane.state(at, velocities, dt));
         self.hinges
             .par_iter()
             .zip(&mut self.hinge_states)
             .with_min_len(GRAIN)
-            .for_each(|(hinge, state)| *state = hinge.state(at));
+            .for_each(|(hinge, state)| *state = hinge.state(at, velocities, dt));
     }
 
-    /// Force on a vertex in the linearised state, newtons.
-    pub(super) fn force(&self, vertex: usize) -> DVec3 {
-        let mut force = DVec3::ZERO;
+    /// Impulse `dt f − dt (dt + damping) K v` on a vertex in the linearised state, N·s.
+    pub(super) fn impulse(&self, vertex: usize) -> DVec3 {
+        let mut impulse = DVec3::ZERO;
         for &(element, corner) in &self.in_membranes[vertex] {
-            let membrane = &self.membranes[element as usize];
-            let MembraneState { weft, warp, stress, .. } = self.membrane_states[element as usize];
-            let slope = membrane.slopes[corner as usize];
-            force -= (weft * (slope.x * stress[0] + slope.y * stress[2])
-                + warp * (slope.y * stress[1] + slope.x * stress[2]))
-                * membrane.area;
+            let slope = self.membranes[element as usize].slopes[corner as usize];
+            let [weft, warp] = self.membrane_states[element as usize].pulls;
+            impulse -= weft * slope.x + warp * slope.y;
         }
         for &(element, corner) in &self.in_hinges[vertex] {
-            let HingeState { gradients, moment } = &self.hinge_states[element as usize];
-            force -= gradients[corner as usize] * *moment;
+            let HingeState { gradients, moment, .. } = &self.hinge_states[element as usize];
+            impulse -= gradients[corner as usize].as_dvec3() * *moment;
         }
-        force
+        impulse
     }
 
-    /// Adds the derivatives of the negative force on a vertex to `row`, one block for each vertex of
-    /// its `stencil`, N/m. The negative curvature of compressed cloth is left out.
-    pub(super) fn add_stiffness(&self, vertex: usize, stencil: &[u32], row: &mut [DMat3]) {
-        let place = |v: u32| stencil.binary_search(&v).unwrap_or(0);
-        for &(element, corner) in &self.in_membranes[vertex] {
-            let membrane = &self.membranes[element as usize];
-            let state = &self.membrane_states[element as usize];
-            for (other, &v) in membrane.corners.iter().enumerate() {
-                row[place(v)] += membrane.block(state, corner as usize, other);
-            }
-        }
-        for &(element, corner) in &self.in_hinges[vertex] {
-            let hinge = &self.hinges[element as usize];
-            let gradients = &self.hinge_states[element as usize].gradients;
-            let own = gradients[corner as usize] * hinge.stiffness;
-            for (&v, &other) in hinge.corners.iter().zip(gradients) {
-                row[place(v)] += outer(own, other);
-            }
+    /// Adds contributions, derivatives of negative forces times `dt (dt + damping)`, to the blocks of a
+    /// row, kg. The negative curvature of compressed cloth is left out.
+    pub(super) fn add_stiffness(&self, contributions: &[Contribution], row: &mut [Mat3]) {
+        for &Contribution { element, corner, other, is_hinge, slot } in contributions {
+            let (element, corner, other) = (element as usize, corner as usize, other as usize);
+            row[slot as usize] += if is_hinge {
+                let gradients = &self.hinge_states[element].gradients;
+                let own = gradients[corner] * self.hinge_states[element].weight;
+                outer_single(own, gradients[other])
+            } else {
+                self.membranes[element].block(&self.membrane_states[element], corner, other)
+            };
         }
     }
 
     /// Elastic energy at the positions `at`, joules.
     pub(super) fn energy(&self, at: &[DVec3]) -> f64 {
         let stretch = self.membranes.iter().map(|membrane| {
-            let state = membrane.state(at);
-            let strain = strain(state.weft, state.warp);
-            0.5 * membrane.area * strain.iter().zip(state.stress).map(|(e, s)| e * s).sum::<f64>()
+            let [weft, warp] = membrane.images(at);
+            let strain = strain(weft, warp);
+            let stress = membrane.stress(strain);
+            0.5 * membrane.area * strain.iter().zip(stress).map(|(e, s)| e * s).sum::<f64>()
         });
         let bend = self.hinges.iter().map(|hinge| {
-            let HingeState { moment, .. } = hinge.state(at);
-            0.5 * moment * moment / hinge.stiffness.max(f64::MIN_POSITIVE)
+            let change = dihedral(hinge.corners.map(|v| at[v as usize]))
+                .map_or(0.0, |(angle, _)| hinge.change(angle));
+            0.5 * hinge.stiffness * change * change
         });
         stretch.sum::<f64>() + bend.sum::<f64>()
     }
@@ -215,30 +256,68 @@ pub(super) fn outer(a: DVec3, b: DVec3) -> DMat3 {
     DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
+/// The matrix `a bᵀ` in single precision.
+fn outer_single(a: Vec3, b: Vec3) -> Mat3 {
+    Mat3::from_cols(a * b.x, a * b.y, a * b.z)
+}
+
 impl Membrane {
-    fn state(&self, at: &[DVec3]) -> MembraneState {
+    /// Images of the unit vectors along weft and warp under a map of the corners.
+    fn images(&self, of: &[DVec3]) -> [DVec3; 2] {
         let (mut weft, mut warp) = (DVec3::ZERO, DVec3::ZERO);
         for (&v, slope) in self.corners.iter().zip(self.slopes) {
-            weft += at[v as usize] * slope.x;
-            warp += at[v as usize] * slope.y;
+            weft += of[v as usize] * slope.x;
+            warp += of[v as usize] * slope.y;
         }
-        let [e0, e1, e2] = strain(weft, warp);
-        let c = &self.stiffness;
-        let stress = [c.weft * e0 + c.coupling * e1, c.coupling * e0 + c.warp * e1, c.shear * e2];
-        MembraneState { weft, warp, stress, tension: positive_part(stress) }
+        [weft, warp]
     }
 
-    /// Derivative of the negative force on corner `i` by the position of corner `j`.
-    fn block(&self, state: &MembraneState, i: usize, j: usize) -> DMat3 {
-        let (p, q, c) = (self.slopes[i], self.slopes[j], &self.stiffness);
+    fn stress(&self, [e0, e1, e2]: [f64; 3]) -> [f64; 3] {
+        let c = &self.stiffness;
+        [c.weft * e0 + c.coupling * e1, c.coupling * e0 + c.warp * e1, c.shear * e2]
+    }
+
+    fn state(&self, at: &[DVec3], velocities: &[DVec3], dt: f64) -> MembraneState {
+        let lag = dt * (dt + self.damping);
+        let [weft, warp] = self.images(at);
+        let stress = self.stress(strain(weft, warp));
+        let tension = positive_part(stress);
+        let [weft_rate, warp_rate] = self.images(velocities);
+        let rates =
+            [weft.dot(weft_rate), warp.dot(warp_rate), weft.dot(warp_rate) + warp.dot(weft_rate)];
+        let along = |[s0, s1, s2]: [f64; 3], weft: DVec3, warp: DVec3| {
+            [weft * s0 + warp * s2, warp * s1 + weft * s2]
+        };
+        let elastic = along(stress, weft, warp);
+        let material = along(self.stress(rates), weft, warp);
+        let geometric = along(tension, weft_rate, warp_rate);
+        let pull = |i: usize| (elastic[i] * dt + (material[i] + geometric[i]) * lag) * self.area;
+        MembraneState {
+            weft: weft.as_vec3(),
+            warp: warp.as_vec3(),
+            tension: tension.map(|t| t as f32),
+            weight: (self.area * lag) as f32,
+            pulls: [pull(0), pull(1)],
+        }
+    }
+
+    /// Derivative of the negative force on corner `i` by the position of corner `j`, times
+    /// `dt (dt + damping)`.
+    fn block(&self, state: &MembraneState, i: usize, j: usize) -> Mat3 {
+        let (p, q) = (self.slopes[i].as_vec2() * state.weight, self.slopes[j].as_vec2());
         let MembraneState { weft, warp, tension: [t0, t1, t2], .. } = *state;
+        let [c_weft, c_warp, c_coupling, c_shear] = {
+            let c = &self.stiffness;
+            [c.weft, c.warp, c.coupling, c.shear].map(|c| c as f32)
+        };
         let geometric = p.x * q.x * t0 + p.y * q.y * t1 + (p.x * q.y + p.y * q.x) * t2;
         let (shear_p, shear_q) = (warp * p.x + weft * p.y, warp * q.x + weft * q.y);
-        let along_weft = weft * (c.weft * q.x) * p.x + warp * (c.coupling * q.y) * p.x;
-        let along_warp = weft * (c.coupling * q.x) * p.y + warp * (c.warp * q.y) * p.y;
-        let material =
-            outer(weft, along_weft) + outer(warp, along_warp) + outer(shear_p, shear_q * c.shear);
-        (DMat3::from_diagonal(DVec3::splat(geometric)) + material) * self.area
+        let along_weft = weft * (c_weft * q.x * p.x) + warp * (c_coupling * q.y * p.x);
+        let along_warp = weft * (c_coupling * q.x * p.y) + warp * (c_warp * q.y * p.y);
+        let material = outer_single(weft, along_weft)
+            + outer_single(warp, along_warp)
+            + outer_single(shear_p, shear_q * c_shear);
+        Mat3::from_diagonal(Vec3::splat(geometric)) + material
     }
 }
 
@@ -259,12 +338,23 @@ fn positive_part([xx, yy, xy]: [f64; 3]) -> [f64; 3] {
 }
 
 impl Hinge {
-    fn state(&self, at: &[DVec3]) -> HingeState {
+    fn state(&self, at: &[DVec3], velocities: &[DVec3], dt: f64) -> HingeState {
+        let lag = dt * (dt + self.damping);
         let corners = self.corners.map(|v| at[v as usize]);
         let Some((angle, gradients)) = dihedral(corners) else { return HingeState::default() };
+        let moving = gradients.iter().zip(self.corners);
+        let rate: f64 = moving.map(|(gradient, v)| gradient.dot(velocities[v as usize])).sum();
+        HingeState {
+            gradients: gradients.map(DVec3::as_vec3),
+            moment: self.stiffness * (dt * self.change(angle) + lag * rate),
+            weight: (self.stiffness * lag) as f32,
+        }
+    }
+
+    /// Difference of an angle from the one at rest, within half a turn.
+    fn change(&self, angle: f64) -> f64 {
         let turn = std::f64::consts::TAU;
-        let change = (angle - self.rest + 0.5 * turn).rem_euclid(turn) - 0.5 * turn;
-        HingeState { gradients, moment: self.stiffness * change }
+        (angle - self.rest + 0.5 * turn).rem_euclid(turn) - 0.5 * turn
     }
 }
 

@@ -24,12 +24,16 @@
 //! ```
 
 mod contact;
+#[cfg(test)]
+mod contact_tests;
 mod elastic;
 mod garment;
 mod implicit;
 mod isosurface;
 mod material;
+mod outfit;
 mod pattern;
+mod penetration;
 #[cfg(test)]
 mod physics_tests;
 mod self_collision;
@@ -42,10 +46,11 @@ pub use cape_core::{Error, Result};
 
 /// Version of the simulator: results of different versions differ, and must not be mixed in one set. The
 /// first version had no number.
-pub const SIMULATOR_VERSION: u32 = 2;
+pub const SIMULATOR_VERSION: u32 = 3;
 
 pub use contact::Contact;
 pub use garment::{Garment, GarmentKind, GarmentMesh};
 pub use material::{ClothMaterial, StretchStiffness};
+pub use penetration::Penetration;
 pub use sheet::Cloth;
 pub use simulate::{SimulatedGarment, SimulationOptions, SimulationQuality, StepReport};

@@ -125,6 +125,16 @@ impl ClothMaterial {
         ..Self::INTERLOCK
     };
 
+    /// Light silk (habotai): nominal values.
+    pub const SILK: Self = Self {
+        density: 0.06,
+        stretch: StretchStiffness { weft: 300.0, warp: 400.0, coupling: 20.0, shear: 30.0 },
+        bend: 3e-6,
+        friction: 0.2,
+        thickness: 0.002,
+        ..Self::INTERLOCK
+    };
+
     /// Semantic parameters for regression: decimal logarithms of density, mean stiffness in stretch
     /// and bending stiffness, then damping and friction, `[5]`.
     pub fn numbers(&self) -> [f64; 5] {

@@ -5,8 +5,8 @@ use cape_core::geometry::{
     BoxTree, SurfaceMesh, bounds, closest_on_triangle, ray_triangle_distance,
 };
 
-/// Steps between two searches for close pairs.
-const STEPS: usize = 5;
+/// Time between two searches for close pairs, seconds.
+const INTERVAL: f64 = 1.0 / 120.0;
 
 /// Margin of the search for close pairs, metres: the approach of two parts between two searches.
 const SLACK: f64 = 0.008;
@@ -18,12 +18,19 @@ const PARALLEL: f64 = 0.02;
 /// each on its side before the step, with friction.
 #[derive(Debug, Clone)]
 pub(super) struct SelfCollision {
-    /// Distance, metres; less for parts that are closer at rest.
-    distance: f64,
+    /// Thickness of each layer, metres.
+    thicknesses: Vec<f64>,
+    /// Layer of each vertex.
+    layers: Vec<u8>,
     rest: SurfaceMesh,
     edges: Vec<[u32; 2]>,
+    /// Neighbours of each vertex.
+    beside: Vec<Vec<u32>>,
+    /// Faces at each vertex and at its neighbours, ascending.
+    around: Vec<Vec<u32>>,
     pairs: Vec<ClosePair>,
-    steps: usize,
+    /// Time since the last search, seconds.
+    since: f64,
 }
 
 /// Two close parts and the distance that they keep, metres.
@@ -36,23 +43,44 @@ enum ClosePair {
 }
 
 impl SelfCollision {
-    pub(super) fn new(rest: &SurfaceMesh, distance: f64) -> Self {
-        Self { distance, edges: rest.edges(), rest: rest.clone(), pairs: Vec::new(), steps: 0 }
+    /// Self-collision of layers of the given thicknesses, metres; `layers` has the layer of each
+    /// vertex.
+    pub(super) fn new(rest: &SurfaceMesh, layers: Vec<u8>, thicknesses: Vec<f64>) -> Self {
+        let edges = rest.edges();
+        let mut beside = vec![Vec::new(); rest.vertices.len()];
+        for &[a, b] in &edges {
+            beside[a as usize].push(b);
+            beside[b as usize].push(a);
+        }
+        let at_vertex = rest.vertex_faces();
+        let around = (0..rest.vertices.len())
+            .map(|v| {
+                let vertices = beside[v].iter().map(|&n| n as usize).chain([v]);
+                let mut near: Vec<u32> = vertices.flat_map(|n| at_vertex[n].clone()).collect();
+                near.sort_unstable();
+                near.dedup();
+                near
+            })
+            .collect();
+        let (pairs, since) = (Vec::new(), f64::INFINITY);
+        Self { thicknesses, layers, edges, beside, around, rest: rest.clone(), pairs, since }
     }
 
-    /// Separates close pairs, one after the other. `before` are the positions before the step,
-    /// metres.
+    /// Separates close pairs, one after the other. `before` are the positions before the step of `dt`
+    /// seconds, metres.
     pub(super) fn resolve(
         &mut self,
         before: &[DVec3],
         positions: &mut [DVec3],
         inverse_masses: &[f64],
-        friction: f64,
+        (friction, dt): (f64, f64),
     ) {
-        if self.steps == 0 {
+        // A step may end a hair before the interval.
+        if self.since > INTERVAL - 1e-6 {
             self.find_pairs(before);
+            self.since = 0.0;
         }
-        self.steps = (self.steps + 1) % STEPS;
+        self.since += dt;
         let mut corners = CornerPositions { before, positions, inverse_masses, friction };
         for pair in &self.pairs {
             match *pair {
@@ -63,49 +91,75 @@ impl SelfCollision {
     }
 
     fn find_pairs(&mut self, at: &[DVec3]) {
-        let reach = self.distance + SLACK;
+        let reach = self.thicknesses.iter().copied().fold(0.0, f64::max) + SLACK;
         let place = |v: u32| at[v as usize];
         let at_rest = |v: u32| self.rest.vertices[v as usize];
-        let (faces, edges) = rayon::join(
-            || BoxTree::from_elements(&self.rest.faces, at),
-            || BoxTree::from_elements(&self.edges, at),
-        );
-        let vertices: Vec<ClosePair> = (0..at.len() as u32)
+        let faces = BoxTree::from_elements(&self.rest.faces, at);
+        let least = |v: u32, face: [u32; 3]| {
+            let (nearest, _) = closest_on_triangle(at_rest(v), face.map(at_rest));
+            self.distance(v, face[0], nearest.distance(at_rest(v)))
+        };
+        // Pairs of each vertex, and whether its edges may be close to others.
+        let near: Vec<(Vec<ClosePair>, bool)> = (0..at.len() as u32)
             .into_par_iter()
-            .flat_map_iter(|v| {
-                let faces = faces.overlapping(box_around(&[v], at, reach));
-                let faces = faces.into_iter().map(|face| self.rest.faces[face as usize]);
-                let close = faces.filter(|face| {
-                    let (nearest, _) = closest_on_triangle(place(v), face.map(place));
-                    !face.contains(&v) && nearest.distance(place(v)) < reach
-                });
-                let pair = |face: [u32; 3]| {
-                    let (nearest, _) = closest_on_triangle(at_rest(v), face.map(at_rest));
-                    ClosePair::Vertex(v, face, self.distance.min(nearest.distance(at_rest(v))))
-                };
-                close.map(pair).collect::<Vec<_>>()
+            .map(|v| {
+                let half = 0.5 * self.longest_edge(v, at);
+                let mut pairs = Vec::new();
+                let mut alert = false;
+                for index in faces.overlapping(box_around(&[v], at, reach + half)) {
+                    let face = self.rest.faces[index as usize];
+                    if face.contains(&v) {
+                        continue;
+                    }
+                    let distance =
+                        closest_on_triangle(place(v), face.map(place)).0.distance(place(v));
+                    if distance < reach {
+                        pairs.push(ClosePair::Vertex(v, face, least(v, face)));
+                    }
+                    alert |= distance < reach
+                        || (distance < reach + half
+                            && self.around[v as usize].binary_search(&index).is_err());
+                }
+                (pairs, alert)
             })
             .collect();
-        let crossing: Vec<ClosePair> = self
-            .edges
+        let on_alert = |edge: &&[u32; 2]| edge.iter().any(|&v| near[v as usize].1);
+        let edges: Vec<[u32; 2]> = self.edges.iter().filter(on_alert).copied().collect();
+        let tree = BoxTree::from_elements(&edges, at);
+        let crossing: Vec<ClosePair> = edges
             .par_iter()
             .enumerate()
             .flat_map_iter(|(index, &one)| {
-                let others = edges.overlapping(box_around(&one, at, reach)).into_iter();
+                let others = tree.overlapping(box_around(&one, at, reach)).into_iter();
                 let others = others.filter(|&other| other as usize > index);
-                let close = others.map(|other| self.edges[other as usize]).filter(|other| {
+                let close = others.map(|other| edges[other as usize]).filter(|other| {
                     !other.iter().any(|v| one.contains(v))
                         && between_segments(one.map(place), other.map(place)).1 < reach
                 });
                 let pair = |other: [u32; 2]| {
                     let (_, apart) = between_segments(one.map(at_rest), other.map(at_rest));
-                    ClosePair::Edges(one, other, self.distance.min(apart))
+                    ClosePair::Edges(one, other, self.distance(one[0], other[0], apart))
                 };
                 close.map(pair).collect::<Vec<_>>()
             })
             .collect();
-        self.pairs = vertices;
+        self.pairs = near.into_iter().flat_map(|(pairs, _)| pairs).collect();
         self.pairs.extend(crossing);
+    }
+
+    /// Distance that parts at two vertices keep, metres: the mean of their thicknesses, or their
+    /// distance at rest if they are of one layer and closer.
+    fn distance(&self, one: u32, other: u32, at_rest: f64) -> f64 {
+        let [a, b] = [one, other].map(|v| usize::from(self.layers[v as usize]));
+        let both = 0.5 * (self.thicknesses[a] + self.thicknesses[b]);
+        if a == b { both.min(at_rest) } else { both }
+    }
+
+    /// Length of the longest edge at a vertex, metres.
+    fn longest_edge(&self, v: u32, at: &[DVec3]) -> f64 {
+        let lengths =
+            self.beside[v as usize].iter().map(|&n| at[n as usize].distance(at[v as usize]));
+        lengths.fold(0.0, f64::max)
     }
 }
 

@@ -1,5 +1,6 @@
+use std::ops::Range;
+
 use glam::{DMat3, DVec3};
-use rayon::prelude::*;
 
 use super::{
     contact::{Contact, Contacts},
@@ -8,7 +9,7 @@ use super::{
     material::ClothMaterial,
     self_collision::{SelfCollision, crossings},
 };
-use crate::Result;
+use crate::{Error, Result};
 use cape_core::geometry::{SurfaceIndex, SurfaceMesh};
 
 /// An edge and its rest length, metres.
@@ -49,6 +50,8 @@ pub struct Cloth {
     pub positions: Vec<DVec3>,
     /// Velocities, m/s, `[vertices]`.
     pub velocities: Vec<DVec3>,
+    /// Positions at rest, metres.
+    rest: Vec<DVec3>,
     inverse_masses: Vec<f64>,
     edges: Vec<Edge>,
     elastic: ElasticForces,
@@ -56,7 +59,9 @@ pub struct Cloth {
     /// Density of the air, kg/m³.
     air: f64,
     attachments: Vec<Attachment>,
-    material: ClothMaterial,
+    /// Materials of the layers, and the layer of each vertex.
+    materials: Vec<ClothMaterial>,
+    layers: Vec<u8>,
     faces: Vec<[u32; 3]>,
     contacts: Contacts,
     folds: Option<SelfCollision>,
@@ -71,12 +76,42 @@ impl Cloth {
     /// # Errors
     /// If the material is out of range.
     pub fn new(surface: &SurfaceMesh, material: &ClothMaterial) -> Result<Self> {
-        material.check()?;
+        Self::layered(&[(surface, material)])
+    }
+
+    /// Several sheets in one: surfaces at rest and their materials, whose vertices follow one another.
+    /// [`with_self_collision`](Self::with_self_collision) keeps each on its side of the others.
+    ///
+    /// # Errors
+    /// If there are more than 255 sheets, or a material is out of range.
+    ///
+    /// ```
+    /// use cape_cloth::{Cloth, ClothMaterial};
+    /// use cape_core::geometry::primitives::sphere;
+    ///
+    /// let [inner, outer] = [sphere(0.1, 1), sphere(0.12, 1)];
+    /// let cloth = Cloth::layered(&[(&inner, &ClothMaterial::RIB), (&outer, &ClothMaterial::DENIM)])?;
+    /// assert_eq!(cloth.positions.len(), inner.vertices.len() + outer.vertices.len());
+    /// assert!(cloth.mass(inner.vertices.len()) > cloth.mass(0));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn layered(sheets: &[(&SurfaceMesh, &ClothMaterial)]) -> Result<Self> {
+        if sheets.len() > usize::from(u8::MAX) {
+            let message = format!("cloth: {} layers, expected at most {}", sheets.len(), u8::MAX);
+            return Err(Error::argument(message));
+        }
+        let surface = &joined(sheets.iter().map(|sheet| sheet.0));
+        let mut layers = Vec::with_capacity(surface.vertices.len());
+        for (layer, (sheet, material)) in sheets.iter().enumerate() {
+            material.check()?;
+            layers.extend(std::iter::repeat_n(layer as u8, sheet.vertices.len()));
+        }
+        let material = |v: u32| sheets[usize::from(layers[v as usize])].1;
         let count = surface.vertices.len();
         let mut masses = vec![0.0; count];
         for (face, corners) in surface.faces.iter().enumerate() {
             let [a, b, c] = surface.corners(face);
-            let mass = material.density * (b - a).cross(c - a).length() / 6.0;
+            let mass = material(corners[0]).density * (b - a).cross(c - a).length() / 6.0;
             for &corner in corners {
                 masses[corner as usize] += mass;
             }
@@ -88,6 +123,7 @@ impl Cloth {
         let elastic = ElasticForces::new(surface, material);
         Ok(Self {
             positions: surface.vertices.clone(),
+            rest: surface.vertices.clone(),
             velocities: vec![DVec3::ZERO; count],
             inverse_masses: masses.iter().map(inverse).collect(),
             edges: edges.map(|ends| Edge { ends, rest: length(ends[0], ends[1]) }).collect(),
@@ -95,7 +131,8 @@ impl Cloth {
             elastic,
             air: 0.0,
             attachments: Vec::new(),
-            material: *material,
+            materials: sheets.iter().map(|sheet| *sheet.1).collect(),
+            layers,
             faces: surface.faces.clone(),
             contacts: Contacts::new(count, surface.faces.len()),
             folds: None,
@@ -104,16 +141,26 @@ impl Cloth {
     }
 
     /// Enables self-collision: vertices keep `distance` metres from faces and edges from edges, or
-    /// their distance in the rest surface `rest` if that is less.
+    /// their distance in the rest surface `rest` if that is less. Between layers, and by
+    /// [`with_layer_collision`](Self::with_layer_collision) in all, the materials' thicknesses count.
     #[must_use]
     pub fn with_self_collision(mut self, rest: &SurfaceMesh, distance: f64) -> Self {
-        self.folds = Some(SelfCollision::new(rest, distance.max(0.0)));
+        let distances = vec![distance.max(0.0); self.materials.len()];
+        self.folds = Some(SelfCollision::new(rest, self.layers.clone(), distances));
         self
     }
 
-    /// Limits the elongation of edges to the share `limit` of their rest lengths. The limit is
-    /// applied last in a step: cloth that has no room penetrates the body rather than stretch
-    /// further.
+    /// Enables self-collision at the thicknesses of the materials, within layers and between them.
+    #[must_use]
+    pub fn with_layer_collision(mut self) -> Self {
+        let rest = SurfaceMesh { vertices: self.rest.clone(), faces: self.faces.clone() };
+        let thicknesses = self.materials.iter().map(|material| material.thickness).collect();
+        self.folds = Some(SelfCollision::new(&rest, self.layers.clone(), thicknesses));
+        self
+    }
+
+    /// Limits the elongation of edges to the share `limit` of their rest lengths. Contact with the body
+    /// is resolved after it: cloth that has no room stretches further rather than penetrate the body.
     #[must_use]
     pub fn with_strain_limit(mut self, limit: f64) -> Self {
         self.limit = limit.max(0.0);
@@ -150,14 +197,10 @@ impl Cloth {
     /// step, each 0 to 1. Vertices move by at most 15 mm in a step.
     pub fn step(&mut self, dt: f64, gravity: DVec3, body: Option<(&SurfaceIndex, [f64; 2])>) {
         let before = self.positions.clone();
-        self.elastic.linearise(&before);
+        self.elastic.linearise(&before, &self.velocities, dt);
         let points = self.point_forces(gravity);
-        let changes = self.solver.solve(
-            &self.elastic,
-            (&self.inverse_masses, &self.velocities),
-            &points,
-            (dt, self.material.damping),
-        );
+        let changes =
+            self.solver.solve(&self.elastic, (&self.inverse_masses, &self.velocities), &points, dt);
         // No vertex passes through the surface of a limb and beyond the reach of contact in one step.
         let fastest = Contact::REACH * 0.75 / dt;
         for (v, change) in changes.into_iter().enumerate() {
@@ -167,24 +210,44 @@ impl Cloth {
                 self.positions[v] += velocity * dt;
             }
         }
-        if let Some((solid, [from, now])) = body {
-            let contact = Contact {
-                friction: self.material.friction,
-                thickness: self.material.thickness,
-                from,
-                now,
-            };
-            let sheet = (&self.inverse_masses[..], &self.faces[..]);
-            self.contacts.resolve(&contact, solid, &before, &mut self.positions, sheet);
+        if let Some((solid, times)) = body {
+            self.contacts.advance(solid, times);
         }
-        if let Some(folds) = &mut self.folds {
-            let friction = self.material.friction;
-            folds.resolve(&before, &mut self.positions, &self.inverse_masses, friction);
+        self.resolve_contacts(body, &before);
+        for round in 0..ROUNDS {
+            if round == ROUNDS / 2 {
+                self.resolve_folds(&before, dt);
+            }
+            self.apply_strain_limits();
+            self.resolve_contacts(body, &before);
         }
-        self.apply_strain_limits();
         for ((x, v), before) in self.positions.iter().zip(&mut self.velocities).zip(before) {
             *v = (*x - before) / dt;
         }
+        if body.is_some() {
+            self.contacts.stop(&mut self.velocities, dt);
+        }
+    }
+
+    /// Pushes the cloth out of the body, an obstacle with the times within its frame before and after
+    /// the step. `before` are the positions before the step.
+    fn resolve_contacts(&mut self, body: Option<(&SurfaceIndex, [f64; 2])>, before: &[DVec3]) {
+        let Some((solid, [from, now])) = body else { return };
+        let contact = |material: &ClothMaterial| {
+            let ClothMaterial { friction, thickness, .. } = *material;
+            Contact { friction, thickness, from, now }
+        };
+        let contacts: Vec<Contact> = self.materials.iter().map(contact).collect();
+        let sheet = (&self.inverse_masses[..], &self.faces[..], &self.layers[..]);
+        self.contacts.resolve(&contacts, solid, before, &mut self.positions, sheet);
+    }
+
+    /// Separates parts of the cloth, after a step of `dt` seconds from the positions `before`.
+    fn resolve_folds(&mut self, before: &[DVec3], dt: f64) {
+        let Some(folds) = &mut self.folds else { return };
+        let friction = self.materials.iter().map(|material| material.friction).sum::<f64>()
+            / self.materials.len() as f64;
+        folds.resolve(before, &mut self.positions, &self.inverse_masses, (friction, dt));
     }
 
     /// Gravity, attachments and drag.
@@ -221,15 +284,15 @@ impl Cloth {
         points
     }
 
-    /// Shortens edges beyond the strain limit, in alternating order.
+    /// Shortens edges beyond the strain limit, once in their order and once in reverse.
     fn apply_strain_limits(&mut self) {
-        const SWEEPS: usize = 4;
         if self.limit.is_infinite() {
             return;
         }
-        for sweep in 0..SWEEPS {
-            for index in 0..self.edges.len() {
-                let at = if sweep % 2 == 0 { index } else { self.edges.len() - 1 - index };
+        let order = 0..self.edges.len();
+        for reversed in [false, true] {
+            for index in order.clone() {
+                let at = if reversed { order.end - 1 - index } else { index };
                 let Edge { ends: [a, b], rest } = self.edges[at];
                 let (a, b) = (a as usize, b as usize);
                 let along = self.positions[a] - self.positions[b];
@@ -260,14 +323,21 @@ impl Cloth {
     /// Mean absolute strain of the edges, and the largest elongation, both relative to the rest
     /// lengths.
     pub fn strain(&self) -> [f64; 2] {
-        let edges = &self.edges;
-        let (mut sum, mut largest) = (0.0, 0.0f64);
-        for edge in edges {
-            let [a, b] = edge.ends.map(|v| self.positions[v as usize]);
-            let change = a.distance(b) / edge.rest.max(f64::MIN_POSITIVE) - 1.0;
-            (sum, largest) = (sum + change.abs(), largest.max(change));
+        self.strain_within(0..self.positions.len())
+    }
+
+    /// [`strain`](Self::strain) of the edges between some vertices, such as those of one layer.
+    pub fn strain_within(&self, vertices: Range<usize>) -> [f64; 2] {
+        let (mut sum, mut largest, mut count) = (0.0, 0.0f64, 0usize);
+        for edge in &self.edges {
+            let [a, b] = edge.ends.map(|v| v as usize);
+            if vertices.contains(&a) && vertices.contains(&b) {
+                let length = self.positions[a].distance(self.positions[b]);
+                let change = length / edge.rest.max(f64::MIN_POSITIVE) - 1.0;
+                (sum, largest, count) = (sum + change.abs(), largest.max(change), count + 1);
+            }
         }
-        [sum / edges.len().max(1) as f64, largest]
+        [sum / count.max(1) as f64, largest]
     }
 
     /// Number of intersections of edges with faces.
@@ -275,22 +345,21 @@ impl Cloth {
         let edges: Vec<[u32; 2]> = self.edges.iter().map(|edge| edge.ends).collect();
         crossings(&self.faces, &edges, &self.positions)
     }
-
-    /// Depths inside the body of vertices, then of centres of faces, metres; 0 outside.
-    pub fn depths(&self, body: &SurfaceIndex) -> Vec<f64> {
-        let centre =
-            |face: &[u32; 3]| face.iter().map(|&v| self.positions[v as usize]).sum::<DVec3>() / 3.0;
-        let centres: Vec<DVec3> = self.faces.iter().map(centre).collect();
-        let points = self.positions.par_iter().chain(&centres);
-        let depth = |&x: &DVec3| {
-            body.closest(x, DEEPEST).map_or(0.0, |near| (-near.signed_distance).max(0.0))
-        };
-        points.map(depth).collect()
-    }
 }
 
-/// Bound of the depth inside a body, metres.
-const DEEPEST: f64 = 0.2;
+/// Surfaces in one, whose vertices follow one another.
+pub(super) fn joined<'a>(surfaces: impl Iterator<Item = &'a SurfaceMesh>) -> SurfaceMesh {
+    let mut all = SurfaceMesh::default();
+    for surface in surfaces {
+        let first = all.vertices.len() as u32;
+        all.vertices.extend(&surface.vertices);
+        all.faces.extend(surface.faces.iter().map(|face| face.map(|v| v + first)));
+    }
+    all
+}
+
+/// Times that strain limits and contacts are applied in turn, self-collisions in between.
+const ROUNDS: usize = 2;
 
 /// Least compliance of an attachment, m/N.
 const LEAST_COMPLIANCE: f64 = 1e-6;

@@ -5,8 +5,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Cloth, ClothMaterial, GarmentMesh,
+    Cloth, ClothMaterial, GarmentMesh, Penetration,
     garment::{sewing_body, sewing_pose},
+    outfit::{attached_waistbands, part},
 };
 use crate::{Error, Result};
 use cape_core::{
@@ -73,13 +74,17 @@ impl Default for SimulationOptions {
 /// Quality of the simulation after one frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct StepReport {
-    /// Largest depth of a vertex or centre of a face inside the body, metres.
+    /// Largest depth of a point of the cloth inside the body, metres ([`Penetration`]).
     pub penetration: f64,
-    /// Mean depth of vertices and centres of faces inside the body, 0 for those outside, metres.
+    /// Mean depth of vertices inside the body, 0 for those outside, metres.
     pub mean_depth: f64,
-    /// Number of vertices and centres of faces inside the body.
+    /// Number of vertices inside the body.
     pub inside: usize,
-    /// Number of intersections of edges with faces of the cloth.
+    /// Number of intersections of cloth and body, edges with faces.
+    pub intersections: usize,
+    /// Number of vertices and intersections between parts of the body that overlap.
+    pub hidden: usize,
+    /// Number of intersections of edges with faces of the cloth, of all garments.
     pub crossings: usize,
     /// Mean absolute strain of the edges, and largest elongation.
     pub strain: [f64; 2],
@@ -90,10 +95,13 @@ pub struct StepReport {
 /// Quality of a simulation over all frames.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct SimulationQuality {
-    /// Largest depth of a vertex or centre of a face inside the body, metres.
+    /// Largest depth of a point of the cloth inside the body, metres.
     pub penetration: f64,
-    /// Mean depth of vertices and centres of faces inside the body, 0 for those outside, metres.
+    /// Mean depth of vertices inside the body, 0 for those outside, metres.
     pub mean_depth: f64,
+    /// Largest number of intersections of cloth and body, edges with faces, in one frame.
+    #[serde(default)]
+    pub intersections: usize,
     /// Largest number of intersections of edges with faces of the cloth in one frame.
     pub crossings: usize,
     /// Mean absolute strain of the edges.
@@ -121,6 +129,7 @@ impl SimulatedGarment {
         for report in &self.reports {
             whole.penetration = whole.penetration.max(report.penetration);
             whole.mean_depth += report.mean_depth / frames;
+            whole.intersections = whole.intersections.max(report.intersections);
             whole.crossings = whole.crossings.max(report.crossings);
             whole.mean_strain += report.strain[0] / frames;
             whole.strain = whole.strain.max(report.strain[1]);
@@ -142,71 +151,148 @@ impl SimulationOptions {
         &self,
         model: &SmplModel,
         shape: &Array2<f64>,
-        (garment, material): (&GarmentMesh, &ClothMaterial),
+        worn: (&GarmentMesh, &ClothMaterial),
         motion: &BodyMotion,
         watch: &mut dyn FnMut(usize, usize),
     ) -> Result<SimulatedGarment> {
+        let mut all = self.run_outfit(model, shape, &[worn], motion, watch)?;
+        all.pop().ok_or_else(|| Error::argument("simulation: no garment, expected at least one"))
+    }
+
+    /// Simulates several garments with their materials, from the inner to the outer one, which touch
+    /// each other at their thicknesses: a shirt over trousers. All are sewn for the same body, and each
+    /// begins outside the one before it.
+    ///
+    /// # Errors
+    /// As of [`run`](Self::run), or if there is no garment, or they are sewn for different bodies.
+    ///
+    /// ```
+    /// use cape_cloth::{ClothMaterial, Garment, GarmentKind, SimulationOptions};
+    /// use cape_core::BodyMotion;
+    /// use cape_synth::synthetic_body;
+    /// use ndarray::Array2;
+    ///
+    /// let body = synthetic_body();
+    /// let shape = body.rest_shape(&[])?;
+    /// let sew = |kind, length| {
+    ///     Garment { resolution: 0.05, length, ..Garment::new(kind) }.sew(&body, &shape)
+    /// };
+    /// let [trousers, shirt] = [sew(GarmentKind::Shorts, 1.8)?, sew(GarmentKind::TShirt, 1.15)?];
+    /// let outfit = [(&trousers, &ClothMaterial::DENIM), (&shirt, &ClothMaterial::INTERLOCK)];
+    /// let motion = BodyMotion::new(30.0, Array2::zeros((1, 72)), Array2::zeros((1, 3)))?;
+    /// let options = SimulationOptions { settle: 0.1, ..SimulationOptions::default() };
+    /// let worn = options.run_outfit(&body, &shape, &outfit, &motion, &mut |_, _| {})?;
+    /// assert_eq!(worn[1].frames.dim(), (1, shirt.surface.vertices.len(), 3));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn run_outfit(
+        &self,
+        model: &SmplModel,
+        shape: &Array2<f64>,
+        outfit: &[(&GarmentMesh, &ClothMaterial)],
+        motion: &BodyMotion,
+        watch: &mut dyn FnMut(usize, usize),
+    ) -> Result<Vec<SimulatedGarment>> {
         if self.substeps == 0 || !(self.settle >= 0.0 && self.settle.is_finite()) {
             return Err(Error::argument(format!(
                 "simulation: {} steps per frame and {} s to settle, expected at least 1 and 0",
                 self.substeps, self.settle
             )));
         }
-        let track = self.track(model, (&garment.body, shape), motion)?;
-        let rest = sewing_body(model, &garment.body)?.0;
+        let sewn_for = match outfit {
+            [(first, _), others @ ..] if others.iter().all(|(g, _)| g.body == first.body) => {
+                &first.body
+            }
+            [] => return Err(Error::argument("simulation: no garment, expected at least one")),
+            _ => {
+                let message = "simulation: garments sewn for different bodies: sew them for one";
+                return Err(Error::argument(message));
+            }
+        };
+        let track = self.track(model, (sewn_for, shape), motion)?;
+        let rest = sewing_body(model, sewn_for)?.0;
         let across = rest.neighbours();
-        let at_rest = SurfaceIndex::new(&rest);
-        let band: Vec<_> = garment
-            .waistband
-            .iter()
-            .filter_map(|&v| {
-                let near = at_rest.closest(garment.surface.vertices[v as usize], 0.2)?;
-                let off = garment.surface.vertices[v as usize] - near.point;
-                Some((v, near.face, near.barycentric, at_rest.axes(near.face).transpose() * off))
-            })
-            .collect();
-        let mut cloth = Cloth::new(&garment.surface, material)?
-            .with_strain_limit(self.strain_limit)
-            .with_air(self.air);
+        let bands = attached_waistbands(outfit, &rest);
+        let sheets: Vec<_> = outfit.iter().map(|(g, material)| (&g.surface, *material)).collect();
+        let mut cloth =
+            Cloth::layered(&sheets)?.with_strain_limit(self.strain_limit).with_air(self.air);
         if self.self_collision {
-            cloth = cloth.with_self_collision(&garment.surface, material.thickness);
+            cloth = cloth.with_layer_collision();
         }
         let start = track[0][0] - rest.vertices[0];
+        cloth.positions = super::outfit::dressed(&sheets);
         cloth.positions.iter_mut().for_each(|x| *x += start);
         let recorded = motion.frames();
         let before = track.len() - recorded;
-        let mut frames = Array3::zeros((recorded, cloth.positions.len(), 3));
-        let mut reports = Vec::with_capacity(recorded);
+        let mut results: Vec<SimulatedGarment> = sheets
+            .iter()
+            .map(|(surface, _)| SimulatedGarment {
+                frames: Array3::zeros((recorded, surface.vertices.len(), 3)),
+                reports: Vec::with_capacity(recorded),
+            })
+            .collect();
         for (index, to) in track.iter().enumerate() {
             let from = &track[index.saturating_sub(1)];
             let surface = SurfaceMesh { vertices: from.clone(), faces: model.faces.clone() };
             let mut solid = SurfaceIndex::moving(&surface, to.clone(), across.clone());
-            let substeps = self.substeps(&cloth, &solid, 1.0 / motion.frame_rate);
-            let dt = 1.0 / (motion.frame_rate * substeps as f64);
-            for substep in 0..substeps {
-                let [was, now] = [substep, substep + 1].map(|s| s as f64 / substeps as f64);
-                solid.set_time(now);
-                let attached = band.iter().map(|&(v, face, at, off)| {
+            self.advance(&mut cloth, &mut solid, 1.0 / motion.frame_rate, |cloth, solid, now| {
+                let attached = bands.iter().map(|&(v, face, at, off)| {
                     (v, solid.position_at(face, at, now) + solid.axes(face) * off)
                 });
                 cloth.attach(attached, self.waistband);
-                cloth.step(dt, self.gravity, Some((&solid, [was, now])));
-            }
+            });
             let Some(frame) = index.checked_sub(before) else { continue };
             if let Some(vertex) = cloth.positions.iter().position(|x| !x.is_finite()) {
                 return Err(Error::argument(format!(
                     "simulation: diverged in frame {frame} at vertex {vertex}: use more steps per frame"
                 )));
             }
-            for (vertex, x) in cloth.positions.iter().enumerate() {
-                for axis in 0..3 {
-                    frames[(frame, vertex, axis)] = x[axis];
+            let crossings = cloth.crossings();
+            let mut first = 0;
+            for (result, (surface, _)) in results.iter_mut().zip(&sheets) {
+                let range = first..first + surface.vertices.len();
+                first = range.end;
+                for (vertex, x) in cloth.positions[range.clone()].iter().enumerate() {
+                    for axis in 0..3 {
+                        result.frames[(frame, vertex, axis)] = x[axis];
+                    }
                 }
+                let worn = part(&cloth.positions[range.clone()], surface);
+                let found = Penetration::measure(&worn, solid.surface());
+                let speeds = cloth.velocities[range.clone()].iter().map(|v| v.length());
+                result.reports.push(StepReport {
+                    penetration: found.depth,
+                    mean_depth: found.mean_depth,
+                    inside: found.inside,
+                    intersections: found.intersections,
+                    hidden: found.hidden,
+                    crossings,
+                    strain: cloth.strain_within(range),
+                    speed: speeds.fold(0.0, f64::max),
+                });
             }
-            reports.push(report(&cloth, &solid));
             watch(frame + 1, recorded);
         }
-        Ok(SimulatedGarment { frames, reports })
+        Ok(results)
+    }
+
+    /// Moves cloth and body by one frame of `duration` seconds in as many steps as their motion needs.
+    /// `attach` is called before each step with the time within the frame after it, 0 to 1.
+    pub(super) fn advance(
+        &self,
+        cloth: &mut Cloth,
+        body: &mut SurfaceIndex,
+        duration: f64,
+        attach: impl Fn(&mut Cloth, &SurfaceIndex, f64),
+    ) {
+        let substeps = self.substeps(cloth, body, duration);
+        let dt = duration / substeps as f64;
+        for substep in 0..substeps {
+            let [was, now] = [substep, substep + 1].map(|s| s as f64 / substeps as f64);
+            body.set_time(now);
+            attach(cloth, body, now);
+            cloth.step(dt, self.gravity, Some((body, [was, now])));
+        }
     }
 
     /// Number of steps of the next frame of `duration` seconds.
@@ -261,17 +347,5 @@ impl SimulationOptions {
                 Ok(points(posed.vertices.view()))
             })
             .collect()
-    }
-}
-
-fn report(cloth: &Cloth, body: &SurfaceIndex) -> StepReport {
-    let depths = cloth.depths(body);
-    StepReport {
-        penetration: depths.iter().copied().fold(0.0, f64::max),
-        mean_depth: depths.iter().sum::<f64>() / depths.len().max(1) as f64,
-        inside: depths.iter().filter(|&&depth| depth > 0.0).count(),
-        crossings: cloth.crossings(),
-        strain: cloth.strain(),
-        speed: cloth.velocities.iter().map(|v| v.length()).fold(0.0, f64::max),
     }
 }
