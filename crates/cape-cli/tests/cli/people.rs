@@ -113,6 +113,8 @@ fn training_and_table_2_take_built_in_bodies_and_name_them() {
     data.run(line).succeeded();
     let caption = fs::read_to_string(data.at("table/table2.md")).unwrap();
     assert!(caption.contains("Body: male (built in)."), "{caption}");
+    let latex = fs::read_to_string(data.at("table/table2.tex")).unwrap();
+    assert!(latex.starts_with("% Body: male (built in).\n"), "{latex}");
     let page = fs::read_to_string(data.at("table/report.html")).unwrap();
     assert!(page.contains("Body: male (built in)."));
 

@@ -152,9 +152,11 @@ impl ComparisonTable {
 
     /// The table as LaTeX in the form of the paper's table 2.
     pub fn latex(&self) -> String {
-        let mut text =
-            "\\begin{tabular}{lcc}\n\\hline\nmethod & error (mm) & median \\\\\n\\hline\n"
-                .to_owned();
+        let mut text = match &self.body {
+            Some(body) => format!("% Body: {body}.\n"),
+            None => String::new(),
+        };
+        text += "\\begin{tabular}{lcc}\n\\hline\nmethod & error (mm) & median \\\\\n\\hline\n";
         for line in &self.lines {
             let _ = writeln!(
                 text,
