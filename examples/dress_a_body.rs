@@ -6,13 +6,13 @@
 
 use cape::{
     burn::tensor::{Device, Tensor, TensorData},
-    core::{ClothedSmpl, ClothingMask, Outfit, Pose, Smpl, SmplInput},
-    synth::{Motion, MotionStyle, Wardrobe, synthetic_body},
+    core::{ClothedSmpl, ClothingMask, Outfit, Pose, Smpl, SmplInput, smpl::Gender},
+    synth::{Motion, MotionStyle, Wardrobe, embedded_body},
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     // Any body in SMPL's layout works: `SmplModel::load("SMPL_NEUTRAL.npz")`.
-    let model = synthetic_body();
+    let model = embedded_body(Gender::Neutral)?;
     let pose = Motion::WalkMarch.pose(&MotionStyle::default(), 0.4);
 
     // A garment's displacement in canonical space, metres, [vertices, 3].

@@ -5,15 +5,15 @@
 //! ```
 
 use cape::{
-    core::Mesh,
+    core::{Mesh, smpl::Gender},
     graph::{MeshPyramid, Surface, Weighting},
-    synth::synthetic_body,
+    synth::embedded_body,
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mesh = match std::env::args().nth(1) {
         Some(path) => Mesh::load(path)?,
-        None => synthetic_body().mesh(),
+        None => embedded_body(Gender::Neutral)?.mesh(),
     };
     let start = std::time::Instant::now();
     let factors = [2.0, 2.0, 2.0];

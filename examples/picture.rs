@@ -5,16 +5,16 @@
 //! ```
 
 use cape::{
-    core::obj::Uv,
+    core::{obj::Uv, smpl::Gender},
     render::{
         Bounds, Camera, Image, Object, Projection, Style, Texture, Tile, View, contact_sheet,
         render, silhouette,
     },
-    synth::synthetic_body,
+    synth::embedded_body,
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mesh = synthetic_body().mesh();
+    let mesh = embedded_body(Gender::Neutral)?.mesh();
     let bounds = Bounds::from_meshes([&mesh]).ok_or("no vertices")?;
     let style = Style { width: 320, height: 512, ..Style::default() };
     let aspect = 320.0 / 512.0;

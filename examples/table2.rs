@@ -11,7 +11,7 @@ use std::{env, error::Error, ops::ControlFlow, path::Path};
 
 use cape::{
     burn::tensor::Device,
-    core::silent,
+    core::{SmplModel, silent},
     eval::{
         comparison::ComparisonTable,
         table2::{JobEstimate, Table2Options, Table2Row, methods, select_frames},
@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let options = Table2Options {
         data: data.into(),
         out: out.into(),
-        body: (body != "-").then(|| body.into()),
+        body: if body == "-" { None } else { Some(SmplModel::load(body)?) },
         clothing: None,
         config,
         shown: select_frames(Path::new(data))?,

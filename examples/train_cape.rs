@@ -18,7 +18,7 @@ use std::{
 
 use cape::{
     burn::tensor::Device,
-    core::silent,
+    core::{SmplModel, silent},
     data::{PackOptions, SplitSpec, pack},
     eval::{EvalOptions, evaluate},
     infer::{Run, RunConfig, RunPaths, checkpoint},
@@ -40,7 +40,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         None => RunConfig::default(),
     };
     let options = TrainerOptions {
-        body: (body != "-").then(|| body.into()),
+        body: if body == "-" { None } else { Some(SmplModel::load(body)?) },
         ..TrainerOptions::new(&packed, config)
     };
     let begun = !checkpoint::list(&RunPaths::new(Path::new(out)).checkpoints())?.is_empty();

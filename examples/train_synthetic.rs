@@ -8,12 +8,12 @@ use std::ops::ControlFlow;
 
 use cape::{
     burn::tensor::Device,
-    core::{Outfit, silent},
+    core::{Outfit, silent, smpl::Gender},
     data::{PackOptions, SequenceList, SplitSpec, pack},
     eval::{EvalOptions, evaluate},
     infer::{BodySpec, Run, RunConfig, TrainConfig},
     model::CapeConfig,
-    synth::{CaptureGenerator, Motion, SynthSpec, synthetic_body},
+    synth::{CaptureGenerator, Motion, SynthSpec, embedded_body},
     train::{TrainEvent, Trainer, TrainerOptions},
 };
 
@@ -22,7 +22,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [raw, packed, run] = ["raw", "packed", "run"].map(|name| directory.path().join(name));
 
     // Captures in the release's raw layout: one subject, two movements that train, one that tests.
-    let body = synthetic_body();
+    let body = embedded_body(Gender::Neutral)?;
     let spec = SynthSpec {
         subjects: 1,
         frames_per_sequence: 8,

@@ -6,7 +6,7 @@
 //! the latent code z. The crates, in the order data flow through them:
 //!
 //! - [`core`] — meshes and their files, SMPL and the clothing term, outfits;
-//! - [`synth`] — a synthetic body, motions, a wardrobe and captures;
+//! - [`synth`] — built-in bodies, motions, a wardrobe and captures;
 //! - [`data`] — raw and packed data sets, splits, normalisation, loaders;
 //! - [`graph`] — mesh pyramids and graph operations on tensors;
 //! - [`model`] — the networks and losses;
@@ -27,7 +27,7 @@
 //! ```
 //! use cape::{core::Outfit, synth::{Wardrobe, synthetic_body}};
 //!
-//! // A synthetic body in a T-shirt and long trousers, without any trained model.
+//! // The sculpted body in a T-shirt and long trousers, without any trained model.
 //! let body = synthetic_body();
 //! let wardrobe = Wardrobe::new(&body, 7)?;
 //! let garment = wardrobe.fit(wardrobe.outfit_style(0, Outfit::SHORT_LONG, 0)?);

@@ -15,7 +15,16 @@ const ENTRY_POINTS: [(&str, &[&str]); 16] = [
     ("cape-cloth", &["Cloth", "Garment"]),
     (
         "cape-core",
-        &["ClothedSmpl", "Mesh", "Outfit", "OutfitVocabulary", "Smpl", "SmplModel", "SurfaceIndex"],
+        &[
+            "ClothedSmpl",
+            "Mesh",
+            "Outfit",
+            "OutfitVocabulary",
+            "Smpl",
+            "SmplModel",
+            "SubjectBodies",
+            "SurfaceIndex",
+        ],
     ),
     ("cape-data", &["Loader", "PackedSet", "SplitSpec"]),
     ("cape-eval", &["ComparisonTable", "EvalOptions", "ResultStore"]),
@@ -27,7 +36,10 @@ const ENTRY_POINTS: [(&str, &[&str]); 16] = [
     ("cape-render", &["Camera", "Image", "Object", "Plot", "Style"]),
     ("cape-stats", &["ErrorStats", "Mixture", "PairedComparison", "Pca"]),
     ("cape-study", &["StudyDesign", "StudyScore"]),
-    ("cape-synth", &["CaptureGenerator", "Motion", "SynthSpec", "Wardrobe", "synthetic_body"]),
+    (
+        "cape-synth",
+        &["CaptureGenerator", "Motion", "SynthSpec", "Wardrobe", "embedded_body", "synthetic_body"],
+    ),
     ("cape-train", &["Evaluation", "Trainer"]),
     ("cape-wardrobe", &["OutfitCut", "SimulatedCaptures", "SurfaceTransfer"]),
 ];

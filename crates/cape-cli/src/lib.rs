@@ -2,6 +2,7 @@
 //!
 //! Results go to standard output (as JSON with `--json`), everything else to standard error.
 
+mod body_source;
 mod cli;
 mod commands;
 mod comparison;

@@ -1,19 +1,13 @@
 //! Options that several commands share, and parsers of their values.
 
 use std::{
-    env,
     path::{Path, PathBuf},
     time::Duration,
 };
 
 use burn::tensor::Device;
-use cape_core::{
-    Outfit, SmplModel, parse_device,
-    smpl::{Gender, find_body},
-};
+use cape_core::{Outfit, SmplModel, parse_device};
 use cape_infer::Run;
-use cape_layer::BodyIdentity;
-use cape_synth::{HalfBody, synthetic_body};
 use clap::{
     Args,
     builder::{PossibleValuesParser, TypedValueParser},
@@ -108,68 +102,6 @@ impl CheckpointArgs {
     }
 }
 
-/// Variable with the directory of SMPL's bodies.
-const MODELS: &str = "SMPL_MODELS";
-
-/// A body file, for data that have none of their own.
-#[derive(Debug, Clone, Args)]
-pub(crate) struct BodyFileArgs {
-    /// SMPL body, .pkl or .npz, or with --gender the directory of it, if the data have no body.npz.
-    #[arg(long, value_name = "SMPL")]
-    body: Option<PathBuf>,
-    /// Gender of the body in the directory of --body, or in $SMPL_MODELS without --body.
-    #[arg(long, value_name = "GENDER", value_parser = choices(GENDERS))]
-    gender: Option<Gender>,
-}
-
-/// Genders by name.
-pub(crate) const GENDERS: [(&str, Gender); 3] =
-    [("male", Gender::Male), ("female", Gender::Female), ("neutral", Gender::Neutral)];
-
-impl BodyFileArgs {
-    /// The file, if one is given.
-    pub(crate) fn file(&self) -> Result<Option<PathBuf>> {
-        body_file(self.body.as_deref(), self.gender)
-    }
-}
-
-/// A body's file, in a directory if a gender is given.
-fn body_file(body: Option<&Path>, gender: Option<Gender>) -> Result<Option<PathBuf>> {
-    let models = || env::var_os(MODELS).map(PathBuf::from);
-    match (body, gender) {
-        (None, None) => Ok(None),
-        (Some(path), None) if path.is_dir() => Err(Error::message(format!(
-            "{}: is a directory: choose a body in it by --gender male, female or neutral",
-            path.display()
-        ))),
-        (Some(path), None) => Ok(Some(path.to_owned())),
-        (Some(path), Some(gender)) if path.is_dir() => Ok(Some(find_body(path, gender)?)),
-        (Some(path), Some(_)) => Err(Error::message(format!(
-            "{}: --gender chooses a body in a directory, and this is none",
-            path.display()
-        ))),
-        (None, Some(gender)) => match models() {
-            Some(directory) => Ok(Some(find_body(directory, gender)?)),
-            None => Err(Error::message(format!(
-                "--gender {gender}: give the directory of SMPL's bodies by --body or ${MODELS}"
-            ))),
-        },
-    }
-}
-
-/// A body model.
-#[derive(Debug, Clone, PartialEq, Args, Serialize, Deserialize)]
-pub(crate) struct BodyModelArgs {
-    /// Built-in body (male, female, neutral or sculpted), SMPL body (.pkl or .npz), or with --gender
-    /// the directory of one [default: sculpted].
-    #[arg(long, value_name = "SMPL")]
-    pub(crate) body: Option<PathBuf>,
-    /// Gender of the body in the directory of --body, or in $SMPL_MODELS without --body.
-    #[arg(long, value_name = "GENDER", value_parser = choices(GENDERS))]
-    #[serde(skip)]
-    gender: Option<Gender>,
-}
-
 /// Shape of a body.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct ShapeArgs {
@@ -239,63 +171,6 @@ impl OutputArgs {
     /// Returns an error if there is something already.
     pub(crate) fn require_empty(&self) -> Result {
         files::require_empty(&self.out)
-    }
-}
-
-impl BodyModelArgs {
-    pub(crate) fn load(&self) -> Result<SmplModel> {
-        Ok(match body_file(self.body.as_deref(), self.gender)? {
-            Some(path) => load_body(&path)?,
-            None => synthetic_body(),
-        })
-    }
-
-    /// Identity of the loaded body, for what belongs to it.
-    pub(crate) fn identity(&self, model: &SmplModel) -> BodyIdentity {
-        body_identity(self.body.as_deref(), model)
-    }
-}
-
-/// Identity of the body that was read from `path`, or of the synthetic one.
-pub(crate) fn body_identity(path: Option<&Path>, model: &SmplModel) -> BodyIdentity {
-    let name = path.map(|path| path.file_name().unwrap_or(path.as_os_str()).to_string_lossy());
-    BodyIdentity::new(name.unwrap_or("synthetic body".into()), model)
-}
-
-/// A body of the program with its source and licence.
-pub(crate) struct BuiltinBody {
-    pub(crate) model: SmplModel,
-    pub(crate) source: String,
-}
-
-/// The built-in body of that name, if no such file exists.
-pub(crate) fn builtin_body(path: &Path) -> Option<Result<BuiltinBody>> {
-    let name = path.to_str().filter(|_| !path.exists())?;
-    if name == "sculpted" {
-        let source = "sculpted from distance functions by this program".to_owned();
-        return Some(Ok(BuiltinBody { model: synthetic_body(), source }));
-    }
-    let gender: Gender = name.parse().ok()?;
-    let read = HalfBody::embedded(gender).map_err(Error::from);
-    Some(read.map(|half| BuiltinBody { model: half.model(), source: half.provenance }))
-}
-
-/// Name of the built-in body whose arrays have this SHA-256, if there is one.
-pub(crate) fn builtin_name(sha256: &str) -> Option<&'static str> {
-    ["male", "female", "neutral", "sculpted"].into_iter().find(|name| {
-        let body = match name.parse::<Gender>() {
-            Ok(gender) => HalfBody::embedded(gender).ok().map(|half| half.model()),
-            Err(_) => Some(synthetic_body()),
-        };
-        body.is_some_and(|body| body.sha256() == sha256)
-    })
-}
-
-/// Reads a body file; the name of a built-in body without such a file is that body.
-fn load_body(path: &Path) -> Result<SmplModel> {
-    match builtin_body(path) {
-        Some(body) => Ok(body?.model),
-        None => Ok(SmplModel::load(path)?),
     }
 }
 

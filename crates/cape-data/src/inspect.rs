@@ -5,14 +5,14 @@ mod download;
 pub use download::PresetCompleteness;
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, btree_map::Entry},
     path::{Path, PathBuf},
 };
 
 use cape_core::{
     Outfit, SmplModel,
     joints::{JOINTS, pose_rotations},
-    smpl::ClothingMask,
+    smpl::{ClothingMask, Gender},
 };
 use ndarray::{Array2, ArrayView2};
 use rayon::prelude::*;
@@ -49,9 +49,9 @@ pub struct InspectOptions {
     pub frames: usize,
     /// File of the indices of clothing vertices; `None` uses that of the data.
     pub clothing: Option<PathBuf>,
-    /// File of the body from whose blend weights clothing vertices are derived if there are no
-    /// indices; `None` uses that of the data.
-    pub body: Option<PathBuf>,
+    /// Body from whose blend weights clothing vertices are derived if there are no indices; `None`
+    /// uses that of the data, by the gender of the subject.
+    pub body: Option<SmplModel>,
     /// Preset, `male` or `female`, whose frames a raw data set is compared with.
     pub preset: Option<String>,
 }
@@ -192,21 +192,35 @@ pub fn inspect(
     )))
 }
 
-fn mask(path: &Path, options: &InspectOptions, vertices: usize) -> Result<Option<ClothingMask>> {
-    let own = path.join(CLOTHING_FILE);
-    if let Some(file) = options.clothing.as_ref().or(own.is_file().then_some(&own)) {
+/// Clothing vertices of the data in `path` and of the body in `own`, if they are known.
+fn mask(
+    path: &Path,
+    own: Option<&Path>,
+    options: &InspectOptions,
+    vertices: usize,
+) -> Result<Option<ClothingMask>> {
+    let indices = path.join(CLOTHING_FILE);
+    if let Some(file) = options.clothing.as_ref().or(indices.is_file().then_some(&indices)) {
         return Ok(Some(ClothingMask::load(file, vertices)?));
     }
-    let own = path.join(BODY_FILE);
-    let Some(file) = options.body.as_ref().or(own.is_file().then_some(&own)) else {
-        return Ok(None);
+    let differs = |body: &SmplModel| {
+        let message = format!("{} vertices, but the data have {vertices}", body.vertices());
+        (body.vertices() != vertices).then_some(message)
     };
-    let body = SmplModel::load(file)?;
-    if body.vertices() != vertices {
-        let found = body.vertices();
-        let message = format!("{found} vertices, but the data have {vertices}");
-        return Err(Error::field(file, "v_template", message));
-    }
+    let body = match (&options.body, own) {
+        (Some(body), _) => match differs(body) {
+            Some(message) => return Err(Error::argument(format!("the given body has {message}"))),
+            None => body.clone(),
+        },
+        (None, Some(file)) => {
+            let body = SmplModel::load(file)?;
+            match differs(&body) {
+                Some(message) => return Err(Error::field(file, "v_template", message)),
+                None => body,
+            }
+        }
+        (None, None) => return Ok(None),
+    };
     Ok(Some(ClothingMask::from_weights(&body)?))
 }
 
@@ -261,10 +275,15 @@ fn inspect_raw(
     found.vertices = counts.first().copied().unwrap_or(0);
     heights(&minimal, &mut found);
 
-    let mask = match found.vertices {
-        0 => None,
-        vertices => mask(root, options, vertices)?,
-    };
+    let genders = tree.genders()?;
+    let gender = |subject: &str| genders.get(subject).and_then(|gender| gender.parse().ok());
+    let mut masks: BTreeMap<Option<Gender>, Option<ClothingMask>> = BTreeMap::new();
+    for subject in tree.subjects().filter(|_| found.vertices > 0) {
+        if let Entry::Vacant(place) = masks.entry(gender(subject)) {
+            let body = tree.body_path(*place.key());
+            place.insert(mask(root, body.as_deref(), options, found.vertices)?);
+        }
+    }
     let mut tally = InspectionTotals::default();
     let mut unreadable = Vec::new();
     let mut posed_as_canonical = 0;
@@ -288,7 +307,8 @@ fn inspect_raw(
             }
             match minimal.get(*subject) {
                 Some(shape) if shape.dim() == frame.v_cano.dim() => {
-                    tally.displacement((&frame.v_cano - shape).view(), mask.as_ref());
+                    let mask = masks.get(&gender(subject)).and_then(Option::as_ref);
+                    tally.displacement((&frame.v_cano - shape).view(), mask);
                 }
                 Some(shape) => unreadable.push(format!(
                     "{}: {} vertices, but the minimal shape has {}",
@@ -313,7 +333,7 @@ fn inspect_raw(
                 .into(),
         );
     }
-    conclude(&mut found, &tally, mask.is_some());
+    conclude(&mut found, &tally, masks.values().any(Option::is_some));
     Ok(found)
 }
 
@@ -380,7 +400,8 @@ fn inspect_packed(
                 None => counts.push(CaptureCount { frames: 1, ..capture }),
             }
         }
-        let mask = mask(root, options, set.vertices())?;
+        let own = Some(root.join(BODY_FILE)).filter(|path| path.is_file());
+        let mask = mask(root, own.as_deref(), options, set.vertices())?;
         masked |= mask.is_some();
         let wanted = options.frames.saturating_mul(counts.len());
         found.captures.extend(counts);

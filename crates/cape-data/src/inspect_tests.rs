@@ -1,7 +1,7 @@
 use std::fs;
 
 use cape_core::npy::write_npy;
-use ndarray::Array1;
+use ndarray::{Array1, s};
 
 use super::*;
 use crate::{
@@ -103,6 +103,40 @@ fn sound_data_raise_no_warning() {
     let poses = cape_core::npy::read_f64(&path).unwrap() * 2.0;
     write_npy(&path, &poses).unwrap();
     assert!(look(&packed).warnings.concat().contains("not those of the pose"));
+}
+
+#[test]
+fn clothing_of_each_subject_is_that_of_its_body() {
+    // The body of the male subject is all clothing, that of the female subject all skin.
+    let root = tree(1.0, |_| frame(0.015, 0.001, 1.0));
+    for (index, outfit) in [Outfit::SHORT_LONG, Outfit::LONG_LONG].into_iter().enumerate() {
+        for number in 0..6 {
+            let frame = frame(0.01 * (1 + index) as f64, 0.001, 1.0);
+            write_frame(root.path(), "b", outfit, "walk", number, &frame).unwrap();
+        }
+    }
+    write_minimal(root.path(), "b", &shape()).unwrap();
+    fs::remove_file(root.path().join(CLOTHING_FILE)).unwrap();
+    for (gender, joint) in [(Gender::Male, 3), (Gender::Female, 15)] {
+        let mut body = cape_synth::synthetic_body();
+        body.v_template = shape();
+        body.shapedirs = body.shapedirs.slice(s![..10, .., ..]).to_owned();
+        body.posedirs = body.posedirs.slice(s![..10, .., ..]).to_owned();
+        body.joint_regressor = Array2::from_elem((24, 10), 0.1);
+        body.weights = Array2::from_shape_fn((10, 24), |(_, j)| f64::from(j == joint));
+        body.faces = vec![[0, 1, 2]];
+        body.save(root.path().join(gender.body_file())).unwrap();
+    }
+    let genders = [("a", Gender::Male), ("b", Gender::Female)];
+    let genders = genders.map(|(name, gender)| (name.to_owned(), gender)).into();
+    cape_core::smpl::write_genders(root.path(), &genders).unwrap();
+    let found = look(root.path());
+    assert_eq!(found.release, ["female: b", "male: a"]);
+    // Eight corners of ten vertices move.
+    assert!((found.clothing_mm.unwrap().mean - 0.8 * 15.0 - 0.2 * 1.0).abs() < 1e-9, "{found:?}");
+    assert!((found.elsewhere_mm.unwrap().mean - 0.8 * 15.0 - 0.2 * 1.0).abs() < 1e-9, "{found:?}");
+    assert!((found.clothing_mm.unwrap().max - 15.0).abs() < 1e-9, "{found:?}");
+    assert!((found.elsewhere_mm.unwrap().max - 20.0).abs() < 1e-9, "{found:?}");
 }
 
 #[test]

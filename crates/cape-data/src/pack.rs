@@ -10,7 +10,7 @@
 //! stats.txt                  numbers of frames
 //! broken_frames.txt          unreadable frames that were left out, with the reason
 //! stats.npz, split.toml      normalisation statistics; the split
-//! body.npz, clothing_verts_idx.npy   copies from the raw data, if there
+//! body.npz, clothing_verts_idx.npy   copies from the raw data, if there; the body of the split
 //! ```
 //!
 //! Rows are ordered by subject, sequence, outfit and frame name. The `.csv`, `.npz` and `.toml`
@@ -150,6 +150,13 @@ pub fn pack(
     split.validate()?;
     let mut report = PackReport::default();
     let tree = RawTree::open(raw)?;
+    let body = split.body.as_ref().map(|name| raw.join(name));
+    if let Some(body) = body.filter(|body| !body.is_file()) {
+        return Err(Error::Data(format!(
+            "{}: not found: it is `body` of the split",
+            body.display()
+        )));
+    }
     let minimal = read_minimals(&tree, split, options, &mut report)?;
     let vocabulary = split.label_vocabulary()?;
     let mut plans = Vec::new();
@@ -486,9 +493,11 @@ fn write_notes(
     )?;
     let line = |frame: &BrokenFrame| format!("{}\t{}\n", frame.path.display(), frame.reason);
     put("broken_frames.txt", report.broken.iter().map(line).collect())?;
-    put(SPLIT_FILE, split.to_toml()?)?;
-    for name in [BODY_FILE, CLOTHING_FILE] {
-        let from = tree.root().join(name);
+    // The packed set has one body.
+    put(SPLIT_FILE, SplitSpec { body: None, ..split.clone() }.to_toml()?)?;
+    let body = split.body.as_deref().unwrap_or(Path::new(BODY_FILE));
+    for (from, name) in [(body, BODY_FILE), (Path::new(CLOTHING_FILE), CLOTHING_FILE)] {
+        let from = tree.root().join(from);
         if from.is_file() {
             if !options.follow_links {
                 raw::require_inside(tree.root(), &from)?;

@@ -81,6 +81,28 @@ fn expected_train() -> Vec<(usize, usize, usize)> {
 }
 
 #[test]
+fn the_body_is_that_of_the_split() {
+    let root = raw_tree();
+    let split = SplitSpec { body: Some("body_female.npz".into()), ..split() };
+    let out = root.path().join("packed");
+    let message = pack_to(root.path(), &out, &split).unwrap_err().to_string();
+    assert!(
+        message.contains("body_female.npz") && message.contains("`body` of the split"),
+        "{message}"
+    );
+    for name in [BODY_FILE, "body_female.npz"] {
+        fs::write(root.path().join(name), name).unwrap();
+    }
+    pack_to(root.path(), &out, &split).unwrap();
+    assert_eq!(fs::read_to_string(out.join(BODY_FILE)).unwrap(), "body_female.npz");
+    // In the packed set it has the usual name.
+    assert_eq!(SplitSpec::from_file(out.join(SPLIT_FILE)).unwrap().body, None);
+    let outside = SplitSpec { body: Some("../body.npz".into()), ..split };
+    let message = pack_to(root.path(), &root.path().join("other"), &outside).unwrap_err();
+    assert!(message.to_string().contains("`body`"), "{message}");
+}
+
+#[test]
 fn packs_the_releases_layout() {
     let root = raw_tree();
     fs::write(root.path().join(BODY_FILE), "body").unwrap();

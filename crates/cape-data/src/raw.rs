@@ -5,7 +5,8 @@
 //! minimal_body_shape/<subject>/<subject>_minimal.npy     [V, 3]
 //! ```
 //!
-//! Data of other sources have `body.npz`, `clothing_verts_idx.npy` and `split.toml` at the root.
+//! Data of other sources have `body.npz`, `clothing_verts_idx.npy` and `split.toml` at the root, or with
+//! bodies by gender `body_male.npz`, `split_male.toml`, `body_female.npz` and `split_female.toml`.
 
 use std::{
     fs,
@@ -13,20 +14,29 @@ use std::{
     time::UNIX_EPOCH,
 };
 
+pub use cape_core::smpl::BODY_FILE;
 use cape_core::{
     Outfit, list_files,
     npy::{Npz, NpzWriter, read_f64, write_npy},
+    smpl::Gender,
 };
 use ndarray::{Array1, Array2, ArrayD, Ix2};
 
 use crate::{Error, Result};
 
-/// File name of the body that the data are registered to, in SMPL's layout.
-pub const BODY_FILE: &str = "body.npz";
 /// File name of the indices of clothing vertices.
 pub const CLOTHING_FILE: &str = "clothing_verts_idx.npy";
 /// File name of the split.
 pub const SPLIT_FILE: &str = "split.toml";
+
+/// File name of the split of the subjects of a gender, in data that have both.
+pub const fn gender_split_file(gender: Gender) -> &'static str {
+    match gender {
+        Gender::Male => "split_male.toml",
+        Gender::Female => "split_female.toml",
+        Gender::Neutral => "split_neutral.toml",
+    }
+}
 
 /// Registered frame, in metres and radians.
 ///

@@ -1,7 +1,7 @@
 use std::{
     collections::{BTreeMap, HashSet},
     fs,
-    path::Path,
+    path::{Component, Path, PathBuf},
 };
 
 use cape_core::{Outfit, OutfitVocabulary};
@@ -18,6 +18,7 @@ use crate::{Error, Result};
 /// outfits = ["shortlong", "longlong", "poloshort"]
 /// cut = 2          # frames dropped at either end of a sequence (default 2)
 /// sample_rate = 1  # keep every n-th of the remaining frames (default 1)
+/// body = "body_male.npz"  # the subjects' body in the raw data (default body.npz)
 ///
 /// [labels]         # outfits that are packed under the label of another
 /// poloshort = "shortshort"
@@ -70,6 +71,9 @@ pub struct SplitSpec {
     /// Step between the frames kept after `cut`, from the first on.
     #[serde(default = "default_sample_rate")]
     pub sample_rate: usize,
+    /// File of the subjects' body, relative to the raw data; `None` is `body.npz`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub body: Option<PathBuf>,
     /// Outfits that are packed under the label of another, such as `poloshort = "shortshort"`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub labels: BTreeMap<Outfit, Outfit>,
@@ -182,6 +186,7 @@ impl Default for SplitSpec {
             vocabulary: None,
             cut: default_cut(),
             sample_rate: default_sample_rate(),
+            body: None,
             labels: BTreeMap::new(),
             train: SequenceList::default(),
             test: SequenceList::default(),
@@ -298,6 +303,17 @@ impl SplitSpec {
         if self.sample_rate == 0 {
             return Err(("sample_rate", "is 0: expected 1 (every frame) or more".to_owned()));
         }
+        let plain = |path: &PathBuf| {
+            path.components().next().is_some()
+                && path.components().all(|part| matches!(part, Component::Normal(_)))
+        };
+        if let Some(body) = self.body.as_ref().filter(|body| !plain(body)) {
+            let body = body.display();
+            return Err((
+                "body",
+                format!("`{body}`: expected the path of a file below the raw data"),
+            ));
+        }
         for (field, list) in [("train.exclude", &self.train), ("test.exclude", &self.test)] {
             if let Some(name) = list.exclude.iter().find(|name| !self.selects(list, name)) {
                 return Err((
@@ -387,6 +403,8 @@ mod tests {
     fn toml_round_trip_and_defaults() {
         let split = SplitSpec::female();
         assert_eq!(load(&split.to_toml().unwrap()).unwrap(), split);
+        let split = SplitSpec { body: Some("body_female.npz".into()), ..split };
+        assert_eq!(load(&split.to_toml().unwrap()).unwrap(), split);
         let split = load(&minimal("")).unwrap();
         assert_eq!((split.cut, split.sample_rate, split.test.sequences.len()), (2, 1, 0));
     }
@@ -405,7 +423,10 @@ mod tests {
         assert_eq!(load(&split.to_toml().unwrap()).unwrap(), split);
         // Files and presets without the fields are written as before.
         let text = SplitSpec::male().to_toml().unwrap();
-        assert!(!text.contains("vocabulary") && !text.contains("labels"), "{text}");
+        assert!(
+            !["vocabulary", "labels", "body"].iter().any(|field| text.contains(field)),
+            "{text}"
+        );
     }
 
     fn swap_outfits(text: &str) -> SplitSpec {
@@ -430,6 +451,9 @@ mod tests {
             (minimal("cats = 1"), "cats"),
             (minimal("cut = -1"), "cut"),
             (minimal("sample_rate = 0"), "`sample_rate`"),
+            (minimal("body = '../body.npz'"), "`body`: `../body.npz`"),
+            (minimal("body = '/body.npz'"), "`body`"),
+            (minimal("body = ''"), "`body`"),
             (swap("subjects = ['a']", ""), "subjects"),
             (swap("['a']", "[]"), "`subjects`: is empty"),
             (swap("['a']", "['a', 'a']"), "`subjects`: lists `a` twice"),

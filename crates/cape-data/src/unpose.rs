@@ -1,8 +1,15 @@
 //! Unposing of posed registrations into raw frames for [`pack`](super::pack()).
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
-use cape_core::{SmplModel, npy::write_npy};
+use cape_core::{
+    SmplModel,
+    npy::write_npy,
+    smpl::{GENDERS_FILE, SubjectBodies, write_genders},
+};
 use ndarray::Array2;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -63,26 +70,35 @@ pub struct UnposedSubject {
 /// Unposes every frame of the raw tree `raw`: reads `v_posed`, `pose` and `transl` (zero if
 /// missing), and writes them with `v_cano` into the new tree `out`, which appears only when it is
 /// complete. Joint positions come from the minimal shape of the subject; `betas` is the number of
-/// shape coefficients fitted to it.
+/// shape coefficients fitted to it. Of bodies by gender, each subject has that of its gender by
+/// `misc/subj_genders.pkl`.
 ///
 /// # Errors
-/// If a minimal shape is missing or does not match the body, or if no frame is left. Frames that
-/// cannot be read or unposed are listed in the report.
-pub fn unpose(
+/// If a minimal shape is missing or does not match the body, a gender that is needed is unknown, or no
+/// frame is left. Frames that cannot be read or unposed are listed in the report.
+pub fn unpose<'a>(
     raw: impl AsRef<Path>,
     out: impl AsRef<Path>,
-    body: &SmplModel,
+    bodies: impl Into<SubjectBodies<'a>>,
     betas: usize,
     progress: &mut ProgressFn,
 ) -> Result<UnposeReport> {
-    let (raw, out) = (raw.as_ref(), out.as_ref());
+    let (raw, out, bodies) = (raw.as_ref(), out.as_ref(), bodies.into());
     let mut report = UnposeReport::default();
     let staging = StagingDirectory::create(out)?;
     let tree = RawTree::open(raw)?;
     let subjects = plan(&tree);
     let total = subjects.iter().map(|(_, frames)| frames.len()).sum();
     let (mut done, mut sum) = (0, 0.0);
+    let known = tree.genders()?;
+    let (mut genders, mut used) = (BTreeMap::new(), BTreeMap::new());
     for (subject, frames) in &subjects {
+        let gender = known.get(*subject).and_then(|gender| gender.parse().ok());
+        let body = bodies
+            .of(gender)
+            .map_err(|error| Error::Data(format!("{subject}: {error}, in {GENDERS_FILE}")))?;
+        used.insert(bodies.file_name(gender), body);
+        genders.extend(gender.map(|gender| ((*subject).to_owned(), gender)));
         let minimal = tree.minimal(subject, false)?;
         let fit = body
             .fit_betas(&minimal, betas)
@@ -125,7 +141,12 @@ pub fn unpose(
         return Err(Error::Data(format!("{}: no frame can be unposed{reason}", raw.display())));
     }
     report.displacement_mm = 1000.0 * sum / report.frames as f64;
-    body.save(staging.path.join(raw::BODY_FILE))?;
+    for (name, body) in used {
+        body.save(staging.path.join(name))?;
+    }
+    if !genders.is_empty() {
+        write_genders(&staging.path, &genders)?;
+    }
     let clothing = raw.join(raw::CLOTHING_FILE);
     if clothing.is_file() {
         let indices = cape_core::npy::read_i64(&clothing)?;
@@ -164,7 +185,43 @@ mod tests {
     use std::fs;
 
     use super::*;
-    use cape_core::silent;
+    use cape_core::{silent, smpl::Gender};
+
+    #[test]
+    fn subjects_are_unposed_by_the_bodies_of_their_genders() {
+        let root = tempfile::tempdir().unwrap();
+        let [raw_tree, out] = ["raw", "out"].map(|name| root.path().join(name));
+        let male = synthetic_body();
+        let mut female = male.clone();
+        female.v_template.column_mut(1).mapv_inplace(|y| 0.9 * y);
+        let bodies = SubjectBodies::Genders { male: &male, female: &female };
+        let spec = SynthSpec {
+            subjects: 2,
+            frames_per_sequence: 2,
+            motions: vec![cape_synth::Motion::Squats],
+            ..SynthSpec::default()
+        };
+        CaptureGenerator::new(bodies, spec).unwrap().write(&raw_tree, &mut silent).unwrap();
+        let report = unpose(&raw_tree, &out, bodies, 10, &mut silent).unwrap();
+        assert_eq!((report.frames, report.broken.len()), (16, 0));
+        assert!(report.subjects.iter().all(|subject| subject.residual_mm < 1e-3), "{report:?}");
+        let tree = RawTree::open(&out).unwrap();
+        assert_eq!(tree.genders().unwrap(), RawTree::open(&raw_tree).unwrap().genders().unwrap());
+        for (gender, body) in [(Gender::Male, &male), (Gender::Female, &female)] {
+            let path = tree.body_path(Some(gender)).unwrap();
+            assert_eq!(SmplModel::load(path).unwrap(), *body);
+        }
+        assert_eq!(tree.body_path(None), None);
+        // With the bodies exchanged, no shape fits; without genders, no body is known.
+        let exchanged = SubjectBodies::Genders { male: &female, female: &male };
+        let elsewhere = root.path().join("exchanged");
+        let report = unpose(&raw_tree, elsewhere, exchanged, 2, &mut silent).unwrap();
+        assert!(report.subjects.iter().all(|subject| subject.residual_mm > 1.0), "{report:?}");
+        fs::remove_file(raw_tree.join(GENDERS_FILE)).unwrap();
+        let message =
+            unpose(&raw_tree, root.path().join("none"), bodies, 10, &mut silent).unwrap_err();
+        assert!(message.to_string().contains("s0001: unknown gender"), "{message}");
+    }
 
     #[test]
     fn synthetic_captures_are_unposed_to_what_they_were_made_of() {
@@ -203,6 +260,7 @@ mod tests {
             assert_eq!(found.pose, expected.pose);
         }
         assert!(out.join(raw::BODY_FILE).is_file());
+        assert_eq!(RawTree::open(&out).unwrap().genders().unwrap().len(), 0);
         let message = unpose(&out, &out, &body, 10, &mut silent).unwrap_err().to_string();
         assert!(message.contains("already exists"), "{message}");
     }

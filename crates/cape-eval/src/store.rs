@@ -143,6 +143,8 @@ impl ResultStore {
     /// Makes the directory a store of these settings: removes results that are to be overwritten and
     /// writes settings.json. Done once, at the latest by the first [`claim`](Self::claim).
     pub fn begin(&self) -> Result<()> {
+        // Another process may have begun since.
+        self.refresh()?;
         self.begin_with(&mut self.state())
     }
 

@@ -130,29 +130,33 @@ pub struct DataIdentity {
     pub vertices: usize,
 }
 
-/// Body and clothing vertices of a packed set: the given files, else the set's own; without a file of
+/// Body and clothing vertices of a packed set: the given ones, else the set's own; without a file of
 /// clothing vertices, they are derived from the body's blend weights.
 pub fn body_and_clothing(
     data: &Path,
     set: &PackedSet,
-    body: Option<&Path>,
+    body: Option<&SmplModel>,
     clothing: Option<&Path>,
 ) -> Result<(SmplModel, ClothingMask)> {
-    let body_path = body.map_or_else(|| data.join(BODY_FILE), Path::to_owned);
-    if !body_path.exists() {
-        return Err(Error::argument(format!(
-            "{}: not found: the packed set has no body of its own: give the SMPL body, .pkl or .npz \
-             (--body)",
-            body_path.display()
-        )));
-    }
-    let model = SmplModel::load(&body_path)?;
+    let own = data.join(BODY_FILE);
+    let model = match body {
+        Some(body) => body.clone(),
+        None if own.exists() => SmplModel::load(&own)?,
+        None => {
+            return Err(Error::argument(format!(
+                "{}: not found: the packed set has no body of its own: give the body that it is of \
+                 (--body)",
+                own.display()
+            )));
+        }
+    };
     if model.vertices() != set.vertices() {
-        return Err(Error::field(
-            &body_path,
-            "v_template",
-            format!("{} vertices, but the data have {}", model.vertices(), set.vertices()),
-        ));
+        let differs =
+            format!("{} vertices, but the data have {}", model.vertices(), set.vertices());
+        return Err(match body {
+            Some(_) => Error::argument(format!("the given body has {differs}")),
+            None => Error::field(&own, "v_template", differs),
+        });
     }
     let clothing_path = clothing.map_or_else(|| data.join(CLOTHING_FILE), Path::to_owned);
     let mask = if clothing.is_some() || clothing_path.exists() {

@@ -2,6 +2,7 @@
 //! CAPE release.
 
 use std::{
+    collections::{BTreeMap, BTreeSet},
     fs,
     path::{Path, PathBuf},
 };
@@ -18,6 +19,7 @@ use crate::{Error, Result};
 use cape_core::{
     Outfit, SmplModel,
     npy::{NpzWriter, write_npy},
+    smpl::{Gender, SubjectBodies, write_genders},
 };
 
 /// Specification of a synthetic data set.
@@ -200,9 +202,55 @@ impl SynthFrame {
 /// ```
 #[derive(Debug, Clone)]
 pub struct CaptureGenerator<'a> {
+    groups: Vec<SubjectGroup<'a>>,
+    spec: SynthSpec,
+}
+
+/// Subjects who share a body and its wardrobe.
+#[derive(Debug, Clone)]
+pub struct SubjectGroup<'a> {
+    gender: Option<Gender>,
+    file: &'static str,
     model: &'a SmplModel,
     wardrobe: Wardrobe<'a>,
-    spec: SynthSpec,
+    subjects: Vec<usize>,
+}
+
+impl<'a> SubjectGroup<'a> {
+    /// Gender of the subjects, if there are bodies by gender.
+    pub fn gender(&self) -> Option<Gender> {
+        self.gender
+    }
+
+    /// Name of the body's file in the data set.
+    pub fn body_file(&self) -> &'static str {
+        self.file
+    }
+
+    /// The body.
+    pub fn body(&self) -> &'a SmplModel {
+        self.model
+    }
+
+    /// The garments for the body.
+    pub fn wardrobe(&self) -> &Wardrobe<'a> {
+        &self.wardrobe
+    }
+
+    /// Names of the subjects, in order.
+    pub fn subject_names(&self) -> Vec<String> {
+        self.subjects.iter().copied().map(subject_name).collect()
+    }
+
+    /// Shape coefficients of a subject, at most 10.
+    pub fn betas(&self, subject: usize) -> Vec<f64> {
+        self.wardrobe.betas(subject)
+    }
+
+    /// Minimal shape of a subject (unclothed rest vertices), metres, `[V, 3]`.
+    pub fn minimal(&self, subject: usize) -> Result<Array2<f64>> {
+        self.model.rest_shape(&self.betas(subject))
+    }
 }
 
 /// Data that all frames of a sequence share: motion style, fitted outfit and minimal shape.
@@ -227,13 +275,44 @@ impl SequenceGenerator {
 }
 
 impl<'a> CaptureGenerator<'a> {
-    /// Creates a generator for `model`.
+    /// Creates a generator for subjects with `bodies`. Of bodies by gender, subjects of even index have
+    /// the male one and subjects of odd index the female one.
     ///
     /// # Errors
-    /// If the specification is invalid or the body does not have SMPL's 24 joints.
-    pub fn new(model: &'a SmplModel, spec: SynthSpec) -> Result<Self> {
+    /// If the specification is invalid, or a body does not have SMPL's 24 joints, or two bodies differ
+    /// in the number of vertices.
+    pub fn new(bodies: impl Into<SubjectBodies<'a>>, spec: SynthSpec) -> Result<Self> {
         spec.check()?;
-        Ok(Self { model, wardrobe: Wardrobe::new(model, spec.seed)?, spec })
+        let bodies = bodies.into();
+        let genders: &[Option<Gender>] = match bodies {
+            SubjectBodies::One(_) => &[None],
+            SubjectBodies::Genders { .. } => &[Some(Gender::Male), Some(Gender::Female)],
+        };
+        let mut groups: Vec<SubjectGroup<'_>> = Vec::new();
+        for (index, &gender) in genders.iter().enumerate() {
+            let subjects: Vec<usize> = (index..spec.subjects).step_by(genders.len()).collect();
+            if subjects.is_empty() {
+                continue;
+            }
+            let model = bodies.of(gender)?;
+            if let Some(first) = groups.first()
+                && first.model.vertices() != model.vertices()
+            {
+                return Err(Error::Argument(format!(
+                    "bodies of {} and {} vertices: expected the same number",
+                    first.model.vertices(),
+                    model.vertices()
+                )));
+            }
+            groups.push(SubjectGroup {
+                gender,
+                file: bodies.file_name(gender),
+                model,
+                wardrobe: Wardrobe::new(model, spec.seed)?,
+                subjects,
+            });
+        }
+        Ok(Self { groups, spec })
     }
 
     /// Specification of the data set.
@@ -241,14 +320,25 @@ impl<'a> CaptureGenerator<'a> {
         &self.spec
     }
 
-    /// Wardrobe of all subjects.
-    pub fn wardrobe(&self) -> &Wardrobe<'a> {
-        &self.wardrobe
+    /// The subjects by body.
+    pub fn groups(&self) -> &[SubjectGroup<'a>] {
+        &self.groups
     }
 
-    /// Minimal shape of a subject (unclothed rest vertices), metres, `[V, 3]`.
-    pub fn minimal(&self, subject: usize) -> Result<Array2<f64>> {
-        self.model.rest_shape(&self.wardrobe.betas(subject))
+    /// Subjects with the body of a subject.
+    pub fn group(&self, subject: usize) -> &SubjectGroup<'a> {
+        &self.groups[subject % self.groups.len()]
+    }
+
+    /// Number of vertices of the bodies.
+    pub fn vertices(&self) -> usize {
+        self.groups[0].model.vertices()
+    }
+
+    /// Indices of the vertices that garments may cover on any of the bodies, ascending.
+    pub fn clothing_vertices(&self) -> Vec<usize> {
+        let vertices = self.groups.iter().flat_map(|group| group.wardrobe.clothing_vertices());
+        vertices.collect::<BTreeSet<_>>().into_iter().collect()
     }
 
     /// Prepares the generation of a sequence.
@@ -257,12 +347,13 @@ impl<'a> CaptureGenerator<'a> {
         let path = [4, subject as u64, outfit.stream(), motion as u64];
         let style =
             MotionStyle::random(&mut ChaCha8Rng::seed_from_u64(mix_seed(self.spec.seed, &path)));
-        let garment = self.wardrobe.outfit_style(subject, outfit, motion as usize)?;
+        let group = self.group(subject);
+        let garment = group.wardrobe.outfit_style(subject, outfit, motion as usize)?;
         Ok(SequenceGenerator {
             sequence,
             style,
-            fitted: self.wardrobe.fit(garment),
-            minimal: self.minimal(subject)?,
+            fitted: group.wardrobe.fit(garment),
+            minimal: group.minimal(subject)?,
         })
     }
 
@@ -275,7 +366,8 @@ impl<'a> CaptureGenerator<'a> {
     pub fn displacement(&self, generator: &SequenceGenerator, frame: usize) -> Result<Array2<f64>> {
         let pose = self.pose(generator, frame);
         let noise = Some(frame as u64);
-        self.wardrobe.displacement(&generator.fitted, &pose, self.time(frame), noise)
+        let wardrobe = &self.group(generator.sequence.subject).wardrobe;
+        wardrobe.displacement(&generator.fitted, &pose, self.time(frame), noise)
     }
 
     /// Generates one frame of a sequence.
@@ -283,7 +375,8 @@ impl<'a> CaptureGenerator<'a> {
         let pose = self.pose(generator, frame);
         let displacement = self.displacement(generator, frame)?;
         let minimal = &generator.minimal;
-        let posed = self.model.pose_shape(minimal, &pose, [0.0; 3], Some(&displacement))?.vertices;
+        let model = self.group(generator.sequence.subject).model;
+        let posed = model.pose_shape(minimal, &pose, [0.0; 3], Some(&displacement))?.vertices;
         let floor = posed.column(1).iter().copied().fold(f64::INFINITY, f64::min);
         let transl = Array1::from_vec(vec![0.0, -floor, 0.0]);
         Ok(SynthFrame {
@@ -304,9 +397,8 @@ impl<'a> CaptureGenerator<'a> {
     /// Writes the data set under `root` in the layout of the CAPE release.
     ///
     /// `sequences/<subject>/<outfit>_<motion>/<outfit>_<motion>.000001.npz` and so on with `v_cano`,
-    /// `v_posed` (float32), `pose` and `transl` (float64);
-    /// `minimal_body_shape/<subject>/<subject>_minimal.npy`; `body.npz`, the body in SMPL's layout;
-    /// `clothing_verts_idx.npy`. Files are written atomically. `progress` gets the numbers of written
+    /// `v_posed` (float32), `pose` and `transl` (float64), and what [`Self::write_subjects`] writes.
+    /// Files are written atomically. `progress` gets the numbers of written
     /// and of all frames after every sequence.
     pub fn write(
         &self,
@@ -332,18 +424,31 @@ impl<'a> CaptureGenerator<'a> {
         Ok(())
     }
 
-    /// Writes what all sequences of a data set share: `body.npz`, `clothing_verts_idx.npy` and the
-    /// minimal shapes of the subjects.
+    /// Writes what all sequences of a data set share: `minimal_body_shape/<subject>/<subject>_minimal.npy`;
+    /// `body.npz`, the body in SMPL's layout, or `body_male.npz` and `body_female.npz` with the subjects'
+    /// genders in `misc/subj_genders.pkl`; `clothing_verts_idx.npy`.
     pub fn write_subjects(&self, root: &Path) -> Result<()> {
         create(root)?;
-        self.model.save(root.join("body.npz"))?;
-        let clothing = self.wardrobe.clothing_vertices().into_iter().map(|vertex| vertex as i64);
+        let mut genders = BTreeMap::new();
+        for group in &self.groups {
+            group.model.save(root.join(group.file))?;
+            if let Some(gender) = group.gender {
+                genders.extend(group.subject_names().into_iter().map(|name| (name, gender)));
+            }
+        }
+        if !genders.is_empty() {
+            write_genders(root, &genders)?;
+        }
+        let clothing = self.clothing_vertices().into_iter().map(|vertex| vertex as i64);
         write_npy(root.join("clothing_verts_idx.npy"), &clothing.collect::<Array1<_>>())?;
         for subject in 0..self.spec.subjects {
             let name = subject_name(subject);
             let directory = root.join("minimal_body_shape").join(&name);
             create(&directory)?;
-            write_npy(directory.join(format!("{name}_minimal.npy")), &self.minimal(subject)?)?;
+            write_npy(
+                directory.join(format!("{name}_minimal.npy")),
+                &self.group(subject).minimal(subject)?,
+            )?;
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! Synthetic data in place of licensed data, for tests, demonstrations and benchmarks.
 //!
-//! [`synthetic_body`] is a body in SMPL's layout (6890 vertices, 24 joints) built from an implicit
-//! surface. [`Motion`]s are named joint-angle curves. A [`Wardrobe`] computes procedural clothing as
+//! [`embedded_body`] is a human body in SMPL's layout (6890 vertices, 24 joints), male, female or neutral;
+//! [`synthetic_body`] is one built from an implicit surface. [`Motion`]s are named joint-angle curves. A [`Wardrobe`] computes procedural clothing as
 //! displacements of the rest vertices, with folds that depend on the pose. [`CaptureGenerator`] combines
 //! them into capture sequences in the raw layout of the CAPE data set. Everything is determined by a
 //! seed.
@@ -32,6 +32,8 @@ pub use cape_core::{Error, Result};
 pub use body::{
     FACES as BODY_FACES, HalfBody, VERTICES as BODY_VERTICES, embedded_body, synthetic_body,
 };
-pub use dataset::{CaptureGenerator, SequenceGenerator, SynthFrame, SynthSequence, SynthSpec};
+pub use dataset::{
+    CaptureGenerator, SequenceGenerator, SubjectGroup, SynthFrame, SynthSequence, SynthSpec,
+};
 pub use motion::{Motion, MotionStyle};
 pub use wardrobe::{FittedOutfit, GarmentLengths, OutfitStyle, Wardrobe, mix_seed};

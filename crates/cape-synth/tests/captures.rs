@@ -5,10 +5,12 @@ use std::{collections::HashSet, sync::OnceLock};
 use cape_core::{
     Outfit, SmplModel,
     npy::{Npz, read_f64, read_i64},
+    pickle::Pickle,
+    smpl::SubjectBodies,
 };
 use cape_synth::{
-    CaptureGenerator, GarmentLengths, Motion, MotionStyle, SynthSequence, SynthSpec, Wardrobe,
-    synthetic_body,
+    CaptureGenerator, GarmentLengths, Motion, MotionStyle, SubjectGroup, SynthSequence, SynthSpec,
+    Wardrobe, synthetic_body,
 };
 use ndarray::{Array1, Array2, Axis, s};
 use rayon::prelude::*;
@@ -117,7 +119,7 @@ fn statistics_are_near_the_real_ones_and_no_linear_model_of_18_explains_them() {
     let spec =
         SynthSpec { subjects: 4, frames_per_sequence: 4, frame_rate: 2.1, ..SynthSpec::default() };
     let synth = CaptureGenerator::new(body(), spec).unwrap();
-    let clothing = synth.wardrobe().clothing_vertices();
+    let clothing = synth.clothing_vertices();
     assert!((3100..=4200).contains(&clothing.len()), "{}", clothing.len());
 
     let mut train = displacements(&synth, &clothing, false);
@@ -273,7 +275,7 @@ fn files_follow_the_release_whatever_the_number_of_threads() {
     let root = directory.path();
     assert_eq!(SmplModel::load(root.join("body.npz")).unwrap().faces, body().faces);
     let clothing = read_i64(root.join("clothing_verts_idx.npy")).unwrap();
-    assert_eq!(clothing.len(), synth.wardrobe().clothing_vertices().len());
+    assert_eq!(clothing.len(), synth.clothing_vertices().len());
     let minimal = read_f64(root.join("minimal_body_shape/s0001/s0001_minimal.npy")).unwrap();
     let minimal: Array2<f64> = minimal.into_dimensionality().unwrap();
     let name = "longshort_squats";
@@ -296,6 +298,50 @@ fn files_follow_the_release_whatever_the_number_of_threads() {
     assert!(distance(&unposed, &cano) < 1e-3);
     let lowest = posed.column(1).iter().copied().fold(f64::INFINITY, f64::min);
     assert!(lowest.abs() < 1e-6, "{lowest}");
+}
+
+#[test]
+fn subjects_have_the_bodies_of_their_genders_whatever_the_number_of_threads() {
+    let mut female = body().clone();
+    female.v_template.mapv_inplace(|x| 0.9 * x);
+    let bodies = SubjectBodies::Genders { male: body(), female: &female };
+    let spec = SynthSpec {
+        subjects: 3,
+        frames_per_sequence: 2,
+        outfits: vec![Outfit::LONG_LONG],
+        motions: vec![Motion::Squats],
+        ..SynthSpec::default()
+    };
+    let synth = CaptureGenerator::new(bodies, spec.clone()).unwrap();
+    let names: Vec<_> = synth.groups().iter().map(SubjectGroup::subject_names).collect();
+    assert_eq!(names, [vec!["s0001", "s0003"], vec!["s0002"]]);
+    let wardrobe = Wardrobe::new(body(), spec.seed).unwrap();
+    let write = |threads: usize| {
+        let directory = tempfile::tempdir().unwrap();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| synth.write(directory.path(), &mut |_, _| {}).unwrap());
+        directory
+    };
+    let (one, three) = (write(1), write(3));
+    for (subject, own) in [body(), &female, body()].into_iter().enumerate() {
+        let name = format!("s{:04}", subject + 1);
+        let place = format!("minimal_body_shape/{name}/{name}_minimal.npy");
+        let minimal = read_f64(one.path().join(&place)).unwrap();
+        let expected = own.rest_shape(&wardrobe.betas(subject)).unwrap();
+        assert_eq!(minimal, expected.into_dyn());
+        let frame = format!("sequences/{name}/longlong_squats/longlong_squats.000002.npz");
+        for file in [place, frame] {
+            let read = |root: &tempfile::TempDir| std::fs::read(root.path().join(&file)).unwrap();
+            assert!(read(&one) == read(&three), "{file}");
+        }
+    }
+    let genders = Pickle::open(one.path().join("misc/subj_genders.pkl")).unwrap();
+    assert_eq!(genders.root().require("s0002").unwrap().text().unwrap(), "female");
+    assert_eq!(SmplModel::load(one.path().join("body_female.npz")).unwrap(), female);
+    assert!(!one.path().join("body.npz").exists());
+    // A subject alone has no companions' files.
+    let alone = CaptureGenerator::new(bodies, SynthSpec { subjects: 1, ..spec }).unwrap();
+    assert_eq!(alone.groups().len(), 1);
 }
 
 #[test]

@@ -24,7 +24,7 @@ pub(crate) fn create(root: &Path, options: &TrainerOptions) -> Result<(RunPaths,
     let config = config.clone().with_outfits_of(&set);
     let set = set.with_vocabulary(&config.model.outfits)?;
     let statistics = DisplacementStatistics::from_packed(data, &mut cape_core::silent)?;
-    let (model, mask) = body_and_clothing(data, &set, body.as_deref(), clothing.as_deref())?;
+    let (model, mask) = body_and_clothing(data, &set, body.as_ref(), clothing.as_deref())?;
 
     let paths = RunPaths::new(root);
     fs::create_dir_all(root).map_err(|source| Error::io(root, source))?;

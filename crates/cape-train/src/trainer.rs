@@ -105,17 +105,17 @@ pub struct TrainOutcome {
 /// use cape_train::TrainerOptions;
 ///
 /// let options = TrainerOptions {
-///     body: Some("SMPL_MALE.pkl".into()),
+///     clothing: Some("clothing_verts_idx.npy".into()),
 ///     ..TrainerOptions::new("packed", RunConfig::default())
 /// };
-/// assert!(options.clothing.is_none());
+/// assert!(options.body.is_none());
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainerOptions {
     /// Directory of the packed set.
     pub data: PathBuf,
-    /// File of the SMPL body; `None` uses the `body.npz` of the packed set.
-    pub body: Option<PathBuf>,
+    /// Body of the data; `None` uses the `body.npz` of the packed set.
+    pub body: Option<SmplModel>,
     /// File of the indices of clothing vertices; `None` uses those of the packed set, or derives
     /// them from the body's blend weights.
     pub clothing: Option<PathBuf>,

@@ -140,7 +140,7 @@ fn trained(run: &Path, options: TrainerOptions) -> Vec<Vec<u8>> {
     files.iter().map(|path| fs::read(path).unwrap()).collect()
 }
 
-fn options(data: PathBuf, body: Option<PathBuf>) -> TrainerOptions {
+fn options(data: PathBuf, body: Option<SmplModel>) -> TrainerOptions {
     let config = RunConfig {
         model: CapeConfig { filters: vec![4, 8], factors: vec![1, 2], ..CapeConfig::tiny() },
         train: TrainConfig { batch: 2, epochs: 1, warmup_epochs: 0.5, ..TrainConfig::default() },
@@ -181,9 +181,9 @@ fn both_packings_train_alike() {
     let message = error.map(drop).unwrap_err().to_string();
     assert!(message.contains("no body of its own") && message.contains("--body"), "{message}");
 
-    let expected = trained(&at("a"), options(at("packed"), Some(at("body.npz"))));
+    let expected = trained(&at("a"), options(at("packed"), Some(body.clone())));
     for (name, run) in [("official", "b"), ("without", "c")] {
-        let found = trained(&at(run), options(at(name), Some(at("body.npz"))));
+        let found = trained(&at(run), options(at(name), Some(body.clone())));
         assert!(found == expected, "{name}: other weights after {STEPS} steps");
     }
 }

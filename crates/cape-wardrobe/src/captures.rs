@@ -3,8 +3,10 @@
 use std::{fs, path::Path, sync::mpsc, thread};
 
 use cape_cloth::SimulationOptions;
-use cape_core::{BodyMotion, Outfit, SmplModel};
-use cape_synth::{CaptureGenerator, Motion, MotionStyle, SynthFrame, SynthSpec, mix_seed};
+use cape_core::{BodyMotion, Outfit, SmplModel, smpl::SubjectBodies};
+use cape_synth::{
+    CaptureGenerator, Motion, MotionStyle, SubjectGroup, SynthFrame, SynthSpec, mix_seed,
+};
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -121,7 +123,6 @@ pub struct SimulatedTake {
 /// ```
 #[derive(Debug, Clone)]
 pub struct SimulatedCaptures<'a> {
-    model: &'a SmplModel,
     procedural: CaptureGenerator<'a>,
     options: WardrobeOptions,
 }
@@ -141,11 +142,15 @@ struct Plan<'a> {
 }
 
 impl<'a> SimulatedCaptures<'a> {
-    /// Creates a generator for `model`.
+    /// Creates a generator for subjects with `bodies`, as [`CaptureGenerator::new`] does.
     ///
     /// # Errors
-    /// If specification or options are out of range, or the body does not have SMPL's 24 joints.
-    pub fn new(model: &'a SmplModel, spec: SynthSpec, options: WardrobeOptions) -> Result<Self> {
+    /// If specification or options are out of range, or the bodies cannot be dressed.
+    pub fn new(
+        bodies: impl Into<SubjectBodies<'a>>,
+        spec: SynthSpec,
+        options: WardrobeOptions,
+    ) -> Result<Self> {
         if options.takes == 0 || options.takes > 999 {
             return Err(Error::argument(format!(
                 "{} takes of each motion: expected 1 to 999",
@@ -158,7 +163,7 @@ impl<'a> SimulatedCaptures<'a> {
                 options.noise
             )));
         }
-        Ok(Self { model, procedural: CaptureGenerator::new(model, spec)?, options })
+        Ok(Self { procedural: CaptureGenerator::new(bodies, spec)?, options })
     }
 
     /// Specification of the data set.
@@ -166,9 +171,19 @@ impl<'a> SimulatedCaptures<'a> {
         self.procedural.spec()
     }
 
-    /// Indices of the vertices that garments may cover, ascending.
+    /// The subjects by body.
+    pub fn groups(&self) -> &[SubjectGroup<'a>] {
+        self.procedural.groups()
+    }
+
+    /// Number of vertices of the bodies.
+    pub fn vertices(&self) -> usize {
+        self.procedural.vertices()
+    }
+
+    /// Indices of the vertices that garments may cover on any of the bodies, ascending.
     pub fn clothing_vertices(&self) -> Vec<usize> {
-        self.procedural.wardrobe().clothing_vertices()
+        self.procedural.clothing_vertices()
     }
 
     /// Number of synthetic motions; recordings come after them.
@@ -224,7 +239,7 @@ impl<'a> SimulatedCaptures<'a> {
     /// If the outfit is none of the paper's four.
     pub fn cut(&self, subject: usize, outfit: Outfit) -> Result<OutfitCut> {
         let seed = mix_seed(self.spec().seed, &[GARMENTS, subject as u64, outfit.stream()]);
-        let betas = self.procedural.wardrobe().betas(subject);
+        let betas = self.procedural.group(subject).betas(subject);
         Ok(OutfitCut::random(outfit, &betas, seed)?.with_resolution(self.options.resolution))
     }
 
@@ -248,8 +263,9 @@ impl<'a> SimulatedCaptures<'a> {
     /// If the garments cannot be sewn, or the simulation diverges.
     pub fn simulate(&self, take: &SimulatedTake) -> Result<(Vec<SynthFrame>, TakeQuality)> {
         let cut = self.cut(take.subject, take.outfit)?;
-        let minimal = self.procedural.minimal(take.subject)?;
-        let dressed = DressedSubject::new(self.model, minimal.clone(), cut)?;
+        let group = self.procedural.group(take.subject);
+        let (model, minimal) = (group.body(), group.minimal(take.subject)?);
+        let dressed = DressedSubject::new(model, minimal.clone(), cut)?;
         let rng = |stream| ChaCha8Rng::seed_from_u64(self.seed(stream, take));
         let (stride, rate) = self.rate();
         let frames = (self.spec().frames_per_sequence - 1) * stride + 1;
@@ -263,7 +279,7 @@ impl<'a> SimulatedCaptures<'a> {
             let least = spare.min(RUN_UP);
             RecordedMotion::File(file, least + styles.random::<f64>() * (spare - least))
         };
-        let subject = (self.model, &minimal);
+        let subject = (model, &minimal);
         let (motion, run_up) = take_motion(subject, &motion, (frames, rate), &mut rng(DRESSING))?;
         let mut noise = RegistrationNoise { deviation: self.options.noise, rng: rng(NOISE) };
         dressed.simulate(&self.options.simulation, &motion, (run_up, stride), &mut noise)
@@ -342,11 +358,15 @@ impl<'a> SimulatedCaptures<'a> {
         let path = root.join(PLAN_FILE);
         if path.exists() {
             let there = fs::read_to_string(&path).map_err(|error| Error::io(&path, error))?;
-            return if there == to_json(&plan)? {
+            let of_these = |group: &SubjectGroup<'_>| {
+                let path = root.join(group.body_file());
+                SmplModel::load(path).is_ok_and(|body| body == *group.body())
+            };
+            return if there == to_json(&plan)? && self.groups().iter().all(of_these) {
                 Ok(())
             } else {
                 Err(Error::Data(format!(
-                    "{}: holds captures of other settings: choose another directory",
+                    "{}: holds captures of other settings or bodies: choose another directory",
                     root.display()
                 )))
             };

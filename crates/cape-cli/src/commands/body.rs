@@ -8,10 +8,7 @@ use clap::{Args, Subcommand};
 use serde::Serialize;
 
 use crate::{
-    console::Console,
-    error::Result,
-    options::{GENDERS, choices},
-    table::Table,
+    body_source::GENDERS, console::Console, error::Result, options::choices, table::Table,
 };
 
 /// Make bodies in SMPL's layout: make.

@@ -9,9 +9,11 @@ use std::{
 };
 
 use cape::{
-    core::{Mesh, PointCacheFormat, PointCacheWriter, motion::UpAxis, npy::NpzWriter},
+    core::{
+        Mesh, PointCacheFormat, PointCacheWriter, motion::UpAxis, npy::NpzWriter, smpl::Gender,
+    },
     layer::LayerSet,
-    synth::synthetic_body,
+    synth::embedded_body,
 };
 use ndarray::Axis;
 use tempfile::TempDir;
@@ -220,7 +222,7 @@ fn sequences_of_other_programs_are_imported() {
     }
     cache.finish().unwrap();
     // The body lies in these coordinates: its root is turned about the pelvis.
-    let model = synthetic_body();
+    let model = embedded_body(Gender::Neutral).unwrap();
     let pelvis = model.rest_joints(&model.rest_shape(&expected.betas).unwrap()).unwrap();
     let pelvis = [0, 1, 2].map(|axis| pelvis[(0, axis)]);
     let mut lying = expected.motion.clone();
@@ -245,7 +247,7 @@ fn sequences_of_other_programs_are_imported() {
         run_line(&format!("layer import {source} --unit cm --up z --set {set} --name walk --json"))
             .succeeded();
         let found = LayerSet::load(&set).unwrap();
-        assert_eq!(found.body.as_ref().unwrap().name, "synthetic body");
+        assert_eq!(found.body.as_ref().unwrap().name, "neutral (built in)");
         let (found, wanted) = (&found.sequences[0], &expected.clothing);
         assert_eq!(found.clothing.dim(), wanted.dim(), "{name}");
         assert!(found.clothing.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-4), "{name}");
@@ -278,7 +280,7 @@ fn sequences_of_other_programs_are_imported() {
     let set = at("set-cache");
     for command in ["learn", "associate"] {
         run_line(&format!("layer {command} {set} --body {} --out {}", at("other.npz"), at("none")))
-            .failed_saying(&["another body, `synthetic body`", "--body"]);
+            .failed_saying(&["another body, `neutral (built in)`", "--body"]);
     }
 }
 
@@ -317,7 +319,7 @@ fn garments_of_cloth3d_are_imported() {
     let known = LayerSet::load(skirt()).unwrap();
     let sequence = &known.sequences[0];
     let (frames, points, _) = sequence.clothing.dim();
-    let body = synthetic_body();
+    let body = embedded_body(Gender::Neutral).unwrap();
     let joints = body.rest_joints(&body.rest_shape(&sequence.betas).unwrap()).unwrap();
     // The translation is the place of the pelvis, to which the garment is relative.
     let places = &sequence.motion.translations + &joints.row(0);
@@ -407,7 +409,7 @@ fn simulated_sequences_of_vto_are_imported() {
 #[test]
 fn a_report_is_written_and_kept() {
     let place = tempfile::tempdir().unwrap();
-    let mut body = synthetic_body();
+    let mut body = embedded_body(Gender::Neutral).unwrap();
     let [known_body, larger_body] = ["known.npz", "larger.npz"].map(|name| place.path().join(name));
     body.save(&known_body).unwrap();
     body.v_template.mapv_inplace(|x| 1.03 * x);

@@ -12,6 +12,7 @@ mod foreign_files;
 mod layer;
 mod masks;
 mod motions;
+mod people;
 mod priors;
 mod scanning;
 mod support;

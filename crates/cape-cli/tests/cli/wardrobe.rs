@@ -13,7 +13,7 @@ fn simulated_captures_are_written_packed_and_resumed() {
     let report = data.run(&format!("{SMALL} --out @/simulated --json")).json();
     assert_eq!((report["takes"].as_u64(), report["frames"].as_u64()), (Some(1), Some(1)));
     let root = data.at("simulated");
-    let split = SplitSpec { cut: 0, ..SplitSpec::from_file(root.join("split.toml")).unwrap() };
+    let split = SplitSpec { cut: 0, ..SplitSpec::from_file(root.join("split_male.toml")).unwrap() };
     assert_eq!(split.train.sequences, ["simple"]);
     pack(&root, data.at("simulated-packed"), &split, PackOptions::default(), &mut |_, _| {})
         .unwrap();
@@ -22,6 +22,10 @@ fn simulated_captures_are_written_packed_and_resumed() {
     assert_eq!(contents(&root), before);
     data.run(&format!("{SMALL} --takes 2 --out @/simulated"))
         .failed_saying(&["simulated", "other settings"]);
+    for body in ["female", "neutral"] {
+        data.run(&format!("{SMALL} --body {body} --out @/simulated"))
+            .failed_saying(&["simulated", "other settings or bodies"]);
+    }
 }
 
 #[test]

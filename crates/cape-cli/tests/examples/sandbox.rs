@@ -14,6 +14,7 @@ use cape::{
         npy::{NpzWriter, write_npy},
         obj::{self, Uv},
         ply,
+        smpl::Gender,
     },
     data::{
         SequenceList, SplitSpec,
@@ -123,6 +124,13 @@ impl Sandbox {
             ..SplitSpec::default()
         };
         write_raw(&self.at("raw"), &split, FRAMES);
+        for gender in [Gender::Male, Gender::Female] {
+            small_body().save(self.at("raw").join(gender.body_file())).unwrap();
+            let own = SplitSpec { body: Some(gender.body_file().into()), ..split.clone() };
+            let path = self.at("raw").join(raw::gender_split_file(gender));
+            fs::write(path, own.to_toml().unwrap()).unwrap();
+        }
+        self.copy("raw", "people");
         let male = SplitSpec::preset("male").unwrap();
         let few = SplitSpec {
             subjects: male.subjects[..1].to_vec(),

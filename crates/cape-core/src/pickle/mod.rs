@@ -1,4 +1,4 @@
-//! Reader of Python pickles that builds data and executes nothing.
+//! Reader of Python pickles that builds data and executes nothing, and a writer of dictionaries of texts.
 //!
 //! A pickle is a program that may call any function. This reader interprets only the instructions
 //! that build data: it imports and calls nothing. Classes come from an allow list of what body files
@@ -19,6 +19,7 @@ mod sparse;
 mod tests;
 mod text;
 mod value;
+mod write;
 
 use std::{
     cell::Cell,
@@ -28,6 +29,7 @@ use std::{
 
 pub use sparse::Triplets;
 pub use value::Value;
+pub use write::write_texts;
 
 use crate::{Error, Result};
 use node::{Item, Node};

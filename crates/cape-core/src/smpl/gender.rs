@@ -11,7 +11,7 @@ use crate::{Error, Result};
 /// assert_eq!(Gender::Female.to_string(), "female");
 /// # Ok::<(), cape_core::Error>(())
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Gender {
     /// Male.
     Male,

@@ -16,6 +16,7 @@ mod mask;
 mod model;
 mod rodrigues;
 mod standard_pose;
+mod subject_bodies;
 
 pub use body::{Pose, Smpl, SmplInput, SmplOutput};
 pub use clothed::{ClothedSmpl, JointSource};
@@ -27,6 +28,7 @@ pub use mask::ClothingMask;
 pub use model::SmplModel;
 pub use rodrigues::rodrigues;
 pub use standard_pose::StandardPose;
+pub use subject_bodies::{BODY_FILE, GENDERS_FILE, SubjectBodies, write_genders};
 
 #[cfg(test)]
 mod forward_tests;

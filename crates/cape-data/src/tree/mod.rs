@@ -12,7 +12,10 @@
 //! misc/subj_genders.pkl                                optional
 //! ```
 //!
-//! The last four are in `<root>` or in `<root>/cape_release`, and `<root>/cape_release` may be given
+//! Data of other sources have `body.npz`, the body of all subjects, or `body_male.npz` and
+//! `body_female.npz` at the root.
+//!
+//! The last four of the list are in `<root>` or in `<root>/cape_release`, and `<root>/cape_release` may be given
 //! in place of `<root>`.
 
 mod archive;
@@ -29,6 +32,7 @@ use cape_core::{
     Mesh, Outfit,
     npy::{Npz, read_f64},
     pickle::Pickle,
+    smpl::{GENDERS_FILE, Gender},
 };
 use ndarray::Array2;
 
@@ -37,7 +41,7 @@ pub use lists::{KNOWN_BROKEN, ListedSequence};
 use self::archive::SubjectArchive;
 use crate::{
     Error, ForeignData, Result,
-    raw::{self, CanonicalFrame, PosedVertices, RawFrame},
+    raw::{self, BODY_FILE, CanonicalFrame, PosedVertices, RawFrame},
 };
 
 /// Directory of the release inside a download.
@@ -252,8 +256,15 @@ impl RawTree {
     /// # Errors
     /// If the file cannot be read.
     pub fn genders(&self) -> Result<BTreeMap<String, String>> {
-        let Some(path) = self.find("misc/subj_genders.pkl") else { return Ok(BTreeMap::new()) };
+        let Some(path) = self.find(GENDERS_FILE) else { return Ok(BTreeMap::new()) };
         lists::genders(&path)
+    }
+
+    /// File of the body of the subjects of a gender, `body_male.npz` for example, or that of all
+    /// subjects, `body.npz`; `None` if there is none.
+    pub fn body_path(&self, gender: Option<Gender>) -> Option<PathBuf> {
+        let names = gender.map(Gender::body_file).into_iter().chain([BODY_FILE]);
+        names.map(|name| self.root.join(name)).find(|path| path.is_file())
     }
 
     /// Sequences of a subject by the release's `seq_lists`; `None` without a list.

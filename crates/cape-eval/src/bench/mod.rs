@@ -1,4 +1,4 @@
-//! Benchmark of training updates, decoding and encoding on the synthetic body, compared with the
+//! Benchmark of training updates, decoding and encoding on the neutral body, compared with the
 //! peak FLOP rate of the processor.
 
 mod memory;

@@ -4,10 +4,10 @@ use burn::{
     module::Module,
     tensor::{Device, Tensor},
 };
-use cape_core::joints::POSE_FEATURE;
+use cape_core::{joints::POSE_FEATURE, smpl::Gender};
 use cape_graph::Surface;
 use cape_model::{CapeConfig, Discriminator, Generator, Graphs};
-use cape_synth::synthetic_body;
+use cape_synth::embedded_body;
 
 use crate::{Error, Result};
 use cape_core::tensors::from_array2;
@@ -56,10 +56,10 @@ pub struct Workload {
 }
 
 impl Workload {
-    /// Creates a workload on the synthetic body with batches of `batch` examples; `seed` is that of
+    /// Creates a workload on the neutral body with batches of `batch` examples; `seed` is that of
     /// weights and data.
     pub fn new(config: &CapeConfig, batch: usize, seed: u64, device: &Device) -> Result<Self> {
-        Self::on_mesh(config, &synthetic_body(), batch, seed, device)
+        Self::on_mesh(config, &embedded_body(Gender::Neutral)?, batch, seed, device)
     }
 
     /// Creates a workload on any mesh.

@@ -46,6 +46,7 @@ use cape_stats::errors::{GroupedSummary, Histogram};
 /// assert_eq!((table.frames, table.captures, table.vertices), (4, Some(1), 3));
 /// assert!((table.lines[1].mean - 1.0).abs() < 1e-3);
 /// assert!(table.markdown().contains("Near"));
+/// assert!(table.with_body("sculpted").caption().contains("Body: sculpted."));
 /// # Ok(())
 /// # }
 /// ```
@@ -62,6 +63,9 @@ pub struct ComparisonTable {
     pub captures: Option<usize>,
     /// Number of clothing vertices, at which errors are measured.
     pub vertices: usize,
+    /// Name of the body of the frames, if it is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub body: Option<String>,
 }
 
 /// Row of a method, over all its seeds.
@@ -125,7 +129,13 @@ impl ComparisonTable {
         let errors = first.map_or(0, |result| result.sampled.overall.count as usize);
         let vertices = errors.checked_div(frames).unwrap_or(0);
         let reference = reference.map(|method| method.name.clone());
-        Self { lines, reference, frames, captures, vertices }
+        Self { lines, reference, frames, captures, vertices, body: None }
+    }
+
+    /// The table with the name of the body of its frames.
+    #[must_use]
+    pub fn with_body(self, name: impl Into<String>) -> Self {
+        Self { body: Some(name.into()), ..self }
     }
 }
 

@@ -78,8 +78,10 @@ impl ComparisonTable {
              reconstructions from a sample of the posterior (columns 2 to 4) and from its mean \
              (posterior mean). {dependence} Edges, normals and fine energy (ratio of reconstructed to \
              true displacements in the upper half of the spectrum of the Laplacian; 1 is best) are of \
-             the posterior mean.",
-            self.vertices, self.frames
+             the posterior mean.{}",
+            self.vertices,
+            self.frames,
+            self.body.as_ref().map_or_else(String::new, |body| format!(" Body: {body}."))
         )
     }
 
@@ -150,9 +152,11 @@ impl ComparisonTable {
 
     /// The table as LaTeX in the form of the paper's table 2.
     pub fn latex(&self) -> String {
-        let mut text =
-            "\\begin{tabular}{lcc}\n\\hline\nmethod & error (mm) & median \\\\\n\\hline\n"
-                .to_owned();
+        let mut text = match &self.body {
+            Some(body) => format!("% Body: {body}.\n"),
+            None => String::new(),
+        };
+        text += "\\begin{tabular}{lcc}\n\\hline\nmethod & error (mm) & median \\\\\n\\hline\n";
         for line in &self.lines {
             let _ = writeln!(
                 text,

@@ -56,8 +56,8 @@ use cape_train::{learner::Learner, objective::StepInput};
 pub struct ModelUnderTest<'a> {
     /// Directory of the packed set.
     pub data: &'a Path,
-    /// File of the SMPL body; `None` uses the `body.npz` of the packed set.
-    pub body: Option<&'a Path>,
+    /// Body of the data; `None` uses the `body.npz` of the packed set.
+    pub body: Option<&'a SmplModel>,
     /// File of the indices of clothing vertices; `None` uses those of the packed set, or derives
     /// them from the body's blend weights.
     pub clothing: Option<&'a Path>,

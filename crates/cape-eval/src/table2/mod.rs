@@ -113,7 +113,7 @@ pub struct Table2Options {
     /// Directory of the results.
     pub out: PathBuf,
     /// The body, unless the packed set has its own.
-    pub body: Option<PathBuf>,
+    pub body: Option<SmplModel>,
     /// The clothing vertices, likewise.
     pub clothing: Option<PathBuf>,
     /// CAPE's configuration.
@@ -207,21 +207,20 @@ impl Table2Options {
 
     /// Inputs of all rows: packed set, body and clothing vertices.
     fn inputs(&self) -> Result<StoreSettings> {
-        let given = |path: &Option<PathBuf>, own: &str| {
-            let own = self.data.join(own);
-            path.clone().or_else(|| own.exists().then_some(own))
+        let own = |name: &str| Some(self.data.join(name)).filter(|path| path.exists());
+        let clothing = self.clothing.clone().or_else(|| own(CLOTHING_FILE));
+        let settings = StoreSettings::new("table2, row", &())?
+            .with_packed_set(&self.data, &[Split::Train, Split::Test])?;
+        let settings = match &self.body {
+            Some(body) => settings.with_built_in("body", &format!("SHA-256 {}", body.sha256())),
+            None => settings.with_optional_input("body", own(BODY_FILE).as_deref(), "no body")?,
         };
-        let body = given(&self.body, BODY_FILE);
-        let clothing = given(&self.clothing, CLOTHING_FILE);
-        StoreSettings::new("table2, row", &())?
-            .with_packed_set(&self.data, &[Split::Train, Split::Test])?
-            .with_optional_input("body", body.as_deref(), "no body")?
-            .with_optional_input("clothing", clothing.as_deref(), "derived from the body")
+        settings.with_optional_input("clothing", clothing.as_deref(), "derived from the body")
     }
 
     /// The body and the clothing vertices of frames like those of `set`.
     pub fn body(&self, set: &PackedSet) -> Result<(SmplModel, ClothingMask)> {
-        body_and_clothing(&self.data, set, self.body.as_deref(), self.clothing.as_deref())
+        body_and_clothing(&self.data, set, self.body.as_ref(), self.clothing.as_deref())
     }
 }
 

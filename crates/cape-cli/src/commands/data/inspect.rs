@@ -8,10 +8,7 @@ use cape_data::inspect::{InspectOptions, Inspection, Magnitudes, PresetCompleten
 use clap::Args;
 
 use crate::{
-    console::Console,
-    error::Result,
-    options::{BodyFileArgs, at_least_one},
-    table::Table,
+    body_source::BodyFileArgs, console::Console, error::Result, options::at_least_one, table::Table,
 };
 
 /// Check raw captures or a packed set for problems.
@@ -43,7 +40,7 @@ impl InspectArgs {
         let options = InspectOptions {
             frames: self.frames,
             clothing: self.clothing,
-            body: self.body.file()?,
+            body: self.body.load()?,
             preset: self.preset,
         };
         let found = console.while_showing("inspect", "frames", |progress| {

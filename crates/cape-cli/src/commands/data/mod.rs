@@ -5,6 +5,7 @@ mod inspect;
 mod pack;
 mod simulated;
 pub(crate) mod synth;
+mod tree_files;
 mod unpose;
 
 use clap::Subcommand;
@@ -13,7 +14,9 @@ use crate::{console::Console, error::Result, options::GlobalArgs};
 
 /// Create, pack and inspect training data: synth, pack, inspect, unpose, generate.
 #[derive(Debug, Subcommand)]
-#[command(after_help = "Example:\n  cape data synth --out raw\n  cape data pack raw --out packed")]
+#[command(
+    after_help = "Example:\n  cape data synth --out raw\n  cape data pack raw --preset male --out packed"
+)]
 pub(crate) enum DataCommand {
     Synth(synth::SynthArgs),
     Pack(pack::PackArgs),

@@ -1,16 +1,22 @@
 use std::path::PathBuf;
 
-use cape_data::{self, PackOptions, PackReport, SplitSpec, raw::SPLIT_FILE};
+use cape_core::smpl::Gender;
+use cape_data::{
+    self, PackOptions, PackReport, SplitSpec,
+    raw::{SPLIT_FILE, gender_split_file},
+};
 use clap::Args;
 use serde::Serialize;
 
 use crate::{
     console::Console,
     error::{Error, Result},
-    options::ResumableOutputArgs,
+    options::{ResumableOutputArgs, choices},
     table::Table,
 };
 
+/// Genders of the release's splits.
+const PRESETS: [(&str, Gender); 2] = [("male", Gender::Male), ("female", Gender::Female)];
 /// Missing subjects and sequences that are listed at most.
 const SHOWN: usize = 20;
 
@@ -21,7 +27,7 @@ const SHOWN: usize = 20;
 /// resume an interrupted packing.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  cape data pack raw --out packed\n  cape data pack cape_release --preset \
+    after_help = "Examples:\n  cape data pack raw --preset male --out packed\n  cape data pack cape_release --preset \
                         male --out packed-male"
 )]
 pub(crate) struct PackArgs {
@@ -30,9 +36,10 @@ pub(crate) struct PackArgs {
     raw: PathBuf,
     #[command(flatten)]
     output: ResumableOutputArgs,
-    /// Use the public release's split of the male or female subjects.
-    #[arg(long, value_parser = ["male", "female"], conflicts_with = "split")]
-    preset: Option<String>,
+    /// Pack the male or female subjects by RAW/split_male.toml or RAW/split_female.toml, or without
+    /// that file by the public release's split.
+    #[arg(long, value_name = "GENDER", value_parser = choices(PRESETS), conflicts_with = "split")]
+    preset: Option<Gender>,
     /// Split into training and test sequences [default: RAW/split.toml].
     #[arg(long, value_name = "FILE")]
     split: Option<PathBuf>,
@@ -79,21 +86,27 @@ impl PackArgs {
     }
 
     fn split(&self) -> Result<SplitSpec> {
-        if let Some(preset) = &self.preset {
-            return Ok(SplitSpec::preset(preset)?);
+        let own =
+            |gender| Some(self.raw.join(gender_split_file(gender))).filter(|path| path.exists());
+        if let Some(gender) = self.preset {
+            return Ok(match own(gender) {
+                Some(path) => SplitSpec::from_file(path)?,
+                None => SplitSpec::preset(&gender.to_string())?,
+            });
         }
-        if let Some(path) = &self.split {
+        let path = self.split.clone().unwrap_or_else(|| self.raw.join(SPLIT_FILE));
+        if self.split.is_some() || path.exists() || !self.raw.is_dir() {
             return Ok(SplitSpec::from_file(path)?);
         }
-        let path = self.raw.join(SPLIT_FILE);
-        if self.raw.is_dir() && !path.exists() {
-            return Err(Error::message(format!(
-                "{}: no {SPLIT_FILE} in it: choose frames by --preset male, --preset female or \
-                 --split FILE",
-                self.raw.display()
-            )));
+        // All subjects are of one gender.
+        if let (Some(path), None) | (None, Some(path)) = (own(Gender::Male), own(Gender::Female)) {
+            return Ok(SplitSpec::from_file(path)?);
         }
-        Ok(SplitSpec::from_file(path)?)
+        Err(Error::message(format!(
+            "{}: no {SPLIT_FILE} in it: choose frames by --preset male, --preset female or \
+             --split FILE",
+            self.raw.display()
+        )))
     }
 }
 

@@ -4,11 +4,12 @@ use std::{
     time::Instant,
 };
 
-use cape_core::{BodyMotion, SmplModel, list_files, motion::read_motion};
-use cape_data::{
-    SequenceList, SplitSpec,
-    raw::{BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
+use cape_core::{
+    BodyMotion, list_files,
+    motion::read_motion,
+    smpl::{Gender, SubjectBodies},
 };
+use cape_data::{SequenceList, SplitSpec};
 use cape_synth::SynthSpec;
 use cape_wardrobe::{
     PLAN_FILE, QUALITY_FILE, Shard, SimulatedCaptures, TakeRecord, WardrobeOptions,
@@ -16,6 +17,7 @@ use cape_wardrobe::{
 use clap::Args;
 use serde::Serialize;
 
+use super::tree_files::TreeFiles;
 use crate::{
     console::{Console, seconds},
     error::{Error, Result},
@@ -122,7 +124,7 @@ impl SimulatedArgs {
 
     pub(super) fn run(
         &self,
-        body: &SmplModel,
+        bodies: SubjectBodies<'_>,
         spec: SynthSpec,
         out: PathBuf,
         console: Console,
@@ -133,39 +135,40 @@ impl SimulatedArgs {
             takes: self.takes.unwrap_or(defaults.takes),
             resolution: self.resolution.map_or(defaults.resolution, |mm| 1e-3 * mm),
             noise: self.noise.map_or(defaults.noise, |mm| 1e-3 * mm),
-            recordings: self.recordings(body)?,
+            recordings: self.recordings(bodies)?,
             ..defaults
         };
         if self.dry_run {
-            return estimate(body, spec, options, self.shard(), console);
+            return estimate(bodies, spec, options, self.shard(), console);
         }
-        let captures = SimulatedCaptures::new(body, spec, options)?;
+        let captures = SimulatedCaptures::new(bodies, spec, options)?;
         if !out.join(PLAN_FILE).exists() {
             files::require_empty(&out)?;
         }
         let records = console.while_showing("simulate", "takes", |progress| {
             captures.write(&out, self.shard(), progress)
         })?;
-        files::write_text(&out.join(SPLIT_FILE), &split_of(&captures).to_toml()?)?;
+        let layout = TreeFiles::write_splits(&out, captures.groups(), &split_of(&captures))?;
         let report = Report {
             takes: records.len(),
             frames: records.iter().map(|record| record.frames).sum(),
-            vertices: body.vertices(),
+            vertices: captures.vertices(),
             clothing_vertices: captures.clothing_vertices().len(),
             seconds: start.elapsed().as_secs_f64(),
             quality: summary(&records),
             out,
         };
-        console.result(&report, || report.text())
+        console.result(&report, || report.text(&layout))
     }
 
     fn shard(&self) -> Shard {
         self.shard.map_or_else(Shard::default, |shard| shard.0)
     }
 
-    /// Motions of the file or directory, by name.
-    fn recordings(&self, body: &SmplModel) -> Result<Vec<(String, BodyMotion)>> {
+    /// Motions of the file or directory, by name, with the pelvis of the (male) body's mean shape.
+    fn recordings(&self, bodies: SubjectBodies<'_>) -> Result<Vec<(String, BodyMotion)>> {
         let Some(path) = &self.motion else { return Ok(Vec::new()) };
+        let body = bodies.of(Some(Gender::Male))?;
         let paths = if path.is_dir() { motion_files(path)? } else { vec![path.clone()] };
         let read = |path: &PathBuf| {
             let file = read_motion(path, &self.reading.options())?;
@@ -223,15 +226,15 @@ fn split_of(captures: &SimulatedCaptures) -> SplitSpec {
 
 /// Time and size of a data set, from one take of two frames.
 fn estimate(
-    body: &SmplModel,
+    bodies: SubjectBodies<'_>,
     spec: SynthSpec,
     options: WardrobeOptions,
     shard: Shard,
     console: Console,
 ) -> Result {
-    let whole = SimulatedCaptures::new(body, spec.clone(), options.clone())?;
+    let whole = SimulatedCaptures::new(bodies, spec.clone(), options.clone())?;
     let short = SynthSpec { frames_per_sequence: 2, ..spec };
-    let short = SimulatedCaptures::new(body, short, options)?;
+    let short = SimulatedCaptures::new(bodies, short, options)?;
     let all = short.takes();
     let mine = all.iter().skip(shard.index).step_by(shard.of);
     let Some(first) = mine.clone().next() else {
@@ -247,7 +250,7 @@ fn estimate(
         takes,
         frames,
         // Two arrays of vertices, pose and translation.
-        bytes: (frames * (body.vertices() * 24 + 75 * 8 + 1000)) as u64,
+        bytes: (frames * (whole.vertices() * 24 + 75 * 8 + 1000)) as u64,
         seconds_per_take,
         seconds: seconds_per_take * (takes as f64 / threads as f64).ceil(),
         threads,
@@ -280,7 +283,7 @@ fn summary(records: &[TakeRecord]) -> Option<QualitySummary> {
 }
 
 impl Report {
-    fn text(&self) -> String {
+    fn text(&self, layout: &TreeFiles) -> String {
         let mut table = Table::default();
         let mut row = |name: &str, value: String| table.row([name.to_owned(), value]);
         row("takes", self.takes.to_string());
@@ -297,11 +300,6 @@ impl Report {
             row("self-intersections", format!("{:.2} % on average", 1e2 * intersecting));
         }
         row("time", seconds(self.seconds));
-        let out = self.out.display();
-        format!(
-            "{}\n\n{out}: {BODY_FILE}, {CLOTHING_FILE}, {SPLIT_FILE}, {QUALITY_FILE}, sequences/, \
-             minimal_body_shape/\nnext: cape data pack {out} --out {out}-packed",
-            table.text()
-        )
+        format!("{}\n\n{}", table.text(), layout.text(&self.out, QUALITY_FILE))
     }
 }

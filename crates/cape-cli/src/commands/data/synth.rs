@@ -1,28 +1,26 @@
 use std::path::PathBuf;
 
 use cape_core::Outfit;
-use cape_data::{
-    SequenceList, SplitSpec,
-    raw::{BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
-};
+use cape_data::{SequenceList, SplitSpec};
 use cape_synth::Motion;
 use clap::Args;
 use serde::Serialize;
 
-use super::simulated::SimulatedArgs;
+use super::{simulated::SimulatedArgs, tree_files::TreeFiles};
 use crate::{
+    body_source::SubjectBodyArgs,
     console::{Console, seconds},
     error::{Context, Result},
-    files,
-    options::{BodyModelArgs, GlobalArgs, OutputArgs, at_least_one, choices},
+    options::{GlobalArgs, OutputArgs, at_least_one, choices},
     table::Table,
 };
 
 /// Create synthetic captures in the raw layout of the CAPE data set.
 ///
-/// Subjects in the four outfits perform motions, some of which are held out for testing. Writes the
-/// frames, the body in SMPL's layout (body.npz), the clothing vertices (clothing_verts_idx.npy) and
-/// the split into training and test sequences (split.toml).
+/// Subjects in the four outfits perform motions, some of which are held out for testing; the first, third
+/// and so on are male, the others female. Writes the frames, the bodies in SMPL's layout (body_male.npz,
+/// body_female.npz), the clothing vertices (clothing_verts_idx.npy) and the splits into training and test
+/// sequences (split_male.toml, split_female.toml), and with --body one body.npz and split.toml.
 ///
 /// With --clothes simulated, garments of each subject's own are simulated over the body and laid onto
 /// its topology; quality.json then has the quality of each take. Run the same command again to resume.
@@ -53,7 +51,7 @@ pub(crate) struct SynthArgs {
     #[command(flatten)]
     simulated: SimulatedArgs,
     #[command(flatten)]
-    body: BodyModelArgs,
+    body: SubjectBodyArgs,
 }
 
 /// Kind of clothing.
@@ -80,7 +78,7 @@ struct Report {
 impl SynthArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let start = std::time::Instant::now();
-        let body = self.body.load()?;
+        let models = self.body.load()?;
         let defaults = cape_synth::SynthSpec::default();
         let spec = cape_synth::SynthSpec {
             subjects: self.subjects,
@@ -91,27 +89,27 @@ impl SynthArgs {
             ..defaults
         };
         if self.clothes == Clothes::Simulated {
-            return self.simulated.run(&body, spec, self.output.out, console);
+            return self.simulated.run(models.bodies(), spec, self.output.out, console);
         }
         self.simulated.require_absent()?;
         self.output.require_empty()?;
         let out = self.output.out;
         let split = split_of(&spec);
-        let (sequences, vertices) = (spec.sequences().len(), body.vertices());
-        let synth = cape_synth::CaptureGenerator::new(&body, spec)
+        let sequences = spec.sequences().len();
+        let synth = cape_synth::CaptureGenerator::new(models.bodies(), spec)
             .doing(|| "preparing clothing for the body".into())?;
         console.while_showing("synth", "frames", |progress| synth.write(&out, progress))?;
-        files::write_text(&out.join(SPLIT_FILE), &split.to_toml()?)?;
+        let layout = TreeFiles::write_splits(&out, synth.groups(), &split)?;
         let report = Report {
             subjects: self.subjects,
             sequences,
             frames: sequences * self.frames_per_sequence,
-            vertices,
-            clothing_vertices: synth.wardrobe().clothing_vertices().len(),
+            vertices: synth.vertices(),
+            clothing_vertices: synth.clothing_vertices().len(),
             seconds: start.elapsed().as_secs_f64(),
             out,
         };
-        console.result(&report, || report.text())
+        console.result(&report, || report.text(&layout))
     }
 }
 
@@ -135,7 +133,7 @@ pub(crate) fn split_of(spec: &cape_synth::SynthSpec) -> SplitSpec {
 }
 
 impl Report {
-    fn text(&self) -> String {
+    fn text(&self, layout: &TreeFiles) -> String {
         let mut table = Table::default();
         table.row(["subjects".to_owned(), self.subjects.to_string()]);
         table.row(["sequences".to_owned(), self.sequences.to_string()]);
@@ -143,11 +141,6 @@ impl Report {
         table.row(["vertices".to_owned(), self.vertices.to_string()]);
         table.row(["clothing vertices".to_owned(), self.clothing_vertices.to_string()]);
         table.row(["time".to_owned(), seconds(self.seconds)]);
-        let out = self.out.display();
-        format!(
-            "{}\n\n{out}: {BODY_FILE}, {CLOTHING_FILE}, {SPLIT_FILE}, sequences/, \
-             minimal_body_shape/\nnext: cape data pack {out} --out {out}-packed",
-            table.text()
-        )
+        format!("{}\n\n{}", table.text(), layout.text(&self.out, ""))
     }
 }

@@ -1,14 +1,15 @@
 use std::path::PathBuf;
 
-use cape_core::SmplModel;
+use cape_core::smpl::Gender;
 use cape_data::unpose::{UnposeReport, unpose};
 use clap::Args;
 use serde::Serialize;
 
 use crate::{
+    body_source::{GENDERS, SubjectModels},
     console::Console,
-    error::Result,
-    options::{OutputArgs, at_least_one},
+    error::{Error, Result},
+    options::{OutputArgs, at_least_one, choices},
     table::Table,
 };
 
@@ -25,9 +26,14 @@ pub(crate) struct UnposeArgs {
     /// Raw data, with sequences/ and minimal_body_shape/.
     #[arg(value_name = "RAW")]
     raw: PathBuf,
-    /// SMPL body of the registrations, .pkl or .npz.
-    #[arg(long, value_name = "SMPL")]
-    body: PathBuf,
+    /// Body of the registrations: an SMPL body (.pkl or .npz), a built-in one (male, female, neutral or
+    /// sculpted), or with --gender one of a directory; a directory without --gender gives its male and
+    /// female bodies [default: those of RAW].
+    #[arg(long, value_name = "BODY")]
+    body: Option<PathBuf>,
+    /// Gender of the body in the directory of --body, or in $SMPL_MODELS without --body.
+    #[arg(long, value_name = "GENDER", value_parser = choices(GENDERS))]
+    gender: Option<Gender>,
     #[command(flatten)]
     output: OutputArgs,
     /// Number of shape coefficients to fit.
@@ -44,9 +50,18 @@ struct Report {
 
 impl UnposeArgs {
     pub(crate) fn run(self, console: Console) -> Result {
-        let body = SmplModel::load(&self.body)?;
+        let models = match SubjectModels::given(self.body.as_deref(), self.gender)? {
+            Some(models) => Some(models),
+            None => SubjectModels::of_data(&self.raw)?,
+        };
+        let Some(models) = models else {
+            return Err(Error::message(format!(
+                "{}: no body in it: give that of the registrations by --body",
+                self.raw.display()
+            )));
+        };
         let unposed = console.while_showing("unpose", "frames", |progress| {
-            unpose(&self.raw, &self.output.out, &body, self.betas, progress)
+            unpose(&self.raw, &self.output.out, models.bodies(), self.betas, progress)
         })?;
         for (_, reason) in &unposed.broken {
             console.note(&format!("left out {reason}"));

@@ -8,8 +8,7 @@ use std::{
 };
 
 use burn::tensor::Device;
-use cape_core::silent;
-use cape_core::{Outfit, obj};
+use cape_core::{Outfit, obj, silent, smpl::Gender};
 use cape_data::{PackOptions, Split, SplitSpec, pack};
 use cape_eval::{EvalOptions, EvalReport, PosteriorUse, evaluate};
 use cape_infer::{
@@ -182,7 +181,7 @@ impl DemoContext {
         let raw = self.path("raw");
         let (spec, split) = captures(8, 2, self.seed);
         self.stage("synth", "8 subjects in 4 outfits, 15 motions", |this| {
-            let body = cape_synth::synthetic_body();
+            let body = cape_synth::embedded_body(Gender::Neutral)?;
             let synth = cape_synth::CaptureGenerator::new(&body, spec)?;
             let write = |progress: &mut dyn FnMut(usize, usize)| synth.write(&raw, progress);
             Ok(this.console.while_showing("synth", "frames", write)?)

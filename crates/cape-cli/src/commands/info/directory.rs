@@ -4,18 +4,18 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cape_core::{Outfit, SmplModel, list_files, npy::npy_header};
+use cape_core::{Outfit, SmplModel, list_files, npy::npy_header, smpl::Gender};
 use cape_data::{
     ForeignData, PackedSet, RawCapture, RawTree, STATISTICS_FILE, Split,
-    raw::{BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
+    raw::{BODY_FILE, CLOTHING_FILE, SPLIT_FILE, gender_split_file},
 };
 use cape_infer::RunConfig;
 
 use super::{FileSummary, file::run_config};
 use crate::{
+    body_source,
     error::{Error, Result},
     mesh_file::has_extension,
-    options::builtin_name,
 };
 
 pub(super) fn describe(path: &Path) -> Result<FileSummary> {
@@ -45,7 +45,9 @@ fn run(path: &Path) -> Result<FileSummary> {
     let config = RunConfig::load(&path.join("config.toml"))?;
     let checkpoints: Vec<String> =
         entries(&path.join("checkpoints")).unwrap_or_default().iter().map(|p| name(p)).collect();
-    let facts = FileSummary::new("run").with("checkpoints", checkpoints).maybe("body", body(path));
+    let facts = FileSummary::new("run")
+        .with("checkpoints", checkpoints)
+        .maybe("body", body(path, BODY_FILE));
     let steps = fs::read_to_string(path.join("metrics.jsonl")).unwrap_or_default();
     let evaluated = path.join("eval.json").exists();
     Ok(run_config(facts, &config)
@@ -53,21 +55,15 @@ fn run(path: &Path) -> Result<FileSummary> {
         .with("evaluated", evaluated))
 }
 
-/// The body of a directory: a built-in one by its name, or the begin of its SHA-256; `None` without one.
-fn body(directory: &Path) -> Option<String> {
-    let path = directory.join(BODY_FILE);
+/// The body in a file of a directory: a built-in one by its name, or the begin of its SHA-256; `None` without one.
+fn body(directory: &Path, name: &str) -> Option<String> {
+    let path = directory.join(name);
     if !path.exists() {
         return None;
     }
     Some(match SmplModel::load(&path) {
         Err(error) => error.to_string(),
-        Ok(model) => {
-            let sha256 = model.sha256();
-            match builtin_name(&sha256) {
-                Some(name) => format!("{name} (built in)"),
-                None => format!("{} vertices, SHA-256 {}", model.vertices(), &sha256[..12]),
-            }
-        }
+        Ok(model) => body_source::describe(&model),
     })
 }
 
@@ -80,19 +76,31 @@ fn raw_tree(path: &Path) -> Result<FileSummary> {
     let frames: usize = all().map(|capture| capture.frames().len()).sum();
     let captures = all().count();
     let vertices = names.first().and_then(|subject| tree.minimal(subject, true).ok());
-    Ok(FileSummary::new("raw captures")
+    let mut facts = FileSummary::new("raw captures")
         .with("subjects", names.clone())
         .with("outfits", outfits.iter().map(ToString::to_string).collect::<Vec<_>>())
         .with("sequences", sequences.len())
         .with("captures", captures)
         .with("frames", frames)
         .maybe("vertices", vertices.map(|shape| shape.nrows()))
-        .maybe("body", body(path))
-        .with("also contains", brought(path, &[BODY_FILE, CLOTHING_FILE, SPLIT_FILE])))
+        .maybe("body", body(path, BODY_FILE));
+    let mut brought = brought(path, &[BODY_FILE, CLOTHING_FILE, SPLIT_FILE]);
+    let genders = tree.genders()?;
+    for gender in [Gender::Male, Gender::Female] {
+        let of_gender = |name: &&String| genders.get(*name) == Some(&gender.to_string());
+        let subjects: Vec<String> = names.iter().filter(of_gender).cloned().collect();
+        if !subjects.is_empty() {
+            facts = facts
+                .with(format!("{gender} subjects"), subjects)
+                .maybe(format!("{gender} body"), body(path, gender.body_file()));
+        }
+        brought.extend(self::brought(path, &[gender.body_file(), gender_split_file(gender)]));
+    }
+    Ok(facts.with("also contains", brought))
 }
 
 fn packed(path: &Path) -> Result<FileSummary> {
-    let mut facts = FileSummary::new("packed set").maybe("body", body(path));
+    let mut facts = FileSummary::new("packed set").maybe("body", body(path, BODY_FILE));
     for part in [Split::Train, Split::Test] {
         let displacement = path.join(part.name()).join(format!("{part}_disp.npy"));
         if !displacement.exists() {

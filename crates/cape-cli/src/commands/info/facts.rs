@@ -24,7 +24,7 @@ impl FileSummary {
     }
 
     /// Adds a value if there is one.
-    pub(super) fn maybe(self, name: &str, value: Option<impl Into<Value>>) -> Self {
+    pub(super) fn maybe(self, name: impl Into<String>, value: Option<impl Into<Value>>) -> Self {
         match value {
             Some(value) => self.with(name, value),
             None => self,

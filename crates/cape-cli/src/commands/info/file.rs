@@ -14,9 +14,9 @@ use ndarray::Array2;
 
 use super::FileSummary;
 use crate::{
+    body_source::BuiltinBody,
     error::{Error, Result},
     mesh_file::has_extension,
-    options::BuiltinBody,
 };
 
 /// Largest number of listed objects of an array.
@@ -115,8 +115,9 @@ fn body(path: &Path) -> Result<FileSummary> {
 }
 
 /// Describes a body of the program with its source.
-pub(super) fn describe_builtin(body: &BuiltinBody) -> FileSummary {
-    body_facts("built-in body in SMPL's layout", &body.model).with("source", body.source.as_str())
+pub(super) fn describe_builtin(body: BuiltinBody) -> Result<FileSummary> {
+    let facts = body_facts("built-in body in SMPL's layout", &body.load()?);
+    Ok(facts.with("source", body.provenance()?))
 }
 
 fn body_facts(kind: &'static str, body: &SmplModel) -> FileSummary {
@@ -161,13 +162,13 @@ fn motion(path: &Path) -> Result<FileSummary> {
         };
         facts = facts
             .with(of("frames"), person.frames())
-            .maybe(&of("frames per second"), person.frame_rate)
+            .maybe(of("frames per second"), person.frame_rate)
             .with(of("joints"), person.joints)
             .with(of("up"), person.up.name())
             .with(of("translations"), person.translations.is_some())
             .with(of("betas"), person.betas.len())
-            .maybe(&of("gender"), person.gender.clone())
-            .maybe(&of("displacements"), person.offsets.as_ref().map(ndarray::ArrayBase::nrows));
+            .maybe(of("gender"), person.gender.clone())
+            .maybe(of("displacements"), person.offsets.as_ref().map(ndarray::ArrayBase::nrows));
         if !person.notes.is_empty() {
             facts = facts.with(of("notes"), person.notes.join("; "));
         }

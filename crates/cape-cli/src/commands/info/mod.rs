@@ -7,9 +7,9 @@ use std::path::PathBuf;
 use clap::Args;
 
 use crate::{
+    body_source::BuiltinBody,
     console::Console,
     error::{Error, Result},
-    options,
 };
 use facts::FileSummary;
 
@@ -30,8 +30,8 @@ pub(crate) struct InfoArgs {
 impl InfoArgs {
     pub(crate) fn run(self, console: Console) -> Result {
         let path = &self.path;
-        if let Some(body) = options::builtin_body(path) {
-            let facts = file::describe_builtin(&body?);
+        if let Some(body) = BuiltinBody::named(path) {
+            let facts = file::describe_builtin(body)?;
             return console.result(&facts, || facts.text());
         }
         let metadata = std::fs::metadata(path).map_err(|error| Error::io(path, error))?;

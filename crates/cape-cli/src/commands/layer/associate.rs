@@ -19,11 +19,12 @@ use super::{
     pictures::{PictureCamera, by_place, mesh_of, shades},
 };
 use crate::{
+    body_source::BodyModelArgs,
     console::Console,
     dressed_mesh::eight_bit,
     error::Result,
     files,
-    options::{BodyModelArgs, OutputArgs, at_least_one},
+    options::{OutputArgs, at_least_one},
     table::Table,
 };
 

@@ -12,10 +12,11 @@ use serde::Serialize;
 
 use super::{association::AssociationArgs, named};
 use crate::{
+    body_source::BodyModelArgs,
     console::Console,
     error::{Error, Result},
     files,
-    options::{BodyModelArgs, positive},
+    options::positive,
 };
 
 /// Import a captured or simulated clothing sequence.
@@ -97,7 +98,8 @@ impl ImportArgs {
         let model = self.body.load()?;
         let (faces, mut sequence) = self.sequence(&model, console)?;
         sequence.parameters.clone_from(&self.parameters);
-        let own = LayerSet::new(faces, vec![sequence])?.with_body(self.body.identity(&model));
+        let own =
+            LayerSet::new(faces, vec![sequence])?.with_body(self.body.source()?.identity(&model));
         // Sequences that cannot be associated with the body are refused now.
         AssociationArgs::default().associate(&model, &own, console)?;
         let set = self.joined(own, &model)?;

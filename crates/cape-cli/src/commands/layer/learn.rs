@@ -13,10 +13,11 @@ use super::{
     association::{AssociationArgs, LearningArgs},
 };
 use crate::{
+    body_source::BodyModelArgs,
     console::Console,
     error::Result,
     files,
-    options::{BodyModelArgs, GlobalArgs, OutputArgs},
+    options::{GlobalArgs, OutputArgs},
     table::Table,
 };
 

@@ -12,11 +12,12 @@ use super::{
     pictures::{PictureCamera, mesh_of},
 };
 use crate::{
+    body_source::BodyModelArgs,
     console::Console,
     error::{Error, Result},
     files,
     motion_source::{MotionFileArgs, shape_of},
-    options::{BodyModelArgs, FileKind, OutputArgs, ShapeArgs, kinds, positive},
+    options::{FileKind, OutputArgs, ShapeArgs, kinds, positive},
 };
 
 /// Largest number of frames in the picture.

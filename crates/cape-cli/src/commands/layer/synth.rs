@@ -17,10 +17,11 @@ use rayon::prelude::*;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::{
+    body_source::BodyModelArgs,
     console::Console,
     error::{Error, Result},
     files,
-    options::{BodyModelArgs, ResumableOutputArgs, at_least_one, choices, positive},
+    options::{ResumableOutputArgs, at_least_one, choices, positive},
     table::Table,
 };
 
@@ -312,7 +313,7 @@ impl SynthArgs {
     ) -> Result {
         let results: Vec<_> =
             takes.par_iter().map(|&take| design.simulate(model, sewn, take)).collect();
-        let identity = self.plan.body.identity(model);
+        let identity = self.plan.body.source()?.identity(model);
         for result in results {
             let (sequence, quality) = result?;
             let faces = &sewn.surface.faces;

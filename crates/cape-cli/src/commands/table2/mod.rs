@@ -6,6 +6,7 @@ mod report;
 use std::{path::PathBuf, process::ExitCode, time::Instant};
 
 use burn::tensor::Device;
+use cape_core::smpl::Gender;
 use cape_data::{PackedSet, Split};
 use cape_eval::{
     comparison::ComparisonTable,
@@ -14,20 +15,20 @@ use cape_eval::{
 };
 use cape_infer::{RunConfig, write_json};
 use cape_model::CapeConfig;
+use cape_synth::embedded_body;
 use clap::Args;
 use serde::Serialize;
 use tempfile::TempDir;
 
 use crate::{
+    body_source::{self, BodyFileArgs},
     comparison,
     console::{Console, seconds},
     error::{Context, Error, Result},
     files,
     html::HtmlFigure,
     interrupt::Interrupt,
-    options::{
-        BodyFileArgs, CheckpointArgs, GlobalArgs, PRESETS, StoreArgs, at_least_one, choices,
-    },
+    options::{CheckpointArgs, GlobalArgs, PRESETS, StoreArgs, at_least_one, choices},
     training,
 };
 use figures::MethodFigure;
@@ -43,7 +44,7 @@ const INTERRUPTED: u8 = 130;
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape table2 --data packed --out table2 --seeds 3 --dry-run\n  cape table2 \
-                        --data packed --out table2 --seeds 3\n  cape table2 --quick --out quick"
+                        --data packed --out table2 --seeds 3\n  cape table2 --quick --body female --out quick"
 )]
 pub(crate) struct Table2Args {
     /// Packed set with training and test frames.
@@ -51,7 +52,7 @@ pub(crate) struct Table2Args {
     data: Option<PathBuf>,
     #[command(flatten)]
     output: StoreArgs,
-    /// Train narrow models briefly, without --data on synthetic captures.
+    /// Train narrow models briefly, without --data on synthetic captures of --body [default: neutral].
     #[arg(long)]
     quick: bool,
     /// Rows of the table [default: all].
@@ -106,17 +107,27 @@ impl Table2Args {
         let device = global.device()?;
         let store = open_store(&self.output.out, self.output.overwrite)?;
         let scratch = self.scratch()?;
-        let data = match (&self.data, &scratch) {
-            (Some(data), _) => data.clone(),
-            (None, Some(scratch)) => quick::data(&open_store(scratch.path(), false)?, console)?,
-            (None, None) => quick::data(&store, console)?,
+        let given = self.body.load()?;
+        let (data, body) = if let Some(data) = &self.data {
+            (data.clone(), given)
+        } else {
+            let body = given.map_or_else(|| embedded_body(Gender::Neutral), Ok)?;
+            let overwrite = self.output.overwrite;
+            let data = match &scratch {
+                Some(scratch) => {
+                    quick::data(&open_store(scratch.path(), false)?, &body, overwrite, console)?
+                }
+                None => quick::data(&store, &body, overwrite, console)?,
+            };
+            // The captures have their body.
+            (data, None)
         };
-        PackedSet::open(&data, Split::Train)?;
+        let set = PackedSet::open(&data, Split::Train)?;
         let shown = select_frames(&data)?;
         let grid = Table2Options {
             data,
             out: self.output.out.clone(),
-            body: self.body.file()?,
+            body,
             clothing: self.clothing.clone(),
             config: self.configured(global)?,
             shown,
@@ -128,10 +139,11 @@ impl Table2Args {
             return estimate::run(&grid, &jobs, &device, console);
         }
         store.begin()?;
+        let body_name = body_source::describe(&grid.body(&set)?.0);
         let interrupt = Interrupt::listen(console)?;
         let report = |results: &[RowResult]| {
             let (methods, cape) = methods(results);
-            let table = ComparisonTable::new(&methods, cape);
+            let table = ComparisonTable::new(&methods, cape).with_body(&body_name);
             Report { out: grid.out.clone(), seconds: start.elapsed().as_secs_f64(), table }
         };
         let mine: Vec<&Table2Job> = match self.shard {

@@ -2,12 +2,17 @@
 
 use std::{path::PathBuf, thread, time::Duration};
 
-use cape_data::{PackOptions, pack};
+use cape_core::SmplModel;
+use cape_data::{PackOptions, pack, raw::BODY_FILE};
 use cape_eval::store::{ResultStore, StoreLock};
 use cape_infer::{OptimiserKind, RateSchedule, RunConfig, TrainConfig};
-use cape_synth::{CaptureGenerator, synthetic_body};
+use cape_synth::CaptureGenerator;
 
-use crate::{commands::demo, console::Console, error::Result};
+use crate::{
+    commands::demo,
+    console::Console,
+    error::{Error, Result},
+};
 
 /// Number of subjects and frames per sequence: about twice the demo's frames, for steadier test errors.
 const SUBJECTS: usize = 12;
@@ -45,20 +50,34 @@ fn locked(store: &ResultStore, console: Console) -> Result<StoreLock> {
     }
 }
 
-/// Packed synthetic captures in `data` of the table's directory; those of an earlier call are kept.
-pub(super) fn data(store: &ResultStore, console: Console) -> Result<PathBuf> {
+/// Packed synthetic captures of `body` in `data` of the table's directory; those of an earlier call are
+/// kept.
+pub(super) fn data(
+    store: &ResultStore,
+    body: &SmplModel,
+    overwrite: bool,
+    console: Console,
+) -> Result<PathBuf> {
     let [packed, raw] = ["data", "raw"].map(|name| store.path(name));
     let _lock = locked(store, console)?;
     if store.owns("data/") && packed.join("stats.txt").exists() {
-        return Ok(packed);
+        if SmplModel::load(packed.join(BODY_FILE)).is_ok_and(|own| own == *body) {
+            return Ok(packed);
+        }
+        if !overwrite {
+            return Err(Error::message(format!(
+                "{}: captures of another body: choose another --out, or add --overwrite",
+                packed.display()
+            )));
+        }
+        store.discard("data/")?;
     }
     store.discard("raw/")?;
     for name in ["data/", ".data.cape-partial/", "raw/"] {
         store.list(name)?;
     }
-    let body = synthetic_body();
     let (spec, split) = demo::captures(SUBJECTS, FRAMES, 1);
-    let synth = CaptureGenerator::new(&body, spec)?;
+    let synth = CaptureGenerator::new(body, spec)?;
     console.while_showing("synth", "frames", |progress| synth.write(&raw, progress))?;
     let options = PackOptions { strict: true, ..PackOptions::default() };
     console.while_showing("pack", "frames", |progress| {

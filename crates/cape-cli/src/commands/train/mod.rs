@@ -13,11 +13,12 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::{
+    body_source::BodyFileArgs,
     console::{Console, seconds},
     dashboard::Dashboard,
     error::{Context, Error, Result},
     interrupt::Interrupt,
-    options::{BodyFileArgs, CheckpointArgs, GlobalArgs, PRESETS, default_device},
+    options::{CheckpointArgs, GlobalArgs, PRESETS, default_device},
     table::Table,
     training,
 };
@@ -100,7 +101,7 @@ impl TrainArgs {
         } else {
             let options = TrainerOptions {
                 data: self.data.clone().unwrap_or_else(|| out.clone()),
-                body: self.body.file()?,
+                body: self.body.load()?,
                 clothing: self.clothing.clone(),
                 config: self.configured(RunConfig::default(), global)?,
             };

@@ -52,10 +52,10 @@ impl TrainArgs {
         device: &Device,
     ) -> Result<ExitCode> {
         let config = self.configured(RunConfig::default(), global)?;
-        let body = self.body.file()?;
+        let body = self.body.load()?;
         let subject = ModelUnderTest {
             data: self.data.as_deref().unwrap_or(Path::new("")),
-            body: body.as_deref(),
+            body: body.as_ref(),
             clothing: self.clothing.as_deref(),
             config: &config,
             device,

@@ -31,11 +31,13 @@ use source::{MeshSource, RunSource, Source};
 /// Serves a page to this machine only, at an address with a secret token, until Ctrl-C. From another
 /// machine, forward the port by `ssh -L 8000:localhost:PORT` and open the address with port 8000.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  cape view runs/cape\n  cape view dressed.obj\n  \
-                        cape view frames --fps 15 --no-open --port 8080")]
+#[command(
+    after_help = "Examples:\n  cape view runs/cape\n  cape view dressed.obj\n  cape view female\n  \
+                        cape view frames --fps 15 --no-open --port 8080"
+)]
 pub(crate) struct ViewArgs {
-    /// Run, mesh (.obj, .ply, .stl, .off, .glb), SMPL body (.npz, .pkl), or directory of meshes as a
-    /// sequence.
+    /// Run, mesh (.obj, .ply, .stl, .off, .glb), SMPL body (.npz, .pkl), built-in body (male, female,
+    /// neutral or sculpted), or directory of meshes as a sequence.
     #[arg(value_name = "RUN|MESH|SEQUENCE")]
     path: PathBuf,
     /// Port to listen on; 0 selects a free one.

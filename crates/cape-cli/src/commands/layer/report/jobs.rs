@@ -13,6 +13,7 @@ use serde_json::json;
 
 use super::figures;
 use crate::{
+    body_source::BodySource,
     commands::layer::association::{AssociationArgs, AssociationOutput},
     console::Console,
     error::{Error, Result},
@@ -30,8 +31,8 @@ pub(super) struct ExperimentContext<'a> {
     pub(super) model: &'a SmplModel,
     pub(super) learning: LearningOptions,
     pub(super) association_args: AssociationArgs,
-    /// File of the body; none for the synthetic one.
-    pub(super) body: Option<&'a Path>,
+    /// Source of the body.
+    pub(super) body: &'a BodySource,
     /// Directory with a store of each set's results and pictures.
     pub(super) results: &'a Path,
     /// Discard results of other settings or inputs instead of refusing them.
@@ -45,9 +46,8 @@ impl ExperimentContext<'_> {
         let settings = json!({ "association": self.association_args, "learning": self.learning });
         let sequences = named.set.sequences.iter().map(|sequence| format!("{}.npz", sequence.name));
         let files: Vec<String> = std::iter::once("set.json".into()).chain(sequences).collect();
-        let settings = StoreSettings::new("layer report, set", &settings)?
-            .with_optional_input("body", self.body, "synthetic body")?
-            .with_files("set", &named.directory, &files)?;
+        let settings = StoreSettings::new("layer report, set", &settings)?;
+        let settings = self.body.input_of(settings)?.with_files("set", &named.directory, &files)?;
         let options = StoreOptions { overwrite: self.overwrite, ..StoreOptions::default() };
         Ok(ResultStore::open(&self.results.join(&named.name), settings, options)?)
     }

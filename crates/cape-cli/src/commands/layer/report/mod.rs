@@ -26,11 +26,12 @@ use super::{
     synth::GARMENTS,
 };
 use crate::{
+    body_source::{BodyModelArgs, BodySource},
     console::Console,
     error::{Context, Result},
     files,
     html::{self, HtmlFigure},
-    options::{BodyModelArgs, GlobalArgs, StoreArgs, at_least_one, choices, positive},
+    options::{GlobalArgs, StoreArgs, at_least_one, choices, positive},
 };
 use cape::{CapeComparison, compare};
 use jobs::{ExperimentContext, NamedSet};
@@ -113,7 +114,8 @@ struct FigureRow {
 
 impl ReportArgs {
     pub(super) fn run(mut self, global: &GlobalArgs, console: Console) -> Result {
-        let model = self.body.load()?;
+        let body = self.body.source()?;
+        let model = body.load()?;
         let store = self.store()?;
         let results = store.path("results");
         if self.quick {
@@ -121,12 +123,12 @@ impl ReportArgs {
             self.learning_args.components = self.learning_args.components.min(QUICK.0 / 2);
         }
         let learning = self.learning_args.learning(global.seed());
-        let sets = self.sets(&model, console)?;
+        let sets = self.sets((&model, &body), console)?;
         let laboratory = ExperimentContext {
             model: &model,
             learning,
             association_args: self.association_args.clone(),
-            body: self.body.body.as_deref(),
+            body: &body,
             results: &results,
             overwrite: self.output.overwrite,
             console,
@@ -191,7 +193,7 @@ impl ReportArgs {
         Ok(store)
     }
 
-    fn sets(&self, model: &SmplModel, console: Console) -> Result<Vec<NamedSet>> {
+    fn sets(&self, body: (&SmplModel, &BodySource), console: Console) -> Result<Vec<NamedSet>> {
         let mut named = Vec::new();
         if self.sets.is_empty() {
             let (frames, resolution) = if self.quick { QUICK } else { FULL };
@@ -201,9 +203,8 @@ impl ReportArgs {
                 resolution: 1e-3 * self.resolution.unwrap_or(resolution),
             };
             let out = self.output.out.join("sets");
-            let bodies = (model, self.body.body.as_deref());
             let designs = (size, self.garment);
-            for (name, set) in simulated(bodies, &out, designs, self.output.overwrite, console)? {
+            for (name, set) in simulated(body, &out, designs, self.output.overwrite, console)? {
                 named.push(NamedSet { directory: out.join(&name), name, set });
             }
         }
@@ -214,7 +215,7 @@ impl ReportArgs {
             named.push(NamedSet {
                 name,
                 directory: path.clone(),
-                set: LayerSet::load_for(path, model)?,
+                set: LayerSet::load_for(path, body.0)?,
             });
         }
         Ok(named)

@@ -12,7 +12,7 @@ use cape_layer::{
 use rayon::prelude::*;
 use serde_json::json;
 
-use crate::{console::Console, error::Result, options::body_identity};
+use crate::{body_source::BodySource, console::Console, error::Result};
 
 /// Size of the simulated sets.
 #[derive(Debug, Clone, Copy)]
@@ -84,7 +84,7 @@ fn designs(size: SetSize, kind: GarmentKind) -> Vec<(&'static str, Design)> {
 
 /// Sets with their names, each a store in `out`; missing sequences are simulated.
 pub(super) fn simulated(
-    (model, body): (&SmplModel, Option<&Path>),
+    (model, body): (&SmplModel, &BodySource),
     out: &Path,
     (size, kind): (SetSize, GarmentKind),
     overwrite: bool,
@@ -97,7 +97,7 @@ pub(super) fn simulated(
         .map(|(name, design)| store(&out.join(name), design, body, overwrite))
         .collect::<Result<Vec<_>>>()?;
     let mut sets = Vec::new();
-    let identity = body_identity(body, model);
+    let identity = body.identity(model);
     for ((name, design), store) in designs.into_iter().zip(&stores) {
         store.begin()?;
         let set = console.while_showing(name, "sequences", |progress| {
@@ -112,7 +112,7 @@ pub(super) fn simulated(
 fn store(
     directory: &Path,
     design: &Design,
-    body: Option<&Path>,
+    body: &BodySource,
     overwrite: bool,
 ) -> Result<ResultStore> {
     let Design { subjects, sizes, materials, exercises, frames, frame_rate, simulation } = design;
@@ -126,8 +126,8 @@ fn store(
         "simulation": format!("{simulation:?}"),
         "simulator": SIMULATOR_VERSION,
     });
-    let settings = StoreSettings::new("layer report, simulated set", &settings)?
-        .with_optional_input("body", body, "synthetic body")?;
+    let settings = StoreSettings::new("layer report, simulated set", &settings)?;
+    let settings = body.input_of(settings)?;
     let options =
         StoreOptions { overwrite, earlier: &["design.txt", "set.json"], ..StoreOptions::default() };
     Ok(ResultStore::open(directory, settings, options)?)
