@@ -121,9 +121,8 @@ impl BodyMovement {
         if body.largest_displacement() == 0.0 {
             return;
         }
-        const FIRST: [f64; 3] = [1.0, 0.0, 0.0];
         let moves: Vec<[DVec3; 2]> = (0..faces.len() as u32)
-            .map(|face| [0.0, 1.0].map(|t| body.position_at(face, FIRST, t)))
+            .map(|face| [0.0, 1.0].map(|t| body.position_at(face, [1.0, 0.0, 0.0], t)))
             .collect();
         self.mean = moves.iter().map(|[from, to]| *to - *from).sum::<DVec3>() / moves.len() as f64;
         for [from, to] in moves {
@@ -239,6 +238,9 @@ impl Contacts {
     }
 }
 
+/// Barycentric coordinates of a point of a face, and its displacement, metres.
+type FacePush = ([f64; 3], DVec3);
+
 /// Moves each vertex by the mean of the pushes of its faces: of their centres, and of vertices of the
 /// body that are closer to them than half the thickness, or beyond them.
 fn push_out_faces(
@@ -250,7 +252,7 @@ fn push_out_faces(
     share: f64,
 ) {
     let at = &*positions;
-    let pushes: Vec<[Option<([f64; 3], DVec3)>; 2]> = faces
+    let pushes: Vec<[Option<FacePush>; 2]> = faces
         .par_iter()
         .zip(centres)
         .map(|(corners, memory)| {
@@ -346,7 +348,7 @@ impl ContactCache {
         (body, movement): (&SurfaceIndex, &BodyMovement),
         [a, b, c]: [DVec3; 3],
         thickness: f64,
-    ) -> Option<([f64; 3], DVec3)> {
+    ) -> Option<FacePush> {
         // Far centres have searched the whole body and found no face.
         let face = self.face?;
         let cross = (b - a).cross(c - a);

@@ -50,7 +50,7 @@ fn find(root: &mut [u32], mut v: u32) -> u32 {
 
 /// Iterations of [`fair`] that project all vertices to the surface, then those that project only
 /// vertices inside it.
-const ROUNDS: [usize; 2] = [20, 100];
+const ROUNDS: [usize; 2] = [20, 12];
 
 /// Smooths the triangles of a garment on the zero surface of `field`, then stretches it over concave
 /// parts such as armpits. Vertices of the boundary stay on the curve where `margin` is zero as well.

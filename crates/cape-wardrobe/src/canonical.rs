@@ -19,8 +19,8 @@ const GROWTH: usize = 20;
 
 /// Rounds of the separation of intersecting triangles, and the factors on displacements of their
 /// corners and of the vertices beside them.
-const SEPARATIONS: usize = 5;
-const SHRINKAGE: [f64; 2] = [0.85, 1.0];
+const SEPARATIONS: usize = 8;
+const SHRINKAGE: [f64; 2] = [0.7, 0.92];
 
 /// Transforms of the body's vertices from canonical space to a frame, and the pose blend shapes,
 /// metres, `[V]`.
