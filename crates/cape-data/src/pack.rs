@@ -29,7 +29,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{
-    FrameSource, RawTree, Split, SplitSpec,
+    FrameSource, RawTree, SequenceList, Split, SplitSpec,
     pack_log::{FrameStatus, PackLog, plan_hash},
     raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
     split_writer::{FrameShape, SplitWriter},
@@ -133,7 +133,7 @@ pub struct MissingCapture {
 /// appears only when it is complete. An interrupted packing of the same data is resumed.
 ///
 /// Frames are read in parallel. Memory holds a few frames and the latest 100 training frames, which
-/// can be validation frames. Unreadable frames, missing subjects and missing sequences are listed
+/// can be validation frames, unless the split names captures for validation. Unreadable frames, missing subjects and missing sequences are listed
 /// in the report.
 ///
 /// # Errors
@@ -239,13 +239,13 @@ pub fn pack(
         match part {
             Split::Train => {
                 report.train_frames = writer.rows();
-                let statistics = writer.finish()?;
+                let statistics = writer.finish(!split.validation.is_empty())?;
                 report.validation_frames = statistics.validation();
                 statistics.save(staging.path.join(STATISTICS_FILE))?;
             }
             Split::Test => {
                 report.test_frames = writer.rows();
-                writer.finish()?;
+                writer.finish(false)?;
             }
         }
     }
@@ -311,6 +311,8 @@ pub(super) struct PlannedFrame<'a> {
     pub(super) outfit: Outfit,
     /// Place of the 1 in the one-hot label.
     pub(super) class: usize,
+    /// True for the captures that the split names for validation.
+    pub(super) validation: bool,
 }
 
 /// One row of every packed array.
@@ -362,10 +364,25 @@ fn plan<'a>(
     minimal: &MinimalShapes,
     missing: &mut Vec<MissingCapture>,
 ) -> Result<Vec<PlannedFrame<'a>>> {
-    let list = match part {
-        Split::Train => &split.train,
-        Split::Test => &split.test,
+    let parts: &[(&SequenceList, bool)] = match part {
+        Split::Train => &[(&split.train, false), (&split.validation, true)],
+        Split::Test => &[(&split.test, false)],
     };
+    let mut frames = Vec::new();
+    for &(list, validation) in parts {
+        frames.extend(plan_sequences(tree, split, (list, validation), minimal, missing)?);
+    }
+    Ok(frames)
+}
+
+/// Frames of a list of sequences, which may be for validation.
+fn plan_sequences<'a>(
+    tree: &'a RawTree,
+    split: &'a SplitSpec,
+    (list, validation): (&'a SequenceList, bool),
+    minimal: &MinimalShapes,
+    missing: &mut Vec<MissingCapture>,
+) -> Result<Vec<PlannedFrame<'a>>> {
     let vocabulary = split.label_vocabulary()?;
     let mut frames = Vec::new();
     for subject in split.subjects.iter().filter(|&subject| minimal.contains_key(subject)) {
@@ -400,6 +417,7 @@ fn plan<'a>(
                     sequence,
                     outfit,
                     class,
+                    validation,
                 }));
             }
             if !found {

@@ -374,6 +374,49 @@ fn an_interrupted_packing_goes_on_to_the_same_bytes() {
     assert_eq!(pack_to(root.path(), &out, &other).unwrap().resumed, 0);
 }
 
+/// Captures for validation come last and are not in the statistics, also of a resumed packing.
+#[test]
+fn named_captures_are_for_validation() {
+    let root = raw_tree();
+    let list = |name: &str| SequenceList { sequences: vec![name.into()], exclude: Vec::new() };
+    let split = SplitSpec {
+        train: list("walk"),
+        validation: SequenceList { exclude: vec!["a/shortlong_hips".into()], ..list("hips") },
+        ..split()
+    };
+    let out = root.path().join("packed");
+    let report = pack_to(root.path(), &out, &split).unwrap();
+    // Subjects × outfits × frames, and one capture fewer.
+    assert_eq!((report.train_frames, report.validation_frames), (2 * 2 * 3 + 3 * 3, 3 * 3));
+    let statistics = DisplacementStatistics::load(out.join(STATISTICS_FILE)).unwrap();
+    let rows = read_f64(out.join("train/train_disp.npy")).unwrap();
+    let mean = rows.slice(ndarray::s![..12, 3, 1]).mean().unwrap();
+    assert!((statistics.mean()[[3, 1]] - mean).abs() < 1e-12);
+    assert_eq!(statistics.validation_rows(21), 12..21);
+    let frames = fs::read_to_string(out.join("train/train_frames.csv")).unwrap();
+    let sequences: Vec<&str> =
+        frames.lines().skip(1).filter_map(|line| line.split(',').nth(2)).collect();
+    assert!(sequences[..12].iter().all(|name| *name == "walk"), "{sequences:?}");
+    assert!(sequences[12..].iter().all(|name| *name == "hips"), "{sequences:?}");
+
+    let again = root.path().join("again");
+    for stop in [6, 16] {
+        let interrupted = std::panic::catch_unwind(|| {
+            pack(root.path(), &again, &split, PackOptions::default(), &mut |done, _| {
+                assert!(done < stop, "interrupted");
+            })
+        });
+        assert!(interrupted.is_err());
+        assert!(pack_to(root.path(), &again, &split).unwrap().resumed >= stop);
+        assert_eq!(files(&again), files(&out));
+        fs::remove_dir_all(&again).unwrap();
+    }
+
+    let only = SplitSpec { train: SequenceList::default(), ..split };
+    let message = pack_to(root.path(), &again, &only).unwrap_err().to_string();
+    assert!(message.contains("for validation: add training sequences"), "{message}");
+}
+
 /// More than 100 training frames behind the latest, and the same bytes for any thread count.
 #[test]
 fn long_sequences_and_any_number_of_threads() {

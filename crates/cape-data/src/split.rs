@@ -1,5 +1,5 @@
 use std::{
-    collections::{BTreeMap, HashSet},
+    collections::{BTreeMap, HashMap, HashSet},
     fs,
     path::{Component, Path, PathBuf},
 };
@@ -29,6 +29,9 @@ use crate::{Error, Result};
 ///
 /// [test]
 /// sequences = ["soccer"]
+///
+/// [validation]     # whole captures in place of the last training frames
+/// sequences = ["move_arms"]
 /// ```
 ///
 /// ```
@@ -82,6 +85,10 @@ pub struct SplitSpec {
     /// Test sequences.
     #[serde(default)]
     pub test: SequenceList,
+    /// Validation sequences, packed after the training frames. Without them the last training frames are
+    /// for validation, [`validation_count`](crate::validation_count) of them, as in the release.
+    #[serde(default, skip_serializing_if = "SequenceList::is_empty")]
+    pub validation: SequenceList,
 }
 
 /// Motion sequences, in packing order, and exclusions from them.
@@ -109,6 +116,11 @@ pub struct SequenceList {
 }
 
 impl SequenceList {
+    /// True if there is no sequence.
+    pub fn is_empty(&self) -> bool {
+        self.sequences.is_empty() && self.exclude.is_empty()
+    }
+
     /// True if `exclude` has this capture or its whole sequence.
     pub fn excludes(&self, subject: &str, outfit: Outfit, sequence: &str) -> bool {
         let capture = format!("{subject}/{outfit}_{sequence}");
@@ -190,6 +202,7 @@ impl Default for SplitSpec {
             labels: BTreeMap::new(),
             train: SequenceList::default(),
             test: SequenceList::default(),
+            validation: SequenceList::default(),
         }
     }
 }
@@ -281,6 +294,7 @@ impl SplitSpec {
         check_names("subjects", &self.subjects)?;
         check_names("train.sequences", &self.train.sequences)?;
         check_names("test.sequences", &self.test.sequences)?;
+        check_names("validation.sequences", &self.validation.sequences)?;
         for (field, empty) in [
             ("subjects", self.subjects.is_empty()),
             ("outfits", self.outfits.is_empty()),
@@ -314,7 +328,11 @@ impl SplitSpec {
                 format!("`{body}`: expected the path of a file below the raw data"),
             ));
         }
-        for (field, list) in [("train.exclude", &self.train), ("test.exclude", &self.test)] {
+        for (field, list) in [
+            ("train.exclude", &self.train),
+            ("test.exclude", &self.test),
+            ("validation.exclude", &self.validation),
+        ] {
             if let Some(name) = list.exclude.iter().find(|name| !self.selects(list, name)) {
                 return Err((
                     field,
@@ -325,11 +343,19 @@ impl SplitSpec {
                 ));
             }
         }
-        let train: HashSet<_> = self.train.sequences.iter().collect();
-        match self.test.sequences.iter().find(|&name| train.contains(name)) {
-            Some(name) => Err(("test.sequences", format!("`{name}` is also in `train.sequences`"))),
-            None => Ok(()),
+        let mut lists = HashMap::new();
+        for (field, list) in [
+            ("train.sequences", &self.train),
+            ("test.sequences", &self.test),
+            ("validation.sequences", &self.validation),
+        ] {
+            for name in &list.sequences {
+                if let Some(other) = lists.insert(name, field) {
+                    return Err((field, format!("`{name}` is also in `{other}`")));
+                }
+            }
         }
+        Ok(())
     }
 
     /// True if `name` is a sequence of `list` or one capture of it.
@@ -424,7 +450,9 @@ mod tests {
         // Files and presets without the fields are written as before.
         let text = SplitSpec::male().to_toml().unwrap();
         assert!(
-            !["vocabulary", "labels", "body"].iter().any(|field| text.contains(field)),
+            !["vocabulary", "labels", "body", "validation"]
+                .iter()
+                .any(|field| text.contains(field)),
             "{text}"
         );
     }
@@ -467,6 +495,14 @@ mod tests {
             (minimal("") + "exclude = ['wakl']", "`train.exclude`: `wakl`"),
             (minimal("") + "exclude = ['a/longlong_walk']", "`train.exclude`"),
             (minimal("") + "[test]\nsequences = ['walk']", "`test.sequences`: `walk` is also"),
+            (
+                minimal("") + "[validation]\nsequences = ['walk']",
+                "`validation.sequences`: `walk` is also in `train.sequences`",
+            ),
+            (
+                minimal("") + "[validation]\nsequences = ['run']\nexclude = ['walk']",
+                "`validation.exclude`: `walk`",
+            ),
         ] {
             let message = load(&text).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");

@@ -41,6 +41,9 @@ pub(super) struct SplitWriter {
     statistics: Accumulator,
     /// Latest frames, not yet in the statistics.
     latest: VecDeque<Vec<f64>>,
+    /// Number of frames that the split names for validation; they come last, and are not in the
+    /// statistics.
+    validation: usize,
 }
 
 impl SplitWriter {
@@ -68,8 +71,14 @@ impl SplitWriter {
         for frame in frames {
             writer.count(frame);
         }
+        let mut left = rows - writer.validation;
         let Self { displacement, statistics, latest, .. } = &mut writer;
-        displacement.for_each_row(|row| settle(statistics, latest, row.to_vec()))?;
+        displacement.for_each_row(|row| {
+            if left > 0 {
+                settle(statistics, latest, row.to_vec());
+                left -= 1;
+            }
+        })?;
         Ok(writer)
     }
 
@@ -109,6 +118,7 @@ impl SplitWriter {
             captures: Vec::new(),
             statistics: Accumulator::new(3 * vertices),
             latest: VecDeque::new(),
+            validation: 0,
         })
     }
 
@@ -123,13 +133,16 @@ impl SplitWriter {
         self.label.push((0..self.labels).map(|class| f64::from(u8::from(class == frame.class))))?;
         self.frames.write_all(csv_line(frame).as_bytes()).map_err(|e| Error::io(&self.names, e))?;
         self.count(frame);
-        let row = packed.displacement.iter().copied().collect();
-        settle(&mut self.statistics, &mut self.latest, row);
+        if !frame.validation {
+            let row = packed.displacement.iter().copied().collect();
+            settle(&mut self.statistics, &mut self.latest, row);
+        }
         Ok(())
     }
 
     fn count(&mut self, frame: &PlannedFrame) {
         let PlannedFrame { subject, sequence, outfit, .. } = frame;
+        self.validation += usize::from(frame.validation);
         let capture = format!("{subject}/{outfit}_{sequence}");
         match self.captures.last_mut() {
             Some((last, frames)) if *last == capture => *frames += 1,
@@ -146,10 +159,19 @@ impl SplitWriter {
         self.frames.flush().map_err(|e| Error::io(&self.names, e))
     }
 
-    /// Completes the files and returns the statistics of the frames without validation frames.
-    pub(super) fn finish(mut self) -> Result<DisplacementStatistics> {
-        let validation = validation_count(self.rows());
-        let settled = self.latest.len().saturating_sub(validation);
+    /// Completes the files and returns the statistics of the frames without validation frames, which the
+    /// split names (`named`), or else are the last ones.
+    ///
+    /// # Errors
+    /// If all frames are for validation, or a file cannot be written.
+    pub(super) fn finish(mut self, named: bool) -> Result<DisplacementStatistics> {
+        let validation = if named { self.validation } else { validation_count(self.rows()) };
+        if named && validation == self.rows() {
+            return Err(Error::Data(
+                "all frames of the training part are for validation: add training sequences".into(),
+            ));
+        }
+        let settled = self.latest.len().saturating_sub(if named { 0 } else { validation });
         for row in self.latest.drain(..settled) {
             self.statistics.push(row);
         }

@@ -11,7 +11,9 @@ use crate::{
     bench::{Workload, timing::TimingOptions},
 };
 use cape_core::ProgressFn;
-use cape_data::{PackedSet, Split, steps_per_epoch, validation_count};
+use cape_data::{
+    DisplacementStatistics, PackedSet, STATISTICS_FILE, Split, steps_per_epoch, validation_count,
+};
 use cape_infer::{RunPaths, checkpoint};
 
 /// Timing of a row's updates, which take seconds each at full size.
@@ -65,7 +67,13 @@ impl Table2Options {
     ) -> Result<Vec<JobEstimate>> {
         let set = PackedSet::open(&self.data, Split::Train)?;
         let (body, _) = self.body(&set)?;
-        let frames = set.frames() - validation_count(set.frames());
+        let statistics = self.data.join(STATISTICS_FILE);
+        let validation = if statistics.exists() {
+            DisplacementStatistics::load(statistics)?.validation()
+        } else {
+            validation_count(set.frames())
+        };
+        let frames = set.frames().saturating_sub(validation);
         let mut estimates = Vec::new();
         for job in jobs {
             let train = &job.config.train;

@@ -1,4 +1,5 @@
 use std::{
+    collections::BTreeSet,
     path::{Path, PathBuf},
     str::FromStr,
     time::Instant,
@@ -202,24 +203,37 @@ fn motion_name(path: &Path) -> String {
         .collect()
 }
 
-/// The split into training and test motions; recordings are for training.
+/// Least number of training motions of which the last is for validation.
+const MOTIONS_TO_VALIDATE: usize = 4;
+
+/// The split into training and test motions; recordings are for training. The last of several training
+/// motions is for validation.
 fn split_of(captures: &SimulatedCaptures) -> SplitSpec {
     let spec = captures.spec();
-    let mut lists = [SequenceList::default(), SequenceList::default()];
+    let is_test = |motion: usize| spec.motions.get(motion).is_some_and(|motion| motion.is_test());
+    let motions = captures.takes().into_iter().map(|take| take.motion);
+    let training: BTreeSet<usize> = motions.filter(|&motion| !is_test(motion)).collect();
+    let validation = training.last().filter(|_| training.len() >= MOTIONS_TO_VALIDATE);
+    let mut lists = [const { SequenceList { sequences: Vec::new(), exclude: Vec::new() } }; 3];
     for take in captures.takes() {
-        let test = spec.motions.get(take.motion).is_some_and(|motion| motion.is_test());
+        let place = match take.motion {
+            motion if is_test(motion) => 1,
+            motion if validation == Some(&motion) => 2,
+            _ => 0,
+        };
         let name = captures.sequence(&take);
-        let list = &mut lists[usize::from(test)].sequences;
+        let list = &mut lists[place].sequences;
         if !list.contains(&name) {
             list.push(name);
         }
     }
-    let [train, test] = lists;
+    let [train, test, validation] = lists;
     SplitSpec {
         subjects: spec.subject_names(),
         outfits: spec.outfits.clone(),
         train,
         test,
+        validation,
         ..SplitSpec::default()
     }
 }

@@ -269,7 +269,8 @@ fn settings(path: &Path) -> Result<FileSummary> {
                 .with("subjects", split.subjects)
                 .with("outfits", split.outfits.iter().map(Outfit::name).collect::<Vec<_>>())
                 .with("training sequences", split.train.sequences.len())
-                .with("test sequences", split.test.sequences.len())),
+                .with("test sequences", split.test.sequences.len())
+                .with("validation sequences", split.validation.sequences.len())),
             // The sections tell a split from a configuration.
             Err(split) => {
                 let text = std::fs::read_to_string(path).unwrap_or_default();
