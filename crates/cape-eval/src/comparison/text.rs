@@ -78,7 +78,8 @@ impl ComparisonTable {
              reconstructions from a sample of the posterior (columns 2 to 4) and from its mean \
              (posterior mean). {dependence} Edges, normals and fine energy (ratio of reconstructed to \
              true displacements in the upper half of the spectrum of the Laplacian; 1 is best) are of \
-             the posterior mean.{}",
+             the posterior mean. Trained models are of the checkpoint with the lowest validation \
+             error.{}",
             self.vertices,
             self.frames,
             self.body.as_ref().map_or_else(String::new, |body| format!(" Body: {body}."))
