@@ -1,11 +1,11 @@
 //! Draws a subject in outfits and motions: `contact_sheet OUT.png OUTFIT,… MOTION,… [SUBJECT]
-//! [RESOLUTION_MM]`.
+//! [RESOLUTION_MM] [male|female|neutral]`.
 
 use std::{error::Error, time::Instant};
 
-use cape_core::{Mesh, Outfit};
+use cape_core::{Mesh, Outfit, smpl::Gender};
 use cape_render::{Object, Style, Tile, View, contact_sheet, portrait};
-use cape_synth::{Motion, SynthSpec, synthetic_body};
+use cape_synth::{Motion, SynthSpec, embedded_body};
 use cape_wardrobe::{SimulatedCaptures, WardrobeOptions};
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -17,7 +17,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let motions = motions.split(',').map(str::parse).collect::<Result<Vec<Motion>, _>>()?;
     let subject = more.first().map_or(Ok(0), |text| text.parse::<usize>())?;
     let millimetres = more.get(1).map_or(Ok(25.0), |text| text.parse::<f64>())?;
-    let body = synthetic_body();
+    let gender = more.get(2).map_or(Ok(Gender::Female), |text| text.parse())?;
+    let body = embedded_body(gender)?;
     let columns = motions.len();
     let spec = SynthSpec {
         subjects: subject + 1,
