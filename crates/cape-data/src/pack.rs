@@ -133,8 +133,8 @@ pub struct MissingCapture {
 /// appears only when it is complete. An interrupted packing of the same data is resumed.
 ///
 /// Frames are read in parallel. Memory holds a few frames and the latest 100 training frames, which
-/// can be validation frames, unless the split names captures for validation. Unreadable frames, missing subjects and missing sequences are listed
-/// in the report.
+/// can be validation frames, unless the split names captures for validation. Unreadable frames, missing
+/// subjects and missing sequences are listed in the report.
 ///
 /// # Errors
 /// If `out` exists, the split is invalid, no frame is left, or anything is missing or unreadable

@@ -19,7 +19,7 @@ const GROWTH: usize = 20;
 
 /// Rounds of the separation of intersecting triangles, and the factors on displacements of their
 /// corners and of the vertices beside them.
-const SEPARATIONS: usize = 8;
+const SEPARATIONS: usize = 20;
 const SHRINKAGE: [f64; 2] = [0.7, 0.92];
 
 /// Transforms of the body's vertices from canonical space to a frame, and the pose blend shapes,
