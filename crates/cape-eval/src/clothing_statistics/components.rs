@@ -26,7 +26,8 @@ pub(super) fn errors(
     training: &ClothingFrames,
     held_out: &ClothingFrames,
 ) -> Result<Vec<ComponentError>> {
-    let most = COUNTS[COUNTS.len() - 1].min(training.rows.nrows().saturating_sub(1));
+    let (frames, numbers) = training.rows.dim();
+    let most = COUNTS[COUNTS.len() - 1].min(numbers).min(frames.saturating_sub(1));
     let pca = Pca::from_snapshots(training.rows.view(), ComponentSelection::Components(most))?;
     let mut residual = &held_out.rows - &pca.mean;
     let codes = residual.dot(&pca.components.t());

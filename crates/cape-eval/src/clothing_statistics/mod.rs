@@ -111,15 +111,15 @@ impl ClothingStatistics {
         let data = data.as_ref();
         let open = |part: Split| -> Result<PackedSet> {
             let set = PackedSet::open(data, part)?;
-            match set.vertices() == body.vertices() {
-                true => Ok(set),
-                false => Err(Error::argument(format!(
+            if set.vertices() != body.vertices() {
+                return Err(Error::argument(format!(
                     "{}: frames of {} vertices, but the body has {}",
                     data.display(),
                     set.vertices(),
                     body.vertices()
-                ))),
+                )));
             }
+            Ok(set)
         };
         let [train, test] = [open(Split::Train)?, open(Split::Test)?];
         let statistics = DisplacementStatistics::from_packed(data, &mut cape_core::silent)?;

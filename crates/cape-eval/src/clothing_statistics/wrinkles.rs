@@ -34,7 +34,9 @@ impl Wrinkles {
         let surface = Surface::from(body);
         let filter = HighPassFilter::new(body.vertices(), &surface.edges());
         let mut covered = vec![false; body.vertices()];
-        clothing.iter().for_each(|&v| covered[v] = true);
+        for &vertex in clothing {
+            covered[vertex] = true;
+        }
         let faces: Vec<[u32; 3]> = body
             .faces
             .iter()
