@@ -115,6 +115,7 @@ impl<'a> DressedSubject<'a> {
             (&self.sewn.lower, &self.cut.lower_material),
             (&self.sewn.upper, &self.cut.upper_material),
         ];
+        let options = SimulationOptions { measure_from: skip, measure_every: stride, ..*options };
         let simulated =
             options.run_outfit(self.model, &self.minimal, &worn, motion, &mut |_, _| {})?;
         let qualities = simulated.iter().map(SimulatedGarment::quality);
