@@ -2,8 +2,8 @@
 //!
 //! [`evaluate`](evaluate()) measures reconstruction errors on held-out sequences, [`comparison`]
 //! puts methods side by side, and [`table2`] reproduces CAPE's table 2. [`quality`](mod@quality)
-//! measures samples, [`surface_detail`] wrinkles, [`self_check`] tests a training set-up, and
-//! [`bench`](mod@bench) measures speed.
+//! measures samples, [`surface_detail`] wrinkles, [`clothing_statistics`] data sets, [`self_check`]
+//! tests a training set-up, and [`bench`](mod@bench) measures speed.
 //!
 //! ```
 //! # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
@@ -26,8 +26,10 @@
 
 pub mod bench;
 pub mod clothing;
+pub mod clothing_statistics;
 pub mod comparison;
 pub mod evaluate;
+mod high_pass;
 pub mod quality;
 pub mod self_check;
 pub mod store;

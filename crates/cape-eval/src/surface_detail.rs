@@ -1,14 +1,10 @@
 //! Reconstruction of wrinkles, which the mean error does not measure: it favours smooth surfaces.
 
-use std::f64::consts::PI;
-
 use cape_core::SmplModel;
-use cape_graph::{Surface, rescaled_laplacian};
+use cape_graph::Surface;
 use serde::{Deserialize, Serialize};
-use sprs::{CsMat, TriMat};
 
-/// Terms of the Chebyshev series of the high-pass filter.
-const TERMS: usize = 64;
+use crate::high_pass::HighPassFilter;
 
 /// Surface detail of reconstructions at clothing vertices, over all frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
@@ -65,11 +61,6 @@ impl SurfaceDetailMeter {
         let indices =
             |corners: &[u32]| -> Vec<usize> { corners.iter().map(|&v| v as usize).collect() };
         let inside = |corners: &[usize]| corners.iter().all(|&vertex| covered[vertex]);
-        let mut adjacency = TriMat::new((body.vertices(), body.vertices()));
-        for &[a, b] in &edges {
-            adjacency.add_triplet(a as usize, b as usize, 1.0);
-            adjacency.add_triplet(b as usize, a as usize, 1.0);
-        }
         Self {
             faces: body
                 .faces
@@ -82,7 +73,7 @@ impl SurfaceDetailMeter {
                 .filter(|edge| inside(&indices(&edge[..])))
                 .map(|edge| edge.map(|vertex| vertex as usize))
                 .collect(),
-            filter: HighPassFilter::new(rescaled_laplacian(&adjacency.to_csr())),
+            filter: HighPassFilter::new(body.vertices(), &edges),
             clothing: clothing.to_vec(),
             template: surface.vertices,
             edge_sum: 0.0,
@@ -131,64 +122,6 @@ impl SurfaceDetailMeter {
     }
 }
 
-/// High-pass filter on a mesh: a step at 1 in the spectrum of the normalised Laplacian `L`, whose
-/// eigenvalues are between 0 and 2, as a Chebyshev series in `L − 1` with Jackson damping.
-#[derive(Debug, Clone)]
-struct HighPassFilter {
-    laplacian: CsMat<f64>,
-    coefficients: Vec<f64>,
-}
-
-impl HighPassFilter {
-    fn new(laplacian: CsMat<f64>) -> Self {
-        let n = TERMS as f64;
-        let damping = |k: f64| {
-            let angle = PI / (n + 1.0);
-            ((n - k + 1.0) * (angle * k).cos() + (angle * k).sin() / angle.tan()) / (n + 1.0)
-        };
-        // Coefficients of the step: 1/2, and 2 sin(kπ/2) / (kπ).
-        let step = |k: usize| match k {
-            0 => 0.5,
-            _ if k.is_multiple_of(2) => 0.0,
-            _ => 2.0 / (k as f64 * PI) * if k % 4 == 1 { 1.0 } else { -1.0 },
-        };
-        let coefficients = (0..TERMS).map(|k| step(k) * damping(k as f64)).collect();
-        Self { laplacian, coefficients }
-    }
-
-    fn apply(&self, signal: &[[f64; 3]]) -> Vec<[f64; 3]> {
-        let mut before = signal.to_vec();
-        let mut now = self.multiply(signal);
-        let mut out: Vec<[f64; 3]> = before
-            .iter()
-            .zip(&now)
-            .map(|(a, b)| {
-                [0, 1, 2].map(|i| self.coefficients[0] * a[i] + self.coefficients[1] * b[i])
-            })
-            .collect();
-        for &coefficient in &self.coefficients[2..] {
-            let mut next = self.multiply(&now);
-            for (next, before) in next.iter_mut().zip(&before) {
-                *next = [0, 1, 2].map(|i| 2.0 * next[i] - before[i]);
-            }
-            if coefficient != 0.0 {
-                for (out, next) in out.iter_mut().zip(&next) {
-                    *out = [0, 1, 2].map(|i| out[i] + coefficient * next[i]);
-                }
-            }
-            before = std::mem::replace(&mut now, next);
-        }
-        out
-    }
-
-    fn multiply(&self, signal: &[[f64; 3]]) -> Vec<[f64; 3]> {
-        let row = |row: sprs::CsVecViewI<f64, usize>| {
-            row.iter().fold([0.0; 3], |sum, (j, &w)| [0, 1, 2].map(|i| sum[i] + w * signal[j][i]))
-        };
-        self.laplacian.outer_iterator().map(row).collect()
-    }
-}
-
 fn plus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|i| a[i] + b[i])
 }
@@ -216,86 +149,9 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use cape_core::Mesh;
     use cape_synth::synthetic_body;
-    use nalgebra::{DMatrix, SymmetricEigen};
 
     use super::*;
-
-    /// An octahedron, twice subdivided: 66 vertices.
-    fn sphere() -> Surface {
-        let mut vertices: Vec<[f32; 3]> = vec![
-            [1.0, 0.0, 0.0],
-            [-1.0, 0.0, 0.0],
-            [0.0, 1.0, 0.0],
-            [0.0, -1.0, 0.0],
-            [0.0, 0.0, 1.0],
-            [0.0, 0.0, -1.0],
-        ];
-        let mut faces: Vec<[u32; 3]> = vec![
-            [0, 2, 4],
-            [2, 1, 4],
-            [1, 3, 4],
-            [3, 0, 4],
-            [2, 0, 5],
-            [1, 2, 5],
-            [3, 1, 5],
-            [0, 3, 5],
-        ];
-        for _ in 0..2 {
-            let mut middles = std::collections::HashMap::new();
-            let mut middle = |a: u32, b: u32| {
-                *middles.entry((a.min(b), a.max(b))).or_insert_with(|| {
-                    let (p, q) = (vertices[a as usize], vertices[b as usize]);
-                    vertices.push([0, 1, 2].map(|i| 0.5 * (p[i] + q[i])));
-                    vertices.len() as u32 - 1
-                })
-            };
-            faces = faces
-                .iter()
-                .flat_map(|&[a, b, c]| {
-                    let (ab, bc, ca) = (middle(a, b), middle(b, c), middle(c, a));
-                    [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
-                })
-                .collect();
-        }
-        Surface::from(&Mesh { vertices, faces })
-    }
-
-    /// The gain is 0 or 1 at the exact eigenvalues away from the step.
-    #[test]
-    fn the_filter_is_a_step_in_the_spectrum() {
-        let surface = sphere();
-        let n = surface.vertices.len();
-        let mut adjacency = TriMat::new((n, n));
-        for [a, b] in surface.edges() {
-            adjacency.add_triplet(a as usize, b as usize, 1.0);
-            adjacency.add_triplet(b as usize, a as usize, 1.0);
-        }
-        let laplacian = rescaled_laplacian(&adjacency.to_csr());
-        let mut dense = DMatrix::zeros(n, n);
-        for (row, values) in laplacian.outer_iterator().enumerate() {
-            for (column, &value) in values.iter() {
-                dense[(row, column)] = value;
-            }
-        }
-        let eigen = SymmetricEigen::new(dense);
-        let filter = HighPassFilter::new(laplacian);
-        let mut checked = [0, 0];
-        for (k, &value) in eigen.eigenvalues.iter().enumerate() {
-            let vector: Vec<[f64; 3]> =
-                eigen.eigenvectors.column(k).iter().map(|&x| [x, -2.0 * x, 0.0]).collect();
-            let out = filter.apply(&vector);
-            let gain = out.iter().zip(&vector).map(|(a, b)| dot(*a, *b)).sum::<f64>() / 5.0;
-            let expected = f64::from(value > 0.0);
-            if value.abs() > 0.08 {
-                assert!((gain - expected).abs() < 0.02, "eigenvalue {value}: gain {gain}");
-                checked[usize::from(value > 0.0)] += 1;
-            }
-            assert!((-0.01..1.01).contains(&gain));
-        }
-        assert!(checked[0] > 10 && checked[1] > 5, "{checked:?}");
-    }
 
     #[test]
     fn detail_of_known_differences() {

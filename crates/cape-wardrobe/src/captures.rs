@@ -49,6 +49,10 @@ pub struct WardrobeOptions {
     pub resolution: f64,
     /// Standard deviation of the registration error, metres.
     pub noise: f64,
+    /// Share of the cloth's sliding along the skin that vertices follow, 0 to 1. Registrations of scans
+    /// follow little of it, as nothing but their regularisation ties a vertex to a place of the cloth;
+    /// with 1 each vertex keeps its point on the garment.
+    pub sliding: f64,
     /// Named motions from files, recorded besides the synthetic ones.
     pub recordings: Vec<(String, BodyMotion)>,
     /// Options of the simulation.
@@ -61,6 +65,7 @@ impl Default for WardrobeOptions {
             takes: 1,
             resolution: 0.025,
             noise: 0.0,
+            sliding: 0.1,
             recordings: Vec::new(),
             simulation: SimulationOptions {
                 substeps: 8,
@@ -139,6 +144,7 @@ struct Plan<'a> {
     takes: usize,
     resolution: f64,
     noise: f64,
+    sliding: f64,
 }
 
 impl<'a> SimulatedCaptures<'a> {
@@ -161,6 +167,12 @@ impl<'a> SimulatedCaptures<'a> {
             return Err(Error::argument(format!(
                 "registration error of {} m: expected 0 to 0.1",
                 options.noise
+            )));
+        }
+        if !(0.0..=1.0).contains(&options.sliding) {
+            return Err(Error::argument(format!(
+                "share {} of sliding: expected 0 to 1",
+                options.sliding
             )));
         }
         Ok(Self { procedural: CaptureGenerator::new(bodies, spec)?, options })
@@ -282,7 +294,7 @@ impl<'a> SimulatedCaptures<'a> {
         let subject = (model, &minimal);
         let (motion, run_up) = take_motion(subject, &motion, (frames, rate), &mut rng(DRESSING))?;
         let mut noise = RegistrationNoise { deviation: self.options.noise, rng: rng(NOISE) };
-        dressed.simulate(&self.options.simulation, &motion, (run_up, stride), &mut noise)
+        dressed.simulate(&self.options, &motion, (run_up, stride), &mut noise)
     }
 
     /// Writes a shard of the data set under `root` in the layout of the CAPE release, as
@@ -354,6 +366,7 @@ impl<'a> SimulatedCaptures<'a> {
             takes: self.options.takes,
             resolution: self.options.resolution,
             noise: self.options.noise,
+            sliding: self.options.sliding,
         };
         let path = root.join(PLAN_FILE);
         if path.exists() {

@@ -38,6 +38,15 @@ impl MeshGraph {
         near.iter().map(|&n| at(n)).sum::<DVec3>() / near.len().max(1) as f64
     }
 
+    /// Mean of the known values `[V]` of a vertex's neighbours.
+    pub(crate) fn mean_known(&self, vertex: u32, values: &[Option<DVec3>]) -> Option<DVec3> {
+        let near = self.neighbours[vertex as usize].iter();
+        let (sum, count) = near
+            .filter_map(|&n| values[n as usize])
+            .fold((DVec3::ZERO, 0.0), |(sum, count), value| (sum + value, count + 1.0));
+        (count > 0.0).then(|| sum / count)
+    }
+
     /// Interpolates missing values harmonically from known ones over the vertices of `domain`, `[V]`.
     pub(crate) fn fill(&self, values: &mut [Option<DVec3>], domain: &[bool], iterations: usize) {
         let missing: Vec<usize> =

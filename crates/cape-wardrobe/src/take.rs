@@ -14,7 +14,8 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    OutfitCut, Result, SewnOutfit, SurfaceTransfer, canonical::CanonicalBody, mesh_graph::MeshGraph,
+    OutfitCut, Result, SewnOutfit, SurfaceTransfer, WardrobeOptions, canonical::CanonicalBody,
+    mesh_graph::MeshGraph, transfer::PosedBody,
 };
 
 /// Quality of the frames of a take.
@@ -106,7 +107,7 @@ impl<'a> DressedSubject<'a> {
     /// If the motion does not fit the body, or the simulation diverges.
     pub(crate) fn simulate(
         &self,
-        options: &SimulationOptions,
+        options: &WardrobeOptions,
         motion: &BodyMotion,
         (skip, stride): (usize, usize),
         noise: &mut RegistrationNoise,
@@ -115,9 +116,10 @@ impl<'a> DressedSubject<'a> {
             (&self.sewn.lower, &self.cut.lower_material),
             (&self.sewn.upper, &self.cut.upper_material),
         ];
-        let options = SimulationOptions { measure_from: skip, measure_every: stride, ..*options };
+        let simulation =
+            SimulationOptions { measure_from: skip, measure_every: stride, ..options.simulation };
         let simulated =
-            options.run_outfit(self.model, &self.minimal, &worn, motion, &mut |_, _| {})?;
+            simulation.run_outfit(self.model, &self.minimal, &worn, motion, &mut |_, _| {})?;
         let qualities = simulated.iter().map(SimulatedGarment::quality);
         let simulation = qualities.reduce(SimulationQuality::with).unwrap_or_default();
         let canonical = CanonicalBody::new(self.model, &self.minimal)?;
@@ -131,7 +133,11 @@ impl<'a> DressedSubject<'a> {
             let skin = points(body.view());
             let vertices = |worn: &SimulatedGarment| points(worn.frames.index_axis(Axis(0), frame));
             let garment = simulated.iter().flat_map(vertices).collect::<Vec<_>>();
-            let laid = self.transfer.lay(&skin, &garment);
+            let surface = SurfaceMesh { vertices: skin.clone(), faces: self.model.faces.clone() };
+            let layers =
+                self.sewn.layers().map(|layer| SurfaceMesh { vertices: garment.clone(), ..layer });
+            let body = PosedBody { surface: &surface, graph: &canonical.graph };
+            let laid = self.transfer.lay_sliding(&body, &layers, options.sliding);
             let at = canonical.frame(&pose, transl)?;
             let mut displacement = canonical.displacement(&at, &laid, &covered);
             noise.add(&canonical.graph, &covered, &mut displacement);

@@ -10,7 +10,7 @@ use glam::DVec3;
 
 use crate::{
     OutfitCut, Shard, SimulatedCaptures, SurfaceTransfer, WardrobeOptions,
-    canonical::CanonicalBody, mesh_graph::MeshGraph, take::DressedSubject,
+    canonical::CanonicalBody, mesh_graph::MeshGraph, take::DressedSubject, transfer::PosedBody,
 };
 
 /// The synthetic body in the A-pose.
@@ -96,6 +96,43 @@ fn of_two_garments_the_outer_one_is_taken() {
         let on_outer = point.unwrap().corners[0] >= count;
         if p.y.abs() > 0.06 {
             assert_eq!(on_outer, p.y > 0.0, "{p}");
+        }
+    }
+}
+
+/// A garment that is turned about the axis slides along a sphere.
+#[test]
+fn sliding_is_taken_back_and_hems_stay() {
+    let body = sphere(0.3, 4);
+    let garment = offset(&sphere(0.312, 5), 0.0, |p| p.y > 0.07);
+    let transfer = SurfaceTransfer::fit(&body, std::slice::from_ref(&garment));
+    let turn = glam::DQuat::from_rotation_y(0.2);
+    let turned = SurfaceMesh {
+        vertices: garment.vertices.iter().map(|&p| turn * p).collect(),
+        ..garment.clone()
+    };
+    let graph = MeshGraph::new(&body);
+    let posed = PosedBody { surface: &body, graph: &graph };
+    let lay = |kept| transfer.lay_sliding(&posed, std::slice::from_ref(&turned), kept);
+    assert_eq!(lay(1.0), transfer.lay(&body.vertices, &turned.vertices));
+    let before = transfer.lay(&body.vertices, &garment.vertices);
+    let farthest = |laid: &[DVec3]| {
+        let moved = laid.iter().zip(&before).map(|(a, b)| a.distance(*b));
+        moved.fold(0.0, f64::max)
+    };
+    // All of the sliding: 0.2 rad at a radius of 0.3 m. None: what smoothing leaves.
+    assert!(farthest(&lay(1.0)) > 0.055, "{}", farthest(&lay(1.0)));
+    assert!(farthest(&lay(0.0)) < 0.012, "{}", farthest(&lay(0.0)));
+    let half = lay(0.5);
+    assert!((0.025..0.04).contains(&farthest(&half)), "{}", farthest(&half));
+    for kept in [0.0, 0.5] {
+        let laid = lay(kept);
+        assert!(graph.turned(body.face_normals(), &laid).is_empty());
+        let edge = body.mean_edge();
+        let worn = before.iter().zip(&laid).zip(transfer.points()).filter(|(_, p)| p.is_some());
+        for ((before, after), _) in worn {
+            assert!((after.y - before.y).abs() < 0.3 * edge, "{before} {after}");
+            assert!((after.length() - 0.312).abs() < 0.002, "{after}");
         }
     }
 }

@@ -18,9 +18,14 @@ const ALONG_NORMAL: [f64; 2] = [2.0, 0.01];
 const FILL: usize = 200;
 const RELAX: usize = 20;
 
+/// Rounds of the smoothing of sliding, each of which takes half of the mean of a vertex's neighbours.
+const SMOOTHING: usize = 30;
+
 /// Point on a garment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GarmentPoint {
+    /// Index of the garment.
+    pub garment: usize,
     /// Vertices of its face.
     pub corners: [u32; 3],
     /// Barycentric coordinates.
@@ -66,8 +71,8 @@ impl SurfaceTransfer {
         let graph = MeshGraph::new(body);
         let normals = body.vertex_normals();
         let mut points = vec![None; body.vertices.len()];
-        for garment in garments {
-            let fitting = GarmentFit { body, normals: &normals, graph: &graph, garment };
+        for (index, garment) in garments.iter().enumerate() {
+            let fitting = GarmentFit { body, normals: &normals, graph: &graph, garment, index };
             for (point, found) in points.iter_mut().zip(fitting.points()) {
                 *point = found.or(*point);
             }
@@ -87,12 +92,61 @@ impl SurfaceTransfer {
     }
 }
 
+/// Body on which a garment's sliding is measured, in one frame.
+pub(crate) struct PosedBody<'a> {
+    pub(crate) surface: &'a SurfaceMesh,
+    pub(crate) graph: &'a MeshGraph,
+}
+
+impl SurfaceTransfer {
+    /// [`lay`](Self::lay) on the posed `garments` with the share `kept` of sliding, 0 to 1. Sliding is
+    /// the smooth part of the displacement from the skin along it. What is not kept is taken back, and
+    /// the vertices go to the closest points of their garments: folds and hems stay where they are in
+    /// space, but other vertices of the body lie on them. With all of it, vertices follow the cloth's
+    /// material; with none, the skin under it.
+    pub(crate) fn lay_sliding(
+        &self,
+        body: &PosedBody,
+        garments: &[SurfaceMesh],
+        kept: f64,
+    ) -> Vec<DVec3> {
+        let skin = &body.surface.vertices;
+        let on = |(point, &skin): (&Option<GarmentPoint>, &DVec3)| {
+            point.map_or(skin, |point| point.position(&garments[point.garment].vertices))
+        };
+        let laid: Vec<DVec3> = self.points.iter().zip(skin).map(on).collect();
+        if kept >= 1.0 {
+            return laid;
+        }
+        let normals = body.surface.vertex_normals();
+        let along = |v: usize| (laid[v] - skin[v]).reject_from_normalized(normals[v]);
+        let mut sliding: Vec<Option<DVec3>> =
+            (0..laid.len()).map(|v| self.points[v].map(|_| along(v))).collect();
+        for _ in 0..SMOOTHING {
+            let smooth = |v: usize| {
+                let own = sliding[v]?;
+                let mean = body.graph.mean_known(v as u32, &sliding);
+                Some(mean.map_or(own, |mean| own.midpoint(mean)))
+            };
+            sliding = (0..laid.len()).map(smooth).collect();
+        }
+        let indices: Vec<SurfaceIndex> = garments.iter().map(SurfaceIndex::new).collect();
+        let back = |v: usize| {
+            let (point, slid) = (self.points[v]?, sliding[v]?);
+            indices[point.garment].closest(laid[v] - (1.0 - kept) * slid, REACH)
+        };
+        let vertices = (0..laid.len()).into_par_iter();
+        vertices.map(|v| back(v).map_or(laid[v], |near| near.point)).collect()
+    }
+}
+
 /// One garment on a body in the fitting pose.
 struct GarmentFit<'a> {
     body: &'a SurfaceMesh,
     normals: &'a [DVec3],
     graph: &'a MeshGraph,
     garment: &'a SurfaceMesh,
+    index: usize,
 }
 
 impl GarmentFit<'_> {
@@ -128,7 +182,7 @@ impl GarmentFit<'_> {
         let nearest = |p: DVec3| {
             let near = index.closest(p, REACH)?;
             let corners = self.garment.faces[near.face as usize];
-            Some(GarmentPoint { corners, barycentric: near.barycentric })
+            Some(GarmentPoint { garment: self.index, corners, barycentric: near.barycentric })
         };
         let place = |v: usize, offset: DVec3| nearest(self.body.vertices[v] + offset);
         let mut points: Vec<Option<GarmentPoint>> = (0..covered.len())
@@ -221,7 +275,7 @@ impl GarmentFit<'_> {
             let [a, b, _] = corners.map(|v| self.garment.vertices[v as usize]);
             let (nearest, [first, second, third]) = closest_on_triangle(p, [a, b, b]);
             let barycentric = [first, second + third, 0.0];
-            (nearest.distance(p), GarmentPoint { corners, barycentric })
+            (nearest.distance(p), GarmentPoint { garment: self.index, corners, barycentric })
         };
         hem.iter().map(on_edge).min_by(|a, b| a.0.total_cmp(&b.0))
     }

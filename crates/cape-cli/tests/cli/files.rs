@@ -245,6 +245,32 @@ fn data_are_inspected() {
 }
 
 #[test]
+fn variation_of_clothing_is_measured() {
+    let data = trained();
+    let measure = "data inspect @/packed --statistics";
+    // Beside its own statistics all ratios are 1.
+    let found = data.run(&format!("{measure} --reference @/packed/stats.npz --json")).json();
+    let found = &found["clothing_statistics"];
+    for ratio in ["mean_ratio", "std_ratio"] {
+        for axis in 0..3 {
+            let ratio = found["reference"][ratio][axis].as_f64().unwrap();
+            assert!((ratio - 1.0).abs() < 1e-3, "{found}");
+        }
+    }
+    let errors: Vec<f64> = found["components"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|error| error["error_mm"].as_f64().unwrap())
+        .collect();
+    assert!(errors.len() > 3 && errors[errors.len() - 1] < errors[0], "{errors:?}");
+    let said = data.run(measure).succeeded();
+    assert!(said.contains("wrinkles") && said.contains("explained variance"), "{said}");
+    data.run("data inspect @/raw --statistics").failed_saying(&["packed", "cape data pack"]);
+    data.run("data inspect @/packed --reference @/packed/stats.npz").misused(&["--statistics"]);
+}
+
+#[test]
 fn own_registrations_are_unposed_and_packed() {
     let data = Packed::new();
     let body = SmplModel::load(data.at("raw/body.npz")).unwrap();

@@ -1,14 +1,27 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
-    path::PathBuf,
+    path::{Path, PathBuf},
 };
 
-use cape_core::Outfit;
-use cape_data::inspect::{InspectOptions, Inspection, Magnitudes, PresetCompleteness, inspect};
+use cape_core::{
+    Outfit, SmplModel,
+    smpl::{BODY_FILE, ClothingMask},
+};
+use cape_data::{
+    DisplacementStatistics,
+    inspect::{InspectOptions, Inspection, Magnitudes, PresetCompleteness, inspect},
+    raw::CLOTHING_FILE,
+};
+use cape_eval::clothing_statistics::{ClothingStatistics, ClothingStatisticsOptions};
 use clap::Args;
+use serde::Serialize;
 
 use crate::{
-    body_source::BodyFileArgs, console::Console, error::Result, options::at_least_one, table::Table,
+    body_source::BodyFileArgs,
+    console::Console,
+    error::{Error, Result},
+    options::at_least_one,
+    table::Table,
 };
 
 /// Check raw captures or a packed set for problems.
@@ -17,7 +30,7 @@ use crate::{
 /// alignment with the minimal body shape, poses and files. Each warning names a remedy.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  cape data inspect cape_release --preset male\n  \
-                        cape data inspect packed --frames 10")]
+                        cape data inspect packed --statistics --reference trainset_stats.npz")]
 pub(crate) struct InspectArgs {
     /// Raw data (sequences/, minimal_body_shape/) or a packed set.
     #[arg(value_name = "PATH")]
@@ -31,12 +44,29 @@ pub(crate) struct InspectArgs {
     /// Preset to compare raw data with: how many of its frames are there, and what is missing.
     #[arg(long, value_parser = ["male", "female"])]
     preset: Option<String>,
+    /// Also measure how the clothing of a packed set varies: principal components, dependence on the
+    /// pose, repeated poses, wrinkles.
+    #[arg(long)]
+    statistics: bool,
+    /// Statistics to compare mean and deviation with, such as the release's trainset_stats.npz.
+    #[arg(long, value_name = "FILE.npz", requires = "statistics")]
+    reference: Option<PathBuf>,
     #[command(flatten)]
     body: BodyFileArgs,
 }
 
+/// Report of `cape data inspect --json`.
+#[derive(Debug, Serialize)]
+struct InspectReport {
+    #[serde(flatten)]
+    found: Inspection,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    clothing_statistics: Option<ClothingStatistics>,
+}
+
 impl InspectArgs {
     pub(crate) fn run(self, console: Console) -> Result {
+        let reference = self.reference.map(DisplacementStatistics::load).transpose()?;
         let options = InspectOptions {
             frames: self.frames,
             clothing: self.clothing,
@@ -46,8 +76,110 @@ impl InspectArgs {
         let found = console.while_showing("inspect", "frames", |progress| {
             inspect(&self.path, &options, progress)
         })?;
-        console.result(&found, || text(&found))
+        let clothing_statistics = if self.statistics {
+            if found.kind != "packed" {
+                return Err(Error::message(format!(
+                    "{}: --statistics is of packed sets: pack the data first (cape data pack)",
+                    self.path.display()
+                )));
+            }
+            let InspectOptions { clothing, body, .. } = options;
+            let options = ClothingStatisticsOptions { reference, ..Default::default() };
+            let (body, clothing) = clothed_body(&self.path, body, clothing)?;
+            let clothing: Vec<usize> = clothing.indices().collect();
+            Some(console.while_showing("clothing", "steps", |progress| {
+                ClothingStatistics::measure(&self.path, &body, &clothing, &options, progress)
+            })?)
+        } else {
+            None
+        };
+        let report = InspectReport { found, clothing_statistics };
+        console.result(&report, || {
+            let mut parts = vec![text(&report.found)];
+            parts.extend(report.clothing_statistics.as_ref().map(statistics));
+            parts.join("\n\n")
+        })
     }
+}
+
+/// Body and clothing vertices: those given, else those in the packed set.
+fn clothed_body(
+    data: &Path,
+    body: Option<SmplModel>,
+    clothing: Option<PathBuf>,
+) -> Result<(SmplModel, ClothingMask), Error> {
+    let body = match body {
+        Some(body) => body,
+        None => SmplModel::load(data.join(BODY_FILE)).map_err(|error| {
+            Error::message(format!("{error}: give the body of the data with --body"))
+        })?,
+    };
+    let indices = clothing.unwrap_or_else(|| data.join(CLOTHING_FILE));
+    let mask = if indices.is_file() {
+        ClothingMask::load(&indices, body.vertices())?
+    } else {
+        ClothingMask::from_weights(&body)?
+    };
+    Ok((body, mask))
+}
+
+/// Variation of the clothing.
+fn statistics(found: &ClothingStatistics) -> String {
+    let axes = |values: [f64; 3]| values.map(|x| format!("{x:.1}")).join(", ");
+    let mut table = Table::new(["clothing", "x, y, z"]);
+    table.row(["median of the mean, mm".to_owned(), axes(found.mean_mm)]);
+    table.row(["median of the deviation, mm".to_owned(), axes(found.std_mm)]);
+    if let Some(reference) = &found.reference {
+        for (name, values) in [
+            ("  reference: mean, mm", reference.mean_mm),
+            ("  reference: deviation, mm", reference.std_mm),
+            ("  ratio of the means", reference.mean_ratio),
+            ("  ratio of the deviations", reference.std_ratio),
+        ] {
+            table.row([name.to_owned(), axes(values)]);
+        }
+    }
+    let mut parts = vec![table.text()];
+    let mut table = Table::new(["components", "error on test frames, mm", "explained variance"]);
+    for error in &found.components {
+        table.row([
+            error.components.to_string(),
+            format!("{:.2}", error.error_mm),
+            format!("{:.3}", error.explained),
+        ]);
+    }
+    parts.push(table.text());
+    let mut lines = Vec::new();
+    lines.push(match &found.pose {
+        Some(pose) => format!(
+            "pose: explains {:.0} % of the variance within {} captures ({:.1} of {:.1} mm are left); \
+             autocorrelation of the rest {:.2}",
+            100.0 * pose.explained,
+            pose.captures,
+            pose.error_mm,
+            pose.variation_mm,
+            pose.autocorrelation
+        ),
+        None => "pose: not measured, as captures are unknown or shorter than ten frames".into(),
+    });
+    lines.push(match &found.repeats {
+        Some(repeats) => format!(
+            "repeated poses: {:.1} mm between frames of the same garments and pose ({} pairs of \
+             captures' frames, {:.2} rad apart in a joint)",
+            repeats.difference_mm, repeats.pairs, repeats.angle
+        ),
+        None => "repeated poses: none in different captures of the same garments".into(),
+    });
+    let wrinkles = &found.wrinkles;
+    lines.push(format!(
+        "wrinkles: {:.2} mm in the upper half of the spectrum ({:.2} % of the energy), normals turned \
+         by {:.1}°",
+        wrinkles.fine_mm,
+        100.0 * wrinkles.fine_share,
+        wrinkles.normal_degrees
+    ));
+    parts.push(lines.join("\n"));
+    parts.join("\n\n")
 }
 
 fn text(found: &Inspection) -> String {

@@ -46,6 +46,9 @@ pub(super) struct SimulatedArgs {
     /// Standard deviation of a smooth registration error, mm [default: 0].
     #[arg(long, value_name = "MM", value_parser = non_negative)]
     noise: Option<f64>,
+    /// Share of the cloth's sliding along the skin that vertices follow, 0 to 1 [default: 0.1].
+    #[arg(long, value_name = "X", value_parser = non_negative)]
+    sliding: Option<f64>,
     /// Share of the takes to simulate, such as 2/8, on several machines.
     #[arg(long, value_name = "I/N")]
     shard: Option<ShardChoice>,
@@ -112,6 +115,7 @@ impl SimulatedArgs {
             ("--motion", self.motion.is_some()),
             ("--resolution", self.resolution.is_some()),
             ("--noise", self.noise.is_some()),
+            ("--sliding", self.sliding.is_some()),
             ("--shard", self.shard.is_some()),
             ("--dry-run", self.dry_run),
         ];
@@ -136,6 +140,7 @@ impl SimulatedArgs {
             takes: self.takes.unwrap_or(defaults.takes),
             resolution: self.resolution.map_or(defaults.resolution, |mm| 1e-3 * mm),
             noise: self.noise.map_or(defaults.noise, |mm| 1e-3 * mm),
+            sliding: self.sliding.unwrap_or(defaults.sliding),
             recordings: self.recordings(bodies)?,
             ..defaults
         };
