@@ -3,7 +3,7 @@ use std::collections::HashMap;
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
-use cape_core::geometry::{SurfaceIndex, closest_on_triangle};
+use cape_core::geometry::{ClosestPoint, SurfaceIndex, closest_on_triangle};
 
 /// Parameters of the contact of cloth with a body in one step, at vertices and at the centres of
 /// faces.
@@ -13,7 +13,7 @@ use cape_core::geometry::{SurfaceIndex, closest_on_triangle};
 ///
 /// // Contact of the default material in the first half of a frame.
 /// let ClothMaterial { friction, thickness, .. } = ClothMaterial::default();
-/// let contact = Contact { friction, thickness, from: 0.0, now: 0.5 };
+/// let contact = Contact { friction, thickness, from: 0.0, now: 0.5, dt: 1.0 / 60.0 };
 /// assert!(contact.thickness < Contact::REACH);
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,6 +26,8 @@ pub struct Contact {
     pub from: f64,
     /// Time within the frame after the step, 0 to 1.
     pub now: f64,
+    /// Duration of the step, seconds.
+    pub dt: f64,
 }
 
 impl Contact {
@@ -52,14 +54,37 @@ struct ContactCache {
     /// Largest displacement of the surrounding body in a frame, metres, and that frame.
     rate: f64,
     frame: u64,
-    /// Gradient of the distance and displacement of the body in the step, metres, if pushed in it.
-    pushed: Option<[DVec3; 2]>,
+    /// Contact with the body after the step, if there is one.
+    held: Option<Hold>,
+}
+
+/// A vertex that rests on the body: it follows the body along the gradient of the distance, and with
+/// friction along the surface.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Hold {
+    /// Gradient of the distance from the body.
+    pub outward: DVec3,
+    /// Displacement of the point of the body in the step, metres.
+    pub carried: DVec3,
+    /// Impulse between body and vertex in the last step, N·s.
+    pub impulse: f64,
+    /// Coefficient of Coulomb friction.
+    pub friction: f64,
+    /// Velocity along the surface relative to the body, m/s, and its change in the last step, once there
+    /// was a step in contact.
+    pub slip: Option<[DVec3; 2]>,
+    face: u32,
+    barycentric: [f64; 3],
 }
 
 /// Approach of a point to another part of the body between searches of the whole body, metres.
 const UNSEEN: f64 = 0.004;
 
+/// Distance beyond the thickness within which a vertex that the body bears stays in contact, metres.
+const NEAR: f64 = 2e-4;
+
 /// Displacement that resolves a contact: `outward` times `depth`, metres, and the point of the body.
+/// The depth is negative for vertices beyond the thickness.
 #[derive(Debug, Clone, Copy)]
 struct ContactCorrection {
     depth: f64,
@@ -181,16 +206,40 @@ impl Contacts {
         }
         self.share += now - from;
         self.body.reference += self.body.mean * (now - from);
-        self.vertices.iter_mut().for_each(|memory| memory.pushed = None);
+        for hold in self.vertices.iter_mut().filter_map(|memory| memory.held.as_mut()) {
+            let at = |time| body.position_at(hold.face, hold.barycentric, time);
+            hold.carried = at(now) - at(from);
+        }
+    }
+
+    /// Contacts of the vertices with the body at the beginning of the step, after
+    /// [`advance`](Self::advance).
+    pub(super) fn holds(&self) -> impl Iterator<Item = Option<Hold>> {
+        self.vertices.iter().map(|memory| memory.held)
+    }
+
+    /// Sets the impulses between vertices and body in the step, N·s; vertices that the body would have to
+    /// pull are released.
+    pub(super) fn bear(&mut self, impulses: impl Iterator<Item = f64>) {
+        for (memory, impulse) in self.vertices.iter_mut().zip(impulses) {
+            if let Some(hold) = &mut memory.held {
+                hold.impulse = impulse;
+            }
+            memory.held.take_if(|hold| hold.impulse <= 0.0);
+        }
     }
 
     /// Velocities after the contacts of a step of `dt` seconds, m/s: vertices that were pushed do not
     /// part from the body, since contact is inelastic.
-    pub(super) fn stop(&self, velocities: &mut [DVec3], dt: f64) {
-        for (velocity, memory) in velocities.iter_mut().zip(&self.vertices) {
-            if let Some([outward, carried]) = memory.pushed {
-                let parting = (*velocity - carried / dt).dot(outward);
-                *velocity -= outward * parting.max(0.0);
+    pub(super) fn stop(&mut self, velocities: &mut [DVec3], dt: f64) {
+        for (velocity, memory) in velocities.iter_mut().zip(&mut self.vertices) {
+            if let Some(hold) = &mut memory.held {
+                let relative = *velocity - hold.carried / dt;
+                let parting = relative.dot(hold.outward);
+                *velocity -= hold.outward * parting.max(0.0);
+                let slip = relative - hold.outward * parting;
+                let gain = hold.slip.map_or(DVec3::ZERO, |[before, _]| slip - before);
+                hold.slip = Some([slip, gain]);
             }
         }
     }
@@ -216,22 +265,38 @@ impl Contacts {
         push_out_faces((&mut self.centres, movement), contacts, body, positions, sheet, share);
         let moving = positions.par_iter_mut().zip(before).zip(inverse_masses).zip(layers);
         moving.zip(&mut self.vertices).filter(|(((_, w), _), _)| **w > 0.0).for_each(
-            |((((x, &before), _), &layer), memory)| {
+            |((((x, &before), w), &layer), memory)| {
                 let contact = &contacts[usize::from(layer)];
-                let thickness = contact.thickness;
-                let Some(push) = memory.push((body, movement), *x, thickness, share) else {
+                let Contact { friction, thickness, from, now, dt } = *contact;
+                let found = memory.push((body, movement), *x, thickness, share);
+                let Some(ContactCorrection { depth, outward, face, barycentric }) = found else {
+                    memory.held = None;
                     return;
                 };
-                let ContactCorrection { depth, outward, face, barycentric } = push;
+                let borne = memory.held.map_or(0.0, |hold| hold.impulse);
+                let slip = memory.held.and_then(|hold| hold.slip);
+                if depth <= 0.0 && (depth < -NEAR || borne <= 0.0) {
+                    memory.held = None;
+                    return;
+                }
+                let carried = body.position_at(face, barycentric, now)
+                    - body.position_at(face, barycentric, from);
+                let impulse = borne + depth.max(0.0) / (w * dt);
+                memory.held =
+                    Some(Hold { outward, carried, impulse, friction, slip, face, barycentric });
+                if depth <= 0.0 {
+                    return;
+                }
                 *x += outward * depth;
-                let carried = body.position_at(face, barycentric, contact.now)
-                    - body.position_at(face, barycentric, contact.from);
-                memory.pushed = Some([outward, carried]);
+                // The friction of vertices that the body bore is part of the forces of the step.
+                if borne > 0.0 {
+                    return;
+                }
                 let slip = (*x - before) - carried;
                 let slip = slip - outward * slip.dot(outward);
                 let length = slip.length();
                 if length > 0.0 {
-                    *x -= slip * (contact.friction * depth / length).min(1.0);
+                    *x -= slip * (friction * depth / length).min(1.0);
                 }
             },
         );
@@ -260,6 +325,7 @@ fn push_out_faces(
             let contact = &contacts[usize::from(layers[corners[0] as usize])];
             let thickness = 0.5 * contact.thickness;
             let push = memory.push((body, movement), centre, thickness, share);
+            let push = push.filter(|push| push.depth > 0.0);
             let push = push.map(|push| ([1.0 / 3.0; 3], push.outward * push.depth));
             let triangle = corners.map(|v| at[v as usize]);
             [push, memory.push_off_vertex((body, movement), triangle, thickness)]
@@ -287,7 +353,7 @@ fn push_out_faces(
 
 impl ContactCache {
     /// Correction of a point `x` that keeps `thickness` metres from the body, after a `share` of the
-    /// frame.
+    /// frame; nothing for points that are known to be beyond the thickness.
     fn push(
         &mut self,
         (body, movement): (&SurfaceIndex, &BodyMovement),
@@ -302,7 +368,7 @@ impl ContactCache {
         self.travelled += self.rate * share;
         let relative = x - movement.reference;
         let approach = relative.distance(self.at) + self.travelled;
-        if self.distance - approach > thickness {
+        if self.distance - approach > thickness + NEAR {
             return None;
         }
         if let Some(face) = self.face.filter(|_| approach < UNSEEN) {
@@ -315,12 +381,7 @@ impl ContactCache {
             self.face = Some(face);
             let depth = thickness - distance;
             let outward = self.outward;
-            return (depth > 0.0).then_some(ContactCorrection {
-                depth,
-                outward,
-                face,
-                barycentric,
-            });
+            return Some(ContactCorrection { depth, outward, face, barycentric });
         }
         let near = body.closest_from(x, reach, self.face);
         (self.at, self.travelled) = (relative, 0.0);
@@ -330,12 +391,8 @@ impl ContactCache {
         let near = near?;
         self.outward = near.outward;
         let depth = thickness - near.signed_distance;
-        (depth > 0.0).then_some(ContactCorrection {
-            depth,
-            outward: near.outward,
-            face: near.face,
-            barycentric: near.barycentric,
-        })
+        let ClosestPoint { outward, face, barycentric, .. } = near;
+        Some(ContactCorrection { depth, outward, face, barycentric })
     }
 }
 

@@ -21,6 +21,10 @@ pub(super) struct PointForce {
     pub stiffness: f64,
     /// Derivative of the negative force by the velocity, N·s/m.
     pub drag: DMat3,
+    /// Drag times the velocity of what drags, newtons.
+    pub drive: DVec3,
+    /// Direction in which the velocity is known, and the speed along it, m/s.
+    pub held: Option<(DVec3, f64)>,
 }
 
 /// The linearly implicit Euler step of Baraff and Witkin (1998): conjugate gradients on
@@ -94,7 +98,16 @@ impl ImplicitStep {
         let guess: Vec<Vec3> = inverse_masses
             .iter()
             .zip(points)
-            .map(|(&inverse_mass, point)| (point.force * (dt * inverse_mass)).as_vec3())
+            .zip(velocities)
+            .map(|((&inverse_mass, point), &velocity)| {
+                let given = 1.0 + dt * dt * point.stiffness * inverse_mass;
+                let fall = point.force * (dt * inverse_mass / given);
+                let held = point.held.filter(|_| inverse_mass > 0.0);
+                let stop = held.map_or(DVec3::ZERO, |(along, speed)| {
+                    along * (speed - (velocity + fall).dot(along))
+                });
+                (fall + stop).as_vec3()
+            })
             .collect();
         let right: Vec<Vec3> = (0..velocities.len())
             .into_par_iter()
@@ -104,7 +117,9 @@ impl ImplicitStep {
                     return Vec3::ZERO;
                 }
                 let (point, velocity) = (&points[v], velocities[v]);
-                let pull = point.force - point.drag * velocity - velocity * (dt * point.stiffness);
+                let pull = point.force + point.drive
+                    - point.drag * velocity
+                    - velocity * (dt * point.stiffness);
                 (elastic.impulse(v) + pull * dt).as_vec3()
             })
             .collect();
@@ -112,7 +127,12 @@ impl ImplicitStep {
         let image = self.product(&guess);
         let rest: Vec<Vec3> =
             right.iter().zip(image).map(|(&right, image)| right - image).collect();
-        let enough = RESIDUAL * RESIDUAL * self.energy(&right);
+        let free = |(right, point): (&Vec3, &PointForce)| {
+            let along = point.held.map_or(Vec3::ZERO, |held| held.0.as_vec3());
+            *right - along * right.dot(along)
+        };
+        let reference: Vec<Vec3> = right.iter().zip(points).map(free).collect();
+        let enough = RESIDUAL * RESIDUAL * self.energy(&reference);
         let found = self.conjugate_gradients(&rest, enough);
         found.into_iter().zip(guess).map(|(x, guess)| (x + guess).as_dvec3()).collect()
     }

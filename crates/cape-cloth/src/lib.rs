@@ -46,7 +46,7 @@ pub use cape_core::{Error, Result};
 
 /// Version of the simulator: results of different versions differ, and must not be mixed in one set. The
 /// first version had no number.
-pub const SIMULATOR_VERSION: u32 = 3;
+pub const SIMULATOR_VERSION: u32 = 4;
 
 pub use contact::Contact;
 pub use garment::{Garment, GarmentKind, GarmentMesh};

@@ -197,8 +197,12 @@ impl Cloth {
     /// step, each 0 to 1. Vertices move by at most 15 mm in a step.
     pub fn step(&mut self, dt: f64, gravity: DVec3, body: Option<(&SurfaceIndex, [f64; 2])>) {
         let before = self.positions.clone();
+        if let Some((solid, times)) = body {
+            self.contacts.advance(solid, times);
+        }
         self.elastic.linearise(&before, &self.velocities, dt);
-        let points = self.point_forces(gravity);
+        let mut points = self.point_forces(gravity);
+        let holds = self.hold(&mut points, dt);
         let changes =
             self.solver.solve(&self.elastic, (&self.inverse_masses, &self.velocities), &points, dt);
         // No vertex passes through the surface of a limb and beyond the reach of contact in one step.
@@ -210,16 +214,17 @@ impl Cloth {
                 self.positions[v] += velocity * dt;
             }
         }
-        if let Some((solid, times)) = body {
-            self.contacts.advance(solid, times);
-        }
-        self.resolve_contacts(body, &before);
+        let velocities = &self.velocities;
+        self.contacts.bear(holds.iter().zip(velocities).map(|(hold, velocity)| {
+            hold.map_or(0.0, |(outward, speed, weight)| weight * (speed - velocity.dot(outward)))
+        }));
+        self.resolve_contacts(body, &before, dt);
         for round in 0..ROUNDS {
             if round == ROUNDS / 2 {
                 self.resolve_folds(&before, dt);
             }
             self.apply_strain_limits();
-            self.resolve_contacts(body, &before);
+            self.resolve_contacts(body, &before, dt);
         }
         for ((x, v), before) in self.positions.iter().zip(&mut self.velocities).zip(before) {
             *v = (*x - before) / dt;
@@ -231,11 +236,16 @@ impl Cloth {
 
     /// Pushes the cloth out of the body, an obstacle with the times within its frame before and after
     /// the step. `before` are the positions before the step.
-    fn resolve_contacts(&mut self, body: Option<(&SurfaceIndex, [f64; 2])>, before: &[DVec3]) {
+    fn resolve_contacts(
+        &mut self,
+        body: Option<(&SurfaceIndex, [f64; 2])>,
+        before: &[DVec3],
+        dt: f64,
+    ) {
         let Some((solid, [from, now])) = body else { return };
         let contact = |material: &ClothMaterial| {
             let ClothMaterial { friction, thickness, .. } = *material;
-            Contact { friction, thickness, from, now }
+            Contact { friction, thickness, from, now, dt }
         };
         let contacts: Vec<Contact> = self.materials.iter().map(contact).collect();
         let sheet = (&self.inverse_masses[..], &self.faces[..], &self.layers[..]);
@@ -250,6 +260,31 @@ impl Cloth {
         folds.resolve(before, &mut self.positions, &self.inverse_masses, (friction, dt));
     }
 
+    /// Adds the contacts of vertices with the body to the forces of a step of `dt` seconds: they keep the
+    /// body's velocity along the gradient of the distance, and Coulomb friction, at the impulse of
+    /// the last step and the slip expected in this one, acts along the surface. Gives each one's gradient, the body's speed along
+    /// it, m/s, and the impulse by a difference of the speeds, kg.
+    fn hold(&self, points: &mut [PointForce], dt: f64) -> Vec<Option<(DVec3, f64, f64)>> {
+        let stiffest = |m: &ClothMaterial| m.stretch.weft.max(m.stretch.warp);
+        let holds = self.contacts.holds().enumerate().map(|(v, hold)| {
+            let hold = hold.filter(|_| self.inverse_masses[v] > 0.0)?;
+            let (outward, along) = (hold.outward, hold.carried / dt);
+            let material = &self.materials[usize::from(self.layers[v])];
+            let mass = 1.0 / self.inverse_masses[v] + dt * dt * stiffest(material);
+            let weight = RIGID * mass;
+            let slip = hold.slip.map_or(0.0, |[slip, gain]| (slip + gain).length());
+            let rough = hold.friction * hold.impulse / slip.max(CREEP);
+            let held = outer(outward, outward);
+            let drag = held * (weight / dt) + (DMat3::IDENTITY - held) * (rough / dt);
+            let point = &mut points[v];
+            point.drag += drag;
+            point.drive = drag * along;
+            point.held = Some((outward, along.dot(outward)));
+            Some((outward, along.dot(outward), weight))
+        });
+        holds.collect()
+    }
+
     /// Gravity, attachments and drag.
     fn point_forces(&self, gravity: DVec3) -> Vec<PointForce> {
         let mut points: Vec<PointForce> = self
@@ -257,8 +292,8 @@ impl Cloth {
             .iter()
             .map(|&w| PointForce {
                 force: if w > 0.0 { gravity / w } else { DVec3::ZERO },
-                stiffness: 0.0,
                 drag: DMat3::ZERO,
+                ..PointForce::default()
             })
             .collect();
         for &Attachment { vertex, to, compliance } in &self.attachments {
@@ -360,6 +395,13 @@ pub(super) fn joined<'a>(surfaces: impl Iterator<Item = &'a SurfaceMesh>) -> Sur
 
 /// Times that strain limits and contacts are applied in turn, self-collisions in between.
 const ROUNDS: usize = 2;
+
+/// Resistance of a contact to a difference of speeds along the gradient of the distance, relative to the
+/// resistance of the vertex.
+const RIGID: f64 = 30.0;
+
+/// Speed of slip below which friction is proportional to it, m/s.
+const CREEP: f64 = 1e-3;
 
 /// Least compliance of an attachment, m/N.
 const LEAST_COMPLIANCE: f64 = 1e-6;

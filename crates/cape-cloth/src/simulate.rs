@@ -1,3 +1,5 @@
+use std::ops::Range;
+
 use cape_core::SmplModel;
 use glam::DVec3;
 use ndarray::{Array1, Array2, Array3};
@@ -55,6 +57,10 @@ pub struct SimulationOptions {
     pub strain_limit: f64,
     /// Compliance of the attachment of the waistband to the body, m/N.
     pub waistband: f64,
+    /// First frame of the motion whose quality is measured.
+    pub measure_from: usize,
+    /// Number of frames from one whose quality is measured to the next, at least 1.
+    pub measure_every: usize,
 }
 
 impl Default for SimulationOptions {
@@ -67,6 +73,8 @@ impl Default for SimulationOptions {
             self_collision: true,
             strain_limit: 0.3,
             waistband: 0.01,
+            measure_from: 0,
+            measure_every: 1,
         }
     }
 }
@@ -92,7 +100,29 @@ pub struct StepReport {
     pub speed: f64,
 }
 
-/// Quality of a simulation over all frames.
+impl StepReport {
+    /// Quality of one garment, the vertices in the range of the cloth, apart from crossings.
+    fn measure(
+        cloth: &Cloth,
+        (worn, range): (&SurfaceMesh, Range<usize>),
+        body: &SurfaceMesh,
+    ) -> Self {
+        let found = Penetration::measure(worn, body);
+        let speeds = cloth.velocities[range.clone()].iter().map(|v| v.length());
+        Self {
+            penetration: found.depth,
+            mean_depth: found.mean_depth,
+            inside: found.inside,
+            intersections: found.intersections,
+            hidden: found.hidden,
+            crossings: 0,
+            strain: cloth.strain_within(range),
+            speed: speeds.fold(0.0, f64::max),
+        }
+    }
+}
+
+/// Quality of a simulation over the measured frames.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct SimulationQuality {
     /// Largest depth of a point of the cloth inside the body, metres.
@@ -134,12 +164,12 @@ impl SimulationQuality {
 pub struct SimulatedGarment {
     /// Clothing vertices, metres, `[frames, vertices, 3]`.
     pub frames: Array3<f64>,
-    /// Quality after each frame, `[frames]`.
+    /// Quality after each measured frame ([`SimulationOptions::measure_from`]).
     pub reports: Vec<StepReport>,
 }
 
 impl SimulatedGarment {
-    /// Largest and mean values over all frames.
+    /// Largest and mean values over the measured frames.
     pub fn quality(&self) -> SimulationQuality {
         let frames = self.reports.len().max(1) as f64;
         let mut whole = SimulationQuality::default();
@@ -210,12 +240,7 @@ impl SimulationOptions {
         motion: &BodyMotion,
         watch: &mut dyn FnMut(usize, usize),
     ) -> Result<Vec<SimulatedGarment>> {
-        if self.substeps == 0 || !(self.settle >= 0.0 && self.settle.is_finite()) {
-            return Err(Error::argument(format!(
-                "simulation: {} steps per frame and {} s to settle, expected at least 1 and 0",
-                self.substeps, self.settle
-            )));
-        }
+        self.check()?;
         let sewn_for = match outfit {
             [(first, _), others @ ..] if others.iter().all(|(g, _)| g.body == first.body) => {
                 &first.body
@@ -264,7 +289,9 @@ impl SimulationOptions {
                     "simulation: diverged in frame {frame} at vertex {vertex}: use more steps per frame"
                 )));
             }
-            let crossings = cloth.crossings();
+            let measured = frame >= self.measure_from
+                && (frame - self.measure_from).is_multiple_of(self.measure_every);
+            let crossings = if measured { cloth.crossings() } else { 0 };
             let mut first = 0;
             for (result, (surface, _)) in results.iter_mut().zip(&sheets) {
                 let range = first..first + surface.vertices.len();
@@ -274,23 +301,30 @@ impl SimulationOptions {
                         result.frames[(frame, vertex, axis)] = x[axis];
                     }
                 }
-                let worn = part(&cloth.positions[range.clone()], surface);
-                let found = Penetration::measure(&worn, solid.surface());
-                let speeds = cloth.velocities[range.clone()].iter().map(|v| v.length());
-                result.reports.push(StepReport {
-                    penetration: found.depth,
-                    mean_depth: found.mean_depth,
-                    inside: found.inside,
-                    intersections: found.intersections,
-                    hidden: found.hidden,
-                    crossings,
-                    strain: cloth.strain_within(range),
-                    speed: speeds.fold(0.0, f64::max),
-                });
+                if measured {
+                    let worn = part(&cloth.positions[range.clone()], surface);
+                    let report = StepReport::measure(&cloth, (&worn, range), solid.surface());
+                    result.reports.push(StepReport { crossings, ..report });
+                }
             }
             watch(frame + 1, recorded);
         }
         Ok(results)
+    }
+
+    fn check(&self) -> Result<()> {
+        if self.substeps == 0 || !(self.settle >= 0.0 && self.settle.is_finite()) {
+            return Err(Error::argument(format!(
+                "simulation: {} steps per frame and {} s to settle, expected at least 1 and 0",
+                self.substeps, self.settle
+            )));
+        }
+        if self.measure_every == 0 {
+            return Err(Error::argument(
+                "simulation: quality measured every 0 frames, expected at least 1",
+            ));
+        }
+        Ok(())
     }
 
     /// Moves cloth and body by one frame of `duration` seconds in as many steps as their motion needs.

@@ -1,6 +1,6 @@
 //! Simulation of one take.
 
-use cape_cloth::{SimulatedGarment, SimulationQuality};
+use cape_cloth::{SimulatedGarment, SimulationOptions, SimulationQuality};
 use cape_core::{
     BodyMotion, SmplModel,
     geometry::{SurfaceIndex, SurfaceMesh, points},
@@ -116,13 +116,10 @@ impl<'a> DressedSubject<'a> {
             (&self.sewn.lower, &self.cut.lower_material),
             (&self.sewn.upper, &self.cut.upper_material),
         ];
-        let simulated = options.simulation.run_outfit(
-            self.model,
-            &self.minimal,
-            &worn,
-            motion,
-            &mut |_, _| {},
-        )?;
+        let simulation =
+            SimulationOptions { measure_from: skip, measure_every: stride, ..options.simulation };
+        let simulated =
+            simulation.run_outfit(self.model, &self.minimal, &worn, motion, &mut |_, _| {})?;
         let qualities = simulated.iter().map(SimulatedGarment::quality);
         let simulation = qualities.reduce(SimulationQuality::with).unwrap_or_default();
         let canonical = CanonicalBody::new(self.model, &self.minimal)?;
