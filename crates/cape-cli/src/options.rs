@@ -20,7 +20,7 @@ use crate::{
 };
 
 /// Architectures by name.
-pub(crate) const PRESETS: [&str; 4] = ["paper", "detail", "narrow", "tiny"];
+pub(crate) const PRESETS: [&str; 5] = ["paper", "detail", "small", "narrow", "tiny"];
 
 /// Options of every command.
 #[derive(Debug, Clone, Args)]

@@ -194,6 +194,12 @@ impl CapeConfig {
         }
     }
 
+    /// The [`narrow`](Self::narrow) model with affine blocks, as [`detail`](Self::detail), and 32 latent
+    /// dimensions: the built-in model's.
+    pub fn small() -> Self {
+        Self { latent: 32, decoder: DecoderBlock::Affine, ..Self::narrow() }
+    }
+
     /// A model of four narrow layers for tests on small meshes.
     pub fn tiny() -> Self {
         Self {
@@ -213,16 +219,19 @@ impl CapeConfig {
         }
     }
 
-    /// The preset called `name`: `paper`, `detail`, `narrow` or `tiny`.
+    /// The preset called `name`: `paper`, `detail`, `small`, `narrow` or `tiny`.
     pub fn preset(name: &str) -> Result<Self> {
         match name {
             "paper" => Ok(Self::paper()),
             "detail" => Ok(Self::detail()),
+            "small" => Ok(Self::small()),
             "narrow" => Ok(Self::narrow()),
             "tiny" => Ok(Self::tiny()),
             _ => Err(Error::Config {
                 field: "preset".into(),
-                message: format!("unknown preset `{name}`: expected paper, detail, narrow or tiny"),
+                message: format!(
+                    "unknown preset `{name}`: expected paper, detail, small, narrow or tiny"
+                ),
             }),
         }
     }

@@ -17,6 +17,7 @@ use cape_infer::{
     write_json,
 };
 use cape_model::{CapeConfig, LossConfig};
+use cape_render::View;
 use cape_synth::{self, poses};
 use cape_train::{TrainEvent, TrainOutcome, Trainer, TrainerOptions};
 use clap::Args;
@@ -41,15 +42,16 @@ const TEMPERATURE: f64 = 0.5;
 const TRAINING_SHARE: f64 = 0.8;
 /// File that marks a directory of a demo, which the next demo may replace.
 const MARKER: &str = ".cape-demo";
-const FILES: [&str; 4] = [MARKER, "demo.json", "loss.png", "contact_sheet.png"];
+const FILES: [&str; 5] = [MARKER, "demo.json", "loss.png", "contact_sheet.png", "built_in.png"];
 const DIRECTORIES: [&str; 3] = ["raw", "packed", "run"];
 /// Name of the bare body's file.
 const BARE: &str = "bare";
 
 /// Create data, train, evaluate and sample in about four minutes.
 ///
-/// Packs synthetic captures, trains a narrow model on them, evaluates it on held-out motions and samples
-/// dressed bodies. Writes the run, meshes, loss.png and contact_sheet.png.
+/// Draws samples of the built-in model (built_in.png). Then packs synthetic captures, trains a narrow model
+/// on them, evaluates it on held-out motions and samples dressed bodies. Writes the run, meshes, loss.png and
+/// contact_sheet.png.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape demo --out demo --minutes 5")]
 pub(crate) struct DemoArgs {
@@ -78,6 +80,7 @@ impl DemoArgs {
         let mut setting =
             DemoContext { out: self.out, seed: global.seed(), device, console, stages: Vec::new() };
         let deadline = start + Duration::from_secs_f64(60.0 * self.minutes * TRAINING_SHARE);
+        setting.built_in()?;
         setting.data()?;
         let (outcome, losses) = setting.train(deadline)?;
         let run = Run::open(setting.path("run"), &setting.device)?;
@@ -248,28 +251,45 @@ impl DemoContext {
                 prior.save(RunPaths::new(&this.path("run")).prior(MIXTURE))?;
                 prior
             };
-            let codes = prior.sample_each(run.outfits(), TEMPERATURE, this.seed)?;
-            let mut rows = Vec::new();
-            for (row, &(name, view)) in pictures::POSES.iter().enumerate() {
-                let pose = poses::preset(name).ok_or_else(|| {
-                    Error::message(format!("internal error: unknown pose `{name}`"))
-                })?;
-                let wearers =
-                    Outfit::PAPER.map(|outfit| BodySpec { betas: Vec::new(), pose, outfit });
-                let mut bodies = unclothed_meshes(run, &wearers[..1])?;
-                dress(run, &codes, &wearers, |_, dressed| {
-                    bodies.push(dressed);
-                    Ok(())
-                })?;
-                if row == 0 {
-                    this.meshes(&bodies)?;
-                }
-                rows.push((view, bodies));
+            let rows = this.sample(run, &prior)?;
+            if let Some((_, bodies)) = rows.first() {
+                this.meshes(bodies)?;
             }
             pictures::contact_sheet(&rows)?.save(this.path("contact_sheet.png"))?;
             losses.plot()?.save(this.path("loss.png"))?;
             Ok(())
         })
+    }
+
+    /// Picture of the built-in model's samples.
+    fn built_in(&mut self) -> Result {
+        self.stage("built-in", "samples of the built-in model, built_in.png", |this| {
+            let run = cape_weights::pretrained(&this.device)?;
+            let prior = run
+                .prior()?
+                .ok_or_else(|| Error::message("internal error: the built-in model has no prior"))?;
+            pictures::contact_sheet(&this.sample(&run, &prior)?)?
+                .save(this.path("built_in.png"))?;
+            Ok(())
+        })
+    }
+
+    /// The bare body and a sample of each outfit, for each pose of the contact sheet.
+    fn sample(&self, run: &Run, prior: &Prior) -> Result<Vec<(View, Vec<DressedMesh>)>> {
+        let codes = prior.sample_each(&Outfit::PAPER, TEMPERATURE, self.seed)?;
+        let mut rows = Vec::new();
+        for (name, view) in pictures::POSES {
+            let pose = poses::preset(name)
+                .ok_or_else(|| Error::message(format!("internal error: unknown pose `{name}`")))?;
+            let wearers = Outfit::PAPER.map(|outfit| BodySpec { betas: Vec::new(), pose, outfit });
+            let mut bodies = unclothed_meshes(run, &wearers[..1])?;
+            dress(run, &codes, &wearers, |_, dressed| {
+                bodies.push(dressed);
+                Ok(())
+            })?;
+            rows.push((view, bodies));
+        }
+        Ok(rows)
     }
 
     fn meshes(&self, bodies: &[DressedMesh]) -> Result {
