@@ -18,6 +18,7 @@
 //! - [`layer`] — clothing of its own topology (Yang et al., ECCV 2018): association, statistics,
 //!   regression;
 //! - [`stats`] — principal components, densities, error statistics, paired tests;
+//! - `weights` — the built-in model, with the feature of this name;
 //! - [`study`] — perceptual studies (CAPE §6.2);
 //! - [`render`] — pictures.
 //!
@@ -56,6 +57,8 @@ pub use cape_study as study;
 pub use cape_synth as synth;
 pub use cape_train as train;
 pub use cape_wardrobe as wardrobe;
+#[cfg(feature = "weights")]
+pub use cape_weights as weights;
 
 /// The names that most programs need.
 pub mod prelude {

@@ -1,22 +1,14 @@
 //! Dressed bodies in colours, and their pictures.
 
-use cape_core::{Mesh, Outfit, SmplModel};
+use cape_core::{Mesh, Outfit};
 use cape_infer::{BodySpec, ClothedBody, Run, batches};
 use cape_render::{Image, Object, Style, Texture, View, colormap, portrait};
 use ndarray::{Array2, Array3, ArrayView2, Axis};
 
-use crate::error::Result;
-
-/// Length of displacement at which the colour begins to change from skin to cloth, metres.
-const SKIN: f32 = 0.0025;
-/// Length of displacement from which on the colour is that of cloth, metres.
-const CLOTH: f32 = 0.0038;
-/// Rounds of averaging these lengths over neighbours.
-const SMOOTHINGS: usize = 5;
-/// Pelvis, spine and collars: covered in every outfit.
-const TRUNK: [usize; 6] = [0, 3, 6, 9, 13, 14];
-/// Joints of the legs, which tell trousers from shirt.
-const LEGS: [usize; 8] = [1, 2, 4, 5, 7, 8, 10, 11];
+use crate::{
+    error::Result,
+    garment_labels::{GarmentLabels, GarmentShares},
+};
 
 const SKIN_COLOUR: [f32; 3] = [0.83, 0.69, 0.60];
 const TROUSERS: [f32; 3] = [0.27, 0.31, 0.40];
@@ -55,22 +47,12 @@ pub(crate) fn dress(
 /// Colours dressed bodies of a run.
 pub(crate) struct DressedRenderer<'a> {
     run: &'a Run,
-    legs: Vec<f32>,
-    trunk: Vec<f32>,
-    neighbours: EdgeNeighbours,
+    labels: GarmentLabels,
 }
 
 impl<'a> DressedRenderer<'a> {
     pub(crate) fn new(run: &'a Run) -> Self {
-        let body = run.body();
-        let neighbours = EdgeNeighbours::new(body);
-        let share = |joints: &[usize]| {
-            let of = |weights: ndarray::ArrayView1<f64>| {
-                joints.iter().filter_map(|&joint| weights.get(joint)).sum::<f64>() as f32
-            };
-            neighbours.smoothed(body.weights.rows().into_iter().map(of).collect())
-        };
-        Self { run, legs: share(&LEGS), trunk: share(&TRUNK), neighbours }
+        Self { run, labels: GarmentLabels::new(run.body(), run.mask().covered()) }
     }
 
     /// Bodies with displacements `[n, vertices, 3]`, metres.
@@ -97,20 +79,13 @@ impl<'a> DressedRenderer<'a> {
         }
     }
 
-    /// Colours of skin and cloth: cloth is on the trunk and where displacements are long.
+    /// Colours of skin, shirt and trousers.
     fn colours(&self, displacement: ArrayView2<f32>, outfit: Outfit) -> Vec<[f32; 3]> {
-        let distance = displacement.rows().into_iter().map(|d| d.dot(&d).sqrt()).collect();
-        let distance = self.neighbours.smoothed(distance);
-        let vertex = |(&covered, ((&distance, &leg), &trunk)): (&bool, ((&f32, &f32), &f32))| {
-            if !covered {
-                return SKIN_COLOUR;
-            }
-            let garment = mix(shirt_colour(outfit), TROUSERS, ramp(leg, 0.42, 0.58));
-            let cloth = ramp(distance, SKIN, CLOTH).max(ramp(trunk, 0.5, 0.8));
-            mix(SKIN_COLOUR, garment, cloth)
+        let shirt = shirt_colour(outfit);
+        let colour = |GarmentShares { cloth, trousers }| {
+            mix(SKIN_COLOUR, mix(shirt, TROUSERS, trousers), cloth)
         };
-        let places = distance.iter().zip(&self.legs).zip(&self.trunk);
-        self.run.mask().covered().iter().zip(places).map(vertex).collect()
+        self.labels.shares(displacement).into_iter().map(colour).collect()
     }
 }
 
@@ -130,33 +105,6 @@ pub(crate) fn unclothed_meshes(run: &Run, wearers: &[BodySpec]) -> Result<Vec<Dr
 fn distances(covered: &[bool], displacement: ArrayView2<f32>) -> Vec<f32> {
     let rows = displacement.rows().into_iter().zip(covered);
     rows.map(|(d, &covered)| if covered { d.dot(&d).sqrt() } else { 0.0 }).collect()
-}
-
-/// Edges of all triangles, in both directions.
-struct EdgeNeighbours(Vec<[u32; 2]>);
-
-impl EdgeNeighbours {
-    fn new(body: &SmplModel) -> Self {
-        Self(body.faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect())
-    }
-
-    /// Averages over neighbours, so that folds that touch the skin keep the colour of cloth.
-    fn smoothed(&self, mut values: Vec<f32>) -> Vec<f32> {
-        for _ in 0..SMOOTHINGS {
-            let mut sums: Vec<(f32, f32)> = values.iter().map(|&value| (value, 1.0)).collect();
-            for &[a, b] in &self.0 {
-                let sum = &mut sums[a as usize];
-                *sum = (sum.0 + values[b as usize], sum.1 + 1.0);
-            }
-            values = sums.into_iter().map(|(sum, count)| sum / count).collect();
-        }
-        values
-    }
-}
-
-/// From 0 at `low` to 1 at `high`.
-fn ramp(value: f32, low: f32, high: f32) -> f32 {
-    ((value - low) / (high - low)).clamp(0.0, 1.0)
 }
 
 /// Colours of the shirts of other outfits than the paper's.

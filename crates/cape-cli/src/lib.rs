@@ -11,6 +11,7 @@ mod dashboard;
 mod dressed_mesh;
 mod error;
 mod files;
+mod garment_labels;
 mod html;
 mod interrupt;
 mod latent_sampler;

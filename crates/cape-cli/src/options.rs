@@ -46,9 +46,10 @@ pub(crate) struct GlobalArgs {
 /// A trained model.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct RunArgs {
-    /// Directory of a trained model, as written by `cape train`.
+    /// Directory of a trained model, as written by `cape train`, or model file [default: the built-in
+    /// model].
     #[arg(value_name = "RUN")]
-    pub(crate) run: PathBuf,
+    run: Option<PathBuf>,
 }
 
 /// Held-out frames to work on.
@@ -153,7 +154,35 @@ impl GlobalArgs {
 
 impl RunArgs {
     pub(crate) fn open(&self, global: &GlobalArgs) -> Result<Run> {
-        Ok(Run::open(&self.run, &global.device()?)?)
+        match &self.run {
+            Some(path) => Ok(Run::open(path, &global.device()?)?),
+            None => Ok(cape_weights::pretrained(&global.device()?)?),
+        }
+    }
+
+    /// Directory of the run.
+    pub(crate) fn directory(&self) -> Result<&Path> {
+        match self.run.as_deref() {
+            Some(path) if !path.is_file() => Ok(path),
+            _ => Err(Error::message("RUN: expected the directory of a trained model")),
+        }
+    }
+
+    /// The run's path as it was given, or the built-in model's name.
+    pub(crate) fn name(&self) -> String {
+        self.run
+            .as_ref()
+            .map_or_else(|| cape_weights::NAME.to_owned(), |path| path.display().to_string())
+    }
+
+    /// Takes the argument in the place of RUN if it is something else, so that the built-in model is
+    /// meant.
+    pub(crate) fn take_other(&mut self) -> Option<PathBuf> {
+        let other = |path: &PathBuf| {
+            !Run::is_at(path) && (path.exists() || path.to_string_lossy().starts_with("frame:"))
+        };
+        let is_other = self.run.as_ref().is_some_and(other);
+        if is_other { self.run.take() } else { None }
     }
 }
 

@@ -51,7 +51,7 @@ impl PriorArgs {
 
     /// The prior of the codes of a run.
     pub(crate) fn name(&self, run: &Run) -> PriorName {
-        let fitted = || run.paths().prior(PriorName::Gmm.name()).exists();
+        let fitted = || run.has_prior(PriorName::Gmm.name());
         self.prior.unwrap_or_else(|| if fitted() { PriorName::Gmm } else { PriorName::Normal })
     }
 
@@ -82,28 +82,18 @@ pub(crate) fn load_prior(run: &Run, name: PriorName, console: Console) -> Result
     if name == PriorName::Normal {
         return Ok(None);
     }
-    let path = run.paths().prior(name.name());
-    if !path.exists() {
+    let Some(prior) = run.prior_of_kind(name.name())? else {
         return Err(Error::message(format!(
-            "{}: not found: fit it by `cape model prior {} --kind {}`",
-            path.display(),
-            run.paths().root().display(),
-            name.name()
+            "{run}: no prior of kind {kind}: fit it by `cape model prior {run} --kind {kind}`",
+            run = run.name().display(),
+            kind = name.name()
         )));
-    }
-    let prior = Prior::load(&path)?;
-    let latent = run.config().model.latent;
-    if prior.latent() != latent {
-        return Err(Error::message(format!(
-            "{}: latent dimension {}, but the model has {latent}: fit the prior again",
-            path.display(),
-            prior.latent()
-        )));
-    }
+    };
     if prior.step().is_some_and(|step| step != run.progress().step) {
         console.note(&format!(
-            "warning: {} was fitted to another checkpoint: fit it again by `cape model prior`",
-            path.display()
+            "warning: the prior of {} was fitted to another checkpoint: fit it again by `cape model \
+             prior`",
+            run.name().display()
         ));
     }
     Ok(Some(prior))

@@ -220,8 +220,13 @@ impl RunConfig {
     /// Reads and checks a configuration file.
     pub fn load(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|source| Error::io(path, source))?;
+        Self::from_toml(path, &text)
+    }
+
+    /// Reads and checks the text of a configuration file; errors name `path`.
+    pub fn from_toml(path: &Path, text: &str) -> Result<Self> {
         let config: Self =
-            toml::from_str(&text).map_err(|error| Error::format(path, error.to_string()))?;
+            toml::from_str(text).map_err(|error| Error::format(path, error.to_string()))?;
         config.validate().map_err(|error| Error::format(path, error.to_string()))?;
         Ok(config)
     }
@@ -238,9 +243,14 @@ impl RunConfig {
 
     /// Writes a configuration file.
     pub fn save(&self, path: &Path) -> Result<()> {
-        let text =
-            toml::to_string_pretty(self).map_err(|error| Error::format(path, error.to_string()))?;
+        let text = self.to_toml()?;
         Ok(cape_core::write_atomically(path, |file| file.write_all(text.as_bytes()))?)
+    }
+
+    /// Text of a configuration file.
+    pub fn to_toml(&self) -> Result<String> {
+        toml::to_string_pretty(self)
+            .map_err(|error| Error::argument(format!("configuration: {error}")))
     }
 
     /// Checks every value; errors name the field.

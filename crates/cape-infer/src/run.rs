@@ -19,8 +19,8 @@ use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    ClothedModel, ClothedModelParts, Error, Result, RunConfig, checkpoint, graphs::MeshGraphs,
-    prior::Prior,
+    ClothedModel, ClothedModelParts, Error, ModelFile, Result, RunConfig, checkpoint,
+    graphs::MeshGraphs, prior::Prior,
 };
 
 const CONFIG: &str = "config.toml";
@@ -203,10 +203,16 @@ pub fn read_identity(path: &Path) -> Result<DataIdentity> {
 /// ```
 #[derive(Debug)]
 pub struct Run {
-    paths: RunPaths,
-    checkpoint: PathBuf,
+    source: RunSource,
     state: checkpoint::TrainState,
     model: ClothedModel,
+}
+
+/// Origin of a run.
+#[derive(Debug)]
+enum RunSource {
+    Directory { paths: RunPaths, checkpoint: PathBuf },
+    File { name: PathBuf, prior: Option<Box<Prior>> },
 }
 
 impl Deref for Run {
@@ -218,11 +224,15 @@ impl Deref for Run {
 }
 
 impl Run {
-    /// Opens the best checkpoint of a run, or the newest where none was validated.
+    /// Opens a [`ModelFile`], or the best checkpoint of a run's directory; the newest where none was
+    /// validated.
     ///
     /// # Errors
     /// If a file of the run is missing or does not suit the others.
     pub fn open(root: impl AsRef<Path>, device: &Device) -> Result<Self> {
+        if root.as_ref().is_file() {
+            return ModelFile::load(&root)?.open(root.as_ref(), device);
+        }
         let paths = RunPaths::new(root.as_ref());
         let config = RunConfig::load(&paths.config())?;
         let checkpoint = checkpoint::best(&paths.checkpoints())?;
@@ -245,7 +255,27 @@ impl Run {
         let generator = networks.generator.valid();
         let model =
             ClothedModel::with_graphs(parts, generator, (Arc::new(mesh_graphs), graphs), &device)?;
-        Ok(Self { paths, checkpoint, state, model })
+        Ok(Self { source: RunSource::Directory { paths, checkpoint }, state, model })
+    }
+
+    /// A model from a file called `name`.
+    pub(crate) fn of_file(
+        name: PathBuf,
+        model: ClothedModel,
+        state: checkpoint::TrainState,
+        prior: Option<Prior>,
+    ) -> Result<Self> {
+        if let Some(prior) = &prior {
+            expect_latent(&name, prior, &model)?;
+        }
+        Ok(Self { source: RunSource::File { name, prior: prior.map(Box::new) }, state, model })
+    }
+
+    /// True if there is a run's directory or a model file at `path`.
+    pub fn is_at(path: impl AsRef<Path>) -> bool {
+        let path = path.as_ref();
+        path.join(CONFIG).is_file()
+            || path.is_file() && path.extension().is_some_and(|end| end == "safetensors")
     }
 
     /// The model.
@@ -253,9 +283,28 @@ impl Run {
         &self.model
     }
 
-    /// Paths inside the run's directory.
-    pub fn paths(&self) -> &RunPaths {
-        &self.paths
+    /// Directory or model file of the run.
+    pub fn name(&self) -> &Path {
+        match &self.source {
+            RunSource::Directory { paths, .. } => paths.root(),
+            RunSource::File { name, .. } => name,
+        }
+    }
+
+    /// Paths inside the run's directory; `None` for a model file.
+    pub fn paths(&self) -> Option<&RunPaths> {
+        match &self.source {
+            RunSource::Directory { paths, .. } => Some(paths),
+            RunSource::File { .. } => None,
+        }
+    }
+
+    /// The checkpoint that was opened; `None` for a model file.
+    pub fn checkpoint(&self) -> Option<&Path> {
+        match &self.source {
+            RunSource::Directory { checkpoint, .. } => Some(checkpoint),
+            RunSource::File { .. } => None,
+        }
     }
 
     /// Directory of the packed set that the run was trained on.
@@ -263,12 +312,16 @@ impl Run {
     /// # Errors
     /// If the run does not record it, like an imported one, or the set no longer exists.
     pub fn data(&self) -> Result<PathBuf> {
-        let path = self.paths.data();
-        if !path.exists() {
-            return Err(Error::argument(format!(
+        let unknown = || {
+            Error::argument(format!(
                 "{}: the run does not record its training data: name the packed set",
-                self.paths.root().display()
-            )));
+                self.name().display()
+            ))
+        };
+        let RunSource::Directory { paths, .. } = &self.source else { return Err(unknown()) };
+        let path = paths.data();
+        if !path.exists() {
+            return Err(unknown());
         }
         let identity = read_identity(&path)?;
         let data = &identity.path;
@@ -276,7 +329,7 @@ impl Run {
             return Ok(data.clone());
         }
         // Seen from a directory that the run is in, if it is the same set.
-        let root = fs::canonicalize(self.paths.root()).unwrap_or_default();
+        let root = fs::canonicalize(paths.root()).unwrap_or_default();
         let same = |place: &PathBuf| {
             PackedSet::open(place, Split::Train).is_ok_and(|set| {
                 (set.frames(), set.vertices()) == (identity.frames, identity.vertices)
@@ -286,7 +339,7 @@ impl Run {
             Error::argument(format!(
                 "{}: not found: name the packed set that {} was trained on",
                 data.display(),
-                self.paths.root().display()
+                paths.root().display()
             ))
         })
     }
@@ -296,17 +349,32 @@ impl Run {
     /// # Errors
     /// If its file cannot be read, or its codes are of another length.
     pub fn prior(&self) -> Result<Option<Prior>> {
-        let path = self.paths.prior(MIXTURE);
-        if !path.exists() {
-            return Ok(None);
+        self.prior_of_kind(MIXTURE)
+    }
+
+    /// The density of latent codes of a kind, `gmm` or `kde`; `None` if the run has none.
+    ///
+    /// # Errors
+    /// As [`prior`](Self::prior).
+    pub fn prior_of_kind(&self, kind: &str) -> Result<Option<Prior>> {
+        match &self.source {
+            _ if !self.has_prior(kind) => Ok(None),
+            RunSource::Directory { paths, .. } => {
+                let path = paths.prior(kind);
+                let prior = Prior::load(&path)?;
+                expect_latent(&path, &prior, &self.model)?;
+                Ok(Some(prior))
+            }
+            RunSource::File { prior, .. } => Ok(prior.as_deref().cloned()),
         }
-        let prior = Prior::load(&path)?;
-        let (found, expected) = (prior.latent(), self.latent());
-        if found != expected {
-            let message = format!("codes of {found} numbers, but the model has {expected}");
-            return Err(Error::format(&path, message));
+    }
+
+    /// True if the run has a density of latent codes of a kind, `gmm` or `kde`.
+    pub fn has_prior(&self, kind: &str) -> bool {
+        match &self.source {
+            RunSource::Directory { paths, .. } => paths.prior(kind).exists(),
+            RunSource::File { prior, .. } => prior.is_some() && kind == MIXTURE,
         }
-        Ok(Some(prior))
     }
 
     /// Latent codes for an outfit, `[n, latent]`, from the run's [`prior`](Self::prior), or from the
@@ -318,13 +386,21 @@ impl Run {
         })
     }
 
-    /// The checkpoint that was opened.
-    pub fn checkpoint(&self) -> &Path {
-        &self.checkpoint
-    }
-
     /// State of the training at that checkpoint.
     pub fn progress(&self) -> &checkpoint::TrainState {
         &self.state
     }
+}
+
+/// Returns an error if a density is of codes of another length than the model's.
+fn expect_latent(path: &Path, prior: &Prior, model: &ClothedModel) -> Result<()> {
+    let (found, expected) = (prior.latent(), model.latent());
+    if found != expected {
+        let message = format!(
+            "codes of {found} numbers, but the model has {expected}: fit the density again by `cape \
+             model prior`"
+        );
+        return Err(Error::format(path, message));
+    }
+    Ok(())
 }

@@ -3,6 +3,7 @@
 mod bad_data;
 mod bad_places;
 mod bench;
+mod built_in;
 mod commands;
 mod download;
 mod files;

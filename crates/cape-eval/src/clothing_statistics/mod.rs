@@ -31,14 +31,16 @@ use frames::ClothingFrames;
 pub struct ClothingStatisticsOptions {
     /// Largest number of training frames, and of test frames, that are read.
     pub frames: usize,
-    /// Statistics of another set with the same vertices, such as the release's `trainset_stats.npz`,
-    /// that mean and deviation are compared with.
+    /// Statistics of another set, such as the release's `trainset_stats.npz`, that mean and deviation
+    /// are compared with.
     pub reference: Option<DisplacementStatistics>,
+    /// Clothing vertices of the reference; `None` if they are those of the set.
+    pub reference_clothing: Option<Vec<usize>>,
 }
 
 impl Default for ClothingStatisticsOptions {
     fn default() -> Self {
-        Self { frames: 1000, reference: None }
+        Self { frames: 1000, reference: None, reference_clothing: None }
     }
 }
 
@@ -123,19 +125,27 @@ impl ClothingStatistics {
         };
         let [train, test] = [open(Split::Train)?, open(Split::Test)?];
         let statistics = DisplacementStatistics::from_packed(data, &mut cape_core::silent)?;
-        let sizes = |of: &DisplacementStatistics| {
+        let sizes = |of: &DisplacementStatistics, clothing: &[usize]| {
             [of.mean(), of.std()].map(|rows| {
                 [0, 1, 2].map(|axis| {
                     1000.0 * median(clothing.iter().map(|&v| rows[(v, axis)].abs()).collect())
                 })
             })
         };
-        let [mean_mm, std_mm] = sizes(&statistics);
+        let [mean_mm, std_mm] = sizes(&statistics, clothing);
         let reference = match &options.reference {
             None => None,
             Some(reference) => {
-                reference.expect_vertices(body.vertices())?;
-                let [mean, std] = sizes(reference);
+                let worn = options.reference_clothing.as_deref().unwrap_or(clothing);
+                let most = worn.iter().max().map_or(0, |&vertex| vertex + 1);
+                if reference.vertices() < most {
+                    return Err(Error::argument(format!(
+                        "reference statistics of {} vertices, but a clothing vertex is {}",
+                        reference.vertices(),
+                        most - 1
+                    )));
+                }
+                let [mean, std] = sizes(reference, worn);
                 let ratio = |a: [f64; 3], b: [f64; 3]| [0, 1, 2].map(|axis| a[axis] / b[axis]);
                 Some(ReferenceStatistics {
                     mean_mm: mean,

@@ -116,13 +116,12 @@ impl StoreSettings {
     /// The same with what a trained model consists of as the inputs `body`, `checkpoint`,
     /// `clothing`, `run_config` and `statistics`.
     pub fn with_run(self, run: &Run) -> Result<Self> {
-        let paths = run.paths();
+        let (Some(paths), Some(checkpoint)) = (run.paths(), run.checkpoint()) else {
+            let path = Some(run.name()).filter(|path| path.is_file());
+            return self.with_optional_input("model", path, &run.name().display().to_string());
+        };
         self.with_input("body", &paths.body())?
-            .with_files(
-                "checkpoint",
-                run.checkpoint(),
-                &checkpoint::weight_files(run.checkpoint()),
-            )?
+            .with_files("checkpoint", checkpoint, &checkpoint::weight_files(checkpoint))?
             .with_input("clothing", &paths.clothing())?
             .with_input("run_config", &paths.config())?
             .with_input("statistics", &paths.statistics())

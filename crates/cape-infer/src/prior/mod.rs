@@ -224,27 +224,41 @@ impl Prior {
         concatenate(Axis(0), &views).map_err(|error| Error::argument(error.to_string()))
     }
 
-    /// Writes an `.npz`: for `all` or each outfit `NAME.weights`, `NAME.means` and
-    /// `NAME.covariances`, or `NAME.points` and `NAME.bandwidth`; and `step`, if it is known.
-    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
-        let mut file = NpzWriter::create(path)?;
+    /// Arrays by name: for `all` or each outfit `NAME.weights`, `NAME.means` and `NAME.covariances`, or
+    /// `NAME.points` and `NAME.bandwidth`; and `step`, if it is known.
+    pub fn arrays(&self) -> BTreeMap<String, ArrayD<f64>> {
+        let mut arrays = BTreeMap::new();
         for (outfit, density) in &self.groups {
             let name = outfit.as_ref().map_or(JOINT, Outfit::name);
+            let mut add = |array: &str, values: ArrayD<f64>| {
+                arrays.insert(format!("{name}.{array}"), values);
+            };
             match density {
                 Density::Mixture(mixture) => {
-                    file.add(&format!("{name}.weights"), &mixture.weights())?;
-                    file.add(&format!("{name}.means"), &mixture.means())?;
-                    file.add(&format!("{name}.covariances"), &mixture.covariances())?;
+                    add("weights", mixture.weights().into_dyn());
+                    add("means", mixture.means().into_dyn());
+                    add("covariances", mixture.covariances().into_dyn());
                 }
                 Density::Kernel(density) => {
-                    file.add(&format!("{name}.points"), density.points())?;
-                    let bandwidth = Array0::from_elem((), density.bandwidth());
-                    file.add(&format!("{name}.bandwidth"), &bandwidth)?;
+                    add("points", density.points().clone().into_dyn());
+                    add("bandwidth", Array0::from_elem((), density.bandwidth()).into_dyn());
                 }
             }
         }
         if let Some(step) = self.step {
-            file.add(STEP, &Array0::from_elem((), step as i64))?;
+            arrays.insert(STEP.to_owned(), Array0::from_elem((), step as f64).into_dyn());
+        }
+        arrays
+    }
+
+    /// Writes an `.npz` of the [`arrays`](Self::arrays).
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
+        let mut file = NpzWriter::create(path)?;
+        for (name, array) in self.arrays() {
+            match name.as_str() {
+                STEP => file.add(STEP, &array.mapv(|step| step as i64))?,
+                _ => file.add(&name, &array)?,
+            }
         }
         Ok(file.finish()?)
     }
@@ -256,20 +270,35 @@ impl Prior {
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let mut file = Npz::open(path)?;
+        let mut arrays = BTreeMap::new();
+        for name in file.names() {
+            let array = match name.as_str() {
+                STEP => file.i64(STEP)?.mapv(|step| step as f64),
+                _ => file.f64(&name)?,
+            };
+            arrays.insert(name, array);
+        }
+        Self::from_arrays(path, arrays)
+    }
+
+    /// Density of the [`arrays`](Self::arrays) in a file; errors name it by `path`.
+    ///
+    /// # Errors
+    /// If an array is missing or invalid.
+    pub fn from_arrays(path: &Path, mut arrays: BTreeMap<String, ArrayD<f64>>) -> Result<Self> {
         let mut groups = BTreeMap::new();
-        for outfit in groups_of(&file)? {
+        for outfit in groups_of(path, arrays.keys())? {
             let name = outfit.as_ref().map_or(JOINT, Outfit::name);
-            let density = if file.contains(&format!("{name}.weights")) {
-                let weights: Array1<f64> = read(&mut file, &format!("{name}.weights"))?;
-                let means: Array2<f64> = read(&mut file, &format!("{name}.means"))?;
-                let covariances: Array3<f64> = read(&mut file, &format!("{name}.covariances"))?;
+            let density = if arrays.contains_key(&format!("{name}.weights")) {
+                let weights: Array1<f64> = take(path, &mut arrays, &format!("{name}.weights"))?;
+                let means: Array2<f64> = take(path, &mut arrays, &format!("{name}.means"))?;
+                let covariances: Array3<f64> =
+                    take(path, &mut arrays, &format!("{name}.covariances"))?;
                 Mixture::new(&weights, &means, &covariances).map(Density::Mixture)
-            } else if file.contains(&format!("{name}.points")) {
-                let points: Array2<f64> = read(&mut file, &format!("{name}.points"))?;
-                let bandwidth: Array0<f64> = read(&mut file, &format!("{name}.bandwidth"))?;
-                KernelDensity::new(points, bandwidth.into_scalar()).map(Density::Kernel)
             } else {
-                continue;
+                let points: Array2<f64> = take(path, &mut arrays, &format!("{name}.points"))?;
+                let bandwidth: Array0<f64> = take(path, &mut arrays, &format!("{name}.bandwidth"))?;
+                KernelDensity::new(points, bandwidth.into_scalar()).map(Density::Kernel)
             };
             let density =
                 density.map_err(|error| Error::format(path, format!("{name}: {error}")))?;
@@ -283,37 +312,39 @@ impl Prior {
         if let Some(other) = sizes.find(|&other| other != latent) {
             return Err(Error::format(path, format!("codes of {latent} and of {other} numbers")));
         }
-        let step = if file.contains(STEP) {
-            file.i64(STEP)?.first().and_then(|&step| u64::try_from(step).ok())
-        } else {
-            None
-        };
+        let step = arrays.get(STEP).and_then(|step| step.first()).map(|&step| step as u64);
         Ok(Self { latent, groups, step })
     }
 }
 
 /// Groups of a file, by the names of their arrays.
-fn groups_of(file: &Npz) -> Result<BTreeSet<Option<Outfit>>> {
-    let names = file.names();
-    let names = names.iter().filter_map(|name| name.rsplit_once('.'));
+fn groups_of<'a>(
+    path: &Path,
+    names: impl Iterator<Item = &'a String>,
+) -> Result<BTreeSet<Option<Outfit>>> {
+    let names = names.filter_map(|name| name.rsplit_once('.'));
     let names = names.filter(|(_, array)| matches!(*array, "weights" | "points"));
     names
         .map(|(name, _)| match name {
             JOINT => Ok(None),
             name => name.parse().map(Some).map_err(|error: cape_core::Error| {
-                Error::format(file.path(), format!("`{name}`: {error}"))
+                Error::format(path, format!("`{name}`: {error}"))
             }),
         })
         .collect()
 }
 
-fn read<D: Dimension>(file: &mut Npz, name: &str) -> Result<ndarray::Array<f64, D>> {
-    let array: ArrayD<f64> = file.f64(name)?;
+fn take<D: Dimension>(
+    path: &Path,
+    arrays: &mut BTreeMap<String, ArrayD<f64>>,
+    name: &str,
+) -> Result<ndarray::Array<f64, D>> {
+    let array = arrays.remove(name).ok_or_else(|| Error::field(path, name, "missing"))?;
     let shape = array.shape().to_vec();
     array.into_dimensionality().map_err(|_| {
         let expected = D::NDIM.unwrap_or_default();
         let message = format!("`{name}` has shape {shape:?}, expected {expected} axes");
-        Error::format(file.path(), message)
+        Error::format(path, message)
     })
 }
 

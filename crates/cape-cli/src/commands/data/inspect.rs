@@ -51,6 +51,9 @@ pub(crate) struct InspectArgs {
     /// Statistics to compare mean and deviation with, such as the release's trainset_stats.npz.
     #[arg(long, value_name = "FILE.npz", requires = "statistics")]
     reference: Option<PathBuf>,
+    /// Indices of the clothing vertices of --reference [default: those of PATH].
+    #[arg(long, value_name = "FILE.npy", requires = "reference")]
+    reference_clothing: Option<PathBuf>,
     #[command(flatten)]
     body: BodyFileArgs,
 }
@@ -67,6 +70,12 @@ struct InspectReport {
 impl InspectArgs {
     pub(crate) fn run(self, console: Console) -> Result {
         let reference = self.reference.map(DisplacementStatistics::load).transpose()?;
+        let reference_clothing = match (&reference, self.reference_clothing) {
+            (Some(reference), Some(file)) => {
+                Some(ClothingMask::load(file, reference.vertices())?.indices().collect())
+            }
+            _ => None,
+        };
         let options = InspectOptions {
             frames: self.frames,
             clothing: self.clothing,
@@ -84,7 +93,8 @@ impl InspectArgs {
                 )));
             }
             let InspectOptions { clothing, body, .. } = options;
-            let options = ClothingStatisticsOptions { reference, ..Default::default() };
+            let options =
+                ClothingStatisticsOptions { reference, reference_clothing, ..Default::default() };
             let (body, clothing) = clothed_body(&self.path, body, clothing)?;
             let clothing: Vec<usize> = clothing.indices().collect();
             Some(console.while_showing("clothing", "steps", |progress| {

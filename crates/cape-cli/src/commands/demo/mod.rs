@@ -12,7 +12,7 @@ use cape_core::{Outfit, obj, silent, smpl::Gender};
 use cape_data::{PackOptions, Split, SplitSpec, pack};
 use cape_eval::{EvalOptions, EvalReport, PosteriorUse, evaluate};
 use cape_infer::{
-    BodySpec, MIXTURE, Run, RunConfig, TrainConfig,
+    BodySpec, MIXTURE, Run, RunConfig, RunPaths, TrainConfig,
     prior::{DensityKind, Prior, PriorOptions},
     write_json,
 };
@@ -226,7 +226,7 @@ impl DemoContext {
             let report = this.console.while_showing("evaluate", "frames", |progress| {
                 evaluate(run, this.path("packed"), options, progress)
             })?;
-            write_json(&run.paths().evaluation(), &report)?;
+            write_json(&RunPaths::new(&this.path("run")).evaluation(), &report)?;
             Ok(report)
         })
     }
@@ -245,7 +245,7 @@ impl DemoContext {
                     ..PriorOptions::default()
                 };
                 let prior = Prior::of_run(run, &set, &options, &mut silent)?;
-                prior.save(run.paths().prior(MIXTURE))?;
+                prior.save(RunPaths::new(&this.path("run")).prior(MIXTURE))?;
                 prior
             };
             let codes = prior.sample_each(run.outfits(), TEMPERATURE, this.seed)?;

@@ -54,7 +54,9 @@ impl EvalArgs {
         let report = console.while_showing("evaluate", "frames", |progress| {
             evaluate(&run, &self.data, options, progress)
         })?;
-        write_json(&run.paths().evaluation(), &report)?;
+        if let Some(paths) = run.paths() {
+            write_json(&paths.evaluation(), &report)?;
+        }
         if let Some(path) = &self.map {
             let colour = |mm: &f32| eight_bit(colormap(mm / self.scale as f32));
             let colours: Vec<[u8; 3]> = report.vertex_means.iter().map(colour).collect();

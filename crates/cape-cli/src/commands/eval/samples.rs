@@ -57,7 +57,9 @@ impl EvalSamplesArgs {
             ),
         })?;
         let report = Report { prior: self.drawn.name(&run).name(), temperature, quality: found };
-        write_json(&run.paths().root().join("samples.json"), &report)?;
+        if let Some(paths) = run.paths() {
+            write_json(&paths.root().join("samples.json"), &report)?;
+        }
         console.result(&report, || report.text())
     }
 }

@@ -56,7 +56,7 @@ pub(crate) struct FitArgs {
     pub(super) run: RunArgs,
     /// 2D keypoints: JSON of OpenPose, COCO, AlphaPose, MMPose or MediaPipe, or .npz with `keypoints`; or
     /// a directory of such files.
-    #[arg(value_name = "KEYPOINTS", required_unless_present = "directory")]
+    #[arg(value_name = "KEYPOINTS")]
     file: Option<PathBuf>,
     /// The same as an option.
     #[arg(long = "keypoints", value_name = "KEYPOINTS", conflicts_with = "file")]
@@ -130,7 +130,15 @@ const NO_MASK: &str = "without --mask the silhouette term is left out: body and 
                        keypoints, and the clothing is hardly observed";
 
 impl FitArgs {
-    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result<ExitCode> {
+    pub(crate) fn run(mut self, global: &GlobalArgs, console: Console) -> Result<ExitCode> {
+        if self.file.is_none() && self.directory.is_none() {
+            self.file = self.run.take_other();
+            if self.file.is_none() {
+                return Err(Error::message(
+                    "KEYPOINTS: missing: name the file of 2D keypoints, or a directory of such files",
+                ));
+            }
+        }
         if self.video.sequence() {
             video::run(&self, global, console)?;
             return Ok(ExitCode::SUCCESS);

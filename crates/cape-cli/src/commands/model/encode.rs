@@ -29,7 +29,7 @@ pub(crate) struct EncodeArgs {
     #[command(flatten)]
     run: RunArgs,
     /// Frames, .npz with pose and v_cano or v_posed, or frame:K for a test frame of the run.
-    #[arg(value_name = "REGISTRATION", required = true)]
+    #[arg(value_name = "REGISTRATION")]
     registrations: Vec<String>,
     #[command(flatten)]
     output: OutputArgs,
@@ -62,7 +62,13 @@ struct EncodedRegistration {
 }
 
 impl EncodeArgs {
-    pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
+    pub(crate) fn run(mut self, global: &GlobalArgs, console: Console) -> Result {
+        if let Some(first) = self.run.take_other() {
+            self.registrations.insert(0, first.to_string_lossy().into_owned());
+        }
+        if self.registrations.is_empty() {
+            return Err(Error::message("REGISTRATION: missing: name frames to encode"));
+        }
         self.output.require_empty()?;
         let out = self.output.out;
         let run = self.run.open(global)?;

@@ -42,7 +42,7 @@ struct Report {
 
 impl ExportArgs {
     pub(crate) fn run(self, console: Console) -> Result {
-        let paths = RunPaths::new(&self.run.run);
+        let paths = RunPaths::new(self.run.directory()?);
         let config = RunConfig::load(&paths.config())?;
         let checkpoint = checkpoint::best(&paths.checkpoints())?;
         let found = checkpoint::load_weights(&checkpoint)?;

@@ -3,6 +3,7 @@
 mod encode;
 mod export;
 mod import;
+mod pack;
 mod prior;
 pub(crate) mod pyramid;
 
@@ -10,7 +11,7 @@ use clap::Subcommand;
 
 use crate::{console::Console, error::Result, options::GlobalArgs};
 
-/// Convert models and their parts: import, export, encode, prior, pyramid.
+/// Convert models and their parts: import, export, pack, encode, prior, pyramid.
 #[derive(Debug, Subcommand)]
 #[command(
     after_help = "Example:\n  cape model prior runs/cape\n  cape model export runs/cape --npz weights.npz"
@@ -18,6 +19,7 @@ use crate::{console::Console, error::Result, options::GlobalArgs};
 pub(crate) enum ModelCommand {
     Import(import::ImportArgs),
     Export(export::ExportArgs),
+    Pack(pack::PackModelArgs),
     Encode(encode::EncodeArgs),
     Prior(prior::FitPriorArgs),
     Pyramid(pyramid::PyramidArgs),
@@ -28,6 +30,7 @@ impl ModelCommand {
         match self {
             Self::Import(command) => command.run(global, console),
             Self::Export(command) => command.run(console),
+            Self::Pack(command) => command.run(global, console),
             Self::Encode(command) => command.run(global, console),
             Self::Prior(command) => command.run(global, console),
             Self::Pyramid(command) => command.run(console),

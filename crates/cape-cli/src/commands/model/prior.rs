@@ -1,4 +1,4 @@
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use cape_core::Outfit;
 use cape_data::Split;
@@ -83,10 +83,16 @@ impl FitPriorArgs {
                 progress(done, total);
             })
         })?;
-        let file = run.paths().prior(self.kind.name());
+        let paths = run.paths().ok_or_else(|| {
+            Error::message(format!(
+                "{}: a model file, expected the directory of a run",
+                run.name().display()
+            ))
+        })?;
+        let file = paths.prior(self.kind.name());
         prior.save(&file)?;
         let report = Report { file, codes, groups: groups(&prior) };
-        console.result(&report, || report.text(&self.run.run, self.kind))
+        console.result(&report, || report.text(&self.run.name(), self.kind))
     }
 }
 
@@ -103,7 +109,7 @@ fn groups(prior: &Prior) -> Vec<DensityGroup> {
 }
 
 impl Report {
-    fn text(&self, run: &Path, kind: PriorName) -> String {
+    fn text(&self, run: &str, kind: PriorName) -> String {
         let mut table = Table::new(["outfit", "density"]);
         for group in &self.groups {
             let outfit = group.outfit.map_or("all".to_owned(), |outfit| outfit.to_string());
@@ -121,7 +127,7 @@ impl Report {
             table.text(),
             self.codes,
             self.file.display(),
-            run.display(),
+            run,
             kind.name()
         )
     }

@@ -31,6 +31,7 @@ use crate::{
                   raw/sequences/s0001/longlong_squats/longlong_squats.000001.npz --out redressed\n  \
                   cape redress runs/cape frame:12 --outfit longlong --pose a-pose,squats --out posed\n  \
                   cape redress runs/cape frame:12 --to frame:20 --to 2,-1 --out given")]
+#[command(allow_missing_positional = true)]
 pub(crate) struct RedressArgs {
     #[command(flatten)]
     run: RunArgs,

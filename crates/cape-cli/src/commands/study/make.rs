@@ -103,12 +103,12 @@ impl MakeArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         self.output.require_empty()?;
         let device = global.device()?;
-        let run = Run::open(&self.run.run, &device)?;
+        let run = self.run.open(global)?;
         let real = ClothingSource::open(&self.real, &device)?;
         let set = run.open_set(self.data.of(&run)?, Split::Test)?;
         let seed = global.seed();
         let planned = self.plan(&run, &set, seed)?;
-        let sources = [real, ClothingSource::Model(Box::new(Run::open(&self.run.run, &device)?))];
+        let sources = [real, ClothingSource::Model(Box::new(self.run.open(global)?))];
         let outfits = run.outfits().to_vec();
         let codes = |side: usize| {
             let seed = seed.wrapping_add(side as u64);
@@ -162,7 +162,7 @@ impl MakeArgs {
             Ok(())
         })?;
         let scored = pairs.iter().filter(|pair| pair.kind == PairKind::Scored).count();
-        let generated = self.run.run.display().to_string();
+        let generated = self.run.name();
         let trials = self.trials.min(scored);
         let design = StudyDesign::new(seed, trials, [&self.real, &generated], pairs)?;
         design.save(&staging.path)?;

@@ -7,7 +7,7 @@ mod wire;
 
 use std::{
     net::{IpAddr, Ipv4Addr, TcpListener},
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::mpsc,
     thread,
 };
@@ -32,14 +32,14 @@ use source::{MeshSource, RunSource, Source};
 /// machine, forward the port by `ssh -L 8000:localhost:PORT` and open the address with port 8000.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  cape view runs/cape\n  cape view dressed.obj\n  cape view female\n  \
+    after_help = "Examples:\n  cape view\n  cape view runs/cape\n  cape view dressed.obj\n  cape view female\n  \
                         cape view frames --fps 15 --no-open --port 8080"
 )]
 pub(crate) struct ViewArgs {
     /// Run, mesh (.obj, .ply, .stl, .off, .glb), SMPL body (.npz, .pkl), built-in body (male, female,
-    /// neutral or sculpted), or directory of meshes as a sequence.
+    /// neutral or sculpted), or directory of meshes as a sequence [default: the built-in model].
     #[arg(value_name = "RUN|MESH|SEQUENCE")]
-    path: PathBuf,
+    path: Option<PathBuf>,
     /// Port to listen on; 0 selects a free one.
     #[arg(long, default_value_t = 0, value_name = "PORT")]
     port: u16,
@@ -78,10 +78,10 @@ impl ViewArgs {
             )));
         }
         let device = global.device()?;
-        let run = if self.path.join("config.toml").exists() {
-            Some(Run::open(&self.path, &device)?)
-        } else {
-            None
+        let run = match &self.path {
+            None => Some(cape_weights::pretrained(&device)?),
+            Some(path) if Run::is_at(path) => Some(Run::open(path, &device)?),
+            Some(_) => None,
         };
         let source = match &run {
             Some(run) => {
@@ -92,7 +92,10 @@ impl ViewArgs {
             None if self.motion.is_some() => {
                 return Err(Error::message("--motion: only a run can be moved, not a mesh"));
             }
-            None => Source::Meshes(MeshSource::open(&self.path, self.fps)?),
+            None => {
+                let path = self.path.as_deref().unwrap_or_else(|| Path::new(""));
+                Source::Meshes(MeshSource::open(path, self.fps)?)
+            }
         };
         let scene = source.scene()?.to_string();
         let faces = source.faces().as_flattened().iter().flat_map(|i| i.to_le_bytes()).collect();

@@ -165,11 +165,11 @@ impl<'a> RunSource<'a> {
             named.map(|name| json!({"name": name, "pose": at(name).to_vec()})).collect();
         let priors: Vec<&str> = [PriorName::Gmm, PriorName::Normal, PriorName::Kde]
             .into_iter()
-            .filter(|&prior| prior == PriorName::Normal || run.paths().prior(prior.name()).exists())
+            .filter(|&prior| prior == PriorName::Normal || run.has_prior(prior.name()))
             .map(PriorName::name)
             .collect();
         Ok(json!({
-            "title": name_of(run.paths().root()),
+            "title": name_of(run.name()),
             "kind": "run",
             "vertices": run.body().vertices(),
             "faces": run.body().faces.len(),

@@ -70,7 +70,11 @@ impl CompareArgs {
                     measure_run(&run, &set, seed, progress, &mut |_, _, _| Ok(()))
                 })
                 .doing(|| format!("measuring {}", root.display()))?;
-            results.push((measured, training_seconds(run.paths())?));
+            let seconds = match run.paths() {
+                Some(paths) => training_seconds(paths)?,
+                None => run.progress().seconds,
+            };
+            results.push((measured, seconds));
         }
         let methods: Vec<MethodResults> = names
             .iter()
