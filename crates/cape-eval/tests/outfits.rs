@@ -102,7 +102,7 @@ fn six_outfits_from_captures_to_evaluation() {
 
     let run = train(&root.join("run"), &data, config());
     assert_eq!(run.outfits(), set.vocabulary());
-    let text = fs::read_to_string(run.paths().config()).unwrap();
+    let text = fs::read_to_string(run.paths().unwrap().config()).unwrap();
     assert!(text.contains("\"blazerlong\"") && text.contains("\"jerseyshort\""), "{text}");
 
     // Every outfit is sampled; others are refused with the list.
@@ -190,7 +190,7 @@ fn four_outfits_are_the_papers() {
     let run = train(&root.join("run"), &data, config());
     assert!(run.outfits().is_paper());
     // The configuration is as it was before there were other outfits.
-    let text = fs::read_to_string(run.paths().config()).unwrap();
+    let text = fs::read_to_string(run.paths().unwrap().config()).unwrap();
     assert!(!text.contains("outfits"), "{text}");
     let set = PackedSet::open(&data, Split::Train).unwrap();
     assert_eq!(set.batch(&[0], None).unwrap().outfit.row(0).to_vec(), [0.0, 0.0, 0.0, 1.0]);

@@ -9,12 +9,12 @@ fn commands_without_run_use_the_built_in_model() {
     let data = Packed::new();
     let report = data.run("sample --outfit shortlong --pose walk --out @/built-in --json").json();
     assert_eq!(report["files"].as_array().map(Vec::len), Some(1), "{report}");
-    let text = fs::read_to_string(data.at("built-in/shortlong-0.obj")).unwrap();
+    let text = fs::read_to_string(data.at("built-in/shortlong_001.obj")).unwrap();
     assert_eq!(text.lines().filter(|line| line.starts_with("v ")).count(), 6890);
     // The same bytes by the file of its own.
     data.run("model pack --out @/model.safetensors").succeeded();
     data.run("sample @/model.safetensors --outfit shortlong --pose walk --out @/again").succeeded();
-    assert_eq!(fs::read_to_string(data.at("again/shortlong-0.obj")).unwrap(), text);
+    assert_eq!(fs::read_to_string(data.at("again/shortlong_001.obj")).unwrap(), text);
 }
 
 #[test]
