@@ -109,6 +109,8 @@ struct BodyMovement {
     faces: Vec<[u32; 3]>,
     /// Corners of the faces around each face.
     corners_around: Vec<Vec<u32>>,
+    /// Centres of the faces at the end of the step, and the distances of their corners from them, metres.
+    spheres: Vec<(DVec3, f64)>,
 }
 
 /// Edge of the cells in which the body's motion is bounded, metres.
@@ -146,10 +148,8 @@ impl BodyMovement {
         if body.largest_displacement() == 0.0 {
             return;
         }
-        let moves: Vec<[DVec3; 2]> = (0..faces.len() as u32)
-            .map(|face| [0.0, 1.0].map(|t| body.position_at(face, [1.0, 0.0, 0.0], t)))
-            .collect();
-        self.mean = moves.iter().map(|[from, to]| *to - *from).sum::<DVec3>() / moves.len() as f64;
+        let (moves, mean) = displacements(body);
+        self.mean = mean;
         for [from, to] in moves {
             let way = (to - from - self.mean).length();
             for t in [0.0, 0.5, 1.0] {
@@ -157,6 +157,18 @@ impl BodyMovement {
                 *most = most.max(way);
             }
         }
+    }
+
+    /// Follows the body to the end of a step.
+    fn follow(&mut self, body: &SurfaceIndex) {
+        let at = &body.surface().vertices;
+        self.spheres.clear();
+        self.spheres.extend(self.faces.iter().map(|face| {
+            let corners = face.map(|v| at[v as usize]);
+            let centre = corners.iter().sum::<DVec3>() / 3.0;
+            let squares = corners.map(|corner| corner.distance_squared(centre));
+            (centre, squares.into_iter().fold(0.0, f64::max).sqrt())
+        }));
     }
 
     /// Largest displacement relative to the mean of the body within a cell's edge of a point, metres.
@@ -173,6 +185,17 @@ impl BodyMovement {
         }
         most
     }
+}
+
+/// Positions of a corner of each face at the ends of the frame, and their mean displacement, metres.
+pub(super) fn displacements(body: &SurfaceIndex) -> (Vec<[DVec3; 2]>, DVec3) {
+    let corner = |face, t| body.position_at(face, [1.0, 0.0, 0.0], t);
+    let moves: Vec<[DVec3; 2]> = (0..body.surface().faces.len() as u32)
+        .map(|face| [0.0, 1.0].map(|t| corner(face, t)))
+        .collect();
+    let sum: DVec3 = moves.iter().map(|[from, to]| *to - *from).sum();
+    let mean = sum / moves.len().max(1) as f64;
+    (moves, mean)
 }
 
 fn cell(point: DVec3) -> IVec3 {
@@ -204,6 +227,7 @@ impl Contacts {
         if from == 0.0 {
             self.body.begin(body);
         }
+        self.body.follow(body);
         self.share += now - from;
         self.body.reference += self.body.mean * (now - from);
         for hold in self.vertices.iter_mut().filter_map(|memory| memory.held.as_mut()) {
@@ -440,14 +464,21 @@ fn closest_around(
     x: DVec3,
     face: u32,
 ) -> (f64, u32, [f64; 3], DVec3) {
-    let mut best = (f64::INFINITY, face, [0.0; 3], DVec3::ZERO);
-    for &face in &movement.around[face as usize] {
+    let measure = |face: u32| {
         let (nearest, barycentric) = closest_on_triangle(x, body.surface().corners(face as usize));
         let away = x - nearest;
-        let distance = away.length_squared();
-        if distance < best.0 {
-            best = (distance, face, barycentric, away);
+        (away.length(), face, barycentric, away)
+    };
+    let mut best = measure(face);
+    for &other in movement.around[face as usize].iter().filter(|&&other| other != face) {
+        let (centre, radius) = movement.spheres[other as usize];
+        let least = best.0 + radius;
+        if centre.distance_squared(x) < least * least {
+            let found = measure(other);
+            if found.0 < best.0 {
+                best = found;
+            }
         }
     }
-    (best.0.sqrt(), best.1, best.2, best.3)
+    best
 }

@@ -94,21 +94,6 @@ impl ImplicitStep {
         points: &[PointForce],
         dt: f64,
     ) -> Vec<DVec3> {
-        // Free fall under the forces on single vertices, which a sheet without contacts follows exactly.
-        let guess: Vec<Vec3> = inverse_masses
-            .iter()
-            .zip(points)
-            .zip(velocities)
-            .map(|((&inverse_mass, point), &velocity)| {
-                let given = 1.0 + dt * dt * point.stiffness * inverse_mass;
-                let fall = point.force * (dt * inverse_mass / given);
-                let held = point.held.filter(|_| inverse_mass > 0.0);
-                let stop = held.map_or(DVec3::ZERO, |(along, speed)| {
-                    along * (speed - (velocity + fall).dot(along))
-                });
-                (fall + stop).as_vec3()
-            })
-            .collect();
         let right: Vec<Vec3> = (0..velocities.len())
             .into_par_iter()
             .with_min_len(GRAIN)
@@ -124,9 +109,32 @@ impl ImplicitStep {
             })
             .collect();
         self.assemble(elastic, inverse_masses, points, dt);
-        let image = self.product(&guess);
-        let rest: Vec<Vec3> =
-            right.iter().zip(image).map(|(&right, image)| right - image).collect();
+        let guesses: Vec<[Vec3; 2]> = inverse_masses
+            .iter()
+            .zip(points)
+            .zip(velocities)
+            .map(|((&inverse_mass, point), &velocity)| {
+                let given = 1.0 + dt * dt * point.stiffness * inverse_mass;
+                let fall = point.force * (dt * inverse_mass / given);
+                let held = point.held.filter(|_| inverse_mass > 0.0);
+                [fall, DVec3::ZERO].map(|change| {
+                    let stop = held.map_or(DVec3::ZERO, |(along, speed)| {
+                        along * (speed - (velocity + change).dot(along))
+                    });
+                    (change + stop).as_vec3()
+                })
+            })
+            .collect();
+        // Free fall under the forces on single vertices, which a sheet without contacts follows exactly, or
+        // rest, from which cloth on a body hardly moves.
+        let [falling, resting] = [0, 1].map(|which| {
+            let guess: Vec<Vec3> = guesses.iter().map(|guess| guess[which]).collect();
+            let image = self.product(&guess);
+            let rest: Vec<Vec3> =
+                right.iter().zip(image).map(|(&right, image)| right - image).collect();
+            (self.energy(&rest), rest, guess)
+        });
+        let (_, rest, guess) = if falling.0 <= resting.0 { falling } else { resting };
         let free = |(right, point): (&Vec3, &PointForce)| {
             let along = point.held.map_or(Vec3::ZERO, |held| held.0.as_vec3());
             *right - along * right.dot(along)

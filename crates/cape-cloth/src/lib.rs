@@ -36,6 +36,7 @@ mod pattern;
 mod penetration;
 #[cfg(test)]
 mod physics_tests;
+mod point_grid;
 mod self_collision;
 mod sheet;
 mod simulate;

@@ -1,6 +1,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::{elastic::GRAIN, point_grid::PointGrid};
 use cape_core::geometry::{
     BoxTree, SurfaceMesh, bounds, closest_on_triangle, ray_triangle_distance,
 };
@@ -94,65 +95,98 @@ impl SelfCollision {
         let reach = self.thicknesses.iter().copied().fold(0.0, f64::max) + SLACK;
         let place = |v: u32| at[v as usize];
         let at_rest = |v: u32| self.rest.vertices[v as usize];
-        let faces = BoxTree::from_elements(&self.rest.faces, at);
         let least = |v: u32, face: [u32; 3]| {
-            let (nearest, _) = closest_on_triangle(at_rest(v), face.map(at_rest));
-            self.distance(v, face[0], nearest.distance(at_rest(v)))
+            let nearest = || closest_on_triangle(at_rest(v), face.map(at_rest)).0;
+            self.distance(v, face[0], || nearest().distance(at_rest(v)))
         };
+        // Elements are found by spheres around them.
+        let sphere = |face: &[u32; 3]| {
+            let corners = face.map(place);
+            let centre = corners.iter().sum::<DVec3>() / 3.0;
+            (centre, corners.map(|corner| corner.distance(centre)).into_iter().fold(0.0, f64::max))
+        };
+        let (centres, radii): (Vec<DVec3>, Vec<f64>) = self.rest.faces.iter().map(sphere).unzip();
+        let halves: Vec<f64> =
+            (0..at.len() as u32).map(|v| 0.5 * self.longest_edge(v, at)).collect();
+        let widest = radii.iter().copied().fold(0.0, f64::max);
+        let faces = PointGrid::new(&centres, 2.0 * reach);
         // Pairs of each vertex, and whether its edges may be close to others.
         let near: Vec<(Vec<ClosePair>, bool)> = (0..at.len() as u32)
             .into_par_iter()
+            .with_min_len(GRAIN)
             .map(|v| {
-                let half = 0.5 * self.longest_edge(v, at);
-                let mut pairs = Vec::new();
-                let mut alert = false;
-                for index in faces.overlapping(box_around(&[v], at, reach + half)) {
+                let half = halves[v as usize];
+                let (mut pairs, mut alert) = (Vec::new(), false);
+                faces.for_near(place(v), reach + half + widest, |index, squared| {
                     let face = self.rest.faces[index as usize];
-                    if face.contains(&v) {
-                        continue;
+                    let gap = squared.sqrt() - radii[index as usize];
+                    if gap > reach + half || face.contains(&v) {
+                        return;
                     }
-                    let distance =
-                        closest_on_triangle(place(v), face.map(place)).0.distance(place(v));
-                    if distance < reach {
-                        pairs.push(ClosePair::Vertex(v, face, least(v, face)));
+                    if gap < reach {
+                        let (nearest, _) = closest_on_triangle(place(v), face.map(place));
+                        if nearest.distance(place(v)) < reach {
+                            pairs.push(ClosePair::Vertex(v, face, least(v, face)));
+                            alert = true;
+                        }
                     }
-                    alert |= distance < reach
-                        || (distance < reach + half
-                            && self.around[v as usize].binary_search(&index).is_err());
-                }
+                    alert = alert || self.around[v as usize].binary_search(&index).is_err();
+                });
                 (pairs, alert)
             })
             .collect();
         let on_alert = |edge: &&[u32; 2]| edge.iter().any(|&v| near[v as usize].1);
         let edges: Vec<[u32; 2]> = self.edges.iter().filter(on_alert).copied().collect();
-        let tree = BoxTree::from_elements(&edges, at);
-        let crossing: Vec<ClosePair> = edges
+        let (middles, halves): (Vec<DVec3>, Vec<f64>) = edges
+            .iter()
+            .map(|edge| edge.map(place))
+            .map(|[a, b]| (a.midpoint(b), 0.5 * a.distance(b)))
+            .unzip();
+        // Half the edges of the boxes around the edges.
+        let extent = |[a, b]: &[u32; 2]| 0.5 * (place(*a) - place(*b)).abs();
+        let extents: Vec<DVec3> = edges.iter().map(extent).collect();
+        let longest = halves.iter().copied().fold(0.0, f64::max);
+        let grid = PointGrid::new(&middles, 2.0 * reach);
+        let crossing: Vec<Vec<ClosePair>> = edges
             .par_iter()
             .enumerate()
-            .flat_map_iter(|(index, &one)| {
-                let others = tree.overlapping(box_around(&one, at, reach)).into_iter();
-                let others = others.filter(|&other| other as usize > index);
-                let close = others.map(|other| edges[other as usize]).filter(|other| {
-                    !other.iter().any(|v| one.contains(v))
-                        && between_segments(one.map(place), other.map(place)).1 < reach
+            .with_min_len(GRAIN)
+            .map(|(index, &one)| {
+                let half = halves[index];
+                let mut pairs = Vec::new();
+                grid.for_near(middles[index], reach + half + longest, |other, squared| {
+                    let most = reach + half + halves[other as usize];
+                    if other as usize <= index || squared > most * most {
+                        return;
+                    }
+                    let between = middles[index] - middles[other as usize];
+                    let extent = extents[index] + extents[other as usize] + DVec3::splat(reach);
+                    if between.abs().cmpgt(extent).any() {
+                        return;
+                    }
+                    let other = edges[other as usize];
+                    if other.iter().any(|v| one.contains(v))
+                        || between_segments(one.map(place), other.map(place)).1 >= reach
+                    {
+                        return;
+                    }
+                    let at_rest = || between_segments(one.map(at_rest), other.map(at_rest)).1;
+                    let least = self.distance(one[0], other[0], at_rest);
+                    pairs.push(ClosePair::Edges(one, other, least));
                 });
-                let pair = |other: [u32; 2]| {
-                    let (_, apart) = between_segments(one.map(at_rest), other.map(at_rest));
-                    ClosePair::Edges(one, other, self.distance(one[0], other[0], apart))
-                };
-                close.map(pair).collect::<Vec<_>>()
+                pairs
             })
             .collect();
         self.pairs = near.into_iter().flat_map(|(pairs, _)| pairs).collect();
-        self.pairs.extend(crossing);
+        self.pairs.extend(crossing.into_iter().flatten());
     }
 
     /// Distance that parts at two vertices keep, metres: the mean of their thicknesses, or their
     /// distance at rest if they are of one layer and closer.
-    fn distance(&self, one: u32, other: u32, at_rest: f64) -> f64 {
+    fn distance(&self, one: u32, other: u32, at_rest: impl FnOnce() -> f64) -> f64 {
         let [a, b] = [one, other].map(|v| usize::from(self.layers[v as usize]));
         let both = 0.5 * (self.thicknesses[a] + self.thicknesses[b]);
-        if a == b { both.min(at_rest) } else { both }
+        if a == b { both.min(at_rest()) } else { both }
     }
 
     /// Length of the longest edge at a vertex, metres.

@@ -219,13 +219,10 @@ impl Cloth {
             hold.map_or(0.0, |(outward, speed, weight)| weight * (speed - velocity.dot(outward)))
         }));
         self.resolve_contacts(body, &before, dt);
-        for round in 0..ROUNDS {
-            if round == ROUNDS / 2 {
-                self.resolve_folds(&before, dt);
-            }
-            self.apply_strain_limits();
-            self.resolve_contacts(body, &before, dt);
-        }
+        self.apply_strain_limits();
+        self.resolve_folds(&before, dt);
+        self.apply_strain_limits();
+        self.resolve_contacts(body, &before, dt);
         for ((x, v), before) in self.positions.iter().zip(&mut self.velocities).zip(before) {
             *v = (*x - before) / dt;
         }
@@ -392,9 +389,6 @@ pub(super) fn joined<'a>(surfaces: impl Iterator<Item = &'a SurfaceMesh>) -> Sur
     }
     all
 }
-
-/// Times that strain limits and contacts are applied in turn, self-collisions in between.
-const ROUNDS: usize = 2;
 
 /// Resistance of a contact to a difference of speeds along the gradient of the distance, relative to the
 /// resistance of the vertex.

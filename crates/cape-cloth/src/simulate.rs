@@ -7,7 +7,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Cloth, ClothMaterial, GarmentMesh, Penetration,
+    Cloth, ClothMaterial, Contact, GarmentMesh, Penetration,
+    contact::displacements,
     garment::{sewing_body, sewing_pose},
     outfit::{attached_waistbands, part},
 };
@@ -42,7 +43,7 @@ use cape_core::{
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SimulationOptions {
     /// Least number of steps per frame; frames in which body or cloth moves by more than 10 mm in such
-    /// a step have more.
+    /// a step, against the body's mean motion, have more.
     pub substeps: usize,
     /// Duration of the transition from the sewing pose to the first pose, seconds, followed by half
     /// as long an acceleration to the initial velocity.
@@ -346,13 +347,19 @@ impl SimulationOptions {
         }
     }
 
-    /// Number of steps of the next frame of `duration` seconds.
+    /// Number of steps of the next frame of `duration` seconds: in each, body and cloth move by at most
+    /// 10 mm against the body's mean motion, and by at most half the reach of contact.
     fn substeps(&self, cloth: &Cloth, body: &SurfaceIndex, duration: f64) -> usize {
         const FARTHEST: f64 = 0.01;
         const MOST: f64 = 200.0;
-        let fastest = cloth.velocities.iter().map(|v| v.length()).fold(0.0, f64::max);
-        let way = body.largest_displacement().max(fastest * duration);
-        self.substeps.max((way / FARTHEST).min(MOST).ceil() as usize)
+        let (moves, mean) = displacements(body);
+        let relative = moves.iter().map(|[from, to]| (*to - *from - mean).length());
+        let farthest = relative.fold(0.0, f64::max);
+        let along = mean / duration;
+        let fastest = cloth.velocities.iter().map(|v| (*v - along).length()).fold(0.0, f64::max);
+        let way = farthest.max(fastest * duration) / FARTHEST;
+        let whole = (mean.length() + farthest) / (0.5 * Contact::REACH);
+        self.substeps.max(way.max(whole).min(MOST).ceil() as usize)
     }
 
     /// Body vertices, metres, of the transition to the first frame, then of the frames.
