@@ -13,6 +13,8 @@ pub(crate) enum Error {
     #[error(transparent)]
     Model(#[from] cape_model::Error),
     #[error(transparent)]
+    Onnx(#[from] cape_onnx::Error),
+    #[error(transparent)]
     Train(#[from] cape_train::Error),
     #[error(transparent)]
     Layer(#[from] cape_layer::Error),

@@ -12,6 +12,7 @@ use cape_core::{
     tensors::{from_array2, to_host},
 };
 use cape_data::{DisplacementStatistics, PackedSet, Split};
+use cape_graph::MeshPyramid;
 use cape_model::{Generator, Graphs, Posterior};
 use ndarray::{Array2, Array3, s};
 
@@ -213,6 +214,11 @@ impl ClothedModel {
     /// The mesh graphs that they run on.
     pub fn graphs(&self) -> &Graphs {
         &self.graphs
+    }
+
+    /// The generator's mesh pyramid on the host.
+    pub fn pyramid(&self) -> &MeshPyramid {
+        self.mesh_graphs.generator()
     }
 
     /// The device of all tensors.

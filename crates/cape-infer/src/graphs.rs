@@ -37,6 +37,11 @@ impl MeshGraphs {
         })
     }
 
+    /// The generator's pyramid.
+    pub(crate) fn generator(&self) -> &MeshPyramid {
+        &self.generator
+    }
+
     /// The graphs on a device.
     pub(crate) fn upload(&self, device: &Device) -> Graphs {
         Graphs {

@@ -43,6 +43,11 @@ impl ChebConv {
         Self { spectral, ..self }
     }
 
+    /// Number of Chebyshev terms.
+    pub fn order(&self) -> usize {
+        self.order
+    }
+
     /// Convolves `x: [batch, vertices, channels]`, with the numbers of
     /// `condition: [batch, embedding]` as further channels at every vertex, into
     /// `[batch, kept, out]`.

@@ -7,8 +7,6 @@ use cape_graph::{ConvGraph, DevicePyramid, Epilogue, GroupNorm, cheb_conv, norm_
 use super::{ChebConv, append, append_unless_preserved};
 use crate::{Initialiser, config::group_count};
 
-const EPSILON: f64 = 1e-5;
-
 /// Group normalisation over the channels of a group and all vertices, then ReLU.
 #[derive(Module, Debug)]
 pub struct GroupNormRelu {
@@ -20,6 +18,9 @@ pub struct GroupNormRelu {
 }
 
 impl GroupNormRelu {
+    /// Added to the variance.
+    pub const EPSILON: f64 = 1e-5;
+
     /// Creates a normalisation with scale 1 and shift 0; `group_channels` is that of
     /// [`CapeConfig`](crate::CapeConfig::group_channels).
     pub fn new(channels: usize, group_channels: Option<usize>, init: &mut Initialiser) -> Self {
@@ -28,6 +29,11 @@ impl GroupNormRelu {
             beta: init.constant(0.0, [channels]),
             groups: group_count(channels, group_channels),
         }
+    }
+
+    /// Number of groups of consecutive channels.
+    pub fn groups(&self) -> usize {
+        self.groups
     }
 
     /// `base + conv(relu(norm([x, constant])))`, with `constant: [batch, c]` as further channels at
@@ -41,7 +47,7 @@ impl GroupNormRelu {
         base: Option<Tensor<3>>,
     ) -> Tensor<3> {
         let (gamma, beta) = (self.gamma.val(), self.beta.val());
-        let norm = GroupNorm { gamma, beta, groups: self.groups, epsilon: EPSILON };
+        let norm = GroupNorm { gamma, beta, groups: self.groups, epsilon: Self::EPSILON };
         norm_conv(x, constant, norm, conv.weight.val(), graph, conv.order, base)
     }
 }

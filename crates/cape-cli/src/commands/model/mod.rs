@@ -29,7 +29,7 @@ impl ModelCommand {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         match self {
             Self::Import(command) => command.run(global, console),
-            Self::Export(command) => command.run(console),
+            Self::Export(command) => command.run(global, console),
             Self::Pack(command) => command.run(global, console),
             Self::Encode(command) => command.run(global, console),
             Self::Prior(command) => command.run(global, console),

@@ -1,0 +1,36 @@
+//! Trained clothing models and SMPL bodies as ONNX graphs, for other languages, engines and browsers.
+//!
+//! Three graphs make a dressed body: the decoder, from a latent code, a pose and an outfit to
+//! displacements in metres; the encoder back; and SMPL, from shape, pose, translation and displacements
+//! to vertices and joints. Inputs and outputs are f32 with a dynamic batch; operators are those of opset
+//! 18, without extensions.
+//!
+//! ```
+//! use cape_infer::WeightPrecision;
+//!
+//! let model = cape_weights::pretrained(&burn::tensor::Device::default())?;
+//! let directory = tempfile::tempdir()?;
+//! let files = cape_onnx::export_model(&model, directory.path(), WeightPrecision::Single)?;
+//! assert!(files[0].path.ends_with("decoder.onnx"));
+//! assert_eq!(files[0].inputs, ["code [batch, 32]", "pose [batch, 72]", "outfit [batch, 10]"]);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod body;
+mod error;
+mod graph;
+mod layers;
+mod metadata;
+mod model;
+mod networks;
+mod proto;
+mod rotations;
+mod sparse;
+
+pub use body::export_body;
+pub use error::{Error, Result};
+pub use model::{ExportedFile, GraphTensor, OnnxModel, export_model};
+pub use networks::{export_decoder, export_encoder};
+
+#[cfg(test)]
+mod tests;

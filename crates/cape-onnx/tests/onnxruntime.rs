@@ -1,0 +1,175 @@
+//! Exported graphs give the library's results in ONNX Runtime, and pass ONNX's checker.
+//!
+//! `CAPE_ONNX_PYTHON` names a Python with the packages onnx, onnxruntime and numpy; without it the test
+//! reports itself as skipped.
+
+use std::{path::Path, process::Command};
+
+use burn::{
+    module::Module,
+    tensor::{Device, Tensor, TensorData},
+};
+use cape_core::{
+    BodyPose, ClothingMask, Pose, SmplInput, npy::NpzWriter, tensors::from_array2, tensors::to_host,
+};
+use cape_data::DisplacementStatistics;
+use cape_graph::Weighting;
+use cape_infer::{
+    BodySpec, ClothedModel, ClothedModelParts, RunConfig, WeightPrecision, build_graphs, normal,
+};
+use cape_model::{Cape, CapeConfig, DecoderBlock, DecoderConditions};
+use cape_onnx::export_model;
+use cape_synth::synthetic_body;
+use ndarray::{Array2, ArrayD, IxDyn};
+
+const BATCHES: [usize; 2] = [1, 5];
+
+/// A model with initial weights and made-up statistics.
+fn untrained(model: CapeConfig, weighting: Weighting) -> ClothedModel {
+    let (device, body) = (Device::default(), synthetic_body());
+    let model = CapeConfig { discriminator: None, ..model };
+    let config = RunConfig { model, weighting, ..RunConfig::default() };
+    let graphs = build_graphs(&config, &body, &device).unwrap();
+    let generator = Cape::new(&config.model, &graphs, 3, &device).unwrap().generator.valid();
+    let table = |low: f64, step: f64| {
+        Array2::from_shape_fn((body.vertices(), 3), |(v, i)| low + step * ((v * 7 + i) % 13) as f64)
+    };
+    let parts = ClothedModelParts {
+        config,
+        mask: ClothingMask::from_weights(&body).unwrap(),
+        statistics: DisplacementStatistics::new(table(-0.01, 0.002), table(0.001, 0.001), 1)
+            .unwrap(),
+        body,
+    };
+    ClothedModel::new(parts, generator, &device).unwrap()
+}
+
+fn cases() -> Vec<(&'static str, ClothedModel)> {
+    let tiny = CapeConfig::tiny();
+    let barycentric = Weighting::Barycentric;
+    vec![
+        ("paper", untrained(CapeConfig::paper(), barycentric)),
+        ("detail", untrained(CapeConfig::detail(), barycentric)),
+        ("small", untrained(CapeConfig::small(), barycentric)),
+        ("release-weights", untrained(tiny.clone(), Weighting::Release)),
+        (
+            "affine-release-weights",
+            untrained(
+                CapeConfig { decoder: DecoderBlock::Affine, order: 3, ..tiny.clone() },
+                Weighting::Release,
+            ),
+        ),
+        (
+            "plain",
+            untrained(
+                CapeConfig {
+                    decoder: DecoderBlock::Plain,
+                    decoder_conditions: DecoderConditions::Latent,
+                    pose_layers: 1,
+                    outfit_layers: 2,
+                    encoder_residual: true,
+                    order: 4,
+                    ..tiny.clone()
+                },
+                barycentric,
+            ),
+        ),
+        (
+            "conditioned-encoder",
+            untrained(
+                CapeConfig { encoder_conditions: true, order: 3, reduce: 0, ..tiny.clone() },
+                Weighting::Release,
+            ),
+        ),
+        (
+            "unconditional",
+            untrained(
+                CapeConfig {
+                    decoder_conditions: DecoderConditions::None,
+                    pose_embedding: 0,
+                    outfit_embedding: 0,
+                    decoder: DecoderBlock::Plain,
+                    order: 1,
+                    ..tiny
+                },
+                barycentric,
+            ),
+        ),
+    ]
+}
+
+/// Poses from none at all to more than half a turn.
+fn pose(example: usize) -> BodyPose {
+    std::array::from_fn(|i| example as f32 * 0.9 * ((i * 37 + example) as f32).sin())
+}
+
+/// Writes inputs and the library's outputs of all three graphs for `n` bodies.
+fn write_expected(model: &ClothedModel, n: usize, path: &Path) {
+    let outfits = model.outfits();
+    let bodies: Vec<BodySpec> = (0..n)
+        .map(|i| BodySpec { betas: Vec::new(), pose: pose(i), outfit: outfits[i % outfits.len()] })
+        .collect();
+    let codes = model.sample_codes(n, 5);
+    let condition = model.condition(&bodies).unwrap();
+    let device = model.device();
+    let displacement = model.decode(from_array2(codes.clone(), device), &condition);
+    let posterior = model.posterior(displacement.clone(), &condition);
+    let betas = normal(6, 0, n, model.body().betas());
+    let translation = normal(7, 0, n, 3);
+    let poses = Array2::from_shape_fn((n, 72), |(i, j)| pose(i)[j]);
+    let posed = model
+        .smpl()
+        .forward(SmplInput {
+            betas: from_array2(betas.clone(), device),
+            pose: Pose::AxisAngle(from_array2(poses.clone(), device)),
+            transl: from_array2(translation.clone(), device),
+            displacement: Some(displacement.clone()),
+        })
+        .unwrap();
+    let mut file = NpzWriter::create(path).unwrap();
+    let mut add = |name: &str, array: ArrayD<f32>| file.add(name, &array).unwrap();
+    add("code", codes.into_dyn());
+    add("pose", poses.into_dyn());
+    add("outfit", host(condition.outfit));
+    add("displacement", host(displacement));
+    add("mean", host(posterior.mean));
+    add("log_variance", host(posterior.log_variance));
+    add("betas", betas.into_dyn());
+    add("translation", translation.into_dyn());
+    add("vertices", host(posed.vertices));
+    add("joints", host(posed.joints));
+    file.finish().unwrap();
+}
+
+fn host<const D: usize>(tensor: Tensor<D>) -> ArrayD<f32> {
+    let shape = tensor.dims();
+    ArrayD::from_shape_vec(IxDyn(&shape), to_host(tensor)).unwrap()
+}
+
+#[test]
+fn graphs_give_the_same_results_in_onnxruntime() {
+    let Some(python) = std::env::var_os("CAPE_ONNX_PYTHON") else {
+        println!("SKIPPED: CAPE_ONNX_PYTHON names no Python with onnx and onnxruntime");
+        return;
+    };
+    let place = tempfile::tempdir().unwrap();
+    let mut cases: Vec<_> =
+        cases().into_iter().map(|(name, model)| (name, model, WeightPrecision::Single)).collect();
+    // Its weights are half precision already.
+    let built_in = cape_weights::pretrained(&Device::default()).unwrap();
+    cases.push(("built-in", built_in.model().clone(), WeightPrecision::Half));
+    for (name, model, precision) in &cases {
+        let directory = place.path().join(name);
+        std::fs::create_dir(&directory).unwrap();
+        export_model(model, &directory, *precision).unwrap();
+        for n in BATCHES {
+            write_expected(model, n, &directory.join(format!("batch-{n}.npz")));
+        }
+    }
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/clients/onnxruntime_check.py");
+    let ran = Command::new(python).arg(script).arg(place.path()).output().unwrap();
+    let said = String::from_utf8_lossy(&ran.stdout);
+    println!("{said}");
+    assert!(ran.status.success(), "{said}\n{}", String::from_utf8_lossy(&ran.stderr));
+    assert_eq!(said.lines().filter(|line| line.starts_with("ok ")).count(), 3 * cases.len());
+}
