@@ -12,7 +12,7 @@
 //! let directory = tempfile::tempdir()?;
 //! let files = cape_onnx::export_model(&model, directory.path(), WeightPrecision::Single)?;
 //! assert!(files[0].path.ends_with("decoder.onnx"));
-//! assert_eq!(files[0].inputs, ["code [batch, 32]", "pose [batch, 72]", "outfit [batch, 10]"]);
+//! assert_eq!(files[0].inputs, ["code [batch, 32]", "pose [batch, 72]", "outfit [batch, 4]"]);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
