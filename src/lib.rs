@@ -19,6 +19,7 @@
 //!   regression;
 //! - [`stats`] — principal components, densities, error statistics, paired tests;
 //! - `weights` — the built-in model, with the feature of this name;
+//! - [`onnx`] — models as ONNX graphs;
 //! - [`study`] — perceptual studies (CAPE §6.2);
 //! - [`render`] — pictures.
 //!
@@ -51,6 +52,7 @@ pub use cape_graph as graph;
 pub use cape_infer as infer;
 pub use cape_layer as layer;
 pub use cape_model as model;
+pub use cape_onnx as onnx;
 pub use cape_render as render;
 pub use cape_stats as stats;
 pub use cape_study as study;

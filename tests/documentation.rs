@@ -10,7 +10,7 @@ use std::{
 };
 
 /// Entry points of each crate.
-const ENTRY_POINTS: [(&str, &[&str]); 17] = [
+const ENTRY_POINTS: [(&str, &[&str]); 18] = [
     ("cape-body", &["Assets", "make_body"]),
     ("cape-cloth", &["Cloth", "Garment"]),
     (
@@ -33,6 +33,7 @@ const ENTRY_POINTS: [(&str, &[&str]); 17] = [
     ("cape-infer", &["Prior", "Run", "RunConfig"]),
     ("cape-layer", &["Association", "Layer", "LayerSet", "UnposedSet"]),
     ("cape-model", &["Cape", "CapeConfig"]),
+    ("cape-onnx", &["OnnxModel", "export_body", "export_decoder", "export_encoder"]),
     ("cape-render", &["Camera", "Image", "Object", "Plot", "Style"]),
     ("cape-stats", &["ErrorStats", "Mixture", "PairedComparison", "Pca"]),
     ("cape-study", &["StudyDesign", "StudyScore"]),

@@ -116,24 +116,21 @@ pub(crate) fn convolve(
             Some((_, rows)) => graph.select(value, rows, 1),
             None => value.clone(),
         };
-        let at_rows = match k {
-            0 => {
-                terms.push(x.clone());
-                select(graph, x)
+        let at_rows = if k == 0 {
+            terms.push(x.clone());
+            select(graph, x)
+        } else {
+            // The last term is needed at the kept rows alone.
+            let kept_level = kept.filter(|_| last).map(|(level, _)| level);
+            let mut next = kept_level.unwrap_or(level).apply(graph, &terms[k - 1]);
+            if k > 1 {
+                next = graph.scale(&next, 2.0);
+                let before = terms[k - 2].clone();
+                let before = if last { select(graph, &before) } else { before };
+                next = graph.sub(&next, &before);
             }
-            _ => {
-                // The last term is needed at the kept rows alone.
-                let kept_level = kept.filter(|_| last).map(|(level, _)| level);
-                let mut next = kept_level.unwrap_or(level).apply(graph, &terms[k - 1]);
-                if k > 1 {
-                    next = graph.scale(&next, 2.0);
-                    let before = terms[k - 2].clone();
-                    let before = if last { select(graph, &before) } else { before };
-                    next = graph.sub(&next, &before);
-                }
-                terms.push(next.clone());
-                if last { next } else { select(graph, &next) }
-            }
+            terms.push(next.clone());
+            if last { next } else { select(graph, &next) }
         };
         let weights = conv.term(k, 0..conv.channels());
         let weights = graph.weights("conv", &[conv.channels(), conv.out], &weights)?;

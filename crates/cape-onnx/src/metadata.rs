@@ -1,6 +1,6 @@
 //! Entries of a model's metadata.
 
-use cape_core::joints::JOINT_NAMES;
+use cape_core::{Outfit, joints::JOINT_NAMES};
 use cape_infer::{ClothedModel, WeightPrecision};
 
 use crate::OnnxModel;
@@ -11,7 +11,7 @@ pub(crate) fn describe(
     model: &ClothedModel,
     precision: WeightPrecision,
 ) -> OnnxModel {
-    let outfits: Vec<&str> = model.outfits().iter().map(|outfit| outfit.name()).collect();
+    let outfits: Vec<&str> = model.outfits().iter().map(Outfit::name).collect();
     describe_body(onnx, precision)
         .with_entry("outfits", &outfits.join(","))
         .with_entry("latent", &model.latent().to_string())

@@ -32,6 +32,22 @@ fn the_argument_in_the_place_of_a_run_may_be_the_next_one() {
 }
 
 #[test]
+fn models_are_exported_as_onnx_graphs() {
+    let data = trained();
+    let report = data.run("model export @/run --onnx @/graphs --half --json").json();
+    let graphs = report["graphs"].as_array().unwrap();
+    for (graph, name) in graphs.iter().zip(["decoder.onnx", "encoder.onnx", "smpl.onnx"]) {
+        let size = fs::metadata(data.at("graphs").join(name)).unwrap().len();
+        assert_eq!(graph["bytes"], size, "{report}");
+    }
+    assert_eq!(graphs[0]["inputs"][1], "pose [batch, 72]", "{report}");
+    let said = data.run("model export --onnx @/built-in").succeeded();
+    assert!(said.contains("code [batch, 32]") && said.contains("smpl.onnx"), "{said}");
+    data.run("model export --half --npz @/weights.npz").failed_saying(&["--half", "--onnx"]);
+    data.run("model export").failed_saying(&["--onnx"]);
+}
+
+#[test]
 fn model_files_are_checked() {
     let data = trained();
     data.run("model pack @/run --out @/model.safetensors").failed_saying(&["built-in", "body"]);
