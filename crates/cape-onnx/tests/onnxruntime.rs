@@ -7,7 +7,7 @@ use std::{path::Path, process::Command};
 
 use burn::{
     module::Module,
-    tensor::{Device, Tensor, TensorData},
+    tensor::{Device, Tensor},
 };
 use cape_core::{
     BodyPose, ClothingMask, Pose, SmplInput, npy::NpzWriter, tensors::from_array2, tensors::to_host,
