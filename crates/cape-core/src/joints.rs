@@ -70,6 +70,30 @@ pub const PARENTS: [Option<usize>; JOINTS] = [
     Some(21),
 ];
 
+/// Joint on the other side of each; those of the spine are their own.
+pub const MIRRORED_JOINTS: [usize; JOINTS] =
+    [0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22];
+
+/// Mirror image of a pose about the plane x = 0: left and right joints change places, and the parts of
+/// their axis-angles along y and z change sign. `[72]`, radians.
+///
+/// ```
+/// use cape_core::joints::{JOINTS, mirrored_pose};
+///
+/// // The left knee (joint 4) bent by 1.2 rad and turned by 0.3 rad.
+/// let mut pose = [0.0; 3 * JOINTS];
+/// [pose[12], pose[13]] = [1.2, 0.3];
+/// let mirrored = mirrored_pose(&pose);
+/// assert_eq!(mirrored[15..18], [1.2, -0.3, 0.0]);
+/// assert_eq!(mirrored_pose(&mirrored), pose);
+/// ```
+pub fn mirrored_pose(pose: &[f64; 3 * JOINTS]) -> [f64; 3 * JOINTS] {
+    std::array::from_fn(|index| {
+        let value = pose[3 * MIRRORED_JOINTS[index / 3] + index % 3];
+        if index % 3 == 0 { value } else { 0.0 - value }
+    })
+}
+
 /// Joints that influence clothing, the only ones CAPE conditions on (§4): hips, knees, spine, neck,
 /// collars, shoulders and elbows.
 pub const CLOTHING_JOINTS: [usize; 14] = [1, 2, 3, 4, 5, 6, 9, 12, 13, 14, 16, 17, 18, 19];

@@ -64,7 +64,7 @@ pub use file_names::{list_files, natural_order};
 pub use hex::hex;
 pub use joints::BodyPose;
 pub use keyframes::{ChosenKeyframes, KeyframeRule, KeyframeSelector};
-pub use mesh::{MESH_EXTENSIONS, Mesh, MeshFile, MeshFormat, MeshReport};
+pub use mesh::{MESH_EXTENSIONS, Mesh, MeshFile, MeshFormat, MeshReport, MirrorSymmetry};
 pub use mesh_sequence::{MeshSequence, MeshSequenceOptions};
 pub use motion::BodyMotion;
 pub use outfit::{Outfit, OutfitVocabulary};

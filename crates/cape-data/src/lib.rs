@@ -26,6 +26,7 @@ mod loader;
 mod npy_rows;
 pub mod pack;
 mod pack_log;
+mod pack_plan;
 mod packed;
 pub mod raw;
 mod row_order;

@@ -90,10 +90,10 @@ fn frames_of_the_same_capture_are_encoded_instead() {
     let dir = tempfile::tempdir().unwrap();
     packed(dir.path(), 12);
     // Captures of five, one and six frames.
-    let mut csv = "row,subject,outfit,sequence,frame\n".to_owned();
+    let mut csv = "subject,outfit,sequence,frame\n".to_owned();
     for frame in 0..12 {
         let name = ["walk", "jump", "squats"][usize::from(frame > 4) + usize::from(frame > 5)];
-        writeln!(csv, "{frame},s0001,longlong,{name},{name}.{frame:06}").unwrap();
+        writeln!(csv, "s0001,longlong,{name},{name}.{frame:06}").unwrap();
     }
     std::fs::write(dir.path().join("train/train_frames.csv"), csv).unwrap();
     let set = Arc::new(PackedSet::open(dir.path(), Split::Train).unwrap());

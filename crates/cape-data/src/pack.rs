@@ -13,24 +13,30 @@
 //! body.npz, clothing_verts_idx.npy   copies from the raw data, if there; the body of the split
 //! ```
 //!
-//! Rows are ordered by subject, sequence, outfit and frame name. The `.csv`, `.npz` and `.toml`
+//! Rows are ordered by subject, sequence, outfit and frame name; mirrored training frames follow the
+//! others, as sequences `mirrored_…`. The `.csv`, `.npz` and `.toml`
 //! files are additions to the release's layout. Displacements are float64, as in the release.
 
 use std::{
-    collections::{BTreeMap, HashSet},
+    collections::HashSet,
     fmt::Write as _,
     fs,
     path::{Path, PathBuf},
 };
 
-use cape_core::{Outfit, joints::pose_rotations};
+use cape_core::{
+    MirrorSymmetry, Outfit,
+    joints::{mirrored_pose, pose_rotations},
+    smpl::SmplModel,
+};
 use ndarray::Array2;
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{
-    FrameSource, RawTree, SequenceList, Split, SplitSpec,
+    RawTree, Split, SplitSpec,
     pack_log::{FrameStatus, PackLog, plan_hash},
+    pack_plan::{MinimalShapes, PlannedFrame, plan, read_minimals},
     raw::{self, BODY_FILE, CLOTHING_FILE, SPLIT_FILE},
     split_writer::{FrameShape, SplitWriter},
     statistics::STATISTICS_FILE,
@@ -150,18 +156,23 @@ pub fn pack(
     split.validate()?;
     let mut report = PackReport::default();
     let tree = RawTree::open(raw)?;
-    let body = split.body.as_ref().map(|name| raw.join(name));
-    if let Some(body) = body.filter(|body| !body.is_file()) {
+    let body = raw.join(split.body.as_deref().unwrap_or(Path::new(BODY_FILE)));
+    if split.body.is_some() && !body.is_file() {
         return Err(Error::Data(format!(
             "{}: not found: it is `body` of the split",
             body.display()
         )));
     }
-    let minimal = read_minimals(&tree, split, options, &mut report)?;
+    let reader = FrameReader {
+        inside: !options.follow_links,
+        minimal: read_minimals(&tree, split, options, &mut report)?,
+        symmetry: split.mirror.then(|| symmetry(&body)).transpose()?,
+    };
+    let minimal = &reader.minimal;
     let vocabulary = split.label_vocabulary()?;
     let mut plans = Vec::new();
     for part in [Split::Train, Split::Test] {
-        plans.push((part, plan(&tree, split, part, &minimal, &mut report.missing)?));
+        plans.push((part, plan(&tree, split, part, minimal, &mut report.missing)?));
     }
     if let (true, Some(missing)) = (options.strict, report.missing.first()) {
         return Err(Error::Data(format!("{}: {}", missing.subject, missing.reason)));
@@ -176,11 +187,10 @@ pub fn pack(
     let mut staging = StagingDirectory::prepare(out)?;
     let mut done = PackLog::read(&staging.path, &plan);
     done.truncate(total);
-    let inside = !options.follow_links;
     // Broken frames may have been repaired since.
-    let repaired = frames().zip(&done).position(|(frame, status)| {
-        *status != FrameStatus::Packed && read(frame, inside, &minimal).is_ok()
-    });
+    let repaired = frames()
+        .zip(&done)
+        .position(|(frame, status)| *status != FrameStatus::Packed && reader.read(frame).is_ok());
     done.truncate(repaired.unwrap_or(total));
     let shape = FrameShape { vertices: report.vertices, labels: vocabulary.len() };
     if !is_whole(&staging.path, &plans, &done, shape) {
@@ -202,8 +212,7 @@ pub fn pack(
         let mut count = before + statuses.len();
         for chunk in left.chunks(4 * rayon::current_num_threads()) {
             progress(count, total);
-            let read: Vec<_> =
-                chunk.par_iter().map(|frame| read(frame, inside, &minimal)).collect();
+            let read: Vec<_> = chunk.par_iter().map(|frame| reader.read(frame)).collect();
             for (frame, read) in chunk.iter().zip(read) {
                 match read {
                     Ok(read) => {
@@ -301,20 +310,6 @@ fn resume(
     SplitWriter::resume(directory, part, shape, &packed).map(Some)
 }
 
-/// A frame to be packed.
-#[derive(Debug)]
-pub(super) struct PlannedFrame<'a> {
-    pub(super) source: &'a FrameSource,
-    pub(super) subject: &'a str,
-    pub(super) sequence: &'a str,
-    /// First part of the name of the capture's directory.
-    pub(super) outfit: Outfit,
-    /// Place of the 1 in the one-hot label.
-    pub(super) class: usize,
-    /// True for the captures that the split names for validation.
-    pub(super) validation: bool,
-}
-
 /// One row of every packed array.
 pub(super) struct PackedFrame {
     pub(super) displacement: Array2<f64>,
@@ -322,130 +317,51 @@ pub(super) struct PackedFrame {
     pub(super) rotations: Vec<f64>,
 }
 
-type MinimalShapes = BTreeMap<String, Array2<f64>>;
-
-fn read_minimals(
-    tree: &RawTree,
-    split: &SplitSpec,
-    options: PackOptions,
-    report: &mut PackReport,
-) -> Result<MinimalShapes> {
-    let mut shapes = MinimalShapes::new();
-    for subject in &split.subjects {
-        let reason = if tree.subject_path(subject).is_some() {
-            match tree.minimal(subject, options.follow_links) {
-                Ok(shape) if report.vertices == 0 || report.vertices == shape.nrows() => {
-                    report.vertices = shape.nrows();
-                    shapes.insert(subject.clone(), shape);
-                    continue;
-                }
-                Ok(shape) => {
-                    let message = format!(
-                        "{} vertices, but other subjects have {}",
-                        shape.nrows(),
-                        report.vertices
-                    );
-                    return Err(Error::format(tree.minimal_path(subject), message));
-                }
-                Err(error) => format!("no minimal shape: {error}"),
-            }
-        } else {
-            format!("no directory sequences/{subject}, {subject} or archive {subject}.zip")
-        };
-        report.missing.push(MissingCapture { subject: subject.clone(), sequence: None, reason });
-    }
-    Ok(shapes)
+/// Reader of the planned frames.
+struct FrameReader {
+    /// Refuse files outside the raw tree.
+    inside: bool,
+    minimal: MinimalShapes,
+    /// Symmetry of the body, if there are mirrored frames.
+    symmetry: Option<MirrorSymmetry>,
 }
 
-fn plan<'a>(
-    tree: &'a RawTree,
-    split: &'a SplitSpec,
-    part: Split,
-    minimal: &MinimalShapes,
-    missing: &mut Vec<MissingCapture>,
-) -> Result<Vec<PlannedFrame<'a>>> {
-    let parts: &[(&SequenceList, bool)] = match part {
-        Split::Train => &[(&split.train, false), (&split.validation, true)],
-        Split::Test => &[(&split.test, false)],
-    };
-    let mut frames = Vec::new();
-    for &(list, validation) in parts {
-        frames.extend(plan_sequences(tree, split, (list, validation), minimal, missing)?);
-    }
-    Ok(frames)
-}
-
-/// Frames of a list of sequences, which may be for validation.
-fn plan_sequences<'a>(
-    tree: &'a RawTree,
-    split: &'a SplitSpec,
-    (list, validation): (&'a SequenceList, bool),
-    minimal: &MinimalShapes,
-    missing: &mut Vec<MissingCapture>,
-) -> Result<Vec<PlannedFrame<'a>>> {
-    let vocabulary = split.label_vocabulary()?;
-    let mut frames = Vec::new();
-    for subject in split.subjects.iter().filter(|&subject| minimal.contains_key(subject)) {
-        for sequence in &list.sequences {
-            let wanted: Vec<_> = split
-                .outfits
-                .iter()
-                .filter(|&&outfit| !list.excludes(subject, outfit, sequence))
-                .collect();
-            let mut found = wanted.is_empty();
-            let mut miss = |reason| {
-                let (subject, sequence) = (subject.clone(), Some(sequence.clone()));
-                missing.push(MissingCapture { subject, sequence, reason });
-            };
-            for &outfit in wanted {
-                let Some(capture) = tree.capture(subject, outfit, sequence) else { continue };
-                found = true;
-                let count = capture.frames().len();
-                let kept = count.saturating_sub(2 * split.cut);
-                if kept == 0 {
-                    miss(format!(
-                        "{outfit}_{sequence} has {count} frames, none is left after cutting {} \
-                         at either end",
-                        split.cut
-                    ));
-                }
-                let class = vocabulary.require(split.label(outfit))?;
-                let sources = capture.frames().iter().skip(split.cut).take(kept);
-                frames.extend(sources.step_by(split.sample_rate).map(|source| PlannedFrame {
-                    source,
-                    subject,
-                    sequence,
-                    outfit,
-                    class,
-                    validation,
-                }));
-            }
-            if !found {
-                miss(format!("no sequence {sequence} in any outfit"));
-            }
+impl FrameReader {
+    fn read(&self, frame: &PlannedFrame) -> Result<PackedFrame> {
+        if self.inside {
+            frame.source.require_inside()?;
         }
+        let name = frame.source.path().file_stem().and_then(|name| name.to_str());
+        if name.is_none_or(|name| name.contains(char::is_control)) {
+            return Err(Error::format(
+                frame.source.path(),
+                "file name: expected text without control characters",
+            ));
+        }
+        let Some(minimal) = self.minimal.get(frame.subject) else {
+            return Err(Error::Data(format!("subject {} has no minimal shape", frame.subject)));
+        };
+        let read = frame.source.canonical(minimal.nrows())?;
+        let (mut displacement, mut pose) = (read.v_cano - minimal, read.pose);
+        if let (true, Some(symmetry)) = (frame.mirrored, &self.symmetry) {
+            displacement = symmetry.mirror(&displacement)?;
+            pose = mirrored_pose(&pose);
+        }
+        let rotations = pose_rotations(&pose)?.as_flattened().as_flattened().to_vec();
+        Ok(PackedFrame { displacement, pose, rotations })
     }
-    Ok(frames)
 }
 
-fn read(frame: &PlannedFrame, inside: bool, minimal: &MinimalShapes) -> Result<PackedFrame> {
-    if inside {
-        frame.source.require_inside()?;
+/// Symmetry of the body of the raw data.
+fn symmetry(body: &Path) -> Result<MirrorSymmetry> {
+    if !body.is_file() {
+        return Err(Error::Data(format!(
+            "{}: not found: `mirror` of the split needs the mesh of the body",
+            body.display()
+        )));
     }
-    let name = frame.source.path().file_stem().and_then(|name| name.to_str());
-    if name.is_none_or(|name| name.contains(char::is_control)) {
-        return Err(Error::format(
-            frame.source.path(),
-            "file name: expected text without control characters",
-        ));
-    }
-    let Some(minimal) = minimal.get(frame.subject) else {
-        return Err(Error::Data(format!("subject {} has no minimal shape", frame.subject)));
-    };
-    let read = frame.source.canonical(minimal.nrows())?;
-    let rotations = pose_rotations(&read.pose)?;
-    let rotations = rotations.as_flattened().as_flattened().to_vec();
-    Ok(PackedFrame { displacement: read.v_cano - minimal, pose: read.pose, rotations })
+    MirrorSymmetry::of(&SmplModel::load(body)?.mesh())
+        .map_err(|e| Error::format(body, e.to_string()))
 }
 
 fn broken(frame: &PlannedFrame, error: &Error) -> BrokenFrame {

@@ -9,10 +9,7 @@ use std::{
 use cape_core::hex;
 use sha2::{Digest, Sha256};
 
-use super::{
-    SplitSpec,
-    pack::{PackOptions, PlannedFrame},
-};
+use super::{SplitSpec, pack::PackOptions, pack_plan::PlannedFrame};
 use crate::{Error, Result};
 
 const FILE: &str = "journal.txt";

@@ -440,3 +440,85 @@ fn long_sequences_and_any_number_of_threads() {
     let mean = values.iter().sum::<f64>() / 910.0;
     assert!((stats.mean()[[4, 2]] - mean).abs() < 1e-13);
 }
+
+/// A mirrored frame, posed and dressed, is the reflection of the posed and dressed frame.
+#[test]
+fn mirrored_training_frames_are_reflections() {
+    let root = tempfile::tempdir().unwrap();
+    let body = cape_synth::synthetic_body();
+    body.save(root.path().join(BODY_FILE)).unwrap();
+    let vertices = body.vertices();
+    let minimal = body.v_template.clone();
+    write_minimal(root.path(), "a", &minimal).unwrap();
+    for (s, sequence) in ["walk", "hips", "soccer"].into_iter().enumerate() {
+        for k in 0..2 {
+            let seed = 10 * s + k;
+            let worn = Array2::from_shape_fn((vertices, 3), |(v, c)| {
+                0.03 * ((seed * 31 + v * 3 + c) as f64).sin()
+            });
+            let frame = RawFrame {
+                v_cano: &minimal + &worn,
+                v_posed: minimal.clone(),
+                pose: std::array::from_fn(|i| 0.5 * ((seed + i) as f64 * 0.7).cos()),
+                transl: [0.0; 3],
+            };
+            write_frame(root.path(), "a", Outfit::LONG_LONG, sequence, k, &frame).unwrap();
+        }
+    }
+    let list = |name: &str| SequenceList { sequences: vec![name.into()], exclude: Vec::new() };
+    let split = SplitSpec {
+        subjects: vec!["a".into()],
+        outfits: vec![Outfit::LONG_LONG],
+        cut: 0,
+        mirror: true,
+        train: list("walk"),
+        validation: list("hips"),
+        test: list("soccer"),
+        ..SplitSpec::default()
+    };
+    let out = root.path().join("packed");
+    let report = pack_to(root.path(), &out, &split).unwrap();
+    assert_eq!((report.train_frames, report.validation_frames, report.test_frames), (6, 2, 2));
+    let set = crate::PackedSet::open(&out, Split::Train).unwrap();
+    let captures: Vec<_> = (0..6).map(|row| set.capture(row).unwrap()).collect();
+    let walk = "a/longlong_walk";
+    let mirrored = "a/longlong_mirrored_walk";
+    let hips = "a/longlong_hips";
+    assert_eq!(captures, [walk, walk, mirrored, mirrored, hips, hips]);
+
+    let displacement = read_f64(out.join("train/train_disp.npy")).unwrap();
+    let pose = read_f64(out.join("train/train_pose.npy")).unwrap();
+    let rotations = read_f64(out.join("train/train_rot.npy")).unwrap();
+    let posed = |row: usize| {
+        let pose = pose.index_axis(Axis(0), row);
+        let worn = displacement.index_axis(Axis(0), row).into_dimensionality().unwrap().to_owned();
+        let pose: Vec<f64> = pose.iter().copied().collect();
+        let expected = pose_rotations(&pose).unwrap();
+        let row = rotations.index_axis(Axis(0), row);
+        assert!(row.iter().eq(expected.as_flattened().as_flattened()));
+        body.pose_shape(&minimal, &pose, [0.0; 3], Some(&worn)).unwrap().vertices
+    };
+    let symmetry = MirrorSymmetry::of(&body.mesh()).unwrap();
+    for row in 0..2 {
+        let reflected = symmetry.mirror(&posed(row)).unwrap();
+        let difference = (&posed(2 + row) - &reflected).mapv(f64::abs);
+        let largest = difference.fold(0.0, |a: f64, &b| a.max(b));
+        assert!(largest < 1e-4, "{largest} m");
+    }
+
+    // Without a body, without its symmetry, and without captures for validation.
+    let again = root.path().join("again");
+    let lopsided = SplitSpec { validation: SequenceList::default(), ..split.clone() };
+    let mut skewed = body.clone();
+    skewed.v_template.column_mut(0).mapv_inplace(|x| x + 0.3);
+    let other = SplitSpec { body: Some("skewed.npz".into()), ..split.clone() };
+    skewed.save(root.path().join("skewed.npz")).unwrap();
+    let refuse = |split: &SplitSpec, said: &str| {
+        let message = pack_to(root.path(), &again, split).unwrap_err().to_string();
+        assert!(message.contains(said), "{message}");
+    };
+    refuse(&lopsided, "validation.sequences");
+    refuse(&other, "skewed.npz: the mesh is not symmetric");
+    fs::remove_file(root.path().join(BODY_FILE)).unwrap();
+    refuse(&split, "body.npz: not found");
+}

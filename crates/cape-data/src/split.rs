@@ -19,6 +19,7 @@ use crate::{Error, Result};
 /// cut = 2          # frames dropped at either end of a sequence (default 2)
 /// sample_rate = 1  # keep every n-th of the remaining frames (default 1)
 /// body = "body_male.npz"  # the subjects' body in the raw data (default body.npz)
+/// mirror = true    # pack training frames a second time, left and right exchanged (default false)
 ///
 /// [labels]         # outfits that are packed under the label of another
 /// poloshort = "shortshort"
@@ -77,6 +78,10 @@ pub struct SplitSpec {
     /// File of the subjects' body, relative to the raw data; `None` is `body.npz`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub body: Option<PathBuf>,
+    /// Packs every training frame a second time as its mirror image about the body's plane of symmetry,
+    /// which doubles the training data. Needs the body, and validation sequences.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub mirror: bool,
     /// Outfits that are packed under the label of another, such as `poloshort = "shortshort"`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub labels: BTreeMap<Outfit, Outfit>,
@@ -199,6 +204,7 @@ impl Default for SplitSpec {
             cut: default_cut(),
             sample_rate: default_sample_rate(),
             body: None,
+            mirror: false,
             labels: BTreeMap::new(),
             train: SequenceList::default(),
             test: SequenceList::default(),
@@ -316,6 +322,14 @@ impl SplitSpec {
         }
         if self.sample_rate == 0 {
             return Err(("sample_rate", "is 0: expected 1 (every frame) or more".to_owned()));
+        }
+        if self.mirror && self.validation.is_empty() {
+            return Err((
+                "mirror",
+                "needs `validation.sequences`: the last training frames would be mirror images of \
+                 others"
+                    .to_owned(),
+            ));
         }
         let plain = |path: &PathBuf| {
             path.components().next().is_some()

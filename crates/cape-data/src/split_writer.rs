@@ -8,7 +8,8 @@ use std::{
 use super::{
     Split,
     npy_rows::RowWriter,
-    pack::{PackedFrame, PlannedFrame},
+    pack::PackedFrame,
+    pack_plan::PlannedFrame,
     packed::FRAMES_HEADER,
     statistics::{Accumulator, DisplacementStatistics, validation_count},
 };

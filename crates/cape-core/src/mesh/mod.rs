@@ -1,6 +1,7 @@
 mod file;
 #[cfg(test)]
 mod file_tests;
+mod mirror;
 mod off;
 mod polygon;
 mod report;
@@ -15,6 +16,7 @@ use crate::{Error, Result, obj, ply};
 
 pub(crate) use file::{Geometry, places, read_bytes};
 pub use file::{MESH_EXTENSIONS, MeshFile, MeshFormat};
+pub use mirror::MirrorSymmetry;
 pub(crate) use polygon::{fan, is_face, strip};
 pub use report::MeshReport;
 

@@ -1,5 +1,6 @@
 //! Quality of samples, measured against held-out frames and on their own.
 
+mod captures;
 mod classify;
 mod inside;
 mod principal;
@@ -14,12 +15,14 @@ use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 use serde::Serialize;
 
-pub use sets::{SetDistances, SetQuality};
+pub use sets::{ClothingSet, SetDistances, SetQuality};
 pub use transfer::PoseTransfer;
 
 use crate::{
     Error, Result,
-    quality::{classify::OutfitCentroids, principal::PrincipalProjection},
+    quality::{
+        captures::HeldOutCaptures, classify::OutfitCentroids, principal::PrincipalProjection,
+    },
 };
 use cape_core::ProgressFn;
 use cape_data::{PackedSet, Split};
@@ -70,10 +73,11 @@ impl Default for QualityOptions {
 pub struct QualityReport {
     /// Number of held-out frames, each with a sample of its pose and outfit.
     pub frames: usize,
-    /// Samples against held-out frames.
+    /// Samples in the poses of one half of the held-out captures against the frames of the other half:
+    /// mean over both halves. All frames of a capture have one code.
     #[serde(flatten)]
     pub samples: SetQuality,
-    /// The same measures of every second held-out frame against the others: the best that samples can
+    /// The same measures of the frames of one half against those of the other: the best that samples can
     /// reach.
     pub held_out: SetQuality,
     /// Samples against held-out frames after projection onto the first 64 principal components of the
@@ -127,9 +131,10 @@ pub fn quality(
         truth.push(set.displacement_row(row)?.iter().map(|&x| x as f32).collect::<Vec<f32>>());
         poses.push(pose_of(&set, row)?);
     }
+    let captures = HeldOutCaptures::of(&set, &rows);
     let mut drawn = Array2::zeros((rows.len(), run.config().model.latent));
-    for (index, &outfit) in outfits.iter().enumerate() {
-        drawn.row_mut(index).assign(&codes(outfit, 1, index as u64).row(0));
+    for (index, (&outfit, &capture)) in outfits.iter().zip(&captures.of).enumerate() {
+        drawn.row_mut(index).assign(&codes(outfit, 1, capture as u64).row(0));
     }
     let steps = 7;
     let samples = decoded(run, &drawn, &poses, &outfits)?;
@@ -141,15 +146,15 @@ pub fn quality(
         rows.iter().map(|row| clothing.iter().map(|&v| at(row, v)).collect()).collect()
     };
     let (truth_points, sample_points) = (of_clothes(&truth), of_clothes(&samples));
-    let samples_quality = SetDistances::between(&truth_points, &sample_points).quality();
-    let held_out = halves(&truth_points);
+    let samples_quality = captures.compare(&truth_points, &sample_points);
+    let held_out = captures.compare(&truth_points, &truth_points);
     progress(2, steps);
 
     let projection = PrincipalProjection::from_training(run, data, options.training_frames)?;
     let project = |rows: &[Vec<f32>]| Ok::<_, Error>(of_clothes(&projection.project(rows)?));
     let (true_principal, principal) = (project(&truth)?, project(&samples)?);
-    let principal = SetDistances::between(&true_principal, &principal).quality();
-    let principal_held_out = halves(&true_principal);
+    let principal = captures.compare(&true_principal, &principal);
+    let principal_held_out = captures.compare(&true_principal, &true_principal);
     progress(3, steps);
 
     let classifier = OutfitCentroids::from_training(run, data, options.training_frames)?;
@@ -198,12 +203,6 @@ pub fn quality(
         classifier_accuracy,
         inside_body: [inside(&samples)?, inside(&truth)?],
     })
-}
-
-/// Measures of every second frame against the others.
-fn halves(frames: &[Vec<[f32; 3]>]) -> SetQuality {
-    let part = |start: usize| frames.iter().skip(start).step_by(2).cloned().collect::<Vec<_>>();
-    SetDistances::between(&part(0), &part(1)).quality()
 }
 
 fn pose_of(set: &PackedSet, row: usize) -> Result<[f32; 72]> {

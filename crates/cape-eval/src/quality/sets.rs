@@ -3,36 +3,51 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Distances within and between two sets of point sets, millimetres.
+/// Clothings as point sets in correspondence, and the capture of each.
+///
+/// Frames of a capture are much alike, as they have the same garments put on once: they do not count as
+/// neighbours of each other, or else every frame would have one in its own set.
+#[derive(Debug, Clone, Default)]
+pub struct ClothingSet {
+    /// Points of each clothing, metres.
+    pub points: Vec<Vec<[f32; 3]>>,
+    /// Number of the capture of each; captures of the two sets that are compared have different ones.
+    pub captures: Vec<usize>,
+}
+
+/// Distances within and between two sets of clothings, millimetres.
 ///
 /// ```
-/// use cape_eval::quality::SetDistances;
+/// use cape_eval::quality::{ClothingSet, SetDistances};
 ///
 /// // Two frames of one point each; both samples are near the first.
-/// let frames = [vec![[0.0, 0.0, 0.0]], vec![[1.0, 0.0, 0.0]]];
-/// let samples = [vec![[0.0, 0.1, 0.0]], vec![[0.0, 0.0, 0.1]]];
-/// let distances = SetDistances::between(&frames, &samples);
-/// assert_eq!(distances.coverage(), 0.5);
+/// let set = |points: [[f32; 3]; 2], captures: [usize; 2]| ClothingSet {
+///     points: points.map(|point| vec![point]).to_vec(),
+///     captures: captures.to_vec(),
+/// };
+/// let frames = set([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], [0, 1]);
+/// let samples = set([[0.0, 0.1, 0.0], [0.0, 0.0, 0.1]], [2, 3]);
+/// assert_eq!(SetDistances::between(&frames, &samples).coverage(), 0.5);
 /// ```
 #[derive(Debug, Clone)]
 pub struct SetDistances {
-    /// Distances between frames, `[frames][frames]`.
+    /// Distances between frames of different captures, `[frames][frames]`; infinite in one capture.
     frames: Vec<Vec<f64>>,
-    /// Distances between samples, `[samples][samples]`.
+    /// Distances between samples, in the same way, `[samples][samples]`.
     samples: Vec<Vec<f64>>,
     /// Distances between frames and samples, `[frames][samples]`.
     between: Vec<Vec<f64>>,
 }
 
 /// Measures of a set of samples against a set of frames.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct SetQuality {
     /// Coverage: share of frames that are the nearest frame of a sample; higher is better.
     pub coverage: f64,
     /// Minimum matching distance: mean distance from a frame to the nearest sample, millimetres.
     pub minimum_matching_mm: f64,
-    /// 1-nearest-neighbour accuracy: share of frames and samples whose nearest neighbour is of
-    /// their own set; 0.5 if the distributions are equal, 1 if they are disjoint.
+    /// 1-nearest-neighbour accuracy: share of frames and samples whose nearest neighbour of another
+    /// capture is of their own set; 0.5 if the distributions are equal, 1 if they are disjoint.
     pub nearest_neighbour_accuracy: f64,
 }
 
@@ -53,6 +68,34 @@ fn matrix(a: &[Vec<[f32; 3]>], b: &[Vec<[f32; 3]>]) -> Vec<Vec<f64>> {
     a.par_iter().map(|a| b.iter().map(|b| distance(a, b)).collect()).collect()
 }
 
+impl ClothingSet {
+    /// Distances between clothings of different captures; infinite in one capture.
+    fn distances(&self) -> Vec<Vec<f64>> {
+        let mut distances = matrix(&self.points, &self.points);
+        for (row, own) in distances.iter_mut().zip(&self.captures) {
+            for (distance, capture) in row.iter_mut().zip(&self.captures) {
+                if capture == own {
+                    *distance = f64::INFINITY;
+                }
+            }
+        }
+        distances
+    }
+
+    /// The clothings whose captures are chosen.
+    pub(super) fn of_captures(&self, chosen: impl Fn(usize) -> bool) -> Self {
+        let members = self.points.iter().zip(&self.captures).filter(|(_, c)| chosen(**c));
+        let (points, captures) = members.map(|(points, c)| (points.clone(), *c)).unzip();
+        Self { points, captures }
+    }
+
+    /// The same clothings as captures of another set, numbered from `first`.
+    pub(super) fn numbered_from(&self, first: usize) -> Self {
+        let captures = self.captures.iter().map(|capture| first + capture).collect();
+        Self { points: self.points.clone(), captures }
+    }
+}
+
 /// Mean distance between different members of a set; 0 if it has fewer than two.
 pub(super) fn mean_distance(set: &[Vec<[f32; 3]>]) -> f64 {
     let pairs = set.len() * set.len().saturating_sub(1);
@@ -64,12 +107,12 @@ fn nearest(distances: impl Iterator<Item = f64>) -> Option<(usize, f64)> {
 }
 
 impl SetDistances {
-    /// Computes all distances; points are in correspondence, in metres.
-    pub fn between(frames: &[Vec<[f32; 3]>], samples: &[Vec<[f32; 3]>]) -> Self {
+    /// Computes all distances.
+    pub fn between(frames: &ClothingSet, samples: &ClothingSet) -> Self {
         Self {
-            frames: matrix(frames, frames),
-            samples: matrix(samples, samples),
-            between: matrix(frames, samples),
+            frames: frames.distances(),
+            samples: samples.distances(),
+            between: matrix(&frames.points, &samples.points),
         }
     }
 
@@ -99,20 +142,15 @@ impl SetDistances {
         nearest.map(|(_, distance)| distance).sum::<f64>() / self.frames.len().max(1) as f64
     }
 
-    /// Share of frames and samples whose nearest neighbour, other than themselves, is of their own
-    /// set.
+    /// Share of frames and samples whose nearest neighbour of another capture is of their own set.
     pub fn nearest_neighbour_accuracy(&self) -> f64 {
-        let others = |own: &[Vec<f64>], index: usize| {
-            let row = own[index].iter().enumerate().filter(move |(other, _)| *other != index);
-            row.map(|(_, &distance)| distance).fold(f64::INFINITY, f64::min)
-        };
         let least =
             |distances: &mut dyn Iterator<Item = f64>| distances.fold(f64::INFINITY, f64::min);
-        let frames = (0..self.frames.len()).filter(|&frame| {
-            others(&self.frames, frame) < least(&mut self.between[frame].iter().copied())
-        });
+        let own = |row: &[f64]| least(&mut row.iter().copied());
+        let frames = (0..self.frames.len())
+            .filter(|&frame| own(&self.frames[frame]) < own(&self.between[frame]));
         let samples = (0..self.samples.len()).filter(|&sample| {
-            others(&self.samples, sample) < least(&mut self.between.iter().map(|row| row[sample]))
+            own(&self.samples[sample]) < least(&mut self.between.iter().map(|row| row[sample]))
         });
         let right = frames.count() + samples.count();
         right as f64 / (self.frames.len() + self.samples.len()).max(1) as f64
@@ -123,9 +161,10 @@ impl SetDistances {
 mod tests {
     use super::*;
 
-    /// Point sets of one point each on a line.
-    fn set(values: &[f32]) -> Vec<Vec<[f32; 3]>> {
-        values.iter().map(|&x| vec![[x / 1000.0, 0.0, 0.0]]).collect()
+    /// Clothings of one point each on a line, each of a capture of its own.
+    fn set(values: &[f32]) -> ClothingSet {
+        let points = values.iter().map(|&x| vec![[x / 1000.0, 0.0, 0.0]]).collect();
+        ClothingSet { points, captures: (0..values.len()).collect() }
     }
 
     #[test]
@@ -138,8 +177,8 @@ mod tests {
         // as near to frame 0 as to sample 2 and does not count, sample 2 is nearest to 1, and 12 to
         // frame 10.
         assert!((distances.nearest_neighbour_accuracy() - 1.0 / 6.0).abs() < 1e-12);
-        assert!((mean_distance(&set(&[0.0, 3.0, 6.0])) - 4.0).abs() < 1e-4);
-        assert_eq!(mean_distance(&set(&[1.0])), 0.0);
+        assert!((mean_distance(&set(&[0.0, 3.0, 6.0]).points) - 4.0).abs() < 1e-4);
+        assert_eq!(mean_distance(&set(&[1.0]).points), 0.0);
     }
 
     #[test]
@@ -151,5 +190,25 @@ mod tests {
         let same = SetDistances::between(&set(&near), &set(&near));
         assert_eq!((same.coverage(), same.minimum_matching()), (1.0, 0.0));
         assert_eq!(same.nearest_neighbour_accuracy(), 0.0);
+    }
+
+    /// Captures of ten near frames, in turn of either set: every frame is nearest to one of its own
+    /// capture, and then to one of the other set.
+    #[test]
+    fn frames_of_one_capture_are_no_neighbours() {
+        let places = |start: f32| -> Vec<f32> {
+            (0..40).map(|i| start + (i / 10) as f32 * 10.0 + (i % 10) as f32 * 0.1).collect()
+        };
+        let (mut frames, mut samples) = (set(&places(0.0)), set(&places(5.0)));
+        let accuracy = |frames: &ClothingSet, samples: &ClothingSet| {
+            SetDistances::between(frames, samples).nearest_neighbour_accuracy()
+        };
+        assert_eq!(accuracy(&frames, &samples), 1.0);
+        for set in [&mut frames, &mut samples] {
+            set.captures.iter_mut().for_each(|capture| *capture /= 10);
+        }
+        assert_eq!(accuracy(&frames, &samples), 0.0);
+        let chosen = frames.of_captures(|capture| capture == 2).numbered_from(7);
+        assert_eq!((chosen.points.len(), chosen.captures), (10, vec![9; 10]));
     }
 }

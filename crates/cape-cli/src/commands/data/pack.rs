@@ -43,6 +43,9 @@ pub(crate) struct PackArgs {
     /// Split into training and test sequences [default: RAW/split.toml].
     #[arg(long, value_name = "FILE")]
     split: Option<PathBuf>,
+    /// Pack every training frame a second time with left and right exchanged, as `mirror` of the split.
+    #[arg(long)]
+    mirror: bool,
     /// Stop at the first missing or unreadable frame.
     #[arg(long)]
     strict: bool,
@@ -60,7 +63,8 @@ struct Report {
 
 impl PackArgs {
     pub(crate) fn run(self, console: Console) -> Result {
-        let split = self.split()?;
+        let mut split = self.split()?;
+        split.mirror |= self.mirror;
         let options = PackOptions { strict: self.strict, follow_links: self.follow_links };
         let packed = console.while_showing("pack", "frames", |progress| {
             cape_data::pack(&self.raw, &self.output.out, &split, options, progress)

@@ -13,8 +13,9 @@ use crate::{
 
 /// Measure the quality of samples against held-out frames.
 ///
-/// Samples a code for every held-out frame, in its pose and outfit, and measures coverage, fidelity and
-/// diversity. Also written to RUN/samples.json.
+/// Samples a code for every held-out capture, decodes it in the poses of its frames, and measures coverage,
+/// fidelity and diversity against captures of another half; these are measured against each other, too.
+/// Also written to RUN/samples.json.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  cape eval samples runs/cape --prior gmm")]
 pub(crate) struct EvalSamplesArgs {
