@@ -43,8 +43,8 @@ fn models_are_exported_as_onnx_graphs() {
     assert_eq!(graphs[0]["inputs"][1], "pose [batch, 72]", "{report}");
     let said = data.run("model export --onnx @/built-in").succeeded();
     assert!(said.contains("code [batch, 32]") && said.contains("smpl.onnx"), "{said}");
-    data.run("model export --half --npz @/weights.npz").failed_saying(&["--half", "--onnx"]);
-    data.run("model export").failed_saying(&["--onnx"]);
+    data.run("model export --half --npz @/weights.npz").misused(&["--onnx"]);
+    data.run("model export").misused(&["--onnx", "--npz", "--safetensors"]);
 }
 
 #[test]

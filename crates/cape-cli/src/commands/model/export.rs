@@ -4,7 +4,7 @@ use cape_core::npy::NpzWriter;
 use cape_infer::{RunConfig, RunPaths, WeightPrecision, checkpoint};
 use cape_model::{release, weights};
 use cape_onnx::{ExportedFile, export_model};
-use clap::Args;
+use clap::{ArgGroup, Args};
 use ndarray::{ArrayD, IxDyn};
 use serde::Serialize;
 
@@ -23,13 +23,16 @@ use crate::{
 /// archive of the weights with the names of the authors' TensorFlow variables, --safetensors a file with
 /// the names of this library; both need the directory of a run.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  cape model export --onnx graphs --half\n  cape model export \
-                        runs/cape --npz weights.npz --safetensors weights.safetensors")]
+#[command(
+    group(ArgGroup::new("target").required(true).multiple(true).args(["onnx", "npz", "safetensors"])),
+    after_help = "Examples:\n  cape model export --onnx graphs --half\n  cape model export runs/cape --npz \
+                  weights.npz --safetensors weights.safetensors"
+)]
 pub(crate) struct ExportArgs {
     #[command(flatten)]
     run: RunArgs,
     /// Directory to write ONNX graphs into; it is created if missing.
-    #[arg(long, value_name = "DIR", required_unless_present_any = ["npz", "safetensors"])]
+    #[arg(long, value_name = "DIR")]
     onnx: Option<PathBuf>,
     /// Keep the weights of the ONNX graphs in half precision; they compute in single precision.
     #[arg(long, requires = "onnx")]
