@@ -1,0 +1,16 @@
+//! Extension module `cape._cape`; the package around it is `python/cape`.
+
+mod error;
+mod pyramid;
+mod smpl;
+
+/// Bodies and mesh pyramids of cape; imported through the package `cape`.
+#[pyo3::pymodule]
+mod _cape {
+    #[pymodule_export]
+    use super::{
+        error::{CapeError, FileError},
+        pyramid::MeshPyramid,
+        smpl::SmplModel,
+    };
+}
