@@ -10,7 +10,7 @@ use std::{
 };
 
 /// Entry points of each crate.
-const ENTRY_POINTS: [(&str, &[&str]); 16] = [
+const ENTRY_POINTS: [(&str, &[&str]); 17] = [
     ("cape-body", &["Assets", "make_body"]),
     ("cape-cloth", &["Cloth", "Garment"]),
     (
@@ -42,6 +42,7 @@ const ENTRY_POINTS: [(&str, &[&str]); 16] = [
     ),
     ("cape-train", &["Evaluation", "Trainer"]),
     ("cape-wardrobe", &["OutfitCut", "SimulatedCaptures", "SurfaceTransfer"]),
+    ("cape-weights", &["pretrained"]),
 ];
 
 /// True for a source file other than tests.

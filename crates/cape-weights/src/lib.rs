@@ -23,6 +23,12 @@ pub const NAME: &str = "built-in model";
 
 /// The built-in model on a device.
 ///
+/// ```
+/// let model = cape_weights::pretrained(&burn::tensor::Device::default())?;
+/// assert_eq!((model.body().vertices(), model.latent()), (6890, 32));
+/// # Ok::<(), cape_infer::Error>(())
+/// ```
+///
 /// # Errors
 /// If the device cannot hold it.
 pub fn pretrained(device: &Device) -> Result<Run> {

@@ -130,7 +130,9 @@ impl Sandbox {
             let path = self.at("raw").join(raw::gender_split_file(gender));
             fs::write(path, own.to_toml().unwrap()).unwrap();
         }
-        self.copy("raw", "people");
+        for name in ["people", "simulated"] {
+            self.copy("raw", name);
+        }
         let male = SplitSpec::preset("male").unwrap();
         let few = SplitSpec {
             subjects: male.subjects[..1].to_vec(),
@@ -153,6 +155,7 @@ impl Sandbox {
         let pickle = Path::new(env!("CARGO_MANIFEST_DIR")).join(pickle);
         fs::copy(pickle, self.at("SMPL_MALE.pkl")).unwrap();
         self.cape("data pack raw --out packed");
+        self.copy("packed/stats.npz", "trainset_stats.npz");
         for name in ["data/packed/male", "data/packed/female", "quick/data"] {
             self.copy("packed", name);
         }
