@@ -20,3 +20,11 @@ pub(crate) fn core(error: cape_core::Error) -> PyErr {
 pub(crate) fn graph(error: cape_graph::Error) -> PyErr {
     CapeError::new_err(error.to_string())
 }
+
+/// Exception of an error of `cape-infer`.
+pub(crate) fn infer(error: cape_infer::Error) -> PyErr {
+    match error {
+        cape_infer::Error::Core(error) => core(error),
+        error => CapeError::new_err(error.to_string()),
+    }
+}

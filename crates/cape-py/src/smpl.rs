@@ -128,7 +128,7 @@ impl SmplModel {
 }
 
 impl SmplModel {
-    fn new(model: cape_core::SmplModel) -> PyResult<Self> {
+    pub(crate) fn new(model: cape_core::SmplModel) -> PyResult<Self> {
         let device = parse_device("flex").map_err(core)?;
         let body = Smpl::new(&model, &device).map_err(core)?;
         Ok(Self { model, body, device })
