@@ -83,11 +83,19 @@ pub(crate) fn load_prior(run: &Run, name: PriorName, console: Console) -> Result
         return Ok(None);
     }
     let Some(prior) = run.prior_of_kind(name.name())? else {
-        return Err(Error::message(format!(
-            "{run}: no prior of kind {kind}: fit it by `cape model prior {run} --kind {kind}`",
-            run = run.name().display(),
-            kind = name.name()
-        )));
+        return Err(Error::message(match run.paths() {
+            Some(paths) => format!(
+                "{}: not found: fit it by `cape model prior {} --kind {}`",
+                paths.prior(name.name()).display(),
+                paths.root().display(),
+                name.name()
+            ),
+            None => format!(
+                "--prior {}: {} has a Gaussian mixture only",
+                name.name(),
+                run.name().display()
+            ),
+        }));
     };
     if prior.step().is_some_and(|step| step != run.progress().step) {
         console.note(&format!(
