@@ -71,7 +71,7 @@ pub mod prelude {
 }
 
 /// The README's examples, compiled as documentation tests.
-#[cfg(doctest)]
+#[cfg(all(doctest, feature = "weights"))]
 #[doc = include_str!("../README.md")]
 struct ReadmeExamples;
 

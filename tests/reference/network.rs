@@ -163,6 +163,7 @@ fn tap_of(name: &str) -> Option<(&'static str, usize)> {
 /// The step of the reference's `prefix` with the noise of that name.
 pub fn step_input(fixture: &mut Fixture, prefix: &str, epsilon: &str) -> StepInput {
     StepInput {
+        encoded: None,
         frames: frames(fixture, prefix, "g"),
         epsilon: Some(fixture.tensor(&format!("{prefix}/{epsilon}"))),
         real: Some(frames(fixture, prefix, "d")),

@@ -258,9 +258,10 @@ impl Cloth {
     }
 
     /// Adds the contacts of vertices with the body to the forces of a step of `dt` seconds: they keep the
-    /// body's velocity along the gradient of the distance, and Coulomb friction, at the impulse of
-    /// the last step and the slip expected in this one, acts along the surface. Gives each one's gradient, the body's speed along
-    /// it, m/s, and the impulse by a difference of the speeds, kg.
+    /// body's velocity along the gradient of the distance; along the surface acts Coulomb friction at
+    /// the impulse of the last step and the slip expected in this one. Returns, for each vertex in
+    /// contact, the gradient, the body's speed along it, m/s, and the impulse by a difference of the
+    /// speeds, kg.
     fn hold(&self, points: &mut [PointForce], dt: f64) -> Vec<Option<(DVec3, f64, f64)>> {
         let stiffest = |m: &ClothMaterial| m.stretch.weft.max(m.stretch.warp);
         let holds = self.contacts.holds().enumerate().map(|(v, hold)| {

@@ -1,4 +1,5 @@
 use std::{
+    collections::HashMap,
     ops::Range,
     sync::{
         Arc,
@@ -7,6 +8,7 @@ use std::{
     thread::JoinHandle,
 };
 
+use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -16,7 +18,7 @@ use super::{
 use crate::{Error, Result};
 
 /// Options of a [`Loader`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LoaderOptions {
     /// Frames per batch.
     pub batch: usize,
@@ -24,11 +26,13 @@ pub struct LoaderOptions {
     pub discriminator: bool,
     /// Number of steps read ahead in the background.
     pub prefetch: usize,
+    /// Share of the generator's frames, 0 to 1, for which another frame of the same capture is encoded.
+    pub transfer: f64,
 }
 
 impl Default for LoaderOptions {
     fn default() -> Self {
-        Self { batch: 16, discriminator: true, prefetch: 2 }
+        Self { batch: 16, discriminator: true, prefetch: 2, transfer: 0.0 }
     }
 }
 
@@ -55,6 +59,9 @@ impl LoaderState {
 pub struct StepBatches {
     /// Batch of the generator.
     pub generator: HostBatch,
+    /// Frames to encode in place of the generator's, of the same captures; `None` encodes those
+    /// themselves.
+    pub encoded: Option<HostBatch>,
     /// Batch of real frames of the discriminator; `None` without [`LoaderOptions::discriminator`].
     pub discriminator: Option<HostBatch>,
     /// State of the loader after this step.
@@ -124,21 +131,35 @@ impl Loader {
             return Err(Error::argument("batch: expected at least 1, not 0"));
         }
         statistics.expect_vertices(set.vertices())?;
+        if !(0.0..=1.0).contains(&options.transfer) {
+            let message = format!("transfer: expected 0 to 1, not {}", options.transfer);
+            return Err(Error::argument(message));
+        }
         let LoaderState { seed, generator, discriminator } = state;
         let frames = rows.len();
+        let captures = if options.transfer > 0.0 {
+            Some(CaptureFrames::new(&set, rows.clone())?)
+        } else {
+            None
+        };
         let mut generator = Shuffle::new(seed, ShuffleStream::Generator, frames, generator);
         let mut discriminator =
             Shuffle::new(seed, ShuffleStream::Discriminator, frames, discriminator);
-        let read = move |shuffle: &mut Shuffle| {
-            let drawn = shuffle.draw(options.batch);
-            let frames: Vec<usize> = drawn.into_iter().map(|frame| rows.start + frame).collect();
-            set.batch(&frames, Some(&statistics))
+        let draw = move |shuffle: &mut Shuffle| -> Vec<usize> {
+            shuffle.draw(options.batch).into_iter().map(|frame| rows.start + frame).collect()
         };
+        let read = move |frames: &[usize]| set.batch(frames, Some(&statistics));
         let steps = Prefetch::new(options.prefetch, move || {
-            let real = options.discriminator.then(|| read(&mut discriminator)).transpose();
-            Some(read(&mut generator).and_then(|fitted| {
+            let real = options.discriminator.then(|| read(&draw(&mut discriminator))).transpose();
+            let at = generator.position();
+            let frames = draw(&mut generator);
+            let encoded = captures.as_ref().map(|captures| {
+                read(&captures.others(&frames, options.transfer, (seed, at)))
+            });
+            Some(read(&frames).and_then(|fitted| {
                 Ok(StepBatches {
                     generator: fitted,
+                    encoded: encoded.transpose()?,
                     discriminator: real?,
                     state: LoaderState {
                         seed,
@@ -158,6 +179,62 @@ impl Loader {
         self.steps.next().unwrap_or_else(stopped)
     }
 }
+
+/// Frames of each capture.
+#[derive(Debug)]
+struct CaptureFrames {
+    /// Capture of each row from the first on.
+    of: Vec<usize>,
+    first: usize,
+    rows: Vec<Vec<usize>>,
+}
+
+impl CaptureFrames {
+    fn new(set: &PackedSet, rows: Range<usize>) -> Result<Self> {
+        let mut names: HashMap<String, usize> = HashMap::new();
+        let mut captures = Self { of: Vec::new(), first: rows.start, rows: Vec::new() };
+        for row in rows {
+            let name = set.capture(row).ok_or_else(|| {
+                Error::Data(
+                    "training frames: their captures are unknown (no train_frames.csv), which \
+                     `train.transfer` needs"
+                        .to_owned(),
+                )
+            })?;
+            let next = names.len();
+            let capture = *names.entry(name).or_insert(next);
+            if capture == captures.rows.len() {
+                captures.rows.push(Vec::new());
+            }
+            captures.rows[capture].push(row);
+            captures.of.push(capture);
+        }
+        Ok(captures)
+    }
+
+    /// For a `share` of the frames another one of its capture, for the others the frame itself. They
+    /// depend on the seed and the position of the shuffle alone.
+    fn others(
+        &self,
+        frames: &[usize],
+        share: f64,
+        (seed, at): (u64, ShufflePosition),
+    ) -> Vec<usize> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(TRANSFER + at.epoch);
+        // Eight words for each frame that was drawn before.
+        rng.set_word_pos(8 * at.drawn as u128);
+        let other = |&frame: &usize| {
+            let rows = &self.rows[self.of[frame - self.first]];
+            let chosen = rows[rng.random_range(0..rows.len())];
+            if rng.random::<f64>() < share { chosen } else { frame }
+        };
+        frames.iter().map(other).collect()
+    }
+}
+
+/// First stream of the seed's random numbers that choose frames to encode.
+const TRANSFER: u64 = 1 << 62;
 
 /// Batches of the `rows` of a set in order, each once, for validation and evaluation; read ahead in
 /// the background. The last batch can be smaller than `batch`.

@@ -75,7 +75,7 @@ fn the_discriminators_batches_are_optional_and_change_nothing_else() {
     let dir = tempfile::tempdir().unwrap();
     let (set, statistics) = packed(dir.path(), 9);
     let step = |discriminator| {
-        let options = LoaderOptions { batch: 2, discriminator, prefetch: 0 };
+        let options = LoaderOptions { batch: 2, discriminator, prefetch: 0, transfer: 0.0 };
         let state = LoaderState::new(1);
         let mut loader =
             Loader::new(set.clone(), statistics.clone(), 0..9, options, state).unwrap();
@@ -83,6 +83,64 @@ fn the_discriminators_batches_are_optional_and_change_nothing_else() {
     };
     assert!(step(false).discriminator.is_none());
     assert_eq!(step(false).generator, step(true).generator);
+}
+
+#[test]
+fn frames_of_the_same_capture_are_encoded_instead() {
+    let dir = tempfile::tempdir().unwrap();
+    packed(dir.path(), 12);
+    // Captures of five, one and six frames.
+    let csv: String = (0..12)
+        .map(|frame| {
+            let name = if frame < 5 { "walk" } else if frame < 6 { "jump" } else { "squats" };
+            format!("{frame},s0001,longlong,{name},{name}.{frame:06}\n")
+        })
+        .collect();
+    let header = "row,subject,outfit,sequence,frame\n";
+    std::fs::write(dir.path().join("train/train_frames.csv"), format!("{header}{csv}")).unwrap();
+    let set = Arc::new(PackedSet::open(dir.path(), Split::Train).unwrap());
+    let statistics =
+        DisplacementStatistics::new(Array2::zeros((2, 3)), Array2::ones((2, 3)), 1).unwrap();
+    let statistics = Arc::new(statistics);
+    let load = |transfer, state| {
+        let options = LoaderOptions { batch: 4, transfer, ..LoaderOptions::default() };
+        Loader::new(set.clone(), statistics.clone(), 1..12, options, state).unwrap()
+    };
+    let capture = |frame: usize| if frame < 5 { 0 } else if frame < 6 { 1 } else { 2 };
+    for (transfer, changed) in [(1.0, 400..800), (0.5, 150..450)] {
+        let mut loader = load(transfer, LoaderState::new(3));
+        let mut plain = load(0.0, LoaderState::new(3));
+        let mut others = 0;
+        let mut before: Option<StepBatches> = None;
+        for _ in 0..200 {
+            let step = loader.step().unwrap();
+            assert_eq!(step.generator, plain.step().unwrap().generator);
+            let encoded = step.encoded.as_ref().unwrap();
+            for (row, (&frame, &other)) in
+                step.generator.frames.iter().zip(&encoded.frames).enumerate()
+            {
+                assert_eq!(capture(frame), capture(other), "{frame} {other}");
+                assert_eq!(encoded.displacement[[row, 0, 0]], other as f32);
+                assert_ne!(other, 0, "no training row");
+                others += usize::from(frame != other);
+            }
+            if let Some(before) = before {
+                assert_eq!(load(transfer, before.state).step().unwrap(), step);
+            }
+            before = Some(step);
+        }
+        assert!(changed.contains(&others), "{transfer}: {others} of 800");
+    }
+    assert!(load(0.0, LoaderState::new(3)).step().unwrap().encoded.is_none());
+    // Without captures, and out of range.
+    std::fs::remove_file(dir.path().join("train/train_frames.csv")).unwrap();
+    let bare = Arc::new(PackedSet::open(dir.path(), Split::Train).unwrap());
+    for (transfer, said) in [(0.5, "train_frames.csv"), (1.5, "expected 0 to 1")] {
+        let options = LoaderOptions { transfer, ..LoaderOptions::default() };
+        let state = LoaderState::new(0);
+        let error = Loader::new(bare.clone(), statistics.clone(), 0..12, options, state);
+        assert!(error.unwrap_err().to_string().contains(said));
+    }
 }
 
 #[test]

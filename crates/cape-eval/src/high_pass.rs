@@ -76,56 +76,23 @@ impl HighPassFilter {
 
 #[cfg(test)]
 mod tests {
-    use cape_core::Mesh;
+    use cape_core::geometry::{SurfaceMesh, primitives::sphere};
     use cape_graph::Surface;
+    use glam::DVec3;
     use nalgebra::{DMatrix, SymmetricEigen};
 
     use super::*;
 
     /// An octahedron, twice subdivided: 66 vertices.
-    fn sphere() -> Surface {
-        let mut vertices: Vec<[f32; 3]> = vec![
-            [1.0, 0.0, 0.0],
-            [-1.0, 0.0, 0.0],
-            [0.0, 1.0, 0.0],
-            [0.0, -1.0, 0.0],
-            [0.0, 0.0, 1.0],
-            [0.0, 0.0, -1.0],
-        ];
-        let mut faces: Vec<[u32; 3]> = vec![
-            [0, 2, 4],
-            [2, 1, 4],
-            [1, 3, 4],
-            [3, 0, 4],
-            [2, 0, 5],
-            [1, 2, 5],
-            [3, 1, 5],
-            [0, 3, 5],
-        ];
-        for _ in 0..2 {
-            let mut middles = std::collections::HashMap::new();
-            let mut middle = |a: u32, b: u32| {
-                *middles.entry((a.min(b), a.max(b))).or_insert_with(|| {
-                    let (p, q) = (vertices[a as usize], vertices[b as usize]);
-                    vertices.push([0, 1, 2].map(|i| 0.5 * (p[i] + q[i])));
-                    vertices.len() as u32 - 1
-                })
-            };
-            faces = faces
-                .iter()
-                .flat_map(|&[a, b, c]| {
-                    let (ab, bc, ca) = (middle(a, b), middle(b, c), middle(c, a));
-                    [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
-                })
-                .collect();
-        }
-        Surface::from(&Mesh { vertices, faces })
+    fn octahedron() -> Surface {
+        let SurfaceMesh { vertices, faces, .. } = sphere(1.0, 2);
+        Surface { vertices: vertices.iter().map(DVec3::to_array).collect(), faces }
     }
 
     /// The gain is 0 or 1 at the exact eigenvalues away from the step.
     #[test]
     fn the_filter_is_a_step_in_the_spectrum() {
-        let surface = sphere();
+        let surface = octahedron();
         let n = surface.vertices.len();
         let filter = HighPassFilter::new(n, &surface.edges());
         let mut dense = DMatrix::zeros(n, n);

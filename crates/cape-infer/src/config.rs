@@ -99,6 +99,10 @@ pub struct TrainConfig {
     /// Factor of the running average of the weights that is validated, evaluated and sampled from,
     /// such as 0.999; 0 uses the weights themselves.
     pub ema: f64,
+    /// Share of the frames, 0 to 1, whose code is that of another frame of the same capture: what differs
+    /// between the two must then be explained by the pose. 0, as in the paper, encodes each frame itself.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub transfer: f64,
     /// Steps between checkpoints inside an epoch; 0 saves at the ends of epochs only.
     pub checkpoint_steps: usize,
     /// Newest checkpoints kept; the best one is kept besides.
@@ -107,6 +111,11 @@ pub struct TrainConfig {
     pub log_steps: usize,
     /// Read the whole training set into memory before training.
     pub preload: bool,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "the signature that serde calls")]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 impl Default for TrainConfig {
@@ -127,6 +136,7 @@ impl Default for TrainConfig {
             discriminator_rate_scale: 0.1,
             kl_warmup_epochs: 0.0,
             ema: 0.0,
+            transfer: 0.0,
             checkpoint_steps: 0,
             keep: 3,
             log_steps: 10,
@@ -281,6 +291,9 @@ impl RunConfig {
                 let least = if positive { "positive" } else { "at least 0" };
                 return error(field, format!("must be {least}, not {value}"));
             }
+        }
+        if !(0.0..=1.0).contains(&train.transfer) {
+            return error("transfer", format!("must be from 0 to 1, not {}", train.transfer));
         }
         for (field, value) in [("momentum", train.momentum), ("ema", train.ema)] {
             if !(0.0..1.0).contains(&value) {

@@ -51,7 +51,7 @@ use cape_infer::{
 ///     pose_feature: Tensor::zeros([2, 126], &device),
 ///     outfit: Tensor::zeros([2, 4], &device),
 /// };
-/// let input = StepInput { frames, epsilon: None, real: None };
+/// let input = StepInput { frames, encoded: None, epsilon: None, real: None };
 /// let options = UpdateOptions { rate: 0.01, kl_share: 1.0, detailed: false };
 /// let first = learner.update(&input, options)?.losses;
 /// for _ in 0..20 {

@@ -111,7 +111,7 @@ impl Losses {
 ///     pose_feature: Tensor::zeros([2, 126], &device),
 ///     outfit: Tensor::zeros([2, 4], &device),
 /// };
-/// let input = StepInput { frames, epsilon: None, real: None };
+/// let input = StepInput { frames, encoded: None, epsilon: None, real: None };
 /// let weights = LossWeights::default();
 /// let evaluation = evaluate(&model, &graphs, &config.loss, &weights, &input);
 /// assert_eq!(evaluation.losses.non_finite(), None);
@@ -139,6 +139,9 @@ pub struct Evaluation {
 pub struct StepInput {
     /// Frames of the generator.
     pub frames: DeviceBatch,
+    /// Frames that are encoded in place of them, from which they are reconstructed under their own
+    /// conditions; `None` encodes the frames themselves, as in the paper.
+    pub encoded: Option<DeviceBatch>,
     /// Standard normal noise of the posterior sample, `[batch, latent]`; `None` uses the mean.
     pub epsilon: Option<Tensor<2>>,
     /// Real frames of the discriminator; `None` without a discriminator.
@@ -164,9 +167,20 @@ pub fn reconstruct(
     epsilon: Option<Tensor<2>>,
 ) -> GeneratorOutput {
     let condition = generator.condition.forward(frames.pose_feature.clone(), frames.outfit.clone());
+    transfer(generator, graphs, (frames, condition.clone()), condition, epsilon)
+}
+
+/// Encodes frames under their conditions, and decodes them under others.
+fn transfer(
+    generator: &Generator,
+    graphs: &Graphs,
+    (encoded, worn): (&DeviceBatch, Option<Tensor<2>>),
+    condition: Option<Tensor<2>>,
+    epsilon: Option<Tensor<2>>,
+) -> GeneratorOutput {
     let posterior = generator.encoder.forward(
-        frames.displacement.clone(),
-        condition.as_ref(),
+        encoded.displacement.clone(),
+        worn.as_ref(),
         &graphs.generator,
     );
     let z = match epsilon {
@@ -206,7 +220,16 @@ pub fn evaluate(
     input: &StepInput,
 ) -> Evaluation {
     let frames = &input.frames;
-    let fake = reconstruct(&model.generator, graphs, frames, input.epsilon.clone());
+    let embed = |of: &DeviceBatch| {
+        model.generator.condition.forward(of.pose_feature.clone(), of.outfit.clone())
+    };
+    let fake = match &input.encoded {
+        None => reconstruct(&model.generator, graphs, frames, input.epsilon.clone()),
+        Some(other) => {
+            let worn = (other, embed(other));
+            transfer(&model.generator, graphs, worn, embed(frames), input.epsilon.clone())
+        }
+    };
     let zero = || Tensor::<1>::zeros([1], &frames.displacement.device());
 
     let [predicted, target] =

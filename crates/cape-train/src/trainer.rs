@@ -360,6 +360,7 @@ impl Trainer {
         let options = LoaderOptions {
             batch: self.config.train.batch,
             discriminator: self.config.model.discriminator.is_some(),
+            transfer: self.config.train.transfer,
             ..LoaderOptions::default()
         };
         let mut log = TrainLog::open(&self.paths)?;
@@ -438,7 +439,7 @@ impl Trainer {
         let step = self.progress.step;
         let train = &self.config.train;
         let rate = train.rate(step, steps);
-        let StepBatches { generator, discriminator, state } = loader.step()?;
+        let StepBatches { generator, encoded, discriminator, state } = loader.step()?;
         let frames = generator.frames.clone();
         let epsilon = self.config.model.variational.then(|| {
             let latent = self.config.model.latent;
@@ -447,6 +448,7 @@ impl Trainer {
         });
         let input = StepInput {
             frames: to_device(generator, &self.device),
+            encoded: encoded.map(|batch| to_device(batch, &self.device)),
             epsilon: epsilon.map(|epsilon| from_array2(epsilon, &self.device)),
             real: discriminator.map(|batch| to_device(batch, &self.device)),
         };

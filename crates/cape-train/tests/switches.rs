@@ -42,6 +42,7 @@ struct Case {
     loss: LossConfig,
     weights: LossWeights,
     input: StepInput,
+    other: DeviceBatch,
 }
 
 impl Case {
@@ -64,9 +65,10 @@ impl Case {
             pose_feature: Tensor::from_data(random(vec![2, 126]), &device),
             outfit: Tensor::from_data(random(vec![2, 4]), &device),
         };
-        let (fitted, real) = (frames(), frames());
+        let (fitted, real, other) = (frames(), frames(), frames());
         let epsilon = Tensor::from_data(random(vec![2, run.model.latent]), &device);
         let input = StepInput {
+            encoded: None,
             frames: fitted,
             epsilon: run.model.variational.then_some(epsilon),
             real: Some(real),
@@ -75,7 +77,13 @@ impl Case {
         let clothing: Vec<usize> = (0..vertices / 2).collect();
         let of = LossVertices { deviations: &deviations, clothing: &clothing };
         let weights = LossWeights::new(&loss, of, graphs.discriminator.as_ref(), &device).unwrap();
-        Self { graphs, model, loss, weights, input }
+        Self { graphs, model, loss, weights, input, other }
+    }
+
+    /// The same with the frames `other` encoded.
+    fn with_encoded(mut self) -> Self {
+        self.input.encoded = Some(self.other.clone());
+        self
     }
 
     fn total(&self, model: &Cape) -> f64 {
@@ -182,6 +190,22 @@ fn every_switch_goes_by_the_releases_names_and_back() {
             CapeConfig { variational: true, pose_layers, group_channels: None, ..config.clone() };
         assert_eq!(release::infer(&shapes).unwrap(), expected, "{name}");
         assert_eq!(release::import(&config, &theirs).unwrap(), ours, "{name}");
+    }
+}
+
+#[test]
+fn gradients_follow_frames_that_are_encoded_instead() {
+    for encoder_conditions in [false, true] {
+        let config = CapeConfig { encoder_conditions, ..CapeConfig::tiny() };
+        let case = Case::new(config, LossConfig::default()).with_encoded();
+        case.check("encoded");
+        // The same frames give the same losses as none.
+        let mut same = Case::new(CapeConfig::tiny(), LossConfig::default());
+        let plain = same.total(&same.model);
+        same.input.encoded = Some(same.input.frames.clone());
+        assert_eq!(same.total(&same.model), plain);
+        same.input.encoded = Some(same.other.clone());
+        assert_ne!(same.total(&same.model), plain);
     }
 }
 

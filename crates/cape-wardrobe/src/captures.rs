@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path, sync::mpsc, thread};
 
-use cape_cloth::SimulationOptions;
+use cape_cloth::{SIMULATOR_VERSION, SimulationOptions};
 use cape_core::{BodyMotion, Outfit, SmplModel, smpl::SubjectBodies};
 use cape_synth::{
     CaptureGenerator, Motion, MotionStyle, SubjectGroup, SynthFrame, SynthSpec, mix_seed,
@@ -135,6 +135,7 @@ pub struct SimulatedCaptures<'a> {
 /// Settings that a data set's directory belongs to.
 #[derive(Debug, Serialize)]
 struct Plan<'a> {
+    simulator: u32,
     seed: u64,
     subjects: usize,
     frames: usize,
@@ -357,6 +358,7 @@ impl<'a> SimulatedCaptures<'a> {
     fn begin(&self, root: &Path) -> Result<()> {
         let spec = self.spec();
         let plan = Plan {
+            simulator: SIMULATOR_VERSION,
             seed: spec.seed,
             subjects: spec.subjects,
             frames: spec.frames_per_sequence,
@@ -379,7 +381,8 @@ impl<'a> SimulatedCaptures<'a> {
                 Ok(())
             } else {
                 Err(Error::Data(format!(
-                    "{}: holds captures of other settings or bodies: choose another directory",
+                    "{}: holds captures of other settings or bodies, or of another version of the \
+                     simulator: choose another directory",
                     root.display()
                 )))
             };

@@ -90,6 +90,7 @@ impl Workload {
         let outfits = config.outfits.len();
         let shape = [batch, vertices, outfits];
         let input = StepInput {
+            encoded: None,
             frames: frames(shape, seed, 1, &device),
             epsilon: config.variational.then_some(epsilon),
             real: config.discriminator.is_some().then(|| frames(shape, seed, 3, &device)),

@@ -124,7 +124,12 @@ fn overfit(
     let chosen: Vec<usize> = (0..count).map(|i| rows.start + i * rows.len() / count).collect();
     let batch = fixtures.set.batch(&chosen, Some(&fixtures.statistics))?;
     let fixed = to_device(batch.clone(), &fixtures.device.clone().inner());
-    let input = StepInput { frames: to_device(batch, &fixtures.device), epsilon: None, real: None };
+    let input = StepInput {
+        frames: to_device(batch, &fixtures.device),
+        encoded: None,
+        epsilon: None,
+        real: None,
+    };
     let mut learner = fixtures.learner(&config)?;
     let (mut best, mut steps) = (f64::INFINITY, 0);
     while steps < options.overfit_steps && best > options.target_mm {

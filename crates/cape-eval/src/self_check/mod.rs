@@ -140,6 +140,7 @@ impl StepInputs {
         let epsilon = self.latent.map(|latent| from_array2(noise(latent), &self.device));
         self.step += 1;
         Ok(StepInput {
+            encoded: None,
             frames: to_device(generator, &self.device),
             epsilon,
             real: discriminator.map(|batch| to_device(batch, &self.device)),

@@ -274,7 +274,8 @@ impl Prior {
         for name in file.names() {
             let array = match name.as_str() {
                 STEP => file.i64(STEP)?.mapv(|step| step as f64),
-                _ => file.f64(&name)?,
+                name if name.contains('.') => file.f64(name)?,
+                _ => continue,
             };
             arrays.insert(name, array);
         }
@@ -312,7 +313,8 @@ impl Prior {
         if let Some(other) = sizes.find(|&other| other != latent) {
             return Err(Error::format(path, format!("codes of {latent} and of {other} numbers")));
         }
-        let step = arrays.get(STEP).and_then(|step| step.first()).map(|&step| step as u64);
+        let step = arrays.get(STEP).and_then(|step| step.first()).filter(|step| **step >= 0.0);
+        let step = step.map(|&step| step as u64);
         Ok(Self { latent, groups, step })
     }
 }

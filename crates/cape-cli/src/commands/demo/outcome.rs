@@ -41,8 +41,8 @@ impl Report {
         let stopped = if self.finished { "" } else { ", stopped by the time limit" };
         format!(
             "{}\n\n{}\n\ntrained for {steps} steps ({epochs} epochs{stopped})\nmean error {:.2} mm; \
-             baseline {:.2} mm; improvement {:.0} %\n\n{}: built_in.png, contact_sheet.png, loss.png, OBJ meshes, \
-             run/, packed/",
+             baseline {:.2} mm; improvement {:.0} %\n\n{}: built_in.png, \
+             contact_sheet.png, loss.png, OBJ meshes, run/, packed/",
             eval::text(&self.evaluation),
             times.text(),
             model.mean,

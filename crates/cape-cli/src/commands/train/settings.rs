@@ -56,6 +56,10 @@ pub(super) struct TrainOverrideArgs {
     /// Count only patches at clothing vertices in the adversarial losses.
     #[arg(long)]
     clothing_patches: bool,
+    /// Share of the frames, 0 to 1, whose code is that of another frame of the same capture, so that the
+    /// pose must explain the difference [paper: 0].
+    #[arg(long, value_name = "SHARE")]
+    transfer: Option<f64>,
     /// Decay of an exponential moving average of the weights to evaluate and sample with, such as 0.999.
     #[arg(long, value_name = "FACTOR")]
     ema: Option<f64>,
@@ -108,6 +112,7 @@ impl TrainOverrideArgs {
         set(&mut loss.unit, self.unit);
         set(&mut loss.bare_weight, self.bare_weight);
         loss.clothing_patches |= self.clothing_patches;
+        set(&mut train.transfer, self.transfer);
         set(&mut train.ema, self.ema);
         set(&mut train.checkpoint_steps, self.checkpoint_steps);
         set(&mut train.keep, self.keep);
