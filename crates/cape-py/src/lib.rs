@@ -1,7 +1,11 @@
 //! Extension module `cape._cape`; the package around it is `python/cape`.
 
+mod arrays;
+mod command;
 mod error;
 mod model;
+mod picture;
+mod pose;
 mod pyramid;
 mod smpl;
 
@@ -10,8 +14,11 @@ mod smpl;
 mod _cape {
     #[pymodule_export]
     use super::{
+        command::main,
         error::{CapeError, FileError},
         model::Model,
+        picture::{draw, encode_png, save_mesh},
+        pose::load_poses,
         pyramid::MeshPyramid,
         smpl::SmplModel,
     };

@@ -6,7 +6,7 @@ use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
 use sprs::CsMat;
 
-use crate::error::{CapeError, graph};
+use crate::error::{argument, graph};
 
 /// Mesh, its coarser levels, and the matrices between them.
 #[pyclass(frozen, module = "cape._cape")]
@@ -33,8 +33,11 @@ impl MeshPyramid {
         let (v, f) = (vertices.as_array(), faces.as_array());
         for (name, width) in [("vertices", v.ncols()), ("faces", f.ncols())] {
             if width != 3 {
-                return Err(CapeError::new_err(format!("{name}: {width} columns, expected 3")));
+                return Err(argument(format!("{name}: {width} columns, expected 3")));
             }
+        }
+        if v.iter().any(|x| !x.is_finite()) {
+            return Err(argument("vertices: not finite".to_owned()));
         }
         let surface = Surface {
             vertices: v.rows().into_iter().map(|row| [row[0], row[1], row[2]]).collect(),
@@ -80,9 +83,9 @@ impl MeshPyramid {
 }
 
 fn at<'a, T>(items: &'a [T], index: usize, name: &str) -> PyResult<&'a T> {
-    items.get(index).ok_or_else(|| {
-        CapeError::new_err(format!("{name} {index}: expected an index below {}", items.len()))
-    })
+    items
+        .get(index)
+        .ok_or_else(|| argument(format!("{name} {index}: expected an index below {}", items.len())))
 }
 
 fn rows<'py>(py: Python<'py>, matrix: &CsMat<f64>) -> Rows<'py> {

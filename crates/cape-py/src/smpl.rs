@@ -1,25 +1,43 @@
 //! SMPL bodies.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, sync::OnceLock};
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{DType, Device, FloatDType, Tensor, TensorData};
 use cape_core::{Pose, Smpl, SmplInput, parse_device, smpl::Gender};
-use ndarray::{Array2, Array3};
-use numpy::{IntoPyArray, PyArray2, PyArray3, PyReadonlyArray2, PyReadonlyArray3};
+use ndarray::Array2;
+use numpy::{IntoPyArray, PyArray2, PyArray3};
 use pyo3::prelude::*;
 
-use crate::error::{CapeError, core};
+use crate::{
+    arrays::{Extent, Floats, array, gradient, tensor},
+    error::core,
+};
+
+/// Device of all computations.
+pub(crate) const DEVICE: &str = "flex";
 
 /// SMPL body; the arrays have the names and shapes of SMPL's files.
 #[pyclass(frozen, module = "cape._cape")]
 pub(crate) struct SmplModel {
     model: cape_core::SmplModel,
-    body: Smpl,
-    device: Device,
+    single: Smpl,
+    double: OnceLock<Smpl>,
+    /// With autodiff, in single and in double precision.
+    differentiable: [OnceLock<Smpl>; 2],
 }
 
-/// Posed vertices `[n, V, 3]` and joints `[n, J, 3]`, metres.
-type PosedArrays<'py> = (Bound<'py, PyArray3<f32>>, Bound<'py, PyArray3<f32>>);
+/// Parameters of bodies on the host.
+struct Parameters {
+    betas: TensorData,
+    pose: TensorData,
+    transl: TensorData,
+    displacement: Option<TensorData>,
+    dtype: DType,
+}
+
+/// Shape, pose, translation and displacement of bodies, or gradients with respect to them.
+type ParameterArrays<'py> =
+    (Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>, Option<Bound<'py, PyAny>>);
 
 #[pymethods]
 impl SmplModel {
@@ -85,87 +103,181 @@ impl SmplModel {
     }
 
     /// Pose bodies: `betas [n, b]`, `pose [n, 3 J]` (radians), `transl [n, 3]` and, if given,
-    /// `displacement [n, V, 3]` (metres, rest pose) to vertices and joints.
+    /// `displacement [n, V, 3]` (metres, rest pose) to vertices and joints, in the precision of `betas`.
     #[pyo3(signature = (betas, pose, transl, displacement=None))]
     fn forward<'py>(
         &self,
         py: Python<'py>,
-        betas: PyReadonlyArray2<'py, f32>,
-        pose: PyReadonlyArray2<'py, f32>,
-        transl: PyReadonlyArray2<'py, f32>,
-        displacement: Option<PyReadonlyArray3<'py, f32>>,
-    ) -> PyResult<PosedArrays<'py>> {
-        let input = SmplInput {
-            betas: self.matrix("betas", &betas)?,
-            pose: Pose::AxisAngle(self.matrix("pose", &pose)?),
-            transl: self.matrix("transl", &transl)?,
-            displacement: displacement.map(|it| self.points("displacement", &it)).transpose()?,
-        };
+        betas: &Bound<'py, PyAny>,
+        pose: &Bound<'py, PyAny>,
+        transl: &Bound<'py, PyAny>,
+        displacement: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+        let given = self.parameters(betas, pose, transl, displacement)?;
         let (vertices, joints) = py.detach(|| {
-            let output = self.body.forward(input).map_err(core)?;
-            PyResult::Ok((host(output.vertices)?, host(output.joints)?))
+            let body = self.body(given.dtype)?;
+            let device = body.device();
+            let output = body.forward(given.upload(&device)).map_err(core)?;
+            PyResult::Ok((output.vertices.into_data(), output.joints.into_data()))
         })?;
-        Ok((vertices.into_pyarray(py), joints.into_pyarray(py)))
+        Ok((array(py, vertices)?, array(py, joints)?))
+    }
+
+    /// Pull gradients with respect to vertices `[n, V, 3]` and joints `[n, J, 3]` back to the
+    /// parameters `betas`, `pose`, `transl` and `displacement` of [`forward`](Self::forward).
+    fn pull_back<'py>(
+        &self,
+        py: Python<'py>,
+        parameters: ParameterArrays<'py>,
+        vertices: &Bound<'py, PyAny>,
+        joints: &Bound<'py, PyAny>,
+    ) -> PyResult<ParameterArrays<'py>> {
+        let (betas, pose, transl, displacement) = parameters;
+        let given = self.parameters(&betas, &pose, &transl, displacement.as_ref())?;
+        let points = |name, array, count| {
+            let shape = [given.rows(), Extent::Exactly(count), Extent::Exactly(3)];
+            Floats { name, array }.any(shape)
+        };
+        let vertices = points("gradient of vertices", vertices, self.model.vertices())?;
+        let joints = points("gradient of joints", joints, self.model.joints())?;
+        let pulled = py.detach(|| self.gradients(given, vertices, joints))?;
+        let displacement = pulled.displacement.map(|it| array(py, it)).transpose()?;
+        Ok((
+            array(py, pulled.betas)?,
+            array(py, pulled.pose)?,
+            array(py, pulled.transl)?,
+            displacement,
+        ))
     }
 
     /// Bring posed vertices `[n, V, 3]` to the rest pose, without pose blend shapes.
     fn unpose<'py>(
         &self,
         py: Python<'py>,
-        vertices: PyReadonlyArray3<'py, f32>,
-        betas: PyReadonlyArray2<'py, f32>,
-        pose: PyReadonlyArray2<'py, f32>,
-        transl: PyReadonlyArray2<'py, f32>,
-    ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        let vertices = self.points("vertices", &vertices)?;
-        let betas = self.matrix("betas", &betas)?;
-        let pose = Pose::AxisAngle(self.matrix("pose", &pose)?);
-        let transl = self.matrix("transl", &transl)?;
-        let rest =
-            py.detach(|| host(self.body.unpose(vertices, betas, pose, transl).map_err(core)?))?;
-        Ok(rest.into_pyarray(py))
+        vertices: &Bound<'py, PyAny>,
+        betas: &Bound<'py, PyAny>,
+        pose: &Bound<'py, PyAny>,
+        transl: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let given = self.parameters(betas, pose, transl, None)?;
+        let name = "vertices";
+        let vertices = Floats { name, array: vertices }.finite(self.points(given.rows()))?;
+        let rest = py.detach(|| {
+            let body = self.body(given.dtype)?;
+            let device = body.device();
+            let vertices = tensor(vertices, &device, given.dtype);
+            let SmplInput { betas, pose, transl, .. } = given.upload(&device);
+            PyResult::Ok(body.unpose(vertices, betas, pose, transl).map_err(core)?.into_data())
+        })?;
+        array(py, rest)
     }
 }
 
 impl SmplModel {
     pub(crate) fn new(model: cape_core::SmplModel) -> PyResult<Self> {
-        let device = parse_device("flex").map_err(core)?;
-        let body = Smpl::new(&model, &device).map_err(core)?;
-        Ok(Self { model, body, device })
+        let single = Smpl::new(&model, &parse_device(DEVICE).map_err(core)?).map_err(core)?;
+        Ok(Self { model, single, double: OnceLock::new(), differentiable: Default::default() })
     }
 
-    fn matrix(&self, name: &str, array: &PyReadonlyArray2<'_, f32>) -> PyResult<Tensor<2>> {
-        let view = array.as_array();
-        expect_rows(name, view.nrows())?;
-        let values: Vec<f32> = view.iter().copied().collect();
-        Ok(Tensor::from_data(TensorData::new(values, [view.nrows(), view.ncols()]), &self.device))
-    }
-
-    fn points(&self, name: &str, array: &PyReadonlyArray3<'_, f32>) -> PyResult<Tensor<3>> {
-        let view = array.as_array();
-        let (n, vertices, width) = view.dim();
-        expect_rows(name, n)?;
-        if (vertices, width) != (self.model.vertices(), 3) {
-            let expected = self.model.vertices();
-            return Err(CapeError::new_err(format!(
-                "{name}: shape [{n}, {vertices}, {width}], expected [{n}, {expected}, 3]"
-            )));
+    fn body(&self, dtype: DType) -> PyResult<&Smpl> {
+        match dtype {
+            DType::F64 => self.once(&self.double, FloatDType::F64, false),
+            _ => Ok(&self.single),
         }
-        let values: Vec<f32> = view.iter().copied().collect();
-        Ok(Tensor::from_data(TensorData::new(values, [n, vertices, width]), &self.device))
+    }
+
+    fn differentiable_body(&self, dtype: DType) -> PyResult<&Smpl> {
+        let [single, double] = &self.differentiable;
+        match dtype {
+            DType::F64 => self.once(double, FloatDType::F64, true),
+            _ => self.once(single, FloatDType::F32, true),
+        }
+    }
+
+    fn once<'a>(
+        &self,
+        place: &'a OnceLock<Smpl>,
+        precision: FloatDType,
+        autodiff: bool,
+    ) -> PyResult<&'a Smpl> {
+        if let Some(body) = place.get() {
+            return Ok(body);
+        }
+        let device = self.single.device();
+        let device = if autodiff { device.autodiff() } else { device };
+        let body = Smpl::with_precision(&self.model, &device, precision).map_err(core)?;
+        Ok(place.get_or_init(|| body))
+    }
+
+    fn parameters(
+        &self,
+        betas: &Bound<'_, PyAny>,
+        pose: &Bound<'_, PyAny>,
+        transl: &Bound<'_, PyAny>,
+        displacement: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Parameters> {
+        let floats = |name, array| Floats { name, array };
+        let dtype = floats("betas", betas).dtype()?;
+        let betas =
+            floats("betas", betas).finite([Extent::Rows, Extent::UpTo(self.model.betas())])?;
+        let rows = Extent::Exactly(betas.shape[0]);
+        let angles = Extent::Exactly(3 * self.model.joints());
+        let pose = floats("pose", pose).finite([rows, angles])?;
+        let transl = floats("transl", transl).finite([rows, Extent::Exactly(3)])?;
+        let displacement = displacement
+            .map(|it| floats("displacement", it).finite(self.points(rows)))
+            .transpose()?;
+        Ok(Parameters { betas, pose, transl, displacement, dtype })
+    }
+
+    fn points(&self, rows: Extent) -> [Extent; 3] {
+        [rows, Extent::Exactly(self.model.vertices()), Extent::Exactly(3)]
+    }
+
+    fn gradients(
+        &self,
+        given: Parameters,
+        vertices: TensorData,
+        joints: TensorData,
+    ) -> PyResult<Parameters> {
+        let dtype = given.dtype;
+        let body = self.differentiable_body(dtype)?;
+        let device = body.device();
+        let track = |data: TensorData| tensor::<2>(data, &device, dtype).require_grad();
+        let (betas, pose, transl) = (track(given.betas), track(given.pose), track(given.transl));
+        let displacement =
+            given.displacement.map(|it| tensor::<3>(it, &device, dtype).require_grad());
+        let input = SmplInput {
+            betas: betas.clone(),
+            pose: Pose::AxisAngle(pose.clone()),
+            transl: transl.clone(),
+            displacement: displacement.clone(),
+        };
+        let output = body.forward(input).map_err(core)?;
+        let pulled = (output.vertices * tensor(vertices, &device, dtype)).sum()
+            + (output.joints * tensor(joints, &device, dtype)).sum();
+        let gradients = pulled.backward();
+        Ok(Parameters {
+            betas: gradient(&betas, &gradients),
+            pose: gradient(&pose, &gradients),
+            transl: gradient(&transl, &gradients),
+            displacement: displacement.map(|it| gradient(&it, &gradients)),
+            dtype,
+        })
     }
 }
 
-fn expect_rows(name: &str, rows: usize) -> PyResult<()> {
-    if rows == 0 {
-        return Err(CapeError::new_err(format!("{name}: no rows, expected one for each body")));
+impl Parameters {
+    fn rows(&self) -> Extent {
+        Extent::Exactly(self.betas.shape[0])
     }
-    Ok(())
-}
 
-fn host(tensor: Tensor<3>) -> PyResult<Array3<f32>> {
-    let [n, rows, width] = tensor.dims();
-    let failed = |error: String| CapeError::new_err(format!("result: {error}"));
-    let values = tensor.try_into_vec_as::<f32>().map_err(|error| failed(error.to_string()))?;
-    Array3::from_shape_vec((n, rows, width), values).map_err(|error| failed(error.to_string()))
+    fn upload(self, device: &Device) -> SmplInput {
+        SmplInput {
+            betas: tensor(self.betas, device, self.dtype),
+            pose: Pose::AxisAngle(tensor(self.pose, device, self.dtype)),
+            transl: tensor(self.transl, device, self.dtype),
+            displacement: self.displacement.map(|it| tensor(it, device, self.dtype)),
+        }
+    }
 }

@@ -56,10 +56,50 @@ def test_wrong_arguments_are_refused(body):
         body(betas=[[0, 0, 0]])
     with pytest.raises(cape.CapeError, match="transl: 2 rows, expected 1 or 3"):
         body(betas=np.zeros((3, 10)), transl=np.zeros((2, 3)))
-    with pytest.raises(cape.CapeError, match="no rows"):
+    with pytest.raises(cape.CapeError, match=r"betas: shape \[0, 10\], expected \[n, 0 to 10\]"):
         body.model.forward(*(np.zeros((0, k), dtype=np.float32) for k in (10, 72, 3)))
+    with pytest.raises(cape.CapeError, match="pose: shape .* expected .1, 72."):
+        body.model.forward(*(np.zeros((1, k), dtype=np.float32) for k in (10, 71, 3)))
+    with pytest.raises(cape.CapeError, match="betas: an array of int64"):
+        body.model.forward(*(np.zeros((1, k), dtype=np.int64) for k in (10, 72, 3)))
+    with pytest.raises(cape.CapeError, match="transl: not finite"):
+        body(transl=[[0, np.nan, 0]])
+    with pytest.raises(cape.CapeError, match="betas: not finite"):
+        body(betas=[[1e300] * 10])
+    with pytest.raises(cape.CapeError, match="betas: numbers of type complex128"):
+        body(betas=[[1j] * 10])
+    with pytest.raises(cape.CapeError, match="num_betas"):
+        cape.create(num_betas=-1)
     with pytest.raises(cape.FileError):
         cape.load_smpl("nowhere.pkl")
+
+
+def test_memory_order_does_not_matter(body):
+    given = parameters(4)
+    expected = body(**given).vertices
+    strided = {name: np.repeat(value, 2, axis=1)[:, ::2] for name, value in given.items()}
+    fortran = {name: np.asfortranarray(value) for name, value in given.items()}
+    for other in (strided, fortran):
+        np.testing.assert_array_equal(body(**other).vertices, expected)
+    read_only = given["betas"].copy()
+    read_only.flags.writeable = False
+    given["betas"] = read_only
+    np.testing.assert_array_equal(body(**given).vertices, expected)
+
+
+def test_double_precision_agrees_with_single(body):
+    given = parameters(2)
+    pose = np.concatenate([given["global_orient"], given["body_pose"]], axis=1)
+    arrays = [array.astype(np.float64) for array in (given["betas"], pose, given["transl"])]
+    vertices, joints = body.model.forward(*arrays)
+    assert vertices.dtype == joints.dtype == np.float64
+    np.testing.assert_allclose(body(**given).vertices, vertices, atol=2e-6)
+
+
+def test_many_bodies(body):
+    shapes = np.random.default_rng(1).normal(size=(1030, 10)).astype(np.float32)
+    vertices = body(betas=shapes).vertices
+    np.testing.assert_allclose(vertices[1027], body(betas=shapes[1027]).vertices[0], atol=1e-6)
 
 
 def test_same_vertices_and_joints_as_smplx(body, tmp_path):

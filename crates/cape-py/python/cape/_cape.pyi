@@ -1,8 +1,12 @@
 from os import PathLike
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+# Of float32 or float64; a result has the precision of the first argument.
+_Floats = NDArray[Any]
+_Parameters = tuple[_Floats, _Floats, _Floats, _Floats | None]
 _Rows = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], tuple[int, int]]
 
 class CapeError(ValueError): ...
@@ -30,18 +34,17 @@ class SmplModel:
     def parents(self) -> list[int]: ...
     def forward(
         self,
-        betas: NDArray[np.float32],
-        pose: NDArray[np.float32],
-        transl: NDArray[np.float32],
-        displacement: NDArray[np.float32] | None = None,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+        betas: _Floats,
+        pose: _Floats,
+        transl: _Floats,
+        displacement: _Floats | None = None,
+    ) -> tuple[_Floats, _Floats]: ...
+    def pull_back(
+        self, parameters: _Parameters, vertices: _Floats, joints: _Floats
+    ) -> _Parameters: ...
     def unpose(
-        self,
-        vertices: NDArray[np.float32],
-        betas: NDArray[np.float32],
-        pose: NDArray[np.float32],
-        transl: NDArray[np.float32],
-    ) -> NDArray[np.float32]: ...
+        self, vertices: _Floats, betas: _Floats, pose: _Floats, transl: _Floats
+    ) -> _Floats: ...
 
 class MeshPyramid:
     def __new__(
@@ -69,14 +72,25 @@ class Model:
         self, outfit: str, n: int, temperature: float, seed: int
     ) -> NDArray[np.float32]: ...
     def decode(
-        self, codes: NDArray[np.float32], pose: NDArray[np.float32], outfits: list[str]
+        self, codes: _Floats, pose: _Floats, outfits: list[str]
     ) -> NDArray[np.float32]: ...
     def encode(
-        self, displacement: NDArray[np.float32], pose: NDArray[np.float32], outfits: list[str]
+        self, displacement: _Floats, pose: _Floats, outfits: list[str]
     ) -> NDArray[np.float32]: ...
-    def dress(
-        self,
-        displacement: NDArray[np.float32],
-        betas: NDArray[np.float32],
-        pose: NDArray[np.float32],
-    ) -> NDArray[np.float32]: ...
+    def pull_back(
+        self, codes: _Floats, pose: _Floats, outfits: list[str], displacement: _Floats
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+    def colours(self, displacement: _Floats, outfit: str) -> NDArray[np.float32]: ...
+
+def draw(
+    vertices: NDArray[np.float32],
+    faces: NDArray[np.uint32],
+    colours: NDArray[np.float32],
+    size: tuple[int, int],
+) -> NDArray[np.uint8]: ...
+def encode_png(pixels: NDArray[np.uint8]) -> bytes: ...
+def save_mesh(
+    path: str | PathLike[str], vertices: NDArray[np.float32], faces: NDArray[np.uint32]
+) -> None: ...
+def load_poses(text: str) -> NDArray[np.float32]: ...
+def main(arguments: list[str]) -> int: ...

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._cape import CapeError, FileError, SmplModel
+from ._arrays import batches, matrix, points, repeat
+from ._cape import CapeError, FileError, SmplModel, load_poses
 
 _GENDERS = ("male", "female", "neutral")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BodyOutput:
     """Posed bodies: ``vertices`` [n, V, 3] and ``joints`` [n, J, 3], metres."""
 
@@ -26,14 +27,17 @@ class Body:
     """SMPL body; calling it poses a batch. A batch of one is repeated to the others' size."""
 
     def __init__(self, model: SmplModel, num_betas: int | None = None) -> None:
-        self.model = model
+        #: Arrays of the body, with the names and shapes of SMPL's files.
+        self.model: SmplModel = model
         #: Triangles, [F, 3].
         self.faces: NDArray[np.uint32] = model.faces
         available = model.shapedirs.shape[2]
         #: Number of shape coefficients.
-        self.num_betas = available if num_betas is None else min(num_betas, available)
-        self._joints = len(model.parents)
-        self._vertices = model.v_template.shape[0]
+        self.num_betas: int = available if num_betas is None else min(num_betas, available)
+        #: Number of joints J.
+        self.num_joints: int = len(model.parents)
+        #: Number of vertices V.
+        self.num_vertices: int = len(model.v_template)
 
     def __call__(
         self,
@@ -49,13 +53,25 @@ class Body:
         radians; ``transl`` [n, 3], metres; ``displacement`` [n, V, 3], clothing in the rest pose,
         metres. What is left out is zero.
         """
-        extra = None if displacement is None else self._points("displacement", displacement)
+        worn = None
+        if displacement is not None:
+            worn = points("displacement", displacement, self.num_vertices)
         n, betas_, pose, transl_ = self._parameters(
-            betas, body_pose, global_orient, transl, 1 if extra is None else len(extra)
+            betas, body_pose, global_orient, transl, 1 if worn is None else len(worn)
         )
-        if extra is not None:
-            extra = _repeat("displacement", extra, n)
-        return BodyOutput(*self.model.forward(betas_, pose, transl_, extra))
+        if worn is not None:
+            worn = repeat("displacement", worn, n)
+        vertices = np.empty((n, self.num_vertices, 3), dtype=np.float32)
+        joints = np.empty((n, self.num_joints, 3), dtype=np.float32)
+        parts = list(batches(n, 1024))
+        for rows in parts:
+            part = self.model.forward(
+                betas_[rows], pose[rows], transl_[rows], None if worn is None else worn[rows]
+            )
+            if len(parts) == 1:
+                return BodyOutput(*part)
+            vertices[rows], joints[rows] = part
+        return BodyOutput(vertices, joints)
 
     def unpose(
         self,
@@ -66,39 +82,46 @@ class Body:
         transl: ArrayLike | None = None,
     ) -> NDArray[np.float32]:
         """Bring posed ``vertices`` [n, V, 3] to the rest pose, without pose blend shapes, metres."""
-        posed = self._points("vertices", vertices)
+        posed = points("vertices", vertices, self.num_vertices)
         n, betas_, pose, transl_ = self._parameters(
             betas, body_pose, global_orient, transl, len(posed)
         )
-        return self.model.unpose(_repeat("vertices", posed, n), betas_, pose, transl_)
+        posed = repeat("vertices", posed, n)
+        rest = np.empty((n, self.num_vertices, 3), dtype=np.float32)
+        for rows in batches(n):
+            rest[rows] = self.model.unpose(posed[rows], betas_[rows], pose[rows], transl_[rows])
+        return rest
 
-    def _points(self, name: str, values: ArrayLike) -> NDArray[np.float32]:
-        points = np.asarray(values, dtype=np.float32)
-        if points.ndim == 2:
-            points = points[None]
-        if points.ndim != 3 or points.shape[1:] != (self._vertices, 3):
-            raise CapeError(
-                f"{name}: shape {list(points.shape)}, expected [n, {self._vertices}, 3]"
-            )
-        return points
-
-    def _parameters(self, betas, body_pose, global_orient, transl, rows):
-        widths = {
-            "betas": (betas, self.num_betas),
-            "body_pose": (body_pose, 3 * (self._joints - 1)),
-            "global_orient": (global_orient, 3),
-            "transl": (transl, 3),
-        }
-        arrays = {name: _matrix(name, *given) for name, given in widths.items()}
-        n = max([rows, *(len(array) for array in arrays.values())])
-        arrays = {name: _repeat(name, array, n) for name, array in arrays.items()}
-        pose = np.concatenate([arrays["global_orient"], arrays["body_pose"]], axis=1)
-        return n, arrays["betas"], pose, arrays["transl"]
+    def _parameters(
+        self,
+        betas: ArrayLike | None,
+        body_pose: ArrayLike | None,
+        global_orient: ArrayLike | None,
+        transl: ArrayLike | None,
+        rows: int,
+    ) -> tuple[int, NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        shape = matrix("betas", betas, self.num_betas)
+        joints = matrix("body_pose", body_pose, 3 * (self.num_joints - 1))
+        root = matrix("global_orient", global_orient, 3)
+        at = matrix("transl", transl, 3)
+        n = max(rows, len(shape), len(joints), len(root), len(at))
+        pose = np.empty((n, 3 * self.num_joints), dtype=np.float32)
+        pose[:, :3] = repeat("global_orient", root, n)
+        pose[:, 3:] = repeat("body_pose", joints, n)
+        return n, repeat("betas", shape, n), pose, repeat("transl", at, n)
 
 
 def load_smpl(path: str | os.PathLike[str]) -> SmplModel:
     """Read an SMPL file, ``.pkl`` or ``.npz``, without chumpy; pickles are not run."""
     return SmplModel.load(Path(path))
+
+
+def poses(name: str | os.PathLike[str]) -> NDArray[np.float32]:
+    """Poses [n, 72], radians: one by its name, such as ``a-pose``, or all of a file of motions.
+
+    Files are those of ``cape sample --pose``: of AMASS, of pose estimators, NumPy's and others.
+    """
+    return load_poses(os.fspath(name))
 
 
 def create(
@@ -133,24 +156,3 @@ def _file_of(folder: Path, gender: str) -> Path:
         if place.is_file():
             return place
     raise FileError(f"{folder}: no {gender} body, expected one of {', '.join(map(str, places))}")
-
-
-def _matrix(name: str, values: ArrayLike | None, width: int) -> NDArray[np.float32]:
-    if values is None:
-        return np.zeros((1, width), dtype=np.float32)
-    array = np.asarray(values, dtype=np.float32)
-    if array.ndim == 1:
-        array = array[None]
-    if array.ndim == 3:
-        array = array.reshape(len(array), array.shape[1] * array.shape[2])
-    if array.ndim != 2 or array.shape[1] != width:
-        raise CapeError(f"{name}: shape {list(array.shape)}, expected [n, {width}]")
-    return array
-
-
-def _repeat(name: str, array: NDArray[np.float32], n: int) -> NDArray[np.float32]:
-    if len(array) == n:
-        return array
-    if len(array) != 1:
-        raise CapeError(f"{name}: {len(array)} rows, expected 1 or {n}")
-    return np.repeat(array, n, axis=0)

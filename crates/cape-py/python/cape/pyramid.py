@@ -13,19 +13,31 @@ from . import _cape
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
+    from ._cape import _Rows
+
 
 class MeshPyramid:
-    """Mesh, its levels of ceil(V / factor) vertices, and the matrices between them."""
+    """Mesh, its levels of ceil(V / factor) vertices, and the matrices between them.
+
+    ``vertices`` [V, 3] and ``faces`` [F, 3] are those of the finest level; each of ``factors`` is
+    relative to the level before.
+    """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike, factors: Sequence[float]) -> None:
-        triangles = np.asarray(faces)
-        if triangles.size and not 0 <= triangles.min() <= triangles.max() < 2**32:
-            raise _cape.CapeError("faces: expected vertex indices from 0")
-        self._pyramid = _cape.MeshPyramid(
-            np.asarray(vertices, dtype=np.float64),
-            triangles.astype(np.uint32),
-            [float(factor) for factor in factors],
-        )
+        try:
+            points = np.asarray(vertices, dtype=np.float64)
+            triangles = np.asarray(faces)
+            steps = [float(factor) for factor in factors]
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise _cape.CapeError(f"vertices, faces or factors: {error}") from error
+        if triangles.dtype.kind not in "iu" or (
+            triangles.size and not 0 <= triangles.min() <= triangles.max() < 2**32
+        ):
+            raise _cape.CapeError("faces: expected vertex indices, integers from 0")
+        for name, array in (("vertices", points), ("faces", triangles)):
+            if array.ndim != 2 or array.shape[1] != 3:
+                raise _cape.CapeError(f"{name}: shape {list(array.shape)}, expected [n, 3]")
+        self._pyramid = _cape.MeshPyramid(points, triangles.astype(np.uint32), steps)
 
     def __len__(self) -> int:
         return len(self._pyramid)
@@ -47,7 +59,7 @@ class MeshPyramid:
         return _csr(self._pyramid.up(index))
 
 
-def _csr(parts) -> csr_matrix:
+def _csr(parts: _Rows) -> csr_matrix:
     from scipy.sparse import csr_matrix
 
     data, indices, starts, shape = parts
