@@ -133,8 +133,8 @@ pub(crate) fn gradient<const D: usize>(tensor: &Tensor<D>, gradients: &Gradients
 
 /// NumPy array of the numbers, without a copy.
 pub(crate) fn array(py: Python<'_>, data: TensorData) -> PyResult<Bound<'_, PyAny>> {
-    let shape: Vec<usize> = data.shape.iter().copied().collect();
-    match data.dtype {
+    let shape: Vec<usize> = data.shape().iter().copied().collect();
+    match data.dtype() {
         DType::F64 => Ok(shaped::<f64>(data, &shape)?.into_pyarray(py).into_any()),
         _ => Ok(shaped::<f32>(data, &shape)?.into_pyarray(py).into_any()),
     }

@@ -239,7 +239,7 @@ impl Model {
 /// Host array in single precision.
 fn host<D: Dimension>(data: TensorData) -> PyResult<Array<f32, D>> {
     let data = data.convert::<f32>();
-    let shape: Vec<usize> = data.shape.iter().copied().collect();
+    let shape: Vec<usize> = data.shape().iter().copied().collect();
     let values = data.try_into_vec::<f32>().map_err(|error| argument(format!("{error:?}")))?;
     let array =
         Array::from_shape_vec(shape, values).map_err(|error| argument(error.to_string()))?;

@@ -220,7 +220,7 @@ impl SmplModel {
         let dtype = floats("betas", betas).dtype()?;
         let betas =
             floats("betas", betas).finite([Extent::Rows, Extent::UpTo(self.model.betas())])?;
-        let rows = Extent::Exactly(betas.shape[0]);
+        let rows = Extent::Exactly(betas.shape()[0]);
         let angles = Extent::Exactly(3 * self.model.joints());
         let pose = floats("pose", pose).finite([rows, angles])?;
         let transl = floats("transl", transl).finite([rows, Extent::Exactly(3)])?;
@@ -269,7 +269,7 @@ impl SmplModel {
 
 impl Parameters {
     fn rows(&self) -> Extent {
-        Extent::Exactly(self.betas.shape[0])
+        Extent::Exactly(self.betas.shape()[0])
     }
 
     fn upload(self, device: &Device) -> SmplInput {
