@@ -2,8 +2,8 @@
 
 use std::{path::PathBuf, sync::OnceLock};
 
-use burn::tensor::{DType, Device, FloatDType, Tensor, TensorData};
-use cape_core::{Pose, Smpl, SmplInput, parse_device, smpl::Gender};
+use burn::tensor::{DType, Device, FloatDType, TensorData};
+use cape_core::{Pose, Smpl, SmplInput, SmplOutput, parse_device, smpl::Gender};
 use ndarray::Array2;
 use numpy::{IntoPyArray, PyArray2, PyArray3};
 use pyo3::prelude::*;
@@ -22,8 +22,8 @@ pub(crate) struct SmplModel {
     model: cape_core::SmplModel,
     single: Smpl,
     double: OnceLock<Smpl>,
-    /// With autodiff, in single and in double precision.
-    differentiable: [OnceLock<Smpl>; 2],
+    /// In double precision, with autodiff.
+    differentiable: OnceLock<Smpl>,
 }
 
 /// Parameters of bodies on the host.
@@ -176,36 +176,21 @@ impl SmplModel {
 impl SmplModel {
     pub(crate) fn new(model: cape_core::SmplModel) -> PyResult<Self> {
         let single = Smpl::new(&model, &parse_device(DEVICE).map_err(core)?).map_err(core)?;
-        Ok(Self { model, single, double: OnceLock::new(), differentiable: Default::default() })
+        Ok(Self { model, single, double: OnceLock::new(), differentiable: OnceLock::new() })
     }
 
     fn body(&self, dtype: DType) -> PyResult<&Smpl> {
         match dtype {
-            DType::F64 => self.once(&self.double, FloatDType::F64, false),
+            DType::F64 => self.in_double(&self.double, self.single.device()),
             _ => Ok(&self.single),
         }
     }
 
-    fn differentiable_body(&self, dtype: DType) -> PyResult<&Smpl> {
-        let [single, double] = &self.differentiable;
-        match dtype {
-            DType::F64 => self.once(double, FloatDType::F64, true),
-            _ => self.once(single, FloatDType::F32, true),
-        }
-    }
-
-    fn once<'a>(
-        &self,
-        place: &'a OnceLock<Smpl>,
-        precision: FloatDType,
-        autodiff: bool,
-    ) -> PyResult<&'a Smpl> {
+    fn in_double<'a>(&self, place: &'a OnceLock<Smpl>, device: Device) -> PyResult<&'a Smpl> {
         if let Some(body) = place.get() {
             return Ok(body);
         }
-        let device = self.single.device();
-        let device = if autodiff { device.autodiff() } else { device };
-        let body = Smpl::with_precision(&self.model, &device, precision).map_err(core)?;
+        let body = Smpl::with_precision(&self.model, &device, FloatDType::F64).map_err(core)?;
         Ok(place.get_or_init(|| body))
     }
 
@@ -241,8 +226,24 @@ impl SmplModel {
         joints: TensorData,
     ) -> PyResult<Parameters> {
         let dtype = given.dtype;
-        let body = self.differentiable_body(dtype)?;
-        let device = body.device();
+        let clothed = given.displacement.is_some();
+        if dtype != DType::F64 {
+            let device = self.single.device();
+            let gradient = SmplOutput {
+                vertices: tensor(vertices, &device, dtype),
+                joints: tensor(joints, &device, dtype),
+            };
+            let found = self.single.pull_back(given.upload(&device), gradient).map_err(core)?;
+            return Ok(Parameters {
+                betas: found.betas.into_data(),
+                pose: found.pose.into_data(),
+                transl: found.transl.into_data(),
+                displacement: clothed.then(|| found.displacement.into_data()),
+                dtype,
+            });
+        }
+        let device = self.single.device().autodiff();
+        let body = self.in_double(&self.differentiable, device.clone())?;
         let track = |data: TensorData| tensor::<2>(data, &device, dtype).require_grad();
         let (betas, pose, transl) = (track(given.betas), track(given.pose), track(given.transl));
         let displacement =

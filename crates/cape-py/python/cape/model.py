@@ -130,8 +130,8 @@ class Model:
         return (1 - share) * a + share * b
 
     def _angles(self, pose: ArrayLike | os.PathLike[str] | None) -> NDArray[np.float32]:
-        named = isinstance(pose, (str, os.PathLike))
-        return matrix("pose", poses(pose) if named else pose, 3 * self.body.num_joints)
+        angles = poses(pose) if isinstance(pose, (str, os.PathLike)) else pose
+        return matrix("pose", angles, 3 * self.body.num_joints)
 
     def colours(self, displacement: ArrayLike, outfit: str) -> NDArray[np.float32]:
         """Colours of skin, shirt and trousers, sRGB from 0 to 1, [V, 3], of one body's displacement."""

@@ -19,7 +19,7 @@ from ._arrays import batches
 from .body import Body
 from .model import Model
 
-#: Bodies whose gradients are computed in one call of the library.
+#: Codes whose gradients are computed in one call of the library.
 _BATCH = 16
 
 
@@ -143,7 +143,7 @@ class _Pose(torch.autograd.Function):
         given = [_array(tensor) for tensor in ctx.saved_tensors]
         by_vertex, by_joint = _array(vertices), _array(joints)
         pulled: list[Any] = [None if array is None else np.empty_like(array) for array in given]
-        for rows in batches(len(by_vertex), _BATCH):
+        for rows in batches(len(by_vertex)):
             part = tuple(None if array is None else array[rows] for array in given)
             gradients = ctx.model.pull_back(part, by_vertex[rows], by_joint[rows])
             for whole, gradient in zip(pulled, gradients):
@@ -191,10 +191,9 @@ def _rows(shapes: dict[str, tuple[Tensor | None, tuple[int, ...]]]) -> dict[str,
     double = any(tensor.dtype == torch.float64 for tensor in given.values())
     dtype = torch.float64 if double else torch.float32
     rows = {}
-    for name, (tensor, shape) in shapes.items():
-        if tensor is None:
-            tensor = torch.zeros(1, *shape)
-        elif len(tensor) not in (1, len(longest)):
+    for name, (_, shape) in shapes.items():
+        tensor = given.get(name, torch.zeros(1, *shape))
+        if len(tensor) not in (1, len(longest)):
             raise _cape.CapeError(f"{name}: {len(tensor)} rows, expected 1 or {len(longest)}")
         rows[name] = tensor.to(longest.device, dtype).expand(len(longest), *shape)
     return rows

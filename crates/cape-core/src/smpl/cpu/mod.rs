@@ -14,8 +14,6 @@ use self::{
     kernel::{Coefficients, Transform, VertexRange},
     tiles::{TILE, Tiles},
 };
-pub(super) use pull_back::ParameterGradients;
-
 use super::SmplModel;
 use crate::joints::rotation;
 
