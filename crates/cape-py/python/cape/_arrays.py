@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,16 +14,21 @@ from ._cape import CapeError
 BATCH = 64
 
 
-def floats(name: str, values: ArrayLike) -> NDArray[np.float32]:
-    """Numbers in single precision; an array or a tensor on the CPU in it is not copied."""
+def real(name: str, values: ArrayLike) -> NDArray[Any]:
+    """Real numbers of any type; an array or a tensor on the CPU is not copied."""
     try:
         array = np.asarray(values)
         if array.dtype.kind not in "biuf":
             raise TypeError(f"numbers of type {array.dtype}, expected real ones")
-        with np.errstate(over="ignore"):
-            return array.astype(np.float32, copy=False)
+        return array
     except (TypeError, ValueError, RuntimeError) as error:
         raise CapeError(f"{name}: {error}") from error
+
+
+def floats(name: str, values: ArrayLike) -> NDArray[np.float32]:
+    """Real numbers in single precision; those that are too large for it become infinite."""
+    with np.errstate(over="ignore"):
+        return real(name, values).astype(np.float32, copy=False)
 
 
 def matrix(name: str, values: ArrayLike | None, width: int) -> NDArray[np.float32]:

@@ -45,7 +45,7 @@ class Dressed:
         """Colours of skin, shirt and trousers of a body: sRGB from 0 to 1, [V, 3]."""
         return self._model.colours(self.displacement[index], self.outfits[index])
 
-    def picture(self, size: tuple[int, int] = (360, 480)) -> NDArray[np.uint8]:
+    def picture(self, size: tuple[int, int] = (320, 420)) -> NDArray[np.uint8]:
         """Draw the bodies beside each other, at most eight: pixels [height, n width, 4], RGBA.
 
         ``size`` is width and height of one body's picture, pixels.

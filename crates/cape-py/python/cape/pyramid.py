@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _cape
+from ._arrays import real
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
@@ -24,12 +25,9 @@ class MeshPyramid:
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike, factors: Sequence[float]) -> None:
-        try:
-            points = np.asarray(vertices, dtype=np.float64)
-            triangles = np.asarray(faces)
-            steps = [float(factor) for factor in factors]
-        except (TypeError, ValueError, RuntimeError) as error:
-            raise _cape.CapeError(f"vertices, faces or factors: {error}") from error
+        points = real("vertices", vertices).astype(np.float64, copy=False)
+        triangles = real("faces", faces)
+        steps = real("factors", factors).astype(np.float64).reshape(-1).tolist()
         if triangles.dtype.kind not in "iu" or (
             triangles.size and not 0 <= triangles.min() <= triangles.max() < 2**32
         ):

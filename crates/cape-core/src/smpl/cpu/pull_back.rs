@@ -9,7 +9,9 @@ use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::{
-    BodyBatch, CpuBody, Prepared, points, row,
+    BodyBatch, CpuBody, Prepared,
+    kernel::{Points, Transform, blend_one, store, vectors},
+    points, row,
     tiles::{TILE, TileRow, Tiles},
 };
 use crate::{joints::rotation, smpl::rodrigues::rotation_gradient};
@@ -101,7 +103,9 @@ impl CpuBody {
             .collect();
         let bodies = (0..n).map(|body| {
             let mut sum = Sums::new(self.tiles.count(), j);
-            sums.iter().for_each(|part| sum.add(&part[body]));
+            for part in &sums {
+                sum.add(&part[body]);
+            }
             let betas = row(batch.betas, body, batch.betas.len() / n);
             let angles = row(angles, body, 3 * j);
             self.through_joints(betas, angles, &sum, row(joints, body, 3 * j))
@@ -203,10 +207,24 @@ impl WithSimd for PulledRange<'_> {
     type Output = Vec<Sums>;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(mut self, _: S) -> Vec<Sums> {
+    fn with_simd<S: Simd>(self, simd: S) -> Vec<Sums> {
+        match S::F32_LANES {
+            16 => self.sums::<S, 1>(simd),
+            8 => self.sums::<S, 2>(simd),
+            4 => self.sums::<S, 4>(simd),
+            _ => self.sums::<S, TILE>(simd),
+        }
+    }
+}
+
+impl PulledRange<'_> {
+    /// Sums over the range for each body, with `WIDE` SIMD vectors per tile row.
+    #[inline(always)]
+    fn sums<S: Simd, const WIDE: usize>(mut self, simd: S) -> Vec<Sums> {
         let n = self.out.len();
         let k = self.tiles.count();
         let joints = self.prepared.transforms.len() / n.max(1);
+        let all: Vec<usize> = (0..k).collect();
         let mut sums = vec![Sums::new(k, joints); n];
         let mut lanes = vec![TileRow::default(); GROUP * k];
         for first in (0..n).step_by(GROUP) {
@@ -214,113 +232,152 @@ impl WithSimd for PulledRange<'_> {
             for start in self.vertices.clone().step_by(TILE) {
                 let group = first..(first + GROUP).min(n);
                 for (body, lanes) in group.zip(lanes.chunks_exact_mut(k)) {
-                    self.tile(start, body, lanes, &mut sums[body]);
+                    self.tile::<S, WIDE>(simd, (start, body), &all, lanes, &mut sums[body]);
                 }
             }
             for (sums, lanes) in sums[first..].iter_mut().zip(lanes.chunks_exact(k)) {
-                for (sum, lane) in sums.coefficients.iter_mut().zip(lanes) {
-                    *sum = f64::from(total(lane));
+                for (sum, lanes) in sums.coefficients.iter_mut().zip(lanes) {
+                    *sum = f64::from(total::<S, WIDE>(simd, *vectors::<S, WIDE>(lanes)));
                 }
             }
         }
         sums
     }
-}
 
-impl PulledRange<'_> {
-    /// Adds a tile of one body to its sums; `lanes` are those of the coefficients, `[K]`.
+    /// Adds the tile of one body at vertex `start` to its sums; `lanes` are those of the coefficients
+    /// `all`, `[K]`.
     #[inline(always)]
-    fn tile(&mut self, start: usize, body: usize, lanes: &mut [TileRow], sums: &mut Sums) {
+    fn tile<S: Simd, const WIDE: usize>(
+        &mut self,
+        simd: S,
+        (start, body): (usize, usize),
+        all: &[usize],
+        lanes: &mut [TileRow],
+        sums: &mut Sums,
+    ) {
         let v = self.tiles.vertices();
         let count = TILE.min(self.vertices.end - start);
         let place = 3 * (body * v + start)..3 * (body * v + start + count);
         let directions = [0, 1, 2].map(|axis| self.tiles.directions(start / TILE, axis));
-        let coefficients = row(&self.prepared.coefficients, body, lanes.len());
-        let mut rest = [TileRow::default(); 3];
+        let coefficients = row(&self.prepared.coefficients, body, all.len());
+        let mut rest = Points::default();
+        blend_one::<S, WIDE>(simd, &directions, all, coefficients, &mut rest);
         if let Some(displacement) = self.displacement {
-            rest = planes(&displacement[place.clone()]);
-        }
-        for (rest, directions) in rest.iter_mut().zip(directions) {
-            for (direction, &coefficient) in directions.iter().zip(coefficients) {
-                add(rest, direction, coefficient);
+            let (points, _) = displacement[place.clone()].as_chunks::<3>();
+            for (axis, rest) in rest.iter_mut().enumerate() {
+                for (rest, point) in rest.0.iter_mut().zip(points) {
+                    *rest += point[axis];
+                }
             }
         }
         let by_vertex = planes(&self.gradient[place]);
         let joints = self.prepared.transforms.len() / self.out.len();
         let transforms = &self.prepared.transforms[body * joints..][..joints];
-        let (bones, weights) = self.tiles.bones(start / TILE);
-
-        // Blended matrices of the vertices, and by them the gradient in the rest pose.
-        let mut by_rest = [TileRow::default(); 3];
-        for (axis, by_vertex) in by_vertex.iter().enumerate() {
-            for (column, by_rest) in by_rest.iter_mut().enumerate() {
-                let mut blended = TileRow::default();
-                for (&bone, weight) in bones.iter().zip(weights) {
-                    add(&mut blended, weight, transforms[bone as usize][axis][column]);
-                }
-                for lane in 0..TILE {
-                    by_rest.0[lane] += blended.0[lane] * by_vertex.0[lane];
-                }
-            }
-        }
+        let bones = self.tiles.bones(start / TILE);
+        let by_rest = unskin::<S, WIDE>(simd, transforms, bones, &by_vertex);
         let first = start - self.vertices.start;
         let out = &mut self.out[body][3 * first..3 * (first + count)];
         for (lane, out) in out.as_chunks_mut::<3>().0.iter_mut().enumerate() {
             *out = [by_rest[0].0[lane], by_rest[1].0[lane], by_rest[2].0[lane]];
         }
+        add_transforms::<S, WIDE>(simd, bones, &rest, &by_vertex, sums);
+        project::<S, WIDE>(simd, &directions, &by_rest, lanes);
+    }
+}
+
+/// Gradient with respect to the rest positions of a tile, from that with respect to the posed ones:
+/// the transposed blend of `transforms` `[J]` of the joints `bones` with their weights.
+#[inline(always)]
+fn unskin<S: Simd, const WIDE: usize>(
+    simd: S,
+    transforms: &[Transform],
+    (bones, weights): (&[u32], &[TileRow]),
+    by_vertex: &Points,
+) -> Points {
+    let mut by_rest = Points::default();
+    for (column, by_rest) in by_rest.iter_mut().enumerate() {
+        let mut sum = [simd.splat_f32s(0.0); WIDE];
         for (axis, by_vertex) in by_vertex.iter().enumerate() {
-            sums.transl[axis] += f64::from(total(by_vertex));
-            for column in 0..4 {
-                let mut product = *by_vertex;
-                if column < 3 {
-                    for lane in 0..TILE {
-                        product.0[lane] *= rest[column].0[lane];
-                    }
-                }
-                for (&bone, weight) in bones.iter().zip(weights) {
-                    let mut weighted = product;
-                    for lane in 0..TILE {
-                        weighted.0[lane] *= weight.0[lane];
-                    }
-                    sums.transforms[bone as usize][axis][column] += f64::from(total(&weighted));
+            let mut blended = [simd.splat_f32s(0.0); WIDE];
+            for (&bone, weight) in bones.iter().zip(weights) {
+                let number = simd.splat_f32s(transforms[bone as usize][axis][column]);
+                for (blended, &weight) in blended.iter_mut().zip(vectors::<S, WIDE>(weight)) {
+                    *blended = simd.mul_add_e_f32s(number, weight, *blended);
                 }
             }
+            let pairs = blended.into_iter().zip(vectors::<S, WIDE>(by_vertex));
+            for (sum, (blended, &by_vertex)) in sum.iter_mut().zip(pairs) {
+                *sum = simd.mul_add_e_f32s(blended, by_vertex, *sum);
+            }
         }
-        for (by_rest, directions) in by_rest.iter().zip(directions) {
-            for (lanes, direction) in lanes.iter_mut().zip(directions) {
-                for lane in 0..TILE {
-                    lanes.0[lane] += direction.0[lane] * by_rest.0[lane];
+        store::<S, WIDE>(sum, by_rest);
+    }
+    by_rest
+}
+
+/// Adds the gradients with respect to the transforms of the joints `bones`, and to the translation.
+#[inline(always)]
+fn add_transforms<S: Simd, const WIDE: usize>(
+    simd: S,
+    (bones, weights): (&[u32], &[TileRow]),
+    rest: &Points,
+    by_vertex: &Points,
+    sums: &mut Sums,
+) {
+    let ones = TileRow([1.0; TILE]);
+    for (axis, by_vertex) in by_vertex.iter().enumerate() {
+        let by_vertex = *vectors::<S, WIDE>(by_vertex);
+        sums.transl[axis] += f64::from(total::<S, WIDE>(simd, by_vertex));
+        for (column, rest) in rest.iter().chain([&ones]).enumerate() {
+            let mut product = *vectors::<S, WIDE>(rest);
+            for (product, by_vertex) in product.iter_mut().zip(by_vertex) {
+                *product = simd.mul_f32s(*product, by_vertex);
+            }
+            for (&bone, weight) in bones.iter().zip(weights) {
+                let mut weighted = *vectors::<S, WIDE>(weight);
+                for (weighted, &product) in weighted.iter_mut().zip(&product) {
+                    *weighted = simd.mul_f32s(*weighted, product);
                 }
+                let sum = f64::from(total::<S, WIDE>(simd, weighted));
+                sums.transforms[bone as usize][axis][column] += sum;
             }
         }
     }
 }
 
+/// Adds the products of the directions `[K]` of a tile with the gradient of its rest positions to
+/// `lanes` `[K]`.
 #[inline(always)]
-fn add(sum: &mut TileRow, row: &TileRow, factor: f32) {
-    for lane in 0..TILE {
-        sum.0[lane] += row.0[lane] * factor;
+fn project<S: Simd, const WIDE: usize>(
+    simd: S,
+    directions: &[&[TileRow]; 3],
+    by_rest: &Points,
+    lanes: &mut [TileRow],
+) {
+    let by_rest: [[S::f32s; WIDE]; 3] = [0, 1, 2].map(|axis| *vectors::<S, WIDE>(&by_rest[axis]));
+    for (k, lanes) in lanes.iter_mut().enumerate() {
+        let mut sums = *vectors::<S, WIDE>(lanes);
+        for (direction, by_rest) in directions.iter().zip(&by_rest) {
+            let pairs = vectors::<S, WIDE>(&direction[k]).iter().zip(by_rest);
+            for (sum, (&direction, &by_rest)) in sums.iter_mut().zip(pairs) {
+                *sum = simd.mul_add_e_f32s(direction, by_rest, *sum);
+            }
+        }
+        store::<S, WIDE>(sums, lanes);
     }
 }
 
-/// Sum of the lanes, in a fixed order.
+/// Sum of the lanes of a tile row.
 #[inline(always)]
-fn total(row: &TileRow) -> f32 {
-    let mut lanes = row.0;
-    let mut width = TILE;
-    while width > 1 {
-        width /= 2;
-        for lane in 0..width {
-            lanes[lane] += lanes[lane + width];
-        }
-    }
-    lanes[0]
+fn total<S: Simd, const WIDE: usize>(simd: S, row: [S::f32s; WIDE]) -> f32 {
+    let sum = row.into_iter().fold(simd.splat_f32s(0.0), |sum, part| simd.add_f32s(sum, part));
+    simd.reduce_sum_f32s(sum)
 }
 
 /// Points `[count, 3]` as planes, zero beyond them.
 #[inline(always)]
-fn planes(points: &[f32]) -> [TileRow; 3] {
-    let mut planes = [TileRow::default(); 3];
+fn planes(points: &[f32]) -> Points {
+    let mut planes = Points::default();
     for (lane, point) in points.as_chunks::<3>().0.iter().enumerate() {
         for (plane, &coordinate) in planes.iter_mut().zip(point) {
             plane.0[lane] = coordinate;
