@@ -153,9 +153,9 @@ impl Loader {
             let real = options.discriminator.then(|| read(&draw(&mut discriminator))).transpose();
             let at = generator.position();
             let frames = draw(&mut generator);
-            let encoded = captures.as_ref().map(|captures| {
-                read(&captures.others(&frames, options.transfer, (seed, at)))
-            });
+            let encoded = captures
+                .as_ref()
+                .map(|captures| read(&captures.others(&frames, options.transfer, (seed, at))));
             Some(read(&frames).and_then(|fitted| {
                 Ok(StepBatches {
                     generator: fitted,

@@ -1,4 +1,4 @@
-use std::path::Path;
+use std::{fmt::Write as _, path::Path};
 
 use cape_core::{Outfit, npy::write_npy};
 use ndarray::{Array2, Array3};
@@ -90,14 +90,12 @@ fn frames_of_the_same_capture_are_encoded_instead() {
     let dir = tempfile::tempdir().unwrap();
     packed(dir.path(), 12);
     // Captures of five, one and six frames.
-    let csv: String = (0..12)
-        .map(|frame| {
-            let name = if frame < 5 { "walk" } else if frame < 6 { "jump" } else { "squats" };
-            format!("{frame},s0001,longlong,{name},{name}.{frame:06}\n")
-        })
-        .collect();
-    let header = "row,subject,outfit,sequence,frame\n";
-    std::fs::write(dir.path().join("train/train_frames.csv"), format!("{header}{csv}")).unwrap();
+    let mut csv = "row,subject,outfit,sequence,frame\n".to_owned();
+    for frame in 0..12 {
+        let name = ["walk", "jump", "squats"][usize::from(frame > 4) + usize::from(frame > 5)];
+        writeln!(csv, "{frame},s0001,longlong,{name},{name}.{frame:06}").unwrap();
+    }
+    std::fs::write(dir.path().join("train/train_frames.csv"), csv).unwrap();
     let set = Arc::new(PackedSet::open(dir.path(), Split::Train).unwrap());
     let statistics =
         DisplacementStatistics::new(Array2::zeros((2, 3)), Array2::ones((2, 3)), 1).unwrap();
@@ -106,7 +104,15 @@ fn frames_of_the_same_capture_are_encoded_instead() {
         let options = LoaderOptions { batch: 4, transfer, ..LoaderOptions::default() };
         Loader::new(set.clone(), statistics.clone(), 1..12, options, state).unwrap()
     };
-    let capture = |frame: usize| if frame < 5 { 0 } else if frame < 6 { 1 } else { 2 };
+    let capture = |frame: usize| {
+        if frame < 5 {
+            0
+        } else if frame < 6 {
+            1
+        } else {
+            2
+        }
+    };
     for (transfer, changed) in [(1.0, 400..800), (0.5, 150..450)] {
         let mut loader = load(transfer, LoaderState::new(3));
         let mut plain = load(0.0, LoaderState::new(3));

@@ -178,11 +178,8 @@ fn transfer(
     condition: Option<Tensor<2>>,
     epsilon: Option<Tensor<2>>,
 ) -> GeneratorOutput {
-    let posterior = generator.encoder.forward(
-        encoded.displacement.clone(),
-        worn.as_ref(),
-        &graphs.generator,
-    );
+    let posterior =
+        generator.encoder.forward(encoded.displacement.clone(), worn.as_ref(), &graphs.generator);
     let z = match epsilon {
         Some(epsilon) => posterior.sample(epsilon),
         None => posterior.mean.clone(),
