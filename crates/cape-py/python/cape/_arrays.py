@@ -27,6 +27,8 @@ def real(name: str, values: ArrayLike) -> NDArray[Any]:
 
 def floats(name: str, values: ArrayLike) -> NDArray[np.float32]:
     """Real numbers in single precision; those that are too large for it become infinite."""
+    if type(values) is np.ndarray and values.dtype == np.float32:
+        return values
     with np.errstate(over="ignore"):
         return real(name, values).astype(np.float32, copy=False)
 

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from ._arrays import batches, matrix, points, repeat
 from ._cape import CapeError, FileError, SmplModel, load_poses
 
+#: Bodies that are posed in one call of the library.
+_BATCH = 1024
 _GENDERS = ("male", "female", "neutral")
 
 
@@ -61,16 +63,14 @@ class Body:
         )
         if worn is not None:
             worn = repeat("displacement", worn, n)
+        if n <= _BATCH:
+            return BodyOutput(*self.model.forward(betas_, pose, transl_, worn))
         vertices = np.empty((n, self.num_vertices, 3), dtype=np.float32)
         joints = np.empty((n, self.num_joints, 3), dtype=np.float32)
-        parts = list(batches(n, 1024))
-        for rows in parts:
-            part = self.model.forward(
+        for rows in batches(n, _BATCH):
+            vertices[rows], joints[rows] = self.model.forward(
                 betas_[rows], pose[rows], transl_[rows], None if worn is None else worn[rows]
             )
-            if len(parts) == 1:
-                return BodyOutput(*part)
-            vertices[rows], joints[rows] = part
         return BodyOutput(vertices, joints)
 
     def unpose(

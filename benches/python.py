@@ -1,6 +1,6 @@
 """Times and memory of the Python package beside smplx and PyTorch, in one run.
 
-    python crates/cape-py/benches/speed.py
+    python benches/python.py
 
 Two threads each; the median of the repetitions, milliseconds.
 """
