@@ -1,8 +1,21 @@
 from os import PathLike
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
+
+__all__ = [
+    "main",
+    "CapeError",
+    "FileError",
+    "Model",
+    "draw",
+    "encode_png",
+    "save_mesh",
+    "load_poses",
+    "MeshPyramid",
+    "SmplModel",
+]
 
 # Of float32 or float64; a result has the precision of the first argument.
 _Floats = NDArray[Any]
@@ -12,6 +25,7 @@ _Rows = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], tuple[i
 class CapeError(ValueError): ...
 class FileError(CapeError): ...
 
+@final
 class SmplModel:
     @staticmethod
     def load(path: str | PathLike[str]) -> SmplModel: ...
@@ -46,6 +60,7 @@ class SmplModel:
         self, vertices: _Floats, betas: _Floats, pose: _Floats, transl: _Floats
     ) -> _Floats: ...
 
+@final
 class MeshPyramid:
     def __new__(
         cls, vertices: NDArray[np.float64], faces: NDArray[np.uint32], factors: list[float]
@@ -56,6 +71,7 @@ class MeshPyramid:
     def down(self, index: int) -> _Rows: ...
     def up(self, index: int) -> _Rows: ...
 
+@final
 class Model:
     @staticmethod
     def load(path: str | PathLike[str]) -> Model: ...
