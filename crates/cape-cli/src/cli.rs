@@ -4,7 +4,7 @@ mod help;
 
 pub(crate) use help::command;
 
-use std::{io, path::PathBuf, process::ExitCode};
+use std::{ffi::OsString, io, path::PathBuf};
 
 use clap::{Args, FromArgMatches, Parser, Subcommand};
 use clap_complete::Shell;
@@ -18,6 +18,7 @@ use crate::{
     },
     console::Console,
     error::{Error, Result},
+    exit_code::ExitCode,
     files,
     options::GlobalArgs,
 };
@@ -91,11 +92,15 @@ pub(crate) struct ManArgs {
 }
 
 impl Cli {
-    /// Parses the process's arguments; exits with help, the version or a usage error.
-    pub(crate) fn from_arguments() -> Self {
-        let mut matches = command().get_matches();
-        Self::from_arg_matches_mut(&mut matches)
-            .unwrap_or_else(|error| error.format(&mut command()).exit())
+    /// Parses arguments, of which the first is the program's name.
+    ///
+    /// # Errors
+    /// Help or the version, where asked for, or an error of usage.
+    pub(crate) fn from_arguments(
+        arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>,
+    ) -> Result<Self, clap::Error> {
+        let mut matches = command().try_get_matches_from(arguments)?;
+        Self::from_arg_matches_mut(&mut matches).map_err(|error| error.format(&mut command()))
     }
 
     pub(crate) fn run(self, console: Console) -> Result<ExitCode> {

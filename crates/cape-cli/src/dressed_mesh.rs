@@ -1,17 +1,11 @@
 //! Dressed bodies in colours, and their pictures.
 
 use cape_core::{Mesh, Outfit};
-use cape_infer::{BodySpec, ClothedBody, Run, batches};
+use cape_infer::{BodySpec, ClothedBody, GarmentColours, Run, SKIN_COLOUR, batches};
 use cape_render::{Image, Object, Style, Texture, View, colormap, portrait};
 use ndarray::{Array2, Array3, ArrayView2, Axis};
 
-use crate::{
-    error::Result,
-    garment_labels::{GarmentLabels, GarmentShares},
-};
-
-const SKIN_COLOUR: [f32; 3] = [0.83, 0.69, 0.60];
-const TROUSERS: [f32; 3] = [0.27, 0.31, 0.40];
+use crate::error::Result;
 
 /// A dressed body.
 #[derive(Debug, Clone)]
@@ -47,12 +41,12 @@ pub(crate) fn dress(
 /// Colours dressed bodies of a run.
 pub(crate) struct DressedRenderer<'a> {
     run: &'a Run,
-    labels: GarmentLabels,
+    colours: GarmentColours,
 }
 
 impl<'a> DressedRenderer<'a> {
     pub(crate) fn new(run: &'a Run) -> Self {
-        Self { run, labels: GarmentLabels::new(run.body(), run.mask().covered()) }
+        Self { run, colours: GarmentColours::new(run.body(), run.mask()) }
     }
 
     /// Bodies with displacements `[n, vertices, 3]`, metres.
@@ -74,18 +68,9 @@ impl<'a> DressedRenderer<'a> {
     fn coloured(&self, mesh: Mesh, displacement: ArrayView2<f32>, outfit: Outfit) -> DressedMesh {
         DressedMesh {
             mesh,
-            colours: self.colours(displacement, outfit),
+            colours: self.colours.of(displacement, outfit),
             distances: distances(self.run.mask().covered(), displacement),
         }
-    }
-
-    /// Colours of skin, shirt and trousers.
-    fn colours(&self, displacement: ArrayView2<f32>, outfit: Outfit) -> Vec<[f32; 3]> {
-        let shirt = shirt_colour(outfit);
-        let colour = |GarmentShares { cloth, trousers }| {
-            mix(SKIN_COLOUR, mix(shirt, TROUSERS, trousers), cloth)
-        };
-        self.labels.shares(displacement).into_iter().map(colour).collect()
     }
 }
 
@@ -105,30 +90,6 @@ pub(crate) fn unclothed_meshes(run: &Run, wearers: &[BodySpec]) -> Result<Vec<Dr
 fn distances(covered: &[bool], displacement: ArrayView2<f32>) -> Vec<f32> {
     let rows = displacement.rows().into_iter().zip(covered);
     rows.map(|(d, &covered)| if covered { d.dot(&d).sqrt() } else { 0.0 }).collect()
-}
-
-/// Colours of the shirts of other outfits than the paper's.
-const OTHER_SHIRTS: [[f32; 3]; 6] = [
-    [0.55, 0.47, 0.66],
-    [0.38, 0.60, 0.58],
-    [0.73, 0.52, 0.56],
-    [0.52, 0.55, 0.40],
-    [0.45, 0.50, 0.62],
-    [0.70, 0.62, 0.52],
-];
-
-fn shirt_colour(outfit: Outfit) -> [f32; 3] {
-    match outfit {
-        Outfit::SHORT_LONG => [0.36, 0.56, 0.67],
-        Outfit::SHORT_SHORT => [0.72, 0.42, 0.34],
-        Outfit::LONG_SHORT => [0.44, 0.58, 0.43],
-        Outfit::LONG_LONG => [0.66, 0.57, 0.36],
-        other => OTHER_SHIRTS[(other.stream() % OTHER_SHIRTS.len() as u64) as usize],
-    }
-}
-
-fn mix(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
-    [0, 1, 2].map(|i| a[i] + (b[i] - a[i]) * t)
 }
 
 impl DressedMesh {

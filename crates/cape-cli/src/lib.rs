@@ -10,8 +10,8 @@ mod console;
 mod dashboard;
 mod dressed_mesh;
 mod error;
+mod exit_code;
 mod files;
-mod garment_labels;
 mod html;
 mod interrupt;
 mod latent_sampler;
@@ -25,11 +25,17 @@ mod registration;
 mod table;
 mod training;
 
-use std::process::ExitCode;
+use std::{
+    env,
+    ffi::OsString,
+    io::{self, Write},
+    process,
+};
 
 use cli::Cli;
 use console::Console;
 use error::Error;
+use exit_code::ExitCode;
 
 /// The tree of commands with its help, for tools that list or document it.
 ///
@@ -41,19 +47,42 @@ pub fn command() -> clap::Command {
     cli::command()
 }
 
-/// Runs the command line on the process's arguments and returns its exit code: 0 for success, 1 for an
-/// error, 2 for wrong usage, 130 for an interrupted command that can be resumed.
-pub fn main() -> ExitCode {
-    let cli = Cli::from_arguments();
+/// Runs the command line on the process's arguments and returns its exit code, see [`run`].
+pub fn main() -> process::ExitCode {
+    run(env::args_os()).into()
+}
+
+/// Runs the command line on `arguments`, of which the first is the program's name, and returns its exit
+/// code: 0 for success, 1 for an error, 2 for wrong usage, 130 for an interrupted command that can be
+/// resumed.
+///
+/// ```
+/// assert_eq!(cape_cli::run(["cape", "--version"]), 0);
+/// assert_eq!(cape_cli::run(["cape", "undress"]), 2);
+/// ```
+pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> u8 {
+    let code = Cli::from_arguments(arguments).map_or_else(usage, execute);
+    // A host program, unlike Rust's own `main`, does not write out what is left in the buffer.
+    let _ = io::stdout().flush();
+    code
+}
+
+fn execute(cli: Cli) -> u8 {
     let console = Console::new(cli.global.json, cli.global.quiet);
     match use_threads(cli.global.threads).and_then(|()| cli.run(console)) {
-        Ok(code) => code,
-        Err(Error::OutputClosed) => ExitCode::SUCCESS,
+        Ok(code) => code.number(),
+        Err(Error::OutputClosed) => ExitCode::SUCCESS.number(),
         Err(error) => {
             eprintln!("{}", error::report(&error));
-            ExitCode::FAILURE
+            ExitCode::FAILURE.number()
         }
     }
+}
+
+/// Prints help, the version or an error of usage.
+fn usage(message: clap::Error) -> u8 {
+    let _ = message.print();
+    message.exit_code() as u8
 }
 
 fn use_threads(threads: Option<usize>) -> Result<(), Error> {

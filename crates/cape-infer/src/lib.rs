@@ -25,6 +25,8 @@ mod clothed_model;
 mod codes;
 mod config;
 mod error;
+mod garment_colours;
+mod garment_labels;
 mod graphs;
 mod model_file;
 mod normaliser;
@@ -38,6 +40,7 @@ pub use clothed_model::{ClothedBody, ClothedModel, ClothedModelParts, Condition}
 pub use codes::{directions_by_effect, interpolate_codes, normal, walk_codes};
 pub use config::{OptimiserKind, RateSchedule, RunConfig, TrainConfig, WarmUp};
 pub use error::{Error, Result};
+pub use garment_colours::{GarmentColours, SKIN_COLOUR};
 pub use graphs::build_graphs;
 pub use model_file::{ModelFile, WeightPrecision};
 pub use normaliser::Normaliser;

@@ -47,6 +47,19 @@ pub struct SmplOutput {
     pub joints: Tensor<3>,
 }
 
+/// Gradients with respect to the parameters of a batch of `n` bodies.
+#[derive(Debug, Clone)]
+pub struct SmplGradient {
+    /// Of the shape coefficients, `[n, b]`.
+    pub betas: Tensor<2>,
+    /// Of the axis-angles, `[n, 3·J]`.
+    pub pose: Tensor<2>,
+    /// Of the translation, `[n, 3]`.
+    pub transl: Tensor<2>,
+    /// Of the displacement, `[n, V, 3]`.
+    pub displacement: Tensor<3>,
+}
+
 /// Joints of one depth of the kinematic tree.
 #[derive(Debug, Clone)]
 struct JointLevel {

@@ -3,11 +3,11 @@
 use burn::tensor::{DType, Tensor, TensorData};
 
 use super::{
-    Pose, Smpl, SmplInput, SmplOutput,
+    Pose, Smpl, SmplGradient, SmplInput, SmplOutput,
     body::{check, failed, same_batch},
     cpu::{BodyBatch, CpuBody, JointRotations},
 };
-use crate::Result;
+use crate::{Error, Result};
 
 impl Smpl {
     /// Posed body, clothed if a displacement is given, `T_clo = T(β, θ) + S_clo`, with the joints of
@@ -88,6 +88,59 @@ impl Smpl {
         Ok(SmplOutput {
             vertices: tensor(vertices, self.vertices()),
             joints: tensor(joints, self.joints()),
+        })
+    }
+
+    /// Gradients with respect to the parameters of bodies, from those with respect to their vertices
+    /// and joints (`gradient`): the product with the transposed Jacobian of
+    /// [`forward`](Self::forward), in one fused pass. The displacement is zero where the input has none.
+    ///
+    /// # Errors
+    /// If shapes disagree, the pose is not in axis-angle, or the body is not on the CPU in `f32` without
+    /// autodiff: gradients are then those of autodiff.
+    pub fn pull_back(&self, input: SmplInput, gradient: SmplOutput) -> Result<SmplGradient> {
+        let n = self.check_input(&input)?;
+        let (vertices, joints) = (gradient.vertices, gradient.joints);
+        check("gradient of vertices", &vertices.dims(), &[n, self.vertices(), 3])?;
+        check("gradient of joints", &joints.dims(), &[n, self.joints(), 3])?;
+        let (Some(body), false) = (&self.cpu, tracked(&input, Some(&joints))) else {
+            let message = "gradients: expected a body on the CPU in f32 without autodiff";
+            return Err(Error::Argument(message.to_owned()));
+        };
+        let Pose::AxisAngle(angles) = input.pose else {
+            return Err(Error::Argument("gradients: expected a pose in axis-angle".to_owned()));
+        };
+        let coefficients = input.betas.dims()[1];
+        let betas = match coefficients {
+            0 => TensorData::new(Vec::<f32>::new(), [n, 0]),
+            _ => self.read(input.betas)?,
+        };
+        let (angles, transl) = (self.read(angles)?, self.read(input.transl)?);
+        let displacement =
+            input.displacement.map(|displacement| self.read(displacement)).transpose()?;
+        let (vertices, joints) = (self.read(vertices)?, self.read(joints)?);
+        let batch = BodyBatch {
+            betas: numbers(&betas)?,
+            rotations: JointRotations::AxisAngles(numbers(&angles)?),
+            transl: numbers(&transl)?,
+            displacement: displacement.as_ref().map(numbers).transpose()?,
+            rest_joints: None,
+        };
+        let found =
+            body.pull_back(batch, numbers(&angles)?, numbers(&vertices)?, numbers(&joints)?);
+        let device = &self.device();
+        let matrix = |values: Vec<f32>, width| {
+            Tensor::from_data(TensorData::new(values, [n, width]), (device, DType::F32))
+        };
+        let shape = [n, self.vertices(), 3];
+        Ok(SmplGradient {
+            betas: matrix(found.betas, coefficients),
+            pose: matrix(found.pose, 3 * self.joints()),
+            transl: matrix(found.transl, 3),
+            displacement: Tensor::from_data(
+                TensorData::new(found.displacement, shape),
+                (device, DType::F32),
+            ),
         })
     }
 

@@ -1,6 +1,6 @@
 //! Fused forward pass compared with tensor operations and with the host, for random sizes.
 
-use burn::tensor::{Device, Distribution, Tensor, TensorData};
+use burn::tensor::{Device, Distribution, FloatDType, Tensor, TensorData};
 use ndarray::{Array2, Array3, ArrayRef, Dimension, s};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
@@ -180,6 +180,88 @@ proptest! {
         let (v, j) = (3 * sizes.vertices, 3 * sizes.joints);
         prop_assert_eq!(&alone.0[..], &one.0[row * v..][..v]);
         prop_assert_eq!(&alone.1[..], &one.1[row * j..][..j]);
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    #[test]
+    fn gradients_of_one_pass_are_those_of_autodiff(sizes in sizes(), clothed: bool, seed: u64) {
+        let rng = &mut ChaCha8Rng::seed_from_u64(seed);
+        let model = body(sizes, rng);
+        let inputs = Inputs::new(sizes, clothed, rng);
+        let mut points = |count| random((sizes.batch, count, 3), 1.0, rng);
+        let (by_vertex, by_joint) = (points(sizes.vertices), points(sizes.joints));
+        for device in devices() {
+            let tracked = device.clone().autodiff();
+            let double = Smpl::with_precision(&model, &tracked, FloatDType::F64).unwrap();
+            let input = inputs.input(&tracked);
+            let Pose::AxisAngle(pose) = input.pose else { unreachable!() };
+            let given = [input.betas, pose, input.transl].map(Tensor::require_grad);
+            let clothes = input.displacement.map(Tensor::require_grad);
+            let [betas, pose, transl] = given.clone();
+            let output = double
+                .forward(SmplInput {
+                    betas,
+                    pose: Pose::AxisAngle(pose),
+                    transl,
+                    displacement: clothes.clone(),
+                })
+                .unwrap();
+            let weighted = |found: Tensor<3>, by: &Array3<f64>| {
+                (found * tensor::<3, _>(by, &tracked).cast(FloatDType::F64)).sum()
+            };
+            let sum = weighted(output.vertices, &by_vertex) + weighted(output.joints, &by_joint);
+            let gradients = sum.backward();
+            let expected = given.map(|it| numbers(it.grad(&gradients).unwrap()));
+
+            let smpl = Smpl::new(&model, &device).unwrap();
+            let gradient = || SmplOutput {
+                vertices: tensor(&by_vertex, &device),
+                joints: tensor(&by_joint, &device),
+            };
+            let pull = |threads| {
+                on_threads(threads, || smpl.pull_back(inputs.input(&device), gradient()).unwrap())
+            };
+            let found = pull(2);
+            let displacement = numbers(found.displacement.clone());
+            prop_assert_eq!(&numbers(pull(1).displacement), &displacement);
+            let found = [found.betas, found.pose, found.transl].map(numbers);
+            prop_assert_eq!(&found[1], &numbers(pull(3).pose));
+            let clothes = clothes.map(|it| numbers(it.grad(&gradients).unwrap()));
+            let expected = expected.into_iter().chain(clothes);
+            for (found, expected) in found.into_iter().chain([displacement]).zip(expected) {
+                let most = expected.iter().fold(0.0f32, |most, x| most.max(x.abs()));
+                for (found, expected) in found.iter().zip(&expected) {
+                    prop_assert!((found - expected).abs() <= 2e-5 * most, "{found} {expected}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn gradients_need_the_fused_pass_and_axis_angles() {
+    let rng = &mut ChaCha8Rng::seed_from_u64(1);
+    let sizes = Sizes { batch: 2, vertices: 20, joints: 3, betas: 2, bones: 2 };
+    let (model, inputs) = (body(sizes, rng), Inputs::new(sizes, true, rng));
+    for device in devices() {
+        let gradient = |points: [usize; 2]| SmplOutput {
+            vertices: Tensor::ones([2, points[0], 3], &device),
+            joints: Tensor::ones([2, points[1], 3], &device),
+        };
+        let message = |smpl: &Smpl, input, points| {
+            smpl.pull_back(input, gradient(points)).unwrap_err().to_string()
+        };
+        let smpl = Smpl::new(&model, &device).unwrap();
+        let shape = message(&smpl, inputs.input(&device), [19, 3]);
+        assert!(shape.contains("gradient of vertices: shape [2, 19, 3]"), "{shape}");
+        let rotations = smpl.rotations(inputs.input(&device).pose).unwrap();
+        let input = SmplInput { pose: Pose::Rotations(rotations), ..inputs.input(&device) };
+        assert!(message(&smpl, input, [20, 3]).contains("axis-angle"));
+        let double = Smpl::with_precision(&model, &device, FloatDType::F64).unwrap();
+        assert!(message(&double, inputs.input(&device), [20, 3]).contains("f32"));
     }
 }
 

@@ -18,7 +18,7 @@ mod rodrigues;
 mod standard_pose;
 mod subject_bodies;
 
-pub use body::{Pose, Smpl, SmplInput, SmplOutput};
+pub use body::{Pose, Smpl, SmplGradient, SmplInput, SmplOutput};
 pub use clothed::{ClothedSmpl, JointSource};
 pub use file::find_body;
 pub use fit::ShapeFit;

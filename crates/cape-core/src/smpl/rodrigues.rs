@@ -1,6 +1,7 @@
 //! Rodrigues' formula on tensors.
 
 use burn::tensor::{DType, Device, Tensor};
+use glam::{DMat3, DVec3};
 
 /// Squared angle below which power series replace the closed forms, whose derivatives are 0 / 0 at
 /// angle 0. The series and their derivatives are exact to rounding there.
@@ -60,4 +61,59 @@ fn polynomial(x: &Tensor<2>, coefficients: [f64; 6]) -> Tensor<2> {
     let [rest @ .., last] = coefficients;
     let highest = x.clone() * 0.0 + last;
     rest.into_iter().rev().fold(highest, |sum, coefficient| sum * x.clone() + coefficient)
+}
+
+/// Gradient with respect to an axis-angle, radians, from that with respect to its rotation matrix.
+pub(super) fn rotation_gradient(axis_angle: DVec3, by_rotation: &DMat3) -> DVec3 {
+    // R = I + a K + b K² with K = [v]ₓ; the derivatives of a and b along v are v times `da` and `db`.
+    let squared = axis_angle.length_squared();
+    let angle = squared.sqrt();
+    let [a, b, da, db] = if squared < SERIES_BELOW {
+        // Coefficient k of a is 1 / (2k + 1)!, of b 1 / (2k + 2)!, of the derivatives 2 (k + 1) times
+        // the next one; signs alternate.
+        let mut sums = [0.0; 4];
+        let (mut power, mut factorial) = (1.0, 1.0);
+        for k in 0..8 {
+            let k = f64::from(k);
+            let (odd, even) = (factorial, factorial * (2.0 * k + 2.0));
+            let (next_odd, next_even) =
+                (even * (2.0 * k + 3.0), even * (2.0 * k + 3.0) * (2.0 * k + 4.0));
+            let slope = -2.0 * (k + 1.0);
+            let terms = [1.0 / odd, 1.0 / even, slope / next_odd, slope / next_even];
+            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += power * term);
+            power *= -squared;
+            factorial = next_odd;
+        }
+        sums
+    } else {
+        let (sine, cosine) = angle.sin_cos();
+        [
+            sine / angle,
+            (1.0 - cosine) / squared,
+            (angle * cosine - sine) / (squared * angle),
+            (angle * sine - 2.0 * (1.0 - cosine)) / (squared * squared),
+        ]
+    };
+    let turn = cross_matrix(axis_angle);
+    let twice = turn * turn;
+    let along = |axis: DVec3| {
+        let unit = cross_matrix(axis);
+        let amount = axis_angle.dot(axis);
+        let derivative = turn * (da * amount)
+            + unit * a
+            + twice * (db * amount)
+            + (unit * turn + turn * unit) * b;
+        let pairs = derivative.to_cols_array().into_iter().zip(by_rotation.to_cols_array());
+        pairs.map(|(a, b)| a * b).sum::<f64>()
+    };
+    DVec3::new(along(DVec3::X), along(DVec3::Y), along(DVec3::Z))
+}
+
+/// Matrix of the cross product with a vector from the left.
+fn cross_matrix(v: DVec3) -> DMat3 {
+    DMat3::from_cols(
+        DVec3::new(0.0, v.z, -v.y),
+        DVec3::new(-v.z, 0.0, v.x),
+        DVec3::new(v.y, -v.x, 0.0),
+    )
 }

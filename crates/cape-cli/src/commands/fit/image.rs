@@ -1,6 +1,5 @@
 use std::{
     path::{Path, PathBuf},
-    process::ExitCode,
     time::Instant,
 };
 
@@ -27,6 +26,7 @@ use crate::{
     console::Console,
     dressed_mesh::{DressedMesh, DressedRenderer},
     error::{Context, Error, Result},
+    exit_code::ExitCode,
     files,
     options::{GlobalArgs, OutfitSelection, OutputArgs, RunArgs, outfit_or, positive},
     table::Table,

@@ -11,11 +11,9 @@ mod pose_prior;
 mod scan;
 mod video;
 
-use std::process::ExitCode;
-
 use clap::Subcommand;
 
-use crate::{console::Console, error::Result, options::GlobalArgs};
+use crate::{console::Console, error::Result, exit_code::ExitCode, options::GlobalArgs};
 
 /// Fit clothed bodies to images and scans: image, scan, benchmark, pose-prior.
 #[derive(Debug, Subcommand)]

@@ -1,7 +1,5 @@
 //! Estimate of the training time, `--dry-run`.
 
-use std::process::ExitCode;
-
 use burn::tensor::Device;
 use cape_eval::table2::{JobEstimate, Table2Job, Table2Options};
 use serde::Serialize;
@@ -9,6 +7,7 @@ use serde::Serialize;
 use crate::{
     console::{Console, seconds},
     error::Result,
+    exit_code::ExitCode,
     table::Table,
 };
 

@@ -3,7 +3,7 @@ mod figures;
 mod quick;
 mod report;
 
-use std::{path::PathBuf, process::ExitCode, time::Instant};
+use std::{path::PathBuf, time::Instant};
 
 use burn::tensor::Device;
 use cape_core::smpl::Gender;
@@ -25,6 +25,7 @@ use crate::{
     comparison,
     console::{Console, seconds},
     error::{Context, Error, Result},
+    exit_code::ExitCode,
     files,
     html::HtmlFigure,
     interrupt::Interrupt,
@@ -32,9 +33,6 @@ use crate::{
     training,
 };
 use figures::MethodFigure;
-
-/// Exit code of an interrupted grid: 128 + SIGINT.
-const INTERRUPTED: u8 = 130;
 
 /// Train and evaluate all rows of the paper's table 2 under one protocol.
 ///
@@ -170,7 +168,7 @@ impl Table2Args {
                 .doing(|| title)?
             {
                 console.note("interrupted and saved: run the same command again to resume");
-                return Ok(ExitCode::from(INTERRUPTED));
+                return Ok(ExitCode::INTERRUPTED);
             }
             drop(lock);
             write_tables(&store, &report(&finished(&jobs)?))?;

@@ -1,10 +1,7 @@
 mod self_check;
 mod settings;
 
-use std::{
-    path::{Path, PathBuf},
-    process::ExitCode,
-};
+use std::path::{Path, PathBuf};
 
 use cape_infer::{RunConfig, RunPaths};
 use cape_model::CapeConfig;
@@ -17,6 +14,7 @@ use crate::{
     console::{Console, seconds},
     dashboard::Dashboard,
     error::{Context, Error, Result},
+    exit_code::ExitCode,
     interrupt::Interrupt,
     options::{CheckpointArgs, GlobalArgs, PRESETS, default_device},
     table::Table,
@@ -24,9 +22,6 @@ use crate::{
 };
 use self_check::SelfCheckArgs;
 use settings::{TrainOverrideArgs, set};
-
-/// Exit code of an interrupted training: 128 + SIGINT.
-const INTERRUPTED: u8 = 130;
 
 /// Train a model on a packed set.
 ///
@@ -122,7 +117,7 @@ impl TrainArgs {
             "interrupted and saved; resume by:\n  {}",
             self.resume_hint(&out, global)
         ));
-        Ok(ExitCode::from(INTERRUPTED))
+        Ok(ExitCode::INTERRUPTED)
     }
 
     /// The configuration: `base` or the file of --config, overridden by preset and options.

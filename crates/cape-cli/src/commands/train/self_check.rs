@@ -1,6 +1,6 @@
 //! The self check and learning rate search of `--check` and `--find-rate`.
 
-use std::{fmt::Write as _, path::Path, process::ExitCode};
+use std::{fmt::Write as _, path::Path};
 
 use burn::tensor::Device;
 use cape_eval::self_check::{
@@ -16,6 +16,7 @@ use super::TrainArgs;
 use crate::{
     console::Console,
     error::Result,
+    exit_code::ExitCode,
     files,
     options::{GlobalArgs, at_least_one},
     table::Table,
@@ -40,9 +41,6 @@ impl SelfCheckArgs {
         self.check || self.find_rate
     }
 }
-
-/// Exit code of a failed check.
-const UNSOUND: u8 = 1;
 
 impl TrainArgs {
     pub(super) fn run_self_check(
@@ -77,7 +75,7 @@ impl TrainArgs {
         let report = console
             .while_showing("check", "steps", |progress| check(&subject, options, progress))?;
         console.result(&report, || findings(&report))?;
-        Ok(if report.passed { ExitCode::SUCCESS } else { ExitCode::from(UNSOUND) })
+        Ok(if report.passed { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
 }
 

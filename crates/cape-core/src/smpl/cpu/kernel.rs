@@ -27,7 +27,7 @@ fn group_widths() -> &'static [usize] {
 }
 
 /// Coordinates x, y, z of the vertices of a tile.
-type Points = [TileRow; 3];
+pub(super) type Points = [TileRow; 3];
 
 /// Rows `[R | t]` of a joint's transform of rest positions.
 pub(super) type Transform = [[f32; 4]; 3];
@@ -177,12 +177,12 @@ impl VertexRange<'_> {
 
 /// Tile row as SIMD vectors.
 #[inline(always)]
-fn vectors<S: Simd, const WIDE: usize>(line: &TileRow) -> &[S::f32s; WIDE] {
+pub(super) fn vectors<S: Simd, const WIDE: usize>(line: &TileRow) -> &[S::f32s; WIDE] {
     &S::as_simd_f32s(&line.0).0.as_chunks().0[0]
 }
 
 #[inline(always)]
-fn store<S: Simd, const WIDE: usize>(values: [S::f32s; WIDE], line: &mut TileRow) {
+pub(super) fn store<S: Simd, const WIDE: usize>(values: [S::f32s; WIDE], line: &mut TileRow) {
     S::as_mut_simd_f32s(&mut line.0).0.copy_from_slice(&values);
 }
 
@@ -213,7 +213,7 @@ fn blend<S: Simd, const SIDE: usize, const WIDE: usize>(
 
 /// [`blend`] of all axes of one body, in one pass over `directions`.
 #[inline(always)]
-fn blend_one<S: Simd, const WIDE: usize>(
+pub(super) fn blend_one<S: Simd, const WIDE: usize>(
     simd: S,
     directions: &[&[TileRow]; 3],
     used: &[usize],

@@ -4,6 +4,7 @@
 //! The order of summation is independent of the batch size and the number of threads.
 
 mod kernel;
+mod pull_back;
 mod tiles;
 
 use glam::{DAffine3, DMat3, DVec3};
@@ -59,6 +60,16 @@ pub(super) struct BodyBatch<'a> {
 /// Output slices of one body: coefficients `[K]`, transforms `[J]`, posed joints `[J, 3]`.
 type BodySlots<'a> = ((&'a mut [f32], &'a mut [Transform]), &'a mut [f32]);
 
+/// Bodies of a batch before their vertices.
+struct Prepared {
+    /// Coefficients of the directions, `[n, K]`.
+    coefficients: Vec<f32>,
+    /// Transforms of rest positions, `[n, J]`.
+    transforms: Vec<Transform>,
+    /// Posed joints, metres, `[n, J, 3]`.
+    joints: Vec<f32>,
+}
+
 impl CpuBody {
     /// Packs a valid body.
     pub(super) fn new(model: &SmplModel) -> Self {
@@ -80,31 +91,9 @@ impl CpuBody {
 
     /// Posed vertices `[n, V, 3]` and joints `[n, J, 3]`, metres.
     pub(super) fn pose(&self, batch: BodyBatch) -> (Vec<f32>, Vec<f32>) {
-        let (n, j, v) = (batch.transl.len() / 3, self.parents.len(), self.tiles.vertices());
-        let k = self.tiles.count();
-        let mut coefficients = vec![0.0; n * k];
-        let mut transforms = vec![Transform::default(); n * j];
-        let mut joints = vec![0.0; n * 3 * j];
-        let prepare = |(body, ((coefficients, transforms), joints)): (usize, BodySlots)| {
-            self.prepare(batch, body, coefficients, transforms, joints);
-        };
-        if n < PARALLEL_BATCH {
-            coefficients
-                .chunks_mut(k)
-                .zip(transforms.chunks_mut(j))
-                .zip(joints.chunks_mut(3 * j))
-                .enumerate()
-                .for_each(prepare);
-        } else {
-            coefficients
-                .par_chunks_mut(k)
-                .zip(transforms.par_chunks_mut(j))
-                .zip(joints.par_chunks_mut(3 * j))
-                .enumerate()
-                .with_min_len(PARALLEL_BATCH / 2)
-                .for_each(prepare);
-        }
-        let coefficients = Coefficients::pack(&coefficients, k);
+        let (n, v) = (batch.transl.len() / 3, self.tiles.vertices());
+        let Prepared { coefficients, transforms, joints } = self.prepare_all(batch);
+        let coefficients = Coefficients::pack(&coefficients, self.tiles.count());
 
         let mut vertices = vec![0.0; n * 3 * v];
         let stride = TILES_PER_TASK * TILE;
@@ -128,6 +117,35 @@ impl CpuBody {
             range.run();
         });
         (vertices, joints)
+    }
+
+    /// Computes what the vertices of a batch are made of.
+    fn prepare_all(&self, batch: BodyBatch) -> Prepared {
+        let (n, j) = (batch.transl.len() / 3, self.parents.len());
+        let k = self.tiles.count();
+        let mut coefficients = vec![0.0; n * k];
+        let mut transforms = vec![Transform::default(); n * j];
+        let mut joints = vec![0.0; n * 3 * j];
+        let prepare = |(body, ((coefficients, transforms), joints)): (usize, BodySlots)| {
+            self.prepare(batch, body, coefficients, transforms, joints);
+        };
+        if n < PARALLEL_BATCH {
+            coefficients
+                .chunks_mut(k)
+                .zip(transforms.chunks_mut(j))
+                .zip(joints.chunks_mut(3 * j))
+                .enumerate()
+                .for_each(prepare);
+        } else {
+            coefficients
+                .par_chunks_mut(k)
+                .zip(transforms.par_chunks_mut(j))
+                .zip(joints.par_chunks_mut(3 * j))
+                .enumerate()
+                .with_min_len(PARALLEL_BATCH / 2)
+                .for_each(prepare);
+        }
+        Prepared { coefficients, transforms, joints }
     }
 
     /// Computes the coefficients `[K]`, transforms `[J]` and posed joints `[J, 3]` of one body.
@@ -156,17 +174,10 @@ impl CpuBody {
             *feature = (rotation - DMat3::IDENTITY).transpose().to_cols_array().map(|x| x as f32);
         }
 
-        let mut globals: Vec<DAffine3> = Vec::with_capacity(rotations.len());
+        let globals = self.globals(&rotations, &rest);
         let (joints, _) = joints.as_chunks_mut::<3>();
         for (joint, (slot, transform)) in joints.iter_mut().zip(transforms).enumerate() {
-            let global = match self.parents[joint] {
-                None => DAffine3::from_mat3_translation(rotations[joint], rest[joint]),
-                Some(parent) => {
-                    let offset = rest[joint] - rest[parent];
-                    globals[parent] * DAffine3::from_mat3_translation(rotations[joint], offset)
-                }
-            };
-            globals.push(global);
+            let global = globals[joint];
             *slot = (global.translation + transl).as_vec3().to_array();
             // Relative to rest positions instead of joint-local ones.
             let shift = global.translation - global.matrix3 * rest[joint];
@@ -176,6 +187,21 @@ impl CpuBody {
                 *row = columns.map(|column| column[axis] as f32);
             }
         }
+    }
+
+    /// Global transforms of the joint frames, `[J]`.
+    fn globals(&self, rotations: &[DMat3], rest: &[DVec3]) -> Vec<DAffine3> {
+        let mut globals: Vec<DAffine3> = Vec::with_capacity(rotations.len());
+        for (joint, parent) in self.parents.iter().enumerate() {
+            globals.push(match *parent {
+                None => DAffine3::from_mat3_translation(rotations[joint], rest[joint]),
+                Some(parent) => {
+                    let offset = rest[joint] - rest[parent];
+                    globals[parent] * DAffine3::from_mat3_translation(rotations[joint], offset)
+                }
+            });
+        }
+        globals
     }
 
     fn rest_joints(&self, betas: &[f32]) -> Vec<DVec3> {

@@ -5,7 +5,6 @@ mod store;
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
-    process::ExitCode,
 };
 
 use cape_data::{PackedSet, Split};
@@ -18,15 +17,13 @@ use super::method::FitMethodArgs;
 use crate::{
     console::Console,
     error::{Context, Error, Result},
+    exit_code::ExitCode,
     interrupt::Interrupt,
     options::{DataArgs, GlobalArgs, RunArgs, StoreArgs, at_least_one, non_negative, share},
     registration::read_shape,
 };
 use report::Report;
 use store::{CaseStore, FrameInputs};
-
-/// Exit code of an interrupted benchmark: 128 + SIGINT.
-const INTERRUPTED: u8 = 130;
 
 /// Benchmark image fitting against SMPLify on held-out frames (section 6.3 of the paper).
 ///
@@ -129,7 +126,7 @@ impl FitBenchmarkArgs {
         let cases = cases.into_iter().collect::<Result<Option<Vec<BenchmarkCase>>>>()?;
         let Some(cases) = cases else {
             console.note("interrupted and saved: run the same command again to resume");
-            return Ok(ExitCode::from(INTERRUPTED));
+            return Ok(ExitCode::INTERRUPTED);
         };
         let out = self.output.out;
         let chosen = pictures::chosen(&cases);

@@ -4,7 +4,6 @@ mod items;
 
 use std::{
     path::{Path, PathBuf},
-    process::ExitCode,
     time::Instant,
 };
 
@@ -23,13 +22,12 @@ use super::{
 use crate::{
     console::{Console, seconds},
     error::{Error, Result, in_one_line},
+    exit_code::ExitCode,
     files,
     interrupt::Interrupt,
     options::GlobalArgs,
 };
 
-/// Exit code of an interrupted command: 128 + SIGINT.
-const INTERRUPTED: u8 = 130;
 /// Longer side of a picture of the contact sheet, pixels.
 const THUMBNAIL: u32 = 240;
 /// Largest number of pictures of the contact sheet, and its columns.
@@ -120,7 +118,7 @@ pub(super) fn run(args: &FitArgs, global: &GlobalArgs, console: Console) -> Resu
     let fits = fits.into_iter().collect::<Result<Option<Vec<ImageFit>>>>()?;
     let Some(fits) = fits else {
         console.note("interrupted and saved: run the same command again to resume");
-        return Ok(ExitCode::from(INTERRUPTED));
+        return Ok(ExitCode::INTERRUPTED);
     };
     files::write_json_lines(&store.claim("fits.jsonl")?, &fits)?;
     let pictures: Vec<(&ImageFit, PathBuf)> = fits

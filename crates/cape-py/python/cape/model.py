@@ -1,0 +1,145 @@
+"""Trained clothing models."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _cape
+from ._arrays import BATCH, batches, floats, matrix, points, repeat
+from .body import Body, poses
+from .dressed import Dressed
+
+
+class Model:
+    """Trained clothing model, of a run of ``cape train``, a model file, or built in."""
+
+    def __init__(self, model: _cape.Model) -> None:
+        self._model = model
+        #: Number of latent dimensions.
+        self.latent: int = model.latent
+        #: Names of the outfits.
+        self.outfits: list[str] = model.outfits
+        #: Indices of the vertices that clothing covers.
+        self.clothing: NDArray[np.int64] = model.clothing
+        #: Unclothed body.
+        self.body: Body = Body(model.body())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Model:
+        """Open the directory of a run or a model file."""
+        return cls(_cape.Model.load(Path(path)))
+
+    @classmethod
+    def pretrained(cls) -> Model:
+        """Return the built-in model."""
+        return cls(_cape.Model.pretrained())
+
+    def sample(
+        self,
+        outfit: str,
+        n: int = 1,
+        pose: ArrayLike | os.PathLike[str] | None = None,
+        betas: ArrayLike | None = None,
+        seed: int = 1,
+        temperature: float = 1.0,
+    ) -> Dressed:
+        """Dress bodies in ``n`` samples of clothing of an outfit.
+
+        ``pose`` [72] or [n, 72], axis-angle, radians, or a name or file for :func:`cape.poses`;
+        ``betas`` [b] or [n, b]; zero if left out. The samples are those of ``cape sample --seed``. ``temperature`` is a factor on their
+        deviation from the means of the model's mixture.
+        """
+        return self.dress(self.codes(outfit, n, seed, temperature), outfit, pose, betas)
+
+    def codes(
+        self, outfit: str, n: int = 1, seed: int = 1, temperature: float = 1.0
+    ) -> NDArray[np.float32]:
+        """Draw latent codes [n, latent] for an outfit."""
+        if n < 1 or not 0 <= seed < 2**64:
+            raise _cape.CapeError(f"n {n}, seed {seed}: expected n from 1, seed from 0 to 2**64 - 1")
+        return self._model.sample(outfit, n, temperature, seed)
+
+    def dress(
+        self,
+        codes: ArrayLike,
+        outfit: str | Sequence[str],
+        pose: ArrayLike | os.PathLike[str] | None = None,
+        betas: ArrayLike | None = None,
+        transl: ArrayLike | None = None,
+    ) -> Dressed:
+        """Dress bodies in the clothing of ``codes`` [n, latent]; ``transl`` [n, 3], metres."""
+        given = matrix("codes", codes, self.latent)
+        angles = self._angles(pose)
+        n = max(len(given), len(angles))
+        given, angles = repeat("codes", given, n), repeat("pose", angles, n)
+        outfits = _outfits(outfit, n)
+        displacement = self.decode(given, outfits, angles)
+        worn = np.zeros_like(displacement)
+        worn[:, self.clothing] = displacement[:, self.clothing]
+        posed = self.body(betas, angles[:, 3:], angles[:, :3], transl, worn)
+        return Dressed(posed.vertices, worn, given, self.body.faces, tuple(outfits), self)
+
+    def decode(
+        self, codes: ArrayLike, outfit: str | Sequence[str], pose: ArrayLike | os.PathLike[str] | None = None
+    ) -> NDArray[np.float32]:
+        """Decode ``codes`` [n, latent] to displacements [n, V, 3] in the rest pose, metres.
+
+        Only those at the vertices ``clothing`` are worn.
+        """
+        given = matrix("codes", codes, self.latent)
+        angles = self._angles(pose)
+        n = max(len(given), len(angles))
+        given, angles = repeat("codes", given, n), repeat("pose", angles, n)
+        outfits = _outfits(outfit, n)
+        if n <= BATCH:
+            return self._model.decode(given, angles, outfits)
+        displacement = np.empty((n, self.body.num_vertices, 3), dtype=np.float32)
+        for rows in batches(n):
+            displacement[rows] = self._model.decode(given[rows], angles[rows], outfits[rows])
+        return displacement
+
+    def encode(
+        self, displacement: ArrayLike, outfit: str | Sequence[str], pose: ArrayLike | os.PathLike[str] | None = None
+    ) -> NDArray[np.float32]:
+        """Encode ``displacement`` [n, V, 3], in the rest pose, metres, to codes [n, latent]."""
+        worn = points("displacement", displacement, self.body.num_vertices)
+        angles = self._angles(pose)
+        n = max(len(worn), len(angles))
+        worn, angles = repeat("displacement", worn, n), repeat("pose", angles, n)
+        outfits = _outfits(outfit, n)
+        codes = np.empty((n, self.latent), dtype=np.float32)
+        for rows in batches(n):
+            codes[rows] = self._model.encode(worn[rows], angles[rows], outfits[rows])
+        return codes
+
+    def interpolate(self, first: ArrayLike, last: ArrayLike, n: int) -> NDArray[np.float32]:
+        """Codes [n, latent] on the line from one code to another, both included."""
+        if n < 2:
+            raise _cape.CapeError(f"n {n}: expected at least 2")
+        ends = [("first", first), ("last", last)]
+        a, b = (matrix(name, code, self.latent) for name, code in ends)
+        for name, code in (("first", a), ("last", b)):
+            if len(code) != 1:
+                raise _cape.CapeError(f"{name}: {len(code)} codes, expected 1")
+        share = np.linspace(0, 1, n, dtype=np.float32)[:, None]
+        return (1 - share) * a + share * b
+
+    def _angles(self, pose: ArrayLike | os.PathLike[str] | None) -> NDArray[np.float32]:
+        angles = poses(pose) if isinstance(pose, (str, os.PathLike)) else pose
+        return matrix("pose", angles, 3 * self.body.num_joints)
+
+    def colours(self, displacement: ArrayLike, outfit: str) -> NDArray[np.float32]:
+        """Colours of skin, shirt and trousers, sRGB from 0 to 1, [V, 3], of one body's displacement."""
+        return self._model.colours(floats("displacement", displacement), outfit)
+
+
+def _outfits(outfit: str | Sequence[str], n: int) -> list[str]:
+    outfits = [outfit] * n if isinstance(outfit, str) else list(outfit)
+    if len(outfits) != n:
+        raise _cape.CapeError(f"outfits: {len(outfits)} names, expected {n}")
+    return outfits
