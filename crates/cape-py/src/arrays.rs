@@ -74,32 +74,24 @@ impl Floats<'_, '_> {
 
     fn data<const D: usize>(self, shape: [Extent; D], finite: bool) -> PyResult<TensorData> {
         let check = finite.then_some(self.name);
-        match self.dtype()? {
-            DType::F32 => {
-                let array = self.array.cast::<PyArrayDyn<f32>>()?.try_readonly()?;
-                let view = self.expect(array.as_array(), shape)?;
-                copied(&view, check, |x| x.is_finite())
-            }
-            _ => {
-                let array = self.array.cast::<PyArrayDyn<f64>>()?.try_readonly()?;
-                let view = self.expect(array.as_array(), shape)?;
-                copied(&view, check, |x| x.is_finite())
-            }
+        if self.dtype()? == DType::F32 {
+            let array = self.array.cast::<PyArrayDyn<f32>>()?.try_readonly()?;
+            self.expect(array.shape(), shape)?;
+            return copied(&array.as_array(), check, |x| x.is_finite());
         }
+        let array = self.array.cast::<PyArrayDyn<f64>>()?.try_readonly()?;
+        self.expect(array.shape(), shape)?;
+        copied(&array.as_array(), check, |x| x.is_finite())
     }
 
-    fn expect<'v, T, const D: usize>(
-        self,
-        view: ArrayViewD<'v, T>,
-        shape: [Extent; D],
-    ) -> PyResult<ArrayViewD<'v, T>> {
+    fn expect<const D: usize>(self, found: &[usize], shape: [Extent; D]) -> PyResult<()> {
         let fits = |(&length, extent): (&usize, Extent)| extent.admits(length);
-        if view.ndim() == D && view.shape().iter().zip(shape).all(fits) {
-            return Ok(view);
+        if found.len() == D && found.iter().zip(shape).all(fits) {
+            return Ok(());
         }
         let extents = shape.map(|extent| extent.to_string());
         let (name, expected) = (self.name, extents.join(", "));
-        Err(argument(format!("{name}: shape {:?}, expected [{expected}]", view.shape())))
+        Err(argument(format!("{name}: shape {found:?}, expected [{expected}]")))
     }
 }
 

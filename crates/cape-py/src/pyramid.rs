@@ -20,6 +20,9 @@ type Rows<'py> = (
     (usize, usize),
 );
 
+/// Vertices `[V, 3]` and faces `[F, 3]`.
+type SurfaceArrays<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u32>>);
+
 #[pymethods]
 impl MeshPyramid {
     /// Simplify a mesh once for each factor.
@@ -54,11 +57,7 @@ impl MeshPyramid {
     }
 
     /// Vertices `[V, 3]` and faces `[F, 3]` of a level.
-    fn level<'py>(
-        &self,
-        py: Python<'py>,
-        index: usize,
-    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u32>>)> {
+    fn level<'py>(&self, py: Python<'py>, index: usize) -> PyResult<SurfaceArrays<'py>> {
         let surface = at(self.0.levels(), index, "level")?.surface();
         let vertices =
             Array2::from_shape_fn((surface.vertices.len(), 3), |(i, k)| surface.vertices[i][k]);

@@ -71,14 +71,15 @@ class Viewer:
         given = [] if path is None else [os.fspath(path)]
         line = ["view", *given, *_options({"no_open": True, **options}), "--json"]
         self._process = _start(line, subprocess.PIPE, subprocess.PIPE)
-        assert self._process.stdout is not None and self._process.stderr is not None
+        assert self._process.stdout is not None
         text = b""
         for part in self._process.stdout:
             text += part
             if part.rstrip() == b"}":
                 break
         if not text:
-            raise CapeError(self._process.stderr.read().decode().strip())
+            _, errors = self._process.communicate()
+            raise CapeError(errors.decode(errors="replace").strip())
         #: Address of the page, on this machine.
         self.url: str = json.loads(text)["url"]
 
