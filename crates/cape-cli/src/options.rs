@@ -6,7 +6,7 @@ use std::{
 };
 
 use burn::tensor::Device;
-use cape_core::{Outfit, SmplModel, parse_device};
+use cape_core::{MESH_EXTENSIONS, Outfit, SmplModel, parse_device};
 use cape_infer::Run;
 use clap::{
     Args,
@@ -178,8 +178,14 @@ impl RunArgs {
     /// Takes the argument in the place of RUN if it is something else, so that the built-in model is
     /// meant.
     pub(crate) fn take_other(&mut self) -> Option<PathBuf> {
+        // A file of keypoints or a mesh is meant by its name even if it does not exist.
+        let named = |path: &PathBuf| {
+            let extension = path.extension().and_then(|extension| extension.to_str());
+            extension.is_some_and(|own| own == "json" || MESH_EXTENSIONS.contains(&own))
+        };
         let other = |path: &PathBuf| {
-            !Run::is_at(path) && (path.exists() || path.to_string_lossy().starts_with("frame:"))
+            let frame = path.to_string_lossy().starts_with("frame:");
+            !Run::is_at(path) && (path.exists() || frame || named(path))
         };
         let is_other = self.run.as_ref().is_some_and(other);
         if is_other { self.run.take() } else { None }
