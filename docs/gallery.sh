@@ -1,26 +1,24 @@
 #!/usr/bin/env bash
-# Makes the pictures of the README and the book's guide, in about a quarter of an hour. The first
-# picture is of the demo; all others are of the CAPE row of the quick table, which is trained longer.
+# Makes the pictures of the README and the book's guide from the run of the built-in model, whose
+# commands are in docs/book/src/experiments/model.md.
 #
-#     cargo build --release --workspace --examples --bins && docs/gallery.sh [DIRECTORY]
+#     cargo build --release --workspace --examples --bins && docs/gallery.sh RUN [DIRECTORY]
 #
-# DIRECTORY keeps the demo and everything made from it. Not made here are viewer.png, fitted.png,
+# DIRECTORY keeps the demo and everything that is made. Not made here are viewer.png, fitted.png,
 # fitting-benchmark.png, table2-report.png and the layer-*.png: see the pages that show them.
 set -euo pipefail
+run=$(realpath "${1:?RUN is missing}")
 cd "$(dirname "$0")/.."
 
 target=${CARGO_TARGET_DIR:-target}/release
 cape=$(realpath "$target/cape")
 examples=$(realpath "$target/examples")
-work=${1:-$(mktemp -d)}
+work=${2:-$(mktemp -d)}
 pictures=$PWD/docs/book/src/pictures
 mkdir -p "$work" "$pictures"
 cd "$work"
 
 [[ -e demo ]] || "$cape" demo --out demo
-[[ -e quick ]] || "$cape" table2 --quick --rows cape --out quick
-run=quick/cape/seed-1/run
-"$cape" model prior "$run"
 
 # make DIRECTORY COMMAND ARGUMENT…: runs the command with --out DIRECTORY, anew.
 make() {

@@ -41,6 +41,9 @@ pub(super) struct TrainOverrideArgs {
     /// Weight of the adversarial loss.
     #[arg(long, value_name = "WEIGHT")]
     gan: Option<f64>,
+    /// Learning rate of the discriminator relative to the generator's [default: 0.1].
+    #[arg(long, value_name = "FACTOR")]
+    discriminator_rate: Option<f64>,
     /// Adversarial loss: binary cross-entropy or hinge [paper: bce].
     #[arg(long, value_name = "NAME", value_parser = choices(ADVERSARIAL_LOSSES))]
     adversary: Option<AdversarialLoss>,
@@ -105,6 +108,7 @@ impl TrainOverrideArgs {
         set(&mut loss.kl, self.kl);
         set(&mut train.kl_warmup_epochs, self.kl_warmup_epochs);
         set(&mut loss.gan, self.gan);
+        set(&mut train.discriminator_rate_scale, self.discriminator_rate);
         set(&mut loss.adversary, self.adversary);
         if let Some(discriminator) = &mut model.discriminator {
             discriminator.spectral_norm |= self.spectral_norm;
