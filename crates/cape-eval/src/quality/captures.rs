@@ -16,18 +16,33 @@ pub(super) struct HeldOutCaptures {
 }
 
 impl HeldOutCaptures {
-    /// Captures of the `rows` of a set; each frame is one of its own if they are unknown.
+    /// Captures of the `rows` of a set; each frame is one of its own if they are unknown. The only capture
+    /// of an outfit is divided in the middle, as if it were two.
     pub(super) fn of(set: &PackedSet, rows: &[usize]) -> Self {
+        let name = |&row: &usize| set.capture(row).unwrap_or_else(|| row.to_string());
+        Self::new(rows.iter().map(|row| (set.outfits()[*row], name(row))))
+    }
+
+    /// Captures of frames with these outfits and names of captures.
+    fn new(frames: impl Iterator<Item = (Outfit, String)>) -> Self {
         let mut numbers: HashMap<String, usize> = HashMap::new();
         let mut worn: Vec<Outfit> = Vec::new();
-        let number = |&row: &usize| {
-            let name = set.capture(row).unwrap_or_else(|| row.to_string());
+        let number = |(outfit, name): (Outfit, String)| {
             *numbers.entry(name).or_insert_with(|| {
-                worn.push(set.outfits()[row]);
+                worn.push(outfit);
                 worn.len() - 1
             })
         };
-        let of = rows.iter().map(number).collect();
+        let mut of: Vec<usize> = frames.map(number).collect();
+        for capture in 0..worn.len() {
+            if worn.iter().filter(|outfit| **outfit == worn[capture]).count() == 1 {
+                let own: Vec<usize> = (0..of.len()).filter(|&frame| of[frame] == capture).collect();
+                for &frame in &own[own.len().div_ceil(2)..] {
+                    of[frame] = worn.len();
+                }
+                worn.push(worn[capture]);
+            }
+        }
         Self { of, second: second_half(&worn) }
     }
 
@@ -77,6 +92,17 @@ mod tests {
         let worn = [Outfit::LONG_LONG, Outfit::SHORT_LONG].repeat(4);
         let second = second_half(&worn);
         assert_eq!(second, [false, false, true, true, true, true, false, false]);
+    }
+
+    #[test]
+    fn the_only_capture_of_an_outfit_is_divided() {
+        let names = ["a", "a", "b", "b", "b", "c"];
+        let outfits = [Outfit::LONG_LONG, Outfit::SHORT_LONG, Outfit::LONG_LONG];
+        let frames =
+            names.map(|name| (outfits[(name.as_bytes()[0] - b'a') as usize], name.to_owned()));
+        let captures = HeldOutCaptures::new(frames.into_iter());
+        assert_eq!(captures.of, [0, 0, 1, 1, 3, 2]);
+        assert_eq!(captures.second, [false, false, true, true]);
     }
 
     /// Captures of ten near frames on a line, of which every second is of the other half.
