@@ -137,9 +137,12 @@ fn answers(study: &Path) -> Vec<Value> {
     lines.filter(|line| line.get("chosen").is_some()).collect()
 }
 
+/// Presses the button of a page. A page stays until the server has answered, so a pressed one is marked.
 fn next(live: &mut Live) {
-    wait(live, ".next");
-    live.evaluate("document.querySelector('.next').click()");
+    wait(live, ".next:not([data-pressed])");
+    live.evaluate(
+        "(() => { const next = document.querySelector('.next'); next.dataset.pressed = ''; next.click(); })()",
+    );
 }
 
 /// Waits for the numbered page and answers it by an arrow key.
@@ -165,13 +168,11 @@ fn a_rater_answers_by_keyboard_and_goes_on_after_a_reload() {
     wait(&mut live, ".next");
     keep("study-consent", &live.screenshot());
     next(&mut live);
-    sleep(Duration::from_millis(300));
     next(&mut live);
     wait(&mut live, ".choice:enabled");
     keep("study-practice", &live.screenshot());
     answer(&mut live, "Practice 1 of 1", "ArrowLeft");
     next(&mut live);
-    sleep(Duration::from_millis(300));
     next(&mut live);
     answer(&mut live, "Pair 1 of 7", "ArrowLeft");
     answer(&mut live, "Pair 2 of 7", "ArrowRight");
@@ -271,7 +272,6 @@ fn on_a_telephone_in_the_dark_the_pair_fits() {
     let server = Server::start(&study);
     let mut live = Live::open(&browser, &server.urls[1], TELEPHONE);
     next(&mut live);
-    sleep(Duration::from_millis(300));
     next(&mut live);
     wait(&mut live, ".choice:enabled");
     keep("study-telephone", &live.screenshot());

@@ -23,8 +23,7 @@ fn the_argument_in_the_place_of_a_run_may_be_the_next_one() {
     fs::write(data.at("keypoints.json"), "{}").unwrap();
     data.run("fit image @/keypoints.json --out @/fit").failed_saying(&["keypoints.json"]);
     data.run("fit image @/typo.json --out @/fit").failed_saying(&["typo.json", "No such file"]);
-    data.run("model encode @/typo.ply --was longlong --out @/codes")
-        .failed_saying(&["typo.ply", "No such file"]);
+    data.run("model encode @/typo.ply --out @/codes").failed_saying(&["typo.ply"]);
     data.run("fit image --out @/fit").failed_saying(&["KEYPOINTS", "missing"]);
     data.run("model encode --out @/codes").failed_saying(&["REGISTRATION", "missing"]);
     data.run("redress frame:0 --out @/redressed")
