@@ -26,9 +26,11 @@ const OTHER_SHIRTS: [[f32; 3]; 6] = [
 /// use ndarray::Array2;
 ///
 /// let body = cape_synth::synthetic_body();
-/// let colours = GarmentColours::new(&body, &ClothingMask::from_weights(&body)?);
-/// let unclothed = Array2::zeros((body.vertices(), 3));
-/// assert!(colours.of(unclothed.view(), Outfit::LONG_LONG).iter().all(|c| *c == SKIN_COLOUR));
+/// let mask = ClothingMask::from_weights(&body)?;
+/// let displacement = Array2::from_elem((body.vertices(), 3), 0.01);
+/// let colours = GarmentColours::new(&body, &mask).of(displacement.view(), Outfit::LONG_LONG);
+/// let bare = colours.iter().zip(mask.covered()).filter(|(_, covered)| !**covered);
+/// assert!(bare.map(|(colour, _)| colour).all(|colour| *colour == SKIN_COLOUR));
 /// # Ok::<(), cape_core::Error>(())
 /// ```
 #[derive(Debug)]
