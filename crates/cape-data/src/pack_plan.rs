@@ -91,10 +91,13 @@ pub(super) fn plan<'a>(
     let mut frames = Vec::new();
     for &(list, validation) in parts {
         let planned = plan_sequences(tree, split, (list, validation), minimal, missing)?;
-        let mirrored = split.mirror && part == Split::Train && !validation;
-        let images: Vec<_> = planned.iter().filter(|_| mirrored).map(PlannedFrame::image).collect();
-        frames.extend(planned);
-        frames.extend(images);
+        if split.mirror && part == Split::Train && !validation {
+            let images: Vec<_> = planned.iter().map(PlannedFrame::image).collect();
+            frames.extend(planned);
+            frames.extend(images);
+        } else {
+            frames.extend(planned);
+        }
     }
     Ok(frames)
 }

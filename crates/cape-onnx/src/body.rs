@@ -2,11 +2,11 @@
 
 use cape_core::{SmplModel, smpl::ClothingMask};
 use cape_infer::WeightPrecision;
-use ndarray::{Array2, Array3, Axis};
+use ndarray::{Array3, Axis};
 
 use crate::{
     Error, OnnxModel, Result,
-    graph::{GraphBuilder, Value},
+    graph::{GraphBuilder, Value, single},
     metadata::describe_body,
     rotations::{IDENTITY, POSE, pose_rotations},
 };
@@ -202,8 +202,4 @@ fn skin(
         posed = graph.add(&posed, &term);
     }
     posed
-}
-
-fn single(table: &Array2<f64>) -> Vec<f32> {
-    table.iter().map(|&x| x as f32).collect()
 }

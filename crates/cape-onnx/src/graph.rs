@@ -2,6 +2,7 @@
 
 use cape_infer::WeightPrecision;
 use half::f16;
+use ndarray::Array2;
 
 use crate::{
     Error, OnnxModel, Result,
@@ -14,6 +15,11 @@ use crate::{
 
 /// Name of the first dimension of all inputs and outputs.
 pub(crate) const BATCH: &str = "batch";
+
+/// The numbers of a table in single precision, row-major.
+pub(crate) fn single(table: &Array2<f64>) -> Vec<f32> {
+    table.iter().map(|&x| x as f32).collect()
+}
 
 /// A tensor of the graph.
 #[derive(Debug, Clone, PartialEq, Eq)]

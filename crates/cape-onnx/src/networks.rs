@@ -7,11 +7,10 @@ use cape_model::{
     DecoderConditions, DecoderLayer, EncoderBlock,
     layers::{AffineBlock, ConvLayer, EncoderResidual, ResidualBlock},
 };
-use ndarray::Array2;
 
 use crate::{
     OnnxModel, Result,
-    graph::{GraphBuilder, Value},
+    graph::{GraphBuilder, Value, single},
     layers::{
         HostConv, append, bias_leaky_relu, chebyshev_sum, convolve, embedding, group_norm_relu,
         leaky_relu, linear, products, relu,
@@ -305,8 +304,4 @@ impl<'a> PyramidGraphs<'a> {
         let kept = || transition.down().iter().map(|&vertex| vertex as usize).collect();
         (!transition.is_identity()).then(kept)
     }
-}
-
-fn single(table: &Array2<f64>) -> Vec<f32> {
-    table.iter().map(|&x| x as f32).collect()
 }

@@ -50,13 +50,13 @@ pub struct SmplOutput {
 /// Gradients with respect to the parameters of a batch of `n` bodies.
 #[derive(Debug, Clone)]
 pub struct SmplGradient {
-    /// Of the shape coefficients, `[n, b]`.
+    /// Gradient with respect to the shape coefficients, `[n, b]`.
     pub betas: Tensor<2>,
-    /// Of the axis-angles, `[n, 3·J]`.
+    /// Gradient with respect to the axis-angles, per radian, `[n, 3·J]`.
     pub pose: Tensor<2>,
-    /// Of the translation, `[n, 3]`.
+    /// Gradient with respect to the translation, per metre, `[n, 3]`.
     pub transl: Tensor<2>,
-    /// Of the displacement, `[n, V, 3]`.
+    /// Gradient with respect to the displacement, per metre, `[n, V, 3]`.
     pub displacement: Tensor<3>,
 }
 

@@ -57,12 +57,12 @@ impl HeldOutCaptures {
             points: points.to_vec(),
             captures: self.of.clone(),
         };
-        let (frames, samples) = (set(frames), set(samples).numbered_from(self.second.len()));
+        let (frames, samples) = (set(frames), set(samples));
         let mut sum = SetQuality::default();
         for second in [false, true] {
             let own = frames.of_captures(|capture| self.second[capture] == second);
-            let other = |capture: usize| self.second[capture - self.second.len()] != second;
-            let quality = SetDistances::between(&own, &samples.of_captures(other)).quality();
+            let other = samples.of_captures(|capture| self.second[capture] != second);
+            let quality = SetDistances::between(&own, &other).quality();
             sum.coverage += 0.5 * quality.coverage;
             sum.minimum_matching_mm += 0.5 * quality.minimum_matching_mm;
             sum.nearest_neighbour_accuracy += 0.5 * quality.nearest_neighbour_accuracy;

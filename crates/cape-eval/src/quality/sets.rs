@@ -11,7 +11,7 @@ use serde::Serialize;
 pub struct ClothingSet {
     /// Points of each clothing, metres.
     pub points: Vec<Vec<[f32; 3]>>,
-    /// Number of the capture of each; captures of the two sets that are compared have different ones.
+    /// Number of the capture of each, within the set.
     pub captures: Vec<usize>,
 }
 
@@ -21,12 +21,12 @@ pub struct ClothingSet {
 /// use cape_eval::quality::{ClothingSet, SetDistances};
 ///
 /// // Two frames of one point each; both samples are near the first.
-/// let set = |points: [[f32; 3]; 2], captures: [usize; 2]| ClothingSet {
+/// let set = |points: [[f32; 3]; 2]| ClothingSet {
 ///     points: points.map(|point| vec![point]).to_vec(),
-///     captures: captures.to_vec(),
+///     captures: vec![0, 1],
 /// };
-/// let frames = set([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], [0, 1]);
-/// let samples = set([[0.0, 0.1, 0.0], [0.0, 0.0, 0.1]], [2, 3]);
+/// let frames = set([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]);
+/// let samples = set([[0.0, 0.1, 0.0], [0.0, 0.0, 0.1]]);
 /// assert_eq!(SetDistances::between(&frames, &samples).coverage(), 0.5);
 /// ```
 #[derive(Debug, Clone)]
@@ -87,12 +87,6 @@ impl ClothingSet {
         let members = self.points.iter().zip(&self.captures).filter(|(_, c)| chosen(**c));
         let (points, captures) = members.map(|(points, c)| (points.clone(), *c)).unzip();
         Self { points, captures }
-    }
-
-    /// The same clothings as captures of another set, numbered from `first`.
-    pub(super) fn numbered_from(&self, first: usize) -> Self {
-        let captures = self.captures.iter().map(|capture| first + capture).collect();
-        Self { points: self.points.clone(), captures }
     }
 }
 
@@ -208,7 +202,7 @@ mod tests {
             set.captures.iter_mut().for_each(|capture| *capture /= 10);
         }
         assert_eq!(accuracy(&frames, &samples), 0.0);
-        let chosen = frames.of_captures(|capture| capture == 2).numbered_from(7);
-        assert_eq!((chosen.points.len(), chosen.captures), (10, vec![9; 10]));
+        let chosen = frames.of_captures(|capture| capture == 2);
+        assert_eq!((chosen.points.len(), chosen.captures), (10, vec![2; 10]));
     }
 }

@@ -51,8 +51,8 @@ class Model:
         """Dress bodies in ``n`` samples of clothing of an outfit.
 
         ``pose`` [72] or [n, 72], axis-angle, radians, or a name or file for :func:`cape.poses`;
-        ``betas`` [b] or [n, b]; zero if left out. The samples are those of ``cape sample --seed``. ``temperature`` is a factor on their
-        deviation from the means of the model's mixture.
+        ``betas`` [b] or [n, b]; zero if left out. The samples are those of ``cape sample --seed``.
+        ``temperature`` is a factor on their deviation from the means of the model's mixture.
         """
         return self.dress(self.codes(outfit, n, seed, temperature), outfit, pose, betas)
 
@@ -74,10 +74,7 @@ class Model:
     ) -> Dressed:
         """Dress bodies in the clothing of ``codes`` [n, latent]; ``transl`` [n, 3], metres."""
         given = matrix("codes", codes, self.latent)
-        angles = self._angles(pose)
-        n = max(len(given), len(angles))
-        given, angles = repeat("codes", given, n), repeat("pose", angles, n)
-        outfits = _outfits(outfit, n)
+        given, angles, outfits = self._wearers("codes", given, pose, outfit)
         displacement = self.decode(given, outfits, angles)
         worn = np.zeros_like(displacement)
         worn[:, self.clothing] = displacement[:, self.clothing]
@@ -92,10 +89,8 @@ class Model:
         Only those at the vertices ``clothing`` are worn.
         """
         given = matrix("codes", codes, self.latent)
-        angles = self._angles(pose)
-        n = max(len(given), len(angles))
-        given, angles = repeat("codes", given, n), repeat("pose", angles, n)
-        outfits = _outfits(outfit, n)
+        given, angles, outfits = self._wearers("codes", given, pose, outfit)
+        n = len(given)
         if n <= BATCH:
             return self._model.decode(given, angles, outfits)
         displacement = np.empty((n, self.body.num_vertices, 3), dtype=np.float32)
@@ -108,12 +103,9 @@ class Model:
     ) -> NDArray[np.float32]:
         """Encode ``displacement`` [n, V, 3], in the rest pose, metres, to codes [n, latent]."""
         worn = points("displacement", displacement, self.body.num_vertices)
-        angles = self._angles(pose)
-        n = max(len(worn), len(angles))
-        worn, angles = repeat("displacement", worn, n), repeat("pose", angles, n)
-        outfits = _outfits(outfit, n)
-        codes = np.empty((n, self.latent), dtype=np.float32)
-        for rows in batches(n):
+        worn, angles, outfits = self._wearers("displacement", worn, pose, outfit)
+        codes = np.empty((len(worn), self.latent), dtype=np.float32)
+        for rows in batches(len(worn)):
             codes[rows] = self._model.encode(worn[rows], angles[rows], outfits[rows])
         return codes
 
@@ -129,16 +121,26 @@ class Model:
         share = np.linspace(0, 1, n, dtype=np.float32)[:, None]
         return (1 - share) * a + share * b
 
-    def _angles(self, pose: ArrayLike | os.PathLike[str] | None) -> NDArray[np.float32]:
-        angles = poses(pose) if isinstance(pose, (str, os.PathLike)) else pose
-        return matrix("pose", angles, 3 * self.body.num_joints)
+    def _wearers(
+        self,
+        name: str,
+        values: NDArray[np.float32],
+        pose: ArrayLike | os.PathLike[str] | None,
+        outfit: str | Sequence[str],
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], list[str]]:
+        """Values, poses and outfits, as many of each."""
+        given = poses(pose) if isinstance(pose, (str, os.PathLike)) else pose
+        angles = matrix("pose", given, 3 * self.body.num_joints)
+        n = max(len(values), len(angles))
+        return repeat(name, values, n), repeat("pose", angles, n), outfit_names(outfit, n)
 
     def colours(self, displacement: ArrayLike, outfit: str) -> NDArray[np.float32]:
         """Colours of skin, shirt and trousers, sRGB from 0 to 1, [V, 3], of one body's displacement."""
         return self._model.colours(floats("displacement", displacement), outfit)
 
 
-def _outfits(outfit: str | Sequence[str], n: int) -> list[str]:
+def outfit_names(outfit: str | Sequence[str], n: int) -> list[str]:
+    """Outfit of each of n bodies; one name is that of all."""
     outfits = [outfit] * n if isinstance(outfit, str) else list(outfit)
     if len(outfits) != n:
         raise _cape.CapeError(f"outfits: {len(outfits)} names, expected {n}")

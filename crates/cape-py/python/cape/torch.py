@@ -17,7 +17,7 @@ from torch.autograd.function import once_differentiable
 from . import _cape
 from ._arrays import batches
 from .body import Body
-from .model import Model
+from .model import Model, outfit_names
 
 #: Codes whose gradients are computed in one call of the library.
 _BATCH = 16
@@ -108,10 +108,7 @@ class Dress(torch.nn.Module):
             "transl": (transl, (3,)),
         }
         rows = {name: value.to(torch.float32) for name, value in _rows(shapes).items()}
-        n = len(rows["codes"])
-        outfits = [self.outfit] * n if isinstance(self.outfit, str) else list(self.outfit)
-        if len(outfits) != n:
-            raise _cape.CapeError(f"outfit: {len(outfits)} names, expected {n}")
+        outfits = outfit_names(self.outfit, len(rows["codes"]))
         decoded = _Decode.apply(self.model, rows["codes"], rows["pose"], outfits)
         displacement = decoded * self.worn.to(decoded.device)
         pose_ = rows["pose"]

@@ -24,13 +24,13 @@ const GROUP: usize = 8;
 /// Gradients with respect to the parameters of a batch of `n` bodies, row-major.
 #[derive(Debug)]
 pub(in crate::smpl) struct ParameterGradients {
-    /// Of the shape coefficients, `[n, b]`.
+    /// Gradient with respect to the shape coefficients, `[n, b]`.
     pub betas: Vec<f32>,
-    /// Of the axis-angles, `[n, J, 3]`.
+    /// Gradient with respect to the axis-angles, per radian, `[n, J, 3]`.
     pub pose: Vec<f32>,
-    /// Of the translations, `[n, 3]`.
+    /// Gradient with respect to the translations, per metre, `[n, 3]`.
     pub transl: Vec<f32>,
-    /// Of the displacements, `[n, V, 3]`.
+    /// Gradient with respect to the displacements, per metre, `[n, V, 3]`.
     pub displacement: Vec<f32>,
 }
 
@@ -140,7 +140,7 @@ impl CpuBody {
         let globals = self.globals(&turns, &rest);
         let by_joint = points(joints);
 
-        // Of the global transforms, of the rest joints, and of the joints' rotations.
+        // Gradients with respect to global transforms, rest joints and the joints' rotations.
         let mut by_turn = vec![DMat3::ZERO; j];
         let mut by_place = vec![DVec3::ZERO; j];
         let mut by_rest = vec![DVec3::ZERO; j];
