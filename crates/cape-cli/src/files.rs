@@ -9,6 +9,11 @@ use crate::error::{Error, Result};
 
 /// Returns an error unless `path` is missing or an empty directory.
 pub(crate) fn require_empty(path: &Path) -> Result {
+    require_empty_as(path, "--out")
+}
+
+/// Like [`require_empty`], of the path that `option` gives.
+pub(crate) fn require_empty_as(path: &Path, option: &str) -> Result {
     let Ok(metadata) = fs::metadata(path) else { return Ok(()) };
     let occupied = if metadata.is_dir() {
         fs::read_dir(path).map_err(|error| Error::io(path, error))?.next().is_some()
@@ -17,7 +22,7 @@ pub(crate) fn require_empty(path: &Path) -> Result {
     };
     if occupied {
         return Err(Error::message(format!(
-            "{} already exists and is not empty: remove it or choose another --out",
+            "{} already exists and is not empty: remove it or choose another {option}",
             path.display()
         )));
     }

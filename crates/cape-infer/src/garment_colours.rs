@@ -3,11 +3,12 @@
 use cape_core::{ClothingMask, Outfit, SmplModel};
 use ndarray::ArrayView2;
 
-use crate::garment_labels::{GarmentLabels, GarmentShares};
+use crate::garment_labels::{GarmentLabels, GarmentShares, GarmentTables};
 
 /// Colour of uncovered skin, sRGB from 0 to 1.
 pub const SKIN_COLOUR: [f32; 3] = [0.83, 0.69, 0.60];
-const TROUSERS: [f32; 3] = [0.27, 0.31, 0.40];
+/// Colour of trousers, sRGB from 0 to 1.
+pub const TROUSERS_COLOUR: [f32; 3] = [0.27, 0.31, 0.40];
 /// Colours of the shirts of other outfits than the paper's.
 const OTHER_SHIRTS: [[f32; 3]; 6] = [
     [0.55, 0.47, 0.66],
@@ -42,17 +43,23 @@ impl GarmentColours {
         Self(GarmentLabels::new(body, mask.covered()))
     }
 
+    /// Tables and numbers by which other programs find the same colours.
+    pub fn tables(&self) -> GarmentTables {
+        self.0.tables()
+    }
+
     /// Colours of displacements `[V, 3]`, metres, of an outfit: sRGB from 0 to 1, `[V]`.
     pub fn of(&self, displacement: ArrayView2<f32>, outfit: Outfit) -> Vec<[f32; 3]> {
         let shirt = shirt_colour(outfit);
         let colour = |GarmentShares { cloth, trousers }| {
-            mix(SKIN_COLOUR, mix(shirt, TROUSERS, trousers), cloth)
+            mix(SKIN_COLOUR, mix(shirt, TROUSERS_COLOUR, trousers), cloth)
         };
         self.0.shares(displacement).into_iter().map(colour).collect()
     }
 }
 
-fn shirt_colour(outfit: Outfit) -> [f32; 3] {
+/// Colour of the shirt of an outfit, sRGB from 0 to 1.
+pub fn shirt_colour(outfit: Outfit) -> [f32; 3] {
     match outfit {
         Outfit::SHORT_LONG => [0.36, 0.56, 0.67],
         Outfit::SHORT_SHORT => [0.72, 0.42, 0.34],

@@ -2,6 +2,7 @@
 
 use cape_core::SmplModel;
 use ndarray::{ArrayView1, ArrayView2};
+use serde::Serialize;
 
 /// Length of displacement at which skin begins to change to cloth, and from which on it is cloth, metres.
 const CLOTH: [f32; 2] = [0.0025, 0.0038];
@@ -20,6 +21,44 @@ const KNEES: [usize; 2] = [4, 5];
 const LEGS: [usize; 8] = [1, 2, 4, 5, 7, 8, 10, 11];
 /// Pelvis, spine and collars: covered in every outfit.
 const TRUNK: [usize; 6] = [PELVIS, SPINE, 6, 9, 13, 14];
+
+/// Tables and numbers by which vertices are told apart: skin, shirt and trousers.
+///
+/// ```
+/// use cape_core::ClothingMask;
+/// use cape_infer::GarmentColours;
+///
+/// let body = cape_synth::synthetic_body();
+/// let mask = ClothingMask::from_weights(&body)?;
+/// let tables = GarmentColours::new(&body, &mask).tables();
+/// assert_eq!(tables.covered, mask.covered());
+/// # Ok::<(), cape_core::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct GarmentTables {
+    /// True at vertices of the clothing mask, `[V]`.
+    #[serde(skip)]
+    pub covered: Vec<bool>,
+    /// True at vertices of the trunk, which every outfit covers, `[V]`.
+    #[serde(skip)]
+    pub trunk: Vec<bool>,
+    /// True where the share of trousers is known beforehand, `[V]`.
+    #[serde(skip)]
+    pub known: Vec<bool>,
+    /// Share of trousers where it is known, and its first guess elsewhere, 0 to 1, `[V]`.
+    #[serde(skip)]
+    pub trousers: Vec<f32>,
+    /// Length of displacement at which skin begins to change to cloth, and from which on it is cloth,
+    /// metres.
+    pub cloth: [f32; 2],
+    /// Difference of the displacements of two neighbours from which on a hem is likely between them,
+    /// metres.
+    pub step: f32,
+    /// Least coupling of neighbours, relative to that without a step.
+    pub coupling: f32,
+    /// Sweeps over the vertices that find shirt and trousers, and that join cloth across folds.
+    pub sweeps: [usize; 2],
+}
 
 /// Shares of cloth and, of the cloth, of trousers, at a vertex, 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -86,6 +125,25 @@ impl GarmentLabels {
         Self { neighbours, covered: covered.to_vec(), known, guess, trunk }
     }
 
+    /// Tables and numbers of the method.
+    pub(crate) fn tables(&self) -> GarmentTables {
+        GarmentTables {
+            covered: self.covered.clone(),
+            trunk: self.trunk.clone(),
+            known: self.known.iter().map(Option::is_some).collect(),
+            trousers: self.first_trousers(),
+            cloth: CLOTH,
+            step: STEP,
+            coupling: COUPLING,
+            sweeps: SWEEPS,
+        }
+    }
+
+    /// Shares of trousers, known or guessed.
+    fn first_trousers(&self) -> Vec<f32> {
+        self.known.iter().zip(&self.guess).map(|(known, guess)| known.unwrap_or(*guess)).collect()
+    }
+
     /// Shares by vertex for displacements `[V, 3]`, metres.
     pub(crate) fn shares(&self, displacement: ArrayView2<f32>) -> Vec<GarmentShares> {
         let count = self.neighbours.len();
@@ -110,12 +168,7 @@ impl GarmentLabels {
             sum / f32::max(weight, f32::MIN_POSITIVE)
         };
 
-        let mut trousers: Vec<f32> = self
-            .known
-            .iter()
-            .zip(&self.guess)
-            .map(|(known, guess)| known.unwrap_or(*guess))
-            .collect();
+        let mut trousers = self.first_trousers();
         let unknown: Vec<usize> = (0..count).filter(|&v| self.known[v].is_none()).collect();
         for _ in 0..SWEEPS[0] {
             for &v in &unknown {

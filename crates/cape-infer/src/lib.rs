@@ -40,7 +40,8 @@ pub use clothed_model::{ClothedBody, ClothedModel, ClothedModelParts, Condition}
 pub use codes::{directions_by_effect, interpolate_codes, normal, walk_codes};
 pub use config::{OptimiserKind, RateSchedule, RunConfig, TrainConfig, WarmUp};
 pub use error::{Error, Result};
-pub use garment_colours::{GarmentColours, SKIN_COLOUR};
+pub use garment_colours::{GarmentColours, SKIN_COLOUR, TROUSERS_COLOUR, shirt_colour};
+pub use garment_labels::GarmentTables;
 pub use graphs::build_graphs;
 pub use model_file::{ModelFile, WeightPrecision};
 pub use normaliser::Normaliser;

@@ -32,5 +32,15 @@ pub use error::{Error, Result};
 pub use model::{ExportedFile, GraphTensor, OnnxModel, export_model};
 pub use networks::{export_decoder, export_encoder};
 
+/// Modules in JavaScript, by name, that compute the graphs in browsers and in Node without anything else:
+/// `new Graph(bytes).run(inputs)` of `graph.js`, with the numbers of each input by name.
+pub const JAVASCRIPT: [(&str, &str); 5] = [
+    ("graph.js", include_str!("../web/graph.js")),
+    ("onnx.js", include_str!("../web/onnx.js")),
+    ("operators.js", include_str!("../web/operators.js")),
+    ("products.js", include_str!("../web/products.js")),
+    ("sparse.js", include_str!("../web/sparse.js")),
+];
+
 #[cfg(test)]
 mod tests;

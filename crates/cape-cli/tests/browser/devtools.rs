@@ -4,8 +4,10 @@ use std::{
     fs,
     io::{BufRead, BufReader},
     net::TcpStream,
+    path::PathBuf,
     process::{Child, Command, Stdio},
-    time::Duration,
+    thread::sleep,
+    time::{Duration, Instant},
 };
 
 use base64::{Engine, engine::general_purpose::STANDARD};
@@ -25,6 +27,7 @@ pub(crate) struct Live {
     next: u64,
     session: Option<String>,
     complaints: Vec<String>,
+    requests: Vec<String>,
     place: TempDir,
 }
 
@@ -53,15 +56,22 @@ impl Live {
         if let MaybeTlsStream::Plain(stream) = socket.get_ref() {
             stream.set_read_timeout(Some(PATIENCE)).unwrap();
         }
-        let mut live =
-            Self { child, socket, next: 0, session: None, complaints: Vec::new(), place };
+        let mut live = Self {
+            child,
+            socket,
+            next: 0,
+            session: None,
+            complaints: Vec::new(),
+            requests: Vec::new(),
+            place,
+        };
         let target = live.ask("Target.createTarget", &json!({"url": "about:blank"}));
         let attached = live.ask(
             "Target.attachToTarget",
             &json!({"targetId": target["targetId"], "flatten": true}),
         );
         live.session = Some(attached["sessionId"].as_str().unwrap().to_owned());
-        for domain in ["Runtime.enable", "Log.enable", "Page.enable"] {
+        for domain in ["Runtime.enable", "Log.enable", "Page.enable", "Network.enable"] {
             live.ask(domain, &json!({}));
         }
         let scheme = match view.scheme {
@@ -91,7 +101,7 @@ impl Live {
     }
 
     /// Directory of downloads.
-    pub(crate) fn downloads(&self) -> std::path::PathBuf {
+    pub(crate) fn downloads(&self) -> PathBuf {
         self.place.path().join("downloads")
     }
 
@@ -118,6 +128,25 @@ impl Live {
         &self.complaints
     }
 
+    /// Addresses that were asked for so far.
+    pub(crate) fn requests(&self) -> &[String] {
+        &self.requests
+    }
+
+    /// The finished download whose name ends so.
+    pub(crate) fn download(&self, end: &str) -> PathBuf {
+        let start = Instant::now();
+        loop {
+            let entries = fs::read_dir(self.downloads()).into_iter().flatten().flatten();
+            let mut paths = entries.map(|entry| entry.path());
+            if let Some(path) = paths.find(|path| path.extension().is_some_and(|e| e == end)) {
+                return path;
+            }
+            assert!(start.elapsed() < PATIENCE, "no download of .{end}");
+            sleep(Duration::from_millis(50));
+        }
+    }
+
     fn ask(&mut self, method: &str, parameters: &Value) -> Value {
         self.next += 1;
         let mut message = json!({"id": self.next, "method": method, "params": parameters});
@@ -133,6 +162,10 @@ impl Live {
                 return said["result"].take();
             }
             let parameters = &said["params"];
+            if said["method"] == "Network.requestWillBeSent" {
+                let url = parameters["request"]["url"].as_str().unwrap_or_default();
+                self.requests.push(url.chars().take(200).collect());
+            }
             let complains = match said["method"].as_str() {
                 Some("Runtime.exceptionThrown") => true,
                 Some("Log.entryAdded") => parameters["entry"]["level"] == "error",

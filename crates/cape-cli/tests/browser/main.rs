@@ -1,12 +1,18 @@
 //! The report of `cape table2`, the page of `cape view` and those of studies as a browser shows them.
 //!
 //! Needs Chromium: the one that `CAPE_BROWSER` names, else one in the path; without any, the tests
-//! report themselves as skipped. `CAPE_BROWSER_SHOTS` names a directory to keep the screenshots in.
+//! report themselves as skipped. The folder of `cape view --export` is also opened in Firefox, which
+//! `CAPE_FIREFOX` names or which is in the path, on a display of Xvfb. `CAPE_BROWSER_SHOTS` names a
+//! directory to keep the screenshots in.
 
 mod browser;
 #[cfg(feature = "view")]
 mod devtools;
+#[cfg(feature = "view")]
+mod firefox;
 mod report;
+#[cfg(feature = "view")]
+mod site;
 #[cfg(feature = "view")]
 mod study;
 #[allow(dead_code, reason = "shared with tests/cli, which uses all of it")]

@@ -6,8 +6,6 @@ use std::{
     io::{BufRead, BufReader, Read, Write},
     net::TcpStream,
     process::{Child, Stdio},
-    thread::sleep,
-    time::{Duration, Instant},
 };
 
 use cape::{
@@ -24,7 +22,7 @@ use crate::{
     support::{VERTICES, cape, trained},
 };
 
-const WIDE: View = View { width: 1280, height: 800, scheme: Scheme::Light };
+pub(crate) const WIDE: View = View { width: 1280, height: 800, scheme: Scheme::Light };
 
 /// `cape view`, until it is dropped.
 struct Server {
@@ -85,7 +83,7 @@ impl Drop for Server {
 }
 
 /// Moves a control of the page.
-fn set(live: &mut Live, control: &str, value: &str) {
+pub(crate) fn set(live: &mut Live, control: &str, value: &str) {
     live.evaluate(&format!(
         "(() => {{ const control = document.querySelector('{control}'); control.value = '{value}'; \
          for (const kind of ['input', 'change']) \
@@ -94,13 +92,13 @@ fn set(live: &mut Live, control: &str, value: &str) {
     live.evaluate("cape.settled()");
 }
 
-fn click(live: &mut Live, control: &str) {
+pub(crate) fn click(live: &mut Live, control: &str) {
     live.evaluate(&format!("document.querySelector('{control}').click()"));
     live.evaluate("cape.settled()");
 }
 
 /// Share of pixels that differ.
-fn difference(a: &Image, b: &Image) -> f64 {
+pub(crate) fn difference(a: &Image, b: &Image) -> f64 {
     let pairs = a.pixels().iter().zip(b.pixels());
     pairs.filter(|(a, b)| a != b).count() as f64 / a.pixels().len() as f64
 }
@@ -144,23 +142,7 @@ fn downloads_parse() {
     for format in ["obj", "ply", "glb", "png"] {
         click(&mut live, &format!("#download-{format}"));
     }
-    let start = Instant::now();
-    let found = loop {
-        let names: Vec<_> = fs::read_dir(live.downloads())
-            .map(|entries| entries.map(|entry| entry.unwrap().path()).collect())
-            .unwrap_or_default();
-        let ends = |kind: &str| {
-            names
-                .iter()
-                .find(|path: &&std::path::PathBuf| path.extension().is_some_and(|e| e == kind))
-        };
-        if let [Some(obj), Some(ply), Some(glb), Some(png)] = ["obj", "ply", "glb", "png"].map(ends)
-        {
-            break [obj.clone(), ply.clone(), glb.clone(), png.clone()];
-        }
-        assert!(start.elapsed() < Duration::from_secs(30), "only {names:?}");
-        sleep(Duration::from_millis(50));
-    };
+    let found = ["obj", "ply", "glb", "png"].map(|end| live.download(end));
     assert_eq!(obj::read(&found[0]).unwrap().mesh.vertices.len(), VERTICES);
     assert_eq!(Mesh::load(&found[1]).unwrap().vertices.len(), VERTICES);
     assert_eq!(&fs::read(&found[2]).unwrap()[..4], b"glTF");

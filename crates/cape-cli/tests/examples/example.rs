@@ -92,7 +92,10 @@ pub(crate) struct Example {
 impl Example {
     /// Why it is not run, if it is not.
     pub(crate) fn reason_not_to_run(&self) -> Option<&'static str> {
-        NOT_RUN.iter().find(|(part, _)| self.line.contains(part)).map(|(_, reason)| *reason)
+        // An exported page is not served.
+        let exports = |part: &str| part == "cape view" && self.line.contains("--export");
+        let held = |part: &str| self.line.contains(part) && !exports(part);
+        NOT_RUN.iter().find(|(part, _)| held(part)).map(|(_, reason)| *reason)
     }
 
     /// Parses the words after `cape`.
@@ -114,7 +117,7 @@ impl Example {
         let (before, mut words, after) = self.parts();
         let command = command_of(&words);
         let resumes = words.iter().any(|word| word == "--resume");
-        for option in ["--out", "--set", "--raw"] {
+        for option in ["--out", "--set", "--raw", "--export"] {
             if let (Some(at), false) = (words.iter().position(|word| word == option), resumes) {
                 words[at + 1] = format!("{made}/{}", words[at + 1]);
             }

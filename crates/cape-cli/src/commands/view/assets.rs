@@ -8,12 +8,23 @@ macro_rules! files {
     };
 }
 
+/// Modules of the exported page: name and text.
+pub(super) const SITE_FILES: &[(&str, &str)] = &[
+    ("garments.js", include_str!("web/site/garments.js")),
+    ("local.js", include_str!("web/site/local.js")),
+    ("mesh_file.js", include_str!("web/site/mesh_file.js")),
+    ("prior.js", include_str!("web/site/prior.js")),
+    ("random.js", include_str!("web/site/random.js")),
+    ("site.js", include_str!("web/site/site.js")),
+    ("worker.js", include_str!("web/site/worker.js")),
+];
+
 /// Name, type and text.
 const FILES: &[(&str, &str, &str)] = files! {
     "text/css; charset=utf-8": "viewer.css";
     "text/javascript; charset=utf-8":
         "answer.js" "camera.js" "colours.js" "controls.js" "gestures.js" "keys.js" "legend.js"
-        "link.js" "matrix.js" "mesh.js" "panel.js" "player.js" "save.js" "scene.js" "shaders.js"
+        "link.js" "main.js" "matrix.js" "mesh.js" "panel.js" "player.js" "save.js" "scene.js" "server.js" "shaders.js"
         "shadows.js" "viewer.js" "words.js";
 };
 

@@ -1,11 +1,14 @@
 //! The viewer in the browser.
 
 mod assets;
+mod bundle;
 mod server;
+mod site;
 mod source;
 mod wire;
 
 use std::{
+    collections::BTreeMap,
     net::{IpAddr, Ipv4Addr, TcpListener},
     path::{Path, PathBuf},
     sync::mpsc,
@@ -30,10 +33,13 @@ use source::{MeshSource, RunSource, Source};
 ///
 /// Serves a page to this machine only, at an address with a secret token, until Ctrl-C. From another
 /// machine, forward the port by `ssh -L 8000:localhost:PORT` and open the address with port 8000.
+///
+/// --export writes a folder with the page and the model instead, for any file server or to be opened as a
+/// file; the browser computes. The folder contains the body: SMPL's licence does not allow passing on SMPL.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape view\n  cape view runs/cape\n  cape view dressed.obj\n  cape view female\n  \
-                        cape view frames --fps 15 --no-open --port 8080"
+                        cape view frames --fps 15 --no-open --port 8080\n  cape view --export site"
 )]
 pub(crate) struct ViewArgs {
     /// Run, mesh (.obj, .ply, .stl, .off, .glb), SMPL body (.npz, .pkl), built-in body (male, female,
@@ -60,6 +66,13 @@ pub(crate) struct ViewArgs {
     /// Do not open the browser.
     #[arg(long)]
     no_open: bool,
+    /// Folder to write the page of a run into, with its model; it must be empty or missing.
+    #[arg(
+        long,
+        value_name = "SITE",
+        conflicts_with_all = ["port", "host", "allow_remote", "fps", "no_open"]
+    )]
+    export: Option<PathBuf>,
 }
 
 #[derive(Debug, Serialize)]
@@ -67,10 +80,18 @@ struct Report {
     url: String,
 }
 
+#[derive(Debug, Serialize)]
+struct SiteReport {
+    site: PathBuf,
+    /// Sizes of the files, bytes.
+    files: BTreeMap<String, usize>,
+    /// Size of all files.
+    bytes: usize,
+}
+
 impl ViewArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
-        let remote = !self.host.is_loopback();
-        if remote && !self.allow_remote {
+        if !self.host.is_loopback() && !self.allow_remote {
             return Err(Error::message(format!(
                 "--host {}: other machines could look: add --allow-remote, or leave both out and forward \
                  the port by `ssh -L 8000:localhost:PORT`",
@@ -87,7 +108,14 @@ impl ViewArgs {
             Some(run) => {
                 let motion = self.motion.as_deref();
                 let motion = motion.map(|text| self.reading.poses(text, console)).transpose()?;
-                Source::Model(Box::new(RunSource::new(run, motion, console)))
+                let source = RunSource::new(run, motion, console);
+                if let Some(site) = &self.export {
+                    return export(&source, site.clone(), console);
+                }
+                Source::Model(Box::new(source))
+            }
+            None if self.export.is_some() => {
+                return Err(Error::message("--export: only a run can be exported, not a mesh"));
             }
             None if self.motion.is_some() => {
                 return Err(Error::message("--motion: only a run can be moved, not a mesh"));
@@ -97,6 +125,11 @@ impl ViewArgs {
                 Source::Meshes(MeshSource::open(path, self.fps)?)
             }
         };
+        self.serve(&source, console)
+    }
+
+    fn serve(&self, source: &Source, console: Console) -> Result {
+        let remote = !self.host.is_loopback();
         let scene = source.scene()?.to_string();
         let faces = source.faces().as_flattened().iter().flat_map(|i| i.to_le_bytes()).collect();
 
@@ -120,4 +153,15 @@ impl ViewArgs {
         server::work(list, |question| source.answer(question), |download| source.file(download));
         server.join().map_err(|_| Error::message("internal error: the server thread failed"))?
     }
+}
+
+fn export(source: &RunSource, site: PathBuf, console: Console) -> Result {
+    let files = site::export(source, &site)?;
+    let bytes = files.values().sum();
+    let report = SiteReport { site, files, bytes };
+    console.result(&report, || {
+        let page = report.site.join("index.html");
+        let (count, size) = (report.files.len(), report.bytes as f64 / 1e6);
+        format!("{count} files, {size:.1} MB\nopen {}", page.display())
+    })
 }

@@ -135,8 +135,12 @@ impl<'a> RunSource<'a> {
         Self { run, painter: DressedRenderer::new(run), truth, console, motion }
     }
 
+    pub(super) fn run(&self) -> &'a Run {
+        self.run
+    }
+
     /// Poses of a motion by name: the file's, or a synthetic one's. Paths are not names.
-    fn poses(&self, movement: &MotionRequest) -> Result<Vec<BodyPose>> {
+    pub(super) fn poses(&self, movement: &MotionRequest) -> Result<Vec<BodyPose>> {
         if let Some((name, file)) = &self.motion
             && *name == movement.name
         {
@@ -151,7 +155,8 @@ impl<'a> RunSource<'a> {
         Ok(file.upright_poses()?)
     }
 
-    fn scene(&self) -> Result<Value> {
+    /// Description of the run for the page.
+    pub(super) fn scene(&self) -> Result<Value> {
         let run = self.run;
         let at = |name: &str| poses::preset(name).unwrap_or([0.0; 72]);
         let wearer =

@@ -1,19 +1,19 @@
-// The binary answers of the server.
+// The binary answers, of the server or of a worker in its place.
 
-const MAGIC = 0x45504143;
-const HEADER = 16;
-const BYTES_PER_VERTEX = 24;
-const KINDS = ["clothed", "body", "truth"];
+export const MAGIC = 0x45504143;
+export const HEADER = 16;
+export const BYTES_PER_VERTEX = 24;
+export const KINDS = ["clothed", "body", "truth"];
 
 /// The layers as views into `buffer`, from left to right as they are shown.
 export function readAnswer(buffer) {
   const words = new DataView(buffer);
   if (buffer.byteLength < HEADER || words.getUint32(0, true) !== MAGIC) {
-    throw new Error("the server's answer is not understood");
+    throw new Error("the answer is not understood");
   }
   const [id, count, vertices] = [4, 8, 12].map(offset => words.getUint32(offset, true));
   if (buffer.byteLength !== HEADER + count * (4 + BYTES_PER_VERTEX * vertices)) {
-    throw new Error("the server's answer is incomplete");
+    throw new Error("the answer is incomplete");
   }
   let offset = HEADER;
   const take = (type, length) => {

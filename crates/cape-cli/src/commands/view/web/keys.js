@@ -39,10 +39,13 @@ function taken(target, key) {
   return key === " " && target.matches("button, summary, input:not([type=range])");
 }
 
-export function bindKeys() {
+/// Listens to the keyboard; the help has the keys and `notes`.
+export function bindKeys(notes) {
   byId("help-keys").tBodies[0].append(...[...KEYS, ...GESTURES].map(([keys, text]) => element("tr", {},
     element("th", { scope: "row" }, ...keys.map(key => element("kbd", { textContent: key }))),
     element("td", { textContent: text }))));
+  byId("help-notes").append(...notes.map(textContent => element("li", { textContent })));
+  byId("help-notes").hidden = notes.length === 0;
   byId("help-open").addEventListener("click", () => byId("help").showModal());
 
   document.addEventListener("keydown", event => {

@@ -1,4 +1,4 @@
-// The connection to the server.
+// The connection to the server, or to a worker in its place.
 
 import { readAnswer } from "./answer.js";
 
@@ -8,7 +8,7 @@ const PATIENCE = 20_000;
 
 /// Asks for pictures, of which only the newest matters, and for other things, which all matter.
 export class Link {
-  #url;
+  #open;
   #handlers;
   #socket = null;
   #failures = 0;
@@ -18,10 +18,11 @@ export class Link {
   #shown = 0;
   #questions = new Map();
 
-  /// `handlers` has `answer(layers, latency)`, `failure(message)`, `lost(seconds)`, `found()` and
-  /// `settled()`, which is called whenever a picture has arrived or is not waited for any more.
-  constructor(url, handlers) {
-    this.#url = url;
+  /// `open` returns a new WebSocket, or the like. `handlers` has `answer(layers, latency)`,
+  /// `failure(message)`, `lost(seconds)`, `found()` and `settled()`, which is called whenever a picture
+  /// has arrived or is not waited for any more.
+  constructor(open, handlers) {
+    this.#open = open;
     this.#handlers = handlers;
     this.#connect();
   }
@@ -49,8 +50,7 @@ export class Link {
   }
 
   #connect() {
-    const socket = new WebSocket(this.#url);
-    socket.binaryType = "arraybuffer";
+    const socket = this.#open();
     socket.onopen = () => {
       if (this.#failures > 0) this.#handlers.found();
       this.#failures = 0;

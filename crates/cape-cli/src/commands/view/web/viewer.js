@@ -19,6 +19,7 @@ const SLACK = 0.06;
 const MOTION = { seconds: 2, fps: 15 };
 
 class Viewer {
+  #source;
   #subject;
   #canvas = byId("canvas");
   #camera = new Camera();
@@ -46,14 +47,18 @@ class Viewer {
   #tasks = 0;
   #waiting = [];
 
-  constructor(subject, faces) {
+  /// `source` has the `subject`, its `faces`, `connect()`, which opens a WebSocket or the like, and
+  /// `download(format, question, layers)`, which returns a file of a picture.
+  constructor(source) {
+    const { subject, faces } = source;
+    this.#source = source;
     this.#subject = subject;
     this.#person = initial(subject);
     this.#scene = new Scene(this.#canvas, faces, subject.vertices, () => this.#invalidate());
     this.#panel = new Panel(subject, this.#actions());
     document.title = `${subject.title} · cape view`;
     byId("title").textContent = subject.title;
-    bindKeys();
+    bindKeys(subject.notes ?? []);
     listen(this.#canvas, this.#camera, () => this.#invalidate());
     new ResizeObserver(() => this.#frameAll({ smooth: false })).observe(this.#canvas);
     this.#dark.addEventListener("change", () => this.#invalidate());
@@ -61,9 +66,7 @@ class Viewer {
     this.#update();
     this.#panel.updatePlayer(this.#player);
 
-    const url = new URL("socket", location.href);
-    url.protocol = url.protocol.replace("http", "ws");
-    this.#link = new Link(url, {
+    this.#link = new Link(source.connect, {
       answer: (layers, latency) => this.#show(layers, latency),
       failure: message => this.#say(message, true),
       lost: seconds => this.#say(`The connection is lost; trying again in ${seconds} s.`, true),
@@ -84,6 +87,13 @@ class Viewer {
       playing: this.#player.playing,
       camera: { azimuth, elevation, distance, target },
     });
+  }
+
+  /// The layers of the picture, with their numbers as arrays.
+  layers() {
+    return this.#layers.map(({ kind, ...values }) => ({
+      kind, ...Object.fromEntries(Object.entries(values).map(([name, numbers]) => [name, Array.from(numbers)])),
+    }));
   }
 
   /// Resolves when nothing is waited for and all is drawn.
@@ -351,13 +361,7 @@ class Viewer {
       const picture = this.#legend.under(this.#canvas);
       save(await new Promise(resolve => picture.toBlob(resolve)), name);
     } else {
-      const answer = await fetch("download", {
-        method: "POST",
-        headers: { "Content-Type": "application/json" },
-        body: JSON.stringify({ format, ...this.#picture() }),
-      });
-      if (!answer.ok) throw new Error(`${format} is not to be had: ${(await answer.text()) || answer.statusText}`);
-      save(await answer.blob(), name);
+      save(await this.#source.download(format, this.#picture(), this.#layers), name);
     }
     this.#say(`Saved ${name}.`);
   }
@@ -378,37 +382,30 @@ function initial({ model }) {
   };
 }
 
-async function load(name) {
-  const answer = await fetch(name);
-  if (!answer.ok) throw new Error(`${name} is not to be had (${answer.status}).`);
-  return answer;
-}
+/// Shows what `open` resolves to: a source of the viewer.
+export function start(open) {
+  let viewer = null;
+  const ready = show();
+  // The page says it itself.
+  ready.catch(() => {});
 
-let viewer = null;
-
-async function start() {
-  try {
-    const [subject, faces] = await Promise.all([
-      load("scene.json").then(answer => answer.json()),
-      load("faces.bin").then(answer => answer.arrayBuffer()),
-    ]);
-    viewer = new Viewer(subject, new Uint32Array(faces));
-  } catch (error) {
-    byId("failure").textContent = error.message;
-    byId("failure").hidden = false;
-    byId("status").textContent = "";
-    byId("panel").hidden = true;
-    throw error;
+  async function show() {
+    try {
+      viewer = new Viewer(await open());
+    } catch (error) {
+      byId("failure").textContent = error.message;
+      byId("failure").hidden = false;
+      byId("status").textContent = "";
+      byId("panel").hidden = true;
+      throw error;
+    }
+    await viewer.settled();
   }
-  await viewer.settled();
+
+  window.cape = {
+    ready,
+    state: () => viewer?.state() ?? null,
+    layers: () => viewer?.layers() ?? [],
+    settled: () => ready.then(() => viewer.settled()),
+  };
 }
-
-const ready = start();
-// The page says it itself.
-ready.catch(() => {});
-
-window.cape = {
-  ready,
-  state: () => viewer?.state() ?? null,
-  settled: () => ready.then(() => viewer.settled()),
-};

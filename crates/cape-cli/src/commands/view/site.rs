@@ -1,0 +1,191 @@
+//! The viewer as a folder of files, with the model in it: no server answers, the page computes.
+
+use std::{collections::BTreeMap, io::Write, path::Path};
+
+use base64::{Engine, engine::general_purpose::STANDARD};
+use cape_core::StagingDirectory;
+use cape_infer::{
+    GarmentColours, GarmentTables, Run, SKIN_COLOUR, TROUSERS_COLOUR, WeightPrecision,
+    prior::Density, shirt_colour,
+};
+use cape_onnx::{JAVASCRIPT, OnnxModel, export_body, export_decoder};
+use flate2::{Compression, write::GzEncoder};
+use serde_json::{Value, json};
+
+use super::{
+    assets::{self, SITE_FILES},
+    bundle::bundle,
+    source::RunSource,
+    wire::MotionRequest,
+};
+use crate::{
+    error::{Error, Result},
+    files,
+    priors::PriorName,
+};
+
+/// Length, seconds, and frame rate of the motions in the folder: those that the page asks for.
+const MOTION: (f64, f64) = (2.0, 15.0);
+/// Script of the page in `assets::PAGE`, and those in its place.
+const SCRIPT: &str = "<script type=\"module\" src=\"main.js\"></script>";
+const SCRIPTS: &str = "<script defer src=\"model.js\"></script>\n  <script defer src=\"worker.js\"></script>\n  \
+                       <script defer src=\"viewer.js\"></script>";
+/// What the page cannot do without the program, for its help.
+const NOTES: [&str; 3] = [
+    "This page computes everything itself, also without a network.",
+    "cape view also shows held-out registrations beside their reconstruction, samples from a kernel \
+     density, and motions of files.",
+    "GLB files of this page have the shape and its colours; those of cape view have a skeleton as well.",
+];
+
+/// Writes the folder, which must be empty or missing, and returns the sizes of its files, bytes.
+pub(super) fn export(source: &RunSource, out: &Path) -> Result<BTreeMap<String, usize>> {
+    files::require_empty_as(out, "--export")?;
+    let written = [
+        ("index.html", page()?),
+        ("viewer.css", asset("viewer.css").unwrap_or_default().to_owned()),
+        ("viewer.js", format!("(() => {{\n{}}})();\n", bundle("site.js", &asset)?)),
+        ("worker.js", format!("function capeWorker() {{\n{}}}\n", bundle("worker.js", &asset)?)),
+        ("model.js", format!("globalThis.capeModel = {};\n", model(source)?)),
+    ];
+    let staging = StagingDirectory::create(out)?;
+    for (name, text) in &written {
+        files::write_text(&staging.path.join(name), text)?;
+    }
+    staging.commit(out)?;
+    Ok(written.into_iter().map(|(name, text)| (name.to_owned(), text.len())).collect())
+}
+
+/// A module or style sheet by its name.
+fn asset(name: &str) -> Option<&'static str> {
+    let own = SITE_FILES.iter().chain(&JAVASCRIPT).find(|(known, _)| *known == name);
+    own.map(|&(_, text)| text).or_else(|| assets::find(name).map(|(_, text)| text))
+}
+
+fn page() -> Result<String> {
+    if !assets::PAGE.contains(SCRIPT) {
+        return Err(Error::message("internal error: the page has no script"));
+    }
+    Ok(assets::PAGE.replace(SCRIPT, SCRIPTS))
+}
+
+/// All that the page needs to know.
+fn model(source: &RunSource) -> Result<Value> {
+    let run = source.run();
+    let colours = GarmentColours::new(run.body(), run.mask()).tables();
+    let mut scene = source.scene()?;
+    let mut motions = BTreeMap::new();
+    for name in scene["model"]["motions"].as_array().into_iter().flatten() {
+        let name = name.as_str().unwrap_or_default().to_owned();
+        let request = MotionRequest { name: name.clone(), seconds: MOTION.0, fps: MOTION.1 };
+        let poses: Vec<Vec<f32>> =
+            source.poses(&request)?.iter().map(|pose| pose.to_vec()).collect();
+        motions.insert(name, json!({"poses": poses, "fps": MOTION.1}));
+    }
+    let mixtures = mixtures(run)?;
+    let priors = [PriorName::Gmm, PriorName::Normal].into_iter();
+    let priors = priors.filter(|&prior| prior == PriorName::Normal || !mixtures.is_empty());
+    scene["model"]["priors"] = priors.map(PriorName::name).collect();
+    scene["model"]["truth"] = json!(0);
+    scene["notes"] = json!(NOTES);
+
+    let outfits = || run.outfits().iter();
+    let shirts: BTreeMap<_, _> =
+        outfits().map(|&outfit| (outfit.name().to_owned(), shirt_colour(outfit))).collect();
+    let mut garments = json!(colours);
+    garments["skin"] = json!(SKIN_COLOUR);
+    garments["trousers"] = json!(TROUSERS_COLOUR);
+    garments["shirts"] = json!(shirts);
+    let streams: BTreeMap<_, _> =
+        outfits().map(|outfit| (outfit.name().to_owned(), outfit.stream())).collect();
+    Ok(json!({
+        "scene": scene,
+        "tables": {
+            "latent": run.latent(),
+            "vertices": run.body().vertices(),
+            "outfits": run.outfits(),
+            "streams": streams,
+            "mixtures": mixtures,
+            "motions": motions,
+            "garments": garments,
+        },
+        "parts": {
+            "decoder": pack(&graph(|precision| export_decoder(run, precision))?.encode())?,
+            "body": pack(
+                &graph(|precision| export_body(run.body(), run.mask(), precision))?.encode()
+            )?,
+            "faces": pack(&bytes(run.body().faces.as_flattened(), |x| x.to_le_bytes()))?,
+            "flags": pack(&flags(&colours))?,
+            "shares": pack(&bytes(&colours.trousers, |x| x.to_le_bytes()))?,
+        },
+    }))
+}
+
+/// A graph with weights in half precision, unless they are too large for it.
+fn graph(
+    export: impl Fn(WeightPrecision) -> cape_onnx::Result<OnnxModel>,
+) -> cape_onnx::Result<OnnxModel> {
+    match export(WeightPrecision::Half) {
+        Err(cape_onnx::Error::Overflow { .. }) => export(WeightPrecision::Single),
+        exported => exported,
+    }
+}
+
+/// Components of the mixture of codes by the name of the outfit, or `all`; none without a mixture.
+fn mixtures(run: &Run) -> Result<BTreeMap<String, Value>> {
+    let mut found = BTreeMap::new();
+    let Some(prior) = run.prior_of_kind(PriorName::Gmm.name())? else { return Ok(found) };
+    for (outfit, density) in prior.groups() {
+        let Density::Mixture(mixture) = density else { continue };
+        let (weights, means, covariances) =
+            (mixture.weights(), mixture.means(), mixture.covariances());
+        let components = weights.iter().zip(means.outer_iter()).zip(covariances.outer_iter());
+        let components = components.map(|((weight, mean), covariance)| {
+            let rows: Vec<Vec<f64>> = covariance.outer_iter().map(|row| row.to_vec()).collect();
+            json!({"weight": weight, "mean": mean.to_vec(), "covariance": rows})
+        });
+        let name = outfit.map_or("all".to_owned(), |outfit| outfit.name().to_owned());
+        found.insert(name, components.collect());
+    }
+    Ok(found)
+}
+
+fn bytes<T: Copy>(values: &[T], of: impl Fn(T) -> [u8; 4]) -> Vec<u8> {
+    values.iter().flat_map(|&value| of(value)).collect()
+}
+
+/// For each vertex 1 if it is covered, 2 if it is of the trunk and 4 if its share of trousers is known.
+fn flags(tables: &GarmentTables) -> Vec<u8> {
+    let vertices = tables.covered.iter().zip(&tables.trunk).zip(&tables.known);
+    vertices
+        .map(|((&covered, &trunk), &known)| {
+            u8::from(covered) | u8::from(trunk) << 1 | u8::from(known) << 2
+        })
+        .collect()
+}
+
+/// Compressed, as text.
+fn pack(bytes: &[u8]) -> Result<String> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
+    let packed = encoder.write_all(bytes).and_then(|()| encoder.finish());
+    Ok(STANDARD.encode(packed.map_err(|error| Error::io("compression", error))?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_and_its_scripts_are_complete() {
+        for script in ["model.js", "worker.js", "viewer.js"] {
+            assert!(page().unwrap().contains(&format!("src=\"{script}\"")), "{script}");
+        }
+        for entry in ["site.js", "worker.js"] {
+            let script = bundle(entry, &asset).unwrap();
+            let modules = script
+                .lines()
+                .filter(|line| line.starts_with("import ") || line.starts_with("export "));
+            assert_eq!(modules.collect::<Vec<_>>(), [""; 0], "{entry}");
+        }
+    }
+}

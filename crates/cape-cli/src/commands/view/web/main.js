@@ -1,0 +1,6 @@
+// The page of `cape view`.
+
+import { openServer } from "./server.js";
+import { start } from "./viewer.js";
+
+start(openServer);

@@ -1,0 +1,309 @@
+//! The folder of `cape view --export`.
+
+use std::{
+    fs,
+    io::{BufRead, BufReader, Write},
+    net::{TcpListener, TcpStream},
+    path::{Path, PathBuf},
+    sync::OnceLock,
+    thread,
+};
+
+use cape::{
+    core::{Mesh, Outfit, obj},
+    infer::{BodySpec, GarmentColours, Run},
+    prelude::Device,
+};
+use ndarray::Array2;
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::{
+    browser::{Browser, Scheme, View},
+    devtools::Live,
+    firefox::FirefoxPage,
+    keep,
+    support::{VERTICES, cape, trained},
+    viewer::{WIDE, click, difference, set},
+};
+
+/// Largest error relative to the norm.
+const MOST: f64 = 1e-4;
+
+/// The folder of the built-in model.
+fn site() -> &'static Path {
+    static SITE: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
+    let make = || {
+        let place = tempfile::tempdir().unwrap();
+        let site = place.path().join("site");
+        let done = cape(["view", "--export"]).arg(&site).output().unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        (place, site)
+    };
+    &SITE.get_or_init(make).1
+}
+
+fn file_url(site: &Path) -> String {
+    format!("file://{}/index.html", site.display())
+}
+
+/// A file server, and its address.
+fn serve(site: &Path) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("http://{}/", listener.local_addr().unwrap());
+    let site = site.to_owned();
+    thread::spawn(move || {
+        for stream in listener.incoming() {
+            let site = site.clone();
+            // A browser that has gone does not read.
+            thread::spawn(move || stream.map(|stream| answer(stream, &site)));
+        }
+    });
+    address
+}
+
+fn answer(mut stream: TcpStream, site: &Path) -> std::io::Result<()> {
+    let mut request = String::new();
+    let mut reader = BufReader::new(stream.try_clone()?);
+    reader.read_line(&mut request)?;
+    for line in reader.by_ref().lines() {
+        if line?.is_empty() {
+            break;
+        }
+    }
+    let name = request.split(' ').nth(1).unwrap_or_default().trim_start_matches('/');
+    let name = if name.is_empty() { "index.html" } else { name };
+    let kind = match name.rsplit_once('.') {
+        Some((_, "html")) => "text/html",
+        Some((_, "css")) => "text/css",
+        _ => "text/javascript",
+    };
+    match fs::read(site.join(name)) {
+        Ok(body) => {
+            write!(
+                stream,
+                "HTTP/1.1 200 OK\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n",
+                body.len()
+            )?;
+            stream.write_all(&body)
+        }
+        Err(_) => stream.write_all(b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n"),
+    }
+}
+
+fn numbers(value: &Value) -> Vec<f32> {
+    value.as_array().unwrap().iter().map(|x| x.as_f64().unwrap() as f32).collect()
+}
+
+/// Error of `found` relative to the norm of `expected`.
+fn relative_error(found: &[f32], expected: &[f32]) -> f64 {
+    assert_eq!(found.len(), expected.len());
+    let squared = |values: &mut dyn Iterator<Item = f32>| -> f64 {
+        values.map(|x| f64::from(x).powi(2)).sum()
+    };
+    let difference = squared(&mut found.iter().zip(expected).map(|(a, b)| a - b));
+    (difference / squared(&mut expected.iter().copied())).sqrt()
+}
+
+/// Compares the clothed body of a page with the model's; returns the errors of displacement lengths and
+/// of vertices.
+fn check(run: &Run, state: &Value, layers: &Value) -> [f64; 2] {
+    let z = numbers(&state["z"]);
+    let outfit: Outfit = state["outfit"].as_str().unwrap().parse().unwrap();
+    let body = BodySpec {
+        betas: numbers(&state["betas"]),
+        pose: numbers(&state["pose"]).try_into().unwrap(),
+        outfit,
+    };
+    let code = Array2::from_shape_vec((1, z.len()), z).unwrap();
+    let dressed = run.dress_with_displacements(&code, &[body]).unwrap().remove(0);
+    let layers = layers.as_array().unwrap();
+    let layer = layers.iter().find(|layer| layer["kind"] == "clothed").unwrap();
+    let displacement = dressed.displacement.view();
+    let lengths: Vec<f32> = displacement
+        .rows()
+        .into_iter()
+        .zip(run.mask().covered())
+        .map(|(row, &covered)| if covered { row.dot(&row).sqrt() } else { 0.0 })
+        .collect();
+    let errors = [
+        relative_error(&numbers(&layer["displacement"]), &lengths),
+        relative_error(&numbers(&layer["positions"]), dressed.mesh.vertices.as_flattened()),
+    ];
+    assert!(errors.iter().all(|&error| error < MOST), "{errors:?} at {state}");
+
+    let colours = GarmentColours::new(run.body(), run.mask()).of(displacement, outfit);
+    let colours = colours.iter().flat_map(|rgb| rgb.map(|x| 255.0 * x));
+    let found = numbers(&layer["colours"]);
+    let found = found.chunks(4).flat_map(|rgba| rgba[..3].to_vec());
+    let wrong = found.zip(colours).filter(|(a, b)| (a - b).abs() > 3.0).count();
+    assert!(wrong * 1000 < 3 * run.body().vertices(), "{wrong} colours differ");
+    errors
+}
+
+#[test]
+fn a_folder_opened_as_a_file_dresses_bodies_as_the_program_does() {
+    let Some(browser) = Browser::find() else { return };
+    let run = cape::weights::pretrained(&Device::default()).unwrap();
+    let mut live = Live::open(&browser, &file_url(site()), WIDE);
+    let start = live.evaluate("cape.ready.then(() => performance.now())");
+    println!("ready after {start} ms");
+    live.evaluate("cape.settled()");
+    let first = live.screenshot();
+    keep("site", &first);
+    let mut most = [0.0; 2];
+    let mut compare = |live: &mut Live| {
+        let [state, layers] = ["cape.state()", "cape.layers()"].map(|what| live.evaluate(what));
+        let errors = check(&run, &state, &layers);
+        most = [0, 1].map(|i| f64::max(most[i], errors[i]));
+    };
+    compare(&mut live);
+    let strongest = live.evaluate("document.querySelector('input[type=range][id^=\"z-\"]').id");
+    set(&mut live, &format!("#{}", strongest.as_str().unwrap()), "2.5");
+    assert!(difference(&first, &live.screenshot()) > 0.001, "the slider changes nothing");
+    compare(&mut live);
+    set(&mut live, "#beta-0", "-2");
+    click(&mut live, "#outfit-shortshort");
+    set(&mut live, "#pose", "squats");
+    compare(&mut live);
+    set(&mut live, "#seed", "11");
+    compare(&mut live);
+    let prior = run.prior().unwrap().unwrap();
+    let sampled = prior.sample(Outfit::SHORT_SHORT, 1, 1.0, 11);
+    let found = numbers(&live.evaluate("cape.state().z"));
+    assert!(relative_error(&found, &sampled.row(0).to_vec()) < 1e-6, "{found:?} {sampled}");
+    set(&mut live, "#prior", "normal");
+    set(&mut live, "#seed", "4294967295");
+    let found = numbers(&live.evaluate("cape.state().z"));
+    let sampled = run.sample_codes(1, 4_294_967_295);
+    assert!(relative_error(&found, &sampled.row(0).to_vec()) < 1e-6, "{found:?} {sampled}");
+    set(&mut live, "#motion", "walk");
+    set(&mut live, "#scrub", "11");
+    compare(&mut live);
+    keep("site-moved", &live.screenshot());
+    println!("displacements {:.1e}, vertices {:.1e}", most[0], most[1]);
+
+    let times = live.evaluate(
+        "(async () => { const times = []; for (let i = 0; i < 10; i++) { \
+         const slider = document.querySelector('#z-0'); slider.value = i / 10; \
+         slider.dispatchEvent(new Event('input')); await cape.settled(); \
+         times.push(cape.state().latency); } return times; })()",
+    );
+    println!("answers after {times} ms");
+    assert_eq!(live.complaints(), [""; 0]);
+    for url in live.requests() {
+        let here = ["file://", "blob:", "data:"].iter().any(|start| url.starts_with(start));
+        assert!(here, "{url} was asked for");
+    }
+}
+
+#[test]
+fn files_of_a_folder_on_a_server_parse() {
+    let Some(browser) = Browser::find() else { return };
+    let address = serve(site());
+    let mut live = Live::open(&browser, &address, WIDE);
+    live.evaluate("cape.ready");
+    live.evaluate("cape.settled()");
+    for format in ["obj", "ply", "glb", "png"] {
+        click(&mut live, &format!("#download-{format}"));
+    }
+    let layers = live.evaluate("cape.layers()");
+    let positions = numbers(&layers[0]["positions"]);
+    let [obj, ply, glb, _] = ["obj", "ply", "glb", "png"].map(|end| live.download(end));
+    let meshes =
+        [obj::read(&obj).unwrap().mesh, Mesh::load(&ply).unwrap(), Mesh::load(&glb).unwrap()];
+    for mesh in &meshes {
+        assert_eq!(mesh.vertices.as_flattened(), positions);
+        assert_eq!(mesh.faces, meshes[0].faces);
+    }
+    live.evaluate("document.querySelector('#help-open').click()");
+    let help = live.evaluate("document.querySelector('#help-notes').textContent");
+    assert!(help.as_str().unwrap().contains("registrations"), "{help}");
+    keep("site-help", &live.screenshot());
+    assert_eq!(live.complaints(), [""; 0]);
+    for url in live.requests() {
+        let here = [&address[..], "blob:", "data:"].iter().any(|start| url.starts_with(start));
+        assert!(here, "{url} was asked for");
+    }
+}
+
+#[test]
+fn the_folder_of_a_run_fits_a_telephone_and_is_dark_where_that_is_preferred() {
+    let Some(browser) = Browser::find() else { return };
+    let place = tempfile::tempdir().unwrap();
+    let site = place.path().join("site");
+    let path = trained().at("run");
+    let done =
+        cape(["view", path.to_str().unwrap(), "--json", "--export"]).arg(&site).output().unwrap();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let report: Value = serde_json::from_slice(&done.stdout).unwrap();
+    let on_disk: u64 =
+        fs::read_dir(&site).unwrap().map(|entry| entry.unwrap().metadata().unwrap().len()).sum();
+    assert_eq!(report["bytes"].as_u64(), Some(on_disk));
+    let view = View { width: 390, height: 844, scheme: Scheme::Dark };
+    let mut live = Live::open(&browser, &file_url(&site), view);
+    live.evaluate("cape.ready");
+    live.evaluate("cape.settled()");
+    let shot = live.screenshot();
+    keep("site-narrow", &shot);
+    let overflow = live.evaluate("document.documentElement.scrollWidth - innerWidth");
+    assert!(overflow.as_f64().unwrap() <= 0.0, "{overflow} px too wide");
+    assert_eq!(live.evaluate("cape.layers()[0].positions.length"), 3 * VERTICES);
+    let run = Run::open(&path, &Device::default()).unwrap();
+    let [state, layers] = ["cape.state()", "cape.layers()"].map(|what| live.evaluate(what));
+    check(&run, &state, &layers);
+    assert_eq!(live.complaints(), [""; 0]);
+}
+
+#[test]
+fn a_damaged_model_is_said_on_the_page() {
+    let Some(browser) = Browser::find() else { return };
+    let place = tempfile::tempdir().unwrap();
+    for entry in fs::read_dir(site()).unwrap() {
+        let path = entry.unwrap().path();
+        fs::copy(&path, place.path().join(path.file_name().unwrap())).unwrap();
+    }
+    let model = place.path().join("model.js");
+    let text =
+        fs::read_to_string(&model).unwrap().replacen("\"decoder\":\"H4", "\"decoder\":\"AA", 1);
+    fs::write(&model, text).unwrap();
+    let mut live = Live::open(&browser, &file_url(place.path()), WIDE);
+    live.evaluate("cape.ready.catch(() => {})");
+    assert_eq!(live.evaluate("document.querySelector('#failure').checkVisibility()"), true);
+    let said = live.evaluate("document.querySelector('#failure').textContent");
+    assert!(said.as_str().unwrap().contains("model"), "{said}");
+}
+
+#[test]
+fn firefox_dresses_bodies_as_the_program_does() {
+    let Some(mut page) = FirefoxPage::open(&file_url(site())) else { return };
+    let run = cape::weights::pretrained(&Device::default()).unwrap();
+    page.evaluate("cape.ready");
+    for control in ["", "sample", "outfit-shortlong"] {
+        if !control.is_empty() {
+            page.evaluate(&format!("document.querySelector('#{control}').click()"));
+        }
+        page.evaluate("cape.settled()");
+        let [state, layers] = ["cape.state()", "cape.layers()"].map(|what| page.evaluate(what));
+        let errors = check(&run, &state, &layers);
+        println!("{control}: {errors:?}, {} ms", state["latency"]);
+    }
+    keep("site-firefox", &page.screenshot());
+    assert_eq!(page.complaints(), [""; 0]);
+}
+
+#[test]
+fn occupied_folders_and_meshes_are_refused() {
+    let place = tempfile::tempdir().unwrap();
+    fs::write(place.path().join("a"), "b").unwrap();
+    let refused = |arguments: &[&str], parts: &[&str]| {
+        let done = cape(["view"]).args(arguments).arg("--export").arg(place.path()).output();
+        let done = done.unwrap();
+        let said = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert!(!done.status.success() && parts.iter().all(|part| said.contains(part)), "{said}");
+    };
+    refused(&[], &["is not empty", "choose another --export"]);
+    refused(&["female"], &["--export", "not a mesh"]);
+    refused(&["--port", "8080"], &["--port", "cannot be used with"]);
+    assert_eq!(fs::read_dir(place.path()).unwrap().count(), 1);
+}
