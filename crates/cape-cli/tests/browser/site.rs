@@ -66,7 +66,7 @@ fn answer(mut stream: TcpStream, site: &Path) -> std::io::Result<()> {
     let mut request = String::new();
     let mut reader = BufReader::new(stream.try_clone()?);
     reader.read_line(&mut request)?;
-    for line in reader.by_ref().lines() {
+    for line in reader.lines() {
         if line?.is_empty() {
             break;
         }

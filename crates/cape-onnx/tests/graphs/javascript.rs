@@ -92,8 +92,11 @@ console.log(refused(() => graph.run({})), refused(() => graph.run({ betas: new F
 
 #[test]
 fn the_code_of_products_is_made_of_its_text() {
-    let code = STANDARD.encode(wat::parse_str(include_str!("../../web/products.wat")).unwrap());
+    let code = wat::parse_str(include_str!("../../web/products.wat")).unwrap();
     let (_, script) = JAVASCRIPT.into_iter().find(|(name, _)| *name == "products.js").unwrap();
     let lines = script.lines().filter_map(|line| line.strip_prefix("  \"")?.strip_suffix("\","));
-    assert_eq!(lines.collect::<String>(), code, "put the code into products.js");
+    let used = STANDARD.decode(lines.collect::<String>()).unwrap();
+    // What is left is the section of names, which has the number 0.
+    let same = code.starts_with(&used) && code[used.len()] == 0;
+    assert!(same, "put the code into products.js: {}", STANDARD.encode(code));
 }
