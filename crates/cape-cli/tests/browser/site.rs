@@ -177,7 +177,7 @@ fn a_folder_opened_as_a_file_dresses_bodies_as_the_program_does() {
     let found = numbers(&live.evaluate("cape.state().z"));
     let sampled = run.sample_codes(1, 4_294_967_295);
     assert!(relative_error(&found, &sampled.row(0).to_vec()) < 1e-6, "{found:?} {sampled}");
-    set(&mut live, "#motion", "walk");
+    set(&mut live, "#motion", "walk_march");
     set(&mut live, "#scrub", "11");
     compare(&mut live);
     keep("site-moved", &live.screenshot());

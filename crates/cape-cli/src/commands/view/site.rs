@@ -33,8 +33,8 @@ const SCRIPTS: &str = "<script defer src=\"model.js\"></script>\n  <script defer
 /// What the page cannot do without the program, for its help.
 const NOTES: [&str; 3] = [
     "This page computes everything itself, also without a network.",
-    "cape view also shows held-out registrations beside their reconstruction, samples from a kernel \
-     density, and motions of files.",
+    "cape view also shows held-out registrations beside their reconstruction, and samples from a kernel \
+     density.",
     "GLB files of this page have the shape and its colours; those of cape view have a skeleton as well.",
 ];
 
