@@ -27,7 +27,7 @@ fn add<'a>(
     for line in text.lines() {
         if let Some((names, module)) = import(line) {
             add(module, find, added, script)?;
-            body += &format!("const {names} = modules[\"{module}\"];\n");
+            body.extend(["const ", names, " = modules[\"", module, "\"];\n"]);
         } else if let Some(declaration) = line.strip_prefix("export ") {
             exported.push(declared(declaration).ok_or_else(|| missing(line))?);
             body += declaration;
@@ -38,8 +38,8 @@ fn add<'a>(
         }
     }
     let exported = exported.join(", ");
-    *script +=
-        &format!("modules[\"{name}\"] = (() => {{\n{body}return {{ {exported} }};\n}})();\n");
+    script.extend(["modules[\"", name, "\"] = (() => {\n", &body]);
+    script.extend(["return { ", &exported, " };\n})();\n"]);
     Ok(())
 }
 

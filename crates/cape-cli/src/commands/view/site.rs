@@ -114,9 +114,9 @@ fn model(source: &RunSource) -> Result<Value> {
             "body": pack(
                 &graph(|precision| export_body(run.body(), run.mask(), precision))?.encode()
             )?,
-            "faces": pack(&bytes(run.body().faces.as_flattened(), |x| x.to_le_bytes()))?,
+            "faces": pack(&bytes(run.body().faces.as_flattened(), u32::to_le_bytes))?,
             "flags": pack(&flags(&colours))?,
-            "shares": pack(&bytes(&colours.trousers, |x| x.to_le_bytes()))?,
+            "shares": pack(&bytes(&colours.trousers, f32::to_le_bytes))?,
         },
     }))
 }
