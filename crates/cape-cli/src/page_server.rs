@@ -5,19 +5,24 @@ use axum::{
     response::{IntoResponse, Response},
 };
 
+/// Policy of pages that other pages may show in a frame.
+const FRAMED_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
+                             img-src 'self' data: blob:; connect-src 'self'; base-uri 'none'; \
+                             form-action 'none'";
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
                       img-src 'self' data: blob:; connect-src 'self'; base-uri 'none'; \
                       form-action 'none'; frame-ancestors 'none'";
-const HEADERS: [(HeaderName, &str); 4] = [
-    (header::CONTENT_SECURITY_POLICY, POLICY),
+const HEADERS: [(HeaderName, &str); 3] = [
     (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
     (header::REFERRER_POLICY, "no-referrer"),
     (header::CACHE_CONTROL, "no-store"),
 ];
 
-/// The response with headers that keep the page to itself.
-pub(crate) fn guarded(mut response: Response) -> Response {
-    for (name, value) in HEADERS {
+/// The response with headers that keep the page to itself, but for pages that show it in a frame, if they
+/// are allowed to.
+pub(crate) fn guarded(mut response: Response, framed: bool) -> Response {
+    let policy = if framed { FRAMED_POLICY } else { POLICY };
+    for (name, value) in HEADERS.into_iter().chain([(header::CONTENT_SECURITY_POLICY, policy)]) {
         response.headers_mut().insert(name, HeaderValue::from_static(value));
     }
     response

@@ -17,7 +17,7 @@ mod _cape {
         command::main,
         error::{CapeError, FileError},
         model::Model,
-        picture::{draw, encode_png, save_mesh},
+        picture::{draw, encode_png, load_mesh, save_mesh},
         pose::load_poses,
         pyramid::MeshPyramid,
         smpl::SmplModel,

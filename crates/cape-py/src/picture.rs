@@ -2,13 +2,16 @@
 
 use std::path::PathBuf;
 
-use cape_core::Mesh;
+use cape_core::{Mesh, ply};
 use cape_render::{Image, Object, Style, View, portrait};
-use ndarray::{Array3, ArrayView2};
-use numpy::{IntoPyArray, PyArray3, PyReadonlyArray2, PyReadonlyArray3};
+use ndarray::{Array2, Array3, ArrayView2};
+use numpy::{IntoPyArray, PyArray2, PyArray3, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::{prelude::*, types::PyBytes};
 
 use crate::error::{argument, core, render};
+
+/// Vertices `[V, 3]` and faces `[F, 3]`.
+type MeshArrays<'py> = (Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<u32>>);
 
 /// Draw a mesh of vertices `[V, 3]`, faces `[F, 3]` and colours `[V, 3]` (sRGB from 0 to 1), seen from
 /// an angle in front: pixels `[height, width, 4]`.
@@ -57,16 +60,36 @@ pub(crate) fn encode_png<'py>(
     Ok(PyBytes::new(py, &file))
 }
 
-/// Write a mesh of vertices `[V, 3]` and faces `[F, 3]` as `.obj` or `.ply`.
+/// Write a mesh of vertices `[V, 3]` and faces `[F, 3]` as `.obj` or `.ply`; the latter with colours
+/// `[V, 3]`, 0 to 255, if given.
 #[pyfunction]
+#[pyo3(signature = (path, vertices, faces, colours=None))]
 pub(crate) fn save_mesh(
     py: Python<'_>,
     path: PathBuf,
     vertices: PyReadonlyArray2<'_, f32>,
     faces: PyReadonlyArray2<'_, u32>,
+    colours: Option<PyReadonlyArray2<'_, u8>>,
 ) -> PyResult<()> {
     let mesh = mesh(vertices.as_array(), faces.as_array())?;
-    py.detach(|| mesh.save(path).map_err(core))
+    let colours = colours.map(|rows| triples("colours", rows.as_array())).transpose()?;
+    let is_ply = path.extension().is_some_and(|found| found.eq_ignore_ascii_case("ply"));
+    py.detach(|| match colours {
+        Some(colours) if is_ply => ply::write(path, &mesh, Some(&colours)),
+        _ => mesh.save(path),
+    })
+    .map_err(core)
+}
+
+/// Read the vertices `[V, 3]` and faces `[F, 3]` of an OBJ, PLY, STL, OFF or `.glb` file.
+#[pyfunction]
+pub(crate) fn load_mesh(py: Python<'_>, path: PathBuf) -> PyResult<MeshArrays<'_>> {
+    let mesh = py.detach(|| Mesh::load(path)).map_err(core)?;
+    Ok((rows(mesh.vertices).into_pyarray(py), rows(mesh.faces).into_pyarray(py)))
+}
+
+fn rows<T: Copy>(triples: Vec<[T; 3]>) -> Array2<T> {
+    Array2::from_shape_fn((triples.len(), 3), |(row, column)| triples[row][column])
 }
 
 fn mesh(vertices: ArrayView2<'_, f32>, faces: ArrayView2<'_, u32>) -> PyResult<Mesh> {

@@ -1,51 +1,360 @@
 """Commands as functions."""
 
+import _thread
+import inspect
 import json
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
 import urllib.request
 
+import numpy as np
 import pytest
 
 import cape
+from browser import pixels, screenshot
+from cape import _program
 
 
 @pytest.fixture(scope="module")
 def packed(tmp_path_factory):
     place = tmp_path_factory.mktemp("data")
-    cape.data.synth(out=place / "raw", subjects=1, frames_per_sequence=6)
-    cape.data.pack(place / "raw", out=place / "packed")
+    made = cape.data.synth(place / "raw", subjects=1, frames_per_sequence=6)
+    assert made["subjects"] == 1 and made["frames"] > 0
+    report = cape.data.pack(place / "raw", place / "packed")
+    assert report["broken"] == []
     return place / "packed"
 
 
-def test_a_result_is_that_of_json(packed):
-    frames = cape.data.inspect(packed)
-    assert "train" in json.dumps(frames)
-    body = cape.info("female")
-    assert "6890" in json.dumps(body)
+@pytest.fixture(scope="module")
+def run(packed):
+    training = cape.train(data=packed, out=packed.parent / "run", preset="tiny", epochs=1, batch=64)
+    assert training.finished
+    return training.out
+
+
+FUNCTIONS = {
+    "data synth": cape.data.synth,
+    "data pack": cape.data.pack,
+    "data inspect": cape.data.inspect,
+    "data unpose": cape.data.unpose,
+    "data generate": cape.data.generate,
+    "fit scan": cape.fit.scan,
+    "fit pose-prior": cape.fit.pose_prior,
+    "layer synth": cape.layer.synth,
+    "layer import": cape.layer.import_,
+    "layer associate": cape.layer.associate,
+    "layer learn": cape.layer.learn,
+    "layer predict": cape.layer.predict,
+    "layer report": cape.layer.report,
+    "train": cape.train,
+}
+#: Options of all commands, and those of a terminal or of other functions.
+OTHERS = {"help", "version", "json", "quiet", "device", "seed", "threads"}
+OTHERS |= {"tui", "check", "find_rate", "trial_steps"}
+#: Arguments that the help lists without a name.
+POSITIONAL = {"raw", "path", "model", "sources", "meshes", "set", "layer", "sets"}
+POSITIONAL |= {"motion", "callback"}
+
+
+def options_of(command):
+    line = [sys.executable, "-m", "cape", *command.split(), "--help"]
+    text = subprocess.run(line, capture_output=True, text=True, check=True).stdout
+    found = re.findall(r"^ +(?:-\w, )?--([a-z0-9-]+)", text, re.M)
+    return {name.replace("-", "_") for name in found} - OTHERS
+
+
+@pytest.mark.parametrize("command", FUNCTIONS)
+def test_arguments_are_the_options_of_the_program(command):
+    options, parameters = options_of(command), inspect.signature(FUNCTIONS[command]).parameters
+    assert options <= set(parameters), options - set(parameters)
+    assert set(parameters) - options <= OTHERS | POSITIONAL
+    assert FUNCTIONS[command].__doc__
+
+
+def test_arguments_of_fits_to_images_are_the_options_of_the_program():
+    options = options_of("fit image")
+    one, many = (set(inspect.signature(f).parameters) for f in (cape.fit.image, cape.fit.images))
+    assert options <= one | many and one - options <= {"model", "threads"}
+    assert many - options - {"masks", "images"} <= {"model", "threads"}
+
+
+def test_values_become_words():
+    given = {"a": 1, "b_c": True, "d": False, "e": None, "f_g": [1, -2.5], "h_": {"x": 1, "y": 2}}
+    assert _program.option_words(given) == ["-a=1", "--b-c", "--f-g=1,-2.5", "--h=x=1,y=2"]
+    assert _program.text(np.float32(0.5)) == "0.5" and _program.text(np.int64(3)) == "3"
+
+
+def test_results_are_those_of_json(packed):
+    found = cape.data.inspect(packed)
+    assert "train" in json.dumps(found)
+    assert "6890" in json.dumps(cape.info("female"))
+    again = subprocess.run(
+        [sys.executable, "-m", "cape", "data", "inspect", packed, "--json"], capture_output=True, check=True
+    )
+    assert json.loads(again.stdout) == found
+
+
+def lines(out):
+    return [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
 
 
 def test_metrics_of_a_training_are_passed_on(packed, tmp_path):
     metrics = []
     out = tmp_path / "run"
-    cape.train(data=packed, out=out, preset="tiny", epochs=2, callback=metrics.append)
-    written = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
-    assert metrics == written and metrics
-    model = cape.Model.load(out)
-    assert model.sample("longlong").vertices.shape == (1, 6890, 3)
+    training = cape.train(callback=metrics.append, data=packed, out=out, preset="tiny", epochs=2)
+    assert metrics == lines(out) and metrics
+    assert training.finished and training.epochs == 2 and training.best_validation > 0
+    assert training.model().sample("longlong").vertices.shape == (1, 6890, 3)
+
+
+def test_a_configuration_is_a_file_or_a_mapping(packed, run, tmp_path):
+    tables = {"train": {"epochs": 3, "batch": 32, "schedule": "cosine", "preload": True}}
+    with pytest.raises(cape.CapeError, match="epochs"):
+        cape.train({"train": {"epochs": -1}}, data=packed, out=tmp_path / "wrong")
+    with pytest.raises(cape.CapeError, match="train.*`fast`|fast"):
+        cape.train({"train": {"fast": 1}}, data=packed, out=tmp_path / "wrong")
+    with pytest.raises(cape.CapeError, match="`epochs`"):
+        cape.train({"train": {"epochs": object()}}, data=packed, out=tmp_path / "wrong")
+    path = tmp_path / "config.toml"
+    text = (run / "config.toml").read_text()
+    path.write_text(text)
+    first = cape.train(path, data=packed, out=tmp_path / "file", epochs=1)
+    assert first.finished
+    tomllib = pytest.importorskip("tomllib")
+    from cape.training import toml
+
+    assert tomllib.loads(toml(tables)) == tables
+    whole = tomllib.loads(text)
+    assert tomllib.loads(toml(whole)) == whole
+    second = cape.train(whole, data=packed, out=tmp_path / "mapping", epochs=1)
+    assert lines(second.out)[-1]["step"] == lines(first.out)[-1]["step"]
+    written = tomllib.loads((second.out / "config.toml").read_text())
+    assert written == tomllib.loads((first.out / "config.toml").read_text())
+
+
+def test_an_exception_of_the_callback_stops_a_training_that_then_goes_on(packed, tmp_path):
+    out = tmp_path / "run"
+
+    class Enough(Exception):
+        pass
+
+    def stop(metrics):
+        raise Enough(metrics["step"])
+
+    tables = {"epochs": 200, "batch": 8, "log_steps": 1}
+    whole = pytest.importorskip("tomllib").loads((packed.parent / "run" / "config.toml").read_text())
+    whole["train"].update(tables)
+    with pytest.raises(Enough):
+        cape.train(whole, stop, data=packed, out=out)
+    before = lines(out)
+    assert 0 < before[-1]["epoch"] < 200
+    seen = []
+
+    def stop_later(metrics):
+        seen.append(metrics["step"])
+        if len(seen) > 3:
+            raise Enough
+
+    with pytest.raises(Enough):
+        cape.train(callback=stop_later, out=out, resume=True)
+    assert seen[0] > before[-1]["step"] - 1
+    assert cape.Model.load(out).sample("longlong").vertices.shape == (1, 6890, 3)
+
+
+def test_an_interrupt_stops_a_training(packed, run, tmp_path):
+    out = tmp_path / "run"
+    whole = pytest.importorskip("tomllib").loads((run / "config.toml").read_text())
+    whole["train"].update({"epochs": 200, "batch": 8, "log_steps": 1})
+
+    def interrupt():
+        end = time.monotonic() + 60
+        while not (out / "metrics.jsonl").exists() and time.monotonic() < end:
+            time.sleep(0.05)
+        _thread.interrupt_main()
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt):
+        cape.train(whole, lambda metrics: None, data=packed, out=out)
+    thread.join()
+    assert list((out / "checkpoints").iterdir())
+    assert cape.info(out)
 
 
 def test_errors_are_those_of_the_program(tmp_path):
     with pytest.raises(cape.CapeError, match="nowhere"):
         cape.data.inspect(tmp_path / "nowhere")
     with pytest.raises(cape.CapeError, match="undress"):
-        cape.data.undress()
+        cape.Command("data").undress()
     with pytest.raises(cape.CapeError, match="out"):
-        cape.train(data="packed", callback=print)
+        cape.Command("train")(data="packed", callback=print)
+    with pytest.raises(TypeError, match="subject"):
+        cape.data.synth(tmp_path / "raw", subject=1)
 
 
-def test_the_viewer_serves_its_page():
+def test_bodies_are_generated(run, tmp_path):
+    model = cape.Model.load(run)
+    report = cape.data.generate(model, tmp_path / "bodies", n=3, outfit=["longlong"], seed=2)
+    assert report["bodies"] == 3
+    (path,) = (tmp_path / "bodies").glob("*.npz")
+    assert np.load(path)["vertices"].shape == (3, 6890, 3)
+
+
+@pytest.fixture(scope="module")
+def observed(packed, run):
+    """Keypoints and mask of a held-out frame of the benchmark."""
+    place = packed.parent
+    (place / "few.toml").write_text(FEW)
+    cape.fit.benchmark.image(
+        run, out=place / "seen", frames=1, size=128, config=place / "few.toml", data=packed
+    )
+    return place / "seen" / "best"
+
+
+#: Few steps: these tests are of the functions, not of the method.
+FEW = """
+[smplify]
+accepted = 1e9
+facing = [0.0]
+stages = [{ pose = 20.0, shape = 10.0 }, {}]
+
+[smplify.optimiser]
+steps = 20
+
+[clothed]
+levels = [{ side = 64, rounds = 1, steps = 3 }]
+inside = 0.0
+explained = 0.0
+"""
+
+
+def test_a_body_is_fitted_to_an_image(observed, run, tmp_path):
+    config = run.parent / "few.toml"
+    files = cape.fit.image(
+        run, observed / "keypoints.json", observed / "mask.png", tmp_path / "fit", config=config
+    )
+    assert files.vertices.shape == files.bare.shape == (6890, 3)
+    assert files.pose.shape == (72,) and files.problem is None
+    assert json.loads((tmp_path / "fit" / "fit.json").read_text()) == files.report
+    np.testing.assert_array_equal(np.load(tmp_path / "fit" / "code.npy"), files.code)
+    clothed = cape.Model.load(run).clothing
+    far = np.linalg.norm(files.vertices - files.bare, axis=1)
+    assert far[clothed].max() > 1e-3 and np.delete(far, clothed).max() < 1e-4
+    # The same from arrays, without files.
+    model = cape.Model.load(run)
+    person = json.loads((observed / "keypoints.json").read_text())["people"][0]
+    keypoints = np.array(person["pose_keypoints_2d"]).reshape(-1, 3)
+    mask = pixels((observed / "mask.png").read_bytes()).max(axis=-1)
+    arrays = cape.fit.image(model, keypoints, mask, config=config)
+    assert arrays.outfit == files.outfit
+    np.testing.assert_allclose(arrays.vertices, files.vertices, atol=1e-4)
+    assert files.picture.startswith(b"\x89PNG") and "srcdoc" in arrays._repr_html_()
+    assert files.mesh().colours is not None
+
+
+def test_an_unreliable_fit_warns(observed, run, tmp_path):
+    config = tmp_path / "strict.toml"
+    config.write_text(FEW.replace("inside = 0.0", "inside = 1.0"))
+    with pytest.warns(RuntimeWarning, match="unreliable"):
+        fit = cape.fit.image(run, observed / "keypoints.json", observed / "mask.png", config=config)
+    assert "unreliable" in fit.problem
+
+
+def test_wrong_observations_are_refused(observed, run):
+    with pytest.raises(cape.CapeError, match=r"keypoints: shape \[3\], expected \[k, 3\]"):
+        cape.fit.image(run, [1, 2, 3])
+    with pytest.raises(cape.CapeError, match=r"mask: shape \[3, 3, 3\]"):
+        cape.fit.image(run, observed / "keypoints.json", np.zeros((3, 3, 3)))
+    with pytest.raises(cape.CapeError, match="scan"):
+        cape.fit.scan(run, np.zeros((4, 2)))
+    with pytest.raises(cape.CapeError, match="nowhere"):
+        cape.fit.scan(run, "nowhere.ply")
+
+
+def test_a_body_is_fitted_to_a_scan(run, tmp_path):
+    model = cape.Model.load(run)
+    truth = model.sample("longlong", pose="a-pose", seed=4)
+    mesh = truth.mesh()
+    points = mesh.vertices[mesh.faces].mean(axis=1)[::8]
+    for scan in (points, mesh):
+        fit = cape.fit.scan(model, scan, outfit="longlong", pose="a-pose", seed=1)
+        assert fit.problem is None and fit.outfit == "longlong"
+        error = np.linalg.norm(fit.vertices - mesh.vertices, axis=1).mean()
+        assert error < 0.02
+    kept = cape.fit.scan(
+        model, mesh.to_trimesh() if has("trimesh") else mesh, tmp_path / "fit",
+        outfit="longlong", pose="a-pose", free_displacement=True, smooth=2, frame=3, seed=1,
+    )
+    assert "000003" in kept.report["free"]["registration"]
+    np.testing.assert_array_equal(np.load(tmp_path / "fit" / "pose.npy"), kept.pose)
+
+
+def has(name):
+    try:
+        __import__(name)
+    except ImportError:
+        return False
+    return True
+
+
+def test_a_pose_prior_is_fitted(packed, tmp_path):
+    report = cape.fit.pose_prior(packed, out=tmp_path / "prior.npz", components=2)
+    assert report["components"] == 2 and (tmp_path / "prior.npz").exists()
+
+
+def test_a_layer_is_simulated_learned_and_predicted(tmp_path):
+    simulated = cape.layer.synth(
+        tmp_path / "skirt", frames=4, resolution=60, steps=8, exercises=["march"], subjects=[-1, 0]
+    )
+    assert simulated
+    associated = cape.layer.associate(tmp_path / "skirt", tmp_path / "associated", compare=[1, 4])
+    assert associated["clothing_vertices"] > 50
+    learned = cape.layer.learn(tmp_path / "skirt", tmp_path / "learned", components=2)
+    assert learned["out"] == str(tmp_path / "learned")
+    layer = tmp_path / "learned" / "layer.npz"
+    moving = cape.layer.predict(layer, seconds=0.2, motion="squats", betas=[1, -1])
+    assert len(moving) == len(moving.vertices) > 3 and np.isfinite(moving.vertices).all()
+    assert moving.vertices.shape[1] == associated["clothing_vertices"]
+    assert moving.mesh(1).faces.max() < moving.vertices.shape[1]
+    assert moving.picture.startswith(b"\x89PNG") and "srcdoc" in moving._repr_html_()
+    kept = cape.layer.predict(layer, tmp_path / "kept", seconds=0.2, motion="squats", betas=[1, -1])
+    assert len(list((tmp_path / "kept").glob("frame-*.ply"))) == len(kept)
+    np.testing.assert_array_equal(kept.vertices, moving.vertices)
+    with pytest.raises(cape.CapeError, match="colour"):
+        cape.layer.predict(layer, parameters={"colour": 2.0})
+
+
+def test_the_viewer_serves_its_page(tmp_path):
     with cape.Viewer("female") as viewer:
         page = urllib.request.urlopen(viewer.url, timeout=30).read()
         assert b"<html" in page.lower()
-        assert viewer.url in viewer._repr_html_()
+        assert f'<iframe src="{viewer.url}"' in viewer._repr_html_()
+    assert "closed" in viewer._repr_html_()
     with pytest.raises(cape.CapeError, match="nowhere"):
         cape.Viewer("nowhere")
+    with pytest.raises(OSError):
+        urllib.request.urlopen(viewer.url, timeout=5)
+
+
+def test_the_viewer_of_a_model_is_shown_in_a_frame(run, tmp_path):
+    with cape.Model.load(run).view() as viewer:
+        (tmp_path / "page.html").write_text(f"<body style='margin:0'>{viewer._repr_html_()}")
+        # The page is of another origin than the frame, as that of a notebook is.
+        shot = screenshot((tmp_path / "page.html").as_uri(), tmp_path, 1000, 640, 20)
+    picture = shot[60:560, 100:700].astype(int)
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 200
+
+
+def test_a_viewer_ends_with_python():
+    code = (
+        "import cape, os\nviewer = cape.Viewer('female')\n"
+        "print(viewer._finish.peek()[2][0].pid, flush=True)"
+    )
+    line = [sys.executable, "-c", code]
+    pid = int(subprocess.run(line, capture_output=True, text=True, check=True, timeout=60).stdout)
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import cape
-from cape import _cape
+from cape import _cape, fit, pictures
+from cape.training import toml
 
-EXPECTED = (cape.CapeError, TypeError, ValueError, OverflowError, MemoryError, IndexError)
+EXPECTED = (cape.CapeError, OSError, TypeError, ValueError, OverflowError, MemoryError, IndexError)
 
 
 @pytest.fixture(scope="module")
@@ -47,15 +48,24 @@ def test_random_arguments(model):
         lambda a: _cape.draw(*a(3), (choose.randrange(-1, 3), 10**6)),
         lambda a: _cape.encode_png(*a(1)),
         lambda a: _cape.save_mesh("nowhere.fbx", *a(2)),
+        lambda a: _cape.save_mesh("/nowhere/mesh.ply", *a(3)),
+        lambda a: cape.Mesh(*a(3)),
+        lambda a: cape.Mesh.of(choose.choice([a(1)[0], a(2), tuple(a(2)), a(3)])),
+        lambda a: cape.Mesh(*a(1), choose.choice([[[0, 0, 0]], [[0, 1, 2]], [[]], []]))._repr_html_(),
+        lambda a: pictures.write_png("/nowhere/picture.png", *a(1)),
+        lambda a: fit._keypoints(*a(1)),
+        lambda a: fit._mask("mask", *a(1)),
+        lambda a: fit._scan(choose.choice([a(1)[0], tuple(a(2))])),
+        lambda a: toml({choose.choice(["a", 1, '"', ""]): choose.choice(a(1))}),
     ]
     refused = 0
-    for _ in range(1500):
+    for _ in range(2500):
         call = choose.choice(calls)
         try:
             call(lambda n: [arrays(choose) for _ in range(n)])
         except EXPECTED:
             refused += 1
-    assert 1000 < refused < 1500
+    assert 1500 < refused < 2500
 
 
 def test_meshes_that_are_none():
@@ -96,3 +106,31 @@ def test_broken_files(tmp_path):
                 cape.load_smpl(path)
             with pytest.raises(cape.CapeError):
                 cape.Model.load(path)
+
+
+def test_broken_meshes(tmp_path):
+    choose = random.Random(7)
+    mesh = cape.create()().mesh()
+    for ending in ("ply", "obj"):
+        whole = tmp_path / f"whole.{ending}"
+        mesh.save(whole)
+        content = whole.read_bytes()
+        for _ in range(30):
+            broken = bytearray(content[: choose.randrange(2000, len(content))])
+            for _ in range(50):
+                broken[choose.randrange(choose.choice([200, len(broken)]))] = choose.randrange(256)
+            path = tmp_path / f"broken.{ending}"
+            path.write_bytes(broken)
+            try:
+                cape.Mesh.load(path)
+            except cape.CapeError:
+                pass
+
+
+def test_options_of_all_kinds(tmp_path):
+    """Values of keywords reach the program as its own errors."""
+    choose = random.Random(8)
+    values = ["", "x", -1, 1e400, [], ["a", None], {"a": 1}, b"x", object(), "--help", "\u00e9", "a\nb"]
+    for name in ("frames", "clothing", "preset", "reference", "body", "threads", "gender"):
+        with pytest.raises(cape.CapeError):
+            cape.data.inspect(tmp_path / "nowhere", **{name: choose.choice(values)})

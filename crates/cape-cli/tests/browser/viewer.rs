@@ -32,8 +32,13 @@ struct Server {
 
 impl Server {
     fn start(of: &str) -> Self {
+        Self::start_with(of, &[])
+    }
+
+    fn start_with(of: &str, options: &[&str]) -> Self {
         let path = trained().at(of);
         let mut child = cape(["view", path.to_str().unwrap(), "--no-open", "--json"])
+            .args(options)
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
@@ -217,6 +222,21 @@ fn nobody_else_gets_in() {
     let unknown = r#"{"format":"obj","frame":9}"#;
     assert_eq!(server.request("POST", &target, &ours, unknown).0, 422);
     assert_eq!(server.get(&page), 200);
+}
+
+#[test]
+fn only_a_framed_viewer_is_shown_by_other_pages() {
+    for (options, framed) in [(&[][..], false), (&["--framed"][..], true)] {
+        let server = Server::start_with("run", options);
+        let (host, token) = server.parts();
+        let mut stream = TcpStream::connect(host).unwrap();
+        write!(stream, "GET /{token}/ HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n")
+            .unwrap();
+        let mut response = String::new();
+        stream.read_to_string(&mut response).unwrap();
+        assert!(response.contains("default-src 'none'"), "{response}");
+        assert_eq!(!response.contains("frame-ancestors 'none'"), framed);
+    }
 }
 
 #[test]

@@ -1,21 +1,22 @@
-"""Clothed 3D people on NumPy arrays: SMPL bodies, clothing models and mesh pyramids.
+"""Clothed 3D people on NumPy arrays: SMPL bodies, clothing models, fits, meshes and mesh pyramids.
 
-``cape.torch`` has both as layers of PyTorch.
+``cape.torch`` has bodies and models as layers of PyTorch.
 """
 
+from . import data, fit, layer
 from ._cape import CapeError, FileError
 from .body import Body, BodyOutput, create, load_smpl, poses
-from .commands import Command, Viewer
+from .commands import Command
 from .dressed import Dressed
+from .mesh import Mesh
 from .model import Model
+from .pictures import write_png
 from .pyramid import MeshPyramid
+from .training import Training, train
+from .viewer import Viewer
 
-data = Command("data")
 eval = Command("eval")
-fit = Command("fit")
 info = Command("info")
-layer = Command("layer")
-train = Command("train")
 
 __all__ = [
     "Body",
@@ -24,8 +25,10 @@ __all__ = [
     "Command",
     "Dressed",
     "FileError",
+    "Mesh",
     "MeshPyramid",
     "Model",
+    "Training",
     "Viewer",
     "create",
     "data",
@@ -36,4 +39,5 @@ __all__ = [
     "load_smpl",
     "poses",
     "train",
+    "write_png",
 ]

@@ -11,6 +11,7 @@ __all__ = [
     "Model",
     "draw",
     "encode_png",
+    "load_mesh",
     "save_mesh",
     "load_poses",
     "MeshPyramid",
@@ -105,8 +106,12 @@ def draw(
     size: tuple[int, int],
 ) -> NDArray[np.uint8]: ...
 def encode_png(pixels: NDArray[np.uint8]) -> bytes: ...
+def load_mesh(path: str | PathLike[str]) -> tuple[NDArray[np.float32], NDArray[np.uint32]]: ...
 def save_mesh(
-    path: str | PathLike[str], vertices: NDArray[np.float32], faces: NDArray[np.uint32]
+    path: str | PathLike[str],
+    vertices: NDArray[np.float32],
+    faces: NDArray[np.uint32],
+    colours: NDArray[np.uint8] | None = None,
 ) -> None: ...
 def load_poses(text: str) -> NDArray[np.float32]: ...
 def main(arguments: list[str]) -> int: ...

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import batches, matrix, points, repeat
 from ._cape import CapeError, FileError, SmplModel, load_poses
+from .mesh import Mesh
+from .pictures import draw, page, write_png
 
 #: Bodies that are posed in one call of the library.
 _BATCH = 1024
@@ -19,10 +21,35 @@ _GENDERS = ("male", "female", "neutral")
 
 @dataclass(frozen=True, eq=False)
 class BodyOutput:
-    """Posed bodies: ``vertices`` [n, V, 3] and ``joints`` [n, J, 3], metres."""
+    """Posed bodies: ``vertices`` [n, V, 3] and ``joints`` [n, J, 3], metres, and ``faces`` [F, 3].
+
+    In a notebook the first eight show themselves.
+    """
 
     vertices: NDArray[np.float32]
     joints: NDArray[np.float32]
+    faces: NDArray[np.uint32]
+
+    def mesh(self, index: int = 0) -> Mesh:
+        """Mesh of a body."""
+        return Mesh(self.vertices[index], self.faces)
+
+    def picture(self, size: tuple[int, int] = (320, 420)) -> NDArray[np.uint8]:
+        """Draw the bodies beside each other, at most eight: pixels [height, n width, 4], RGBA.
+
+        ``size`` is width and height of one body's picture, pixels.
+        """
+        return draw(list(self.vertices), self.faces, [None] * len(self.vertices), size)
+
+    def save(self, path: str | os.PathLike[str], index: int = 0) -> None:
+        """Write the picture, ``.png``, or the mesh of one body, ``.ply`` or ``.obj``."""
+        if Path(path).suffix.lower() == ".png":
+            write_png(path, self.picture())
+        else:
+            self.mesh(index).save(path)
+
+    def _repr_html_(self) -> str:
+        return page(list(self.vertices), self.faces, [None] * len(self.vertices))
 
 
 class Body:
@@ -64,14 +91,14 @@ class Body:
         if worn is not None:
             worn = repeat("displacement", worn, n)
         if n <= _BATCH:
-            return BodyOutput(*self.model.forward(betas_, pose, transl_, worn))
+            return BodyOutput(*self.model.forward(betas_, pose, transl_, worn), self.faces)
         vertices = np.empty((n, self.num_vertices, 3), dtype=np.float32)
         joints = np.empty((n, self.num_joints, 3), dtype=np.float32)
         for rows in batches(n, _BATCH):
             vertices[rows], joints[rows] = self.model.forward(
                 betas_[rows], pose[rows], transl_[rows], None if worn is None else worn[rows]
             )
-        return BodyOutput(vertices, joints)
+        return BodyOutput(vertices, joints, self.faces)
 
     def unpose(
         self,

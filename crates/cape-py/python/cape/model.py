@@ -13,13 +13,16 @@ from . import _cape
 from ._arrays import BATCH, batches, floats, matrix, points, repeat
 from .body import Body, poses
 from .dressed import Dressed
+from .viewer import Viewer
 
 
 class Model:
     """Trained clothing model, of a run of ``cape train``, a model file, or built in."""
 
-    def __init__(self, model: _cape.Model) -> None:
+    def __init__(self, model: _cape.Model, path: Path | None = None) -> None:
         self._model = model
+        #: Directory of the run or model file; None for the built-in model.
+        self.path: Path | None = path
         #: Number of latent dimensions.
         self.latent: int = model.latent
         #: Names of the outfits.
@@ -32,12 +35,19 @@ class Model:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Model:
         """Open the directory of a run or a model file."""
-        return cls(_cape.Model.load(Path(path)))
+        return cls(_cape.Model.load(Path(path)), Path(path))
 
     @classmethod
     def pretrained(cls) -> Model:
         """Return the built-in model."""
         return cls(_cape.Model.pretrained())
+
+    def view(self, motion: str | os.PathLike[str] | None = None, port: int = 0) -> Viewer:
+        """Start the interactive viewer, which a notebook shows; ``close()`` of what is returned ends it.
+
+        ``motion`` is a file of a motion to offer beside the synthetic ones; ``port`` 0 is a free one.
+        """
+        return Viewer(self.path, motion=motion, port=port)
 
     def sample(
         self,
@@ -145,3 +155,10 @@ def outfit_names(outfit: str | Sequence[str], n: int) -> list[str]:
     if len(outfits) != n:
         raise _cape.CapeError(f"outfits: {len(outfits)} names, expected {n}")
     return outfits
+
+
+def run_path(model: Model | str | os.PathLike[str] | None) -> Path | None:
+    """Path of a model by which commands know it; None for the built-in one."""
+    if isinstance(model, Model):
+        return model.path
+    return None if model is None else Path(model)

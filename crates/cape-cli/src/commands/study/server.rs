@@ -291,7 +291,9 @@ async fn guard(State(server): State<Arc<StudyServer>>, request: Request, next: N
     let given = request.uri().path().split('/').nth(1).unwrap_or_default();
     let allowed = is_own_request(request.headers(), |host| server.origin_of(host))
         && server.rater(given).is_some();
-    guarded(if allowed { next.run(request).await } else { StatusCode::NOT_FOUND.into_response() })
+    let response =
+        if allowed { next.run(request).await } else { StatusCode::NOT_FOUND.into_response() };
+    guarded(response, false)
 }
 
 async fn to_page(UrlPath(token): UrlPath<String>) -> Redirect {

@@ -55,6 +55,9 @@ pub(crate) struct ViewArgs {
     /// Let other machines in; everyone who knows the address with its token can look, unencrypted.
     #[arg(long, requires = "host")]
     allow_remote: bool,
+    /// Let pages of other origins, such as notebooks, show the viewer in a frame.
+    #[arg(long)]
+    framed: bool,
     /// Frames per second of a sequence.
     #[arg(long, default_value_t = 30.0, value_name = "FPS", value_parser = positive)]
     fps: f64,
@@ -141,7 +144,7 @@ impl ViewArgs {
         let (jobs, list) = mpsc::channel();
         let token = token();
         let report = Report { url: format!("http://{address}/{token}/") };
-        let site = ServerState { token, scene, faces, remote, jobs };
+        let site = ServerState { token, scene, faces, remote, framed: self.framed, jobs };
         let server = thread::spawn(move || server::serve(listener, site));
         console.result(&report, || format!("{}\npress Ctrl-C to stop", report.url))?;
         if self.host.is_unspecified() {

@@ -53,6 +53,8 @@ pub(super) struct ServerState {
     pub(super) faces: Vec<u8>,
     /// True if machines other than this one may ask, by any name of it.
     pub(super) remote: bool,
+    /// True if pages of other origins may show this one in a frame.
+    pub(super) framed: bool,
     pub(super) jobs: mpsc::Sender<ModelRequest>,
 }
 
@@ -107,7 +109,9 @@ fn router(site: Arc<ServerState>) -> Router {
 /// Admits requests with the token and from the page itself.
 async fn guard(State(site): State<Arc<ServerState>>, request: HttpRequest, next: Next) -> Response {
     let allowed = is_here(&site, request.headers()) && knows(&site, request.uri());
-    guarded(if allowed { next.run(request).await } else { StatusCode::NOT_FOUND.into_response() })
+    let response =
+        if allowed { next.run(request).await } else { StatusCode::NOT_FOUND.into_response() };
+    guarded(response, site.framed)
 }
 
 fn knows(site: &ServerState, uri: &Uri) -> bool {
@@ -222,6 +226,7 @@ mod tests {
             scene: String::new(),
             faces: Vec::new(),
             remote: false,
+            framed: false,
             jobs,
         }
     }
