@@ -34,7 +34,7 @@ const MOST_HISTORY: f64 = 100.0;
 /// let set = design.set(&body, &|_, _| {})?;
 /// // Learn it, and predict it over the same motion.
 /// let mut options = LayerOptions::default();
-/// options.learning.components = 3;
+/// options.learning.components = Some(3);
 /// let layer = Layer::fit(&body, &set, &options)?;
 /// let parameters = layer.semantics.with(&[("length".into(), 0.85)])?;
 /// let motion = &set.sequences[0].motion;

@@ -68,13 +68,16 @@ pub fn distances(found: ArrayView2<'_, f64>, truth: ArrayView2<'_, f64>) -> Vec<
     pairs.map(|(found, truth)| distance_mm(point(found), point(truth))).collect()
 }
 
+/// Numbers of principal components of one sequence and of several, as the paper has them.
+const ONE: usize = 40;
+const SEVERAL: usize = 100;
+
 /// Options of principal components and regression.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LearningOptions {
-    /// Number of principal components of one subject in one clothing; 40 in the paper.
-    pub components: usize,
-    /// Number of principal components of several subjects or clothings; 100 in the paper.
-    pub components_of_several: usize,
+    /// Number of principal components; by default the paper's: 40 for one sequence, 100 for
+    /// several, or fewer if there are not as many frames.
+    pub components: Option<usize>,
     /// Motion features.
     pub features: FeatureOptions,
     /// Most inputs of semantic parameters, to which more are reduced; the paper's 4 for a material
@@ -95,8 +98,7 @@ pub struct LearningOptions {
 impl Default for LearningOptions {
     fn default() -> Self {
         Self {
-            components: 40,
-            components_of_several: 100,
+            components: None,
             features: FeatureOptions::default(),
             semantics: Some(4),
             test: 0.2,
@@ -108,9 +110,10 @@ impl Default for LearningOptions {
 }
 
 impl LearningOptions {
-    /// Number of principal components of a number of sequences.
-    pub fn components(&self, sequences: usize) -> usize {
-        if sequences > 1 { self.components_of_several } else { self.components }
+    /// Number of principal components of a number of sequences and training frames.
+    pub fn components_of(&self, sequences: usize, frames: usize) -> usize {
+        let paper = if sequences > 1 { SEVERAL } else { ONE };
+        self.components.unwrap_or(paper.min(frames.saturating_sub(1)).max(1))
     }
 
     /// The options with the seed of the training with this index.
@@ -146,8 +149,8 @@ pub struct RegressionReport {
     pub predict: LayerError,
     /// Mean error on the held-out frames of each training.
     pub predict_each: Vec<f64>,
-    /// Error of the held-out frames' own coordinates in the components: the least error of a
-    /// prediction.
+    /// Error of the held-out frames' own coordinates in the components, mean over the trainings: the least
+    /// error of a prediction.
     pub space: LayerError,
     /// Errors of simpler predictions on the held-out frames.
     pub baselines: BaselineErrors,

@@ -2,7 +2,8 @@ use ndarray::{Array1, Array2, Axis, s};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    BaselineErrors, Factor, LayerError, LearningOptions, PushedOut, RegressionReport, UnposedSet,
+    BaselineErrors, Factor, LayerError, LearningOptions, ONE, PushedOut, RegressionReport,
+    UnposedSet,
 };
 use crate::{ComponentSelection, Error, LayerSet, Pca, Result};
 
@@ -23,7 +24,7 @@ const EXAMPLES: [f64; 3] = [0.2, 0.5, 0.8];
 /// let (set, association) = patch(&body)?;
 /// assert_eq!(Experiment::for_set(&set), [Experiment::Reconstruction, Experiment::Regression]);
 /// let unposed = UnposedSet::new(&body, &set, &association, &StandardPose::default())?;
-/// let options = LearningOptions { components: 1, ..LearningOptions::default() };
+/// let options = LearningOptions { components: Some(1), ..LearningOptions::default() };
 /// let outcome = Experiment::Reconstruction.run("patch", &unposed, &options, &mut |_, _| {})?;
 /// assert_eq!(outcome.results.reconstructed[0].components, [1, 5]);
 /// assert!(outcome.results.reconstructed[0].errors_mm[0] < 1e-6);
@@ -183,7 +184,7 @@ struct ExperimentRun<'a> {
 
 impl ExperimentRun<'_> {
     fn reconstruction(&self, progress: &mut dyn FnMut(usize, usize)) -> Result<ExperimentOutcome> {
-        let mut counts = vec![1, 2, 5, 10, 20, self.options.components];
+        let mut counts = vec![1, 5, self.options.components.unwrap_or(ONE)];
         counts.sort_unstable();
         counts.dedup();
         let sequences = &self.unposed.set().sequences;

@@ -57,8 +57,7 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
     let means: Vec<f64> = table[0].iter().map(|e| e.mean).collect();
     println!("reconstruction with 1, 5, 20 and all components: {means:?} mm");
     assert!(means.windows(2).all(|pair| pair[1] <= pair[0]) && means[3] < 1e-3, "{means:?}");
-    let learning =
-        LearningOptions { components: 10, components_of_several: 10, ..LearningOptions::default() };
+    let learning = LearningOptions { components: Some(10), ..LearningOptions::default() };
     let regression = unposed.regression(&[0], &learning, &mut |_, _| {}).unwrap();
     println!("regression: {:?} {:?}", regression.train, regression);
     assert!(regression.train.mean < 5.0 && regression.predict.mean < 20.0);
@@ -82,7 +81,7 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
     assert!(moment.is_none(), "`again` is another motion: {moment:?}");
     assert_eq!(same.baselines.interpolation_mm, None);
     assert!(both.leave_out(&[], &learning, &mut |_, _| {}).is_err());
-    let many = LearningOptions { components: 60, ..learning };
+    let many = LearningOptions { components: Some(60), ..learning };
     let error = unposed.regression(&[0], &many, &mut |_, _| {}).unwrap_err().to_string();
     assert!(error.contains("60 principal components of 38 frames"), "{error}");
 

@@ -36,7 +36,7 @@ const MEASURED: usize = 200;
 /// // One component reconstructs it; a small network predicts it better than the mean does.
 /// assert!(unposed.reconstruction(&[1])?[0][0].largest < 1e-6);
 /// let training = TrainingOptions { hidden: vec![4], ..TrainingOptions::default() };
-/// let learning = LearningOptions { components: 1, training, ..LearningOptions::default() };
+/// let learning = LearningOptions { components: Some(1), training, ..LearningOptions::default() };
 /// let regression = unposed.regression(&[0], &learning, &mut |_, _| {})?;
 /// assert_eq!(regression.trained_model.pca.latent(), 1);
 /// assert!(regression.predict.mean < regression.baselines.mean_mm);
@@ -332,8 +332,8 @@ impl<'a> UnposedSet<'a> {
         let rows = self.rows.select(Axis(0), frames);
         // The components are those of the training frames only.
         let fitted = rows.select(Axis(0), &training.split_inputs(&inputs).0);
-        let count = ComponentSelection::Components(learning.components(sequences.len()));
-        let pca = Pca::from_snapshots(fitted.view(), count)?;
+        let count = learning.components_of(sequences.len(), fitted.nrows());
+        let pca = Pca::from_snapshots(fitted.view(), ComponentSelection::Components(count))?;
         let codes = pca.encode(rows.view())?;
         let outcome = training.train(&inputs, codes.view(), watch)?;
         Ok(TrainedModel { pca, semantics, outcome })
@@ -383,7 +383,8 @@ impl<'a> UnposedSet<'a> {
             Ok(LayerError::over(&self.errors(frames, offsets.view())?))
         };
         let mut first = None;
-        let (mut train, mut predict) = (Vec::new(), Vec::new());
+        let (mut train, mut predict, mut space) = (Vec::new(), Vec::new(), Vec::new());
+        let held_rows = self.rows.select(Axis(0), frames.held);
         for index in 0..learning.trainings.max(1) {
             let options = learning.with_training(index);
             let model = self.learn(frames.known, &options, &mut |epoch| watch(index, epoch))?;
@@ -392,16 +393,17 @@ impl<'a> UnposedSet<'a> {
             let offsets = |of: &[usize]| self.predicted_offsets(&model, features, of);
             train.push(error(&trained, &offsets(&trained)?)?);
             predict.push(error(frames.held, &offsets(frames.held)?)?);
+            let codes = model.pca.encode(held_rows.view())?;
+            space.push(error(frames.held, &model.pca.decode(codes.view())?)?);
             first.get_or_insert(model);
         }
         let trained_model = first.ok_or_else(|| Error::argument("layer set: no training"))?;
-        let codes = trained_model.pca.encode(self.rows.select(Axis(0), frames.held).view())?;
         Ok(RegressionReport {
             held: frames.held.to_vec(),
             train: LayerError::over(&train),
             predict: LayerError::over(&predict),
             predict_each: predict.iter().map(|error| error.mean).collect(),
-            space: error(frames.held, &trained_model.pca.decode(codes.view())?)?,
+            space: LayerError::over(&space),
             baselines: BaselineErrors::measure(self, frames, &trained_model, learning)?,
             pushed_out: self.pushed_out(&trained_model, features, frames.held)?,
             trained_model,

@@ -129,7 +129,8 @@ fn warnings(association: &Association) -> Vec<String> {
 /// Options of components and regression.
 #[derive(Debug, Clone, Args)]
 pub(super) struct LearningArgs {
-    /// Number of principal components to predict [default: 40 for one sequence, 100 for several].
+    /// Number of principal components to predict [default: 40 for one sequence, 100 for several, or as
+    /// many as the frames allow].
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     pub(super) components: Option<usize>,
     /// Successive rises of the validation error before training stops; 0 in the paper [default: all
@@ -163,15 +164,13 @@ fn at_most_a_hundred(text: &str) -> std::result::Result<usize, String> {
 
 impl LearningArgs {
     pub(super) fn learning(&self, seed: u64, trainings: usize) -> LearningOptions {
-        let default = LearningOptions::default();
         let features = FeatureOptions {
             smoothing: self.smoothing,
             history: self.history,
             ..FeatureOptions::default()
         };
         LearningOptions {
-            components: self.components.unwrap_or(default.components),
-            components_of_several: self.components.unwrap_or(default.components_of_several),
+            components: self.components,
             features,
             semantics: Some(self.reduce),
             trainings,
@@ -183,7 +182,7 @@ impl LearningArgs {
                 seed,
                 ..TrainingOptions::default()
             },
-            ..default
+            ..LearningOptions::default()
         }
     }
 }

@@ -113,7 +113,7 @@ impl ComparisonContext<'_> {
         let train = self.run.open_set(self.data, Split::Train)?;
         let rows = DisplacementStatistics::from_packed(self.data, &mut |_, _| {})?
             .training_rows(train.frames());
-        let components = self.learning.components(1).min(rows.len().saturating_sub(1));
+        let components = self.learning.components_of(1, rows.len());
         let options = PcaOptions { components, ..PcaOptions::default() };
         let pca = self.console.while_showing("components", "rows", |progress| {
             cape_data::principal_components(self.data, &options, progress)
