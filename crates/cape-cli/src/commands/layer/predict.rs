@@ -131,7 +131,7 @@ impl PredictArgs {
                 progress(frame + 1, total.unwrap_or(frame + 1));
             }
         })?;
-        gallery.save(&out)?;
+        gallery.save(&out.join("predicted.png"))?;
         let names = layer.semantics.names().iter().cloned();
         let parameters = names.zip(parameters).collect();
         let mean = |sum: f64| sum / gallery.seen.max(1) as f64;
@@ -152,14 +152,19 @@ impl PredictArgs {
 
 /// Evenly spaced frames of a motion of unknown length: with too many, every second one is dropped.
 #[derive(Default)]
-struct FrameSampler {
+pub(super) struct FrameSampler {
     kept: Vec<(usize, Mesh, Mesh)>,
     stride: usize,
-    seen: usize,
+    pub(super) seen: usize,
 }
 
 impl FrameSampler {
-    fn push(&mut self, predicted: &PredictedFrame, clothing: Mesh, body_faces: &[[u32; 3]]) {
+    pub(super) fn push(
+        &mut self,
+        predicted: &PredictedFrame,
+        clothing: Mesh,
+        body_faces: &[[u32; 3]],
+    ) {
         self.stride = self.stride.max(1);
         self.seen += 1;
         if !predicted.frame.is_multiple_of(self.stride) {
@@ -177,7 +182,7 @@ impl FrameSampler {
         self.kept.push((predicted.frame, body, clothing));
     }
 
-    fn save(&self, out: &std::path::Path) -> Result {
+    pub(super) fn save(&self, picture: &std::path::Path) -> Result {
         let mut tiles = Vec::new();
         for (frame, body, clothing) in &self.kept {
             let stage = PictureCamera::around([body, clothing], View::ThreeQuarter, HEIGHT)?;
@@ -185,8 +190,8 @@ impl FrameSampler {
             tiles.push(Tile { image, label: format!("frame {frame}") });
         }
         if tiles.is_empty() {
-            return Err(Error::message("--motion: no frames"));
+            return Err(Error::message("no frames"));
         }
-        Ok(contact_sheet(&tiles, SHOWN, None)?.save(out.join("predicted.png"))?)
+        Ok(contact_sheet(&tiles, SHOWN, None)?.save(picture)?)
     }
 }
