@@ -7,39 +7,44 @@ use cape_core::{
 use ndarray::{Array1, Array2, ArrayD, Axis, Dimension, arr1};
 
 use crate::{
-    Association, BodyFrame, BodyIdentity, Error, Pca, Result,
+    AssociateOptions, Association, BodyFrame, BodyIdentity, Clearance, Error, InsideShares,
+    LayerSet, Pca, Result,
+    clearance::CLEARANCE,
+    experiment::{LearningOptions, UnposedSet},
     regress::{FeatureOptions, FeatureStream, Regressor, SemanticParameters, StreamedFrame},
 };
 use cape_core::expect_finite;
-use cape_core::{BodyMotion, smpl::StandardPose};
+use cape_core::{BodyMotion, geometry::SurfaceMesh, smpl::StandardPose};
+
+/// Largest number of earlier moments whose features a layer uses.
+const MOST_HISTORY: f64 = 100.0;
 
 /// A learned clothing layer: association, principal components and regressor, which predict the
 /// clothing of a body in motion.
 ///
 /// ```
-/// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
-/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use cape_cloth::{Garment, GarmentKind};
+/// use cape_layer::{Layer, LayerOptions, synth::{Design, Exercise}};
 /// use cape_synth::synthetic_body;
-/// use cape_core::smpl::StandardPose;
-/// use cape_layer::{Layer, experiment::{LearningOptions, UnposedSet}, regress::TrainingOptions};
 ///
-/// // Learn a patch on the skin of a marching body.
+/// // A coarse skirt in twelve frames of a march.
 /// let body = synthetic_body();
-/// let (set, association) = patch(&body)?;
-/// let standard = StandardPose::default();
-/// let unposed = UnposedSet::new(&body, &set, &association, &standard)?;
-/// let training = TrainingOptions { hidden: vec![4], patience: 10, ..TrainingOptions::default() };
-/// let learning = LearningOptions { components: 1, training, ..LearningOptions::default() };
-/// let learned = unposed.regression(&[0], &learning, &mut |_| {})?.trained_model;
-/// let layer: Layer = unposed.layer(&learned, learning.features);
-/// // Predict frame by frame, each as soon as its velocities are known.
-/// let shape = body.rest_shape(&[])?;
-/// let mut stream = layer.stream(&body, &shape, 30.0, &[0.85])?;
-/// assert!(stream.push(&[0.0; 72], [0.0; 3])?.is_none());
-/// let first = stream.push(&[0.0; 72], [0.0; 3])?.ok_or("no frame")?;
-/// assert_eq!((first.frame, first.clothing.dim()), (0, (3, 3)));
-/// # Ok(())
-/// # }
+/// let skirt = Garment { resolution: 0.06, ..Garment::new(GarmentKind::Skirt) };
+/// let design = Design { exercises: vec![Exercise::March], frames: 12, ..Design::new(skirt) };
+/// let set = design.set(&body, &|_, _| {})?;
+/// // Learn it, and predict it over the same motion.
+/// let mut options = LayerOptions::default();
+/// options.learning.components = Some(3);
+/// let layer = Layer::fit(&body, &set, &options)?;
+/// let parameters = layer.semantics.with(&[("length".into(), 0.85)])?;
+/// let motion = &set.sequences[0].motion;
+/// let mut frames = Vec::new();
+/// layer.predict(&body, &body.rest_shape(&[])?, motion, &parameters, &mut |frame| {
+///     frames.push(frame.clothing);
+///     Ok(())
+/// })?;
+/// assert_eq!((frames.len(), frames[0].dim()), (12, (set.vertices(), 3)));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Layer {
@@ -62,6 +67,27 @@ pub struct Layer {
     pub body: Option<BodyIdentity>,
 }
 
+/// Options of [`Layer::fit`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct LayerOptions {
+    /// Options of the association, which is that of the first frame.
+    pub association: AssociateOptions,
+    /// Standard pose, in which offsets are measured.
+    pub standard: StandardPose,
+    /// Options of components and regression.
+    pub learning: LearningOptions,
+}
+
+impl Default for LayerOptions {
+    fn default() -> Self {
+        Self {
+            association: AssociateOptions::default(),
+            standard: StandardPose::A,
+            learning: LearningOptions::default(),
+        }
+    }
+}
+
 /// Predicted clothing of one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PredictedFrame {
@@ -71,6 +97,8 @@ pub struct PredictedFrame {
     pub body: BodyFrame,
     /// Clothing vertices, metres, `[n_v, 3]`.
     pub clothing: Array2<f64>,
+    /// Shares of the clothing vertices inside the body, if they are kept out of it.
+    pub inside: Option<InsideShares>,
 }
 
 /// Prediction over a motion that arrives frame by frame: [`Layer::stream`].
@@ -81,9 +109,20 @@ pub struct LayerStream<'a> {
     shape: Array2<f64>,
     semantics: Vec<f64>,
     features: FeatureStream,
+    clearance: Option<Clearance>,
 }
 
 impl LayerStream<'_> {
+    /// The stream with another least distance of the clothing from the body, metres; `None` leaves the
+    /// clothing where it is predicted.
+    #[must_use]
+    pub fn with_clearance(self, distance: Option<f64>) -> Self {
+        let Self { layer, model, .. } = &self;
+        let vertices = layer.association.clothing_vertices();
+        let clearance = distance.map(|d| Clearance::new(d, model, &layer.faces, vertices));
+        Self { clearance, ..self }
+    }
+
     /// Adds the next frame: axis-angles `[3 · joints]`, radians, and a translation, metres. Returns
     /// the frame whose velocities this completes, usually the one before.
     ///
@@ -111,14 +150,40 @@ impl LayerStream<'_> {
             .map_err(|error| Error::argument(error.to_string()))?;
         let body = BodyFrame::new(self.model, &self.shape, &frame.pose, frame.transl, standard)?;
         let clothing = association.dress(&body, offsets.view())?;
-        Ok(PredictedFrame { frame: frame.frame, body, clothing })
+        let (clothing, inside) = match &self.clearance {
+            None => (clothing, None),
+            Some(clearance) => {
+                let (pushed, inside) = clearance.apply(body.posed.clone(), clothing.view());
+                (pushed, Some(inside))
+            }
+        };
+        Ok(PredictedFrame { frame: frame.frame, body, clothing, inside })
     }
 }
 
 impl Layer {
+    /// Learns the clothing of a set on `model`: association in the first frame, principal components and
+    /// regression.
+    ///
+    /// # Errors
+    /// If the clothing cannot be associated with the body, there are too few frames for the components,
+    /// or an option is out of range.
+    pub fn fit(model: &SmplModel, set: &LayerSet, options: &LayerOptions) -> Result<Self> {
+        let LayerOptions { association, standard, learning } = options;
+        let Some(first) = set.sequences.first() else {
+            return Err(Error::argument("layer set: no sequences, expected at least one"));
+        };
+        let posed = first.body(model, 0, standard)?.posed;
+        let body = SurfaceMesh::new("body", posed, model.faces.clone())?;
+        let association = association.associate(&body, &set.clothing(0, 0)?)?;
+        let unposed = UnposedSet::new(model, set, &association, standard)?;
+        Ok(unposed.layer(&unposed.train(learning, &mut |_| {})?, learning.features))
+    }
+
     /// Starts a prediction frame by frame for a body with the unclothed rest shape `[V, 3]`, metres.
     /// `frame_rate` is in frames per second, `parameters` are the semantic parameters in the order of
-    /// [`semantics`](Self::semantics).
+    /// [`semantics`](Self::semantics). Clothing is kept 2 mm out of the body, unless
+    /// [`with_clearance`](LayerStream::with_clearance) says otherwise.
     pub fn stream<'a>(
         &'a self,
         model: &'a SmplModel,
@@ -128,10 +193,13 @@ impl Layer {
     ) -> Result<LayerStream<'a>> {
         let semantics = self.semantics.reduced(parameters)?;
         let features = FeatureStream::new(self.features, frame_rate);
-        Ok(LayerStream { layer: self, model, shape: shape.clone(), semantics, features })
+        let shape = shape.clone();
+        let stream =
+            LayerStream { layer: self, model, shape, semantics, features, clearance: None };
+        Ok(stream.with_clearance(Some(CLEARANCE)))
     }
 
-    /// Predicts clothing over a whole motion. `each` is called with every frame in order; its error
+    /// Predicts clothing over a whole motion, at least 2 mm out of the body. `each` is called with every frame in order; its error
     /// ends the prediction.
     pub fn predict(
         &self,
@@ -158,7 +226,8 @@ impl Layer {
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let corners: Array1<i64> = self.faces.iter().flatten().map(|&v| i64::from(v)).collect();
         let joints = cape_core::joints::JOINTS;
-        let FeatureOptions { speed, angles, angular_speeds, smoothing } = self.features;
+        let FeatureOptions { speed, angles, angular_speeds, smoothing, hands, history } =
+            self.features;
         let flag = |on: bool| f64::from(u8::from(on));
         let mut file = NpzWriter::create(path)?;
         file.add("faces", &corners)?;
@@ -170,8 +239,13 @@ impl Layer {
         file.add("explained_variance", &self.pca.variances)?;
         file.add("total_variance", &arr1(&[self.pca.total_variance]))?;
         file.add("residual", &arr1(&[self.pca.residual]))?;
-        let features = [flag(speed), flag(angles), flag(angular_speeds), smoothing];
-        file.add("features", &arr1(&features))?;
+        let features = [speed, angles, angular_speeds].map(flag).into_iter().chain([
+            smoothing,
+            flag(hands),
+            history as f64,
+        ]);
+        let features: Vec<f64> = features.collect();
+        file.add("features", &Array1::from_vec(features))?;
         self.semantics.write(&mut file)?;
         self.regressor.write(&mut file)?;
         if let Some(BodyIdentity { name, sha256 }) = &self.body {
@@ -215,14 +289,7 @@ impl Layer {
         file.expect_shape("mean", pca.mean.shape(), &[Some(numbers)])?;
         file.expect_shape("components", pca.components.shape(), &[None, Some(numbers)])?;
         file.expect_shape("explained_variance", pca.variances.shape(), &[Some(pca.latent())])?;
-        let numbers = vector(file, "features", Some(4))?;
-        let on = |k: usize| numbers[k] != 0.0;
-        let features = FeatureOptions {
-            speed: on(0),
-            angles: on(1),
-            angular_speeds: on(2),
-            smoothing: numbers[3],
-        };
+        let features = features(file)?;
         let semantics = SemanticParameters::read(file)?;
         let regressor = Regressor::read(file)?;
         if regressor.network().sizes().last() != Some(&pca.latent()) {
@@ -250,6 +317,30 @@ impl Layer {
         }
         Ok(layer)
     }
+}
+
+/// Options of the features; earlier files have neither the flag of the hands, which were used, nor a
+/// history.
+fn features(file: &mut Npz) -> Result<FeatureOptions> {
+    let numbers = vector(file, "features", None)?;
+    let (hands, history) = match numbers.len() {
+        4 => (true, 0.0),
+        6 => (numbers[4] != 0.0, numbers[5]),
+        found => return Err(fault(file, "features", format!("{found} numbers, expected 6"))),
+    };
+    if !(0.0..=MOST_HISTORY).contains(&history) {
+        let message = format!("{history} moments of history, expected 0 to {MOST_HISTORY}");
+        return Err(fault(file, "features", message));
+    }
+    let on = |k: usize| numbers[k] != 0.0;
+    Ok(FeatureOptions {
+        speed: on(0),
+        angles: on(1),
+        angular_speeds: on(2),
+        smoothing: numbers[3],
+        hands,
+        history: history as usize,
+    })
 }
 
 fn fault(file: &Npz, field: &str, message: String) -> Error {

@@ -28,6 +28,7 @@
 
 pub mod associate;
 mod body_identity;
+mod clearance;
 mod error;
 pub mod experiment;
 pub mod geometry;
@@ -42,8 +43,9 @@ pub use cape_stats::pca::{ComponentSelection, Pca};
 
 pub use associate::{AssociateOptions, Association};
 pub use body_identity::BodyIdentity;
+pub use clearance::{Clearance, InsideShares};
 pub use error::{Error, Result};
 pub use import::{ImportRates, import};
-pub use layer::{Layer, LayerStream, PredictedFrame};
+pub use layer::{Layer, LayerOptions, LayerStream, PredictedFrame};
 pub use offsets::{BodyFrame, OffsetFrame};
 pub use sequence::{LayerSet, Sequence};

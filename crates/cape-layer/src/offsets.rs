@@ -151,6 +151,20 @@ impl Association {
         self.offset_frame(body)?.dress(self, offsets)
     }
 
+    /// Clothing `[n_v, 3]`, metres, of the body `from` on the body `to`, at the same offsets: the transfer
+    /// of captured clothing to another shape (figures 2 and 5 of the paper).
+    ///
+    /// # Errors
+    /// As of [`offsets`](Self::offsets) and [`dress`](Self::dress).
+    pub fn transfer(
+        &self,
+        from: &BodyFrame,
+        clothing: ArrayView2<'_, f64>,
+        to: &BodyFrame,
+    ) -> Result<Array2<f64>> {
+        self.dress(to, self.offsets(from, clothing)?.view())
+    }
+
     /// Blended transforms and positions of a body for repeated calls of [`OffsetFrame::dress`].
     ///
     /// # Errors

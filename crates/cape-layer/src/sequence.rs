@@ -182,6 +182,30 @@ impl LayerSet {
         self.sequences.iter().map(Sequence::frames).sum()
     }
 
+    /// Names and values of the semantic parameters of all sequences, `[sequences, names]`: those of garment
+    /// and material, and as `beta_1`, `beta_2` and so on the shape coefficients in which the sequences
+    /// differ.
+    pub fn semantic_parameters(&self) -> (Vec<String>, Array2<f64>) {
+        let names = self.sequences.first().map_or(&[][..], |first| &first.parameters);
+        let mut names: Vec<String> = names.iter().map(|(name, _)| name.clone()).collect();
+        let given = names.len();
+        let beta = |sequence: &Sequence, k: usize| sequence.betas.get(k).copied().unwrap_or(0.0);
+        let most = self.sequences.iter().map(|sequence| sequence.betas.len()).max().unwrap_or(0);
+        let differ = |&k: &usize| {
+            self.sequences.iter().any(|other| beta(other, k) != beta(&self.sequences[0], k))
+        };
+        let betas: Vec<usize> = (0..most).filter(differ).collect();
+        names.extend(betas.iter().map(|k| beta_name(*k)));
+        let values = Array2::from_shape_fn((self.sequences.len(), names.len()), |(row, column)| {
+            let sequence = &self.sequences[row];
+            match column.checked_sub(given) {
+                None => sequence.parameters[column].1,
+                Some(k) => beta(sequence, betas[k]),
+            }
+        });
+        (names, values)
+    }
+
     /// Index of the sequence and of the frame in it for each frame of the set, in order, `[frames]`.
     pub fn each_frame(&self) -> Vec<(usize, usize)> {
         let frames = |(index, sequence): (usize, &Sequence)| {
@@ -299,6 +323,11 @@ impl LayerSet {
         }
         Ok(set)
     }
+}
+
+/// Name of the shape coefficient with index `k`, from 0, among semantic parameters.
+pub(crate) fn beta_name(k: usize) -> String {
+    format!("beta_{}", k + 1)
 }
 
 impl Entry {

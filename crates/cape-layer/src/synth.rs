@@ -3,6 +3,7 @@
 use cape_core::SmplModel;
 use cape_synth::{Motion, MotionStyle};
 use ndarray::{Array2, Axis};
+use rand::{SeedableRng, rngs::ChaCha8Rng};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -37,21 +38,40 @@ pub enum Exercise {
     Swing,
     /// Jumping jacks, feet off the floor.
     Jump,
+    /// A synthetic motion on the spot in a random style of a seed.
+    #[serde(skip)]
+    Styled(Motion, u64),
 }
 
 impl Exercise {
-    /// All exercises.
+    /// The exercises of one style.
     pub const ALL: [Self; 5] = [Self::Walk, Self::Squat, Self::March, Self::Swing, Self::Jump];
 
-    /// Name in files.
-    pub const fn name(self) -> &'static str {
+    /// Name of the motion.
+    pub const fn motion_name(self) -> &'static str {
         match self {
             Self::Walk => "walk",
             Self::Squat => "squat",
             Self::March => "march",
             Self::Swing => "swing",
             Self::Jump => "jump",
+            Self::Styled(motion, _) => motion.name(),
         }
+    }
+
+    /// Name in files: the number of a style, and last the motion, without underscores.
+    pub fn name(self) -> String {
+        let motion = self.motion_name().replace('_', "-");
+        match self {
+            Self::Styled(_, style) => format!("v{style}_{motion}"),
+            _ => motion,
+        }
+    }
+
+    /// Every synthetic motion in styles of the seeds from 1 to `styles`.
+    pub fn styled(styles: u64) -> Vec<Self> {
+        let each = |motion| (1..=styles).map(move |style| Self::Styled(motion, style));
+        Motion::ALL.into_iter().flat_map(each).collect()
     }
 
     /// Motion of a body of 24 joints with the unclothed rest shape `[V, 3]`, metres, whose lowest
@@ -67,6 +87,7 @@ impl Exercise {
         const JACK: f64 = 1.8;
         let style = match self {
             Self::Walk => MotionStyle { amplitude: 0.55, ..MotionStyle::default() },
+            Self::Styled(_, seed) => MotionStyle::random(&mut ChaCha8Rng::seed_from_u64(seed)),
             _ => MotionStyle::default(),
         };
         let movement = match self {
@@ -74,6 +95,7 @@ impl Exercise {
             Self::Squat => Motion::Squats,
             Self::Swing => Motion::TwistTilt,
             Self::Jump => Motion::JumpingJacks,
+            Self::Styled(motion, _) => motion,
         };
         let rows: Vec<([f64; 72], [f64; 3])> = (0..frames)
             .into_par_iter()
@@ -109,6 +131,8 @@ impl Exercise {
 ///     exercises: vec![Exercise::Walk, Exercise::Squat],
 ///     ..Design::new(skirt)
 /// };
+/// // Every synthetic motion in two styles.
+/// assert_eq!(Exercise::styled(2)[1].name(), "v2_walk-march");
 /// let names: Vec<String> = design.cells().iter().map(|cell| cell.name()).collect();
 /// assert_eq!(names.len(), 4);
 /// assert_eq!(names[3], "s00_z01_m00_squat");

@@ -23,6 +23,7 @@ pub mod errors;
 mod paired_comparison;
 pub mod paired_test;
 pub mod pca;
+pub mod ridge;
 
 pub use cape_core::{Error, Result};
 

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Cholesky, DMatrix};
-use ndarray::{Array2, ArrayView1, ArrayView2, Axis, s};
+use cape_stats::ridge::ridge;
+use ndarray::{Array2, ArrayView1, Axis, s};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -94,7 +94,9 @@ fn capture_sums(capture: &CaptureFrames, weight: f64) -> PoseSums {
         let others: Vec<usize> = (0..first).chain(end..frames).collect();
         let [x, y] = [&capture.features, &centred].map(|of| of.select(Axis(0), &others));
         let tested = capture.features.slice(s![first..end, ..]);
-        let predicted = ridge(&x, &y, tested, weight);
+        // Positive definite by the penalty; without a solution the mean is the prediction.
+        let predicted = ridge(x.view(), y.view(), tested, weight)
+            .unwrap_or_else(|_| Array2::zeros((end - first, y.ncols())));
         let truth = centred.slice(s![first..end, ..]);
         let residual = &truth - &predicted;
         let square = |row: ArrayView1<f64>| row.dot(&row);
@@ -112,29 +114,6 @@ fn capture_sums(capture: &CaptureFrames, weight: f64) -> PoseSums {
         }
     }
     sums
-}
-
-/// Predictions for the features `tested`, `[m, d]`, of a ridge regression with intercept from `x`,
-/// `[n, d]`, to `y`, `[n, k]`.
-fn ridge(
-    x: &Array2<f64>,
-    y: &Array2<f64>,
-    tested: ArrayView2<'_, f64>,
-    weight: f64,
-) -> Array2<f64> {
-    let n = x.nrows();
-    let [mean_x, mean_y] = [x, y].map(|of| of.sum_axis(Axis(0)) / n as f64);
-    let centred = x - &mean_x;
-    let gram = centred.dot(&centred.t());
-    let penalty = weight * gram.diag().sum() / n as f64 + 1e-12;
-    let system = DMatrix::from_fn(n, n, |i, j| gram[(i, j)] + if i == j { penalty } else { 0.0 });
-    let kernel = (&tested - &mean_x).dot(&centred.t());
-    let right = DMatrix::from_fn(n, kernel.nrows(), |i, row| kernel[(row, i)]);
-    let shares = Cholesky::new(system).map(|factor| factor.solve(&right));
-    // Positive definite by the penalty; without a solution the mean is the prediction.
-    let share = |row: usize, i: usize| shares.as_ref().map_or(0.0, |shares| shares[(i, row)]);
-    let shares = Array2::from_shape_fn((kernel.nrows(), n), |(row, i)| share(row, i));
-    shares.dot(&(y - &mean_y)) + &mean_y
 }
 
 /// Frames of the same pose in different captures of the same garments: for each frame the frame of

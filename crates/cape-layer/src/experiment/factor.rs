@@ -1,3 +1,5 @@
+use cape_synth::Motion;
+
 use crate::{LayerSet, Sequence};
 
 /// A property in which the sequences of a set differ, and which can be held out.
@@ -40,6 +42,9 @@ pub struct SequenceGroup {
     pub sequences: Vec<usize>,
 }
 
+/// Number of training motions from which on a test split is held out, instead of each motion in turn.
+const MANY_MOTIONS: usize = 10;
+
 const SIZES: [&str; 4] = ["length", "width", "sleeve", "size"];
 
 impl Factor {
@@ -68,6 +73,22 @@ impl Factor {
             }
         }
         groups
+    }
+
+    /// Groups that are held out in turn: those of [`groups`](Self::groups), but of more than ten motions
+    /// those of the test split of synthetic captures together.
+    pub fn held_out_groups(self, set: &LayerSet) -> Vec<SequenceGroup> {
+        let groups = self.groups(set);
+        let test = Motion::TEST.map(|motion| motion.name().replace('_', "-"));
+        let (held, known): (Vec<_>, Vec<_>) =
+            groups.iter().cloned().partition(|group| test.contains(&group.label));
+        if self != Self::Motion || known.len() < MANY_MOTIONS || held.is_empty() {
+            return groups;
+        }
+        let labels: Vec<&str> = held.iter().map(|group| group.label.as_str()).collect();
+        let mut sequences: Vec<usize> = held.iter().flat_map(|g| g.sequences.clone()).collect();
+        sequences.sort_unstable();
+        vec![SequenceGroup { label: labels.join(", "), sequences }]
     }
 
     fn label(self, set: &LayerSet, sequence: &Sequence) -> String {
@@ -134,5 +155,23 @@ mod tests {
         assert_eq!(groups(Factor::Shape)[1], ("β 1.00".into(), vec![2]));
         assert_eq!(groups(Factor::Fit)[1], ("length 1.200".into(), vec![1]));
         assert_eq!(groups(Factor::Material).len(), 1);
+        assert_eq!(Factor::Motion.held_out_groups(&set).len(), 2, "each in turn");
+    }
+
+    #[test]
+    fn of_many_motions_the_test_split_is_held_out() {
+        let sequences = crate::synth::Exercise::styled(2).into_iter().map(|exercise| Sequence {
+            name: format!("s00_{}", exercise.name()),
+            clothing: Array3::zeros((1, 3, 3)),
+            betas: vec![],
+            motion: BodyMotion::new(30.0, Array2::zeros((1, 72)), Array2::zeros((1, 3))).unwrap(),
+            parameters: vec![],
+        });
+        let set = LayerSet::new(vec![[0, 1, 2]], sequences.collect()).unwrap();
+        assert_eq!(Factor::Motion.groups(&set).len(), 15);
+        let held = Factor::Motion.held_out_groups(&set);
+        assert_eq!(held.len(), 1);
+        assert_eq!(held[0].label, "bend-twist, soccer, pose-model");
+        assert_eq!(held[0].sequences, [24, 25, 26, 27, 28, 29]);
     }
 }

@@ -1,7 +1,10 @@
-use ndarray::{Array2, Axis, s};
+use ndarray::{Array1, Array2, Axis, s};
 use serde::{Deserialize, Serialize};
 
-use super::{Factor, LayerError, LearningOptions, RegressionReport, UnposedSet};
+use super::{
+    BaselineErrors, Factor, LayerError, LearningOptions, ONE, PushedOut, RegressionReport,
+    UnposedSet,
+};
 use crate::{ComponentSelection, Error, LayerSet, Pca, Result};
 
 /// Positions of the example frames in a held-out group, as shares of its length.
@@ -21,7 +24,7 @@ const EXAMPLES: [f64; 3] = [0.2, 0.5, 0.8];
 /// let (set, association) = patch(&body)?;
 /// assert_eq!(Experiment::for_set(&set), [Experiment::Reconstruction, Experiment::Regression]);
 /// let unposed = UnposedSet::new(&body, &set, &association, &StandardPose::default())?;
-/// let options = LearningOptions { components: 1, ..LearningOptions::default() };
+/// let options = LearningOptions { components: Some(1), ..LearningOptions::default() };
 /// let outcome = Experiment::Reconstruction.run("patch", &unposed, &options, &mut |_, _| {})?;
 /// assert_eq!(outcome.results.reconstructed[0].components, [1, 5]);
 /// assert!(outcome.results.reconstructed[0].errors_mm[0] < 1e-6);
@@ -68,18 +71,30 @@ pub struct RegressionResult {
     pub trained: usize,
     /// Number of predicted frames.
     pub frames: usize,
-    /// Mean error on the training frames, `E_train`.
+    /// Mean error on the training frames, `E_train`, over the trainings.
     pub train_mm: f64,
-    /// Mean error on the predicted frames, `E_pred`.
+    /// Mean error on the predicted frames, `E_pred`, over the trainings.
     pub predict_mm: f64,
+    /// Mean error on the predicted frames of each training.
+    pub predict_each_mm: Vec<f64>,
     /// Largest error on the predicted frames.
     pub largest_mm: f64,
     /// Mean error of the predicted frames' own coordinates in the components.
     pub space_mm: f64,
-    /// Mean error of the mean of the training frames.
-    pub baseline_mm: f64,
-    /// Number of iterations of the training.
+    /// Mean errors of simpler predictions.
+    pub baselines: BaselineErrors,
+    /// Measures of the prediction of the first training pushed out of the body.
+    pub pushed_out: PushedOut,
+    /// Number of iterations of the first training.
     pub iterations: usize,
+}
+
+impl RegressionResult {
+    /// Standard deviation of the mean error over the trainings, millimetres; `None` with fewer than two.
+    pub fn predict_deviation_mm(&self) -> Option<f64> {
+        let each = Array1::from_vec(self.predict_each_mm.clone());
+        (each.len() > 1).then(|| each.std(1.0))
+    }
 }
 
 /// Result rows of an experiment.
@@ -169,7 +184,7 @@ struct ExperimentRun<'a> {
 
 impl ExperimentRun<'_> {
     fn reconstruction(&self, progress: &mut dyn FnMut(usize, usize)) -> Result<ExperimentOutcome> {
-        let mut counts = vec![1, 5, self.options.components];
+        let mut counts = vec![1, 5, self.options.components.unwrap_or(ONE)];
         counts.sort_unstable();
         counts.dedup();
         let sequences = &self.unposed.set().sequences;
@@ -221,15 +236,14 @@ impl ExperimentRun<'_> {
         }
         let mut outcome = ExperimentOutcome::default();
         for (index, (name, of)) in runs.iter().enumerate() {
-            let regression = self.unposed.regression(of, self.options, &mut |_| {})?;
-            let (frames, _) = self.unposed.frames_of(of);
-            let held = &regression.trained_model.outcome.validation_frames;
+            let regression = self.unposed.regression(of, self.options, &mut |_, _| {})?;
+            let held = &regression.held;
             if index == 0 {
-                for &at in held.iter().skip(held.len() / 4).step_by(1 + held.len() / 3).take(3) {
-                    outcome.examples.extend(self.prediction_example(&regression, frames[at])?);
+                for &frame in held.iter().skip(held.len() / 4).step_by(1 + held.len() / 3).take(3) {
+                    outcome.examples.extend(self.prediction_example(&regression, frame)?);
                 }
             }
-            outcome.results.regressed.push(self.result("", name, &regression, held.len()));
+            outcome.results.regressed.push(self.result("", name, &regression));
             progress(index + 1, runs.len());
         }
         Ok(outcome)
@@ -241,11 +255,12 @@ impl ExperimentRun<'_> {
         factor: Factor,
         progress: &mut dyn FnMut(usize, usize),
     ) -> Result<ExperimentOutcome> {
-        let groups = factor.groups(self.unposed.set());
+        let groups = factor.held_out_groups(self.unposed.set());
         let mut regressed = Vec::new();
         let mut examples = Vec::new();
         for (index, group) in groups.iter().enumerate() {
-            let regression = self.unposed.leave_out(&group.sequences, self.options, &mut |_| {})?;
+            let regression =
+                self.unposed.leave_out(&group.sequences, self.options, &mut |_, _| {})?;
             let (frames, _) = self.unposed.frames_of(&group.sequences);
             let mut shown = Vec::new();
             for share in EXAMPLES {
@@ -253,7 +268,7 @@ impl ExperimentRun<'_> {
                 shown.extend(self.prediction_example(&regression, frame)?);
             }
             examples.push((regression.predict.mean, shown));
-            regressed.push(self.result(factor.name(), &group.label, &regression, frames.len()));
+            regressed.push(self.result(factor.name(), &group.label, &regression));
             progress(index + 1, groups.len());
         }
         examples.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -281,25 +296,21 @@ impl ExperimentRun<'_> {
         ])
     }
 
-    fn result(
-        &self,
-        factor: &str,
-        name: &str,
-        regression: &RegressionReport,
-        frames: usize,
-    ) -> RegressionResult {
+    fn result(&self, factor: &str, name: &str, regression: &RegressionReport) -> RegressionResult {
         let outcome = &regression.trained_model.outcome;
         RegressionResult {
             set: self.name.to_owned(),
             factor: factor.to_owned(),
             name: name.to_owned(),
             trained: outcome.training_frames.len(),
-            frames,
+            frames: regression.held.len(),
             train_mm: regression.train.mean,
             predict_mm: regression.predict.mean,
+            predict_each_mm: regression.predict_each.clone(),
             largest_mm: regression.predict.largest,
             space_mm: regression.space.mean,
-            baseline_mm: regression.mean_baseline.mean,
+            baselines: regression.baselines,
+            pushed_out: regression.pushed_out,
             iterations: outcome.epochs.len(),
         }
     }

@@ -3,12 +3,24 @@ use cape_synth::{Motion, MotionStyle, synthetic_body};
 use ndarray::{Array2, Array3, Axis};
 
 use super::*;
-use crate::{AssociateOptions, BodyIdentity, Layer, LayerSet, sequence::Sequence};
+use crate::{
+    AssociateOptions, Association, BodyIdentity, Layer, LayerSet, PredictedFrame,
+    sequence::Sequence,
+};
 use cape_cloth::{Garment, GarmentKind};
 use cape_core::{BodyMotion, geometry::SurfaceMesh, smpl::StandardPose};
 
-/// A skirt that follows the hips and swings with the knees, in 60 frames of a march.
-fn set(model: &SmplModel) -> LayerSet {
+/// A skirt that follows the hips and swings with the knees, in 60 frames of a march, and its association.
+pub(super) fn march(model: &SmplModel) -> (LayerSet, Association) {
+    let set = marching_set(model);
+    let body = set.sequences[0].body(model, 0, &StandardPose::default()).unwrap();
+    let body = SurfaceMesh::new("body", body.posed, model.faces.clone()).unwrap();
+    let clothing = set.clothing(0, 0).unwrap();
+    let association = AssociateOptions::default().associate(&body, &clothing).unwrap();
+    (set, association)
+}
+
+fn marching_set(model: &SmplModel) -> LayerSet {
     let (frames, rate) = (60, 30.0);
     let style = MotionStyle::default();
     let poses: Vec<f64> =
@@ -35,12 +47,8 @@ fn set(model: &SmplModel) -> LayerSet {
 #[test]
 fn a_skirt_survives_the_round_trip_and_is_learned() {
     let model = synthetic_body();
-    let set = set(&model);
+    let (set, association) = march(&model);
     let standard = StandardPose::default();
-    let body = set.sequences[0].body(&model, 0, &standard).unwrap();
-    let body = SurfaceMesh::new("body", body.posed, model.faces.clone()).unwrap();
-    let clothing = set.clothing(0, 0).unwrap();
-    let association = AssociateOptions::default().associate(&body, &clothing).unwrap();
     let unposed = UnposedSet::new(&model, &set, &association, &standard).unwrap();
     let frames: Vec<usize> = (0..set.frames()).collect();
     let exact = unposed.errors(&frames, unposed.rows.view()).unwrap();
@@ -49,28 +57,33 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
     let means: Vec<f64> = table[0].iter().map(|e| e.mean).collect();
     println!("reconstruction with 1, 5, 20 and all components: {means:?} mm");
     assert!(means.windows(2).all(|pair| pair[1] <= pair[0]) && means[3] < 1e-3, "{means:?}");
-    let learning = LearningOptions {
-        components: 10,
-        training: TrainingOptions { patience: 30, ..TrainingOptions::default() },
-        ..LearningOptions::default()
-    };
-    let regression = unposed.regression(&[0], &learning, &mut |_| {}).unwrap();
-    println!("regression: {:?} {:?}", regression.train, regression.predict);
+    let learning = LearningOptions { components: Some(10), ..LearningOptions::default() };
+    let regression = unposed.regression(&[0], &learning, &mut |_, _| {}).unwrap();
+    println!("regression: {:?} {:?}", regression.train, regression);
     assert!(regression.train.mean < 5.0 && regression.predict.mean < 20.0);
     assert!(regression.space.mean <= regression.predict.mean);
-    assert!(regression.predict.mean < regression.mean_baseline.mean);
+    assert_eq!(regression.held.len(), 12);
+    let twice = LearningOptions { trainings: 2, ..learning.clone() };
+    let twice = unposed.regression(&[0], &twice, &mut |_, _| {}).unwrap();
+    assert_eq!((twice.held.len(), twice.predict_each[0]), (12, regression.predict.mean));
+    assert_ne!(twice.predict_each[1], twice.predict_each[0]);
+    let baselines = regression.baselines;
+    let others = [baselines.mean_mm, baselines.nearest_pose_mm];
+    assert!(others.iter().all(|&other| regression.predict.mean < other), "{baselines:?}");
+    assert!(baselines.interpolation_mm.is_some() && baselines.same_moment_mm.is_none());
 
     let mut two = set.clone();
     two.sequences.push(Sequence { name: "again".into(), ..set.sequences[0].clone() });
     let both = UnposedSet::new(&model, &two, &association, &standard).unwrap();
-    let same = both.leave_out(&[1], &learning, &mut |_| {}).unwrap();
-    assert_eq!(same.trained_model, regression.trained_model, "the held-out sequence plays no part");
-    let worst = regression.train.mean.max(regression.predict.mean);
-    assert!(same.predict.mean < worst, "{:?}", same.predict);
-    assert!(both.leave_out(&[], &learning, &mut |_| {}).is_err());
-    let many = LearningOptions { components: 60, ..learning };
-    let error = unposed.regression(&[0], &many, &mut |_| {}).unwrap_err().to_string();
-    assert!(error.contains("60 principal components of 48 frames"), "{error}");
+    let same = both.leave_out(&[1], &learning, &mut |_, _| {}).unwrap();
+    assert!(same.predict.mean < regression.train.mean.max(regression.predict.mean));
+    let moment = same.baselines.same_moment_mm;
+    assert!(moment.is_none(), "`again` is another motion: {moment:?}");
+    assert_eq!(same.baselines.interpolation_mm, None);
+    assert!(both.leave_out(&[], &learning, &mut |_, _| {}).is_err());
+    let many = LearningOptions { components: Some(60), ..learning };
+    let error = unposed.regression(&[0], &many, &mut |_, _| {}).unwrap_err().to_string();
+    assert!(error.contains("60 principal components of 38 frames"), "{error}");
 
     let layer = Layer {
         standard: StandardPose::Other(StandardPose::A.angles(24)),
@@ -94,19 +107,39 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
     let sequence = &set.sequences[0];
     let shape = sequence.shape(&model).unwrap();
     let mut errors = Vec::new();
-    back.predict(&model, &shape, &sequence.motion, &[0.85], &mut |predicted| {
+    let mut stream = back
+        .stream(&model, &shape, sequence.motion.frame_rate, &[0.85])
+        .unwrap()
+        .with_clearance(None);
+    let mut measure = |predicted: PredictedFrame| {
+        assert_eq!(predicted.inside, None);
         let truth = sequence.clothing.index_axis(Axis(0), predicted.frame);
         errors.push(LayerError::between(predicted.clothing.view(), truth));
+    };
+    for frame in 0..60 {
+        let pose = sequence.motion.poses.row(frame).to_vec();
+        stream.push(&pose, [0.0; 3]).unwrap().into_iter().for_each(&mut measure);
+    }
+    while let Some(predicted) = stream.finish().unwrap() {
+        measure(predicted);
+    }
+    let mut outside = 0;
+    back.predict(&model, &shape, &sequence.motion, &[0.85], &mut |predicted| {
+        let inside = predicted.inside.unwrap();
+        assert!(inside.after <= inside.before.min(0.002), "{inside:?}");
+        outside += 1;
         Ok(())
     })
     .unwrap();
+    assert_eq!(outside, 60);
     assert_eq!(errors.len(), 60);
+    let known: Vec<usize> = (0..60).filter(|frame| !regression.held.contains(frame)).collect();
     let held = regression
         .trained_model
         .outcome
         .training_frames
         .iter()
-        .map(|&f| errors[f])
+        .map(|&f| errors[known[f]])
         .collect::<Vec<_>>();
     assert!((LayerError::over(&held).mean - regression.train.mean).abs() < 1e-9);
     let none = back.predict(&model, &shape, &sequence.motion, &[], &mut |_| Ok(()));

@@ -1,15 +1,22 @@
 use cape_core::SmplModel;
-use ndarray::{Array2, ArrayView2, Axis};
+use ndarray::{Array2, ArrayView1, ArrayView2, Axis, concatenate};
 use rayon::prelude::*;
 
-use super::{LayerError, LearningOptions, RegressionReport, TrainedModel};
+use super::{
+    BaselineErrors, LayerError, LearningOptions, PushedOut, RegressionReport, TrainedModel,
+    baselines::HeldOut,
+};
 use crate::{
-    Association, ComponentSelection, Error, Layer, Pca, Result,
+    Association, Clearance, ComponentSelection, Error, InsideShares, Layer, Pca, Result,
+    clearance::CLEARANCE,
     offsets::OffsetFrame,
-    regress::{Epoch, FeatureOptions, SemanticParameters},
+    regress::{Epoch, FeatureOptions, RegressionInputs, SemanticParameters, TrainingOptions},
     sequence::LayerSet,
 };
 use cape_core::smpl::StandardPose;
+
+/// Largest number of frames whose clothing is pushed out of the body for a measurement.
+const MEASURED: usize = 200;
 
 /// The offsets of all frames of a set from the body in the standard pose (eq. 4), as rows for
 /// principal components and regression.
@@ -28,16 +35,17 @@ use cape_core::smpl::StandardPose;
 /// assert_eq!(unposed.rows.dim(), (30, 9));
 /// // One component reconstructs it; a small network predicts it better than the mean does.
 /// assert!(unposed.reconstruction(&[1])?[0][0].largest < 1e-6);
-/// let training = TrainingOptions { hidden: vec![4], patience: 10, ..TrainingOptions::default() };
-/// let learning = LearningOptions { components: 1, training, ..LearningOptions::default() };
-/// let regression = unposed.regression(&[0], &learning, &mut |_| {})?;
+/// let training = TrainingOptions { hidden: vec![4], ..TrainingOptions::default() };
+/// let learning = LearningOptions { components: Some(1), training, ..LearningOptions::default() };
+/// let regression = unposed.regression(&[0], &learning, &mut |_, _| {})?;
 /// assert_eq!(regression.trained_model.pca.latent(), 1);
-/// assert!(regression.predict.mean < regression.mean_baseline.mean);
+/// assert!(regression.predict.mean < regression.baselines.mean_mm);
 /// # Ok(())
 /// # }
 /// ```
 #[derive(Debug, Clone)]
 pub struct UnposedSet<'a> {
+    model: &'a SmplModel,
     set: &'a LayerSet,
     association: &'a Association,
     standard: StandardPose,
@@ -54,7 +62,7 @@ impl<'a> UnposedSet<'a> {
     /// # Errors
     /// If the association does not fit the set, or a frame cannot be unposed.
     pub fn new(
-        model: &SmplModel,
+        model: &'a SmplModel,
         set: &'a LayerSet,
         association: &'a Association,
         standard: &StandardPose,
@@ -75,7 +83,7 @@ impl<'a> UnposedSet<'a> {
             .unzip();
         let rows = Array2::from_shape_vec((frames.len(), numbers), rows.concat())
             .map_err(|error| Error::argument(error.to_string()))?;
-        Ok(Self { set, association, standard: standard.clone(), offset_frames, rows })
+        Ok(Self { model, set, association, standard: standard.clone(), offset_frames, rows })
     }
 
     /// The set.
@@ -172,8 +180,18 @@ impl<'a> UnposedSet<'a> {
         .collect()
     }
 
-    /// Inputs of the regression, `[frames, inputs]`, and a flag for each that is true for semantic
-    /// parameters, `[inputs]`.
+    /// Motion features of all frames, `[frames, len]`.
+    pub(super) fn motion_rows(&self, features: &FeatureOptions) -> Result<Array2<f64>> {
+        let rows: Vec<Array2<f64>> =
+            self.set.sequences.iter().map(|s| features.rows(&s.motion)).collect();
+        let rows: Vec<_> = rows.iter().map(|rows| rows.view()).collect();
+        concatenate(Axis(0), &rows).map_err(|error| {
+            Error::argument(format!("layer set: motions of different numbers of joints: {error}"))
+        })
+    }
+
+    /// Inputs of the regression of all frames: motion features, then semantic parameters, to which noise
+    /// is added if they vary.
     ///
     /// # Errors
     /// If the semantic parameters are not those of the set.
@@ -181,27 +199,32 @@ impl<'a> UnposedSet<'a> {
         &self,
         features: &FeatureOptions,
         semantics: &SemanticParameters,
-    ) -> Result<(Array2<f64>, Vec<bool>)> {
-        let mut rows: Vec<f64> = Vec::new();
-        let mut noisy = Vec::new();
-        for sequence in &self.set.sequences {
-            let motion = features.rows(&sequence.motion);
-            let parameters: Vec<f64> = sequence.parameters.iter().map(|p| p.1).collect();
-            let parameters = semantics.reduced(&parameters)?;
-            noisy = vec![false; motion.ncols()];
-            noisy.resize(motion.ncols() + parameters.len(), true);
-            for row in motion.rows() {
-                rows.extend(row);
-                rows.extend(&parameters);
-            }
-        }
-        let inputs = Array2::from_shape_vec((self.set.frames(), noisy.len()), rows)
+    ) -> Result<RegressionInputs> {
+        let motion = self.motion_rows(features)?;
+        let parameters = self.set.semantic_parameters().1;
+        let reduced: Vec<Vec<f64>> = parameters
+            .rows()
+            .into_iter()
+            .map(|row| semantics.reduced(&row.to_vec()))
+            .collect::<Result<_>>()?;
+        let each = self.set.each_frame();
+        let semantic = Array2::from_shape_fn((each.len(), semantics.len()), |(frame, k)| {
+            reduced[each[frame].0][k]
+        });
+        let joints = self.set.sequences.first().map_or(0, |s| s.motion.poses.ncols() / 3);
+        let mut inputs = RegressionInputs::new(motion);
+        inputs.floors = features.floors(joints);
+        inputs.floors.resize(inputs.rows.ncols() + semantics.len(), 0.0);
+        let varies = |column: ArrayView1<'_, f64>| column.iter().any(|&x| x != column[0]);
+        inputs.noisy.extend(semantic.columns().into_iter().map(varies));
+        inputs.rows = concatenate(Axis(1), &[inputs.rows.view(), semantic.view()])
             .map_err(|error| Error::argument(error.to_string()))?;
-        Ok((inputs, noisy))
+        Ok(inputs)
     }
 
-    /// Trains on the sequences with the indices `sequences` and measures the errors on their
-    /// training and validation frames (table 2). `watch` is called after each iteration.
+    /// Trains on the sequences with the indices `sequences`, except a share of their frames, and measures
+    /// the errors on these (table 2). `watch` is called after each iteration with the index of the
+    /// training.
     ///
     /// # Errors
     /// If there are too few frames for the components, or an option is out of range.
@@ -209,13 +232,26 @@ impl<'a> UnposedSet<'a> {
         &self,
         sequences: &[usize],
         learning: &LearningOptions,
-        watch: &mut dyn FnMut(Epoch),
+        watch: &mut dyn FnMut(usize, Epoch),
     ) -> Result<RegressionReport> {
         let (frames, _) = self.frames_of(sequences);
-        let trained_model = self.learn(&frames, learning, watch)?;
-        let held: Vec<usize> =
-            trained_model.outcome.validation_frames.iter().map(|&k| frames[k]).collect();
-        self.measure_errors(trained_model, &frames, &held, learning)
+        let split = TrainingOptions { validation: learning.test, ..learning.training.clone() };
+        let (known, held) = split.split(frames.len());
+        let pick = |of: Vec<usize>| of.into_iter().map(|k| frames[k]).collect::<Vec<_>>();
+        self.trainings(&HeldOut { known: &pick(known), held: &pick(held) }, learning, watch)
+    }
+
+    /// Trains on all frames of the set, of which a share is for validation. `watch` is called after each
+    /// iteration.
+    ///
+    /// # Errors
+    /// As of [`regression`](Self::regression).
+    pub fn train(
+        &self,
+        learning: &LearningOptions,
+        watch: &mut dyn FnMut(Epoch),
+    ) -> Result<TrainedModel> {
+        self.learn(&(0..self.set.frames()).collect::<Vec<_>>(), learning, watch)
     }
 
     /// Trains on all sequences except those with the indices `held` and measures the error of the
@@ -227,7 +263,7 @@ impl<'a> UnposedSet<'a> {
         &self,
         held: &[usize],
         learning: &LearningOptions,
-        watch: &mut dyn FnMut(Epoch),
+        watch: &mut dyn FnMut(usize, Epoch),
     ) -> Result<RegressionReport> {
         let (new, known) = self.frames_of(held);
         if new.is_empty() || known.is_empty() {
@@ -237,8 +273,7 @@ impl<'a> UnposedSet<'a> {
                 new.len() + known.len()
             )));
         }
-        let trained_model = self.learn(&known, learning, watch)?;
-        self.measure_errors(trained_model, &known, &new, learning)
+        self.trainings(&HeldOut { known: &known, held: &new }, learning, watch)
     }
 
     /// Predicted clothing of `frames`, metres, `[n_v, 3]` each.
@@ -274,7 +309,7 @@ impl<'a> UnposedSet<'a> {
         features: &FeatureOptions,
         frames: &[usize],
     ) -> Result<Array2<f64>> {
-        let inputs = self.inputs(features, &trained_model.semantics)?.0.select(Axis(0), frames);
+        let inputs = self.inputs(features, &trained_model.semantics)?.select(frames).rows;
         let codes = trained_model.outcome.regressor.predict(inputs.view())?;
         Ok(trained_model.pca.decode(codes.view())?)
     }
@@ -285,60 +320,92 @@ impl<'a> UnposedSet<'a> {
         learning: &LearningOptions,
         watch: &mut dyn FnMut(Epoch),
     ) -> Result<TrainedModel> {
-        let LearningOptions { components, features, semantics, training } = learning;
-        let semantics = self.semantics(frames, *semantics)?;
-        let (inputs, noisy) = self.inputs(features, &semantics)?;
-        let rows = self.rows.select(Axis(0), frames);
-        // The components are those of the training frames only.
-        let fitted = rows.select(Axis(0), &training.split(frames.len()).0);
-        let keep = ComponentSelection::Components(*components);
-        let pca = Pca::from_snapshots(fitted.view(), keep)?;
-        let codes = pca.encode(rows.view())?;
-        let inputs = inputs.select(Axis(0), frames);
-        let outcome = training.train(inputs.view(), codes.view(), &noisy, watch)?;
-        Ok(TrainedModel { pca, semantics, outcome })
-    }
-
-    /// Reduction of the semantic parameters of the sequences that contain `frames`.
-    fn semantics(&self, frames: &[usize], most: Option<usize>) -> Result<SemanticParameters> {
+        let LearningOptions { features, semantics, training, .. } = learning;
         let each = self.set.each_frame();
         let mut sequences: Vec<usize> = frames.iter().map(|&frame| each[frame].0).collect();
         sequences.dedup();
-        let names = match self.set.sequences.first() {
-            Some(first) => first.parameters.iter().map(|(name, _)| name.clone()).collect(),
-            None => Vec::new(),
-        };
-        let rows = Array2::from_shape_fn((sequences.len(), names.len()), |(k, p)| {
-            self.set.sequences[sequences[k]].parameters[p].1
-        });
-        SemanticParameters::from_rows(names, rows.view(), most)
+        let semantics = self.semantics(&sequences, *semantics)?;
+        let mut inputs = self.inputs(features, &semantics)?.select(frames);
+        if sequences.len() >= learning.validated_sequences {
+            inputs.groups = Some(frames.iter().map(|&frame| each[frame].0).collect());
+        }
+        let rows = self.rows.select(Axis(0), frames);
+        // The components are those of the training frames only.
+        let fitted = rows.select(Axis(0), &training.split_inputs(&inputs).0);
+        let count = learning.components_of(sequences.len(), fitted.nrows());
+        let pca = Pca::from_snapshots(fitted.view(), ComponentSelection::Components(count))?;
+        let codes = pca.encode(rows.view())?;
+        let outcome = training.train(&inputs, codes.view(), watch)?;
+        Ok(TrainedModel { pca, semantics, outcome })
     }
 
-    fn measure_errors(
+    /// Reduction of the semantic parameters of some sequences.
+    fn semantics(&self, sequences: &[usize], most: Option<usize>) -> Result<SemanticParameters> {
+        let (names, rows) = self.set.semantic_parameters();
+        SemanticParameters::from_rows(names, rows.select(Axis(0), sequences).view(), most)
+    }
+
+    /// Shares of the predicted clothing inside the body, and the error once it is pushed out, over at most
+    /// [`MEASURED`] of the frames.
+    fn pushed_out(
         &self,
-        trained_model: TrainedModel,
-        known: &[usize],
-        held: &[usize],
+        model: &TrainedModel,
+        features: &FeatureOptions,
+        frames: &[usize],
+    ) -> Result<PushedOut> {
+        let step = frames.len().div_ceil(MEASURED).max(1);
+        let some: Vec<usize> = frames.iter().copied().step_by(step).collect();
+        let clearance = Clearance::new(CLEARANCE, self.model, &self.set.faces, self.set.vertices());
+        let each = self.set.each_frame();
+        let (mut shares, mut errors) = (InsideShares::default(), Vec::new());
+        for (&index, clothing) in some.iter().zip(self.predict(model, features, &some)?) {
+            let (sequence, frame) = each[index];
+            let sequence = &self.set.sequences[sequence];
+            let body = sequence.body(self.model, frame, &self.standard)?;
+            let (pushed, inside) = clearance.apply(body.posed, clothing.view());
+            let truth = sequence.clothing.index_axis(Axis(0), frame);
+            errors.push(LayerError::between(pushed.view(), truth));
+            shares.before += inside.before / some.len() as f64;
+            shares.after += inside.after / some.len() as f64;
+        }
+        Ok(PushedOut { inside: shares, error_mm: LayerError::over(&errors).mean })
+    }
+
+    /// Trains with each seed, and measures.
+    fn trainings(
+        &self,
+        frames: &HeldOut<'_>,
         learning: &LearningOptions,
+        watch: &mut dyn FnMut(usize, Epoch),
     ) -> Result<RegressionReport> {
-        let trained: Vec<usize> =
-            trained_model.outcome.training_frames.iter().map(|&k| known[k]).collect();
+        let features = &learning.features;
         let error = |frames: &[usize], offsets: &Array2<f64>| -> Result<LayerError> {
             Ok(LayerError::over(&self.errors(frames, offsets.view())?))
         };
-        let features = &learning.features;
-        let [train, predict] = [&trained[..], held].map(|frames| {
-            error(frames, &self.predicted_offsets(&trained_model, features, frames)?)
-        });
-        let codes = trained_model.pca.encode(self.rows.select(Axis(0), held).view())?;
-        let space = error(held, &trained_model.pca.decode(codes.view())?)?;
-        let mean_baseline =
-            error(held, &trained_model.pca.decode(Array2::zeros(codes.dim()).view())?)?;
+        let mut first = None;
+        let (mut train, mut predict, mut space) = (Vec::new(), Vec::new(), Vec::new());
+        let held_rows = self.rows.select(Axis(0), frames.held);
+        for index in 0..learning.trainings.max(1) {
+            let options = learning.with_training(index);
+            let model = self.learn(frames.known, &options, &mut |epoch| watch(index, epoch))?;
+            let trained: Vec<usize> =
+                model.outcome.training_frames.iter().map(|&k| frames.known[k]).collect();
+            let offsets = |of: &[usize]| self.predicted_offsets(&model, features, of);
+            train.push(error(&trained, &offsets(&trained)?)?);
+            predict.push(error(frames.held, &offsets(frames.held)?)?);
+            let codes = model.pca.encode(held_rows.view())?;
+            space.push(error(frames.held, &model.pca.decode(codes.view())?)?);
+            first.get_or_insert(model);
+        }
+        let trained_model = first.ok_or_else(|| Error::argument("layer set: no training"))?;
         Ok(RegressionReport {
-            train: train?,
-            predict: predict?,
-            space,
-            mean_baseline,
+            held: frames.held.to_vec(),
+            train: LayerError::over(&train),
+            predict: LayerError::over(&predict),
+            predict_each: predict.iter().map(|error| error.mean).collect(),
+            space: LayerError::over(&space),
+            baselines: BaselineErrors::measure(self, frames, &trained_model, learning)?,
+            pushed_out: self.pushed_out(&trained_model, features, frames.held)?,
             trained_model,
         })
     }

@@ -1,3 +1,5 @@
+use std::ops::Range;
+
 use glam::{DMat3, DVec3};
 use ndarray::{Array2, ArrayView2};
 use serde::Serialize;
@@ -6,7 +8,8 @@ use cape_core::BodyMotion;
 
 /// Motion features of each frame (§3.3): global velocity, joint angles and joint angular velocities.
 ///
-/// The direction of gravity in the frame of the root is an addition to the paper's features.
+/// The direction of gravity in the frame of the root, and the features of earlier moments, are additions to
+/// the paper's features.
 ///
 /// ```
 /// use cape_core::BodyMotion;
@@ -34,48 +37,115 @@ pub struct FeatureOptions {
     /// Standard deviation of the Gaussian that smooths velocities, seconds. Velocities are central
     /// differences of the frames, one-sided at both ends.
     pub smoothing: f64,
+    /// Use the wrists and hands, which no garment of a trunk or of legs follows.
+    pub hands: bool,
+    /// Number of earlier moments, 0.1 s apart, whose features are used as well: for clothes that swing.
+    /// Moments before the first frame have the features of the first.
+    pub history: usize,
 }
 
 impl Default for FeatureOptions {
     fn default() -> Self {
-        Self { speed: true, angles: true, angular_speeds: true, smoothing: 0.0 }
+        Self {
+            speed: true,
+            angles: true,
+            angular_speeds: true,
+            smoothing: 0.0,
+            hands: false,
+            history: 0,
+        }
     }
 }
+
+/// Time from one moment of the history to the one before, seconds.
+const HISTORY_STEP: f64 = 0.1;
+
+/// Joints of wrists and hands.
+const HANDS: Range<usize> = 20..24;
+
+/// Standard deviations below which inputs count as constant: of velocities, m/s; of the direction of
+/// gravity and of angles, radians; of angular velocities, rad/s.
+const FLOORS: [f64; 3] = [0.05, 0.05, 0.3];
 
 impl FeatureOptions {
     /// Number of features of a body of `joints` joints.
     pub fn len(&self, joints: usize) -> usize {
-        let turned = 3 * joints.saturating_sub(1);
-        3 * usize::from(self.speed)
-            + (turned + 3) * usize::from(self.angles)
-            + (turned + 3) * usize::from(self.angular_speeds)
+        self.floors(joints).len()
+    }
+
+    /// Least standard deviation that each feature is divided by, in its own unit, `[len]`: one that
+    /// hardly varies in training must not dominate the prediction when it varies later.
+    pub fn floors(&self, joints: usize) -> Vec<f64> {
+        let [speed, angle, turn] = FLOORS;
+        let turned = 3 * self.joints(joints).filter(|&joint| joint > 0).count();
+        let groups = [
+            (self.speed, 3, speed),
+            (self.angles, turned + 3, angle),
+            (self.angular_speeds, turned + 3, turn),
+        ];
+        let moment: Vec<f64> = groups
+            .into_iter()
+            .filter(|(used, ..)| *used)
+            .flat_map(|(_, count, floor)| std::iter::repeat_n(floor, count))
+            .collect();
+        moment.repeat(1 + self.history)
+    }
+
+    /// Joints whose rotations are used, of `joints`.
+    fn joints(&self, joints: usize) -> impl Iterator<Item = usize> {
+        let hands = self.hands;
+        (0..joints).filter(move |joint| hands || !HANDS.contains(joint))
+    }
+
+    /// Number of frames from one moment of the history to the one before, at `frame_rate` frames per
+    /// second.
+    fn history_frames(&self, frame_rate: f64) -> usize {
+        (HISTORY_STEP * frame_rate).round().max(1.0) as usize
+    }
+
+    /// Number of earlier frames that the features of a frame depend on, apart from those of velocities.
+    pub(super) fn reach_back(&self, frame_rate: f64) -> usize {
+        self.history * self.history_frames(frame_rate)
     }
 
     /// Features of each frame, `[frames, len]`.
     pub fn rows(&self, motion: &BodyMotion) -> Array2<f64> {
+        let moments = self.moments(motion);
+        let step = self.history_frames(motion.frame_rate);
+        let (frames, own) = moments.dim();
+        Array2::from_shape_fn((frames, own * (1 + self.history)), |(frame, k)| {
+            moments[(frame.saturating_sub(k / own * step), k % own)]
+        })
+    }
+
+    /// Features of each frame without history.
+    fn moments(&self, motion: &BodyMotion) -> Array2<f64> {
         let (frames, numbers) = motion.poses.dim();
-        let joints = numbers / 3;
+        let used: Vec<usize> = self.joints(numbers / 3).collect();
         let smooth = |values: Array2<f64>| smoothed(&values, self.smoothing * motion.frame_rate);
         let speeds = smooth(differences(motion.translations.view(), motion.frame_rate));
         let turns = smooth(turns(motion));
-        let mut rows = Array2::zeros((frames, self.len(joints)));
-        for (frame, mut row) in rows.rows_mut().into_iter().enumerate() {
+        let mut rows = Vec::new();
+        for frame in 0..frames {
             let root = rotation(motion, frame, 0);
-            let mut numbers = Vec::with_capacity(row.len());
             if self.speed {
                 let speed = DVec3::from_array([0, 1, 2].map(|axis| speeds[(frame, axis)]));
-                numbers.extend((root.transpose() * speed).to_array());
+                rows.extend((root.transpose() * speed).to_array());
             }
+            let of = |values: &Array2<f64>, joint: usize| {
+                [0, 1, 2].map(|axis| values[(frame, 3 * joint + axis)])
+            };
             if self.angles {
-                numbers.extend((root.transpose() * DVec3::NEG_Y).to_array());
-                numbers.extend(motion.poses.row(frame).iter().skip(3));
+                rows.extend((root.transpose() * DVec3::NEG_Y).to_array());
+                let turned = used.iter().filter(|&&joint| joint > 0);
+                rows.extend(turned.flat_map(|&joint| of(&motion.poses, joint)));
             }
             if self.angular_speeds {
-                numbers.extend(turns.row(frame));
+                rows.extend(used.iter().flat_map(|&joint| of(&turns, joint)));
             }
-            row.iter_mut().zip(numbers).for_each(|(place, number)| *place = number);
         }
-        rows
+        let columns = rows.len().checked_div(frames).unwrap_or(0);
+        Array2::from_shape_fn((frames, columns), |(frame, k)| rows[frame * columns + k])
     }
 }
 

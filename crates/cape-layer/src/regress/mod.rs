@@ -18,4 +18,4 @@ pub use network::Network;
 pub use regressor::Regressor;
 pub use semantics::SemanticParameters;
 pub use stream::{FeatureStream, StreamedFrame};
-pub use training::{Epoch, TrainedRegressor, TrainingOptions};
+pub use training::{Epoch, RegressionInputs, TrainedRegressor, TrainingOptions};

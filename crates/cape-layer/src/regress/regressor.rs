@@ -18,15 +18,24 @@ pub(super) struct Standardiser {
 }
 
 impl Standardiser {
-    /// Statistics of rows `[n, numbers]`; a constant column gets deviation 1.
-    pub(super) fn from_rows(rows: ArrayView2<'_, f64>) -> Self {
-        let count = rows.nrows().max(1) as f64;
-        let mean = rows.sum_axis(Axis(0)) / count;
-        let off = &rows - &mean;
-        let deviation = off.map_axis(Axis(0), |column| (column.dot(&column) / count).sqrt());
-        let floor = |(&d, &m): (&f64, &f64)| if d > 1e-12 * m.abs().max(1.0) { d } else { 1.0 };
-        let deviation = deviation.iter().zip(&mean).map(floor).collect();
+    /// Statistics of rows `[n, numbers]`, with a least deviation for each column, `[numbers]`; a constant
+    /// column without one gets deviation 1.
+    pub(super) fn from_rows(rows: ArrayView2<'_, f64>, floors: &[f64]) -> Self {
+        let (mean, deviation) = statistics(rows);
+        let scale = |((&d, &m), &floor): ((&f64, &f64), &f64)| {
+            if d.max(floor) > 1e-12 * m.abs().max(1.0) { d.max(floor) } else { 1.0 }
+        };
+        let deviation = deviation.iter().zip(&mean).zip(floors).map(scale).collect();
         Self { mean, deviation }
+    }
+
+    /// Statistics with one deviation for all columns: the root of their mean variance, so that a
+    /// difference counts the same in each.
+    pub(super) fn common(rows: ArrayView2<'_, f64>) -> Self {
+        let (mean, deviation) = statistics(rows);
+        let variance = deviation.dot(&deviation) / deviation.len().max(1) as f64;
+        let scale = if variance > 0.0 { variance.sqrt() } else { 1.0 };
+        Self { deviation: Array1::from_elem(mean.len(), scale), mean }
     }
 
     pub(super) fn apply(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {
@@ -115,6 +124,11 @@ impl Regressor {
         Ok(self.targets.undo(&self.network.forward(self.inputs.bounded(inputs).view())?))
     }
 
+    /// Inputs as the network has them, `[n, inputs]`.
+    pub(crate) fn scaled_inputs(&self, inputs: ArrayView2<'_, f64>) -> Array2<f64> {
+        self.inputs.bounded(inputs)
+    }
+
     /// Writes the regressor as one `.npz` archive, atomically.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let mut file = NpzWriter::create(path)?;
@@ -153,6 +167,15 @@ impl Regressor {
             (Standardiser::read(file, "input")?, Standardiser::read(file, "target")?);
         Self::new(inputs, network, targets)
     }
+}
+
+/// Mean and standard deviation of each column.
+fn statistics(rows: ArrayView2<'_, f64>) -> (Array1<f64>, Array1<f64>) {
+    let count = rows.nrows().max(1) as f64;
+    let mean = rows.sum_axis(Axis(0)) / count;
+    let off = &rows - &mean;
+    let deviation = off.map_axis(Axis(0), |column| (column.dot(&column) / count).sqrt());
+    (mean, deviation)
 }
 
 fn vector(file: &mut Npz, name: &str) -> Result<Array1<f64>> {

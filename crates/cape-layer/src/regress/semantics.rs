@@ -2,8 +2,11 @@ use cape_core::npy::{Npz, NpzWriter};
 use ndarray::{Array1, Array2, ArrayView2, Axis};
 
 use super::regressor::Standardiser;
-use crate::{ComponentSelection, Error, Pca, Result};
+use crate::{ComponentSelection, Error, Pca, Result, sequence::beta_name};
 use cape_core::expect_finite;
+
+/// Largest number of shape coefficients of a body.
+const BETAS: usize = 300;
 
 /// Semantic parameters of sequences (garment sizes, §5.3, and materials, §5.2) as inputs of the
 /// regression: standardised, and reduced to principal components if many vary. The paper reduces
@@ -50,7 +53,7 @@ impl SemanticParameters {
             )));
         }
         expect_finite("semantic parameters", sequences)?;
-        let scale = Standardiser::from_rows(sequences);
+        let scale = Standardiser::from_rows(sequences, &vec![0.0; sequences.ncols()]);
         let standardised = scale.apply(sequences);
         let varied = standardised.columns().into_iter().filter(|c| c.iter().any(|&x| x != 0.0));
         let components = match most {
@@ -95,6 +98,23 @@ impl SemanticParameters {
         expect_finite("semantic parameters", parameters)?;
         let row = Array1::from_vec(parameters.to_vec()).insert_axis(Axis(0));
         Ok(self.scale.apply(row.view()).dot(&self.components.t()).into_iter().collect())
+    }
+
+    /// [`with`](Self::with), and the shape coefficients of the wearer, from the first on, in place of those
+    /// that are among the parameters and not named.
+    ///
+    /// # Errors
+    /// As of `with`.
+    pub fn with_wearer(&self, named: &[(String, f64)], betas: &[f64]) -> Result<Vec<f64>> {
+        let mut parameters = self.with(named)?;
+        for (parameter, name) in parameters.iter_mut().zip(&self.names) {
+            let given = named.iter().any(|(known, _)| known == name);
+            let shape = (0..BETAS).find(|&k| *name == beta_name(k));
+            if let (false, Some(k)) = (given, shape) {
+                *parameter = betas.get(k).copied().unwrap_or(0.0);
+            }
+        }
+        Ok(parameters)
     }
 
     /// All parameters in order, some given by name; the others have the mean of the training set.
@@ -168,6 +188,16 @@ mod tests {
         assert_eq!(reduced.len(), 1);
         let [a, b] = [[1.0, 5.0, 0.0], [7.0, 5.0, 12.0]].map(|p| reduced.reduced(&p).unwrap()[0]);
         assert!((a + b).abs() < 1e-9 && (a.abs() - 1.8f64.sqrt() * 2f64.sqrt()).abs() < 1e-9);
+    }
+
+    #[test]
+    fn shape_coefficients_are_the_wearers() {
+        let names = ["length", "beta_1", "beta_3"].map(str::to_owned).to_vec();
+        let rows = arr2(&[[1.0, 0.0, -1.0], [2.0, 1.0, 1.0]]);
+        let semantics = SemanticParameters::from_rows(names, rows.view(), None).unwrap();
+        assert_eq!(semantics.with_wearer(&[], &[0.5, 9.0, -2.0]).unwrap(), [1.5, 0.5, -2.0]);
+        let named = [("beta_3".to_owned(), 0.25)];
+        assert_eq!(semantics.with_wearer(&named, &[]).unwrap(), [1.5, 0.0, 0.25]);
     }
 
     #[test]

@@ -40,7 +40,10 @@ pub struct StreamedFrame {
 pub struct FeatureStream {
     features: FeatureOptions,
     frame_rate: f64,
+    /// Later frames that a row depends on.
     reach: usize,
+    /// Earlier frames that a row depends on.
+    back: usize,
     /// Frames that later rows depend on; the first has number `first`.
     window: VecDeque<(Vec<f64>, [f64; 3])>,
     first: usize,
@@ -52,7 +55,8 @@ impl FeatureStream {
     pub fn new(features: FeatureOptions, frame_rate: f64) -> Self {
         let sigma = (features.smoothing * frame_rate).max(0.0);
         let reach = 1 + (3.0 * sigma).ceil() as usize;
-        Self { features, frame_rate, reach, window: VecDeque::new(), first: 0, next: 0 }
+        let back = reach + features.reach_back(frame_rate);
+        Self { features, frame_rate, reach, back, window: VecDeque::new(), first: 0, next: 0 }
     }
 
     /// Adds the next frame, axis-angles `[3 · joints]`, radians, and a translation, metres; returns
@@ -93,7 +97,7 @@ impl FeatureStream {
         let (pose, transl) = self.window[at].clone();
         let frame = self.next;
         self.next += 1;
-        while self.first + self.reach < self.next {
+        while self.first + self.back < self.next {
             self.window.pop_front();
             self.first += 1;
         }
@@ -107,13 +111,15 @@ mod tests {
 
     #[test]
     fn a_stream_is_the_whole() {
-        for (frames, smoothing) in [(1, 0.0), (2, 0.0), (17, 0.0), (17, 0.04), (5, 0.2)] {
+        for (frames, smoothing, history) in
+            [(1, 0.0, 0), (2, 0.0, 1), (17, 0.0, 0), (17, 0.04, 0), (5, 0.2, 0), (31, 0.02, 3)]
+        {
             let poses =
                 Array2::from_shape_fn((frames, 9), |(f, k)| (0.3 * f as f64 + k as f64).sin());
             let moves =
                 Array2::from_shape_fn((frames, 3), |(f, k)| (0.1 * f as f64).powi(k as i32));
             let motion = BodyMotion::new(30.0, poses, moves).unwrap();
-            let features = FeatureOptions { smoothing, ..FeatureOptions::default() };
+            let features = FeatureOptions { smoothing, history, ..FeatureOptions::default() };
             let expected = features.rows(&motion);
             let mut stream = FeatureStream::new(features, 30.0);
             let mut found = Vec::new();

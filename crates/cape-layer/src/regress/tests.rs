@@ -1,5 +1,5 @@
 use cape_core::BodyMotion;
-use ndarray::{Array2, Axis, s};
+use ndarray::{Array2, Axis, concatenate, s};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
@@ -46,9 +46,9 @@ fn smooth_data(rows: usize, seed: u64) -> (Array2<f64>, Array2<f64>) {
 #[test]
 fn a_smooth_function_is_learned_and_generalises() {
     let (x, y) = smooth_data(900, 5);
-    let training = TrainingOptions { patience: 20, ..TrainingOptions::default() };
-    let noisy = [false; 4];
-    let outcome = training.train(x.view(), y.view(), &noisy, &mut |_| {}).unwrap();
+    let training = TrainingOptions { patience: Some(20), ..TrainingOptions::default() };
+    let x = RegressionInputs::new(x);
+    let outcome = training.train(&x, y.view(), &mut |_| {}).unwrap();
     assert_eq!(outcome.validation_frames.len(), 180);
     assert_eq!(outcome.training_frames.len(), 720);
     let (new_x, new_y) = smooth_data(200, 6);
@@ -58,7 +58,7 @@ fn a_smooth_function_is_learned_and_generalises() {
     assert!(rms < 0.05 * spread, "{rms} of {spread} after {}", outcome.epochs.len());
     // The same result for any number of threads.
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let again = pool.install(|| training.train(x.view(), y.view(), &noisy, &mut |_| {}).unwrap());
+    let again = pool.install(|| training.train(&x, y.view(), &mut |_| {}).unwrap());
     assert_eq!(again, outcome);
 }
 
@@ -66,8 +66,8 @@ fn a_smooth_function_is_learned_and_generalises() {
 fn inputs_far_from_all_seen_count_no_further() {
     let (x, y) = smooth_data(60, 3);
     let training = TrainingOptions { hidden: vec![4], ..TrainingOptions::default() };
-    let none = vec![false; x.ncols()];
-    let outcome = training.train(x.view(), y.view(), &none, &mut |_| {}).unwrap();
+    let inputs = RegressionInputs::new(x.clone());
+    let outcome = training.train(&inputs, y.view(), &mut |_| {}).unwrap();
     let at = |value: f64| {
         let mut row = x.slice(s![..1, ..]).to_owned();
         row[(0, 0)] = value;
@@ -81,20 +81,85 @@ fn inputs_far_from_all_seen_count_no_further() {
 fn training_stops_when_validation_rises() {
     // Pure noise: only overfitting reduces the training error.
     let (x, y) = (random(60, 5, 1), random(60, 2, 2));
-    let noisy = [true; 5];
-    let training = TrainingOptions { copies: 2, ..TrainingOptions::default() };
-    let outcome = training.train(x.view(), y.view(), &noisy, &mut |_| {}).unwrap();
+    let inputs = RegressionInputs { noisy: vec![true; 5], ..RegressionInputs::new(x) };
+    let training =
+        TrainingOptions { copies: 2, patience: Some(0), noise: 0.05, ..TrainingOptions::default() };
+    let outcome = training.train(&inputs, y.view(), &mut |_| {}).unwrap();
     let errors: Vec<f64> = outcome.epochs.iter().map(|e| e.validation).collect();
     let (last, before) = errors.split_last().unwrap();
     assert!(before.windows(2).all(|pair| pair[1] <= pair[0]), "{errors:?}");
     assert!(before.last().is_none_or(|b| last > b), "{errors:?}");
+    // All iterations, and the weights of the best.
+    let patient = TrainingOptions { patience: None, ..training };
+    let all = patient.train(&inputs, y.view(), &mut |_| {}).unwrap();
+    assert!(all.epochs.len() > outcome.epochs.len());
+    assert_eq!(all.epochs[..outcome.epochs.len()], outcome.epochs);
+}
+
+#[test]
+fn a_difference_counts_the_same_in_every_target() {
+    // The second target has a hundredth of the first one's spread, and is noise: it must not decide.
+    let (x, y) = smooth_data(400, 8);
+    let noise = random(400, 1, 77);
+    let y = concatenate![Axis(1), y.slice(s![.., ..1]), noise * 0.05];
+    let inputs = RegressionInputs::new(x);
+    let training = TrainingOptions { hidden: vec![12], ..TrainingOptions::default() };
+    let outcome = training.train(&inputs, y.view(), &mut |_| {}).unwrap();
+    let off = outcome.regressor.predict(inputs.rows.view()).unwrap() - &y;
+    let rms = off.column(0).mapv(|d| d * d).mean().unwrap().sqrt();
+    assert!(rms < 0.2, "{rms} of {}", y.column(0).std(0.0));
+}
+
+#[test]
+fn decay_makes_parameters_smaller() {
+    let (x, y) = smooth_data(100, 4);
+    let inputs = RegressionInputs::new(x);
+    let length = |decay: f64| {
+        let training = TrainingOptions { decay, ..TrainingOptions::default() };
+        let outcome = training.train(&inputs, y.view(), &mut |_| {}).unwrap();
+        let parameters = outcome.regressor.network().parameters().clone();
+        parameters.dot(&parameters)
+    };
+    assert!(length(1.0) < 0.8 * length(0.0));
+}
+
+#[test]
+fn whole_groups_are_validated_on() {
+    let groups: Vec<usize> = (0..50).map(|frame| frame / 10).collect();
+    let inputs = RegressionInputs {
+        groups: Some(groups.clone()),
+        ..RegressionInputs::new(random(50, 2, 1))
+    };
+    let outcome = TrainingOptions { hidden: vec![2], ..TrainingOptions::default() }
+        .train(&inputs, random(50, 1, 2).view(), &mut |_| {})
+        .unwrap();
+    assert_eq!((outcome.training_frames.len(), outcome.validation_frames.len()), (40, 10));
+    let group = groups[outcome.validation_frames[0]];
+    assert!(outcome.validation_frames.iter().all(|&frame| groups[frame] == group));
+}
+
+#[test]
+fn inputs_that_hardly_vary_keep_their_unit() {
+    let mut x = random(40, 2, 1);
+    x.column_mut(0).mapv_inplace(|value| 1e-6 * value);
+    let y = random(40, 1, 2);
+    let predict = |floors: Vec<f64>, by: f64| {
+        let inputs = RegressionInputs { floors, ..RegressionInputs::new(x.clone()) };
+        let training = TrainingOptions { hidden: vec![3], ..TrainingOptions::default() };
+        let regressor = training.train(&inputs, y.view(), &mut |_| {}).unwrap().regressor;
+        regressor.predict(ndarray::arr2(&[[by, 0.2]]).view()).unwrap()[(0, 0)]
+    };
+    let change =
+        |floors: [f64; 2]| (predict(floors.to_vec(), 1e-5) - predict(floors.to_vec(), 0.0)).abs();
+    assert!(change([0.05; 2]) < 1e-3 && change([0.0; 2]) > 1e-2);
 }
 
 #[test]
 fn a_regressor_is_one_file() {
     let (x, y) = smooth_data(60, 9);
     let training = TrainingOptions { hidden: vec![5], ..TrainingOptions::default() };
-    let regressor = training.train(x.view(), y.view(), &[false; 4], &mut |_| {}).unwrap().regressor;
+    let inputs = RegressionInputs::new(x.clone());
+    let regressor = training.train(&inputs, y.view(), &mut |_| {}).unwrap().regressor;
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("regressor.npz");
     regressor.save(&path).unwrap();
@@ -111,10 +176,8 @@ fn a_regressor_is_one_file() {
 fn bad_frames_are_refused() {
     let (x, mut y) = smooth_data(20, 3);
     let train = |x: &Array2<f64>, y: &Array2<f64>, training: TrainingOptions| {
-        training
-            .train(x.view(), y.view(), &vec![false; x.ncols()], &mut |_| {})
-            .unwrap_err()
-            .to_string()
+        let inputs = RegressionInputs::new(x.clone());
+        training.train(&inputs, y.view(), &mut |_| {}).unwrap_err().to_string()
     };
     let default = TrainingOptions::default;
     assert!(train(&random(3, 4, 1), &y, default()).contains("3 rows"));

@@ -13,15 +13,16 @@ use cape_core::expect_finite;
 /// Options of the training of a regressor (§3.3).
 ///
 /// ```
-/// use cape_layer::regress::TrainingOptions;
+/// use cape_layer::regress::{RegressionInputs, TrainingOptions};
 /// use ndarray::Array2;
 ///
 /// // Learn a straight line from 40 points.
 /// let x = Array2::from_shape_fn((40, 1), |(row, _)| row as f64);
 /// let y = x.mapv(|x| 2.0 * x + 1.0);
-/// let training = TrainingOptions { hidden: vec![4], patience: 20, ..TrainingOptions::default() };
+/// let training = TrainingOptions { hidden: vec![4], ..TrainingOptions::default() };
 /// let mut iterations = 0;
-/// let outcome = training.train(x.view(), y.view(), &[false], &mut |_| iterations += 1)?;
+/// let inputs = RegressionInputs::new(x.clone());
+/// let outcome = training.train(&inputs, y.view(), &mut |_| iterations += 1)?;
 /// assert_eq!((outcome.training_frames.len(), outcome.validation_frames.len()), (32, 8));
 /// assert_eq!(outcome.epochs.len(), iterations);
 /// let off = outcome.regressor.predict(x.view())? - y;
@@ -34,13 +35,17 @@ pub struct TrainingOptions {
     pub hidden: Vec<usize>,
     /// Share of the frames for validation; 20 % in the paper.
     pub validation: f64,
-    /// Consecutive rises of the validation error after which training continues; the paper stops when
-    /// the error starts to increase, 0.
-    pub patience: usize,
-    /// Copies of the training frames with Gaussian noise on the noisy inputs.
+    /// Consecutive rises of the validation error after which training continues, or all iterations. The
+    /// weights of the lowest validation error are kept. The paper stops when the error starts to increase,
+    /// 0.
+    pub patience: Option<usize>,
+    /// Copies of the training frames with Gaussian noise on the noisy inputs, if there are any.
     pub copies: usize,
     /// Standard deviation of the noise, relative to that of the input.
     pub noise: f64,
+    /// Weight of the mean square of the network's parameters in the objective, beside the mean squared
+    /// error of the targets in units of their standard deviation.
+    pub decay: f64,
     /// Options of L-BFGS.
     pub minimiser: LbfgsOptions,
     /// Random seed of weights, split and noise.
@@ -52,11 +57,12 @@ impl Default for TrainingOptions {
         Self {
             hidden: vec![60, 80],
             validation: 0.2,
-            patience: 0,
-            copies: 0,
-            noise: 0.05,
+            patience: None,
+            copies: 8,
+            noise: 0.1,
+            decay: 0.0,
             minimiser: LbfgsOptions {
-                steps: 500,
+                steps: 300,
                 gradient: 1e-8,
                 gain: 0.0,
                 ..LbfgsOptions::default()
@@ -66,7 +72,40 @@ impl Default for TrainingOptions {
     }
 }
 
-/// One iteration. Errors are mean squared errors of the standardised targets.
+/// Inputs of a regression.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RegressionInputs {
+    /// Inputs of each frame, `[frames, inputs]`.
+    pub rows: Array2<f64>,
+    /// Least standard deviation that each input is divided by, `[inputs]`; 0 for none.
+    pub floors: Vec<f64>,
+    /// True for the inputs that get noise in the additional copies, usually the semantic parameters,
+    /// `[inputs]`.
+    pub noisy: Vec<bool>,
+    /// Group of each frame, `[frames]`, if whole groups shall be validated on, such as sequences.
+    pub groups: Option<Vec<usize>>,
+}
+
+impl RegressionInputs {
+    /// Inputs `[frames, inputs]` without noise, least deviations and groups.
+    pub fn new(rows: Array2<f64>) -> Self {
+        let inputs = rows.ncols();
+        Self { rows, floors: vec![0.0; inputs], noisy: vec![false; inputs], groups: None }
+    }
+
+    /// The inputs of some frames.
+    pub(crate) fn select(&self, frames: &[usize]) -> Self {
+        let groups = self.groups.as_ref();
+        Self {
+            rows: self.rows.select(Axis(0), frames),
+            groups: groups.map(|groups| frames.iter().map(|&frame| groups[frame]).collect()),
+            ..self.clone()
+        }
+    }
+}
+
+/// One iteration. Errors are mean squared errors of the targets, in units of their common standard
+/// deviation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Epoch {
     /// Iteration number, from 1.
@@ -103,34 +142,46 @@ impl TrainingOptions {
         (training, order)
     }
 
-    /// Trains a regressor from `inputs` `[frames, inputs]` to `targets` `[frames, outputs]` by
-    /// L-BFGS on the mean squared error of the standardised targets. `noisy` marks the inputs that
-    /// get noise in the additional copies, usually the semantic parameters. `watch` is called after
-    /// each iteration.
+    /// [`split`](Self::split) of the frames of `inputs`: of whole groups, if it has several.
+    pub(crate) fn split_inputs(&self, inputs: &RegressionInputs) -> (Vec<usize>, Vec<usize>) {
+        let frames = inputs.rows.nrows();
+        let Some(groups) = &inputs.groups else { return self.split(frames) };
+        let mut distinct = groups.clone();
+        distinct.sort_unstable();
+        distinct.dedup();
+        if distinct.len() < 2 {
+            return self.split(frames);
+        }
+        let (_, held) = self.split(distinct.len());
+        let held: Vec<usize> = held.into_iter().map(|k| distinct[k]).collect();
+        (0..frames).partition(|&frame| !held.contains(&groups[frame]))
+    }
+
+    /// Trains a regressor from inputs to targets `[frames, outputs]` by L-BFGS on their mean squared
+    /// error. `watch` is called after each iteration.
     ///
     /// # Errors
     /// If shapes differ, there are fewer than two frames, numbers are not finite, or an option is
     /// out of range.
     pub fn train(
         &self,
-        inputs: ArrayView2<'_, f64>,
+        inputs: &RegressionInputs,
         targets: ArrayView2<'_, f64>,
-        noisy: &[bool],
         watch: &mut dyn FnMut(Epoch),
     ) -> Result<TrainedRegressor> {
-        let frames = inputs.nrows();
-        self.check(inputs, targets, noisy)?;
-        let (training_frames, validation_frames) = self.split(frames);
+        self.check(inputs, targets)?;
+        let (training_frames, validation_frames) = self.split_inputs(inputs);
+        let RegressionInputs { rows: inputs, floors, noisy, .. } = inputs;
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(1);
         let pick = |rows: ArrayView2<'_, f64>, frames: &[usize]| rows.select(Axis(0), frames);
-        let plain = pick(inputs, &training_frames);
+        let plain = pick(inputs.view(), &training_frames);
         let wanted = pick(targets, &training_frames);
-        let (of_inputs, of_targets) =
-            (Standardiser::from_rows(plain.view()), Standardiser::from_rows(wanted.view()));
+        let of_inputs = Standardiser::from_rows(plain.view(), floors);
+        let of_targets = Standardiser::common(wanted.view());
         let (plain, wanted) = (of_inputs.bounded(plain.view()), of_targets.apply(wanted.view()));
         let (x, y) = self.augmented(&plain, &wanted, noisy, &mut rng)?;
-        let held_x = of_inputs.bounded(pick(inputs, &validation_frames).view());
+        let held_x = of_inputs.bounded(pick(inputs.view(), &validation_frames).view());
         let held_y = of_targets.apply(pick(targets, &validation_frames).view());
 
         let mut sizes = vec![inputs.ncols()];
@@ -149,8 +200,11 @@ impl TrainingOptions {
             |at, gradient| {
                 let at = ArrayView1::from(at).to_owned();
                 let (error, slopes) = network.error_and_gradient(&at, x.view(), y.view());
-                gradient.iter_mut().zip(slopes).for_each(|(to, slope)| *to = slope);
-                Ok::<_, Infallible>(error)
+                let decay = self.decay / at.len() as f64;
+                for ((to, slope), parameter) in gradient.iter_mut().zip(slopes).zip(&at) {
+                    *to = slope + 2.0 * decay * parameter;
+                }
+                Ok::<_, Infallible>(error + decay * at.dot(&at))
             },
             |at, training| {
                 let at = ArrayView1::from(at).to_owned();
@@ -163,7 +217,7 @@ impl TrainingOptions {
                 }
                 rises = if validation > last { rises + 1 } else { 0 };
                 last = validation;
-                rises <= self.patience
+                self.patience.is_none_or(|patience| rises <= patience)
             },
         );
         let Ok(_) = minimised;
@@ -181,7 +235,8 @@ impl TrainingOptions {
     ) -> Result<(Array2<f64>, Array2<f64>)> {
         let mut x = vec![inputs.clone()];
         let mut y = vec![targets.view()];
-        for _ in 0..self.copies {
+        let copies = if noisy.contains(&true) { self.copies } else { 0 };
+        for _ in 0..copies {
             let mut copy = inputs.clone();
             for mut row in copy.rows_mut() {
                 for (value, _) in row.iter_mut().zip(noisy).filter(|&(_, &noisy)| noisy) {
@@ -198,12 +253,8 @@ impl TrainingOptions {
         Ok((stack(&x)?, stack(&y)?))
     }
 
-    fn check(
-        &self,
-        inputs: ArrayView2<'_, f64>,
-        targets: ArrayView2<'_, f64>,
-        noisy: &[bool],
-    ) -> Result<()> {
+    fn check(&self, inputs: &RegressionInputs, targets: ArrayView2<'_, f64>) -> Result<()> {
+        let RegressionInputs { rows: inputs, floors, noisy, groups } = inputs;
         if inputs.nrows() != targets.nrows() || inputs.nrows() < 2 {
             return Err(Error::argument(format!(
                 "training: {} rows of inputs and {} of targets, expected equal numbers, at least 2",
@@ -211,11 +262,18 @@ impl TrainingOptions {
                 targets.nrows()
             )));
         }
-        if noisy.len() != inputs.ncols() {
+        if [noisy.len(), floors.len()] != [inputs.ncols(); 2] {
             return Err(Error::argument(format!(
-                "training: {} noise flags, expected one for each of {} inputs",
+                "training: {} noise flags and {} least deviations, expected one for each of {} inputs",
                 noisy.len(),
+                floors.len(),
                 inputs.ncols()
+            )));
+        }
+        if groups.as_ref().is_some_and(|groups| groups.len() != inputs.nrows()) {
+            return Err(Error::argument(format!(
+                "training: expected a group for each of {} frames",
+                inputs.nrows()
             )));
         }
         if !(self.validation > 0.0 && self.validation < 1.0) {
@@ -224,11 +282,12 @@ impl TrainingOptions {
                 self.validation
             )));
         }
-        if !(self.noise >= 0.0 && self.noise.is_finite()) {
-            return Err(Error::argument(format!(
-                "training: noise {}, expected 0 or more",
-                self.noise
-            )));
+        for (name, value) in [("noise", self.noise), ("weight decay", self.decay)] {
+            if !(value >= 0.0 && value.is_finite()) {
+                return Err(Error::argument(format!(
+                    "training: {name} {value}, expected 0 or more"
+                )));
+            }
         }
         expect_finite("inputs", inputs)?;
         Ok(expect_finite("targets", targets)?)

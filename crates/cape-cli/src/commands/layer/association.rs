@@ -129,39 +129,60 @@ fn warnings(association: &Association) -> Vec<String> {
 /// Options of components and regression.
 #[derive(Debug, Clone, Args)]
 pub(super) struct LearningArgs {
-    /// Number of principal components to predict.
-    #[arg(long, default_value_t = 40, value_name = "N", value_parser = at_least_one)]
-    pub(super) components: usize,
-    /// Successive rises of the validation error before training stops.
-    #[arg(long, default_value_t = 0, value_name = "N")]
-    patience: usize,
-    /// Number of copies of the training frames with noise on semantic parameters.
-    #[arg(long, default_value_t = 0, value_name = "N")]
+    /// Number of principal components to predict [default: 40 for one sequence, 100 for several, or as
+    /// many as the frames allow].
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    pub(super) components: Option<usize>,
+    /// Successive rises of the validation error before training stops; 0 in the paper [default: all
+    /// iterations, of which the best is kept].
+    #[arg(long, value_name = "N")]
+    patience: Option<usize>,
+    /// Number of copies of the training frames with noise on semantic parameters, where these vary.
+    #[arg(long, default_value_t = 8, value_name = "N")]
     copies: usize,
     /// Standard deviation of that noise relative to that of the parameters.
-    #[arg(long, default_value_t = 0.05, value_name = "S", value_parser = non_negative)]
+    #[arg(long, default_value_t = 0.1, value_name = "S", value_parser = non_negative)]
     noise: f64,
+    /// Weight of the mean square of the network's parameters.
+    #[arg(long, default_value_t = 0.0, value_name = "W", value_parser = non_negative)]
+    decay: f64,
     /// Dimension that semantic parameters are reduced to, if more of them vary.
     #[arg(long, default_value_t = 4, value_name = "N", value_parser = at_least_one)]
     reduce: usize,
     /// Standard deviation of Gaussian smoothing of speeds in seconds.
     #[arg(long, default_value_t = 0.0, value_name = "S", value_parser = non_negative)]
     smoothing: f64,
+    /// Number of earlier moments, 0.1 s apart, that the prediction depends on, for clothes that swing.
+    #[arg(long, default_value_t = 0, value_name = "N", value_parser = at_most_a_hundred)]
+    history: usize,
+}
+
+fn at_most_a_hundred(text: &str) -> std::result::Result<usize, String> {
+    let number: usize = text.parse().map_err(|error| format!("{error}"))?;
+    if number > 100 { Err("expected 0 to 100".into()) } else { Ok(number) }
 }
 
 impl LearningArgs {
-    pub(super) fn learning(&self, seed: u64) -> LearningOptions {
+    pub(super) fn learning(&self, seed: u64, trainings: usize) -> LearningOptions {
+        let features = FeatureOptions {
+            smoothing: self.smoothing,
+            history: self.history,
+            ..FeatureOptions::default()
+        };
         LearningOptions {
             components: self.components,
-            features: FeatureOptions { smoothing: self.smoothing, ..FeatureOptions::default() },
+            features,
             semantics: Some(self.reduce),
+            trainings,
             training: TrainingOptions {
                 patience: self.patience,
                 copies: self.copies,
                 noise: self.noise,
+                decay: self.decay,
                 seed,
                 ..TrainingOptions::default()
             },
+            ..LearningOptions::default()
         }
     }
 }

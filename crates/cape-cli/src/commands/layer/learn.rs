@@ -82,20 +82,20 @@ impl LearnArgs {
         let out = self.output.out;
         let model = self.body.load()?;
         let set = LayerSet::load_for(&self.set, &model)?;
-        let components = self.learning_args.components;
-        let learning = self.learning_args.learning(global.seed());
+        let learning = self.learning_args.learning(global.seed(), 1);
         let tied = self.association_args.associate(&model, &set, console)?;
         let association = &tied.association;
         let unposed =
             UnposedSet::new(&model, &set, association, &self.association_args.standard())?;
-        let mut counts = vec![1, 5, components];
-        counts.sort_unstable();
-        counts.dedup();
         let all: Vec<usize> = (0..set.sequences.len()).collect();
         let regression = console.while_showing("learn", "iterations", |progress| {
             let most = learning.training.minimiser.steps;
-            unposed.regression(&all, &learning, &mut |epoch| progress(epoch.iteration, most))
+            unposed.regression(&all, &learning, &mut |_, epoch| progress(epoch.iteration, most))
         })?;
+        let components = regression.trained_model.pca.latent();
+        let mut counts = vec![1, 5, components];
+        counts.sort_unstable();
+        counts.dedup();
         let table = console.while_showing("measure", "sequences", |progress| {
             let measure = |&sequence: &usize| {
                 let errors = unposed.reconstruction_of(sequence, &counts);

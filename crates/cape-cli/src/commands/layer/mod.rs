@@ -9,12 +9,14 @@ mod pictures;
 mod predict;
 mod report;
 mod synth;
+mod transfer;
 
 use clap::Subcommand;
 
 use crate::{console::Console, error::Result, options::GlobalArgs};
 
-/// Model skirts, dresses, T-shirts: synth, import, associate, learn, predict, report.
+/// Model skirts, dresses, T-shirts: synth, import, associate, learn, predict, transfer,
+/// report.
 ///
 /// Clothing of its own topology over a moving body (Yang et al., ECCV 2018): simulated or imported
 /// sequences are associated with the body, unposed, compressed by principal components and predicted
@@ -29,6 +31,7 @@ pub(crate) enum LayerCommand {
     Associate(associate::AssociateArgs),
     Learn(learn::LearnArgs),
     Predict(predict::PredictArgs),
+    Transfer(transfer::TransferArgs),
     Report(report::ReportArgs),
 }
 
@@ -40,6 +43,7 @@ impl LayerCommand {
             Self::Associate(command) => command.run(console),
             Self::Learn(command) => command.run(global, console),
             Self::Predict(command) => command.run(console),
+            Self::Transfer(command) => command.run(console),
             Self::Report(command) => command.run(global, console),
         }
     }

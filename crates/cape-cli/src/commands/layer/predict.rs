@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use cape_core::{Mesh, motion::DEFAULT_FRAME_RATE};
-use cape_layer::{Layer, PredictedFrame};
+use cape_layer::{InsideShares, Layer, PredictedFrame};
 use cape_render::{Tile, View, contact_sheet};
 use clap::Args;
 use serde::Serialize;
@@ -17,7 +17,7 @@ use crate::{
     error::{Error, Result},
     files,
     motion_source::{MotionFileArgs, shape_of},
-    options::{FileKind, OutputArgs, ShapeArgs, kinds, positive},
+    options::{FileKind, OutputArgs, ShapeArgs, kinds, non_negative, positive},
 };
 
 /// Largest number of frames in the picture.
@@ -62,6 +62,9 @@ pub(crate) struct PredictArgs {
     /// Semantic parameters by name; the others have the mean of the training sequences.
     #[arg(long, value_delimiter = ',', value_name = "NAME=X,…", value_parser = named)]
     parameters: Vec<(String, f64)>,
+    /// Least distance of the clothing from the body, mm; 0 leaves it where it is predicted.
+    #[arg(long, default_value_t = 2.0, value_name = "MM", value_parser = non_negative)]
+    clearance: f64,
     /// File format.
     #[arg(long, default_value = "ply", value_name = "FORMAT", value_parser = kinds([FileKind::Ply, FileKind::Obj]))]
     format: FileKind,
@@ -73,6 +76,9 @@ struct Report {
     frames: usize,
     /// Semantic parameters.
     parameters: Vec<(String, f64)>,
+    /// Shares of the clothing vertices inside the body before and after they are pushed out, means over
+    /// the frames.
+    inside: InsideShares,
 }
 
 impl PredictArgs {
@@ -81,7 +87,6 @@ impl PredictArgs {
         let out = self.output.out;
         let model = self.body.load()?;
         let layer = Layer::load_for(&self.layer, &model)?;
-        let parameters = layer.semantics.with(&self.parameters)?;
         let (mut frames, betas) = if self.motion == "-" {
             let betas = self.shape.betas(&model)?;
             (MotionFrames::from_standard_input(self.fps.unwrap_or(DEFAULT_FRAME_RATE)), betas)
@@ -95,9 +100,12 @@ impl PredictArgs {
         };
         let betas: Vec<f64> = betas.into_iter().map(f64::from).collect();
         let shape = model.rest_shape(&betas)?;
+        let parameters = layer.semantics.with_wearer(&self.parameters, &betas)?;
         let total = frames.count;
         let mut stream = layer.stream(&model, &shape, frames.rate, &parameters)?;
+        stream = stream.with_clearance((self.clearance > 0.0).then_some(1e-3 * self.clearance));
         let mut gallery = FrameSampler::default();
+        let mut inside = InsideShares::default();
         files::create_dir(&out)?;
         console.while_showing("predict", "frames", |progress| {
             loop {
@@ -115,30 +123,48 @@ impl PredictArgs {
                 let extension = self.format.name();
                 let frame = predicted.frame;
                 mesh.save(out.join(format!("frame-{frame:05}.{extension}")))?;
+                if let Some(shares) = predicted.inside {
+                    inside.before += shares.before;
+                    inside.after += shares.after;
+                }
                 gallery.push(&predicted, mesh, &model.faces);
                 progress(frame + 1, total.unwrap_or(frame + 1));
             }
         })?;
-        gallery.save(&out)?;
+        gallery.save(&out.join("predicted.png"))?;
         let names = layer.semantics.names().iter().cloned();
-        let report =
-            Report { frames: gallery.seen, parameters: names.zip(parameters).collect(), out };
+        let parameters = names.zip(parameters).collect();
+        let mean = |sum: f64| sum / gallery.seen.max(1) as f64;
+        let inside = InsideShares { before: mean(inside.before), after: mean(inside.after) };
+        let report = Report { frames: gallery.seen, parameters, inside, out };
         console.result(&report, || {
-            format!("{} frames\n{}", report.frames, report.out.join("predicted.png").display())
+            let [before, after] = [inside.before, inside.after].map(|share| 100.0 * share);
+            let pushed = if self.clearance > 0.0 {
+                format!("clothing inside the body: {before:.2} %, after it was pushed out {after:.2} %\n")
+            } else {
+                String::new()
+            };
+            let picture = report.out.join("predicted.png");
+            format!("{} frames\n{pushed}{}", report.frames, picture.display())
         })
     }
 }
 
 /// Evenly spaced frames of a motion of unknown length: with too many, every second one is dropped.
 #[derive(Default)]
-struct FrameSampler {
+pub(super) struct FrameSampler {
     kept: Vec<(usize, Mesh, Mesh)>,
     stride: usize,
-    seen: usize,
+    pub(super) seen: usize,
 }
 
 impl FrameSampler {
-    fn push(&mut self, predicted: &PredictedFrame, clothing: Mesh, body_faces: &[[u32; 3]]) {
+    pub(super) fn push(
+        &mut self,
+        predicted: &PredictedFrame,
+        clothing: Mesh,
+        body_faces: &[[u32; 3]],
+    ) {
         self.stride = self.stride.max(1);
         self.seen += 1;
         if !predicted.frame.is_multiple_of(self.stride) {
@@ -156,7 +182,7 @@ impl FrameSampler {
         self.kept.push((predicted.frame, body, clothing));
     }
 
-    fn save(&self, out: &std::path::Path) -> Result {
+    pub(super) fn save(&self, picture: &std::path::Path) -> Result {
         let mut tiles = Vec::new();
         for (frame, body, clothing) in &self.kept {
             let stage = PictureCamera::around([body, clothing], View::ThreeQuarter, HEIGHT)?;
@@ -164,8 +190,8 @@ impl FrameSampler {
             tiles.push(Tile { image, label: format!("frame {frame}") });
         }
         if tiles.is_empty() {
-            return Err(Error::message("--motion: no frames"));
+            return Err(Error::message("no frames"));
         }
-        Ok(contact_sheet(&tiles, SHOWN, None)?.save(out.join("predicted.png"))?)
+        Ok(contact_sheet(&tiles, SHOWN, None)?.save(picture)?)
     }
 }

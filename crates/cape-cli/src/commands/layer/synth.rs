@@ -73,9 +73,12 @@ struct SimulationPlan {
         long,
         value_delimiter = ',',
         value_name = "EXERCISE,…",
-        value_parser = choices(Exercise::ALL.map(|exercise| (exercise.name(), exercise)))
+        value_parser = choices(Exercise::ALL.map(|exercise| (exercise.motion_name(), exercise)))
     )]
     exercises: Vec<Exercise>,
+    /// All 15 synthetic motions of `cape data synth` instead, each in this number of random styles.
+    #[arg(long, value_name = "N", value_parser = at_least_one, conflicts_with = "exercises")]
+    styles: Option<usize>,
     /// First shape coefficients of the subjects.
     #[arg(
         long,
@@ -176,7 +179,9 @@ impl SimulationPlan {
             ..Design::new(garment)
         };
         design.simulation.substeps = self.steps;
-        if !self.exercises.is_empty() {
+        if let Some(styles) = self.styles {
+            design.exercises = Exercise::styled(styles as u64);
+        } else if !self.exercises.is_empty() {
             design.exercises.clone_from(&self.exercises);
         }
         design

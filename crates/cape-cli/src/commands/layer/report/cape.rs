@@ -10,7 +10,10 @@ use cape_eval::{
     store::{ResultStore, StoreOptions, StoreSettings},
 };
 use cape_infer::{BodySpec, Run, batches};
-use cape_layer::{experiment::LearningOptions, regress::FeatureOptions};
+use cape_layer::{
+    experiment::LearningOptions,
+    regress::{FeatureOptions, RegressionInputs},
+};
 use cape_stats::{errors::mean_distance_mm, pca::PcaOptions};
 use ndarray::{Array1, Array2, ArrayView2, Axis, concatenate};
 use serde::{Deserialize, Serialize};
@@ -110,7 +113,7 @@ impl ComparisonContext<'_> {
         let train = self.run.open_set(self.data, Split::Train)?;
         let rows = DisplacementStatistics::from_packed(self.data, &mut |_, _| {})?
             .training_rows(train.frames());
-        let components = self.learning.components.min(rows.len().saturating_sub(1));
+        let components = self.learning.components_of(1, rows.len());
         let options = PcaOptions { components, ..PcaOptions::default() };
         let pca = self.console.while_showing("components", "rows", |progress| {
             cape_data::principal_components(self.data, &options, progress)
@@ -136,15 +139,15 @@ impl ComparisonContext<'_> {
         let codes: Vec<Array1<f64>> =
             frames.iter().map(|&row| encode(&train, row)).collect::<Result<_>>()?;
         let codes = Array2::from_shape_fn((codes.len(), components), |(f, k)| codes[f][k]);
-        let (inputs, noisy) = inputs(&train, &frames)?;
+        let inputs = inputs(&train, &frames)?;
         let regressor = self.console.while_showing("learn", "iterations", |progress| {
             let most = self.learning.training.minimiser.steps;
             let watch = &mut |epoch: cape_layer::regress::Epoch| progress(epoch.iteration, most);
-            self.learning.training.train(inputs.view(), codes.view(), &noisy, watch)
+            self.learning.training.train(&inputs, codes.view(), watch)
         })?;
         let all: Vec<usize> = (0..self.test.frames()).collect();
-        let (inputs, _) = self::inputs(self.test, &all)?;
-        let predicted = regressor.regressor.predict(inputs.view())?;
+        let tested = self::inputs(self.test, &all)?.rows;
+        let predicted = regressor.regressor.predict(tested.view())?;
         let prediction_mm = self.error(|row| decode(predicted.row(row).to_owned()))?;
         let plain = MethodComparison {
             method: "principal components".into(),
@@ -222,8 +225,8 @@ impl ComparisonContext<'_> {
 }
 
 /// Joint angles, the direction of gravity, and the outfit of frames; packed frames do not follow
-/// each other, so that there are no speeds. Also which of them are semantic.
-fn inputs(set: &PackedSet, frames: &[usize]) -> Result<(Array2<f64>, Vec<bool>)> {
+/// each other, so that there are no speeds.
+fn inputs(set: &PackedSet, frames: &[usize]) -> Result<RegressionInputs> {
     let shape = |error: ndarray::ShapeError| Error::message(error.to_string());
     let mut poses = Vec::with_capacity(72 * frames.len());
     let width = set.vocabulary().len();
@@ -240,6 +243,9 @@ fn inputs(set: &PackedSet, frames: &[usize]) -> Result<(Array2<f64>, Vec<bool>)>
         FeatureOptions { speed: false, angular_speeds: false, ..FeatureOptions::default() };
     let rows = features.rows(&motion);
     let outfits = Array2::from_shape_vec((count, width), outfits).map_err(shape)?;
-    let semantic = [vec![false; rows.ncols()], vec![true; width]].concat();
-    Ok((concatenate(Axis(1), &[rows.view(), outfits.view()]).map_err(shape)?, semantic))
+    let joined = concatenate(Axis(1), &[rows.view(), outfits.view()]).map_err(shape)?;
+    let mut inputs = RegressionInputs::new(joined);
+    inputs.floors = [features.floors(24), vec![0.0; width]].concat();
+    inputs.noisy[rows.ncols()..].fill(true);
+    Ok(inputs)
 }

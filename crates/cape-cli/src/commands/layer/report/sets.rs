@@ -23,6 +23,8 @@ pub(super) struct SetSize {
     pub(super) frames: usize,
     /// Edge length of triangles, metres.
     pub(super) resolution: f64,
+    /// Random styles of each synthetic motion; none if quick.
+    pub(super) styles: u64,
 }
 
 /// Fabrics: density in kg/m²; stiffness in stretch and in bending, and damping, relative to cotton;
@@ -50,8 +52,8 @@ fn fabric([density, stretch, bend, damping, friction]: [f64; 5]) -> ClothMateria
     }
 }
 
-/// Names and designs: one garment in all motions of two subjects (ten sequences, for tables 1 and 2, new
-/// bodies and new motions), in eight fabrics, and in eight sizes.
+/// Names and designs: one garment in five motions of two subjects (ten sequences, for tables 1 and 2), in
+/// eight fabrics, in eight sizes, and in all synthetic motions in random styles (new motions).
 fn designs(size: SetSize, kind: GarmentKind) -> Vec<(&'static str, Design)> {
     let garment = Garment { resolution: size.resolution, ..Garment::new(kind) };
     let plain = Design { frames: size.frames, ..Design::new(garment) };
@@ -69,7 +71,7 @@ fn designs(size: SetSize, kind: GarmentKind) -> Vec<(&'static str, Design)> {
     let exercises =
         if size.quick { vec![Exercise::March, Exercise::Squat] } else { Exercise::ALL.to_vec() };
     let one = |exercise| Design { exercises: vec![exercise], ..plain.clone() };
-    vec![
+    let designs = vec![
         ("moves", Design { subjects, exercises, ..plain.clone() }),
         (
             "materials",
@@ -78,8 +80,16 @@ fn designs(size: SetSize, kind: GarmentKind) -> Vec<(&'static str, Design)> {
                 ..one(Exercise::Swing)
             },
         ),
+        (
+            "motions",
+            Design {
+                exercises: if size.quick { Vec::new() } else { Exercise::styled(size.styles) },
+                ..plain.clone()
+            },
+        ),
         ("fits", Design { sizes: sizes.take(few).collect(), ..one(Exercise::March) }),
-    ]
+    ];
+    designs.into_iter().filter(|(_, design)| !design.exercises.is_empty()).collect()
 }
 
 /// Sets with their names, each a store in `out`; missing sequences are simulated.
@@ -120,7 +130,7 @@ fn store(
         "subjects": subjects,
         "sizes": sizes,
         "materials": materials,
-        "exercises": exercises,
+        "exercises": exercises.iter().map(|exercise| exercise.name()).collect::<Vec<_>>(),
         "frames": frames,
         "frame_rate": frame_rate,
         "simulation": format!("{simulation:?}"),
