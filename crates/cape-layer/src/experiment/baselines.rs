@@ -34,6 +34,8 @@ pub struct BaselineErrors {
 pub(super) struct HeldOut<'a> {
     pub(super) known: &'a [usize],
     pub(super) held: &'a [usize],
+    /// True if whole sequences are held out.
+    pub(super) sequences: bool,
 }
 
 impl BaselineErrors {
@@ -180,7 +182,7 @@ mod tests {
         assert!(interpolated(&unposed, &[], &[3]).is_none());
         assert!(same_moment(&unposed, &known, &[7]).is_none(), "only one sequence");
         // A frame is nearest to itself.
-        let frames = HeldOut { known: &[3, 7, 20], held: &[7, 20] };
+        let frames = HeldOut { known: &[3, 7, 20], held: &[7, 20], sequences: false };
         assert_eq!(nearest_poses(&unposed, &frames).unwrap(), [7, 20]);
     }
 }

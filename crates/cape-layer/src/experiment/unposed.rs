@@ -238,7 +238,8 @@ impl<'a> UnposedSet<'a> {
         let split = TrainingOptions { validation: learning.test, ..learning.training.clone() };
         let (known, held) = split.split(frames.len());
         let pick = |of: Vec<usize>| of.into_iter().map(|k| frames[k]).collect::<Vec<_>>();
-        self.trainings(&HeldOut { known: &pick(known), held: &pick(held) }, learning, watch)
+        let (known, held) = (pick(known), pick(held));
+        self.trainings(&HeldOut { known: &known, held: &held, sequences: false }, learning, watch)
     }
 
     /// Trains on all frames of the set, of which a share is for validation. `watch` is called after each
@@ -251,7 +252,7 @@ impl<'a> UnposedSet<'a> {
         learning: &LearningOptions,
         watch: &mut dyn FnMut(Epoch),
     ) -> Result<TrainedModel> {
-        self.learn(&(0..self.set.frames()).collect::<Vec<_>>(), learning, watch)
+        self.learn(&(0..self.set.frames()).collect::<Vec<_>>(), true, learning, watch)
     }
 
     /// Trains on all sequences except those with the indices `held` and measures the error of the
@@ -273,7 +274,7 @@ impl<'a> UnposedSet<'a> {
                 new.len() + known.len()
             )));
         }
-        self.trainings(&HeldOut { known: &known, held: &new }, learning, watch)
+        self.trainings(&HeldOut { known: &known, held: &new, sequences: true }, learning, watch)
     }
 
     /// Predicted clothing of `frames`, metres, `[n_v, 3]` each.
@@ -314,9 +315,12 @@ impl<'a> UnposedSet<'a> {
         Ok(trained_model.pca.decode(codes.view())?)
     }
 
+    /// Trains on some frames; if whole sequences are predicted and there are enough, whole ones are
+    /// validated on.
     fn learn(
         &self,
         frames: &[usize],
+        whole_sequences: bool,
         learning: &LearningOptions,
         watch: &mut dyn FnMut(Epoch),
     ) -> Result<TrainedModel> {
@@ -326,7 +330,7 @@ impl<'a> UnposedSet<'a> {
         sequences.dedup();
         let semantics = self.semantics(&sequences, *semantics)?;
         let mut inputs = self.inputs(features, &semantics)?.select(frames);
-        if sequences.len() >= learning.validated_sequences {
+        if whole_sequences && sequences.len() >= learning.validated_sequences {
             inputs.groups = Some(frames.iter().map(|&frame| each[frame].0).collect());
         }
         let rows = self.rows.select(Axis(0), frames);
@@ -387,7 +391,8 @@ impl<'a> UnposedSet<'a> {
         let held_rows = self.rows.select(Axis(0), frames.held);
         for index in 0..learning.trainings.max(1) {
             let options = learning.with_training(index);
-            let model = self.learn(frames.known, &options, &mut |epoch| watch(index, epoch))?;
+            let model =
+                self.learn(frames.known, frames.sequences, &options, &mut |e| watch(index, e))?;
             let trained: Vec<usize> =
                 model.outcome.training_frames.iter().map(|&k| frames.known[k]).collect();
             let offsets = |of: &[usize]| self.predicted_offsets(&model, features, of);
