@@ -24,7 +24,10 @@ def test_arrays_of_jax(body):
     vertices = body(betas=betas).vertices
     np.testing.assert_array_equal(vertices, body(betas=np.asarray(betas)).vertices)
     given = jax.numpy.from_dlpack(vertices)
-    assert given.unsafe_buffer_pointer() == address(vertices)
+    np.testing.assert_array_equal(given, vertices)
+    # JAX copies what does not lie at a multiple of 64 bytes.
+    if address(vertices) % 64 == 0:
+        assert given.unsafe_buffer_pointer() == address(vertices)
     # Traced arrays have no values.
     with pytest.raises(cape.CapeError, match="betas"):
         jax.jit(lambda betas: body(betas=betas).vertices)(betas)

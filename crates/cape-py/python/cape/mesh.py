@@ -55,7 +55,9 @@ class Mesh:
             channels = [given.get(name) for name in ("red", "green", "blue")]
             colours = None
             if all(channel is not None for channel in channels):
-                colours = np.stack(channels, axis=1) / np.float32(255)
+                # meshio reads bytes of PLY files as numbers with a sign.
+                bytes_ = [np.asarray(channel).astype(np.uint8) for channel in channels]
+                colours = np.stack(bytes_, axis=1) / np.float32(255)
             if "triangle" not in mesh.cells_dict:
                 raise _cape.CapeError(f"mesh: cells {list(mesh.cells_dict)}, expected `triangle`")
             return cls(mesh.points, mesh.cells_dict["triangle"], colours)

@@ -76,7 +76,7 @@ def page(
     """Frame of a page that shows bodies [V, 3] of the same ``faces`` beside each other, at most eight."""
     bodies = bodies[:MOST]
     ends = [(body.min(axis=0), body.max(axis=0)) for body in bodies]
-    gap = 1.1 * max(high[0] - low[0] for low, high in ends)
+    gap = 1.25 * max(high[0] - low[0] for low, high in ends)
     placed = list(bodies)
     if len(bodies) > 1:
         # Each is moved sideways only.
