@@ -278,7 +278,7 @@ impl ExperimentRun<'_> {
         Ok(ExperimentOutcome { results, examples })
     }
 
-    /// A frame and its prediction.
+    /// A frame and its prediction, pushed out of the body.
     fn prediction_example(
         &self,
         regression: &RegressionReport,
@@ -286,8 +286,8 @@ impl ExperimentRun<'_> {
     ) -> Result<[ExampleFrame; 2]> {
         let features = &self.options.features;
         let predicted = self.unposed.predict(&regression.trained_model, features, &[frame])?;
-        let clothing = predicted.into_iter().next();
-        let clothing =
+        let clothing = self.unposed.kept_out(&[frame], predicted)?.into_iter().next();
+        let (clothing, ..) =
             clothing.ok_or_else(|| Error::argument(format!("no prediction of frame {frame}")))?;
         let label = "predicted".to_owned();
         Ok([

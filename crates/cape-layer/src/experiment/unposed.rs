@@ -349,6 +349,26 @@ impl<'a> UnposedSet<'a> {
         SemanticParameters::from_rows(names, rows.select(Axis(0), sequences).view(), most)
     }
 
+    /// Clothing of frames pushed out of their bodies, `[n_v, 3]`, with the shares that were inside, and the
+    /// true clothing, `[n_v, 3]`.
+    pub(super) fn kept_out(
+        &self,
+        frames: &[usize],
+        clothing: Vec<Array2<f64>>,
+    ) -> Result<Vec<(Array2<f64>, InsideShares, ArrayView2<'a, f64>)>> {
+        let (faces, vertices) = (&self.set.faces, self.set.vertices());
+        let clearance = Clearance::new(CLEARANCE, self.model, faces, vertices);
+        let each = self.set.each_frame();
+        let push = |(&index, clothing): (&usize, Array2<f64>)| {
+            let (sequence, frame) = each[index];
+            let sequence = &self.set.sequences[sequence];
+            let body = sequence.body(self.model, frame, &self.standard)?;
+            let (pushed, inside) = clearance.apply(body.posed, clothing.view());
+            Ok((pushed, inside, sequence.clothing.index_axis(Axis(0), frame)))
+        };
+        frames.iter().zip(clothing).map(push).collect()
+    }
+
     /// Shares of the predicted clothing inside the body, and the error once it is pushed out, over at most
     /// [`MEASURED`] of the frames.
     fn pushed_out(
@@ -359,15 +379,10 @@ impl<'a> UnposedSet<'a> {
     ) -> Result<PushedOut> {
         let step = frames.len().div_ceil(MEASURED).max(1);
         let some: Vec<usize> = frames.iter().copied().step_by(step).collect();
-        let clearance = Clearance::new(CLEARANCE, self.model, &self.set.faces, self.set.vertices());
-        let each = self.set.each_frame();
         let (mut shares, mut errors) = (InsideShares::default(), Vec::new());
-        for (&index, clothing) in some.iter().zip(self.predict(model, features, &some)?) {
-            let (sequence, frame) = each[index];
-            let sequence = &self.set.sequences[sequence];
-            let body = sequence.body(self.model, frame, &self.standard)?;
-            let (pushed, inside) = clearance.apply(body.posed, clothing.view());
-            let truth = sequence.clothing.index_axis(Axis(0), frame);
+        for (pushed, inside, truth) in
+            self.kept_out(&some, self.predict(model, features, &some)?)?
+        {
             errors.push(LayerError::between(pushed.view(), truth));
             shares.before += inside.before / some.len() as f64;
             shares.after += inside.after / some.len() as f64;
