@@ -11,7 +11,9 @@ use crate::{
     LayerSet, Pca, Result,
     clearance::CLEARANCE,
     experiment::{LearningOptions, UnposedSet},
-    regress::{FeatureOptions, FeatureStream, Regressor, SemanticParameters, StreamedFrame},
+    regress::{
+        FeatureJoints, FeatureOptions, FeatureStream, Regressor, SemanticParameters, StreamedFrame,
+    },
 };
 use cape_core::expect_finite;
 use cape_core::{BodyMotion, geometry::SurfaceMesh, smpl::StandardPose};
@@ -225,15 +227,15 @@ impl Layer {
     /// Writes the layer as one `.npz` archive, atomically.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let corners: Array1<i64> = self.faces.iter().flatten().map(|&v| i64::from(v)).collect();
-        let joints = cape_core::joints::JOINTS;
-        let FeatureOptions { speed, angles, angular_speeds, smoothing, hands, history } =
+        let standard = self.standard.angles(cape_core::joints::JOINTS);
+        let FeatureOptions { speed, angles, angular_speeds, smoothing, joints, history } =
             self.features;
         let flag = |on: bool| f64::from(u8::from(on));
         let mut file = NpzWriter::create(path)?;
         file.add("faces", &corners)?;
         file.add("indices", &self.association.indices.mapv(i64::from))?;
         file.add("weights", &self.association.weights)?;
-        file.add("standard_pose", &Array1::from_vec(self.standard.angles(joints)))?;
+        file.add("standard_pose", &Array1::from_vec(standard))?;
         file.add("mean", &self.pca.mean)?;
         file.add("components", &self.pca.components)?;
         file.add("explained_variance", &self.pca.variances)?;
@@ -241,7 +243,7 @@ impl Layer {
         file.add("residual", &arr1(&[self.pca.residual]))?;
         let features = [speed, angles, angular_speeds].map(flag).into_iter().chain([
             smoothing,
-            flag(hands),
+            flag(joints == FeatureJoints::All),
             history as f64,
         ]);
         let features: Vec<f64> = features.collect();
@@ -338,7 +340,7 @@ fn features(file: &mut Npz) -> Result<FeatureOptions> {
         angles: on(1),
         angular_speeds: on(2),
         smoothing: numbers[3],
-        hands,
+        joints: if hands { FeatureJoints::All } else { FeatureJoints::WithoutHands },
         history: history as usize,
     })
 }

@@ -124,7 +124,9 @@ fn nearest_poses(set: &UnposedSet<'_>, frames: &HeldOut<'_>) -> Result<Vec<usize
 fn interpolated(set: &UnposedSet<'_>, known: &[usize], held: &[usize]) -> Option<Array2<f64>> {
     let each = set.set().each_frame();
     let mut is_known = vec![false; each.len()];
-    known.iter().for_each(|&frame| is_known[frame] = true);
+    for &frame in known {
+        is_known[frame] = true;
+    }
     let mut rows = Array2::zeros((held.len(), set.rows.ncols()));
     for (&frame, mut row) in held.iter().zip(rows.rows_mut()) {
         let same = |&other: &usize| each[other].0 == each[frame].0;
@@ -144,7 +146,9 @@ fn same_moment(set: &UnposedSet<'_>, known: &[usize], held: &[usize]) -> Option<
     let each = set.set().each_frame();
     let mut motion = vec![0; set.set().sequences.len()];
     for (number, group) in Factor::Motion.groups(set.set()).iter().enumerate() {
-        group.sequences.iter().for_each(|&sequence| motion[sequence] = number);
+        for &sequence in &group.sequences {
+            motion[sequence] = number;
+        }
     }
     let moment = |frame: usize| (motion[each[frame].0], each[frame].1);
     let mut rows = Array2::zeros((held.len(), set.rows.ncols()));
@@ -154,7 +158,9 @@ fn same_moment(set: &UnposedSet<'_>, known: &[usize], held: &[usize]) -> Option<
         if same.is_empty() {
             return None;
         }
-        same.iter().for_each(|&k| row.scaled_add(1.0 / same.len() as f64, &set.rows.row(k)));
+        for &k in &same {
+            row.scaled_add(1.0 / same.len() as f64, &set.rows.row(k));
+        }
     }
     Some(rows)
 }

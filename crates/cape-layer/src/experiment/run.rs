@@ -287,7 +287,7 @@ impl ExperimentRun<'_> {
         let features = &self.options.features;
         let predicted = self.unposed.predict(&regression.trained_model, features, &[frame])?;
         let clothing = self.unposed.kept_out(&[frame], predicted)?.into_iter().next();
-        let (clothing, ..) =
+        let (clothing, _) =
             clothing.ok_or_else(|| Error::argument(format!("no prediction of frame {frame}")))?;
         let label = "predicted".to_owned();
         Ok([

@@ -349,13 +349,12 @@ impl<'a> UnposedSet<'a> {
         SemanticParameters::from_rows(names, rows.select(Axis(0), sequences).view(), most)
     }
 
-    /// Clothing of frames pushed out of their bodies, `[n_v, 3]`, with the shares that were inside, and the
-    /// true clothing, `[n_v, 3]`.
+    /// Clothing of frames pushed out of their bodies, `[n_v, 3]`, with the shares that were inside.
     pub(super) fn kept_out(
         &self,
         frames: &[usize],
         clothing: Vec<Array2<f64>>,
-    ) -> Result<Vec<(Array2<f64>, InsideShares, ArrayView2<'a, f64>)>> {
+    ) -> Result<Vec<(Array2<f64>, InsideShares)>> {
         let (faces, vertices) = (&self.set.faces, self.set.vertices());
         let clearance = Clearance::new(CLEARANCE, self.model, faces, vertices);
         let each = self.set.each_frame();
@@ -363,8 +362,7 @@ impl<'a> UnposedSet<'a> {
             let (sequence, frame) = each[index];
             let sequence = &self.set.sequences[sequence];
             let body = sequence.body(self.model, frame, &self.standard)?;
-            let (pushed, inside) = clearance.apply(body.posed, clothing.view());
-            Ok((pushed, inside, sequence.clothing.index_axis(Axis(0), frame)))
+            Ok(clearance.apply(body.posed, clothing.view()))
         };
         frames.iter().zip(clothing).map(push).collect()
     }
@@ -380,9 +378,11 @@ impl<'a> UnposedSet<'a> {
         let step = frames.len().div_ceil(MEASURED).max(1);
         let some: Vec<usize> = frames.iter().copied().step_by(step).collect();
         let (mut shares, mut errors) = (InsideShares::default(), Vec::new());
-        for (pushed, inside, truth) in
-            self.kept_out(&some, self.predict(model, features, &some)?)?
-        {
+        let each = self.set.each_frame();
+        let pushed = self.kept_out(&some, self.predict(model, features, &some)?)?;
+        for (&index, (pushed, inside)) in some.iter().zip(pushed) {
+            let (sequence, frame) = each[index];
+            let truth = self.set.sequences[sequence].clothing.index_axis(Axis(0), frame);
             errors.push(LayerError::between(pushed.view(), truth));
             shares.before += inside.before / some.len() as f64;
             shares.after += inside.after / some.len() as f64;

@@ -37,8 +37,8 @@ pub struct FeatureOptions {
     /// Standard deviation of the Gaussian that smooths velocities, seconds. Velocities are central
     /// differences of the frames, one-sided at both ends.
     pub smoothing: f64,
-    /// Use the wrists and hands, which no garment of a trunk or of legs follows.
-    pub hands: bool,
+    /// Joints whose rotations are used.
+    pub joints: FeatureJoints,
     /// Number of earlier moments, 0.1 s apart, whose features are used as well: for clothes that swing.
     /// Moments before the first frame have the features of the first.
     pub history: usize,
@@ -51,10 +51,20 @@ impl Default for FeatureOptions {
             angles: true,
             angular_speeds: true,
             smoothing: 0.0,
-            hands: false,
+            joints: FeatureJoints::WithoutHands,
             history: 0,
         }
     }
+}
+
+/// Joints whose rotations are inputs of a regression.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FeatureJoints {
+    /// All joints.
+    All,
+    /// All but wrists and hands, which no garment of a trunk or of legs follows.
+    WithoutHands,
 }
 
 /// Time from one moment of the history to the one before, seconds.
@@ -77,7 +87,7 @@ impl FeatureOptions {
     /// hardly varies in training must not dominate the prediction when it varies later.
     pub fn floors(&self, joints: usize) -> Vec<f64> {
         let [speed, angle, turn] = FLOORS;
-        let turned = 3 * self.joints(joints).filter(|&joint| joint > 0).count();
+        let turned = 3 * self.used_joints(joints).filter(|&joint| joint > 0).count();
         let groups = [
             (self.speed, 3, speed),
             (self.angles, turned + 3, angle),
@@ -92,26 +102,20 @@ impl FeatureOptions {
     }
 
     /// Joints whose rotations are used, of `joints`.
-    fn joints(&self, joints: usize) -> impl Iterator<Item = usize> {
-        let hands = self.hands;
-        (0..joints).filter(move |joint| hands || !HANDS.contains(joint))
-    }
-
-    /// Number of frames from one moment of the history to the one before, at `frame_rate` frames per
-    /// second.
-    fn history_frames(&self, frame_rate: f64) -> usize {
-        (HISTORY_STEP * frame_rate).round().max(1.0) as usize
+    fn used_joints(&self, joints: usize) -> impl Iterator<Item = usize> {
+        let all = self.joints == FeatureJoints::All;
+        (0..joints).filter(move |joint| all || !HANDS.contains(joint))
     }
 
     /// Number of earlier frames that the features of a frame depend on, apart from those of velocities.
     pub(super) fn reach_back(&self, frame_rate: f64) -> usize {
-        self.history * self.history_frames(frame_rate)
+        self.history * history_frames(frame_rate)
     }
 
     /// Features of each frame, `[frames, len]`.
     pub fn rows(&self, motion: &BodyMotion) -> Array2<f64> {
         let moments = self.moments(motion);
-        let step = self.history_frames(motion.frame_rate);
+        let step = history_frames(motion.frame_rate);
         let (frames, own) = moments.dim();
         Array2::from_shape_fn((frames, own * (1 + self.history)), |(frame, k)| {
             moments[(frame.saturating_sub(k / own * step), k % own)]
@@ -121,7 +125,7 @@ impl FeatureOptions {
     /// Features of each frame without history.
     fn moments(&self, motion: &BodyMotion) -> Array2<f64> {
         let (frames, numbers) = motion.poses.dim();
-        let used: Vec<usize> = self.joints(numbers / 3).collect();
+        let used: Vec<usize> = self.used_joints(numbers / 3).collect();
         let smooth = |values: Array2<f64>| smoothed(&values, self.smoothing * motion.frame_rate);
         let speeds = smooth(differences(motion.translations.view(), motion.frame_rate));
         let turns = smooth(turns(motion));
@@ -147,6 +151,11 @@ impl FeatureOptions {
         let columns = rows.len().checked_div(frames).unwrap_or(0);
         Array2::from_shape_fn((frames, columns), |(frame, k)| rows[frame * columns + k])
     }
+}
+
+/// Number of frames from one moment of the history to the one before, at `frame_rate` frames per second.
+fn history_frames(frame_rate: f64) -> usize {
+    (HISTORY_STEP * frame_rate).round().max(1.0) as usize
 }
 
 /// Angular velocities of the joints, each in its own frame, rad/s, `[frames, 3 · joints]`.

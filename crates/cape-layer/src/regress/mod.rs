@@ -13,7 +13,7 @@ mod stream;
 mod tests;
 mod training;
 
-pub use features::FeatureOptions;
+pub use features::{FeatureJoints, FeatureOptions};
 pub use network::Network;
 pub use regressor::Regressor;
 pub use semantics::SemanticParameters;
