@@ -59,25 +59,28 @@ def pixels(png):
         if kind == b"IDAT":
             data += content
         at += length + 12
-    rows = np.frombuffer(zlib.decompress(data), np.uint8).reshape(height, 1 + width * channels)
-    image = np.zeros((height + 1, width + 1, channels), np.int64)
-    for y, row in enumerate(rows):
-        line = row[1:].reshape(width, channels).astype(np.int64)
-        above, kind = image[y, 1:], row[0]
-        if kind == 2:
-            line = line + above
-        elif kind != 0:
-            before, corner = np.zeros(channels, np.int64), np.zeros(channels, np.int64)
-            for x in range(width):
-                if kind == 1:
-                    guess = before
-                elif kind == 3:
-                    guess = (before + above[x]) // 2
-                else:
-                    p = before + above[x] - corner
-                    a, b, c = abs(p - before), abs(p - above[x]), abs(p - corner)
-                    guess = np.where((a <= b) & (a <= c), before, np.where(b <= c, above[x], corner))
-                line[x] = before = (line[x] + guess) % 256
-                corner = above[x]
-        image[y + 1, 1:] = line % 256
-    return image[1:, 1:, :3].astype(np.uint8)
+    data, width = zlib.decompress(data), width * channels
+    image, above = np.empty((height, width), np.uint8), bytearray(width)
+    for y in range(height):
+        start = y * (width + 1)
+        above = unfiltered(data[start], bytearray(data[start + 1 : start + 1 + width]), above, channels)
+        image[y] = above
+    return image.reshape(height, -1, channels)[:, :, :3]
+
+
+def unfiltered(kind, line, above, step):
+    """Bytes of a row from the differences of a filter."""
+    if kind == 2:
+        return bytearray((a + b) & 255 for a, b in zip(line, above))
+    for i in range(len(line) if kind else 0):
+        before, corner = (line[i - step], above[i - step]) if i >= step else (0, 0)
+        if kind == 1:
+            guess = before
+        elif kind == 3:
+            guess = (before + above[i]) >> 1
+        else:
+            p = before + above[i] - corner
+            a, b, c = abs(p - before), abs(p - above[i]), abs(p - corner)
+            guess = before if a <= b and a <= c else above[i] if b <= c else corner
+        line[i] = (line[i] + guess) & 255
+    return line
