@@ -51,6 +51,7 @@ FUNCTIONS = {
     "layer associate": cape.layer.associate,
     "layer learn": cape.layer.learn,
     "layer predict": cape.layer.predict,
+    "layer transfer": cape.layer.transfer,
     "layer report": cape.layer.report,
     "train": cape.train,
 }
@@ -328,6 +329,8 @@ def test_a_layer_is_simulated_learned_and_predicted(tmp_path):
     np.testing.assert_array_equal(kept.vertices, moving.vertices)
     with pytest.raises(cape.CapeError, match="colour"):
         cape.layer.predict(layer, parameters={"colour": 2.0})
+    worn = cape.layer.transfer(tmp_path / "skirt", betas=[2.0, -1.0])
+    assert worn.vertices.shape[1:] == moving.vertices.shape[1:] and worn.parameters == {}
 
 
 def test_the_viewer_serves_its_page(tmp_path):

@@ -26,7 +26,7 @@ Garment = Literal["tshirt", "shorts", "skirt", "dress"]
 Gender = Literal["male", "female", "neutral"]
 Standard = Literal["a-pose", "t-pose"]
 
-__all__ = ["LayerMotion", "associate", "import_", "learn", "predict", "report", "synth"]
+__all__ = ["LayerMotion", "associate", "import_", "learn", "predict", "report", "synth", "transfer"]
 
 #: Frames that a notebook shows.
 _SHOWN = 6
@@ -71,6 +71,7 @@ def synth(
     steps: int = 20,
     resolution: float = 25.0,
     exercises: Sequence[str] | None = None,
+    styles: int | None = None,
     subjects: Sequence[float] = (0.0,),
     lengths: Sequence[float] = (1.0,),
     widths: Sequence[float] = (1.0,),
@@ -86,10 +87,10 @@ def synth(
     """Simulate a garment over moving bodies, in all combinations of the given values; resumes.
 
     ``frames`` of a sequence at ``fps`` per second with ``steps`` of the simulation in each;
-    ``resolution``, edges of the garment, mm; ``exercises``, all if left out; ``subjects``, first shape
-    coefficients; ``lengths``, ``widths`` and ``sleeves`` relative to the garment's; ``stiffness``,
-    ``bending``, ``masses``, ``damping`` and ``friction`` relative to cotton shirting; ``with_body`` appends
-    the body's vertices to the meshes.
+    ``resolution``, edges of the garment, mm; ``exercises``, all if left out, or all synthetic motions in a
+    number of random ``styles``; ``subjects``, first shape coefficients; ``lengths``, ``widths`` and
+    ``sleeves`` relative to the garment's; ``stiffness``, ``bending``, ``masses``, ``damping`` and
+    ``friction`` relative to cotton shirting; ``with_body`` appends the body's vertices to the meshes.
     """
     return _program.run("layer synth", locals())
 
@@ -158,20 +159,25 @@ def learn(
     support: float = 30.0,
     frame: int = 0,
     standard: Standard = "a-pose",
-    components: int = 40,
-    patience: int = 0,
-    copies: int = 0,
-    noise: float = 0.05,
+    components: int | None = None,
+    patience: int | None = None,
+    copies: int = 8,
+    noise: float = 0.1,
+    decay: float = 0.0,
     reduce: int = 4,
     smoothing: float = 0.0,
+    history: int = 0,
     seed: int | None = None,
     threads: int | None = None,
 ) -> Report:
     """Learn ``components`` of a set of sequences and their regression; writes ``layer.npz`` to ``out``.
 
-    The association is that of :func:`associate`. ``patience``, rises of the validation error before
-    training stops; ``copies`` of the frames with ``noise`` on semantic parameters, relative to their
-    deviation; ``reduce``, dimension of the parameters; ``smoothing`` of speeds, seconds.
+    The association is that of :func:`associate`. ``components``, 40 for one sequence and 100 for several if
+    left out; ``patience``, rises of the validation error before training stops, otherwise the best of all
+    iterations is kept; ``copies`` of the frames with ``noise`` on semantic parameters, relative to their
+    deviation; ``decay``, weight of the network's mean squared parameters; ``reduce``, dimension of the
+    semantic parameters; ``smoothing`` of speeds, seconds; ``history``, earlier moments, 0.1 s apart, that the
+    prediction depends on.
     """
     return _program.run("layer learn", locals(), "set")
 
@@ -189,6 +195,7 @@ def predict(
     person: str | None = None,
     betas: Sequence[float] | None = None,
     parameters: Mapping[str, float] | None = None,
+    clearance: float = 2.0,
     format: Literal["ply", "obj"] = "ply",
     threads: int | None = None,
 ) -> LayerMotion:
@@ -196,16 +203,47 @@ def predict(
 
     ``motion`` is the name of a synthetic one, of ``seconds``, or a file, with its ``up`` axis and
     ``person``; ``fps``, frames per second; ``betas``, shape coefficients; ``parameters``, semantic ones by
-    name, the others at their mean. Meshes are kept in ``out`` if it is given, in ``format``.
+    name, the others at their mean; ``clearance``, least distance from the body, mm. Meshes are kept in
+    ``out`` if it is given, in ``format``.
     """
-    given: dict[str, Any] = dict(locals())
+    return _motion("layer predict", locals(), "layer", "predicted.png")
+
+
+def transfer(
+    set: PathLike,
+    out: PathLike | None = None,
+    *,
+    body: PathLike | None = None,
+    gender: Gender | None = None,
+    sequence: str | None = None,
+    betas: Sequence[float] | None = None,
+    neighbours: int = 4,
+    sigma: float = 10.0,
+    support: float = 30.0,
+    frame: int = 0,
+    standard: Standard = "a-pose",
+    clearance: float = 2.0,
+    format: Literal["ply", "obj"] = "ply",
+    threads: int | None = None,
+) -> LayerMotion:
+    """Put the captured clothing of a ``sequence``, the first if left out, on a body with other ``betas``.
+
+    The association is that of :func:`associate`; ``clearance``, least distance from the body, mm. Meshes are
+    kept in ``out`` if it is given, in ``format``.
+    """
+    return _motion("layer transfer", locals(), "set", "transferred.png")
+
+
+def _motion(command: str, given: Mapping[str, Any], source: str, picture: str) -> LayerMotion:
+    """Clothing that a command writes frame by frame."""
     with tempfile.TemporaryDirectory() as place:
-        folder = Path(place) / "predicted" if out is None else Path(out)
-        found = _program.run("layer predict", {**given, "out": folder}, "layer")
-        meshes = [_cape.load_mesh(path) for path in sorted(folder.glob(f"frame-*.{format}"))]
-        picture = (folder / "predicted.png").read_bytes()
+        folder = Path(place) / "frames" if given["out"] is None else Path(given["out"])
+        found = _program.run(command, {**given, "out": folder}, source)
+        frames = sorted(folder.glob(f"frame-*.{given['format']}"))
+        meshes = [_cape.load_mesh(path) for path in frames]
+        shown = (folder / picture).read_bytes()
     vertices = np.stack([vertices for vertices, _ in meshes])
-    return LayerMotion(vertices, meshes[0][1], dict(found["parameters"]), picture)
+    return LayerMotion(vertices, meshes[0][1], dict(found.get("parameters", ())), shown)
 
 
 def report(
@@ -216,6 +254,8 @@ def report(
     garment: Garment | None = None,
     frames: int | None = None,
     resolution: float | None = None,
+    styles: int | None = None,
+    trainings: int | None = None,
     body: PathLike | None = None,
     gender: Gender | None = None,
     cape: Model | PathLike | None = None,
@@ -225,19 +265,22 @@ def report(
     support: float = 30.0,
     frame: int = 0,
     standard: Standard = "a-pose",
-    components: int = 40,
-    patience: int = 0,
-    copies: int = 0,
-    noise: float = 0.05,
+    components: int | None = None,
+    patience: int | None = None,
+    copies: int = 8,
+    noise: float = 0.1,
+    decay: float = 0.0,
     reduce: int = 4,
     smoothing: float = 0.0,
+    history: int = 0,
     seed: int | None = None,
     threads: int | None = None,
 ) -> Report:
     """The experiments of the paper on ``sets`` or, without any, on a simulated garment; resumes.
 
     ``quick`` simulates few short sequences, otherwise ``garment``, ``frames`` of a sequence and
-    ``resolution``, mm; ``cape``, a run to compare with on the test frames of ``data``; ``overwrite``
+    ``resolution``, mm, and random ``styles`` of motions; ``trainings`` whose errors are averaged; ``cape``,
+    a run to compare with on the test frames of ``data``; ``overwrite``
     discards results of other settings. The others are those of :func:`learn`.
     """
     given = dict(locals())
