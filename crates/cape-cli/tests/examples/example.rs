@@ -37,7 +37,7 @@ const SHORT: [(&str, &[(&str, &str)]); 16] = [
     ("model pyramid", &[("--factors", "2")]),
     ("layer learn", &[("--components", "2")]),
     ("layer predict", &[("--seconds", "0.1")]),
-    ("layer report", &[("--components", "2")]),
+    ("layer report", &[("--components", "2"), ("--trainings", "1")]),
     ("study make", &[("--poses", "3"), ("--a-pose", "2"), ("--matched", "1"), ("--trials", "4")]),
 ];
 
@@ -62,7 +62,7 @@ const NOT_RUN: [(&str, &str); 19] = [
     ("--find-rate", "trains many steps; tests/cli/trials.rs runs it"),
     ("cape table2 --quick", "simulates and trains for minutes"),
     ("cape layer report --quick", "simulates for a minute; reports on sets are run"),
-    ("layer report --body sculpted --frames", "simulates for minutes; reports on sets are run"),
+    ("layer report --frames", "simulates for minutes; reports on sets are run"),
     ("release --preset female", "the sandbox has the release's male subjects only"),
     ("data/cape --preset female", "the sandbox has the release's male subjects only"),
 ];
