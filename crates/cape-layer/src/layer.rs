@@ -31,7 +31,7 @@ const MOST_HISTORY: f64 = 100.0;
 ///
 /// // A coarse skirt in twelve frames of a march.
 /// let body = synthetic_body();
-/// let skirt = Garment { resolution: 0.06, ..Garment::new(GarmentKind::Skirt) };
+/// let skirt = Garment { resolution: 0.05, ..Garment::new(GarmentKind::Skirt) };
 /// let design = Design { exercises: vec![Exercise::March], frames: 12, ..Design::new(skirt) };
 /// let set = design.set(&body, &|_, _| {})?;
 /// // Learn it, and predict it over the same motion.
