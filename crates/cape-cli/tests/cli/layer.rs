@@ -73,6 +73,7 @@ fn a_captured_skirt_is_worn_by_another_body() {
     // The wearer's own shape gives the capture back.
     let report = transfer("--clearance 0", "same").json();
     assert_eq!((&report["sequence"], &report["frames"]), (&sequence.name.into(), &8.into()));
+    assert!(report["inside"].is_null(), "nothing was pushed out: {report}");
     let farthest = |out: &str| {
         let worn = Mesh::load(at(&format!("{out}/frame-00003.ply"))).unwrap().vertices;
         let captured = sequence.clothing.index_axis(Axis(0), 3);

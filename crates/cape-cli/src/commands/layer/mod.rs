@@ -2,6 +2,7 @@
 
 mod associate;
 mod association;
+mod clearance;
 mod import;
 mod learn;
 mod motions;
@@ -15,8 +16,7 @@ use clap::Subcommand;
 
 use crate::{console::Console, error::Result, options::GlobalArgs};
 
-/// Model skirts, dresses, T-shirts: synth, import, associate, learn, predict, transfer,
-/// report.
+/// Model skirts, dresses, T-shirts: synth, import, associate, learn, predict, transfer, report.
 ///
 /// Clothing of its own topology over a moving body (Yang et al., ECCV 2018): simulated or imported
 /// sequences are associated with the body, unposed, compressed by principal components and predicted

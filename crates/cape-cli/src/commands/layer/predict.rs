@@ -7,6 +7,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{
+    clearance::{ClearanceArgs, InsideSum, inside_text},
     motions::MotionFrames,
     named,
     pictures::{PictureCamera, mesh_of},
@@ -17,7 +18,7 @@ use crate::{
     error::{Error, Result},
     files,
     motion_source::{MotionFileArgs, shape_of},
-    options::{FileKind, OutputArgs, ShapeArgs, kinds, non_negative, positive},
+    options::{FileKind, OutputArgs, ShapeArgs, kinds, positive},
 };
 
 /// Largest number of frames in the picture.
@@ -62,9 +63,8 @@ pub(crate) struct PredictArgs {
     /// Semantic parameters by name; the others have the mean of the training sequences.
     #[arg(long, value_delimiter = ',', value_name = "NAME=X,…", value_parser = named)]
     parameters: Vec<(String, f64)>,
-    /// Least distance of the clothing from the body, mm; 0 leaves it where it is predicted.
-    #[arg(long, default_value_t = 2.0, value_name = "MM", value_parser = non_negative)]
-    clearance: f64,
+    #[command(flatten)]
+    clearance: ClearanceArgs,
     /// File format.
     #[arg(long, default_value = "ply", value_name = "FORMAT", value_parser = kinds([FileKind::Ply, FileKind::Obj]))]
     format: FileKind,
@@ -77,8 +77,8 @@ struct Report {
     /// Semantic parameters.
     parameters: Vec<(String, f64)>,
     /// Shares of the clothing vertices inside the body before and after they are pushed out, means over
-    /// the frames.
-    inside: InsideShares,
+    /// the frames, if they are.
+    inside: Option<InsideShares>,
 }
 
 impl PredictArgs {
@@ -103,9 +103,9 @@ impl PredictArgs {
         let parameters = layer.semantics.with_wearer(&self.parameters, &betas)?;
         let total = frames.count;
         let mut stream = layer.stream(&model, &shape, frames.rate, &parameters)?;
-        stream = stream.with_clearance((self.clearance > 0.0).then_some(1e-3 * self.clearance));
+        stream = stream.with_clearance(self.clearance.distance());
         let mut gallery = FrameSampler::default();
-        let mut inside = InsideShares::default();
+        let mut inside = InsideSum::default();
         files::create_dir(&out)?;
         console.while_showing("predict", "frames", |progress| {
             loop {
@@ -124,8 +124,7 @@ impl PredictArgs {
                 let frame = predicted.frame;
                 mesh.save(out.join(format!("frame-{frame:05}.{extension}")))?;
                 if let Some(shares) = predicted.inside {
-                    inside.before += shares.before;
-                    inside.after += shares.after;
+                    inside.push(shares);
                 }
                 gallery.push(&predicted, mesh, &model.faces);
                 progress(frame + 1, total.unwrap_or(frame + 1));
@@ -134,16 +133,10 @@ impl PredictArgs {
         gallery.save(&out.join("predicted.png"))?;
         let names = layer.semantics.names().iter().cloned();
         let parameters = names.zip(parameters).collect();
-        let mean = |sum: f64| sum / gallery.seen.max(1) as f64;
-        let inside = InsideShares { before: mean(inside.before), after: mean(inside.after) };
+        let inside = inside.means();
         let report = Report { frames: gallery.seen, parameters, inside, out };
         console.result(&report, || {
-            let [before, after] = [inside.before, inside.after].map(|share| 100.0 * share);
-            let pushed = if self.clearance > 0.0 {
-                format!("clothing inside the body: {before:.2} %, after it was pushed out {after:.2} %\n")
-            } else {
-                String::new()
-            };
+            let pushed = inside_text(inside);
             let picture = report.out.join("predicted.png");
             format!("{} frames\n{pushed}{}", report.frames, picture.display())
         })
@@ -155,7 +148,7 @@ impl PredictArgs {
 pub(super) struct FrameSampler {
     kept: Vec<(usize, Mesh, Mesh)>,
     stride: usize,
-    pub(super) seen: usize,
+    seen: usize,
 }
 
 impl FrameSampler {

@@ -5,13 +5,18 @@ use clap::Args;
 use ndarray::Axis;
 use serde::Serialize;
 
-use super::{association::AssociationArgs, pictures::mesh_of, predict::FrameSampler};
+use super::{
+    association::AssociationArgs,
+    clearance::{ClearanceArgs, InsideSum, inside_text},
+    pictures::mesh_of,
+    predict::FrameSampler,
+};
 use crate::{
     body_source::BodyModelArgs,
     console::Console,
     error::{Error, Result},
     files,
-    options::{FileKind, OutputArgs, ShapeArgs, kinds, non_negative},
+    options::{FileKind, OutputArgs, ShapeArgs, kinds},
 };
 
 /// Put captured clothing on a body of another shape.
@@ -36,9 +41,8 @@ pub(crate) struct TransferArgs {
     shape: ShapeArgs,
     #[command(flatten)]
     association_args: AssociationArgs,
-    /// Least distance of the clothing from the body, mm; 0 leaves it where the offsets put it.
-    #[arg(long, default_value_t = 2.0, value_name = "MM", value_parser = non_negative)]
-    clearance: f64,
+    #[command(flatten)]
+    clearance: ClearanceArgs,
     /// File format.
     #[arg(long, default_value = "ply", value_name = "FORMAT", value_parser = kinds([FileKind::Ply, FileKind::Obj]))]
     format: FileKind,
@@ -52,8 +56,8 @@ struct Report {
     /// Shape coefficients of the new wearer.
     betas: Vec<f64>,
     /// Shares of the clothing vertices inside the body before and after they are pushed out, means over
-    /// the frames.
-    inside: InsideShares,
+    /// the frames, if they are.
+    inside: Option<InsideShares>,
 }
 
 impl TransferArgs {
@@ -70,10 +74,10 @@ impl TransferArgs {
         let association = self.association_args.associate(&model, &set, console)?.association;
         let standard = self.association_args.standard();
         let wearer = Sequence { betas: betas.clone(), ..sequence.clone() };
-        let clearance = (self.clearance > 0.0)
-            .then(|| Clearance::new(1e-3 * self.clearance, &model, &set.faces, set.vertices()));
+        let distance = self.clearance.distance();
+        let clearance = distance.map(|d| Clearance::new(d, &model, &set.faces, set.vertices()));
         let frames = sequence.frames();
-        let mut inside = InsideShares::default();
+        let mut inside = InsideSum::default();
         let mut gallery = FrameSampler::default();
         files::create_dir(&out)?;
         console.while_showing("transfer", "frames", |progress| {
@@ -85,8 +89,7 @@ impl TransferArgs {
                 if let Some(clearance) = &clearance {
                     let (pushed, shares) = clearance.apply(body.posed.clone(), clothing.view());
                     clothing = pushed;
-                    inside.before += shares.before / frames as f64;
-                    inside.after += shares.after / frames as f64;
+                    inside.push(shares);
                 }
                 let worn = PredictedFrame { frame, body, clothing, inside: None };
                 let mesh = mesh_of(worn.clothing.view(), &set.faces);
@@ -98,14 +101,10 @@ impl TransferArgs {
         })?;
         let picture = out.join("transferred.png");
         gallery.save(&picture)?;
+        let inside = inside.means();
         let report = Report { out, sequence: sequence.name.clone(), frames, betas, inside };
         console.result(&report, || {
-            let [before, after] = [inside.before, inside.after].map(|share| 100.0 * share);
-            format!(
-                "{frames} frames\nclothing inside the body: {before:.2} %, after it was pushed out \
-                 {after:.2} %\n{}",
-                picture.display()
-            )
+            format!("{frames} frames\n{}{}", inside_text(inside), picture.display())
         })
     }
 

@@ -30,7 +30,7 @@ const MOTION: (f64, f64) = (2.0, 15.0);
 const SCRIPT: &str = "<script type=\"module\" src=\"main.js\"></script>";
 const SCRIPTS: &str = "<script defer src=\"model.js\"></script>\n  <script defer src=\"worker.js\"></script>\n  \
                        <script defer src=\"viewer.js\"></script>";
-/// What the page cannot do without the program, for its help.
+/// Abilities of `cape view` that the folder lacks, for the page's help.
 const NOTES: [&str; 3] = [
     "This page computes everything itself, also without a network.",
     "cape view also shows held-out registrations beside their reconstruction, and samples from a kernel \
