@@ -55,12 +55,12 @@ impl OutfitCut {
         let mut between = |low: f64, high: f64| rng.random_range(low..high);
         let lower = Garment {
             length: if lengths.long_legs { between(1.7, 1.9) } else { between(0.6, 0.95) },
-            width: between(1.08, 1.18),
+            width: between(1.05, 1.12),
             ..Garment::new(GarmentKind::Shorts)
         };
         let upper = Garment {
             length: between(1.0, 1.2),
-            width: lower.width + between(LAYERS, LAYERS + 0.13),
+            width: lower.width + between(LAYERS, LAYERS + 0.08),
             sleeve: if lengths.long_sleeves { between(1.65, 1.85) } else { between(0.45, 0.8) },
             ..Garment::new(GarmentKind::TShirt)
         };

@@ -144,7 +144,7 @@ fn check(run: &Run, state: &Value, layers: &Value) -> [f64; 2] {
 #[test]
 fn a_folder_opened_as_a_file_dresses_bodies_as_the_program_does() {
     let Some(browser) = Browser::find() else { return };
-    let run = cape::weights::pretrained(&Device::default()).unwrap();
+    let run = cape_weights::pretrained(&Device::default()).unwrap();
     let mut live = Live::open(&browser, &file_url(site()), WIDE);
     let start = live.evaluate("cape.ready.then(() => performance.now())");
     println!("ready after {start} ms");
@@ -277,7 +277,7 @@ fn a_damaged_model_is_said_on_the_page() {
 #[test]
 fn firefox_dresses_bodies_as_the_program_does() {
     let Some(mut page) = FirefoxPage::open(&file_url(site())) else { return };
-    let run = cape::weights::pretrained(&Device::default()).unwrap();
+    let run = cape_weights::pretrained(&Device::default()).unwrap();
     page.evaluate("cape.ready");
     for control in ["", "sample", "outfit-shortlong"] {
         if !control.is_empty() {
