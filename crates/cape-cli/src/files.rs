@@ -2,12 +2,13 @@
 
 use std::{fs, io::Write, path::Path};
 
-use cape_core::write_atomically;
+use cape_core::{is_temporary, write_atomically};
 use serde::Serialize;
 
 use crate::error::{Error, Result};
 
-/// Returns an error unless `path` is missing or an empty directory.
+/// Returns an error unless `path` is missing or an empty directory, but for lock files and what a killed
+/// process had not finished.
 pub(crate) fn require_empty(path: &Path) -> Result {
     require_empty_as(path, "--out")
 }
@@ -16,7 +17,8 @@ pub(crate) fn require_empty(path: &Path) -> Result {
 pub(crate) fn require_empty_as(path: &Path, option: &str) -> Result {
     let Ok(metadata) = fs::metadata(path) else { return Ok(()) };
     let occupied = if metadata.is_dir() {
-        fs::read_dir(path).map_err(|error| Error::io(path, error))?.next().is_some()
+        let entries = fs::read_dir(path).map_err(|error| Error::io(path, error))?;
+        entries.flatten().any(|entry| !is_temporary(&entry.file_name().to_string_lossy()))
     } else {
         true
     };

@@ -39,6 +39,18 @@ pub(crate) fn run(
     Ok(outcome?)
 }
 
+/// Names the checkpoints that were passed over in resuming.
+pub(crate) fn note_damage(trainer: &Trainer, console: Console) {
+    for damaged in trainer.damaged_checkpoints() {
+        console.note(&format!(
+            "{}; kept as {}, resumes from step {}",
+            damaged.reason,
+            damaged.path.display(),
+            trainer.step()
+        ));
+    }
+}
+
 /// Pictures of frames and their reconstructions on the rest body. A picture that cannot be drawn is
 /// left out, so that training continues.
 fn preview_fn(body: Mesh) -> PreviewFn {

@@ -26,7 +26,6 @@
 //!   many stores can be checked before the first is touched.
 
 mod hash;
-mod lock;
 mod settings;
 
 use std::{
@@ -37,11 +36,11 @@ use std::{
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
+use cape_core::{DirectoryLock, is_temporary};
 use cape_infer::write_json;
 use serde::{Serialize, de::DeserializeOwned};
 
 pub use hash::{sha256, sha256_of_files};
-pub use lock::StoreLock;
 pub use settings::{StoreSettings, packed_set_sha256};
 
 use crate::{Error, Result};
@@ -212,9 +211,39 @@ impl ResultStore {
 
     /// Locks the directory against other processes until the lock is dropped; `None` if another one
     /// has it.
-    pub fn try_lock(&self) -> Result<Option<StoreLock>> {
+    ///
+    /// ```
+    /// use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
+    ///
+    /// let directory = tempfile::tempdir()?;
+    /// let open = || {
+    ///     let settings = StoreSettings::new("fits", &())?;
+    ///     ResultStore::open(directory.path(), settings, StoreOptions::default())
+    /// };
+    /// let (one, other) = (open()?, open()?);
+    /// let lock = one.try_lock()?;
+    /// assert!(lock.is_some() && other.try_lock()?.is_none());
+    /// one.write("fit-1.json", &0.25)?;
+    /// drop(lock);
+    /// // The other one sees what was written in the meantime.
+    /// assert!(other.try_lock()?.is_some());
+    /// assert_eq!(other.read("fit-1.json")?, Some(0.25));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn try_lock(&self) -> Result<Option<DirectoryLock>> {
         create_dir(&self.root)?;
-        let lock = StoreLock::acquire(&self.root)?;
+        let lock = DirectoryLock::try_acquire(&self.root)?;
+        self.refresh()?;
+        Ok(lock)
+    }
+
+    /// Locks the directory against other processes until the lock is dropped.
+    ///
+    /// # Errors
+    /// If another process has it.
+    pub fn lock(&self) -> Result<DirectoryLock> {
+        create_dir(&self.root)?;
+        let lock = DirectoryLock::acquire(&self.root)?;
         self.refresh()?;
         Ok(lock)
     }
@@ -375,11 +404,6 @@ fn names(directory: &Path) -> Result<Vec<String>> {
     let mut names = entries.map(name).collect::<Result<Vec<_>>>()?;
     names.sort_unstable();
     Ok(names)
-}
-
-/// True for a lock, and for what an interrupted atomic write leaves behind.
-fn is_temporary(name: &str) -> bool {
-    name == lock::LOCK || name.strip_prefix(".cape-").is_some_and(|rest| rest.contains(".tmp"))
 }
 
 /// True for a relative path without `..`.

@@ -2,10 +2,11 @@
 
 use std::{
     fs,
-    io::Write,
+    io::{ErrorKind, Write},
     path::{Path, PathBuf},
 };
 
+use cape_core::sha256_of_file;
 use cape_model::weights::{self, Weights};
 use serde::{Deserialize, Serialize};
 
@@ -18,8 +19,11 @@ const DISCRIMINATOR_MOMENTUM: &str = "discriminator_momentum.safetensors";
 /// File of the averaged weights of the generator, if the run averages them.
 const AVERAGE: &str = "generator_average.safetensors";
 const STATE: &str = "state.json";
+/// SHA-256 of the other files, as `sha256sum` writes and checks them.
+const SUMS: &str = "SHA256SUMS";
 const PREFIX: &str = "step-";
 const PARTIAL: &str = ".partial-";
+const DAMAGED: &str = "damaged-";
 
 /// State of a training besides its weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -99,9 +103,7 @@ impl Checkpoint {
         let partial = directory.join(format!("{PARTIAL}{name}"));
         let path = directory.join(&name);
         fs::create_dir_all(directory).map_err(io(directory))?;
-        if partial.exists() {
-            fs::remove_dir_all(&partial).map_err(io(&partial))?;
-        }
+        remove_partial(directory)?;
         fs::create_dir(&partial).map_err(io(&partial))?;
         let written = self.write_into(&partial);
         if let Err(error) = written {
@@ -126,28 +128,136 @@ impl Checkpoint {
         let path = directory.join(STATE);
         let state = serde_json::to_vec_pretty(&self.progress)
             .map_err(|error| Error::format(&path, error.to_string()))?;
-        Ok(cape_core::write_atomically(&path, |file| file.write_all(&state))?)
+        cape_core::write_atomically(&path, |file| file.write_all(&state))?;
+        let average = self.average.is_some().then_some(AVERAGE);
+        let names = [MODEL, GENERATOR_MOMENTUM, DISCRIMINATOR_MOMENTUM, STATE];
+        let sum = |name| Ok(format!("{}  {name}\n", sha256_of_file(directory.join(name))?));
+        let sums = names.into_iter().chain(average).map(sum).collect::<Result<String>>()?;
+        let path = directory.join(SUMS);
+        Ok(cape_core::write_atomically(path, |file| file.write_all(sums.as_bytes()))?)
     }
 
     /// Reads a checkpoint directory.
+    ///
+    /// # Errors
+    /// If a file is missing or malformed, or does not have the SHA-256 that it was written with.
     pub fn load(path: &Path) -> Result<Self> {
         Ok(Self {
             progress: load_progress(path)?,
-            model: weights::load(path.join(MODEL))?,
-            generator_momentum: weights::load(path.join(GENERATOR_MOMENTUM))?,
-            discriminator_momentum: weights::load(path.join(DISCRIMINATOR_MOMENTUM))?,
+            model: load_file(path, MODEL)?,
+            generator_momentum: load_file(path, GENERATOR_MOMENTUM)?,
+            discriminator_momentum: load_file(path, DISCRIMINATOR_MOMENTUM)?,
             average: load_average(path)?,
         })
     }
+
+    /// Reads the newest checkpoint of a run that can be read; `None` if there is none at all. Newer ones,
+    /// which are damaged, are renamed to `damaged-step-N`, so that training can go on from this one.
+    ///
+    /// # Errors
+    /// If all checkpoints are damaged, or one cannot be opened or renamed.
+    pub fn load_newest(directory: &Path) -> Result<(Option<Self>, Vec<DamagedCheckpoint>)> {
+        let (mut damaged, mut found) = (Vec::new(), None);
+        for (_, path) in list(directory)?.into_iter().rev() {
+            match Self::load(&path) {
+                Ok(checkpoint) => {
+                    found = Some(checkpoint);
+                    break;
+                }
+                Err(error) if is_damage(&error) => damaged.push((path, error)),
+                Err(error) => return Err(error),
+            }
+        }
+        if found.is_none()
+            && let Some((_, newest)) = damaged.first()
+        {
+            return Err(Error::data(format!(
+                "{newest}; no other checkpoint of the run can be read: remove {} to start over",
+                directory.display()
+            )));
+        }
+        let damaged = damaged.iter().map(|(path, error)| set_aside(path, error));
+        Ok((found, damaged.collect::<Result<_>>()?))
+    }
 }
 
-fn load_average(path: &Path) -> Result<Option<Weights>> {
-    let path = path.join(AVERAGE);
-    Ok(if path.exists() { Some(weights::load(&path)?) } else { None })
+/// A checkpoint that cannot be read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DamagedCheckpoint {
+    /// Directory that it was renamed to.
+    pub path: PathBuf,
+    /// File and fault.
+    pub reason: String,
+}
+
+/// Renames a damaged checkpoint, so that it counts no more.
+fn set_aside(path: &Path, error: &Error) -> Result<DamagedCheckpoint> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let place = |number: usize| match number {
+        1 => path.with_file_name(format!("{DAMAGED}{name}")),
+        _ => path.with_file_name(format!("{DAMAGED}{name}-{number}")),
+    };
+    let free = (1..1000).map(place).find(|place| !place.exists()).unwrap_or_else(|| place(1));
+    fs::rename(path, &free).map_err(|source| Error::io(path, source))?;
+    Ok(DamagedCheckpoint { path: free, reason: error.to_string() })
+}
+
+/// True for what a damaged file causes, false if the system refuses access.
+fn is_damage(error: &Error) -> bool {
+    match error {
+        Error::Core(cape_core::Error::Io { source, .. }) => matches!(
+            source.kind(),
+            ErrorKind::NotFound | ErrorKind::UnexpectedEof | ErrorKind::InvalidData
+        ),
+        _ => true,
+    }
+}
+
+/// Removes checkpoints whose writing was cut off.
+fn remove_partial(directory: &Path) -> Result<()> {
+    let io = |source| Error::io(directory, source);
+    for entry in fs::read_dir(directory).map_err(io)? {
+        let entry = entry.map_err(io)?;
+        if entry.file_name().to_string_lossy().starts_with(PARTIAL) {
+            fs::remove_dir_all(entry.path()).map_err(io)?;
+        }
+    }
+    Ok(())
+}
+
+/// Returns an error if the file `name` does not have the SHA-256 in the checkpoint's list. Checkpoints of
+/// earlier versions have no list.
+fn verify(directory: &Path, name: &str) -> Result<()> {
+    let path = directory.join(SUMS);
+    let sums = match fs::read_to_string(&path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+        sums => sums.map_err(|source| Error::io(&path, source))?,
+    };
+    let listed = sums.lines().filter_map(|line| line.split_once("  "));
+    let Some((expected, _)) = listed.into_iter().find(|(_, listed)| *listed == name) else {
+        return Err(Error::format(&path, format!("has no line of {name}")));
+    };
+    let path = directory.join(name);
+    if sha256_of_file(&path)? == expected {
+        return Ok(());
+    }
+    Err(Error::format(&path, format!("does not have the SHA-256 in {SUMS}: it is damaged")))
+}
+
+fn load_file(directory: &Path, name: &str) -> Result<Weights> {
+    verify(directory, name)?;
+    Ok(weights::load(directory.join(name))?)
+}
+
+fn load_average(directory: &Path) -> Result<Option<Weights>> {
+    let listed = fs::read_to_string(directory.join(SUMS)).is_ok_and(|sums| sums.contains(AVERAGE));
+    let there = listed || directory.join(AVERAGE).exists();
+    there.then(|| load_file(directory, AVERAGE)).transpose()
 }
 
 /// Reads where a checkpoint directory's run was.
 pub fn load_progress(path: &Path) -> Result<TrainState> {
+    verify(path, STATE)?;
     let path = path.join(STATE);
     let text = fs::read(&path).map_err(|source| Error::io(&path, source))?;
     serde_json::from_slice(&text).map_err(|error| Error::format(&path, error.to_string()))
@@ -155,7 +265,7 @@ pub fn load_progress(path: &Path) -> Result<TrainState> {
 
 /// Reads the weights of a checkpoint directory: the generator's averaged ones, where there are any.
 pub fn load_weights(path: &Path) -> Result<Weights> {
-    let mut weights = weights::load(path.join(MODEL))?;
+    let mut weights = load_file(path, MODEL)?;
     let average = load_average(path)?.unwrap_or_default();
     weights.extend(average.into_iter().map(|(name, array)| (format!("generator.{name}"), array)));
     Ok(weights)

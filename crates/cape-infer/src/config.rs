@@ -146,6 +146,19 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
+    /// These settings with those of `other` that change no weight: how often checkpoints and metrics are
+    /// written, how many are kept, and whether the training set is read into memory.
+    #[must_use]
+    pub fn with_record_keeping_of(self, other: &Self) -> Self {
+        Self {
+            checkpoint_steps: other.checkpoint_steps,
+            keep: other.keep,
+            log_steps: other.log_steps,
+            preload: other.preload,
+            ..self
+        }
+    }
+
     /// Sets the number of epochs and scales the warm-ups of learning rate and Kullback–Leibler weight
     /// with it, so that a shorter training has the same schedule over its whole length.
     ///

@@ -1,8 +1,8 @@
 //! Training (CAPE §4.2 and appendix A.2), resumable at any step.
 
+mod resume;
+
 use std::{
-    fs,
-    io::Write,
     ops::ControlFlow,
     path::{Path, PathBuf},
     sync::Arc,
@@ -10,7 +10,7 @@ use std::{
 };
 
 use burn::tensor::Device;
-use cape_core::{SmplModel, smpl::ClothingMask};
+use cape_core::{DirectoryLock, SmplModel, smpl::ClothingMask};
 use cape_model::Cape;
 use serde::Serialize;
 
@@ -29,10 +29,10 @@ use cape_data::{
 };
 use cape_infer::{
     MIXTURE, Run, RunConfig, RunPaths, build_graphs,
-    checkpoint::{self, Checkpoint, TrainState},
+    checkpoint::{self, DamagedCheckpoint, TrainState},
     normal,
     prior::{Prior, PriorOptions},
-    read_identity, to_device,
+    to_device,
 };
 
 /// Event during training.
@@ -165,6 +165,7 @@ fn beginning(seed: u64) -> TrainState {
 /// assert_eq!((outcome.finished, outcome.steps), (false, 1));
 ///
 /// // Resumed later, with images for TensorBoard.
+/// drop(trainer);
 /// let mut trainer = Trainer::resume(&run, None, &device)?;
 /// trainer.set_preview_fn(Box::new(|previews: &[Preview]| {
 ///     let draw = |preview: &Preview| TensorBoardImage {
@@ -192,10 +193,13 @@ pub struct Trainer {
     checkpoint_interval: Option<Duration>,
     progress: TrainState,
     device: Device,
+    damaged: Vec<DamagedCheckpoint>,
+    _lock: DirectoryLock,
 }
 
 impl Trainer {
-    /// Creates a run in the empty or new directory `root`.
+    /// Creates a run in the empty or new directory `root`, or in one where a process was killed while it
+    /// created a run. No other process can train the run while the trainer lives.
     ///
     /// # Errors
     /// If the directory is not empty, the configuration is invalid, or data set and body do not
@@ -205,73 +209,13 @@ impl Trainer {
         options: TrainerOptions,
         device: &Device,
     ) -> Result<Self> {
-        let (paths, config) = create(root.as_ref(), &options)?;
-        let data = options.data;
+        let (paths, config, lock) = create(root.as_ref(), &options)?;
         let progress = beginning(config.train.seed);
-        Self::assemble(paths, &data, config, progress, device)
-    }
-
-    /// Resumes the run in `root` from its newest checkpoint, or starts it over if it was interrupted
-    /// before the first one. `data` is the directory of the packed set; `None` uses the one that the
-    /// run was created with.
-    ///
-    /// # Errors
-    /// If the run cannot be read, or the packed set is not the one it was trained on.
-    pub fn resume(root: impl AsRef<Path>, data: Option<&Path>, device: &Device) -> Result<Self> {
-        let root = root.as_ref();
-        let paths = RunPaths::new(root);
-        let config = RunConfig::load(&paths.config())?;
-        // An imported run has no record of its data set.
-        let identity =
-            if paths.data().exists() { Some(read_identity(&paths.data())?) } else { None };
-        let Some(data) = data.or(identity.as_ref().map(|identity| identity.path.as_path())) else {
-            return Err(Error::argument(format!(
-                "{}: the run has no record of its packed set: give its directory",
-                root.display()
-            )));
-        };
-        let newest = checkpoint::list(&paths.checkpoints())?.pop();
-        let saved = newest.map(|(_, path)| Ok::<_, Error>((Checkpoint::load(&path)?, path)));
-        let saved = saved.transpose()?;
-        let progress = saved
-            .as_ref()
-            .map_or_else(|| beginning(config.train.seed), |(saved, _)| saved.progress.clone());
-        let mut trainer = Self::assemble(paths, data, config, progress, device)?;
-        let found = (trainer.set.frames(), trainer.set.vertices());
-        if let Some(identity) = &identity
-            && found != (identity.frames, identity.vertices)
-        {
-            return Err(Error::data(format!(
-                "{}: {} training frames of {} vertices, but the run was trained on {} frames of {}",
-                data.display(),
-                found.0,
-                found.1,
-                identity.frames,
-                identity.vertices
-            )));
-        }
-        trainer.statistics.expect_vertices(found.1)?;
-        if !DisplacementStatistics::from_packed(data, &mut cape_core::silent)?
-            .is_close(&trainer.statistics)
-        {
-            return Err(Error::data(format!(
-                "{}: mean and standard deviation of the displacements differ from those of the run's \
-                 packed set: give the packed set that the run was trained on",
-                data.display()
-            )));
-        }
-        if let Some((saved, path)) = &saved {
-            trainer
-                .learner
-                .restore(saved)
-                .map_err(|error| Error::format(path, format!("does not suit the run: {error}")))?;
-        }
-        trainer.forget_metrics_after(trainer.progress.step)?;
-        Ok(trainer)
+        Self::assemble((paths, lock), &options.data, config, progress, device)
     }
 
     fn assemble(
-        paths: RunPaths,
+        (paths, lock): (RunPaths, DirectoryLock),
         data: &Path,
         config: RunConfig,
         progress: TrainState,
@@ -300,6 +244,8 @@ impl Trainer {
             config,
             progress,
             device,
+            damaged: Vec::new(),
+            _lock: lock,
         })
     }
 
@@ -337,6 +283,11 @@ impl Trainer {
     /// Paths of the run's files.
     pub fn paths(&self) -> &RunPaths {
         &self.paths
+    }
+
+    /// Damaged checkpoints that [`resume`](Self::resume) passed over.
+    pub fn damaged_checkpoints(&self) -> &[DamagedCheckpoint] {
+        &self.damaged
     }
 
     fn training_rows(&self) -> std::ops::Range<usize> {
@@ -556,19 +507,5 @@ impl Trainer {
             |step: u64| step.is_multiple_of(steps) || often > 0 && step.is_multiple_of(often);
         checkpoint::prune(&directory, self.config.train.keep, best, regular)?;
         Ok(path)
-    }
-
-    /// Drops the metrics that an interrupted session logged after its last checkpoint.
-    fn forget_metrics_after(&self, step: u64) -> Result<()> {
-        let path = self.paths.metrics();
-        let Ok(text) = fs::read_to_string(&path) else { return Ok(()) };
-        let kept = text.lines().filter(|line| {
-            serde_json::from_str::<serde_json::Value>(line)
-                .ok()
-                .and_then(|line| line["step"].as_u64())
-                .is_some_and(|logged| logged <= step)
-        });
-        let kept: String = kept.flat_map(|line| [line, "\n"]).collect();
-        Ok(cape_core::write_atomically(&path, |file| file.write_all(kept.as_bytes()))?)
     }
 }

@@ -3,7 +3,7 @@
 use std::{fs, path::Path, sync::mpsc, thread};
 
 use cape_cloth::{SIMULATOR_VERSION, SimulationOptions};
-use cape_core::{BodyMotion, Outfit, SmplModel, smpl::SubjectBodies};
+use cape_core::{BodyMotion, DirectoryLock, Outfit, SmplModel, smpl::SubjectBodies};
 use cape_synth::{
     CaptureGenerator, Motion, MotionStyle, SubjectGroup, SynthFrame, SynthSpec, mix_seed,
 };
@@ -304,7 +304,7 @@ impl<'a> SimulatedCaptures<'a> {
     /// and of all takes of the shard.
     ///
     /// # Errors
-    /// If `root` belongs to other settings, or a take fails.
+    /// If `root` belongs to other settings, another process simulates the shard, or a take fails.
     pub fn write(
         &self,
         root: &Path,
@@ -320,6 +320,17 @@ impl<'a> SimulatedCaptures<'a> {
         }
         fs::create_dir_all(root).map_err(|error| Error::io(root, error))?;
         self.begin(root)?;
+        let Shard { index, of } = shard;
+        let share = root.join(PARTIAL).join(format!("shard-{}-of-{of}", index + 1));
+        fs::create_dir_all(&share).map_err(|error| Error::io(&share, error))?;
+        let Some(_lock) = DirectoryLock::try_acquire(&share)? else {
+            return Err(Error::Data(format!(
+                "{}: another process is simulating shard {} of {of}: wait until it ends, or give each \
+                 process a shard of its own",
+                root.display(),
+                index + 1
+            )));
+        };
         let all = self.takes();
         let mine: Vec<&SimulatedTake> = all.iter().skip(shard.index).step_by(shard.of).collect();
         progress(0, mine.len());
@@ -356,6 +367,7 @@ impl<'a> SimulatedCaptures<'a> {
 
     /// Writes what all takes share, or checks that the directory belongs to the same settings.
     fn begin(&self, root: &Path) -> Result<()> {
+        let _lock = DirectoryLock::wait(root)?;
         let spec = self.spec();
         let plan = Plan {
             simulator: SIMULATOR_VERSION,
@@ -397,7 +409,12 @@ impl<'a> SimulatedCaptures<'a> {
             return Ok(record);
         }
         let (frames, quality) = self.simulate(take)?;
-        let partial = root.join(PARTIAL).join(format!("{subject}_{name}"));
+        if let Some(record) = TakeRecord::read(root, &subject, &name)? {
+            // Another process has finished it meanwhile.
+            return Ok(record);
+        }
+        let process = std::process::id();
+        let partial = root.join(PARTIAL).join(format!("{subject}_{name}-{process}"));
         let directory = root.join("sequences").join(&subject).join(&name);
         let parent = root.join("sequences").join(&subject);
         for old in [&partial, &directory] {

@@ -3,7 +3,6 @@
 use std::{
     collections::HashMap,
     fs,
-    io::{self, Read},
     path::{Path, PathBuf},
     sync::{LazyLock, Mutex, PoisonError},
     time::SystemTime,
@@ -12,9 +11,6 @@ use std::{
 use sha2::{Digest, Sha256};
 
 use crate::{Error, Result};
-
-/// Bytes read at a time.
-const CHUNK: usize = 1 << 20;
 
 /// Path, size and time of the last change of a file.
 type FileState = (PathBuf, u64, SystemTime);
@@ -67,17 +63,7 @@ fn sha256_of_file(path: &Path) -> Result<String> {
     if let Some(hash) = known().get(&state) {
         return Ok(hash.clone());
     }
-    let mut file = fs::File::open(path).map_err(fault)?;
-    let (mut hash, mut buffer) = (Sha256::new(), vec![0; CHUNK]);
-    loop {
-        match file.read(&mut buffer) {
-            Ok(0) => break,
-            Ok(read) => hash.update(&buffer[..read]),
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(source) => return Err(fault(source)),
-        }
-    }
-    let hash = cape_core::hex(hash.finalize());
+    let hash = cape_core::sha256_of_file(path)?;
     known().insert(state, hash.clone());
     Ok(hash)
 }

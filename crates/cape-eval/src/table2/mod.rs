@@ -20,7 +20,7 @@ use std::{
 };
 
 use burn::tensor::Device;
-use cape_core::{SmplModel, smpl::ClothingMask};
+use cape_core::{DirectoryLock, SmplModel, is_temporary, smpl::ClothingMask};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -31,7 +31,7 @@ pub use rows::Table2Row;
 use crate::{
     Error, Result,
     comparison::{MethodResults, RunErrors},
-    store::{ResultStore, StoreLock, StoreOptions, StoreSettings, unreadable},
+    store::{ResultStore, StoreOptions, StoreSettings, unreadable},
 };
 use cape_data::{
     PackedSet, Split,
@@ -273,7 +273,7 @@ impl Table2Job {
     }
 
     /// Locks the job against other processes; `None` if another one works on it.
-    pub fn try_lock(&self) -> Result<Option<StoreLock>> {
+    pub fn try_lock(&self) -> Result<Option<DirectoryLock>> {
         self.store.try_lock()
     }
 
@@ -307,10 +307,12 @@ impl Table2Job {
             for name in &names {
                 self.store.discard(name)?;
             }
-            if let Some(other) = fs::read_dir(&root).ok().and_then(|mut files| files.next()) {
-                let path = other.map_err(|source| Error::io(&root, source))?.path();
-                let message = "is not a file of this training: move it elsewhere";
-                return Err(Error::format(path, message));
+            for other in fs::read_dir(&root).into_iter().flatten() {
+                let other = other.map_err(|source| Error::io(&root, source))?;
+                if !is_temporary(&other.file_name().to_string_lossy()) {
+                    let message = "is not a file of this training: move it elsewhere";
+                    return Err(Error::format(other.path(), message));
+                }
             }
         }
         for name in &names {

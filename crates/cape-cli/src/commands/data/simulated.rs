@@ -6,7 +6,7 @@ use std::{
 };
 
 use cape_core::{
-    BodyMotion, list_files,
+    BodyMotion, DirectoryLock, list_files,
     motion::read_motion,
     smpl::{Gender, SubjectBodies},
 };
@@ -148,7 +148,8 @@ impl SimulatedArgs {
             return estimate(bodies, spec, options, self.shard(), console);
         }
         let captures = SimulatedCaptures::new(bodies, spec, options)?;
-        if !out.join(PLAN_FILE).exists() {
+        // A process that was killed at once has locked the directory, but not written the plan.
+        if !out.join(PLAN_FILE).exists() && !DirectoryLock::was_in(&out) {
             files::require_empty(&out)?;
         }
         let records = console.while_showing("simulate", "takes", |progress| {

@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use cape_core::Outfit;
+use cape_core::{Outfit, StagingDirectory};
 use cape_data::{SequenceList, SplitSpec};
 use cape_synth::Motion;
 use clap::Args;
@@ -92,14 +92,16 @@ impl SynthArgs {
             return self.simulated.run(models.bodies(), spec, self.output.out, console);
         }
         self.simulated.require_absent()?;
-        self.output.require_empty()?;
         let out = self.output.out;
+        let staging = StagingDirectory::create(&out)?;
         let split = split_of(&spec);
         let sequences = spec.sequences().len();
         let synth = cape_synth::CaptureGenerator::new(models.bodies(), spec)
             .doing(|| "preparing clothing for the body".into())?;
-        console.while_showing("synth", "frames", |progress| synth.write(&out, progress))?;
-        let layout = TreeFiles::write_splits(&out, synth.groups(), &split)?;
+        console
+            .while_showing("synth", "frames", |progress| synth.write(&staging.path, progress))?;
+        let layout = TreeFiles::write_splits(&staging.path, synth.groups(), &split)?;
+        staging.commit(&out)?;
         let report = Report {
             subjects: self.subjects,
             sequences,

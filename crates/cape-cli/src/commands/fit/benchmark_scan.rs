@@ -94,6 +94,8 @@ impl ScanBenchmarkArgs {
         let frames = options.frames.min(set.frames());
         let config = ScanConfig::default();
         let store = self.store(&run, &data, &options, &config)?;
+        let _lock = store.lock()?;
+        store.begin()?;
         let benchmark = ScanBenchmark::new(&run, &set, options.clone(), &config)?;
         let trials = benchmark.trials();
         let mut cases = Vec::with_capacity(trials.len());
@@ -142,9 +144,7 @@ impl ScanBenchmarkArgs {
             earlier: &["benchmark.json"],
             ..StoreOptions::default()
         };
-        let store = ResultStore::open(&self.output.out, settings, options)?;
-        store.begin()?;
-        Ok(store)
+        Ok(ResultStore::open(&self.output.out, settings, options)?)
     }
 }
 

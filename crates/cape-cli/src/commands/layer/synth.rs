@@ -6,7 +6,7 @@ use std::{
 use cape_cloth::{
     ClothMaterial, Garment, GarmentKind, GarmentMesh, SIMULATOR_VERSION, SimulationQuality,
 };
-use cape_core::SmplModel;
+use cape_core::{DirectoryLock, SmplModel};
 use cape_infer::write_json;
 use cape_layer::{
     LayerSet,
@@ -249,6 +249,8 @@ impl SynthArgs {
         for material in &design.materials {
             material.check()?;
         }
+        files::create_dir(&self.output.out)?;
+        let _lock = DirectoryLock::acquire(&self.output.out)?;
         let mut done = self.begin()?;
         let takes = design.cells();
         let left: Vec<DesignCell> = takes
@@ -303,7 +305,6 @@ impl SynthArgs {
             return if done.exists() { read(&done) } else { Ok(Vec::new()) };
         }
         files::require_empty(out)?;
-        files::create_dir(out)?;
         write_json(&path, &self.plan)?;
         Ok(Vec::new())
     }

@@ -231,6 +231,7 @@ fn train_and_measure(
 ) -> Result<bool> {
     let mut spent = 0.0;
     if let Some(mut trainer) = job.trainer(grid, device)? {
+        training::note_damage(&trainer, console);
         trainer.set_checkpoint_interval(checkpoints.interval());
         let outcome = training::run(&mut trainer, console, None, |_| interrupt.was_asked())?;
         if !outcome.finished {

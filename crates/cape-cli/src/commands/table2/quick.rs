@@ -2,9 +2,9 @@
 
 use std::{path::PathBuf, thread, time::Duration};
 
-use cape_core::SmplModel;
+use cape_core::{DirectoryLock, SmplModel};
 use cape_data::{PackOptions, pack, raw::BODY_FILE};
-use cape_eval::store::{ResultStore, StoreLock};
+use cape_eval::store::ResultStore;
 use cape_infer::{OptimiserKind, RateSchedule, RunConfig, TrainConfig};
 use cape_synth::CaptureGenerator;
 
@@ -36,7 +36,7 @@ pub(super) fn config() -> RunConfig {
 }
 
 /// Waits until no other process makes the data.
-fn locked(store: &ResultStore, console: Console) -> Result<StoreLock> {
+fn locked(store: &ResultStore, console: Console) -> Result<DirectoryLock> {
     let mut told = false;
     loop {
         if let Some(lock) = store.try_lock()? {

@@ -85,10 +85,11 @@ impl TrainArgs {
         }
         let out = self.out.clone().unwrap_or_default();
         let mut trainer = if self.resume {
-            self.check_settings(&out, global)?;
+            self.settle_settings(&out, global)?;
             Trainer::resume(&out, self.data.as_deref(), &device)
                 .doing(|| format!("resuming {}", out.display()))
                 .inspect(|trainer| {
+                    training::note_damage(trainer, console);
                     if trainer.step() == 0 {
                         console.note("interrupted before its first checkpoint: starts over");
                     }
@@ -135,12 +136,17 @@ impl TrainArgs {
         Ok(config)
     }
 
-    /// Returns an error if an option differs from the configuration of the run to resume.
-    fn check_settings(&self, out: &Path, global: &GlobalArgs) -> Result {
+    /// Takes settings that change no weight over into the configuration of the run to resume; returns an
+    /// error if another option differs from it.
+    fn settle_settings(&self, out: &Path, global: &GlobalArgs) -> Result {
         let path = RunPaths::new(out).config();
         let found = RunConfig::load(&path)?;
         let asked = self.configured(found.clone(), global)?;
-        let Some(difference) = first_difference(&found, &asked)? else { return Ok(()) };
+        let train = found.train.clone().with_record_keeping_of(&asked.train);
+        let settled = RunConfig { train, ..found.clone() };
+        let Some(difference) = first_difference(&settled, &asked)? else {
+            return if settled == found { Ok(()) } else { Ok(settled.save(&path)?) };
+        };
         Err(Error::message(format!(
             "{} is of another configuration: {difference}: resume without that option, or choose \
              another --out",

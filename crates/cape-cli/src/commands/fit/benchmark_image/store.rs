@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use cape_core::DirectoryLock;
 use cape_data::Split;
 use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
 use cape_fit::{
@@ -43,9 +44,12 @@ pub(super) struct FrameInputs<'a> {
     pub(super) config: &'a FitConfig,
 }
 
-/// A benchmark's directory.
+/// A benchmark's directory, locked.
 #[derive(Debug)]
-pub(super) struct CaseStore(ResultStore);
+pub(super) struct CaseStore {
+    store: ResultStore,
+    _lock: DirectoryLock,
+}
 
 impl CaseStore {
     /// The store in `out`. A frame is the same whatever other frames there are, so that their number
@@ -70,23 +74,24 @@ impl CaseStore {
         };
         let options = StoreOptions { overwrite, earlier: &EARLIER, ..StoreOptions::default() };
         let store = ResultStore::open(out, settings, options)?;
+        let lock = store.lock()?;
         store.begin()?;
-        Ok(Self(store))
+        Ok(Self { store, _lock: lock })
     }
 
     /// The directory with its list of files.
     pub(super) fn files(&self) -> &ResultStore {
-        &self.0
+        &self.store
     }
 
     /// A finished frame.
     pub(super) fn case(&self, frame: usize) -> Result<Option<BenchmarkCase>> {
-        Ok(self.0.read(&item(frame))?)
+        Ok(self.store.read(&item(frame))?)
     }
 
     /// Stores a frame and returns it as it will be read.
     pub(super) fn keep(&self, case: &BenchmarkCase) -> Result<BenchmarkCase> {
-        Ok(self.0.write(&item(case.frame), case)?)
+        Ok(self.store.write(&item(case.frame), case)?)
     }
 }
 

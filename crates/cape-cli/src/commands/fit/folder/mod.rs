@@ -97,6 +97,7 @@ pub(super) fn run(args: &FitArgs, global: &GlobalArgs, console: Console) -> Resu
             "synthetic motions",
         )?;
     let store = ResultStore::open(&args.output.out, settings, StoreOptions::default())?;
+    let _lock = store.lock()?;
     store.begin()?;
     let interrupt = Interrupt::listen(console)?;
     let fitter = ImageFitter::new(args, &run, config)?;

@@ -1,0 +1,86 @@
+//! Resuming of an interrupted training.
+
+use std::{fs, io::Write, path::Path};
+
+use burn::tensor::Device;
+use cape_core::DirectoryLock;
+use cape_data::DisplacementStatistics;
+use cape_infer::{RunConfig, RunPaths, checkpoint::Checkpoint, read_identity};
+
+use super::{Trainer, beginning};
+use crate::{Error, Result};
+
+impl Trainer {
+    /// Resumes the run in `root` from its newest checkpoint, or starts it over if it was interrupted
+    /// before the first one. Damaged checkpoints are [passed over](Self::damaged_checkpoints). `data` is the directory of the packed set; `None` uses the one that the
+    /// run was created with.
+    ///
+    /// # Errors
+    /// If the run cannot be read, another process trains it, or the packed set is not the one it was trained on.
+    pub fn resume(root: impl AsRef<Path>, data: Option<&Path>, device: &Device) -> Result<Self> {
+        let root = root.as_ref();
+        let paths = RunPaths::new(root);
+        let config = RunConfig::load(&paths.config())?;
+        // An imported run has no record of its data set.
+        let identity =
+            if paths.data().exists() { Some(read_identity(&paths.data())?) } else { None };
+        let Some(data) = data.or(identity.as_ref().map(|identity| identity.path.as_path())) else {
+            return Err(Error::argument(format!(
+                "{}: the run has no record of its packed set: give its directory",
+                root.display()
+            )));
+        };
+        let lock = DirectoryLock::acquire(root)?;
+        let (saved, damaged) = Checkpoint::load_newest(&paths.checkpoints())?;
+        let progress = saved
+            .as_ref()
+            .map_or_else(|| beginning(config.train.seed), |saved| saved.progress.clone());
+        let mut trainer = Self::assemble((paths, lock), data, config, progress, device)?;
+        trainer.damaged = damaged;
+        let found = (trainer.set.frames(), trainer.set.vertices());
+        if let Some(identity) = &identity
+            && found != (identity.frames, identity.vertices)
+        {
+            return Err(Error::data(format!(
+                "{}: {} training frames of {} vertices, but the run was trained on {} frames of {}",
+                data.display(),
+                found.0,
+                found.1,
+                identity.frames,
+                identity.vertices
+            )));
+        }
+        trainer.statistics.expect_vertices(found.1)?;
+        if !DisplacementStatistics::from_packed(data, &mut cape_core::silent)?
+            .is_close(&trainer.statistics)
+        {
+            return Err(Error::data(format!(
+                "{}: mean and standard deviation of the displacements differ from those of the run's \
+                 packed set: give the packed set that the run was trained on",
+                data.display()
+            )));
+        }
+        if let Some(saved) = &saved {
+            trainer.learner.restore(saved).map_err(|error| {
+                let path = trainer.paths.checkpoints();
+                Error::format(path, format!("the newest does not suit the run: {error}"))
+            })?;
+        }
+        trainer.forget_metrics_after(trainer.progress.step)?;
+        Ok(trainer)
+    }
+
+    /// Drops the metrics that an interrupted session logged after its last checkpoint.
+    fn forget_metrics_after(&self, step: u64) -> Result<()> {
+        let path = self.paths.metrics();
+        let Ok(text) = fs::read_to_string(&path) else { return Ok(()) };
+        let kept = text.lines().filter(|line| {
+            serde_json::from_str::<serde_json::Value>(line)
+                .ok()
+                .and_then(|line| line["step"].as_u64())
+                .is_some_and(|logged| logged <= step)
+        });
+        let kept: String = kept.flat_map(|line| [line, "\n"]).collect();
+        Ok(cape_core::write_atomically(&path, |file| file.write_all(kept.as_bytes()))?)
+    }
+}
