@@ -25,12 +25,6 @@ impl StagingDirectory {
     /// If `out` has contents, or another process fills it.
     pub fn prepare(out: &Path) -> Result<Self> {
         let fail = |e| Error::io(out, e);
-        if out.exists() && (!out.is_dir() || fs::read_dir(out).map_err(fail)?.next().is_some()) {
-            return Err(Error::Data(format!(
-                "{} already exists: remove it, or choose another directory",
-                out.display()
-            )));
-        }
         let Some(name) = out.file_name() else {
             return Err(Error::argument(format!(
                 "{} is not the name of a directory",
@@ -38,8 +32,19 @@ impl StagingDirectory {
             )));
         };
         let path = out.with_file_name(format!(".{}.cape-partial", name.to_string_lossy()));
+        let lock_path = path.with_extension("cape-lock");
+        if out.exists() && (!out.is_dir() || fs::read_dir(out).map_err(fail)?.next().is_some()) {
+            // Left by a process that was killed after it had completed `out`.
+            if lock_path.exists() && lock(lock_path.clone(), out).is_ok() {
+                let _ = fs::remove_file(lock_path);
+            }
+            return Err(Error::Data(format!(
+                "{} already exists: remove it, or choose another directory",
+                out.display()
+            )));
+        }
         fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
-        let lock = lock(path.with_extension("cape-lock"), out)?;
+        let lock = lock(lock_path, out)?;
         // The previous holder of the lock may have renamed the directory.
         fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
         Ok(Self { path, lock, keep: false })

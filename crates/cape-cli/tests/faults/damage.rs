@@ -100,7 +100,7 @@ fn a_frame_that_is_no_number_is_named_and_nothing_is_lost() {
     let at = 128 + 5 * row;
     bytes[at..at + 8].copy_from_slice(&f64::NAN.to_le_bytes());
     fs::write(&path, bytes).unwrap();
-    data.run(LINE).failed_saying(&["train_disp.npy", "row 5"]);
+    data.run(LINE).failed_saying(&["train_disp.npy", "frame 5", "not finite"]);
     fs::write(&path, whole).unwrap();
     let begun = data.at("run/config.toml").exists();
     data.run(if begun { "train --out @/run --resume" } else { LINE }).succeeded();
