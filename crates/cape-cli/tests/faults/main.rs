@@ -12,6 +12,7 @@ mod damage;
 mod disk;
 mod job;
 mod kills;
+mod messages;
 mod places;
 #[allow(dead_code, reason = "shared with tests/cli, which uses all of it")]
 #[path = "../cli/support.rs"]
