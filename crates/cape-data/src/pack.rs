@@ -143,8 +143,8 @@ pub struct MissingCapture {
 /// subjects and missing sequences are listed in the report.
 ///
 /// # Errors
-/// If `out` exists, the split is invalid, no frame is left, or anything is missing or unreadable
-/// with [`PackOptions::strict`].
+/// If `out` exists, the split is invalid, no frame is left, the raw tree vanishes, or anything is missing or
+/// unreadable with [`PackOptions::strict`].
 pub fn pack(
     raw: impl AsRef<Path>,
     out: impl AsRef<Path>,
@@ -229,6 +229,7 @@ pub fn pack(
                         return Err(error);
                     }
                     Err(error) => {
+                        require_there(raw)?;
                         let broken = broken(frame, &error);
                         log.push(&FrameStatus::Broken(broken.reason.clone()));
                         report.broken.push(broken);
@@ -262,10 +263,23 @@ pub fn pack(
         staging.keep = false;
         return Err(no_frames_error(raw, &report));
     }
+    require_there(raw)?;
     write_notes(&tree, &staging.path, split, options, &report, &text)?;
     log.finish()?;
     staging.commit(out)?;
     Ok(report)
+}
+
+/// Returns an error if the raw tree is gone, such as a drive that was taken away: its frames are not
+/// unreadable then. What is packed is kept for the next attempt.
+fn require_there(raw: &Path) -> Result<()> {
+    if raw.is_dir() {
+        return Ok(());
+    }
+    Err(Error::Data(format!(
+        "{}: is no longer there: make it available and run the same command again, which goes on",
+        raw.display()
+    )))
 }
 
 /// True if the files have all frames that the log lists as packed; after a power failure they may

@@ -6,7 +6,7 @@ use std::{
 };
 
 use crate::{
-    job::{Bench, JOBS, lasting},
+    job::{Bench, lasting, quick_jobs},
     support::{Ran, contents},
     trials,
 };
@@ -44,7 +44,7 @@ fn a_full_disk_is_said_and_the_command_goes_on_when_there_is_space() {
     if !can_mount() {
         return;
     }
-    for job in &JOBS {
+    for job in quick_jobs() {
         let bench = Bench::new(job);
         bench.run().succeeded();
         let whole: usize = contents(&bench.place.at("out")).iter().map(|file| file.1.len()).sum();
@@ -92,7 +92,7 @@ fn a_read_only_disk_is_said_and_the_command_goes_on_when_it_is_not() {
     if !can_mount() {
         return;
     }
-    for job in &JOBS {
+    for job in quick_jobs() {
         let bench = Bench::new(job);
         fs::create_dir(bench.place.at("disk")).unwrap();
         let (root, line) = on_disk(&bench);

@@ -3,13 +3,13 @@
 use std::{fs, thread::sleep};
 
 use crate::{
-    job::{Bench, JOBS},
+    job::{Bench, quick_jobs},
     support::Ran,
 };
 
 #[test]
 fn a_vanished_directory_is_an_error_and_not_the_end() {
-    for job in &JOBS {
+    for job in quick_jobs() {
         let bench = Bench::new(job);
         for (share, lost) in [(0.4, "out"), (0.7, "out"), (0.3, "packed"), (0.3, "raw")] {
             let child = bench.start();
