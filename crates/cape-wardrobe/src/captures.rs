@@ -21,6 +21,9 @@ use crate::{
 /// Name of the file of settings in a data set's directory.
 pub const PLAN_FILE: &str = "wardrobe.json";
 
+/// Version of the garments' random cuts, and of how they are laid onto the body.
+const GARMENTS_VERSION: u32 = 2;
+
 /// Directory in which takes are written before they are complete.
 const PARTIAL: &str = ".partial";
 
@@ -136,6 +139,7 @@ pub struct SimulatedCaptures<'a> {
 #[derive(Debug, Serialize)]
 struct Plan<'a> {
     simulator: u32,
+    garments: u32,
     seed: u64,
     subjects: usize,
     frames: usize,
@@ -371,6 +375,7 @@ impl<'a> SimulatedCaptures<'a> {
         let spec = self.spec();
         let plan = Plan {
             simulator: SIMULATOR_VERSION,
+            garments: GARMENTS_VERSION,
             seed: spec.seed,
             subjects: spec.subjects,
             frames: spec.frames_per_sequence,
