@@ -44,11 +44,8 @@ def test_table_2_is_estimated(packed, tmp_path):
     assert found and not (tmp_path / "table").exists()
 
 
-def test_a_configuration_is_checked(packed, tmp_path):
-    settings = {"preset": "tiny", "batch": 4}
-    report = cape.check(data=packed, trial_steps=3, **settings)
-    assert report["passed"] in (True, False) and report["findings"]
-    rates = cape.find_rate(data=packed, out=tmp_path / "rates", trial_steps=8, **settings)
+def test_a_learning_rate_is_found(packed, tmp_path):
+    rates = cape.find_rate(data=packed, out=tmp_path / "rates", trial_steps=8, preset="tiny", batch=4)
     assert rates["suggested"] > 0 and (tmp_path / "rates" / "rates.png").exists()
     with pytest.raises(cape.CapeError, match="batch"):
         cape.check(data=packed, preset="tiny", batch=0)
@@ -61,6 +58,8 @@ def test_samples_variations_and_motions_are_written(run, tmp_path):
     assert list((tmp_path / "varied").glob("*.png"))
     cape.animate(run, tmp_path / "moving", motion="squats", seconds=0.2, size=64, code="mean")
     assert list((tmp_path / "moving").glob("*.png"))
+    cape.animate(None, tmp_path / "file", motion="squats", seconds=0.2, format="glb", every=2)
+    assert list((tmp_path / "file").glob("*.glb"))
     report = cape.redress(
         run, "frame:0", tmp_path / "redressed", pose=["squats"], to=[[1.0, -2.0], "frame:1"], exact=True
     )

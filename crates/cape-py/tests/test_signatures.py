@@ -22,11 +22,11 @@ OTHER_NAMES = {
     "fit benchmark scan": [cape.fit.benchmark_scan],
 }
 #: Options of a terminal, or that are a function of their own.
-NO_ARGUMENTS = {"tui", "check", "find_rate", "export", "framed", "no_open"}
+NO_ARGUMENTS = {"tui", "check", "find_rate", "export", "framed", "no_open", "proxied"}
 #: Parameters for arguments of the command line, and those of more than one value.
 ARGUMENTS = {
     "run": {"model", "runs"},
-    "run|mesh|sequence": {"path", "model", "site"},
+    "run|mesh|sequence": {"path", "model", "site", "proxy"},
     "registration": {"registrations"},
     "set": {"sets"},
     "file|dir": {"sources"},

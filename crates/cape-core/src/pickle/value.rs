@@ -219,7 +219,9 @@ impl<'a> Value<'a> {
     fn latin1(&self) -> Result<Cow<'a, [u8]>> {
         let text = self.raw(self.item).unwrap_or_default();
         self.charge(text.len())?;
-        latin1(text).map(Cow::Owned).ok_or_else(|| self.error("holds characters that are not Latin-1"))
+        latin1(text)
+            .map(Cow::Owned)
+            .ok_or_else(|| self.error("holds characters that are not Latin-1"))
     }
 
     fn raw(&self, item: Item) -> Option<&'a [u8]> {

@@ -146,7 +146,7 @@ def animate(
     prior: Prior | None = None,
     temperature: float = 1.0,
     format: Literal["png", "glb", "usda", "pc2", "mdd", "smpl", "obj", "ply"] = "png",
-    tolerance: float = 1.0,
+    tolerance: float | None = None,
     every: int | None = None,
     size: int = 512,
     seed: int | None = None,
@@ -155,7 +155,7 @@ def animate(
     """Animate a dressed body by a motion with one latent code.
 
     ``seconds`` of a synthetic motion, ``fps`` frames per second; ``code`` as in :func:`vary`; ``tolerance``,
-    largest error of a vertex in ``glb`` and ``usda``, mm, or ``every`` so many frames with their vertices;
+    largest error of a vertex in ``glb`` and ``usda``, mm (1), or ``every`` so many frames with their vertices;
     ``size`` of pictures, pixels.
     """
     return _program.run("animate", {**locals(), "model": run_path(model)}, "model")

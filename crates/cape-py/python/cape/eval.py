@@ -39,7 +39,7 @@ def run(
     posterior: Literal["sample", "mean"] = "sample",
     batch: int = 16,
     map: PathLike | None = None,
-    scale: float = 20.0,
+    scale: float | None = None,
     seed: int | None = None,
     threads: int | None = None,
 ) -> Report:
@@ -47,7 +47,7 @@ def run(
 
     Errors are Euclidean, at clothing vertices; they are also written to ``eval.json`` of the run. Decoded is a
     sample of the ``posterior`` or its mean; ``batch`` frames at once; ``map``, ``.ply``, gets the body
-    coloured by its mean errors, ``scale`` mm the brightest.
+    coloured by its mean errors, ``scale`` mm (20) the brightest.
     """
     return _program.run("eval run", {**locals(), "model": run_path(model)}, "model")
 

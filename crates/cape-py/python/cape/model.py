@@ -49,12 +49,18 @@ class Model:
         """Return the built-in model."""
         return cls(_cape.Model.pretrained())
 
-    def view(self, motion: str | os.PathLike[str] | None = None, port: int = 0) -> Viewer:
+    def view(
+        self,
+        motion: str | os.PathLike[str] | None = None,
+        port: int = 0,
+        proxy: str | None = None,
+    ) -> Viewer:
         """Start the interactive viewer, which a notebook shows; ``close()`` of what is returned ends it.
 
-        ``motion`` is a file of a motion to offer beside the synthetic ones; ``port`` 0 is a free one.
+        ``motion`` is a file of a motion to offer beside the synthetic ones; ``port`` 0 is a free one;
+        ``proxy``: see :class:`cape.Viewer`.
         """
-        return Viewer(self.path, motion=motion, port=port)
+        return Viewer(self.path, motion=motion, port=port, proxy=proxy)
 
     def sample(
         self,

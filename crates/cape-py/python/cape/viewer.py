@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import os
 
 from . import _program
 from ._options import Up
@@ -15,7 +16,8 @@ class Viewer(_program.Server):
     Without ``path`` it shows the built-in model. ``motion``, of which ``up`` is the axis and ``person`` one of
     several, is a file of a motion to offer beside the synthetic ones; ``fps`` is the rate of meshes, per second;
     ``port`` 0 is a free one; other machines can look only with a ``host`` other than this one and
-    ``allow_remote``. It ends by ``close()``, at the end of a ``with`` block, or with Python.
+    ``allow_remote``. With ``proxy`` the page is shown through jupyter-server-proxy below that path of the notebook
+    server, such as ``/`` or ``/user/me/``; within JupyterHub that is the default. It ends by ``close()``, at the end of a ``with`` block, or with Python.
     """
 
     def __init__(
@@ -29,6 +31,7 @@ class Viewer(_program.Server):
         port: int = 0,
         host: str | None = None,
         allow_remote: bool = False,
+        proxy: str | None = None,
         threads: int | None = None,
     ) -> None:
         given = {
@@ -44,9 +47,15 @@ class Viewer(_program.Server):
             "no_open": True,
             "framed": True,
         }
-        super().__init__("view", given, "path")
+        if proxy is None:
+            proxy = os.environ.get("JUPYTERHUB_SERVICE_PREFIX")
+        super().__init__("view", {**given, "proxied": proxy is not None}, "path")
         #: Address of the page, on this machine.
         self.url: str = self._result["url"]
+        #: Path of the page on the notebook server; None if that is not asked for it.
+        self.path: str | None = None
+        if proxy is not None:
+            self.path = f"{proxy.rstrip('/')}/proxy/{self.url.rsplit(':', 1)[1]}"
         #: Height of the page in a notebook, pixels.
         self.height: int = 620
 
@@ -56,7 +65,7 @@ class Viewer(_program.Server):
     def _repr_html_(self) -> str:
         if not self._finish.alive:
             return "<p>The viewer is closed.</p>"
-        url = html.escape(self.url, quote=True)
+        url = html.escape(self.path or self.url, quote=True)
         style = f"width: 100%; height: {self.height}px; border: 0"
         return (
             f'<iframe src="{url}" style="{style}" allow="fullscreen"></iframe>'
