@@ -61,13 +61,13 @@ pub fn upsample(
     for (index, &vertex) in kept.iter().enumerate() {
         coarse_of[vertex as usize] = Some(index);
     }
-    let row = |(&vertex, coarse_vertex): (&V3, Option<usize>)| match coarse_vertex {
-        Some(index) => vec![(index, 1.0)],
-        None => {
-            let mut row = weights(vertex, coarse, &mesh, weighting);
-            row.sort_unstable_by_key(|&(index, _)| index);
-            row
-        }
+    let row = |(&vertex, coarse_vertex): (&V3, Option<usize>)| {
+        let mut row = match coarse_vertex {
+            Some(index) => vec![(index, 1.0)],
+            None => weights(vertex, coarse, &mesh, weighting),
+        };
+        row.sort_unstable_by_key(|&(index, _)| index);
+        row
     };
     let rows: Vec<_> = fine.par_iter().zip(coarse_of).with_min_len(MIN_ROWS).map(row).collect();
     let mut indptr = vec![0];
