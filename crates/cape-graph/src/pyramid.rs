@@ -1,5 +1,6 @@
 //! Mesh at decreasing resolutions, with the maps between them.
 
+use rayon::prelude::*;
 use sprs::CsMat;
 
 use crate::laplacian::{normalized_laplacian, rescaled_laplacian};
@@ -65,22 +66,34 @@ impl MeshPyramid {
         }
         let finest = mesh.into();
         finest.validate()?;
-        let mut pyramid =
-            Self { levels: vec![Level::new(finest)], transitions: Vec::new(), weighting };
+        let mut surfaces = vec![finest];
+        let mut selections = Vec::new();
         for factor in factors {
-            let fine = pyramid.coarsest();
-            let target = (fine.vertex_count() as f64 * (1.0 / factor)).ceil() as usize;
-            let (coarse, transition) = if target == fine.vertex_count() {
-                (fine.clone(), Transition::identity(target))
+            let fine = &surfaces[surfaces.len() - 1];
+            let vertices = fine.vertices.len();
+            let target = (vertices as f64 * (1.0 / factor)).ceil() as usize;
+            let (surface, kept) = if target == vertices {
+                (fine.clone(), None)
             } else {
-                let Simplified { kept, surface } = simplify(&fine.surface, target)?;
-                let up = upsample(&fine.surface.vertices, &surface, &kept, weighting)?;
-                (Level::new(surface), Transition { down: kept, up })
+                let Simplified { kept, surface } = simplify(fine, target)?;
+                (surface, Some(kept))
             };
-            pyramid.levels.push(coarse);
-            pyramid.transitions.push(transition);
+            surfaces.push(surface);
+            selections.push(kept);
         }
-        Ok(pyramid)
+        // What follows is of each level alone.
+        let transition = |(pair, kept): (&[Surface], Option<Vec<u32>>)| match kept {
+            None => Ok(Transition::identity(pair[1].vertices.len())),
+            Some(kept) => {
+                let up = upsample(&pair[0].vertices, &pair[1], &kept, weighting)?;
+                Ok(Transition { down: kept, up })
+            }
+        };
+        let (levels, transitions) = rayon::join(
+            || surfaces.par_iter().cloned().map(Level::new).collect(),
+            || surfaces.par_windows(2).zip(selections).map(transition).collect::<Result<_>>(),
+        );
+        Ok(Self { levels, transitions: transitions?, weighting })
     }
 
     /// The levels, finest first; at least one.
@@ -96,10 +109,6 @@ impl MeshPyramid {
     /// Method by which the interpolation weights were computed.
     pub fn weighting(&self) -> Weighting {
         self.weighting
-    }
-
-    fn coarsest(&self) -> &Level {
-        &self.levels[self.levels.len() - 1]
     }
 }
 

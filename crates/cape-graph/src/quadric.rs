@@ -9,6 +9,9 @@ use crate::topology::Surface;
 use crate::vector::{V3, cross, dot, sub};
 use crate::{Error, Result};
 
+/// Faces at most vertices.
+const VALENCE: usize = 8;
+
 /// Simplified mesh.
 ///
 /// ```
@@ -48,9 +51,7 @@ pub fn simplify(surface: &Surface, target: usize) -> Result<Simplified> {
     surface.validate_topology()?;
     let mut collapse = Collapse::new(surface);
     let mut queue = Queue::default();
-    let mut edges = surface.edges();
-    edges.sort_unstable_by_key(|&[r, c]| [c, r]);
-    for edge in edges {
+    for edge in by_second(&surface.edges(), vertices) {
         queue.push(collapse.cost(edge).cheapest(), edge, &mut collapse.names);
     }
 
@@ -75,6 +76,24 @@ pub fn simplify(surface: &Surface, target: usize) -> Result<Simplified> {
         return Err(Error::Collapsed { vertices, target, reached, faces });
     }
     Ok(simplified)
+}
+
+/// Sorted edges in the order of their second vertices.
+fn by_second(edges: &[[u32; 2]], vertices: usize) -> Vec<[u32; 2]> {
+    let mut places = vec![0; vertices + 1];
+    for &[_, c] in edges {
+        places[c as usize + 1] += 1;
+    }
+    for c in 0..vertices {
+        places[c + 1] += places[c];
+    }
+    let mut sorted = vec![[0; 2]; edges.len()];
+    for &edge in edges {
+        let place = &mut places[edge[1] as usize];
+        sorted[*place] = edge;
+        *place += 1;
+    }
+    sorted
 }
 
 /// Sum of squared distances to a set of planes: the upper triangle of a symmetric 4 × 4 matrix.
@@ -138,7 +157,7 @@ impl<'a> Collapse<'a> {
     fn new(surface: &'a Surface) -> Self {
         let n = surface.vertices.len();
         let mut quadrics = vec![Quadric::default(); n];
-        let mut around = vec![Vec::new(); n];
+        let mut around: Vec<Vec<u32>> = (0..n).map(|_| Vec::with_capacity(VALENCE)).collect();
         for (index, face) in surface.faces.iter().enumerate() {
             let plane = Quadric::of_plane(face.map(|v| surface.vertices[v as usize]));
             for vertex in face.map(|v| v as usize) {

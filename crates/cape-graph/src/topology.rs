@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use cape_core::{Mesh, SmplModel};
-use sprs::{CsMat, TriMat};
+use sprs::CsMat;
 
 use crate::vector::{cross, dot, sub};
 use crate::{Error, Result};
@@ -132,6 +132,37 @@ impl Surface {
 
     /// Undirected edges `[a, b]`, `a < b`, sorted.
     pub fn edges(&self) -> Vec<[u32; 2]> {
+        let vertices = self.vertices.len();
+        let mut starts = vec![0; vertices + 1];
+        for [a, b] in face_edges(&self.faces) {
+            if b as usize >= vertices {
+                return self.edges_of_any_faces();
+            }
+            starts[a as usize + 1] += 1;
+        }
+        for a in 0..vertices {
+            starts[a + 1] += starts[a];
+        }
+        // The second vertices of the edges at each first one; a few each, which are quick to sort.
+        let mut places = starts.clone();
+        let mut seconds = vec![0; starts[vertices]];
+        for [a, b] in face_edges(&self.faces) {
+            let place = &mut places[a as usize];
+            seconds[*place] = b;
+            *place += 1;
+        }
+        let mut edges = Vec::with_capacity(seconds.len() / 2);
+        for a in 0..vertices {
+            let seconds = &mut seconds[starts[a]..starts[a + 1]];
+            seconds.sort_unstable();
+            let of_a = seconds.chunk_by(|b, c| b == c).map(|same| [a as u32, same[0]]);
+            edges.extend(of_a);
+        }
+        edges
+    }
+
+    /// [`edges`](Self::edges) of faces that name vertices which do not exist.
+    fn edges_of_any_faces(&self) -> Vec<[u32; 2]> {
         let mut edges: Vec<_> = face_edges(&self.faces).collect();
         edges.sort_unstable();
         edges.dedup();
@@ -140,13 +171,24 @@ impl Surface {
 
     /// Symmetric 0/1 adjacency without self-loops, CSR, `[vertices, vertices]`.
     pub fn adjacency(&self) -> CsMat<f64> {
-        let n = self.vertices.len();
-        let mut triplets = TriMat::new((n, n));
-        for [a, b] in self.edges() {
-            triplets.add_triplet(a as usize, b as usize, 1.0);
-            triplets.add_triplet(b as usize, a as usize, 1.0);
+        let (n, edges) = (self.vertices.len(), self.edges());
+        let mut starts = vec![0; n + 1];
+        for vertex in edges.as_flattened() {
+            starts[*vertex as usize + 1] += 1;
         }
-        triplets.to_csr()
+        for vertex in 0..n {
+            starts[vertex + 1] += starts[vertex];
+        }
+        // The edges are sorted: a vertex meets its lower neighbours first, and all in ascending order.
+        let mut places = starts.clone();
+        let mut neighbours = vec![0; 2 * edges.len()];
+        for [a, b] in edges.iter().map(|edge| edge.map(|vertex| vertex as usize)) {
+            for (vertex, neighbour) in [(a, b), (b, a)] {
+                neighbours[places[vertex]] = neighbour;
+                places[vertex] += 1;
+            }
+        }
+        CsMat::new((n, n), starts, neighbours, vec![1.0; 2 * edges.len()])
     }
 }
 

@@ -3,12 +3,16 @@
 use parry3d_f64::math::Vector;
 use parry3d_f64::query::PointQueryWithLocation;
 use parry3d_f64::shape::{TriMesh, TrianglePointLocation};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sprs::CsMat;
 
 use crate::topology::Surface;
 use crate::vector::{V3, dot, sub};
 use crate::{Error, Result};
+
+/// Least number of rows of a thread.
+const MIN_ROWS: usize = 256;
 
 /// Method of interpolation from a level to the next finer one. Trained weights depend on it, so it
 /// is saved with the pyramid.
@@ -57,18 +61,21 @@ pub fn upsample(
     for (index, &vertex) in kept.iter().enumerate() {
         coarse_of[vertex as usize] = Some(index);
     }
-    let (mut indptr, mut indices, mut data) = (vec![0], Vec::new(), Vec::new());
-    for (&vertex, coarse_vertex) in fine.iter().zip(coarse_of) {
+    let row = |(&vertex, coarse_vertex): (&V3, Option<usize>)| {
         let mut row = match coarse_vertex {
             Some(index) => vec![(index, 1.0)],
             None => weights(vertex, coarse, &mesh, weighting),
         };
         row.sort_unstable_by_key(|&(index, _)| index);
-        let (row_indices, row_data): (Vec<_>, Vec<_>) = row.into_iter().unzip();
-        indices.extend(row_indices);
-        data.extend(row_data);
-        indptr.push(indices.len());
-    }
+        row
+    };
+    let rows: Vec<_> = fine.par_iter().zip(coarse_of).with_min_len(MIN_ROWS).map(row).collect();
+    let mut indptr = vec![0];
+    indptr.extend(rows.iter().scan(0, |end, row| {
+        *end += row.len();
+        Some(*end)
+    }));
+    let (indices, data) = rows.into_iter().flatten().unzip();
     Ok(CsMat::new((fine.len(), coarse.vertices.len()), indptr, indices, data))
 }
 

@@ -68,7 +68,7 @@ impl Model {
     }
 
     /// Body that the clothing is of.
-    fn body(&self, py: Python<'_>) -> PyResult<SmplModel> {
+    fn body(&self, py: Python<'_>) -> SmplModel {
         py.detach(|| SmplModel::new(self.run.body().clone()))
     }
 

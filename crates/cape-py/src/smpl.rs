@@ -16,11 +16,12 @@ use crate::{
 /// Device of all computations.
 pub(crate) const DEVICE: &str = "flex";
 
-/// SMPL body; the arrays have the names and shapes of SMPL's files.
+/// SMPL body; the arrays have the names and shapes of SMPL's files. It is prepared for posing when it
+/// is posed.
 #[pyclass(frozen, module = "cape._cape")]
 pub(crate) struct SmplModel {
     model: cape_core::SmplModel,
-    single: Smpl,
+    single: OnceLock<Smpl>,
     double: OnceLock<Smpl>,
     /// In double precision, with autodiff.
     differentiable: OnceLock<Smpl>,
@@ -44,14 +45,14 @@ impl SmplModel {
     /// Read a body from a pickle or `.npz` file; pickles are not run.
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        py.detach(|| Self::new(cape_core::SmplModel::load(path).map_err(core)?))
+        py.detach(|| Ok(Self::new(cape_core::SmplModel::load(path).map_err(core)?)))
     }
 
     /// Return the built-in human body of a gender.
     #[staticmethod]
     fn embedded(py: Python<'_>, gender: &str) -> PyResult<Self> {
         let gender: Gender = gender.parse().map_err(core)?;
-        py.detach(|| Self::new(cape_synth::embedded_body(gender).map_err(core)?))
+        py.detach(|| Ok(Self::new(cape_synth::embedded_body(gender).map_err(core)?)))
     }
 
     /// Write the body as `.npz` in SMPL's layout.
@@ -174,23 +175,30 @@ impl SmplModel {
 }
 
 impl SmplModel {
-    pub(crate) fn new(model: cape_core::SmplModel) -> PyResult<Self> {
-        let single = Smpl::new(&model, &parse_device(DEVICE).map_err(core)?).map_err(core)?;
-        Ok(Self { model, single, double: OnceLock::new(), differentiable: OnceLock::new() })
+    pub(crate) fn new(model: cape_core::SmplModel) -> Self {
+        let [single, double, differentiable] = [const { OnceLock::new() }; 3];
+        Self { model, single, double, differentiable }
     }
 
     fn body(&self, dtype: DType) -> PyResult<&Smpl> {
+        let device = parse_device(DEVICE).map_err(core)?;
         match dtype {
-            DType::F64 => self.in_double(&self.double, self.single.device()),
-            _ => Ok(&self.single),
+            DType::F64 => self.prepared(&self.double, &device, FloatDType::F64),
+            _ => self.prepared(&self.single, &device, FloatDType::F32),
         }
     }
 
-    fn in_double<'a>(&self, place: &'a OnceLock<Smpl>, device: Device) -> PyResult<&'a Smpl> {
+    /// Body in `place`, prepared by the first call.
+    fn prepared<'a>(
+        &self,
+        place: &'a OnceLock<Smpl>,
+        device: &Device,
+        precision: FloatDType,
+    ) -> PyResult<&'a Smpl> {
         if let Some(body) = place.get() {
             return Ok(body);
         }
-        let body = Smpl::with_precision(&self.model, &device, FloatDType::F64).map_err(core)?;
+        let body = Smpl::with_precision(&self.model, device, precision).map_err(core)?;
         Ok(place.get_or_init(|| body))
     }
 
@@ -228,12 +236,13 @@ impl SmplModel {
         let dtype = given.dtype;
         let clothed = given.displacement.is_some();
         if dtype != DType::F64 {
-            let device = self.single.device();
+            let body = self.body(dtype)?;
+            let device = body.device();
             let gradient = SmplOutput {
                 vertices: tensor(vertices, &device, dtype),
                 joints: tensor(joints, &device, dtype),
             };
-            let found = self.single.pull_back(given.upload(&device), gradient).map_err(core)?;
+            let found = body.pull_back(given.upload(&device), gradient).map_err(core)?;
             return Ok(Parameters {
                 betas: found.betas.into_data(),
                 pose: found.pose.into_data(),
@@ -242,8 +251,8 @@ impl SmplModel {
                 dtype,
             });
         }
-        let device = self.single.device().autodiff();
-        let body = self.in_double(&self.differentiable, device.clone())?;
+        let device = parse_device(DEVICE).map_err(core)?.autodiff();
+        let body = self.prepared(&self.differentiable, &device, FloatDType::F64)?;
         let track = |data: TensorData| tensor::<2>(data, &device, dtype).require_grad();
         let (betas, pose, transl) = (track(given.betas), track(given.pose), track(given.transl));
         let displacement =

@@ -3,10 +3,8 @@
 import _thread
 import functools
 import http.server
-import inspect
 import json
 import os
-import re
 import subprocess
 import sys
 import threading
@@ -21,74 +19,13 @@ from browser import pixels, screenshot
 from cape import _program
 
 
-@pytest.fixture(scope="module")
-def packed(tmp_path_factory):
-    place = tmp_path_factory.mktemp("data")
-    made = cape.data.synth(place / "raw", subjects=1, frames_per_sequence=6)
-    assert made["subjects"] == 1 and made["frames"] > 0
-    report = cape.data.pack(place / "raw", place / "packed")
-    assert report["broken"] == []
-    return place / "packed"
-
-
-@pytest.fixture(scope="module")
-def run(packed):
-    training = cape.train(data=packed, out=packed.parent / "run", preset="tiny", epochs=1, batch=64)
-    assert training.finished
-    return training.out
-
-
-FUNCTIONS = {
-    "data synth": cape.data.synth,
-    "data pack": cape.data.pack,
-    "data inspect": cape.data.inspect,
-    "data unpose": cape.data.unpose,
-    "data generate": cape.data.generate,
-    "fit scan": cape.fit.scan,
-    "fit pose-prior": cape.fit.pose_prior,
-    "layer synth": cape.layer.synth,
-    "layer import": cape.layer.import_,
-    "layer associate": cape.layer.associate,
-    "layer learn": cape.layer.learn,
-    "layer predict": cape.layer.predict,
-    "layer transfer": cape.layer.transfer,
-    "layer report": cape.layer.report,
-    "train": cape.train,
-}
-#: Options of all commands, and those of a terminal or of other functions.
-OTHERS = {"help", "version", "json", "quiet", "device", "seed", "threads"}
-OTHERS |= {"tui", "check", "find_rate", "trial_steps"}
-#: Arguments that the help lists without a name.
-POSITIONAL = {"raw", "path", "model", "sources", "meshes", "set", "layer", "sets"}
-POSITIONAL |= {"motion", "callback"}
-
-
-def options_of(command):
-    line = [sys.executable, "-m", "cape", *command.split(), "--help"]
-    text = subprocess.run(line, capture_output=True, text=True, check=True).stdout
-    found = re.findall(r"^ +(?:-\w, )?--([a-z0-9-]+)", text, re.M)
-    return {name.replace("-", "_") for name in found} - OTHERS
-
-
-@pytest.mark.parametrize("command", FUNCTIONS)
-def test_arguments_are_the_options_of_the_program(command):
-    options, parameters = options_of(command), inspect.signature(FUNCTIONS[command]).parameters
-    assert options <= set(parameters), options - set(parameters)
-    assert set(parameters) - options <= OTHERS | POSITIONAL
-    assert FUNCTIONS[command].__doc__
-
-
-def test_arguments_of_fits_to_images_are_the_options_of_the_program():
-    options = options_of("fit image")
-    one, many = (set(inspect.signature(f).parameters) for f in (cape.fit.image, cape.fit.images))
-    assert options <= one | many and one - options <= {"model", "threads"}
-    assert many - options - {"masks", "images"} <= {"model", "threads"}
-
-
 def test_values_become_words():
     given = {"a": 1, "b_c": True, "d": False, "e": None, "f_g": [1, -2.5], "h_": {"x": 1, "y": 2}}
     assert _program.option_words(given) == ["-a=1", "--b-c", "--f-g=1,-2.5", "--h=x=1,y=2"]
+    several = {"to": _program.Repeated(["a", [1, -2]]), "of": _program.Words([0.5, 1])}
+    assert _program.option_words(several) == ["--to=a", "--to=1,-2", "--of", "0.5", "1"]
     assert _program.text(np.float32(0.5)) == "0.5" and _program.text(np.int64(3)) == "3"
+    assert _program.text(np.array([1.0, -2.5])) == "1.0,-2.5"
 
 
 def test_results_are_those_of_json(packed):
@@ -191,10 +128,8 @@ def test_an_interrupt_stops_a_training(packed, run, tmp_path):
 def test_errors_are_those_of_the_program(tmp_path):
     with pytest.raises(cape.CapeError, match="nowhere"):
         cape.data.inspect(tmp_path / "nowhere")
-    with pytest.raises(cape.CapeError, match="undress"):
-        cape.Command("data").undress()
-    with pytest.raises(cape.CapeError, match="out"):
-        cape.Command("train")(data="packed", callback=print)
+    with pytest.raises(cape.CapeError, match="minutes"):
+        cape.demo(tmp_path / "demo", minutes=-1)
     with pytest.raises(TypeError, match="subject"):
         cape.data.synth(tmp_path / "raw", subject=1)
 
@@ -212,7 +147,7 @@ def observed(packed, run):
     """Keypoints and mask of a held-out frame of the benchmark."""
     place = packed.parent
     (place / "few.toml").write_text(FEW)
-    cape.fit.benchmark.image(
+    cape.fit.benchmark_image(
         run, out=place / "seen", frames=1, size=128, config=place / "few.toml", data=packed
     )
     return place / "seen" / "best"

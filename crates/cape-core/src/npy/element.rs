@@ -20,7 +20,7 @@ use super::header::{NpyHeader, NpyKind, NpyType};
 /// assert!(read_npy::<u8>(&path).is_err());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-pub trait NpyElement: Copy + private::Sealed + 'static {
+pub trait NpyElement: Copy + Default + private::Sealed + 'static {
     /// NumPy's dtype string of the type.
     #[doc(hidden)]
     const DESCR: &'static str;
@@ -116,37 +116,35 @@ pub(super) fn read_elements<T: NpyElement>(
     if *size == 0 {
         return Err(not_numbers(&header.dtype));
     }
-    let mut values = Vec::with_capacity(elements);
+    let mut values = vec![T::default(); elements];
     let mut buffer = vec![0; (1 << 16).min(elements.saturating_mul(*size)).max(1)];
-    let mut left = elements;
+    let mut done = 0;
     macro_rules! decode {
         ($bytes:expr, $type:ty, $convert:expr) => {{
-            const SIZE: usize = size_of::<$type>();
             let convert = $convert;
-            for element in $bytes.chunks_exact(SIZE) {
-                let mut raw = [0; SIZE];
-                raw.copy_from_slice(element);
-                if *big_endian {
-                    raw.reverse();
-                }
-                let value = <$type>::from_le_bytes(raw);
-                values.push(convert(value).ok_or_else(|| {
+            let (sources, _) = $bytes.as_chunks::<{ size_of::<$type>() }>();
+            for (at, (place, &source)) in values[done..].iter_mut().zip(sources).enumerate() {
+                let value = <$type>::from_le_bytes(source);
+                *place = convert(value).ok_or_else(|| {
                     ReadError::Content(format!(
                         "value {value} at element {} does not fit {}",
-                        values.len(),
+                        done + at,
                         std::any::type_name::<T>()
                     ))
-                })?);
+                })?;
             }
         }};
     }
-    while left > 0 {
-        let now = left.min(buffer.len() / size);
+    while done < elements {
+        let now = (elements - done).min(buffer.len() / size);
         let bytes = &mut buffer[..now * size];
         reader.read_exact(bytes).map_err(|source| match source.kind() {
             io::ErrorKind::UnexpectedEof => ReadError::Content("unexpected end of data".into()),
             _ => ReadError::Io(source),
         })?;
+        if *big_endian {
+            bytes.chunks_exact_mut(*size).for_each(<[u8]>::reverse);
+        }
         match (kind, size) {
             (NpyKind::Float, 2) => decode!(bytes, u16, |bits| T::from_float(half(bits))),
             (NpyKind::Float, 4) => decode!(bytes, f32, |x| T::from_float(f64::from(x))),
@@ -162,7 +160,7 @@ pub(super) fn read_elements<T: NpyElement>(
             (NpyKind::Uint, 8) => decode!(bytes, u64, |x| T::from_int(i128::from(x))),
             _ => return Err(not_numbers(&header.dtype)),
         }
-        left -= now;
+        done += now;
     }
     Ok(values)
 }

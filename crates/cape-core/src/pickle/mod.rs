@@ -12,6 +12,7 @@ mod array;
 mod chumpy;
 mod class;
 mod joblib;
+mod latin1;
 mod machine;
 mod node;
 mod sparse;

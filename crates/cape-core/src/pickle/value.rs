@@ -5,6 +5,7 @@ use std::borrow::Cow;
 use super::{
     Pickle,
     class::{Class, ClassKind},
+    latin1::latin1,
     node::{Bytes, Item, Node, Object},
 };
 use crate::{Error, Result};
@@ -216,10 +217,11 @@ impl<'a> Value<'a> {
     }
 
     fn latin1(&self) -> Result<Cow<'a, [u8]>> {
-        let text = self.text()?;
+        let text = self.raw(self.item).unwrap_or_default();
         self.charge(text.len())?;
-        let bytes: Option<Vec<u8>> = text.chars().map(|c| u8::try_from(c).ok()).collect();
-        bytes.map(Cow::Owned).ok_or_else(|| self.error("holds characters that are not Latin-1"))
+        latin1(text)
+            .map(Cow::Owned)
+            .ok_or_else(|| self.error("holds characters that are not Latin-1"))
     }
 
     fn raw(&self, item: Item) -> Option<&'a [u8]> {

@@ -1,4 +1,4 @@
-use ndarray::{Array2, Array3};
+use ndarray::{Array, Array2, Array3, Dimension};
 use sha2::{Digest, Sha256};
 
 use crate::{Error, Mesh, Result};
@@ -154,27 +154,25 @@ impl SmplModel {
                 },
             )?;
         }
-        for (index, face) in self.faces.iter().enumerate() {
-            require(
-                face.iter().all(|&corner| (corner as usize) < v),
-                "f",
-                format!("face {index} is {face:?}, but there are {v} vertices"),
-            )?;
+        let outside = |face: &[u32; 3]| face.iter().any(|&corner| corner as usize >= v);
+        if let Some(index) = self.faces.iter().position(outside) {
+            let face = self.faces[index];
+            let message = format!("face {index} is {face:?}, but there are {v} vertices");
+            return Err(FieldError { field: "f", message });
         }
-        finite("v_template", self.v_template.iter())?;
-        finite("weights", self.weights.iter())?;
-        finite("shapedirs", self.shapedirs.iter())?;
-        finite("posedirs", self.posedirs.iter())?;
-        finite("J_regressor", self.joint_regressor.iter())
+        finite("v_template", &self.v_template)?;
+        finite("weights", &self.weights)?;
+        finite("shapedirs", &self.shapedirs)?;
+        finite("posedirs", &self.posedirs)?;
+        finite("J_regressor", &self.joint_regressor)
     }
 }
 
-fn finite<'a>(
-    field: &'static str,
-    mut values: impl Iterator<Item = &'a f64>,
-) -> Result<(), FieldError> {
-    match values.position(|value| !value.is_finite()) {
-        None => Ok(()),
-        Some(at) => Err(FieldError { field, message: format!("number {at} is not finite") }),
+fn finite<D: Dimension>(field: &'static str, values: &Array<f64, D>) -> Result<(), FieldError> {
+    // Without a branch for each number.
+    if values.fold(true, |all, value| all & value.is_finite()) {
+        return Ok(());
     }
+    let at = values.iter().position(|value| !value.is_finite()).unwrap_or(0);
+    Err(FieldError { field, message: format!("number {at} is not finite") })
 }

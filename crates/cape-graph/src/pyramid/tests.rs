@@ -149,6 +149,36 @@ proptest! {
     }
 
     #[test]
+    fn edges_and_adjacency_are_those_of_the_faces(
+        closed: bool, nu in 3usize..12, nv in 3usize..12, again in 0usize..5, seed: u64,
+    ) {
+        let mut surface = mesh(closed, nu, nv, 0.1, seed);
+        // Faces that share an edge with more than one other, and one with a vertex that is not there.
+        surface.faces.extend_from_within(..again);
+        let mut expected: Vec<_> = surface
+            .faces
+            .iter()
+            .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]].map(|[a, b]| [a.min(b), a.max(b)]))
+            .collect();
+        expected.sort_unstable();
+        expected.dedup();
+        prop_assert_eq!(surface.edges(), expected.clone());
+        let n = surface.vertices.len();
+        let mut triplets = TriMat::new((n, n));
+        for [a, b] in expected.iter().map(|edge| edge.map(|vertex| vertex as usize)) {
+            triplets.add_triplet(a, b, 1.0);
+            triplets.add_triplet(b, a, 1.0);
+        }
+        prop_assert_eq!(surface.adjacency(), triplets.to_csr::<usize>());
+        surface.faces.push([0, 1, n as u32]);
+        expected.extend([[0, n as u32], [1, n as u32]]);
+        expected.push([0, 1]);
+        expected.sort_unstable();
+        expected.dedup();
+        prop_assert_eq!(surface.edges(), expected);
+    }
+
+    #[test]
     fn laplacians_are_symmetric_with_their_spectrum_in_0_to_2(
         closed: bool, nu in 3usize..12, nv in 3usize..12, seed: u64,
     ) {

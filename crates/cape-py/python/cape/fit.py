@@ -23,17 +23,13 @@ from numpy.typing import ArrayLike, NDArray
 from . import _cape, _program
 from ._arrays import floats, real
 from ._program import PathLike, Report
-from .commands import Command
 from .mesh import Mesh
 from .model import Model, run_path
 
 if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
-#: ``benchmark.image`` and ``benchmark.scan``, with the options of the program.
-benchmark = Command("fit", "benchmark")
-
-__all__ = ["Fit", "benchmark", "image", "images", "pose_prior", "scan"]
+__all__ = ["Fit", "benchmark_image", "benchmark_scan", "image", "images", "pose_prior", "scan"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +209,58 @@ def pose_prior(
     packed sets, and write it to ``out``, ``.npz``; ``floor`` regularises variances, as a share."""
     given: dict[str, Any] = {**locals(), "sources": list(sources)}
     return _program.run("fit pose-prior", given, "sources")
+
+
+def benchmark_image(
+    model: Model | PathLike | None,
+    out: PathLike,
+    *,
+    data: PathLike | None = None,
+    overwrite: bool = False,
+    frames: int = 120,
+    tuning: bool = False,
+    bodies: PathLike | None = None,
+    size: int = 512,
+    noise: float = 0.0,
+    bias: float = 0.0,
+    dropped: float = 0.0,
+    ragged: float = 0.0,
+    config: PathLike | None = None,
+    pose_prior: PathLike | None = None,
+    silhouette: Literal["distance", "soft"] | None = None,
+    seed: int | None = None,
+    threads: int | None = None,
+) -> Report:
+    """Measure fits to images of held-out ``frames`` beside SMPLify (section 6.3 of the paper); resumes.
+
+    ``data`` is a packed set, that of the run if left out; ``tuning`` takes other frames, to choose weights on;
+    ``bodies`` are the subjects' minimal shapes, random ones if left out; ``size`` of the images, pixels;
+    ``noise`` of the keypoints, pixels; ``bias`` of hips and neck, mm; shares of ``dropped`` keypoints and of
+    ``ragged`` pixels at the outline; ``overwrite`` discards results of other settings. The others are those of
+    :func:`image`.
+    """
+    return _program.run("fit benchmark image", {**locals(), "model": run_path(model)}, "model")
+
+
+def benchmark_scan(
+    model: Model | PathLike | None,
+    out: PathLike,
+    *,
+    data: PathLike | None = None,
+    overwrite: bool = False,
+    frames: int = 8,
+    points: int = 20_000,
+    noise: Sequence[float] = (0, 2, 5),
+    holes: Sequence[float] = (0, 0.2),
+    seed: int | None = None,
+    threads: int | None = None,
+) -> Report:
+    """Measure fits to scans of held-out ``frames`` with noise and holes; resumes.
+
+    ``data`` is a packed set, that of the run if left out; scans have ``points``, with each of the ``noise``
+    deviations, mm, and each share of ``holes``; ``overwrite`` discards results of other settings.
+    """
+    return _program.run("fit benchmark scan", {**locals(), "model": run_path(model)}, "model")
 
 
 def _fit(

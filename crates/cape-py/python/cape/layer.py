@@ -17,13 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _cape, _program
+from ._options import Gender
 from ._program import PathLike, Report
 from .mesh import Mesh
 from .model import Model
 from .pictures import page
 
 Garment = Literal["tshirt", "shorts", "skirt", "dress"]
-Gender = Literal["male", "female", "neutral"]
+#: Synthetic motions for layers.
+Exercise = Literal["march", "squat", "swing", "jump", "walk"]
 Standard = Literal["a-pose", "t-pose"]
 
 __all__ = ["LayerMotion", "associate", "import_", "learn", "predict", "report", "synth", "transfer"]
@@ -70,7 +72,7 @@ def synth(
     fps: float = 30.0,
     steps: int = 20,
     resolution: float = 25.0,
-    exercises: Sequence[str] | None = None,
+    exercises: Sequence[Exercise] | None = None,
     styles: int | None = None,
     subjects: Sequence[float] = (0.0,),
     lengths: Sequence[float] = (1.0,),

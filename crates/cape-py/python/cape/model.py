@@ -1,16 +1,23 @@
-"""Trained clothing models."""
+"""Trained clothing models, in memory and as files.
+
+The functions run commands of the program in a process of their own and return their results, those of
+``--json``. ``model`` is a :class:`Model`, the directory of a run or a model file, or None for the built-in
+model.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import _cape
+from . import _cape, _program
 from ._arrays import BATCH, batches, floats, matrix, points, repeat
+from ._program import PathLike, Report
 from .body import Body, poses
 from .dressed import Dressed
 from .viewer import Viewer
@@ -42,12 +49,18 @@ class Model:
         """Return the built-in model."""
         return cls(_cape.Model.pretrained())
 
-    def view(self, motion: str | os.PathLike[str] | None = None, port: int = 0) -> Viewer:
+    def view(
+        self,
+        motion: str | os.PathLike[str] | None = None,
+        port: int = 0,
+        proxy: str | None = None,
+    ) -> Viewer:
         """Start the interactive viewer, which a notebook shows; ``close()`` of what is returned ends it.
 
-        ``motion`` is a file of a motion to offer beside the synthetic ones; ``port`` 0 is a free one.
+        ``motion`` is a file of a motion to offer beside the synthetic ones; ``port`` 0 is a free one;
+        ``proxy``: see :class:`cape.Viewer`.
         """
-        return Viewer(self.path, motion=motion, port=port)
+        return Viewer(self.path, motion=motion, port=port, proxy=proxy)
 
     def sample(
         self,
@@ -162,3 +175,119 @@ def run_path(model: Model | str | os.PathLike[str] | None) -> Path | None:
     if isinstance(model, Model):
         return model.path
     return None if model is None else Path(model)
+
+
+def run_paths(name: str, models: Sequence[Model | PathLike]) -> list[Path]:
+    """Paths of models; the built-in one has none."""
+    paths = [run_path(model) for model in models]
+    if None in paths:
+        raise _cape.CapeError(f"{name}: the built-in model has no directory, expected a run")
+    return [path for path in paths if path is not None]
+
+
+def import_(
+    tf_checkpoint: PathLike,
+    out: PathLike,
+    *,
+    stats: PathLike,
+    body: PathLike,
+    clothing: PathLike | None = None,
+    config: PathLike | None = None,
+    factors: Sequence[int] | None = None,
+    discriminator_factors: Sequence[int] | None = None,
+    threads: int | None = None,
+) -> Report:
+    """Import the authors' TensorFlow checkpoint as a run ``out``, without TensorFlow.
+
+    ``stats``, ``.npz``, are mean and deviation of the training displacements; ``clothing``, ``.npy``, the
+    clothing vertices, from blend weights if left out; ``config`` the release's settings, YAML; ``factors`` those
+    of the pyramids.
+    """
+    return _program.run("model import", locals())
+
+
+def export(
+    model: Model | PathLike | None,
+    *,
+    onnx: PathLike | None = None,
+    half: bool = False,
+    npz: PathLike | None = None,
+    safetensors: PathLike | None = None,
+    threads: int | None = None,
+) -> Report:
+    """Export a model as graphs in the directory ``onnx``, or its weights as ``npz`` or ``safetensors``.
+
+    The graphs are of decoder, encoder and body, with weights in ``half`` precision if asked; the names in
+    ``npz`` are the authors', in ``safetensors`` those of the library. Weights need the directory of a run.
+    """
+    return _program.run("model export", {**locals(), "model": run_path(model)}, "model")
+
+
+def pack(
+    model: Model | PathLike | None,
+    out: PathLike,
+    *,
+    single: bool = False,
+    note: Mapping[str, str] | None = None,
+    threads: int | None = None,
+) -> Report:
+    """Pack a run into one file, ``.safetensors``, with weights in half or ``single`` precision.
+
+    ``note`` has entries of the file's metadata, such as ``{"licence": "CC BY 4.0"}``.
+    """
+    given: dict[str, Any] = {**locals(), "model": run_path(model)}
+    if note is not None:
+        given["note"] = _program.Repeated(f"{name}={text}" for name, text in note.items())
+    return _program.run("model pack", given, "model")
+
+
+def encode(
+    model: Model | PathLike | None,
+    *registrations: PathLike,
+    out: PathLike,
+    was: str | None = None,
+    minimal: PathLike | None = None,
+    decode: bool = False,
+    threads: int | None = None,
+) -> Report:
+    """Encode registrations to latent codes, in ``codes.npy`` of ``out``, empty or missing, a row for each.
+
+    They are frames, or ``frame:K`` for test frames of the run; ``was`` is their outfit, ``minimal`` their body
+    [V, 3], ``.npy``, if their places do not tell; ``decode`` also writes the decoded bodies.
+    :meth:`Model.encode` encodes arrays.
+    """
+    given: dict[str, Any] = {**locals(), "model": run_path(model), "registrations": list(registrations)}
+    return _program.run("model encode", given, "model", "registrations")
+
+
+def prior(
+    model: Model | PathLike,
+    data: PathLike | None = None,
+    *,
+    kind: Literal["gmm", "kde"] = "gmm",
+    components: int | None = None,
+    joint: bool = False,
+    frames: int = 4096,
+    seed: int | None = None,
+    threads: int | None = None,
+) -> Report:
+    """Fit a prior to the codes of the training frames, a mixture or a kernel density for each outfit.
+
+    ``data`` is the packed set, that of the run if left out, of which at most ``frames`` are encoded;
+    ``components`` of the mixture, by the Bayesian information criterion if left out; ``joint`` fits one
+    density to all outfits.
+    """
+    return _program.run("model prior", {**locals(), "model": run_path(model)}, "model")
+
+
+def pyramid(
+    mesh: PathLike,
+    out: PathLike,
+    *,
+    factors: Sequence[float] = (2, 2, 2, 2),
+    weighting: Literal["barycentric", "release"] = "barycentric",
+    threads: int | None = None,
+) -> Report:
+    """Simplify a mesh level by level and write meshes and SciPy matrices; :class:`cape.MeshPyramid` returns
+    them."""
+    return _program.run("model pyramid", locals(), "mesh")

@@ -26,6 +26,8 @@ Colours = Optional[NDArray[np.float32]]
 
 #: Height of a mesh in a notebook, pixels.
 _HEIGHT = 420
+#: Width and height of a picture of one body, pixels.
+_PICTURE = (320, 420)
 #: Largest 16-bit number.
 _STEPS = 65535
 
@@ -73,7 +75,10 @@ def _painted(body: NDArray[np.float32], colours: Colours) -> NDArray[np.float32]
 def page(
     bodies: Sequence[NDArray[np.float32]], faces: NDArray[np.uint32], colours: Sequence[Colours]
 ) -> str:
-    """Frame of a page that shows bodies [V, 3] of the same ``faces`` beside each other, at most eight."""
+    """Frame of a page that shows bodies [V, 3] of the same ``faces`` beside each other, at most eight.
+
+    Where a notebook is not trusted, frames and styles are removed, and a picture shows itself instead.
+    """
     bodies = bodies[:MOST]
     ends = [(body.min(axis=0), body.max(axis=0)) for body in bodies]
     gap = 1.25 * max(high[0] - low[0] for low, high in ends)
@@ -102,7 +107,12 @@ def page(
     }
     content = html.escape(_template().replace("SCENE", json.dumps(scene)), quote=True)
     style = f"width: 100%; height: {_HEIGHT}px; border: 0"
-    return f'<iframe style="{style}" srcdoc="{content}"></iframe>'
+    image = base64.b64encode(_cape.encode_png(draw(bodies, faces, colours, _PICTURE))).decode("ascii")
+    return (
+        "<style>.cape-page + .cape-picture { display: none }</style>"
+        f'<iframe class="cape-page" style="{style}" srcdoc="{content}"></iframe>'
+        f'<img class="cape-picture" alt="" src="data:image/png;base64,{image}">'
+    )
 
 
 @lru_cache

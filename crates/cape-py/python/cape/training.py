@@ -5,18 +5,23 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Optional
+from typing import TYPE_CHECKING, Any, Literal, Optional, TypedDict
 
 from . import _program
 from ._cape import CapeError
-from ._program import Metrics, PathLike
+from ._options import Gender, Preset
+from ._program import Metrics, PathLike, Report
 from .model import Model
 
-#: Architectures.
-Preset = Literal["paper", "detail", "small", "narrow", "tiny"]
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+#: A TOML file, or a mapping of its tables.
+Config = Optional["PathLike | Mapping[str, Any]"]
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,7 @@ class Training:
 
 
 def train(
-    config: PathLike | Mapping[str, Any] | None = None,
+    config: Config = None,
     callback: Callable[[Metrics], object] | None = None,
     *,
     out: PathLike,
@@ -50,7 +55,7 @@ def train(
     resume: bool = False,
     preset: Preset | None = None,
     body: PathLike | None = None,
-    gender: Literal["male", "female", "neutral"] | None = None,
+    gender: Gender | None = None,
     clothing: PathLike | None = None,
     checkpoint_minutes: float | None = None,
     epochs: int | None = None,
@@ -104,16 +109,78 @@ def train(
     - ``weighting``: of up-sampling; ``seed``; ``threads``
     """
     given = dict(locals())
-    for name in ("config", "callback"):
-        del given[name]
-    if config is None or isinstance(config, (str, os.PathLike)):
-        report = _program.run("train", {**given, "config": config}, callback=callback)
-    else:
-        with tempfile.TemporaryDirectory() as place:
-            path = Path(place) / "config.toml"
-            path.write_text(toml(config), encoding="utf-8")
-            report = _program.run("train", {**given, "config": path}, callback=callback)
+    del given["callback"]
+    with _file(config) as given["config"]:
+        report = _program.run("train", given, callback=callback)
     return Training(**{**report, "out": Path(report["out"])})
+
+
+class Settings(TypedDict, total=False):
+    """Settings of a training; they are described at :func:`train`."""
+
+    preset: Preset | None
+    body: PathLike | None
+    gender: Gender | None
+    clothing: PathLike | None
+    epochs: int | None
+    batch: int | None
+    peak_rate: float | None
+    warmup_epochs: float | None
+    schedule: Literal["exponential", "cosine"] | None
+    optimiser: Literal["sgd", "adam"] | None
+    kl: float | None
+    kl_warmup_epochs: float | None
+    gan: float | None
+    discriminator_rate: float | None
+    adversary: Literal["bce", "hinge"] | None
+    spectral_norm: bool
+    unit: Literal["deviations", "metres"] | None
+    bare_weight: float | None
+    clothing_patches: bool
+    transfer: float | None
+    ema: float | None
+    preload: bool
+    weighting: Literal["barycentric", "release"] | None
+    seed: int | None
+    threads: int | None
+
+
+def check(
+    config: Config = None, *, data: PathLike, trial_steps: int = 200, **settings: Unpack[Settings]
+) -> Report:
+    """Check a configuration by short trainings of ``trial_steps`` each: ``passed``, and the ``findings``."""
+    given = {"data": data, "trial_steps": trial_steps, "check": True, **settings}
+    with _file(config) as path:
+        return _program.run("train", {**given, "config": path}, accepted=1)
+
+
+def find_rate(
+    config: Config = None,
+    *,
+    data: PathLike,
+    out: PathLike | None = None,
+    trial_steps: int = 120,
+    **settings: Unpack[Settings],
+) -> Report:
+    """Suggest a learning rate by a range test: ``suggested``, and the losses at all rates.
+
+    ``out`` is a directory for the curves.
+    """
+    given = {"data": data, "out": out, "trial_steps": trial_steps, "find_rate": True, **settings}
+    with _file(config) as path:
+        return _program.run("train", {**given, "config": path})
+
+
+@contextmanager
+def _file(config: Config) -> Iterator[PathLike | None]:
+    """File of a configuration."""
+    if config is None or isinstance(config, (str, os.PathLike)):
+        yield config
+        return
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place) / "config.toml"
+        path.write_text(toml(config), encoding="utf-8")
+        yield path
 
 
 def toml(tables: Mapping[str, Any]) -> str:

@@ -1,53 +1,63 @@
-"""The viewer of the program, as part of a notebook."""
+"""The viewer of the program, as part of a notebook or as a folder."""
 
 from __future__ import annotations
 
 import html
-import json
 import os
-import subprocess
-import weakref
-from typing import Any
 
 from . import _program
-from ._cape import CapeError
+from ._options import Up
+from ._program import PathLike
 
 
-class Viewer:
+class Viewer(_program.Server):
     """Server of the viewer of a run, a mesh, a body or a directory of meshes; a notebook shows its page.
 
-    Without ``path`` it shows the built-in model. Options are those of ``cape view``, such as
-    ``motion="walk.npz"``, ``port=8080`` and ``fps=15``. It ends by ``close()``, at the end of a ``with``
-    block, or with Python.
+    Without ``path`` it shows the built-in model. ``motion``, of which ``up`` is the axis and ``person`` one of
+    several, is a file of a motion to offer beside the synthetic ones; ``fps`` is the rate of meshes, per second;
+    ``port`` 0 is a free one; other machines can look only with a ``host`` other than this one and
+    ``allow_remote``. With ``proxy`` the page is shown through jupyter-server-proxy below that path of the notebook
+    server, such as ``/`` or ``/user/me/``; within JupyterHub that is the default. It ends by ``close()``, at the end of a ``with`` block, or with Python.
     """
 
-    def __init__(self, path: str | os.PathLike[str] | None = None, **options: Any) -> None:
-        given = [] if path is None else [os.fspath(path)]
-        line = ["view", *given, *_program.option_words({"no_open": True, "framed": True, **options})]
-        process = _program.start([*line, "--json"], subprocess.PIPE, subprocess.PIPE)
-        self._finish = weakref.finalize(self, _end, process)
-        text = b""
-        for part in process.stdout or ():
-            text += part
-            if part.rstrip() == b"}":
-                break
-        if not text:
-            _, errors = process.communicate()
-            raise CapeError(errors.decode(errors="replace").strip())
+    def __init__(
+        self,
+        path: PathLike | None = None,
+        *,
+        motion: PathLike | None = None,
+        up: Up = "auto",
+        person: str | None = None,
+        fps: float | None = None,
+        port: int = 0,
+        host: str | None = None,
+        allow_remote: bool = False,
+        proxy: str | None = None,
+        threads: int | None = None,
+    ) -> None:
+        given = {
+            "path": path,
+            "motion": motion,
+            "up": up,
+            "person": person,
+            "fps": fps,
+            "port": port,
+            "host": host,
+            "allow_remote": allow_remote,
+            "threads": threads,
+            "no_open": True,
+            "framed": True,
+        }
+        if proxy is None:
+            proxy = os.environ.get("JUPYTERHUB_SERVICE_PREFIX")
+        super().__init__("view", {**given, "proxied": proxy is not None}, "path")
         #: Address of the page, on this machine.
-        self.url: str = json.loads(text)["url"]
+        self.url: str = self._result["url"]
+        #: Path of the page on the notebook server; None if that is not asked for it.
+        self.path: str | None = None
+        if proxy is not None:
+            self.path = f"{proxy.rstrip('/')}/proxy/{self.url.rsplit(':', 1)[1]}"
         #: Height of the page in a notebook, pixels.
         self.height: int = 620
-
-    def close(self) -> None:
-        """End the server."""
-        self._finish()
-
-    def __enter__(self) -> Viewer:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         return f"<cape.Viewer: {self.url}>"
@@ -55,14 +65,9 @@ class Viewer:
     def _repr_html_(self) -> str:
         if not self._finish.alive:
             return "<p>The viewer is closed.</p>"
-        url = html.escape(self.url, quote=True)
+        url = html.escape(self.path or self.url, quote=True)
         style = f"width: 100%; height: {self.height}px; border: 0"
         return (
             f'<iframe src="{url}" style="{style}" allow="fullscreen"></iframe>'
             f'<p><a href="{url}" target="_blank">{url}</a></p>'
         )
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    process.terminate()
-    process.communicate()

@@ -55,9 +55,8 @@ pub(crate) struct ViewArgs {
     /// Let other machines in; everyone who knows the address with its token can look, unencrypted.
     #[arg(long, requires = "host")]
     allow_remote: bool,
-    /// Let pages of other origins, such as notebooks, show the viewer in a frame.
-    #[arg(long)]
-    framed: bool,
+    #[command(flatten)]
+    embedding: EmbeddingArgs,
     /// Frames per second of a sequence.
     #[arg(long, default_value_t = 30.0, value_name = "FPS", value_parser = positive)]
     fps: f64,
@@ -73,9 +72,20 @@ pub(crate) struct ViewArgs {
     #[arg(
         long,
         value_name = "SITE",
-        conflicts_with_all = ["port", "host", "allow_remote", "fps", "no_open"]
+        conflicts_with_all = ["port", "host", "allow_remote", "proxied", "fps", "no_open"]
     )]
     export: Option<PathBuf>,
+}
+
+/// Options for other pages that show the viewer.
+#[derive(Debug, Args)]
+struct EmbeddingArgs {
+    /// Let pages of other origins, such as notebooks, show the viewer in a frame.
+    #[arg(long)]
+    framed: bool,
+    /// Answer to any name, for a proxy on this machine that asks for a password, such as JupyterLab's.
+    #[arg(long)]
+    proxied: bool,
 }
 
 #[derive(Debug, Serialize)]
@@ -144,7 +154,8 @@ impl ViewArgs {
         let (jobs, list) = mpsc::channel();
         let token = token();
         let report = Report { url: format!("http://{address}/{token}/") };
-        let site = ServerState { token, scene, faces, remote, framed: self.framed, jobs };
+        let EmbeddingArgs { framed, proxied } = self.embedding;
+        let site = ServerState { token, scene, faces, remote, proxied, framed, jobs };
         let server = thread::spawn(move || server::serve(listener, site));
         console.result(&report, || format!("{}\npress Ctrl-C to stop", report.url))?;
         if self.host.is_unspecified() {

@@ -53,6 +53,8 @@ pub(super) struct ServerState {
     pub(super) faces: Vec<u8>,
     /// True if machines other than this one may ask, by any name of it.
     pub(super) remote: bool,
+    /// True if a proxy on this machine passes requests on, under any name, with encryption or without.
+    pub(super) proxied: bool,
     /// True if pages of other origins may show this one in a frame.
     pub(super) framed: bool,
     pub(super) jobs: mpsc::Sender<ModelRequest>,
@@ -120,8 +122,12 @@ fn knows(site: &ServerState, uri: &Uri) -> bool {
 
 /// True if the request is for a name of this server and not from another page.
 fn is_here(site: &ServerState, headers: &HeaderMap) -> bool {
-    is_own_request(headers, |host| {
-        (site.remote || is_loopback(host)).then(|| format!("http://{host}"))
+    let any_name = site.remote || site.proxied;
+    let schemes: &[&str] = if site.proxied { &["http", "https"] } else { &["http"] };
+    schemes.iter().any(|scheme| {
+        is_own_request(headers, |host| {
+            (any_name || is_loopback(host)).then(|| format!("{scheme}://{host}"))
+        })
     })
 }
 
@@ -226,6 +232,7 @@ mod tests {
             scene: String::new(),
             faces: Vec::new(),
             remote: false,
+            proxied: false,
             framed: false,
             jobs,
         }
@@ -264,6 +271,14 @@ mod tests {
         let remote = ServerState { remote: true, ..self::site() };
         assert!(is_here(&remote, &headers("workstation:80", Some("http://workstation:80"))));
         assert!(!is_here(&remote, &headers("workstation:80", Some("http://evil.example"))));
+        assert!(!is_here(&remote, &headers("workstation", Some("https://workstation"))));
+        let proxied = ServerState { proxied: true, ..self::site() };
+        for origin in [None, Some("https://hub.example"), Some("http://hub.example")] {
+            assert!(is_here(&proxied, &headers("hub.example", origin)), "{origin:?}");
+        }
+        for origin in ["https://evil.example", "https://hub.example:8000", "ftp://hub.example"] {
+            assert!(!is_here(&proxied, &headers("hub.example", Some(origin))), "{origin}");
+        }
         let knows_of = |path: &'static str| knows(&site, &Uri::from_static(path));
         assert!(knows_of("/secret/") && knows_of("/secret/scene.json"));
         for path in ["/", "/Secret/", "/secre/", "/secrets/", "/../secret/", "/x/secret/"] {
