@@ -171,7 +171,11 @@ fn a_clothing_layer_has_sliders_of_body_motion_size_and_material() {
     let faces = live.evaluate("cape.state().triangles").as_u64().unwrap();
     assert!(faces > 13_776, "body and clothing: {faces}");
     live.evaluate("document.querySelector('#play').click()");
-    live.evaluate("new Promise(resolve => setTimeout(resolve, 300))");
+    // Five seconds at most.
+    live.evaluate(
+        "new Promise(resolve => { let left = 100; const wait = () => \
+         cape.state().frame > 0 || left-- === 0 ? resolve() : setTimeout(wait, 50); wait(); })",
+    );
     click(&mut live, "#play");
     assert!(live.evaluate("cape.state().frame").as_u64().unwrap() > 0, "it plays");
     assert_eq!(live.complaints(), [""; 0]);
