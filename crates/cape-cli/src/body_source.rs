@@ -101,6 +101,12 @@ impl BodyModelArgs {
     pub(crate) fn load(&self) -> Result<SmplModel> {
         self.source()?.load()
     }
+
+    /// True if a body is asked for.
+    #[cfg(feature = "view")]
+    pub(crate) fn is_given(&self) -> bool {
+        self.body.is_some() || self.gender.is_some()
+    }
 }
 
 impl BodyFileArgs {

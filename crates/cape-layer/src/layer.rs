@@ -99,7 +99,7 @@ pub struct PredictedFrame {
     pub body: BodyFrame,
     /// Clothing vertices, metres, `[n_v, 3]`.
     pub clothing: Array2<f64>,
-    /// Shares of the clothing vertices inside the body, if they are kept out of it.
+    /// Shares of the clothing's surface inside the body, if it is kept out of it.
     pub inside: Option<InsideShares>,
 }
 
@@ -139,6 +139,25 @@ impl LayerStream<'_> {
     pub fn finish(&mut self) -> Result<Option<PredictedFrame>> {
         let frame = self.features.finish()?;
         frame.map(|frame| self.dress(&frame)).transpose()
+    }
+
+    /// Clothing of one frame of a whole motion, without the frames that were pushed.
+    ///
+    /// # Errors
+    /// If there is no such frame, or the motion has another number of joints than the training set's.
+    pub fn predict_frame(&self, motion: &BodyMotion, frame: usize) -> Result<PredictedFrame> {
+        if frame >= motion.frames() {
+            return Err(Error::argument(format!(
+                "frame {frame}: the motion has {} frames",
+                motion.frames()
+            )));
+        }
+        self.dress(&StreamedFrame {
+            frame,
+            pose: motion.poses.row(frame).to_vec(),
+            transl: motion.translation(frame),
+            row: self.layer.features.rows(motion).row(frame).to_vec(),
+        })
     }
 
     fn dress(&self, frame: &StreamedFrame) -> Result<PredictedFrame> {
@@ -305,6 +324,12 @@ impl Layer {
             None
         };
         Ok(Self { faces, association, standard, pca, features, semantics, regressor, body })
+    }
+
+    /// True if `path` is a file that [`save`](Self::save) wrote, by the names of its arrays.
+    pub fn is_at(path: impl AsRef<Path>) -> bool {
+        let parts = ["semantic_names", "standard_pose", "components", "parameters"];
+        Npz::open(path).is_ok_and(|file| parts.iter().all(|part| file.contains(part)))
     }
 
     /// [`load`](Self::load) for clothing on `model`.

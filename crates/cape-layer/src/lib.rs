@@ -38,6 +38,7 @@ pub mod offsets;
 pub mod regress;
 pub mod sequence;
 pub mod synth;
+mod wearer;
 
 pub use cape_stats::pca::{ComponentSelection, Pca};
 
@@ -49,3 +50,4 @@ pub use import::{ImportRates, import};
 pub use layer::{Layer, LayerOptions, LayerStream, PredictedFrame};
 pub use offsets::{BodyFrame, OffsetFrame};
 pub use sequence::{LayerSet, Sequence};
+pub use wearer::BodyMeasurements;

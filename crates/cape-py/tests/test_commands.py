@@ -249,6 +249,16 @@ def test_a_layer_is_simulated_learned_and_predicted(tmp_path):
         tmp_path / "skirt", frames=4, resolution=50, steps=10, exercises=["march"], subjects=[-1, 0]
     )
     assert simulated
+    cape.layer.synth(
+        tmp_path / "sizes", frames=4, resolution=50, steps=10, exercises=["march"], lengths=[1, 1.2]
+    )
+    cape.layer.learn(tmp_path / "sizes", tmp_path / "fits", components=2)
+    fits = tmp_path / "fits" / "layer.npz"
+    draws = cape.layer.predict_random(fits, 3, tmp_path / "draws", motion="squats", seconds=0.1)
+    assert len(draws) == 3 and len({draw.parameters["length"] for draw in draws}) == 3
+    assert (tmp_path / "draws" / "random.json").exists()
+    assert draws[0].vertices.shape == draws[1].vertices.shape
+    assert (draws[0].vertices != draws[1].vertices).any()
     associated = cape.layer.associate(tmp_path / "skirt", tmp_path / "associated", compare=[1, 4])
     assert associated["clothing_vertices"] > 50
     learned = cape.layer.learn(tmp_path / "skirt", tmp_path / "learned", components=2)
@@ -264,6 +274,8 @@ def test_a_layer_is_simulated_learned_and_predicted(tmp_path):
     np.testing.assert_array_equal(kept.vertices, moving.vertices)
     with pytest.raises(cape.CapeError, match="colour"):
         cape.layer.predict(layer, parameters={"colour": 2.0})
+    with pytest.raises(cape.CapeError, match="no other parameters"):
+        cape.layer.predict_random(layer, 2, seconds=0.1)
     worn = cape.layer.transfer(tmp_path / "skirt", betas=[2.0, -1.0])
     assert worn.vertices.shape[1:] == moving.vertices.shape[1:] and worn.parameters == {}
 

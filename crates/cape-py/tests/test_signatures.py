@@ -17,6 +17,7 @@ GLOBAL = {"help", "version", "json", "quiet", "device", "seed", "threads"}
 OTHER_NAMES = {
     "view": [cape.Viewer, cape.export_view],
     "train": [cape.train, cape.check, cape.find_rate],
+    "layer predict": [cape.layer.predict, cape.layer.predict_random],
     "fit image": [cape.fit.image, cape.fit.images],
     "fit benchmark image": [cape.fit.benchmark_image],
     "fit benchmark scan": [cape.fit.benchmark_scan],
@@ -26,7 +27,7 @@ NO_ARGUMENTS = {"tui", "check", "find_rate", "export", "framed", "no_open", "pro
 #: Parameters for arguments of the command line, and those of more than one value.
 ARGUMENTS = {
     "run": {"model", "runs"},
-    "run|mesh|sequence": {"path", "model", "site", "proxy"},
+    "run|layer|mesh|sequence": {"path", "model", "site", "proxy"},
     "registration": {"registrations"},
     "set": {"sets"},
     "file|dir": {"sources"},

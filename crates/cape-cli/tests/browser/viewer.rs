@@ -19,7 +19,7 @@ use crate::{
     browser::{Browser, Scheme, View},
     devtools::Live,
     keep,
-    support::{VERTICES, cape, trained},
+    support::{VERTICES, cape, run_line, trained},
 };
 
 pub(crate) const WIDE: View = View { width: 1280, height: 800, scheme: Scheme::Light };
@@ -133,6 +133,51 @@ fn sliders_outfits_and_samples_change_the_picture() {
     click(&mut live, "#sample");
     assert_ne!(live.evaluate("cape.state().z"), before);
     assert!(live.evaluate("cape.state().answers").as_u64().unwrap() >= 5);
+    assert_eq!(live.complaints(), [""; 0]);
+}
+
+#[test]
+fn a_clothing_layer_has_sliders_of_body_motion_size_and_material() {
+    let Some(browser) = Browser::find() else { return };
+    let place = tempfile::tempdir().unwrap();
+    let at = |name: &str| place.path().join(name).display().to_string();
+    let options = "--garment skirt --exercises march --frames 8 --resolution 50 --lengths 0.8,1.1";
+    run_line(&format!("layer synth {options} --out {}", at("set"))).succeeded();
+    run_line(&format!("layer learn {} --components 4 --out {}", at("set"), at("learned")))
+        .succeeded();
+    let layer = at("learned/layer.npz");
+    let server = Server::start(&layer);
+    let mut live = Live::open(&browser, &server.url, WIDE);
+    live.evaluate("cape.ready");
+    live.evaluate("cape.settled()");
+    let mut last = live.screenshot();
+    keep("viewer-layer", &last);
+    assert_eq!(live.evaluate("document.querySelectorAll('[id^=\"parameter-\"]').length"), 1);
+    let (length, shape) = ("#parameter-0", "#layer-beta-1");
+    for (control, value) in
+        [("#scrub", "20"), (length, "0.75"), (shape, "3"), ("#movement", "squats")]
+    {
+        set(&mut live, control, value);
+        let now = live.screenshot();
+        assert!(difference(&last, &now) > 0.001, "{control} changes nothing");
+        last = now;
+    }
+    keep("viewer-layer-changed", &last);
+    assert_eq!(live.evaluate("cape.state().motion"), "squats");
+    assert_eq!(live.evaluate("cape.state().frame"), 0, "a motion begins at its first frame");
+    click(&mut live, "#parameters-mean");
+    let mean = live.evaluate("cape.state().parameters[0]").as_f64().unwrap();
+    assert!(mean > 0.75, "the mean of both lengths: {mean}");
+    let faces = live.evaluate("cape.state().triangles").as_u64().unwrap();
+    assert!(faces > 13_776, "body and clothing: {faces}");
+    live.evaluate("document.querySelector('#play').click()");
+    // Five seconds at most.
+    live.evaluate(
+        "new Promise(resolve => { let left = 100; const wait = () => \
+         cape.state().frame > 0 || left-- === 0 ? resolve() : setTimeout(wait, 50); wait(); })",
+    );
+    click(&mut live, "#play");
+    assert!(live.evaluate("cape.state().frame").as_u64().unwrap() > 0, "it plays");
     assert_eq!(live.complaints(), [""; 0]);
 }
 

@@ -117,6 +117,8 @@ fn a_skirt_is_learned_and_predicted() {
         .failed_saying(&["already exists"]);
     run_line(&format!("layer predict {layer} --parameters collar=1 --out {}", at("other")))
         .failed_saying(&["`collar`", "length"]);
+    run_line(&format!("layer predict {layer} --random 2 --out {}", at("other")))
+        .failed_saying(&["no other parameters", "differed"]);
     run_line(&format!("layer learn {learned} --out {}", at("other"))).failed_saying(&["learned"]);
     run_line(&format!("layer learn {set} --components 40 --out {}", at("other")))
         .failed_saying(&["40 principal components of 5 frames", "expected 1 to 4"]);
@@ -133,8 +135,10 @@ fn a_skirt_is_learned_and_predicted() {
         .collect();
     fs::write(at("rows.csv"), &text).unwrap();
     let archive = skirt().join(format!("{}.npz", sequence.name)).display().to_string();
+    // Clothing where it is predicted: what is pushed out goes to the nearest face, which may change.
     let of = |motion: &str, out: &str| {
-        format!("layer predict {layer} --motion {motion} --format obj --out {}", at(out))
+        let options = "--format obj --clearance 0";
+        format!("layer predict {layer} --motion {motion} {options} --out {}", at(out))
     };
     run_line(&of(&at("rows.csv"), "rows")).succeeded();
     run_line(&of(&archive, "archive")).succeeded();
@@ -556,6 +560,7 @@ fn a_grid_of_sizes_and_materials_is_simulated_and_goes_on() {
         assert!(one == other, "{name} differs after an interruption");
     }
     assert_eq!(synth(&halted).json()["simulated_now"], 0);
+    random_parameters_are_predicted(&whole, place.path());
     run_line(&format!("layer synth --garment skirt --out {halted}"))
         .failed_saying(&["other settings"]);
     // A directory of the first simulator, whose plan has no version.
@@ -565,6 +570,52 @@ fn a_grid_of_sizes_and_materials_is_simulated_and_goes_on() {
     fs::write(&plan, serde_json::to_vec(&value).unwrap()).unwrap();
     run_line(&format!("layer synth {options} --out {halted}"))
         .failed_saying(&["version 0 of the simulator", "--out"]);
+}
+
+/// Draws of random parameters from a set of two lengths and two frictions.
+fn random_parameters_are_predicted(set: &str, place: &Path) {
+    let at = |name: &str| place.join(name).display().to_string();
+    run_line(&format!("layer learn {set} --components 2 --out {}", at("learned"))).succeeded();
+    let layer = at("learned/layer.npz");
+    let random = |options: &str, out: &str| {
+        let line = format!("layer predict {layer} --seconds 0.1 --random 3 {options}");
+        run_line(&format!("{line} --out {} --json", at(out))).json()
+    };
+    let report = random("--parameters friction=0.4", "random");
+    let numbers = |report: &serde_json::Value, draw: usize, name: &str| {
+        let named = report["random"][draw]["parameters"].as_array().unwrap();
+        named.iter().find(|pair| pair[0] == name).unwrap()[1].as_f64().unwrap()
+    };
+    assert_eq!((&report["frames"], report["random"].as_array().unwrap().len()), (&3.into(), 3));
+    let lengths = [0, 1, 2].map(|draw| numbers(&report, draw, "length"));
+    assert!(lengths[0] != lengths[1] && lengths[1] != lengths[2], "{lengths:?}");
+    for draw in 0..3 {
+        assert_eq!(numbers(&report, draw, "friction"), 0.4);
+        assert_eq!(numbers(&report, draw, "width"), numbers(&report, 0, "width"), "is constant");
+        assert_eq!(numbers(&report, draw, "beta_1"), 0.0, "is the wearer's");
+    }
+    let file = fs::read(at("random/random.json")).unwrap();
+    assert_eq!(serde_json::from_slice::<serde_json::Value>(&file).unwrap(), report["random"]);
+    assert!(fs::metadata(at("random/random.png")).unwrap().len() > 0);
+    let mesh = |out: &str, draw: usize| {
+        fs::read(at(&format!("{out}/random-{draw}/frame-00002.ply"))).unwrap()
+    };
+    assert_ne!(mesh("random", 1), mesh("random", 2));
+    let options = "--components 2 --wearer-ratios";
+    run_line(&format!("layer learn {set} {options} --out {}", at("ratios"))).succeeded();
+    let of_ratios = |named: &str, out: &str| {
+        let layer = at("ratios/layer.npz");
+        run_line(&format!(
+            "layer predict {layer} --parameters {named} --seconds 0.1 --out {}",
+            at(out)
+        ))
+    };
+    of_ratios("length=1", "cut").failed_saying(&["`length`", "length_ratio, width_ratio"]);
+    of_ratios("length_ratio=1", "worn").succeeded();
+    random("--parameters friction=0.4", "again");
+    assert_eq!(mesh("random", 3), mesh("again", 3));
+    random("--parameters friction=0.4 --seed 5", "others");
+    assert_ne!(mesh("random", 3), mesh("others", 3));
 }
 
 #[test]

@@ -262,10 +262,10 @@ impl Sandbox {
         self.cape("fit scan runs/cape --scan a.ply --outfit longlong --pose t-pose --out a");
     }
 
-    /// A short march in a coarse skirt, as a set, as meshes, and learned.
+    /// A short march in two coarse skirts, as a set, as meshes, and learned.
     fn layers(&self) {
         let options = "--exercises march --frames 8 --resolution 50 --steps 10";
-        self.cape(&format!("layer synth --garment skirt {options} --out skirt"));
+        self.cape(&format!("layer synth --garment skirt --lengths 1,1.1 {options} --out skirt"));
         for name in ["moves", "materials", "fits"] {
             self.copy("skirt", &format!("report/sets/{name}"));
         }

@@ -3,6 +3,8 @@
 //! are not in the training set.
 
 mod baselines;
+mod components;
+mod dressed;
 mod factor;
 mod run;
 #[cfg(test)]
@@ -14,6 +16,7 @@ use ndarray::{ArrayView1, ArrayView2};
 use serde::{Deserialize, Serialize};
 
 pub use baselines::BaselineErrors;
+pub use components::ComponentCurve;
 pub use factor::{Factor, SequenceGroup};
 pub use run::{
     ExampleFrame, Experiment, ExperimentOutcome, ExperimentResults, ReconstructionResult,
@@ -83,6 +86,10 @@ pub struct LearningOptions {
     /// Most inputs of semantic parameters, to which more are reduced; the paper's 4 for a material
     /// (§5.2).
     pub semantics: Option<usize>,
+    /// Use garment sizes (`length`, `width`, `sleeve`, `size`) as ratios to the wearer's measurements, as the
+    /// paper does (§5.3), instead of to those of the body that the garment was cut for. Their names are then
+    /// `length_ratio` and so on.
+    pub wearer_ratios: bool,
     /// Share of the frames that play no part in the training where nothing else is held out; 20 % in the
     /// paper (§4.3).
     pub test: f64,
@@ -101,6 +108,7 @@ impl Default for LearningOptions {
             components: None,
             features: FeatureOptions::default(),
             semantics: Some(4),
+            wearer_ratios: false,
             test: 0.2,
             validated_sequences: 10,
             trainings: 1,
@@ -161,7 +169,7 @@ pub struct RegressionReport {
 /// Measures of predicted clothing that is pushed out of the body.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PushedOut {
-    /// Shares of the clothing vertices inside the body, before and after.
+    /// Shares of the clothing's surface inside the body, before and after.
     pub inside: InsideShares,
     /// Mean error afterwards, millimetres.
     pub error_mm: f64,

@@ -2,8 +2,8 @@ use ndarray::{Array1, Array2, Axis, s};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    BaselineErrors, Factor, LayerError, LearningOptions, ONE, PushedOut, RegressionReport,
-    UnposedSet,
+    BaselineErrors, ComponentCurve, Factor, LayerError, LearningOptions, ONE, PushedOut,
+    RegressionReport, UnposedSet,
 };
 use crate::{ComponentSelection, Error, LayerSet, Pca, Result};
 
@@ -75,6 +75,9 @@ pub struct RegressionResult {
     pub train_mm: f64,
     /// Mean error on the predicted frames, `E_pred`, over the trainings.
     pub predict_mm: f64,
+    /// Mean error on the predicted frames over the whole dressed surface, clothing and bare skin, whose error
+    /// is 0 because the body is known.
+    pub dressed_mm: f64,
     /// Mean error on the predicted frames of each training.
     pub predict_each_mm: Vec<f64>,
     /// Largest error on the predicted frames.
@@ -104,6 +107,8 @@ pub struct ExperimentResults {
     pub reconstructed: Vec<ReconstructionResult>,
     /// Rows of table 2 or of a transfer.
     pub regressed: Vec<RegressionResult>,
+    /// Error by the number of components (figure 3).
+    pub curves: Vec<ComponentCurve>,
 }
 
 /// Clothing of an example frame, for pictures.
@@ -200,9 +205,13 @@ impl ExperimentRun<'_> {
                 errors_mm: errors.iter().map(|error| error.mean).collect(),
                 largest_mm: all.largest,
             });
-            progress(index + 1, sequences.len());
+            progress(index + 1, 2 * sequences.len());
         }
-        let results = ExperimentResults { reconstructed, ..ExperimentResults::default() };
+        let curve = ComponentCurve::measure(self.name, self.unposed, &mut |done| {
+            progress(sequences.len() + done, 2 * sequences.len());
+        })?;
+        let curves = vec![curve];
+        let results = ExperimentResults { reconstructed, curves, ..ExperimentResults::default() };
         Ok(ExperimentOutcome { results, examples: self.reconstruction_examples(&counts)? })
     }
 
@@ -235,6 +244,7 @@ impl ExperimentRun<'_> {
             runs.push(("all together", (0..sequences.len()).collect()));
         }
         let mut outcome = ExperimentOutcome::default();
+        let share = self.unposed.clothing_share()?;
         for (index, (name, of)) in runs.iter().enumerate() {
             let regression = self.unposed.regression(of, self.options, &mut |_, _| {})?;
             let held = &regression.held;
@@ -243,7 +253,7 @@ impl ExperimentRun<'_> {
                     outcome.examples.extend(self.prediction_example(&regression, frame)?);
                 }
             }
-            outcome.results.regressed.push(self.result("", name, &regression));
+            outcome.results.regressed.push(self.result(["", name], &regression, share));
             progress(index + 1, runs.len());
         }
         Ok(outcome)
@@ -256,6 +266,7 @@ impl ExperimentRun<'_> {
         progress: &mut dyn FnMut(usize, usize),
     ) -> Result<ExperimentOutcome> {
         let groups = factor.held_out_groups(self.unposed.set());
+        let share = self.unposed.clothing_share()?;
         let mut regressed = Vec::new();
         let mut examples = Vec::new();
         for (index, group) in groups.iter().enumerate() {
@@ -268,7 +279,7 @@ impl ExperimentRun<'_> {
                 shown.extend(self.prediction_example(&regression, frame)?);
             }
             examples.push((regression.predict.mean, shown));
-            regressed.push(self.result(factor.name(), &group.label, &regression));
+            regressed.push(self.result([factor.name(), &group.label], &regression, share));
             progress(index + 1, groups.len());
         }
         examples.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -296,7 +307,13 @@ impl ExperimentRun<'_> {
         ])
     }
 
-    fn result(&self, factor: &str, name: &str, regression: &RegressionReport) -> RegressionResult {
+    /// A row of a table; `share` is that of the clothing in the dressed surface.
+    fn result(
+        &self,
+        [factor, name]: [&str; 2],
+        regression: &RegressionReport,
+        share: f64,
+    ) -> RegressionResult {
         let outcome = &regression.trained_model.outcome;
         RegressionResult {
             set: self.name.to_owned(),
@@ -306,6 +323,7 @@ impl ExperimentRun<'_> {
             frames: regression.held.len(),
             train_mm: regression.train.mean,
             predict_mm: regression.predict.mean,
+            dressed_mm: share * regression.predict.mean,
             predict_each_mm: regression.predict_each.clone(),
             largest_mm: regression.predict.largest,
             space_mm: regression.space.mean,

@@ -4,7 +4,7 @@ use ndarray::{Array2, Array3, Axis};
 
 use super::*;
 use crate::{
-    AssociateOptions, Association, BodyIdentity, Layer, LayerSet, PredictedFrame,
+    AssociateOptions, Association, BodyIdentity, BodyMeasurements, Layer, LayerSet, PredictedFrame,
     sequence::Sequence,
 };
 use cape_cloth::{Garment, GarmentKind};
@@ -42,6 +42,37 @@ fn marching_set(model: &SmplModel) -> LayerSet {
         parameters: vec![("length".into(), 0.85)],
     };
     LayerSet::new(skirt.faces, vec![sequence]).unwrap()
+}
+
+#[test]
+fn sizes_are_ratios_to_the_wearer() {
+    let model = synthetic_body();
+    let (mut set, association) = march(&model);
+    let larger = Sequence { betas: vec![1.5], name: "larger".into(), ..set.sequences[0].clone() };
+    set.sequences.push(larger);
+    let standard = StandardPose::default();
+    let unposed = UnposedSet::new(&model, &set, &association, &standard).unwrap();
+    let learning = LearningOptions { wearer_ratios: true, ..LearningOptions::default() };
+    let semantics = unposed.semantics(&[0, 1], &learning).unwrap();
+    assert_eq!(semantics.names(), ["length_ratio", "beta_1"]);
+    let features = FeatureOptions::default();
+    let inputs = unposed.inputs(&features, &semantics).unwrap();
+    // The cut length is the same, and its ratio to the larger wearer less or more, as this is taller or not.
+    let measured = [&set.sequences[0], &set.sequences[1]]
+        .map(|s| BodyMeasurements::new(&model, &s.shape(&model).unwrap()).unwrap().neck_to_knee);
+    assert!((measured[1] / measured[0] - 1.0).abs() > 0.005, "{measured:?}");
+    let row = |length: f64, beta: f64| semantics.reduced(&[length, beta]).unwrap();
+    let tail = |frame: usize| inputs.rows.row(frame).to_vec().split_off(features.len(24));
+    let near = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
+    assert!(near(tail(0), row(0.85, 0.0)), "{:?}", tail(0));
+    assert!(near(tail(60), row(0.85 * measured[0] / measured[1], 1.5)), "{:?}", tail(60));
+    // As they are cut, without the option.
+    let cut = unposed.semantics(&[0, 1], &LearningOptions::default()).unwrap();
+    assert_eq!(cut.names(), ["length", "beta_1"]);
+    assert_eq!(cut.with(&[]).unwrap(), [0.85, 0.75]);
+    // Clothing over the dressed surface: a skirt is about a third of it.
+    let share = unposed.clothing_share().unwrap();
+    assert!((0.15..0.6).contains(&share), "{share}");
 }
 
 #[test]
@@ -123,10 +154,18 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
     while let Some(predicted) = stream.finish().unwrap() {
         measure(predicted);
     }
+    let pushed = back.stream(&model, &shape, sequence.motion.frame_rate, &[0.85]).unwrap();
+    assert!(
+        pushed.predict_frame(&sequence.motion, 60).unwrap_err().to_string().contains("60 frames")
+    );
     let mut outside = 0;
     back.predict(&model, &shape, &sequence.motion, &[0.85], &mut |predicted| {
         let inside = predicted.inside.unwrap();
-        assert!(inside.after <= inside.before.min(0.002), "{inside:?}");
+        // The thighs of this march are all the way through the skirt.
+        assert!(inside.after <= inside.before, "{inside:?}");
+        if outside % 17 == 3 {
+            assert_eq!(pushed.predict_frame(&sequence.motion, predicted.frame).unwrap(), predicted);
+        }
         outside += 1;
         Ok(())
     })
@@ -145,4 +184,8 @@ fn a_skirt_survives_the_round_trip_and_is_learned() {
     let none = back.predict(&model, &shape, &sequence.motion, &[], &mut |_| Ok(()));
     assert!(none.unwrap_err().to_string().contains("expected 1: length"));
     assert!(Layer::load(&path, 10).is_err());
+    assert!(Layer::is_at(&path) && !Layer::is_at(directory.path()));
+    let body = directory.path().join("body.npz");
+    model.save(&body).unwrap();
+    assert!(!Layer::is_at(&body));
 }

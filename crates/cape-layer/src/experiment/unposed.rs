@@ -12,6 +12,7 @@ use crate::{
     offsets::OffsetFrame,
     regress::{Epoch, FeatureOptions, RegressionInputs, SemanticParameters, TrainingOptions},
     sequence::LayerSet,
+    wearer::{BodyMeasurements, ratio_name, size_name},
 };
 use cape_core::smpl::StandardPose;
 
@@ -89,6 +90,14 @@ impl<'a> UnposedSet<'a> {
     /// The set.
     pub fn set(&self) -> &'a LayerSet {
         self.set
+    }
+
+    pub(super) fn model(&self) -> &'a SmplModel {
+        self.model
+    }
+
+    pub(super) fn standard(&self) -> &StandardPose {
+        &self.standard
     }
 
     /// Frames of the sequences with the indices `sequences`, and the other frames, both ascending.
@@ -201,7 +210,7 @@ impl<'a> UnposedSet<'a> {
         semantics: &SemanticParameters,
     ) -> Result<RegressionInputs> {
         let motion = self.motion_rows(features)?;
-        let parameters = self.set.semantic_parameters().1;
+        let parameters = self.parameters(semantics.names())?;
         let reduced: Vec<Vec<f64>> = parameters
             .rows()
             .into_iter()
@@ -324,11 +333,11 @@ impl<'a> UnposedSet<'a> {
         learning: &LearningOptions,
         watch: &mut dyn FnMut(Epoch),
     ) -> Result<TrainedModel> {
-        let LearningOptions { features, semantics, training, .. } = learning;
+        let LearningOptions { features, training, .. } = learning;
         let each = self.set.each_frame();
         let mut sequences: Vec<usize> = frames.iter().map(|&frame| each[frame].0).collect();
         sequences.dedup();
-        let semantics = self.semantics(&sequences, *semantics)?;
+        let semantics = self.semantics(&sequences, learning)?;
         let mut inputs = self.inputs(features, &semantics)?.select(frames);
         if whole_sequences && sequences.len() >= learning.validated_sequences {
             inputs.groups = Some(frames.iter().map(|&frame| each[frame].0).collect());
@@ -344,9 +353,45 @@ impl<'a> UnposedSet<'a> {
     }
 
     /// Reduction of the semantic parameters of some sequences.
-    fn semantics(&self, sequences: &[usize], most: Option<usize>) -> Result<SemanticParameters> {
-        let (names, rows) = self.set.semantic_parameters();
-        SemanticParameters::from_rows(names, rows.select(Axis(0), sequences).view(), most)
+    pub(super) fn semantics(
+        &self,
+        sequences: &[usize],
+        learning: &LearningOptions,
+    ) -> Result<SemanticParameters> {
+        let mut names = self.set.semantic_parameters().0;
+        if learning.wearer_ratios {
+            for name in &mut names {
+                *name = ratio_name(name).map_or_else(|| name.clone(), str::to_owned);
+            }
+        }
+        let rows = self.parameters(&names)?.select(Axis(0), sequences);
+        SemanticParameters::from_rows(names, rows.view(), learning.semantics)
+    }
+
+    /// Semantic parameters of all sequences by name, `[sequences, names]`: the set's, or its garment sizes as
+    /// ratios to the wearers.
+    fn parameters(&self, names: &[String]) -> Result<Array2<f64>> {
+        let (known, values) = self.set.semantic_parameters();
+        let mut rows = Array2::zeros((values.nrows(), names.len()));
+        for (mut column, name) in rows.columns_mut().into_iter().zip(names) {
+            let column_of = |name: &str| known.iter().position(|other| other == name);
+            if let Some(at) = column_of(name) {
+                column.assign(&values.column(at));
+            } else if let Some(at) = size_name(name).and_then(column_of) {
+                let cut_for = BodyMeasurements::new(self.model, &self.model.rest_shape(&[])?)?;
+                for (row, sequence) in self.set.sequences.iter().enumerate() {
+                    let wearer = BodyMeasurements::new(self.model, &sequence.shape(self.model)?)?;
+                    let factor = wearer.factor(name, &cut_for).unwrap_or(1.0);
+                    column[row] = values[(row, at)] * factor;
+                }
+            } else {
+                return Err(Error::argument(format!(
+                    "layer set: no semantic parameter `{name}`: it has {}",
+                    known.join(", ")
+                )));
+            }
+        }
+        Ok(rows)
     }
 
     /// Clothing of frames pushed out of their bodies, `[n_v, 3]`, with the shares that were inside.

@@ -103,6 +103,21 @@ impl Network {
         Ok(values)
     }
 
+    /// Unit of each parameter for the optimiser, `[parameters]`: the inverse root of the mean squared length of
+    /// its layer's inputs, with 1 for the bias. In these units the layers are about equally curved, however
+    /// many inputs they have.
+    pub(super) fn parameter_units(&self, inputs: ArrayView2<'_, f64>) -> Array1<f64> {
+        let mut units = Vec::with_capacity(self.parameters.len());
+        let mut values = inputs.to_owned();
+        for layer in layers(&self.sizes, self.parameters.view()) {
+            let squares = values.iter().map(|x| x * x).sum::<f64>() / values.nrows().max(1) as f64;
+            let count = layer.weights.len() + layer.biases.len();
+            units.extend(std::iter::repeat_n(1.0 / (1.0 + squares).sqrt(), count));
+            values = layer.apply(&values).mapv_into(f64::tanh);
+        }
+        Array1::from_vec(units)
+    }
+
     /// Mean squared error over rows and outputs, and its gradient with respect to `parameters`, by
     /// backpropagation.
     pub(super) fn error_and_gradient(

@@ -48,6 +48,11 @@ impl Standardiser {
         self.apply(rows).mapv_into(|x| x.clamp(-FURTHEST, FURTHEST))
     }
 
+    /// Differences of standardised numbers `[n, numbers]` in the numbers' own units.
+    pub(super) fn scaled(&self, differences: &Array2<f64>) -> Array2<f64> {
+        differences * &self.deviation
+    }
+
     pub(super) fn mean(&self) -> &Array1<f64> {
         &self.mean
     }
@@ -68,7 +73,7 @@ impl Standardiser {
     }
 
     fn undo(&self, rows: &Array2<f64>) -> Array2<f64> {
-        rows * &self.deviation + &self.mean
+        self.scaled(rows) + &self.mean
     }
 }
 

@@ -1,5 +1,7 @@
 use cape_core::npy::{Npz, NpzWriter};
-use ndarray::{Array1, Array2, ArrayView2, Axis};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
+use rand::{RngExt, rngs::ChaCha8Rng};
+use rand_distr::StandardNormal;
 
 use super::regressor::Standardiser;
 use crate::{ComponentSelection, Error, Pca, Result, sequence::beta_name};
@@ -7,6 +9,12 @@ use cape_core::expect_finite;
 
 /// Largest number of shape coefficients of a body.
 const BETAS: usize = 300;
+
+/// Random parameters are at most this many standard deviations from the mean along each component.
+const FARTHEST: f64 = 2.0;
+
+/// Standard deviation below which a parameter is constant up to rounding, relative to its mean or to 1.
+const NEGLIGIBLE: f64 = 1e-9;
 
 /// Semantic parameters of sequences (garment sizes, §5.3, and materials, §5.2) as inputs of the
 /// regression: standardised, and reduced to principal components if many vary. The paper reduces
@@ -31,6 +39,9 @@ pub struct SemanticParameters {
     scale: Standardiser,
     /// Components in the space of standardised parameters, `[inputs, parameters]`.
     components: Array2<f64>,
+    /// Principal directions of the parameters of the training sequences, each one standard deviation long,
+    /// in the units of the parameters, `[directions, parameters]`; not in the files of earlier versions.
+    spread: Option<Array2<f64>>,
 }
 
 impl SemanticParameters {
@@ -64,12 +75,30 @@ impl SemanticParameters {
             }
             _ => Array2::eye(names.len()),
         };
-        Ok(Self { names, scale, components })
+        let spread = if sequences.nrows() > 1 && !names.is_empty() {
+            let pca = Pca::from_snapshots(standardised.view(), ComponentSelection::All)?;
+            let deviations = pca.variances.mapv(|variance| variance.max(0.0).sqrt());
+            scale.scaled(&(pca.components * deviations.insert_axis(Axis(1))))
+        } else {
+            Array2::zeros((0, names.len()))
+        };
+        Ok(Self { names, scale, components, spread: Some(spread) })
     }
 
     /// Names of the parameters, in order.
     pub fn names(&self) -> &[String] {
         &self.names
+    }
+
+    /// Standard deviations of the parameters over the training sequences, in order, `[parameters]`: 0 for those
+    /// that did not differ, and for all of a layer that an earlier version learned.
+    pub fn deviations(&self) -> Vec<f64> {
+        let Some(spread) = &self.spread else { return vec![0.0; self.names.len()] };
+        let deviation = |(column, mean): (ArrayView1<'_, f64>, &f64)| {
+            let deviation = column.dot(&column).sqrt();
+            if deviation > NEGLIGIBLE * mean.abs().max(1.0) { deviation } else { 0.0 }
+        };
+        spread.columns().into_iter().zip(self.scale.mean()).map(deviation).collect()
     }
 
     /// Number of inputs of the regression.
@@ -107,14 +136,60 @@ impl SemanticParameters {
     /// As of `with`.
     pub fn with_wearer(&self, named: &[(String, f64)], betas: &[f64]) -> Result<Vec<f64>> {
         let mut parameters = self.with(named)?;
-        for (parameter, name) in parameters.iter_mut().zip(&self.names) {
-            let given = named.iter().any(|(known, _)| known == name);
-            let shape = (0..BETAS).find(|&k| *name == beta_name(k));
-            if let (false, Some(k)) = (given, shape) {
-                *parameter = betas.get(k).copied().unwrap_or(0.0);
-            }
+        for (parameter, beta) in parameters.iter_mut().zip(self.wearers(named, betas)) {
+            *parameter = beta.unwrap_or(*parameter);
         }
         Ok(parameters)
+    }
+
+    /// [`with_wearer`](Self::with_wearer) with random values in place of the mean (figure 8 of the paper): of
+    /// the normal distribution of the training sequences' parameters, along their principal components, at
+    /// most two standard deviations from the mean along each.
+    ///
+    /// # Errors
+    /// As of `with`, or if no other parameters differed between the training sequences.
+    pub fn random_with_wearer(
+        &self,
+        named: &[(String, f64)],
+        betas: &[f64],
+        rng: &mut ChaCha8Rng,
+    ) -> Result<Vec<f64>> {
+        let fixed = self.with(named)?;
+        let Some(spread) = &self.spread else {
+            return Err(Error::argument(
+                "random parameters: the layer was learned by an earlier version, which did not record \
+                 how they vary; learn it again",
+            ));
+        };
+        let wearers = self.wearers(named, betas);
+        let given = |at: usize| named.iter().any(|(name, _)| *name == self.names[at]);
+        let deviations = self.deviations();
+        let is_drawn = |&at: &usize| !given(at) && wearers[at].is_none() && deviations[at] > 0.0;
+        let drawn: Vec<usize> = (0..self.names.len()).filter(is_drawn).collect();
+        if drawn.is_empty() {
+            return Err(Error::argument(
+                "random parameters: no other parameters than those given and the wearer's shape differed \
+                 between the training sequences",
+            ));
+        }
+        let steps: Array1<f64> = (0..spread.nrows()).map(|_| bounded_normal(rng)).collect();
+        let random = self.scale.mean() + &steps.dot(spread);
+        let value = |at: usize| match wearers[at] {
+            Some(beta) => beta,
+            None if drawn.contains(&at) => random[at],
+            None => fixed[at],
+        };
+        Ok((0..self.names.len()).map(value).collect())
+    }
+
+    /// Shape coefficient of the wearer for each parameter that is one and is not named, `[parameters]`.
+    fn wearers(&self, named: &[(String, f64)], betas: &[f64]) -> Vec<Option<f64>> {
+        let beta = |name: &String| {
+            let given = named.iter().any(|(known, _)| known == name);
+            let shape = (0..BETAS).find(|&k| *name == beta_name(k));
+            shape.filter(|_| !given).map(|k| betas.get(k).copied().unwrap_or(0.0))
+        };
+        self.names.iter().map(beta).collect()
     }
 
     /// All parameters in order, some given by name; the others have the mean of the training set.
@@ -141,6 +216,9 @@ impl SemanticParameters {
         file.add("semantic_names", &names)?;
         self.scale.write(file, "semantic")?;
         file.add("semantic_components", &self.components)?;
+        if let Some(spread) = &self.spread {
+            file.add("semantic_spread", spread)?;
+        }
         Ok(())
     }
 
@@ -156,19 +234,34 @@ impl SemanticParameters {
         let text = String::from_utf8(bytes).map_err(|e| fault("semantic_names", e.to_string()))?;
         let names: Vec<String> = text.lines().map(str::to_owned).collect();
         let scale = Standardiser::read(file, "semantic")?;
-        let components = file.f64("semantic_components")?;
-        let (of, count) = ("semantic_components", names.len());
-        file.expect_shape(of, components.shape(), &[None, Some(count)])?;
-        file.expect_shape("semantic_mean", &[scale.mean().len()], &[Some(count)])?;
-        expect_finite(of, &components)?;
-        let components = components.into_dimensionality().map_err(|e| fault(of, e.to_string()))?;
-        Ok(Self { names, scale, components })
+        let has_spread = file.contains("semantic_spread");
+        file.expect_shape("semantic_mean", &[scale.mean().len()], &[Some(names.len())])?;
+        let mut matrix = |of: &str| -> Result<Array2<f64>> {
+            let numbers = file.f64(of)?;
+            file.expect_shape(of, numbers.shape(), &[None, Some(names.len())])?;
+            expect_finite(of, &numbers)?;
+            Ok(numbers.into_dimensionality().map_err(|e| fault(of, e.to_string()))?)
+        };
+        let components = matrix("semantic_components")?;
+        let spread = if has_spread { Some(matrix("semantic_spread")?) } else { None };
+        Ok(Self { names, scale, components, spread })
+    }
+}
+
+/// A standard normal number that is at most [`FARTHEST`] from 0.
+fn bounded_normal(rng: &mut ChaCha8Rng) -> f64 {
+    loop {
+        let number: f64 = rng.sample(StandardNormal);
+        if number.abs() <= FARTHEST {
+            return number;
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use ndarray::arr2;
+    use rand::SeedableRng;
 
     use super::*;
 
@@ -198,6 +291,49 @@ mod tests {
         assert_eq!(semantics.with_wearer(&[], &[0.5, 9.0, -2.0]).unwrap(), [1.5, 0.5, -2.0]);
         let named = [("beta_3".to_owned(), 0.25)];
         assert_eq!(semantics.with_wearer(&named, &[]).unwrap(), [1.5, 0.0, 0.25]);
+    }
+
+    #[test]
+    fn random_parameters_are_distributed_as_those_of_the_sequences() {
+        let names = ["length", "width", "friction", "beta_1"].map(str::to_owned).to_vec();
+        // Width follows length, friction is constant.
+        let rows = arr2(&[
+            [0.8, 1.0, 0.3, -1.0],
+            [1.0, 1.1, 0.3, 1.0],
+            [1.2, 1.2, 0.3, -1.0],
+            [1.0, 1.1, 0.3, 1.0],
+        ]);
+        let semantics = SemanticParameters::from_rows(names, rows.view(), None).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let mut draw = |named: &[(String, f64)]| {
+            semantics.random_with_wearer(named, &[0.5], &mut rng).unwrap()
+        };
+        let found: Vec<Vec<f64>> = (0..2000).map(|_| draw(&[])).collect();
+        for row in &found {
+            assert!((row[1] - (0.6 + 0.5 * row[0])).abs() < 1e-9, "on the line: {row:?}");
+            assert!((row[2] - 0.3).abs() < 1e-12 && row[3] == 0.5, "{row:?}");
+            // Two standard deviations of the length, 0.02 m².
+            assert!((row[0] - 1.0).abs() <= 2.0 * 0.02f64.sqrt() + 1e-9, "{row:?}");
+        }
+        let deviations = semantics.deviations();
+        assert!((deviations[0] - 0.02f64.sqrt()).abs() < 1e-12 && deviations[2] == 0.0);
+        let mean = found.iter().map(|row| row[0]).sum::<f64>() / 2000.0;
+        let variance = found.iter().map(|row| (row[0] - 1.0).powi(2)).sum::<f64>() / 2000.0;
+        // A normal distribution cut off at two deviations has 0.774 of the variance.
+        assert!((mean - 1.0).abs() < 0.012 && (variance / 0.02 - 0.774).abs() < 0.06, "{variance}");
+        let named = [("length".to_owned(), 0.9)];
+        let (one, other) = (draw(&named), draw(&named));
+        assert!(one[0] == 0.9 && other[0] == 0.9 && one[1] != other[1]);
+        let all = [("length".to_owned(), 0.9), ("width".to_owned(), 1.0)];
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let refused = semantics.random_with_wearer(&all, &[], &mut rng).unwrap_err().to_string();
+        assert!(refused.contains("no other parameters"), "{refused}");
+        let one = arr2(&[[1.0]]);
+        let alone = SemanticParameters::from_rows(vec!["length".into()], one.view(), None).unwrap();
+        assert!(alone.random_with_wearer(&[], &[], &mut rng).is_err());
+        let earlier = SemanticParameters { spread: None, ..semantics };
+        let refused = earlier.random_with_wearer(&[], &[], &mut rng).unwrap_err().to_string();
+        assert!(refused.contains("earlier version"), "{refused}");
     }
 
     #[test]

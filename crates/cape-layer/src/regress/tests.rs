@@ -231,3 +231,39 @@ fn features_are_angles_and_their_rates() {
     assert!(BodyMotion::new(0.0, Array2::zeros((2, 3)), Array2::zeros((2, 3))).is_err());
     assert!(BodyMotion::new(30.0, Array2::zeros((2, 3)), Array2::zeros((3, 3))).is_err());
 }
+
+/// Frames of five motions, as of a body: many inputs of few causes, and targets of falling variance.
+fn motions(inputs: usize, outputs: usize, seed: u64) -> (Array2<f64>, Array2<f64>) {
+    const MOTIONS: usize = 5;
+    const FRAMES: usize = 60;
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut table = |columns: usize, density: f64| {
+        Array2::from_shape_simple_fn((MOTIONS * 5, columns), || {
+            let weight = rng.random_range(-1.0..1.0);
+            if rng.random_range(0.0..1.0) < density { weight } else { 0.0 }
+        })
+    };
+    let (to_inputs, to_outputs) = (table(inputs, 0.4), table(outputs, 1.0));
+    let causes = Array2::from_shape_fn((MOTIONS * FRAMES, MOTIONS * 5), |(row, column)| {
+        let (motion, phase) = (row / FRAMES, 0.21 * (row % FRAMES) as f64);
+        if column / 5 != motion {
+            return 0.0;
+        }
+        [1.0, phase.sin(), phase.cos(), (2.0 * phase).sin(), (2.0 * phase).cos()][column % 5]
+    });
+    let y = causes.dot(&to_outputs);
+    let y = Array2::from_shape_fn(y.dim(), |(row, k)| y[(row, k)] / (1.0 + k as f64));
+    (causes.dot(&to_inputs), y)
+}
+
+#[test]
+fn many_inputs_do_not_slow_the_training_down() {
+    // In units in which all layers are equally curved, 20 iterations leave 0.0033 of the variance, in the
+    // parameters' own 0.0060.
+    let (x, y) = motions(400, 40, 1);
+    let mut training = TrainingOptions { seed: 4, ..TrainingOptions::default() };
+    training.minimiser.steps = 20;
+    let outcome = training.train(&RegressionInputs::new(x), y.view(), &mut |_| {}).unwrap();
+    let last = outcome.epochs.last().unwrap();
+    assert!(last.training < 0.0045 && last.validation < 0.01, "{last:?}");
+}

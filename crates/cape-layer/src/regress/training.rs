@@ -189,25 +189,25 @@ impl TrainingOptions {
         sizes.push(targets.ncols());
         let mut network = Network::random(&sizes, &mut rng)?;
         let start = network.parameters().clone();
+        let units = network.parameter_units(x.view());
         let validate =
             |at: &Array1<f64>| network.error_and_gradient(at, held_x.view(), held_y.view()).0;
         let mut best = (validate(&start), start.clone());
         let (mut last, mut rises) = (best.0, 0);
         let mut epochs = Vec::new();
         let minimised = minimise_while(
-            start.to_vec(),
+            (&start / &units).to_vec(),
             &self.minimiser,
             |at, gradient| {
-                let at = ArrayView1::from(at).to_owned();
+                let at = &ArrayView1::from(at) * &units;
                 let (error, slopes) = network.error_and_gradient(&at, x.view(), y.view());
                 let decay = self.decay / at.len() as f64;
-                for ((to, slope), parameter) in gradient.iter_mut().zip(slopes).zip(&at) {
-                    *to = slope + 2.0 * decay * parameter;
-                }
+                let slopes = (slopes + 2.0 * decay * &at) * &units;
+                gradient.iter_mut().zip(slopes).for_each(|(to, slope)| *to = slope);
                 Ok::<_, Infallible>(error + decay * at.dot(&at))
             },
             |at, training| {
-                let at = ArrayView1::from(at).to_owned();
+                let at = &ArrayView1::from(at) * &units;
                 let validation = validate(&at);
                 let epoch = Epoch { iteration: epochs.len() + 1, training, validation };
                 watch(epoch);

@@ -28,7 +28,17 @@ Garment = Literal["tshirt", "shorts", "skirt", "dress"]
 Exercise = Literal["march", "squat", "swing", "jump", "walk"]
 Standard = Literal["a-pose", "t-pose"]
 
-__all__ = ["LayerMotion", "associate", "import_", "learn", "predict", "report", "synth", "transfer"]
+__all__ = [
+    "LayerMotion",
+    "associate",
+    "import_",
+    "learn",
+    "predict",
+    "predict_random",
+    "report",
+    "synth",
+    "transfer",
+]
 
 #: Frames that a notebook shows.
 _SHOWN = 6
@@ -167,6 +177,7 @@ def learn(
     noise: float = 0.1,
     decay: float = 0.0,
     reduce: int = 4,
+    wearer_ratios: bool = False,
     smoothing: float = 0.0,
     history: int = 0,
     seed: int | None = None,
@@ -178,7 +189,8 @@ def learn(
     left out; ``patience``, rises of the validation error before training stops, otherwise the best of all
     iterations is kept; ``copies`` of the frames with ``noise`` on semantic parameters, relative to their
     deviation; ``decay``, weight of the network's mean squared parameters; ``reduce``, dimension of the
-    semantic parameters; ``smoothing`` of speeds, seconds; ``history``, earlier moments, 0.1 s apart, that the
+    semantic parameters; ``wearer_ratios``, garment sizes as ratios to the wearer, ``length_ratio`` and so on;
+    ``smoothing`` of speeds, seconds; ``history``, earlier moments, 0.1 s apart, that the
     prediction depends on.
     """
     return _program.run("layer learn", locals(), "set")
@@ -211,6 +223,42 @@ def predict(
     return _motion("layer predict", locals(), "layer", "predicted.png")
 
 
+def predict_random(
+    layer: PathLike,
+    random: int,
+    out: PathLike | None = None,
+    *,
+    body: PathLike | None = None,
+    gender: Gender | None = None,
+    motion: PathLike = "walk",
+    seconds: float = 2.0,
+    fps: float | None = None,
+    up: Literal["auto", "y", "z", "-y"] = "auto",
+    person: str | None = None,
+    betas: Sequence[float] | None = None,
+    parameters: Mapping[str, float] | None = None,
+    clearance: float = 2.0,
+    format: Literal["ply", "obj"] = "ply",
+    seed: int | None = None,
+    threads: int | None = None,
+) -> list[LayerMotion]:
+    """Predict the clothing of ``layer.npz`` over a motion for a number of ``random`` semantic parameters.
+
+    They are distributed as in the training sequences; those in ``parameters`` are the same in all draws, and
+    another ``seed`` has other draws. The other arguments are those of :func:`predict`. The picture of every
+    draw is that of all.
+    """
+    given = dict(locals())
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place) / "draws" if out is None else Path(out)
+        found = _program.run("layer predict", {**given, "out": folder}, "layer")
+        shown = (folder / "random.png").read_bytes()
+        return [
+            LayerMotion(*_frames(Path(draw["directory"]), format), dict(draw["parameters"]), shown)
+            for draw in found["random"]
+        ]
+
+
 def transfer(
     set: PathLike,
     out: PathLike | None = None,
@@ -241,11 +289,15 @@ def _motion(command: str, given: Mapping[str, Any], source: str, picture: str) -
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "frames" if given["out"] is None else Path(given["out"])
         found = _program.run(command, {**given, "out": folder}, source)
-        frames = sorted(folder.glob(f"frame-*.{given['format']}"))
-        meshes = [_cape.load_mesh(path) for path in frames]
+        vertices, faces = _frames(folder, given["format"])
         shown = (folder / picture).read_bytes()
-    vertices = np.stack([vertices for vertices, _ in meshes])
-    return LayerMotion(vertices, meshes[0][1], dict(found.get("parameters", ())), shown)
+    return LayerMotion(vertices, faces, dict(found.get("parameters", ())), shown)
+
+
+def _frames(folder: Path, format: str) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Vertices and triangles of the meshes of a directory."""
+    meshes = [_cape.load_mesh(path) for path in sorted(folder.glob(f"frame-*.{format}"))]
+    return np.stack([vertices for vertices, _ in meshes]), meshes[0][1]
 
 
 def report(
@@ -273,6 +325,7 @@ def report(
     noise: float = 0.1,
     decay: float = 0.0,
     reduce: int = 4,
+    wearer_ratios: bool = False,
     smoothing: float = 0.0,
     history: int = 0,
     seed: int | None = None,

@@ -6,14 +6,15 @@ import html
 import os
 
 from . import _program
-from ._options import Up
+from ._options import Gender, Up
 from ._program import PathLike
 
 
 class Viewer(_program.Server):
-    """Server of the viewer of a run, a mesh, a body or a directory of meshes; a notebook shows its page.
+    """Server of the viewer of a run, a clothing layer, a mesh, a body or a directory of meshes; a notebook shows
+    its page.
 
-    Without ``path`` it shows the built-in model. ``motion``, of which ``up`` is the axis and ``person`` one of
+    Without ``path`` it shows the built-in model. ``body``, or with ``gender`` the directory of one, wears a layer. ``motion``, of which ``up`` is the axis and ``person`` one of
     several, is a file of a motion to offer beside the synthetic ones; ``fps`` is the rate of meshes, per second;
     ``port`` 0 is a free one; other machines can look only with a ``host`` other than this one and
     ``allow_remote``. With ``proxy`` the page is shown through jupyter-server-proxy below that path of the notebook
@@ -24,6 +25,8 @@ class Viewer(_program.Server):
         self,
         path: PathLike | None = None,
         *,
+        body: PathLike | None = None,
+        gender: Gender | None = None,
         motion: PathLike | None = None,
         up: Up = "auto",
         person: str | None = None,
@@ -36,6 +39,8 @@ class Viewer(_program.Server):
     ) -> None:
         given = {
             "path": path,
+            "body": body,
+            "gender": gender,
             "motion": motion,
             "up": up,
             "person": person,

@@ -149,6 +149,10 @@ pub(super) struct LearningArgs {
     /// Dimension that semantic parameters are reduced to, if more of them vary.
     #[arg(long, default_value_t = 4, value_name = "N", value_parser = at_least_one)]
     reduce: usize,
+    /// Take garment sizes as ratios to the wearer's measurements instead of those of the body that the garment
+    /// was cut for; their names are then length_ratio, width_ratio, sleeve_ratio and size_ratio.
+    #[arg(long)]
+    wearer_ratios: bool,
     /// Standard deviation of Gaussian smoothing of speeds in seconds.
     #[arg(long, default_value_t = 0.0, value_name = "S", value_parser = non_negative)]
     smoothing: f64,
@@ -173,6 +177,7 @@ impl LearningArgs {
             components: self.components,
             features,
             semantics: Some(self.reduce),
+            wearer_ratios: self.wearer_ratios,
             trainings,
             training: TrainingOptions {
                 patience: self.patience,

@@ -8,13 +8,13 @@ use crate::options::non_negative;
 /// Option of the distance from the body.
 #[derive(Debug, Clone, Copy, Args)]
 pub(super) struct ClearanceArgs {
-    /// Least distance of the clothing's vertices from the body, mm; 0 leaves them where they are.
+    /// Least distance of the clothing from the body, mm; 0 leaves it where it is.
     #[arg(long, default_value_t = 2.0, value_name = "MM", value_parser = non_negative)]
     clearance: f64,
 }
 
 impl ClearanceArgs {
-    /// Least distance, metres, if vertices are pushed out.
+    /// Least distance, metres, if clothing is pushed out.
     pub(super) fn distance(self) -> Option<f64> {
         (self.clearance > 0.0).then_some(1e-3 * self.clearance)
     }
@@ -46,6 +46,9 @@ impl InsideSum {
 pub(super) fn inside_text(inside: Option<InsideShares>) -> String {
     inside.map_or(String::new(), |InsideShares { before, after }| {
         let [before, after] = [before, after].map(|share| 100.0 * share);
-        format!("clothing inside the body: {before:.2} %, after it was pushed out {after:.2} %\n")
+        format!(
+            "surface of the clothing inside the body: {before:.2} %, after it was pushed out \
+             {after:.2} %\n"
+        )
     })
 }

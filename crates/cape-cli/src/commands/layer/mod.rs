@@ -42,7 +42,7 @@ impl LayerCommand {
             Self::Import(command) => command.run(console),
             Self::Associate(command) => command.run(console),
             Self::Learn(command) => command.run(global, console),
-            Self::Predict(command) => command.run(console),
+            Self::Predict(command) => command.run(global, console),
             Self::Transfer(command) => command.run(console),
             Self::Report(command) => command.run(global, console),
         }

@@ -1,14 +1,16 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use cape_core::{Mesh, motion::DEFAULT_FRAME_RATE};
-use cape_layer::{InsideShares, Layer, PredictedFrame};
+use cape_core::{Mesh, SmplModel, motion::DEFAULT_FRAME_RATE};
+use cape_infer::write_json;
+use cape_layer::{InsideShares, Layer, LayerStream, PredictedFrame};
 use cape_render::{Tile, View, contact_sheet};
 use clap::Args;
+use rand::{SeedableRng, rngs::ChaCha8Rng};
 use serde::Serialize;
 
 use super::{
     clearance::{ClearanceArgs, InsideSum, inside_text},
-    motions::MotionFrames,
+    motions::{MotionFrame, MotionFrames},
     named,
     pictures::{PictureCamera, mesh_of},
 };
@@ -18,24 +20,29 @@ use crate::{
     error::{Error, Result},
     files,
     motion_source::{MotionFileArgs, shape_of},
-    options::{FileKind, OutputArgs, ShapeArgs, kinds, positive},
+    options::{FileKind, GlobalArgs, OutputArgs, ShapeArgs, at_least_one, kinds, positive},
+    table::Table,
 };
 
 /// Largest number of frames in the picture.
 const SHOWN: usize = 6;
 /// Height of a frame in the picture, pixels.
 const HEIGHT: u32 = 360;
+/// Columns of the picture of random parameters.
+const COLUMNS: usize = 4;
 
 /// Predict clothing over a body in motion.
 ///
 /// Writes a mesh per frame and predicted.png with some of them. --betas changes the body, --motion its
 /// motion, --parameters material and size. With --motion - poses are read from standard input and each
-/// mesh is written one frame later.
+/// mesh is written one frame later. With --random every draw of material and size has a directory of its
+/// own, random.json has their parameters, and random.png shows them in the same frame.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape layer predict learned/layer.npz --motion squats --out predicted\n  \
                   cape layer predict learned/layer.npz --betas 2,-1 --out other-body\n  \
                   cape layer predict learned/layer.npz --parameters length=1.1,log_rigidity=-4 --out longer\n  \
+                  cape layer predict learned/layer.npz --random 8 --seed 2 --out random\n  \
                   tracker | cape layer predict learned/layer.npz --motion - --out live"
 )]
 pub(crate) struct PredictArgs {
@@ -63,6 +70,10 @@ pub(crate) struct PredictArgs {
     /// Semantic parameters by name; the others have the mean of the training sequences.
     #[arg(long, value_delimiter = ',', value_name = "NAME=X,…", value_parser = named)]
     parameters: Vec<(String, f64)>,
+    /// Number of draws of random semantic parameters, distributed as in the training sequences (figure 8 of
+    /// the paper); those of --parameters are the same in all.
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    random: Option<usize>,
     #[command(flatten)]
     clearance: ClearanceArgs,
     /// File format.
@@ -73,21 +84,43 @@ pub(crate) struct PredictArgs {
 #[derive(Debug, Serialize)]
 struct Report {
     out: PathBuf,
+    /// Number of frames, of each draw if parameters are random.
     frames: usize,
-    /// Semantic parameters.
+    /// Semantic parameters, if they are not random.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     parameters: Vec<(String, f64)>,
-    /// Shares of the clothing vertices inside the body before and after they are pushed out, means over
-    /// the frames, if they are.
+    /// Draws of random parameters.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    random: Vec<RandomDraw>,
+    /// Shares of the clothing's surface inside the body before and after it is pushed out, means over the
+    /// frames, if it is.
     inside: Option<InsideShares>,
 }
 
+/// Clothing of random semantic parameters.
+#[derive(Debug, Serialize)]
+struct RandomDraw {
+    /// Directory of the meshes.
+    directory: PathBuf,
+    /// Semantic parameters.
+    parameters: Vec<(String, f64)>,
+}
+
+/// Layer and body of predictions.
+struct Predictor<'a> {
+    args: &'a PredictArgs,
+    layer: &'a Layer,
+    model: &'a SmplModel,
+    console: Console,
+}
+
 impl PredictArgs {
-    pub(super) fn run(self, console: Console) -> Result {
+    pub(super) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         self.output.require_empty()?;
-        let out = self.output.out;
+        let out = &self.output.out;
         let model = self.body.load()?;
         let layer = Layer::load_for(&self.layer, &model)?;
-        let (mut frames, betas) = if self.motion == "-" {
+        let (frames, betas) = if self.motion == "-" {
             let betas = self.shape.betas(&model)?;
             (MotionFrames::from_standard_input(self.fps.unwrap_or(DEFAULT_FRAME_RATE)), betas)
         } else {
@@ -100,13 +133,69 @@ impl PredictArgs {
         };
         let betas: Vec<f64> = betas.into_iter().map(f64::from).collect();
         let shape = model.rest_shape(&betas)?;
-        let parameters = layer.semantics.with_wearer(&self.parameters, &betas)?;
-        let total = frames.count;
-        let mut stream = layer.stream(&model, &shape, frames.rate, &parameters)?;
-        stream = stream.with_clearance(self.clearance.distance());
-        let mut gallery = FrameSampler::default();
+        let names = || layer.semantics.names().iter().cloned();
+        let stream = |parameters: &[f64]| {
+            let stream = layer.stream(&model, &shape, frames.rate, parameters)?;
+            Ok::<_, Error>(stream.with_clearance(self.clearance.distance()))
+        };
+        let predictor = Predictor { args: &self, layer: &layer, model: &model, console };
         let mut inside = InsideSum::default();
-        files::create_dir(&out)?;
+        if let Some(count) = self.random {
+            let rng = &mut ChaCha8Rng::seed_from_u64(global.seed());
+            let draw = |_| layer.semantics.random_with_wearer(&self.parameters, &betas, rng);
+            let draws = (0..count).map(draw).collect::<Result<Vec<_>, _>>()?;
+            let streams = draws.iter().map(|draw| stream(draw)).collect::<Result<Vec<_>>>()?;
+            let frames = frames.collect::<Result<Vec<_>>>()?;
+            let (mut random, mut galleries) = (Vec::new(), Vec::new());
+            let digits = count.to_string().len();
+            for (number, (parameters, stream)) in draws.into_iter().zip(streams).enumerate() {
+                let directory = out.join(format!("random-{:0digits$}", number + 1));
+                let (known, total) = (frames.iter().cloned().map(Ok), Some(frames.len()));
+                galleries.push(predictor.predict(
+                    (known, total),
+                    stream,
+                    &directory,
+                    &mut inside,
+                )?);
+                random
+                    .push(RandomDraw { directory, parameters: names().zip(parameters).collect() });
+            }
+            write_json(&out.join("random.json"), &random)?;
+            save_random(&galleries, &random, &out.join("random.png"))?;
+            let inside = inside.means();
+            let report = Report {
+                out: out.clone(),
+                frames: frames.len(),
+                parameters: vec![],
+                random,
+                inside,
+            };
+            return console.result(&report, || report.text());
+        }
+        let parameters = layer.semantics.with_wearer(&self.parameters, &betas)?;
+        let stream = stream(&parameters)?;
+        let total = frames.count;
+        let gallery = predictor.predict((frames, total), stream, out, &mut inside)?;
+        gallery.save(&out.join("predicted.png"))?;
+        let parameters = names().zip(parameters).collect();
+        let (frames, inside) = (gallery.seen, inside.means());
+        let report = Report { out: out.clone(), frames, parameters, random: vec![], inside };
+        console.result(&report, || report.text())
+    }
+}
+
+impl Predictor<'_> {
+    /// Writes the clothing of a motion, whose number of frames is known or not, to a directory.
+    fn predict(
+        &self,
+        (mut frames, total): (impl Iterator<Item = Result<MotionFrame>>, Option<usize>),
+        mut stream: LayerStream<'_>,
+        out: &Path,
+        inside: &mut InsideSum,
+    ) -> Result<FrameSampler> {
+        let Self { args, layer, model, console } = self;
+        let mut gallery = FrameSampler::default();
+        files::create_dir(out)?;
         console.while_showing("predict", "frames", |progress| {
             loop {
                 let predicted = match frames.next().transpose()? {
@@ -120,7 +209,7 @@ impl PredictArgs {
                     },
                 };
                 let mesh = mesh_of(predicted.clothing.view(), &layer.faces);
-                let extension = self.format.name();
+                let extension = args.format.name();
                 let frame = predicted.frame;
                 mesh.save(out.join(format!("frame-{frame:05}.{extension}")))?;
                 if let Some(shares) = predicted.inside {
@@ -130,17 +219,53 @@ impl PredictArgs {
                 progress(frame + 1, total.unwrap_or(frame + 1));
             }
         })?;
-        gallery.save(&out.join("predicted.png"))?;
-        let names = layer.semantics.names().iter().cloned();
-        let parameters = names.zip(parameters).collect();
-        let inside = inside.means();
-        let report = Report { frames: gallery.seen, parameters, inside, out };
-        console.result(&report, || {
-            let pushed = inside_text(inside);
-            let picture = report.out.join("predicted.png");
-            format!("{} frames\n{pushed}{}", report.frames, picture.display())
-        })
+        Ok(gallery)
     }
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let pushed = inside_text(self.inside);
+        if self.random.is_empty() {
+            let picture = self.out.join("predicted.png");
+            return format!("{} frames\n{pushed}{}", self.frames, picture.display());
+        }
+        let differing = differing(&self.random);
+        let names = differing.iter().map(|&at| self.random[0].parameters[at].0.clone());
+        let mut table = Table::new(std::iter::once("meshes".to_owned()).chain(names));
+        for draw in &self.random {
+            let values = differing.iter().map(|&at| format!("{:.3}", draw.parameters[at].1));
+            let name = draw.directory.file_name().unwrap_or_default().to_string_lossy();
+            table.row(std::iter::once(name.into_owned()).chain(values));
+        }
+        let picture = self.out.join("random.png");
+        format!("{}\n\n{} frames each\n{pushed}{}", table.text(), self.frames, picture.display())
+    }
+}
+
+/// Indices of the parameters in which draws differ.
+fn differing(draws: &[RandomDraw]) -> Vec<usize> {
+    let Some((first, others)) = draws.split_first() else { return Vec::new() };
+    let differs = |&at: &usize| others.iter().any(|o| o.parameters[at] != first.parameters[at]);
+    (0..first.parameters.len()).filter(differs).collect()
+}
+
+/// A contact sheet of the same frame of each draw, by one camera.
+fn save_random(galleries: &[FrameSampler], draws: &[RandomDraw], picture: &Path) -> Result {
+    let shown: Vec<_> = galleries.iter().filter_map(|g| g.kept.get(g.kept.len() / 2)).collect();
+    let meshes = shown.iter().flat_map(|(_, body, clothing)| [body, clothing]);
+    let stage = PictureCamera::around(meshes, View::ThreeQuarter, HEIGHT)?;
+    let differing = differing(draws);
+    let mut tiles = Vec::new();
+    for (number, ((_, body, clothing), draw)) in shown.iter().zip(draws).enumerate() {
+        let named = |&at: &usize| format!("{} {:.2}", draw.parameters[at].0, draw.parameters[at].1);
+        let label = match &differing[..] {
+            few @ ([_] | [_, _]) => few.iter().map(named).collect::<Vec<_>>().join(", "),
+            _ => format!("random {}", number + 1),
+        };
+        tiles.push(Tile { image: stage.show(Some(body), clothing, None)?, label });
+    }
+    Ok(contact_sheet(&tiles, COLUMNS, None)?.save(picture)?)
 }
 
 /// Evenly spaced frames of a motion of unknown length: with too many, every second one is dropped.

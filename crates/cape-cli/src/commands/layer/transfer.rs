@@ -55,8 +55,8 @@ struct Report {
     frames: usize,
     /// Shape coefficients of the new wearer.
     betas: Vec<f64>,
-    /// Shares of the clothing vertices inside the body before and after they are pushed out, means over
-    /// the frames, if they are.
+    /// Shares of the clothing's surface inside the body before and after it is pushed out, means over the
+    /// frames, if it is.
     inside: Option<InsideShares>,
 }
 

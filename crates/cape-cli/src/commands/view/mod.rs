@@ -2,6 +2,7 @@
 
 mod assets;
 mod bundle;
+mod layer_source;
 mod server;
 mod site;
 mod source;
@@ -15,21 +16,28 @@ use std::{
     thread,
 };
 
+use cape_data::raw::name_of;
 use cape_infer::Run;
+use cape_layer::Layer;
 use clap::Args;
 use serde::Serialize;
 
 use crate::{
+    body_source::BodyModelArgs,
     console::Console,
     error::{Context, Error, Result},
     motion_source::MotionFileArgs,
     options::{GlobalArgs, positive},
     page_server::token,
 };
+use layer_source::LayerSource;
 use server::ServerState;
 use source::{MeshSource, RunSource, Source};
 
 /// View dressed bodies in the browser; change code, shape, pose and outfit.
+///
+/// A clothing layer (layer.npz of `cape layer learn`) is shown over a moving body, with sliders for its size
+/// and material.
 ///
 /// Serves a page to this machine only, at an address with a secret token, until Ctrl-C. From another
 /// machine, forward the port by `ssh -L 8000:localhost:PORT` and open the address with port 8000.
@@ -39,13 +47,17 @@ use source::{MeshSource, RunSource, Source};
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape view\n  cape view runs/cape\n  cape view dressed.obj\n  cape view female\n  \
+                        cape view learned/layer.npz\n  \
                         cape view frames --fps 15 --no-open --port 8080\n  cape view --export site"
 )]
 pub(crate) struct ViewArgs {
-    /// Run, mesh (.obj, .ply, .stl, .off, .glb), SMPL body (.npz, .pkl), built-in body (male, female,
-    /// neutral or sculpted), or directory of meshes as a sequence [default: the built-in model].
-    #[arg(value_name = "RUN|MESH|SEQUENCE")]
+    /// Run, clothing layer (layer.npz), mesh (.obj, .ply, .stl, .off, .glb), SMPL body (.npz, .pkl), built-in
+    /// body (male, female, neutral or sculpted), or directory of meshes as a sequence [default: the built-in
+    /// model].
+    #[arg(value_name = "RUN|LAYER|MESH|SEQUENCE")]
     path: Option<PathBuf>,
+    #[command(flatten)]
+    body: BodyModelArgs,
     /// Port to listen on; 0 selects a free one.
     #[arg(long, default_value_t = 0, value_name = "PORT")]
     port: u16,
@@ -60,7 +72,7 @@ pub(crate) struct ViewArgs {
     /// Frames per second of a sequence.
     #[arg(long, default_value_t = 30.0, value_name = "FPS", value_parser = positive)]
     fps: f64,
-    /// File of a motion to offer beside the synthetic ones, for a run.
+    /// File of a motion to offer beside the synthetic ones, for a run or a layer.
     #[arg(long, value_name = "FILE")]
     motion: Option<String>,
     #[command(flatten)]
@@ -87,6 +99,9 @@ struct EmbeddingArgs {
     #[arg(long)]
     proxied: bool,
 }
+
+/// Duration of a motion that is given by name, for a layer.
+const SECONDS: f64 = 2.0;
 
 #[derive(Debug, Serialize)]
 struct Report {
@@ -117,8 +132,12 @@ impl ViewArgs {
             Some(path) if Run::is_at(path) => Some(Run::open(path, &device)?),
             Some(_) => None,
         };
-        let source = match &run {
-            Some(run) => {
+        let layer = self.path.as_deref().filter(|path| run.is_none() && Layer::is_at(path));
+        if layer.is_none() && self.body.is_given() {
+            return Err(Error::message("--body: only a clothing layer is shown on another body"));
+        }
+        let source = match (&run, layer) {
+            (Some(run), _) => {
                 let motion = self.motion.as_deref();
                 let motion = motion.map(|text| self.reading.poses(text, console)).transpose()?;
                 let source = RunSource::new(run, motion, console);
@@ -127,13 +146,26 @@ impl ViewArgs {
                 }
                 Source::Model(Box::new(source))
             }
-            None if self.export.is_some() => {
-                return Err(Error::message("--export: only a run can be exported, not a mesh"));
+            (None, _) if self.export.is_some() => {
+                return Err(Error::message(
+                    "--export: only a run can be exported, not a mesh or a layer",
+                ));
             }
-            None if self.motion.is_some() => {
-                return Err(Error::message("--motion: only a run can be moved, not a mesh"));
+            (None, Some(path)) => {
+                let model = self.body.load()?;
+                let read = |text: &String| -> Result<_> {
+                    let file = self.reading.motion(text, SECONDS, [None, None], console)?;
+                    Ok((name_of(&file.path), file.motion_of(&model, &[], None)?))
+                };
+                let motion = self.motion.as_ref().map(read).transpose()?;
+                Source::Layer(Box::new(LayerSource::open(path, model, motion)?))
             }
-            None => {
+            (None, None) if self.motion.is_some() => {
+                return Err(Error::message(
+                    "--motion: only a run or a layer can be moved, not a mesh",
+                ));
+            }
+            (None, None) => {
                 let path = self.path.as_deref().unwrap_or_else(|| Path::new(""));
                 Source::Meshes(MeshSource::open(path, self.fps)?)
             }

@@ -1,4 +1,4 @@
-//! Source of the viewer's pictures: a run, or meshes.
+//! Source of the viewer's pictures: a run, a clothing layer, or meshes.
 
 use std::path::{Path, PathBuf};
 
@@ -16,8 +16,9 @@ use cape_synth::{Motion, poses};
 use ndarray::{Array2, Array3};
 use serde_json::{Value, json};
 
-use super::wire::{
-    Answer, Download, FileFormat, MotionRequest, Person, Question, ShowRequest, ViewLayer,
+use super::{
+    layer_source::LayerSource,
+    wire::{Answer, Download, FileFormat, MotionRequest, Person, Question, ShowRequest, ViewLayer},
 };
 use crate::{
     console::Console,
@@ -34,6 +35,7 @@ const CLAY: [f32; 3] = [0.72, 0.71, 0.70];
 /// Source of pictures and files.
 pub(super) enum Source<'a> {
     Model(Box<RunSource<'a>>),
+    Layer(Box<LayerSource>),
     Meshes(MeshSource),
 }
 
@@ -59,6 +61,7 @@ impl Source<'_> {
     pub(super) fn faces(&self) -> &[[u32; 3]] {
         match self {
             Self::Model(model) => &model.run.body().faces,
+            Self::Layer(layer) => layer.faces(),
             Self::Meshes(meshes) => &meshes.first.faces,
         }
     }
@@ -67,6 +70,7 @@ impl Source<'_> {
     pub(super) fn scene(&self) -> Result<Value> {
         match self {
             Self::Model(model) => model.scene(),
+            Self::Layer(layer) => layer.scene(),
             Self::Meshes(meshes) => Ok(meshes.scene()),
         }
     }
@@ -91,6 +95,9 @@ impl Source<'_> {
                 movement.check()?;
                 let poses = model.poses(movement)?;
                 Ok(Answer::Poses { poses, fps: movement.fps })
+            }
+            (Self::Layer(layer), Question::Worn(request)) => {
+                Ok(Answer::People(vec![layer.person(request)?]))
             }
             (Self::Meshes(meshes), &Question::Frame(frame)) => {
                 Ok(Answer::People(vec![meshes.person(frame)?]))

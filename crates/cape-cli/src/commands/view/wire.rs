@@ -56,6 +56,18 @@ pub(super) struct MotionRequest {
     pub(super) fps: f64,
 }
 
+/// Request for a picture of a clothing layer.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LayerRequest {
+    pub(super) betas: Vec<f64>,
+    /// Values of the parameters with sliders.
+    pub(super) parameters: Vec<f64>,
+    /// Name of the motion.
+    pub(super) motion: String,
+    pub(super) frame: usize,
+}
+
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Question {
@@ -63,6 +75,8 @@ pub(super) enum Question {
     Show(ShowRequest),
     /// Picture of a mesh or of a frame of a sequence.
     Frame(usize),
+    /// Picture of a clothing layer.
+    Worn(LayerRequest),
     /// Sampled code.
     Sample(SampleRequest),
     /// Code, body and pose of a registration.
@@ -119,7 +133,7 @@ pub(super) enum Answer {
 impl Question {
     /// True if a newer request replaces it.
     pub(super) const fn is_superseded(&self) -> bool {
-        matches!(self, Self::Show(_) | Self::Frame(_))
+        matches!(self, Self::Show(_) | Self::Frame(_) | Self::Worn(_))
     }
 }
 
@@ -257,6 +271,10 @@ mod tests {
             (show.truth, &show.layers[..]),
             (7, &[ViewLayer::Clothed, ViewLayer::Truth][..])
         );
+        let text =
+            r#"{"id":5,"worn":{"betas":[1],"parameters":[0.8],"motion":"squats","frame":2}}"#;
+        let worn = read(text).unwrap().question;
+        assert!(worn.is_superseded() && matches!(worn, Question::Worn(_)));
         assert!(show.body_spec().unwrap_err().to_string().contains("pose has 2 values"));
         for nonsense in
             ["", "7", "{}", r#"{"id":1}"#, r#"{"id":-1,"frame":0}"#, r#"{"id":1,"shut":0}"#]

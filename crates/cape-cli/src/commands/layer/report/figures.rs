@@ -1,8 +1,8 @@
 //! Pictures of clothing coloured by error, beside the ground truth.
 
 use cape_core::{Mesh, SmplModel};
-use cape_layer::experiment::{ExampleFrame, LayerError, distances};
-use cape_render::{Image, Tile, View, contact_sheet};
+use cape_layer::experiment::{ComponentCurve, ExampleFrame, LayerError, distances};
+use cape_render::{Image, Plot, Series, Tile, View, contact_sheet};
 use ndarray::{ArrayView2, Axis};
 
 use super::jobs::NamedSet;
@@ -34,6 +34,29 @@ pub(super) fn errors(model: &SmplModel, named: &NamedSet, shown: &[ExampleFrame]
     }
     let title = format!("error from 0 to {BRIGHTEST} mm");
     Ok(contact_sheet(&tiles, tiles.len(), Some(&title))?)
+}
+
+/// Size of the plot, pixels.
+const PLOT: [u32; 2] = [720, 400];
+
+/// Errors by the number of components, logarithmic; held-out frames of a set after all of it.
+pub(super) fn curves(curves: &[ComponentCurve]) -> Result<Image> {
+    let series = |curve: &ComponentCurve| {
+        let line = |name: String, errors: &[f64]| {
+            let counts = curve.components.iter().map(|&count| count as f64);
+            Series { name, points: counts.zip(errors.iter().copied()).collect() }
+        };
+        let held_out = format!("{}, held out", curve.set);
+        [line(curve.set.clone(), &curve.own_mm), line(held_out, &curve.held_out_mm)]
+    };
+    let plot = Plot {
+        title: String::new(),
+        x_label: "number of components".into(),
+        y_label: "mean error, mm".into(),
+        log_y: true,
+        series: curves.iter().flat_map(series).collect(),
+    };
+    Ok(plot.draw(PLOT[0], PLOT[1])?)
 }
 
 fn tile(

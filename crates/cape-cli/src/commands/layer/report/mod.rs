@@ -3,6 +3,7 @@
 mod cape;
 mod figures;
 mod jobs;
+mod results;
 mod sets;
 mod tables;
 
@@ -14,13 +15,10 @@ use cape_eval::store::{ResultStore, StoreOptions, StoreSettings};
 use cape_infer::write_json;
 use cape_layer::{
     LayerSet,
-    experiment::{
-        BaselineErrors, Experiment, ExperimentResults, ReconstructionResult, RegressionResult,
-    },
+    experiment::{ComponentCurve, Experiment, ExperimentResults},
 };
 use cape_render::Image;
 use clap::Args;
-use serde::Serialize;
 
 use super::{
     associate,
@@ -35,8 +33,9 @@ use crate::{
     html::{self, HtmlFigure},
     options::{GlobalArgs, StoreArgs, at_least_one, choices, positive},
 };
-use cape::{CapeComparison, compare};
+use cape::compare;
 use jobs::{ExperimentContext, NamedSet};
+use results::{OutputPaths, SetDescription};
 use sets::{SetSize, simulated};
 use tables::ReportTable;
 
@@ -46,7 +45,7 @@ const FULL: (usize, f64) = (110, 25.0);
 
 /// Run the experiments of Yang et al. on sets of sequences.
 ///
-/// For every set: reconstruction by number of components (table 1), regression of held-out frames (table
+/// For every set: reconstruction by number of components (table 1, figure 3), regression of held-out frames (table
 /// 2), and prediction of left-out body shapes, motions, materials and sizes. Without sets, simulates its
 /// own: a garment on two subjects in five motions, in eight fabrics, in eight sizes, and in 15 motions in
 /// random styles. Writes report.html,
@@ -95,25 +94,6 @@ pub(crate) struct ReportArgs {
     trainings: Option<usize>,
 }
 
-/// Name and size of a set.
-#[derive(Debug, Serialize)]
-struct SetDescription {
-    name: String,
-    sequences: usize,
-    frames: usize,
-    vertices: usize,
-}
-
-#[derive(Debug, Serialize)]
-struct OutputPaths {
-    out: PathBuf,
-    sets: Vec<SetDescription>,
-    reconstruction: Vec<ReconstructionResult>,
-    regression: Vec<RegressionResult>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    comparison: Option<CapeComparison>,
-}
-
 /// A picture with its title and caption.
 struct FigureRow {
     name: String,
@@ -154,6 +134,7 @@ impl ReportArgs {
             sets: sets.iter().map(SetDescription::new).collect(),
             reconstruction: Vec::new(),
             regression: Vec::new(),
+            curves: Vec::new(),
             comparison: None,
         };
         let mut shown = Vec::new();
@@ -161,7 +142,8 @@ impl ReportArgs {
             let doing = || format!("set {}", named.name);
             shown.push(self.association(&model, named, results, console).doing(doing)?);
             for (job, outcome, image) in laboratory.work(named, results).doing(doing)? {
-                let ExperimentResults { reconstructed, regressed } = outcome;
+                let ExperimentResults { reconstructed, regressed, curves } = outcome;
+                written.curves.extend(curves);
                 written.reconstruction.extend(reconstructed);
                 written.regression.extend(regressed);
                 shown.push(FigureRow::new(named, job, image));
@@ -174,6 +156,7 @@ impl ReportArgs {
             let found = compare(run, data, &laboratory.learning, kept, &device, console);
             written.comparison = Some(found.doing(|| "comparison with CAPE".into())?);
         }
+        shown.insert(0, FigureRow::of_curves(&written.curves)?);
         let tables = written.tables();
         self.write(&store, &written, &tables, &shown)?;
         console.result(&written, || {
@@ -289,18 +272,6 @@ impl ReportArgs {
     }
 }
 
-impl SetDescription {
-    fn new(named: &NamedSet) -> Self {
-        let NamedSet { name, set, .. } = named;
-        Self {
-            name: name.clone(),
-            sequences: set.sequences.len(),
-            frames: set.frames(),
-            vertices: set.vertices(),
-        }
-    }
-}
-
 impl FigureRow {
     fn new(named: &NamedSet, job: Experiment, image: Image) -> Self {
         let caption = match job {
@@ -325,143 +296,17 @@ impl FigureRow {
     }
 }
 
-impl OutputPaths {
-    fn described(&self) -> String {
-        let line = |set: &SetDescription| {
-            let SetDescription { name, sequences, frames, vertices } = set;
-            let name = html::escaped(name);
-            format!("{name}: {sequences} sequences, {frames} frames of {vertices} vertices")
-        };
-        format!("<p>{}</p>\n", self.sets.iter().map(line).collect::<Vec<_>>().join("<br>"))
-    }
-
-    fn tables(&self) -> Vec<ReportTable> {
-        let mut tables = vec![self.reconstructions()];
-        let (seen, new): (Vec<_>, Vec<_>) =
-            self.regression.iter().partition(|line| line.factor.is_empty());
-        tables.push(ReportTable {
-            name: "regression",
-            title: "Regression of held-out frames (table 2), mm".into(),
-            caption: "One frame of five plays no part in the training, and a fifth of the others decides \
-                      when it stops. Errors are means over trainings, with their standard deviation. \
-                      \u{201c}Space\u{201d} is the error of the projection of held-out frames on the \
-                      components of the training frames, the lower bound of predictions. Baselines: the \
-                      mean of the training frames, the training frame with the nearest pose, ridge \
-                      regression, interpolation in time between training frames, and the mean of the \
-                      same moment in the other sequences of the motion. \u{201c}Inside\u{201d} is the share of \
-                      predicted vertices inside the body before and after they are pushed out, and \
-                      \u{201c}pushed out\u{201d} the error afterwards."
-                .into(),
-            header: heads(&["set", "sequence", "trained", "held out", "E_train", "E_pred"]),
-            rows: seen.iter().map(|line| cells(line, [&line.set, &line.name])).collect(),
-        });
-        if !new.is_empty() {
-            tables.push(ReportTable {
-                name: "new",
-                title: "Prediction of left-out values, mm".into(),
-                caption:
-                    "All sequences of the named value are left out of components and regression."
-                        .into(),
-                header: heads(&["new", "left out", "trained", "predicted", "E_train", "E_pred"]),
-                rows: new.iter().map(|line| cells(line, [&line.factor, &line.name])).collect(),
-            });
-        }
-        tables.extend(self.comparison.as_ref().map(compared));
-        tables
-    }
-
-    fn reconstructions(&self) -> ReportTable {
-        let counts = self.reconstruction.first().map_or(&[][..], |line| &line.components);
-        let counts = counts.iter().map(ToString::to_string);
-        let header = ["set", "sequence", "frames"].into_iter().map(str::to_owned).chain(counts);
-        let rows = self.reconstruction.iter().map(|line| {
-            let mut cells = vec![line.set.clone(), line.sequence.clone(), line.frames.to_string()];
-            let (all, few) = line.errors_mm.split_last().unwrap_or((&0.0, &[]));
-            cells.extend(few.iter().map(|error| format!("{error:.2}")));
-            cells.extend([format!("{all:.1e}"), format!("{:.1e}", line.largest_mm)]);
-            cells
-        });
-        ReportTable {
-            name: "reconstruction",
-            title: "Reconstruction by number of components (table 1), mm".into(),
+impl FigureRow {
+    /// Errors by the number of components.
+    fn of_curves(curves: &[ComponentCurve]) -> Result<Self> {
+        Ok(Self {
+            name: "components".into(),
+            title: "Error by number of components (figure 3)".into(),
             caption:
-                "Mean distance of clothing vertices from the ground truth with the first components \
-                      of each sequence; with all components also the largest distance."
+                "Mean distance over the sequences of a set; held out is every fifth frame with the \
+                      components of the others."
                     .into(),
-            header: header.chain(["all".into(), "largest".into()]).collect(),
-            rows: rows.collect(),
-        }
-    }
-}
-
-fn cells(line: &RegressionResult, names: [&str; 2]) -> Vec<String> {
-    let mut cells: Vec<String> = names.into_iter().map(str::to_owned).collect();
-    cells.extend([line.trained, line.frames].map(|count| count.to_string()));
-    let deviation = line.predict_deviation_mm().map_or(String::new(), |d| format!(" ± {d:.2}"));
-    cells.push(format!("{:.2}", line.train_mm));
-    cells.push(format!("{:.2}{deviation}", line.predict_mm));
-    let BaselineErrors { mean_mm, nearest_pose_mm, ridge_mm, interpolation_mm, same_moment_mm } =
-        line.baselines;
-    let errors = [line.space_mm, mean_mm, nearest_pose_mm, ridge_mm];
-    cells.extend(errors.map(|error| format!("{error:.2}")));
-    let optional = [interpolation_mm, same_moment_mm];
-    cells.extend(optional.map(|error| error.map_or("–".into(), |error| format!("{error:.2}"))));
-    let [before, after] =
-        [line.pushed_out.inside.before, line.pushed_out.inside.after].map(|share| 100.0 * share);
-    cells.push(format!("{before:.2} → {after:.2}"));
-    cells.push(format!("{:.2}", line.pushed_out.error_mm));
-    cells.push(line.iterations.to_string());
-    cells
-}
-
-fn heads(names: &[&str]) -> Vec<String> {
-    let measures = [
-        "space",
-        "mean",
-        "nearest pose",
-        "ridge",
-        "interpolation",
-        "same moment",
-        "inside, %",
-        "pushed out",
-        "iterations",
-    ];
-    names.iter().chain(&measures).map(|&name| name.to_owned()).collect()
-}
-
-fn compared(comparison: &CapeComparison) -> ReportTable {
-    let said = |is: bool| if is { "yes" } else { "no" }.to_owned();
-    let rows = comparison.methods.iter().map(|method| {
-        vec![
-            method.method.clone(),
-            method.code.to_string(),
-            said(true),
-            said(method.pose_dependent),
-            said(method.probabilistic),
-            format!("{:.2}", method.reconstruction_mm),
-            format!("{:.2}", method.prediction_mm),
-            method.spread_mm.map_or("–".into(), |spread| format!("{spread:.2}")),
-        ]
-    });
-    let header = [
-        "method",
-        "code",
-        "parametric",
-        "pose-dependent",
-        "probabilistic",
-        "reconstruction",
-        "from pose",
-        "spread",
-    ];
-    ReportTable {
-        name: "cape",
-        title: format!("Displacements of {} test frames, mm", comparison.frames),
-        caption:
-            "Reconstruction is from a frame's own code. From pose is the prediction from pose and \
-                  outfit alone: the mean of the components, the regression, and CAPE's decoder at the \
-                  prior mean. Spread is the mean distance of samples from their mean."
-                .into(),
-        header: header.map(str::to_owned).to_vec(),
-        rows: rows.collect(),
+            image: figures::curves(curves)?,
+        })
     }
 }

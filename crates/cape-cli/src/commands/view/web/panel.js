@@ -14,6 +14,7 @@ export class Panel {
   #actions;
   #z = [];
   #betas = [];
+  #parameters = [];
   #angles = [];
   #temperature = null;
   #truth = null;
@@ -29,6 +30,7 @@ export class Panel {
     }
     byId("layers").hidden = !subject.model;
     if (subject.model) this.#buildModel(subject.model);
+    if (subject.layer) this.#buildLayer(subject.layer);
     this.#buildPlayer();
     this.#buildDisplay();
   }
@@ -40,6 +42,7 @@ export class Panel {
   /// Shows the viewer's state.
   update(state) {
     if (this.#subject.model) this.#updateModel(state);
+    if (this.#subject.layer) this.#updateLayer(state);
     byId("colours").value = state.colours;
     byId("wireframe").checked = state.wireframe;
   }
@@ -110,6 +113,29 @@ export class Panel {
     this.#buildTruth(model);
   }
 
+  /// Sliders of a clothing layer.
+  #buildLayer(layer) {
+    const { edit, movement } = this.#actions;
+    fill(byId("movement"), layer.motions.map(({ name }) => name));
+    onChange("movement", select => movement(select.value));
+
+    this.#parameters = layer.parameters.map(({ name, value, range }, i) => slider({
+      id: `parameter-${i}`, label: name.replaceAll("_", " "), range, step: (range[1] - range[0]) / 200, origin: value,
+      format: number => number.toPrecision(3),
+      input: number => edit({ parameters: this.#current.parameters.with(i, number) }),
+    }));
+    byId("parameters").append(...this.#parameters.map(({ row }) => row));
+    byId("sizes").hidden = this.#parameters.length === 0;
+    onClick("parameters-mean", () => edit({ parameters: layer.parameters.map(({ value }) => value) }));
+
+    this.#betas = Array.from({ length: layer.betas }, (_, i) => slider({
+      id: `layer-beta-${i}`, label: `β ${i}`, range: [-3, 3], step: 0.01, origin: 0, format: value => signed(value),
+      input: value => edit({ betas: this.#current.betas.with(i, value) }),
+    }));
+    byId("layer-betas").append(...this.#betas.map(({ row }) => row));
+    onClick("layer-shape-mean", () => edit({ betas: new Array(layer.betas).fill(0) }));
+  }
+
   #buildPose(model) {
     const { pose, edit, motion } = this.#actions;
     fill(byId("pose"), [...model.poses.map(({ name }) => name), CUSTOM]);
@@ -149,7 +175,7 @@ export class Panel {
       id: "scrub", label: "frame", range: [0, 1], step: 1, format: value => `${value}`, input: seek,
     });
     byId("scrub-slider").append(this.#scrub.row);
-    const moves = this.#subject.model?.motions.length > 0 || this.#subject.sequence?.frames > 1;
+    const moves = this.#subject.model?.motions.length > 0 || this.#subject.layer || this.#subject.sequence?.frames > 1;
     if (!moves) {
       byId("player").hidden = true;
       for (const slot of document.querySelectorAll(".player-slot")) slot.parentElement.hidden = true;
@@ -191,6 +217,13 @@ export class Panel {
     this.#updateAngles();
     for (const name of LAYERS) byId(`layer-${name}`).checked = state.layers.includes(name);
     this.#truth.set(state.truth);
+  }
+
+  #updateLayer(state) {
+    this.#current = state;
+    byId("movement").value = state.motion;
+    this.#parameters.forEach((slider, i) => slider.set(state.parameters[i]));
+    this.#betas.forEach((slider, i) => slider.set(state.betas[i]));
   }
 
   #updateAngles() {

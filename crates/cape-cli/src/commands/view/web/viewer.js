@@ -62,7 +62,8 @@ class Viewer {
     listen(this.#canvas, this.#camera, () => this.#invalidate());
     new ResizeObserver(() => this.#frameAll({ smooth: false })).observe(this.#canvas);
     this.#dark.addEventListener("change", () => this.#invalidate());
-    if (subject.sequence) this.#player.load(subject.sequence.frames, subject.sequence.fps);
+    const frames = subject.sequence ?? subject.layer?.motions[0];
+    if (frames) this.#player.load(frames.frames, frames.fps);
     this.#update();
     this.#panel.updatePlayer(this.#player);
 
@@ -111,6 +112,7 @@ class Viewer {
       encode: () => this.#task(this.#encode()),
       pose: name => this.#pose(name),
       motion: name => this.#task(this.#loadMotion(name)),
+      movement: name => this.#move(name),
       play: () => this.#task(this.#play()),
       seek: frame => this.#seek(frame),
       loop: loop => { this.#player.loop = loop; },
@@ -175,6 +177,16 @@ class Viewer {
     this.#seek(0);
   }
 
+  /// Moves a clothing layer otherwise.
+  #move(name) {
+    const { frames, fps } = this.#subject.layer.motions.find(motion => motion.name === name);
+    this.#player.pause();
+    this.#player.load(frames, fps);
+    this.#extent = null;
+    this.#person.motion = name;
+    this.#seek(0);
+  }
+
   async #play() {
     if (this.#player.count === 0) await this.#loadMotion(byId("motion").value);
     this.#player.toggle();
@@ -213,6 +225,7 @@ class Viewer {
   }
 
   #picture() {
+    if (this.#subject.layer) return { worn: { ...this.#person } };
     if (!this.#subject.model) return { frame: this.#person.frame };
     const { z, betas, pose, outfit, layers, truth } = this.#person;
     return { show: { z, betas, pose, outfit, layers, truth } };
@@ -351,9 +364,10 @@ class Viewer {
   }
 
   async #download(format) {
-    const { outfit, poseName, layers, truth, frame } = this.#person;
+    const { outfit, poseName, layers, truth, frame, motion } = this.#person;
     const posed = layers?.includes("truth") ? ["registration", truth] : [outfit, poseName];
-    const still = this.#subject.sequence ? [this.#subject.title, "frame", frame] : [this.#subject.title];
+    const moment = [this.#subject.layer && motion, this.#player.count > 1 && `frame ${frame}`];
+    const still = [this.#subject.title, ...moment.filter(Boolean)];
     const name = fileName(this.#subject.model ? ["cape", ...posed] : still, format);
     if (format === "png") {
       this.#draw();
@@ -368,7 +382,11 @@ class Viewer {
 }
 
 /// The person that is shown first.
-function initial({ model }) {
+function initial({ model, layer }) {
+  if (layer) {
+    const parameters = layer.parameters.map(({ value }) => value);
+    return { frame: 0, motion: layer.motions[0].name, parameters, betas: new Array(layer.betas).fill(0) };
+  }
   if (!model) return { frame: 0 };
   const [{ name, pose }] = model.poses;
   return {
