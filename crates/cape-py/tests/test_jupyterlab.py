@@ -1,4 +1,4 @@
-"""JupyterLab shows what bodies, meshes and viewers show in a notebook."""
+"""JupyterLab shows what bodies, meshes and viewers show in a notebook; run if $CAPE_JUPYTERLAB is set."""
 
 import contextlib
 import os
@@ -13,6 +13,8 @@ import pytest
 import cape
 from browser import Tab, until
 
+if "CAPE_JUPYTERLAB" not in os.environ:
+    pytest.skip("JupyterLab: $CAPE_JUPYTERLAB is not set", allow_module_level=True)
 nbformat = pytest.importorskip("nbformat")
 pytest.importorskip("jupyterlab")
 
