@@ -38,11 +38,11 @@ const ARM: [usize; 3] = [16, 18, 20];
 /// Half height of the slice of the trunk that is measured, metres.
 const SLICE: f64 = 0.02;
 
-/// One of a body's measurements, metres.
-type Measurement = fn(&BodyMeasurements) -> f64;
+/// A measurement of a body.
+type Measure = fn(&BodyMeasurements) -> f64;
 
 /// Garment sizes, their names as ratios to the wearer, and the measurements that they are ratios to.
-const SIZES: [(&str, &str, Measurement); 4] = [
+const SIZES: [(&str, &str, Measure); 4] = [
     ("length", "length_ratio", |body| body.neck_to_knee),
     ("width", "width_ratio", |body| body.hips),
     ("sleeve", "sleeve_ratio", |body| body.arm),
