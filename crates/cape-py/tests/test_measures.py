@@ -45,7 +45,7 @@ def test_table_2_is_estimated(packed, tmp_path):
 
 
 def test_a_learning_rate_is_found(packed, tmp_path):
-    rates = cape.find_rate(data=packed, out=tmp_path / "rates", trial_steps=8, preset="tiny", batch=4)
+    rates = cape.find_rate(data=packed, out=tmp_path / "rates", trial_steps=12, preset="tiny", batch=4)
     assert rates["suggested"] > 0 and (tmp_path / "rates" / "rates.png").exists()
     with pytest.raises(cape.CapeError, match="batch"):
         cape.check(data=packed, preset="tiny", batch=0)

@@ -276,7 +276,7 @@ impl Sandbox {
         self.copy("learned", "sizes");
         let set = LayerSet::load(self.at("skirt")).unwrap();
         fs::create_dir(self.at("scans/skirt_01")).unwrap();
-        for frame in 0..set.frames() {
+        for frame in 0..set.sequences[0].motion.frames() {
             let mesh = set.clothing(0, frame).unwrap().to_mesh();
             mesh.save(self.at(&format!("scans/skirt_01/{frame:04}.ply"))).unwrap();
         }
@@ -293,11 +293,11 @@ impl Sandbox {
     /// of several objects in one directory.
     fn exports(&self, set: &LayerSet) {
         fs::create_dir(self.at("frames")).unwrap();
-        let counts = [set.frames(), set.vertices()];
+        let counts = [set.sequences[0].motion.frames(), set.vertices()];
         let mut cache =
             PointCacheWriter::create(self.at("skirt.pc2"), PointCacheFormat::Pc2, counts, 30.0)
                 .unwrap();
-        for frame in 0..set.frames() {
+        for frame in 0..set.sequences[0].motion.frames() {
             let mut mesh = set.clothing(0, frame).unwrap().to_mesh();
             mesh.save(self.at(&format!("frames/{frame}_skirt.obj"))).unwrap();
             mesh.vertices.iter_mut().for_each(|vertex| *vertex = vertex.map(|x| 100.0 * x));
