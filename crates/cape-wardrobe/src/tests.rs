@@ -259,7 +259,7 @@ fn files(root: &Path) -> BTreeMap<String, Vec<u8>> {
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         if path.is_dir() {
             found.extend(files(&path).into_iter().map(|(below, x)| (format!("{name}/{below}"), x)));
-        } else {
+        } else if !cape_core::is_temporary(&name) {
             found.insert(name, fs::read(&path).unwrap());
         }
     }

@@ -5,7 +5,8 @@
 //! memory in a mount namespace of their own; where the system does not allow them, these tests report
 //! themselves as skipped.
 
-#![cfg(unix)]
+// What writes and reads files does not depend on the backend.
+#![cfg(all(unix, feature = "flex"))]
 
 mod clock;
 mod damage;

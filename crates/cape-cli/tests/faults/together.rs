@@ -1,13 +1,13 @@
 //! Two processes with one output.
 
 use crate::{
-    job::{Bench, JOBS},
+    job::{Bench, quick_jobs},
     support::Ran,
 };
 
 #[test]
 fn of_two_processes_one_is_refused_or_both_share_the_work() {
-    for job in &JOBS {
+    for job in quick_jobs() {
         let bench = Bench::new(job);
         let [one, other] = [bench.start(), bench.start()];
         let ends = [one, other].map(|child| Ran::from(child.wait_with_output().unwrap()));
