@@ -151,17 +151,18 @@ impl Checkpoint {
         })
     }
 
-    /// Reads the newest checkpoint of a run that can be read; `None` if there is none at all. Newer ones,
-    /// which are damaged, are renamed to `damaged-step-N`, so that training can go on from this one.
+    /// Reads the newest checkpoint of a run that can be read, with its path; `None` if there is none at all.
+    /// Newer ones, which are damaged, are renamed to `damaged-step-N`, so that training can go on from this
+    /// one.
     ///
     /// # Errors
     /// If all checkpoints are damaged, or one cannot be opened or renamed.
-    pub fn load_newest(directory: &Path) -> Result<(Option<Self>, Vec<DamagedCheckpoint>)> {
+    pub fn load_newest(directory: &Path) -> Result<(LoadedCheckpoint, Vec<DamagedCheckpoint>)> {
         let (mut damaged, mut found) = (Vec::new(), None);
         for (_, path) in list(directory)?.into_iter().rev() {
             match Self::load(&path) {
                 Ok(checkpoint) => {
-                    found = Some(checkpoint);
+                    found = Some((path, checkpoint));
                     break;
                 }
                 Err(error) if is_damage(&error) => damaged.push((path, error)),
@@ -180,6 +181,9 @@ impl Checkpoint {
         Ok((found, damaged.collect::<Result<_>>()?))
     }
 }
+
+/// A checkpoint and its path, if there is one.
+type LoadedCheckpoint = Option<(PathBuf, Checkpoint)>;
 
 /// A checkpoint that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq)]

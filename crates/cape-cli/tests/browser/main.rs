@@ -12,6 +12,8 @@ mod devtools;
 mod firefox;
 mod report;
 #[cfg(feature = "view")]
+mod serve;
+#[cfg(feature = "view")]
 mod site;
 #[cfg(feature = "view")]
 mod study;

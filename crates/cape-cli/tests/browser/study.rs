@@ -5,7 +5,7 @@ use std::{
     io::{BufRead, BufReader, Read, Write},
     net::{TcpListener, TcpStream},
     path::{Path, PathBuf},
-    process::{Child, Stdio},
+    process::Child,
     sync::OnceLock,
     thread::sleep,
     time::Duration,
@@ -17,7 +17,8 @@ use crate::{
     browser::{Browser, Scheme, View},
     devtools::Live,
     keep,
-    support::{Packed, cape, run, trained},
+    serve::serve,
+    support::{Packed, run, trained},
 };
 
 const WIDE: View = View { width: 1280, height: 860, scheme: Scheme::Light };
@@ -66,17 +67,8 @@ struct Server {
 
 impl Server {
     fn start(study: &Path) -> Self {
-        let mut child =
-            cape(["study", "serve", study.to_str().unwrap(), "--raters", "2", "--json"])
-                .stdout(Stdio::piped())
-                .spawn()
-                .unwrap();
-        let mut text = String::new();
-        let mut out = BufReader::new(child.stdout.take().unwrap());
-        while serde_json::from_str::<Value>(&text).is_err() {
-            assert!(out.read_line(&mut text).unwrap() > 0, "no links: {text}");
-        }
-        let links: Value = serde_json::from_str(&text).unwrap();
+        let words = ["study", "serve", study.to_str().unwrap(), "--raters", "2"];
+        let (child, links) = serve(words);
         let links = links.as_array().unwrap().iter();
         Self { child, urls: links.map(|link| link["url"].as_str().unwrap().to_owned()).collect() }
     }

@@ -3,9 +3,9 @@
 use std::{
     collections::HashSet,
     fs,
-    io::{BufRead, BufReader, Read, Write},
+    io::{Read, Write},
     net::TcpStream,
-    process::{Child, Stdio},
+    process::Child,
 };
 
 use cape::{
@@ -19,7 +19,8 @@ use crate::{
     browser::{Browser, Scheme, View},
     devtools::Live,
     keep,
-    support::{VERTICES, cape, run_line, trained},
+    serve::serve,
+    support::{VERTICES, run_line, trained},
 };
 
 pub(crate) const WIDE: View = View { width: 1280, height: 800, scheme: Scheme::Light };
@@ -37,17 +38,8 @@ impl Server {
 
     fn start_with(of: &str, options: &[&str]) -> Self {
         let path = trained().at(of);
-        let mut child = cape(["view", path.to_str().unwrap(), "--no-open", "--json"])
-            .args(options)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut text = String::new();
-        let mut out = BufReader::new(child.stdout.take().unwrap());
-        while serde_json::from_str::<Value>(&text).is_err() {
-            assert!(out.read_line(&mut text).unwrap() > 0, "no address: {text}");
-        }
-        let report: Value = serde_json::from_str(&text).unwrap();
+        let words = ["view", path.to_str().unwrap(), "--no-open"];
+        let (child, report) = serve(words.iter().chain(options));
         Self { child, url: report["url"].as_str().unwrap().to_owned() }
     }
 

@@ -6,12 +6,12 @@ use cape::{core::npy::NpzWriter, render::Image};
 use ndarray::Array2;
 use serde_json::Value;
 
-use crate::support::{Packed, contents, trained, truncate};
+use crate::support::{FEW_STEPS, Packed, contents, remove_seconds, trained, truncate};
 
 #[test]
 fn held_out_frames_are_fitted_and_measured() {
     let (data, run) = (Packed::new(), trained().at("run").display().to_string());
-    fs::write(data.at("few.toml"), CONFIG).unwrap();
+    fs::write(data.at("few.toml"), FEW_STEPS).unwrap();
     let options = "--frames 2 --size 128 --noise 1 --dropped 0.1 --ragged 0.1 --config @/few.toml";
     let command = format!("fit benchmark image {run} {options} --out @/fits");
     let report = data.run(&format!("{command} --json")).json();
@@ -83,37 +83,10 @@ fn held_out_frames_are_fitted_and_measured() {
     assert!(!data.at("no").exists());
 }
 
-/// Few steps: these tests are of the command, not of the method.
-const CONFIG: &str = "
-[smplify]
-accepted = 1e9
-facing = [0.0]
-stages = [{ pose = 20.0, shape = 10.0 }, {}]
-
-[smplify.optimiser]
-steps = 20
-
-[clothed]
-levels = [{ side = 64, rounds = 1, steps = 3 }]
-inside = 0.0
-explained = 0.0
-";
-
 fn without_times(results: &[u8]) -> Value {
     let mut results: Value = serde_json::from_slice(results).unwrap();
-    strip(&mut results);
+    remove_seconds(&mut results);
     results
-}
-
-fn strip(value: &mut Value) {
-    match value {
-        Value::Object(map) => {
-            map.remove("seconds");
-            map.values_mut().for_each(strip);
-        }
-        Value::Array(list) => list.iter_mut().for_each(strip),
-        _ => {}
-    }
 }
 
 /// Files of [`person`] as arguments of `cape fit image`.
@@ -121,7 +94,7 @@ const SEEN: &str = "@/seen/best/keypoints.json --mask @/seen/best/mask.png";
 
 /// Writes keypoints and mask of a person to seen/best, and few.toml with few steps.
 pub(crate) fn person(data: &Packed, run: &str) {
-    fs::write(data.at("few.toml"), CONFIG).unwrap();
+    fs::write(data.at("few.toml"), FEW_STEPS).unwrap();
     let options = "--frames 1 --size 128 --config @/few.toml --out @/seen";
     data.run(&format!("fit benchmark image {run} {options}")).succeeded();
 }
@@ -130,7 +103,8 @@ pub(crate) fn person(data: &Packed, run: &str) {
 fn a_person_is_fitted_to_an_image() {
     let (data, run) = (Packed::new(), trained().at("run").display().to_string());
     person(&data, &run);
-    fs::write(data.at("few.toml"), CONFIG.replace("explained = 0.0", "explained = 0.3")).unwrap();
+    fs::write(data.at("few.toml"), FEW_STEPS.replace("explained = 0.0", "explained = 0.3"))
+        .unwrap();
     let fit = |rest: &str| data.run(&format!("fit image {run} {SEEN} --config @/few.toml {rest}"));
     let report = fit("--image @/seen/best/image.png --out @/fit --json").json();
     // The other two are given up after the first level.
@@ -155,7 +129,7 @@ fn a_person_is_fitted_to_an_image() {
     assert!(ran.err.contains("has a lower energy"), "{}", ran.err);
 
     // A fit that is unreliable is written, and is an error.
-    fs::write(data.at("few.toml"), CONFIG.replace("inside = 0.0", "inside = 1.1")).unwrap();
+    fs::write(data.at("few.toml"), FEW_STEPS.replace("inside = 0.0", "inside = 1.1")).unwrap();
     fit("--outfit longlong --out @/failed")
         .failed_saying(&["is unreliable", "expected at least 110 %"]);
     assert!(data.at("failed/fit.json").exists());

@@ -16,6 +16,7 @@ use cape::{
     },
 };
 use ndarray::{Array1, Array2, Array3};
+use serde_json::Value;
 use tempfile::TempDir;
 
 pub(crate) const SIDES: usize = 8;
@@ -65,7 +66,7 @@ impl Ran {
 
     /// Asserts success and returns standard output as JSON.
     #[track_caller]
-    pub(crate) fn json(self) -> serde_json::Value {
+    pub(crate) fn json(self) -> Value {
         serde_json::from_str(&self.succeeded()).unwrap()
     }
 
@@ -264,4 +265,32 @@ pub(crate) fn contents(root: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     }
     files.sort();
     files
+}
+
+/// Configuration of fits in few steps, for tests of the command and not of the method.
+pub(crate) const FEW_STEPS: &str = "
+[smplify]
+accepted = 1e9
+facing = [0.0]
+stages = [{ pose = 20.0, shape = 10.0 }, {}]
+
+[smplify.optimiser]
+steps = 20
+
+[clothed]
+levels = [{ side = 64, rounds = 1, steps = 3 }]
+inside = 0.0
+explained = 0.0
+";
+
+/// Removes times from a report.
+pub(crate) fn remove_seconds(value: &mut Value) {
+    match value {
+        Value::Object(map) => {
+            map.retain(|key, _| !key.contains("seconds"));
+            map.values_mut().for_each(remove_seconds);
+        }
+        Value::Array(list) => list.iter_mut().for_each(remove_seconds),
+        _ => {}
+    }
 }

@@ -10,7 +10,7 @@ use std::{
 
 use serde_json::Value;
 
-use crate::support::{Packed, Ran, cape, contents, trained};
+use crate::support::{FEW_STEPS, Packed, Ran, cape, contents, remove_seconds, trained};
 
 /// A command line that writes `@/out`; `@` is a directory, `%` a trained run.
 pub(crate) struct Job {
@@ -75,22 +75,6 @@ pub(crate) const JOBS: [Job; 7] = [
         finished: |name| name.starts_with("sequences/"),
     },
 ];
-
-/// Few steps of fits.
-const FEW: &str = "
-[smplify]
-accepted = 1e9
-facing = [0.0]
-stages = [{ pose = 20.0, shape = 10.0 }, {}]
-
-[smplify.optimiser]
-steps = 20
-
-[clothed]
-levels = [{ side = 64, rounds = 1, steps = 3 }]
-inside = 0.0
-explained = 0.0
-";
 
 /// A job with its inputs, and what it writes undisturbed.
 pub(crate) struct Bench<'a> {
@@ -228,7 +212,7 @@ fn timeless(name: &str, bytes: Vec<u8>) -> Option<Vec<u8>> {
     let text = || String::from_utf8(bytes.clone()).unwrap().replace("/disk/out", "/out");
     let without = |text: &str| {
         let mut value: Value = serde_json::from_str(text).unwrap();
-        strip(&mut value);
+        remove_seconds(&mut value);
         value.to_string()
     };
     Some(match end.as_str() {
@@ -249,21 +233,10 @@ fn timeless(name: &str, bytes: Vec<u8>) -> Option<Vec<u8>> {
     })
 }
 
-fn strip(value: &mut Value) {
-    match value {
-        Value::Object(map) => {
-            map.retain(|key, _| !key.contains("seconds"));
-            map.values_mut().for_each(strip);
-        }
-        Value::Array(list) => list.iter_mut().for_each(strip),
-        _ => {}
-    }
-}
-
 /// Keypoints and masks of one person in three images.
 fn people(place: &Packed) {
     let run = trained().at("run").display().to_string();
-    fs::write(place.at("few.toml"), FEW).unwrap();
+    fs::write(place.at("few.toml"), FEW_STEPS).unwrap();
     let options = "--frames 1 --size 128 --config @/few.toml --out @/seen";
     place.run(&format!("fit benchmark image {run} {options}")).succeeded();
     for directory in ["poses", "masks"] {

@@ -15,6 +15,8 @@ mod job;
 mod kills;
 mod messages;
 mod places;
+#[path = "../browser/serve.rs"]
+mod serve;
 #[allow(dead_code, reason = "shared with tests/cli, which uses all of it")]
 #[path = "../cli/support.rs"]
 mod support;

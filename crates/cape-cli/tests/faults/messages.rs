@@ -1,16 +1,12 @@
 //! Pages that send anything to `cape view`.
 
-use std::{
-    fs,
-    io::{BufRead, BufReader},
-    process::{Child, Stdio},
-};
+use std::{fs, process::Child};
 
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use serde_json::Value;
 use tungstenite::Message;
 
-use crate::support::{cape, trained};
+use crate::{serve::serve, support::trained};
 
 /// Bytes that the server's memory may grow by while it answers.
 const GROWTH: u64 = 24 << 20;
@@ -23,16 +19,7 @@ struct Viewer {
 impl Viewer {
     fn start() -> Self {
         let run = trained().at("run");
-        let mut child = cape(["view", run.to_str().unwrap(), "--no-open", "--json"])
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut text = String::new();
-        let mut out = BufReader::new(child.stdout.take().unwrap());
-        while serde_json::from_str::<Value>(&text).is_err() {
-            assert!(out.read_line(&mut text).unwrap() > 0, "no address: {text}");
-        }
-        let report: Value = serde_json::from_str(&text).unwrap();
+        let (child, report) = serve(["view", run.to_str().unwrap(), "--no-open"]);
         let url = report["url"].as_str().unwrap().trim_end_matches('/');
         let address = format!("{}/socket", url.replace("http://", "ws://"));
         Self { child, address }

@@ -12,11 +12,12 @@ use crate::{Error, Result};
 
 impl Trainer {
     /// Resumes the run in `root` from its newest checkpoint, or starts it over if it was interrupted
-    /// before the first one. Damaged checkpoints are [passed over](Self::damaged_checkpoints). `data` is the directory of the packed set; `None` uses the one that the
-    /// run was created with.
+    /// before the first one. Damaged checkpoints are [passed over](Self::damaged_checkpoints). `data` is the
+    /// directory of the packed set; `None` uses the one that the run was created with.
     ///
     /// # Errors
-    /// If the run cannot be read, another process trains it, or the packed set is not the one it was trained on.
+    /// If the run cannot be read, another process trains it, or the packed set is not the one it was
+    /// trained on.
     pub fn resume(root: impl AsRef<Path>, data: Option<&Path>, device: &Device) -> Result<Self> {
         let root = root.as_ref();
         let paths = RunPaths::new(root);
@@ -34,7 +35,7 @@ impl Trainer {
         let (saved, damaged) = Checkpoint::load_newest(&paths.checkpoints())?;
         let progress = saved
             .as_ref()
-            .map_or_else(|| beginning(config.train.seed), |saved| saved.progress.clone());
+            .map_or_else(|| beginning(config.train.seed), |(_, saved)| saved.progress.clone());
         let mut trainer = Self::assemble((paths, lock), data, config, progress, device)?;
         trainer.damaged = damaged;
         let found = (trainer.set.frames(), trainer.set.vertices());
@@ -60,11 +61,11 @@ impl Trainer {
                 data.display()
             )));
         }
-        if let Some(saved) = &saved {
-            trainer.learner.restore(saved).map_err(|error| {
-                let path = trainer.paths.checkpoints();
-                Error::format(path, format!("the newest does not suit the run: {error}"))
-            })?;
+        if let Some((path, saved)) = &saved {
+            trainer
+                .learner
+                .restore(saved)
+                .map_err(|error| Error::format(path, format!("does not suit the run: {error}")))?;
         }
         trainer.forget_metrics_after(trainer.progress.step)?;
         Ok(trainer)
