@@ -28,6 +28,7 @@ pub mod pack;
 mod pack_log;
 mod pack_plan;
 mod packed;
+mod pairing;
 pub mod raw;
 mod row_order;
 mod shuffle;

@@ -1,5 +1,4 @@
 use std::{
-    collections::HashMap,
     ops::Range,
     sync::{
         Arc,
@@ -8,11 +7,11 @@ use std::{
     thread::JoinHandle,
 };
 
-use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use serde::{Deserialize, Serialize};
 
 use super::{
     DisplacementStatistics, HostBatch, PackedSet,
+    pairing::Pairing,
     shuffle::{Shuffle, ShufflePosition, ShuffleStream},
 };
 use crate::{Error, Result};
@@ -28,11 +27,14 @@ pub struct LoaderOptions {
     pub prefetch: usize,
     /// Share of the generator's frames, 0 to 1, for which another frame of the same capture is encoded.
     pub transfer: f64,
+    /// Share of the generator's frames, 0 to 1, that are reconstructed under the pose of any training
+    /// frame. They are encoded themselves.
+    pub pose_swap: f64,
 }
 
 impl Default for LoaderOptions {
     fn default() -> Self {
-        Self { batch: 16, discriminator: true, prefetch: 2, transfer: 0.0 }
+        Self { batch: 16, discriminator: true, prefetch: 2, transfer: 0.0, pose_swap: 0.0 }
     }
 }
 
@@ -59,8 +61,8 @@ impl LoaderState {
 pub struct StepBatches {
     /// Batch of the generator.
     pub generator: HostBatch,
-    /// Frames to encode in place of the generator's, of the same captures; `None` encodes those
-    /// themselves.
+    /// Frames to encode in place of the generator's: the same or others of their captures, under their own
+    /// poses; `None` encodes the generator's.
     pub encoded: Option<HostBatch>,
     /// Batch of real frames of the discriminator; `None` without [`LoaderOptions::discriminator`].
     pub discriminator: Option<HostBatch>,
@@ -131,35 +133,34 @@ impl Loader {
             return Err(Error::argument("batch: expected at least 1, not 0"));
         }
         statistics.expect_vertices(set.vertices())?;
-        if !(0.0..=1.0).contains(&options.transfer) {
-            let message = format!("transfer: expected 0 to 1, not {}", options.transfer);
-            return Err(Error::argument(message));
+        for (name, share) in [("transfer", options.transfer), ("pose_swap", options.pose_swap)] {
+            if !(0.0..=1.0).contains(&share) {
+                return Err(Error::argument(format!("{name}: expected 0 to 1, not {share}")));
+            }
         }
         let LoaderState { seed, generator, discriminator } = state;
         let frames = rows.len();
-        let captures = if options.transfer > 0.0 {
-            Some(CaptureFrames::new(&set, rows.clone())?)
-        } else {
-            None
-        };
+        let pairing = Pairing::new(&set, rows.clone(), options)?;
         let mut generator = Shuffle::new(seed, ShuffleStream::Generator, frames, generator);
         let mut discriminator =
             Shuffle::new(seed, ShuffleStream::Discriminator, frames, discriminator);
         let draw = move |shuffle: &mut Shuffle| -> Vec<usize> {
             shuffle.draw(options.batch).into_iter().map(|frame| rows.start + frame).collect()
         };
-        let read = move |frames: &[usize]| set.batch(frames, Some(&statistics));
         let steps = Prefetch::new(options.prefetch, move || {
+            let read = |frames: &[usize]| set.batch(frames, Some(&statistics));
             let real = options.discriminator.then(|| read(&draw(&mut discriminator))).transpose();
             let at = generator.position();
             let frames = draw(&mut generator);
-            let encoded = captures
-                .as_ref()
-                .map(|captures| read(&captures.others(&frames, options.transfer, (seed, at))));
-            Some(read(&frames).and_then(|fitted| {
+            let pairs = pairing.as_ref().map(|pairing| pairing.draw(&frames, (seed, at)));
+            Some(read(&frames).and_then(|mut fitted| {
+                if let Some(pairs) = &pairs {
+                    fitted.pose_feature = set.pose_features(&pairs.posed)?;
+                }
+                let encoded = pairs.map(|pairs| read(&pairs.encoded)).transpose()?;
                 Ok(StepBatches {
                     generator: fitted,
-                    encoded: encoded.transpose()?,
+                    encoded,
                     discriminator: real?,
                     state: LoaderState {
                         seed,
@@ -179,62 +180,6 @@ impl Loader {
         self.steps.next().unwrap_or_else(stopped)
     }
 }
-
-/// Frames of each capture.
-#[derive(Debug)]
-struct CaptureFrames {
-    /// Capture of each row from the first on.
-    of: Vec<usize>,
-    first: usize,
-    rows: Vec<Vec<usize>>,
-}
-
-impl CaptureFrames {
-    fn new(set: &PackedSet, rows: Range<usize>) -> Result<Self> {
-        let mut names: HashMap<String, usize> = HashMap::new();
-        let mut captures = Self { of: Vec::new(), first: rows.start, rows: Vec::new() };
-        for row in rows {
-            let name = set.capture(row).ok_or_else(|| {
-                Error::Data(
-                    "training frames: their captures are unknown (no train_frames.csv), which \
-                     `train.transfer` needs"
-                        .to_owned(),
-                )
-            })?;
-            let next = names.len();
-            let capture = *names.entry(name).or_insert(next);
-            if capture == captures.rows.len() {
-                captures.rows.push(Vec::new());
-            }
-            captures.rows[capture].push(row);
-            captures.of.push(capture);
-        }
-        Ok(captures)
-    }
-
-    /// For a `share` of the frames another one of its capture, for the others the frame itself. They
-    /// depend on the seed and the position of the shuffle alone.
-    fn others(
-        &self,
-        frames: &[usize],
-        share: f64,
-        (seed, at): (u64, ShufflePosition),
-    ) -> Vec<usize> {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(TRANSFER + at.epoch);
-        // Eight words for each frame that was drawn before.
-        rng.set_word_pos(8 * at.drawn as u128);
-        let other = |&frame: &usize| {
-            let rows = &self.rows[self.of[frame - self.first]];
-            let chosen = rows[rng.random_range(0..rows.len())];
-            if rng.random::<f64>() < share { chosen } else { frame }
-        };
-        frames.iter().map(other).collect()
-    }
-}
-
-/// First stream of the seed's random numbers that choose frames to encode.
-const TRANSFER: u64 = 1 << 62;
 
 /// Batches of the `rows` of a set in order, each once, for validation and evaluation; read ahead in
 /// the background. The last batch can be smaller than `batch`.

@@ -75,7 +75,8 @@ fn the_discriminators_batches_are_optional_and_change_nothing_else() {
     let dir = tempfile::tempdir().unwrap();
     let (set, statistics) = packed(dir.path(), 9);
     let step = |discriminator| {
-        let options = LoaderOptions { batch: 2, discriminator, prefetch: 0, transfer: 0.0 };
+        let options =
+            LoaderOptions { batch: 2, discriminator, prefetch: 0, ..LoaderOptions::default() };
         let state = LoaderState::new(1);
         let mut loader =
             Loader::new(set.clone(), statistics.clone(), 0..9, options, state).unwrap();
@@ -147,6 +148,48 @@ fn frames_of_the_same_capture_are_encoded_instead() {
         let error = Loader::new(bare.clone(), statistics.clone(), 0..12, options, state);
         assert!(error.unwrap_err().to_string().contains(said));
     }
+}
+
+#[test]
+fn frames_are_reconstructed_under_the_poses_of_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let (set, statistics) = packed(dir.path(), 12);
+    let load = |pose_swap, state| {
+        let options = LoaderOptions { batch: 4, pose_swap, ..LoaderOptions::default() };
+        Loader::new(set.clone(), statistics.clone(), 1..12, options, state).unwrap()
+    };
+    let poses = set.pose_features(&(0..12).collect::<Vec<_>>()).unwrap();
+    assert_eq!(poses, set.batch(&(0..12).collect::<Vec<_>>(), None).unwrap().pose_feature);
+    let mut seen = [false; 12];
+    for (share, changed) in [(1.0, 650..800), (0.25, 130..230)] {
+        let mut loader = load(share, LoaderState::new(3));
+        let mut plain = load(0.0, LoaderState::new(3));
+        let mut others = 0;
+        let mut before: Option<StepBatches> = None;
+        for _ in 0..200 {
+            let step = loader.step().unwrap();
+            let own = plain.step().unwrap().generator;
+            assert_eq!(step.encoded.as_ref().unwrap(), &own);
+            assert_eq!(step.generator.displacement, own.displacement);
+            for (row, &frame) in own.frames.iter().enumerate() {
+                let given = step.generator.pose_feature.row(row);
+                let posed = poses.rows().into_iter().position(|pose| pose == given).unwrap();
+                assert_ne!(posed, 0, "no training row");
+                seen[posed] = true;
+                others += usize::from(posed != frame);
+            }
+            if let Some(before) = before {
+                assert_eq!(load(share, before.state).step().unwrap(), step);
+            }
+            before = Some(step);
+        }
+        assert!(changed.contains(&others), "{share}: {others} of 800");
+    }
+    assert_eq!(seen.iter().filter(|seen| **seen).count(), 11);
+    let options = LoaderOptions { pose_swap: -0.5, ..LoaderOptions::default() };
+    let error = Loader::new(set.clone(), statistics.clone(), 0..12, options, LoaderState::new(0));
+    assert!(error.unwrap_err().to_string().contains("pose_swap: expected 0 to 1"));
+    assert!(set.pose_features(&[12]).unwrap_err().to_string().contains("frame 12 of a set of 12"));
 }
 
 #[test]

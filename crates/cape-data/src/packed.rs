@@ -301,6 +301,23 @@ impl PackedSet {
         })
     }
 
+    /// Pose features of frames, `[frames, 126]` (see [`HostBatch::pose_feature`]).
+    pub fn pose_features(&self, frames: &[usize]) -> Result<Array2<f32>> {
+        let mut features = Vec::with_capacity(frames.len() * POSE_FEATURE);
+        for &frame in frames {
+            if frame >= self.frames() {
+                let total = self.frames();
+                return Err(Error::argument(format!("frame {frame} of a set of {total} frames")));
+            }
+            match &self.preloaded {
+                Some((_, all)) => features.extend(&all[frame * POSE_FEATURE..][..POSE_FEATURE]),
+                None => self.read_pose_feature(frame, &mut features)?,
+            }
+        }
+        Array2::from_shape_vec((frames.len(), POSE_FEATURE), features)
+            .map_err(|error| Error::argument(error.to_string()))
+    }
+
     /// One frame in f64: displacements `[V, 3]`, metres; pose in axis-angle `[72]`, radians;
     /// rotation matrices of the 24 joints, row-major, `[216]`.
     pub fn frame(&self, frame: usize) -> Result<(Array2<f64>, Vec<f64>, Vec<f64>)> {
@@ -337,6 +354,10 @@ impl PackedSet {
         feature: &mut Vec<f32>,
     ) -> Result<()> {
         displacement.extend(self.displacement.row(frame)?.into_iter().map(|x| x as f32));
+        self.read_pose_feature(frame, feature)
+    }
+
+    fn read_pose_feature(&self, frame: usize, feature: &mut Vec<f32>) -> Result<()> {
         let rotations = self.rotations(frame)?;
         for joint in CLOTHING_JOINTS {
             feature.extend(rotations[9 * joint..][..9].iter().map(|&x| x as f32));

@@ -103,6 +103,11 @@ pub struct TrainConfig {
     /// between the two must then be explained by the pose. 0, as in the paper, encodes each frame itself.
     #[serde(skip_serializing_if = "is_zero")]
     pub transfer: f64,
+    /// Share of the frames, 0 to 1, that are reconstructed under the pose of another training frame: clothing
+    /// then keeps its offsets from the body in poses that it was not captured in. 0, as in the paper, gives
+    /// each frame its own pose.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub pose_swap: f64,
     /// Steps between checkpoints inside an epoch; 0 saves at the ends of epochs only.
     pub checkpoint_steps: usize,
     /// Newest checkpoints kept; the best one is kept besides.
@@ -137,6 +142,7 @@ impl Default for TrainConfig {
             kl_warmup_epochs: 0.0,
             ema: 0.0,
             transfer: 0.0,
+            pose_swap: 0.0,
             checkpoint_steps: 0,
             keep: 3,
             log_steps: 10,
@@ -305,8 +311,10 @@ impl RunConfig {
                 return error(field, format!("must be {least}, not {value}"));
             }
         }
-        if !(0.0..=1.0).contains(&train.transfer) {
-            return error("transfer", format!("must be from 0 to 1, not {}", train.transfer));
+        for (field, share) in [("transfer", train.transfer), ("pose_swap", train.pose_swap)] {
+            if !(0.0..=1.0).contains(&share) {
+                return error(field, format!("must be from 0 to 1, not {share}"));
+            }
         }
         for (field, value) in [("momentum", train.momentum), ("ema", train.ema)] {
             if !(0.0..1.0).contains(&value) {

@@ -312,6 +312,7 @@ impl Trainer {
             batch: self.config.train.batch,
             discriminator: self.config.model.discriminator.is_some(),
             transfer: self.config.train.transfer,
+            pose_swap: self.config.train.pose_swap,
             ..LoaderOptions::default()
         };
         let mut log = TrainLog::open(&self.paths)?;

@@ -74,6 +74,7 @@ def train(
     bare_weight: float | None = None,
     clothing_patches: bool = False,
     transfer: float | None = None,
+    pose_swap: float | None = None,
     ema: float | None = None,
     checkpoint_steps: int | None = None,
     keep: int | None = None,
@@ -104,6 +105,7 @@ def train(
     - ``unit``: of displacements in the losses; ``bare_weight``: of vertices without clothing;
       ``clothing_patches``: only those count in adversarial losses
     - ``transfer``: share of the frames, 0 to 1, with the code of another frame of the same capture
+    - ``pose_swap``: share of the frames, 0 to 1, reconstructed under the pose of another training frame
     - ``ema``: decay of a moving average of the weights, such as 0.999
     - ``keep``: newest checkpoints that are kept; ``preload``: the whole set into memory
     - ``weighting``: of up-sampling; ``seed``; ``threads``
@@ -138,6 +140,7 @@ class Settings(TypedDict, total=False):
     bare_weight: float | None
     clothing_patches: bool
     transfer: float | None
+    pose_swap: float | None
     ema: float | None
     preload: bool
     weighting: Literal["barycentric", "release"] | None

@@ -63,6 +63,10 @@ pub(super) struct TrainOverrideArgs {
     /// pose must explain the difference [paper: 0].
     #[arg(long, value_name = "SHARE")]
     transfer: Option<f64>,
+    /// Share of the frames, 0 to 1, that are reconstructed under the pose of another training frame, so
+    /// that clothing keeps its offsets in poses that it was not captured in [paper: 0].
+    #[arg(long, value_name = "SHARE")]
+    pose_swap: Option<f64>,
     /// Decay of an exponential moving average of the weights to evaluate and sample with, such as 0.999.
     #[arg(long, value_name = "FACTOR")]
     ema: Option<f64>,
@@ -117,6 +121,7 @@ impl TrainOverrideArgs {
         set(&mut loss.bare_weight, self.bare_weight);
         loss.clothing_patches |= self.clothing_patches;
         set(&mut train.transfer, self.transfer);
+        set(&mut train.pose_swap, self.pose_swap);
         set(&mut train.ema, self.ema);
         set(&mut train.checkpoint_steps, self.checkpoint_steps);
         set(&mut train.keep, self.keep);
