@@ -6,13 +6,13 @@ use ndarray::{Array2, Array3};
 use super::*;
 use crate::Split;
 
-/// A training set in which every displacement of a frame is the index of the frame.
+/// A training set in which every displacement and rotation of a frame is the index of the frame.
 fn packed(root: &Path, frames: usize) -> (Arc<PackedSet>, Arc<DisplacementStatistics>) {
     std::fs::create_dir_all(root.join("train")).unwrap();
     let path = |what: &str| root.join(format!("train/train_{what}.npy"));
     write_npy(path("disp"), &Array3::from_shape_fn((frames, 2, 3), |(k, ..)| k as f64)).unwrap();
     write_npy(path("pose"), &Array2::<f64>::zeros((frames, 72))).unwrap();
-    write_npy(path("rot"), &Array2::<f64>::zeros((frames, 216))).unwrap();
+    write_npy(path("rot"), &Array2::from_shape_fn((frames, 216), |(k, _)| k as f64)).unwrap();
     let label = Array2::from_shape_fn((frames, 4), |(_, i)| {
         f64::from(Outfit::PAPER[i] == Outfit::LONG_LONG)
     });
@@ -158,8 +158,9 @@ fn frames_are_reconstructed_under_the_poses_of_others() {
         let options = LoaderOptions { batch: 4, pose_swap, ..LoaderOptions::default() };
         Loader::new(set.clone(), statistics.clone(), 1..12, options, state).unwrap()
     };
-    let poses = set.pose_features(&(0..12).collect::<Vec<_>>()).unwrap();
-    assert_eq!(poses, set.batch(&(0..12).collect::<Vec<_>>(), None).unwrap().pose_feature);
+    let all: Vec<usize> = (0..12).collect();
+    let poses = set.pose_features(&all).unwrap();
+    assert_eq!(poses, set.batch(&all, None).unwrap().pose_feature);
     let mut seen = [false; 12];
     for (share, changed) in [(1.0, 650..800), (0.25, 130..230)] {
         let mut loader = load(share, LoaderState::new(3));
@@ -172,8 +173,8 @@ fn frames_are_reconstructed_under_the_poses_of_others() {
             assert_eq!(step.encoded.as_ref().unwrap(), &own);
             assert_eq!(step.generator.displacement, own.displacement);
             for (row, &frame) in own.frames.iter().enumerate() {
-                let given = step.generator.pose_feature.row(row);
-                let posed = poses.rows().into_iter().position(|pose| pose == given).unwrap();
+                let posed = step.generator.pose_feature[[row, 0]] as usize;
+                assert_eq!(step.generator.pose_feature.row(row), poses.row(posed));
                 assert_ne!(posed, 0, "no training row");
                 seen[posed] = true;
                 others += usize::from(posed != frame);

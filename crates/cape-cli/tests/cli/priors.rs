@@ -69,7 +69,7 @@ fn samples_are_measured_against_held_out_frames() {
     assert!(report["minimum_matching_mm"].as_f64().unwrap() > 0.0);
     assert_eq!(report, of("--prior gmm"));
     assert_eq!(of("--prior normal --temperature 0")["diversity_mm"][0][1], 0.0);
-    for set in ["held_out", "principal", "principal_held_out"] {
+    for set in ["held_out", "training", "principal", "principal_held_out", "principal_training"] {
         let accuracy = report[set]["nearest_neighbour_accuracy"].as_f64().unwrap();
         assert!((0.0..=1.0).contains(&accuracy), "{report}");
     }

@@ -6,6 +6,7 @@ mod inside;
 mod principal;
 mod sets;
 mod transfer;
+mod worn;
 
 use std::{collections::BTreeSet, path::Path};
 
@@ -80,11 +81,16 @@ pub struct QualityReport {
     /// The same measures of the frames of one half against those of the other: the best that samples can
     /// reach.
     pub held_out: SetQuality,
+    /// The same measures of frames of training captures in place of samples, with their offsets as they are:
+    /// what a model reaches that reproduces its training data. `None` if an outfit has no training frames.
+    pub training: Option<SetQuality>,
     /// Samples against held-out frames after projection onto the first 64 principal components of the
     /// training frames, where a lack of fine detail does not count.
     pub principal: SetQuality,
     /// Held-out frames against each other after this projection.
     pub principal_held_out: SetQuality,
+    /// Frames of training captures against held-out frames after this projection.
+    pub principal_training: Option<SetQuality>,
     /// Mean distance between samples of an outfit in one pose, by outfit.
     pub diversity_mm: Vec<(Outfit, f64)>,
     /// Mean distance between held-out frames of an outfit in any pose, by outfit.
@@ -136,6 +142,7 @@ pub fn quality(
     for (index, (&outfit, &capture)) in outfits.iter().zip(&captures.of).enumerate() {
         drawn.row_mut(index).assign(&codes(outfit, 1, capture as u64).row(0));
     }
+    let worn = worn::training_clothing(run, data, &outfits, &captures.of, options.seed)?;
     let steps = 7;
     let samples = decoded(run, &drawn, &poses, &outfits)?;
     progress(1, steps);
@@ -148,6 +155,8 @@ pub fn quality(
     let (truth_points, sample_points) = (of_clothes(&truth), of_clothes(&samples));
     let samples_quality = captures.compare(&truth_points, &sample_points);
     let held_out = captures.compare(&truth_points, &truth_points);
+    let compare_worn = |worn: &Vec<Vec<f32>>| captures.compare(&truth_points, &of_clothes(worn));
+    let training = worn.as_ref().map(compare_worn);
     progress(2, steps);
 
     let projection = PrincipalProjection::from_training(run, data, options.training_frames)?;
@@ -155,6 +164,10 @@ pub fn quality(
     let (true_principal, principal) = (project(&truth)?, project(&samples)?);
     let principal = captures.compare(&true_principal, &principal);
     let principal_held_out = captures.compare(&true_principal, &true_principal);
+    let principal_training = match &worn {
+        Some(worn) => Some(captures.compare(&true_principal, &project(worn)?)),
+        None => None,
+    };
     progress(3, steps);
 
     let classifier = OutfitCentroids::from_training(run, data, options.training_frames)?;
@@ -186,8 +199,10 @@ pub fn quality(
         frames: rows.len(),
         samples: samples_quality,
         held_out,
+        training,
         principal,
         principal_held_out,
+        principal_training,
         diversity_mm: diversity,
         held_out_diversity_mm: present(&outfits)
             .into_iter()

@@ -1,4 +1,4 @@
-use cape_eval::quality::{QualityOptions, QualityReport, quality, standard_normal};
+use cape_eval::quality::{QualityOptions, QualityReport, SetQuality, quality, standard_normal};
 use cape_infer::write_json;
 use clap::Args;
 use serde::Serialize;
@@ -71,8 +71,10 @@ impl Report {
             frames,
             samples,
             held_out,
+            training,
             principal,
             principal_held_out,
+            principal_training,
             diversity_mm,
             held_out_diversity_mm,
             pose_sensitivity_mm,
@@ -83,25 +85,30 @@ impl Report {
         } = &self.quality;
         let percent = |share: f64| format!("{:.0} %", 100.0 * share);
         let mm = |distance: f64| format!("{distance:.1} mm");
-        let mut table = Table::new(["", "samples", "held out"]);
-        let mut row = |name: &str, samples: String, held_out: String| {
-            table.row([name.to_owned(), samples, held_out]);
-        };
-        for (own, theirs, space) in
-            [(samples, held_out, ""), (principal, principal_held_out, ", 64 components")]
-        {
-            row(&format!("coverage{space}"), percent(own.coverage), percent(theirs.coverage));
-            row(
-                &format!("minimum matching distance{space}"),
-                mm(own.minimum_matching_mm),
-                mm(theirs.minimum_matching_mm),
+        let mut table = Table::new(["", "samples", "training", "held out"]);
+        for (sets, space) in [
+            ([Some(samples), training.as_ref(), Some(held_out)], ""),
+            (
+                [Some(principal), principal_training.as_ref(), Some(principal_held_out)],
+                ", 64 components",
+            ),
+        ] {
+            let mut measure = |name: String, of: &dyn Fn(&SetQuality) -> String| {
+                let [own, training, theirs] = sets.map(|set| set.map(of).unwrap_or_default());
+                table.row([name, own, training, theirs]);
+            };
+            measure(format!("coverage{space}"), &|set| percent(set.coverage));
+            measure(
+                format!("minimum matching distance{space}"),
+                &|set| mm(set.minimum_matching_mm),
             );
-            row(
-                &format!("1-nearest-neighbour accuracy{space} (best 50 %)"),
-                percent(own.nearest_neighbour_accuracy),
-                percent(theirs.nearest_neighbour_accuracy),
-            );
+            measure(format!("1-nearest-neighbour accuracy{space} (best 50 %)"), &|set| {
+                percent(set.nearest_neighbour_accuracy)
+            });
         }
+        let mut row = |name: &str, samples: String, held_out: String| {
+            table.row([name.to_owned(), samples, String::new(), held_out]);
+        };
         for ((outfit, own), (_, theirs)) in diversity_mm.iter().zip(held_out_diversity_mm) {
             row(&format!("diversity, {outfit}"), mm(*own), mm(*theirs));
         }

@@ -62,15 +62,15 @@ export class Garments {
     }
   }
 
-  /// Means of the neighbours of `places`, in order: each goes to `next`, which may be `values` itself.
-  #smooth(places, values, next) {
+  /// Replaces values by the means of their neighbours, at `places`, in order.
+  #smooth(places, values) {
     const [starts, near, couplings] = [this.#starts, this.#near, this.#couplings];
     for (let i = 0; i < places.length; i++) {
       const v = places[i];
       const end = starts[v + 1];
       let sum = 0;
       for (let at = starts[v]; at < end; at++) sum += couplings[at] * values[near[at]];
-      next[v] = sum;
+      values[v] = sum;
     }
   }
 
@@ -78,22 +78,26 @@ export class Garments {
     const { shares: first, known, sweeps } = this.#tables;
     const shares = Float32Array.from(first);
     const unknown = this.#where(v => !known[v]);
-    for (let sweep = 0; sweep < sweeps[0]; sweep++) this.#smooth(unknown, shares, shares);
+    for (let sweep = 0; sweep < sweeps[0]; sweep++) this.#smooth(unknown, shares);
     return shares;
   }
 
   #cloth(displacement) {
-    const { covered, trunk, cloth: [low, high], sweeps } = this.#tables;
-    let shares = Float32Array.from(covered, (covered, v) => {
+    const { covered, trunk, cloth: [low, high], skin_weight, sweeps } = this.#tables;
+    const [starts, near, couplings] = [this.#starts, this.#near, this.#couplings];
+    const shares = Float32Array.from(covered, (covered, v) => {
       if (!covered || trunk[v]) return covered;
       return ramp(Math.hypot(...displacement.subarray(3 * v, 3 * v + 3)), low, high);
     });
+    const likely = shares.slice();
     const free = this.#where(v => covered[v] && !trunk[v]);
     for (let sweep = 0; sweep < sweeps[1]; sweep++) {
-      const next = shares.slice();
-      this.#smooth(free, shares, next);
-      for (const v of free) next[v] = 0.5 * (shares[v] + next[v]);
-      shares = next;
+      for (const v of free) {
+        let mean = 0;
+        for (let at = starts[v]; at < starts[v + 1]; at++) mean += couplings[at] * shares[near[at]];
+        const weight = skin_weight + (1 - skin_weight) * likely[v];
+        shares[v] = (weight * likely[v] + mean) / (weight + 1);
+      }
     }
     return shares;
   }
