@@ -28,15 +28,15 @@ make() {
     "$cape" "$@" --out "$name"
 }
 
-make outfits vary "$run" --by outfit --codes mean,seed:4 --rows 2
+make outfits vary "$run" --by outfit --codes seed:2,seed:12 --rows 2
 make codes vary "$run" --by code --outfit shortlong --prior gmm
-make poses vary "$run" --by pose --motion squats --codes seed:4
+make poses vary "$run" --by pose --motion squats --codes seed:12
 make shapes vary "$run" --by shape --outfit shortshort --codes mean
 make directions vary "$run" --by direction --rows 3 --columns 5
 make between vary "$run" --by between --codes frame:0,frame:300
 make effect eval pose "$run" --pose-a a-pose --pose-b squats --scale 4
-make redressed redress "$run" frame:3 --pose squats
-make given redress "$run" frame:3 --to 2,-1 --to -2,1 --to frame:200
+make redressed redress "$run" frame:276 --pose squats
+make given redress "$run" frame:276 --to 2,-1 --to -2,1 --to frame:200
 make scanned fit scan "$run" --scan redressed/0-registration.ply --outfit shortshort --free-displacement
 make squats animate "$run" --motion squats --seconds 2 --fps 12 --size 256
 "$examples/texture" "$run"
@@ -52,3 +52,4 @@ cp scanned/fit.png "$pictures/scan.png"
 cp squats/animation.png "$pictures/squats.png"
 cp texture.png picture.png "$pictures"
 cp demo/contact_sheet.png "$pictures"
+cp demo/built_in.png "$pictures/built-in.png"
