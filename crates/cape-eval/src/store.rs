@@ -25,14 +25,14 @@
 //! - Nothing is written or removed before [`begin`](ResultStore::begin) or the first item, so that
 //!   many stores can be checked before the first is touched.
 
+mod file_list;
 mod hash;
 mod settings;
 
 use std::{
     collections::BTreeSet,
-    fs,
-    io::{self, Read, Seek, SeekFrom, Write},
-    path::{Component, Path, PathBuf},
+    fs, io,
+    path::{Path, PathBuf},
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
@@ -40,6 +40,7 @@ use cape_core::{DirectoryLock, is_temporary};
 use cape_infer::write_json;
 use serde::{Serialize, de::DeserializeOwned};
 
+use file_list::{FILES, FileList, is_inside, listed};
 pub use hash::{sha256, sha256_of_files};
 pub use settings::{StoreSettings, packed_set_sha256};
 
@@ -47,8 +48,6 @@ use crate::{Error, Result};
 
 /// Name of the file with everything that results depend on.
 const SETTINGS: &str = "settings.json";
-/// Name of the file that lists what the store wrote, one path per line.
-const FILES: &str = "files.txt";
 
 /// Options for opening a directory as a [`ResultStore`].
 #[derive(Debug, Clone, Copy, Default)]
@@ -102,6 +101,8 @@ pub struct ResultStore {
 struct State {
     /// Entries to remove before settings.json is written; none once the directory has these settings.
     pending: Option<Vec<String>>,
+    /// True if there was no settings.json when the directory was opened.
+    fresh: bool,
     /// Entries of files.txt.
     listed: BTreeSet<String>,
 }
@@ -120,7 +121,7 @@ impl ResultStore {
         let state = if root.join(SETTINGS).exists() {
             existing(root, &settings, options)?
         } else {
-            State { pending: Some(adopted(root, options)?), listed: BTreeSet::new() }
+            State { pending: Some(adopted(root, options)?), fresh: true, listed: BTreeSet::new() }
         };
         Ok(Self { root: root.to_owned(), settings, state: Mutex::new(state) })
     }
@@ -142,19 +143,46 @@ impl ResultStore {
     /// Makes the directory a store of these settings: removes results that are to be overwritten and
     /// writes settings.json. Done once, at the latest by the first [`claim`](Self::claim).
     pub fn begin(&self) -> Result<()> {
-        // Another process may have begun since.
-        self.refresh()?;
         self.begin_with(&mut self.state())
     }
 
     fn begin_with(&self, state: &mut State) -> Result<()> {
-        let Some(pending) = &state.pending else { return Ok(()) };
+        if state.pending.is_none() {
+            return Ok(());
+        }
         create_dir(&self.root)?;
+        let list = FileList::lock(&self.root)?;
+        self.notice_settings(state);
+        let Some(pending) = &state.pending else {
+            state.listed.extend(list.entries()?);
+            return Ok(());
+        };
+        if state.fresh && self.path(SETTINGS).exists() {
+            // Of other settings, or unreadable.
+            drop(list);
+            *state = existing(&self.root, &self.settings, StoreOptions::default())?;
+            return Ok(());
+        }
         remove(&self.root, pending)?;
-        remove(&self.root, &[FILES.to_owned()])?;
+        list.clear()?;
         write_json(&self.path(SETTINGS), &self.settings)?;
         state.pending = None;
         Ok(())
+    }
+
+    /// Takes in a settings.json that another process has written since the directory was opened.
+    fn notice_settings(&self, state: &mut State) {
+        if state.pending.is_none() || !self.path(SETTINGS).exists() {
+            return;
+        }
+        // Settings that are to be overwritten may be unreadable.
+        let stored = StoreSettings::load(&self.path(SETTINGS)).ok();
+        let same = |stored: StoreSettings| {
+            stored.kind() == self.settings.kind() && stored.differences(&self.settings).is_empty()
+        };
+        if stored.is_some_and(same) {
+            state.pending = None;
+        }
     }
 
     /// Lists `name` as the store's, to be written by other code. With `/` at the end it is a
@@ -168,16 +196,18 @@ impl ResultStore {
         }
         let mut state = self.state();
         self.begin_with(&mut state)?;
-        if !state.listed.contains(name) {
-            // Another process may have listed it since.
-            state.listed.extend(listed(&self.root)?);
+        if state.listed.contains(name) {
+            return Ok(());
         }
+        let list = FileList::lock(&self.root)?;
+        // Another process may have listed it since.
+        state.listed.extend(list.entries()?);
         if !state.listed.contains(name) {
             let path = self.path(name);
             if path.symlink_metadata().is_ok() {
                 return Err(foreign(&path));
             }
-            append(&self.path(FILES), name)?;
+            list.append(name)?;
             state.listed.insert(name.to_owned());
         }
         Ok(())
@@ -194,15 +224,7 @@ impl ResultStore {
     /// Takes in what another process has written since the directory was opened.
     pub fn refresh(&self) -> Result<()> {
         let mut state = self.state();
-        let empty = state.pending.as_ref().is_some_and(Vec::is_empty);
-        if empty && self.path(SETTINGS).exists() {
-            let stored = StoreSettings::load(&self.path(SETTINGS))?;
-            if stored.kind() == self.settings.kind()
-                && stored.differences(&self.settings).is_empty()
-            {
-                state.pending = None;
-            }
-        }
+        self.notice_settings(&mut state);
         if state.pending.is_none() {
             state.listed.extend(listed(&self.root)?);
         }
@@ -313,6 +335,7 @@ fn existing(root: &Path, settings: &StoreSettings, options: StoreOptions<'_>) ->
             if known && options.overwrite {
                 return Ok(State {
                     pending: Some(written.into_iter().collect()),
+                    fresh: false,
                     listed: BTreeSet::new(),
                 });
             }
@@ -330,11 +353,11 @@ fn existing(root: &Path, settings: &StoreSettings, options: StoreOptions<'_>) ->
     }
     let differences = stored.differences(settings);
     let Some(first) = differences.first() else {
-        return Ok(State { pending: None, listed: listed(root)? });
+        return Ok(State { pending: None, fresh: false, listed: listed(root)? });
     };
     if options.overwrite {
         let pending = Some(listed(root)?.into_iter().collect());
-        return Ok(State { pending, listed: BTreeSet::new() });
+        return Ok(State { pending, fresh: false, listed: BTreeSet::new() });
     }
     let others: Vec<String> =
         differences[1..].iter().map(|other| format!("`{}`", other.field)).collect();
@@ -369,7 +392,9 @@ fn adopted(root: &Path, options: StoreOptions<'_>) -> Result<Vec<String>> {
         ));
     }
     for name in names(root)? {
-        let known = name == FILES || options.beside.contains(&name.as_str());
+        // Another process may have written settings.json since.
+        let known =
+            [FILES, SETTINGS].contains(&name.as_str()) || options.beside.contains(&name.as_str());
         if !known && !is_temporary(&name) {
             return Err(Error::format(
                 root,
@@ -404,44 +429,6 @@ fn names(directory: &Path) -> Result<Vec<String>> {
     let mut names = entries.map(name).collect::<Result<Vec<_>>>()?;
     names.sort_unstable();
     Ok(names)
-}
-
-/// True for a relative path without `..`.
-fn is_inside(name: &str) -> bool {
-    let mut parts = Path::new(name).components().peekable();
-    parts.peek().is_some() && parts.all(|part| matches!(part, Component::Normal(_)))
-}
-
-/// Entries of files.txt.
-fn listed(root: &Path) -> Result<BTreeSet<String>> {
-    let path = root.join(FILES);
-    let text = match fs::read_to_string(&path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(BTreeSet::new()),
-        text => text.map_err(|source| Error::io(&path, source))?,
-    };
-    let mut entries = BTreeSet::new();
-    for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.is_empty()) {
-        if !is_inside(line) {
-            let message = format!("`{line}` is not a path inside this directory: remove the line");
-            return Err(Error::field(&path, format!("line {}", index + 1), message));
-        }
-        entries.insert(line.to_owned());
-    }
-    Ok(entries)
-}
-
-/// Adds a line to a file, after what an interruption may have left of another.
-fn append(path: &Path, line: &str) -> Result<()> {
-    let fault = |source| Error::io(path, source);
-    let mut options = fs::OpenOptions::new();
-    let mut file = options.create(true).read(true).append(true).open(path).map_err(fault)?;
-    let mut last = [b'\n'];
-    if file.seek(SeekFrom::End(-1)).is_ok() {
-        file.read_exact(&mut last).map_err(fault)?;
-    }
-    let begin = if last == [b'\n'] { "" } else { "\n" };
-    // In one piece, so that lines of several processes do not mix.
-    file.write_all(format!("{begin}{line}\n").as_bytes()).map_err(fault)
 }
 
 /// Entries of the directory that patterns as in [`StoreOptions::earlier`] match.

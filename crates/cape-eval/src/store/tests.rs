@@ -58,7 +58,7 @@ fn overwriting_removes_what_was_listed_and_nothing_else() {
     assert_eq!(other.read::<i32>("frames/1.json").unwrap(), None);
     assert!(root.join("frames/1.json").exists(), "opening removes nothing");
     other.begin().unwrap();
-    assert_eq!(files(root), ["frames", "notes.txt", "settings.json"]);
+    assert_eq!(files(root), ["files.txt", "frames", "notes.txt", "settings.json"]);
     assert_eq!(files(&root.join("frames")), ["notes.txt"]);
     let message = other.write("notes.txt", &1).unwrap_err().to_string();
     assert!(message.contains("notes.txt") && message.contains("move it"), "{message}");
@@ -112,7 +112,7 @@ fn directories_of_earlier_versions_are_told() {
         assert!(message.contains(part), "{message}");
     }
     open(root, 0.1, true).unwrap().begin().unwrap();
-    assert_eq!(files(root), ["frames", "mine.txt", "settings.json"]);
+    assert_eq!(files(root), ["files.txt", "frames", "mine.txt", "settings.json"]);
     assert_eq!(files(&root.join("frames")), ["1.png"]);
     // Settings that lack the inputs.
     let options = |overwrite| StoreOptions { overwrite, earlier: &[SETTINGS], beside: &[] };
@@ -142,4 +142,38 @@ fn a_list_that_leads_out_is_refused() {
             .is_err()
     );
     assert!(place.path().join("precious").exists());
+}
+
+#[test]
+fn of_two_stores_of_other_settings_the_second_to_begin_is_refused() {
+    let place = tempfile::tempdir().unwrap();
+    let [one, other] = [0.1, 0.2].map(|noise| open(place.path(), noise, false).unwrap());
+    one.write("frames/1.json", &1).unwrap();
+    let message = other.write("frames/1.json", &2).unwrap_err().to_string();
+    assert!(message.contains("`settings.noise`"), "{message}");
+    assert_eq!(one.read("frames/1.json").unwrap(), Some(1));
+}
+
+#[test]
+fn stores_of_the_same_settings_share_one_list() {
+    for _ in 0..20 {
+        let place = tempfile::tempdir().unwrap();
+        let root = place.path().join("out");
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| {
+                    let store = open(&root, 0.1, false).unwrap();
+                    for item in 0..10 {
+                        store.list(&format!("frames/{item}.json")).unwrap();
+                    }
+                });
+            }
+        });
+        let text = fs::read_to_string(root.join(FILES)).unwrap();
+        let mut lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines.len(), 10, "{text}");
+        lines.sort_unstable();
+        lines.dedup();
+        assert_eq!(lines.len(), 10, "{text}");
+    }
 }
