@@ -154,10 +154,13 @@ impl Loader {
             let frames = draw(&mut generator);
             let pairs = pairing.as_ref().map(|pairing| pairing.draw(&frames, (seed, at)));
             Some(read(&frames).and_then(|mut fitted| {
+                let mut encoded = None;
                 if let Some(pairs) = &pairs {
+                    // Most often they are the same frames, which need not be read again.
+                    let same = pairs.encoded == frames;
+                    encoded = Some(if same { fitted.clone() } else { read(&pairs.encoded)? });
                     fitted.pose_feature = set.pose_features(&pairs.posed)?;
                 }
-                let encoded = pairs.map(|pairs| read(&pairs.encoded)).transpose()?;
                 Ok(StepBatches {
                     generator: fitted,
                     encoded,
