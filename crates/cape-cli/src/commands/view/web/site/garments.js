@@ -62,29 +62,27 @@ export class Garments {
     }
   }
 
-  /// Replaces values by the means of their neighbours, at `places`, in order.
-  #smooth(places, values) {
-    const [starts, near, couplings] = [this.#starts, this.#near, this.#couplings];
-    for (let i = 0; i < places.length; i++) {
-      const v = places[i];
-      const end = starts[v + 1];
-      let sum = 0;
-      for (let at = starts[v]; at < end; at++) sum += couplings[at] * values[near[at]];
-      values[v] = sum;
+  /// Mean of the values of a vertex's neighbours.
+  #mean(v, values) {
+    let sum = 0;
+    for (let at = this.#starts[v]; at < this.#starts[v + 1]; at++) {
+      sum += this.#couplings[at] * values[this.#near[at]];
     }
+    return sum;
   }
 
   #trousers() {
     const { shares: first, known, sweeps } = this.#tables;
     const shares = Float32Array.from(first);
     const unknown = this.#where(v => !known[v]);
-    for (let sweep = 0; sweep < sweeps[0]; sweep++) this.#smooth(unknown, shares);
+    for (let sweep = 0; sweep < sweeps[0]; sweep++) {
+      for (const v of unknown) shares[v] = this.#mean(v, shares);
+    }
     return shares;
   }
 
   #cloth(displacement) {
     const { covered, trunk, cloth: [low, high], skin_weight, sweeps } = this.#tables;
-    const [starts, near, couplings] = [this.#starts, this.#near, this.#couplings];
     const shares = Float32Array.from(covered, (covered, v) => {
       if (!covered || trunk[v]) return covered;
       return ramp(Math.hypot(...displacement.subarray(3 * v, 3 * v + 3)), low, high);
@@ -93,10 +91,8 @@ export class Garments {
     const free = this.#where(v => covered[v] && !trunk[v]);
     for (let sweep = 0; sweep < sweeps[1]; sweep++) {
       for (const v of free) {
-        let mean = 0;
-        for (let at = starts[v]; at < starts[v + 1]; at++) mean += couplings[at] * shares[near[at]];
         const weight = skin_weight + (1 - skin_weight) * likely[v];
-        shares[v] = (weight * likely[v] + mean) / (weight + 1);
+        shares[v] = (weight * likely[v] + this.#mean(v, shares)) / (weight + 1);
       }
     }
     return shares;
