@@ -3,7 +3,7 @@
 //! Valid files are changed at random (bits, numbers where lengths are likely, pieces cut out, put
 //! in twice or taken from another file) and read. No reader may panic, take long, or take memory
 //! out of proportion to the file, but for pictures, whose sides are bounded. `CAPE_FUZZ_CASES=N` reads N
-//! changed files of each kind.
+//! changed files of each kind. `CAPE_FUZZ_CORPUS=DIR` writes the valid files for the target of `fuzz/`.
 
 #![allow(unreachable_pub)]
 
@@ -201,11 +201,29 @@ fn put(directory: &Path, name: &str, bytes: &[u8], data: &[u8]) -> PathBuf {
     path
 }
 
+/// Writes valid files as the coverage-guided target reads them.
+fn write_corpus(kinds: &[(&str, &str, Vec<Vec<u8>>)], directory: &Path) {
+    let of = |kind: &str| &kinds.iter().find(|(found, ..)| *found == kind).unwrap().2;
+    let [index, data] = ["tensorflow index", "tensorflow data"].map(|kind| &of(kind)[0]);
+    let length = u16::try_from(index.len()).unwrap().to_le_bytes();
+    let checkpoint = [&length[..], index, data].concat();
+    for (number, (kind, _, seeds)) in kinds.iter().enumerate() {
+        for (at, seed) in seeds.iter().enumerate() {
+            let file = if kind.starts_with("tensorflow") { &checkpoint } else { seed };
+            let name = format!("{}-{at}", kind.replace(' ', "-"));
+            fs::write(directory.join(name), [&[number as u8], &file[..]].concat()).unwrap();
+        }
+    }
+}
+
 #[test]
 fn no_file_makes_a_reader_panic_hang_or_take_the_memory() {
     let cases = std::env::var("CAPE_FUZZ_CASES").ok().and_then(|n| n.parse().ok()).unwrap_or(CASES);
     let directory = tempfile::tempdir().unwrap();
     let kinds = seeds(directory.path());
+    if let Ok(corpus) = std::env::var("CAPE_FUZZ_CORPUS") {
+        write_corpus(&kinds, Path::new(&corpus));
+    }
     let place = tempfile::tempdir().unwrap();
     let of = |kind: &str| kinds.iter().find(|(found, ..)| *found == kind).unwrap().2[0].clone();
     let (index, data) = (of("tensorflow index"), of("tensorflow data"));

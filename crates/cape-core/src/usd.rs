@@ -252,7 +252,7 @@ impl<'a> Stage<'a> {
                 tuples(&linear)
             )?;
         }
-        let sets = skin::influences(body);
+        let sets = skin::joint_influences(body);
         let influences = |vertex: usize| sets.iter().flat_map(move |set| set[vertex]);
         let vertices = 0..body.vertices();
         let numbers: Vec<String> =

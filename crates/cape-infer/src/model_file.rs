@@ -1,5 +1,7 @@
 //! A trained model in one file.
 
+mod triangles;
+
 use std::{
     collections::{BTreeMap, HashMap},
     io::Write,
@@ -31,6 +33,8 @@ use crate::{
 const FORMAT: &str = "cape-model 1";
 const GENERATOR: &str = "generator.";
 const PRIOR: &str = "prior.";
+/// End of the names of matrices that are kept as triangles; files of earlier versions have all numbers.
+const COVARIANCES: &str = ".covariances";
 const TEMPLATE: &str = "body.template";
 const MEAN: &str = "statistics.mean";
 const STD: &str = "statistics.std";
@@ -159,6 +163,12 @@ impl ModelFile {
             self.mask.indices().flat_map(|vertex| (vertex as u32).to_le_bytes()).collect();
         tensors.push((CLOTHING.to_owned(), vec![clothing.len() / 4], Dtype::U32, clothing));
         for (name, array) in self.prior.iter().flat_map(Prior::arrays) {
+            let array = match array.view().into_dimensionality() {
+                Ok(matrices) if name.ends_with(COVARIANCES) => {
+                    triangles::lower(matrices).into_dyn()
+                }
+                _ => array,
+            };
             let bytes = array.iter().flat_map(|x| x.to_le_bytes()).collect();
             tensors.push((format!("{PRIOR}{name}"), array.shape().to_vec(), Dtype::F64, bytes));
         }
@@ -236,6 +246,12 @@ impl ModelFile {
         for name in file.names(PRIOR) {
             let array = ArrayD::from_shape_vec(IxDyn(&file.shape(&name)?), file.numbers(&name)?)
                 .map_err(|error| file.fault(&name, error.to_string()))?;
+            let array = match array.view().into_dimensionality() {
+                Ok(packed) if name.ends_with(COVARIANCES) => triangles::symmetric(packed)
+                    .ok_or_else(|| file.fault(&name, "no triangles of square matrices"))?
+                    .into_dyn(),
+                _ => array,
+            };
             arrays.insert(name[PRIOR.len()..].to_owned(), array);
         }
         let prior =

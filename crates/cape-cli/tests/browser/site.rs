@@ -10,10 +10,12 @@ use std::{
 };
 
 use cape::{
-    core::{Mesh, Outfit, obj},
-    infer::{BodySpec, GarmentColours, Run},
+    core::{Mesh, Outfit, gltf::GltfFile, obj},
+    data::Split,
+    infer::{BodySpec, GarmentColours, Run, registration},
     prelude::Device,
 };
+use glam::Vec3;
 use ndarray::Array2;
 use serde_json::Value;
 use tempfile::TempDir;
@@ -23,7 +25,7 @@ use crate::{
     devtools::Live,
     firefox::FirefoxPage,
     keep,
-    support::{VERTICES, cape, trained},
+    support::{Packed, VERTICES, cape, trained},
     viewer::{WIDE, click, difference, set},
 };
 
@@ -210,12 +212,22 @@ fn files_of_a_folder_on_a_server_parse() {
     let layers = live.evaluate("cape.layers()");
     let positions = numbers(&layers[0]["positions"]);
     let [obj, ply, glb, _] = ["obj", "ply", "glb", "png"].map(|end| live.download(end));
-    let meshes =
-        [obj::read(&obj).unwrap().mesh, Mesh::load(&ply).unwrap(), Mesh::load(&glb).unwrap()];
+    let meshes = [obj::read(&obj).unwrap().mesh, Mesh::load(&ply).unwrap()];
     for mesh in &meshes {
         assert_eq!(mesh.vertices.as_flattened(), positions);
         assert_eq!(mesh.faces, meshes[0].faces);
     }
+    // Skinned by its skeleton.
+    let file = GltfFile::parse(&glb, fs::read(&glb).unwrap()).unwrap();
+    let posed = file.vertices(None).unwrap();
+    let error = relative_error(posed.as_flattened(), &positions);
+    assert!(error < 1e-5, "{error}");
+    assert_eq!(file.faces().unwrap(), meshes[0].faces);
+    let bytes = fs::read(&glb).unwrap();
+    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+    let document: Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
+    assert_eq!(document["skins"][0]["joints"].as_array().unwrap().len(), 24);
+    assert_eq!(document["nodes"][16]["name"], "l_shoulder");
     live.evaluate("document.querySelector('#help-open').click()");
     let help = live.evaluate("document.querySelector('#help-notes').textContent");
     assert!(help.as_str().unwrap().contains("registrations"), "{help}");
@@ -225,6 +237,57 @@ fn files_of_a_folder_on_a_server_parse() {
         let here = [&address[..], "blob:", "data:"].iter().any(|start| url.starts_with(start));
         assert!(here, "{url} was asked for");
     }
+}
+
+/// A registration beside its reconstruction, and a code from a kernel density.
+#[test]
+fn a_folder_has_the_registrations_and_densities_of_its_run() {
+    let Some(browser) = Browser::find() else { return };
+    let data = Packed::new();
+    data.train().succeeded();
+    data.run("model prior @/run --kind kde").succeeded();
+    data.run("view @/run --export @/site --registrations 2").succeeded();
+    let run = Run::open(data.at("run"), &Device::default()).unwrap();
+    let mut live = Live::open(&browser, &file_url(&data.at("site")), WIDE);
+    live.evaluate("cape.ready");
+    live.evaluate("cape.settled()");
+    let outfit: Outfit = live.evaluate("cape.state().outfit").as_str().unwrap().parse().unwrap();
+    set(&mut live, "#prior", "kde");
+    for seed in [1, 2, 3, 40] {
+        set(&mut live, "#seed", &seed.to_string());
+        let found = numbers(&live.evaluate("cape.state().z"));
+        let prior = run.prior_of_kind("kde").unwrap().unwrap();
+        let sampled = prior.sample(outfit, 1, 1.0, seed);
+        assert!(relative_error(&found, &sampled.row(0).to_vec()) < 1e-6, "{found:?} {sampled}");
+    }
+
+    let test = run.open_set(run.data().unwrap(), Split::Test).unwrap();
+    let frame = test.frames() / 2;
+    let (displacement, wearer) = registration(&test, frame).unwrap();
+    let code = run.encode_frames(&test, &[frame]).unwrap();
+    let truth = run.pose_clothed(&displacement, std::slice::from_ref(&wearer)).unwrap();
+    let worn = run.dress(&code, &[wearer]).unwrap();
+    click(&mut live, "#layer-truth");
+    set(&mut live, "#truth", "1");
+    let layers = live.evaluate("cape.layers()");
+    let layers = layers.as_array().unwrap();
+    for (kind, expected) in [("truth", &truth[0]), ("clothed", &worn[0])] {
+        let layer = layers.iter().find(|layer| layer["kind"] == kind).unwrap();
+        let error = relative_error(&numbers(&layer["positions"]), expected.vertices.as_flattened());
+        assert!(error < MOST, "{kind}: {error}");
+    }
+    let clothed = layers.iter().find(|layer| layer["kind"] == "clothed").unwrap();
+    let mut errors = vec![0.0; VERTICES];
+    for &vertex in run.clothing() {
+        let [a, b] = [&worn[0], &truth[0]].map(|mesh| Vec3::from(mesh.vertices[vertex]));
+        errors[vertex] = a.distance(b);
+    }
+    assert!(relative_error(&numbers(&clothed["error"]), &errors) < 1e-2);
+    keep("site-registration", &live.screenshot());
+    click(&mut live, "#encode");
+    let found = numbers(&live.evaluate("cape.state().z"));
+    assert!(relative_error(&found, &code.row(0).to_vec()) < 1e-6);
+    assert_eq!(live.complaints(), [""; 0]);
 }
 
 #[test]
@@ -305,5 +368,9 @@ fn occupied_folders_and_meshes_are_refused() {
     refused(&[], &["is not empty", "choose another --export"]);
     refused(&["female"], &["--export", "not a mesh"]);
     refused(&["--port", "8080"], &["--port", "cannot be used with"]);
+    let site = place.path().join("site");
+    let done = cape(["view", "--registrations", "3", "--export"]).arg(&site).output().unwrap();
+    let said = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert!(!done.status.success() && said.contains("no registrations"), "{said}");
     assert_eq!(fs::read_dir(place.path()).unwrap().count(), 1);
 }

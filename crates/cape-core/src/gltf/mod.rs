@@ -24,6 +24,7 @@ use crate::{Error, Mesh, Result, SmplModel, joints, obj::Uv, write_atomically};
 use buffer::{Buffer, Target};
 
 pub use read::GltfFile;
+pub use skin::{JointInfluences, joint_influences};
 
 const MAGIC: u32 = 0x4654_6c67;
 const JSON_CHUNK: u32 = 0x4e4f_534a;
@@ -332,7 +333,7 @@ fn mesh(
         attributes["COLOR_0"] =
             json!(buffer.vec3(&corners.gather(&linear), Target::Vertices, false));
     }
-    for (set, influences) in skin::influences(skinned.body).into_iter().enumerate() {
+    for (set, influences) in joint_influences(skinned.body).into_iter().enumerate() {
         let joints: Vec<[u8; 4]> = influences.iter().map(|four| four.map(|(j, _)| j)).collect();
         let weights: Vec<[f32; 4]> = influences.iter().map(|four| four.map(|(_, w)| w)).collect();
         attributes[format!("JOINTS_{set}")] = json!(buffer.joints(&corners.gather(&joints)));

@@ -8,11 +8,18 @@ const NEGLIGIBLE: f64 = 1e-5;
 const MAX_SETS: usize = 4;
 
 /// Four joints of a vertex with their weights.
-pub(crate) type JointInfluences = [(u8, f32); 4];
+pub type JointInfluences = [(u8, f32); 4];
 
 /// Joint influences of all vertices, `[sets][V]`, heaviest first; the weights of a vertex sum to 1
 /// over all sets. SMPL's weights fit into one set.
-pub(crate) fn influences(body: &SmplModel) -> Vec<Vec<JointInfluences>> {
+///
+/// ```
+/// let body = cape_synth::synthetic_body();
+/// let sets = cape_core::gltf::joint_influences(&body);
+/// let sum: f32 = sets.iter().flat_map(|set| set[0]).map(|(_, weight)| weight).sum();
+/// assert!((sum - 1.0).abs() < 1e-6);
+/// ```
+pub fn joint_influences(body: &SmplModel) -> Vec<Vec<JointInfluences>> {
     let vertices: Vec<Vec<(u8, f32)>> = body
         .weights
         .rows()

@@ -293,7 +293,7 @@ fn many_influences_take_several_sets() {
     let spread = spread.index_axis_move(ndarray::Axis(0), 0);
     let sums = spread.sum_axis(ndarray::Axis(1)).insert_axis(ndarray::Axis(1));
     scene.body.weights = &spread / &sums;
-    assert_eq!(skin::influences(&scene.body).len(), joints.div_ceil(4));
+    assert_eq!(joint_influences(&scene.body).len(), joints.div_ceil(4));
     let keyframes = &scene.keyframes()[2..3];
     let glb = Glb::parse(&encode(&scene.figure(), keyframes).unwrap());
     let (turns, places): (Vec<_>, Vec<_>) = (0..joints).map(|node| glb.node(node)).unzip();

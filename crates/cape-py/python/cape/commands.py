@@ -168,12 +168,14 @@ def export_view(
     motion: PathLike | None = None,
     up: Up = "auto",
     person: str | None = None,
+    registrations: int = 0,
     threads: int | None = None,
 ) -> Report:
     """Write the viewer of a model as a folder ``site``, empty or missing, that needs no server.
 
     The folder contains the body: SMPL's licence does not allow passing on SMPL. ``motion`` is a file of a motion
-    to offer beside the synthetic ones.
+    to offer beside the synthetic ones, ``registrations`` the number of held-out registrations to put in; the
+    licence of the CAPE data does not allow passing them on.
     """
     given = {**locals(), "model": run_path(model), "export": site}
     del given["site"]

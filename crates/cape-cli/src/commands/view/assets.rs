@@ -11,11 +11,13 @@ macro_rules! files {
 /// Modules of the exported page: name and text.
 pub(super) const SITE_FILES: &[(&str, &str)] = &[
     ("garments.js", include_str!("web/site/garments.js")),
+    ("glb.js", include_str!("web/site/glb.js")),
     ("local.js", include_str!("web/site/local.js")),
     ("mesh_file.js", include_str!("web/site/mesh_file.js")),
     ("prior.js", include_str!("web/site/prior.js")),
     ("random.js", include_str!("web/site/random.js")),
     ("site.js", include_str!("web/site/site.js")),
+    ("skeleton.js", include_str!("web/site/skeleton.js")),
     ("worker.js", include_str!("web/site/worker.js")),
 ];
 

@@ -87,6 +87,10 @@ pub(crate) struct ViewArgs {
         conflicts_with_all = ["port", "host", "allow_remote", "proxied", "fps", "no_open"]
     )]
     export: Option<PathBuf>,
+    /// Number of held-out registrations in the folder, evenly spaced; the licence of the CAPE data does not
+    /// allow passing them on.
+    #[arg(long, default_value_t = 0, value_name = "N", requires = "export")]
+    registrations: usize,
 }
 
 /// Options for other pages that show the viewer.
@@ -142,7 +146,7 @@ impl ViewArgs {
                 let motion = motion.map(|text| self.reading.poses(text, console)).transpose()?;
                 let source = RunSource::new(run, motion, console);
                 if let Some(site) = &self.export {
-                    return export(&source, site.clone(), console);
+                    return export(&source, site.clone(), self.registrations, console);
                 }
                 Source::Model(Box::new(source))
             }
@@ -201,8 +205,8 @@ impl ViewArgs {
     }
 }
 
-fn export(source: &RunSource, site: PathBuf, console: Console) -> Result {
-    let files = site::export(source, &site)?;
+fn export(source: &RunSource, site: PathBuf, registrations: usize, console: Console) -> Result {
+    let files = site::export(source, &site, registrations)?;
     let bytes = files.values().sum();
     let report = SiteReport { site, files, bytes };
     console.result(&report, || {

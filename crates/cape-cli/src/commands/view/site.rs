@@ -3,12 +3,13 @@
 use std::{collections::BTreeMap, io::Write, path::Path};
 
 use base64::{Engine, engine::general_purpose::STANDARD};
-use cape_core::StagingDirectory;
+use cape_core::{StagingDirectory, gltf::joint_influences};
 use cape_infer::{
     GarmentColours, GarmentTables, Run, SKIN_COLOUR, TROUSERS_COLOUR, WeightPrecision,
     prior::Density, shirt_colour,
 };
 use cape_onnx::{JAVASCRIPT, OnnxModel, export_body, export_decoder};
+use cape_stats::density::Mixture;
 use flate2::{Compression, write::GzEncoder};
 use serde_json::{Value, json};
 
@@ -30,23 +31,27 @@ const MOTION: (f64, f64) = (2.0, 15.0);
 const SCRIPT: &str = "<script type=\"module\" src=\"main.js\"></script>";
 const SCRIPTS: &str = "<script defer src=\"model.js\"></script>\n  <script defer src=\"worker.js\"></script>\n  \
                        <script defer src=\"viewer.js\"></script>";
-/// Abilities of `cape view` that the folder lacks, for the page's help.
-const NOTES: [&str; 3] = [
+/// Differences from `cape view`, for the page's help.
+const NOTES: [&str; 2] = [
     "This page computes everything itself, also without a network.",
-    "cape view also shows held-out registrations beside their reconstruction, and samples from a kernel \
-     density.",
-    "GLB files of this page have the shape and its colours; those of cape view have a skeleton as well.",
+    "It has the registrations that were put in by cape view --export SITE --registrations N; cape view \
+     shows all that are held out.",
 ];
 
-/// Writes the folder, which must be empty or missing, and returns the sizes of its files, bytes.
-pub(super) fn export(source: &RunSource, out: &Path) -> Result<BTreeMap<String, usize>> {
+/// Writes the folder, which must be empty or missing, with a number of registrations, and returns the sizes of
+/// its files, bytes.
+pub(super) fn export(
+    source: &RunSource,
+    out: &Path,
+    registrations: usize,
+) -> Result<BTreeMap<String, usize>> {
     files::require_empty_as(out, "--export")?;
     let written = [
         ("index.html", page()?),
         ("viewer.css", asset("viewer.css").unwrap_or_default().to_owned()),
         ("viewer.js", format!("(() => {{\n{}}})();\n", bundle("site.js", &asset)?)),
         ("worker.js", format!("function capeWorker() {{\n{}}}\n", bundle("worker.js", &asset)?)),
-        ("model.js", format!("globalThis.capeModel = {};\n", model(source)?)),
+        ("model.js", format!("globalThis.capeModel = {};\n", model(source, registrations)?)),
     ];
     let staging = StagingDirectory::create(out)?;
     for (name, text) in &written {
@@ -70,7 +75,7 @@ fn page() -> Result<String> {
 }
 
 /// All that the page needs to know.
-fn model(source: &RunSource) -> Result<Value> {
+fn model(source: &RunSource, registrations: usize) -> Result<Value> {
     let run = source.run();
     let colours = GarmentColours::new(run.body(), run.mask()).tables();
     let mut scene = source.scene()?;
@@ -82,13 +87,14 @@ fn model(source: &RunSource) -> Result<Value> {
             source.poses(&request)?.iter().map(|pose| pose.to_vec()).collect();
         motions.insert(name, json!({"poses": poses, "fps": MOTION.1}));
     }
-    let mixtures = mixtures(run)?;
-    let priors = [PriorName::Gmm, PriorName::Normal].into_iter();
-    let priors = priors.filter(|&prior| prior == PriorName::Normal || !mixtures.is_empty());
-    scene["model"]["priors"] = priors.map(PriorName::name).collect();
-    scene["model"]["truth"] = json!(0);
+    let Densities { named: densities, points } = Densities::of(run)?;
+    let (registrations, displacements) = source.registrations(registrations)?;
+    scene["model"]["truth"] = json!(registrations.len());
     scene["notes"] = json!(NOTES);
 
+    let faces: Vec<u8> =
+        run.body().faces.as_flattened().iter().flat_map(|i| i.to_le_bytes()).collect();
+    let influences = joint_influences(run.body()).concat().concat();
     let outfits = || run.outfits().iter();
     let shirts: BTreeMap<_, _> =
         outfits().map(|&outfit| (outfit.name().to_owned(), shirt_colour(outfit))).collect();
@@ -105,7 +111,9 @@ fn model(source: &RunSource) -> Result<Value> {
             "vertices": run.body().vertices(),
             "outfits": run.outfits(),
             "streams": streams,
-            "mixtures": mixtures,
+            "densities": densities,
+            "registrations": registrations,
+            "parents": run.body().parents,
             "motions": motions,
             "garments": garments,
         },
@@ -114,9 +122,13 @@ fn model(source: &RunSource) -> Result<Value> {
             "body": pack(
                 &graph(|precision| export_body(run.body(), run.mask(), precision))?.encode()
             )?,
-            "faces": pack(&bytes(run.body().faces.as_flattened(), u32::to_le_bytes))?,
+            "faces": pack(&faces)?,
             "flags": pack(&flags(&colours))?,
-            "shares": pack(&bytes(&colours.trousers, f32::to_le_bytes))?,
+            "shares": pack(&floats(colours.trousers.iter().copied()))?,
+            "joints": pack(&influences.iter().map(|&(joint, _)| joint).collect::<Vec<_>>())?,
+            "weights": pack(&floats(influences.iter().map(|&(_, weight)| weight)))?,
+            "registrations": pack(&floats(displacements.into_iter()))?,
+            "points": pack(&floats(points.into_iter()))?,
         },
     }))
 }
@@ -131,27 +143,51 @@ fn graph(
     }
 }
 
-/// Components of the mixture of codes by the name of the outfit, or `all`; none without a mixture.
-fn mixtures(run: &Run) -> Result<BTreeMap<String, Value>> {
-    let mut found = BTreeMap::new();
-    let Some(prior) = run.prior_of_kind(PriorName::Gmm.name())? else { return Ok(found) };
-    for (outfit, density) in prior.groups() {
-        let Density::Mixture(mixture) = density else { continue };
-        let (weights, means, covariances) =
-            (mixture.weights(), mixture.means(), mixture.covariances());
-        let components = weights.iter().zip(means.outer_iter()).zip(covariances.outer_iter());
-        let components = components.map(|((weight, mean), covariance)| {
-            let rows: Vec<Vec<f64>> = covariance.outer_iter().map(|row| row.to_vec()).collect();
-            json!({"weight": weight, "mean": mean.to_vec(), "covariance": rows})
-        });
-        let name = outfit.map_or("all".to_owned(), |outfit| outfit.name().to_owned());
-        found.insert(name, components.collect());
-    }
-    Ok(found)
+/// Densities of codes.
+#[derive(Default)]
+struct Densities {
+    /// By the prior's name and the outfit's, or `all`: the components of a mixture, or the place among the
+    /// points and the bandwidth of a kernel density.
+    named: BTreeMap<&'static str, BTreeMap<String, Value>>,
+    /// Points of the kernel densities, `[points, latent]`.
+    points: Vec<f32>,
 }
 
-fn bytes<T: Copy>(values: &[T], of: impl Fn(T) -> [u8; 4]) -> Vec<u8> {
-    values.iter().flat_map(|&value| of(value)).collect()
+impl Densities {
+    fn of(run: &Run) -> Result<Self> {
+        let mut densities = Self::default();
+        for name in [PriorName::Gmm, PriorName::Kde].map(PriorName::name) {
+            let Some(prior) = run.prior_of_kind(name)? else { continue };
+            for (outfit, density) in prior.groups() {
+                let outfit = outfit.map_or("all".to_owned(), |outfit| outfit.name().to_owned());
+                let described = match density {
+                    Density::Mixture(mixture) => components(mixture),
+                    Density::Kernel(kernels) => {
+                        let first = densities.points.len() / run.latent();
+                        densities.points.extend(kernels.points().iter().map(|&x| x as f32));
+                        let (count, bandwidth) = (kernels.points().nrows(), kernels.bandwidth());
+                        json!({"first": first, "count": count, "bandwidth": bandwidth})
+                    }
+                };
+                densities.named.entry(name).or_default().insert(outfit, described);
+            }
+        }
+        Ok(densities)
+    }
+}
+
+fn components(mixture: &Mixture) -> Value {
+    let (weights, means, covariances) = (mixture.weights(), mixture.means(), mixture.covariances());
+    let components = weights.iter().zip(means.outer_iter()).zip(covariances.outer_iter());
+    let components = components.map(|((weight, mean), covariance)| {
+        let rows: Vec<Vec<f64>> = covariance.outer_iter().map(|row| row.to_vec()).collect();
+        json!({"weight": weight, "mean": mean.to_vec(), "covariance": rows})
+    });
+    json!({"components": components.collect::<Vec<_>>()})
+}
+
+fn floats(values: impl Iterator<Item = f32>) -> Vec<u8> {
+    values.flat_map(f32::to_le_bytes).collect()
 }
 
 /// For each vertex 1 if it is covered, 2 if it is of the trunk and 4 if its share of trousers is known.

@@ -264,6 +264,25 @@ impl<'a> RunSource<'a> {
         Ok((displacement, BodySpec { betas: vec![0.0; self.shapes()], ..wearer }))
     }
 
+    /// Up to `count` held-out frames, evenly spaced: code, shape, pose and outfit of each, and all their
+    /// displacements, metres, `[frames, vertices, 3]`.
+    pub(super) fn registrations(&self, count: usize) -> Result<(Vec<Value>, Vec<f32>)> {
+        if count == 0 {
+            return Ok((Vec::new(), Vec::new()));
+        }
+        let frames = self.set()?.frames();
+        let count = count.min(frames);
+        let (mut described, mut displacements) = (Vec::new(), Vec::new());
+        for frame in (0..count).map(|index| index * frames / count) {
+            let (displacement, BodySpec { betas, pose, outfit }) = self.registration(frame)?;
+            let z = self.code_of(frame)?.row(0).to_vec();
+            described
+                .push(json!({"z": z, "betas": betas, "pose": pose.to_vec(), "outfit": outfit}));
+            displacements.extend(displacement);
+        }
+        Ok((described, displacements))
+    }
+
     /// Number of shape coefficients with sliders.
     fn shapes(&self) -> usize {
         self.run.body().betas().min(SHAPES)

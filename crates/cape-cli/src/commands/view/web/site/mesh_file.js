@@ -1,8 +1,6 @@
-// Files of a mesh: OBJ, PLY and glTF.
+// Files of a mesh: OBJ and PLY.
 
-import { bounds, smoothNormals } from "./mesh.js";
-
-const FORMATS = { obj, ply, glb };
+const FORMATS = { obj, ply };
 
 /// A file of a layer of the picture.
 export const encodeMesh = (format, layer, faces) => new Blob(FORMATS[format](layer, faces));
@@ -38,51 +36,4 @@ function ply({ positions, colours }, faces) {
     for (let i = 0; i < 3; i++, at += 4) body.setUint32(at, faces[3 * f + i], true);
   }
   return [header, body];
-}
-
-const [FLOAT, BYTE, WORD] = [5126, 5121, 5125];
-const [VERTICES, INDICES] = [34962, 34963];
-
-function glb({ positions, colours }, faces) {
-  const { minimum, maximum } = bounds(positions);
-  const count = positions.length / 3;
-  const parts = [
-    [positions, VERTICES, { componentType: FLOAT, count, type: "VEC3", min: minimum, max: maximum }],
-    [smoothNormals(positions, faces), VERTICES, { componentType: FLOAT, count, type: "VEC3" }],
-    [linear(colours), VERTICES, { componentType: FLOAT, count, type: "VEC3" }],
-    [faces, INDICES, { componentType: WORD, count: faces.length, type: "SCALAR" }],
-  ];
-  let end = 0;
-  const bufferViews = parts.map(([{ byteLength }, target]) => {
-    end += byteLength;
-    return { buffer: 0, byteOffset: end - byteLength, byteLength, target };
-  });
-  const scene = {
-    asset: { version: "2.0", generator: "cape" },
-    scene: 0,
-    scenes: [{ nodes: [0] }],
-    nodes: [{ mesh: 0, name: "clothed" }],
-    meshes: [{ primitives: [{ attributes: { POSITION: 0, NORMAL: 1, COLOR_0: 2 }, indices: 3, material: 0 }] }],
-    materials: [{ pbrMetallicRoughness: { metallicFactor: 0, roughnessFactor: 0.9 } }],
-    accessors: parts.map(([, , accessor], bufferView) => ({ bufferView, ...accessor })),
-    bufferViews,
-    buffers: [{ byteLength: end }],
-  };
-  const text = new TextEncoder().encode(JSON.stringify(scene));
-  const json = new Uint8Array(Math.ceil(text.length / 4) * 4).fill(0x20);
-  json.set(text);
-  const length = 12 + 8 + json.length + 8 + end;
-  return [
-    Uint32Array.of(0x46546c67, 2, length), Uint32Array.of(json.length, 0x4e4f534a), json,
-    Uint32Array.of(end, 0x004e4942), ...parts.map(([data]) => data),
-  ];
-}
-
-/// Colours of glTF are linear: `[vertices, 3]`.
-function linear(colours) {
-  const table = Float32Array.from({ length: 256 }, (_, byte) => {
-    const x = byte / 255;
-    return x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4;
-  });
-  return Float32Array.from({ length: (3 * colours.length) / 4 }, (_, i) => table[colours[4 * Math.floor(i / 3) + (i % 3)]]);
 }

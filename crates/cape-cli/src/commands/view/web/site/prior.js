@@ -2,15 +2,23 @@
 
 import { Random } from "./random.js";
 
-/// A code of `latent` numbers for an outfit. `mixtures` has components by the outfit's name, or by "all";
-/// `streams` a number for each outfit.
-export function sampleCode({ prior, temperature, seed, outfit }, { latent, mixtures, streams }) {
+/// A code of `latent` numbers for an outfit. `densities` has by the prior's name, and by the outfit's name or
+/// "all", the components of a mixture or the first and number of the points of a kernel density and its
+/// bandwidth; `points` are those of all kernel densities, and `streams` has a number for each outfit.
+export function sampleCode({ prior, temperature, seed, outfit }, { latent, densities, points, streams }) {
   if (!(temperature >= 0)) throw new Error(`temperature ${temperature}: must be at least 0`);
   if (prior === "normal") return normals(new Random(seed, 0), latent).map(x => x * temperature);
+  const groups = densities[prior];
+  if (!groups) throw new Error(`the model has no prior ${prior}`);
   const random = new Random(seed, streams[outfit]);
-  const components = mixtures[outfit] ?? mixtures.all;
-  if (!components) return normals(random, latent).map(x => x * temperature);
-  const { mean, covariance } = choose(components, random);
+  const density = groups[outfit] ?? groups.all;
+  if (!density) return normals(random, latent).map(x => x * temperature);
+  if (!density.components) {
+    const { first, count, bandwidth } = density;
+    const start = latent * (first + random.below(count));
+    return normals(random, latent).map((x, i) => points[start + i] + bandwidth * temperature * x);
+  }
+  const { mean, covariance } = choose(density.components, random);
   const noise = normals(random, latent);
   const factor = cholesky(covariance);
   return mean.map((x, i) => x + temperature * factor[i].reduce((sum, value, j) => sum + value * noise[j], 0));

@@ -46,6 +46,15 @@ export class Random {
     return (high * 2 ** 21 + (low >>> 11)) * 2 ** -53;
   }
 
+  /// Uniform among the whole numbers below `count`, by Canon's method.
+  below(count) {
+    const product = () => BigInt(this.#word()) * BigInt(count);
+    const drawn = product();
+    const [whole, rest] = [Number(drawn >> 32n), Number(drawn & 0xffffffffn)];
+    if (rest <= 2 ** 32 - count) return whole;
+    return whole + Number(rest + Number(product() >> 32n) >= 2 ** 32);
+  }
+
   /// Standard normal.
   normal() {
     for (;;) {
@@ -76,9 +85,12 @@ export class Random {
   }
 
   #words() {
+    return [this.#word(), this.#word()];
+  }
+
+  #word() {
     if (this.#used === 16) this.#next();
-    this.#used += 2;
-    return [this.#block[this.#used - 2], this.#block[this.#used - 1]];
+    return this.#block[this.#used++];
   }
 
   #next() {
