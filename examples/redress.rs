@@ -18,8 +18,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let pose = poses::preset("squats").ok_or("no such pose")?;
     let squatting = BodySpec { pose, ..seen.clone() };
     let other = BodySpec { outfit: Outfit::SHORT_SHORT, ..seen.clone() };
-    for (name, wearer) in [("seen", seen), ("squatting", squatting), ("other", other)] {
-        run.dress(&code, &[wearer])?[0].save(format!("{name}.obj"))?;
+    // The code's place among those of the other outfit.
+    let moved = match run.prior()? {
+        Some(prior) => prior.transport_codes(&code, seen.outfit, other.outfit)?,
+        None => code.clone(),
+    };
+    let bodies = [("seen", seen, &code), ("squatting", squatting, &code), ("other", other, &moved)];
+    for (name, wearer, code) in bodies {
+        run.dress(code, &[wearer])?[0].save(format!("{name}.obj"))?;
     }
     Ok(())
 }

@@ -28,6 +28,7 @@ pub(crate) type Code = Vec<f32>;
 #[derive(Deserialize)]
 struct CodeLine {
     code: Vec<f32>,
+    outfit: Option<Outfit>,
 }
 
 impl LatentSampler<'_> {
@@ -54,6 +55,21 @@ impl LatentSampler<'_> {
             )));
         }
         Ok(code)
+    }
+
+    /// Outfit of the code named by `text`: that of a frame or of a line of samples.jsonl, else the one that
+    /// codes are sampled for.
+    pub(crate) fn outfit_of(&self, text: &str) -> Result<Outfit> {
+        if let Some(frame) = text.strip_prefix("frame:") {
+            let set = self.run.open_set(self.run.data()?, Split::Test)?;
+            let outfit = set.outfits().get(number(text, frame)? as usize);
+            return Ok(outfit.copied().unwrap_or(self.outfit));
+        }
+        let (path, row) = path_and_row(text)?;
+        if is_lines(path) {
+            return Ok(line_of(path, row)?.outfit.unwrap_or(self.outfit));
+        }
+        Ok(self.outfit)
     }
 
     /// The sum of codes given by a text such as `frame:3 - frame:10 + seed:1`, and its terms.
@@ -93,25 +109,37 @@ fn number(text: &str, digits: &str) -> Result<u64> {
         .map_err(|_| Error::message(format!("`{text}`: expected a whole number after the colon")))
 }
 
-fn from_file(text: &str) -> Result<Vec<f32>> {
-    let (path, row) = match text.rsplit_once(':') {
+fn path_and_row(text: &str) -> Result<(&Path, usize)> {
+    Ok(match text.rsplit_once(':') {
         Some((path, row)) if !row.is_empty() && row.bytes().all(|b| b.is_ascii_digit()) => {
             (Path::new(path), number(text, row)? as usize)
         }
         _ => (Path::new(text), 0),
-    };
-    let extension = path.extension().unwrap_or_default();
-    let missing = |rows: usize| {
-        Error::message(format!("{}: no row {row}: the file has {rows} rows", path.display()))
-    };
-    if extension.eq_ignore_ascii_case("jsonl") {
-        let lines = fs::read_to_string(path).map_err(|error| Error::io(path, error))?;
-        let line = lines.lines().nth(row).ok_or_else(|| missing(lines.lines().count()))?;
-        let line: CodeLine = serde_json::from_str(line).map_err(|error| {
-            cape_core::Error::field(path, format!("line {}", row + 1), error.to_string())
-        })?;
-        return Ok(line.code);
+    })
+}
+
+fn is_lines(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("jsonl"))
+}
+
+fn missing(path: &Path, row: usize, rows: usize) -> Error {
+    Error::message(format!("{}: no row {row}: the file has {rows} rows", path.display()))
+}
+
+fn line_of(path: &Path, row: usize) -> Result<CodeLine> {
+    let lines = fs::read_to_string(path).map_err(|error| Error::io(path, error))?;
+    let line = lines.lines().nth(row).ok_or_else(|| missing(path, row, lines.lines().count()))?;
+    Ok(serde_json::from_str(line).map_err(|error| {
+        cape_core::Error::field(path, format!("line {}", row + 1), error.to_string())
+    })?)
+}
+
+fn from_file(text: &str) -> Result<Vec<f32>> {
+    let (path, row) = path_and_row(text)?;
+    if is_lines(path) {
+        return Ok(line_of(path, row)?.code);
     }
+    let extension = path.extension().unwrap_or_default();
     if !extension.eq_ignore_ascii_case("npy") {
         return Err(Error::message(format!(
             "unknown code `{text}`: expected mean, seed:N, frame:K, FILE.npy:ROW or FILE.jsonl:ROW"
@@ -122,5 +150,5 @@ fn from_file(text: &str) -> Result<Vec<f32>> {
     let values: Vec<f32> = array.iter().map(|&x| x as f32).collect();
     let rows = values.chunks_exact(width);
     let count = rows.len();
-    rows.into_iter().nth(row).map(<[f32]>::to_vec).ok_or_else(|| missing(count))
+    rows.into_iter().nth(row).map(<[f32]>::to_vec).ok_or_else(|| missing(path, row, count))
 }

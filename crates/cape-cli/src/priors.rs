@@ -40,6 +40,38 @@ pub(crate) struct PriorArgs {
     pub(crate) temperature: f64,
 }
 
+/// Codes under another outfit.
+#[derive(Debug, Clone, Copy, Args)]
+pub(crate) struct OutfitChangeArgs {
+    /// Keep the latent code under another outfit, as in the paper, instead of moving it to its place among
+    /// that outfit's codes.
+    #[arg(long)]
+    pub(crate) same_code: bool,
+}
+
+impl OutfitChangeArgs {
+    /// Codes `[to, latent]` of clothing like that of `code`, which is an outfit's, in the outfits `to`: moved by
+    /// optimal transport between the run's mixtures, or equal without mixtures of single outfits.
+    pub(crate) fn codes(
+        self,
+        run: &Run,
+        code: &[f32],
+        from: Outfit,
+        to: &[Outfit],
+    ) -> Result<Array2<f32>> {
+        let shape = |error: ndarray::ShapeError| Error::message(error.to_string());
+        let code = Array2::from_shape_vec((1, code.len()), code.to_vec()).map_err(shape)?;
+        let prior = if self.same_code { None } else { run.prior()? };
+        let moved = |&outfit: &Outfit| match &prior {
+            Some(prior) => prior.transport_codes(&code, from, outfit),
+            None => Ok(code.clone()),
+        };
+        let codes = to.iter().map(moved).collect::<std::result::Result<Vec<_>, _>>()?;
+        let views: Vec<_> = codes.iter().map(|codes| codes.view()).collect();
+        concatenate(Axis(0), &views).map_err(shape)
+    }
+}
+
 impl PriorArgs {
     pub(crate) fn temperature(&self) -> Result<f64> {
         let temperature = self.temperature;

@@ -98,6 +98,24 @@ impl Model {
         Ok(codes.into_pyarray(py))
     }
 
+    /// Move codes `[n, latent]` of an outfit to their places among the codes of another.
+    fn transport<'py>(
+        &self,
+        py: Python<'py>,
+        codes: &Bound<'py, PyAny>,
+        outfit: &str,
+        to: &str,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let (outfit, to) = (self.outfit(outfit)?, self.outfit(to)?);
+        let shape = [Extent::Rows, Extent::Exactly(self.run.latent())];
+        let codes = host(Floats { name: "codes", array: codes }.finite(shape)?)?;
+        let moved = py.detach(|| match self.run.prior()? {
+            Some(prior) => prior.transport_codes(&codes, outfit, to),
+            None => Ok(codes),
+        });
+        Ok(moved.map_err(infer)?.into_pyarray(py))
+    }
+
     /// Decode codes `[n, latent]` for poses `[n, 72]`, radians, and outfits: displacements in the rest
     /// pose, metres, `[n, V, 3]`.
     fn decode<'py>(

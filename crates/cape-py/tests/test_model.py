@@ -68,6 +68,18 @@ def test_batches_equal_their_rows(model):
     np.testing.assert_allclose(between, [codes[0], codes[:2].mean(axis=0), codes[1]], atol=1e-6)
 
 
+def test_codes_of_another_outfit(model):
+    codes = model.codes("longlong", n=200, seed=5)
+    moved = model.transport(codes, "longlong", "shortshort")
+    np.testing.assert_allclose(model.transport(moved, "shortshort", "longlong"), codes, atol=1e-3)
+    own = model.codes("shortshort", n=2000, seed=1)
+    assert np.linalg.norm(moved.mean(axis=0) - own.mean(axis=0)) < 0.3 * np.linalg.norm(
+        codes.mean(axis=0) - own.mean(axis=0)
+    )
+    with pytest.raises(cape.CapeError, match="poloshort"):
+        model.transport(codes, "longlong", "poloshort")
+
+
 def test_a_picture_and_a_mesh_are_written(model, tmp_path):
     dressed = model.sample("shortlong", n=2, seed=1)
     pixels = dressed.picture(size=(60, 80))

@@ -42,6 +42,7 @@ def test_random_arguments(model):
         lambda a: model.dress(*a(1), "longlong", *a(3)),
         lambda a: model.interpolate(*a(2), choose.choice([-1, 0, 2, 5])),
         lambda a: model.colours(*a(1), "longlong"),
+        lambda a: model.transport(*a(1), "longlong", "shortlong"),
         lambda a: model._model.decode(*a(2), ["longlong"] * choose.randrange(3)),
         lambda a: model._model.pull_back(*a(2), ["longlong"] * choose.randrange(3), *a(1)),
         lambda a: cape.MeshPyramid(*a(2), choose.choice([[2], [0], [-1], [np.nan], [1e30], "x"])),

@@ -17,14 +17,15 @@ use crate::{
     latent_sampler::LatentSampler,
     motion_source::MotionFileArgs,
     options::{GlobalArgs, OutfitArgs, OutputArgs, RunArgs, ShapeArgs, at_least_one},
-    priors::PriorArgs,
+    priors::{OutfitChangeArgs, PriorArgs, PriorName},
 };
 
 /// Vary code, pose, outfit or shape while the rest is fixed (figures 1, 5 and 6 of the paper).
 ///
 /// --by selects the factor: code; pose, along a motion; outfit; shape, the first coefficient from -2 to
 /// 2; direction, the latent dimensions of largest effect from -2 to 2; between, from one code to another;
-/// walk, a closed path through codes as an animation; sum, sums of codes. Writes a picture, coloured
+/// walk, a closed path through codes as an animation; sum, sums of codes. Under another outfit a code is
+/// moved to its place among that outfit's codes, unless --same-code is given. Writes a picture, coloured
 /// meshes and variations.jsonl.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  cape vary runs/cape --by outfit --rows 3 --out outfits\n  \
@@ -64,6 +65,8 @@ pub(crate) struct VaryArgs {
     shape: ShapeArgs,
     #[command(flatten)]
     drawn: PriorArgs,
+    #[command(flatten)]
+    change: OutfitChangeArgs,
     /// Write no meshes.
     #[arg(long)]
     no_meshes: bool,
@@ -172,13 +175,19 @@ impl VaryArgs {
                 return Ok((cells, moments.len()));
             }
             VariationKind::Outfit => {
-                for (_, code) in self.rows_of_codes(draw, self.rows, seed)? {
-                    cells.extend(draw.run.outfits().iter().map(|&outfit| {
+                let outfits = draw.run.outfits();
+                // Codes of the standard normal prior are of no outfit.
+                let normal = self.drawn.prior == Some(PriorName::Normal);
+                let change = OutfitChangeArgs { same_code: self.change.same_code || normal };
+                for (name, code) in self.rows_of_codes(draw, self.rows, seed)? {
+                    let codes = change.codes(draw.run, &code, draw.outfit_of(&name)?, outfits)?;
+                    let worn = outfits.iter().zip(codes.rows());
+                    cells.extend(worn.map(|(&outfit, code)| {
                         let label = outfit.name().to_owned();
-                        VariationCell { label, code: code.clone(), outfit, ..fixed.clone() }
+                        VariationCell { label, code: code.to_vec(), outfit, ..fixed.clone() }
                     }));
                 }
-                return Ok((cells, draw.run.outfits().len()));
+                return Ok((cells, outfits.len()));
             }
             VariationKind::Shape => {
                 for (_, code) in self.rows_of_codes(draw, self.rows, seed)? {

@@ -33,7 +33,7 @@ fn one_thing_changes_and_the_rest_is_fixed() {
     for (by, count, changing) in
         [("code", 3, "code"), ("pose", 3, "pose"), ("outfit", 4, "outfit"), ("shape", 3, "betas")]
     {
-        let bodies = vary(by, &format!("--by {by} --columns 3"));
+        let bodies = vary(by, &format!("--by {by} --columns 3 --same-code"));
         assert_eq!(bodies.len(), count);
         for field in ["code", "pose", "outfit", "betas"] {
             let expected = if field == changing { count - 1 } else { 0 };
@@ -44,6 +44,22 @@ fn one_thing_changes_and_the_rest_is_fixed() {
         let file = bodies[0]["file"].as_str().unwrap();
         assert_eq!(Mesh::load(data.at(&format!("{by}/{file}"))).unwrap().vertices.len(), VERTICES);
     }
+    // Moved to its place among the codes of each outfit; those of the standard normal prior are of none.
+    let moved = vary("moved", "--by outfit --no-meshes --outfit shortshort");
+    assert_eq!((differ(&moved, "code"), differ(&moved, "outfit")), (3, 3));
+    let same = vary("same", "--by outfit --no-meshes --outfit shortshort --same-code");
+    let own = |bodies: &[Value]| {
+        bodies.iter().find(|body| body["outfit"] == "shortshort").unwrap()["code"].clone()
+    };
+    assert_eq!(own(&moved), own(&same));
+    assert_eq!(differ(&vary("normal", "--by outfit --no-meshes --prior normal"), "code"), 0);
+    // A held-out frame has an outfit.
+    let frame = vary("frame", "--by outfit --no-meshes --codes frame:1");
+    let encoded = vary("encoded", "--by outfit --no-meshes --codes frame:1 --same-code");
+    let worn =
+        |bodies: &[Value]| bodies.iter().map(|body| body["code"].clone()).collect::<Vec<_>>();
+    let equal = worn(&frame).iter().zip(worn(&encoded)).filter(|(a, b)| *a == b).count();
+    assert_eq!(equal, 1);
     assert_eq!(vary("direction", "--by direction --rows 2 --columns 3 --no-meshes").len(), 6);
     assert!(!data.at("direction/000.ply").exists());
 }

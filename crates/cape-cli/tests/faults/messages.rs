@@ -49,7 +49,7 @@ fn valid(rng: &mut ChaCha8Rng) -> String {
     };
     let id = rng.random_range(1..1000);
     let latent = trained_latent();
-    match rng.random_range(0..5) {
+    match rng.random_range(0..6) {
         0 | 1 => format!(
             r#"{{"id":{id},"show":{{"z":[{}],"betas":[{}],"pose":[{}],"outfit":"longlong","layers":["clothed","body"]}}}}"#,
             numbers(rng, latent),
@@ -59,7 +59,11 @@ fn valid(rng: &mut ChaCha8Rng) -> String {
         2 => format!(
             r#"{{"id":{id},"sample":{{"prior":"gmm","temperature":1,"seed":{id},"outfit":"shortlong"}}}}"#
         ),
-        3 => format!(r#"{{"id":{id},"encode":{}}}"#, rng.random_range(0..20)),
+        3 => format!(
+            r#"{{"id":{id},"carry":{{"z":[{}],"from":"longlong","to":"shortlong"}}}}"#,
+            numbers(rng, latent)
+        ),
+        4 => format!(r#"{{"id":{id},"encode":{}}}"#, rng.random_range(0..20)),
         _ => format!(r#"{{"id":{id},"motion":{{"name":"walk","seconds":1.5,"fps":10}}}}"#),
     }
 }

@@ -22,7 +22,9 @@ use rand_distr::{Distribution, StandardNormal};
 
 pub use codes::LatentCodes;
 
-use cape_stats::density::{KernelDensity, Mixture, MixtureOptions};
+use cape_stats::density::{
+    GaussianMoments, GaussianTransport, KernelDensity, Mixture, MixtureOptions,
+};
 
 use crate::{Error, Result, Run};
 use cape_core::ProgressFn;
@@ -139,6 +141,14 @@ impl Density {
         }
     }
 
+    /// Mean and covariance.
+    pub fn moments(&self) -> GaussianMoments {
+        match self {
+            Self::Mixture(mixture) => mixture.moments(),
+            Self::Kernel(density) => density.moments(),
+        }
+    }
+
     fn dimensions(&self) -> usize {
         match self {
             Self::Mixture(mixture) => mixture.dimensions(),
@@ -206,6 +216,47 @@ impl Prior {
                 (x * temperature) as f32
             }),
         }
+    }
+
+    /// Map from the codes of one outfit to those of another: optimal transport between the normal
+    /// distributions of their densities' moments. `None` if they have the same density, or one has none of
+    /// its own.
+    ///
+    /// A decoder knows each outfit's codes where the encoder puts them. A code that is decoded as it is under
+    /// another outfit keeps traces of its own, such as a long leg on a bare calf.
+    ///
+    /// # Errors
+    /// If the densities have different dimensions.
+    pub fn transport(&self, from: Outfit, to: Outfit) -> Result<Option<GaussianTransport>> {
+        let densities = [from, to].map(|outfit| self.groups.get(&Some(outfit)));
+        let [Some(source), Some(target)] = densities else { return Ok(None) };
+        if from == to {
+            return Ok(None);
+        }
+        Ok(Some(GaussianTransport::between(&source.moments(), &target.moments())?))
+    }
+
+    /// Codes `[n, latent]` of an outfit, taken to another by [`transport`](Self::transport).
+    ///
+    /// # Errors
+    /// If codes do not have as many numbers as the density.
+    pub fn transport_codes(
+        &self,
+        codes: &Array2<f32>,
+        from: Outfit,
+        to: Outfit,
+    ) -> Result<Array2<f32>> {
+        if codes.ncols() != self.latent {
+            return Err(Error::argument(format!(
+                "codes of {} numbers, expected {}",
+                codes.ncols(),
+                self.latent
+            )));
+        }
+        Ok(match self.transport(from, to)? {
+            Some(map) => map.apply(codes.mapv(f64::from).view()).mapv(|x| x as f32),
+            None => codes.clone(),
+        })
     }
 
     /// One code for each of `outfits`, `[outfits, latent]`.
@@ -386,6 +437,26 @@ mod tests {
         let typical = one.sample(Outfit::LONG_LONG, 1, 0.0, 9);
         assert!(typical.iter().all(|x| (x - 3.0).abs() < 0.15));
         assert_eq!(one.sample_each(&Outfit::PAPER, 0.0, 9).unwrap().row(3), typical.row(0));
+    }
+
+    #[test]
+    fn codes_keep_their_place_among_those_of_another_outfit() {
+        let (long, short) = (Outfit::LONG_LONG, Outfit::SHORT_SHORT);
+        for kind in [DensityKind::MixtureUpTo(3), DensityKind::Kernel] {
+            let prior = Prior::fit(&codes(), kind, true, &MixtureOptions::default()).unwrap();
+            let drawn = prior.sample(long, 500, 1.0, 3);
+            let moved = prior.transport_codes(&drawn, long, short).unwrap();
+            // Both outfits' codes have nearly the same spread, around 3 and −3.
+            let shift = (&moved - &drawn).mapv(|x| x + 6.0);
+            assert!(shift.iter().all(|x| x.abs() < 0.5), "{kind:?}");
+            let back = prior.transport_codes(&moved, short, long).unwrap();
+            assert!((&back - &drawn).iter().all(|x| x.abs() < 1e-4), "{kind:?}");
+            assert_eq!(prior.transport_codes(&drawn, long, long).unwrap(), drawn);
+            // No density of its own.
+            let other = prior.transport_codes(&drawn, long, Outfit::SHORT_LONG).unwrap();
+            assert_eq!(other, drawn);
+            assert!(prior.transport_codes(&Array2::zeros((1, 3)), long, short).is_err());
+        }
     }
 
     #[test]

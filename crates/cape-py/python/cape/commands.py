@@ -91,6 +91,7 @@ def vary(
     betas: Sequence[float] | None = None,
     prior: Prior | None = None,
     temperature: float = 1.0,
+    same_code: bool = False,
     no_meshes: bool = False,
     seed: int | None = None,
     threads: int | None = None,
@@ -99,6 +100,7 @@ def vary(
 
     ``columns`` bodies in each of ``rows``, each row of another code; ``codes`` are ``mean``, ``seed:N``,
     ``frame:K``, ``FILE.npy:ROW`` or ``samples.jsonl:ROW``, ``sum`` such as ``frame:3 - frame:10 + seed:1``.
+    Under another outfit a code is moved to its place among that outfit's codes, unless ``same_code``.
     ``no_meshes`` writes the picture only.
     """
     return _program.run("vary", {**locals(), "model": run_path(model)}, "model")
@@ -117,13 +119,15 @@ def redress(
     person: str | None = None,
     to: Sequence[PathLike | Sequence[float]] | None = None,
     exact: bool = False,
+    same_code: bool = False,
     threads: int | None = None,
 ) -> Report:
     """Change ``outfit`` and ``pose`` of a registration, or put its clothing on other bodies.
 
     ``registration`` is a frame, or ``frame:K`` for a test frame of the run; ``was`` its outfit, ``minimal`` its
     body [V, 3], ``.npy``, if its place does not tell; ``to`` other bodies: shape coefficients, minimal shapes or
-    registrations, with the registered displacements if ``exact``.
+    registrations, with the registered displacements if ``exact``. For another outfit the code is moved to its place among
+    that outfit's codes, unless ``same_code``.
     """
     given: dict[str, Any] = {**locals(), "model": run_path(model)}
     if to is not None:

@@ -87,6 +87,13 @@ class Model:
             raise _cape.CapeError(f"n {n}, seed {seed}: expected n from 1, seed from 0 to 2**64 - 1")
         return self._model.sample(outfit, n, temperature, seed)
 
+    def transport(self, codes: ArrayLike, outfit: str, to: str) -> NDArray[np.float32]:
+        """Move ``codes`` [n, latent] of an outfit to their places among the codes of the outfit ``to``.
+
+        A code that is decoded as it is under another outfit keeps traces of its own.
+        """
+        return self._model.transport(matrix("codes", codes, self.latent), outfit, to)
+
     def dress(
         self,
         codes: ArrayLike,

@@ -1,9 +1,10 @@
 //! Gaussian kernel density estimation.
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array1, Array2, ArrayView2, Axis};
 use rand::{RngExt, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 
+use super::GaussianMoments;
 use crate::{Error, Result};
 
 /// Kernel density: an isotropic normal distribution around each point.
@@ -58,7 +59,7 @@ impl KernelDensity {
     pub fn fit(points: ArrayView2<'_, f64>) -> Result<Self> {
         let (n, d) = points.dim();
         let scott = (n.max(1) as f64).powf(-1.0 / (d as f64 + 4.0));
-        let mean = points.mean_axis(ndarray::Axis(0));
+        let mean = points.mean_axis(Axis(0));
         let spread = mean.map_or(0.0, |mean| (&points - &mean).mapv(|x| x * x).sum());
         let deviation = (spread / (n * d).max(1) as f64).sqrt();
         let base = if deviation > 0.0 { scott * deviation } else { 1e-3 };
@@ -82,6 +83,15 @@ impl KernelDensity {
     /// Points of the density, `[n, d]`.
     pub fn points(&self) -> &Array2<f64> {
         &self.points
+    }
+
+    /// Mean and covariance.
+    pub fn moments(&self) -> GaussianMoments {
+        let (n, d) = self.points.dim();
+        let mean = self.points.mean_axis(Axis(0)).unwrap_or_else(|| Array1::zeros(d));
+        let centred = &self.points - &mean;
+        let own = Array2::<f64>::eye(d) * self.bandwidth.powi(2);
+        GaussianMoments { mean, covariance: centred.t().dot(&centred) / n.max(1) as f64 + own }
     }
 
     /// Draws `n` samples, `[n, d]`; the bandwidth is multiplied by `temperature`.

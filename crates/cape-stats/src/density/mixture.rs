@@ -8,6 +8,7 @@ use ndarray::{Array1, Array2, Array3, ArrayView2, Axis};
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 use rand_distr::StandardNormal;
 
+use super::GaussianMoments;
 use crate::{Error, Result};
 
 /// Options of expectation–maximisation.
@@ -225,6 +226,27 @@ impl Mixture {
         parameters * (points.nrows() as f64).ln() - 2.0 * likelihood
     }
 
+    /// Mean and covariance.
+    pub fn moments(&self) -> GaussianMoments {
+        let d = self.dimensions();
+        let mean = self
+            .weights
+            .iter()
+            .zip(&self.means)
+            .fold(DVector::zeros(d), |sum, (&weight, mean)| sum + mean * weight);
+        let mut covariance = DMatrix::zeros(d, d);
+        for ((&weight, own), factor) in self.weights.iter().zip(&self.means).zip(&self.factors) {
+            let from_mean = own - &mean;
+            let lower = factor.l();
+            covariance +=
+                (&lower * lower.transpose() + &from_mean * from_mean.transpose()) * weight;
+        }
+        GaussianMoments {
+            mean: mean.iter().copied().collect(),
+            covariance: Array2::from_shape_fn((d, d), |(i, j)| covariance[(i, j)]),
+        }
+    }
+
     /// Draws `n` samples, `[n, d]`; deviations from the means are multiplied by `temperature`.
     pub fn sample(&self, n: usize, temperature: f64, rng: &mut ChaCha8Rng) -> Array2<f64> {
         let d = self.dimensions();
@@ -383,6 +405,8 @@ fn kmeans_plus_plus(
 
 #[cfg(test)]
 mod tests {
+    use ndarray::array;
+
     use super::*;
 
     /// Three well separated normal distributions in the plane, of weights 1 : 2 : 3.
@@ -399,6 +423,22 @@ mod tests {
 
     fn points(n: usize) -> Array2<f64> {
         truth().sample(n, 1.0, &mut ChaCha8Rng::seed_from_u64(5))
+    }
+
+    #[test]
+    fn moments_are_those_of_many_samples() {
+        let mixture = Mixture::new(
+            &array![0.3, 0.7],
+            &array![[2.0, -1.0], [-1.0, 0.5]],
+            &array![[[1.0, 0.3], [0.3, 0.5]], [[0.2, 0.0], [0.0, 2.0]]],
+        )
+        .unwrap();
+        let GaussianMoments { mean, covariance } = mixture.moments();
+        assert!((mean[0] - (0.6 - 0.7)).abs() < 1e-12 && (mean[1] - 0.05).abs() < 1e-12);
+        let points = mixture.sample(200_000, 1.0, &mut ChaCha8Rng::seed_from_u64(3));
+        let centred = &points - &mean;
+        let found = centred.t().dot(&centred) / 200_000.0;
+        assert!((found - covariance).iter().all(|x| x.abs() < 0.03));
     }
 
     #[test]

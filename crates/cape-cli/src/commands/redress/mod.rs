@@ -18,13 +18,15 @@ use crate::{
     files,
     motion_source::MotionFileArgs,
     options::{GlobalArgs, OutputArgs, RunArgs},
+    priors::OutfitChangeArgs,
     registration::{KnownBodyArgs, RegistrationFile, mean_error},
 };
 
 /// Change outfit and pose of a registration, or transfer its clothing to other bodies.
 ///
 /// Encodes the clothing to a latent code and decodes it in the registration's own pose and outfit, in
-/// other outfits and poses, and with --to on other bodies. Writes coloured meshes, redress.png and
+/// other outfits and poses, and with --to on other bodies. For another outfit the code is moved to its place
+/// among that outfit's codes, unless --same-code is given. Writes coloured meshes, redress.png and
 /// redress.json with the code, the reconstruction error and the fit on other bodies.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  cape redress runs/cape \
@@ -46,6 +48,8 @@ pub(crate) struct RedressArgs {
     /// Other outfits of the run [default: all, or none with --to].
     #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…")]
     outfit: Vec<Outfit>,
+    #[command(flatten)]
+    change: OutfitChangeArgs,
     /// Other poses: t-pose, a-pose, motions or files.
     #[arg(long, value_delimiter = ',', value_name = "POSE,…")]
     pose: Vec<String>,
@@ -114,7 +118,8 @@ impl RedressArgs {
             targets.iter().map(|target| (format!("on {}", target.name), target.body_spec(wearer))),
         );
         let (names, wearers): (Vec<String>, Vec<BodySpec>) = changed.into_iter().unzip();
-        let codes = code.select(Axis(0), &vec![0; wearers.len()]);
+        let worn: Vec<Outfit> = wearers.iter().map(|wearer| wearer.outfit).collect();
+        let codes = self.change.codes(&run, &code.row(0).to_vec(), wearer.outfit, &worn)?;
         let mut decoded = run.decode_displacements(&codes, &wearers)?;
         let error_mm = mean_error(&run, &registration.displacement, &decoded, 0);
         let registered = registration.displacement.index_axis(Axis(0), 0);

@@ -94,6 +94,7 @@ fn model(source: &RunSource, registrations: usize) -> Result<Value> {
 
     let faces: Vec<u8> =
         run.body().faces.as_flattened().iter().flat_map(|i| i.to_le_bytes()).collect();
+    let (transports, maps) = transports(run)?;
     let influences = joint_influences(run.body()).concat().concat();
     let outfits = || run.outfits().iter();
     let shirts: BTreeMap<_, _> =
@@ -112,6 +113,7 @@ fn model(source: &RunSource, registrations: usize) -> Result<Value> {
             "outfits": run.outfits(),
             "streams": streams,
             "densities": densities,
+            "transports": transports,
             "registrations": registrations,
             "parents": run.body().parents,
             "motions": motions,
@@ -129,6 +131,7 @@ fn model(source: &RunSource, registrations: usize) -> Result<Value> {
             "weights": pack(&floats(influences.iter().map(|&(_, weight)| weight)))?,
             "registrations": pack(&floats(displacements.into_iter()))?,
             "points": pack(&floats(points.into_iter()))?,
+            "maps": pack(&floats(maps.into_iter()))?,
         },
     }))
 }
@@ -184,6 +187,23 @@ fn components(mixture: &Mixture) -> Value {
         json!({"weight": weight, "mean": mean.to_vec(), "covariance": rows})
     });
     json!({"components": components.collect::<Vec<_>>()})
+}
+
+/// For each outfit the others that it has a map of codes to, with the map's number; and the maps: matrices
+/// row by row, each followed by its offset.
+fn transports(run: &Run) -> Result<(BTreeMap<String, BTreeMap<String, usize>>, Vec<f32>)> {
+    let (mut found, mut maps) = (BTreeMap::<_, BTreeMap<_, _>>::new(), Vec::new());
+    let Some(prior) = run.prior()? else { return Ok((found, maps)) };
+    let mut count = 0;
+    for from in run.outfits() {
+        for to in run.outfits() {
+            let Some(map) = prior.transport(*from, *to)? else { continue };
+            maps.extend(map.matrix.iter().chain(&map.offset).map(|&x| x as f32));
+            found.entry(from.to_string()).or_default().insert(to.to_string(), count);
+            count += 1;
+        }
+    }
+    Ok((found, maps))
 }
 
 fn floats(values: impl Iterator<Item = f32>) -> Vec<u8> {

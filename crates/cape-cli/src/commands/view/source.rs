@@ -86,6 +86,14 @@ impl Source<'_> {
                 let z = drawn.codes(run, &[outfit], 1, seed, console)?;
                 Ok(Answer::Code { z: z.row(0).to_vec() })
             }
+            (Self::Model(model), Question::Carry(carry)) => {
+                let code = model.code(&carry.z)?;
+                let code = match model.run.prior()? {
+                    Some(prior) => prior.transport_codes(&code, carry.from, carry.to)?,
+                    None => code,
+                };
+                Ok(Answer::Code { z: code.row(0).to_vec() })
+            }
             (Self::Model(model), &Question::Encode(frame)) => {
                 let (_, wearer) = model.registration(frame)?;
                 let z = model.code_of(frame)?.row(0).to_vec();
@@ -208,7 +216,7 @@ impl<'a> RunSource<'a> {
             let worn = self.painter.pose_clothed(&displacement, std::slice::from_ref(&wearer))?;
             (wearer, self.code_of(show.truth)?, worn.into_iter().next())
         } else {
-            (show.body_spec()?, self.code(show)?, None)
+            (show.body_spec()?, self.code(&show.z)?, None)
         };
         let wearers = std::slice::from_ref(&wearer);
         let vertices = self.run.body().vertices();
@@ -238,14 +246,12 @@ impl<'a> RunSource<'a> {
         Ok(people)
     }
 
-    fn code(&self, show: &ShowRequest) -> Result<Array2<f32>> {
+    fn code(&self, z: &[f32]) -> Result<Array2<f32>> {
         let latent = self.run.config().model.latent;
-        Array2::from_shape_vec((1, show.z.len()), show.z.clone())
+        Array2::from_shape_vec((1, z.len()), z.to_vec())
             .ok()
             .filter(|code| code.ncols() == latent)
-            .ok_or_else(|| {
-                Error::message(format!("z has {} values, expected {latent}", show.z.len()))
-            })
+            .ok_or_else(|| Error::message(format!("z has {} values, expected {latent}", z.len())))
     }
 
     fn set(&self) -> Result<&PackedSet> {
@@ -292,7 +298,7 @@ impl<'a> RunSource<'a> {
         let (code, wearer) = if show.layers.contains(&ViewLayer::Truth) {
             (self.code_of(show.truth)?, self.registration(show.truth)?.1)
         } else {
-            (self.code(show)?, show.body_spec()?)
+            (self.code(&show.z)?, show.body_spec()?)
         };
         let worn = self.run.decode_displacements(&code, std::slice::from_ref(&wearer))?;
         let dressed = self.painter.pose_clothed(&worn, std::slice::from_ref(&wearer))?;

@@ -47,6 +47,15 @@ pub(super) struct SampleRequest {
     pub(super) outfit: Outfit,
 }
 
+/// Request for the code of clothing in another outfit.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CarryRequest {
+    pub(super) z: Vec<f32>,
+    pub(super) from: Outfit,
+    pub(super) to: Outfit,
+}
+
 /// Request for the poses of a motion.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -79,6 +88,8 @@ pub(super) enum Question {
     Worn(LayerRequest),
     /// Sampled code.
     Sample(SampleRequest),
+    /// Code of clothing in another outfit.
+    Carry(CarryRequest),
     /// Code, body and pose of a registration.
     Encode(usize),
     /// Poses of a motion.

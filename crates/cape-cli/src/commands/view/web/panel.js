@@ -67,10 +67,10 @@ export class Panel {
   }
 
   #buildModel(model) {
-    const { edit } = this.#actions;
+    const { edit, wear } = this.#actions;
     byId("outfits").append(...model.outfits.map(outfit => choice({
       id: `outfit-${outfit}`, name: "outfit", value: outfit, title: OUTFITS[outfit] ?? "",
-      chosen: value => edit({ outfit: value }),
+      chosen: wear,
     })));
 
     onClick("sample", () => this.#sample(byId("seed").valueAsNumber + 1 || 0));

@@ -108,6 +108,7 @@ class Viewer {
   #actions() {
     return {
       edit: patch => this.#edit(patch),
+      wear: outfit => this.#task(this.#wear(outfit)),
       sample: question => this.#task(this.#sample(question)),
       encode: () => this.#task(this.#encode()),
       pose: name => this.#pose(name),
@@ -155,6 +156,15 @@ class Viewer {
     const { outfit } = this.#person;
     const { z } = await this.#link.ask({ sample: { prior, temperature, seed, outfit } });
     this.#edit({ z });
+  }
+
+  /// Changes the outfit. A code is moved to its place among the other outfit's, unless it is of the prior that
+  /// is the same for all.
+  async #wear(outfit) {
+    const { z, outfit: from } = this.#person;
+    const same = byId("prior").value === "normal";
+    const carried = same ? { z } : await this.#link.ask({ carry: { z, from, to: outfit } });
+    this.#edit({ z: carried.z, outfit });
   }
 
   async #encode() {

@@ -16,13 +16,14 @@ class Model {
   #influences;
   #registrations;
   #points;
+  #maps;
 
   static async load({ tables, parts }) {
     const found = await Promise.all(Object.entries(parts).map(async ([name, text]) => [name, await unpack(text)]));
     return new Model(tables, Object.fromEntries(found));
   }
 
-  constructor(tables, { decoder, body, faces, flags, shares, joints, weights, registrations, points }) {
+  constructor(tables, { decoder, body, faces, flags, shares, joints, weights, registrations, points, maps }) {
     this.#tables = tables;
     this.#decoder = new Graph(decoder);
     this.#body = new Graph(body);
@@ -38,15 +39,17 @@ class Model {
     }));
     this.#registrations = new Float32Array(registrations.buffer);
     this.#points = new Float32Array(points.buffer);
+    this.#maps = new Float32Array(maps.buffer);
   }
 
   get faces() {
     return this.#faces;
   }
 
-  answer(id, { show, sample, encode, motion }) {
+  answer(id, { show, sample, carry, encode, motion }) {
     if (show) return this.#people(id, show);
     if (sample) return JSON.stringify({ id, z: sampleCode(sample, { ...this.#tables, points: this.#points }) });
+    if (carry) return JSON.stringify({ id, z: this.#carried(carry) });
     if (encode !== undefined) {
       const { z, betas, pose, outfit } = this.#registration(encode);
       return JSON.stringify({ id, z, betas, pose, outfit });
@@ -54,6 +57,17 @@ class Model {
     const found = motion && this.#tables.motions[motion.name];
     if (found) return JSON.stringify({ id, ...found });
     throw new Error("not available without the program");
+  }
+
+  /// Code of clothing in another outfit.
+  #carried({ z, from, to }) {
+    const number = this.#tables.transports[from]?.[to];
+    if (number === undefined) return z;
+    const [size, start] = [z.length, number * z.length * (z.length + 1)];
+    return z.map((_, i) => z.reduce(
+      (sum, x, j) => sum + this.#maps[start + i * size + j] * x,
+      this.#maps[start + size * size + i],
+    ));
   }
 
   /// What glTF stores of the clothed body of a picture.
