@@ -94,7 +94,7 @@ fn model(source: &RunSource, registrations: usize) -> Result<Value> {
 
     let faces: Vec<u8> =
         run.body().faces.as_flattened().iter().flat_map(|i| i.to_le_bytes()).collect();
-    let (transports, maps) = transports(run)?;
+    let CodeMaps { named: transports, numbers: maps } = CodeMaps::of(run)?;
     let influences = joint_influences(run.body()).concat().concat();
     let outfits = || run.outfits().iter();
     let shirts: BTreeMap<_, _> =
@@ -189,21 +189,30 @@ fn components(mixture: &Mixture) -> Value {
     json!({"components": components.collect::<Vec<_>>()})
 }
 
-/// For each outfit the others that it has a map of codes to, with the map's number; and the maps: matrices
-/// row by row, each followed by its offset.
-fn transports(run: &Run) -> Result<(BTreeMap<String, BTreeMap<String, usize>>, Vec<f32>)> {
-    let (mut found, mut maps) = (BTreeMap::<_, BTreeMap<_, _>>::new(), Vec::new());
-    let Some(prior) = run.prior()? else { return Ok((found, maps)) };
-    let mut count = 0;
-    for from in run.outfits() {
-        for to in run.outfits() {
-            let Some(map) = prior.transport(*from, *to)? else { continue };
-            maps.extend(map.matrix.iter().chain(&map.offset).map(|&x| x as f32));
-            found.entry(from.to_string()).or_default().insert(to.to_string(), count);
-            count += 1;
+/// Maps of codes from one outfit to another.
+#[derive(Default)]
+struct CodeMaps {
+    /// Number of the map from an outfit to another, by their names.
+    named: BTreeMap<String, BTreeMap<String, usize>>,
+    /// Matrices row by row, each followed by its offset.
+    numbers: Vec<f32>,
+}
+
+impl CodeMaps {
+    fn of(run: &Run) -> Result<Self> {
+        let mut maps = Self::default();
+        let Some(prior) = run.prior()? else { return Ok(maps) };
+        let mut count = 0;
+        for from in run.outfits() {
+            for to in run.outfits() {
+                let Some(map) = prior.transport(*from, *to)? else { continue };
+                maps.numbers.extend(map.matrix.iter().chain(&map.offset).map(|&x| x as f32));
+                maps.named.entry(from.to_string()).or_default().insert(to.to_string(), count);
+                count += 1;
+            }
         }
+        Ok(maps)
     }
-    Ok((found, maps))
 }
 
 fn floats(values: impl Iterator<Item = f32>) -> Vec<u8> {
