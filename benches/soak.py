@@ -88,8 +88,12 @@ class Study:
         self.requests = 0
 
     def __call__(self):
-        if not self.trials:
-            self.rater = (self.rater + 1) % len(self.links)
+        first = self.rater
+        while not self.trials:
+            # Raters of an earlier run have answered all.
+            if self.rater + 1 - first > len(self.links):
+                sys.exit('study: all raters have answered')
+            self.rater += 1
             for file in ['', 'serve.js', 'pair.js', 'study.css']:
                 self.ask('GET', file)
             plan = json.loads(self.ask('GET', 'plan.json'))
@@ -106,7 +110,7 @@ class Study:
 
     def ask(self, method, path, body=None):
         self.requests += 1
-        link = self.links[self.rater]
+        link = self.links[self.rater % len(self.links)]
         connection = http.client.HTTPConnection(link.netloc, timeout=60)
         headers = {'Origin': f'http://{link.netloc}', 'Content-Type': 'application/json'}
         text = None if body is None else json.dumps(body)
