@@ -234,7 +234,6 @@ impl SmplModel {
         joints: TensorData,
     ) -> PyResult<Parameters> {
         let dtype = given.dtype;
-        let clothed = given.displacement.is_some();
         if dtype != DType::F64 {
             let body = self.body(dtype)?;
             let device = body.device();
@@ -247,7 +246,7 @@ impl SmplModel {
                 betas: found.betas.into_data(),
                 pose: found.pose.into_data(),
                 transl: found.transl.into_data(),
-                displacement: clothed.then(|| found.displacement.into_data()),
+                displacement: found.displacement.map(Tensor::into_data),
                 dtype,
             });
         }

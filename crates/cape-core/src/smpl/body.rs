@@ -56,8 +56,9 @@ pub struct SmplGradient {
     pub pose: Tensor<2>,
     /// Gradient with respect to the translation, per metre, `[n, 3]`.
     pub transl: Tensor<2>,
-    /// Gradient with respect to the displacement, per metre, `[n, V, 3]`.
-    pub displacement: Tensor<3>,
+    /// Gradient with respect to the displacement, per metre, `[n, V, 3]`; `None` where the input has
+    /// none.
+    pub displacement: Option<Tensor<3>>,
 }
 
 /// Joints of one depth of the kinematic tree.

@@ -93,7 +93,7 @@ impl Smpl {
 
     /// Gradients with respect to the parameters of bodies, from those with respect to their vertices
     /// and joints (`gradient`): the product with the transposed Jacobian of
-    /// [`forward`](Self::forward), in one fused pass. The displacement is zero where the input has none.
+    /// [`forward`](Self::forward), in one fused pass.
     ///
     /// # Errors
     /// If shapes disagree, the pose is not in axis-angle, or the body is not on the CPU in `f32` without
@@ -137,10 +137,9 @@ impl Smpl {
             betas: matrix(found.betas, coefficients),
             pose: matrix(found.pose, 3 * self.joints()),
             transl: matrix(found.transl, 3),
-            displacement: Tensor::from_data(
-                TensorData::new(found.displacement, shape),
-                (device, DType::F32),
-            ),
+            displacement: found.displacement.map(|values| {
+                Tensor::from_data(TensorData::new(values, shape), (device, DType::F32))
+            }),
         })
     }
 

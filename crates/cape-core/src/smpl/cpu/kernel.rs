@@ -1,6 +1,8 @@
 //! Blend shapes and skinning of a range of vertices: generic SIMD code, compiled for each instruction
 //! set and dispatched at run time.
 
+use std::ops::Range;
+
 use pulp::{Simd, WithSimd};
 
 use super::tiles::{TILE, TileRow, Tiles};
@@ -34,8 +36,10 @@ pub(super) type Transform = [[f32; 4]; 3];
 
 /// Coefficients of the directions with a nonzero coefficient in any body of the batch.
 pub(super) struct Coefficients {
-    /// Indices of these directions, ascending, `[used]`.
-    used: Vec<usize>,
+    /// Runs of these directions, ascending.
+    runs: Vec<Range<usize>>,
+    /// Number of these directions.
+    used: usize,
     /// Coefficients, zero-padded, `[⌈n / side⌉, used, side]`.
     packed: Vec<f32>,
     /// Number of bodies computed together.
@@ -65,7 +69,20 @@ impl Coefficients {
                 }
             }
         }
-        Self { used, packed, side }
+        let runs = used.chunk_by(|a, b| a + 1 == *b).map(|run| run[0]..run[run.len() - 1] + 1);
+        Self { runs: runs.collect(), used: used.len(), packed, side }
+    }
+
+    /// Runs of the directions with a nonzero coefficient, ascending.
+    pub(super) fn runs(&self) -> &[Range<usize>] {
+        &self.runs
+    }
+
+    /// Coefficients of the `SIDE` bodies of a block, zero beyond the batch, `[used, SIDE]`.
+    #[inline(always)]
+    pub(super) fn block<const SIDE: usize>(&self, block: usize) -> &[[f32; SIDE]] {
+        let length = self.used * SIDE;
+        self.packed[block * length..][..length].as_chunks::<SIDE>().0
     }
 }
 
@@ -85,38 +102,53 @@ pub(super) struct VertexRange<'a> {
     pub out: Vec<&'a mut [f32]>,
 }
 
-impl VertexRange<'_> {
-    /// Computes the posed vertices into `out`.
-    pub(super) fn run(self) {
-        pulp::Arch::new().dispatch(self);
-    }
+/// Work on `SIDE` bodies together, with `WIDE` SIMD vectors per tile row.
+pub(super) trait BodyGroups {
+    type Output;
+
+    fn run<S: Simd, const SIDE: usize, const WIDE: usize>(self, simd: S) -> Self::Output;
 }
 
-impl WithSimd for VertexRange<'_> {
-    type Output = ();
+/// Runs work on groups of bodies as `coefficients` are packed, with the instruction set of this
+/// machine.
+pub(super) fn run_in_groups<T: BodyGroups>(coefficients: &Coefficients, work: T) -> T::Output {
+    pulp::Arch::new().dispatch(Grouped { side: coefficients.side, work })
+}
+
+struct Grouped<T> {
+    /// Number of bodies computed together.
+    side: usize,
+    work: T,
+}
+
+impl<T: BodyGroups> WithSimd for Grouped<T> {
+    type Output = T::Output;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        match (S::F32_LANES, self.coefficients.side) {
-            (16, 12) => self.tiles::<S, 12, 1>(simd),
-            (16, 8) => self.tiles::<S, 8, 1>(simd),
-            (16, _) => self.tiles::<S, 1, 1>(simd),
-            (8, 6) => self.tiles::<S, 6, 2>(simd),
-            (8, 4) => self.tiles::<S, 4, 2>(simd),
-            (8, _) => self.tiles::<S, 1, 2>(simd),
-            (4, 6) => self.tiles::<S, 6, 4>(simd),
-            (4, 4) => self.tiles::<S, 4, 4>(simd),
-            (4, _) => self.tiles::<S, 1, 4>(simd),
-            _ => self.tiles::<S, 1, TILE>(simd),
+    fn with_simd<S: Simd>(self, simd: S) -> T::Output {
+        let work = self.work;
+        match (S::F32_LANES, self.side) {
+            (16, 12) => work.run::<S, 12, 1>(simd),
+            (16, 8) => work.run::<S, 8, 1>(simd),
+            (16, _) => work.run::<S, 1, 1>(simd),
+            (8, 6) => work.run::<S, 6, 2>(simd),
+            (8, 4) => work.run::<S, 4, 2>(simd),
+            (8, _) => work.run::<S, 1, 2>(simd),
+            (4, 6) => work.run::<S, 6, 4>(simd),
+            (4, 4) => work.run::<S, 4, 4>(simd),
+            (4, _) => work.run::<S, 1, 4>(simd),
+            _ => work.run::<S, 1, TILE>(simd),
         }
     }
 }
 
-impl VertexRange<'_> {
-    /// Processes `SIDE` bodies together, with `WIDE` SIMD vectors per tile row.
+impl BodyGroups for VertexRange<'_> {
+    type Output = ();
+
+    /// Computes the posed vertices into `out`.
     #[inline(always)]
-    fn tiles<S: Simd, const SIDE: usize, const WIDE: usize>(mut self, simd: S) {
-        let used = &self.coefficients.used[..];
+    fn run<S: Simd, const SIDE: usize, const WIDE: usize>(mut self, simd: S) {
+        let runs = self.coefficients.runs();
         assert!(SIDE == self.coefficients.side && WIDE * S::F32_LANES == TILE);
         assert!(GROUP.is_multiple_of(SIDE));
         let n = self.out.len();
@@ -129,14 +161,11 @@ impl VertexRange<'_> {
                 let directions =
                     [0, 1, 2].map(|axis| self.tiles.directions(self.first + tile, axis));
                 let blocks = first / SIDE..bodies.end.div_ceil(SIDE);
-                let coefficients = |block: usize| {
-                    let packed = &self.coefficients.packed[block * used.len() * SIDE..];
-                    packed[..used.len() * SIDE].as_chunks::<SIDE>().0
-                };
+                let coefficients = |block| self.coefficients.block::<SIDE>(block);
                 if SIDE == 1 {
                     for (block, rest) in blocks.zip(&mut rest) {
                         let coefficients = coefficients(block).as_flattened();
-                        blend_one::<S, WIDE>(simd, &directions, used, coefficients, rest);
+                        blend_one::<S, WIDE>(simd, &directions, runs, coefficients, rest);
                     }
                 } else {
                     // The directions of one axis of a tile stay in the L1 cache.
@@ -145,7 +174,7 @@ impl VertexRange<'_> {
                         for (block, rest) in blocks.clone().zip(rest) {
                             let coefficients = coefficients(block);
                             let rest = rest.each_mut().map(|rest| &mut rest[axis]);
-                            blend::<S, SIDE, WIDE>(simd, directions, used, coefficients, rest);
+                            blend::<S, SIDE, WIDE>(simd, directions, runs, coefficients, rest);
                         }
                     }
                 }
@@ -187,22 +216,27 @@ pub(super) fn store<S: Simd, const WIDE: usize>(values: [S::f32s; WIDE], line: &
 }
 
 /// One coordinate of the rest positions of `SIDE` bodies: `directions` `[K]` weighted by
-/// `coefficients` `[used]` and summed.
+/// `coefficients` of those of `runs` and summed.
 #[inline(always)]
-fn blend<S: Simd, const SIDE: usize, const WIDE: usize>(
+pub(super) fn blend<S: Simd, const SIDE: usize, const WIDE: usize>(
     simd: S,
     directions: &[TileRow],
-    used: &[usize],
+    runs: &[Range<usize>],
     coefficients: &[[f32; SIDE]],
     rest: [&mut TileRow; SIDE],
 ) {
     let mut sums = [[simd.splat_f32s(0.0); WIDE]; SIDE];
-    for (&k, coefficients) in used.iter().zip(coefficients) {
-        let direction = vectors::<S, WIDE>(&directions[k]);
-        for (sums, &coefficient) in sums.iter_mut().zip(coefficients) {
-            let coefficient = simd.splat_f32s(coefficient);
-            for (sum, &direction) in sums.iter_mut().zip(direction) {
-                *sum = simd.mul_add_e_f32s(coefficient, direction, *sum);
+    let mut left = coefficients;
+    for run in runs {
+        let (now, later) = left.split_at(run.len());
+        left = later;
+        for (direction, coefficients) in directions[run.clone()].iter().zip(now) {
+            let direction = vectors::<S, WIDE>(direction);
+            for (sums, &coefficient) in sums.iter_mut().zip(coefficients) {
+                let coefficient = simd.splat_f32s(coefficient);
+                for (sum, &direction) in sums.iter_mut().zip(direction) {
+                    *sum = simd.mul_add_e_f32s(coefficient, direction, *sum);
+                }
             }
         }
     }
@@ -216,16 +250,22 @@ fn blend<S: Simd, const SIDE: usize, const WIDE: usize>(
 pub(super) fn blend_one<S: Simd, const WIDE: usize>(
     simd: S,
     directions: &[&[TileRow]; 3],
-    used: &[usize],
+    runs: &[Range<usize>],
     coefficients: &[f32],
     rest: &mut Points,
 ) {
     let mut sums = [[simd.splat_f32s(0.0); WIDE]; 3];
-    for (&k, &coefficient) in used.iter().zip(coefficients) {
-        let coefficient = simd.splat_f32s(coefficient);
-        for (sums, direction) in sums.iter_mut().zip(directions) {
-            for (sum, &direction) in sums.iter_mut().zip(vectors::<S, WIDE>(&direction[k])) {
-                *sum = simd.mul_add_e_f32s(coefficient, direction, *sum);
+    let mut left = coefficients;
+    for run in runs {
+        let (now, later) = left.split_at(run.len());
+        left = later;
+        let [x, y, z] = directions.map(|directions| &directions[run.clone()]);
+        for (((x, y), z), &coefficient) in x.iter().zip(y).zip(z).zip(now) {
+            let coefficient = simd.splat_f32s(coefficient);
+            for (sums, direction) in sums.iter_mut().zip([x, y, z]) {
+                for (sum, &direction) in sums.iter_mut().zip(vectors::<S, WIDE>(direction)) {
+                    *sum = simd.mul_add_e_f32s(coefficient, direction, *sum);
+                }
             }
         }
     }

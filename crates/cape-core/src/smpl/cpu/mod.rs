@@ -11,7 +11,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use rayon::prelude::*;
 
 use self::{
-    kernel::{Coefficients, Transform, VertexRange},
+    kernel::{Coefficients, Transform, VertexRange, run_in_groups},
     tiles::{TILE, Tiles},
 };
 use super::SmplModel;
@@ -114,7 +114,7 @@ impl CpuBody {
                 displacement: batch.displacement,
                 out,
             };
-            range.run();
+            run_in_groups(&coefficients, range);
         });
         (vertices, joints)
     }

@@ -2,15 +2,18 @@
 //!
 //! The order of summation is independent of the batch size and the number of threads.
 
-use std::ops::Range;
+use std::{array, ops::Range};
 
 use glam::{DMat3, DVec3};
-use pulp::{Simd, WithSimd};
+use pulp::Simd;
 use rayon::prelude::*;
 
 use super::{
-    BodyBatch, CpuBody, Prepared,
-    kernel::{Points, Transform, blend_one, store, vectors},
+    BodyBatch, CpuBody, PARALLEL_BATCH, Prepared,
+    kernel::{
+        BodyGroups, Coefficients, Points, Transform, blend, blend_one, run_in_groups, store,
+        vectors,
+    },
     points, row,
     tiles::{TILE, TileRow, Tiles},
 };
@@ -18,8 +21,9 @@ use crate::{joints::rotation, smpl::rodrigues::rotation_gradient};
 
 /// Ranges of tiles that are summed apart.
 const PARTS: usize = 16;
-/// Bodies whose sums stay in the L2 cache together.
-const GROUP: usize = 8;
+/// Tiles whose directions stay in the L2 cache, and bodies whose sums do.
+const TILES: usize = 6;
+const GROUP: usize = 12;
 
 /// Gradients with respect to the parameters of a batch of `n` bodies, row-major.
 #[derive(Debug)]
@@ -30,8 +34,8 @@ pub(in crate::smpl) struct ParameterGradients {
     pub pose: Vec<f32>,
     /// Gradient with respect to the translations, per metre, `[n, 3]`.
     pub transl: Vec<f32>,
-    /// Gradient with respect to the displacements, per metre, `[n, V, 3]`.
-    pub displacement: Vec<f32>,
+    /// Gradient with respect to the displacements, per metre, `[n, V, 3]`, of a batch that has them.
+    pub displacement: Option<Vec<f32>>,
 }
 
 /// Sums over vertices for one body.
@@ -74,12 +78,13 @@ impl CpuBody {
         joints: &[f32],
     ) -> ParameterGradients {
         let (n, j, v) = (batch.transl.len() / 3, self.parents.len(), self.tiles.vertices());
-        let prepared = self.prepare_all(batch);
-        let mut displacement = vec![0.0; n * 3 * v];
+        let Prepared { coefficients, transforms, .. } = self.prepare_all(batch);
+        let coefficients = Coefficients::pack(&coefficients, self.tiles.count());
+        let mut displacement = batch.displacement.map(|_| vec![0.0; n * 3 * v]);
         let stride = v.div_ceil(TILE).div_ceil(PARTS) * TILE;
         let mut parts: Vec<Vec<&mut [f32]>> = Vec::new();
         parts.resize_with(v.div_ceil(stride), || Vec::with_capacity(n));
-        for body in displacement.chunks_exact_mut(3 * v) {
+        for body in displacement.iter_mut().flat_map(|all| all.chunks_exact_mut(3 * v)) {
             for (part, slot) in parts.iter_mut().zip(body.chunks_mut(3 * stride)) {
                 part.push(slot);
             }
@@ -93,15 +98,17 @@ impl CpuBody {
                 let range = PulledRange {
                     tiles: &self.tiles,
                     vertices: first..(first + stride).min(v),
-                    prepared: &prepared,
+                    coefficients: &coefficients,
+                    transforms: &transforms,
                     gradient: vertices,
                     displacement: batch.displacement,
                     out,
+                    bodies: n,
                 };
-                pulp::Arch::new().dispatch(range)
+                run_in_groups(&coefficients, range)
             })
             .collect();
-        let bodies = (0..n).map(|body| {
+        let bodies = (0..n).into_par_iter().with_min_len(PARALLEL_BATCH / 2).map(|body| {
             let mut sum = Sums::new(self.tiles.count(), j);
             for part in &sums {
                 sum.add(&part[body]);
@@ -110,18 +117,18 @@ impl CpuBody {
             let angles = row(angles, body, 3 * j);
             self.through_joints(betas, angles, &sum, row(joints, body, 3 * j))
         });
+        let bodies: Vec<_> = bodies.collect();
         let mut gradients = ParameterGradients {
             betas: Vec::with_capacity(batch.betas.len()),
             pose: Vec::with_capacity(angles.len()),
             transl: Vec::with_capacity(3 * n),
-            displacement: Vec::new(),
+            displacement,
         };
         for (betas, pose, transl) in bodies {
             gradients.betas.extend(betas.into_iter().map(|x| x as f32));
             gradients.pose.extend(pose.iter().flat_map(|x| x.as_vec3().to_array()));
             gradients.transl.extend(transl.as_vec3().to_array());
         }
-        gradients.displacement = displacement;
         gradients
     }
 
@@ -194,94 +201,164 @@ fn outer(a: DVec3, b: DVec3) -> DMat3 {
 struct PulledRange<'a> {
     tiles: &'a Tiles,
     vertices: Range<usize>,
-    prepared: &'a Prepared,
+    coefficients: &'a Coefficients,
+    /// Joint transforms, `[n, J]`.
+    transforms: &'a [Transform],
     /// Gradients with respect to the posed vertices, `[n, V, 3]`.
     gradient: &'a [f32],
     /// Displacements of the rest vertices, metres, `[n, V, 3]`.
     displacement: Option<&'a [f32]>,
-    /// Gradients with respect to the displacements, `[n]` of `[vertices of the range, 3]`.
+    /// Gradients with respect to the displacements, `[n]` of `[vertices of the range, 3]`; empty where
+    /// there are none.
     out: Vec<&'a mut [f32]>,
+    /// Number of bodies `n`.
+    bodies: usize,
 }
 
-impl WithSimd for PulledRange<'_> {
+impl BodyGroups for PulledRange<'_> {
     type Output = Vec<Sums>;
 
+    /// Sums over the range for each body.
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> Vec<Sums> {
-        match S::F32_LANES {
-            16 => self.sums::<S, 1>(simd),
-            8 => self.sums::<S, 2>(simd),
-            4 => self.sums::<S, 4>(simd),
-            _ => self.sums::<S, TILE>(simd),
-        }
-    }
-}
-
-impl PulledRange<'_> {
-    /// Sums over the range for each body, with `WIDE` SIMD vectors per tile row.
-    #[inline(always)]
-    fn sums<S: Simd, const WIDE: usize>(mut self, simd: S) -> Vec<Sums> {
-        let n = self.out.len();
-        let k = self.tiles.count();
-        let joints = self.prepared.transforms.len() / n.max(1);
-        let all: Vec<usize> = (0..k).collect();
-        let mut sums = vec![Sums::new(k, joints); n];
-        let mut lanes = vec![TileRow::default(); GROUP * k];
-        for first in (0..n).step_by(GROUP) {
-            lanes.fill(TileRow::default());
-            for start in self.vertices.clone().step_by(TILE) {
-                let group = first..(first + GROUP).min(n);
-                for (body, lanes) in group.zip(lanes.chunks_exact_mut(k)) {
-                    self.tile::<S, WIDE>(simd, (start, body), &all, lanes, &mut sums[body]);
+    fn run<S: Simd, const SIDE: usize, const WIDE: usize>(mut self, simd: S) -> Vec<Sums> {
+        let n = self.bodies;
+        let joints = self.transforms.len() / n.max(1);
+        let new = || GroupLanes::<SIDE>::new(self.tiles.count(), joints);
+        let mut groups = Vec::new();
+        groups.resize_with(n.min(GROUP).div_ceil(SIDE), new);
+        let mut sums = Vec::with_capacity(n);
+        let mut by_rest = [[TileRow::default(); SIDE]; 3 * TILES];
+        for first in (0..n).step_by(SIDE * groups.len().max(1)) {
+            for lanes in &mut groups {
+                lanes.clear();
+            }
+            for start in self.vertices.clone().step_by(TILES * TILE) {
+                let tiles = (self.vertices.end - start).div_ceil(TILE).min(TILES);
+                let by_rest = &mut by_rest[..3 * tiles];
+                let directions = self.tiles.all_directions(start / TILE, tiles);
+                for (first, lanes) in (first..n).step_by(SIDE).zip(&mut groups) {
+                    for (tile, by_rest) in by_rest.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+                        let start = start + tile * TILE;
+                        self.tile::<S, SIDE, WIDE>(simd, (start, first), lanes, by_rest);
+                    }
+                    project::<S, SIDE, WIDE>(simd, directions, by_rest, &mut lanes.coefficients);
                 }
             }
-            for (sums, lanes) in sums[first..].iter_mut().zip(lanes.chunks_exact(k)) {
-                for (sum, lanes) in sums.coefficients.iter_mut().zip(lanes) {
-                    *sum = f64::from(total::<S, WIDE>(simd, *vectors::<S, WIDE>(lanes)));
+            for (first, lanes) in (first..n).step_by(SIDE).zip(&groups) {
+                for body in 0..SIDE.min(n - first) {
+                    sums.push(lanes.sums::<S, WIDE>(simd, body));
                 }
             }
         }
         sums
     }
+}
 
-    /// Adds the tile of one body at vertex `start` to its sums; `lanes` are those of the coefficients
-    /// `all`, `[K]`.
+/// Sums over vertices for `SIDE` bodies, each lane of a tile row apart.
+struct GroupLanes<const SIDE: usize> {
+    /// Gradients with respect to the coefficients of the directions, `[K]`.
+    coefficients: Vec<[TileRow; SIDE]>,
+    /// Gradients with respect to the transforms, in row-major order, `[SIDE, J]`.
+    transforms: Vec<[TileRow; 12]>,
+    /// Gradients with respect to the translations, `[SIDE]`.
+    transl: [Points; SIDE],
+}
+
+impl<const SIDE: usize> GroupLanes<SIDE> {
+    fn new(directions: usize, joints: usize) -> Self {
+        Self {
+            coefficients: vec![[TileRow::default(); SIDE]; directions],
+            transforms: vec![[TileRow::default(); 12]; SIDE * joints],
+            transl: [Points::default(); SIDE],
+        }
+    }
+
+    fn clear(&mut self) {
+        self.coefficients.fill([TileRow::default(); SIDE]);
+        self.transforms.fill([TileRow::default(); 12]);
+        self.transl = [Points::default(); SIDE];
+    }
+
+    /// Sums of one of the bodies.
     #[inline(always)]
-    fn tile<S: Simd, const WIDE: usize>(
-        &mut self,
-        simd: S,
-        (start, body): (usize, usize),
-        all: &[usize],
-        lanes: &mut [TileRow],
-        sums: &mut Sums,
-    ) {
-        let v = self.tiles.vertices();
-        let count = TILE.min(self.vertices.end - start);
-        let place = 3 * (body * v + start)..3 * (body * v + start + count);
-        let directions = [0, 1, 2].map(|axis| self.tiles.directions(start / TILE, axis));
-        let coefficients = row(&self.prepared.coefficients, body, all.len());
-        let mut rest = Points::default();
-        blend_one::<S, WIDE>(simd, &directions, all, coefficients, &mut rest);
-        if let Some(displacement) = self.displacement {
-            let (points, _) = displacement[place.clone()].as_chunks::<3>();
-            for (axis, rest) in rest.iter_mut().enumerate() {
-                for (rest, point) in rest.0.iter_mut().zip(points) {
-                    *rest += point[axis];
-                }
+    fn sums<S: Simd, const WIDE: usize>(&self, simd: S, body: usize) -> Sums {
+        let joints = self.transforms.len() / SIDE;
+        let mut sums = Sums::new(self.coefficients.len(), joints);
+        for (sum, rows) in sums.coefficients.iter_mut().zip(&self.coefficients) {
+            *sum = total::<S, WIDE>(simd, &rows[body]);
+        }
+        let transforms = &self.transforms[body * joints..][..joints];
+        for (sums, rows) in sums.transforms.iter_mut().zip(transforms) {
+            for (sum, row) in sums.as_flattened_mut().iter_mut().zip(rows) {
+                *sum = total::<S, WIDE>(simd, row);
             }
         }
-        let by_vertex = planes(&self.gradient[place]);
-        let joints = self.prepared.transforms.len() / self.out.len();
-        let transforms = &self.prepared.transforms[body * joints..][..joints];
-        let bones = self.tiles.bones(start / TILE);
-        let by_rest = unskin::<S, WIDE>(simd, transforms, bones, &by_vertex);
-        let first = start - self.vertices.start;
-        let out = &mut self.out[body][3 * first..3 * (first + count)];
-        for (lane, out) in out.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-            *out = [by_rest[0].0[lane], by_rest[1].0[lane], by_rest[2].0[lane]];
+        for (sum, row) in sums.transl.iter_mut().zip(&self.transl[body]) {
+            *sum = total::<S, WIDE>(simd, row);
         }
-        add_transforms::<S, WIDE>(simd, bones, &rest, &by_vertex, sums);
-        project::<S, WIDE>(simd, &directions, &by_rest, lanes);
+        sums
+    }
+}
+
+impl PulledRange<'_> {
+    /// Gradients with respect to the rest positions of the tile at vertex `start`, for the bodies from
+    /// `first` on; adds those with respect to transforms and translations to the sums.
+    #[inline(always)]
+    fn tile<S: Simd, const SIDE: usize, const WIDE: usize>(
+        &mut self,
+        simd: S,
+        (start, first): (usize, usize),
+        lanes: &mut GroupLanes<SIDE>,
+        by_rest: &mut [[TileRow; SIDE]; 3],
+    ) {
+        let (n, v) = (self.bodies, self.tiles.vertices());
+        let joints = self.transforms.len() / n;
+        let count = TILE.min(self.vertices.end - start);
+        let directions = [0, 1, 2].map(|axis| self.tiles.directions(start / TILE, axis));
+        let bones = self.tiles.bones(start / TILE);
+        let mut rest = [Points::default(); SIDE];
+        let coefficients = self.coefficients.block::<SIDE>(first / SIDE);
+        let runs = self.coefficients.runs();
+        if SIDE == 1 {
+            let coefficients = coefficients.as_flattened();
+            blend_one::<S, WIDE>(simd, &directions, runs, coefficients, &mut rest[0]);
+        } else {
+            for (axis, directions) in directions.into_iter().enumerate() {
+                let rest = rest.each_mut().map(|rest| &mut rest[axis]);
+                blend::<S, SIDE, WIDE>(simd, directions, runs, coefficients, rest);
+            }
+        }
+        for (slot, (body, rest)) in (first..n).zip(&mut rest).enumerate() {
+            let place = 3 * (body * v + start)..3 * (body * v + start + count);
+            if let Some(displacement) = self.displacement {
+                let (points, _) = displacement[place.clone()].as_chunks::<3>();
+                for (axis, rest) in rest.iter_mut().enumerate() {
+                    for (rest, point) in rest.0.iter_mut().zip(points) {
+                        *rest += point[axis];
+                    }
+                }
+            }
+            let by_vertex = planes(&self.gradient[place]);
+            let transforms = &self.transforms[body * joints..][..joints];
+            let pulled = unskin::<S, WIDE>(simd, transforms, bones, &by_vertex);
+            if let Some(out) = self.out.get_mut(body) {
+                let from = start - self.vertices.start;
+                let out = &mut out[3 * from..3 * (from + count)];
+                for (lane, out) in out.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+                    *out = [pulled[0].0[lane], pulled[1].0[lane], pulled[2].0[lane]];
+                }
+            }
+            for (by_rest, pulled) in by_rest.iter_mut().zip(pulled) {
+                by_rest[slot] = pulled;
+            }
+            for (sum, by_vertex) in lanes.transl[slot].iter_mut().zip(&by_vertex) {
+                for (sum, &by_vertex) in sum.0.iter_mut().zip(&by_vertex.0) {
+                    *sum += by_vertex;
+                }
+            }
+            let transforms = &mut lanes.transforms[slot * joints..][..joints];
+            add_transforms::<S, WIDE>(simd, bones, rest, &by_vertex, transforms);
+        }
     }
 }
 
@@ -315,63 +392,136 @@ fn unskin<S: Simd, const WIDE: usize>(
     by_rest
 }
 
-/// Adds the gradients with respect to the transforms of the joints `bones`, and to the translation.
+/// Adds the gradients with respect to the transforms of the joints `bones` to those of all joints,
+/// `[J]`.
 #[inline(always)]
 fn add_transforms<S: Simd, const WIDE: usize>(
     simd: S,
     (bones, weights): (&[u32], &[TileRow]),
     rest: &Points,
     by_vertex: &Points,
-    sums: &mut Sums,
+    transforms: &mut [[TileRow; 12]],
 ) {
-    let ones = TileRow([1.0; TILE]);
-    for (axis, by_vertex) in by_vertex.iter().enumerate() {
-        let by_vertex = *vectors::<S, WIDE>(by_vertex);
-        sums.transl[axis] += f64::from(total::<S, WIDE>(simd, by_vertex));
-        for (column, rest) in rest.iter().chain([&ones]).enumerate() {
-            let mut product = *vectors::<S, WIDE>(rest);
-            for (product, by_vertex) in product.iter_mut().zip(by_vertex) {
-                *product = simd.mul_f32s(*product, by_vertex);
+    let mut products = [[simd.splat_f32s(0.0); WIDE]; 12];
+    for (products, by_vertex) in products.as_chunks_mut::<4>().0.iter_mut().zip(by_vertex) {
+        let by_vertex = vectors::<S, WIDE>(by_vertex);
+        for (products, rest) in products.iter_mut().zip(rest) {
+            let rest = vectors::<S, WIDE>(rest);
+            for (product, (&rest, &by_vertex)) in
+                products.iter_mut().zip(rest.iter().zip(by_vertex))
+            {
+                *product = simd.mul_f32s(rest, by_vertex);
             }
-            for (&bone, weight) in bones.iter().zip(weights) {
-                let mut weighted = *vectors::<S, WIDE>(weight);
-                for (weighted, &product) in weighted.iter_mut().zip(&product) {
-                    *weighted = simd.mul_f32s(*weighted, product);
-                }
-                let sum = f64::from(total::<S, WIDE>(simd, weighted));
-                sums.transforms[bone as usize][axis][column] += sum;
+        }
+        products[3] = *by_vertex;
+    }
+    for (&bone, weight) in bones.iter().zip(weights) {
+        let weight = vectors::<S, WIDE>(weight);
+        for (sums, products) in transforms[bone as usize].iter_mut().zip(&products) {
+            let mut sum = *vectors::<S, WIDE>(sums);
+            for (sum, (&product, &weight)) in sum.iter_mut().zip(products.iter().zip(weight)) {
+                *sum = simd.mul_add_e_f32s(product, weight, *sum);
             }
+            store::<S, WIDE>(sum, sums);
         }
     }
 }
 
-/// Adds the products of the directions `[K]` of a tile with the gradient of its rest positions to
-/// `lanes` `[K]`.
+/// Adds the products of `directions` `[tiles, 3, K]` with the gradients of the rest positions of `SIDE`
+/// bodies, `[tiles, 3, SIDE]`, to `sums` `[K]`.
 #[inline(always)]
-fn project<S: Simd, const WIDE: usize>(
+fn project<S: Simd, const SIDE: usize, const WIDE: usize>(
     simd: S,
-    directions: &[&[TileRow]; 3],
-    by_rest: &Points,
-    lanes: &mut [TileRow],
+    directions: &[TileRow],
+    by_rest: &[[TileRow; SIDE]],
+    sums: &mut [[TileRow; SIDE]],
 ) {
-    let by_rest: [[S::f32s; WIDE]; 3] = [0, 1, 2].map(|axis| *vectors::<S, WIDE>(&by_rest[axis]));
-    for (k, lanes) in lanes.iter_mut().enumerate() {
-        let mut sums = *vectors::<S, WIDE>(lanes);
-        for (direction, by_rest) in directions.iter().zip(&by_rest) {
-            let pairs = vectors::<S, WIDE>(&direction[k]).iter().zip(by_rest);
-            for (sum, (&direction, &by_rest)) in sums.iter_mut().zip(pairs) {
-                *sum = simd.mul_add_e_f32s(direction, by_rest, *sum);
+    // As many sums as the registers of the instruction set hold.
+    match (SIDE, WIDE) {
+        (1, _) => project_blocks::<S, SIDE, WIDE, 8, 1>(simd, directions, by_rest, sums),
+        (6, _) => project_blocks::<S, SIDE, WIDE, 3, 3>(simd, directions, by_rest, sums),
+        (_, 1) => project_blocks::<S, SIDE, WIDE, 4, 4>(simd, directions, by_rest, sums),
+        _ => project_blocks::<S, SIDE, WIDE, 2, 4>(simd, directions, by_rest, sums),
+    }
+}
+
+/// [`project`] by blocks of `COUNT` directions and `BODIES` bodies, a divisor of `SIDE`.
+#[inline(always)]
+fn project_blocks<
+    S: Simd,
+    const SIDE: usize,
+    const WIDE: usize,
+    const COUNT: usize,
+    const BODIES: usize,
+>(
+    simd: S,
+    directions: &[TileRow],
+    by_rest: &[[TileRow; SIDE]],
+    sums: &mut [[TileRow; SIDE]],
+) {
+    let k = sums.len();
+    let (blocks, rest) = sums.as_chunks_mut::<COUNT>();
+    let single = blocks.len() * COUNT..k;
+    for body in (0..SIDE).step_by(BODIES) {
+        let rows = || directions.chunks_exact(k).zip(by_rest);
+        for (block, sums) in blocks.iter_mut().enumerate() {
+            let place = (block * COUNT, body);
+            project_block::<S, SIDE, WIDE, COUNT, BODIES>(simd, rows(), place, sums);
+        }
+        for (direction, sum) in single.clone().zip(rest.iter_mut()) {
+            let sums = array::from_mut(sum);
+            let place = (direction, body);
+            project_block::<S, SIDE, WIDE, 1, BODIES>(simd, rows(), place, sums);
+        }
+    }
+}
+
+/// [`project`] for `COUNT` directions from `direction` on and `BODIES` bodies from `body` on, whose sums
+/// stay in registers; the sum of a row's vectors is in the first of them.
+#[inline(always)]
+fn project_block<
+    'a,
+    S: Simd,
+    const SIDE: usize,
+    const WIDE: usize,
+    const COUNT: usize,
+    const BODIES: usize,
+>(
+    simd: S,
+    rows: impl Iterator<Item = (&'a [TileRow], &'a [TileRow; SIDE])>,
+    (direction, body): (usize, usize),
+    sums: &mut [[TileRow; SIDE]; COUNT],
+) {
+    let mut parts = [[simd.splat_f32s(0.0); BODIES]; COUNT];
+    for (directions, by_rest) in rows {
+        let directions = &directions[direction..][..COUNT];
+        let by_rest = &by_rest[body..][..BODIES];
+        for wide in 0..WIDE {
+            for at in 0..COUNT {
+                let direction = vectors::<S, WIDE>(&directions[at])[wide];
+                for other in 0..BODIES {
+                    let by_rest = vectors::<S, WIDE>(&by_rest[other])[wide];
+                    parts[at][other] = simd.mul_add_e_f32s(direction, by_rest, parts[at][other]);
+                }
             }
         }
-        store::<S, WIDE>(sums, lanes);
+    }
+    for (sums, parts) in sums.iter_mut().zip(parts) {
+        for (sum, part) in sums[body..][..BODIES].iter_mut().zip(parts) {
+            let sum = &mut S::as_mut_simd_f32s(&mut sum.0).0[0];
+            *sum = simd.add_f32s(*sum, part);
+        }
     }
 }
 
 /// Sum of the lanes of a tile row.
 #[inline(always)]
-fn total<S: Simd, const WIDE: usize>(simd: S, row: [S::f32s; WIDE]) -> f32 {
-    let sum = row.into_iter().fold(simd.splat_f32s(0.0), |sum, part| simd.add_f32s(sum, part));
-    simd.reduce_sum_f32s(sum)
+fn total<S: Simd, const WIDE: usize>(simd: S, row: &TileRow) -> f64 {
+    let mut sum = simd.splat_f32s(0.0);
+    for &part in vectors::<S, WIDE>(row) {
+        sum = simd.add_f32s(sum, part);
+    }
+    f64::from(simd.reduce_sum_f32s(sum))
 }
 
 /// Points `[count, 3]` as planes, zero beyond them.

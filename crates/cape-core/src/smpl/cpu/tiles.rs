@@ -76,6 +76,12 @@ impl Tiles {
         &self.rest[(tile * 3 + axis) * self.directions..][..self.directions]
     }
 
+    /// Directions of `count` tiles, `[count, 3, K]`.
+    pub(super) fn all_directions(&self, first: usize, count: usize) -> &[TileRow] {
+        let size = 3 * self.directions;
+        &self.rest[first * size..][..count * size]
+    }
+
     /// Joints with influence on a tile and the weights of its vertices, `[bones]`.
     pub(super) fn bones(&self, tile: usize) -> (&[u32], &[TileRow]) {
         let bones = self.starts[tile]..self.starts[tile + 1];
