@@ -246,7 +246,7 @@ impl SmplModel {
                 betas: found.betas.into_data(),
                 pose: found.pose.into_data(),
                 transl: found.transl.into_data(),
-                displacement: found.displacement.map(Tensor::into_data),
+                displacement: found.displacement.map(|it| it.into_data()),
                 dtype,
             });
         }

@@ -3,7 +3,7 @@
 //! Needs Chromium: the one that `CAPE_BROWSER` names, else one in the path; without any, the tests
 //! report themselves as skipped. The folder of `cape view --export` is also opened in Firefox, which
 //! `CAPE_FIREFOX` names or which is in the path, on a display of Xvfb. `CAPE_BROWSER_SHOTS` names a
-//! directory to keep the screenshots in.
+//! directory to keep the screenshots and the page's glTF file in.
 
 mod browser;
 #[cfg(feature = "view")]
@@ -23,14 +23,30 @@ mod support;
 #[cfg(feature = "view")]
 mod viewer;
 
+#[cfg(feature = "view")]
+use std::path::Path;
 use std::{fs, path::PathBuf};
 
 use cape::render::Image;
 
-/// Keeps a screenshot, if that is wanted.
+/// Directory for what is kept, if that is wanted.
+fn kept() -> Option<PathBuf> {
+    let directory = PathBuf::from(std::env::var_os("CAPE_BROWSER_SHOTS")?);
+    fs::create_dir_all(&directory).unwrap();
+    Some(directory)
+}
+
+/// Keeps a screenshot.
 fn keep(name: &str, image: &Image) {
-    if let Some(directory) = std::env::var_os("CAPE_BROWSER_SHOTS") {
-        fs::create_dir_all(&directory).unwrap();
-        image.save(PathBuf::from(directory).join(format!("{name}.png"))).unwrap();
+    if let Some(directory) = kept() {
+        image.save(directory.join(format!("{name}.png"))).unwrap();
+    }
+}
+
+/// Keeps a file.
+#[cfg(feature = "view")]
+fn keep_file(name: &str, path: &Path) {
+    if let Some(directory) = kept() {
+        fs::copy(path, directory.join(name)).unwrap();
     }
 }

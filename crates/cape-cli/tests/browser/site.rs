@@ -24,7 +24,7 @@ use crate::{
     browser::{Browser, Scheme, View},
     devtools::Live,
     firefox::FirefoxPage,
-    keep,
+    keep, keep_file,
     support::{Packed, VERTICES, cape, trained},
     viewer::{WIDE, click, difference, set},
 };
@@ -224,6 +224,7 @@ fn files_of_a_folder_on_a_server_parse() {
         assert_eq!(mesh.vertices.as_flattened(), positions);
         assert_eq!(mesh.faces, meshes[0].faces);
     }
+    keep_file("site.glb", &glb);
     // Skinned by its skeleton.
     let file = GltfFile::parse(&glb, fs::read(&glb).unwrap()).unwrap();
     let posed = file.vertices(None).unwrap();

@@ -5,13 +5,14 @@
 
 mod kernel;
 mod pull_back;
+mod share;
 mod tiles;
 
 use glam::{DAffine3, DMat3, DVec3};
-use rayon::prelude::*;
 
 use self::{
     kernel::{Coefficients, Transform, VertexRange, run_in_groups},
+    share::share,
     tiles::{TILE, Tiles},
 };
 use super::SmplModel;
@@ -104,7 +105,7 @@ impl CpuBody {
                 task.push(part);
             }
         }
-        tasks.into_par_iter().enumerate().with_max_len(1).for_each(|(task, out)| {
+        share(tasks, |task, out| {
             let range = VertexRange {
                 tiles: &self.tiles,
                 first: task * TILES_PER_TASK,
@@ -126,25 +127,11 @@ impl CpuBody {
         let mut coefficients = vec![0.0; n * k];
         let mut transforms = vec![Transform::default(); n * j];
         let mut joints = vec![0.0; n * 3 * j];
-        let prepare = |(body, ((coefficients, transforms), joints)): (usize, BodySlots)| {
+        let slots = coefficients.chunks_mut(k).zip(transforms.chunks_mut(j));
+        let slots = slots.zip(joints.chunks_mut(3 * j));
+        each_body(slots.collect(), |body, ((coefficients, transforms), joints): BodySlots| {
             self.prepare(batch, body, coefficients, transforms, joints);
-        };
-        if n < PARALLEL_BATCH {
-            coefficients
-                .chunks_mut(k)
-                .zip(transforms.chunks_mut(j))
-                .zip(joints.chunks_mut(3 * j))
-                .enumerate()
-                .for_each(prepare);
-        } else {
-            coefficients
-                .par_chunks_mut(k)
-                .zip(transforms.par_chunks_mut(j))
-                .zip(joints.par_chunks_mut(3 * j))
-                .enumerate()
-                .with_min_len(PARALLEL_BATCH / 2)
-                .for_each(prepare);
-        }
+        });
         Prepared { coefficients, transforms, joints }
     }
 
@@ -214,6 +201,14 @@ impl CpuBody {
         }
         joints
     }
+}
+
+/// [`share`] for bodies, in small batches on the calling thread alone.
+fn each_body<T: Send, R: Send>(bodies: Vec<T>, work: impl Fn(usize, T) -> R + Sync) -> Vec<R> {
+    if bodies.len() < PARALLEL_BATCH {
+        return bodies.into_iter().enumerate().map(|(body, slot)| work(body, slot)).collect();
+    }
+    share(bodies, work)
 }
 
 fn row(values: &[f32], row: usize, len: usize) -> &[f32] {

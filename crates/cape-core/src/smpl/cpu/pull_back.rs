@@ -6,15 +6,15 @@ use std::{array, ops::Range};
 
 use glam::{DMat3, DVec3};
 use pulp::Simd;
-use rayon::prelude::*;
 
 use super::{
-    BodyBatch, CpuBody, PARALLEL_BATCH, Prepared,
+    BodyBatch, CpuBody, Prepared, each_body,
     kernel::{
         BodyGroups, Coefficients, Points, Transform, blend, blend_one, run_in_groups, store,
         vectors,
     },
     points, row,
+    share::share,
     tiles::{TILE, TileRow, Tiles},
 };
 use crate::{joints::rotation, smpl::rodrigues::rotation_gradient};
@@ -89,26 +89,21 @@ impl CpuBody {
                 part.push(slot);
             }
         }
-        let sums: Vec<Vec<Sums>> = parts
-            .into_par_iter()
-            .enumerate()
-            .with_max_len(1)
-            .map(|(part, out)| {
-                let first = part * stride;
-                let range = PulledRange {
-                    tiles: &self.tiles,
-                    vertices: first..(first + stride).min(v),
-                    coefficients: &coefficients,
-                    transforms: &transforms,
-                    gradient: vertices,
-                    displacement: batch.displacement,
-                    out,
-                    bodies: n,
-                };
-                run_in_groups(&coefficients, range)
-            })
-            .collect();
-        let bodies = (0..n).into_par_iter().with_min_len(PARALLEL_BATCH / 2).map(|body| {
+        let sums: Vec<Vec<Sums>> = share(parts, |part, out| {
+            let first = part * stride;
+            let range = PulledRange {
+                tiles: &self.tiles,
+                vertices: first..(first + stride).min(v),
+                coefficients: &coefficients,
+                transforms: &transforms,
+                gradient: vertices,
+                displacement: batch.displacement,
+                out,
+                bodies: n,
+            };
+            run_in_groups(&coefficients, range)
+        });
+        let bodies = each_body(vec![(); n], |body, ()| {
             let mut sum = Sums::new(self.tiles.count(), j);
             for part in &sums {
                 sum.add(&part[body]);
@@ -117,7 +112,6 @@ impl CpuBody {
             let angles = row(angles, body, 3 * j);
             self.through_joints(betas, angles, &sum, row(joints, body, 3 * j))
         });
-        let bodies: Vec<_> = bodies.collect();
         let mut gradients = ParameterGradients {
             betas: Vec::with_capacity(batch.betas.len()),
             pose: Vec::with_capacity(angles.len()),
