@@ -115,10 +115,10 @@ fn settings_that_change_no_weight_may_change() {
     data.run(&LINE.replace("--epochs 6", "--epochs 6 --threads 1")).succeeded();
     let newest = checkpoints(&data).pop().unwrap();
     fs::remove_dir_all(newest).unwrap();
-    data.run("train --out @/run --resume --threads 2 --checkpoint-steps 2 --keep 1 --preload")
+    data.run("train --out @/run --resume --threads 2 --checkpoint-steps 2 --log-steps 3 --keep 1 --preload")
         .succeeded();
     let config = RunConfig::load(&data.at("run/config.toml")).unwrap().train;
-    assert_eq!((config.checkpoint_steps, config.keep), (2, 1));
+    assert_eq!((config.checkpoint_steps, config.log_steps, config.keep), (2, 3, 1));
     assert!(config.preload);
     let found = lasting(&data.at("run"));
     let last = |files: &std::collections::BTreeMap<String, Vec<u8>>| {

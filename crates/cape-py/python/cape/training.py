@@ -77,6 +77,7 @@ def train(
     pose_swap: float | None = None,
     ema: float | None = None,
     checkpoint_steps: int | None = None,
+    log_steps: int | None = None,
     keep: int | None = None,
     preload: bool = False,
     weighting: Literal["barycentric", "release"] | None = None,
@@ -107,7 +108,8 @@ def train(
     - ``transfer``: share of the frames, 0 to 1, with the code of another frame of the same capture
     - ``pose_swap``: share of the frames, 0 to 1, reconstructed under the pose of another training frame
     - ``ema``: decay of a moving average of the weights, such as 0.999
-    - ``keep``: newest checkpoints that are kept; ``preload``: the whole set into memory
+    - ``log_steps``: between lines of ``metrics.jsonl``; ``keep``: newest checkpoints that are kept;
+      ``preload``: the whole set into memory
     - ``weighting``: of up-sampling; ``seed``; ``threads``
     """
     given = dict(locals())

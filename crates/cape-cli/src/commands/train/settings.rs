@@ -73,6 +73,9 @@ pub(super) struct TrainOverrideArgs {
     /// Steps between checkpoints within an epoch; 0 saves at the end of epochs only.
     #[arg(long, value_name = "N")]
     checkpoint_steps: Option<usize>,
+    /// Steps between lines of `metrics.jsonl`.
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    log_steps: Option<usize>,
     /// Number of newest checkpoints to keep besides the best.
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     keep: Option<usize>,
@@ -124,6 +127,7 @@ impl TrainOverrideArgs {
         set(&mut train.pose_swap, self.pose_swap);
         set(&mut train.ema, self.ema);
         set(&mut train.checkpoint_steps, self.checkpoint_steps);
+        set(&mut train.log_steps, self.log_steps);
         set(&mut train.keep, self.keep);
         train.preload |= self.preload;
         set(weighting, self.weighting);
