@@ -34,7 +34,7 @@ pub(super) fn share<T: Send, R: Send>(
         }
         run();
     });
-    let results = tasks.into_iter().map(|slot| slot.into_inner());
+    let results = tasks.into_iter().map(Mutex::into_inner);
     results.filter_map(|slot| slot.unwrap_or_else(PoisonError::into_inner).1).collect()
 }
 
