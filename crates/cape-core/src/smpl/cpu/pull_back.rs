@@ -39,7 +39,7 @@ pub(in crate::smpl) struct ParameterGradients {
 }
 
 /// Sums over vertices for one body.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug)]
 struct Sums {
     /// Gradients with respect to the coefficients of the directions, `[K]`.
     coefficients: Vec<f64>,
