@@ -142,6 +142,7 @@ impl Settings {
             encoder_residual: self.encoder_residual,
             decoder: self.decoder,
             decoder_conditions,
+            linear_path: false,
             variational: true,
             deviation: 0.1,
             group_channels: None,

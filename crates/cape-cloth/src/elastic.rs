@@ -3,7 +3,10 @@ use std::collections::HashMap;
 use glam::{DMat3, DVec2, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
-use super::material::{ClothMaterial, StretchStiffness};
+use super::{
+    material::{ClothMaterial, StretchStiffness},
+    reinforce::ElasticBand,
+};
 use cape_core::geometry::SurfaceMesh;
 
 /// Least number of elements that a thread takes.
@@ -87,26 +90,14 @@ impl ElasticForces {
     pub(super) fn new<'a>(rest: &SurfaceMesh, material: impl Fn(u32) -> &'a ClothMaterial) -> Self {
         let membranes: Vec<Membrane> = (0..rest.faces.len())
             .filter_map(|face| {
-                let [a, b, c] = rest.corners(face);
-                let cross = (b - a).cross(c - a);
-                let normal = cross.try_normalize()?;
                 // The warp is vertical, or along z where the cloth is level.
-                let along = |axis: DVec3| axis - normal * axis.dot(normal);
-                let up = along(DVec3::Y);
-                let warp = if up.length() > 0.1 { up } else { along(DVec3::Z) }.normalize();
-                let weft = warp.cross(normal);
-                let slope = |from: DVec3, to: DVec3| {
-                    let across = normal.cross(to - from) / cross.length();
-                    DVec2::new(across.dot(weft), across.dot(warp))
+                let warp = |normal: DVec3| {
+                    let along = |axis: DVec3| axis - normal * axis.dot(normal);
+                    let up = along(DVec3::Y);
+                    if up.length() > 0.1 { up } else { along(DVec3::Z) }.normalize()
                 };
                 let of = material(rest.faces[face][0]);
-                Some(Membrane {
-                    corners: rest.faces[face],
-                    slopes: [slope(b, c), slope(c, a), slope(a, b)],
-                    area: 0.5 * cross.length(),
-                    stiffness: of.stretch,
-                    damping: of.damping,
-                })
+                Membrane::new(rest, face, (of.stretch, of.damping), warp)
             })
             .collect();
         let hinges: Vec<Hinge> = hinges(&rest.faces)
@@ -127,9 +118,7 @@ impl ElasticForces {
             .collect();
         let mut in_membranes = vec![Vec::new(); rest.vertices.len()];
         for (element, membrane) in membranes.iter().enumerate() {
-            for (corner, &v) in membrane.corners.iter().enumerate() {
-                in_membranes[v as usize].push((element as u32, corner as u8));
-            }
+            membrane.enter(element, &mut in_membranes);
         }
         let mut in_hinges = vec![Vec::new(); rest.vertices.len()];
         for (element, hinge) in hinges.iter().enumerate() {
@@ -144,6 +133,41 @@ impl ElasticForces {
             hinges,
             in_membranes,
             in_hinges,
+        }
+    }
+
+    /// Makes the cloth bend as two layers that do not slide on each other where the `shares` of vertices
+    /// are 1.
+    pub(super) fn double(&mut self, shares: &[f64]) {
+        for hinge in &mut self.hinges {
+            // The ends of the edge that bends.
+            let [a, b, ..] = hinge.corners.map(|v| shares[v as usize]);
+            hinge.stiffness *= 1.0 + (BONDED - 1.0) * a.midpoint(b);
+        }
+    }
+
+    /// Adds the forces of an elastic to those of a cloth with the rest surface `rest`; `material` is of a
+    /// vertex.
+    pub(super) fn gather<'a>(
+        &mut self,
+        rest: &SurfaceMesh,
+        material: impl Fn(u32) -> &'a ClothMaterial,
+        band: &ElasticBand,
+    ) {
+        let none = StretchStiffness { weft: 0.0, warp: 0.0, coupling: 0.0, shear: 0.0 };
+        let stiffness = StretchStiffness { warp: band.stiffness, ..none };
+        for &(face, along) in &band.faces {
+            let face = face as usize;
+            let damping = material(rest.faces[face][0]).damping;
+            let made = Membrane::new(rest, face, (stiffness, damping), |_| along);
+            let Some(mut membrane) = made else { continue };
+            for slope in &mut membrane.slopes {
+                slope.y /= band.ratio;
+            }
+            membrane.area *= band.ratio;
+            membrane.enter(self.membranes.len(), &mut self.in_membranes);
+            self.membranes.push(membrane);
+            self.membrane_states.push(MembraneState::default());
         }
     }
 
@@ -261,7 +285,44 @@ fn outer_single(a: Vec3, b: Vec3) -> Mat3 {
     Mat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
+/// Bending stiffness of two layers of cloth that do not slide on each other, relative to one: it grows
+/// with the cube of the thickness.
+const BONDED: f64 = 8.0;
+
 impl Membrane {
+    /// A face of the surface `rest` with the direction of the warp for its normal, a unit vector in its
+    /// plane; nothing if it has no area.
+    fn new(
+        rest: &SurfaceMesh,
+        face: usize,
+        (stiffness, damping): (StretchStiffness, f64),
+        warp: impl Fn(DVec3) -> DVec3,
+    ) -> Option<Self> {
+        let [a, b, c] = rest.corners(face);
+        let cross = (b - a).cross(c - a);
+        let normal = cross.try_normalize()?;
+        let warp = warp(normal);
+        let weft = warp.cross(normal);
+        let slope = |from: DVec3, to: DVec3| {
+            let across = normal.cross(to - from) / cross.length();
+            DVec2::new(across.dot(weft), across.dot(warp))
+        };
+        Some(Self {
+            corners: rest.faces[face],
+            slopes: [slope(b, c), slope(c, a), slope(a, b)],
+            area: 0.5 * cross.length(),
+            stiffness,
+            damping,
+        })
+    }
+
+    /// Enters the membrane, the `element` of its list, among the uses of its corners.
+    fn enter(&self, element: usize, uses: &mut [Vec<(u32, u8)>]) {
+        for (corner, &v) in self.corners.iter().enumerate() {
+            uses[v as usize].push((element as u32, corner as u8));
+        }
+    }
+
     /// Images of the unit vectors along weft and warp under a map of the corners.
     fn images(&self, of: &[DVec3]) -> [DVec3; 2] {
         let (mut weft, mut warp) = (DVec3::ZERO, DVec3::ZERO);

@@ -6,6 +6,7 @@ use serde::Serialize;
 use super::{
     isosurface::surface_nets,
     pattern::{cut, fair},
+    reinforce::CUFF,
 };
 use crate::{Error, Result};
 use cape_core::{
@@ -58,6 +59,10 @@ pub struct Garment {
     pub sleeve: f64,
     /// Length of the edges, metres.
     pub resolution: f64,
+    /// Width of the hems, metres: bands along all edges in which the cloth is double.
+    pub hem: f64,
+    /// True for elastic cuffs at the ends of sleeves, or of legs.
+    pub cuffs: bool,
 }
 
 /// A garment mesh around a body in the A-pose, arms lowered by 45°: sleeves that are sewn in the
@@ -68,6 +73,8 @@ pub struct GarmentMesh {
     pub surface: SurfaceMesh,
     /// Vertices of the elastic waistband, ascending; empty if the garment hangs on the shoulders.
     pub waistband: Vec<u32>,
+    /// Vertices of the elastic cuffs, ascending; empty if the garment has none.
+    pub cuffs: Vec<u32>,
     /// Unclothed rest shape of the body that it is sewn for, metres, `[V, 3]`.
     pub body: Array2<f64>,
     /// Cut.
@@ -116,16 +123,21 @@ impl GarmentMesh {
         };
         let normals = self.surface.vertex_normals();
         let mut sewn = Self { garment: *size, ..self.clone() };
-        for (p, normal) in sewn.surface.vertices.iter_mut().zip(normals) {
+        let mut cuffs = Vec::new();
+        for (v, (p, normal)) in sewn.surface.vertices.iter_mut().zip(normals).enumerate() {
+            let at = *p;
             let arm = solid.closest(*p, f64::INFINITY).map_or(0.0, |near| on_arms(&near));
             let beyond = from.sleeve_coordinates(*p).0.max(0.0) * arm;
             let outward = DVec3::new(from.arm.x * p.x.signum(), from.arm.y, from.arm.z);
             let below = (from.waist - p.y).max(0.0);
-            *p += normal * (to.ease_at(*p) - from.ease_at(*p));
             *p += outward * (beyond * (sleeves - 1.0));
             p.y -= below * (longer - 1.0);
+            if to.on_cuff(*p) {
+                cuffs.push(v as u32);
+            }
+            *p += normal * (to.ease_at(*p) - from.ease_at(at));
         }
-        Ok(sewn)
+        Ok(Self { cuffs, ..sewn })
     }
 }
 
@@ -138,7 +150,7 @@ impl Garment {
             GarmentKind::Skirt => (0.85, 1.12, 0.0),
             GarmentKind::Dress => (0.85, 1.15, 0.3),
         };
-        Self { kind, length, width, sleeve, resolution: 0.02 }
+        Self { kind, length, width, sleeve, resolution: 0.02, hem: 0.02, cuffs: false }
     }
 
     /// Semantic parameters for regression: length, width, sleeve, `[3]`.
@@ -176,8 +188,11 @@ impl Garment {
         let boundary = surface.boundary();
         let high = 0.5 * (cutting.waist + cutting.hem);
         let on_band = |v: &usize| cutting.banded && boundary[*v] && surface.vertices[*v].y > high;
-        let waistband = (0..boundary.len()).filter(on_band).map(|v| v as u32).collect();
-        Ok(GarmentMesh { surface, waistband, body: shape.clone(), garment: *self })
+        let all = 0..boundary.len();
+        let waistband = all.clone().filter(on_band).map(|v| v as u32).collect();
+        let on_cuff = |v: &usize| cutting.on_cuff(surface.vertices[*v]);
+        let cuffs = all.filter(on_cuff).map(|v| v as u32).collect();
+        Ok(GarmentMesh { surface, waistband, cuffs, body: shape.clone(), garment: *self })
     }
 
     fn check(&self, model: &SmplModel) -> Result<()> {
@@ -192,12 +207,16 @@ impl Garment {
             ("width", self.width, 1.02..=2.0),
             ("sleeve", self.sleeve, 0.0..=2.0),
             ("resolution", self.resolution, 0.005..=0.05),
+            ("hem", self.hem, 0.0..=0.1),
         ] {
             if !range.contains(&value) {
                 return Err(Error::argument(format!(
                     "garment: {name} {value}, expected {range:?}"
                 )));
             }
+        }
+        if self.cuffs && self.kind == GarmentKind::Skirt {
+            return Err(Error::argument("garment: a skirt with cuffs, expected sleeves or legs"));
         }
         Ok(())
     }
@@ -209,6 +228,8 @@ struct GarmentOutline {
     ease: f64,
     /// True for garments with a waistband.
     banded: bool,
+    /// True for garments with elastic cuffs.
+    cuffs: bool,
     top: f64,
     hem: f64,
     /// Length of the sleeves from the shoulder, and the left shoulder and direction of its upper arm.
@@ -237,7 +258,7 @@ const ARM: f64 = 0.07;
 /// Height of the collar above the neck joint, metres.
 const SHOULDERS: f64 = 0.06;
 
-/// Ease of the waistband, and distance below it at which the ease of the garment is reached, metres.
+/// Ease of waistband and cuffs, and distance from them at which the ease of the garment is reached, metres.
 const BAND: [f64; 2] = [0.005, 0.08];
 
 /// Radius of the torso at width 1, metres.
@@ -268,6 +289,7 @@ impl GarmentOutline {
             kind: garment.kind,
             ease,
             banded,
+            cuffs: garment.cuffs,
             top,
             hem,
             sleeve: garment.sleeve * shoulder.distance(elbow),
@@ -283,14 +305,33 @@ impl GarmentOutline {
         }
     }
 
-    /// Distance of the garment from the body at a point, metres; less towards a waistband.
+    /// Distance of the garment from the body at a point, metres; less towards a waistband and cuffs.
     fn ease_at(&self, p: DVec3) -> f64 {
-        let t = ((self.waist - p.y) / BAND[1]).clamp(0.0, 1.0);
-        if self.banded {
-            BAND[0] + (self.ease - BAND[0]) * t * t * (3.0 - 2.0 * t)
-        } else {
-            self.ease
+        let band = if self.banded { self.waist - p.y } else { f64::INFINITY };
+        let t = (band.min(self.above_cuff(p)) / BAND[1]).clamp(0.0, 1.0);
+        BAND[0] + (self.ease - BAND[0]) * t * t * (3.0 - 2.0 * t)
+    }
+
+    /// Distance of a point from the cuff along the limb, metres, negative on the cuff; infinite away from
+    /// limbs with cuffs.
+    fn above_cuff(&self, p: DVec3) -> f64 {
+        if !self.cuffs {
+            return f64::INFINITY;
         }
+        match self.kind {
+            GarmentKind::Skirt => f64::INFINITY,
+            GarmentKind::Shorts => p.y - self.hem - CUFF,
+            GarmentKind::TShirt | GarmentKind::Dress => {
+                let (beyond, off) = self.sleeve_coordinates(p);
+                let on_arm = beyond > 0.0 && off < ARM + self.ease;
+                if on_arm { self.sleeve - beyond - CUFF } else { f64::INFINITY }
+            }
+        }
+    }
+
+    /// True on cuffs.
+    fn on_cuff(&self, p: DVec3) -> bool {
+        self.above_cuff(p) < 1e-6
     }
 
     /// Coordinate of a point along the upper arm from the shoulder, and its distance from the axis,

@@ -1,7 +1,7 @@
 //! Garments over a moving body, simulated by linearly implicit steps (Baraff and Witkin 1998).
 //!
 //! A step solves for velocities under stretch and shear of triangles with orthotropic stiffness,
-//! bending by dihedral angles, gravity, drag and the attachment of a waistband; then it resolves
+//! bending by dihedral angles, hems, elastic cuffs, gravity, drag and the attachment of a waistband; then it resolves
 //! contact with the body at vertices and at the centres of faces, self-collision, and last the strain
 //! limit of edges. The order of sums is fixed, so that results do not depend on the number of threads.
 //!
@@ -37,6 +37,7 @@ mod penetration;
 #[cfg(test)]
 mod physics_tests;
 mod point_grid;
+mod reinforce;
 mod self_collision;
 mod sheet;
 mod simulate;
@@ -47,11 +48,12 @@ pub use cape_core::{Error, Result};
 
 /// Version of the simulator: results of different versions differ, and must not be mixed in one set. The
 /// first version had no number.
-pub const SIMULATOR_VERSION: u32 = 4;
+pub const SIMULATOR_VERSION: u32 = 5;
 
 pub use contact::Contact;
 pub use garment::{Garment, GarmentKind, GarmentMesh};
 pub use material::{ClothMaterial, StretchStiffness};
 pub use penetration::Penetration;
+pub use reinforce::ElasticBand;
 pub use sheet::Cloth;
 pub use simulate::{SimulatedGarment, SimulationOptions, SimulationQuality, StepReport};

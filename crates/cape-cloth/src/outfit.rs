@@ -1,7 +1,7 @@
 use cape_core::geometry::{SurfaceIndex, SurfaceMesh};
 use glam::DVec3;
 
-use super::{ClothMaterial, GarmentMesh};
+use super::{ClothMaterial, ElasticBand, GarmentMesh};
 
 /// Distance beyond the mean of the thicknesses at which an outer garment begins, metres.
 const APART: f64 = 0.003;
@@ -33,6 +33,22 @@ pub(super) fn attached_waistbands(
         first += surface.vertices.len() as u32;
     }
     all
+}
+
+/// Shares of hems by vertex, and the elastic of all cuffs; vertices and faces of the garments follow one
+/// another.
+pub(super) fn reinforcements(outfit: &[(&GarmentMesh, &ClothMaterial)]) -> (Vec<f64>, ElasticBand) {
+    let mut hems = Vec::new();
+    let mut cuffs = ElasticBand::default();
+    let mut first = 0;
+    for (garment, _) in outfit {
+        hems.extend(garment.hem_shares());
+        let own = garment.elastic_cuffs();
+        let faces = own.faces.iter().map(|&(face, along)| (first + face, along));
+        cuffs = ElasticBand { faces: cuffs.faces.into_iter().chain(faces).collect(), ..own };
+        first += garment.surface.faces.len() as u32;
+    }
+    (hems, cuffs)
 }
 
 /// Vertices of garments from the inner to the outer one, each moved outside the ones before it, metres.

@@ -5,7 +5,7 @@ use cape_core::geometry::{SurfaceMesh, primitives::grid};
 use glam::{DVec3, Mat3};
 
 use crate::{
-    Cloth, ClothMaterial, SimulationOptions, StretchStiffness,
+    Cloth, ClothMaterial, ElasticBand, SimulationOptions, StretchStiffness,
     elastic::{ElasticForces, dihedral},
 };
 
@@ -21,18 +21,32 @@ fn crumpled(stretched: f64) -> (SurfaceMesh, Vec<DVec3>) {
     (rest, at)
 }
 
+/// Forces of a sheet that is partly double, with elastic on every other face.
+fn reinforced(rest: &SurfaceMesh, material: &ClothMaterial) -> ElasticForces {
+    let mut elastic = ElasticForces::new(rest, |_| material);
+    elastic.double(&rest.vertices.iter().map(|x| (x.x / 0.06).clamp(0.0, 1.0)).collect::<Vec<_>>());
+    let along = DVec3::new(0.8, 0.6, 0.0);
+    let faces = (0..rest.faces.len() as u32).step_by(2).map(|face| (face, along)).collect();
+    elastic.gather(rest, |_| material, &ElasticBand { faces, ratio: 0.7, stiffness: 250.0 });
+    elastic
+}
+
 #[test]
 fn forces_are_derivatives_of_the_energy() {
     let (rest, at) = crumpled(1.05);
-    let mut elastic = ElasticForces::new(&rest, |_| &ClothMaterial::DENIM);
+    forces_follow_the_energy(ElasticForces::new(&rest, |_| &ClothMaterial::DENIM), &at);
+    forces_follow_the_energy(reinforced(&rest, &ClothMaterial::DENIM), &at);
+}
+
+fn forces_follow_the_energy(mut elastic: ElasticForces, at: &[DVec3]) {
     let still = vec![DVec3::ZERO; at.len()];
-    elastic.linearise(&at, &still, 1.0);
+    elastic.linearise(at, &still, 1.0);
     let step = 1e-6;
     for v in 0..at.len() {
         let force = elastic.impulse(v);
         for axis in 0..3 {
             let energy = |by: f64| {
-                let mut moved = at.clone();
+                let mut moved = at.to_vec();
                 moved[v][axis] += by;
                 elastic.energy(&moved)
             };
@@ -48,18 +62,22 @@ fn stiffness_is_the_derivative_of_forces_under_tension() {
     // Without bending, whose second derivatives of the angle are left out.
     let (rest, at) = crumpled(1.2);
     let material = ClothMaterial { bend: 0.0, damping: 0.0, ..ClothMaterial::DENIM };
-    let mut elastic = ElasticForces::new(&rest, |_| &material);
+    stiffness_follows_the_forces(ElasticForces::new(&rest, |_| &material), &at);
+    stiffness_follows_the_forces(reinforced(&rest, &material), &at);
+}
+
+fn stiffness_follows_the_forces(mut elastic: ElasticForces, at: &[DVec3]) {
     let still = vec![DVec3::ZERO; at.len()];
     let stencils = elastic.stencils();
     let step = 1e-7;
     for (v, stencil) in stencils.iter().enumerate() {
-        elastic.linearise(&at, &still, 1.0);
+        elastic.linearise(at, &still, 1.0);
         let mut row = vec![Mat3::ZERO; stencil.len()];
         elastic.add_stiffness(&elastic.contributions(v, stencil), &mut row);
         for (block, &other) in row.iter().zip(stencil) {
             for axis in 0..3 {
                 let mut force = |by: f64| {
-                    let mut moved = at.clone();
+                    let mut moved = at.to_vec();
                     moved[other as usize][axis] += by;
                     elastic.linearise(&moved, &still, 1.0);
                     elastic.impulse(v)
@@ -73,9 +91,9 @@ fn stiffness_is_the_derivative_of_forces_under_tension() {
                 // Damping impulses are of the same matrix.
                 let mut moving = still.clone();
                 moving[other as usize][axis] = 1.0;
-                elastic.linearise(&at, &still, 1.0);
+                elastic.linearise(at, &still, 1.0);
                 let resting = elastic.impulse(v);
-                elastic.linearise(&at, &moving, 1.0);
+                elastic.linearise(at, &moving, 1.0);
                 let damped = elastic.impulse(v) - resting + block.col(axis).as_dvec3();
                 assert!(damped.length() < 1e-4 * (1.0 + expected.length()), "{v} {other}");
             }
@@ -196,8 +214,14 @@ fn even_strip(long: usize, wide: usize, row: f64) -> SurfaceMesh {
 fn an_overhang_of_two_bending_lengths_bends_by_the_angle_of_the_standard() {
     // Peirce's cantilever: the chord of an overhang of twice the bending length (B/ρg)^⅓ is 41.5°
     // below the horizontal (ASTM D1388).
-    for material in [ClothMaterial::default(), ClothMaterial::DENIM] {
-        let overhang = 2.0 * (material.bend / (material.density * 9.81)).cbrt();
+    // Double cloth, as in hems, has twice the weight and the rigidity of twice the thickness.
+    for (material, [mass, rigidity]) in [
+        (ClothMaterial::default(), [1.0, 1.0]),
+        (ClothMaterial::DENIM, [1.0, 1.0]),
+        (ClothMaterial::default(), [2.0, 8.0]),
+    ] {
+        let (bend, weight) = (rigidity * material.bend, mass * material.density * 9.81);
+        let overhang = 2.0 * (bend / weight).cbrt();
         for cells in [4.0, 6.0, 10.0] {
             // A hinge stands for half an edge on both sides: the clamp is half an edge before the last
             // fixed row.
@@ -205,6 +229,9 @@ fn an_overhang_of_two_bending_lengths_bends_by_the_angle_of_the_standard() {
             let surface = even_strip(cells as usize + 1, 12, edge);
             let slack = ClothMaterial { damping: 0.02, ..material };
             let mut cloth = Cloth::new(&surface, &slack).unwrap();
+            if mass > 1.0 {
+                cloth = cloth.with_double(&vec![1.0; surface.vertices.len()]);
+            }
             for (v, x) in surface.vertices.iter().enumerate() {
                 cloth.positions[v] = DVec3::new(x.x - edge, 0.0, x.y);
                 if x.x < 1.5 * edge {
@@ -218,6 +245,28 @@ fn an_overhang_of_two_bending_lengths_bends_by_the_angle_of_the_standard() {
             println!("overhang {overhang:.4} m in {cells} cells: {angle:.1}°");
             assert!((angle - 41.5).abs() < 2.0, "{cells}: {angle}°");
         }
+    }
+}
+
+#[test]
+fn elastic_gathers_cloth_to_the_balance_of_both() {
+    let stretch = StretchStiffness { coupling: 0.0, ..ClothMaterial::default().stretch };
+    let material = ClothMaterial { stretch, damping: 0.02, ..ClothMaterial::default() };
+    let surface = strip([0.2, 0.04], 0.01);
+    for (ratio, stiffness) in [(0.8, 250.0), (0.6, 250.0), (0.8, 2000.0)] {
+        let faces = (0..surface.faces.len() as u32).map(|face| (face, DVec3::X)).collect();
+        let band = ElasticBand { faces, ratio, stiffness };
+        let mut cloth = Cloth::new(&surface, &material).unwrap().with_elastic(&band);
+        (0..1200).for_each(|_| cloth.step(1.0 / 600.0, DVec3::ZERO, None));
+        // Stretched by λ, cloth and elastic have C/2 (λ² − 1)² / 4 and k r/2 (λ²/r² − 1)² / 4 per area.
+        let cloth_stiffness = stretch.weft;
+        let expected = ((cloth_stiffness + stiffness / ratio)
+            / (cloth_stiffness + stiffness / ratio.powi(3)))
+        .sqrt();
+        let along = cloth.positions.iter().map(|x| x.x);
+        let found = along.clone().fold(f64::MIN, f64::max) - along.fold(f64::MAX, f64::min);
+        println!("ratio {ratio}, {stiffness} N/m: {:.4}, {expected:.4}", found / 0.2);
+        assert!((found / 0.2 / expected - 1.0).abs() < 0.01, "{found} {expected}");
     }
 }
 

@@ -7,6 +7,7 @@ use super::{
     elastic::{ElasticForces, outer},
     implicit::{ImplicitStep, PointForce},
     material::ClothMaterial,
+    reinforce::ElasticBand,
     self_collision::{SelfCollision, crossings},
 };
 use crate::{Error, Result};
@@ -138,6 +139,38 @@ impl Cloth {
             folds: None,
             limit: f64::INFINITY,
         })
+    }
+
+    /// Makes the cloth double where the shares of vertices, `[vertices]`, 0 to 1, are 1, as in hems: twice
+    /// the mass, and the bending stiffness of two layers that do not slide on each other, eight times that
+    /// of one. Hems are sewn to give in the plane, where the stiffness stays that of one layer.
+    ///
+    /// ```
+    /// use cape_cloth::{Cloth, ClothMaterial};
+    /// use cape_core::geometry::primitives::sphere;
+    ///
+    /// let single = Cloth::new(&sphere(0.1, 1), &ClothMaterial::DENIM)?;
+    /// let double = single.clone().with_double(&vec![1.0; single.positions.len()]);
+    /// assert_eq!(double.mass(0), 2.0 * single.mass(0));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[must_use]
+    pub fn with_double(mut self, shares: &[f64]) -> Self {
+        for (inverse, share) in self.inverse_masses.iter_mut().zip(shares) {
+            *inverse /= 1.0 + share;
+        }
+        self.elastic.double(shares);
+        self
+    }
+
+    /// Sews elastic onto faces of the cloth, such as those of cuffs.
+    #[must_use]
+    pub fn with_elastic(mut self, band: &ElasticBand) -> Self {
+        let rest = SurfaceMesh { vertices: self.rest.clone(), faces: self.faces.clone() };
+        let material = |v: u32| &self.materials[usize::from(self.layers[v as usize])];
+        self.elastic.gather(&rest, material, band);
+        self.solver = ImplicitStep::new(&self.elastic);
+        self
     }
 
     /// Enables self-collision: vertices keep `distance` metres from faces and edges from edges, or

@@ -10,7 +10,7 @@ use super::{
     Cloth, ClothMaterial, Contact, GarmentMesh, Penetration,
     contact::displacements,
     garment::{sewing_body, sewing_pose},
-    outfit::{attached_waistbands, part},
+    outfit::{attached_waistbands, part, reinforcements},
 };
 use crate::{Error, Result};
 use cape_core::{
@@ -259,6 +259,8 @@ impl SimulationOptions {
         let sheets: Vec<_> = outfit.iter().map(|(g, material)| (&g.surface, *material)).collect();
         let mut cloth =
             Cloth::layered(&sheets)?.with_strain_limit(self.strain_limit).with_air(self.air);
+        let (hems, cuffs) = reinforcements(outfit);
+        cloth = cloth.with_double(&hems).with_elastic(&cuffs);
         if self.self_collision {
             cloth = cloth.with_layer_collision();
         }

@@ -295,6 +295,78 @@ fn garments_are_sewn_around_the_body() {
     assert!(wrong.sew(&model, &shape).unwrap_err().to_string().contains("width"));
 }
 
+#[test]
+fn cuffs_hold_sleeves_and_legs_at_the_limbs() {
+    let model = synthetic_body();
+    let shape = model.rest_shape(&[]).unwrap();
+    let at_rest = Motion::MoveArms.pose(&MotionStyle::default(), 0.0);
+    let poses = Array2::from_shape_fn((12, 72), |(_, k)| at_rest[k]);
+    let motion = BodyMotion::new(30.0, poses, Array2::zeros((12, 3))).unwrap();
+    let posed = model.pose_shape(&shape, &at_rest, [0.0; 3], None).unwrap();
+    let body = SurfaceMesh::from_rows("body", posed.vertices.view(), &model.faces).unwrap();
+    let solid = SurfaceIndex::new(&body);
+    for kind in [GarmentKind::TShirt, GarmentKind::Shorts] {
+        let long = Garment { resolution: 0.025, width: 1.2, ..Garment::new(kind) };
+        let long = match kind {
+            GarmentKind::TShirt => Garment { sleeve: 1.75, ..long },
+            _ => Garment { length: 1.8, ..long },
+        };
+        let [loose, cuffed] = [false, true].map(|cuffs| {
+            let sewn = Garment { cuffs, ..long }.sew(&model, &shape).unwrap();
+            assert_eq!(sewn.cuffs.is_empty(), !cuffs);
+            let ends = Garment { cuffs: true, ..long }.sew(&model, &shape).unwrap().cuffs;
+            let options = SimulationOptions { settle: 0.5, ..SimulationOptions::default() };
+            let worn = (&sewn, &ClothMaterial::default());
+            let result = options.run(&model, &shape, worn, &motion, &mut |_, _| {}).unwrap();
+            let last = result.frames.index_axis(ndarray::Axis(0), 11);
+            let gap = |&v: &u32| {
+                let row = last.row(v as usize);
+                solid.closest(DVec3::new(row[0], row[1], row[2]), 1.0).unwrap().signed_distance
+            };
+            println!("{kind:?} cuffs {cuffs}: {:?}", result.quality());
+            // The outermost point around each limb.
+            ends.iter().map(gap).fold(0.0, f64::max)
+        });
+        println!(
+            "{kind:?}: {:.1} mm from the limb, with cuffs {:.1} mm",
+            1e3 * loose,
+            1e3 * cuffed
+        );
+        assert!(cuffed < 0.012 && loose > 2.0 * cuffed, "{kind:?} {loose} {cuffed}");
+    }
+    let skirt = Garment { cuffs: true, ..Garment::new(GarmentKind::Skirt) };
+    assert!(skirt.sew(&model, &shape).unwrap_err().to_string().contains("cuffs"));
+}
+
+#[test]
+fn hems_lie_along_the_edges() {
+    let model = synthetic_body();
+    let shape = model.rest_shape(&[]).unwrap();
+    for resolution in [0.02, 0.03] {
+        let shirt = Garment { resolution, hem: 0.03, ..Garment::new(GarmentKind::TShirt) };
+        let sewn = shirt.sew(&model, &shape).unwrap();
+        let shares = sewn.hem_shares();
+        let boundary = sewn.surface.boundary();
+        assert!(shares.iter().zip(&boundary).all(|(&share, &edge)| !edge || share == 1.0));
+        // Their area is the length of the edges times the width.
+        let (mut area, mut length) = (0.0, 0.0);
+        let across = sewn.surface.neighbours();
+        for (face, across) in across.iter().enumerate() {
+            let corners = sewn.surface.corners(face);
+            let [a, b, c] = corners;
+            let mean =
+                sewn.surface.faces[face].iter().map(|&v| shares[v as usize]).sum::<f64>() / 3.0;
+            area += 0.5 * (b - a).cross(c - a).length() * mean;
+            let sides = (0..3).filter(|&side| across[side].is_none());
+            length += sides.map(|s| corners[s].distance(corners[(s + 1) % 3])).sum::<f64>();
+        }
+        println!("edges {resolution}: hems {:.4} m² along {length:.3} m", area);
+        assert!((area / (0.03 * length) - 1.0).abs() < 0.15, "{area} {length}");
+        let none = Garment { hem: 0.0, ..shirt }.sew(&model, &shape).unwrap();
+        assert!(none.hem_shares().iter().all(|&share| share == 0.0));
+    }
+}
+
 /// Number of closed boundary curves.
 fn boundary_rings(surface: &SurfaceMesh) -> usize {
     let mut next = std::collections::HashMap::new();

@@ -3,7 +3,8 @@
 //! [`Smplify`] fits an unclothed body to [`Keypoints`] seen by a [`PinholeCamera`], with a
 //! [`PosePrior`]. [`Smplify::fit_clothed`] continues with a clothed body ([`DressedBody`], of a
 //! trained model) and the [silhouette] in a [`Mask`]. [`aligned_error`] compares a fit with the
-//! ground truth. [`scan`] fits clothed bodies to point clouds and meshes.
+//! ground truth. [`scan`] fits clothed bodies to point clouds and meshes; [`GarmentTracker`] lays a
+//! template of a garment onto the scans of a sequence.
 //!
 //! The camera is at the origin and looks along −z, y up; a body without global orientation faces
 //! it. Units are metres, radians and pixels. Energies and gradients are in `f64`; the clothed body
@@ -39,6 +40,7 @@ mod config;
 mod depth_ambiguity;
 mod dressed_body;
 mod error;
+mod garment;
 mod initial;
 pub mod keypoints;
 mod parameters;
@@ -66,6 +68,7 @@ pub use clothed_config::{ClothedConfig, ClothedTerms, SilhouetteLevel};
 pub use config::FitConfig;
 pub use dressed_body::{DressedBody, DressedGradient, DressedSurface, FixedClothing};
 pub use error::{Error, Result};
+pub use garment::{GarmentConfig, GarmentFit, GarmentStage, GarmentTracker};
 pub use keypoints::{
     Keypoint, KeypointLayout, KeypointOptions, Keypoints, People, Person, read_keypoints,
     read_keypoints_with,

@@ -86,6 +86,10 @@ pub struct CapeConfig {
     pub decoder: DecoderBlock,
     /// Places of the decoder that receive the conditions.
     pub decoder_conditions: DecoderConditions,
+    /// True if the decoder adds a linear function of the code and its conditions to the displacements
+    /// of all vertices, which have detail of their own then from the first step on.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub linear_path: bool,
     /// True for a VAE, whose code is sampled in training; false for an auto-encoder, whose code is
     /// the mean.
     pub variational: bool,
@@ -160,6 +164,7 @@ impl CapeConfig {
             encoder_residual: false,
             decoder: DecoderBlock::Residual,
             decoder_conditions: DecoderConditions::Everywhere,
+            linear_path: false,
             variational: true,
             deviation: default_deviation(),
             group_channels: None,

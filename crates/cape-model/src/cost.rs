@@ -8,7 +8,7 @@ use crate::{
 /// Floating-point operations of one update of generator and discriminator on batches of `batch`
 /// examples, with two operations per multiply-add. `generator` and `discriminator` are the numbers
 /// of vertices of each level of their pyramids. `None` for architectures other than the paper's:
-/// residual decoders behind plain encoders without conditions.
+/// residual decoders without a linear path behind plain encoders without conditions.
 ///
 /// Counted are the dense products, forward and backward, of the cheapest equivalent formulation:
 /// - convolutions only at the vertices that pooling keeps;
@@ -31,6 +31,7 @@ pub fn update_flops(
 ) -> Option<f64> {
     if config.encoder_residual
         || config.encoder_conditions
+        || config.linear_path
         || config.decoder != DecoderBlock::Residual
     {
         return None;

@@ -76,6 +76,9 @@ pub struct Decoder {
     pub output: ChebConv,
     /// Bias per vertex and coordinate, `[vertices, 3]`.
     pub output_bias: Param<Tensor<2>>,
+    /// Linear map from the code and its conditions to the displacements of all vertices,
+    /// `[code, 3 · vertices]`, which is added to them.
+    pub linear_path: Option<Param<Tensor<2>>>,
     code_conditioned: bool,
     blocks_conditioned: bool,
 }
@@ -119,6 +122,7 @@ impl Decoder {
             blocks,
             output: ChebConv::new(width + extra, 3, config.order, init),
             output_bias: init.constant(0.1, [vertices, 3]),
+            linear_path: config.linear_path.then(|| init.glorot([code, 3 * vertices])),
             code_conditioned,
             blocks_conditioned: extra > 0,
         }
@@ -151,6 +155,7 @@ impl Decoder {
         let levels = self.blocks.len();
         let coarse = graph.vertices()[levels];
 
+        let linear = self.linear_path.as_ref().map(|path| code.clone().matmul(path.val()));
         let x = leaky_relu(self.input.forward(code), LEAKY_SLOPE);
         let [batch, flat] = x.dims();
         let mut x = x.reshape([batch, coarse, flat / coarse]);
@@ -164,6 +169,13 @@ impl Decoder {
             tap(i, &x);
         }
         let x = self.output.forward(x, condition, graph.graph(0));
-        x + self.output_bias.val().unsqueeze()
+        let x = x + self.output_bias.val().unsqueeze();
+        match linear {
+            Some(linear) => {
+                let shape = x.dims();
+                x + linear.reshape(shape)
+            }
+            None => x,
+        }
     }
 }

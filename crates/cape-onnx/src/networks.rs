@@ -139,7 +139,14 @@ fn decode(
     }
     let output = HostConv::new(&decoder.output);
     let products = products(graph, &[&output], &x, condition, |_, x| x.clone())?;
-    let x = chebyshev_sum(graph, &products, &levels.graphs[0]);
+    let mut x = chebyshev_sum(graph, &products, &levels.graphs[0]);
+    if let Some(path) = &decoder.linear_path {
+        let [size, flat] = path.val().dims();
+        let weight = graph.constants(&[size, flat], &to_host(path.val()));
+        let linear = graph.matmul(&code, &weight);
+        let linear = graph.reshape(&linear, &[flat / 3, 3]);
+        x = graph.add(&x, &linear);
+    }
 
     // Bias, deviation and mean of each coordinate as one scale and offset.
     let statistics = model.statistics();

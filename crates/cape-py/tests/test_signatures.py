@@ -19,6 +19,7 @@ OTHER_NAMES = {
     "train": [cape.train, cape.check, cape.find_rate],
     "layer predict": [cape.layer.predict, cape.layer.predict_random],
     "fit image": [cape.fit.image, cape.fit.images],
+    "fit scan": [cape.fit.scan, cape.fit.garment],
     "fit benchmark image": [cape.fit.benchmark_image],
     "fit benchmark scan": [cape.fit.benchmark_scan],
 }

@@ -16,6 +16,9 @@ const LAYERS: f64 = 0.05;
 /// smallest strains only, would stretch under their own weight by more than real ones.
 const TROUSERS: [ClothMaterial; 1] = [ClothMaterial::DENIM];
 
+/// Share of long-sleeved shirts, and of long trousers of a fabric other than denim, with elastic cuffs.
+const CUFFED: [f64; 2] = [0.5, 0.5];
+
 /// Garments of one subject in one outfit: cuts, size and material.
 ///
 /// ```
@@ -64,9 +67,12 @@ impl OutfitCut {
             sleeve: if lengths.long_sleeves { between(1.65, 1.85) } else { between(0.45, 0.8) },
             ..Garment::new(GarmentKind::TShirt)
         };
-        let upper_material = fabric(&[], rng);
-        let lower_material = fabric(&TROUSERS, rng);
+        let (_, upper_material) = fabric(&[], rng);
+        let (cloth, lower_material) = fabric(&TROUSERS, rng);
         let size = betas.iter().map(|beta| 0.9 * beta + 0.15 * normal(rng)).collect();
+        let upper = Garment { cuffs: lengths.long_sleeves && rng.random_bool(CUFFED[0]), ..upper };
+        let cuffed = lengths.long_legs && rng.random_bool(CUFFED[1]);
+        let lower = Garment { cuffs: cuffed && cloth != ClothMaterial::DENIM, ..lower };
         Ok(Self { upper, lower, upper_material, lower_material, size })
     }
 
@@ -110,18 +116,19 @@ impl SewnOutfit {
     }
 }
 
-/// A fabric of a list, or cotton shirting, with properties of its own.
-fn fabric(fabrics: &[ClothMaterial], rng: &mut ChaCha8Rng) -> ClothMaterial {
+/// A fabric of a list, or cotton shirting, and the same with properties of its own.
+fn fabric(fabrics: &[ClothMaterial], rng: &mut ChaCha8Rng) -> (ClothMaterial, ClothMaterial) {
     let chosen = rng.random_range(0..=fabrics.len());
     let fabric = fabrics.get(chosen).copied().unwrap_or_default();
     let mut about = |spread: f64| (spread * normal(rng)).exp();
-    ClothMaterial {
+    let own = ClothMaterial {
         density: fabric.density * about(0.15),
         stretch: fabric.stretch.scaled(about(0.3)),
         bend: fabric.bend * about(0.4),
         friction: fabric.friction * about(0.2),
         ..fabric
-    }
+    };
+    (fabric, own)
 }
 
 /// Standard normal sample, clamped to ±2.

@@ -172,8 +172,11 @@ fn an_association_is_shown() {
     let line = format!("layer associate {} {options} --out {out} --json", skirt().display());
     let report = run_line(&line).json();
     assert!(report["pairs"].as_u64().unwrap() > 50, "{report}");
-    let change = |k: usize| report["seams"][k]["mean_change"].as_f64().unwrap();
-    assert!(change(1) < change(0), "more body vertices tear the cloth less: {report}");
+    // At seams, which few edges cross, more body vertices tear the cloth less.
+    for measure in ["percentile_99", "largest_change"] {
+        let change = |k: usize| report["seams"][k][measure].as_f64().unwrap();
+        assert!(change(1) < 0.75 * change(0), "{measure}: {report}");
+    }
     for name in ["association.png", "seams.png", "body.ply", "clothing.ply", "association.json"] {
         assert!(fs::metadata(format!("{out}/{name}")).unwrap().len() > 0, "{name}");
     }

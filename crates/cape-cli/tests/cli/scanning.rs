@@ -2,7 +2,8 @@
 
 use std::fs;
 
-use cape::core::{Mesh, npy::write_npy, ply};
+use cape::core::{Mesh, geometry::primitives::grid, npy::write_npy, ply};
+use glam::DVec3;
 use ndarray::Array2;
 
 use crate::support::{Packed, pose_of, small_body, trained, truncate};
@@ -78,6 +79,61 @@ fn scans_that_are_none_are_refused() {
     write_npy(data.at("other.npy"), &Array2::<f64>::zeros((5, 3))).unwrap();
     fit("m.ply", "--minimal-shape @/other.npy").failed_saying(&["other.npy", "[5, 3]"]);
     assert!(!data.at("no").exists());
+}
+
+#[test]
+fn a_garment_is_laid_onto_scans_of_other_triangles() {
+    let data = Packed::new();
+    // A sheet of 60 cm with bumps that rolls up, in millimetres; each scan has a topology of its own.
+    let bent = |u: f64, v: f64, frame: usize| {
+        let angle = 0.001 + 0.15 * frame as f64;
+        let radius = 1.0 / angle;
+        let (along, up) = (angle * u).sin_cos();
+        let bump = 0.04 * (8.0 * u).sin() * (9.0 * v).cos();
+        let rolled = DVec3::new(radius * along, v, radius * (1.0 - up));
+        600.0 * (rolled + bump * DVec3::new(-along, 0.0, up))
+    };
+    let template = grid(13, 13, |u, v| bent(u, v, 0));
+    template.to_mesh().save(data.at("sheet.obj")).unwrap();
+    fs::create_dir(data.at("frames")).unwrap();
+    for frame in 0..8 {
+        let scanned = grid(30 + frame, 25, |u, v| bent(u, v, frame)).to_mesh();
+        scanned.save(data.at(&format!("frames/scan{}.ply", 8 + frame))).unwrap();
+    }
+    let register = |out: &str| {
+        let scans = "--garment @/sheet.obj --scan @/frames --unit mm --json";
+        data.run(&format!("fit scan {scans} --out @/{out}"))
+    };
+    let report = register("tracked").json();
+    let frames = report["frames"].as_array().unwrap();
+    assert_eq!(frames.len(), 8, "{report}");
+    for (frame, entry) in frames.iter().enumerate() {
+        // In natural order: scan9 comes before scan10.
+        let name = format!("scan{}.ply", 8 + frame);
+        assert!(entry["scan"].as_str().unwrap().ends_with(&name), "{entry}");
+        let found = Mesh::load(data.at("tracked").join(&name)).unwrap();
+        assert_eq!(found.faces, template.faces);
+        let truth = grid(13, 13, |u, v| bent(u, v, frame) / 1000.0).vertices;
+        let off = |(a, b): (&[f32; 3], &DVec3)| glam::Vec3::from(*a).as_dvec3().distance(*b);
+        let mean = found.vertices.iter().zip(&truth).map(off).sum::<f64>() / truth.len() as f64;
+        assert!(mean < 0.004, "frame {frame}: {mean}");
+    }
+    assert!(data.at("tracked/garment.png").exists() && data.at("tracked/garment.json").exists());
+    register("again").succeeded();
+    let [a, b] = ["tracked", "again"].map(|out| fs::read(data.at(out).join("scan15.ply")).unwrap());
+    assert!(a == b);
+    let refused = |words: &str| data.run(&format!("fit scan {words} --out @/no"));
+    let frames = "--scan @/frames";
+    refused(&format!("--garment @/sheet.obj {frames} --unit auto")).failed_saying(&["--unit auto"]);
+    refused(&format!("--garment @/lost.obj {frames}")).failed_saying(&["lost.obj"]);
+    refused(&format!("--garment @/sheet.obj {frames} --outfit longlong")).misused(&["--outfit"]);
+    // A template in metres is not near scans of hundreds of metres.
+    refused(&format!("--garment @/tracked/scan8.ply {frames}"))
+        .failed_saying(&["scan8.ply", "no point of the scan"]);
+    fs::create_dir(data.at("empty")).unwrap();
+    refused("--garment @/sheet.obj --scan @/empty").failed_saying(&["empty", "no scans"]);
+    fs::copy(data.at("frames/scan8.ply"), data.at("frames/scan8.obj")).unwrap();
+    refused(&format!("--garment @/sheet.obj {frames} --unit mm")).failed_saying(&["two scans"]);
 }
 
 #[test]

@@ -63,6 +63,11 @@ impl<'a> ScanTarget<'a> {
         &self.tree
     }
 
+    /// Mean spacing of the points, metres; 0 for meshes.
+    pub(crate) fn spacing(&self) -> f64 {
+        self.spacing
+    }
+
     /// Reverses the normals of the scan if most disagree with those of a roughly placed body, or
     /// drops them if they are inconsistent. Returns true if they are kept as they are.
     pub(crate) fn orient(&mut self, vertices: &[DVec3], faces: &[[u32; 3]]) -> bool {

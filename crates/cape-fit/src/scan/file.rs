@@ -88,8 +88,10 @@ impl std::str::FromStr for Unit {
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ScanUnit {
-    /// A known unit.
+    /// A known unit, in which the scan has the size of a person.
     Known(Unit),
+    /// A known unit of a scan of any size, as of a garment.
+    OfAnySize(Unit),
     /// The unit in which the scan is as large as a person; a scan of normalised size, or of a size
     /// that no unit explains, is scaled to 1.7 m.
     Auto,
@@ -293,6 +295,7 @@ impl Scan {
                     remark(extent * unit.metres(), normalised.filter(|_| unit == Unit::M)),
                 )
             }
+            ScanUnit::OfAnySize(unit) => (unit.metres(), None),
             ScanUnit::Auto => found_scale(extent, normalised)?,
         };
         let scale = self.scale;

@@ -6,15 +6,15 @@
 //! model, which gives a [`Registration`]. Scans may have any position and any up axis.
 
 pub mod benchmark;
-mod energy;
+pub(crate) mod energy;
 mod file;
 mod fit;
 mod free_form;
 mod init;
 mod joints;
-mod nearest;
+pub(crate) mod nearest;
 mod registration;
-mod rigid;
+pub(crate) mod rigid;
 pub(crate) mod sample;
 mod stage;
 

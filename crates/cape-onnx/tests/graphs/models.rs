@@ -84,6 +84,10 @@ fn untrained_cases() -> Vec<(&'static str, ClothedModel)> {
             ),
         ),
         (
+            "linear-path",
+            untrained(CapeConfig { linear_path: true, ..tiny.clone() }, Weighting::Release),
+        ),
+        (
             "unconditional",
             untrained(
                 CapeConfig {

@@ -29,7 +29,7 @@ from .model import Model, run_path
 if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
-__all__ = ["Fit", "benchmark_image", "benchmark_scan", "image", "images", "pose_prior", "scan"]
+__all__ = ["Fit", "benchmark_image", "benchmark_scan", "garment", "image", "images", "pose_prior", "scan"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +195,27 @@ def scan(
         if minimal_shape is not None and not _is_path(minimal_shape):
             given["minimal_shape"] = write("minimal.npy", real("minimal_shape", minimal_shape))
         return _fit("fit scan", {**given, "out": folder}, model, "fit.png", "model")
+
+
+def garment(
+    garment: PathLike | Mesh | Any,
+    scan: PathLike,
+    out: PathLike,
+    *,
+    unit: Literal["m", "cm", "mm"] = "m",
+    seed: int | None = None,
+    threads: int | None = None,
+) -> Report:
+    """Lay the mesh of a ``garment`` onto each ``scan`` of a directory, frame by frame.
+
+    The garment is a file or mesh in the ``unit`` of the scans, near its place in the first one. ``out`` receives
+    a mesh with its triangles for each scan, metres, and a picture; :func:`cape.layer.import_` takes it.
+    """
+    given: dict[str, Any] = dict(locals())
+    with _files(out) as (_, write):
+        if not _is_path(garment):
+            given["garment"] = write("garment.ply", Mesh.of(garment))
+        return _program.run("fit scan", given)
 
 
 def pose_prior(

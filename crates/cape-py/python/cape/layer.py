@@ -82,6 +82,8 @@ def synth(
     fps: float = 30.0,
     steps: int = 20,
     resolution: float = 25.0,
+    hem: float = 20.0,
+    cuffs: bool = False,
     exercises: Sequence[Exercise] | None = None,
     styles: int | None = None,
     subjects: Sequence[float] = (0.0,),
@@ -99,10 +101,11 @@ def synth(
     """Simulate a garment over moving bodies, in all combinations of the given values; resumes.
 
     ``frames`` of a sequence at ``fps`` per second with ``steps`` of the simulation in each;
-    ``resolution``, edges of the garment, mm; ``exercises``, all if left out, or all synthetic motions in a
-    number of random ``styles``; ``subjects``, first shape coefficients; ``lengths``, ``widths`` and
-    ``sleeves`` relative to the garment's; ``stiffness``, ``bending``, ``masses``, ``damping`` and
-    ``friction`` relative to cotton shirting; ``with_body`` appends the body's vertices to the meshes.
+    ``resolution``, edges of the garment, and ``hem``, width of its hems, mm; ``cuffs`` adds elastic cuffs;
+    ``exercises``, all if left out, or all synthetic motions in a number of random ``styles``;
+    ``subjects``, first shape coefficients; ``lengths``, ``widths`` and ``sleeves`` relative to the
+    garment's; ``stiffness``, ``bending``, ``masses``, ``damping`` and ``friction`` relative to cotton
+    shirting; ``with_body`` appends the body's vertices to the meshes.
     """
     return _program.run("layer synth", locals())
 

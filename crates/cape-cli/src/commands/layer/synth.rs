@@ -21,7 +21,7 @@ use crate::{
     console::Console,
     error::{Error, Result},
     files,
-    options::{ResumableOutputArgs, at_least_one, choices, positive},
+    options::{ResumableOutputArgs, at_least_one, choices, non_negative, positive},
     table::Table,
 };
 
@@ -68,6 +68,14 @@ struct SimulationPlan {
     /// Edge length of the garment's triangles, mm.
     #[arg(long, default_value_t = 25.0, value_name = "MM", value_parser = positive)]
     resolution: f64,
+    /// Width of the hems, in which the cloth is double, mm; 0 for none.
+    #[arg(long, default_value_t = 20.0, value_name = "MM", value_parser = non_negative)]
+    #[serde(default)]
+    hem: f64,
+    /// Elastic cuffs at the ends of sleeves, or of the legs of shorts.
+    #[arg(long)]
+    #[serde(default)]
+    cuffs: bool,
     /// Exercises [default: all].
     #[arg(
         long,
@@ -151,7 +159,12 @@ fn vary<T: Copy>(values: &[T], ratios: &[f64], change: impl Fn(T, f64) -> T) -> 
 
 impl SimulationPlan {
     fn design(&self) -> Design {
-        let garment = Garment { resolution: 1e-3 * self.resolution, ..Garment::new(self.garment) };
+        let garment = Garment {
+            resolution: 1e-3 * self.resolution,
+            hem: 1e-3 * self.hem,
+            cuffs: self.cuffs,
+            ..Garment::new(self.garment)
+        };
         let sizes = vary(&[garment], &self.lengths, |g, r| Garment { length: g.length * r, ..g });
         let sizes = vary(&sizes, &self.widths, |g, r| Garment { width: g.width * r, ..g });
         let sizes = vary(&sizes, &self.sleeves, |g, r| Garment { sleeve: g.sleeve * r, ..g });

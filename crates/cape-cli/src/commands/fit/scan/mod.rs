@@ -1,3 +1,4 @@
+mod garment;
 mod output;
 mod picture;
 
@@ -32,18 +33,34 @@ use crate::{
 /// commands, and fit.png. --free-displacement then moves every vertex to the scan and adds the
 /// registration to a raw tree for `cape data pack`. Unreliable fits are still written, but the command
 /// exits with an error.
+///
+/// With --garment no body is fitted: the mesh of a garment is laid onto each scan of a directory, from the
+/// frame before, as rigidly as the scans allow. Writes a mesh with the template's triangles for each scan,
+/// garment.json and garment.png; `cape layer import` takes the directory.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape fit scan runs/cape --scan person.ply --outfit longlong --out \
                   fitted\n  cape fit scan runs/cape --scan person.obj --unit mm --up z --pose a-pose \
-                  --free-displacement --out registered"
+                  --free-displacement --out registered\n  cape fit scan --garment \
+                  scans/skirt_01/0000.ply --scan scans/skirt_01 --out tracked"
 )]
 pub(crate) struct FitScanArgs {
     #[command(flatten)]
     run: RunArgs,
-    /// Scan: .ply, .obj, .stl, .off or .glb, or .npz with POP's scan_pc.
+    /// Scan: .ply, .obj, .stl, .off or .glb, or .npz with POP's scan_pc; with --garment also a directory,
+    /// whose names sort by frame.
     #[arg(long, value_name = "FILE")]
     scan: PathBuf,
+    /// Mesh of a garment in the unit of the scans, near its place in the first one, to be laid onto all.
+    #[arg(
+        long,
+        value_name = "MESH",
+        conflicts_with_all = [
+            "run", "outfit", "up", "pose", "joints", "initial", "minimal_shape", "pose_prior",
+            "free_displacement", "subject", "sequence", "frame"
+        ]
+    )]
+    garment: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
     /// Outfit of the run; auto fits all and keeps the one of lowest energy.
@@ -94,6 +111,10 @@ pub(crate) struct FitScanArgs {
 impl FitScanArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         self.output.require_empty()?;
+        if let Some(template) = &self.garment {
+            let scans = (self.scan.as_path(), self.unit);
+            return garment::register(template, scans, &self.output.out, global.seed(), console);
+        }
         let scan = Scan::load(&self.scan, self.unit)?;
         remark(&scan, console);
         let run = self.run.open(global)?;

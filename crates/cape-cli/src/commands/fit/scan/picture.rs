@@ -14,7 +14,7 @@ use super::output::mesh;
 use crate::error::{Error, Result};
 
 /// Distance of the brightest colour, metres.
-const SCALE: f64 = 0.02;
+pub(super) const SCALE: f64 = 0.02;
 /// Size of a point, metres.
 const POINT: f64 = 0.004;
 /// Largest number of points that are drawn.
@@ -73,7 +73,7 @@ pub(super) fn draw(
 }
 
 /// The scan's triangles, or a small tetrahedron for each point of a point cloud.
-fn scan_mesh(scan: &Scan) -> Mesh {
+pub(super) fn scan_mesh(scan: &Scan) -> Mesh {
     if !scan.faces().is_empty() {
         return mesh(scan.points(), scan.faces());
     }
