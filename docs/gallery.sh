@@ -28,17 +28,17 @@ make() {
     "$cape" "$@" --out "$name"
 }
 
-make outfits vary "$run" --by outfit --codes seed:2,seed:12 --rows 2
-make codes vary "$run" --by code --outfit shortlong --prior gmm
-make poses vary "$run" --by pose --motion squats --codes seed:12
-make shapes vary "$run" --by shape --outfit shortshort --codes mean
-make directions vary "$run" --by direction --rows 3 --columns 5
+make outfits vary "$run" --by outfit --codes seed:4,seed:5 --rows 2
+make codes vary "$run" --by code --outfit shortlong --prior gmm --seed 4
+make poses vary "$run" --by pose --motion squats --codes seed:4
+make shapes vary "$run" --by shape --outfit shortshort --codes frame:276
+make directions vary "$run" --by direction --outfit shortlong --rows 3 --columns 5
 make between vary "$run" --by between --codes frame:0,frame:300
 make effect eval pose "$run" --pose-a a-pose --pose-b squats --scale 4
 make redressed redress "$run" frame:276 --pose squats
 make given redress "$run" frame:276 --to 2,-1 --to -2,1 --to frame:200
 make scanned fit scan "$run" --scan redressed/0-registration.ply --outfit shortshort --free-displacement
-make squats animate "$run" --motion squats --seconds 2 --fps 12 --size 256
+make squats animate "$run" --motion squats --seed 4 --seconds 2 --fps 12 --size 256
 "$examples/texture" "$run"
 "$examples/picture"
 

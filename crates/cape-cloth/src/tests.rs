@@ -360,7 +360,7 @@ fn hems_lie_along_the_edges() {
             let sides = (0..3).filter(|&side| across[side].is_none());
             length += sides.map(|s| corners[s].distance(corners[(s + 1) % 3])).sum::<f64>();
         }
-        println!("edges {resolution}: hems {:.4} m² along {length:.3} m", area);
+        println!("edges {resolution}: hems {area:.4} m² along {length:.3} m");
         assert!((area / (0.03 * length) - 1.0).abs() < 0.15, "{area} {length}");
         let none = Garment { hem: 0.0, ..shirt }.sew(&model, &shape).unwrap();
         assert!(none.hem_shares().iter().all(|&share| share == 0.0));

@@ -56,6 +56,7 @@ pub enum DecoderConditions {
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[expect(clippy::struct_excessive_bools, reason = "independent switches of the architecture")]
 pub struct CapeConfig {
     /// Output channels of every encoder convolution; the decoder mirrors them.
     pub filters: Vec<usize>,
@@ -199,10 +200,16 @@ impl CapeConfig {
         }
     }
 
-    /// The [`narrow`](Self::narrow) model with affine blocks, as [`detail`](Self::detail), and 32 latent
-    /// dimensions: the built-in model's.
+    /// The [`narrow`](Self::narrow) model with affine blocks, as [`detail`](Self::detail), 32 latent
+    /// dimensions and a linear path, whose weights a smaller `reduce` saves: the built-in model's.
     pub fn small() -> Self {
-        Self { latent: 32, decoder: DecoderBlock::Affine, ..Self::narrow() }
+        Self {
+            latent: 32,
+            reduce: 16,
+            decoder: DecoderBlock::Affine,
+            linear_path: true,
+            ..Self::narrow()
+        }
     }
 
     /// A model of four narrow layers for tests on small meshes.
