@@ -142,7 +142,7 @@ fn decode(
     let mut x = chebyshev_sum(graph, &products, &levels.graphs[0]);
     if let Some(path) = &decoder.linear_path {
         let [size, flat] = path.val().dims();
-        let weight = graph.constants(&[size, flat], &to_host(path.val()));
+        let weight = graph.weights("linear path", &[size, flat], &to_host(path.val()))?;
         let linear = graph.matmul(&code, &weight);
         let linear = graph.reshape(&linear, &[flat / 3, 3]);
         x = graph.add(&x, &linear);

@@ -160,7 +160,7 @@ impl GarmentTracker {
                 for pull in &pulls {
                     let sides = pull.face.map(|face| self.mesh.sides(face));
                     let on = (pull.corners, sides);
-                    self.mesh.pull(&mut system, on, pull.barycentric, (pull.to, pull.metric));
+                    system.pull(on, pull.barycentric, (pull.to, pull.metric));
                 }
                 self.mesh.solve(&system, &mut at);
             }
@@ -186,7 +186,9 @@ impl GarmentTracker {
                     .map(|pull| (pull.on(&at), pull.to, pull.weight))
                     .collect();
                 let Some(rigid) = RigidTransform::between(&pairs) else { break };
-                at.iter_mut().for_each(|x| *x = rigid.apply(*x));
+                for x in &mut at {
+                    *x = rigid.apply(*x);
+                }
             }
             let off: f64 = self.pulls(target, &at, scale).iter().map(|pull| pull.penalty).sum();
             (at, off)

@@ -37,6 +37,27 @@ pub(super) struct MeshSystem {
     right: Vec<DVec3>,
 }
 
+impl MeshSystem {
+    /// Adds `(Σ b_i x_i − to)ᵀ M (Σ b_i x_i − to)` for a point with the barycentric coordinates `b` on a
+    /// face and the symmetric `metric` M.
+    pub(super) fn pull(
+        &mut self,
+        (corners, sides): ([u32; 3], Option<[u32; 3]>),
+        barycentric: [f64; 3],
+        (to, metric): (DVec3, DMat3),
+    ) {
+        for (&v, b) in corners.iter().zip(barycentric) {
+            self.diagonal[v as usize] += metric * (b * b);
+            self.right[v as usize] += metric * to * b;
+        }
+        let Some(sides) = sides else { return };
+        for (side, edge) in sides.into_iter().enumerate() {
+            let (p, q) = (barycentric[side], barycentric[(side + 1) % 3]);
+            self.across[edge as usize] += metric * (p * q);
+        }
+    }
+}
+
 impl RigidMesh {
     pub(super) fn new(rest: &SurfaceMesh) -> Self {
         let edges = rest.edges();
@@ -47,7 +68,9 @@ impl RigidMesh {
         sides.iter().flatten().for_each(|&edge| weights[edge as usize] += COTANGENT);
         let mut around = vec![Vec::new(); rest.vertices.len()];
         for (edge, ends) in edges.iter().enumerate() {
-            ends.iter().for_each(|&v| around[v as usize].push(edge as u32));
+            for &v in ends {
+                around[v as usize].push(edge as u32);
+            }
         }
         Self { rest: rest.vertices.clone(), edges, weights, around, sides }
     }
@@ -90,26 +113,6 @@ impl RigidMesh {
             system.right[b] += pull;
         }
         system
-    }
-
-    /// Adds `(Σ b_i x_i − to)ᵀ M (Σ b_i x_i − to)` for a point with the barycentric coordinates `b` on a
-    /// face and the symmetric `metric` M.
-    pub(super) fn pull(
-        &self,
-        system: &mut MeshSystem,
-        (corners, sides): ([u32; 3], Option<[u32; 3]>),
-        barycentric: [f64; 3],
-        (to, metric): (DVec3, DMat3),
-    ) {
-        for (&v, b) in corners.iter().zip(barycentric) {
-            system.diagonal[v as usize] += metric * (b * b);
-            system.right[v as usize] += metric * to * b;
-        }
-        let Some(sides) = sides else { return };
-        for (side, edge) in sides.into_iter().enumerate() {
-            let (p, q) = (barycentric[side], barycentric[(side + 1) % 3]);
-            system.across[edge as usize] += metric * (p * q);
-        }
     }
 
     /// Edges of a face.
@@ -189,7 +192,7 @@ mod tests {
         // One vertex that is held decides where all the others are.
         let mut system = mesh.system(&rotations, 1.0);
         let hold = (at[0], DMat3::IDENTITY);
-        mesh.pull(&mut system, ([0; 3], None), [1.0, 0.0, 0.0], hold);
+        system.pull(([0; 3], None), [1.0, 0.0, 0.0], hold);
         let mut x = rest.vertices.clone();
         mesh.solve(&system, &mut x);
         for (x, at) in x.iter().zip(&at) {
@@ -210,9 +213,9 @@ mod tests {
         let to = rest.vertices[rest.faces[face][0] as usize] + DVec3::new(0.02, 0.01, 0.05);
         let mut system = mesh.system(&rotations, 0.3);
         let on = (rest.faces[face], Some(mesh.sides(face)));
-        mesh.pull(&mut system, on, barycentric, (to, metric));
+        system.pull(on, barycentric, (to, metric));
         let corner = (rest.vertices[0], DMat3::IDENTITY);
-        mesh.pull(&mut system, ([0; 3], None), [1.0, 0.0, 0.0], corner);
+        system.pull(([0; 3], None), [1.0, 0.0, 0.0], corner);
         let mut x = rest.vertices.clone();
         mesh.solve(&system, &mut x);
         let energy = |x: &[DVec3]| {
