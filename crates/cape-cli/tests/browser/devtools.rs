@@ -139,7 +139,12 @@ impl Live {
         loop {
             let entries = fs::read_dir(self.downloads()).into_iter().flatten().flatten();
             let mut paths = entries.map(|entry| entry.path());
-            if let Some(path) = paths.find(|path| path.extension().is_some_and(|e| e == end)) {
+            // The browser reserves the name by an empty file, and moves the finished one there.
+            let finished = |path: &PathBuf| {
+                path.extension().is_some_and(|e| e == end)
+                    && fs::metadata(path).is_ok_and(|file| file.len() > 0)
+            };
+            if let Some(path) = paths.find(finished) {
                 return path;
             }
             assert!(start.elapsed() < PATIENCE, "no download of .{end}");
