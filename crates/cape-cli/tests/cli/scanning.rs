@@ -127,8 +127,10 @@ fn a_garment_is_laid_onto_scans_of_other_triangles() {
     refused(&format!("--garment @/sheet.obj {frames} --unit auto")).failed_saying(&["--unit auto"]);
     refused(&format!("--garment @/lost.obj {frames}")).failed_saying(&["lost.obj"]);
     refused(&format!("--garment @/sheet.obj {frames} --outfit longlong")).misused(&["--outfit"]);
-    // A template in metres is not near scans of hundreds of metres.
-    refused(&format!("--garment @/tracked/scan8.ply {frames}"))
+    let mut away = template.clone();
+    away.vertices.iter_mut().for_each(|vertex| vertex.x += 5000.0);
+    away.to_mesh().save(data.at("away.obj")).unwrap();
+    refused(&format!("--garment @/away.obj {frames} --unit mm"))
         .failed_saying(&["scan8.ply", "no point of the scan"]);
     fs::create_dir(data.at("empty")).unwrap();
     refused("--garment @/sheet.obj --scan @/empty").failed_saying(&["empty", "no scans"]);
