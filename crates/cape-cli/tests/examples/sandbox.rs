@@ -280,6 +280,8 @@ impl Sandbox {
             let mesh = set.clothing(0, frame).unwrap().to_mesh();
             mesh.save(self.at(&format!("scans/skirt_01/{frame:04}.ply"))).unwrap();
         }
+        let frames = "--garment scans/skirt_01/0000.ply --scan scans/skirt_01";
+        self.cape(&format!("fit scan {frames} --out tracked"));
         self.exports(&set);
         let motion = &set.sequences[0].motion;
         let mut file = NpzWriter::create(self.at("scans/skirt_01.npz")).unwrap();
