@@ -8,8 +8,8 @@
 //! by turns over rotations, nearest points and positions, from rigid and far-reaching to soft and near: `E` is
 //! the squared distance along the normal and a share of the one along the surface, `w` the Geman–McClure
 //! weight, `a_v` the vertex's share of the surface, and `E_R` what keeps the mesh as rigid as possible
-//! (Sorkine and Alexa 2007). A nearest point that lies sideways is across an edge or a hole and does not
-//! count.
+//! (Sorkine and Alexa 2007). A point of the scan that lies sideways from a vertex is across a hole and does
+//! not count; neither do points beyond the template's edge in scans of dressed people.
 
 mod rigidity;
 #[cfg(test)]
@@ -54,6 +54,9 @@ pub struct GarmentConfig {
     pub samples: usize,
     /// Weight of distances along the surface, relative to those along the normal.
     pub sliding: f64,
+    /// True if the scans are of a dressed person: what lies beyond the edges of the template is skin, or
+    /// another garment, and does not draw it there.
+    pub dressed: bool,
     /// Random seed of the samples.
     pub seed: u64,
 }
@@ -69,6 +72,7 @@ impl Default for GarmentConfig {
             stages: vec![stage(1e-2, 0.08, 6), stage(1e-3, 0.04, 6), stage(1e-4, 0.02, 8)],
             samples: 10_000,
             sliding: 0.1,
+            dressed: false,
             seed: 1,
         }
     }
@@ -87,14 +91,14 @@ pub struct GarmentFit {
 ///
 /// ```
 /// use cape_core::geometry::{SurfaceMesh, primitives::grid};
-/// use cape_fit::{GarmentConfig, GarmentTracker, scan::{Scan, Unit}};
+/// use cape_fit::{GarmentConfig, GarmentTracker, scan::{Scan, ScanUnit, Unit}};
 /// use glam::DVec3;
 ///
 /// // A sheet that is bent, and scanned as a cloud of points of its own.
 /// let template = grid(9, 9, |u, v| DVec3::new(0.4 * u, 0.4 * v, 0.0));
 /// let bend = |u: f64, v: f64| DVec3::new(0.3 * (1.3 * u).sin(), 0.4 * v, 0.3 - 0.3 * (1.3 * u).cos());
 /// let points = grid(40, 41, bend).vertices;
-/// let scan = Scan::new(points, None, Vec::new(), Unit::M)?;
+/// let scan = Scan::new(points, None, Vec::new(), ScanUnit::OfAnySize(Unit::M))?;
 /// let mut tracker = GarmentTracker::new(&template, GarmentConfig::default())?;
 /// let fit = tracker.register(&scan)?;
 /// assert!(fit.distance.median < 4.0);
@@ -193,7 +197,9 @@ impl GarmentTracker {
             let off: f64 = self.pulls(target, &at, scale).iter().map(|pull| pull.penalty).sum();
             (at, off)
         });
-        let least = placed.min_by(|a, b| a.1.total_cmp(&b.1));
+        // Sliding along the surface, which the scan does not show, must not go on by its own momentum.
+        let weighted = placed.zip([1.0, MOMENTUM]).map(|((at, off), weight)| (at, off * weight));
+        let least = weighted.min_by(|a, b| a.1.total_cmp(&b.1));
         least.map_or_else(|| self.last.clone(), |(at, _)| at)
     }
 
@@ -212,7 +218,7 @@ impl GarmentTracker {
             let held = corners.iter().zip(near.on.weights).filter(|(_, weight)| *weight > 1e-9);
             let edge =
                 held.clone().count() < 3 && held.clone().all(|(&v, _)| self.boundary[v as usize]);
-            if edge && sideways(sample.at - near.at, tree.normal(face)) {
+            if self.config.dressed && edge && sideways(sample.at - near.at, tree.normal(face)) {
                 return None;
             }
             let pull = self.pull(near.at, (sample.at, normal), scale, each);
@@ -247,6 +253,10 @@ impl GarmentTracker {
 
 /// Reach of the search for nearest points, in units of the Geman–McClure scale σ.
 const REACH: f64 = 3.0;
+
+/// Factor of the distance of a start at the last velocity when it is compared with the one at the last
+/// positions.
+const MOMENTUM: f64 = 1.25;
 
 /// Rigid steps at the start of a frame.
 const RIGID_STEPS: usize = 5;

@@ -203,6 +203,7 @@ def garment(
     out: PathLike,
     *,
     unit: Literal["m", "cm", "mm"] = "m",
+    dressed: bool = False,
     seed: int | None = None,
     threads: int | None = None,
 ) -> Report:
@@ -210,6 +211,7 @@ def garment(
 
     The garment is a file or mesh in the ``unit`` of the scans, near its place in the first one. ``out`` receives
     a mesh with its triangles for each scan, metres, and a picture; :func:`cape.layer.import_` takes it.
+    ``dressed`` scans are of the whole person.
     """
     given: dict[str, Any] = dict(locals())
     with _files(out) as (_, write):

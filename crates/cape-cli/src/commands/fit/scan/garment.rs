@@ -52,8 +52,8 @@ struct GarmentFrame {
 pub(super) fn register(
     template: &Path,
     (scans, unit): (&Path, ScanUnit),
+    config: GarmentConfig,
     out: &Path,
-    seed: u64,
     console: Console,
 ) -> Result {
     let ScanUnit::Known(unit) = unit else {
@@ -64,7 +64,6 @@ pub(super) fn register(
     surface.vertices.iter_mut().for_each(|vertex| *vertex *= unit.metres());
     let faces = surface.faces.clone();
     let unit = ScanUnit::OfAnySize(unit);
-    let config = GarmentConfig { seed, ..GarmentConfig::default() };
     let mut tracker = GarmentTracker::new(&surface, config)?;
     files::create_dir(out)?;
     let mut frames = Vec::new();

@@ -9,7 +9,7 @@ use std::{
 
 use cape_core::{motion::MotionOptions, npy::Npz};
 use cape_fit::{
-    BodyParameters, PosePrior,
+    BodyParameters, GarmentConfig, PosePrior,
     scan::{
         FreeFormConfig, FreeFormSurface, KnownJoints, RemovedElements, Scan, ScanConfig,
         ScanFitter, ScanInit, ScanUnit, UpAxis, free_displacement,
@@ -61,6 +61,9 @@ pub(crate) struct FitScanArgs {
         ]
     )]
     garment: Option<PathBuf>,
+    /// The scans are of the whole person: what lies beyond the edges of the garment does not draw it.
+    #[arg(long, requires = "garment")]
+    dressed: bool,
     #[command(flatten)]
     output: OutputArgs,
     /// Outfit of the run; auto fits all and keeps the one of lowest energy.
@@ -113,7 +116,12 @@ impl FitScanArgs {
         self.output.require_empty()?;
         if let Some(template) = &self.garment {
             let scans = (self.scan.as_path(), self.unit);
-            return garment::register(template, scans, &self.output.out, global.seed(), console);
+            let config = GarmentConfig {
+                dressed: self.dressed,
+                seed: global.seed(),
+                ..GarmentConfig::default()
+            };
+            return garment::register(template, scans, config, &self.output.out, console);
         }
         let scan = Scan::load(&self.scan, self.unit)?;
         remark(&scan, console);
