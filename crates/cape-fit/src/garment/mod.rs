@@ -215,10 +215,12 @@ impl GarmentTracker {
             let corners = self.faces[face];
             let normal =
                 if sample.normal == DVec3::ZERO { tree.normal(face) } else { sample.normal };
-            let held = corners.iter().zip(near.on.weights).filter(|(_, weight)| *weight > 1e-9);
-            let edge =
-                held.clone().count() < 3 && held.clone().all(|(&v, _)| self.boundary[v as usize]);
-            if self.config.dressed && edge && sideways(sample.at - near.at, tree.normal(face)) {
+            let on_edge = || {
+                let held = corners.iter().zip(near.on.weights).filter(|(_, weight)| *weight > 1e-9);
+                held.clone().count() < 3 && held.clone().all(|(&v, _)| self.boundary[v as usize])
+            };
+            if self.config.dressed && on_edge() && sideways(sample.at - near.at, tree.normal(face))
+            {
                 return None;
             }
             let pull = self.pull(near.at, (sample.at, normal), scale, each);

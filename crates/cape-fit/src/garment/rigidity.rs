@@ -123,7 +123,11 @@ impl RigidMesh {
     /// Solves a system by conjugate gradients with the diagonal's blocks as preconditioner, from the
     /// positions `x`.
     pub(super) fn solve(&self, system: &MeshSystem, x: &mut [DVec3]) {
-        let inverse: Vec<DMat3> = system.diagonal.iter().map(DMat3::inverse).collect();
+        // Vertices of no face, which nothing moves, have no block.
+        let invert = |block: &DMat3| {
+            if block.determinant() > 0.0 { block.inverse() } else { DMat3::ZERO }
+        };
+        let inverse: Vec<DMat3> = system.diagonal.iter().map(invert).collect();
         let dot = |a: &[DVec3], b: &[DVec3]| a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum::<f64>();
         let product = |x: &[DVec3]| {
             let mut image: Vec<DVec3> =
@@ -198,6 +202,20 @@ mod tests {
         for (x, at) in x.iter().zip(&at) {
             assert!(x.distance(*at) < 1e-3, "{x} {at}");
         }
+    }
+
+    #[test]
+    fn vertices_of_no_face_stay_and_do_not_hold_the_others() {
+        let mut rest = sheet();
+        rest.vertices.push(DVec3::splat(3.0));
+        let mesh = RigidMesh::new(&rest);
+        let mut system = mesh.system(&mesh.rotations(&rest.vertices), 1.0);
+        let to = rest.vertices[0] + DVec3::Y;
+        system.pull(([0; 3], None), [1.0, 0.0, 0.0], (to, DMat3::IDENTITY));
+        let mut x = rest.vertices.clone();
+        mesh.solve(&system, &mut x);
+        assert_eq!(x.last(), rest.vertices.last());
+        assert!(x[1].distance(rest.vertices[1] + DVec3::Y) < 1e-3, "{}", x[1]);
     }
 
     #[test]
