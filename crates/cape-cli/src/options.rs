@@ -7,6 +7,7 @@ use std::{
 
 use burn::tensor::Device;
 use cape_core::{MESH_EXTENSIONS, Outfit, SmplModel, parse_device};
+use cape_graph::Precision;
 use cape_infer::Run;
 use clap::{
     Args,
@@ -15,6 +16,7 @@ use clap::{
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    console::Console,
     error::{Error, Result},
     files,
 };
@@ -100,6 +102,30 @@ impl CheckpointArgs {
     pub(crate) fn interval(self) -> Option<Duration> {
         let seconds = 60.0 * self.checkpoint_minutes;
         (seconds > 0.0).then(|| Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX))
+    }
+}
+
+/// Precision of updates.
+#[derive(Debug, Clone, Copy, Args)]
+pub(crate) struct PrecisionArgs {
+    /// Precision of the products of convolutions in updates: f32, or bf16 on processors with AMX or
+    /// AVX-512 BF16 [default: f32].
+    #[arg(long, value_name = "NAME", value_parser = choices(PRECISIONS))]
+    pub precision: Option<Precision>,
+}
+
+const PRECISIONS: [(&str, Precision); 2] = [("f32", Precision::F32), ("bf16", Precision::Bf16)];
+
+/// Says where updates are not computed in the precision that was chosen.
+pub(crate) fn note_precision(precision: Precision, device: &str, console: Console) {
+    if precision == Precision::F32 {
+        return;
+    }
+    if !["flex", "ndarray"].contains(&device) {
+        console.note(&format!("bf16 is for processors: products on {device} are computed in f32"));
+    } else if precision.instructions().is_none() {
+        console
+            .note("this processor has neither AMX nor AVX-512 BF16: products are computed in f32");
     }
 }
 

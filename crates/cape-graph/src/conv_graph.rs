@@ -9,6 +9,7 @@ use burn::{backend::Dispatch, tensor::Device};
 use sprs::CsMat;
 
 use crate::{
+    Precision,
     ops::DeviceGraph,
     sparse::{Csr, CsrArrays, CsrWithTranspose, DeviceArrays, SparseMatrix},
 };
@@ -129,6 +130,7 @@ fn multiply(a: &Csr, x: &[f64]) -> Vec<f64> {
 pub struct ConvGraph {
     host: Arc<HostGraph>,
     arrays: DeviceArrays,
+    precision: Precision,
 }
 
 impl ConvGraph {
@@ -164,7 +166,14 @@ impl ConvGraph {
             }
         });
         let host = HostGraph { laplacian: whole, pool, constant_bases: Mutex::default() };
-        Self { host: Arc::new(host), arrays: arrays.upload(device) }
+        let precision = Precision::default();
+        Self { host: Arc::new(host), arrays: arrays.upload(device), precision }
+    }
+
+    /// The same graph for convolutions whose products have another precision.
+    #[must_use]
+    pub fn with_precision(self, precision: Precision) -> Self {
+        Self { precision, ..self }
     }
 
     /// The rescaled Laplacian `L̃`.
@@ -188,6 +197,7 @@ impl ConvGraph {
             structure: self.arrays.structure.clone().into_dispatch(),
             values: self.arrays.values.clone().into_dispatch(),
             host: self.host.clone(),
+            precision: self.precision,
         }
     }
 }

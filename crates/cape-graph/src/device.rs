@@ -2,6 +2,7 @@ use burn::tensor::{Device, Tensor};
 use sprs::CsMat;
 
 use crate::{
+    Precision,
     conv_graph::ConvGraph,
     functions::sparse_matmul,
     pyramid::{Level, MeshPyramid, Transition},
@@ -102,6 +103,17 @@ impl DevicePyramid {
             preserving: up.iter().map(|up| up.as_ref().is_none_or(preserves_constants)).collect(),
             down: down.iter().map(upload).collect(),
             up: up.iter().map(upload).collect(),
+        }
+    }
+
+    /// The same pyramid for convolutions whose products have another precision.
+    #[must_use]
+    pub fn with_precision(self, precision: Precision) -> Self {
+        let set = |graph: ConvGraph| graph.with_precision(precision);
+        Self {
+            graphs: self.graphs.into_iter().map(set).collect(),
+            pooled: self.pooled.into_iter().map(|graph| graph.map(set)).collect(),
+            ..self
         }
     }
 

@@ -36,6 +36,7 @@ mod laplacian;
 mod ops;
 mod parts;
 mod peak;
+mod precision;
 mod pyramid;
 mod quadric;
 mod sparse;
@@ -60,6 +61,7 @@ pub use ops::{
 };
 pub use parts::{PyramidParts, sparse_from_triplets};
 pub use peak::peak_gflops;
+pub use precision::Precision;
 pub use pyramid::{Level, MeshPyramid, Transition};
 pub use quadric::{Simplified, simplify};
 pub use sparse::{Csr, CsrWithTranspose, SparseMatrix};

@@ -13,7 +13,7 @@ use burn::backend::{
     tensor::{FloatTensor, IntTensor},
 };
 
-use crate::{composed, conv_graph::HostGraph, sparse::CsrWithTranspose};
+use crate::{Precision, composed, conv_graph::HostGraph, sparse::CsrWithTranspose};
 
 /// Optional tensor of an operation: Burn's dispatch takes no [`Option`].
 #[derive(Debug, Clone, ExtensionType)]
@@ -77,6 +77,8 @@ pub struct DeviceGraph<B: Backend> {
     pub values: FloatTensor<B>,
     /// The graph on the host.
     pub host: Arc<HostGraph>,
+    /// Precision of the matrix products, on the CPU backends.
+    pub precision: Precision,
 }
 
 /// Order and activation of a convolution.

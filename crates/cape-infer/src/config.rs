@@ -3,7 +3,7 @@
 use std::{io::Write, path::Path};
 
 use cape_data::PackedSet;
-use cape_graph::Weighting;
+use cape_graph::{Precision, Weighting};
 use cape_model::{CapeConfig, LossConfig};
 use serde::{Deserialize, Serialize};
 
@@ -108,6 +108,10 @@ pub struct TrainConfig {
     /// each frame its own pose.
     #[serde(skip_serializing_if = "is_zero")]
     pub pose_swap: f64,
+    /// Precision of the products of convolutions in updates; validation, evaluation and sampling are in
+    /// single precision.
+    #[serde(skip_serializing_if = "Precision::is_default")]
+    pub precision: Precision,
     /// Steps between checkpoints inside an epoch; 0 saves at the ends of epochs only.
     pub checkpoint_steps: usize,
     /// Newest checkpoints kept; the best one is kept besides.
@@ -143,6 +147,7 @@ impl Default for TrainConfig {
             ema: 0.0,
             transfer: 0.0,
             pose_swap: 0.0,
+            precision: Precision::F32,
             checkpoint_steps: 0,
             keep: 3,
             log_steps: 10,

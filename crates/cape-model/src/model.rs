@@ -2,7 +2,7 @@ use burn::{
     module::Module,
     tensor::{Device, Tensor},
 };
-use cape_graph::{DevicePyramid, SparseMatrix};
+use cape_graph::{DevicePyramid, Precision, SparseMatrix};
 
 use crate::{
     CapeConfig, Error, Initialiser, Result, condition::ConditionNets, decoder::Decoder,
@@ -73,6 +73,18 @@ pub struct Graphs {
     pub discriminator: Option<DevicePyramid>,
     /// Edge difference operator of the mesh: `+1` and `−1` in each row, `[edges, vertices]`.
     pub edges: SparseMatrix,
+}
+
+impl Graphs {
+    /// The same graphs for convolutions whose products have another precision.
+    #[must_use]
+    pub fn with_precision(self, precision: Precision) -> Self {
+        Self {
+            generator: self.generator.with_precision(precision),
+            discriminator: self.discriminator.map(|graph| graph.with_precision(precision)),
+            edges: self.edges,
+        }
+    }
 }
 
 impl Cape {

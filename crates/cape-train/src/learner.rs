@@ -64,6 +64,7 @@ use cape_infer::{
 pub struct Learner {
     model: Cape,
     graphs: Graphs,
+    update_graphs: Graphs,
     loss: LossConfig,
     loss_weights: LossWeights,
     generator: Optimiser,
@@ -118,6 +119,7 @@ impl Learner {
         let optimiser = || Optimiser::new(train.optimiser, train.momentum, train.clip);
         Ok(Self {
             model,
+            update_graphs: graphs.clone().with_precision(train.precision),
             graphs,
             loss: config.loss.clone(),
             loss_weights: LossWeights::default(),
@@ -155,7 +157,7 @@ impl Learner {
         &self.model
     }
 
-    /// Mesh pyramids and edge operator of the model.
+    /// Mesh pyramids and edge operator of the model, in single precision.
     pub fn graphs(&self) -> &Graphs {
         &self.graphs
     }
@@ -178,7 +180,8 @@ impl Learner {
         options: UpdateOptions,
     ) -> Result<UpdateReport, NonFinite> {
         let loss = LossConfig { kl: self.loss.kl * options.kl_share, ..self.loss.clone() };
-        let evaluation = evaluate(&self.model, &self.graphs, &loss, &self.loss_weights, input);
+        let evaluation =
+            evaluate(&self.model, &self.update_graphs, &loss, &self.loss_weights, input);
         let Cape { generator, discriminator } = &self.model;
         let generator_norm = global_norm(generator, &evaluation.generator);
         let opponent = discriminator.as_ref().zip(evaluation.discriminator.as_ref());

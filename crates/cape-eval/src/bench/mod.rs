@@ -9,11 +9,13 @@ use std::time::Duration;
 
 use burn::tensor::Device;
 use cape_graph::peak_gflops;
-use cape_model::{CapeConfig, update_flops};
+use cape_infer::RunConfig;
+use cape_model::update_flops;
 use serde::Serialize;
 
 use crate::Result;
-use cape_core::ProgressFn;
+use cape_core::{ProgressFn, smpl::Gender};
+use cape_synth::embedded_body;
 use timing::TimingOptions;
 
 pub use memory::{peak_rss_mb, rss_mb};
@@ -34,11 +36,12 @@ const INFERENCE_BATCH: usize = 16;
 ///
 /// ```no_run
 /// use burn::tensor::Device;
-/// use cape_model::CapeConfig;
 /// use cape_core::silent;
 /// use cape_eval::bench::bench;
+/// use cape_infer::RunConfig;
 ///
-/// let report = bench(&CapeConfig::paper(), 16, 1, &Device::default(), &mut silent)?;
+/// // The paper's model and batches of 16.
+/// let report = bench(&RunConfig::default(), &Device::default(), &mut silent)?;
 /// println!("{:.2} s an update, {:?} GFLOP/s", report.seconds_per_update, report.gflops);
 /// # Ok::<(), cape_train::Error>(())
 /// ```
@@ -75,18 +78,13 @@ pub struct BenchReport {
     pub updates: usize,
 }
 
-/// Measures a model of `config` with batches of `batch` examples on `device`; `seed` is that of
-/// weights and data. It takes at most two minutes if an update takes at most ten seconds.
-pub fn bench(
-    config: &CapeConfig,
-    batch: usize,
-    seed: u64,
-    device: &Device,
-    progress: &mut ProgressFn,
-) -> Result<BenchReport> {
+/// Measures the model of a run with its losses, batch size and precision, on random data and `device`. It
+/// takes at most two minutes if an update takes at most ten seconds.
+pub fn bench(run: &RunConfig, device: &Device, progress: &mut ProgressFn) -> Result<BenchReport> {
     let total = 2 + UPDATES.runs() + 3 * INFERENCES.runs();
     let mut steps = StepCounter { done: 0, total, progress };
-    let mut workload = Workload::new(config, batch, seed, device)?;
+    let body = embedded_body(Gender::Neutral)?;
+    let mut workload = Workload::of_run(run, &body, device)?;
     steps.to(1);
     let peak = cape_core::devices().contains(device).then(peak_gflops);
     steps.to(2);
@@ -104,7 +102,8 @@ pub fn bench(
 
     let graphs = workload.graphs();
     let adversary = graphs.discriminator.as_ref().map_or(&[][..], |graph| graph.vertices());
-    let gflop = update_flops(config, graphs.generator.vertices(), adversary, batch)
+    let batch = run.train.batch;
+    let gflop = update_flops(&run.model, graphs.generator.vertices(), adversary, batch)
         .map(|operations| 1e-9 * operations);
     let gflops = gflop.map(|gflop| gflop / update.seconds);
     Ok(BenchReport {
@@ -144,13 +143,17 @@ impl StepCounter<'_, '_> {
 
 #[cfg(test)]
 mod tests {
+    use cape_model::CapeConfig;
+
     use super::*;
 
     #[test]
     fn a_tiny_model_is_measured() {
         let device = cape_core::devices().remove(0);
         let mut seen = Vec::new();
-        let report = bench(&CapeConfig::tiny(), 1, 1, &device, &mut |done, total| {
+        let mut run = RunConfig { model: CapeConfig::tiny(), ..RunConfig::default() };
+        run.train.batch = 1;
+        let report = bench(&run, &device, &mut |done, total| {
             seen.push((done, total));
         })
         .unwrap();

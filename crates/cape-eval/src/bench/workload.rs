@@ -5,7 +5,7 @@ use burn::{
     tensor::{Device, Tensor},
 };
 use cape_core::{joints::POSE_FEATURE, smpl::Gender};
-use cape_graph::Surface;
+use cape_graph::{Precision, Surface};
 use cape_model::{CapeConfig, Discriminator, Generator, Graphs};
 use cape_synth::embedded_body;
 
@@ -52,6 +52,7 @@ pub struct Workload {
     latent: usize,
     outfits: usize,
     seed: u64,
+    precision: Precision,
     device: Device,
 }
 
@@ -75,7 +76,7 @@ impl Workload {
         Self::of_run(&run, mesh, device)
     }
 
-    /// Creates the workload of a run's training, with its losses and batch size, on any mesh.
+    /// Creates the workload of a run's training, with its losses, batch size and precision, on any mesh.
     pub fn of_run(run: &RunConfig, mesh: impl Into<Surface>, device: &Device) -> Result<Self> {
         let (config, batch, seed) = (&run.model, run.train.batch, run.train.seed);
         if batch == 0 {
@@ -95,7 +96,8 @@ impl Workload {
             epsilon: config.variational.then_some(epsilon),
             real: config.discriminator.is_some().then(|| frames(shape, seed, 3, &device)),
         };
-        Ok(Self { learner, latent: config.latent, outfits, input, seed, device })
+        let precision = run.train.precision;
+        Ok(Self { learner, latent: config.latent, outfits, input, seed, precision, device })
     }
 
     /// Mesh pyramids and edge operator of the model.
@@ -119,7 +121,7 @@ impl Workload {
         InferenceWorkload {
             generator: model.generator.valid(),
             discriminator: model.discriminator.as_ref().map(Module::valid),
-            graphs: graphs.clone(),
+            graphs: graphs.clone().with_precision(self.precision),
             frames: frames(
                 [batch, graphs.generator.vertices()[0], self.outfits],
                 self.seed,

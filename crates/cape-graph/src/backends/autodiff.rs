@@ -50,8 +50,8 @@ impl<B: GraphBackend, C: CheckpointStrategy> SparseOperand<Autodiff<B, C>> {
 
 impl<B: GraphBackend, C: CheckpointStrategy> DeviceGraph<Autodiff<B, C>> {
     fn into_primitive(self) -> DeviceGraph<B> {
-        let Self { structure, values, host } = self;
-        DeviceGraph { structure, values: values.into_primitive(), host }
+        let Self { structure, values, host, precision } = self;
+        DeviceGraph { structure, values: values.into_primitive(), host, precision }
     }
 }
 

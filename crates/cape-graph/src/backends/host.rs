@@ -66,7 +66,15 @@ fn conv<'a, T: TensorMetadata, B: Backend>(
 ) -> Conv<'a> {
     let ([_, _, input], [_, output]) = (dims(x), dims(weight));
     let slope = spec.slope.map(|slope| slope as f32);
-    Conv { graph: &graph.host, order: spec.order, input, output, constant_terms: 0, slope }
+    Conv {
+        graph: &graph.host,
+        order: spec.order,
+        input,
+        output,
+        constant_terms: 0,
+        slope,
+        precision: graph.precision,
+    }
 }
 
 pub(super) fn cheb_conv<B: HostBackend>(inputs: ChebConvInputs<B>) -> FloatTensor<B> {

@@ -12,6 +12,9 @@ mod host;
 #[cfg(feature = "ndarray")]
 mod ndarray;
 
+#[cfg(any(feature = "flex", feature = "ndarray"))]
+pub(crate) use cpu::bf16_instructions;
+
 /// Frees the memory that operations on the CPU keep for reuse, and returns its size in bytes.
 ///
 /// Operations on `flex` and `ndarray` keep the memory of dropped tensors of at least 64 KiB, up to

@@ -5,6 +5,7 @@ mod activations;
 mod chebyshev;
 mod fused;
 mod host;
+mod precision;
 mod sparse;
 mod support;
 mod threads;

@@ -1,8 +1,9 @@
 //! Results do not depend on the number of threads.
 
+use burn::tensor::Device;
 use cape_graph::{
-    ConvGraph, Epilogue, GroupNorm, bias_leaky_relu, cheb_conv, cheb_features, group_norm_relu,
-    norm_conv, sparse_matmul,
+    ConvGraph, Epilogue, GroupNorm, Precision, bias_leaky_relu, cheb_conv, cheb_features,
+    group_norm_relu, norm_conv, sparse_matmul,
 };
 
 use crate::{
@@ -12,7 +13,7 @@ use crate::{
 
 #[test]
 fn results_are_the_same_bytes_for_any_number_of_threads() {
-    for (name, device) in cpu_devices() {
+    for (name, device, precision) in cases() {
         for (batch, vertices, input, output) in [
             (1, 701, 33, 64),
             (2, 1301, 64, 64),
@@ -22,8 +23,9 @@ fn results_are_the_same_bytes_for_any_number_of_threads() {
         ] {
             let order = 3;
             let matrix = sparse(41, vertices, vertices, 6, true);
-            let graph = ConvGraph::new(&matrix, None, &device);
+            let graph = ConvGraph::new(&matrix, None, &device).with_precision(precision);
             let pooled = ConvGraph::new(&matrix, Some(&selection(vertices)), &device);
+            let pooled = pooled.with_precision(precision);
             let a = graph.laplacian();
             let inputs = [
                 random(42, batch * vertices * input),
@@ -78,11 +80,18 @@ fn results_are_the_same_bytes_for_any_number_of_threads() {
                 for (i, other) in outcomes.iter().enumerate().skip(1) {
                     assert!(
                         &outcomes[0] == other,
-                        "{name}: {operation} of {shape:?} differs between 1 and {} threads",
+                        "{name}, {precision:?}: {operation} of {shape:?} differs between 1 and {} threads",
                         i + 1
                     );
                 }
             }
         }
     }
+}
+
+fn cases() -> Vec<(String, Device, Precision)> {
+    let both = |(name, device): (String, Device)| {
+        [Precision::F32, Precision::Bf16].map(|precision| (name.clone(), device.clone(), precision))
+    };
+    cpu_devices().into_iter().flat_map(both).collect()
 }

@@ -1,4 +1,6 @@
 use cape_eval::bench::{BenchReport, bench};
+use cape_graph::Precision;
+use cape_infer::RunConfig;
 use cape_model::CapeConfig;
 use clap::Args;
 use serde::Serialize;
@@ -6,7 +8,7 @@ use serde::Serialize;
 use crate::{
     console::Console,
     error::Result,
-    options::{GlobalArgs, PRESETS, at_least_one},
+    options::{GlobalArgs, PRESETS, PrecisionArgs, at_least_one, note_precision},
     table::Table,
 };
 
@@ -27,6 +29,8 @@ pub(crate) struct SpeedArgs {
     /// Architecture; narrow has a quarter of the paper's filters.
     #[arg(long, default_value = "paper", value_name = "NAME", value_parser = PRESETS)]
     preset: String,
+    #[command(flatten)]
+    precision: PrecisionArgs,
 }
 
 fn batch_size(text: &str) -> Result<usize, String> {
@@ -41,6 +45,7 @@ struct Report {
     version: &'static str,
     preset: String,
     device: String,
+    precision: Precision,
     #[serde(flatten)]
     found: BenchReport,
 }
@@ -48,15 +53,20 @@ struct Report {
 impl SpeedArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result {
         let device = global.device()?;
-        let config = CapeConfig::preset(&self.preset)?;
-        let seed = global.seed();
-        let found = console.while_showing("measure", "runs", |progress| {
-            bench(&config, self.batch, seed, &device, progress)
-        })?;
+        let precision = self.precision.precision.unwrap_or_default();
+        note_precision(precision, &global.device, console);
+        let mut run =
+            RunConfig { model: CapeConfig::preset(&self.preset)?, ..RunConfig::default() };
+        run.train.batch = self.batch;
+        run.train.seed = global.seed();
+        run.train.precision = precision;
+        let found =
+            console.while_showing("measure", "runs", |progress| bench(&run, &device, progress))?;
         let report = Report {
             version: env!("CARGO_PKG_VERSION"),
             preset: self.preset,
             device: global.device.clone(),
+            precision,
             found,
         };
         console.result(&report, || report.text())
@@ -65,7 +75,7 @@ impl SpeedArgs {
 
 impl Report {
     fn text(&self) -> String {
-        let Self { version, preset, device, found } = self;
+        let Self { version, preset, device, precision, found } = self;
         let or_dash = |text: Option<String>| text.unwrap_or_else(|| "–".to_owned());
         let mut table = Table::default();
         let mut row = |name: &str, value: String| table.row([name.to_owned(), value]);
@@ -94,8 +104,12 @@ impl Report {
         let work = found
             .gflop_per_update
             .map_or_else(String::new, |gflop| format!(" of {gflop:.1} GFLOP each"));
+        let products = match precision {
+            Precision::F32 => "",
+            Precision::Bf16 => ", products in bf16",
+        };
         format!(
-            "{}\n\ncape {version}, {preset} model on {device}, {threads}; median of {} updates{work}",
+            "{}\n\ncape {version}, {preset} model on {device}, {threads}{products}; median of {} updates{work}",
             table.text(),
             found.updates
         )

@@ -29,7 +29,10 @@ use crate::{
     files,
     html::HtmlFigure,
     interrupt::Interrupt,
-    options::{CheckpointArgs, GlobalArgs, PRESETS, StoreArgs, at_least_one, choices},
+    options::{
+        CheckpointArgs, GlobalArgs, PRESETS, PrecisionArgs, StoreArgs, at_least_one, choices,
+        note_precision,
+    },
     training,
 };
 use figures::MethodFigure;
@@ -85,6 +88,8 @@ pub(crate) struct Table2Args {
     #[arg(long, value_name = "NAME", value_parser = PRESETS)]
     preset: Option<String>,
     #[command(flatten)]
+    precision: PrecisionArgs,
+    #[command(flatten)]
     body: BodyFileArgs,
     /// Indices of the clothing vertices, if the packed set has no clothing_verts_idx.npy.
     #[arg(long, value_name = "FILE.npy")]
@@ -131,6 +136,7 @@ impl Table2Args {
             shown,
             overwrite: self.output.overwrite,
         };
+        note_precision(grid.config.train.precision, &global.device, console);
         let rows = if self.rows.is_empty() { Table2Row::ALL.to_vec() } else { self.rows.clone() };
         let jobs = grid.jobs(&rows, self.seeds as u64)?;
         if self.dry_run {
@@ -211,6 +217,9 @@ impl Table2Args {
         }
         if let Some(epochs) = self.epochs {
             config.train.scale_to_epochs(epochs);
+        }
+        if let Some(precision) = self.precision.precision {
+            config.train.precision = precision;
         }
         if let Some(seed) = global.seed {
             config.train.seed = seed;

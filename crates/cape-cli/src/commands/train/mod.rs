@@ -16,7 +16,7 @@ use crate::{
     error::{Context, Error, Result},
     exit_code::ExitCode,
     interrupt::Interrupt,
-    options::{CheckpointArgs, GlobalArgs, PRESETS, default_device},
+    options::{CheckpointArgs, GlobalArgs, PRESETS, default_device, note_precision},
     table::Table,
     training,
 };
@@ -103,6 +103,7 @@ impl TrainArgs {
             };
             Trainer::create(&out, options, &device)?
         };
+        note_precision(trainer.config().train.precision, &global.device, console);
         trainer.set_checkpoint_interval(self.checkpoints.interval());
         let interrupt = Interrupt::listen(console)?;
         let title = out.to_string_lossy();

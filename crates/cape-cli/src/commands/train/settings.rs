@@ -7,7 +7,7 @@ use clap::Args;
 
 use crate::{
     commands::model::pyramid::WEIGHTINGS,
-    options::{at_least_one, choices},
+    options::{PrecisionArgs, at_least_one, choices},
 };
 
 /// Options that override the configuration.
@@ -67,6 +67,8 @@ pub(super) struct TrainOverrideArgs {
     /// that clothing keeps its offsets in poses that it was not captured in [paper: 0].
     #[arg(long, value_name = "SHARE")]
     pose_swap: Option<f64>,
+    #[command(flatten)]
+    precision: PrecisionArgs,
     /// Decay of an exponential moving average of the weights to evaluate and sample with, such as 0.999.
     #[arg(long, value_name = "FACTOR")]
     ema: Option<f64>,
@@ -125,6 +127,7 @@ impl TrainOverrideArgs {
         loss.clothing_patches |= self.clothing_patches;
         set(&mut train.transfer, self.transfer);
         set(&mut train.pose_swap, self.pose_swap);
+        set(&mut train.precision, self.precision.precision);
         set(&mut train.ema, self.ema);
         set(&mut train.checkpoint_steps, self.checkpoint_steps);
         set(&mut train.log_steps, self.log_steps);

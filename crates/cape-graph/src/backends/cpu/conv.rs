@@ -10,7 +10,7 @@ use super::{
     sparse::{accumulate, multiply_rows},
     split::Split,
 };
-use crate::{buffer::Buffer, conv_graph::HostGraph};
+use crate::{Precision, buffer::Buffer, conv_graph::HostGraph};
 
 /// Number of rows that pass through a whole convolution together: they fit the second-level cache.
 pub(super) const BLOCK: usize = 96;
@@ -30,6 +30,8 @@ pub(in crate::backends) struct Conv<'a> {
     pub constant_terms: usize,
     /// Negative slope of the leaky ReLU, if any.
     pub slope: Option<f32>,
+    /// Precision of the products.
+    pub precision: Precision,
 }
 
 impl Conv<'_> {
@@ -78,7 +80,7 @@ impl Conv<'_> {
 
     /// Packed weights of every term.
     pub(super) fn panels(&self, weight: &[f32]) -> Vec<Panels> {
-        (0..self.order).map(|k| Panels::pack(self.term(weight, k))).collect()
+        (0..self.order).map(|k| Panels::pack(self.term(weight, k), self.precision)).collect()
     }
 
     /// Number of values that [`whole_terms`](Self::whole_terms) computes.

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::{
+    bf16,
     conv::{BLOCK, Conv},
     kernel::{Epilogue, OUTER_ROWS, Packed, Rows, product},
     panels::Panels,
@@ -96,7 +97,8 @@ pub(in crate::backends) fn cheb_conv_backward(
 
 /// Panels of `W_kᵀ` for every `k`.
 pub(super) fn transposed_panels(weight: &[f32], conv: Conv) -> Vec<Panels> {
-    (0..conv.order).map(|k| Panels::pack(conv.term(weight, k).transposed())).collect()
+    let term = |k| conv.term(weight, k).transposed();
+    (0..conv.order).map(|k| Panels::pack(term(k), conv.precision)).collect()
 }
 
 /// Values of one example that its gradients are computed from.
@@ -229,9 +231,10 @@ fn weight_gradient(x: &[f32], grad: &[f32], conv: Conv, split: Split, out: &mut 
 fn outer_block(x: &[f32], whole: &[f32], grad: &[f32], conv: Conv, first: usize, out: &mut [f32]) {
     let rows = OUTER_ROWS.min(conv.kept() - first);
     let last = if conv.order > 1 { rows * conv.input } else { 0 };
+    let by = bf16::select(conv.precision, [conv.input, conv.output]);
     with_scratch(Packed::scratch(conv.input, conv.output) + last, |scratch| {
         let (term, scratch) = scratch.split_at_mut(last);
-        let mut packed = Packed::new(scratch, conv.input, conv.output);
+        let mut packed = Packed::new(scratch, conv.input, conv.output, by);
         packed.pack_right(rows, Rows::new(grad, conv.output).from(first));
         for k in 0..conv.order {
             if k > 0 && k + 1 == conv.order {

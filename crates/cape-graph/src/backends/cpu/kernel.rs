@@ -6,13 +6,19 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::panels::Panels;
+use super::{
+    bf16::{self, Instructions},
+    panels::Panels,
+    scratch::with_scratch,
+};
 
 /// Depth of a product that is summed in registers before it is written to memory: a panel of this
 /// depth fits the first-level cache.
 const DEPTH: usize = 512;
 /// SIMD vectors in a row of a panel or tile.
 const VECTORS: usize = 2;
+/// Columns that bfloat16 factors are padded to a multiple of.
+const LEAST_PANEL: usize = 32;
 /// Columns of a packed strip of the left block of [`Packed::outer`]; a multiple of every tile's rows.
 const STRIP: usize = 48;
 /// Rows of both blocks of [`Packed::outer`] that are packed at once.
@@ -59,6 +65,11 @@ impl<'a> Rows<'a> {
         Self { data, stride, index }
     }
 
+    /// Number of values of a row.
+    pub(super) fn len(&self) -> usize {
+        self.stride
+    }
+
     /// Row `i`.
     #[inline(always)]
     pub(super) fn row(&self, i: usize) -> &'a [f32] {
@@ -96,6 +107,16 @@ pub(super) fn product(a: Rows, b: &Panels, add: bool, epilogue: Epilogue, out: &
     );
     assert!(out.len() <= MOST_ROWS * b.columns(), "at most {MOST_ROWS} rows at a time");
     assert!(epilogue.bias.is_none_or(|bias| bias.len() == b.columns()));
+    if let Some((right, by)) = b.bf16() {
+        let (depth, columns) = (b.depth(), b.columns());
+        let rows = out.len() / columns;
+        with_scratch(bf16::left_size(rows, depth), |left| {
+            bf16::pack_left(by, a, rows, left);
+            let factors = bf16::Factors { left, right, rows, depth, columns };
+            factors.multiply(by, add, epilogue, out, columns);
+        });
+        return;
+    }
     pulp::Arch::new().dispatch(Product { a, b, add, epilogue, out });
 }
 
@@ -177,36 +198,54 @@ impl Product<'_> {
     }
 }
 
-/// Two blocks with the same number of rows, packed for [`outer`](Self::outer).
+/// Two blocks with the same number of rows, packed for [`outer`](Self::outer), in f32 or as factors of
+/// [`bf16`].
 pub(super) struct Packed<'a> {
-    /// `[left / STRIP][rows][STRIP]`.
+    /// `[left / STRIP][rows][STRIP]` in f32.
     left: &'a mut [f32],
     left_columns: usize,
-    /// `[right / width][rows][width]`.
+    /// `[right / width][rows][width]` in f32.
     right: &'a mut [f32],
     right_columns: usize,
+    by: Option<Instructions>,
 }
 
 impl<'a> Packed<'a> {
     /// Number of floats of scratch memory for blocks of `left` and `right` columns.
     pub(super) fn scratch(left: usize, right: usize) -> usize {
-        (left.next_multiple_of(STRIP) + right.next_multiple_of(panel_width())) * OUTER_ROWS
+        Self::left_size(left) + right.next_multiple_of(panel_width().max(LEAST_PANEL)) * OUTER_ROWS
     }
 
-    /// Blocks of up to [`OUTER_ROWS`] rows in `scratch`.
-    pub(super) fn new(scratch: &'a mut [f32], left_columns: usize, right_columns: usize) -> Self {
-        let (left, right) = scratch.split_at_mut(left_columns.next_multiple_of(STRIP) * OUTER_ROWS);
-        Self { left, left_columns, right, right_columns }
+    fn left_size(columns: usize) -> usize {
+        columns.next_multiple_of(STRIP) * OUTER_ROWS
+    }
+
+    /// Blocks of up to [`OUTER_ROWS`] rows in `scratch`, in bfloat16 for the instructions `by`, if any.
+    pub(super) fn new(
+        scratch: &'a mut [f32],
+        left_columns: usize,
+        right_columns: usize,
+        by: Option<Instructions>,
+    ) -> Self {
+        let (left, right) = scratch.split_at_mut(Self::left_size(left_columns));
+        Self { left, left_columns, right, right_columns, by }
     }
 
     /// Packs `rows` rows of the left block.
     pub(super) fn pack_left(&mut self, rows: usize, source: Rows) {
-        pack::<STRIP>(self.left, self.left_columns, rows, source);
+        match self.by {
+            Some(by) => bf16::pack_transposed_left(by, source, rows, self.left),
+            None => pack::<STRIP>(self.left, self.left_columns, rows, source),
+        }
     }
 
     /// Packs `rows` rows of the right block.
     pub(super) fn pack_right(&mut self, rows: usize, source: Rows) {
         let (right, columns) = (&mut *self.right, self.right_columns);
+        if let Some(by) = self.by {
+            bf16::pack_right(by, source, rows, right);
+            return;
+        }
         match panel_width() {
             32 => pack::<32>(right, columns, rows, source),
             16 => pack::<16>(right, columns, rows, source),
@@ -224,6 +263,13 @@ impl<'a> Packed<'a> {
             self.left_columns,
             self.right_columns,
         );
+        let (left, right) = (&*self.left, &*self.right);
+        if let Some(by) = self.by {
+            let (rows, depth, columns) = (self.left_columns, rows, self.right_columns);
+            let factors = bf16::Factors { left, right, rows, depth, columns };
+            factors.multiply(by, true, Epilogue::default(), out, stride);
+            return;
+        }
         pulp::Arch::new().dispatch(Outer { packed: self, rows, stride, out });
     }
 }

@@ -6,6 +6,7 @@
 //! threads.
 
 mod activation;
+mod bf16;
 mod conv;
 mod conv_backward;
 mod group_norm;
@@ -18,6 +19,7 @@ mod sparse;
 mod split;
 
 pub(super) use activation::{bias_leaky_relu, bias_leaky_relu_backward};
+pub(crate) use bf16::name as bf16_instructions;
 pub(super) use conv::{Conv, cheb_conv};
 pub(super) use conv_backward::{Saved, cheb_conv_backward};
 pub(super) use group_norm::{group_norm_relu, group_norm_relu_backward};

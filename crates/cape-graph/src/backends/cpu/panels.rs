@@ -1,15 +1,19 @@
 use rayon::prelude::*;
 
-use super::kernel::panel_width;
-use crate::buffer::Buffer;
+use super::{
+    bf16::{self, Instructions},
+    kernel::panel_width,
+};
+use crate::{Precision, buffer::Buffer};
 
 /// Matrix packed for [`product`](super::kernel::product) into panels of columns, `[depth, width]`
-/// each; the last panel is padded with zeros.
+/// each, the last one padded with zeros; or in bfloat16 as the right matrix of [`bf16`].
 pub(super) struct Panels {
     data: Buffer,
     depth: usize,
     columns: usize,
     width: usize,
+    by: Option<Instructions>,
 }
 
 /// Minimal number of panels for one thread: packing fewer takes less time than waking another.
@@ -44,8 +48,12 @@ impl View<'_> {
 
 impl Panels {
     /// Packs `matrix`, on several threads.
-    pub(super) fn pack(matrix: View) -> Self {
+    pub(super) fn pack(matrix: View, precision: Precision) -> Self {
         let View { data, rows, columns, row_stride, column_stride } = matrix;
+        if let Some(by) = bf16::select(precision, [rows, columns]) {
+            let data = bf16::pack_panels(by, matrix);
+            return Self { data, depth: rows, columns, width: 0, by: Some(by) };
+        }
         let width = panel_width();
         let mut packed = Buffer::take(columns.div_ceil(width) * width * rows);
         let panels = packed.par_chunks_mut((width * rows).max(1)).with_min_len(AT_LEAST);
@@ -74,7 +82,7 @@ impl Panels {
                 }
             }
         });
-        Self { data: packed, depth: rows, columns, width }
+        Self { data: packed, depth: rows, columns, width, by: None }
     }
 
     pub(super) fn depth(&self) -> usize {
@@ -85,7 +93,12 @@ impl Panels {
         self.columns
     }
 
-    /// `[depth, width]`.
+    /// The matrix in bfloat16, and the instructions to multiply it with, if it was packed so.
+    pub(super) fn bf16(&self) -> Option<(&[f32], Instructions)> {
+        self.by.map(|by| (&*self.data, by))
+    }
+
+    /// `[depth, width]`, of a matrix that is not in bfloat16.
     pub(super) fn panel(&self, i: usize) -> &[f32] {
         &self.data[i * self.depth * self.width..][..self.depth * self.width]
     }
