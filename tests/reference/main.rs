@@ -38,6 +38,12 @@ const KINDS: &[Kind] = &[
     Kind { prefix: "smpl", suffix: "smpl", check: objects::check, per_device: false },
     Kind { prefix: "tf_checkpoint_", suffix: "", check: tensorflow::check, per_device: true },
     Kind { prefix: "training_", suffix: ".json", check: training::check, per_device: true },
+    Kind {
+        prefix: "training_",
+        suffix: ".json",
+        check: training::check_in_bfloat16,
+        per_device: true,
+    },
 ];
 
 fn main() -> ExitCode {

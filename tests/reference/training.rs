@@ -8,6 +8,7 @@ use std::{
 use burn::tensor::Device;
 use cape::{
     core::npy::Npz,
+    graph::Precision,
     infer::OptimiserKind,
     model::{
         Cape,
@@ -28,6 +29,10 @@ use crate::{
 };
 
 const TOLERANCE: f64 = 1e-4;
+/// Tolerance of the total losses with products in bfloat16, whose numbers have 8 bits, relative.
+const BFLOAT16: f64 = 5e-3;
+/// The same of gradient norms: gates and signs near zero, which gradients depend on, change.
+const BFLOAT16_GRADIENTS: f64 = 0.15;
 /// Relative change of the weights that crosses a kink of the leaky ReLU.
 const NEARBY: f32 = 1e-6;
 const ATTEMPTS: u64 = 24;
@@ -165,6 +170,66 @@ pub fn check(path: &Path, device: &Device, report: &mut dyn FnMut(String)) {
     report(format!(
         "{} weights, largest deviation {:.1e} of the way moved ({})",
         expected.len(),
+        worst.0,
+        worst.1
+    ));
+}
+
+/// The same steps with products in bfloat16, from the reference's weights on: losses and norms stay near
+/// those of the reference, as its own rounding allows.
+pub fn check_in_bfloat16(path: &Path, device: &Device, report: &mut dyn FnMut(String)) {
+    let Some(instructions) = Precision::Bf16.instructions() else {
+        report(
+            "not tested in bfloat16: this processor has neither AMX nor AVX-512 BF16".to_owned(),
+        );
+        return;
+    };
+    let run: Run = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let network = path.with_file_name(format!("network_{}.npz", run.fixture));
+    let mut fixture = Fixture::open(&network, &device.clone().autodiff());
+    fixture.loss.regularisation = run.regularization_effective;
+    fixture.graphs = fixture.graphs.clone().with_precision(Precision::Bf16);
+    let mut model = build(&fixture);
+    let mut generator = Optimiser::new(OptimiserKind::Sgd, run.momentum, run.clip_norm);
+    let mut discriminator = generator.clone();
+    let mut worst = (0.0, String::new());
+    for step in &run.steps {
+        let prefix = format!("train_in/{}", step.batch);
+        let input = step_input(&mut fixture, &prefix, &step.eps);
+        let Compared { evaluation, norms, worst: found, .. } =
+            compare(&model, &fixture, &input, step);
+        assert!(
+            found.0 < BFLOAT16_GRADIENTS,
+            "{} deviates by {:.1e} in bfloat16",
+            found.1,
+            found.0
+        );
+        for (name, total) in [
+            ("total_g", evaluation.losses.total_generator),
+            ("total_d", evaluation.losses.total_discriminator),
+        ] {
+            let off = (total / step.listed[name] - 1.0).abs();
+            assert!(
+                off < BFLOAT16,
+                "{name} at step {} deviates by {off:.1e} in bfloat16",
+                step.number
+            );
+        }
+        if found.0 > worst.0 {
+            worst = found;
+        }
+        let gradients = evaluation.discriminator.unwrap();
+        model = Cape {
+            generator: generator.step(model.generator, &evaluation.generator, norms.0, step.lr_g),
+            discriminator: model
+                .discriminator
+                .map(|model| discriminator.step(model, &gradients, norms.1, step.lr_d)),
+        };
+    }
+    assert!(worst.0 > TOLERANCE, "products are in single precision, not by {instructions}");
+    report(format!(
+        "{} steps in bfloat16 by {instructions}, largest deviation {:.1e} relative ({})",
+        run.steps.len(),
         worst.0,
         worst.1
     ));

@@ -110,7 +110,12 @@ def pose(
 
 
 def speed(
-    *, batch: int = 16, preset: Preset = "paper", seed: int | None = None, threads: int | None = None
+    *,
+    batch: int = 16,
+    preset: Preset = "paper",
+    precision: Literal["f32", "bf16"] | None = None,
+    seed: int | None = None,
+    threads: int | None = None,
 ) -> Report:
     """Measure seconds of a training step, of decoding and of encoding ``batch`` bodies on random data."""
     return _program.run("eval speed", locals())
@@ -131,6 +136,7 @@ def table2(
     dry_run: bool = False,
     config: PathLike | None = None,
     preset: Preset | None = None,
+    precision: Literal["f32", "bf16"] | None = None,
     body: PathLike | None = None,
     gender: Gender | None = None,
     clothing: PathLike | None = None,

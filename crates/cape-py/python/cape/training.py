@@ -75,6 +75,7 @@ def train(
     clothing_patches: bool = False,
     transfer: float | None = None,
     pose_swap: float | None = None,
+    precision: Literal["f32", "bf16"] | None = None,
     ema: float | None = None,
     checkpoint_steps: int | None = None,
     log_steps: int | None = None,
@@ -107,6 +108,7 @@ def train(
       ``clothing_patches``: only those count in adversarial losses
     - ``transfer``: share of the frames, 0 to 1, with the code of another frame of the same capture
     - ``pose_swap``: share of the frames, 0 to 1, reconstructed under the pose of another training frame
+    - ``precision``: of the products of convolutions, ``bf16`` on processors with AMX or AVX-512 BF16
     - ``ema``: decay of a moving average of the weights, such as 0.999
     - ``log_steps``: between lines of ``metrics.jsonl``; ``keep``: newest checkpoints that are kept;
       ``preload``: the whole set into memory
@@ -143,6 +145,7 @@ class Settings(TypedDict, total=False):
     clothing_patches: bool
     transfer: float | None
     pose_swap: float | None
+    precision: Literal["f32", "bf16"] | None
     ema: float | None
     preload: bool
     weighting: Literal["barycentric", "release"] | None

@@ -79,10 +79,7 @@ pub(super) fn right_size(depth: usize, columns: usize) -> usize {
 
 /// Packs `rows` rows as the left matrix.
 pub(super) fn pack_left(by: Instructions, source: Rows, rows: usize, packed: &mut [f32]) {
-    let pairs = pairs(source.len());
-    for (r, packed) in packed.chunks_exact_mut(pairs).enumerate().take(rows) {
-        instructions::pair_along(by, source.row(r), packed);
-    }
+    instructions::pair_along_rows(by, source, rows, &mut packed[..rows * pairs(source.len())]);
 }
 
 /// Packs the transpose of `rows` rows as the left matrix: the depth of the product is `rows`.
@@ -101,7 +98,8 @@ pub(super) fn pack_transposed_left(
         }
         for first in (0..pairs).step_by(PANEL) {
             let mut block = [[0.0; PANEL]; PANEL];
-            pair_rows(by, source, rows, [start, first], &mut block);
+            let from = Place { rows, pair: first, column: start };
+            instructions::pair_across_rows(by, source, from, &mut block);
             instructions::transpose(by, &mut block);
             for (packed, row) in packed.chunks_exact_mut(pairs).zip(&block) {
                 packed[first..first + PANEL].copy_from_slice(row);
@@ -113,32 +111,27 @@ pub(super) fn pack_transposed_left(
 /// Packs `rows` rows as the right matrix: the depth of the product is `rows`.
 pub(super) fn pack_right(by: Instructions, source: Rows, rows: usize, packed: &mut [f32]) {
     let pairs = pairs(rows);
-    assert!(packed.len() >= right_size(rows, source.len()));
+    let packed = &mut packed[..right_size(rows, source.len())];
     for (panel, packed) in packed.chunks_exact_mut(PANEL * pairs).enumerate() {
-        let start = panel * PANEL;
-        let (rows_of_panel, _) = packed.as_chunks_mut::<PANEL>();
-        if start < source.len() {
-            pair_rows(by, source, rows, [start, 0], rows_of_panel);
+        let column = panel * PANEL;
+        if column < source.len() {
+            let from = Place { rows, pair: 0, column };
+            instructions::pair_across_rows(by, source, from, packed.as_chunks_mut().0);
         } else {
             packed.fill(0.0);
         }
     }
 }
 
-/// Pairs of rows from pair `first` on, at the columns from `start` on.
-fn pair_rows(
-    by: Instructions,
-    source: Rows,
+/// Part of a matrix whose rows are paired.
+#[derive(Clone, Copy)]
+struct Place {
+    /// Number of rows of the matrix; zeros follow them.
     rows: usize,
-    [start, first]: [usize; 2],
-    packed: &mut [[f32; PANEL]],
-) {
-    let wide = PANEL.min(source.len() - start);
-    let row = |r: usize| if r < rows { &source.row(r)[start..][..wide] } else { &[] };
-    for (p, packed) in packed.iter_mut().enumerate() {
-        let r = 2 * (first + p);
-        instructions::pair_across(by, row(r), row(r + 1), packed);
-    }
+    /// First pair of rows.
+    pair: usize,
+    /// First of up to [`PANEL`] columns.
+    column: usize,
 }
 
 /// Packs the right matrix of a product.
@@ -161,12 +154,9 @@ pub(super) fn pack_panels(by: Instructions, matrix: View) -> Buffer {
         let wide = PANEL.min(columns - start);
         let (packed, _) = packed.as_chunks_mut::<PANEL>();
         if column_stride == 1 {
-            let row = |r: usize| {
-                if r < rows { &data[r * row_stride + start..][..wide] } else { &[] }
-            };
-            for (p, packed) in packed.iter_mut().enumerate() {
-                instructions::pair_across(by, row(2 * p), row(2 * p + 1), packed);
-            }
+            let source = Rows::strided(data, row_stride, columns);
+            let from = Place { rows, pair: 0, column: start };
+            instructions::pair_across_rows(by, source, from, packed);
         } else {
             assert_eq!(row_stride, 1, "rows or columns of the matrix are contiguous");
             let (blocks, _) = packed.as_chunks_mut::<PANEL>();

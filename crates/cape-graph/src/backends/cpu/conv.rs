@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::{
+    bf16::{self, Instructions},
     kernel::{Epilogue, Rows, product},
     panels::{Panels, View},
     scratch::with_scratch,
@@ -76,6 +77,11 @@ impl Conv<'_> {
             1 => (Epilogue { bias: Some(constant_terms), slope: self.slope }, false),
             _ => (Epilogue::default(), true),
         }
+    }
+
+    /// Instructions of the weights' gradient, if it is not computed in f32.
+    pub(super) fn outer_instructions(&self) -> Option<Instructions> {
+        bf16::select(self.precision, [self.input, self.output])
     }
 
     /// Packed weights of every term.

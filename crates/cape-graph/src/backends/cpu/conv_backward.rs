@@ -3,9 +3,8 @@
 use rayon::prelude::*;
 
 use super::{
-    bf16,
     conv::{BLOCK, Conv},
-    kernel::{Epilogue, OUTER_ROWS, Packed, Rows, product},
+    kernel::{Epilogue, Packed, Rows, product},
     panels::Panels,
     scratch::with_scratch,
     simd,
@@ -205,7 +204,8 @@ fn weight_gradient(x: &[f32], grad: &[f32], conv: Conv, split: Split, out: &mut 
     with_scratch(conv.whole(), |whole| {
         conv.whole_terms(x, whole, split);
         let whole = &*whole;
-        let blocks = kept.div_ceil(OUTER_ROWS);
+        let rows = Packed::most_rows(conv.outer_instructions());
+        let blocks = kept.div_ceil(rows);
         let part = blocks.div_ceil(split.parts());
         let range = |i: usize| i * part..((i + 1) * part).min(blocks);
         let parts = blocks.div_ceil(part);
@@ -215,7 +215,7 @@ fn weight_gradient(x: &[f32], grad: &[f32], conv: Conv, split: Split, out: &mut 
             std::iter::once(&mut *out).chain(others.iter_mut().map(|sum| &mut **sum)).collect();
         let work = |(i, sum): (usize, &mut [f32])| {
             for block in range(i) {
-                outer_block(x, whole, grad, conv, block * OUTER_ROWS, sum);
+                outer_block(x, whole, grad, conv, block * rows, sum);
             }
         };
         if parts > 1 {
@@ -227,12 +227,12 @@ fn weight_gradient(x: &[f32], grad: &[f32], conv: Conv, split: Split, out: &mut 
     });
 }
 
-/// Adds the contribution of [`OUTER_ROWS`] vertices from `first` on.
+/// Adds the contribution of the vertices of a block from `first` on.
 fn outer_block(x: &[f32], whole: &[f32], grad: &[f32], conv: Conv, first: usize, out: &mut [f32]) {
-    let rows = OUTER_ROWS.min(conv.kept() - first);
+    let by = conv.outer_instructions();
+    let rows = Packed::most_rows(by).min(conv.kept() - first);
     let last = if conv.order > 1 { rows * conv.input } else { 0 };
-    let by = bf16::select(conv.precision, [conv.input, conv.output]);
-    with_scratch(Packed::scratch(conv.input, conv.output) + last, |scratch| {
+    with_scratch(Packed::scratch(conv.input, conv.output, by) + last, |scratch| {
         let (term, scratch) = scratch.split_at_mut(last);
         let mut packed = Packed::new(scratch, conv.input, conv.output, by);
         packed.pack_right(rows, Rows::new(grad, conv.output).from(first));

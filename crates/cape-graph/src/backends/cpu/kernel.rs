@@ -17,12 +17,13 @@ use super::{
 const DEPTH: usize = 512;
 /// SIMD vectors in a row of a panel or tile.
 const VECTORS: usize = 2;
-/// Columns that bfloat16 factors are padded to a multiple of.
-const LEAST_PANEL: usize = 32;
 /// Columns of a packed strip of the left block of [`Packed::outer`]; a multiple of every tile's rows.
 const STRIP: usize = 48;
-/// Rows of both blocks of [`Packed::outer`] that are packed at once.
-pub(super) const OUTER_ROWS: usize = 128;
+/// Rows of both blocks of [`Packed::outer`] that are packed at once: they fit the second-level cache.
+const OUTER_ROWS: usize = 128;
+/// The same in bfloat16. The sums, which are read and written once for these rows, take longer than the
+/// products if there are few.
+const OUTER_ROWS_BF16: usize = 512;
 
 /// Maximal number of rows of one [`product`].
 const MOST_ROWS: usize = 128;
@@ -51,30 +52,36 @@ const fn width<S: Simd>() -> usize {
 pub(super) struct Rows<'a> {
     data: &'a [f32],
     stride: usize,
+    len: usize,
     index: Option<&'a [u32]>,
 }
 
 impl<'a> Rows<'a> {
     /// All rows, each of `stride` values.
     pub(super) fn new(data: &'a [f32], stride: usize) -> Self {
-        Self { data, stride, index: None }
+        Self { data, stride, len: stride, index: None }
+    }
+
+    /// All rows, each of `len` values, `stride` apart.
+    pub(super) fn strided(data: &'a [f32], stride: usize, len: usize) -> Self {
+        Self { data, stride, len, index: None }
     }
 
     /// The rows at `index`; all rows for `None`.
     pub(super) fn selected(data: &'a [f32], stride: usize, index: Option<&'a [u32]>) -> Self {
-        Self { data, stride, index }
+        Self { data, stride, len: stride, index }
     }
 
     /// Number of values of a row.
     pub(super) fn len(&self) -> usize {
-        self.stride
+        self.len
     }
 
     /// Row `i`.
     #[inline(always)]
     pub(super) fn row(&self, i: usize) -> &'a [f32] {
         let row = self.index.map_or(i, |index| index[i] as usize);
-        &self.data[row * self.stride..][..self.stride]
+        &self.data[row * self.stride..][..self.len]
     }
 
     /// The rows from `first` on.
@@ -211,23 +218,36 @@ pub(super) struct Packed<'a> {
 }
 
 impl<'a> Packed<'a> {
+    /// Maximal number of rows of a block.
+    pub(super) fn most_rows(by: Option<Instructions>) -> usize {
+        if by.is_some() { OUTER_ROWS_BF16 } else { OUTER_ROWS }
+    }
+
     /// Number of floats of scratch memory for blocks of `left` and `right` columns.
-    pub(super) fn scratch(left: usize, right: usize) -> usize {
-        Self::left_size(left) + right.next_multiple_of(panel_width().max(LEAST_PANEL)) * OUTER_ROWS
+    pub(super) fn scratch(left: usize, right: usize, by: Option<Instructions>) -> usize {
+        let right = match by {
+            Some(_) => bf16::right_size(OUTER_ROWS_BF16, right),
+            None => right.next_multiple_of(panel_width()) * OUTER_ROWS,
+        };
+        Self::left_size(left, by) + right
     }
 
-    fn left_size(columns: usize) -> usize {
-        columns.next_multiple_of(STRIP) * OUTER_ROWS
+    fn left_size(columns: usize, by: Option<Instructions>) -> usize {
+        match by {
+            Some(_) => bf16::left_size(columns, OUTER_ROWS_BF16),
+            None => columns.next_multiple_of(STRIP) * OUTER_ROWS,
+        }
     }
 
-    /// Blocks of up to [`OUTER_ROWS`] rows in `scratch`, in bfloat16 for the instructions `by`, if any.
+    /// Blocks of up to [`most_rows`](Self::most_rows) rows in `scratch`, in bfloat16 for the instructions
+    /// `by`, if any.
     pub(super) fn new(
         scratch: &'a mut [f32],
         left_columns: usize,
         right_columns: usize,
         by: Option<Instructions>,
     ) -> Self {
-        let (left, right) = scratch.split_at_mut(Self::left_size(left_columns));
+        let (left, right) = scratch.split_at_mut(Self::left_size(left_columns, by));
         Self { left, left_columns, right, right_columns, by }
     }
 
@@ -256,7 +276,7 @@ impl<'a> Packed<'a> {
     /// `out[i · stride + j] += Σ_r left[r, i] right[r, j]` over the `rows` packed rows.
     pub(super) fn outer(&self, rows: usize, stride: usize, out: &mut [f32]) {
         assert!(
-            (1..=OUTER_ROWS).contains(&rows)
+            (1..=Self::most_rows(self.by)).contains(&rows)
                 && self.right_columns <= stride
                 && (self.left_columns - 1) * stride + self.right_columns <= out.len(),
             "outer product of [{rows}, {}] and [{rows}, {}] with rows {stride} apart",

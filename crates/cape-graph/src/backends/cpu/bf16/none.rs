@@ -1,6 +1,6 @@
 //! Processors without instructions for bfloat16: there are no [`Instructions`] to call these functions with.
 
-use super::{Instructions, PANEL};
+use super::{super::kernel::Rows, Instructions, PANEL, Place};
 
 pub(super) fn all() -> Vec<Instructions> {
     Vec::new()
@@ -10,7 +10,11 @@ pub(super) fn pair_along(by: Instructions, _: &[f32], _: &mut [f32]) {
     match by {}
 }
 
-pub(super) fn pair_across(by: Instructions, _: &[f32], _: &[f32], _: &mut [f32; PANEL]) {
+pub(super) fn pair_along_rows(by: Instructions, _: Rows, _: usize, _: &mut [f32]) {
+    match by {}
+}
+
+pub(super) fn pair_across_rows(by: Instructions, _: Rows, _: Place, _: &mut [[f32; PANEL]]) {
     match by {}
 }
 

@@ -108,14 +108,14 @@ fn outer_products_are_those_of_rounded_numbers() {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     for by in all() {
         for [left_columns, rows, columns] in EXTENTS {
-            let rows = rows.min(super::super::kernel::OUTER_ROWS);
+            let rows = rows.min(Packed::most_rows(Some(by)));
             let stride = columns + 3;
             let (a, b) = (
                 Matrix::random(rows, left_columns, &mut rng),
                 Matrix::random(rows, columns, &mut rng),
             );
             let before = Matrix::random(left_columns, stride, &mut rng).values;
-            let mut scratch = vec![f32::NAN; Packed::scratch(left_columns, columns)];
+            let mut scratch = vec![f32::NAN; Packed::scratch(left_columns, columns, Some(by))];
             let mut packed = Packed::new(&mut scratch, left_columns, columns, Some(by));
             packed.pack_left(rows, Rows::new(&a.values, left_columns));
             packed.pack_right(rows, Rows::new(&b.values, columns));

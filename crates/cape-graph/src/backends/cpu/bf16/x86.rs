@@ -5,7 +5,7 @@
 
 use std::arch::{asm, x86_64::*};
 
-use super::{BLOCK, Instructions, PANEL};
+use super::{super::kernel::Rows, BLOCK, Instructions, PANEL, Place};
 
 /// All instructions of this processor, fastest first.
 pub(super) fn all() -> Vec<Instructions> {
@@ -45,37 +45,56 @@ fn permission() -> bool {
     false
 }
 
+/// Neighbours of rows as pairs, followed by zeros, `[rows, pairs]`.
+pub(super) fn pair_along_rows(_: Instructions, source: Rows, rows: usize, packed: &mut [f32]) {
+    #[target_feature(enable = "avx512f,avx512bw,avx512bf16")]
+    fn vectors(source: Rows, rows: usize, packed: &mut [f32]) {
+        let pairs = packed.len() / rows.max(1);
+        for (r, packed) in packed.chunks_exact_mut(pairs.max(1)).enumerate().take(rows) {
+            along(source.row(r), packed);
+        }
+    }
+    // SAFETY: the processor has the instructions.
+    unsafe { vectors(source, rows, packed) }
+}
+
 /// Neighbours of one row of at most `2 · packed.len()` numbers as pairs, followed by zeros.
 pub(super) fn pair_along(_: Instructions, row: &[f32], packed: &mut [f32]) {
-    assert!(packed.len().is_multiple_of(PANEL) && row.len() <= 2 * packed.len());
     // SAFETY: the processor has the instructions.
-    unsafe { pair_along_vectors(row, packed) }
+    unsafe { along(row, packed) }
 }
 
+#[inline]
 #[target_feature(enable = "avx512f,avx512bw,avx512bf16")]
-fn pair_along_vectors(row: &[f32], packed: &mut [f32]) {
+fn along(row: &[f32], packed: &mut [f32]) {
     let (packed, _) = packed.as_chunks_mut::<PANEL>();
-    for (i, packed) in packed.iter_mut().enumerate() {
-        let at = |from: usize| row.get(from.min(row.len())..).unwrap_or_default();
-        let (low, high) = (load(at(2 * i * PANEL)), load(at((2 * i + 1) * PANEL)));
-        store(round(high, low), packed);
+    let (whole, rest) = row.as_chunks::<{ 2 * PANEL }>();
+    let (low, high) = rest.split_at(rest.len().min(PANEL));
+    let mut packed = packed.iter_mut();
+    for (row, packed) in whole.iter().zip(&mut packed) {
+        store(round(load(&row[PANEL..]), load(&row[..PANEL])), packed);
     }
+    if !rest.is_empty()
+        && let Some(packed) = packed.next()
+    {
+        store(round(load(high), load(low)), packed);
+    }
+    packed.for_each(|packed| packed.fill(0.0));
 }
 
-/// Numbers of two rows of at most [`PANEL`] numbers as pairs, followed by zeros.
-pub(super) fn pair_across(
+/// Numbers of neighbouring rows as pairs, `[pairs, PANEL]`, followed by zeros.
+pub(super) fn pair_across_rows(
     _: Instructions,
-    first: &[f32],
-    second: &[f32],
-    packed: &mut [f32; PANEL],
+    source: Rows,
+    from: Place,
+    packed: &mut [[f32; PANEL]],
 ) {
     // SAFETY: the processor has the instructions.
-    unsafe { pair_across_vectors(first, second, packed) }
+    unsafe { across_rows(source, from, packed) }
 }
 
 #[target_feature(enable = "avx512f,avx512bw,avx512bf16")]
-fn pair_across_vectors(first: &[f32], second: &[f32], packed: &mut [f32; PANEL]) {
-    let rows = round(load(second), load(first));
+fn across_rows(source: Rows, from: Place, packed: &mut [[f32; PANEL]]) {
     // Word 2j of the result is word j, word 2j + 1 is word 16 + j.
     let mut order = [0i16; 2 * PANEL];
     for (i, order) in order.iter_mut().enumerate() {
@@ -83,13 +102,24 @@ fn pair_across_vectors(first: &[f32], second: &[f32], packed: &mut [f32; PANEL])
     }
     // SAFETY: 64 bytes.
     let order = unsafe { _mm512_loadu_si512(order.as_ptr().cast()) };
-    store(_mm512_permutexvar_epi16(order, rows), packed);
+    let Place { rows, pair, column } = from;
+    let wide = PANEL.min(source.len() - column);
+    for (p, packed) in packed.iter_mut().enumerate() {
+        let r = 2 * (pair + p);
+        let row = |r: usize| if r < rows { &source.row(r)[column..][..wide] } else { &[] };
+        let rows = round(load(row(r + 1)), load(row(r)));
+        store(_mm512_permutexvar_epi16(order, rows), packed);
+    }
 }
 
 /// The first [`PANEL`] numbers of a row, zeros where it is shorter.
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn load(row: &[f32]) -> __m512 {
+    if let Some(row) = row.first_chunk::<PANEL>() {
+        // SAFETY: 64 bytes.
+        return unsafe { _mm512_loadu_ps(row.as_ptr()) };
+    }
     let mask = (1u32 << row.len().min(PANEL)) - 1;
     // SAFETY: the mask selects numbers of the row only.
     unsafe { _mm512_maskz_loadu_ps(mask as __mmask16, row.as_ptr()) }
