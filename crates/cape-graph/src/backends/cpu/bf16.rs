@@ -1,8 +1,9 @@
 //! Matrix products of bfloat16 numbers, summed in f32, by AMX or AVX-512 BF16.
 //!
 //! Numbers are packed in pairs that follow each other along the depth of the product, one pair in the
-//! memory of an f32. The left matrix is packed by rows, `[rows, pairs]`, the right one in panels of
-//! [`PANEL`] columns, `[columns / PANEL, pairs, PANEL]`; all extents are padded to whole blocks.
+//! memory of an f32. The left matrix is packed in tiles, `[rows / PANEL, pairs / PANEL, PANEL, PANEL]`, the
+//! right one in panels of columns, `[columns / PANEL, pairs, PANEL]`, so that every tile is contiguous; all
+//! extents are padded to whole blocks.
 
 use std::sync::OnceLock;
 
@@ -18,7 +19,7 @@ mod instructions;
 
 /// Rows and columns of a block that is computed at once.
 const BLOCK: usize = 32;
-/// Columns of a panel of the right matrix.
+/// Rows and pairs of a tile of the left matrix, columns of a panel of the right matrix.
 const PANEL: usize = 16;
 /// Extent of a matrix from which it is worth padding to whole blocks.
 const SMALLEST: usize = 16;
@@ -79,7 +80,8 @@ pub(super) fn right_size(depth: usize, columns: usize) -> usize {
 
 /// Packs `rows` rows as the left matrix.
 pub(super) fn pack_left(by: Instructions, source: Rows, rows: usize, packed: &mut [f32]) {
-    instructions::pair_along_rows(by, source, rows, &mut packed[..rows * pairs(source.len())]);
+    let packed = &mut packed[..left_size(rows, source.len())];
+    instructions::pair_along_rows(by, source, rows, pairs(source.len()), packed);
 }
 
 /// Packs the transpose of `rows` rows as the left matrix: the depth of the product is `rows`.
@@ -92,18 +94,16 @@ pub(super) fn pack_transposed_left(
     let pairs = pairs(rows);
     assert!(packed.len() >= left_size(source.len(), rows));
     for (strip, packed) in packed.chunks_exact_mut(PANEL * pairs).enumerate() {
-        let start = strip * PANEL;
-        if start >= source.len() {
+        let column = strip * PANEL;
+        if column >= source.len() {
             break;
         }
-        for first in (0..pairs).step_by(PANEL) {
-            let mut block = [[0.0; PANEL]; PANEL];
-            let from = Place { rows, pair: first, column: start };
-            instructions::pair_across_rows(by, source, from, &mut block);
-            instructions::transpose(by, &mut block);
-            for (packed, row) in packed.chunks_exact_mut(pairs).zip(&block) {
-                packed[first..first + PANEL].copy_from_slice(row);
-            }
+        let (packed, _) = packed.as_chunks_mut::<PANEL>();
+        let (tiles, _) = packed.as_chunks_mut::<PANEL>();
+        for (i, tile) in tiles.iter_mut().enumerate() {
+            let from = Place { rows, pair: i * PANEL, column };
+            instructions::pair_across_rows(by, source, from, tile);
+            instructions::transpose(by, tile);
         }
     }
 }

@@ -10,7 +10,7 @@ pub(super) fn pair_along(by: Instructions, _: &[f32], _: &mut [f32]) {
     match by {}
 }
 
-pub(super) fn pair_along_rows(by: Instructions, _: Rows, _: usize, _: &mut [f32]) {
+pub(super) fn pair_along_rows(by: Instructions, _: Rows, _: usize, _: usize, _: &mut [f32]) {
     match by {}
 }
 

@@ -45,32 +45,41 @@ fn permission() -> bool {
     false
 }
 
-/// Neighbours of rows as pairs, followed by zeros, `[rows, pairs]`.
-pub(super) fn pair_along_rows(_: Instructions, source: Rows, rows: usize, packed: &mut [f32]) {
+/// Neighbours of rows as pairs, followed by zeros, in tiles.
+pub(super) fn pair_along_rows(
+    _: Instructions,
+    source: Rows,
+    rows: usize,
+    pairs: usize,
+    packed: &mut [f32],
+) {
     #[target_feature(enable = "avx512f,avx512bw,avx512bf16")]
-    fn vectors(source: Rows, rows: usize, packed: &mut [f32]) {
-        let pairs = packed.len() / rows.max(1);
-        for (r, packed) in packed.chunks_exact_mut(pairs.max(1)).enumerate().take(rows) {
-            along(source.row(r), packed);
+    fn vectors(source: Rows, rows: usize, pairs: usize, packed: &mut [f32]) {
+        for (strip, packed) in packed.chunks_exact_mut(PANEL * pairs).enumerate() {
+            let first = strip * PANEL;
+            for r in first..rows.min(first + PANEL) {
+                along(
+                    source.row(r),
+                    packed.as_chunks_mut().0.iter_mut().skip(r - first).step_by(PANEL),
+                );
+            }
         }
     }
     // SAFETY: the processor has the instructions.
-    unsafe { vectors(source, rows, packed) }
+    unsafe { vectors(source, rows, pairs, packed) }
 }
 
 /// Neighbours of one row of at most `2 · packed.len()` numbers as pairs, followed by zeros.
 pub(super) fn pair_along(_: Instructions, row: &[f32], packed: &mut [f32]) {
     // SAFETY: the processor has the instructions.
-    unsafe { along(row, packed) }
+    unsafe { along(row, packed.as_chunks_mut().0.iter_mut()) }
 }
 
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw,avx512bf16")]
-fn along(row: &[f32], packed: &mut [f32]) {
-    let (packed, _) = packed.as_chunks_mut::<PANEL>();
+fn along<'p>(row: &[f32], mut packed: impl Iterator<Item = &'p mut [f32; PANEL]>) {
     let (whole, rest) = row.as_chunks::<{ 2 * PANEL }>();
     let (low, high) = rest.split_at(rest.len().min(PANEL));
-    let mut packed = packed.iter_mut();
     for (row, packed) in whole.iter().zip(&mut packed) {
         store(round(load(&row[PANEL..]), load(&row[..PANEL])), packed);
     }
@@ -289,8 +298,8 @@ unsafe fn block_of_tiles(
     out: *mut f32,
     stride: usize,
 ) {
-    // SAFETY: 32 rows of `pairs` pairs on the left, two panels of as many rows on the right, and 32 rows
-    // of 32 numbers of the output are the caller's; the tiles are.
+    // SAFETY: two strips of tiles of `pairs` pairs on the left, two panels of as many rows on the right, and
+    // 32 rows of 32 numbers of the output are the caller's; the tiles are configured.
     unsafe {
         asm!(
             "test {add:e}, {add:e}",
@@ -306,16 +315,16 @@ unsafe fn block_of_tiles(
             "tileloadd tmm2, [{lower_out} + {out_step}]",
             "tileloadd tmm3, [{lower_out} + {out_step} + 64]",
             "3:",
-            "tileloadd tmm4, [{left} + {left_step}]",
+            "tileloadd tmm4, [{left} + {line}]",
             "tileloadd tmm6, [{right} + {line}]",
-            "tileloadd tmm5, [{lower_left} + {left_step}]",
+            "tileloadd tmm5, [{lower_left} + {line}]",
             "tileloadd tmm7, [{second_right} + {line}]",
             "tdpbf16ps tmm0, tmm4, tmm6",
             "tdpbf16ps tmm2, tmm5, tmm6",
             "tdpbf16ps tmm1, tmm4, tmm7",
             "tdpbf16ps tmm3, tmm5, tmm7",
-            "add {left}, 64",
-            "add {lower_left}, 64",
+            "add {left}, 1024",
+            "add {lower_left}, 1024",
             "add {right}, 1024",
             "add {second_right}, 1024",
             "dec {steps}",
@@ -330,7 +339,6 @@ unsafe fn block_of_tiles(
             out_step = in(reg) stride * size_of::<f32>(),
             left = inout(reg) left => _,
             lower_left = inout(reg) left.add(PANEL * pairs) => _,
-            left_step = in(reg) pairs * size_of::<f32>(),
             right = inout(reg) right => _,
             second_right = inout(reg) right.add(PANEL * pairs) => _,
             line = in(reg) PANEL * size_of::<f32>(),
@@ -363,11 +371,11 @@ unsafe fn block_of_vectors(
     stride: usize,
 ) {
     for first in (0..BLOCK).step_by(TALL) {
-        // SAFETY: 32 rows of `pairs` pairs on the left, two panels of as many rows on the right, and 32
-        // rows of 32 numbers of the output are the caller's.
+        // SAFETY: two strips of tiles of `pairs` pairs on the left, two panels of as many rows on the right,
+        // and 32 rows of 32 numbers of the output are the caller's.
         unsafe {
-            let left: [*const i32; TALL] =
-                std::array::from_fn(|i| left.add((first + i) * pairs).cast());
+            let left =
+                left.add(first / PANEL * PANEL * pairs + first % PANEL * PANEL).cast::<i32>();
             let at = |i: usize, j: usize| out.add((first + i) * stride + j * PANEL);
             let mut sums = [[_mm512_setzero_ps(); 2]; TALL];
             if add {
@@ -384,7 +392,8 @@ unsafe fn block_of_vectors(
                 };
                 let right = [panel(0), panel(1)];
                 for i in 0..TALL {
-                    let pair = _mm512_set1_epi32(*left[i].add(p));
+                    let at = p / PANEL * PANEL * PANEL + p % PANEL;
+                    let pair = _mm512_set1_epi32(*left.add(at + i * PANEL));
                     let pair = std::mem::transmute::<__m512i, __m512bh>(pair);
                     for j in 0..2 {
                         sums[i][j] = _mm512_dpbf16_ps(sums[i][j], pair, right[j]);
