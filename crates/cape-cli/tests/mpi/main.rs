@@ -107,7 +107,7 @@ fn any_number_of_processes_resumes() {
     let Some(data) = packed() else { return };
     data.run(&format!("{LINE} --out @/alone")).succeeded();
     // A signal to one process stops all.
-    let long = format!("{LINE} --out @/cut --epochs 2000");
+    let long = format!("{} --out @/cut", LINE.replace("--epochs 2", "--epochs 2000"));
     let group = Group::start(&data, 2, &long);
     group.wait_for(&data.at("cut/checkpoints/step-00000003"));
     group.signal(1, "TERM");

@@ -157,14 +157,17 @@ pub fn in_first<T>(
 /// The result of every process's own work, if none failed.
 ///
 /// # Errors
-/// In all processes if one has an error: its own there, [`Error::Processes`] in the others.
+/// In all processes if one has an error: that of the first of them there, [`Error::Processes`] in the others.
 pub(crate) fn agree<T>(processes: &dyn Collective, result: Result<T>) -> Result<T> {
     if processes.size() == 1 {
         return result;
     }
     processes.wait()?;
     let failed = ranks_where(processes, result.is_err())?;
-    if failed.is_empty() || result.is_err() { result } else { Err(elsewhere(&failed)) }
+    match failed.first() {
+        Some(&first) if first != processes.rank() => Err(elsewhere(&[first])),
+        _ => result,
+    }
 }
 
 /// The processes in which `condition` holds.
