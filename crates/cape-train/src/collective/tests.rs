@@ -176,7 +176,13 @@ fn gradients_of_parts_sum_to_those_of_the_batch() {
         (collect_gradients(&model.generator, &part.generator), part.losses)
     });
     for (gradients, losses) in found {
-        assert!(difference(&gradients, &expected) < 1e-5);
+        // Relative to the largest of all: some are sums of large terms that cancel.
+        let values = |of: &Weights| of.values().flat_map(|a| a.values.clone()).collect::<Vec<_>>();
+        let largest = values(&expected).into_iter().fold(0.0f32, |most, x| most.max(x.abs()));
+        assert!(gradients.keys().eq(expected.keys()) && largest > 0.1);
+        for (found, expected) in values(&gradients).into_iter().zip(values(&expected)) {
+            assert!((found - expected).abs() < 1e-6 * largest, "{found} {expected}");
+        }
         let pairs = losses.named_values().into_iter().zip(whole.losses.named_values());
         for ((name, found), (_, expected)) in pairs {
             assert!((found - expected).abs() <= 1e-5 * expected.abs(), "{name}");
