@@ -170,13 +170,12 @@ impl Trainer {
         let root = root.as_ref();
         let created = in_first(&*processes, || create(root, &options))?;
         let trainer = || {
-            let (paths, config, lock) = match created {
-                Some((paths, config, lock)) => (paths, config, Some(lock)),
-                None => {
-                    let paths = RunPaths::new(root);
-                    let config = RunConfig::load(&paths.config())?;
-                    (paths, config, None)
-                }
+            let (paths, config, lock) = if let Some((paths, config, lock)) = created {
+                (paths, config, Some(lock))
+            } else {
+                let paths = RunPaths::new(root);
+                let config = RunConfig::load(&paths.config())?;
+                (paths, config, None)
             };
             let progress = beginning(config.train.seed);
             let place = (paths, lock, processes.clone());

@@ -43,15 +43,6 @@ impl Group {
         Self(command.spawn().unwrap())
     }
 
-    /// Waits until there is a file.
-    pub(crate) fn wait_for(&self, path: &Path) {
-        let start = Instant::now();
-        while !path.exists() {
-            assert!(start.elapsed() < Duration::from_mins(2), "no {}", path.display());
-            sleep(Duration::from_millis(5));
-        }
-    }
-
     /// Identifier of a process of the group by its rank, if it runs.
     fn process(&self, rank: usize) -> Option<u32> {
         let parent = format!("PPid:\t{}\n", self.0.id());
@@ -88,5 +79,14 @@ impl Group {
     /// Exit code and output, when all have ended.
     pub(crate) fn ran(self) -> Ran {
         self.0.wait_with_output().unwrap().into()
+    }
+}
+
+/// Waits until there is a file.
+pub(crate) fn wait_for(path: &Path) {
+    let start = Instant::now();
+    while !path.exists() {
+        assert!(start.elapsed() < Duration::from_mins(2), "no {}", path.display());
+        sleep(Duration::from_millis(5));
     }
 }

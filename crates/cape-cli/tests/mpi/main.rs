@@ -21,7 +21,7 @@ use cape::{infer::checkpoint, model::weights::Weights};
 use rand::{RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 use crate::{
-    group::Group,
+    group::{Group, wait_for},
     support::{Packed, Ran, contents},
 };
 
@@ -109,7 +109,7 @@ fn any_number_of_processes_resumes() {
     // A signal to one process stops all.
     let long = format!("{} --out @/cut", LINE.replace("--epochs 2", "--epochs 2000"));
     let group = Group::start(&data, 2, &long);
-    group.wait_for(&data.at("cut/checkpoints/step-00000003"));
+    wait_for(&data.at("cut/checkpoints/step-00000003"));
     group.signal(1, "TERM");
     let Ran { code, err, .. } = group.ran();
     assert_eq!(code, Some(130), "{err}");
@@ -121,7 +121,7 @@ fn any_number_of_processes_resumes() {
         let line = "train --out @/cut --resume --threads 1";
         let group = Group::start(&data, processes, line);
         let next = before + 3 * more;
-        group.wait_for(&data.at(&format!("cut/checkpoints/step-{:08}", next - next % 3)));
+        wait_for(&data.at(&format!("cut/checkpoints/step-{:08}", next - next % 3)));
         group.signal(0, "TERM");
         let Ran { code, err, .. } = group.ran();
         assert_eq!(code, Some(130), "{processes} processes: {err}");
@@ -129,7 +129,7 @@ fn any_number_of_processes_resumes() {
     }
     // The whole, in two parts by different numbers.
     let group = Group::start(&data, 4, &format!("{LINE} --out @/parts"));
-    group.wait_for(&data.at("parts/checkpoints/step-00000006"));
+    wait_for(&data.at("parts/checkpoints/step-00000006"));
     group.kill(2);
     group.ran();
     Group::start(&data, 2, "train --out @/parts --resume --threads 1").ran().succeeded();

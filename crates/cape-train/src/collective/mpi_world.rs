@@ -7,7 +7,12 @@ use std::{
     time::Duration,
 };
 
-use mpi::{Threading, environment::Universe, topology::SimpleCommunicator, traits::*};
+use mpi::{
+    Threading,
+    environment::Universe,
+    topology::SimpleCommunicator,
+    traits::{Communicator, CommunicatorCollectives, Root},
+};
 
 use super::Collective;
 use crate::{Error, Result};
@@ -41,7 +46,10 @@ struct State {
 
 impl fmt::Debug for MpiWorld {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.debug_struct("MpiWorld").field("rank", &self.rank).field("size", &self.size).finish()
+        f.debug_struct("MpiWorld")
+            .field("rank", &self.rank)
+            .field("size", &self.size)
+            .finish_non_exhaustive()
     }
 }
 

@@ -47,7 +47,9 @@ pub(crate) fn sum_step(
         // What is not finite stays so when it is multiplied by 0.
         values.fill(0.0);
     }
-    values.iter_mut().for_each(|value| *value *= share);
+    for value in &mut values {
+        *value *= share;
+    }
     let flags = values.len();
     values.resize(flags + processes.size() + 1, 0.0);
     values[flags + processes.rank()] = f32::from(u8::from(!finite));
@@ -81,7 +83,7 @@ fn distribute<M: Module>(module: &M, gradients: &mut Gradients, values: &[f32]) 
         }
         let all = all.get_or_insert_with(|| upload(values, &parameter.device().inner()));
         let end = start + parameter.shape.iter().product::<usize>();
-        parameter.replace_gradient(gradients, all.clone().slice([start..end]));
+        parameter.replace_gradient(gradients, all.clone().narrow(0, start, end - start));
         start = end;
     });
 }
