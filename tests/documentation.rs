@@ -41,7 +41,7 @@ const ENTRY_POINTS: [(&str, &[&str]); 18] = [
         "cape-synth",
         &["CaptureGenerator", "Motion", "SynthSpec", "Wardrobe", "embedded_body", "synthetic_body"],
     ),
-    ("cape-train", &["Evaluation", "Trainer"]),
+    ("cape-train", &["Collective", "Evaluation", "Launch", "Trainer"]),
     ("cape-wardrobe", &["OutfitCut", "SimulatedCaptures", "SurfaceTransfer"]),
     ("cape-weights", &["pretrained"]),
 ];

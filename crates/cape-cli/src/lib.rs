@@ -85,7 +85,8 @@ fn usage(message: clap::Error) -> u8 {
     message.exit_code() as u8
 }
 
-fn use_threads(threads: Option<usize>) -> Result<(), Error> {
+/// Sets the number of CPU threads, if one is given.
+pub(crate) fn use_threads(threads: Option<usize>) -> Result<(), Error> {
     let Some(threads) = threads else { return Ok(()) };
     rayon::ThreadPoolBuilder::new()
         .num_threads(threads)

@@ -19,6 +19,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod batch_part;
 mod components;
 mod foreign;
 pub mod inspect;
@@ -40,6 +41,7 @@ pub mod unpose;
 
 pub use cape_core::{Error, Result};
 
+pub use batch_part::BatchPart;
 pub use components::principal_components;
 pub use foreign::ForeignData;
 pub use loader::{Loader, LoaderOptions, LoaderState, StepBatches, sequential, steps_per_epoch};

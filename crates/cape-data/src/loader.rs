@@ -10,7 +10,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 use super::{
-    DisplacementStatistics, HostBatch, PackedSet,
+    BatchPart, DisplacementStatistics, HostBatch, PackedSet,
     pairing::Pairing,
     shuffle::{Shuffle, ShufflePosition, ShuffleStream},
 };
@@ -30,11 +30,21 @@ pub struct LoaderOptions {
     /// Share of the generator's frames, 0 to 1, that are reconstructed under the pose of any training
     /// frame. They are encoded themselves.
     pub pose_swap: f64,
+    /// Part of each batch to read: the whole in a training by one process. If the part has no rows, the
+    /// first row of the batch is read in their place.
+    pub part: BatchPart,
 }
 
 impl Default for LoaderOptions {
     fn default() -> Self {
-        Self { batch: 16, discriminator: true, prefetch: 2, transfer: 0.0, pose_swap: 0.0 }
+        Self {
+            batch: 16,
+            discriminator: true,
+            prefetch: 2,
+            transfer: 0.0,
+            pose_swap: 0.0,
+            part: BatchPart::WHOLE,
+        }
     }
 }
 
@@ -56,9 +66,11 @@ impl LoaderState {
     }
 }
 
-/// Batches of one training step, on the host.
+/// Batches of one training step, or their [parts](LoaderOptions::part), on the host.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepBatches {
+    /// Frames of the generator's whole batch.
+    pub drawn: Vec<usize>,
     /// Batch of the generator.
     pub generator: HostBatch,
     /// Frames to encode in place of the generator's: the same or others of their captures, under their own
@@ -80,7 +92,7 @@ pub fn steps_per_epoch(frames: usize, batch: usize) -> usize {
 /// All batches are full: generator and discriminator each draw from an endless stream of
 /// permutations of the training frames (see [`Shuffle`]), so that the last batch of an epoch is
 /// filled from the next permutation, and a set smaller than a batch repeats. The batches depend on
-/// the [`LoaderState`] alone.
+/// the [`LoaderState`] alone; of a [part](LoaderOptions::part) only its rows are read.
 ///
 /// ```
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/sets.rs"));
@@ -148,7 +160,9 @@ impl Loader {
             shuffle.draw(options.batch).into_iter().map(|frame| rows.start + frame).collect()
         };
         let steps = Prefetch::new(options.prefetch, move || {
-            let read = |frames: &[usize]| set.batch(frames, Some(&statistics));
+            let rows = options.part.read_range(options.batch);
+            let part = |frames: &[usize]| frames[rows.clone()].to_vec();
+            let read = |frames: &[usize]| set.batch(&part(frames), Some(&statistics));
             let real = options.discriminator.then(|| read(&draw(&mut discriminator))).transpose();
             let at = generator.position();
             let frames = draw(&mut generator);
@@ -159,9 +173,10 @@ impl Loader {
                     // Most often they are the same frames, which need not be read again.
                     let same = pairs.encoded == frames;
                     encoded = Some(if same { fitted.clone() } else { read(&pairs.encoded)? });
-                    fitted.pose_feature = set.pose_features(&pairs.posed)?;
+                    fitted.pose_feature = set.pose_features(&part(&pairs.posed))?;
                 }
                 Ok(StepBatches {
+                    drawn: frames,
                     generator: fitted,
                     encoded,
                     discriminator: real?,

@@ -194,6 +194,44 @@ fn frames_are_reconstructed_under_the_poses_of_others() {
 }
 
 #[test]
+fn parts_of_batches_are_their_rows() {
+    let dir = tempfile::tempdir().unwrap();
+    let (set, statistics) = packed(dir.path(), 12);
+    for (batch, count) in [(5, 1), (6, 2), (5, 3), (3, 4)] {
+        let load = |part| {
+            let options = LoaderOptions { batch, pose_swap: 0.5, part, ..LoaderOptions::default() };
+            let state = LoaderState::new(2);
+            Loader::new(set.clone(), statistics.clone(), 1..12, options, state).unwrap()
+        };
+        let mut whole = load(BatchPart::WHOLE);
+        let mut parts: Vec<_> = (0..count).map(|index| load(BatchPart { index, count })).collect();
+        for _ in 0..4 {
+            let whole = whole.step().unwrap();
+            let parts: Vec<StepBatches> =
+                parts.iter_mut().map(|loader| loader.step().unwrap()).collect();
+            let mut rows = 0;
+            for (index, part) in parts.iter().enumerate() {
+                assert_eq!((&part.drawn, part.state), (&whole.drawn, whole.state));
+                let range = BatchPart { index, count }.range(batch);
+                rows += range.len();
+                let expected = if range.is_empty() { 0..1 } else { range };
+                let features = |step: &StepBatches| step.generator.pose_feature.clone();
+                let slice = ndarray::s![expected.clone(), ..];
+                assert_eq!(features(part), features(&whole).slice(slice));
+                for of in [
+                    |step: &StepBatches| step.generator.frames.clone(),
+                    |step: &StepBatches| step.encoded.clone().unwrap().frames,
+                    |step: &StepBatches| step.discriminator.clone().unwrap().frames,
+                ] {
+                    assert_eq!(of(part), of(&whole)[expected.clone()]);
+                }
+            }
+            assert_eq!(rows, batch);
+        }
+    }
+}
+
+#[test]
 fn sequential_reading_sees_each_frame_once() {
     let dir = tempfile::tempdir().unwrap();
     let (set, _) = packed(dir.path(), 8);

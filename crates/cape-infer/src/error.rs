@@ -33,6 +33,10 @@ pub enum Error {
     /// A configuration or a set of weights is invalid.
     #[error(transparent)]
     Model(#[from] cape_model::Error),
+    /// Another process of the same training failed, which reports its own error; or the processes do not
+    /// form a group.
+    #[error("{0}")]
+    Processes(String),
 }
 
 impl Error {

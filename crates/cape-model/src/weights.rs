@@ -115,6 +115,12 @@ impl ParamRef<'_> {
     pub fn gradient(&self, gradients: &Gradients) -> Option<Tensor<1>> {
         self.tensor.gradient(gradients)
     }
+
+    /// Replaces the gradient of this parameter by `value`, in row-major order and without autodiff,
+    /// `[numbers]`.
+    pub fn replace_gradient(&self, gradients: &mut Gradients, value: Tensor<1>) {
+        self.tensor.replace_gradient(gradients, value);
+    }
 }
 
 /// A tensor of any rank as a vector.
@@ -122,6 +128,7 @@ trait FlatTensor {
     fn device(&self) -> Device;
     fn value(&self) -> Tensor<1>;
     fn gradient(&self, gradients: &Gradients) -> Option<Tensor<1>>;
+    fn replace_gradient(&self, gradients: &mut Gradients, value: Tensor<1>);
 }
 
 impl<const D: usize> FlatTensor for Tensor<D> {
@@ -135,6 +142,10 @@ impl<const D: usize> FlatTensor for Tensor<D> {
 
     fn gradient(&self, gradients: &Gradients) -> Option<Tensor<1>> {
         self.grad(gradients).map(|gradient| gradient.reshape([-1]))
+    }
+
+    fn replace_gradient(&self, gradients: &mut Gradients, value: Tensor<1>) {
+        self.grad_replace(gradients, value.reshape(self.dims()));
     }
 }
 

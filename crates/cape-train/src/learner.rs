@@ -10,7 +10,7 @@ use cape_model::{
 
 use crate::{
     Result,
-    objective::{Losses, StepInput, evaluate},
+    objective::{Evaluation, Losses, StepInput, evaluate},
     optim::{Optimiser, global_norm},
     parameter_average::ParameterAverage,
 };
@@ -179,9 +179,25 @@ impl Learner {
         input: &StepInput,
         options: UpdateOptions,
     ) -> Result<UpdateReport, NonFinite> {
-        let loss = LossConfig { kl: self.loss.kl * options.kl_share, ..self.loss.clone() };
-        let evaluation =
-            evaluate(&self.model, &self.update_graphs, &loss, &self.loss_weights, input);
+        self.apply(&self.evaluate(input, options.kl_share), options)
+    }
+
+    /// Evaluates the losses and their gradients at the current weights; `kl_share` is a factor on the
+    /// weight of the Kullback–Leibler divergence.
+    pub fn evaluate(&self, input: &StepInput, kl_share: f64) -> Evaluation {
+        let loss = LossConfig { kl: self.loss.kl * kl_share, ..self.loss.clone() };
+        evaluate(&self.model, &self.update_graphs, &loss, &self.loss_weights, input)
+    }
+
+    /// Updates generator and discriminator by the gradients of an evaluation at the current weights.
+    ///
+    /// # Errors
+    /// If a loss or gradient is not finite; the weights are unchanged then.
+    pub fn apply(
+        &mut self,
+        evaluation: &Evaluation,
+        options: UpdateOptions,
+    ) -> Result<UpdateReport, NonFinite> {
         let Cape { generator, discriminator } = &self.model;
         let generator_norm = global_norm(generator, &evaluation.generator);
         let opponent = discriminator.as_ref().zip(evaluation.discriminator.as_ref());

@@ -3,7 +3,8 @@
 //! A [`Trainer`] trains the model of a run directory on a packed set and can be resumed at any
 //! step. Its parts can be used on their own: [`objective`] evaluates the losses and their
 //! gradients, [`optim`] has the optimisers, and a [`learner`] combines both. [`tensorboard`] writes
-//! event files, and [`release`] imports the authors' TensorFlow checkpoints as runs.
+//! event files, and [`release`] imports the authors' TensorFlow checkpoints as runs. The processes of a
+//! [`collective`] train one model together.
 //!
 //! From captures to a dressed body:
 //!
@@ -65,6 +66,7 @@
 //! Further examples use the functions in `doc/sets.rs`: the captures `captures()` and the smaller
 //! `triangles()`, the configuration `small_config()` and the run `trained()`.
 
+pub mod collective;
 mod create;
 pub mod learner;
 mod log;

@@ -23,11 +23,18 @@ macro_rules! losses {
         }
 
         impl Losses {
-            const COUNT: usize = [$(stringify!($name)),*].len();
+            pub(crate) const COUNT: usize = [$(stringify!($name)),*].len();
 
             /// Names and values of all fields, in the order of the log.
             pub fn named_values(&self) -> [(&'static str, f64); Self::COUNT] {
                 [$((stringify!($name), self.$name)),*]
+            }
+
+            /// Losses of [`COUNT`](Self::COUNT) values in the order of the log; missing ones are not a
+            /// number.
+            pub(crate) fn from_values(values: impl IntoIterator<Item = f32>) -> Self {
+                let mut values = values.into_iter().map(f64::from);
+                Self { $($name: values.next().unwrap_or(f64::NAN),)* }
             }
         }
 
@@ -39,9 +46,7 @@ macro_rules! losses {
         impl LossTensors {
             /// Copies all values to the host at once.
             fn read(self) -> Losses {
-                let values = to_host(Tensor::cat(vec![$(self.$name),*], 0).detach());
-                let mut values = values.into_iter().map(f64::from);
-                Losses { $($name: values.next().unwrap_or(f64::NAN),)* }
+                Losses::from_values(to_host(Tensor::cat(vec![$(self.$name),*], 0).detach()))
             }
         }
     };

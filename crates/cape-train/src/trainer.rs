@@ -2,6 +2,7 @@
 
 mod event;
 mod resume;
+mod step;
 
 use std::{
     ops::ControlFlow,
@@ -17,25 +18,25 @@ use cape_model::Cape;
 pub use event::{TrainEvent, TrainOutcome};
 
 use crate::{
-    Error, Result,
+    Result,
+    collective::{Collective, SingleProcess, agree, in_first, require_same_weights},
     create::create,
-    learner::{Learner, NonFinite, UpdateOptions},
+    learner::Learner,
     log::TrainLog,
-    objective::StepInput,
     validate::{PreviewFn, ValidationResult, Validator},
 };
-use cape_core::tensors::from_array2;
 use cape_data::{
-    DisplacementStatistics, Loader, LoaderOptions, LoaderState, PackedSet, Split, StepBatches,
+    BatchPart, DisplacementStatistics, Loader, LoaderOptions, LoaderState, PackedSet, Split,
     steps_per_epoch,
 };
 use cape_infer::{
     MIXTURE, Run, RunConfig, RunPaths, build_graphs,
     checkpoint::{self, DamagedCheckpoint, TrainState},
-    normal,
     prior::{Prior, PriorOptions},
-    to_device,
 };
+
+/// Steps between comparisons of the weights of all processes, beside those at checkpoints.
+const COMPARED: u64 = 100;
 
 /// Data set, body and configuration of a new run.
 ///
@@ -133,7 +134,11 @@ pub struct Trainer {
     progress: TrainState,
     device: Device,
     damaged: Vec<DamagedCheckpoint>,
-    _lock: DirectoryLock,
+    processes: Arc<dyn Collective>,
+    /// True if `report` broke in this process, of which the others hear in the next step.
+    stop_asked: bool,
+    /// The lock of the directory, in the process that writes to it.
+    _lock: Option<DirectoryLock>,
 }
 
 impl Trainer {
@@ -148,13 +153,39 @@ impl Trainer {
         options: TrainerOptions,
         device: &Device,
     ) -> Result<Self> {
-        let (paths, config, lock) = create(root.as_ref(), &options)?;
-        let progress = beginning(config.train.seed);
-        Self::assemble((paths, lock), &options.data, config, progress, device)
+        Self::create_together(root, options, device, Arc::new(SingleProcess))
+    }
+
+    /// Creates a run that several processes train, as [`create`](Self::create) does: process 0 writes the
+    /// directory, which the others read. All of them call this with the same arguments but the device.
+    ///
+    /// # Errors
+    /// In all processes if one has an error.
+    pub fn create_together(
+        root: impl AsRef<Path>,
+        options: TrainerOptions,
+        device: &Device,
+        processes: Arc<dyn Collective>,
+    ) -> Result<Self> {
+        let root = root.as_ref();
+        let created = in_first(&*processes, || create(root, &options))?;
+        let trainer = || {
+            let (paths, config, lock) = if let Some((paths, config, lock)) = created {
+                (paths, config, Some(lock))
+            } else {
+                let paths = RunPaths::new(root);
+                let config = RunConfig::load(&paths.config())?;
+                (paths, config, None)
+            };
+            let progress = beginning(config.train.seed);
+            let place = (paths, lock, processes.clone());
+            Self::assemble(place, &options.data, config, progress, device)
+        };
+        agree(&*processes, trainer())
     }
 
     fn assemble(
-        (paths, lock): (RunPaths, DirectoryLock),
+        (paths, lock, processes): (RunPaths, Option<DirectoryLock>, Arc<dyn Collective>),
         data: &Path,
         config: RunConfig,
         progress: TrainState,
@@ -184,6 +215,8 @@ impl Trainer {
             progress,
             device,
             damaged: Vec::new(),
+            processes,
+            stop_asked: false,
             _lock: lock,
         })
     }
@@ -229,6 +262,11 @@ impl Trainer {
         &self.damaged
     }
 
+    /// The part of every batch that this process works on.
+    fn part(&self) -> BatchPart {
+        BatchPart { index: self.processes.rank(), count: self.processes.size() }
+    }
+
     fn training_rows(&self) -> std::ops::Range<usize> {
         self.statistics.training_rows(self.set.frames())
     }
@@ -237,14 +275,21 @@ impl Trainer {
     /// last epoch of a variational model a mixture of normal distributions is fitted to the codes of
     /// the training frames, from which samples are drawn.
     ///
+    /// Of several processes, each reports its steps, and the first one also validation, checkpoints and the
+    /// prior, for which the others wait. A break in one process stops all after the next step.
+    ///
     /// # Errors
     /// If a file cannot be read or written, or a loss or gradient is not finite. In the latter case
     /// the update is not applied, the error names the step and its frames, and the last checkpoint
-    /// is kept.
+    /// is kept. An error other than [`Error::Processes`](crate::Error::Processes) may have occurred in this process alone: the others
+    /// wait until it [ends](Collective::abort) them.
     pub fn run(
         &mut self,
         report: &mut dyn FnMut(&TrainEvent) -> ControlFlow<()>,
     ) -> Result<TrainOutcome> {
+        let processes = self.processes.clone();
+        let first = processes.rank() == 0;
+        self.stop_asked = false;
         let steps = self.steps_per_epoch();
         let last = (self.config.train.epochs * steps) as u64;
         let options = LoaderOptions {
@@ -252,9 +297,11 @@ impl Trainer {
             discriminator: self.config.model.discriminator.is_some(),
             transfer: self.config.train.transfer,
             pose_swap: self.config.train.pose_swap,
+            part: self.part(),
             ..LoaderOptions::default()
         };
-        let mut log = TrainLog::open(&self.paths)?;
+        let mut log = in_first(&*processes, || TrainLog::open(&self.paths))?;
+        require_same_weights(&*processes, self.learner.model(), self.progress.step)?;
         if self.progress.step < last {
             let mut loader = Loader::new(
                 self.set.clone(),
@@ -265,25 +312,26 @@ impl Trainer {
             )?;
             let mut saved = Instant::now();
             while self.progress.step < last {
-                let stop = self.one_step(&mut loader, &mut log, steps, report)?;
+                let stop = self.one_step(&mut loader, log.as_mut(), steps, report)?;
                 let step = self.progress.step;
                 let epoch_ends = step.is_multiple_of(steps as u64);
-                let found = if epoch_ends {
-                    self.validate((step / steps as u64) as usize, &mut log, report)?
-                } else {
-                    None
-                };
                 let often = self.config.train.checkpoint_steps as u64;
+                let shared = stop || epoch_ends || often > 0 && step.is_multiple_of(often);
+                if shared || step.is_multiple_of(COMPARED) {
+                    require_same_weights(&*processes, self.learner.model(), step)?;
+                }
                 let due = self.checkpoint_interval.is_some_and(|most| saved.elapsed() >= most);
-                if stop || epoch_ends || due || (often > 0 && step.is_multiple_of(often)) {
-                    let path = self.save()?;
-                    saved = Instant::now();
-                    if let Some(found) = found {
-                        self.show(&found, &mut log)?;
+                if shared {
+                    let epoch = epoch_ends.then_some((step / steps as u64) as usize);
+                    in_first(&*processes, || self.record(epoch, log.as_mut(), report))?;
+                    if epoch_ends {
+                        self.hear_of_validation()?;
                     }
-                    log.flush()?;
-                    // Training stops by `stop` alone; a break here is ignored.
-                    let _ = report(&TrainEvent::Checkpoint { path });
+                } else if due && first {
+                    self.record(None, log.as_mut(), report)?;
+                }
+                if shared || due {
+                    saved = Instant::now();
                 }
                 if stop {
                     break;
@@ -292,7 +340,7 @@ impl Trainer {
         }
         let finished = self.progress.step >= last;
         if finished && self.config.model.variational {
-            self.fit_prior(report)?;
+            in_first(&*processes, || self.fit_prior(report))?;
         }
         Ok(TrainOutcome {
             finished,
@@ -301,6 +349,48 @@ impl Trainer {
             best_validation: self.progress.best.map(|(error, _)| error),
             seconds: self.progress.seconds,
         })
+    }
+
+    /// Validates at the end of an `epoch`, saves a checkpoint, and writes the log to disk.
+    fn record(
+        &mut self,
+        epoch: Option<usize>,
+        log: Option<&mut TrainLog>,
+        report: &mut dyn FnMut(&TrainEvent) -> ControlFlow<()>,
+    ) -> Result<()> {
+        let Some(log) = log else { return Ok(()) };
+        let found = match epoch {
+            Some(epoch) => self.validate(epoch, log, report)?,
+            None => None,
+        };
+        let path = self.save()?;
+        if let Some(found) = found {
+            self.show(&found, log)?;
+        }
+        log.flush()?;
+        // Training stops by the break of a step alone; a break here is ignored.
+        let _ = report(&TrainEvent::Checkpoint { path });
+        Ok(())
+    }
+
+    /// Takes over the validation of the first process, so that all know the best checkpoint.
+    fn hear_of_validation(&mut self) -> Result<()> {
+        self.progress.accuracy_sum = (0.0, 0);
+        // A validation error is not negative.
+        let mut bytes = self.progress.validation.unwrap_or(-1.0).to_le_bytes();
+        self.processes.broadcast(&mut bytes)?;
+        let millimetres = f64::from_le_bytes(bytes);
+        if self.processes.rank() != 0 && millimetres >= 0.0 {
+            self.note_validation(millimetres);
+        }
+        Ok(())
+    }
+
+    fn note_validation(&mut self, millimetres: f64) {
+        self.progress.validation = Some(millimetres);
+        if self.progress.best.is_none_or(|(best, _)| millimetres < best) {
+            self.progress.best = Some((millimetres, self.progress.step));
+        }
     }
 
     /// Fits the mixture of latent codes at the checkpoint that the run is used with, unless it is there.
@@ -316,70 +406,6 @@ impl Trainer {
             let _ = report(&TrainEvent::Prior { done, total });
         })?;
         prior.save(&path)
-    }
-
-    /// One update of generator and discriminator; true if `report` breaks.
-    fn one_step(
-        &mut self,
-        loader: &mut Loader,
-        log: &mut TrainLog,
-        steps: usize,
-        report: &mut dyn FnMut(&TrainEvent) -> ControlFlow<()>,
-    ) -> Result<bool> {
-        let start = Instant::now();
-        let step = self.progress.step;
-        let train = &self.config.train;
-        let rate = train.rate(step, steps);
-        let StepBatches { generator, encoded, discriminator, state } = loader.step()?;
-        let frames = generator.frames.clone();
-        let epsilon = self.config.model.variational.then(|| {
-            let latent = self.config.model.latent;
-            // Shuffles use the first streams of the seed; noise has one per step beyond them.
-            normal(train.seed, (1 << 32) + step, frames.len(), latent)
-        });
-        let input = StepInput {
-            frames: to_device(generator, &self.device),
-            encoded: encoded.map(|batch| to_device(batch, &self.device)),
-            epsilon: epsilon.map(|epsilon| from_array2(epsilon, &self.device)),
-            real: discriminator.map(|batch| to_device(batch, &self.device)),
-        };
-        let logged = (step + 1).is_multiple_of(train.log_steps as u64);
-        let options =
-            UpdateOptions { rate, kl_share: train.kl_share(step, steps), detailed: logged };
-        let update = match self.learner.update(&input, options) {
-            Ok(update) => update,
-            Err(error) => return Err(self.not_finite(error, &frames)?),
-        };
-        let losses = update.losses;
-        self.progress.accuracy_sum.0 += losses.discriminator_accuracy as f32;
-        self.progress.accuracy_sum.1 += 1;
-        self.progress.step += 1;
-        self.progress.loader = state;
-
-        let seconds = start.elapsed().as_secs_f64();
-        self.progress.seconds += seconds;
-        let (epoch, step) =
-            ((step / steps as u64) as usize + 1, (step % steps as u64) as usize + 1);
-        if logged {
-            log.step(self.progress.step, epoch, &update, rate, seconds)?;
-        }
-        let total_step = self.progress.step;
-        let event = TrainEvent::Step { epoch, step, steps, total_step, losses, rate, seconds };
-        Ok(report(&event).is_break())
-    }
-
-    /// The error of a step with a loss or gradient that is not finite.
-    fn not_finite(&self, error: NonFinite, frames: &[usize]) -> Result<Error> {
-        let kept = checkpoint::list(&self.paths.checkpoints())?.pop();
-        let kept = kept.map_or_else(
-            || "there is no checkpoint yet".to_owned(),
-            |(_, path)| format!("the last checkpoint is {}", path.display()),
-        );
-        Ok(Error::data(format!(
-            "{error} at step {} (training frames {frames:?}); {kept}; a lower train.peak_rate may \
-             help",
-            self.progress.step + 1,
-        )))
     }
 
     /// Reconstructs the validation frames from the mean of the posterior, and logs the epoch.
@@ -407,10 +433,7 @@ impl Trainer {
         };
         let Some(found) = validator.run()? else { return Ok(None) };
         let millimetres = found.errors.mean;
-        self.progress.validation = Some(millimetres);
-        if self.progress.best.is_none_or(|(best, _)| millimetres < best) {
-            self.progress.best = Some((millimetres, step));
-        }
+        self.note_validation(millimetres);
         log.validation(step, epoch, &found, discriminator_accuracy)?;
         // A break between epochs takes effect at the next step.
         let _ = report(&TrainEvent::Validation {

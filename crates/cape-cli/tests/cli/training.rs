@@ -127,6 +127,22 @@ fn a_training_without_a_checkpoint_starts_over_by_itself() {
     data.run("train --out @/nothing --resume").failed_saying(&["nothing"]);
 }
 
+/// With the feature, crates/cape-cli/tests/mpi starts them.
+#[cfg(not(feature = "mpi"))]
+#[test]
+fn several_processes_of_a_launcher_are_refused() {
+    for (variables, launcher) in [
+        (["OMPI_COMM_WORLD_RANK=1", "OMPI_COMM_WORLD_SIZE=2"], "Open MPI"),
+        (["SLURM_PROCID=1", "SLURM_STEP_NUM_TASKS=2"], "Slurm"),
+    ] {
+        let mut command = cape(["train", "--data", "x", "--out", "y"]);
+        command.envs(variables.iter().filter_map(|pair| pair.split_once('=')));
+        let ran = Ran::from(command.output().unwrap());
+        let expected = format!("process 1 of 2 that {launcher} started");
+        ran.failed_saying(&[&expected, "build it with `--features mpi`"]);
+    }
+}
+
 #[test]
 fn a_finished_training_has_nothing_left_to_do() {
     let data = Packed::new();

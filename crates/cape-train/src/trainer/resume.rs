@@ -1,14 +1,26 @@
 //! Resuming of an interrupted training.
 
-use std::{fs, io::Write, path::Path};
+use std::{
+    fs,
+    io::Write,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use burn::tensor::Device;
 use cape_core::DirectoryLock;
 use cape_data::DisplacementStatistics;
-use cape_infer::{RunConfig, RunPaths, checkpoint::Checkpoint, read_identity};
+use cape_infer::{
+    RunConfig, RunPaths,
+    checkpoint::{self, Checkpoint},
+    read_identity,
+};
 
 use super::{Trainer, beginning};
-use crate::{Error, Result};
+use crate::{
+    Error, Result,
+    collective::{Collective, SingleProcess, agree, in_first},
+};
 
 impl Trainer {
     /// Resumes the run in `root` from its newest checkpoint, or starts it over if it was interrupted
@@ -19,8 +31,56 @@ impl Trainer {
     /// If the run cannot be read, another process trains it, or the packed set is not the one it was
     /// trained on.
     pub fn resume(root: impl AsRef<Path>, data: Option<&Path>, device: &Device) -> Result<Self> {
+        Self::resume_together(root, data, device, Arc::new(SingleProcess))
+    }
+
+    /// Resumes the run in `root` by several processes, as [`resume`](Self::resume) does, whatever their
+    /// number was before. All of them call this with the same arguments but the device.
+    ///
+    /// # Errors
+    /// In all processes if one has an error.
+    pub fn resume_together(
+        root: impl AsRef<Path>,
+        data: Option<&Path>,
+        device: &Device,
+        processes: Arc<dyn Collective>,
+    ) -> Result<Self> {
         let root = root.as_ref();
         let paths = RunPaths::new(root);
+        let directory = paths.checkpoints();
+        let first = in_first(&*processes, || {
+            // Before the lock, which makes a file in the directory.
+            RunConfig::load(&paths.config())?;
+            let lock = DirectoryLock::acquire(root)?;
+            let (saved, damaged) = Checkpoint::load_newest(&directory)?;
+            Ok((lock, saved, damaged))
+        })?;
+        let newest = first.as_ref().and_then(|(_, saved, _)| Some(saved.as_ref()?.1.progress.step));
+        let mut bytes = newest.unwrap_or(u64::MAX).to_le_bytes();
+        processes.broadcast(&mut bytes)?;
+        let step = u64::from_le_bytes(bytes);
+        let trainer = || {
+            let (lock, saved, damaged) = match first {
+                Some((lock, saved, damaged)) => (Some(lock), saved, damaged),
+                None => (None, load_step(&directory, step)?, Vec::new()),
+            };
+            let mut trainer = Self::open((paths, lock, processes.clone()), data, saved, device)?;
+            trainer.damaged = damaged;
+            if processes.rank() == 0 {
+                trainer.forget_metrics_after(trainer.progress.step)?;
+            }
+            Ok(trainer)
+        };
+        agree(&*processes, trainer())
+    }
+
+    fn open(
+        place: (RunPaths, Option<DirectoryLock>, Arc<dyn Collective>),
+        data: Option<&Path>,
+        saved: Option<(PathBuf, Checkpoint)>,
+        device: &Device,
+    ) -> Result<Self> {
+        let paths = &place.0;
         let config = RunConfig::load(&paths.config())?;
         // An imported run has no record of its data set.
         let identity =
@@ -28,16 +88,13 @@ impl Trainer {
         let Some(data) = data.or(identity.as_ref().map(|identity| identity.path.as_path())) else {
             return Err(Error::argument(format!(
                 "{}: the run has no record of its packed set: give its directory",
-                root.display()
+                paths.root().display()
             )));
         };
-        let lock = DirectoryLock::acquire(root)?;
-        let (saved, damaged) = Checkpoint::load_newest(&paths.checkpoints())?;
         let progress = saved
             .as_ref()
             .map_or_else(|| beginning(config.train.seed), |(_, saved)| saved.progress.clone());
-        let mut trainer = Self::assemble((paths, lock), data, config, progress, device)?;
-        trainer.damaged = damaged;
+        let mut trainer = Self::assemble(place, data, config, progress, device)?;
         let found = (trainer.set.frames(), trainer.set.vertices());
         if let Some(identity) = &identity
             && found != (identity.frames, identity.vertices)
@@ -67,7 +124,6 @@ impl Trainer {
                 .restore(saved)
                 .map_err(|error| Error::format(path, format!("does not suit the run: {error}")))?;
         }
-        trainer.forget_metrics_after(trainer.progress.step)?;
         Ok(trainer)
     }
 
@@ -84,4 +140,21 @@ impl Trainer {
         let kept: String = kept.flat_map(|line| [line, "\n"]).collect();
         Ok(cape_core::write_atomically(&path, |file| file.write_all(kept.as_bytes()))?)
     }
+}
+
+/// The checkpoint of `step`, if that is not `u64::MAX`.
+fn load_step(directory: &Path, step: u64) -> Result<Option<(PathBuf, Checkpoint)>> {
+    if step == u64::MAX {
+        return Ok(None);
+    }
+    let found = checkpoint::list(directory)?.into_iter().find(|(own, _)| *own == step);
+    let Some((_, path)) = found else {
+        return Err(Error::argument(format!(
+            "{}: no checkpoint of step {step}, from which the first process resumes: all processes need the \
+             same directory",
+            directory.display()
+        )));
+    };
+    let saved = Checkpoint::load(&path)?;
+    Ok(Some((path, saved)))
 }

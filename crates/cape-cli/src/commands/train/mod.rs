@@ -1,3 +1,4 @@
+mod processes;
 mod self_check;
 mod settings;
 
@@ -20,6 +21,7 @@ use crate::{
     table::Table,
     training,
 };
+use processes::Processes;
 use self_check::SelfCheckArgs;
 use settings::{TrainOverrideArgs, set};
 
@@ -76,17 +78,33 @@ struct Report {
 
 impl TrainArgs {
     pub(crate) fn run(self, global: &GlobalArgs, console: Console) -> Result<ExitCode> {
-        let device = global.device()?;
+        let processes = Processes::join()?;
+        let result = self.run_in(&processes, global, console);
+        processes.end(result)
+    }
+
+    fn run_in(
+        self,
+        processes: &Processes,
+        global: &GlobalArgs,
+        console: Console,
+    ) -> Result<ExitCode> {
+        let console = processes.console(console);
+        processes.use_threads(global, console)?;
+        let device = processes.device(global)?;
         if self.self_check.any() {
+            processes.require_one("--check and --find-rate")?;
             return self.run_self_check(global, console, &device);
         }
         if self.tui {
+            processes.require_one("--tui")?;
             Dashboard::check()?;
         }
+        let world = processes.world();
         let out = self.out.clone().unwrap_or_default();
         let mut trainer = if self.resume {
-            self.settle_settings(&out, global)?;
-            Trainer::resume(&out, self.data.as_deref(), &device)
+            processes.in_first(|| self.settle_settings(&out, global))?;
+            Trainer::resume_together(&out, self.data.as_deref(), &device, world)
                 .doing(|| format!("resuming {}", out.display()))
                 .inspect(|trainer| {
                     training::note_damage(trainer, console);
@@ -101,7 +119,7 @@ impl TrainArgs {
                 clothing: self.clothing.clone(),
                 config: self.configured(RunConfig::default(), global)?,
             };
-            Trainer::create(&out, options, &device)?
+            Trainer::create_together(&out, options, &device, world)?
         };
         note_precision(trainer.config().train.precision, &global.device, console);
         trainer.set_checkpoint_interval(self.checkpoints.interval());
@@ -111,7 +129,9 @@ impl TrainArgs {
         let dashboard = self.tui.then(|| Dashboard::start(&title, epochs)).transpose()?;
         let outcome = training::run(&mut trainer, console, dashboard, |_| interrupt.was_asked())?;
         let report = Report { out: out.clone(), outcome };
-        console.result(&report, || report.text())?;
+        if processes.is_first() {
+            console.result(&report, || report.text())?;
+        }
         if report.outcome.finished {
             return Ok(ExitCode::SUCCESS);
         }
