@@ -3,6 +3,7 @@
 //! Packing and products by AVX-512 BF16 and AMX. Every function but [`all`] has an argument
 //! [`Instructions`], which exist only where `all` has found them.
 
+#[allow(clippy::wildcard_imports, reason = "names of instructions, which are unique")]
 use std::arch::{asm, x86_64::*};
 
 use super::{super::kernel::Rows, BLOCK, Instructions, PANEL, Place};
@@ -149,6 +150,10 @@ fn round(high: __m512, low: __m512) -> __m512i {
     unsafe { std::mem::transmute::<__m512bh, __m512i>(_mm512_cvtne2ps_pbh(high, low)) }
 }
 
+/// Selections of the even and of the odd lanes of two vectors.
+const EVEN: i32 = 0x88;
+const ODD: i32 = 0xdd;
+
 /// Transposes a block of pairs.
 pub(super) fn transpose(_: Instructions, block: &mut [[f32; PANEL]; PANEL]) {
     // SAFETY: the processor has the instructions.
@@ -173,8 +178,6 @@ fn transpose_vectors(block: &mut [[f32; PANEL]; PANEL]) {
         fours[g + 2] = _mm512_unpacklo_epi64(pairs[g + 1], pairs[g + 3]);
         fours[g + 3] = _mm512_unpackhi_epi64(pairs[g + 1], pairs[g + 3]);
     }
-    const EVEN: i32 = 0x88;
-    const ODD: i32 = 0xdd;
     for c in 0..4 {
         let upper_even = _mm512_shuffle_i32x4::<EVEN>(fours[c], fours[4 + c]);
         let upper_odd = _mm512_shuffle_i32x4::<ODD>(fours[c], fours[4 + c]);
@@ -361,6 +364,7 @@ const TALL: usize = 8;
 
 /// # Safety
 /// See [`Kernel::block`] for the extents.
+#[allow(clippy::needless_range_loop, reason = "indices of registers")]
 #[target_feature(enable = "avx512f,avx512bf16")]
 unsafe fn block_of_vectors(
     left: *const f32,
