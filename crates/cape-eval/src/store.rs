@@ -270,6 +270,14 @@ impl ResultStore {
         Ok(lock)
     }
 
+    /// Locks the directory, after waiting for another process that has it.
+    pub fn wait_for_lock(&self) -> Result<DirectoryLock> {
+        create_dir(&self.root)?;
+        let lock = DirectoryLock::wait(&self.root)?;
+        self.refresh()?;
+        Ok(lock)
+    }
+
     /// True if the store has listed `name` as its own.
     pub fn owns(&self, name: &str) -> bool {
         let state = self.state();

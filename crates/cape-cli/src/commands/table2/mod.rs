@@ -177,9 +177,13 @@ impl Table2Args {
                 return Ok(ExitCode::INTERRUPTED);
             }
             drop(lock);
+            let writing = store.wait_for_lock()?;
             write_tables(&store, &report(&finished(&jobs)?))?;
+            drop(writing);
             clock.pass(job);
         }
+        // Another process that finishes a row meanwhile writes after this one, with that row.
+        let _writing = store.wait_for_lock()?;
         let results = finished(&jobs)?;
         if results.is_empty() {
             return Err(Error::message(format!("{}: no row is finished", grid.out.display())));
