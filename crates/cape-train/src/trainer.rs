@@ -275,14 +275,15 @@ impl Trainer {
     /// last epoch of a variational model a mixture of normal distributions is fitted to the codes of
     /// the training frames, from which samples are drawn.
     ///
-    /// Of several processes, each reports its steps, and the first one also validation, checkpoints and the
-    /// prior, for which the others wait. A break in one process stops all after the next step.
+    /// If there are several processes, each reports its steps, and the first one also validation,
+    /// checkpoints and the prior, for which the others wait. A break in one process stops all after the
+    /// next step.
     ///
     /// # Errors
     /// If a file cannot be read or written, or a loss or gradient is not finite. In the latter case
     /// the update is not applied, the error names the step and its frames, and the last checkpoint
-    /// is kept. An error other than [`Error::Processes`](crate::Error::Processes) may have occurred in this process alone: the others
-    /// wait until it [ends](Collective::abort) them.
+    /// is kept. An error other than [`Error::Processes`](crate::Error::Processes) may have occurred in
+    /// this process alone: the others wait until it [ends](Collective::abort) them.
     pub fn run(
         &mut self,
         report: &mut dyn FnMut(&TrainEvent) -> ControlFlow<()>,

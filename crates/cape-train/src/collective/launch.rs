@@ -1,4 +1,4 @@
-//! What launchers tell the processes that they start.
+//! Number and place of a process by the variables of its launcher.
 
 /// Number and place of a process among those that a launcher started together.
 ///

@@ -13,7 +13,7 @@ use crate::{
     objective::{Evaluation, Losses},
 };
 
-/// What all processes know after the sum of a step.
+/// Decisions common to all processes after the sum of a step.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct StepAgreement {
     /// True if a process asked to stop.
