@@ -2,8 +2,11 @@
 
 use std::{
     fs::{self, File, TryLockError},
+    io::ErrorKind,
     path::{Path, PathBuf},
 };
+
+use same_file::Handle;
 
 use crate::{Error, Result};
 
@@ -11,8 +14,8 @@ use crate::{Error, Result};
 pub struct StagingDirectory {
     /// Path of the hidden directory, to write into.
     pub path: PathBuf,
-    /// Lock file that keeps other processes from filling the same directory.
-    lock: (PathBuf, File),
+    /// Keeps other processes from filling the same directory.
+    lock: LockFile,
     /// Keep the contents on drop, so that a later run can resume.
     pub keep: bool,
 }
@@ -32,20 +35,17 @@ impl StagingDirectory {
             )));
         };
         let path = out.with_file_name(format!(".{}.cape-partial", name.to_string_lossy()));
-        let lock_path = path.with_extension("cape-lock");
+        if let Some(parent) = out.parent() {
+            fs::create_dir_all(parent).map_err(|e| Error::io(parent, e))?;
+        }
+        // Before anything else is looked at: another process may be completing `out`.
+        let lock = lock(&path.with_extension("cape-lock"), out)?;
         if out.exists() && (!out.is_dir() || fs::read_dir(out).map_err(fail)?.next().is_some()) {
-            // Left by a process that was killed after it had completed `out`.
-            if lock_path.exists() && lock(lock_path.clone(), out).is_ok() {
-                let _ = fs::remove_file(lock_path);
-            }
             return Err(Error::Data(format!(
                 "{} already exists: remove it, or choose another directory",
                 out.display()
             )));
         }
-        fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
-        let lock = lock(lock_path, out)?;
-        // The previous holder of the lock may have renamed the directory.
         fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
         Ok(Self { path, lock, keep: false })
     }
@@ -75,30 +75,106 @@ impl StagingDirectory {
     }
 }
 
+/// Locked file that keeps other processes from filling the same directory; removed when dropped.
+struct LockFile {
+    path: PathBuf,
+    /// Holds the lock, where the file system has locks.
+    _file: File,
+}
+
 /// Locks the file at `path`, so that no other process fills `out`.
-fn lock(path: PathBuf, out: &Path) -> Result<(PathBuf, File)> {
-    let file = File::options()
-        .create(true)
-        .truncate(false)
-        .write(true)
-        .open(&path)
-        .map_err(|e| Error::io(&path, e))?;
-    match file.try_lock() {
-        Ok(()) => Ok((path, file)),
-        Err(TryLockError::WouldBlock) => Err(Error::Data(format!(
-            "{}: another process is writing it: wait, or choose another directory",
-            out.display()
-        ))),
-        Err(TryLockError::Error(error)) => Err(Error::io(path, error)),
+fn lock(path: &Path, out: &Path) -> Result<LockFile> {
+    let fail = |error| Error::io(path, error);
+    loop {
+        let mut options = File::options();
+        let file = options.create(true).truncate(false).write(true).open(path).map_err(fail)?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                return Err(Error::Data(format!(
+                    "{}: another process is writing it: wait, or choose another directory",
+                    out.display()
+                )));
+            }
+            Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {}
+            Err(TryLockError::Error(error)) => return Err(fail(error)),
+        }
+        // Its previous holder may have removed the file after it was opened here.
+        let opened = Handle::from_file(file.try_clone().map_err(fail)?).map_err(fail)?;
+        if Handle::from_path(path).is_ok_and(|present| present == opened) {
+            return Ok(LockFile { path: path.to_owned(), _file: file });
+        }
+    }
+}
+
+impl Drop for LockFile {
+    fn drop(&mut self) {
+        // `drop` cannot report a failed clean-up.
+        let _ = fs::remove_file(&self.path);
     }
 }
 
 impl Drop for StagingDirectory {
     fn drop(&mut self) {
-        let _ = fs::remove_file(&self.lock.0);
         if !self.keep {
             // `drop` cannot report a failed clean-up.
             let _ = fs::remove_dir_all(&self.path);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::thread;
+
+    use super::*;
+
+    /// One at a time has the directory, and what is complete is whole; the others are refused.
+    #[test]
+    fn writers_of_one_directory_exclude_each_other() {
+        let root = tempfile::tempdir().unwrap();
+        let out = root.path().join("parent/out");
+        let committed: usize = thread::scope(|scope| {
+            let writers = (0..6).map(|writer| {
+                let out = &out;
+                scope.spawn(move || write_repeatedly(writer, out))
+            });
+            let writers: Vec<_> = writers.collect();
+            writers.into_iter().map(|writer| writer.join().unwrap()).sum()
+        });
+        assert!(committed > 0);
+        let left: Vec<_> = fs::read_dir(out.parent().unwrap()).unwrap().collect();
+        assert!(left.len() <= 1, "{left:?}");
+    }
+
+    /// Fills `out` when nobody else does, and removes it when it is complete; the number of times it
+    /// was completed here.
+    fn write_repeatedly(writer: usize, out: &Path) -> usize {
+        let mut committed = 0;
+        for round in 0..300 {
+            let staging = match StagingDirectory::create(out) {
+                Ok(staging) => staging,
+                Err(error) => {
+                    let refused = error.to_string();
+                    let expected = ["another process", "already exists"];
+                    assert!(expected.iter().any(|said| refused.contains(said)), "{refused}");
+                    continue;
+                }
+            };
+            for file in 0..3 {
+                fs::write(staging.path.join(format!("{writer}-{file}")), "").unwrap();
+            }
+            assert_eq!(fs::read_dir(&staging.path).unwrap().count(), 3);
+            if round % 3 > 0 {
+                staging.commit(out).unwrap();
+                assert_eq!(fs::read_dir(out).unwrap().count(), 3);
+                // Under another name, so that the directory is never seen empty.
+                let removed = out.with_file_name(format!("removed-{writer}"));
+                fs::rename(out, &removed).unwrap();
+                fs::remove_dir_all(removed).unwrap();
+                committed += 1;
+            }
+        }
+        committed
     }
 }
