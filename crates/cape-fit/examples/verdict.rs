@@ -85,7 +85,7 @@ struct Study {
 
 impl Study {
     fn person(&self, rng: &mut ChaCha8Rng) -> Result<Person> {
-        let motion = Motion::ALL[rng.random_range(0..Motion::ALL.len())];
+        let motion = Motion::CAPTURED[rng.random_range(0..Motion::CAPTURED.len())];
         let pose = motion.pose(&MotionStyle::default(), rng.random_range(0.0..4.0)).to_vec();
         let betas = (0..2).map(|_| rng.sample(StandardNormal)).collect();
         let mut body = BodyParameters::new(pose, betas)?;

@@ -225,7 +225,7 @@ fn shaped<D: Dimension>(
 /// Poses of the synthetic training motions in several styles, radians, `[n, 72]`.
 pub fn synthetic_poses() -> Array2<f64> {
     let mut rows = Vec::new();
-    for motion in Motion::ALL.into_iter().filter(|motion| !motion.is_test()) {
+    for motion in Motion::CAPTURED.into_iter().filter(|motion| !motion.is_test()) {
         for style in 0..STYLES {
             let mut rng = ChaCha8Rng::seed_from_u64(motion as u64);
             rng.set_stream(style);
@@ -291,7 +291,7 @@ mod tests {
         let mut energies: Vec<f64> = (0..100)
             .map(|i| {
                 let style = MotionStyle::random(&mut rng);
-                energy(&Motion::ALL[i % 15].pose(&style, 0.1 * i as f64)[3..])
+                energy(&Motion::CAPTURED[i % 15].pose(&style, 0.1 * i as f64)[3..])
             })
             .collect();
         energies.sort_by(f64::total_cmp);

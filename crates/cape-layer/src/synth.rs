@@ -71,7 +71,7 @@ impl Exercise {
     /// Every synthetic motion in styles of the seeds from 1 to `styles`.
     pub fn styled(styles: u64) -> Vec<Self> {
         let each = |motion| (1..=styles).map(move |style| Self::Styled(motion, style));
-        Motion::ALL.into_iter().flat_map(each).collect()
+        Motion::CAPTURED.into_iter().flat_map(each).collect()
     }
 
     /// Motion of a body of 24 joints with the unclothed rest shape `[V, 3]`, metres, whose lowest

@@ -62,7 +62,7 @@ impl Default for SynthSpec {
             seed: 1,
             frame_rate: 15.0,
             outfits: Outfit::PAPER.to_vec(),
-            motions: Motion::ALL.to_vec(),
+            motions: Motion::CAPTURED.to_vec(),
         }
     }
 }

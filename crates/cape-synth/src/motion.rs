@@ -7,7 +7,7 @@ use std::{
 };
 
 use glam::{DQuat, DVec3};
-use rand::{Rng, RngExt};
+use rand::{Rng, RngExt, SeedableRng, rngs::ChaCha8Rng};
 
 use super::regions::joint;
 use crate::Error;
@@ -58,11 +58,33 @@ pub enum Motion {
     Soccer,
     /// Transitions between held poses.
     PoseModel,
+    /// Random postures of trunk, arms and legs, one after another.
+    RangeOfMotion,
 }
 
 impl Motion {
     /// All motions.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
+        Self::WalkMarch,
+        Self::Squats,
+        Self::MoveArms,
+        Self::TwistTilt,
+        Self::BendBackAndFront,
+        Self::Punching,
+        Self::Hips,
+        Self::Simple,
+        Self::ChickenWings,
+        Self::FlyingEagle,
+        Self::ShouldersMill,
+        Self::JumpingJacks,
+        Self::BendTwist,
+        Self::Soccer,
+        Self::PoseModel,
+        Self::RangeOfMotion,
+    ];
+
+    /// Motions of the CAPE captures, by their names there.
+    pub const CAPTURED: [Self; 15] = [
         Self::WalkMarch,
         Self::Squats,
         Self::MoveArms,
@@ -106,12 +128,14 @@ impl Motion {
             Self::BendTwist => "bend_twist",
             Self::Soccer => "soccer",
             Self::PoseModel => "pose_model",
+            Self::RangeOfMotion => "range_of_motion",
         }
     }
 
-    /// Duration of one repetition at normal tempo, seconds.
+    /// Duration of one repetition, or from one random posture to the next, at normal tempo, seconds.
     fn period(self) -> f64 {
         match self {
+            Self::RangeOfMotion => 1.1,
             Self::WalkMarch => 1.3,
             Self::Punching => 1.4,
             Self::JumpingJacks | Self::Soccer => 1.8,
@@ -272,6 +296,12 @@ impl Motion {
                 f.leg(0, 0.55 * w * a, 0.1 + 0.15 * v, 0.12 + 0.9 * w * a);
                 f.leg(1, 0.15 + 0.15 * u, 0.1 + 0.1 * u, 0.2 + 0.3 * u);
             }
+            Self::RangeOfMotion => {
+                let number = (t / TAU).floor();
+                let share = 0.5 - 0.5 * (0.5 * (t - TAU * number)).cos();
+                let [from, to] = [0.0, 1.0].map(|next| Posture::random(style, number + next));
+                f.assume(&from.lerp(&to, share));
+            }
         }
     }
 }
@@ -421,6 +451,20 @@ impl PoseBuilder {
         );
     }
 
+    /// Sets trunk, arms and legs.
+    fn assume(&mut self, posture: &Posture) {
+        let [[bend, tilt, twist], [spine_bend, spine_tilt, spine_twist]] =
+            [posture.root, posture.spine];
+        self.root(bend, tilt, twist);
+        self.spine(spine_bend, spine_tilt, spine_twist);
+        for side in 0..2 {
+            let ([raise, swing, reach, elbow], [flexion, spread, knee]) =
+                (posture.arms[side], posture.legs[side]);
+            self.arm(side, raise, swing, reach, elbow);
+            self.leg(side, flexion, spread, knee);
+        }
+    }
+
     /// Pose in axis-angle `[72]`, with the feet levelled within the range of the ankles.
     fn axis_angles(mut self) -> [f64; 72] {
         for (ankle, shin) in joint::ANKLES.into_iter().zip(self.shins) {
@@ -437,6 +481,58 @@ impl PoseBuilder {
     }
 }
 
+/// Angles of trunk and limbs in the order of the parameters of [`PoseBuilder`], radians.
+struct Posture {
+    root: [f64; 3],
+    spine: [f64; 3],
+    arms: [[f64; 4]; 2],
+    legs: [[f64; 3]; 2],
+}
+
+impl Posture {
+    /// Posture `number` of the sequence that belongs to `style`: a bent, tilted and twisted trunk, each
+    /// arm by itself, and both legs bent as for sitting down or one of them lifted.
+    fn random(style: &MotionStyle, number: f64) -> Self {
+        let seed = style.phase.to_bits() ^ number.to_bits().rotate_left(17);
+        let rng = &mut ChaCha8Rng::seed_from_u64(seed);
+        let mut draw = |[least, most]: [f64; 2]| style.amplitude * rng.random_range(least..most);
+        let root = [[-0.15, 0.5], [-0.15, 0.15], [-0.25, 0.25]].map(&mut draw);
+        let spine = [[-0.25, 0.7], [-0.35, 0.35], [-0.75, 0.75]].map(&mut draw);
+        let arms = [(); 2].map(|()| {
+            let [raise, swing, reach, elbow] =
+                [[0.05, 2.2], [-0.6, 1.2], [0.0, 0.8], [0.1, 1.7]].map(&mut draw);
+            [HANG + raise, swing, reach, elbow]
+        });
+        let [depth, lift, side, sits] =
+            [[0.0, 1.0], [-0.4, 1.4], [-1.0, 1.0], [-1.0, 1.0]].map(&mut draw);
+        let bent = depth * depth;
+        let mut legs = [(); 2].map(|()| {
+            let [flexion, spread, knee] = [[-0.1, 0.2], [0.03, 0.25], [0.05, 0.35]].map(&mut draw);
+            [flexion + 1.45 * bent, spread + 0.2 * bent, knee + 1.6 * bent]
+        });
+        if sits < 0.0 {
+            let [lifted, standing] = if side < 0.0 { [0, 1] } else { [1, 0] };
+            let [spread, knee] = [[0.02, 0.45], [0.1, 1.5]].map(&mut draw);
+            legs[lifted] = [lift, spread, knee];
+            legs[standing] = [0.1 + 0.4 * bent, 0.06, 0.15 + 0.6 * bent];
+        }
+        Self { root, spine, arms, legs }
+    }
+
+    /// Posture between this one at `share` 0 and `other` at 1.
+    fn lerp(&self, other: &Self, share: f64) -> Self {
+        fn between<const N: usize>(a: [f64; N], b: [f64; N], share: f64) -> [f64; N] {
+            std::array::from_fn(|i| a[i] + (b[i] - a[i]) * share)
+        }
+        Self {
+            root: between(self.root, other.root, share),
+            spine: between(self.spine, other.spine, share),
+            arms: std::array::from_fn(|side| between(self.arms[side], other.arms[side], share)),
+            legs: std::array::from_fn(|side| between(self.legs[side], other.legs[side], share)),
+        }
+    }
+}
+
 /// Sign of a body side: +1 left, −1 right.
 fn sign(side: usize) -> f64 {
     if side == 0 { 1.0 } else { -1.0 }
@@ -445,7 +541,6 @@ fn sign(side: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand::{SeedableRng, rngs::ChaCha8Rng};
 
     #[test]
     fn names_parse_back() {

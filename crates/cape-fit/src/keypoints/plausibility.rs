@@ -111,7 +111,7 @@ mod tests {
         for layout in KeypointLayout::ALL {
             let others = KeypointLayout::of_count(layout.points()).count();
             let (mut right, mut all) = (0, 0);
-            for motion in Motion::ALL {
+            for motion in Motion::CAPTURED {
                 for frame in 0..6 {
                     let time = 0.4 * f64::from(frame);
                     let points = seen(layout, motion, time, f64::from(frame));

@@ -292,6 +292,6 @@ impl BodySampler<'_> {
 
 fn moment(rng: &mut ChaCha8Rng) -> BodyPose {
     let style = MotionStyle::random(rng);
-    let motion = Motion::ALL[rng.random_range(0..Motion::ALL.len())];
+    let motion = Motion::CAPTURED[rng.random_range(0..Motion::CAPTURED.len())];
     motion.pose(&style, rng.random_range(0.0..SECONDS)).map(|angle| angle as f32)
 }
