@@ -15,7 +15,7 @@ pub struct StagingDirectory {
     /// Path of the hidden directory, to write into.
     pub path: PathBuf,
     /// Keeps other processes from filling the same directory.
-    lock: LockFile,
+    _lock: LockFile,
     /// Keep the contents on drop, so that a later run can resume.
     pub keep: bool,
 }
@@ -47,7 +47,7 @@ impl StagingDirectory {
             )));
         }
         fs::create_dir_all(&path).map_err(|e| Error::io(&path, e))?;
-        Ok(Self { path, lock, keep: false })
+        Ok(Self { path, _lock: lock, keep: false })
     }
 
     /// Opens an empty staging directory of `out`.

@@ -2,7 +2,7 @@
 //! CAPE release.
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, HashSet},
     fs,
     path::{Path, PathBuf},
 };
@@ -408,6 +408,14 @@ impl<'a> CaptureGenerator<'a> {
         let root = root.as_ref();
         self.write_subjects(root)?;
         let sequences = self.spec.sequences();
+        let mut names = HashSet::new();
+        if let Some(twice) = sequences.iter().find(|sequence| !names.insert(**sequence)) {
+            return Err(Error::Argument(format!(
+                "{} of {} is listed twice: name each outfit and each motion once",
+                twice.name(),
+                twice.subject_name()
+            )));
+        }
         let total = sequences.len() * self.spec.frames_per_sequence;
         progress(0, total);
         for (done, &sequence) in sequences.iter().enumerate() {

@@ -105,7 +105,7 @@ pub struct SimulatedTake {
     pub motion: usize,
     /// Name of the motion.
     pub motion_name: String,
-    /// Number of the take of the motion, from 0.
+    /// Number of the take of this entry of the list of motions, from 0.
     pub trial: usize,
 }
 
@@ -124,9 +124,15 @@ pub struct SimulatedTake {
 ///     ..SynthSpec::default()
 /// };
 /// let options = WardrobeOptions { takes: 2, ..WardrobeOptions::default() };
-/// let captures = SimulatedCaptures::new(&body, spec, options)?;
+/// let captures = SimulatedCaptures::new(&body, spec.clone(), options)?;
 /// let names: Vec<String> = captures.takes().iter().map(|take| captures.name(take)).collect();
 /// assert_eq!(names, ["shortlong_squats_trial1", "shortlong_squats_trial2"]);
+///
+/// // A motion that is listed several times has as many takes.
+/// let spec = SynthSpec { motions: vec![Motion::Squats, Motion::Hips, Motion::Squats], ..spec };
+/// let captures = SimulatedCaptures::new(&body, spec, WardrobeOptions::default())?;
+/// let names: Vec<String> = captures.takes().iter().map(|take| captures.sequence(take)).collect();
+/// assert_eq!(names, ["squats_trial1", "hips", "squats_trial2"]);
 /// # Ok::<(), cape_core::Error>(())
 /// ```
 #[derive(Debug, Clone)]
@@ -231,11 +237,13 @@ impl<'a> SimulatedCaptures<'a> {
         takes
     }
 
-    /// Name of a take's motion in splits: with the number of the take, if motions have several.
+    /// Name of a take's motion in splits: with the number of the take, if the motion has several.
     pub fn sequence(&self, take: &SimulatedTake) -> String {
-        match self.options.takes {
-            1 => take.motion_name.clone(),
-            _ => format!("{}_trial{}", take.motion_name, take.trial + 1),
+        let (motions, name, each) = (self.motions(), &take.motion_name, self.options.takes);
+        let listed = |motions: &[String]| motions.iter().filter(|&other| other == name).count();
+        match listed(&motions) * each {
+            1 => name.clone(),
+            _ => format!("{name}_trial{}", listed(&motions[..take.motion]) * each + take.trial + 1),
         }
     }
 

@@ -42,7 +42,8 @@ pub(crate) struct SynthArgs {
     /// Outfits [default: the paper's four].
     #[arg(long, value_delimiter = ',', value_name = "OUTFIT,…")]
     outfits: Vec<Outfit>,
-    /// Synthetic motions [default: all].
+    /// Synthetic motions; with --clothes simulated one that is listed twice has two takes [default: the
+    /// 15 of the captures].
     #[arg(long, value_delimiter = ',', value_name = "MOTION,…")]
     motions: Vec<Motion>,
     /// Displacements by formula, or garments simulated over the moving body.
