@@ -33,6 +33,7 @@ mod error;
 mod export;
 mod functions;
 mod laplacian;
+mod launches;
 mod ops;
 mod parts;
 mod peak;
@@ -40,6 +41,7 @@ mod precision;
 mod pyramid;
 mod quadric;
 mod sparse;
+mod steps;
 mod store;
 mod topology;
 mod upsample;
@@ -54,6 +56,7 @@ pub use functions::{
     sparse_matmul,
 };
 pub use laplacian::{normalized_laplacian, rescaled_laplacian};
+pub use launches::KernelLaunches;
 pub use ops::{
     ChebConvGradients, ChebConvInputs, ChebConvSaved, ConvSpec, DeviceGraph, EpilogueInputs,
     GraphBackend, GroupNormGradients, GroupNormInputs, NormConvGradients, NormConvInputs,
@@ -65,6 +68,7 @@ pub use precision::Precision;
 pub use pyramid::{Level, MeshPyramid, Transition};
 pub use quadric::{Simplified, simplify};
 pub use sparse::{Csr, CsrWithTranspose, SparseMatrix};
+pub use steps::{AdamState, AdamStep, MomentumStep, adam_step, momentum_step, sums_of_squares};
 pub use store::{read_sparse, write_sparse};
 pub use topology::{EdgeCounts, Surface};
 pub use upsample::{Weighting, upsample};

@@ -13,7 +13,12 @@ use burn::backend::{
     tensor::{FloatTensor, IntTensor},
 };
 
-use crate::{Precision, composed, conv_graph::HostGraph, sparse::CsrWithTranspose};
+use crate::{
+    Precision, composed,
+    conv_graph::HostGraph,
+    sparse::CsrWithTranspose,
+    steps::{self, AdamState, AdamStep, MomentumStep},
+};
 
 /// Optional tensor of an operation: Burn's dispatch takes no [`Option`].
 #[derive(Debug, Clone, ExtensionType)]
@@ -351,5 +356,33 @@ pub trait GraphBackend: Backend {
         grad: FloatTensor<Self>,
     ) -> GroupNormGradients<Self> {
         composed::group_norm_relu_backward::<Self>(inputs, grad)
+    }
+
+    /// Value and velocity, `[numbers]`, after a step of gradient descent with momentum.
+    fn momentum_step(
+        value: FloatTensor<Self>,
+        gradient: FloatTensor<Self>,
+        velocity: FloatTensor<Self>,
+        step: MomentumStep,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        steps::composed_momentum::<Self>(value, gradient, velocity, step)
+    }
+
+    /// Value and moments, `[numbers]`, after a step of Adam.
+    fn adam_step(
+        gradient: FloatTensor<Self>,
+        #[extension_type] state: AdamState<Self>,
+        step: AdamStep,
+    ) -> AdamState<Self> {
+        steps::composed_adam::<Self>(gradient, state, step)
+    }
+
+    /// `sums`, `[vectors]`, with the sum of the squares of `x`, `[numbers]`, at index `slot`.
+    fn sum_of_squares(
+        x: FloatTensor<Self>,
+        sums: FloatTensor<Self>,
+        slot: usize,
+    ) -> FloatTensor<Self> {
+        steps::composed_sum_of_squares::<Self>(x, sums, slot)
     }
 }

@@ -14,6 +14,7 @@ use cape_model::weights::{HostArray, Weights, for_each_parameter, map_parameters
 
 use crate::{Error, Result};
 use cape_core::tensors::to_host;
+use cape_graph::{AdamStep, MomentumStep, adam_step, momentum_step, sums_of_squares};
 use cape_infer::OptimiserKind;
 
 /// Suffix of the names of second moments in [`Optimiser::state`].
@@ -74,39 +75,39 @@ impl Optimiser {
         let scale = if norm > self.clip { self.clip / norm } else { 1.0 };
         self.steps += 1;
         map_parameters(module, |parameter| {
-            let gradient = parameter.gradient(gradients)? * scale;
+            let gradient = parameter.gradient(gradients)?;
             let before = self.moments.remove(parameter.path);
-            let (moments, direction) = self.advance(before, gradient, parameter.shape.to_vec());
+            let moments = before.unwrap_or_else(|| Moments {
+                shape: parameter.shape.to_vec(),
+                first: gradient.zeros_like(),
+                second: None,
+            });
+            let (moments, value) =
+                self.advance(moments, parameter.value(), gradient, [scale, rate]);
             self.moments.insert(parameter.path.to_owned(), moments);
-            Some(parameter.value() - direction * rate)
+            Some(value)
         })
     }
 
-    /// New moments of a parameter, and the step to subtract from it per unit of learning rate.
+    /// New moments and value of a parameter.
     fn advance(
         &self,
-        before: Option<Moments>,
+        Moments { shape, first, second }: Moments,
+        value: Tensor<1>,
         gradient: Tensor<1>,
-        shape: Vec<usize>,
+        [scale, rate]: [f64; 2],
     ) -> (Moments, Tensor<1>) {
-        let (first, second) = before.map_or((None, None), |m| (Some(m.first), m.second));
         if self.kind == OptimiserKind::Sgd {
-            let first = match first {
-                Some(first) => first * self.momentum + gradient,
-                None => gradient,
-            };
-            return (Moments { shape, first: first.clone(), second: None }, first);
+            let step = MomentumStep { scale, momentum: self.momentum, rate };
+            let (value, first) = momentum_step(value, gradient, first, step);
+            return (Moments { shape, first, second: None }, value);
         }
-        let decayed = |moment: Option<Tensor<1>>, decay: f64, new: Tensor<1>| match moment {
-            Some(moment) => moment * decay + new * (1.0 - decay),
-            None => new * (1.0 - decay),
-        };
-        let first = decayed(first, self.momentum, gradient.clone());
-        let second = decayed(second, SECOND_DECAY, gradient.clone() * gradient);
-        let unbiased = |decay: f64| 1.0 - decay.powf(self.steps as f64);
-        let deviation = (second.clone() / unbiased(SECOND_DECAY)).sqrt() + EPSILON;
-        let direction = first.clone() / unbiased(self.momentum) / deviation;
-        (Moments { shape, first, second: Some(second) }, direction)
+        let decays = [self.momentum, SECOND_DECAY];
+        let corrections = decays.map(|decay| 1.0 - decay.powf(self.steps as f64));
+        let step = AdamStep { scale, decays, corrections, epsilon: EPSILON, rate };
+        let second = second.unwrap_or_else(|| gradient.zeros_like());
+        let [value, first, second] = adam_step(gradient, [value, first, second], step);
+        (Moments { shape, first, second: Some(second) }, value)
     }
 
     /// Moments by the path of the parameter, for a checkpoint.
@@ -189,16 +190,10 @@ impl Optimiser {
 
 /// Euclidean norm of all gradients of `module` together.
 pub fn global_norm<M: Module>(module: &M, gradients: &Gradients) -> f64 {
-    let mut squares = Vec::new();
-    for_each_parameter(module, |parameter| {
-        if let Some(gradient) = parameter.gradient(gradients) {
-            squares.push((gradient.clone() * gradient).sum());
-        }
-    });
-    if squares.is_empty() {
-        return 0.0;
-    }
-    to_host(Tensor::cat(squares, 0)).into_iter().map(f64::from).sum::<f64>().sqrt()
+    let mut vectors = Vec::new();
+    for_each_parameter(module, |parameter| vectors.extend(parameter.gradient(gradients)));
+    let Some(device) = vectors.first().map(Tensor::device) else { return 0.0 };
+    to_host(sums_of_squares(vectors, &device)).into_iter().map(f64::from).sum::<f64>().sqrt()
 }
 
 /// Copies the gradients of all parameters of `module` to the host, by the path of the parameter.

@@ -8,7 +8,7 @@ mod workload;
 use std::time::Duration;
 
 use burn::tensor::Device;
-use cape_graph::peak_gflops;
+use cape_graph::{KernelLaunches, peak_gflops};
 use cape_infer::RunConfig;
 use cape_model::update_flops;
 use serde::Serialize;
@@ -121,6 +121,45 @@ pub fn bench(run: &RunConfig, device: &Device, progress: &mut ProgressFn) -> Res
         threads: rayon::current_num_threads(),
         updates: update.runs,
     })
+}
+
+/// Kernel launches of [`count_launches`].
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct LaunchReport {
+    /// Launches of one update of generator and discriminator.
+    pub update: KernelLaunches,
+    /// Launches of decoding a batch.
+    pub decode: KernelLaunches,
+    /// Launches of encoding a batch.
+    pub encode: KernelLaunches,
+    /// Batch size.
+    pub batch: usize,
+}
+
+/// Counts the kernel launches of the workloads of [`bench()`] on a graphics card. Each is run twice, and the
+/// second one counts.
+pub fn count_launches(
+    run: &RunConfig,
+    device: &Device,
+    progress: &mut ProgressFn,
+) -> Result<LaunchReport> {
+    fn of_second(mut work: impl FnMut() -> Result<()>) -> Result<KernelLaunches> {
+        work()?;
+        let (result, launches) = KernelLaunches::during(work);
+        result.map(|()| launches)
+    }
+    let body = embedded_body(Gender::Neutral)?;
+    let mut workload = Workload::of_run(run, &body, device)?;
+    progress(1, 4);
+    let update = of_second(|| workload.update())?;
+    progress(2, 4);
+    let batch = run.train.batch;
+    let inference = workload.inference(batch);
+    let decode = of_second(|| inference.decode())?;
+    progress(3, 4);
+    let encode = of_second(|| inference.encode())?;
+    progress(4, 4);
+    Ok(LaunchReport { update, decode, encode, batch })
 }
 
 /// Progress of a benchmark.

@@ -15,6 +15,7 @@ use crate::{
         GroupNormGradients, GroupNormInputs, NormConvGradients, NormConvInputs, RequestedGradients,
         SparseOperand,
     },
+    steps::{AdamState, AdamStep, MomentumStep},
 };
 
 /// Tensor of f32 in the memory of the host.
@@ -235,6 +236,50 @@ pub(super) fn group_norm_relu_backward<B: HostBackend>(
     GroupNormGradients { x: tensor(x, dims), gamma: vector(&gamma), beta: vector(&beta) }
 }
 
+pub(super) fn momentum_step<B: HostBackend>(
+    value: FloatTensor<B>,
+    gradient: FloatTensor<B>,
+    velocity: FloatTensor<B>,
+    step: MomentumStep,
+) -> (FloatTensor<B>, FloatTensor<B>) {
+    let (gradient, mut new_velocity) = (gradient.values(), None);
+    let value = value.update(|value| {
+        let update = |velocity: &mut [f32]| cpu::momentum_step(value, &gradient, velocity, step);
+        new_velocity = Some(velocity.update(update));
+    });
+    (value, new_velocity.unwrap_or_else(|| unreachable!("the value was changed")))
+}
+
+pub(super) fn adam_step<B: HostBackend>(
+    gradient: FloatTensor<B>,
+    state: AdamState<B>,
+    step: AdamStep,
+) -> AdamState<B> {
+    let AdamState { value, first, second } = state;
+    let (gradient, mut moments) = (gradient.values(), None);
+    let value = value.update(|value| {
+        let mut new_second = None;
+        let first = first.update(|first| {
+            let update = |second: &mut [f32]| {
+                cpu::adam_step(&gradient, [value, first, second], step);
+            };
+            new_second = Some(second.update(update));
+        });
+        moments = new_second.map(|second| (first, second));
+    });
+    let (first, second) = moments.unwrap_or_else(|| unreachable!("the value was changed"));
+    AdamState { value, first, second }
+}
+
+pub(super) fn sum_of_squares<B: HostBackend>(
+    x: FloatTensor<B>,
+    sums: FloatTensor<B>,
+    slot: usize,
+) -> FloatTensor<B> {
+    let sum = cpu::sum_of_squares(&x.values());
+    sums.update(|sums| sums[slot] = sum)
+}
+
 /// Implements [`GraphBackend`](crate::ops::GraphBackend) for a [`HostBackend`].
 macro_rules! host_backend {
     ($backend:ty) => {
@@ -294,6 +339,31 @@ macro_rules! host_backend {
                 grad: FloatTensor<Self>,
             ) -> crate::ops::GroupNormGradients<Self> {
                 host::group_norm_relu_backward(inputs, grad)
+            }
+
+            fn momentum_step(
+                value: FloatTensor<Self>,
+                gradient: FloatTensor<Self>,
+                velocity: FloatTensor<Self>,
+                step: crate::steps::MomentumStep,
+            ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+                host::momentum_step::<Self>(value, gradient, velocity, step)
+            }
+
+            fn adam_step(
+                gradient: FloatTensor<Self>,
+                state: crate::steps::AdamState<Self>,
+                step: crate::steps::AdamStep,
+            ) -> crate::steps::AdamState<Self> {
+                host::adam_step(gradient, state, step)
+            }
+
+            fn sum_of_squares(
+                x: FloatTensor<Self>,
+                sums: FloatTensor<Self>,
+                slot: usize,
+            ) -> FloatTensor<Self> {
+                host::sum_of_squares::<Self>(x, sums, slot)
             }
         }
     };

@@ -7,5 +7,6 @@ mod fused;
 mod host;
 mod precision;
 mod sparse;
+mod steps;
 mod support;
 mod threads;

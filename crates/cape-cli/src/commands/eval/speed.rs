@@ -1,5 +1,5 @@
-use cape_eval::bench::{BenchReport, bench};
-use cape_graph::Precision;
+use cape_eval::bench::{BenchReport, LaunchReport, bench, count_launches};
+use cape_graph::{KernelLaunches, Precision};
 use cape_infer::RunConfig;
 use cape_model::CapeConfig;
 use clap::Args;
@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::{
     console::Console,
-    error::Result,
+    error::{Error, Result},
     options::{GlobalArgs, PRESETS, PrecisionArgs, at_least_one, note_precision},
     table::Table,
 };
@@ -31,6 +31,9 @@ pub(crate) struct SpeedArgs {
     preset: String,
     #[command(flatten)]
     precision: PrecisionArgs,
+    /// Count the kernel launches of an update, of decoding and of encoding on a graphics card instead.
+    #[arg(long)]
+    count: bool,
 }
 
 fn batch_size(text: &str) -> Result<usize, String> {
@@ -60,6 +63,18 @@ impl SpeedArgs {
         run.train.batch = self.batch;
         run.train.seed = global.seed();
         run.train.precision = precision;
+        if self.count {
+            if cape_core::is_cpu(&device) {
+                return Err(Error::message(format!(
+                    "--count: {} runs no kernels: give the device of a graphics card, such as --device wgpu",
+                    global.device
+                )));
+            }
+            let launches = console.while_showing("count", "runs", |progress| {
+                count_launches(&run, &device, progress)
+            })?;
+            return console.result(&launches, || launches_text(&launches));
+        }
         let found =
             console.while_showing("measure", "runs", |progress| bench(&run, &device, progress))?;
         let report = Report {
@@ -71,6 +86,31 @@ impl SpeedArgs {
         };
         console.result(&report, || report.text())
     }
+}
+
+/// Launches by kernel, those of updates first.
+fn launches_text(found: &LaunchReport) -> String {
+    let LaunchReport { update, decode, encode, batch } = found;
+    let columns = [update, decode, encode];
+    let mut names: Vec<&str> = Vec::new();
+    for (name, _) in columns.iter().flat_map(|launches| &launches.kernels) {
+        if !names.contains(&name.as_str()) {
+            names.push(name);
+        }
+    }
+    let mut table = Table::new(["kernel", "update", "decode", "encode"]);
+    let mut row = |name: &str, counts: [usize; 3]| {
+        let [update, decode, encode] = counts.map(|count| count.to_string());
+        table.row([name.to_owned(), update, decode, encode]);
+    };
+    for name in names {
+        let of = |launches: &KernelLaunches| {
+            launches.kernels.iter().find(|kernel| kernel.0 == name).map_or(0, |kernel| kernel.1)
+        };
+        row(name, columns.map(of));
+    }
+    row("all", columns.map(KernelLaunches::total));
+    format!("{}\n\nkernel launches, batch {batch}", table.text())
 }
 
 impl Report {

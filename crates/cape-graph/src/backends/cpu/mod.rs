@@ -17,6 +17,7 @@ mod panels;
 mod scratch;
 mod sparse;
 mod split;
+mod steps;
 
 pub(super) use activation::{bias_leaky_relu, bias_leaky_relu_backward};
 pub(crate) use bf16::name as bf16_instructions;
@@ -26,6 +27,7 @@ pub(super) use group_norm::{group_norm_relu, group_norm_relu_backward};
 pub(super) use norm::Norm;
 pub(super) use norm_conv::{Inputs, NormConv, norm_conv, norm_conv_backward};
 pub(super) use sparse::sparse_matmul;
+pub(super) use steps::{adam_step, momentum_step, sum_of_squares};
 
 /// Runs a kernel compiled for the best instruction set this processor has.
 #[inline(always)]

@@ -8,15 +8,19 @@ mod activation;
 mod norm;
 mod reduce;
 mod sparse;
+mod steps;
 
 use burn::{backend::tensor::FloatTensor, tensor::Shape};
 use burn_cubecl::{CubeBackend, kernel::into_contiguous, tensor::CubeTensor};
 use cubecl::prelude::{CubeCount, CubeDim};
 
 use self::norm::Norm;
-use crate::ops::{
-    EpilogueInputs, GraphBackend, GroupNormGradients, GroupNormInputs, OptionalTensor,
-    SparseOperand,
+use crate::{
+    ops::{
+        EpilogueInputs, GraphBackend, GroupNormGradients, GroupNormInputs, OptionalTensor,
+        SparseOperand,
+    },
+    steps::{AdamState, AdamStep, MomentumStep},
 };
 
 /// Number of threads of a workgroup.
@@ -113,5 +117,30 @@ impl GraphBackend for CubeBackend {
         grad: FloatTensor<Self>,
     ) -> GroupNormGradients<Self> {
         Norm::new(inputs).relu_backward(grad)
+    }
+
+    fn momentum_step(
+        value: FloatTensor<Self>,
+        gradient: FloatTensor<Self>,
+        velocity: FloatTensor<Self>,
+        step: MomentumStep,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        steps::momentum_step(value, gradient, velocity, step)
+    }
+
+    fn adam_step(
+        gradient: FloatTensor<Self>,
+        state: AdamState<Self>,
+        step: AdamStep,
+    ) -> AdamState<Self> {
+        steps::adam_step(gradient, state, step)
+    }
+
+    fn sum_of_squares(
+        x: FloatTensor<Self>,
+        sums: FloatTensor<Self>,
+        slot: usize,
+    ) -> FloatTensor<Self> {
+        steps::sum_of_squares(x, sums, slot)
     }
 }
