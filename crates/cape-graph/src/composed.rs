@@ -17,7 +17,11 @@ use crate::{
 };
 
 impl<B: GraphBackend> DeviceGraph<B> {
-    fn operand(&self, matrix: &Arc<CsrWithTranspose>, transpose: bool) -> SparseOperand<B> {
+    pub(crate) fn operand(
+        &self,
+        matrix: &Arc<CsrWithTranspose>,
+        transpose: bool,
+    ) -> SparseOperand<B> {
         SparseOperand {
             structure: self.structure.clone(),
             values: self.values.clone(),
@@ -126,20 +130,61 @@ fn dims<B: Backend>(x: &FloatTensor<B>) -> [usize; 3] {
     [shape[0], shape[1], shape[2]]
 }
 
-/// The weights of each term, `[channels, out]`.
-fn term_weights<B: Backend>(weight: FloatTensor<B>, order: usize) -> Vec<FloatTensor<B>> {
-    let (rows, out) = (weight.shape()[0], weight.shape()[1]);
-    let channels = rows / order;
-    let weight = B::float_reshape(weight, shape([channels, order, out]));
-    (0..order)
-        .map(|k| {
-            let term = B::float_slice(
-                weight.clone(),
-                &[(0..channels).into(), (k..k + 1).into(), (0..out).into()],
-            );
-            B::float_reshape(term, shape([channels, out]))
-        })
-        .collect()
+/// [`GraphBackend::cheb_basis`].
+pub(crate) fn cheb_basis<B: GraphBackend>(
+    x: FloatTensor<B>,
+    graph: &DeviceGraph<B>,
+    order: usize,
+) -> FloatTensor<B> {
+    let [batch, _, channels] = dims::<B>(&x);
+    let kept = graph.host.kept();
+    let mut terms = graph.basis(x, order);
+    if order == 1 {
+        return terms.swap_remove(0);
+    }
+    let column = |term| B::float_reshape(term, shape([batch, kept, channels, 1]));
+    let terms = terms.into_iter().map(column).collect();
+    B::float_reshape(B::float_cat(terms, 3), shape([batch, kept, channels * order]))
+}
+
+/// [`GraphBackend::cheb_fold`], by the recurrence in reverse.
+pub(crate) fn cheb_fold<B: GraphBackend>(
+    grad: FloatTensor<B>,
+    graph: &DeviceGraph<B>,
+    order: usize,
+) -> FloatTensor<B> {
+    if order == 1 {
+        return graph.scatter(grad);
+    }
+    let [batch, kept, columns] = dims::<B>(&grad);
+    let channels = columns / order;
+    let grad = B::float_reshape(grad, shape([batch, kept, channels, order]));
+    let term = |k: usize| {
+        let ranges = [(0..batch).into(), (0..kept).into(), (0..channels).into(), (k..k + 1).into()];
+        B::float_reshape(B::float_slice(grad.clone(), &ranges), shape([batch, kept, channels]))
+    };
+    let mut kept_terms: Vec<FloatTensor<B>> = (0..order - 1).map(term).collect();
+    let last = term(order - 1);
+    if order > 2 {
+        let before = kept_terms[order - 3].clone();
+        kept_terms[order - 3] = B::float_sub(before, last.clone());
+    }
+    let laplacian = graph.host.laplacian();
+    let mut terms: Vec<FloatTensor<B>> =
+        kept_terms.into_iter().map(|term| graph.scatter(term)).collect();
+    let alpha = if order > 2 { 2.0 } else { 1.0 };
+    let base = terms[order - 2].clone();
+    terms[order - 2] = graph.accumulate_transposed(last, base, graph.host.kept_laplacian(), alpha);
+    for k in (2..order - 1).rev() {
+        let (term, base) = (terms[k].clone(), terms[k - 1].clone());
+        terms[k - 1] = graph.accumulate_transposed(term, base, laplacian, 2.0);
+        terms[k - 2] = B::float_sub(terms[k - 2].clone(), terms[k].clone());
+    }
+    let first = terms[0].clone();
+    match terms.get(1) {
+        Some(second) => graph.accumulate_transposed(second.clone(), first, laplacian, 1.0),
+        None => first,
+    }
 }
 
 /// `[batch · vertices, channels]`.
@@ -168,24 +213,13 @@ fn convolve<B: GraphBackend>(
 ) -> FloatTensor<B> {
     let ConvSpec { order, slope } = spec;
     let dims = [dims::<B>(&x)[0], graph.host.kept(), weight.shape()[1]];
-    let terms = graph.basis(x, order);
-    let mut products: Vec<FloatTensor<B>> = terms
-        .into_iter()
-        .zip(term_weights::<B>(weight, order))
-        .map(|(term, weight)| {
-            B::float_reshape(B::float_matmul(flat::<B>(term), weight), shape(dims))
-        })
-        .collect();
-    // The last product is added by the epilogue.
-    let product = products.split_off(order.max(2) - 1).pop();
-    let sum = products
-        .into_iter()
-        .reduce(B::float_add)
-        .unwrap_or_else(|| unreachable!("order is at least 1"));
-    if product.is_none() && addend.is_none() && slope.is_none() {
-        return sum;
+    let basis = B::cheb_basis(x, graph.clone(), order);
+    let product = B::float_reshape(B::float_matmul(flat::<B>(basis), weight), shape(dims));
+    if addend.is_none() && slope.is_none() {
+        return product;
     }
-    B::epilogue(EpilogueInputs { sum, product: product.into(), addend: addend.into(), slope })
+    let (sum, product) = (product, OptionalTensor::None);
+    B::epilogue(EpilogueInputs { sum, product, addend: addend.into(), slope })
 }
 
 pub(crate) fn cheb_conv_backward<B: GraphBackend>(
@@ -230,16 +264,11 @@ fn weight_gradient<B: GraphBackend>(
     graph: &DeviceGraph<B>,
     order: usize,
 ) -> FloatTensor<B> {
-    let ([_, _, channels], [_, _, out]) = (dims::<B>(&x), dims::<B>(&grad));
-    let grad = flat::<B>(grad);
-    let terms = graph.basis(x, order).into_iter().map(|term| {
-        let product = B::float_matmul(B::float_transpose(flat::<B>(term)), grad.clone());
-        B::float_reshape(product, shape([channels, 1, out]))
-    });
-    B::float_reshape(B::float_cat(terms.collect(), 1), shape([channels * order, out]))
+    let basis = B::cheb_basis(x, graph.clone(), order);
+    B::float_matmul(B::float_transpose(flat::<B>(basis)), flat::<B>(grad))
 }
 
-/// `Σ_k T_k(L̃)ᵀ Dᵀ grad W_kᵀ` by the recurrence in reverse, `[batch, vertices, channels]`.
+/// `Σ_k T_k(L̃)ᵀ Dᵀ grad W_kᵀ`, `[batch, vertices, channels]`.
 fn input_gradient<B: GraphBackend>(
     weight: FloatTensor<B>,
     grad: FloatTensor<B>,
@@ -247,41 +276,9 @@ fn input_gradient<B: GraphBackend>(
     order: usize,
 ) -> FloatTensor<B> {
     let [batch, kept, _] = dims::<B>(&grad);
-    let channels = weight.shape()[0] / order;
-    let grad = flat::<B>(grad);
-    let mut kept_terms: Vec<FloatTensor<B>> = term_weights::<B>(weight, order)
-        .into_iter()
-        .map(|weight| {
-            let product = B::float_matmul(grad.clone(), B::float_transpose(weight));
-            B::float_reshape(product, shape([batch, kept, channels]))
-        })
-        .collect();
-    let last = kept_terms.split_off(order.max(2) - 1).pop();
-    let laplacian = graph.host.laplacian();
-    if order > 2
-        && let Some(last) = &last
-    {
-        let before = kept_terms[order - 3].clone();
-        kept_terms[order - 3] = B::float_sub(before, last.clone());
-    }
-    let mut terms: Vec<FloatTensor<B>> =
-        kept_terms.into_iter().map(|term| graph.scatter(term)).collect();
-    if let Some(last) = last {
-        let alpha = if order > 2 { 2.0 } else { 1.0 };
-        let base = terms[order - 2].clone();
-        terms[order - 2] =
-            graph.accumulate_transposed(last, base, graph.host.kept_laplacian(), alpha);
-    }
-    for k in (2..order.max(2) - 1).rev() {
-        let (term, base) = (terms[k].clone(), terms[k - 1].clone());
-        terms[k - 1] = graph.accumulate_transposed(term, base, laplacian, 2.0);
-        terms[k - 2] = B::float_sub(terms[k - 2].clone(), terms[k].clone());
-    }
-    let first = terms[0].clone();
-    match terms.get(1) {
-        Some(second) => graph.accumulate_transposed(second.clone(), first, laplacian, 1.0),
-        None => first,
-    }
+    let columns = weight.shape()[0];
+    let products = B::float_matmul(flat::<B>(grad), B::float_transpose(weight));
+    B::cheb_fold(B::float_reshape(products, shape([batch, kept, columns])), graph.clone(), order)
 }
 
 /// Features and constant channels at every vertex, `[batch, vertices, channels + c]`.

@@ -281,6 +281,26 @@ pub trait GraphBackend: Backend {
         composed::accumulate::<Self>(Self::sparse_matmul(x, a), base, alpha, beta)
     }
 
+    /// Chebyshev basis `T_k(L̃) x` at the kept vertices, `[batch, kept, channels · K]`, the terms of a
+    /// channel adjacent; `x: [batch, vertices, channels]`.
+    fn cheb_basis(
+        x: FloatTensor<Self>,
+        #[extension_type] graph: DeviceGraph<Self>,
+        order: usize,
+    ) -> FloatTensor<Self> {
+        composed::cheb_basis::<Self>(x, &graph, order)
+    }
+
+    /// `Σ_k T_k(L̃)ᵀ Dᵀ grad_k`, `[batch, vertices, channels]`, the transpose of
+    /// [`cheb_basis`](Self::cheb_basis); `grad: [batch, kept, channels · K]`.
+    fn cheb_fold(
+        grad: FloatTensor<Self>,
+        #[extension_type] graph: DeviceGraph<Self>,
+        order: usize,
+    ) -> FloatTensor<Self> {
+        composed::cheb_fold::<Self>(grad, &graph, order)
+    }
+
     /// `f(sum + product + addend)`, the end of a convolution, `[batch, vertices, channels]`; `f` is
     /// the leaky ReLU, if any.
     fn epilogue(#[extension_type] inputs: EpilogueInputs<Self>) -> FloatTensor<Self> {

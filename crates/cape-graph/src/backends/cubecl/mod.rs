@@ -5,6 +5,7 @@
 //! and offsets are runtime arguments: one compiled kernel serves all tensors.
 
 mod activation;
+mod chebyshev;
 mod norm;
 mod reduce;
 mod sparse;
@@ -16,9 +17,10 @@ use cubecl::prelude::{CubeCount, CubeDim};
 
 use self::norm::Norm;
 use crate::{
+    composed,
     ops::{
-        EpilogueInputs, GraphBackend, GroupNormGradients, GroupNormInputs, OptionalTensor,
-        SparseOperand,
+        DeviceGraph, EpilogueInputs, GraphBackend, GroupNormGradients, GroupNormInputs,
+        OptionalTensor, SparseOperand,
     },
     steps::{AdamState, AdamStep, MomentumStep},
 };
@@ -66,6 +68,30 @@ impl GraphBackend for CubeBackend {
         beta: f64,
     ) -> FloatTensor<Self> {
         sparse::product(x, a, Some((base, alpha as f32, beta as f32)))
+    }
+
+    fn cheb_basis(
+        x: FloatTensor<Self>,
+        graph: DeviceGraph<Self>,
+        order: usize,
+    ) -> FloatTensor<Self> {
+        if order == 2 {
+            chebyshev::basis(x, &graph)
+        } else {
+            composed::cheb_basis(x, &graph, order)
+        }
+    }
+
+    fn cheb_fold(
+        grad: FloatTensor<Self>,
+        graph: DeviceGraph<Self>,
+        order: usize,
+    ) -> FloatTensor<Self> {
+        if order == 2 {
+            chebyshev::fold(grad, &graph)
+        } else {
+            composed::cheb_fold(grad, &graph, order)
+        }
     }
 
     fn epilogue(inputs: EpilogueInputs<Self>) -> FloatTensor<Self> {

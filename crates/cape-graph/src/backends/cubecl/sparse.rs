@@ -1,20 +1,25 @@
+use std::sync::Arc;
+
 use burn_cubecl::{CubeBackend, kernel::into_contiguous, tensor::CubeTensor};
 use cubecl::prelude::*;
 
 use super::{dims, elementwise, empty};
-use crate::ops::SparseOperand;
+use crate::{
+    ops::{DeviceGraph, SparseOperand},
+    sparse::CsrWithTranspose,
+};
 
 /// Sparse matrix in the arrays of the device.
 #[derive(CubeType, CubeLaunch)]
-struct Matrix {
-    structure: OwnedTensor<i32>,
-    values: OwnedTensor<f32>,
+pub(super) struct Matrix {
+    pub structure: OwnedTensor<i32>,
+    pub values: OwnedTensor<f32>,
     /// Offset of its row starts in `structure`.
-    indptr: usize,
+    pub indptr: usize,
     /// Offset of its column indices in `structure`.
-    indices: usize,
+    pub indices: usize,
     /// Offset of its values in `values`.
-    data: usize,
+    pub data: usize,
 }
 
 /// Factors of a product and of its base.
@@ -74,23 +79,37 @@ pub(super) fn product(
         Some((base, alpha, beta)) => (Some(into_contiguous(base)), FactorsLaunch::new(alpha, beta)),
         None => (None, FactorsLaunch::new(1.0, 0.0)),
     };
-    let offsets = a.matrix.offsets(a.transpose);
     let (count, dim) = elementwise(&out);
     product_kernel::launch(
         &out.client,
         count,
         dim,
         x.into_tensor_arg(),
-        MatrixLaunch::new(
-            a.structure.into_tensor_arg(),
-            a.values.into_tensor_arg(),
-            offsets.indptr,
-            offsets.indices,
-            offsets.data,
-        ),
+        launch_argument(a),
         base.map(CubeTensor::into_tensor_arg).into(),
         factors,
         out.clone().into_tensor_arg(),
     );
     out
+}
+
+/// Argument of a kernel.
+fn launch_argument(a: SparseOperand<CubeBackend>) -> MatrixLaunch {
+    let offsets = a.matrix.offsets(a.transpose);
+    MatrixLaunch::new(
+        a.structure.into_tensor_arg(),
+        a.values.into_tensor_arg(),
+        offsets.indptr,
+        offsets.indices,
+        offsets.data,
+    )
+}
+
+/// One of the matrices of a graph, or its transpose, as an argument of a kernel.
+pub(super) fn matrix(
+    graph: &DeviceGraph<CubeBackend>,
+    matrix: &Arc<CsrWithTranspose>,
+    transpose: bool,
+) -> MatrixLaunch {
+    launch_argument(graph.operand(matrix, transpose))
 }
