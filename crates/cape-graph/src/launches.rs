@@ -42,7 +42,7 @@ impl KernelLaunches {
 mod observed {
     use std::{
         cmp::Reverse,
-        collections::HashMap,
+        collections::{BTreeMap, HashMap},
         sync::{Arc, Mutex, PoisonError},
     };
 
@@ -69,11 +69,19 @@ mod observed {
         let result = work();
         drop(observation);
         let counts = counter.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let named = |(name, &count): (&&str, &usize)| {
-            (type_name_format(name, TypeNameFormatLevel::Balanced), count)
-        };
-        let mut kernels: Vec<(String, usize)> = counts.iter().map(named).collect();
-        kernels.sort_by(|a, b| (Reverse(a.1), &a.0).cmp(&(Reverse(b.1), &b.0)));
+        let mut named: BTreeMap<String, usize> = BTreeMap::new();
+        for (kernel, count) in counts.iter() {
+            *named.entry(short_name(kernel)).or_default() += count;
+        }
+        let mut kernels: Vec<(String, usize)> = named.into_iter().collect();
+        kernels.sort_by_key(|&(_, count)| Reverse(count));
         (result, KernelLaunches { kernels })
+    }
+
+    /// Name of a kernel and its first type parameter, which tells apart Burn's elementwise operations.
+    fn short_name(kernel: &str) -> String {
+        let name = type_name_format(kernel, TypeNameFormatLevel::Balanced);
+        let parts = name.split(" | ").filter(|part| !part.is_empty() && *part != "TensorArgs");
+        parts.take(2).collect::<Vec<_>>().join(" ")
     }
 }

@@ -23,8 +23,8 @@ OTHER_NAMES = {
     "fit benchmark image": [cape.fit.benchmark_image],
     "fit benchmark scan": [cape.fit.benchmark_scan],
 }
-#: Options of a terminal, or that are a function of their own.
-NO_ARGUMENTS = {"tui", "check", "find_rate", "export", "framed", "no_open", "proxied"}
+#: Options of a terminal or of graphics cards, or that are a function of their own.
+NO_ARGUMENTS = {"tui", "count", "check", "find_rate", "export", "framed", "no_open", "proxied"}
 #: Parameters for arguments of the command line, and those of more than one value.
 ARGUMENTS = {
     "run": {"model", "runs"},

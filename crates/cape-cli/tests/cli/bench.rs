@@ -45,4 +45,5 @@ fn impossible_benchmarks_are_refused() {
         assert!(ran.err.contains(&said), "{}", ran.err);
     }
     run_line("eval speed --device tpu").failed_saying(&["unknown device `tpu`"]);
+    run_line("eval speed --count").failed_saying(&["--count", "runs no kernels", "--device wgpu"]);
 }
