@@ -35,7 +35,7 @@ impl StagingDirectory {
             )));
         };
         let path = out.with_file_name(format!(".{}.cape-partial", name.to_string_lossy()));
-        if let Some(parent) = out.parent() {
+        if let Some(parent) = out.parent().filter(|parent| !parent.exists()) {
             fs::create_dir_all(parent).map_err(|e| Error::io(parent, e))?;
         }
         // Before anything else is looked at: another process may be completing `out`.
