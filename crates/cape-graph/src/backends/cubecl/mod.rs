@@ -75,10 +75,9 @@ impl GraphBackend for CubeBackend {
         graph: DeviceGraph<Self>,
         order: usize,
     ) -> FloatTensor<Self> {
-        if order == 2 {
-            chebyshev::basis(x, &graph)
-        } else {
-            composed::cheb_basis(x, &graph, order)
+        match order {
+            2 | 3 => chebyshev::basis(x, &graph, order),
+            _ => composed::cheb_basis(x, &graph, order),
         }
     }
 
@@ -87,10 +86,9 @@ impl GraphBackend for CubeBackend {
         graph: DeviceGraph<Self>,
         order: usize,
     ) -> FloatTensor<Self> {
-        if order == 2 {
-            chebyshev::fold(grad, &graph)
-        } else {
-            composed::cheb_fold(grad, &graph, order)
+        match order {
+            2 | 3 => chebyshev::fold(grad, &graph, order),
+            _ => composed::cheb_fold(grad, &graph, order),
         }
     }
 
