@@ -5,33 +5,10 @@ use cubecl::prelude::*;
 
 use super::{
     dims, elementwise, empty,
-    sparse::{Matrix, matrix, product},
+    sparse::{Matrix, entry, matrix, product},
+    threads,
 };
 use crate::ops::DeviceGraph;
-
-/// Entry `[example, row, channel]` of `A x`, of the term at `offset` among `terms` adjacent ones.
-#[cube]
-fn entry(
-    x: &Tensor<f32>,
-    a: &Matrix,
-    example: usize,
-    row: usize,
-    channel: usize,
-    terms: usize,
-    offset: usize,
-) -> f32 {
-    let columns = x.shape(1);
-    let width = x.shape(2);
-    let from = a.structure[a.indptr + row] as usize;
-    let to = a.structure[a.indptr + row + 1] as usize;
-    let mut sum = 0.0f32;
-    for place in from..to {
-        let column = a.structure[a.indices + place] as usize;
-        let value = a.values[a.data + place];
-        sum += value * x[(example * columns + column) * width + channel * terms + offset];
-    }
-    sum
-}
 
 /// The first two of `terms` adjacent terms: `out[b, r, terms c] = (D x)[b, r, c]` and
 /// `out[b, r, terms c + 1] = (D L̃ x)[b, r, c]`, one thread for each pair.
@@ -79,7 +56,7 @@ pub(super) fn basis(x: CubeTensor, graph: &DeviceGraph<CubeBackend>, order: usiz
     let x = into_contiguous(x);
     let [batch, _, channels] = dims(&x);
     let out = empty(&x, &[batch, graph.host.kept(), order * channels]);
-    let (count, dim) = elementwise(&empty(&x, &[batch, graph.host.kept(), channels]));
+    let (count, dim) = threads(batch * graph.host.kept() * channels);
     let laplacian = graph.host.kept_laplacian();
     let selection = graph.host.pool().map_or(laplacian, |pool| &pool.selection);
     basis_kernel::launch(
@@ -107,7 +84,7 @@ pub(super) fn basis(x: CubeTensor, graph: &DeviceGraph<CubeBackend>, order: usiz
     out
 }
 
-/// Which of `terms` adjacent terms are folded.
+/// Two of `terms` adjacent terms, which are folded.
 #[derive(CubeType, CubeLaunch)]
 struct Folded {
     terms: usize,

@@ -50,7 +50,12 @@ fn dims(x: &CubeTensor) -> [usize; 3] {
 
 /// Workgroups with one thread for each element of `out`.
 fn elementwise(out: &CubeTensor) -> (CubeCount, CubeDim) {
-    let cubes = (out.meta.num_elements().div_ceil(THREADS) as u32).max(1);
+    threads(out.meta.num_elements())
+}
+
+/// Workgroups with at least `count` threads.
+fn threads(count: usize) -> (CubeCount, CubeDim) {
+    let cubes = (count.div_ceil(THREADS) as u32).max(1);
     let count = CubeCount::Static(cubes.min(MAX_CUBES), cubes.div_ceil(MAX_CUBES), 1);
     (count, CubeDim::new_1d(THREADS as u32))
 }

@@ -29,6 +29,30 @@ struct Factors {
     beta: f32,
 }
 
+/// Entry `[example, row, channel]` of `A x`, of the term at `offset` among `terms` adjacent ones.
+#[cube]
+pub(super) fn entry(
+    x: &Tensor<f32>,
+    a: &Matrix,
+    example: usize,
+    row: usize,
+    channel: usize,
+    terms: usize,
+    offset: usize,
+) -> f32 {
+    let columns = x.shape(1);
+    let width = x.shape(2);
+    let from = a.structure[a.indptr + row] as usize;
+    let to = a.structure[a.indptr + row + 1] as usize;
+    let mut sum = 0.0f32;
+    for place in from..to {
+        let column = a.structure[a.indices + place] as usize;
+        let value = a.values[a.data + place];
+        sum += value * x[(example * columns + column) * width + channel * terms + offset];
+    }
+    sum
+}
+
 /// `out = A x`, or `alpha · A x + beta · base` with a base: one thread for each output element.
 #[cube(launch)]
 fn product_kernel(
@@ -41,18 +65,10 @@ fn product_kernel(
     if ABSOLUTE_POS < out.len() {
         let channels = out.shape(2);
         let rows = out.shape(1);
-        let vertices = x.shape(1);
         let channel = ABSOLUTE_POS % channels;
         let row = (ABSOLUTE_POS / channels) % rows;
         let example = ABSOLUTE_POS / (channels * rows);
-        let from = a.structure[a.indptr + row] as usize;
-        let to = a.structure[a.indptr + row + 1] as usize;
-        let mut sum = 0.0f32;
-        for entry in from..to {
-            let vertex = a.structure[a.indices + entry] as usize;
-            let value = a.values[a.data + entry];
-            sum += value * x[(example * vertices + vertex) * channels + channel];
-        }
+        let sum = entry(x, a, example, row, channel, 1, 0);
         #[comptime]
         match base {
             ComptimeOption::Some(base) => {
