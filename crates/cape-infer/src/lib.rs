@@ -43,6 +43,6 @@ pub use error::{Error, Result};
 pub use garment_colours::{GarmentColours, SKIN_COLOUR, TROUSERS_COLOUR, shirt_colour};
 pub use garment_labels::GarmentTables;
 pub use graphs::build_graphs;
-pub use model_file::{ModelFile, WeightPrecision};
+pub use model_file::{ModelFile, WeightStorage};
 pub use normaliser::Normaliser;
 pub use run::{DataIdentity, MIXTURE, Run, RunPaths, body_and_clothing, read_identity, write_json};

@@ -1,5 +1,6 @@
 //! A trained model in one file.
 
+mod storage;
 mod triangles;
 
 use std::{
@@ -29,9 +30,13 @@ use crate::{
     graphs::MeshGraphs, prior::Prior,
 };
 
+pub use storage::WeightStorage;
+
 /// Value of `format` in the file's metadata.
 const FORMAT: &str = "cape-model 1";
 const GENERATOR: &str = "generator.";
+/// Factors of the last axis of weights in bytes.
+const FACTORS: &str = "factors.";
 const PRIOR: &str = "prior.";
 /// End of the names of matrices that are kept as triangles; files of earlier versions have all numbers.
 const COVARIANCES: &str = ".covariances";
@@ -44,17 +49,6 @@ const SAME_BODY: f64 = 1e-5;
 /// Name of the sculpted body.
 const SCULPTED: &str = "sculpted";
 
-/// Numbers that a model file keeps its weights in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum WeightPrecision {
-    /// Half precision: half the size. Vertices of the built-in model change by 0.01 mm in the mean and
-    /// 0.14 mm at most.
-    #[default]
-    Half,
-    /// Single precision, as in training.
-    Single,
-}
-
 /// A trained model as one safetensors file: the generator's weights, configuration, statistics, clothing
 /// vertices and the mixture of latent codes. The body is a built-in one and kept by name, so that the
 /// file can be passed on.
@@ -63,13 +57,13 @@ pub enum WeightPrecision {
 /// # include!(concat!(env!("CARGO_MANIFEST_DIR"), "/../cape-train/doc/sets.rs"));
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use burn::tensor::Device;
-/// use cape_infer::{ModelFile, Run, WeightPrecision};
+/// use cape_infer::{ModelFile, Run, WeightStorage};
 ///
 /// let directory = trained()?;
 /// let device = Device::default();
 /// let run = Run::open(directory.path().join("run"), &device)?;
 /// let path = directory.path().join("model.safetensors");
-/// ModelFile::of_run(&run)?.save(&path, WeightPrecision::Half)?;
+/// ModelFile::of_run(&run)?.save(&path, WeightStorage::Bytes)?;
 /// // The file is opened as the directory is.
 /// let again = Run::open(&path, &device)?;
 /// assert_eq!(again.clothing(), run.clothing());
@@ -143,14 +137,16 @@ impl ModelFile {
     ///
     /// # Errors
     /// If a weight is too large for half precision.
-    pub fn encode(&self, precision: WeightPrecision) -> Result<Vec<u8>> {
+    pub fn encode(&self, storage: WeightStorage) -> Result<Vec<u8>> {
         let mut tensors: Vec<(String, Vec<usize>, Dtype, Vec<u8>)> = Vec::new();
         for (name, array) in &self.weights {
-            let (dtype, bytes) = match precision {
-                WeightPrecision::Single => (Dtype::F32, single(array.values.iter().copied())),
-                WeightPrecision::Half => (Dtype::F16, halves(name, &array.values)?),
-            };
-            tensors.push((format!("{GENERATOR}{name}"), array.shape.clone(), dtype, bytes));
+            let stored = storage::encode(name, array, storage)?;
+            if let Some(factors) = stored.factors {
+                let (shape, bytes) = (vec![factors.len()], single(factors.into_iter()));
+                tensors.push((format!("{FACTORS}{name}"), shape, Dtype::F32, bytes));
+            }
+            let name = format!("{GENERATOR}{name}");
+            tensors.push((name, array.shape.clone(), stored.dtype, stored.data));
         }
         let rows = |name: &str, of: &Array2<f64>| {
             let bytes = single(of.iter().map(|&x| x as f32));
@@ -179,7 +175,8 @@ impl ModelFile {
                 Ok((name, TensorView::new(*dtype, shape.clone(), bytes).map_err(fault)?))
             })
             .collect::<Result<Vec<_>>>()?;
-        safetensors::serialize(views, Some(self.metadata()?)).map_err(fault)
+        let bytes = safetensors::serialize(views, Some(self.metadata()?)).map_err(fault)?;
+        with_sorted_header(bytes).map_err(|error| Error::argument(error.to_string()))
     }
 
     fn metadata(&self) -> Result<HashMap<String, String>> {
@@ -198,8 +195,8 @@ impl ModelFile {
     }
 
     /// Writes the file, atomically.
-    pub fn save(&self, path: impl AsRef<Path>, precision: WeightPrecision) -> Result<()> {
-        let bytes = self.encode(precision)?;
+    pub fn save(&self, path: impl AsRef<Path>, storage: WeightStorage) -> Result<()> {
+        let bytes = self.encode(storage)?;
         Ok(cape_core::write_atomically(path.as_ref(), |file| file.write_all(&bytes))?)
     }
 
@@ -238,8 +235,7 @@ impl ModelFile {
             file.numbers(CLOTHING)?.into_iter().map(|index| index as usize).collect();
         let mut weights = Weights::new();
         for name in file.names(GENERATOR) {
-            let values = file.numbers(&name)?.into_iter().map(|x| x as f32).collect();
-            let array = HostArray { shape: file.shape(&name)?, values };
+            let array = HostArray { shape: file.shape(&name)?, values: file.weight(&name)? };
             weights.insert(name[GENERATOR.len()..].to_owned(), array);
         }
         let mut arrays = BTreeMap::new();
@@ -320,22 +316,23 @@ fn is_close(a: &Array2<f64>, b: &Array2<f64>) -> bool {
     a.dim() == b.dim() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= SAME_BODY)
 }
 
-fn single(values: impl Iterator<Item = f32>) -> Vec<u8> {
-    values.flat_map(f32::to_le_bytes).collect()
+/// The file with the entries of its header in order, which the metadata are not when safetensors writes
+/// them: one model makes one file.
+fn with_sorted_header(mut file: Vec<u8>) -> serde_json::Result<Vec<u8>> {
+    if let Some((length, rest)) = file.split_first_chunk_mut::<8>() {
+        let length = u64::from_le_bytes(*length) as usize;
+        let header = &mut rest[..length];
+        let entries: BTreeMap<String, BTreeMap<String, serde_json::Value>> =
+            serde_json::from_slice(header)?;
+        // The same entries have the same length but for the spaces at the end.
+        header.fill(b' ');
+        serde_json::to_writer(header, &entries)?;
+    }
+    Ok(file)
 }
 
-fn halves(name: &str, values: &[f32]) -> Result<Vec<u8>> {
-    let mut bytes = Vec::with_capacity(2 * values.len());
-    for &value in values {
-        let half = f16::from_f32(value);
-        if !half.is_finite() {
-            return Err(Error::argument(format!(
-                "weight {value} of `{name}` is too large for half precision: use single precision"
-            )));
-        }
-        bytes.extend(half.to_le_bytes());
-    }
-    Ok(bytes)
+fn single(values: impl Iterator<Item = f32>) -> Vec<u8> {
+    values.flat_map(f32::to_le_bytes).collect()
 }
 
 /// Tensors and metadata of a file.
@@ -401,6 +398,22 @@ impl<'a> Contents<'a> {
             }
         };
         Ok(values)
+    }
+
+    /// Values of the weight `name`, of any storage.
+    fn weight(&self, name: &str) -> Result<Vec<f32>> {
+        let tensor = self.tensor(name)?;
+        if tensor.dtype() != Dtype::I8 {
+            return Ok(self.numbers(name)?.into_iter().map(|x| x as f32).collect());
+        }
+        let factors = format!("{FACTORS}{}", &name[GENERATOR.len()..]);
+        storage::decode(tensor.shape(), tensor.data(), &self.numbers(&factors)?).ok_or_else(|| {
+            let shape = tensor.shape();
+            self.fault(
+                &factors,
+                format!("expected one for each index of the last axis of {shape:?}"),
+            )
+        })
     }
 
     fn rows(&self, name: &str) -> Result<Array2<f64>> {

@@ -1,11 +1,10 @@
 //! SMPL with the additive clothing term as a graph.
 
 use cape_core::{SmplModel, smpl::ClothingMask};
-use cape_infer::WeightPrecision;
 use ndarray::{Array3, Axis};
 
 use crate::{
-    Error, OnnxModel, Result,
+    Error, OnnxModel, Result, WeightPrecision,
     graph::{GraphBuilder, Value, single},
     metadata::describe_body,
     rotations::{IDENTITY, POSE, pose_rotations},
@@ -20,7 +19,7 @@ use crate::{
 ///
 /// ```
 /// use cape_core::ClothingMask;
-/// use cape_infer::WeightPrecision;
+/// use cape_onnx::WeightPrecision;
 ///
 /// let body = cape_synth::synthetic_body();
 /// let mask = ClothingMask::from_weights(&body)?;

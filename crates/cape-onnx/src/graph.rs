@@ -1,11 +1,10 @@
 //! Construction of an ONNX graph, node by node in the order of computation.
 
-use cape_infer::WeightPrecision;
 use half::f16;
 use ndarray::Array2;
 
 use crate::{
-    Error, OnnxModel, Result,
+    Error, OnnxModel, Result, WeightPrecision,
     proto::{
         AttributeProto, AttributeType, DataType, Dimension, DimensionProto, GraphProto, IR_VERSION,
         ModelProto, NodeProto, OPSET, OperatorSetIdProto, TensorProto, TensorShapeProto,

@@ -6,7 +6,7 @@
 //! 18, without extensions.
 //!
 //! ```
-//! use cape_infer::WeightPrecision;
+//! use cape_onnx::WeightPrecision;
 //!
 //! let model = cape_weights::pretrained(&burn::tensor::Device::default())?;
 //! let directory = tempfile::tempdir()?;
@@ -23,6 +23,7 @@ mod layers;
 mod metadata;
 mod model;
 mod networks;
+mod precision;
 mod proto;
 mod rotations;
 mod sparse;
@@ -31,6 +32,7 @@ pub use body::export_body;
 pub use error::{Error, Result};
 pub use model::{ExportedFile, GraphTensor, OnnxModel, export_model};
 pub use networks::{export_decoder, export_encoder};
+pub use precision::WeightPrecision;
 
 /// Modules in JavaScript, by name, that compute the graphs in browsers and in Node without anything else:
 /// `new Graph(bytes).run(inputs)` of `graph.js`, with the numbers of each input by name.

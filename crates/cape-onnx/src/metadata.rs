@@ -1,9 +1,9 @@
 //! Entries of a model's metadata.
 
 use cape_core::{Outfit, joints::JOINT_NAMES};
-use cape_infer::{ClothedModel, WeightPrecision};
+use cape_infer::ClothedModel;
 
-use crate::OnnxModel;
+use crate::{OnnxModel, WeightPrecision};
 
 /// Adds what a program needs to know of a network.
 pub(crate) fn describe(

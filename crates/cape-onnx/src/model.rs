@@ -5,12 +5,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cape_infer::{ClothedModel, WeightPrecision};
+use cape_infer::ClothedModel;
 use prost::Message;
 use serde::Serialize;
 
 use crate::{
-    Result, export_body, export_decoder, export_encoder,
+    Result, WeightPrecision, export_body, export_decoder, export_encoder,
     proto::{Dimension, ModelProto, StringStringEntryProto, ValueInfoProto},
 };
 
@@ -18,7 +18,7 @@ use crate::{
 ///
 /// ```
 /// use cape_core::ClothingMask;
-/// use cape_infer::WeightPrecision;
+/// use cape_onnx::WeightPrecision;
 ///
 /// let body = cape_synth::synthetic_body();
 /// let mask = ClothingMask::from_weights(&body)?;

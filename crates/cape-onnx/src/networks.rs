@@ -2,14 +2,14 @@
 
 use cape_core::{joints::CLOTHING_JOINTS, tensors::to_host};
 use cape_graph::{MeshPyramid, Transition};
-use cape_infer::{ClothedModel, WeightPrecision};
+use cape_infer::ClothedModel;
 use cape_model::{
     DecoderConditions, DecoderLayer, EncoderBlock,
     layers::{AffineBlock, ConvLayer, EncoderResidual, ResidualBlock},
 };
 
 use crate::{
-    OnnxModel, Result,
+    OnnxModel, Result, WeightPrecision,
     graph::{GraphBuilder, Value, single},
     layers::{
         HostConv, append, bias_leaky_relu, chebyshev_sum, convolve, embedding, group_norm_relu,
@@ -25,7 +25,7 @@ use crate::{
 /// that the model does not have are not among the inputs.
 ///
 /// ```
-/// use cape_infer::WeightPrecision;
+/// use cape_onnx::WeightPrecision;
 ///
 /// let model = cape_weights::pretrained(&burn::tensor::Device::default())?;
 /// let decoder = cape_onnx::export_decoder(&model, WeightPrecision::Half)?;
@@ -54,7 +54,7 @@ pub fn export_decoder(model: &ClothedModel, precision: WeightPrecision) -> Resul
 /// `[batch, latent]` each.
 ///
 /// ```
-/// use cape_infer::WeightPrecision;
+/// use cape_onnx::WeightPrecision;
 ///
 /// let model = cape_weights::pretrained(&burn::tensor::Device::default())?;
 /// let encoder = cape_onnx::export_encoder(&model, WeightPrecision::Half)?;

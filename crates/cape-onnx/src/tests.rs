@@ -1,12 +1,11 @@
 use std::collections::HashSet;
 
 use cape_core::{ClothingMask, SmplModel};
-use cape_infer::WeightPrecision;
 use cape_synth::synthetic_body;
 use prost::Message;
 
 use crate::{
-    OnnxModel, export_body, export_decoder, export_encoder,
+    OnnxModel, WeightPrecision, export_body, export_decoder, export_encoder,
     proto::{DataType, GraphProto, ModelProto, TensorProto},
 };
 

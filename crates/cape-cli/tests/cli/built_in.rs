@@ -15,6 +15,14 @@ fn commands_without_run_use_the_built_in_model() {
     data.run("model pack --out @/model.safetensors").succeeded();
     data.run("sample @/model.safetensors --outfit shortlong --pose walk --out @/again").succeeded();
     assert_eq!(fs::read_to_string(data.at("again/shortlong_001.obj")).unwrap(), text);
+    // Files of bytes are the same whenever they are made.
+    for name in ["bytes", "again"] {
+        data.run(&format!("model pack --bytes --out @/{name}.safetensors")).succeeded();
+    }
+    let bytes = |name: &str| fs::read(data.at(name)).unwrap();
+    assert_eq!(bytes("bytes.safetensors"), bytes("again.safetensors"));
+    assert!(bytes("bytes.safetensors").len() < 4_000_000);
+    data.run("model pack --bytes --single --out @/both.safetensors").misused(&["--single"]);
 }
 
 #[test]

@@ -8,8 +8,7 @@ use std::{
 };
 
 use base64::{Engine, engine::general_purpose::STANDARD};
-use cape_infer::WeightPrecision;
-use cape_onnx::{JAVASCRIPT, export_body, export_model};
+use cape_onnx::{JAVASCRIPT, WeightPrecision, export_body, export_model};
 use serde_json::{Map, json};
 
 use crate::{

@@ -7,10 +7,9 @@ use burn::{
 use cape_core::{BodyPose, ClothingMask, Pose, SmplInput, tensors::from_array2, tensors::to_host};
 use cape_data::DisplacementStatistics;
 use cape_graph::Weighting;
-use cape_infer::{
-    BodySpec, ClothedModel, ClothedModelParts, RunConfig, WeightPrecision, build_graphs, normal,
-};
+use cape_infer::{BodySpec, ClothedModel, ClothedModelParts, RunConfig, build_graphs, normal};
 use cape_model::{Cape, CapeConfig, DecoderBlock, DecoderConditions};
+use cape_onnx::WeightPrecision;
 use cape_synth::synthetic_body;
 use ndarray::{Array2, ArrayD, IxDyn};
 

@@ -235,10 +235,11 @@ def pack(
     out: PathLike,
     *,
     single: bool = False,
+    bytes: bool = False,
     note: Mapping[str, str] | None = None,
     threads: int | None = None,
 ) -> Report:
-    """Pack a run into one file, ``.safetensors``, with weights in half or ``single`` precision.
+    """Pack a run into one file, ``.safetensors``, with weights in half or ``single`` precision, or ``bytes``.
 
     ``note`` has entries of the file's metadata, such as ``{"licence": "CC BY 4.0"}``.
     """

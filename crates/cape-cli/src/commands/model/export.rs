@@ -1,9 +1,9 @@
 use std::path::{Path, PathBuf};
 
 use cape_core::npy::NpzWriter;
-use cape_infer::{RunConfig, RunPaths, WeightPrecision, checkpoint};
+use cape_infer::{RunConfig, RunPaths, checkpoint};
 use cape_model::{release, weights};
-use cape_onnx::{ExportedFile, export_model};
+use cape_onnx::{ExportedFile, WeightPrecision, export_model};
 use clap::{ArgGroup, Args};
 use ndarray::{ArrayD, IxDyn};
 use serde::Serialize;

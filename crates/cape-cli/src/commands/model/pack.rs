@@ -1,6 +1,6 @@
 use std::{fs, path::PathBuf};
 
-use cape_infer::{ModelFile, WeightPrecision};
+use cape_infer::{ModelFile, WeightStorage};
 use clap::Args;
 use serde::Serialize;
 
@@ -24,9 +24,12 @@ pub(crate) struct PackModelArgs {
     /// File to write.
     #[arg(long, value_name = "FILE.safetensors")]
     out: PathBuf,
-    /// Keep the weights in single precision.
+    /// Keep the weights in single precision instead of half.
     #[arg(long)]
     single: bool,
+    /// Keep matrices in eight bits, with a factor for each output: half the size of half precision.
+    #[arg(long, conflicts_with = "single")]
+    bytes: bool,
     /// Entry of the file's metadata; may be repeated.
     #[arg(long, value_name = "NAME=TEXT")]
     note: Vec<String>,
@@ -55,8 +58,12 @@ impl PackModelArgs {
             };
             model = model.with_entry(name, text);
         }
-        let precision = if self.single { WeightPrecision::Single } else { WeightPrecision::Half };
-        model.save(&self.out, precision)?;
+        let storage = match (self.single, self.bytes) {
+            (true, _) => WeightStorage::Single,
+            (_, true) => WeightStorage::Bytes,
+            _ => WeightStorage::Half,
+        };
+        model.save(&self.out, storage)?;
         let size = fs::metadata(&self.out).map_err(|error| Error::io(&self.out, error))?;
         let report = Report {
             body: model.body().to_owned(),

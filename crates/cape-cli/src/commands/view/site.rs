@@ -5,10 +5,9 @@ use std::{collections::BTreeMap, io::Write, path::Path};
 use base64::{Engine, engine::general_purpose::STANDARD};
 use cape_core::{StagingDirectory, gltf::joint_influences};
 use cape_infer::{
-    GarmentColours, GarmentTables, Run, SKIN_COLOUR, TROUSERS_COLOUR, WeightPrecision,
-    prior::Density, shirt_colour,
+    GarmentColours, GarmentTables, Run, SKIN_COLOUR, TROUSERS_COLOUR, prior::Density, shirt_colour,
 };
-use cape_onnx::{JAVASCRIPT, OnnxModel, export_body, export_decoder};
+use cape_onnx::{JAVASCRIPT, OnnxModel, WeightPrecision, export_body, export_decoder};
 use cape_stats::density::Mixture;
 use flate2::{Compression, write::GzEncoder};
 use serde_json::{Value, json};
