@@ -1,4 +1,5 @@
-//! The built-in model: clothing of a simulated wardrobe on a human body, trained, with matrices in eight bits.
+//! The built-in model: clothing of a simulated wardrobe on a human body, trained, with matrices in
+//! eight bits.
 //!
 //! ```
 //! use burn::tensor::Device;

@@ -29,3 +29,13 @@ fn damaged_model_files_are_errors_not_panics() {
         assert!(error.to_string().starts_with("cut: no complete model file"), "{error}");
     }
 }
+
+#[test]
+fn bytes_without_factors_are_refused() {
+    let (name, other) = (b"\"factors.decoder.linear_path\"", b"\"fectors.decoder.linear_path\"");
+    let mut bytes = cape_weights::MODEL.to_vec();
+    let at = bytes[..header()].windows(name.len()).position(|found| found == name).unwrap();
+    bytes[at..at + name.len()].copy_from_slice(other);
+    let error = ModelFile::decode("renamed", &bytes).unwrap_err().to_string();
+    assert!(error.contains("renamed") && error.contains("factors.decoder.linear_path"), "{error}");
+}

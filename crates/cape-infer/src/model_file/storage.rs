@@ -1,9 +1,8 @@
 //! Numbers of the weights in a model file.
 
+use cape_model::weights::HostArray;
 use half::f16;
 use safetensors::Dtype;
-
-use cape_model::weights::HostArray;
 
 use crate::{Error, Result};
 
