@@ -19,6 +19,8 @@ fn commands_without_run_use_the_built_in_model() {
     for name in ["bytes", "again"] {
         data.run(&format!("model pack --bytes --out @/{name}.safetensors")).succeeded();
     }
+    let report = data.run("info @/bytes.safetensors --json").json().to_string();
+    assert!(report.contains("model file") && report.contains("3279527"), "{report}");
     let bytes = |name: &str| fs::read(data.at(name)).unwrap();
     assert_eq!(bytes("bytes.safetensors"), bytes("again.safetensors"));
     assert!(bytes("bytes.safetensors").len() < 4_000_000);

@@ -1,4 +1,4 @@
-use std::path::Path;
+use std::{fs::File, io::Read, path::Path};
 
 use cape_core::{
     Mesh, MeshFile, Outfit, PointCache, SmplModel,
@@ -8,7 +8,7 @@ use cape_core::{
 };
 use cape_data::{DisplacementStatistics, SplitSpec, raw};
 use cape_graph::{Level, MeshPyramid, Surface};
-use cape_infer::RunConfig;
+use cape_infer::{ModelFile, RunConfig};
 use cape_model::{tensorflow::TensorFlowCheckpoint, weights};
 use ndarray::Array2;
 
@@ -19,6 +19,8 @@ use crate::{
     mesh_file::has_extension,
 };
 
+/// Start of the format's name in the header of a model file.
+const MODEL_FORMAT: &[u8] = b"cape-model ";
 /// Largest number of listed objects of an array.
 const MOST_OBJECTS: usize = 32;
 /// Largest number of listed entries of a pickled dictionary.
@@ -252,6 +254,19 @@ fn mesh(path: &Path) -> Result<FileSummary> {
 }
 
 fn parameters(path: &Path) -> Result<FileSummary> {
+    // The header tells a model file from weights.
+    let mut start = Vec::new();
+    let file = File::open(path).map_err(|error| Error::io(path, error))?;
+    file.take(4096).read_to_end(&mut start).map_err(|error| Error::io(path, error))?;
+    if start.windows(MODEL_FORMAT.len()).any(|found| found == MODEL_FORMAT) {
+        let model = ModelFile::load(path)?;
+        let facts = FileSummary::new("model file")
+            .with("body", model.body())
+            .with("parameters", model.numbers());
+        let facts =
+            model.about().iter().fold(facts, |facts, (name, text)| facts.with(name, text.clone()));
+        return Ok(run_config(facts, model.config()));
+    }
     let weights = weights::load(path)?;
     let count: usize = weights.values().map(|array| array.values.len()).sum();
     let broken = weights.values().filter(|array| array.values.iter().any(|x| !x.is_finite()));

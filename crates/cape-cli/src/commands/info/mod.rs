@@ -16,7 +16,7 @@ use facts::FileSummary;
 /// Describe a file or directory.
 ///
 /// Recognises raw data, packed sets, runs, exported pyramids, TensorFlow checkpoints, bodies, pyramids,
-/// statistics, frames, arrays, pickles, meshes, weights and configurations.
+/// statistics, frames, arrays, pickles, meshes, weights, model files and configurations.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  cape info packed\n  cape info body.npz --json\n  cape info female"
